@@ -46,16 +46,13 @@ MAX_FILE_SIZE = 1_000_000
 def load_case(path: str | os.PathLike[str], settings: Sequence[str] = ()) -> Case:
     """Read and validate a case file.
 
+    Raises CaseError with every fault found: its line, key path, value, what is allowed and the nearest match.
+
     Parameters
     ----------
     path : path of a TOML file
     settings : sequence of str
         Overrides ``key.path=value``, as of the command line's ``--set``.
-
-    Raises
-    ------
-    CaseError
-        With every fault found: its line, key path, value, what is allowed and the nearest match.
     """
     source = require_path("load_case.path", path)
     if source.exists() and not (source.is_file() or source.is_dir()):  # a pipe would be waited for

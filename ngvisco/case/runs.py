@@ -278,9 +278,7 @@ class Results:
 def load(directory: str | os.PathLike[str], step: int | None = None) -> Results:
     """The ledger and the state of the last (or a given) checkpoint of a run directory.
 
-    Raises
-    ------
-    RunDirectoryError, CaseError, CheckpointError, MeshError
+    Raises RunDirectoryError, CaseError, CheckpointError or MeshError.
     """
     place = RunDirectory(directory)
     case = place.case()

@@ -86,6 +86,8 @@ def check_convexity(
 ) -> ConvexityReport:
     """Look for states where a material's energy is not jointly convex.
 
+    Raises ParameterError if an argument is not what is said of it.
+
     Parameters
     ----------
     material : Material
@@ -105,11 +107,6 @@ def check_convexity(
     Returns
     -------
     ConvexityReport
-
-    Raises
-    ------
-    ParameterError
-        If an argument is not what is said of it.
     """
     require_type("check_convexity.material", material, Material)
     require_positive("check_convexity", spread=spread)

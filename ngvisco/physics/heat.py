@@ -26,7 +26,9 @@ class WallHeat:
     """Heat that comes in through a wall: flux + coefficient (temperature - theta) (Robin, Newton's cooling),
     less what friction on it leaves to the wall.
 
-    A large coefficient holds the wall at the temperature.  A wall without it is insulated.
+    A large coefficient holds the wall at the temperature.  A wall without it is insulated.  Raises
+    ParameterError if a parameter is out of its range, one of temperature and coefficient is given without the
+    other, or nothing is.
 
     Parameters
     ----------
@@ -39,12 +41,6 @@ class WallHeat:
     friction_share : float
         Share of what friction on the wall dissipates that heats the body, default all; the rest goes into the
         wall.
-
-    Raises
-    ------
-    ParameterError
-        If a parameter is out of its range, one of temperature and coefficient is given without the other, or
-        nothing is.
     """
 
     temperature: Annotated[Function | None, Quantity("K", "> 0", 300.0)] = None

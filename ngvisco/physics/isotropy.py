@@ -55,6 +55,8 @@ class IsotropyReport:
 def check_isotropy(material: Material, *, dim: int = 3, spread: float = 0.4, seed: int = 0) -> IsotropyReport:
     """Look for a rotation of the observer under which a material's energy changes.
 
+    Raises ParameterError if an argument is not what is said of it.
+
     Parameters
     ----------
     material : Material
@@ -68,11 +70,6 @@ def check_isotropy(material: Material, *, dim: int = 3, spread: float = 0.4, see
     Returns
     -------
     IsotropyReport
-
-    Raises
-    ------
-    ParameterError
-        If an argument is not what is said of it.
     """
     rng = np.random.default_rng(seed)
     sampling = StateSampling(material, dim)

@@ -115,6 +115,12 @@ Load = Gravity | CentralGravity | BodyForce
 class Model:
     """Material and mechanisms of a run.
 
+    Raises ParameterError if a part is of the wrong type, a flow rule or a viscosity gives energy
+    (``check_rule``, ``check_viscosity``), two loads or two bodies share a name, the energy of a body is none
+    that is convex per reference volume (``ReferenceEnergy``), the material's list of variables makes no
+    sense, or the law of creep needs a conformation tensor that the material does not have; UnknownNameError
+    if a ``WithQuadratic`` names variables that its material does not have in the form for this model.
+
     Parameters
     ----------
     material : Material
@@ -138,16 +144,6 @@ class Model:
         In place of ``material`` and ``viscosity``, which are then those of the bodies' mixture
         (``ngvisco.physics.mixture``), and of ``creep``, which each body has by itself.  Isotropic materials
         that leave ``elastic_state`` open are by B.
-
-    Raises
-    ------
-    ParameterError
-        If a part is of the wrong type, a flow rule or a viscosity gives energy (``check_rule``,
-        ``check_viscosity``), two loads or two bodies share a name, the energy of a body is none
-        that is convex per reference volume (``ReferenceEnergy``), the material's list of variables makes no
-        sense, or the law of creep needs a conformation tensor that the material does not have.
-    UnknownNameError
-        If a ``WithQuadratic`` names variables that its material does not have in the form for this model.
     """
 
     material: Material = None  # type: ignore[assignment]

@@ -164,6 +164,7 @@ class Parameter(Variable, Expression):
     """A scalar theta that travels with the matter: dt theta + (v . grad) theta = 0.
 
     Any modulus of a law may be an expression of parameters, and any energy of one's own a function of them.
+    Raises ParameterError if a parameter is out of its range.
 
     Example::
 
@@ -185,11 +186,6 @@ class Parameter(Variable, Expression):
     typical : float
         A value at which an energy is looked at before a run is known; default that of a ``start`` that is a
         number, else 0.5.
-
-    Raises
-    ------
-    ParameterError
-        If a parameter is out of its range.
     """
 
     name: str

@@ -133,7 +133,9 @@ class LinearViscosity(Viscosity):
 
     D is constant in the actual frame: directions that it prefers are those of space, not of the matter, and
     do not turn with it.  Both parts of the ledger's viscous dissipation can be of either sign where D couples
-    sph eps with dev eps; their sum is D eps : eps >= 0.
+    sph eps with dev eps; their sum is D eps : eps >= 0.  Raises ParameterError for another shape, what is not
+    finite, and a D that is not symmetric (with the entries) or not positive semidefinite (with the strain
+    rate that shows it).
 
     Example::
 
@@ -153,12 +155,6 @@ class LinearViscosity(Viscosity):
         How D is written, entries in the order 11, 22, 33, 23, 13, 12: "voigt" has the D_ijkl themselves,
         "mandel" those of an orthonormal basis, "tensor" is 3x3x3x3. An isotropic D has D_11 = K_v + 4/3 G_v
         in both, and D_44 = G_v in Voigt's, 2 G_v in Mandel's.
-
-    Raises
-    ------
-    ParameterError
-        For another shape, what is not finite, and a D that is not symmetric (with the entries) or not
-        positive semidefinite (with the strain rate that shows it).
     """
 
     D: Annotated[ArrayLike, Quantity("Pa s", example=np.eye(6).tolist())]

@@ -58,10 +58,7 @@ _knots: dict[bytes, np.ndarray] = {}
 def step(at: float) -> CoefficientFunction:
     """0 before the time ``at`` (s), 1 from it on.
 
-    Raises
-    ------
-    ParameterError
-        If ``at`` is no finite number.
+    Raises ParameterError if ``at`` is no finite number.
     """
     return IfPos(_number("step", "at", at) - time, 0.0, 1.0)
 
@@ -69,10 +66,7 @@ def step(at: float) -> CoefficientFunction:
 def pulse(begin: float, duration: float) -> CoefficientFunction:
     """1 from ``begin`` (s) on for ``duration`` (s), else 0.
 
-    Raises
-    ------
-    ParameterError
-        If ``begin`` is no finite number, or ``duration`` no positive one.
+    Raises ParameterError if ``begin`` is no finite number, or ``duration`` no positive one.
     """
     if _number("pulse", "duration", duration) <= 0:
         raise ParameterError("pulse.duration", duration, "a number > 0, s")
@@ -83,6 +77,9 @@ def table(
     source: str | PathLike[str] | Sequence[float], values: Sequence[float] | Sequence[Sequence[float]] = ()
 ) -> CoefficientFunction:
     """A function of time by a table: straight lines between its rows, constant before and after them.
+
+    Raises ParameterError if the file cannot be read, a row is not of finite numbers, or times do not
+    increase.
 
     Parameters
     ----------
@@ -96,11 +93,6 @@ def table(
     -------
     CoefficientFunction
         A scalar for one column of values, a vector for several.
-
-    Raises
-    ------
-    ParameterError
-        If the file cannot be read, a row is not of finite numbers, or times do not increase.
     """
     if isinstance(source, (str, PathLike)):
         rows = read_table(source)

@@ -377,10 +377,7 @@ def read_checkpoint(path: Path, expected: dict[str, Any], step: int | None) -> S
 def read_ledger(path: str | os.PathLike[str]) -> dict[str, np.ndarray]:
     """The ledger of a run's HDF5 file, an array a column.
 
-    Raises
-    ------
-    CheckpointError
-        If the file cannot be read, or its ledger is not as it was written.
+    Raises CheckpointError if the file cannot be read, or its ledger is not as it was written.
     """
     path = require_path("read_ledger.path", path)
     with _opened(path) as file:

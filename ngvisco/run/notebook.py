@@ -27,6 +27,8 @@ class NotebookError(NgviscoError, RuntimeError):
 def draw(field: CoefficientFunction | str, where: Any = None, **options: Any) -> Any:
     """Show a field by NGSolve's viewer in the browser.
 
+    Raises NotebookError, ParameterError or UnknownNameError if an argument is not what is said of it.
+
     Parameters
     ----------
     field : str or coefficient function
@@ -39,11 +41,6 @@ def draw(field: CoefficientFunction | str, where: Any = None, **options: Any) ->
     Returns
     -------
     The viewer's scene, with ``Redraw()``.
-
-    Raises
-    ------
-    NotebookError, ParameterError, UnknownNameError
-        If an argument is not what is said of it.
     """
     fields: Mapping[str, CoefficientFunction] = getattr(where, "fields", {})
     name = options.pop("name", field if isinstance(field, str) else "field")
@@ -73,17 +70,14 @@ def draw(field: CoefficientFunction | str, where: Any = None, **options: Any) ->
 class NotebookProgress:
     """An observer that redraws itself below a notebook's cell: a bar, the time, the energies, the closure.
 
+    Raises NotebookError when IPython is missing.
+
     Parameters
     ----------
     until : float
         End time of the run, s.
     seconds : float
         Least time between two drawings, s.
-
-    Raises
-    ------
-    NotebookError
-        When IPython is missing.
     """
 
     def __init__(self, until: float, seconds: float = 0.5) -> None:

@@ -116,13 +116,8 @@ def figure(rows: int, columns: int, size: tuple[float, float]) -> tuple[Any, Any
 def plot_energies(ledger: Ledger, path: str | os.PathLike[str]) -> None:
     """Energies and what was exchanged, and the closure, over time, as PNG, PDF or SVG by the path's end.
 
-    Stored energy is drawn as its change since the start: its constant part is arbitrary.
-
-    Raises
-    ------
-    ParameterError
-        For a ledger of a run that made no step.
-    PlotError
+    Stored energy is drawn as its change since the start: its constant part is arbitrary.  Raises
+    ParameterError for a ledger of a run that made no step; PlotError.
     """
     _require_steps("plot_energies.ledger", ledger)
     fig, ((above,), (below,)) = figure(2, 1, (PAGE, 7.5))
@@ -155,17 +150,14 @@ def plot_energies(ledger: Ledger, path: str | os.PathLike[str]) -> None:
 def plot_schemes(ledgers: Mapping[str, Ledger], path: str | os.PathLike[str]) -> None:
     """Kinetic energies of runs by different time schemes, and what each scheme and its model dissipated.
 
+    Raises ParameterError if an argument is not what is said of it.
+
     Parameters
     ----------
     ledgers : mapping of labels to ledgers
         At most four, drawn solid, dashed, dotted and dash-dotted.
     path : path
         A picture.
-
-    Raises
-    ------
-    ParameterError
-        If an argument is not what is said of it.
     """
     for label, ledger in ledgers.items():
         _require_steps(f"plot_schemes.ledgers[{label!r}]", ledger)
@@ -253,6 +245,8 @@ def plot_fields(
 ) -> None:
     """Scalar fields in two columns; in 3D in a plane normal to an axis.  Formats as ``plot_energies``.
 
+    Raises ParameterError if an argument is not what is said of it.
+
     Parameters
     ----------
     mesh : ngsolve.Mesh
@@ -266,11 +260,6 @@ def plot_fields(
         Above all fields; in 3D the plane is added to it.
     outlines : sequence of scalar coefficient functions
         Volume fractions of bodies: drawn over each field as the line where they are one half.
-
-    Raises
-    ------
-    ParameterError
-        If an argument is not what is said of it.
     """
     require_space(section, mesh.dim)
     named = dict(fields)

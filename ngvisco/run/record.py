@@ -28,7 +28,10 @@ def record(
 
     These are ``ledger.csv``, the VTK series ``vtk/fields.pvd``, ``run.h5`` with ledger and checkpoints, of a
     model with bodies ``bodies.csv``, and by the extra ``plots`` ``energies.png`` and, of the state at the
-    end, ``fields.png``.  The observers that the simulation has already see the same run.
+    end, ``fields.png``.  The observers that the simulation has already see the same run.  Raises
+    ParameterError or ExpressionError for an argument or an expression that is none, before anything is
+    computed; PlotError where matplotlib is missing, before anything is computed; StepError as
+    ``Simulation.run``.
 
     Parameters
     ----------
@@ -47,15 +50,6 @@ def record(
     Returns
     -------
     Ledger
-
-    Raises
-    ------
-    ParameterError, ExpressionError
-        For an argument or an expression that is none, before anything is computed.
-    PlotError
-        Where matplotlib is missing, before anything is computed.
-    StepError
-        As ``Simulation.run``.
     """
     out = require_path("record.directory", directory)
     if (end := as_number(until)) is None or end <= simulation.t:

@@ -54,6 +54,8 @@ _LEVELS = 8
 class Refinement:
     """Where and how far cells are divided.
 
+    Raises ParameterError for a number out of its range.
+
     Parameters
     ----------
     field : str
@@ -65,11 +67,6 @@ class Refinement:
         How often the edges of a cell of the first mesh are halved at most.
     every : float
         The mesh is chosen anew after so long, a multiple of dt.
-
-    Raises
-    ------
-    ParameterError
-        For a number out of its range.
     """
 
     field: Annotated[str, Quantity(example="pressure")]
@@ -134,6 +131,8 @@ def run_refined(
     """Run on meshes that follow a field, refined from that of ``simulation``.
 
     Its observers are told of every mesh by ``start``, as of a run that is resumed, and the ledger goes on.
+    Raises ParameterError, UnknownNameError, MeshError or CheckpointError for what does not fit, before a step
+    is made; StepError as ``Simulation.run``.
 
     Parameters
     ----------
@@ -149,13 +148,6 @@ def run_refined(
     -------
     Simulation
         At ``until``, on the last mesh, with the ledger of the whole.
-
-    Raises
-    ------
-    ParameterError, UnknownNameError, MeshError, CheckpointError
-        For what does not fit, before a step is made.
-    StepError
-        As ``Simulation.run``.
     """
     require_type("run_refined.simulation", simulation, Simulation)
     require_type("run_refined.refinement", refinement, Refinement)

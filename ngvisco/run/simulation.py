@@ -74,6 +74,9 @@ class Observer(Protocol):
 class Simulation:
     """A model on a mesh, in time.
 
+    Raises ParameterError, MeshError, InitialDataError or UnknownNameError for bad input, before anything is
+    computed; PETScError over ranks, without PETSc.
+
     Parameters
     ----------
     mesh : ngsolve.Mesh
@@ -101,13 +104,6 @@ class Simulation:
         Fields carried by the flow: ``"F_tot"``, ``"reference_map"``, ``"creep_strain"``.
     former : keyword arguments
         Those of ``TimeSteps``, and ``stepping``, its ``adaptive``: for one release more, with a warning.
-
-    Raises
-    ------
-    ParameterError, MeshError, InitialDataError, UnknownNameError
-        For bad input, before anything is computed.
-    PETScError
-        Over ranks, without PETSc.
     """
 
     @computing()
@@ -257,12 +253,8 @@ class Simulation:
     ) -> None:
         """Go on from a checkpoint in a run's HDF5 file, by default its last one.
 
-        The file's ``attributes`` must have the given values (see ``Checkpoints``).
-
-        Raises
-        ------
-        CheckpointError
-            If the file does not fit this mesh, discretisation and material, or cannot be read.
+        The file's ``attributes`` must have the given values (see ``Checkpoints``).  Raises CheckpointError if
+        the file does not fit this mesh, discretisation and material, or cannot be read.
         """
         checkpoint.restore(self, path, step, attributes)
 
@@ -286,17 +278,14 @@ class Simulation:
     def advance(self, stop: float = math.inf) -> dict[str, float]:
         """One accepted step of the scheme, which with adaptive lengths ends at ``stop`` (s) at the latest.
 
+        Raises StepError when the step cannot be solved, or rho, J, ... are not positive (see ``limiter``);
+        with adaptive lengths, when that is so at the smallest length.  The state is then that before the
+        step, and the error's ``report`` says where and why.
+
         Returns
         -------
         dict
             Its ledger row.
-
-        Raises
-        ------
-        StepError
-            When the step cannot be solved, or rho, J, ... are not positive (see ``limiter``); with
-            adaptive lengths, when that is so at the smallest length.  The state is then that before
-            the step, and the error's ``report`` says where and why.
         """
         if self.mesh.ne != self._cells_here:
             message = f"the mesh has {self.mesh.ne} cells, and {self._cells_here} when the run was made"
@@ -325,17 +314,14 @@ class Simulation:
     def run(self, until: float, stops: Sequence[float] = ()) -> Ledger:
         """Step until ``until`` (s) or until ``request_stop`` is called; returns the ledger.
 
+        Raises StepError as ``advance``; observers are finished first.
+
         Parameters
         ----------
         until : float
             With steps of one length a multiple of dt, up to rounding.
         stops : sequence of float
             Further times that the steps meet exactly, s; with steps of one length multiples of dt.
-
-        Raises
-        ------
-        StepError
-            As ``advance``; observers are finished first.
         """
         end = as_number(until)
         if end is None or end < self.t:

@@ -26,6 +26,8 @@ LEAST_CONSTANT = 1e-2
 class TimeSteps:
     """Scheme and step lengths of a run, the keys of [time] in a case file but for its end.
 
+    Raises ParameterError or UnknownNameError if a parameter is out of its range, or does not fit the scheme.
+
     Parameters
     ----------
     dt : float
@@ -49,11 +51,6 @@ class TimeSteps:
         fall or elastic release, at rest a tenth of the speed of sound.
     adaptive : AdaptiveSteps, optional
         Step lengths chosen by the run; of one length without this table.
-
-    Raises
-    ------
-    ParameterError, UnknownNameError
-        If a parameter is out of its range, or does not fit the scheme.
     """
 
     dt: Annotated[float, Quantity("s", "> 0", 0.02)]

@@ -69,6 +69,10 @@ class Transfer:
 def transfer(source: Simulation, target: Simulation) -> Transfer:
     """Put a simulation into the state of another one, on another mesh or in other spaces.
 
+    Raises ParameterError if the materials' variables or the passive fields do not fit, or ``target`` has made
+    steps; MeshError if the domains are not the same; InitialDataError if a projected density or Jacobian is
+    not admissible, also with a limiter, or nothing is left of a body: take a finer mesh.
+
     Parameters
     ----------
     source : Simulation
@@ -81,16 +85,6 @@ def transfer(source: Simulation, target: Simulation) -> Transfer:
     -------
     Transfer
         What it did to mass and energy.
-
-    Raises
-    ------
-    ParameterError
-        If the materials' variables or the passive fields do not fit, or ``target`` has made steps.
-    MeshError
-        If the domains are not the same.
-    InitialDataError
-        If a projected density or Jacobian is not admissible, also with a limiter, or nothing is left of a
-        body: take a finer mesh.
     """
     old, new = source.rothe_step, target.rothe_step
     require_fit(source, target)
@@ -322,17 +316,12 @@ def resume_changed(
 
     Step length, loads, walls, viscosities and the material's numbers may differ from the run's; mesh, orders
     and the list of unknowns must not.  Columns of the ledger that only one of the two has are 0 for the
-    other.
+    other.  Raises CheckpointError as ``Simulation.restore``.
 
     Returns
     -------
     float
         Energy that the change of the stored energy takes, J: the column ``transfer`` of the next row.
-
-    Raises
-    ------
-    CheckpointError
-        As ``Simulation.restore``.
     """
     one, rows = checkpoint.take_up(
         simulation, path, attributes=attributes, may_differ=("material", "energies", "scheme")

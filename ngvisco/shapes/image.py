@@ -20,6 +20,8 @@ _LUMA = np.array([0.299, 0.587, 0.114])  # of red, green, blue in a grey
 class Image(Shape):
     """Where a picture is dark, in the plane; read by matplotlib (extra ``plots``).
 
+    Raises ParameterError if the file is missing or no PNG, or matplotlib is.
+
     Parameters
     ----------
     path : path
@@ -33,11 +35,6 @@ class Image(Shape):
         the grey is interpolated.
     dark : bool
         If false, what is brighter than the threshold instead.
-
-    Raises
-    ------
-    ParameterError
-        If the file is missing or no PNG, or matplotlib is.
     """
 
     path: Annotated[str | os.PathLike[str], Quantity(example="part.png")]

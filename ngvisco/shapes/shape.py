@@ -25,10 +25,7 @@ class Shape(ABC):
     def level(self, at: Places) -> np.ndarray:
         """A number at each place, (places,): > 0 inside, <= 0 outside.
 
-        Raises
-        ------
-        ParameterError
-            Where the shape does not fit the mesh, e.g. its dimension.
+        Raises ParameterError where the shape does not fit the mesh, e.g. its dimension.
         """
 
     def inside(self, mesh: Mesh, order: int = 1) -> GridFunction:

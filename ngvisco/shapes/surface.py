@@ -27,7 +27,9 @@ class ClosedSurface(Shape):
     """The inside of a closed surface of triangles, from an STL file (text or binary).
 
     The surface may have several parts, each written in either sense.  A part that lies within another one and
-    is written in the opposite sense is a cavity of it.
+    is written in the opposite sense is a cavity of it.  Raises ParameterError if there is no such file, it is
+    no STL file, holds no triangles or one of them twice, or its surface does not close: every edge of a
+    closed surface belongs to two triangles, which run along it in opposite senses.
 
     Parameters
     ----------
@@ -35,13 +37,6 @@ class ClosedSurface(Shape):
         An STL file whose surface closes; in a case file relative to it.
     scale : float
         Length of the STL file's unit, which it does not say.
-
-    Raises
-    ------
-    ParameterError
-        If there is no such file, it is no STL file, holds no triangles or one of them twice, or its surface
-        does not close: every edge of a closed surface belongs to two triangles, which run along it in
-        opposite senses.
     """
 
     path: Annotated[str | os.PathLike[str], Quantity(example="part.stl")]

@@ -37,6 +37,8 @@ _ROUNDING = 1e-12
 class TimeScheme:
     """A diagonally implicit Runge-Kutta scheme.
 
+    Raises ParameterError for a tableau that is no such scheme.
+
     Parameters
     ----------
     name : str
@@ -48,11 +50,6 @@ class TimeScheme:
     averages_loads : bool
         Whether loads are averages over the step, as in the paper, and not values at the stages' times; for
         schemes of one stage.
-
-    Raises
-    ------
-    ParameterError
-        For a tableau that is no such scheme.
     """
 
     name: str

@@ -17,17 +17,13 @@ from ngvisco.physics.variables import Values
 class Composite(FlowRule):
     """Pi = sum of the rates of several rules under one stress, such as diffusion and dislocation creep.
 
-    Its potential of M is the sum of theirs; that of Pi has no closed form, so that it is local.
+    Its potential of M is the sum of theirs; that of Pi has no closed form, so that it is local.  Raises
+    ParameterError if a parameter is out of its range.
 
     Parameters
     ----------
     rules : sequence of FlowRule
         At least one, each local (nu = 0).
-
-    Raises
-    ------
-    ParameterError
-        If a parameter is out of its range.
     """
 
     rules: tuple[FlowRule, ...]

@@ -22,7 +22,7 @@ class Eyring(FlowRule):
     """Pi = A sinh(|M|/sigma_0) M/|M|, of the potential A sigma_0 (cosh(|M|/sigma_0) - 1) (Eyring 1936).
 
     Linear below sigma_0, with G_m = sigma_0/A, and exponential above: glassy polymers, and rocks at low
-    temperatures.
+    temperatures.  Raises ParameterError if a parameter is out of its range.
 
     Parameters
     ----------
@@ -36,11 +36,6 @@ class Eyring(FlowRule):
         Exponent of the creep rate's gradient; the paper's analysis has q > 3.
     rate_floor : float
         |Pi| below which psi is smoothed at zero, with nu > 0; far below A.
-
-    Raises
-    ------
-    ParameterError
-        If a parameter is out of its range.
     """
 
     A: Annotated[Modulus, Quantity("1/s", "> 0", 0.1)]

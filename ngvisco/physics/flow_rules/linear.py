@@ -39,7 +39,7 @@ class Creep(FlowRule):
     rate eps has the deviatoric stress dev T = G_m dev eps, as a fluid's is 2 eta dev eps.  With the usual
     shear modulus G (G_e of the small-strain materials, 2 G_e of the neo-Hookean ones, 2 (G_e + G_mr) of the
     Mooney-Rivlin ones) the stress relaxes like exp(-t/lambda), with the Maxwell time
-    lambda = G_m/(2 G) = eta/G.
+    lambda = G_m/(2 G) = eta/G.  Raises ParameterError if a parameter is out of its range.
 
     Parameters
     ----------
@@ -54,11 +54,6 @@ class Creep(FlowRule):
         |grad Pi| below which powers that are no even integers are smoothed.
     law : str
         "mandel" (the paper), or "conformation" or "leonov" of a conformation tensor's fluid.
-
-    Raises
-    ------
-    ParameterError
-        If a parameter is out of its range.
     """
 
     G_m: Annotated[Modulus, Quantity("Pa s", "> 0", 5.0)]

@@ -44,7 +44,7 @@ class Perzyna(FlowRule):
 
     With H or Q it hardens isotropically: sigma_Y grows by H k + Q (1 - exp(-b k)) with the plastic strain k,
     dk/dt = sqrt(2/3) |Pi|, which the matter carries (the field ``plastic_strain``), and stores the work of it
-    (``ngvisco.physics.flow_rules.hardening``).
+    (``ngvisco.physics.flow_rules.hardening``).  Raises ParameterError if a parameter is out of its range.
 
     Parameters
     ----------
@@ -67,11 +67,6 @@ class Perzyna(FlowRule):
     rate_floor : float
         |Pi| below which psi is smoothed at zero, with nu > 0: what does not yield flows by less than it.  A
         thousandth of the rates of interest; one much smaller may need more iterations than there are.
-
-    Raises
-    ------
-    ParameterError
-        If a parameter is out of its range.
     """
 
     sigma_Y: Annotated[Modulus, Quantity("Pa", "> 0", 2.0)]
@@ -131,7 +126,7 @@ class DruckerPrager(FlowRule):
 
     so that sqrt(J_2) = |M|/sqrt(2) is held to c cos phi + p sin phi, as in plane strain by Mohr and Coulomb.
     It does not dilate: tr Pi = 0, which has no potential together with this s, but M : Pi >= 0 always.  It is
-    local.
+    local.  Raises ParameterError if a parameter is out of its range.
 
     Parameters
     ----------
@@ -141,11 +136,6 @@ class DruckerPrager(FlowRule):
         Angle phi of internal friction, degrees.
     G_m : float
         Viscosity of what exceeds the strength.
-
-    Raises
-    ------
-    ParameterError
-        If a parameter is out of its range.
     """
 
     cohesion: Annotated[Modulus, Quantity("Pa", ">= 0", 1.0)]

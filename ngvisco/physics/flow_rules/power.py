@@ -29,7 +29,7 @@ class Norton(FlowRule):
     """Power-law creep Pi = A |M|^{n-1} M, of the potential A |M|^{n+1}/(n+1) (Norton 1929, Glen 1955).
 
     A law of uniaxial tests, strain rate B sigma^n, has A = (3/2)^{(n+1)/2} B.  With n = 1 it is ``Creep``
-    with G_m = 1/A.
+    with G_m = 1/A.  Raises ParameterError if a parameter is out of its range.
 
     Parameters
     ----------
@@ -43,11 +43,6 @@ class Norton(FlowRule):
         Exponent of the creep rate's gradient; the paper's analysis has q > 3.
     rate_floor : float
         |Pi| below which psi is smoothed at zero, with nu > 0; far below the rates of interest.
-
-    Raises
-    ------
-    ParameterError
-        If a parameter is out of its range.
     """
 
     A: Annotated[Modulus, Quantity("1/s/Pa^n", "> 0", 0.1)]

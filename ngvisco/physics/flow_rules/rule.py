@@ -84,10 +84,7 @@ class FlowRule(ABC):
     def psi(self, Pi: CoefficientFunction, z: Values) -> CoefficientFunction:
         """The potential of Pi, 3x3, W/m^3, whose derivative by Pi is M; convex, where nu > 0.
 
-        Raises
-        ------
-        ParameterError
-            For a rule that does not give it.
+        Raises ParameterError for a rule that does not give it.
         """
         raise ParameterError(f"{type(self).__name__}.nu", self.nu, "0: the rule gives no potential psi(Pi)")
 

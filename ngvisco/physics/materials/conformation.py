@@ -34,7 +34,8 @@ class OldroydB(Material):
     """phi(B, J) = K_e/2 (J - 2 + 1/J) + G_e (tr B - ln det B - 3), B = J^{-2/3} F F^T.
 
     The energy of Hookean dumbbells, and of Leonov's fluid; see the module's docstring.  Strictly convex in
-    B and in J, so jointly; singular as det B -> 0+ and J -> 0+.  dev T = 2 G_e dev B.
+    B and in J, so jointly; singular as det B -> 0+ and J -> 0+.  dev T = 2 G_e dev B.  Raises ParameterError
+    if a parameter is not a finite positive number.
 
     Parameters
     ----------
@@ -44,11 +45,6 @@ class OldroydB(Material):
         Elastic modulus of shear: half the usual shear modulus.
     J_min : float, optional
         The part that is singular at J = 0 is continued linearly below this J.
-
-    Raises
-    ------
-    ParameterError
-        If a parameter is not a finite positive number.
     """
 
     K_e: Annotated[Modulus, Quantity("Pa", "> 0", 10.0)]

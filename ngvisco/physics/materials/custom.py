@@ -18,7 +18,11 @@ from ngvisco.physics.variables import Values, Variable
 class CustomMaterial(Material):
     """phi = stored_energy(**values) for any list of transported variables.
 
-    A run samples the energy and warns where it is not jointly convex, see ``check_convexity``.
+    A run samples the energy and warns where it is not jointly convex, see ``check_convexity``.  Raises
+    ParameterError if ``transported`` is no list of variables, or the energy raises, returns anything but a
+    real scalar, or reads anything but the variables (the position, the time, a grid function, ...); or if a
+    rotation Q of the observer changes the energy, which the message then has: phi(Q F) = phi(F); of a spatial
+    tensor, E or B = F F^T, this is isotropy.
 
     Example::
 
@@ -47,14 +51,6 @@ class CustomMaterial(Material):
     rho_R : float, optional
         Referential density, kg/m^3, > 0.  Where given, the initial density has to be rho_R/J, and one of the
         two follows from the other.
-
-    Raises
-    ------
-    ParameterError
-        If ``transported`` is no list of variables, or the energy raises, returns anything but a real scalar,
-        or reads anything but the variables (the position, the time, a grid function, ...); or if a rotation
-        Q of the observer changes the energy, which the message then has: phi(Q F) = phi(F); of a spatial
-        tensor, E or B = F F^T, this is isotropy.
     """
 
     energy_parameter = "stored_energy"

@@ -76,7 +76,9 @@ class Damaged(Material):
 
     The energy of the material without damage is counted from that at rest, where its stress has to vanish.  A
     crack that has fully formed costs G_c for its area, with d = exp(-|x|/l) (AT2) or (1 - |x|/2l)^2 (AT1)
-    across it.  Without a healing d never falls at the matter's point.
+    across it.  Without a healing d never falls at the matter's point.  Raises ParameterError if a parameter
+    is out of its range, or the material has stress at rest, an energy without an expression, or no volume of
+    its own to tell compression by.
 
     Example::
 
@@ -104,12 +106,6 @@ class Damaged(Material):
         That of falling damage; None (default) where nothing heals.
     floor : float
         k, the share of the degraded energy that a broken material keeps.
-
-    Raises
-    ------
-    ParameterError
-        If a parameter is out of its range, or the material has stress at rest, an energy without an
-        expression, or no volume of its own to tell compression by.
     """
 
     material: Material

@@ -20,7 +20,8 @@ class LinearElastic(Material):
     """phi(E) = 3/2 K_e |sph E|^2 + G_e |dev E|^2 (paper: St.Venenat-Kirchhoff-linear).
 
     Strongly convex.  No stress at rest: T(0) = 0.  The moduli are the usual bulk and shear moduli
-    of linear elasticity, S = K_e (tr E) I + 2 G_e dev E; T = S + phi I.
+    of linear elasticity, S = K_e (tr E) I + 2 G_e dev E; T = S + phi I.  Raises ParameterError if a modulus
+    is not a finite positive number.
 
     Parameters
     ----------
@@ -28,11 +29,6 @@ class LinearElastic(Material):
         Elastic bulk modulus: the usual one.
     G_e : float
         Elastic shear modulus: the usual one.
-
-    Raises
-    ------
-    ParameterError
-        If a modulus is not a finite positive number.
     """
 
     K_e: Annotated[Modulus, Quantity("Pa", "> 0", 10.0)]
@@ -52,19 +48,15 @@ class IsotropicStrainEnergy(Material):
     """phi(E) = strain_energy(E) for any convex isotropic function of E (paper: Euler-small-ass-phi).
 
     Isotropy is needed, not only convexity: S E = E S is what makes the spin part of the
-    Zaremba-Jaumann rate powerless (paper: E:WS=E:SW), so that T = S + phi I is symmetric.
+    Zaremba-Jaumann rate powerless (paper: E:WS=E:SW), so that T = S + phi I is symmetric.  Raises
+    ParameterError if it is no function of E alone with real values, or not isotropic: the message then has
+    the rotation that shows it.
 
     Parameters
     ----------
     strain_energy : callable
         Maps E (3x3 coefficient function) to the energy density, Pa, e.g.
         ``lambda E: 0.5*K*Trace(E)**2 + G*square(dev(E)) + c*square(dev(E))**2``.
-
-    Raises
-    ------
-    ParameterError
-        If it is no function of E alone with real values, or not isotropic: the message then has the rotation
-        that shows it.
     """
 
     energy_parameter = "strain_energy"

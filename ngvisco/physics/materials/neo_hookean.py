@@ -30,7 +30,8 @@ class NeoHookean(IsotropicElastic):
     modulus: in simple shear F = I + gamma e1 x e2, T_12 is 2 G_e gamma.
 
     With ``elastic_state="B"`` the shear energy is G_e tr B, B = J^{-2/3} F F^T: linear, so that phi is convex
-    in (B, J), strictly in J.
+    in (B, J), strictly in J.  Raises ParameterError if a parameter is not a finite positive number, or
+    ``elastic_state`` is another.
 
     Parameters
     ----------
@@ -45,11 +46,6 @@ class NeoHookean(IsotropicElastic):
     J_min : float, optional
         The singular term is continued linearly below this J (paper: rem-neo-Hookean-ref); G_e J^{-2/3} |F|^2
         stays as it is.
-
-    Raises
-    ------
-    ParameterError
-        If a parameter is not a finite positive number, or ``elastic_state`` is another.
     """
 
     K_e: Annotated[Modulus, Quantity("Pa", "> 0", 10.0)]

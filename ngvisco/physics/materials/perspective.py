@@ -40,7 +40,9 @@ class PerReferentialVolume(Material):
     """phi = psi/J with the energy psi of another material per referential volume (paper: rem-referential).
 
     T = psi'(F) F^T/J, so that a body at rest is free of stress where psi is stationary there.  Jointly convex
-    in A = 1/J and in A times the material's tensors where psi is convex in these and J.
+    in A = 1/J and in A times the material's tensors where psi is convex in these and J.  Raises
+    ParameterError for a material with other variables, or one whose energy is not an expression (``Yosida``,
+    which goes around this one).
 
     Example::
 
@@ -58,12 +60,6 @@ class PerReferentialVolume(Material):
         tensor X becomes AX = X/J.
     rho_R : float, optional
         Density where J = 1; with it the initial density and J follow from one another.
-
-    Raises
-    ------
-    ParameterError
-        For a material with other variables, or one whose energy is not an expression (``Yosida``, which goes
-        around this one).
     """
 
     material: Material

@@ -117,7 +117,7 @@ class LogarithmicNeoHookean(IsotropicElastic):
     with H = J^{-5/6} F, A = 1/J and K = ln J/J.  -(ln J)/J is not convex in J, but linear in K, whose rate
     (tr L)(A - K) closes with that of A.  Jointly convex in (H, A, K), strongly in H, strictly in A, and it
     blows up as A -> 0+.  T(I) = 0; the bulk modulus at rest is K_e + epsilon, G_e is half the usual shear
-    modulus.
+    modulus.  Raises ParameterError if a parameter is not a finite positive number.
 
     Parameters
     ----------
@@ -127,11 +127,6 @@ class LogarithmicNeoHookean(IsotropicElastic):
         Elastic modulus of shear: half the usual shear modulus.
     epsilon : float
         Weight of -epsilon ln J per referential volume, which is singular at J = 0.
-
-    Raises
-    ------
-    ParameterError
-        If a parameter is not a finite positive number.
     """
 
     K_e: Annotated[Modulus, Quantity("Pa", "> 0", 10.0)]

@@ -22,7 +22,8 @@ class WithQuadratic(Wrapper):
     """phi + sqrt(delta)/2 sum_i |z_i|^2 (paper: varphi-regularized).
 
     Makes a convex energy strongly convex.  At rest it adds a stress of the order of sqrt(delta).  The
-    ledger has the added energy within ``stored``, and alone as ``stored_quadratic``.
+    ledger has the added energy within ``stored``, and alone as ``stored_quadratic``.  Raises ParameterError
+    or UnknownNameError for a delta that is not positive, or a name that the material does not have.
 
     Parameters
     ----------
@@ -33,11 +34,6 @@ class WithQuadratic(Wrapper):
     only : tuple of str, optional
         Variables for which it is added, no parameters; all strains where nothing is said (paper:
         rem-neo-Hookean-ref omits those in which phi is strongly convex already).
-
-    Raises
-    ------
-    ParameterError, UnknownNameError
-        For a delta that is not positive, or a name that the material does not have.
     """
 
     delta: Annotated[float, Quantity("Pa^2", "> 0", 1e-6)]

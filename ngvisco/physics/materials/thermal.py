@@ -74,7 +74,9 @@ class Thermal(Material):
     theta_R) with Gamma c = K ``expansion``, K the bulk modulus at rest of the material without heat, which is
     the isothermal one: no stress at theta_R beside that of the material.  With ``gruneisen`` it is Gamma c
     theta/J, that of an ideal gas with the adiabatic exponent 1 + Gamma where there is no other material, and
-    less ``p_infinity`` that of a stiffened one, as liquids are.
+    less ``p_infinity`` that of a stiffened one, as liquids are.  Raises ParameterError if a parameter is out
+    of its range, both of ``expansion`` and ``gruneisen`` are given, a gas has no ``gruneisen``, a material
+    has a ``p_infinity`` or an expansion without a bulk modulus, or the material has heat already.
 
     Example::
 
@@ -105,13 +107,6 @@ class Thermal(Material):
         Density where J = 1; with it the initial density and J follow from one another.
     entropy_unit : float, optional
         What the carried entropy counts in; default c.
-
-    Raises
-    ------
-    ParameterError
-        If a parameter is out of its range, both of ``expansion`` and ``gruneisen`` are given, a gas has no
-        ``gruneisen``, a material has a ``p_infinity`` or an expansion without a bulk modulus, or the material
-        has heat already.
     """
 
     material: Material | None = None

@@ -33,6 +33,7 @@ class Yosida(Wrapper):
     y is found by a damped Newton iteration at every quadrature point, from a start value that depends on
     z alone, so that the energy is a function of the state and of nothing else.  There is no expression
     for it: ``energy`` raises, and the Cauchy stress for output has the cellwise L2 projection of phi_eps.
+    Raises ParameterError if eps is not a finite positive number or ``material`` is none.
 
     Parameters
     ----------
@@ -40,11 +41,6 @@ class Yosida(Wrapper):
         The material that is regularised: its energy convex, or at least |z|^2/(2 eps) + phi so.
     eps : float
         Width of the approximation, the paper's epsilon.
-
-    Raises
-    ------
-    ParameterError
-        If eps is not a finite positive number or ``material`` is none.
     """
 
     eps: Annotated[float, Quantity("1/Pa", "> 0", 1e-3)]
