@@ -6,12 +6,16 @@
 
 import dataclasses
 import difflib
+import inspect
 import math
 import numbers
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from fractions import Fraction
+from functools import cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from types import NoneType, UnionType
+from typing import Any, NamedTuple, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
@@ -113,7 +117,7 @@ class Quantity(NamedTuple):
     unit : str
         SI unit; "1" for pure numbers, "" for what is no number.  Exponents may be other parameters.
     range : str
-        The numbers that are admitted, as ``"> 0"`` or ``"in (0, 1)"``; "" for all.
+        The numbers that are admitted, as ``"> 0"``, ``"in (0, 1]"`` or ``"from 1 to 8"``; "" for all.
     example : value, optional
         As a case file may have it, for what has no default.
     """
@@ -154,22 +158,11 @@ def as_integer(value: object) -> int | None:
 
 def require_positive(owner: object, **values: float) -> None:
     """Raise ParameterError unless every value is a finite number > 0."""
-    _require(owner, values, lambda number: number > 0, "a finite number > 0")
-
-
-def require_nonnegative(owner: object, **values: float) -> None:
-    """Raise ParameterError unless every value is a finite number >= 0."""
-    _require(owner, values, lambda number: number >= 0, "a finite number >= 0")
-
-
-def require_above(owner: object, bound: float, **values: float) -> None:
-    """Raise ParameterError unless every value is a finite number > ``bound``."""
-    _require(owner, values, lambda number: number > bound, f"a finite number > {bound:g}")
-
-
-def require_number(owner: object, **values: float) -> None:
-    """Raise ParameterError unless every value is a finite number."""
-    _require(owner, values, lambda number: True, "a finite number")
+    for name, value in values.items():
+        number = as_number(value)
+        if number is None or not number > 0:
+            raise ParameterError(_field(owner, name), value, "a finite number > 0")
+        _keep(owner, name, value if isinstance(value, (int, float)) else number)
 
 
 def require_count(owner: object, **values: int) -> None:
@@ -181,14 +174,74 @@ def require_count(owner: object, **values: int) -> None:
         _keep(owner, name, count)
 
 
-def _require(
-    owner: object, values: Mapping[str, object], holds: Callable[[float], bool], expected: str
-) -> None:
-    for name, value in values.items():
-        number = as_number(value)
-        if number is None or not holds(number):
-            raise ParameterError(_field(owner, name), value, expected)
-        _keep(owner, name, value if isinstance(value, (int, float)) else number)
+class Declared(NamedTuple):
+    """What is said of a number that is a parameter: its range, and the types that are admitted."""
+
+    range: str
+    kinds: tuple[Any, ...]
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether nothing else than numbers and None is admitted."""
+        return {int, float, NoneType}.issuperset(self.kinds)
+
+    @property
+    def expected(self) -> str:
+        """In words, for messages."""
+        kind = "whole number" if float not in self.kinds else "number"
+        plain = kind == "whole number" or not (self.range == "" or self.range.startswith(">"))
+        return f"a {'' if plain else 'finite '}{kind} {self.range}".rstrip()
+
+    def number(self, value: object) -> float | None:
+        """The number that the value is, of Python's types; None where it is none of the range."""
+        number = as_number(value) if float in self.kinds else as_integer(value)
+        if number is None or not _is_within(number, self.range):
+            return None
+        return value if isinstance(value, (int, float)) else number
+
+
+_RANGE = re.compile(r"(>=?|from|in) ([\[(]?)([\d./]+)(?:,? (?:to )?([\d./]+)([\])]?))?")
+
+
+def _is_within(number: float, text: str) -> bool:
+    if not text:
+        return True
+    sign, left, low, high, right = _RANGE.fullmatch(text).groups()  # type: ignore[union-attr]
+    if number < Fraction(low) or (number == Fraction(low) and (sign == ">" or left == "(")):
+        return False
+    return high is None or number < Fraction(high) or (number == Fraction(high) and right != ")")
+
+
+@cache
+def declared(kind: type) -> dict[str, Declared]:
+    """What a dataclass says by ``Quantity`` of those of its parameters that are numbers.
+
+    A class that annotates a parameter of its base anew, without a quantity, keeps the base's range.
+    """
+    ranges: dict[str, str] = {}
+    for each in reversed(inspect.getmro(kind)):
+        for name, hint in get_type_hints(each, include_extras=True).items():
+            for part in getattr(hint, "__metadata__", ()):
+                if isinstance(part, Quantity):
+                    ranges[name] = part.range
+    kinds = {
+        name: get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
+        for name, hint in get_type_hints(kind).items()
+    }
+    return {n: Declared(r, kinds[n]) for n, r in ranges.items() if {int, float} & set(kinds[n])}
+
+
+def require_ranges(owner: Any) -> None:
+    """Raise ParameterError unless every number of a dataclass is in the range that its annotation says.
+
+    What may be None, by its annotation, may be left out; what may be more than a number is not looked at.
+    """
+    for name, said in declared(type(owner)).items():  # type: ignore[arg-type]
+        value = getattr(owner, name)
+        if said.is_plain and not (value is None and NoneType in said.kinds):
+            if (number := said.number(value)) is None:
+                raise ParameterError(f"{type(owner).__name__}.{name}", value, said.expected)
+            object.__setattr__(owner, name, number)
 
 
 def _field(owner: object, name: str) -> str:

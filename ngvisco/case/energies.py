@@ -21,7 +21,7 @@ from ngsolve import CoefficientFunction, x
 
 from ngvisco.expressions import CONSTANTS, FUNCTIONS, Evaluator, ExpressionError, shifted, syntax_tree
 from ngvisco.physics.materials.thermal import Entropy
-from ngvisco.physics.tensors import IDENTITY, cof, det, dev, entry, inner, sph, square, sym, tr
+from ngvisco.physics.tensors import IDENTITY, cof, det, dev, inner, sph, square, sym, tr
 from ngvisco.physics.variables import Variable
 
 UNIT = "I"
@@ -116,7 +116,7 @@ class _EnergyEvaluator(Evaluator):
         indices = [value for value in values if type(value) is int and 0 <= value <= 2]
         if not len(parts) == len(indices) == 2:
             raise self._error(node.slice, "an entry has two indices from 0 to 2, as in F[0, 1]")
-        return entry(tensor, indices[0], indices[1])
+        return tensor[indices[0], indices[1]]
 
     def _combined(self, node: ast.BinOp, operation: Callable[[Any, Any], Any], a: Any, b: Any) -> Any:
         tensors, kind = (_is_tensor(a), _is_tensor(b)), type(node.op)

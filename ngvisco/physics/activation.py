@@ -7,10 +7,10 @@ from typing import Annotated, Any
 
 from ngsolve import CoefficientFunction
 
-from ngvisco.errors import ParameterError, Quantity, require_number, require_positive
+from ngvisco.errors import ParameterError, Quantity
 from ngvisco.physics.flow_rules.hardening import Hardening
 from ngvisco.physics.flow_rules.rule import FlowRule
-from ngvisco.physics.parameters import Modulus, require_positive_moduli, value_at
+from ngvisco.physics.parameters import Modulus, require_ranges, value_at
 from ngvisco.physics.rheology import ValueOfModulus, Viscosity
 from ngvisco.physics.tensors import exp
 from ngvisco.physics.variables import PRESSURE, TEMPERATURE, Values
@@ -29,10 +29,7 @@ class _Activation(ABC):
     temperature: Annotated[Modulus | None, Quantity("K", "> 0", 300.0)] = None
 
     def __post_init__(self) -> None:
-        require_number(self, E=self.E, V=self.V)
-        require_positive(self, theta_R=self.theta_R)
-        if self.temperature is not None:
-            require_positive_moduli(self, temperature=self.temperature)
+        require_ranges(self)
 
     @property
     @abstractmethod

@@ -7,7 +7,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import lru_cache
 from itertools import count
 from typing import Any
@@ -55,35 +55,28 @@ class Array:
         return Array(np.full(self.value.shape[-1], number), None)
 
     def __add__(self, other: Any) -> Array:
+        return self._joined(other, np.add, _same)
+
+    def __sub__(self, other: Any) -> Array:
+        return self._joined(other, np.subtract, np.negative)
+
+    def _joined(self, other: Any, operation: Any, pull: Any) -> Array:
         if isinstance(other, Linear):
             return NotImplemented
         other = _array(other)
         if self.rank != other.rank:
             raise TypeError("sums of scalars, vectors and tensors are not defined")
-        value = self.value + other.value
-        known = self.is_constant and other.is_constant
-        return Array(value, None if known else [(self, _same), (other, _same)])
+        return Array(operation(self.value, other.value), [(self, _same), (other, pull)])
 
     def __neg__(self) -> Array:
-        return Array(-self.value, None if self.is_constant else [(self, np.negative)])
-
-    def __sub__(self, other: Any) -> Array:
-        if isinstance(other, Linear):
-            return NotImplemented
-        other = _array(other)
-        if self.rank != other.rank:
-            raise TypeError("differences of scalars, vectors and tensors are not defined")
-        value = self.value - other.value
-        known = self.is_constant and other.is_constant
-        return Array(value, None if known else [(self, _same), (other, np.negative)])
+        return Array(-self.value, [(self, np.negative)])
 
     def __mul__(self, other: Any) -> Array:
         if isinstance(other, Linear):
             return NotImplemented
         a, b = self, _array(other)
         value, pull_a, pull_b = _product(a.value, b.value)
-        known = a.is_constant and b.is_constant
-        return Array(value, None if known else [(a, pull_a), (b, pull_b)])
+        return Array(value, [(a, pull_a), (b, pull_b)])
 
     def __truediv__(self, other: Any) -> Array:
         other = _array(other)
@@ -125,8 +118,7 @@ class Array:
         if a.rank != b.rank:
             raise TypeError("the inner product of a scalar and a tensor is not defined")
         value = a.value * b.value if a.is_scalar else contracted(a.value, b.value)
-        known = a.is_constant and b.is_constant
-        return Array(value, None if known else [(a, lambda g: g * b.value), (b, lambda g: g * a.value)])
+        return Array(value, [(a, lambda g: g * b.value), (b, lambda g: g * a.value)])
 
     @property
     def trans(self) -> Array:
@@ -140,50 +132,36 @@ class Array:
         identity = np.eye(len(self.value))[:, :, None]
         return Array(np.einsum("iip->p", self.value), [(self, lambda g: g * identity)])
 
-    def entry(self, i: int, j: int) -> Array:
-        """The scalars A_ij."""
-        self._require_tensor()
-        return self[i, j]
-
     def __getitem__(self, index: int | tuple[int, int]) -> Array:
         """The scalars A_ij, or v_i."""
         if self.rank != (len(index) if isinstance(index, tuple) else 1):
             raise TypeError(f"no entry {index} of rank {self.rank}")
-
-        def pull(g: np.ndarray) -> np.ndarray:
-            result = np.zeros((*self.value.shape[:-1], g.shape[-1]), g.dtype)
-            result[index] = g
-            return result
-
-        return Array(self.value[index], [(self, pull)])
+        return Array(self.value[index], [(self, _placing(index, self.value.shape[:-1]))])
 
     def mapped(self, matrix: np.ndarray, shape: tuple[int, ...]) -> Array:
         """matrix @ entries, in row-major order, as a tensor of ``shape``."""
-        value, pull = _mapped(matrix, self.value, shape)
-        return Array(value, [(self, pull)])
+        own = self.value.shape[:-1]
+        return Array(_applied(matrix, self.value, shape), [(self, lambda g: _applied(matrix.T, g, own))])
 
     def masked(self, mask: np.ndarray) -> Array:
         """Rows of vectors or matrices with zero where ``mask`` is False."""
         rows = mask.reshape(-1, *(1,) * (self.value.ndim - 1))
-        return Array(self.value * rows, None if self.is_constant else [(self, lambda g: g * rows)])
+        return Array(self.value * rows, [(self, lambda g: g * rows)])
 
     def log(self) -> Array:
         """The natural logarithm of scalars."""
-        if not self.is_scalar:
-            raise TypeError("only scalars have a logarithm")
+        self._require_scalar("a logarithm")
         return Array(np.log(self.value), [(self, lambda g: g / self.value)])
 
     def sqrt(self) -> Array:
         """The square root of scalars."""
-        if not self.is_scalar:
-            raise TypeError("only scalars have a square root")
+        self._require_scalar("a square root")
         root = np.sqrt(self.value)
         return Array(root, [(self, lambda g: 0.5 * g / root)])
 
     def exp(self) -> Array:
         """The exponential of scalars."""
-        if not self.is_scalar:
-            raise TypeError("only scalars have an exponential")
+        self._require_scalar("an exponential")
         value = np.exp(self.value)
         return Array(value, [(self, lambda g: g * value)])
 
@@ -215,6 +193,10 @@ class Array:
     def _require_tensor(self) -> None:
         if self.rank != 2:
             raise TypeError("only matrices have a transpose, a trace and entries")
+
+    def _require_scalar(self, what: str) -> None:
+        if not self.is_scalar:
+            raise TypeError(f"only scalars have {what}")
 
 
 class Linear:
@@ -291,25 +273,12 @@ class Linear:
         identity = np.eye(self.shape[0])[:, :, None]
         return Linear((), [(self, lambda g: g * identity)])
 
-    def entry(self, i: int, j: int) -> Linear:
-        """A_ij."""
-        return self[i, j]
-
     def __getitem__(self, index: int | tuple[int, int]) -> Linear:
-        def pull(g: np.ndarray) -> np.ndarray:
-            result = np.zeros((*self.shape, g.shape[-1]), g.dtype)
-            result[index] = g
-            return result
-
-        return Linear((), [(self, pull)])
+        return Linear((), [(self, _placing(index, self.shape))])
 
     def mapped(self, matrix: np.ndarray, shape: tuple[int, ...]) -> Linear:
         """matrix @ entries, in row-major order, as a tensor of ``shape``."""
-
-        def pull(g: np.ndarray) -> np.ndarray:
-            return _applied(matrix.T, g, self.shape)
-
-        return Linear(shape, [(self, pull)])
+        return Linear(shape, [(self, lambda g: _applied(matrix.T, g, self.shape))])
 
 
 def contracted(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -377,24 +346,41 @@ def _entries(numbers: bytes, width: int) -> list[tuple[int, int, float]]:
     return [(int(i), int(j), float(matrix[i, j])) for i, j in np.argwhere(matrix)]
 
 
-def _mapped(matrix: np.ndarray, value: np.ndarray, shape: tuple[int, ...]) -> tuple[np.ndarray, Any]:
-    entries = value.shape[:-1]
-    return _applied(matrix, value, shape), lambda g: _applied(matrix.T, g, entries)
+def _placing(index: int | tuple[int, int], shape: tuple[int, ...]) -> Callable[[np.ndarray], np.ndarray]:
+    """From the derivative by one entry to that by all, (*shape, points)."""
+
+    def pull(g: np.ndarray) -> np.ndarray:
+        result = np.zeros((*shape, g.shape[-1]), g.dtype)
+        result[index] = g
+        return result
+
+    return pull
 
 
 def slots(form: Linear) -> dict[str, np.ndarray]:
     """What multiplies each test function in a scalar linear form, by its name."""
     if form.shape:
         raise TypeError("an integrand is a scalar")
-    found: dict[int, np.ndarray] = {form.number: np.ones(1)}
-    nodes = {form.number: form}
-    result: dict[str, np.ndarray] = {}
+    return {node.slot: g for node, g in _backwards(form, np.ones(1)) if node.slot is not None}
+
+
+def derivatives(result: Array, arguments: Sequence[Array]) -> list[np.ndarray]:
+    """Derivatives of scalars by each of ``arguments``, in their shapes."""
+    if not result.is_scalar:
+        raise TypeError("only scalars are differentiated")
+    size, wanted = max(a.value.shape[-1] for a in arguments), {a.number for a in arguments}
+    found = {node.number: g for node, g in _backwards(result, np.ones(size)) if node.number in wanted}
+    return [found.get(a.number, np.zeros(a.value.shape)) for a in arguments]
+
+
+def _backwards(root: Any, seed: np.ndarray) -> Iterator[tuple[Any, np.ndarray]]:
+    """What a value was made of, itself first, and the derivative by each, from that by the value."""
+    found, nodes = {root.number: seed}, {root.number: root}
     sums: set[int] = set()  # which of those found are arrays of their own, to be added to in place
     while nodes:
         number = max(nodes)  # whatever is made of it has a larger number
         node, g = nodes.pop(number), found.pop(number)
-        if node.slot is not None:
-            result[node.slot] = g
+        yield node, g
         for parent, pull in node.parents:
             at, share = parent.number, pull(g)
             if at not in found:
@@ -404,34 +390,12 @@ def slots(form: Linear) -> dict[str, np.ndarray]:
             else:
                 found[at] = found[at] + share
                 sums.add(at)
-    return result
 
 
 def _holds(total: np.ndarray, share: np.ndarray) -> bool:
     """Whether ``share`` can be added in place."""
     same_shape = total.shape == np.broadcast_shapes(total.shape, share.shape)
     return same_shape and np.result_type(total, share) == total.dtype
-
-
-def derivatives(result: Array, arguments: Sequence[Array]) -> list[np.ndarray]:
-    """Derivatives of scalars by each of ``arguments``, in their shapes."""
-    if not result.is_scalar:
-        raise TypeError("only scalars are differentiated")
-    size = max(a.value.shape[-1] for a in arguments)
-    found: dict[int, np.ndarray] = {result.number: np.ones(size)}
-    nodes = {result.number: result}
-    wanted = {a.number for a in arguments}
-    results: dict[int, np.ndarray] = {}
-    while nodes:
-        number = max(nodes)  # whatever is made of it has a larger number
-        node, g = nodes.pop(number), found.pop(number)
-        if number in wanted:
-            results[number] = g
-        for parent, pull in node.parents:
-            share = pull(g)
-            found[parent.number] = found[parent.number] + share if parent.number in found else share
-            nodes[parent.number] = parent
-    return [results.get(a.number, np.zeros(a.value.shape)) for a in arguments]
 
 
 def _array(value: Any) -> Array:

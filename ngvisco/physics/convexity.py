@@ -12,18 +12,18 @@ discrete variables drift apart.
 """
 
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
-from ngsolve import CF, L2, CoefficientFunction, GridFunction, VectorValued
+from ngsolve import CF, CoefficientFunction
 
 from ngvisco.errors import NgviscoWarning, ParameterError, as_integer, require_positive, require_type
-from ngvisco.physics.material import Material, conjugates
-from ngvisco.physics.pointwise import squares
-from ngvisco.physics.tensors import tensor_space
+from ngvisco.physics.material import Material
+from ngvisco.physics.pointwise import Respond, energies_at, evaluated, respond, states_of
 
-_CELLS = 16  # random states are the values of a cellwise constant field on this many squares squared
+_STATES = 256
 _DISTANCES = (1.0, 0.1)
 _ROUNDING = 1e-9
 
@@ -160,40 +160,24 @@ def check_convexity(
 
 
 class StateSampling:
-    """Evaluates a material at many states at once, as cellwise constants on a mesh of squares."""
+    """Random states of a material, (states, components), and its energy at them."""
 
     def __init__(self, material: Material, dim: int) -> None:
-        self.material, self.dim = material, dim
-        self.mesh, self.points = squares(_CELLS)
-        self.size, self.strains = material.states(dim).size, material.states(dim).strains
-        self.state = GridFunction(VectorValued(L2(self.mesh, order=0), self.size))
-        self.response = material.response(dim)
-        if self.response is None:
-            z = material.states(dim).tensors(lambda: self.state)
-            slope = material.states(dim).components(conjugates(material, z))
-            self.outputs = CF((material.energy(z), slope)).Compile()
-        self.domain = self._domain()
+        self.material, self.dim, self.space = material, dim, material.states(dim)
+        self.size, self.strains = self.space.size, self.space.strains
 
-    def _domain(self) -> CoefficientFunction | None:
-        """What is positive where the energy is asked to be convex: J, the minors of B, ..., whose domains are
-        convex, and not det F; nothing of variables for which the energy goes on."""
-        z = self.material.states(self.dim).tensors(lambda: self.state)
-        bounds = [
-            value
-            for variable in self.material.variables
-            if variable.kind != "full" and variable.name not in self.material.continued
-            for value in variable.positive(z[variable.name]).values()
-        ]
-        return CF(tuple(bounds)).Compile() if bounds else None
+    @cached_property
+    def response(self) -> Respond:
+        """The energy and its derivatives at states."""
+        return respond(self.material, self.dim)
 
     def fitting_states(self, rng: np.random.Generator, spread: float) -> np.ndarray:
         """States of a random F: variables that fit together, as those of a motion."""
-        count = self.mesh.ne
-        F = np.eye(3) + spread * rng.uniform(-1, 1, (count, 3, 3))
+        F = np.eye(3) + spread * rng.uniform(-1, 1, (_STATES, 3, 3))
         if self.dim == 2:
             F[:, 2, :2] = F[:, :2, 2] = 0
         F[np.linalg.det(F) < 0.2] = np.eye(3)
-        return self._states_of(F)
+        return states_of(self.material, F, self.dim)
 
     def with_parameters(
         self, states: np.ndarray, run: np.ndarray | None, rng: np.random.Generator
@@ -207,28 +191,19 @@ class StateSampling:
 
     def rest(self) -> np.ndarray:
         """The state of F = I, (components,)."""
-        return self._states_of(np.tile(np.eye(3), (self.mesh.ne, 1, 1)))[0]
-
-    def _states_of(self, F: np.ndarray) -> np.ndarray:
-        gf = GridFunction(VectorValued(L2(self.mesh, order=0), 9))
-        _set(gf, F.reshape(len(F), 9))
-        tensor = gf.Reshape((3, 3))
-        values = {v.name: v.from_distortion(tensor) for v in self.material.variables}
-        return self._evaluate(self.material.states(self.dim).components(values))
+        return states_of(self.material, np.eye(3)[None], self.dim)[0]
 
     def changed(self, fitting: np.ndarray, rng: np.random.Generator, spread: float) -> np.ndarray:
         """The states with every strain changed on its own: the discrete ones do not fit exactly."""
-        states, start = fitting.copy(), 0
+        states = fitting.copy()
         for variable in self.material.variables:
-            size = tensor_space(variable.kind, self.dim).size
-            part = states[:, start : start + size]
+            part = states[:, self.space.slices[variable.name]]
             if not variable.is_strain:
-                pass
-            elif size == 1 and variable.positive(CF(1.0)):
+                continue
+            if part.shape[1] == 1 and variable.positive(CF(1.0)):
                 part *= np.exp(spread * rng.uniform(-1, 1, part.shape))
             else:
                 part += spread * rng.uniform(-1, 1, part.shape)
-            start += size
         return states
 
     def random_states(self, rng: np.random.Generator, spread: float) -> np.ndarray:
@@ -239,79 +214,49 @@ class StateSampling:
         self, a: np.ndarray, increments: Sequence[np.ndarray]
     ) -> tuple[int, float, tuple[np.ndarray, np.ndarray] | None]:
         """Number of pairs, smallest Bregman distance over |b - a|^2, and its pair (a, b - a) if negative."""
-        phi_a, slope = self.energy_and_slope(a)
+        at_a = self.response(a)
         samples, worst, pair = 0, 0.0, None
         for step in increments:
-            phi_b, _ = self.energy_and_slope(a + step)
-            first_order = np.einsum("ij,ij->i", slope, step)
-            bregman = phi_b - phi_a - first_order
+            phi_b = energies_at(self.material, a + step, self.dim)
+            first_order = np.einsum("ij,ij->i", at_a.slope, step)
+            bregman = phi_b - at_a.energy - first_order
             size = np.einsum("ij,ij->i", step, step)
             finite = np.isfinite(bregman) & (size > 0) & self.is_inside(a + step)
             samples += int(finite.sum())
-            rounding = _ROUNDING * (abs(phi_a) + abs(phi_b) + abs(first_order))
+            rounding = _ROUNDING * (abs(at_a.energy) + abs(phi_b) + abs(first_order))
             relative = np.where(finite & (bregman < -rounding), bregman / np.where(size > 0, size, 1), 0.0)
             i = int(np.argmin(relative))
             if relative[i] < worst:
                 worst, pair = float(relative[i]), (a[i], step[i])
         return samples, worst, pair
 
-    def energy_and_slope(self, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        if self.response is not None:
-            found = self.response(states)
-            return found.energy, found.slope
-        _set(self.state, states)
-        values = self._evaluate(self.outputs)
-        return values[:, 0], values[:, 1:]
-
     def is_inside(self, states: np.ndarray) -> np.ndarray:
-        """Whether states are in the energy's domain."""
-        if self.domain is None:
-            return np.ones(len(states), dtype=bool)
-        _set(self.state, states)
-        inside: np.ndarray = np.all(self._evaluate(self.domain) > 0, axis=1)
+        """Where the energy is asked to be convex: where J, the minors of B, ... are positive, but not det F,
+        whose domain is not convex; everywhere in variables for which the energy goes on."""
+
+        def bounds(components: CoefficientFunction) -> CoefficientFunction:
+            z = self.space.tensors(lambda: components)
+            asked = (v for v in self.material.variables if v.kind != "full")
+            parts = (v.positive(z[v.name]) for v in asked if v.name not in self.material.continued)
+            return CF((1.0, *(value for each in parts for value in each.values())))
+
+        inside: np.ndarray = np.all(evaluated(bounds, states) > 0, axis=1)
         return inside
 
-    def energies(self, states: np.ndarray) -> np.ndarray:
-        """phi at states, Pa; NaN outside its domain."""
-        return self.energy_and_slope(states)[0]
-
-    def mapped(
-        self, states: np.ndarray, f: Callable[[CoefficientFunction], CoefficientFunction]
-    ) -> np.ndarray:
-        """The components f(z) for the components z of states."""
-        _set(self.state, states)
-        return self._evaluate(f(self.state))
-
     def weakest_directions(self, states: np.ndarray) -> np.ndarray:
-        """Unit eigenvectors of the smallest eigenvalue of the Hessian by the strains (central differences of
-        the slope).
-        """
-        hessian = np.empty((len(states), self.size, self.size))
-        for i in range(self.size):
-            shift = np.zeros(self.size)
-            shift[i] = 1e-5
-            ahead, behind = (self.energy_and_slope(states + s)[1] for s in (shift, -shift))
-            hessian[:, i] = (ahead - behind) / 2e-5
-        hessian = np.nan_to_num(0.5 * (hessian + hessian.transpose(0, 2, 1)), posinf=0, neginf=0)
-        of_strains = np.ix_(np.arange(len(states)), self.strains.nonzero()[0], self.strains.nonzero()[0])
+        """Unit eigenvectors of the smallest eigenvalue of the Hessian by the strains."""
+        hessian = np.nan_to_num(self.response(states).hessian, posinf=0, neginf=0)
         weakest = np.zeros_like(states)
-        weakest[:, self.strains] = np.linalg.eigh(hessian[of_strains])[1][:, :, 0]
+        weakest[:, self.strains] = np.linalg.eigh(hessian[:, self.strains][:, :, self.strains])[1][:, :, 0]
         return weakest
 
     def named(self, components: np.ndarray) -> dict[str, np.ndarray]:
         """Components as scalars and 3x3 arrays by name."""
-        constant = CF(tuple(float(c) for c in components))
-        tensors = self.material.states(self.dim).tensors(lambda: constant)
-        return {name: np.array(t(self.points[:1])).reshape(t.dims or ()) for name, t in tensors.items()}
-
-    def _evaluate(self, f: CoefficientFunction) -> np.ndarray:
-        return np.array(f(self.points)).reshape(self.mesh.ne, -1)
-
-
-def _set(gf: GridFunction, values: np.ndarray) -> None:
-    """Cellwise constants: component i of cell j is values[j, i]."""
-    for i, component in enumerate(gf.components):
-        component.vec.FV().NumPy()[:] = values[:, i]
+        found = {}
+        for name, space in self.space.spaces.items():
+            own = components[self.space.slices[name]]
+            found[name] = np.array(own[0]) if space.is_scalar else (space.columns @ own).reshape(3, 3)
+        return found
 
 
 def array_text(value: np.ndarray) -> str:

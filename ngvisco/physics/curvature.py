@@ -13,7 +13,6 @@ import numpy as np
 from ngvisco.errors import ParameterError
 from ngvisco.physics.convexity import StateSampling
 from ngvisco.physics.material import Material
-from ngvisco.physics.pointwise import respond
 
 _SPREAD = 0.2
 """Of the states at which an energy is asked whether it is linear."""
@@ -55,9 +54,7 @@ def curvature_of(material: Material, dim: int) -> Curvature:
     sampling, rng = StateSampling(material, dim), np.random.default_rng(0)
     rest = sampling.rest()[None]
     fitting = sampling.fitting_states(rng, _SPREAD)
-    response = respond(material, dim)(
-        np.concatenate([rest, fitting, sampling.changed(fitting, rng, _SPREAD)])
-    )
+    response = sampling.response(np.concatenate([rest, fitting, sampling.changed(fitting, rng, _SPREAD)]))
     strains = sampling.strains
     of_strains = np.ix_(strains, strains)
     hessians = response.hessian[:, strains][:, :, strains]

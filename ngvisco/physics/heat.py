@@ -13,6 +13,7 @@ import numpy as np
 from ngsolve import CoefficientFunction
 
 from ngvisco.errors import ParameterError, Quantity, as_number
+from ngvisco.physics.parameters import require_ranges
 from ngvisco.physics.tensors import linear_map
 
 Function: TypeAlias = float | CoefficientFunction
@@ -49,18 +50,12 @@ class WallHeat:
     friction_share: Annotated[float, Quantity("1", "in [0, 1]", 0.5)] = 1.0
 
     def __post_init__(self) -> None:
-        _require(self, "temperature", is_positive=True)
-        _require(self, "coefficient", is_positive=False)
-        _require(self, "flux", is_positive=None)
+        require_ranges(self)
         if (self.temperature is None) != (self.coefficient is None):
             missing = "temperature" if self.temperature is None else "coefficient"
             expected = "a value: temperature and coefficient go together"
             raise ParameterError(f"WallHeat.{missing}", None, expected)
-        share = as_number(self.friction_share)
-        if share is None or not 0 <= share <= 1:
-            raise ParameterError("WallHeat.friction_share", self.friction_share, "a number from 0 to 1")
-        object.__setattr__(self, "friction_share", share)
-        if self.temperature is None and self.flux is None and share == 1:
+        if self.temperature is None and self.flux is None and self.friction_share == 1:
             expected = "a flux, a temperature and a coefficient, or a share of the friction"
             raise ParameterError("WallHeat.flux", None, expected)
 
@@ -89,10 +84,7 @@ class Heat:
     numerical_heating: bool = False
 
     def __post_init__(self) -> None:
-        self._check_conductivity()
-        _require(self, "source", is_positive=None)
-
-    def _check_conductivity(self) -> None:
+        require_ranges(self)
         given, owner = self.conductivity, "Heat.conductivity"
         number = as_number(given)
         if number is not None:
@@ -143,17 +135,3 @@ class Heat:
 
 _TEMPERATURES = 10.0 ** np.arange(-3, 5)
 """K, at which a conductivity is looked at."""
-
-
-def _require(owner: object, name: str, is_positive: bool | None) -> None:
-    """Raise ParameterError unless a parameter is None, a scalar function or a number, > 0, >= 0 or any."""
-    value = getattr(owner, name)
-    if value is None:
-        return
-    if isinstance(value, CoefficientFunction) and value.dim == 1 and not value.is_complex:
-        return
-    number, sign = as_number(value), {True: " > 0", False: " >= 0", None: ""}[is_positive]
-    if number is None or (is_positive is not None and not (number > 0 or (number == 0 and not is_positive))):
-        expected = f"a finite number{sign}, or a scalar function of the place and the time"
-        raise ParameterError(f"{type(owner).__name__}.{name}", value, expected)
-    object.__setattr__(owner, name, number)

@@ -282,3 +282,7 @@ class Wrapper(Material):
     @property
     def continued(self) -> frozenset[str]:
         return self.material.continued
+
+    @property
+    def lagged(self) -> frozenset[str]:
+        return self.material.lagged

@@ -8,7 +8,7 @@ from typing import Annotated, Any, TypeAlias
 import numpy as np
 from ngsolve import CF, CoefficientFunction, sqrt, x, y, z
 
-from ngvisco.errors import ParameterError, Quantity, _is_number, as_number, require_number, require_positive
+from ngvisco.errors import ParameterError, Quantity, _is_number, as_number, require_ranges
 from ngvisco.physics.bodies import Body
 from ngvisco.physics.flow_rules import FlowRule
 from ngvisco.physics.flow_rules.check import check_rule, check_viscosity
@@ -86,7 +86,7 @@ class CentralGravity:
     strength: Annotated[float, Quantity("m/s^2", example=9.81)]
     centre: Annotated[tuple[float, ...], Quantity("m", example=[0.0, 0.0])] = (0.0, 0.0)
     radius: Annotated[float, Quantity("m", "> 0", 1.0)] = 1.0
-    exponent: float = 0.0
+    exponent: Annotated[float, Quantity("1")] = 0.0
     name: str = "gravity"
 
     def __post_init__(self) -> None:
@@ -97,8 +97,7 @@ class CentralGravity:
         if len(centre) not in (2, 3) or None in centre:
             raise ParameterError("CentralGravity.centre", self.centre, "two or three finite numbers")
         object.__setattr__(self, "centre", tuple(centre))
-        require_number(self, strength=self.strength, exponent=self.exponent)
-        require_positive(self, radius=self.radius)
+        require_ranges(self)
 
     @property
     def g(self) -> CoefficientFunction:

@@ -14,20 +14,19 @@ within the range of its start values, and so does that of a run with a limiter (
 from __future__ import annotations
 
 import dataclasses
-import inspect
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from copy import copy
 from dataclasses import dataclass, field, replace
-from functools import cache
 from itertools import count
 from operator import add, mul, neg, sub, truediv
-from typing import Any, ClassVar, TypeAlias, TypeVar, get_args, get_type_hints
+from typing import Any, ClassVar, TypeAlias, TypeVar
 
 from ngsolve import CF, CoefficientFunction
 
-from ngvisco.errors import ParameterError, Quantity, as_number, require_above, require_nonnegative
+from ngvisco import errors
+from ngvisco.errors import Declared, ParameterError, as_number, declared
 from ngvisco.physics.signals import reads_time
 from ngvisco.physics.variables import Values, Variable
 
@@ -246,77 +245,54 @@ def typical_value(modulus: Modulus) -> float:
     return modulus.typical if isinstance(modulus, Expression) else float(modulus)
 
 
-def require_positive_moduli(owner: object, **values: Any) -> None:
-    """Raise ParameterError unless every value is a number > 0, a function of the place or an expression.
-
-    A function of the place becomes a parameter of its own, with the modulus' name.
-    """
-    _require_moduli(owner, values, is_positive=True)
-
-
-def require_nonnegative_moduli(owner: object, **values: Any) -> None:
-    """The same with numbers >= 0."""
-    _require_moduli(owner, values, is_positive=False)
-
-
 def require_ranges(owner: Any) -> None:
     """Raise ParameterError unless every parameter of a dataclass is in the range that its annotation says.
 
-    Ranges are ``">= 0"`` and those such as ``"> 0"``; others are the owner's to check.  Moduli may be
-    functions of the place and expressions too; what may be None, by its annotation, may be left out.
+    Moduli may be functions of the initial place and expressions too, others functions of the actual one.
     """
-    for name, (sign, end), is_modulus, may_lack in _declared(type(owner)):  # type: ignore[arg-type]
+    for name, said in declared(type(owner)).items():  # type: ignore[arg-type]
         value = getattr(owner, name)
-        if value is None and may_lack:
+        if said.is_plain or (value is None and type(None) in said.kinds):
             continue
-        if is_modulus:
-            _require_moduli(owner, {name: value}, is_positive=sign == ">")
-        elif sign == ">":
-            require_above(owner, float(end), **{name: value})
-        else:
-            require_nonnegative(owner, **{name: value})
+        if Expression in said.kinds:
+            require_modulus(owner, name, said)
+        elif CoefficientFunction in said.kinds and not _is_scalar_function(value):
+            if (number := said.number(value)) is None:
+                expected = f"{said.expected}, or a scalar function of the place and the time"
+                raise ParameterError(f"{type(owner).__name__}.{name}", value, expected)
+            object.__setattr__(owner, name, number)
+    errors.require_ranges(owner)
 
 
-@cache
-def _declared(kind: type) -> list[tuple[str, list[str], bool, bool]]:
-    """Name and range of parameters, whether they are moduli, and whether they may be None.
+POSITIVE = Declared("> 0", (float,))
+"""What most moduli have to be."""
 
-    A class that annotates a parameter of its base anew, without a range, keeps the base's.
+
+def require_modulus(owner: object, name: str, said: Declared = POSITIVE) -> None:
+    """Raise ParameterError unless a parameter is a number of the range, a function of the initial place or an
+    expression of parameters.
+
+    A function of the place becomes a parameter of its own, with the modulus' name.
     """
-    ranges: dict[str, list[str]] = {}
-    for each in reversed(inspect.getmro(kind)):
-        for name, hint in get_type_hints(each, include_extras=True).items():
-            said = [part for part in getattr(hint, "__metadata__", ()) if isinstance(part, Quantity)]
-            if said and len(words := said[0].range.split()) == 2:
-                ranges[name] = words
-    parts = {name: get_args(hint) for name, hint in get_type_hints(kind).items()}
-    return [(n, r, Expression in parts[n], type(None) in parts[n]) for n, r in ranges.items()]
-
-
-def _require_moduli(owner: object, values: Mapping[str, Any], is_positive: bool) -> None:
-    sign = ">" if is_positive else ">="
-    for name, value in values.items():
-        full = f"{type(owner).__name__}.{name}"
-        number = as_number(value)
-        if number is not None:
-            if not (number > 0 or (number == 0 and not is_positive)):
-                raise ParameterError(full, value, f"a finite number {sign} 0")
-            value = value if isinstance(value, (int, float)) else number
-        elif isinstance(value, _Modulus):
-            continue
-        elif isinstance(value, Expression):
-            value = _Modulus(full, value, is_positive)
-        elif _is_scalar_function(value):
-            if reads_time(value):
-                expected = "a function of the initial place; it reads the time, as loads and walls may"
-                raise ParameterError(full, value, expected)
-            value = _Modulus(full, Parameter(name, start=value, typical=1.0), is_positive, is_own=True)
-        else:
-            expected = (
-                f"a finite number {sign} 0, a function of the initial place, an expression of parameters"
-            )
+    value, full = getattr(owner, name), f"{type(owner).__name__}.{name}"
+    number = said.number(value)
+    if isinstance(value, _Modulus):
+        return
+    if isinstance(value, Expression):
+        value = _Modulus(full, value, said.range == "> 0")
+    elif _is_scalar_function(value):
+        if reads_time(value):
+            expected = "a function of the initial place; it reads the time, as loads and walls may"
             raise ParameterError(full, value, expected)
-        object.__setattr__(owner, name, value)
+        value = _Modulus(full, Parameter(name, start=value, typical=1.0), said.range == "> 0", is_own=True)
+    elif number is not None:
+        value = number
+    elif as_number(value) is not None:
+        raise ParameterError(full, value, said.expected)
+    else:
+        expected = f"{said.expected}, a function of the initial place, an expression of parameters"
+        raise ParameterError(full, value, expected)
+    object.__setattr__(owner, name, value)
 
 
 def parameters_in(values: Iterable[object]) -> tuple[Parameter, ...]:

@@ -18,7 +18,7 @@ from functools import cache
 from typing import Any, TypeAlias
 
 import numpy as np
-from ngsolve import CF, ET, L2, VOL, GridFunction, IntegrationRule, VectorValued
+from ngsolve import CF, ET, L2, VOL, CoefficientFunction, GridFunction, IntegrationRule, VectorValued
 from ngsolve.meshes import MakeStructured2DMesh
 
 from ngvisco.physics.arrays import Array, derivatives
@@ -70,22 +70,42 @@ def sampled_energies(material: Material, dim: int) -> str:
     F = np.eye(3) + 0.25 * rng.uniform(-1, 1, (_KNOWN_BY, 3, 3))
     if dim == 2:
         F[:, 2, :2] = F[:, :2, 2] = 0.0
-    return " ".join(f"{value:.8e}" for value in energies_at(material, F, dim))
+    return " ".join(f"{value:.8e}" for value in energies_at(material, states_of(material, F, dim), dim))
 
 
-def energies_at(material: Material, F: np.ndarray, dim: int) -> np.ndarray:
-    """Energies, Pa, of n states that follow from distortions F, (n, 3, 3); NaN where there is none."""
-    mesh, points = squares(math.isqrt(len(F) - 1) + 1)
-    field = GridFunction(VectorValued(L2(mesh, order=0), 9))
-    field.vec.FV().NumPy().reshape(9, -1)[:, : len(F)] = F.reshape(-1, 9).T
-    tensor = field.Reshape((3, 3))
-    z = {v.name: v.from_distortion(tensor) for v in material.variables}
-    response = material.response(dim)
+def energies_at(material: Material, states: np.ndarray, dim: int) -> np.ndarray:
+    """Energies, Pa, at states, (n, N); NaN where there is none."""
+    response, space = material.response(dim), material.states(dim)
+    if response is not None:
+        return response(states).energy
+    return evaluated(lambda c: material.energy(space.tensors(lambda: c)), states)[:, 0]
+
+
+def states_of(material: Material, F: np.ndarray, dim: int) -> np.ndarray:
+    """Components of the states that belong to distortions F, (n, 3, 3): (n, N)."""
+
+    def components(entries: CoefficientFunction) -> CoefficientFunction:
+        tensor = entries.Reshape((3, 3))
+        return material.states(dim).components(
+            {v.name: v.from_distortion(tensor) for v in material.variables}
+        )
+
+    return evaluated(components, F.reshape(-1, 9))
+
+
+def evaluated(
+    function: Callable[[CoefficientFunction], CoefficientFunction], vectors: np.ndarray
+) -> np.ndarray:
+    """Values of a function of vectors, (n, values), at each of n of them, (n, components).
+
+    NaN and inf where it has none.
+    """
+    count, size = vectors.shape
+    mesh, points = squares(math.isqrt(max(count, 1) - 1) + 1)
+    field = GridFunction(VectorValued(L2(mesh, order=0), size))
+    field.vec.FV().NumPy().reshape(size, -1)[:, :count] = vectors.T
     with np.errstate(all="ignore"):
-        if response is not None:
-            states = np.asarray(material.states(dim).components(z)(points)).reshape(len(points), -1)
-            return response(states[: len(F)]).energy
-        return np.asarray(material.energy(z)(points)).reshape(-1)[: len(F)]
+        return np.asarray(function(field)(points[:count])).reshape(count, -1)
 
 
 def respond(material: Material, dim: int) -> Respond:

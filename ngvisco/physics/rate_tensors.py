@@ -17,10 +17,10 @@ from functools import cache, cached_property
 
 import numpy as np
 import scipy.sparse as sp
-from ngsolve import L2, GridFunction, VectorValued
+from ngsolve import CoefficientFunction
 
 from ngvisco.errors import ParameterError
-from ngvisco.physics.pointwise import squares
+from ngvisco.physics.pointwise import evaluated
 from ngvisco.physics.state_space import StateSpace
 from ngvisco.physics.tensors import IDENTITY, constant, embed_gradient, symmetric_tensors, trace_free_tensors
 from ngvisco.physics.variables import Variable
@@ -51,20 +51,23 @@ class RateTensors:
         n, g = states.size, dim * dim
         random = np.random.default_rng(0)
         mixed = random.standard_normal(g + space.size)
-        mesh, points = squares(2 + int(np.sqrt(n)))  # a square each for z = 0, the unit vectors, and others
-        z = GridFunction(VectorValued(L2(mesh, order=0), n))
-        tensors, values = states.tensors(lambda: z), z.vec.FV().NumPy().reshape(n, -1)
         at_rest = states.components({v.name: v.from_distortion(IDENTITY) for v in variables})
-        values[:] = np.asarray(at_rest(points)).reshape(-1, n).T
-        values += 0.1 * random.standard_normal(values.shape)
+        count = (2 + int(np.sqrt(n))) ** 2  # z = 0, the unit vectors, and others
+        values = evaluated(lambda z: at_rest, np.zeros((count, n))).T
+        values = values + 0.1 * random.standard_normal(values.shape)
         values[:, : n + 1] = np.eye(n, n + 1, 1)
-        rates = np.empty((g + space.size + 1, *values.shape))
-        for x, X in enumerate([*np.eye(len(mixed)), mixed]):
+
+        def rates_by(X: np.ndarray) -> np.ndarray:
             L = embed_gradient(constant(X[:g].reshape(dim, dim)), dim)
             Pi = constant(np.tensordot(X[g:], np.array(space.basis), 1))
-            found = states.components({v.name: v.rate(tensors, L, Pi) for v in variables})
-            rates[x] = np.asarray(found(points)).reshape(-1, n).T
-        rates, of_mixed = rates[:-1], rates[-1]
+
+            def components(z: CoefficientFunction) -> CoefficientFunction:
+                tensors = states.tensors(lambda: z)
+                return states.components({v.name: v.rate(tensors, L, Pi) for v in variables})
+
+            return evaluated(components, values.T).T
+
+        rates, of_mixed = np.array([rates_by(X) for X in np.eye(len(mixed))]), rates_by(mixed)
         result = RateTensors(rates[:, :, 0], rates[:, :, 1 : n + 1] - rates[:, :, :1], g)
         others, bent = slice(n + 1, None), []
         for v in variables:

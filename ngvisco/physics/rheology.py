@@ -39,7 +39,8 @@ ValueOfModulus: TypeAlias = float | CoefficientFunction
 class Viscosity(ABC):
     """A viscous stress D(eps), the derivative of a convex potential of the strain rate, with D(0) = 0.
 
-    ``Model`` refuses one whose power is negative or which is not monotone, by samples.
+    ``Model`` refuses one whose power is negative or which is not monotone, by samples.  Raises ParameterError
+    for a parameter of a dataclass outside the range of its annotation.
 
     Attributes
     ----------
@@ -51,6 +52,9 @@ class Viscosity(ABC):
 
     reads: frozenset[str] = frozenset()
     is_linear: bool = False
+
+    def __post_init__(self) -> None:
+        require_ranges(self)
 
     @abstractmethod
     def stress(self, eps: CoefficientFunction, z: Values) -> CoefficientFunction:
@@ -119,9 +123,6 @@ class StokesViscosity(IsotropicViscosity):
     G_v: Annotated[Modulus, Quantity("Pa s", ">= 0", 0.01)]
 
     is_linear = True
-
-    def __post_init__(self) -> None:
-        require_ranges(self)
 
     def moduli(self, s: Any, z: Values) -> tuple[ValueOfModulus, ValueOfModulus]:
         return value_at(self.K_v, z), value_at(self.G_v, z)

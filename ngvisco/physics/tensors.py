@@ -117,18 +117,13 @@ def masked(A: CoefficientFunction, mask: np.ndarray) -> CoefficientFunction:
     return constant(np.diag(mask.astype(float))) * A
 
 
-def entry(A: CoefficientFunction, i: int, j: int) -> CoefficientFunction:
-    """A_ij of a 3x3 tensor."""
-    return A.entry(i, j) if hasattr(A, "entry") else A[i, j]
-
-
 def log_det(A: CoefficientFunction) -> CoefficientFunction:
     """ln det A of a symmetric positive definite 3x3 tensor; NaN for every other one.
 
     The sum of the logarithms of the pivots: det A alone is positive for two negative eigenvalues too.
     """
-    a, b, c = (entry(A, i, i) for i in range(3))
-    d, e, f = (entry(A, i, j) for i, j in ((0, 1), (0, 2), (1, 2)))
+    a, b, c = (A[i, i] for i in range(3))
+    d, e, f = (A[i, j] for i, j in ((0, 1), (0, 2), (1, 2)))
     minor = a * b - d * d
     det = minor * c - a * f * f + 2 * d * e * f - b * e * e
     return log(a) + log(minor / a) + log(det / minor)

@@ -110,19 +110,7 @@ class NavierFriction(Wall):
     straight: bool = False
 
     def __post_init__(self) -> None:
-        if isinstance(self.coefficient, CoefficientFunction):
-            if self.coefficient.dim != 1:
-                shape = f"a function of shape {tuple(self.coefficient.dims)}"
-                raise ParameterError(
-                    "NavierFriction.coefficient", shape, "a number >= 0 or a scalar function"
-                )
-            return
-        number = as_number(self.coefficient)
-        if number is None or number < 0:
-            raise ParameterError(
-                "NavierFriction.coefficient", self.coefficient, "a number >= 0 or a function"
-            )
-        object.__setattr__(self, "coefficient", number)
+        require_ranges(self)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -25,9 +25,8 @@ from ngvisco.errors import (
     ParameterError,
     Quantity,
     UnknownNameError,
-    as_integer,
     as_number,
-    require_positive,
+    require_ranges,
     require_type,
 )
 from ngvisco.forms.mesh.mesh_arrays import coordinates, is_simplicial, vertices
@@ -75,11 +74,7 @@ class Refinement:
     every: Annotated[float, Quantity("s", "> 0", 0.1)]
 
     def __post_init__(self) -> None:
-        require_positive(self, every=self.every, above=self.above)
-        if self.above >= 1:
-            raise ParameterError("Refinement.above", self.above, "a share of the field's range, < 1")
-        if (levels := as_integer(self.levels)) is None or not 1 <= levels <= _LEVELS:
-            raise ParameterError("Refinement.levels", self.levels, f"a whole number from 1 to {_LEVELS}")
+        require_ranges(self)
 
     def check(self, simulation: Simulation) -> None:
         """Raise MeshError, ParameterError or UnknownNameError unless a run can follow its field."""

@@ -23,7 +23,7 @@ from ngvisco.physics.material import Material, cauchy_stress
 from ngvisco.physics.mixture import Mixture
 from ngvisco.physics.model import Model
 from ngvisco.physics.parameters import Parameter, parameters_in
-from ngvisco.physics.pointwise import squares
+from ngvisco.physics.pointwise import evaluated, squares, states_of
 from ngvisco.physics.tensors import constant, embed_gradient, square
 from ngvisco.timestepping.scheme import TimeScheme, backward_euler, midpoint
 
@@ -308,10 +308,10 @@ def moduli(
 
 def _stress(material: Material, F: np.ndarray, dim: int, parameters: Mapping[str, float]) -> np.ndarray:
     """The Cauchy stress of a homogeneous F, 3x3, Pa."""
-    at = squares(1)[1]
-    values = {v.name: v.from_distortion(CF(tuple(F.ravel()), dims=(3, 3))) for v in material.variables}
-    values |= {name: CF(value) for name, value in parameters.items() if name in values}
-    return stress_of(material, np.asarray(CF(material.states(dim).components(values))(at)).ravel(), dim)
+    state, slices = states_of(material, F[None], dim)[0], material.states(dim).slices
+    for name in slices.keys() & parameters.keys():
+        state[slices[name]] = parameters[name]
+    return stress_of(material, state, dim)
 
 
 def stress_of(material: Material, state: np.ndarray, dim: int) -> np.ndarray:
@@ -355,12 +355,15 @@ def wave_speed(step: Step, state: np.ndarray, density: float) -> float:
 
 def _rate_columns(material: Material, state: np.ndarray, dim: int) -> np.ndarray:
     """d rate/dL of a state, (n, dim^2), L row by row."""
-    states, zero, at = material.states(dim), constant(np.zeros((3, 3))), squares(1)[1]
-    z, columns = states.tensors(lambda: CF(tuple(float(c) for c in state))), []
+    states, zero, columns = material.states(dim), constant(np.zeros((3, 3))), []
     for unit in np.eye(dim * dim):
         L = embed_gradient(constant(unit.reshape(dim, dim)), dim)
-        rates = states.components({v.name: v.rate(z, L, zero) for v in material.variables})
-        columns.append(np.asarray(CF(rates)(at)).ravel())
+
+        def rates(c: CoefficientFunction, L: CoefficientFunction = L) -> CoefficientFunction:
+            z = states.tensors(lambda: c)
+            return states.components({v.name: v.rate(z, L, zero) for v in material.variables})
+
+        columns.append(evaluated(rates, state[None])[0])
     return np.stack(columns, axis=1)
 
 

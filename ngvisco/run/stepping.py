@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING, Annotated, Protocol, runtime_checkable
 
 import numpy as np
 
-from ngvisco.errors import ParameterError, Quantity, StepError, require_count, require_positive
+from ngvisco.errors import ParameterError, Quantity, StepError, require_ranges
 from ngvisco.timestepping.error import ErrorEstimate
 from ngvisco.timestepping.integrator import StepTaken
 
@@ -75,12 +75,9 @@ class AdaptiveSteps:
     patience: Annotated[int, Quantity("1", ">= 1")] = 4
 
     def __post_init__(self) -> None:
-        require_positive(self, dt_min=self.dt_min, dt_max=self.dt_max)
+        require_ranges(self)
         if self.dt_max < self.dt_min:
             raise ParameterError("AdaptiveSteps.dt_max", self.dt_max, f"at least dt_min = {self.dt_min:g}")
-        if self.tolerance is not None:
-            require_positive(self, tolerance=self.tolerance)
-        require_count(self, patience=self.patience)
 
 
 @dataclass(frozen=True)

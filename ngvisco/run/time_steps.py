@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Annotated, Any, Literal
 
-from ngvisco.errors import InputWarning, ParameterError, Quantity, as_integer, require_positive, require_type
+from ngvisco.errors import InputWarning, ParameterError, Quantity, require_ranges, require_type
 from ngvisco.run.stepping import (
     HALVINGS,
     MOST_HALVINGS,
@@ -59,19 +59,12 @@ class TimeSteps:
     startup: Annotated[int, Quantity("1", ">= 0")] = 0
     relaxation: bool = False
     limiter: bool = True
-    halvings: Annotated[int, Quantity("1", f"0 to {MOST_HALVINGS}")] = HALVINGS
+    halvings: Annotated[int, Quantity("1", f"from 0 to {MOST_HALVINGS}")] = HALVINGS
     velocity_scale: Annotated[float | None, Quantity("m/s", "> 0", 1.0)] = None
     adaptive: AdaptiveSteps | None = None
 
     def __post_init__(self) -> None:
-        require_positive(self, dt=self.dt)
-        if self.velocity_scale is not None:
-            require_positive(self, velocity_scale=self.velocity_scale)
-        for name, most in (("startup", math.inf), ("halvings", MOST_HALVINGS)):
-            count = as_integer(getattr(self, name))
-            if count is None or not 0 <= count <= most:
-                expected = "a whole number >= 0" if most == math.inf else f"a whole number from 0 to {most}"
-                raise ParameterError(f"TimeSteps.{name}", getattr(self, name), expected)
+        require_ranges(self)
         for name in ("relaxation", "limiter"):
             require_type(f"TimeSteps.{name}", getattr(self, name), bool)
         if self.adaptive is not None:

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import numpy as np
 
-from ngvisco.errors import ParameterError, Quantity, as_number, require_path, require_type
+from ngvisco.errors import ParameterError, Quantity, require_path, require_ranges, require_type
 from ngvisco.shapes.places import Places
 from ngvisco.shapes.shape import Shape, as_place, require_dim
 
@@ -40,7 +40,7 @@ class Image(Shape):
     path: Annotated[str | os.PathLike[str], Quantity(example="part.png")]
     low: Annotated[tuple[float, float], Quantity("m", example=[0.0, 0.0])]
     high: Annotated[tuple[float, float], Quantity("m", example=[1.0, 1.0])]
-    threshold: float = 0.5
+    threshold: Annotated[float, Quantity("1", "in (0, 1)")] = 0.5
     dark: bool = True
 
     def __post_init__(self) -> None:
@@ -50,9 +50,7 @@ class Image(Shape):
             raise ParameterError("Image.high", self.high, f"two coordinates above those of low = {low}")
         object.__setattr__(self, "low", low)
         object.__setattr__(self, "high", high)
-        threshold = as_number(self.threshold)
-        if threshold is None or not 0 < threshold < 1:
-            raise ParameterError("Image.threshold", self.threshold, "a number between 0 and 1")
+        require_ranges(self)
         require_type("Image.dark", self.dark, bool)
         self.grey  # read and checked  # noqa: B018
 

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import numpy as np
 
-from ngvisco.errors import ParameterError, Quantity, UnknownNameError, require_names, require_positive
+from ngvisco.errors import ParameterError, Quantity, UnknownNameError, require_names, require_ranges
 from ngvisco.shapes.places import Places
 from ngvisco.shapes.shape import Shape, as_place, require_dim
 
@@ -30,7 +30,7 @@ class Ball(Shape):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "centre", as_place("Ball.centre", self.centre))
-        require_positive(self, radius=self.radius)
+        require_ranges(self)
 
     def level(self, at: Places) -> np.ndarray:
         require_dim("Ball.centre", self.centre, at.mesh)

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from ngvisco.errors import ParameterError, Quantity, require_path, require_positive
+from ngvisco.errors import ParameterError, Quantity, require_path, require_ranges
 from ngvisco.shapes.places import Places
 from ngvisco.shapes.shape import Shape
 
@@ -44,7 +44,7 @@ class ClosedSurface(Shape):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "path", str(require_path("ClosedSurface.path", self.path)))
-        require_positive(self, scale=self.scale)
+        require_ranges(self)
         self.triangles  # read and checked  # noqa: B018
 
     @cached_property

@@ -159,7 +159,7 @@ def test_walls_geometries_and_fields_of_a_case_reach_the_run():
     assert ledger.column("v_max")[-1] == pytest.approx(0.03, rel=0.05)  # its mean over the last step
     assert abs(ledger.column("closure_relative")).max() <= 1e-10
     assert {"dissipation_creep", "power_gravity"} <= set(ledger.columns) and "creep_strain" in run.fields
-    with pytest.raises(CaseError, match=r"walls\.outer\.coefficient .*-1.*expected a number >= 0"):
+    with pytest.raises(CaseError, match=r"walls\.outer\.coefficient .*-1.*expected a finite number >= 0"):
         wrong = case(text, 'walls.outer={kind="NavierFriction", coefficient=-1}')
         wrong.simulation(wrong.mesh())
 

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from ngsolve import CF, Id
 
 from ngvisco.errors import ParameterError
 from ngvisco.physics.arrays import Array
@@ -14,7 +13,7 @@ from ngvisco.physics.flow_rules.rule import FlowRule
 from ngvisco.physics.material import Material
 from ngvisco.physics.materials.thermal import entropy_in, thermal_part
 from ngvisco.physics.mixture import Mixture
-from ngvisco.physics.pointwise import squares
+from ngvisco.physics.pointwise import states_of
 from ngvisco.physics.rheology import Viscosity
 from ngvisco.physics.tensors import trace_free_tensors
 from ngvisco.physics.variables import HARDENING, PRESSURE, TEMPERATURE, Values
@@ -31,11 +30,10 @@ def values_at_rest(material: Material, parameters: Mapping[str, float] | None = 
 
     With no pressure, no hardening and, of a material with heat, its reference temperature.
     """
-    states = material.states(3)
-    values = {v.name: v.from_distortion(Id(3)) for v in material.variables}
-    values |= {name: CF(value) for name, value in (parameters or {}).items() if name in values}
-    components = np.asarray(CF(states.components(values))(squares(1)[1])).reshape(-1, 1)
-    found = {name: states.tensor(name, Array(components, None)) for name in values}
+    states, components = material.states(3), states_of(material, np.eye(3)[None], 3).T
+    for name in states.slices.keys() & (parameters or {}).keys():
+        components[states.slices[name]] = (parameters or {})[name]
+    found = {name: states.tensor(name, Array(components, None)) for name in states.slices}
     found[PRESSURE] = found[HARDENING] = Array(np.zeros(1), None)
     thermal = thermal_part(material.bodies[0].material if isinstance(material, Mixture) else material)
     if thermal is not None:

@@ -8,8 +8,8 @@ from typing import Annotated
 from ngsolve import CoefficientFunction
 
 from ngvisco.errors import Quantity
-from ngvisco.physics.flow_rules.rule import FlowRule
-from ngvisco.physics.parameters import Modulus, require_positive_moduli, value_at
+from ngvisco.physics.flow_rules.rule import GradientRule
+from ngvisco.physics.parameters import Modulus, value_at
 from ngvisco.physics.tensors import exp, if_positive, log, sqrt, square
 from ngvisco.physics.variables import Values
 
@@ -18,7 +18,7 @@ _SMALL = 1e-4
 
 
 @dataclass(frozen=True, kw_only=True)
-class Eyring(FlowRule):
+class Eyring(GradientRule):
     """Pi = A sinh(|M|/sigma_0) M/|M|, of the potential A sigma_0 (cosh(|M|/sigma_0) - 1) (Eyring 1936).
 
     Linear below sigma_0, with G_m = sigma_0/A, and exponential above: glassy polymers, and rocks at low
@@ -30,23 +30,13 @@ class Eyring(FlowRule):
         Rate of the jumps.
     sigma_0 : float
         Stress that biases them.
-    nu : float
-        Gradient of the creep rate: nu |grad Pi|^q is its dissipation.
-    q : float
-        Exponent of the creep rate's gradient; the paper's analysis has q > 3.
     rate_floor : float
         |Pi| below which psi is smoothed at zero, with nu > 0; far below A.
     """
 
     A: Annotated[Modulus, Quantity("1/s", "> 0", 0.1)]
     sigma_0: Annotated[Modulus, Quantity("Pa", "> 0", 1.0)]
-    nu: Annotated[float, Quantity("W/m^3 (m s)^q", ">= 0", 1e-4)] = 0.0
-    q: Annotated[float, Quantity("1", "> 1")] = 4.0
     rate_floor: Annotated[float, Quantity("1/s", "> 0")] = 1e-9
-
-    def __post_init__(self) -> None:
-        require_positive_moduli(self, A=self.A, sigma_0=self.sigma_0)
-        self._require_gradient()
 
     def rate(
         self, M: CoefficientFunction, zeta: CoefficientFunction | None, z: Values

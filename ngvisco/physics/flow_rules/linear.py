@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Literal, TypeAlias
 
 from ngsolve import CoefficientFunction
 
 from ngvisco.errors import ParameterError, Quantity, require_choice
-from ngvisco.physics.flow_rules.rule import FlowRule
-from ngvisco.physics.parameters import Modulus, require_positive_moduli, typical_value, value_at
+from ngvisco.physics.flow_rules.rule import GradientRule
+from ngvisco.physics.parameters import Modulus, typical_value, value_at
 from ngvisco.physics.tensors import dev, square
 from ngvisco.physics.variables import Values
 
@@ -18,7 +18,7 @@ CreepLaw: TypeAlias = Literal["mandel", "conformation", "leonov"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Creep(FlowRule):
+class Creep(GradientRule):
     """Maxwellian creep G_m Pi - div(nu |grad Pi|^{q-2} grad Pi) = M (paper: ED-Euler-large3).
 
     With nu = 0 (default) that is Pi = R M at every point, R = 1/G_m; with nu > 0, Pi is a continuous field
@@ -46,10 +46,6 @@ class Creep(FlowRule):
     G_m : float
         Creep modulus: twice the usual viscosity eta of the Maxwell dashpot, G_m = 2 eta; with the usual shear
         modulus G the relaxation time of shear is G_m/(2 G). Infinite is no creep (Kelvin-Voigt).
-    nu : float
-        Gradient of the creep rate: nu |grad Pi|^q is its dissipation.
-    q : float
-        Exponent of the creep rate's gradient; the paper's analysis has q > 3.
     floor : float
         |grad Pi| below which powers that are no even integers are smoothed.
     law : str
@@ -57,8 +53,6 @@ class Creep(FlowRule):
     """
 
     G_m: Annotated[Modulus, Quantity("Pa s", "> 0", 5.0)]
-    nu: Annotated[float, Quantity("W/m^3 (m s)^q", ">= 0", 1e-4)] = 0.0
-    q: Annotated[float, Quantity("1", "> 1")] = 4.0
     floor: Annotated[float, Quantity("1/(m s)", "> 0")] = 1e-10
     law: CreepLaw = "mandel"
 
@@ -68,9 +62,10 @@ class Creep(FlowRule):
         require_choice(self, ("mandel", "conformation", "leonov"), law=self.law)
         if self.law != "mandel" and self.nu != 0:
             raise ParameterError("Creep.nu", self.nu, f"0 for law = {self.law!r}, which is local")
-        if not (isinstance(self.G_m, float) and self.G_m == math.inf):
-            require_positive_moduli(self, G_m=self.G_m)
-        self._require_gradient()
+        if isinstance(self.G_m, float) and self.G_m == math.inf:
+            replace(self, G_m=1.0)  # which looks at the others
+        else:
+            super().__post_init__()
 
     @classmethod
     def from_reciprocal(cls, R: float) -> Creep:

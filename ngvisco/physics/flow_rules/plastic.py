@@ -8,16 +8,10 @@ from typing import Annotated
 
 from ngsolve import CoefficientFunction
 
-from ngvisco.errors import ParameterError, Quantity, as_number, require_positive
+from ngvisco.errors import Quantity
 from ngvisco.physics.flow_rules.hardening import Hardening
-from ngvisco.physics.flow_rules.power import require_exponent
-from ngvisco.physics.flow_rules.rule import TINY_STRESS, FlowRule
-from ngvisco.physics.parameters import (
-    Modulus,
-    require_nonnegative_moduli,
-    require_positive_moduli,
-    value_at,
-)
+from ngvisco.physics.flow_rules.rule import TINY_STRESS, FlowRule, GradientRule
+from ngvisco.physics.parameters import Modulus, value_at
 from ngvisco.physics.tensors import if_positive, power_of_square, sqrt, square
 from ngvisco.physics.variables import HARDENING, PRESSURE, Values
 
@@ -33,7 +27,7 @@ def positive(a: CoefficientFunction) -> CoefficientFunction:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Perzyna(FlowRule):
+class Perzyna(GradientRule):
     """Viscoplasticity with the yield condition of von Mises (Perzyna 1966; n = 1: Bingham 1916).
 
         Pi = 1/G_m (|M| - s)^+ ((|M| - s)^+/s)^{n-1} M/|M|,   s = sqrt(2/3) sigma_Y,
@@ -60,10 +54,6 @@ class Perzyna(FlowRule):
         Hardening that saturates (Voce 1948): by how much the yield stress grows altogether.
     b : float
         How fast it does: 1/b is the plastic strain at which 63 per cent of Q are there.
-    nu : float
-        Gradient of the creep rate: nu |grad Pi|^q is its dissipation.
-    q : float
-        Exponent of the creep rate's gradient; the paper's analysis has q > 3.
     rate_floor : float
         |Pi| below which psi is smoothed at zero, with nu > 0: what does not yield flows by less than it.  A
         thousandth of the rates of interest; one much smaller may need more iterations than there are.
@@ -75,16 +65,7 @@ class Perzyna(FlowRule):
     H: Annotated[Modulus, Quantity("Pa", ">= 0", 5.0)] = 0.0
     Q: Annotated[Modulus, Quantity("Pa", ">= 0", 1.0)] = 0.0
     b: Annotated[float, Quantity("1", "> 0")] = 10.0
-    nu: Annotated[float, Quantity("W/m^3 (m s)^q", ">= 0", 1e-4)] = 0.0
-    q: Annotated[float, Quantity("1", "> 1")] = 4.0
     rate_floor: Annotated[float, Quantity("1/s", "> 0")] = 1e-9
-
-    def __post_init__(self) -> None:
-        require_positive_moduli(self, sigma_Y=self.sigma_Y, G_m=self.G_m)
-        require_nonnegative_moduli(self, H=self.H, Q=self.Q)
-        require_positive(self, b=self.b)
-        require_exponent(self, self.n)
-        self._require_gradient()
 
     @property
     def hardening(self) -> Hardening | None:
@@ -143,14 +124,6 @@ class DruckerPrager(FlowRule):
     G_m: Annotated[Modulus, Quantity("Pa s", "> 0", 0.1)]
 
     reads = frozenset({PRESSURE})
-
-    def __post_init__(self) -> None:
-        require_nonnegative_moduli(self, cohesion=self.cohesion)
-        require_positive_moduli(self, G_m=self.G_m)
-        angle = as_number(self.friction_angle)
-        if angle is None or not 0 <= angle < 90:
-            expected = "an angle in degrees, in [0, 90)"
-            raise ParameterError("DruckerPrager.friction_angle", self.friction_angle, expected)
 
     def rate(
         self, M: CoefficientFunction, zeta: CoefficientFunction | None, z: Values

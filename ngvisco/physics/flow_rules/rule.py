@@ -13,18 +13,16 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from ngsolve import CoefficientFunction
 
-from ngvisco.errors import (
-    ParameterError,
-    require_above,
-    require_nonnegative,
-    require_positive,
-)
+from ngvisco.errors import ParameterError, Quantity
 from ngvisco.physics.arrays import Array, derivatives
 from ngvisco.physics.flow_rules.hardening import Hardening
+from ngvisco.physics.parameters import require_ranges
 from ngvisco.physics.tensors import power_of_square
 from ngvisco.physics.variables import Values
 
@@ -40,7 +38,7 @@ class FlowRule(ABC):
 
     A rule with a gradient term declares ``nu`` and gives ``psi`` as well; ``Model`` refuses a rule whose
     power M : Pi is negative, whose Pi is not symmetric and trace-free, or whose psi' is not the inverse of
-    ``rate``, by samples.
+    ``rate``, by samples.  Raises ParameterError for a parameter outside the range of its annotation.
 
     Attributes
     ----------
@@ -71,6 +69,9 @@ class FlowRule(ABC):
     reads: frozenset[str] = frozenset()
     has_trace: bool = False
     degree: float = math.inf
+
+    def __post_init__(self) -> None:
+        require_ranges(self)
 
     @abstractmethod
     def rate(
@@ -131,8 +132,18 @@ class FlowRule(ABC):
         fastest = float(np.linalg.norm(Pi.value.real))
         return float(np.linalg.norm(strain)) / fastest if fastest > 0 else math.inf
 
-    def _require_gradient(self) -> None:
-        """Raise ParameterError for parameters of the gradient term that make no sense."""
-        require_nonnegative(self, nu=self.nu)
-        require_above(self, 1, q=self.q)
-        require_positive(self, floor=self.floor, rate_floor=self.rate_floor)
+
+@dataclass(frozen=True, kw_only=True)
+class GradientRule(FlowRule):
+    """A rule that may have a gradient term: it gives ``psi``.
+
+    Parameters
+    ----------
+    nu : float
+        Gradient of the creep rate: nu |grad Pi|^q is its dissipation.
+    q : float
+        Exponent of the creep rate's gradient; the paper's analysis has q > 3.
+    """
+
+    nu: Annotated[float, Quantity("W/m^3 (m s)^q", ">= 0", 1e-4)] = 0.0
+    q: Annotated[float, Quantity("1", "> 1")] = 4.0

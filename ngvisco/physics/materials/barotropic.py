@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal
 
 import numpy as np
 from ngsolve import CF, CoefficientFunction
 
-from ngvisco.errors import ParameterError, Quantity, require_above, require_choice, require_positive
+from ngvisco.errors import ParameterError, Quantity, require_choice, require_positive
 from ngvisco.physics.material import Material
 from ngvisco.physics.materials.singular import continued_in_J, inverse_power
 from ngvisco.physics.parameters import Modulus, require_ranges
@@ -80,13 +80,13 @@ class BarotropicFluid(Material):
         gamma, rho_R, form, J_min
             As for ``BarotropicFluid``.
         """
-        require_positive("BarotropicFluid", a=a, rho_R=rho_R)
-        require_above("BarotropicFluid", 1, gamma=gamma)
+        require_positive("BarotropicFluid", a=a)
+        fluid = cls(B=1.0, gamma=gamma, form=form, J_min=J_min, rho_R=rho_R)
         with np.errstate(over="ignore"):
             B = float(a * np.float64(rho_R) ** gamma / (gamma - 1))
         if not 0 < B < math.inf:
             raise ParameterError("BarotropicFluid.a", a, "a rho_R^gamma/(gamma - 1) finite and > 0")
-        return cls(B=B, gamma=gamma, form=form, J_min=J_min, rho_R=rho_R)
+        return replace(fluid, B=B)
 
     @property
     def referential_density(self) -> Modulus | None:

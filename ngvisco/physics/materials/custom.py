@@ -8,7 +8,7 @@ from ngsolve import CoefficientFunction
 from ngvisco.errors import ParameterError
 from ngvisco.physics.isotropy import require_isotropy
 from ngvisco.physics.material import Material, check_material
-from ngvisco.physics.parameters import Modulus, require_positive_moduli
+from ngvisco.physics.parameters import Modulus, require_modulus
 from ngvisco.physics.state_function import check_energy
 from ngvisco.physics.tensors import IDENTITY
 from ngvisco.physics.variables import Values, Variable
@@ -72,7 +72,7 @@ class CustomMaterial(Material):
             )
         check_material(self)
         if self.rho_R is not None:
-            require_positive_moduli(self, rho_R=self.rho_R)
+            require_modulus(self, "rho_R")
             if all(v.volume_ratio(v.from_distortion(IDENTITY)) is None for v in self.transported):
                 raise ParameterError("CustomMaterial.rho_R", self.rho_R, "a variable that J can be told from")
         check_energy(self)

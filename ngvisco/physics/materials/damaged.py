@@ -18,15 +18,15 @@ damage of the step's start (``Material.lagged``), and damage itself grows after 
 (``ngvisco.forms.damage``; the staggered scheme of Roubicek, arXiv:2510.10355).
 """
 
-from dataclasses import dataclass, field, replace
-from typing import Annotated, Any, ClassVar, Literal, Self
+from dataclasses import dataclass, field
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from ngsolve import CF, CoefficientFunction
 
 from ngvisco.errors import ParameterError, Quantity, require_choice
-from ngvisco.physics.material import ElasticState, Material
-from ngvisco.physics.parameters import Modulus, Parameter, expressions_in, parameters_in, require_ranges
+from ngvisco.physics.material import Material, Wrapper
+from ngvisco.physics.parameters import Parameter, expressions_in, parameters_in
 from ngvisco.physics.signals import sampled
 from ngvisco.physics.tensors import IDENTITY, identity_like, if_positive, log, square, tr
 from ngvisco.physics.variables import Jacobian, LogJacobian, ReciprocalJacobian, SmallStrain, Values, Variable
@@ -71,7 +71,7 @@ DAMAGE, SLOPE = DamageVariable(), DamageSlope()
 
 
 @dataclass(frozen=True, kw_only=True)
-class Damaged(Material):
+class Damaged(Wrapper):
     """A material that breaks, by a phase field of its damage d in [0, 1] (module's docstring).
 
     The energy of the material without damage is counted from that at rest, where its stress has to vanish.  A
@@ -108,26 +108,21 @@ class Damaged(Material):
         k, the share of the degraded energy that a broken material keeps.
     """
 
-    material: Material
     G_c: Annotated[float, Quantity("J/m^2", "> 0", 0.1)]
     length: Annotated[float, Quantity("m", "> 0", 0.05)]
     law: Annotated[Literal["AT1", "AT2"], Quantity(example="AT1")] = "AT2"
     part: Annotated[Literal["all", "tensile"], Quantity(example="all")] = "tensile"
     viscosity: Annotated[float, Quantity("Pa s", ">= 0", 0.01)] = 0.0
     healing_viscosity: Annotated[float | None, Quantity("Pa s", "> 0", 1.0)] = None
-    floor: Annotated[float, Quantity("1", "> 0", 1e-6)] = 1e-6
+    floor: Annotated[float, Quantity("1", "in (0, 1)", 1e-6)] = 1e-6
     _rest: float | None = field(init=False, repr=False, default=None)
     """phi at rest without damage, Pa; None where moduli differ from place to place."""
 
     def __post_init__(self) -> None:
-        require_ranges(self)
+        super().__post_init__()
         require_choice(self, ("AT1", "AT2"), law=self.law)
         require_choice(self, ("all", "tensile"), part=self.part)
         owner = type(self).__name__
-        if not self.floor < 1:
-            raise ParameterError(f"{owner}.floor", self.floor, "a finite number > 0 and < 1")
-        if not isinstance(self.material, Material):
-            raise ParameterError(f"{owner}.material", self.material, "a Material")
         if damage_in(self.material) is not None:
             raise ParameterError(f"{owner}.material", self.material, "a material without damage")
         if self.material.response(3) is not None:
@@ -168,9 +163,6 @@ class Damaged(Material):
         """Whether the material is one of small strains, whose volume does not change."""
         return all(isinstance(v, SmallStrain) for v in self.material.variables)
 
-    def with_elastic_state(self, state: ElasticState) -> Self:
-        return replace(self, material=self.material.with_elastic_state(state))
-
     @property
     def variables(self) -> tuple[Variable, ...]:
         own = self.material.variables
@@ -182,12 +174,8 @@ class Damaged(Material):
         return frozenset((DAMAGE.name, SLOPE.name))
 
     @property
-    def referential_density(self) -> Modulus | None:
-        return self.material.referential_density
-
-    @property
-    def continued(self) -> frozenset[str]:
-        return self.material.continued
+    def conformation(self) -> str | None:
+        return None
 
     def degradation(self, d: Any) -> Any:
         """g(d)."""

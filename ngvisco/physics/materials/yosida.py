@@ -4,11 +4,11 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-from ngsolve import CF, CoefficientFunction, Id
+from ngsolve import CF, CoefficientFunction
 
 from ngvisco.errors import NgviscoError, Quantity
 from ngvisco.physics.material import Wrapper
-from ngvisco.physics.pointwise import Respond, Response, respond, squares
+from ngvisco.physics.pointwise import Respond, Response, respond, states_of
 from ngvisco.physics.variables import Values, Variable
 
 _MAX_ITERATIONS = 200
@@ -65,9 +65,7 @@ class _Approximation:
     def __init__(self, material: Yosida, dim: int) -> None:
         self.eps = material.eps
         self.inner = respond(material.material, dim)
-        identity = {v.name: v.from_distortion(Id(3)) for v in material.variables}
-        rest = material.states(dim).components(identity)
-        self.rest = np.asarray(CF(rest)(squares(1)[1])).reshape(-1)
+        self.rest = states_of(material, np.eye(3)[None], dim)[0]
         slices = material.states(dim).slices
         self.weights = np.zeros(material.states(dim).size)
         """eps of every component: 0 for parameters, which are not minimised over."""
