@@ -282,7 +282,3 @@ class Wrapper(Material):
     @property
     def continued(self) -> frozenset[str]:
         return self.material.continued
-
-    @property
-    def lagged(self) -> frozenset[str]:
-        return self.material.lagged

@@ -24,7 +24,7 @@ from ngvisco.physics.mixture import Mixture
 from ngvisco.physics.model import Model
 from ngvisco.physics.parameters import Parameter, parameters_in
 from ngvisco.physics.pointwise import evaluated, squares, states_of
-from ngvisco.physics.tensors import constant, embed_gradient, square
+from ngvisco.physics.tensors import constant, square
 from ngvisco.timestepping.scheme import TimeScheme, backward_euler, midpoint
 
 if TYPE_CHECKING:
@@ -295,23 +295,17 @@ def moduli(
     parameters : mapping, optional
         Values of carried parameters by name; default their typical ones.
     """
-    found = []
-    for i, j in ((0, 0), (0, 1)):
-        ends = []
-        for sign in (1, -1):
-            F = np.eye(3)
-            F[i, j] += sign * _STEP
-            ends.append(_stress(material, F, dim, parameters or {})[i, j])
-        found.append(float(ends[0] - ends[1]) / (2 * _STEP))
-    return found[0], found[1]
+    state = _rest(material, dim, parameters or {})
+    longitudinal, shear = (acoustic_tensor(material, state, dim, j)[0, 0] for j in (0, 1))
+    return float(longitudinal), float(shear)
 
 
-def _stress(material: Material, F: np.ndarray, dim: int, parameters: Mapping[str, float]) -> np.ndarray:
-    """The Cauchy stress of a homogeneous F, 3x3, Pa."""
-    state, slices = states_of(material, F[None], dim)[0], material.states(dim).slices
+def _rest(material: Material, dim: int, parameters: Mapping[str, float]) -> np.ndarray:
+    """Components of the state of F = I, (n,)."""
+    state, slices = states_of(material, np.eye(3)[None], dim)[0], material.states(dim).slices
     for name in slices.keys() & parameters.keys():
         state[slices[name]] = parameters[name]
-    return stress_of(material, state, dim)
+    return state
 
 
 def stress_of(material: Material, state: np.ndarray, dim: int) -> np.ndarray:
@@ -327,49 +321,41 @@ def stress_of(material: Material, state: np.ndarray, dim: int) -> np.ndarray:
     return np.asarray(cauchy_stress(material, z, zeta, phi)(at)).reshape(3, 3)
 
 
+def acoustic_tensor(material: Material, state: np.ndarray, dim: int, j: int) -> np.ndarray:
+    """Q, Pa, of a state's components, (n,), and the direction n = e_j: Q a = (dT/dz : rate(a x n; z)) n,
+    whatever the variables are."""
+    states, zero, Q = material.states(dim), constant(np.zeros((3, 3))), np.empty((dim, dim))
+    for i in range(dim):
+        unit = np.zeros((3, 3))
+        unit[i, j] = 1.0
+        a_n = constant(unit)
+
+        def rates(c: CoefficientFunction, L: CoefficientFunction = a_n) -> CoefficientFunction:
+            z = states.tensors(lambda: c)
+            return states.components({v.name: v.rate(z, L, zero) for v in material.variables})
+
+        change = _STEP * evaluated(rates, state[None])[0]
+        ends = [stress_of(material, state + sign * change, dim)[:dim, j] for sign in (1, -1)]
+        Q[:, i] = (ends[0] - ends[1]) / (2 * _STEP)
+    return Q
+
+
 def wave_speed(step: Step, state: np.ndarray, density: float) -> float:
     """The speed of the fastest plane wave along an axis of small amplitude about a state, m/s; 0 without any.
 
-    The acoustic tensor of the direction n is Q a = (dT/dz : rate(a x n; z)) n, whatever the variables are.
-
-    Parameters
-    ----------
-    state : (n,) array
-        Components of the material's variables.
-    density : float
-        kg/m^3.
+    ``state`` are the components of the material's variables, (n,); ``density`` is in kg/m^3.
     """
-    material, dim = step.model.material, step.mesh.dim
-    columns = _rate_columns(material, state, dim)
-    fastest = 0.0
+    dim, fastest = step.mesh.dim, 0.0
     for j in range(dim):
-        Q = np.empty((dim, dim))
-        for i in range(dim):
-            change = _STEP * columns[:, dim * i + j]
-            ends = [stress_of(material, state + sign * change, dim)[:dim, j] for sign in (1, -1)]
-            Q[:, i] = (ends[0] - ends[1]) / (2 * _STEP)
+        Q = acoustic_tensor(step.model.material, state, dim, j)
         if np.isfinite(Q).all():
             fastest = max(fastest, float(np.linalg.eigvals(Q).real.max()))
     return math.sqrt(fastest / density)
 
 
-def _rate_columns(material: Material, state: np.ndarray, dim: int) -> np.ndarray:
-    """d rate/dL of a state, (n, dim^2), L row by row."""
-    states, zero, columns = material.states(dim), constant(np.zeros((3, 3))), []
-    for unit in np.eye(dim * dim):
-        L = embed_gradient(constant(unit.reshape(dim, dim)), dim)
-
-        def rates(c: CoefficientFunction, L: CoefficientFunction = L) -> CoefficientFunction:
-            z = states.tensors(lambda: c)
-            return states.components({v.name: v.rate(z, L, zero) for v in material.variables})
-
-        columns.append(evaluated(rates, state[None])[0])
-    return np.stack(columns, axis=1)
-
-
 def rest_pressure(material: Material, dim: int) -> float:
     """-tr T/3 of the material at F = I, Pa."""
-    return -float(np.trace(_stress(material, np.eye(3), dim, {}))) / 3
+    return -float(np.trace(stress_of(material, _rest(material, dim, {}), dim))) / 3
 
 
 def typical_velocity(step: Step, sampler: Sampler, dt: float) -> float:

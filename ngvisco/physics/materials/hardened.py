@@ -31,6 +31,10 @@ class Hardened(Wrapper):
     def variables(self) -> tuple[Variable, ...]:
         return (*self.material.variables, PLASTIC_STRAIN)
 
+    @property
+    def lagged(self) -> frozenset[str]:
+        return self.material.lagged
+
     def energy(self, z: Values) -> CoefficientFunction:
         own = {v.name: z[v.name] for v in self.material.variables}
         return self.material.energy(own) + self.hardening.energy(z)

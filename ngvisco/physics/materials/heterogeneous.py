@@ -33,6 +33,10 @@ class Heterogeneous(Wrapper):
     def variables(self) -> tuple[Variable, ...]:
         return (*self.material.variables, *self.carried)
 
+    @property
+    def lagged(self) -> frozenset[str]:
+        return self.material.lagged
+
     def energy(self, z: Values) -> CoefficientFunction:
         at_this_point = substituted(self.material, lambda expression: expression.at(z))
         return at_this_point.energy({v.name: z[v.name] for v in self.material.variables})
