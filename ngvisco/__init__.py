@@ -65,8 +65,7 @@ from ngvisco.physics.walls import Inflow, NavierFriction, NoSlip, Open, Prescrib
 from ngvisco.run.checkpoint import Checkpoints, read_ledger
 from ngvisco.run.closure import ClosureWarning
 from ngvisco.run.ledger import CreepPowerWarning, DefectWarning, EntropyWarning
-from ngvisco.run.notebook import NotebookProgress, draw
-from ngvisco.run.observers import LedgerCSV, Progress, VTKSeries
+from ngvisco.run.observers import LedgerCSV, NotebookProgress, Progress, VTKSeries
 from ngvisco.run.plots import plot_energies, plot_fields, plot_schemes
 from ngvisco.run.probes import Bodies, Integrals, LineSamples, Probes, WallForces
 from ngvisco.run.record import record
@@ -203,7 +202,6 @@ __all__ = [
     "Yosida",
     "check_convexity",
     "check_isotropy",
-    "draw",
     "function_field",
     "grid_field",
     "load",

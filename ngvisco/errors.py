@@ -301,12 +301,20 @@ def require_some_names(field: str, value: object) -> list[str]:
     return names
 
 
-def as_times(field: str, value: object) -> list[float]:
-    """The times, s, in a sequence; raises ParameterError for anything that is no finite number."""
-    times = [as_number(time) for time in require_collection(field, value, "a sequence of times, s")]
-    if any(time is None for time in times):
-        raise ParameterError(field, value, "a sequence of finite numbers, s")
-    return [time for time in times if time is not None]
+def as_numbers(field: str, value: object, expected: str = "a sequence of finite numbers") -> list[float]:
+    """The numbers in a sequence; raises ParameterError for anything that is no finite number."""
+    numbers = [as_number(entry) for entry in require_collection(field, value, expected)]
+    if None in numbers:
+        raise ParameterError(field, value, expected)
+    return [number for number in numbers if number is not None]
+
+
+def as_place(field: str, value: object) -> tuple[float, ...]:
+    """Two or three finite numbers, m; raises ParameterError."""
+    expected = "two or three finite numbers"
+    if len(numbers := as_numbers(field, value, expected)) not in (2, 3):
+        raise ParameterError(field, value, expected)
+    return tuple(numbers)
 
 
 def require_choice(owner: object, choices: Sequence[object], **values: object) -> None:

@@ -8,7 +8,7 @@ from typing import Annotated, Any, TypeAlias
 import numpy as np
 from ngsolve import CF, CoefficientFunction, sqrt, x, y, z
 
-from ngvisco.errors import ParameterError, Quantity, _is_number, as_number, require_ranges
+from ngvisco.errors import ParameterError, Quantity, _is_number, as_number, as_place, require_ranges
 from ngvisco.physics.bodies import Body
 from ngvisco.physics.flow_rules import FlowRule
 from ngvisco.physics.flow_rules.check import check_rule, check_viscosity
@@ -90,13 +90,7 @@ class CentralGravity:
     name: str = "gravity"
 
     def __post_init__(self) -> None:
-        try:
-            centre = [as_number(c) for c in self.centre]
-        except TypeError:
-            centre = []
-        if len(centre) not in (2, 3) or None in centre:
-            raise ParameterError("CentralGravity.centre", self.centre, "two or three finite numbers")
-        object.__setattr__(self, "centre", tuple(centre))
+        object.__setattr__(self, "centre", as_place("CentralGravity.centre", self.centre))
         require_ranges(self)
 
     @property

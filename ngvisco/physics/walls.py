@@ -10,7 +10,7 @@ from typing import Annotated, TypeAlias
 
 from ngsolve import CoefficientFunction
 
-from ngvisco.errors import ParameterError, Quantity, as_number
+from ngvisco.errors import ParameterError, Quantity, as_numbers
 from ngvisco.physics.heat import WallHeat
 from ngvisco.physics.model import VectorLike
 from ngvisco.physics.parameters import require_ranges
@@ -199,9 +199,10 @@ class Open(Passage):
     def __post_init__(self) -> None:
         super().__post_init__()
         for name, pair in (("impedance", "Z_p and Z_s"), ("stiffness", "k_p and k_s")):
-            numbers = _numbers(getattr(self, name))
-            if len(numbers) != 2 or any(number is None or number < 0 for number in numbers):
-                raise ParameterError(f"Open.{name}", getattr(self, name), f"two numbers >= 0, {pair}")
+            given, expected = getattr(self, name), f"two numbers >= 0, {pair}"
+            numbers = as_numbers(f"Open.{name}", given, expected)
+            if len(numbers) != 2 or min(numbers) < 0:
+                raise ParameterError(f"Open.{name}", given, expected)
             object.__setattr__(self, name, tuple(numbers))
 
 
@@ -209,8 +210,3 @@ MOVING = PrescribedTangential, Inflow
 """Walls whose velocity is given."""
 HELD = NoSlip, *MOVING
 """Walls on which all of v is prescribed."""
-
-
-def _numbers(value: object) -> list[float | None]:
-    """The entries of a sequence as numbers; None for what is none."""
-    return [as_number(entry) for entry in value] if isinstance(value, (tuple, list)) else []

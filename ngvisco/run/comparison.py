@@ -1,6 +1,5 @@
 """Pictures of several runs, each quantity in an axis of its own: energies, probes, bodies over time."""
 
-import csv
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -11,6 +10,7 @@ from ngvisco.errors import CheckpointError, ParameterError, UnknownNameError
 from ngvisco.run.checkpoint import read_ledger
 from ngvisco.run.fields import USUAL, field_unit
 from ngvisco.run.plots import LABELS, PAGE, figure, save, widened
+from ngvisco.run.series import read_columns
 
 _OF_BODIES = ("x", "y", "z", "kinetic", "stored")
 _MOST = 16
@@ -139,10 +139,5 @@ def _bodies(place: Path) -> Table:
 
 def _columns(path: Path) -> dict[str, np.ndarray]:
     """The columns of a table by name; raises CheckpointError where it is none."""
-    try:
-        with path.open(newline="", encoding="utf-8") as file:
-            head, *body = csv.reader(file)
-        values = np.array(body, dtype=float).reshape(len(body), len(head))
-    except ValueError as error:
-        raise CheckpointError(f"{path}: not a table of numbers ({error})") from error
-    return dict(zip(head, values.T, strict=True))
+    head, rows = read_columns(path)
+    return dict(zip(head, rows.T, strict=True))

@@ -1,18 +1,15 @@
-"""In notebooks: what a simulation, a ledger and results show of themselves, live progress, NGSolve's web
-viewer."""
+"""What a simulation, a ledger and results show of themselves in a notebook."""
 
 from __future__ import annotations
 
 import html
 import re
-import time as clock
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from ngsolve import CoefficientFunction, GridFunction, Mesh
 
-from ngvisco.errors import NgviscoError, ParameterError, UnknownNameError
+from ngvisco.errors import NgviscoError
 
 if TYPE_CHECKING:
     from ngvisco.run.simulation import Simulation
@@ -22,106 +19,6 @@ _WIDTH, _HEIGHT = 420, 120
 
 class NotebookError(NgviscoError, RuntimeError):
     """Something that a notebook needs is not installed."""
-
-
-def draw(field: CoefficientFunction | str, where: Any = None, **options: Any) -> Any:
-    """Show a field by NGSolve's viewer in the browser.
-
-    Raises NotebookError, ParameterError or UnknownNameError if an argument is not what is said of it.
-
-    Parameters
-    ----------
-    field : str or coefficient function
-        A name out of ``where.fields``, or a function.
-    where : Simulation, Results or ngsolve.Mesh, optional
-        Not needed for a grid function, which knows its mesh.
-    options
-        As of ``ngsolve.webgui.Draw``: ``min``, ``max``, ``clipping``, ``deformation``, ``order``, ...
-
-    Returns
-    -------
-    The viewer's scene, with ``Redraw()``.
-    """
-    fields: Mapping[str, CoefficientFunction] = getattr(where, "fields", {})
-    name = options.pop("name", field if isinstance(field, str) else "field")
-    if isinstance(field, str):
-        if field not in fields:
-            if not fields:
-                raise ParameterError("draw.where", where, "a simulation or results, for a field by its name")
-            raise UnknownNameError("field", field, fields)
-        value = fields[field]
-    else:
-        value = field
-    if not isinstance(value, CoefficientFunction):
-        raise ParameterError("draw.field", field, "a name or a coefficient function")
-    mesh = where if isinstance(where, Mesh) else getattr(where, "mesh", None)
-    if mesh is None and isinstance(value, GridFunction):
-        mesh = value.space.mesh
-    if mesh is None:
-        raise ParameterError("draw.where", where, "a mesh, a simulation or results")
-    with np.errstate():  # importing the viewer silences numpy's warnings for the whole process
-        try:
-            from ngsolve.webgui import Draw
-        except ImportError as error:
-            raise NotebookError(f"NGSolve's viewer cannot be loaded ({error})") from error
-        return Draw(value, mesh, name, **options)
-
-
-class NotebookProgress:
-    """An observer that redraws itself below a notebook's cell: a bar, the time, the energies, the closure.
-
-    Raises NotebookError when IPython is missing.
-
-    Parameters
-    ----------
-    until : float
-        End time of the run, s.
-    seconds : float
-        Least time between two drawings, s.
-    """
-
-    def __init__(self, until: float, seconds: float = 0.5) -> None:
-        if not (isinstance(until, (int, float)) and until > 0):
-            raise ParameterError("NotebookProgress.until", until, "a finite number > 0")
-        self.until, self.seconds = until, seconds
-        self._display()
-
-    @staticmethod
-    def _display() -> tuple[Any, Any]:
-        try:
-            from IPython.display import HTML, display
-        except ImportError as error:
-            raise NotebookError("IPython is missing: pip install ipython") from error
-        return HTML, display
-
-    def start(self, simulation: Simulation) -> None:
-        make, display = self._display()
-        self._began, self._from, self._drawn = clock.perf_counter(), simulation.t, 0.0
-        self._handle = display(make(self._page(simulation)), display_id=True)
-
-    def step(self, simulation: Simulation, row: dict[str, float]) -> None:
-        now = clock.perf_counter()
-        if now - self._drawn >= self.seconds:
-            self._drawn = now
-            self._update(simulation)
-
-    def finish(self, simulation: Simulation) -> None:
-        self._update(simulation)
-
-    def _update(self, simulation: Simulation) -> None:
-        if self._handle is not None:  # there is none outside of a notebook
-            self._handle.update(self._display()[0](self._page(simulation)))
-
-    def _page(self, simulation: Simulation) -> str:
-        share = min(1.0, simulation.t / self.until)
-        spent = clock.perf_counter() - self._began
-        covered = simulation.t - self._from
-        left = f"{spent * (self.until - simulation.t) / covered:.0f} s left" if covered > 0 else "starting"
-        bar = (
-            '<div style="width:420px;border:1px solid #888;height:10px">'
-            f'<div style="width:{100 * share:.1f}%;background:#31688e;height:10px"></div></div>'
-        )
-        return f"{bar}<div>step {simulation.step_number}, {left}</div>{ledger_html(simulation.ledger.rows)}"
 
 
 def simulation_html(simulation: Simulation) -> str:

@@ -13,13 +13,13 @@ import sys
 import time as clock
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, TextIO
+from typing import TYPE_CHECKING, Any, TextIO
 
 from ngvisco.errors import (
     ParameterError,
     UnknownNameError,
     as_integer,
-    as_times,
+    as_numbers,
     require_count,
     require_file,
     require_path,
@@ -29,6 +29,7 @@ from ngvisco.errors import (
 from ngvisco.forms.distance import NUMERICAL
 from ngvisco.run.fields import usual
 from ngvisco.run.files import append, csv_text, write_atomically
+from ngvisco.run.notebook import NotebookError, ledger_html
 from ngvisco.run.stepping import step_under_way
 from ngvisco.run.vtu import read_pvd, shown_by, write_vtu
 
@@ -114,6 +115,59 @@ class Progress:
             print(line, file=self.stream or sys.stdout, flush=True)
 
 
+class NotebookProgress(Progress):
+    """Redraws itself below a notebook's cell: a bar, the time, the energies, the closure.
+
+    Raises NotebookError when IPython is missing.
+
+    Parameters
+    ----------
+    until : float
+        End time of the run, s.
+    seconds : float
+        Least time between two drawings, s.
+    """
+
+    def __init__(self, until: float, seconds: float = 0.5) -> None:
+        super().__init__(until)
+        self.seconds = seconds
+        self._display()
+
+    @staticmethod
+    def _display() -> tuple[Any, Any]:
+        try:
+            from IPython.display import HTML, display
+        except ImportError as error:
+            raise NotebookError("IPython is missing: pip install ipython") from error
+        return HTML, display
+
+    def start(self, simulation: Simulation) -> None:
+        self._set_out(simulation)
+        make, display = self._display()
+        self._drawn = clock.perf_counter() - self.seconds
+        self._handle = display(make(self._page(simulation)), display_id=True)
+
+    def step(self, simulation: Simulation, row: dict[str, float]) -> None:
+        if clock.perf_counter() - self._drawn >= self.seconds:
+            self._drawn = clock.perf_counter()
+            self.finish(simulation)
+
+    def rejected(self, simulation: Simulation, rejection: Rejection) -> None:
+        """Not drawn."""
+
+    def finish(self, simulation: Simulation) -> None:
+        if self._handle is not None:  # there is none outside of a notebook
+            self._handle.update(self._display()[0](self._page(simulation)))
+
+    def _page(self, simulation: Simulation) -> str:
+        share, left = min(1.0, simulation.t / self.until), self._left(simulation) or "starting"
+        bar = (
+            '<div style="width:420px;border:1px solid #888;height:10px">'
+            f'<div style="width:{100 * share:.1f}%;background:#31688e;height:10px"></div></div>'
+        )
+        return f"{bar}<div>step {simulation.step_number}, {left}</div>{ledger_html(simulation.ledger.rows)}"
+
+
 def steps_in_words(simulation: Simulation) -> str:
     """How many steps there were, and of how many parts where some were not taken as a whole."""
     steps, rows = simulation.step_number, simulation.number
@@ -188,7 +242,7 @@ class VTKSeries:
         self.directory, self.every = require_path("VTKSeries.directory", directory), every
         if self.directory.exists() and not self.directory.is_dir():
             raise ParameterError("VTKSeries.directory", str(directory), "a directory; this is a file")
-        self.times = tuple(as_times("VTKSeries.times", times))
+        self.times = tuple(as_numbers("VTKSeries.times", times, "a sequence of finite numbers, s"))
         self.names = None if fields is None else require_some_names("VTKSeries.fields", fields)
         self.subdivision = int(subdivision)
         self.written: list[tuple[float, str]] = []

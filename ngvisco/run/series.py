@@ -118,12 +118,17 @@ def read_series(path: Path, columns: Sequence[str]) -> list[list[float]]:
     """
     if not path.exists():
         return []
+    head, rows = read_columns(path)
+    if head != list(columns):
+        raise CheckpointError(f"{path}: has other columns than this run writes; move it away to go on")
+    return [[int(row[0]), *row[1:]] for row in rows.tolist()]
+
+
+def read_columns(path: Path) -> tuple[list[str], np.ndarray]:
+    """The columns' names and the rows of a table; raises CheckpointError where it is none."""
     try:
         with path.open(newline="", encoding="utf-8") as file:
             head, *body = csv.reader(file)
-        rows = [[float(value) for value in row] for row in body]
+        return head, np.array(body, dtype=float).reshape(len(body), len(head))
     except (ValueError, csv.Error) as error:
         raise CheckpointError(f"{path}: not a table of numbers ({error}); move it away to go on") from error
-    if head != list(columns) or any(len(row) != len(head) for row in rows):
-        raise CheckpointError(f"{path}: has other columns than this run writes; move it away to go on")
-    return [[int(row[0]), *row[1:]] for row in rows]

@@ -14,7 +14,7 @@ from typing import Any, Protocol
 
 from ngsolve import CoefficientFunction, Mesh
 
-from ngvisco.errors import MeshError, ParameterError, StepError, as_number, as_times, require_type
+from ngvisco.errors import MeshError, ParameterError, StepError, as_number, as_numbers, require_type
 from ngvisco.forms.boundary.corners import warn_of_corners
 from ngvisco.forms.boundary.walls import Conditions
 from ngvisco.forms.bounds import Bounds
@@ -87,8 +87,8 @@ class Simulation:
     walls : mapping of boundary names (or tuples of them) to Wall objects, optional
         Slip (v.n = 0 with a free tangential part) where nothing is said.
     time : TimeSteps
-        Scheme and step lengths.  ``dt=0.1, scheme="midpoint"`` is short for
-        ``time=TimeSteps(dt=0.1, scheme="midpoint")``.
+        Scheme and step lengths.  Any keyword arguments of it may stand in its place: ``dt=0.1,
+        scheme="midpoint"`` is short for ``time=TimeSteps(dt=0.1, scheme="midpoint")``.
     discretisation : Discretisation, optional
     newton : NewtonOptions, optional
     solver : str, optional
@@ -102,8 +102,6 @@ class Simulation:
         both solvers; of a term that states its ``form(u, w)`` alone split takes rows of the flow only.
     passive : sequence of str
         Fields carried by the flow: ``"F_tot"``, ``"reference_map"``, ``"creep_strain"``.
-    former : keyword arguments
-        Those of ``TimeSteps``, and ``stepping``, its ``adaptive``: for one release more, with a warning.
     """
 
     @computing()
@@ -114,8 +112,6 @@ class Simulation:
         model: Model,
         *,
         time: TimeSteps | None = None,
-        dt: float | None = None,
-        scheme: str | TimeScheme | None = None,
         initial: Initial | None = None,
         walls: Conditions | None = None,
         discretisation: Discretisation | None = None,
@@ -125,7 +121,7 @@ class Simulation:
         sources: Term | None = None,
         terms: Sequence[Term] = (),
         passive: Sequence[str] = (),
-        **former: Any,
+        **steps: Any,
     ) -> None:
         initial = Initial() if initial is None else initial
         newton = NewtonOptions() if newton is None else newton
@@ -135,20 +131,20 @@ class Simulation:
             *(("discretisation", discretisation, Discretisation), ("newton", newton, NewtonOptions)),
         ):
             require_type(f"Simulation.{name}", value, kind)
-        steps = time_steps(time, dt, scheme, former)
+        time = time_steps(time, steps)
         check_arguments(observers, walls, passive, sources, terms)
-        if model.heat is not None and model.heat.numerical_heating and steps.made.A != ((1.0,),):
-            expected = f"False for {steps.made.name!r}: at a point only that of backward Euler is known"
+        if model.heat is not None and model.heat.numerical_heating and time.made.A != ((1.0,),):
+            expected = f"False for {time.made.name!r}: at a point only that of backward Euler is known"
             raise ParameterError("Heat.numerical_heating", True, expected)
         ranks = Communicator.world() if mesh.comm.size == 1 else Communicator.of(mesh)
         require_petsc(ranks)
         mesh = distributed(mesh, ranks) if mesh.comm.size == 1 else mesh
-        self._others: dict[str, Any] = dict(time=steps, initial=initial, walls=walls, solver=solver)
+        self._others: dict[str, Any] = dict(time=time, initial=initial, walls=walls, solver=solver)
         self._others |= dict(discretisation=discretisation, newton=newton, passive=passive)
         self._others |= dict(sources=sources, terms=terms)
         self.mesh, self.model = mesh, model
-        self.dt = float(steps.dt)
-        self.stepper = steps.stepper()
+        self.dt = float(time.dt)
+        self.stepper = time.stepper()
         self.rothe_step = Step(mesh, model, discretisation, sources, walls, terms)
         require_names_of_their_own(model.material, self.rothe_step.layout.further)
         self.sampler = Sampler(mesh, self.rothe_step.quadrature)
@@ -162,22 +158,22 @@ class Simulation:
         self._t, self._number = 0.0, 0
         run_time.Set(0.0)  # whatever ran before: start values and walls are those of the start
         F_0 = set_initial(self.rothe_step, initial, self.sampler)
-        typical = steps.velocity_scale or typical_velocity(self.rothe_step, self.sampler, self.dt)
+        typical = time.velocity_scale or typical_velocity(self.rothe_step, self.sampler, self.dt)
         self.set_velocity_scale(float(typical))
         options = newton if solver is None else replace(newton, method=solver)
-        self.bounds = Bounds(self.rothe_step, self.sampler, steps.limiter)
+        self.bounds = Bounds(self.rothe_step, self.sampler, time.limiter)
         self.solver = RotheSolver(self.rothe_step, options, self.bounds.defect)
         self.ledger = Ledger(self.rothe_step, self.sampler)
         self.closure_check = ClosureCheck(options.tolerance)
         self.passive = PassiveFields(self.rothe_step, passive, F_0)
         self.integrator = Integrator(
             self.solver,
-            steps.made,
+            time.made,
             self.ledger.rates,
             [self.passive],
-            steps.startup,
-            steps.relaxation,
-            self.bounds if steps.limiter else None,
+            time.startup,
+            time.relaxation,
+            self.bounds if time.limiter else None,
         )
         self.stop_requested = False
 
@@ -326,7 +322,7 @@ class Simulation:
         end = as_number(until)
         if end is None or end < self.t:
             raise ParameterError("until", until, f"a finite number >= {self.t:g}")
-        until, stops = end, as_times("stops", stops)
+        until, stops = end, as_numbers("stops", stops, "a sequence of finite numbers, s")
         for observer in self.observers:
             check_observer(observer)
         times = times_of(self.t, until)

@@ -1,13 +1,12 @@
 """How a run goes through time: scheme, step lengths and what belongs to them, checked as a whole."""
 
 import math
-import warnings
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Annotated, Any, Literal
 
-from ngvisco.errors import InputWarning, ParameterError, Quantity, require_ranges, require_type
+from ngvisco.errors import ParameterError, Quantity, require_ranges, require_type
 from ngvisco.run.stepping import (
     HALVINGS,
     MOST_HALVINGS,
@@ -108,29 +107,14 @@ class TimeSteps:
             raise ParameterError(field, error.value, error.expected) from error
 
 
-_FORMER = {"stepping": "adaptive", **{f.name: f.name for f in fields(TimeSteps)[2:-1]}}
-"""Arguments of ``Simulation`` of the release before, and what they are of ``TimeSteps``."""
+def time_steps(time: TimeSteps | None, given: Mapping[str, Any]) -> TimeSteps:
+    """What ``Simulation`` was given of time: ``time``, or parameters of it.
 
-
-def time_steps(
-    time: TimeSteps | None, dt: float | None, scheme: str | TimeScheme | None, former: Mapping[str, Any]
-) -> TimeSteps:
-    """What ``Simulation`` was given of time: ``time``, or ``dt`` and ``scheme`` for it, or former arguments.
-
-    Raises ParameterError if it was given twice, or not at all; TypeError for an argument that there has
-    never been.
+    Raises ParameterError if it was given twice, or not at all.
     """
-    for name in former:
-        if name not in _FORMER:
-            raise TypeError(f"Simulation() got an unexpected keyword argument {name!r}")
-    if former:
-        now = ", ".join(f"{_FORMER[name]}=..." for name in former)
-        message = f"Simulation({', '.join(former)}) goes with the next release: time=TimeSteps(dt=..., {now})"
-        warnings.warn(InputWarning(message), stacklevel=5)  # of the caller, through two decorators
-    if time is not None:
-        require_type("Simulation.time", time, TimeSteps)
-        if former or dt is not None or scheme is not None:
-            raise ParameterError("Simulation.time", time, "None beside dt, scheme and other parameters of it")
-        return time
-    chosen = {} if scheme is None else {"scheme": scheme}
-    return TimeSteps(dt=dt, **chosen, **{_FORMER[name]: value for name, value in former.items()})  # type: ignore
+    if time is None:
+        return TimeSteps(**{"dt": None, **given})
+    require_type("Simulation.time", time, TimeSteps)
+    if given:
+        raise ParameterError("Simulation.time", time, f"None beside {', '.join(given)}, parameters of it")
+    return time

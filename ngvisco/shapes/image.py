@@ -9,9 +9,9 @@ from typing import Annotated
 
 import numpy as np
 
-from ngvisco.errors import ParameterError, Quantity, require_path, require_ranges, require_type
+from ngvisco.errors import ParameterError, Quantity, as_place, require_path, require_ranges, require_type
 from ngvisco.shapes.places import Places
-from ngvisco.shapes.shape import Shape, as_place, require_dim
+from ngvisco.shapes.shape import Shape, require_dim
 
 _LUMA = np.array([0.299, 0.587, 0.114])  # of red, green, blue in a grey
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from ngsolve import CoefficientFunction, GridFunction, Mesh
 
-from ngvisco.errors import ParameterError, as_number, require_collection
+from ngvisco.errors import ParameterError, require_collection
 from ngvisco.shapes.fractions import fractions
 from ngvisco.shapes.places import Places
 
@@ -109,17 +109,6 @@ def as_shape(field: str, value: object) -> Shape:
         return Where(value)
     expected = "a shape, or a scalar coefficient function that is positive inside"
     raise ParameterError(field, value, expected)
-
-
-def as_place(field: str, value: object) -> tuple[float, ...]:
-    """Two or three finite numbers, m; raises ParameterError."""
-    try:
-        numbers = [as_number(part) for part in value]  # type: ignore[attr-defined]
-    except TypeError:
-        numbers = []
-    if len(numbers) not in (2, 3) or None in numbers:
-        raise ParameterError(field, value, "two or three finite numbers")
-    return tuple(number for number in numbers if number is not None)
 
 
 def require_dim(field: str, value: Sequence[float], mesh: Mesh) -> None:

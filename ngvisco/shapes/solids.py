@@ -6,9 +6,9 @@ from typing import Annotated
 
 import numpy as np
 
-from ngvisco.errors import ParameterError, Quantity, UnknownNameError, require_names, require_ranges
+from ngvisco.errors import ParameterError, Quantity, UnknownNameError, as_place, require_names, require_ranges
 from ngvisco.shapes.places import Places
-from ngvisco.shapes.shape import Shape, as_place, require_dim
+from ngvisco.shapes.shape import Shape, require_dim
 
 
 @dataclass(frozen=True)

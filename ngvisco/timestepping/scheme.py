@@ -22,13 +22,13 @@ remainder).
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
-from ngvisco.errors import ParameterError, UnknownNameError, _is_number
+from ngvisco.errors import ParameterError, UnknownNameError, _is_number, as_numbers, require_collection
 
 _ROUNDING = 1e-12
 
@@ -60,26 +60,17 @@ class TimeScheme:
     def __post_init__(self) -> None:
         if not isinstance(self.name, str):
             raise ParameterError("TimeScheme.name", self.name, "a text")
-        if not isinstance(self.b, Sequence) or isinstance(self.b, str):
-            raise ParameterError("TimeScheme.b", self.b, "a sequence of weights")
-        if not isinstance(self.A, Sequence) or not all(
-            isinstance(row, Sequence) and not isinstance(row, str) for row in self.A
-        ):
-            raise ParameterError("TimeScheme.A", self.A, "a sequence of rows, each a sequence of numbers")
-        s = len(self.b)
+        b = tuple(as_numbers("TimeScheme.b", self.b))
         expected = "rows of numbers, lower triangular with a positive diagonal, one for each weight of b"
-        if not s or len(self.A) != s or any(len(row) != s for row in self.A):
+        rows = require_collection("TimeScheme.A", self.A, "a sequence of rows, each a sequence of numbers")
+        A, s = tuple(tuple(as_numbers("TimeScheme.A", row)) for row in rows), len(b)
+        if not s or [len(row) for row in A] != s * [s]:
             raise ParameterError("TimeScheme.A", self.A, expected)
-        if not all(_is_number(weight) for weight in self.b):
-            raise ParameterError("TimeScheme.b", self.b, "finite numbers")
-        if not all(_is_number(a) for row in self.A for a in row):
-            raise ParameterError("TimeScheme.A", self.A, "finite numbers")
+        if np.triu(A, 1).any() or min(np.diag(A)) <= 0:
+            raise ParameterError("TimeScheme.A", self.A, expected)
         # as a checkpoint knows them again
-        object.__setattr__(self, "A", tuple(tuple(float(a) for a in row) for row in self.A))
-        object.__setattr__(self, "b", tuple(float(weight) for weight in self.b))
-        upper = any(self.A[i][j] != 0 for i in range(s) for j in range(i + 1, s))
-        if upper or any(self.A[i][i] <= 0 for i in range(s)):
-            raise ParameterError("TimeScheme.A", self.A, expected)
+        object.__setattr__(self, "A", A)
+        object.__setattr__(self, "b", b)
         if not math.isclose(sum(self.b), 1.0, rel_tol=_ROUNDING):
             raise ParameterError("TimeScheme.b", self.b, "weights whose sum is 1")
         if self.averages_loads and s > 1:

@@ -54,10 +54,10 @@ def of(solver: str) -> dict:
         "own term": lambda: swirl(terms=[Drag(2.0)], solver=solver),
         "own tableau": lambda: swirl(scheme=CROUZEIX, solver=solver),
         "theta": lambda: swirl(scheme="theta", theta=0.7, startup=1, solver=solver),
-        "relaxation": lambda: swirl(scheme="midpoint", relaxation=True, stepping=ADAPTIVE, solver=solver),
+        "relaxation": lambda: swirl(scheme="midpoint", relaxation=True, adaptive=ADAPTIVE, solver=solver),
     }
     if solver == "split":
-        cases["adaptive"] = lambda: swirl(stepping=ADAPTIVE, solver=solver)
+        cases["adaptive"] = lambda: swirl(adaptive=ADAPTIVE, solver=solver)
     return {start + name: case for name, case in cases.items()}
 
 

@@ -261,7 +261,7 @@ CASES |= {
     "swirl": lambda: swirl(0.3),
     "midpoint": lambda: swirl(0.3, scheme="midpoint"),
     "sdirk2": lambda: swirl(0.4, scheme="sdirk2"),
-    "adaptive": lambda: swirl(0.4, stepping=nv.AdaptiveSteps(dt_min=1e-4, dt_max=0.1, tolerance=1e-2)),
+    "adaptive": lambda: swirl(0.4, adaptive=nv.AdaptiveSteps(dt_min=1e-4, dt_max=0.1, tolerance=1e-2)),
     "channel": lambda: channel(passive=["reference_map"]),
     "split channel": lambda: channel("split"),
     "split channel, two levels": lambda: channel("split", newton=TWO_LEVELS),

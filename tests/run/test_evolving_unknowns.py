@@ -157,7 +157,7 @@ def test_error_estimate_counts_it():
     steps = nv.AdaptiveSteps(dt_min=0.05, dt_max=0.05, tolerance=0.5)
     term = Relaxation()
     term.scale = 0.0
-    run = simulation(term, model, stepping=steps, solver="coupled")
+    run = simulation(term, model, adaptive=steps, solver="coupled")
     estimates = [run.advance()["error_estimate"] for _ in range(3)]
     assert estimates[-1] == pytest.approx((RATE * 0.05) ** 2 / 3, rel=1e-8)
 
@@ -166,7 +166,7 @@ def test_error_estimate_of_what_is_zero_is_zero():
     steps = nv.AdaptiveSteps(dt_min=1e-6, dt_max=1.0, tolerance=0.5)
     term = Relaxation()
     term.scale = 0.0
-    run = simulation(term, nv.Model(material=MODEL.material), theta=None, stepping=steps, solver="coupled")
+    run = simulation(term, nv.Model(material=MODEL.material), theta=None, adaptive=steps, solver="coupled")
     assert [run.advance()["error_estimate"] for _ in range(3)][-1] == pytest.approx(0, abs=1e-12)
 
 
@@ -175,7 +175,7 @@ def test_restart_is_bitwise(tmp_path):
         "theta": exp(x) * y,
         "scheme": "midpoint",
         "solver": "split",
-        "stepping": nv.AdaptiveSteps(dt_min=1e-4, dt_max=0.1, tolerance=1e-2),
+        "adaptive": nv.AdaptiveSteps(dt_min=1e-4, dt_max=0.1, tolerance=1e-2),
     }
     run = assert_goes_on(partial(simulation, Pores(), **options), tmp_path / "run.h5", 0.2, -1)
     assert run.ledger.rows[-1]["error_estimate"] > 0

@@ -6,11 +6,9 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from ngsolve import x, y
 from support import A_BODY, swirling
 
 import ngvisco as nv
-from ngvisco.geometries import box
 from ngvisco.run.notebook import NotebookError, results_html
 
 
@@ -88,43 +86,3 @@ def test_what_is_missing_is_said(module, monkeypatch):
     monkeypatch.setitem(sys.modules, module, None)
     with pytest.raises(NotebookError, match="is missing: pip install"):
         run.ledger.frame() if module == "pandas" else nv.NotebookProgress(1.0)
-
-
-def test_draw_hands_the_field_and_its_mesh_to_the_viewer(monkeypatch):
-    import types
-
-    given = []
-    viewer = types.ModuleType("ngsolve.webgui")
-    viewer.Draw = lambda *arguments, **options: given.append((arguments, options))
-    monkeypatch.setitem(sys.modules, "ngsolve.webgui", viewer)
-    run = small()
-    nv.draw("density", run, min=0)
-    nv.draw(run.fields["velocity"])
-    nv.draw(x * y, run.mesh, name="a function")
-    assert [(value[1], value[2]) for value, _ in given] == [
-        (run.mesh, "density"),
-        (run.mesh, "field"),
-        (run.mesh, "a function"),
-    ]
-    assert given[0][1] == {"min": 0}
-
-
-def test_the_viewer_itself_takes_what_draw_gives_and_leaves_numpy_warning():
-    before = np.geterr()
-    scene = nv.draw("density", small(), show=False)
-    assert scene is not None and np.geterr() == before
-
-
-@pytest.mark.parametrize(
-    ("arguments", "error", "message"),
-    [
-        (("density",), nv.ParameterError, "for a field by its name"),
-        ((x,), nv.ParameterError, "a mesh, a simulation or results"),
-        ((3, box((1, 1), 1)), nv.ParameterError, "a name or a coefficient function"),
-    ],
-)
-def test_what_cannot_be_drawn_is_refused(arguments, error, message):
-    with pytest.raises(error, match=message):
-        nv.draw(*arguments)
-    with pytest.raises(nv.UnknownNameError, match="did you mean 'density'"):
-        nv.draw("densiti", small())

@@ -316,7 +316,7 @@ def test_bad_initial_data_are_named(make, value, field, expected):
 
 
 TYPED = """\
-simulation(stepping=_) | 1, "a", {}, AdaptiveSteps
+simulation(adaptive=_) | 1, "a", {}, AdaptiveSteps
 simulation(walls=_) | 1, "top", NoSlip(), {"top": 1}, {1: NoSlip()}, {"top": None}, [NoSlip()], [("top",)]
 simulation(walls=_) | {"top": NoSlip}, {("top", 1): NoSlip()}
 simulation(observers=_) | 1, None, "a", [1], [Progress], Progress(until=1), {"a": 1}
@@ -412,7 +412,7 @@ loaded(Gravity(np.array([0, -1])), BodyForce(np.float32([0, 1]))).run(0.1)
 loaded(CentralGravity(strength=np.float32(1), centre=np.array([-1, 0]), exponent=np.int64(0))).run(0.1)
 box(np.array([1, 1]), np.float32(0.5), refine={"top": np.float64(0.2)})
 bar(np.int64(2), np.float32(1), 1, dim=np.int64(2))
-simulation(stepping=AdaptiveSteps(dt_min=np.float32(0.01), dt_max=np.int64(1), patience=np.int64(2))).run(0.1)
+simulation(adaptive=AdaptiveSteps(dt_min=np.float32(0.01), dt_max=np.int64(1), patience=np.int64(2))).run(0.1)
 simulation(newton=NewtonOptions(tolerance=np.float64(1e-9), max_iterations=np.int32(30))).run(0.1)
 simulation(walls={"top": NavierFriction(np.int64(1))}).run(0.1)
 simulation(walls={"left": Traction(f=np.array([0, 1.0]), friction=np.float32(0.1))}).run(0.1)

@@ -48,7 +48,7 @@ def test_without_a_limiter_the_run_ends_and_says_where(scheme):
     words = r"det F is not positive \(minimum -\S+ in cell \d+ at \(0, 0.75\) m, on 'left'\)"
     steps = nv.AdaptiveSteps(dt_min=0.9 * DT, dt_max=DT)  # no continuation
     with pytest.raises(nv.StepError, match=words):
-        cavity(scheme=scheme, limiter=False, stepping=steps, solver="split").run(LIMITED * DT)
+        cavity(scheme=scheme, limiter=False, adaptive=steps, solver="split").run(LIMITED * DT)
 
 
 def test_what_the_limiter_takes_is_needed_for_closed_books(monkeypatch):
@@ -132,7 +132,7 @@ def test_a_run_within_its_bounds_is_the_same_with_and_without():
 @pytest.mark.ci
 def test_relaxed_steps_are_limited_too():
     steps = nv.AdaptiveSteps(dt_min=1e-3, dt_max=DT)
-    ledger = cavity(scheme="midpoint", relaxation=True, stepping=steps).run(LIMITED * DT)
+    ledger = cavity(scheme="midpoint", relaxation=True, adaptive=steps).run(LIMITED * DT)
     assert ledger.column("limited_cells").max() > 0
     assert_balanced(ledger, drift=1e-11)
     numerical = ledger.column("inertial") + ledger.column("bregman")

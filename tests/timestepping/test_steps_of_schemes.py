@@ -45,7 +45,7 @@ RESTARTED = {
         "walls": {"top": nv.PrescribedTangential((10 * nv.time * sin(pi * x), 0))},
     },
     "relaxed": {
-        "stepping": nv.AdaptiveSteps(dt_min=1e-4, dt_max=0.02),
+        "adaptive": nv.AdaptiveSteps(dt_min=1e-4, dt_max=0.02),
         "relaxation": True,
         "solver": "coupled",
     },
@@ -71,7 +71,7 @@ RESTARTED = {
 OF_CI = {
     "backward-euler, adaptive": {
         "scheme": "backward-euler",
-        "stepping": nv.AdaptiveSteps(dt_min=1e-4, dt_max=0.08, tolerance=3e-3, patience=2),
+        "adaptive": nv.AdaptiveSteps(dt_min=1e-4, dt_max=0.08, tolerance=3e-3, patience=2),
         "solver": "split",
     },
     "theta after a start-up": {"scheme": "theta", "theta": 0.6, "startup": 1, "solver": "coupled"},
@@ -105,8 +105,8 @@ def test_a_checkpoint_of_another_scheme_is_refused(tmp_path):
     ("before", "after"),
     [
         ({"dt": 0.02}, {"dt": 0.01}),
-        ({"dt": 0.005, "stepping": nv.AdaptiveSteps(dt_min=1e-4, dt_max=0.1)}, {"dt": 0.02}),
-        ({"dt": 0.02}, {"dt": 0.01, "stepping": nv.AdaptiveSteps(dt_min=1e-4, dt_max=0.01)}),
+        ({"dt": 0.005, "adaptive": nv.AdaptiveSteps(dt_min=1e-4, dt_max=0.1)}, {"dt": 0.02}),
+        ({"dt": 0.02}, {"dt": 0.01, "adaptive": nv.AdaptiveSteps(dt_min=1e-4, dt_max=0.01)}),
     ],
     ids=["another length", "adaptive to fixed", "fixed to adaptive"],
 )
@@ -144,7 +144,7 @@ def test_a_refused_second_stage_leaves_the_state_before_the_step(monkeypatch):
 @pytest.mark.parametrize("where", ["solution", "row", "estimate"])
 def test_an_interrupt_leaves_the_state_before_the_step(where, monkeypatch, tmp_path):
     """Neither a state without its row of the ledger, nor a checkpoint that no run can go on from."""
-    options = {"stepping": nv.AdaptiveSteps(dt_min=1e-4, dt_max=0.02, tolerance=0.1), "passive": ("F_tot",)}
+    options = {"adaptive": nv.AdaptiveSteps(dt_min=1e-4, dt_max=0.02, tolerance=0.1), "passive": ("F_tot",)}
     run = simulation(**options, observers=[nv.Checkpoints(tmp_path / "run.h5", every=1)])
     run.run(0.04)
     before, carried, t = state(run), run.passive.arrays(), run.t
@@ -237,7 +237,7 @@ def test_sdirk2_damps_a_creep_that_midpoint_reflects():
 def test_a_relaxed_run_dissipates_nothing_numerically():
     """Neither kinetic nor stored energy in sum, at every step, also where an output time is met exactly."""
     stepping = nv.AdaptiveSteps(dt_min=1e-4, dt_max=0.02)
-    run = simulation(stepping=stepping, relaxation=True, solver="coupled")
+    run = simulation(adaptive=stepping, relaxation=True, solver="coupled")
     ledger = run.run(0.1, stops=[0.07])
     remainder = sum(ledger.column(name) for name in NUMERICAL)
     energy = ledger.column("kinetic")[0]
@@ -258,7 +258,7 @@ def test_a_relaxed_run_ends_where_little_moves(dt, speed):
     """The remainder of a short step, or of a slow motion, is rounding of the energies: so is its zero."""
     slow = nv.Initial(velocity=(speed * SWIRL[0], speed * SWIRL[1]))
     stepping = nv.AdaptiveSteps(dt_min=dt / 8, dt_max=dt)
-    ledger = simulation(dt, stepping=stepping, relaxation=True, initial=slow, loads=[]).run(5 * dt)
+    ledger = simulation(dt, adaptive=stepping, relaxation=True, initial=slow, loads=[]).run(5 * dt)
     assert ledger.column("rejections").sum() == 0
     assert ledger.column("time")[-1] == 5 * dt
     assert np.allclose(np.diff(ledger.column("time")), ledger.column("dt")[1:], rtol=1e-12, atol=0)
@@ -273,7 +273,7 @@ def test_a_relaxed_run_is_of_second_order():
     for n in (8, 16, 32):
         dt = 0.08 / n
         stepping = nv.AdaptiveSteps(dt_min=dt / 9, dt_max=dt)
-        run = simulation(dt, stepping=stepping, relaxation=True, solver="coupled")
+        run = simulation(dt, adaptive=stepping, relaxation=True, solver="coupled")
         run.rothe_step.context.eta.Set(0.3)
         run.run(0.08)
         ends.append(state(run)[run.rothe_step.layout.ranges["v"]])
@@ -290,9 +290,9 @@ ADAPTIVE = nv.AdaptiveSteps(**BOUNDS)
 @pytest.mark.parametrize(
     ("options", "what"),
     [
-        ({"scheme": "sdirk2", "relaxation": True, "stepping": ADAPTIVE}, "scheme .midpoint."),
+        ({"scheme": "sdirk2", "relaxation": True, "adaptive": ADAPTIVE}, "scheme .midpoint."),
         (
-            {"scheme": "theta", "theta": 0.5001, "stepping": nv.AdaptiveSteps(**BOUNDS, tolerance=1e-3)},
+            {"scheme": "theta", "theta": 0.5001, "adaptive": nv.AdaptiveSteps(**BOUNDS, tolerance=1e-3)},
             r"AdaptiveSteps\.tolerance.*error constant",
         ),
     ],
@@ -317,7 +317,7 @@ def test_the_controller_keeps_the_error_at_its_tolerance(scheme):
     tolerance = 2e-3
     stepping = nv.AdaptiveSteps(dt_min=1e-6, dt_max=1.0, tolerance=tolerance)
     viscosity = nv.StokesViscosity(K_v=0.1, G_v=0.1)
-    run = simulation(0.002, scheme, stepping=stepping, viscosity=viscosity, solver="coupled")
+    run = simulation(0.002, scheme, adaptive=stepping, viscosity=viscosity, solver="coupled")
     ledger = run.run(0.5)
     errors = ledger.column("error_estimate")
     known = errors[~np.isnan(errors)]
@@ -388,7 +388,7 @@ def test_the_estimate_is_the_local_error_of_the_scheme(scheme):
 def test_passive_fields_end_where_a_relaxed_step_does():
     """They are combined with the step's own omega, which is 2 for no step."""
     stepping = nv.AdaptiveSteps(dt_min=1e-4, dt_max=0.02)
-    run = simulation(stepping=stepping, relaxation=True, passive=("F_tot",))
+    run = simulation(adaptive=stepping, relaxation=True, passive=("F_tot",))
     row = run.advance()
     omega = row["dt"] / run.rothe_step.context.tau.Get()
     start, middle = run.passive._stages
