@@ -20,19 +20,12 @@ from pydantic import BaseModel
 from ngvisco.case.faults import Wrong
 from ngvisco.case.laws import EnergyText
 from ngvisco.case.reference import quantity
+from ngvisco.case.schema import Units
 from ngvisco.case.section import models_in
 from ngvisco.case.values import FIELDS, NumberValues, is_table
 from ngvisco.expressions import ExpressionError, parse, parse_region
 
-SI = {
-    "length": "m",
-    "time": "s",
-    "velocity": "m/s",
-    "acceleration": "m/s^2",
-    "density": "kg/m^3",
-    "pressure": "Pa",
-    "viscosity": "Pa s",
-}
+SI: dict[str, str] = {name: field.default for name, field in Units.model_fields.items()}
 """What ``[units]`` may name, and the SI unit of each."""
 
 _NUMBER = r"([+-]?\d{1,2}(?:\.\d{1,9})?)"

@@ -24,7 +24,6 @@ from ngsolve.meshes import MakeStructured2DMesh
 from ngvisco.physics.arrays import Array, derivatives
 from ngvisco.physics.increments import TINY
 from ngvisco.physics.material import Material
-from ngvisco.physics.tensors import tensor_space
 
 _CELLS = 64  # squares a side of the mesh on which a batch of states is evaluated
 
@@ -117,11 +116,11 @@ class ExpressionResponse:
     """The response of a material that has an expression, by NGSolve's symbolic derivatives."""
 
     def __init__(self, material: Material, dim: int) -> None:
-        self.size = material.states(dim).size
+        states = material.states(dim)
+        self.size = states.size
         self.mesh, self.points = squares(_CELLS)
         self.state = GridFunction(VectorValued(L2(self.mesh, order=0), self.size))
-        variables = material.states(dim).tensors(lambda: self.state)
-        z = {name: value.MakeVariable() for name, value in variables.items()}
+        z = {name: value.MakeVariable() for name, value in states.tensors(lambda: self.state).items()}
         phi = material.energy(z)
         slopes = [phi.Diff(value) for value in z.values()]
         # of a tensor and a scalar the tensor's first: NGSolve 6.2.2608 gives d/dB of d/da tr(a B) wrongly
@@ -131,7 +130,8 @@ class ExpressionResponse:
             for other, value in zip(slopes, z.values(), strict=True)
         ]
         self.outputs = CF((phi, *slopes, *hessians)).Compile()
-        self.bases = [_columns(v.kind, dim) for v in material.variables]
+        self.blocks = [(states.spaces[name].columns, where) for name, where in states.slices.items()]
+        """For every variable its basis, (entries, components), and where its components stand."""
 
     def __call__(self, states: np.ndarray) -> Response:
         n, size = len(self.points), self.size
@@ -147,29 +147,18 @@ class ExpressionResponse:
         values = np.asarray(self.outputs(self.points[:count])).reshape(count, -1)
         slope = np.empty((count, self.size))
         hessian = np.empty((count, self.size, self.size))
-        rows = self._blocks()
         start = 1
         with np.errstate(all="ignore"):  # outside the energy's domain there are NaN and inf
-            for B, where in rows:
+            for B, where in self.blocks:
                 slope[:, where] = values[:, start : start + len(B)] @ B
                 start += len(B)
-            for B, where in rows:
-                for C, other in rows:
+            for B, where in self.blocks:
+                for C, other in self.blocks:
                     stop = start + len(B) * len(C)
                     block = values[:, start:stop].reshape(count, len(B), len(C))
                     hessian[:, where, other] = B.T @ block @ C
                     start = stop
         return values[:, 0].copy(), slope, hessian
-
-    def _blocks(self) -> list[tuple[np.ndarray, slice]]:
-        """For every variable its basis, (entries, components), and where its components stand."""
-        ends = np.cumsum([B.shape[1] for B in self.bases])
-        return [(B, slice(end - B.shape[1], end)) for B, end in zip(self.bases, ends, strict=True)]
-
-
-def _columns(kind: str, dim: int) -> np.ndarray:
-    space = tensor_space(kind, dim)
-    return np.ones((1, 1)) if space.is_scalar else space.columns
 
 
 @cache

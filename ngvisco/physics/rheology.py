@@ -5,7 +5,6 @@ Those linear in eps are here; those that change with the strain rate in ``viscos
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Annotated, Any, TypeAlias
@@ -28,9 +27,7 @@ from ngvisco.physics.tensors import (
     square,
     tr,
 )
-
-Values: TypeAlias = Mapping[str, CoefficientFunction]
-"""Values of a material's variables at a point, by name."""
+from ngvisco.physics.variables import Values
 
 ValueOfModulus: TypeAlias = float | CoefficientFunction
 """A number, or what an expression of parameters gives at every point."""

@@ -75,8 +75,8 @@ class StateSpace:
         """All components of values by name, by orthogonal projection."""
         total = None
         for name, space in self.spaces.items():
-            matrix = np.zeros((self.size, space.size if space.is_scalar else 9))
-            matrix[self.slices[name]] = 1.0 if space.is_scalar else space.columns.T
+            matrix = np.zeros((self.size, len(space.columns)))
+            matrix[self.slices[name]] = space.columns.T
             value = space.components(values[name]) if space.is_scalar else values[name]
             part = linear_map(matrix, value, (self.size,))
             total = part if total is None else total + part

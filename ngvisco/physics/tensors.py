@@ -184,12 +184,10 @@ class TensorSpace:
     ----------
     name : str
     basis : tuple of (3, 3) arrays; empty for scalars
-    labels : tuple of str, one for every component
     """
 
     name: str
     basis: tuple[tuple[tuple[float, ...], ...], ...]
-    labels: tuple[str, ...]
 
     @property
     def size(self) -> int:
@@ -202,8 +200,8 @@ class TensorSpace:
 
     @cached_property
     def columns(self) -> np.ndarray:
-        """The basis as a (9, size) array, tensors in row-major order."""
-        return np.array(self.basis).reshape(len(self.basis), 9).T
+        """The basis as a (9, size) array, tensors in row-major order; (1, 1) of scalars."""
+        return np.ones((1, 1)) if self.is_scalar else np.array(self.basis).reshape(len(self.basis), 9).T
 
     def tensor(self, components: CoefficientFunction) -> CoefficientFunction:
         """The 3x3 tensor (or scalar) with these components, a vector of length ``size``."""
@@ -219,12 +217,11 @@ class TensorSpace:
         return linear_map(self.columns.T, value, (self.size,))
 
 
-def _space(name: str, basis: list[np.ndarray], labels: list[str]) -> TensorSpace:
-    frozen = tuple(tuple(tuple(float(x) for x in row) for row in B) for B in basis)
-    return TensorSpace(name, frozen, tuple(labels))
+def _space(name: str, basis: list[np.ndarray]) -> TensorSpace:
+    return TensorSpace(name, tuple(tuple(tuple(float(x) for x in row) for row in B) for B in basis))
 
 
-SCALAR = TensorSpace("scalar", (), ("",))
+SCALAR = TensorSpace("scalar", ())
 
 
 def _pairs(dim: int) -> list[tuple[int, int]]:
@@ -235,20 +232,19 @@ def _pairs(dim: int) -> list[tuple[int, int]]:
 
 def full_tensors(dim: int) -> TensorSpace:
     """All 3x3 tensors (9 components); in plane strain the block one (5)."""
-    pairs = _pairs(dim)
-    return _space("full", [_unit(*p) for p in pairs], [f"{i + 1}{j + 1}" for i, j in pairs])
+    return _space("full", [_unit(*pair) for pair in _pairs(dim)])
 
 
 def symmetric_tensors(dim: int) -> TensorSpace:
     """Symmetric tensors: 6 components, 4 in plane strain; off-diagonal basis (e_ij + e_ji)/sqrt 2."""
     pairs = [(i, j) for i, j in _pairs(dim) if i <= j]
     basis = [_unit(i, j) if i == j else (_unit(i, j) + _unit(j, i)) / math.sqrt(2) for i, j in pairs]
-    return _space("symmetric", basis, [f"{i + 1}{j + 1}" for i, j in pairs])
+    return _space("symmetric", basis)
 
 
 def vectors(dim: int) -> TensorSpace:
     """Vectors of the mesh's dimension, each the first column of a tensor."""
-    return _space("vector", [_unit(i, 0) for i in range(dim)], [str(i + 1) for i in range(dim)])
+    return _space("vector", [_unit(i, 0) for i in range(dim)])
 
 
 def trace_free_tensors(dim: int) -> TensorSpace:
@@ -257,8 +253,7 @@ def trace_free_tensors(dim: int) -> TensorSpace:
     basis = [(_unit(i, j) + _unit(j, i)) / math.sqrt(2) for i, j in off]
     basis.append((_unit(0, 0) - _unit(1, 1)) / math.sqrt(2))
     basis.append((_unit(0, 0) + _unit(1, 1) - 2 * _unit(2, 2)) / math.sqrt(6))
-    labels = [f"{i + 1}{j + 1}" for i, j in off] + ["11-22", "11+22-33"]
-    return _space("trace_free", basis, labels)
+    return _space("trace_free", basis)
 
 
 def tensor_space(kind: str, dim: int) -> TensorSpace:

@@ -6,17 +6,14 @@ The tangential part of a vector is a_t = a - (a.n) n.  Names of walls are the me
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Annotated, TypeAlias
+from typing import Annotated
 
 from ngsolve import CoefficientFunction
 
 from ngvisco.errors import ParameterError, Quantity, as_numbers
-from ngvisco.physics.heat import WallHeat
+from ngvisco.physics.heat import Function, WallHeat
 from ngvisco.physics.model import VectorLike
 from ngvisco.physics.parameters import require_ranges
-
-Function: TypeAlias = float | CoefficientFunction
-"""A number, or a function of the place and the run's time."""
 
 
 @dataclass(frozen=True)

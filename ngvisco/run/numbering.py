@@ -91,19 +91,22 @@ class Numbering:
         self.layout = None if self.mesh is None else step.layout.on(self.mesh)
         whole = None if self.layout is None else self.layout.space
         own = numbers_in(part, step.layout.space, whole)
-        self._states = Numbers(own, whole, self.ranks)
         evolved = None if self.layout is None else _evolved(self.layout)
-        self._evolved = Numbers(own[_evolved(step.layout)], whole, self.ranks, evolved)
-        self._stresses: dict[str, Numbers] = {}
+        self._numbers = {
+            "": Numbers(own, whole, self.ranks),
+            "stepping": Numbers(own[_evolved(step.layout)], whole, self.ranks, evolved),
+        }
         for name, stress in step.stresses.functions.items():
-            whole = None
+            space = None
             if self.mesh is not None:
-                whole = at_nodes(replace(step.quadrature, mesh=self.mesh), len(stress.components)).space
-            self._stresses[name] = Numbers(numbers_in(part, stress.space, whole), whole, self.ranks)
-        self._passive: dict[str, Numbers] = {}
+                space = at_nodes(replace(step.quadrature, mesh=self.mesh), len(stress.components)).space
+            self._add(f"solver/{name}", part, stress.space, space)
         for key, field in simulation.passive.parts.items():
-            of_field = None if self.mesh is None else simulation.passive.space(key, self.mesh)
-            self._passive[key] = Numbers(numbers_in(part, field.space, of_field), of_field, self.ranks)
+            space = None if self.mesh is None else simulation.passive.space(key, self.mesh)
+            self._add(f"passive/{key}", part, field.space, space)
+
+    def _add(self, key: str, part: Part, space: FESpace, whole: FESpace | None) -> None:
+        self._numbers[key] = Numbers(numbers_in(part, space, whole), whole, self.ranks)
 
     def whole(self, values: np.ndarray, part: str = "", name: str = "") -> np.ndarray:
         """An array of a checkpoint as one process has it, on the first rank, an empty one on others.
@@ -123,16 +126,16 @@ class Numbering:
 
     def knows(self, part: str, name: str) -> bool:
         """Whether such an array is of this simulation, whose passive fields and flow rules may be others."""
-        if part == "passive":
-            return name in self._passive
-        return not (part == "solver" and name.startswith(STRESS)) or name in self._stresses
+        return _key(part, name) in self._numbers
 
     def _of(self, part: str, name: str) -> Numbers:
-        if part == "passive":
-            return self._passive[name]
-        if part == "solver" and name.startswith(STRESS):
-            return self._stresses[name]
-        return self._evolved if part == "stepping" else self._states
+        return self._numbers[_key(part, name)]
+
+
+def _key(part: str, name: str) -> str:
+    if part == "passive" or (part == "solver" and name.startswith(STRESS)):
+        return f"{part}/{name}"
+    return "stepping" if part == "stepping" else ""
 
 
 def _evolved(layout: Layout) -> np.ndarray:

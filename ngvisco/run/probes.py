@@ -22,7 +22,6 @@ from ngvisco.run.series import Series
 if TYPE_CHECKING:
     from ngvisco.forms.system import Step
     from ngvisco.run.simulation import Simulation
-    from ngvisco.timestepping.integrator import Integrator
 
 
 class Probes(Series):
@@ -170,39 +169,34 @@ class WallForces(Series):
         about = as_points("WallForces.about", [0.0] * dim if self.about is None else self.about, dim)
         if len(about) != 1:
             raise ParameterError("WallForces.about", self.about, "one point")
-        reactions = WallReactions(simulation.rothe_step, self.walls, about[0])
-        self._mean = _MeanReactions(reactions, simulation.integrator)
-        return [f"{name}.{part}" for name in reactions.names for part in reactions.motions]
+        self._reactions = WallReactions(simulation.rothe_step, self.walls, about[0])
+        self._integrator = simulation.integrator
+        self.begin()
+        return [f"{name}.{part}" for name in self._reactions.names for part in self._reactions.motions]
 
     def start(self, simulation: Simulation) -> None:
         super().start(simulation)
-        simulation.integrator.carried.append(self._mean)
+        simulation.integrator.carried.append(self)
 
     def finish(self, simulation: Simulation) -> None:
         super().finish(simulation)
         carried = simulation.integrator.carried
-        carried[:] = [one for one in carried if one is not getattr(self, "_mean", None)]
+        carried[:] = [one for one in carried if one is not self]
 
-    def _sample(self, simulation: Simulation) -> list[list[float]]:
-        return [self._mean.value.ravel().tolist()]
-
-
-class _MeanReactions:
-    """The walls' reactions as the mean over a step's stages, taken while these are the present state."""
-
-    def __init__(self, reactions: WallReactions, integrator: Integrator) -> None:
-        self.reactions, self.integrator = reactions, integrator
-        self.begin()
+    # of the integrator: the mean over a step's stages, taken while these are the present state
 
     def begin(self) -> None:
-        self.value: np.ndarray = np.zeros((len(self.reactions.names), len(self.reactions.motions)))
+        self._mean: np.ndarray = np.zeros((len(self._reactions.names), len(self._reactions.motions)))
 
     def stage(self, weights: np.ndarray, share: float) -> None:
-        self.value += share * np.array(list(self.reactions().values()))
+        self._mean += share * np.array(list(self._reactions().values()))
 
     def end(self, weights: np.ndarray) -> None:
-        if self.integrator.impulse is not None:
-            self.value += self.reactions.of_rows(self.integrator.impulse)
+        if self._integrator.impulse is not None:
+            self._mean += self._reactions.of_rows(self._integrator.impulse)
+
+    def _sample(self, simulation: Simulation) -> list[list[float]]:
+        return [self._mean.ravel().tolist()]
 
 
 class Integrals(Series):
@@ -315,9 +309,6 @@ class Bodies(Series):
     """
 
     group = "bodies"
-
-    def __init__(self, path: str | os.PathLike[str] | None = None, every: int = 1) -> None:
-        super().__init__(path, every)
 
     def prepare(self, simulation: Simulation) -> list[str]:
         step, material = simulation.rothe_step, simulation.model.material

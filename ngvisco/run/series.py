@@ -41,7 +41,7 @@ class Series(ABC):
     group: str | None = None
     """Under which a run's HDF5 file has the columns too; None (default) is not at all."""
 
-    def __init__(self, path: str | os.PathLike[str] | None, every: int) -> None:
+    def __init__(self, path: str | os.PathLike[str] | None = None, every: int = 1) -> None:
         require_count(type(self).__name__, every=every)
         self.path = None if path is None else require_file(f"{type(self).__name__}.path", path)
         self.every = every

@@ -90,8 +90,11 @@ def transfer(source: Simulation, target: Simulation) -> Transfer:
     require_fit(source, target)
     points = QuadraturePoints(new.quadrature)
     at = _located(old.mesh, points)
-    before, scaled = _energy(source), _set_fields(source, target, points, at)
-    _require_admissible(target)
+    had = source.ledger.balance
+    before = source.ledger.energy() if had is None else had.energy
+    scaled = _set_fields(source, target, points, at)
+    if (defect := target.bounds.defect()) is not None:
+        raise InitialDataError("transferred state", defect, "positive values: take a finer mesh")
     if target.bounds.limits:
         target.bounds.limit()
     _set_velocity(source, target, points, at)
@@ -169,11 +172,6 @@ def _located(mesh: Mesh, points: QuadraturePoints) -> Located:
         raise MeshError(f"a point of the new mesh, {error.value}, is not in the old one") from error
 
 
-def _energy(run: Simulation) -> float:
-    """Kinetic plus stored energy at the present state, J."""
-    return run.ledger.energy() if run.ledger.balance is None else run.ledger.balance.energy
-
-
 def _set_fields(source: Simulation, target: Simulation, points: QuadraturePoints, at: Located) -> float:
     """Project density, variables and what else evolves; returns the factor of the density."""
     old, new = source.rothe_step, target.rothe_step
@@ -191,10 +189,8 @@ def _set_fields(source: Simulation, target: Simulation, points: QuadraturePoints
             columns = _located(old.mesh, given).values(function).T
         value = CF(tuple(given.function(column) for column in columns))
         project(unknown, parts[name], new.quadrature, value)
-    masses = [
-        float(run.rothe_step.quadrature.integrate_cells(run.rothe_step.now.rho)) for run in (source, target)
-    ]
-    factor = masses[0] / masses[1]
+    before, after = (float(step.quadrature.integrate_cells(step.now.rho)) for step in (old, new))
+    factor = before / after
     if not new.model.bodies:
         parts["rho"].vec.FV().NumPy()[:] *= factor
         return factor
@@ -301,12 +297,6 @@ def _carry_passive(source: Simulation, target: Simulation, points: QuadraturePoi
         for i, column in enumerate(values.T):
             points.project(column, space, single)
             part.vec.FV().NumPy()[i * space.ndof : (i + 1) * space.ndof] = single.vec.FV().NumPy()
-
-
-def _require_admissible(target: Simulation) -> None:
-    defect = target.bounds.defect()
-    if defect is not None:
-        raise InitialDataError("transferred state", defect, "positive values: take a finer mesh")
 
 
 def resume_changed(

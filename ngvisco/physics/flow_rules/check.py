@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -66,12 +67,9 @@ def check_viscosity(law: Viscosity, material: Material) -> None:
     eps = (directions[..., None] * _SIZES).reshape(3, 3, -1)
     sizes = np.tile(_SIZES, 8)
     with np.errstate(all="ignore"):
-        try:
+        with _naming(f"{name}.stress", law):
             made = [law.stress(Array(e, None), z).value for e in (eps, 1.001 * eps)]
             found = [np.broadcast_to(stress, eps.shape) for stress in made]
-        except Exception as error:
-            expected = f"a function of tensors by ngvisco.physics.tensors: {type(error).__name__}: {error}"
-            raise ParameterError(f"{name}.stress", law, expected) from error
         power, risen = (((stress * eps).sum(axis=(0, 1)) / sizes) for stress in found)
         asked, large = np.isfinite(power) & np.isfinite(risen), np.sqrt((found[0] ** 2).sum(axis=(0, 1)))
         _refuse(f"{name}.stress", power < -_ROUNDING * large, asked, power, sizes, "D(eps) : eps >= 0", "eps")
@@ -94,11 +92,8 @@ def check_rule(rule: FlowRule, material: Material) -> None:
         z[PRESSURE] = Array(np.resize([0.0, 1.0, -1.0], sizes.size) * sizes, None)
     M = trace_free_tensors(3).tensor(Array(components.reshape(5, -1), None))
     with np.errstate(all="ignore"):
-        try:
+        with _naming(f"{name}.rate", rule):
             value: Any = rule.rate(M, 0.5 * M if rule.reads_conjugate else None, z).value
-        except Exception as error:
-            expected = f"a function of tensors by ngvisco.physics.tensors: {type(error).__name__}: {error}"
-            raise ParameterError(f"{name}.rate", rule, expected) from error
         if value.shape[:2] != (3, 3):
             raise ParameterError(f"{name}.rate", value.shape[:-1], "a 3x3 tensor")
         Pi = np.broadcast_to(value, M.value.shape)
@@ -120,6 +115,16 @@ def check_rule(rule: FlowRule, material: Material) -> None:
         gap = np.sqrt(((force - M.value) ** 2).sum(axis=(0, 1))) / sizes
         asked &= (size > 1e3 * rule.rate_floor) & np.isfinite(gap)
         _refuse(f"{name}.psi", gap > _INVERSE, asked, gap, sizes, "psi'(rate(M)) = M; its relative distance")
+
+
+@contextmanager
+def _naming(field: str, law: object) -> Iterator[None]:
+    """Within: whatever a function of the user raises is a ParameterError."""
+    try:
+        yield
+    except Exception as error:
+        expected = f"a function of tensors by ngvisco.physics.tensors: {type(error).__name__}: {error}"
+        raise ParameterError(field, law, expected) from error
 
 
 def _refuse(

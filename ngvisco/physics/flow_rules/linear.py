@@ -67,13 +67,6 @@ class Creep(GradientRule):
         else:
             super().__post_init__()
 
-    @classmethod
-    def from_reciprocal(cls, R: float) -> Creep:
-        """Creep with R = 1/G_m >= 0, 1/(Pa s), as the linearised model writes it."""
-        if not (isinstance(R, (int, float)) and math.isfinite(R) and R >= 0):
-            raise ParameterError("Creep.R", R, "a finite number >= 0")
-        return cls(G_m=1 / R if R else math.inf)
-
     @property
     def R(self) -> float:
         """Reciprocal creep modulus 1/G_m, 1/(Pa s); where G_m is an expression, of its typical value."""

@@ -8,6 +8,7 @@ from typing import Annotated
 from ngsolve import CoefficientFunction
 
 from ngvisco.errors import Quantity
+from ngvisco.physics.materials.elastic_state import IsotropicElastic
 from ngvisco.physics.materials.neo_hookean import NeoHookean, first_invariant, volumetric
 from ngvisco.physics.materials.referential import LogarithmicNeoHookean, ReferentialNeoHookean
 from ngvisco.physics.parameters import Modulus
@@ -64,19 +65,25 @@ class MooneyRivlin(NeoHookean):
         return volumetric(self, J) + first + 2 / (3 * math.sqrt(3)) * self.G_mr * second
 
 
-def _with_cofactor(variables: tuple[Variable, ...], by_B: bool) -> tuple[Variable, ...]:
-    """The variables with N = J^{-7/6} Cof F, or by B with J^{-7/3} Cof(F F^T), after the first."""
-    second = CofactorLeftCauchyGreen(exponent=-7 / 3) if by_B else Cofactor("N", exponent=-7 / 6)
-    return (variables[0], second, *variables[1:])
+@dataclass(frozen=True, kw_only=True)
+class _WithCofactor(IsotropicElastic):
+    """Adds G_mr |N|^2, N = J^{-7/6} Cof F, or by B tr N, N = J^{-7/3} Cof(F F^T), to the class after it."""
 
+    G_mr: Annotated[Modulus, Quantity("Pa", ">= 0", 2.0)]
 
-def _second_invariant(z: Values, by_B: bool) -> CoefficientFunction:
-    """|N|^2, or by B tr N."""
-    return tr(z["N"]) if by_B else square(z["N"])
+    @property
+    def variables(self) -> tuple[Variable, ...]:
+        first, *others = super().variables  # type: ignore[safe-super]
+        by_F, by_B = Cofactor("N", exponent=-7 / 6), CofactorLeftCauchyGreen(exponent=-7 / 3)
+        return (first, by_B if self.is_by_B else by_F, *others)
+
+    def energy(self, z: Values) -> CoefficientFunction:
+        second = tr(z["N"]) if self.is_by_B else square(z["N"])
+        return super().energy(z) + self.G_mr * second  # type: ignore[safe-super]
 
 
 @dataclass(frozen=True, kw_only=True)
-class ReferentialMooneyRivlin(ReferentialNeoHookean):
+class ReferentialMooneyRivlin(_WithCofactor, ReferentialNeoHookean):
     """phi(H, N, J) = K_e/2 (J - 2 + 1/J) + G_e |H|^2 + G_mr |N|^2 (paper: exa-Mooney–Rivlin-ref),
 
     H = J^{-5/6} F and N = J^{-7/6} Cof F: the compressible Mooney-Rivlin material with the invariants of
@@ -93,18 +100,9 @@ class ReferentialMooneyRivlin(ReferentialNeoHookean):
         Weight of the cofactor (C_01); G_e + G_mr is half the usual shear modulus.
     """
 
-    G_mr: Annotated[Modulus, Quantity("Pa", ">= 0", 2.0)]
-
-    @property
-    def variables(self) -> tuple[Variable, ...]:
-        return _with_cofactor(super().variables, self.is_by_B)
-
-    def energy(self, z: Values) -> CoefficientFunction:
-        return super().energy(z) + self.G_mr * _second_invariant(z, self.is_by_B)
-
 
 @dataclass(frozen=True, kw_only=True)
-class LogarithmicMooneyRivlin(LogarithmicNeoHookean):
+class LogarithmicMooneyRivlin(_WithCofactor, LogarithmicNeoHookean):
     """``LogarithmicNeoHookean`` with a part of the cofactor (paper: exa-Mooney–Rivlin-ref).
 
     The paper's referential Mooney-Rivlin energy is neo-Hookean-potential-actual and G_mr |F_iso^-1|^2 per
@@ -125,12 +123,3 @@ class LogarithmicMooneyRivlin(LogarithmicNeoHookean):
     K_e, epsilon
         As for ``LogarithmicNeoHookean``.
     """
-
-    G_mr: Annotated[Modulus, Quantity("Pa", ">= 0", 2.0)]
-
-    @property
-    def variables(self) -> tuple[Variable, ...]:
-        return _with_cofactor(super().variables, self.is_by_B)
-
-    def energy(self, z: Values) -> CoefficientFunction:
-        return super().energy(z) + self.G_mr * _second_invariant(z, self.is_by_B)

@@ -31,7 +31,7 @@ def relaxed_stress(
     model = nv.Model(
         material=nv.LinearElastic(K_e=2 * G, G_e=G),
         viscosity=nv.StokesViscosity(K_v=0.1 * eta, G_v=0.1 * eta),
-        creep=nv.Creep.from_reciprocal(1 / (2 * eta)),
+        creep=nv.Creep(G_m=2 * eta),
     )
     initial = nv.Initial(density=rho, values={"E": E_0})
     run = nv.Simulation(box((size, size), 0.6 * size), model, dt=duration / steps, initial=initial)
