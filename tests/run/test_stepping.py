@@ -16,7 +16,7 @@ def simulation(stepping=None, observers=(), dt=0.02):
         viscosity=nv.StokesViscosity(K_v=0.01, G_v=0.01),
         hyperviscosity=nv.HyperViscosity(mu=1e-4),
         loads=[nv.Gravity((0.0, sin(3 * nv.time)))],
-        stepping=stepping,
+        adaptive=stepping,
         observers=observers,
     )
 
