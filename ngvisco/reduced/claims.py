@@ -11,7 +11,10 @@ says so by the term's name.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
+from functools import partial
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -19,8 +22,9 @@ import numpy as np
 from ngvisco.errors import ParameterError
 from ngvisco.forms.context import Context
 from ngvisco.forms.fields import Fields, Tests
+from ngvisco.forms.rates import TabulatedRates
 from ngvisco.forms.system import Step
-from ngvisco.forms.term import GivenParts, PointTerm, Term, Where, refused_by_name
+from ngvisco.forms.term import GivenParts, PointTerm, Term, refused_by_name
 from ngvisco.forms.terms.heat import Heating
 from ngvisco.forms.terms.hyperviscosity import Hyperviscosity
 from ngvisco.forms.terms.momentum import Continuity, Inertia, Loading
@@ -28,8 +32,17 @@ from ngvisco.forms.terms.regularisation import CutOffVolume, DensityDiffusion, F
 from ngvisco.forms.terms.transport import Conjugates, ElasticForce, Kinematics
 from ngvisco.forms.upwinding import SideMean
 from ngvisco.physics.arrays import Array
-from ngvisco.reduced.evaluation import NotAtPointsError, asked_slots, why
-from ngvisco.reduced.unknowns import Unknowns, density_by_forms, in_cells
+from ngvisco.reduced.unknowns import Unknowns, density_by_forms, derived_in_cells, in_cells
+from ngvisco.reduced.values import (
+    CELLS,
+    FACETS,
+    Lazy,
+    NotAtPointsError,
+    on_sides,
+    shapes_of,
+    slots_of,
+    tests_of,
+)
 
 _FIELDS = {"rho", "grad rho", "z", "grad z"}
 """Tests whose rows are those of the fields, and not of the flow."""
@@ -170,12 +183,12 @@ class Claims:
         if not isinstance(term, PointTerm) or type(term).form is not PointTerm.form:
             return "it states its form itself"  # which may say more than ``cells`` and ``facets``
         try:
-            rows = self.rows[id(term)] = asked_slots(step, term, step.tabulated_rates)
-            at_nodes: list[Where] = ["nodes"]
-            if asked_slots(step, term, step.tabulated_rates, at_nodes):
-                self.at_nodes.add(id(term))
+            rows, at_nodes = asked_slots(step, term, step.tabulated_rates)
         except NotAtPointsError as error:
             return str(error)
+        self.rows[id(term)] = rows
+        if at_nodes:
+            self.at_nodes.add(id(term))
         names = in_cells(step.layout)
         others = set(rows) - {*names, *(f"grad {name}" for name in names)}
         return f"no array takes its rows of {', '.join(sorted(others))}" if others else None
@@ -239,3 +252,75 @@ def _require_flow_rows(step: Step, term: Term, obstacle: str | None) -> set[str]
     with refused_by_name(term):
         term.form(u, Tests(layout, GivenParts(tests, reason), context))
     return context.names
+
+
+def asked_slots(step: Step, term: PointTerm, rates: TabulatedRates) -> tuple[dict[str, bool], bool]:
+    """Names of the tests that a term has rows of, whether these read z or zeta, and whether any is at nodes.
+
+    Found by evaluating it at one point with all values one, z and zeta complex.
+
+    Raises
+    ------
+    NotAtPointsError
+        When the term asks for something that arrays do not have.
+    """
+    d, shapes, derived = step.mesh.dim, shapes_of(step), derived_in_cells(step.layout)
+    shapes |= {name: step.layout.unknowns[name].shape for name in ("zeta", *derived)}
+
+    def ones(shape: tuple[int, ...], dtype: type = float) -> Array:
+        return Array(np.ones((*shape, 1), dtype), None)
+
+    def fields(
+        context: Any, names: Iterable[str], sloping: Iterable[str], place: str, state: type = complex
+    ) -> Fields:
+        dtypes = {"z": state, "zeta": state}
+        parts = {name: partial(ones, shapes[name], dtypes.get(name, float)) for name in names}
+        slopes = {name: partial(ones, (*shapes[name], d)) for name in sloping}
+        gradients = Lazy(slopes, f"{place}, as a gradient")
+        return Fields(step.layout, Lazy(parts, place), context, lambda name: gradients[name])
+
+    inside = SimpleNamespace(
+        momentum_old=ones((d,)),
+        rate=lambda difference: difference,
+        average=lambda value: ones(tuple(value.dims)),
+        given=lambda value: ones(tuple(value.dims)),
+        h=ones(()),
+        rates=rates,
+        terms=step.terms,
+    )
+    evolving, cells = set(step.layout.evolving).intersection(shapes), in_cells(step.layout)
+    inside.old = fields(inside, evolving, evolving, CELLS, float)
+    side = SimpleNamespace(
+        normal=ones((d,)),
+        inner=ones(()),
+        crossed=ones(()),
+        upwinding=SimpleNamespace(share=ones(()), inflow=ones(())),
+        rates=rates,
+        h=ones(()),
+        eta=1.0,
+        curvature=1.0,
+        rate=inside.rate,
+        given=inside.given,
+        terms=step.terms,
+    )
+    try:
+        with np.errstate(all="ignore"):  # all values one need not be in a law's domain
+            u, w = fields(inside, (*cells, *derived), cells, CELLS), tests_of(step, True, inside)
+            inside_cells, at_nodes = list(term.cells(u, w)), list(term.nodes(u, w))
+            names = (*on_sides(step), "zeta", *derived)
+            u, w = fields(side, names, ["zeta"], FACETS), tests_of(step, False, side)
+            u.__dict__["jump"] = ones((d,))
+            found = slots_of(list(term.facets(u, w))) | slots_of(inside_cells + at_nodes)
+            return {name: np.iscomplexobj(g) for name, g in found.items()}, bool(slots_of(at_nodes))
+    except NotAtPointsError:
+        raise
+    except Exception as error:  # whatever a term raises at values that it does not know
+        raise NotAtPointsError(f"it does not take arrays ({why(error)})") from error
+
+
+def why(error: Exception) -> str:
+    """One line on what a term or a law raised at arrays."""
+    lines = str(error).splitlines() or [""]
+    if "incompatible function arguments" in lines[0]:
+        return "it combines values with a coefficient function of its own"
+    return f"{type(error).__name__}: {lines[0]}"

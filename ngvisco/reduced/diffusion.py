@@ -26,9 +26,9 @@ from ngvisco.forms.mesh.points import csr
 from ngvisco.forms.system import Step
 from ngvisco.forms.terms.regularisation import FieldDiffusion
 from ngvisco.parallel.halo import HaloUnknowns
-from ngvisco.reduced.evaluation import Coefficients
 from ngvisco.reduced.operators import FacetMass, Operators
 from ngvisco.reduced.slope import PointwiseSlope
+from ngvisco.reduced.values import Coefficients
 
 _INCREMENT = 6e-6
 """Of z over its size, in central differences of phi''(z) q: the third root of the rounding unit."""

@@ -41,7 +41,7 @@ from ngvisco.forms.system import Step
 from ngvisco.forms.terms.hyperviscosity import Hyperviscosity
 from ngvisco.physics.arrays import Array, contracted
 from ngvisco.physics.variables import Values
-from ngvisco.reduced.evaluation import Lazy
+from ngvisco.reduced.values import Lazy
 
 
 class SideJumps:

@@ -32,11 +32,12 @@ from ngvisco.physics.increments import TINY
 from ngvisco.reduced.by_forms import RestrictedForm, RightHandSide
 from ngvisco.reduced.claims import Claims
 from ngvisco.reduced.diffusion import FieldDiffusionRows
-from ngvisco.reduced.evaluation import CellTerms, FacetTerms, with_values
+from ngvisco.reduced.evaluation import CellTerms, FacetTerms
 from ngvisco.reduced.hyperviscosity import HyperValues, MatrixHyperviscosity
 from ngvisco.reduced.operators import FacetMass, Operators, SideOperators
 from ngvisco.reduced.slope import PointwiseSlope
 from ngvisco.reduced.unknowns import Unknowns
+from ngvisco.reduced.values import with_values
 
 Clock = Callable[[str], AbstractContextManager[None]]
 

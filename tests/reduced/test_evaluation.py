@@ -5,13 +5,15 @@ from support import swirling
 
 import ngvisco as nv
 from ngvisco.geometries import disc
-from ngvisco.reduced.claims import Claims
-from ngvisco.reduced.evaluation import NotAtPointsError, asked_slots
+from ngvisco.reduced.claims import Claims, asked_slots
+from ngvisco.reduced.values import NotAtPointsError
 
 
 def test_what_a_term_asks_for_is_found_without_values():
     step = swirling(creep=nv.Creep(G_m=0.5, nu=1e-3), solver="split").rothe_step
-    asked = {type(t).__name__: asked_slots(step, t, step.tabulated_rates) for t in Claims.of(step).at_points}
+    asked = {
+        type(t).__name__: asked_slots(step, t, step.tabulated_rates)[0] for t in Claims.of(step).at_points
+    }
     rows = {name: set(slots) for name, slots in asked.items()}
     assert rows["Convection"] == {"v", "grad v"}
     assert rows["Kinematics"] == {"z"}
