@@ -24,22 +24,14 @@ def by_parts(function: Callable[[np.ndarray], np.ndarray], values: np.ndarray) -
 class LocalMatrix:
     """A sparse matrix by cells, and its transpose with weights of the rows."""
 
-    matrix: sp.csr_matrix
-
     def __init__(
         self,
         matrix: sp.csr_matrix,
         cells: int,
         weights: np.ndarray | None = None,
-        keep: bool = True,
         dtype: type = np.float64,
     ) -> None:
-        """``weights``, (rows,), multiply the rows of the transpose: the tests of a quadrature rule.
-
-        Without ``keep`` the sparse matrix is let go, for its memory.
-        """
-        if keep:
-            self.matrix = matrix
+        """``weights``, (rows,), multiply the rows of the transpose: the tests of a quadrature rule."""
         self.cells, self.weights = cells, weights
         self.height, self.width = matrix.shape
         self.per_cell = self.height // cells if cells else 0  # as on a rank without cells
@@ -72,12 +64,15 @@ class LocalMatrix:
         """The dense blocks, (cells, rows of a cell, unknowns of a cell)."""
         return self._blocks.transpose(0, 2, 1)
 
-    @cached_property
-    def _tests(self) -> np.ndarray:
-        tests = self._blocks.transpose(0, 2, 1)
-        if self.weights is not None:
-            tests = tests * self.weights.reshape(self.cells, self.per_cell, 1)
-        return np.ascontiguousarray(tests)
+    @property
+    def matrix(self) -> sp.csr_matrix:
+        """The sparse matrix."""
+        columns = np.repeat(self.unknowns, self.per_cell, axis=0)
+        ends = self.local * np.arange(self.height + 1)
+        matrix = sp.csr_matrix((self.blocks.ravel(), columns.ravel(), ends), (self.height, self.width))
+        matrix.sum_duplicates()
+        matrix.eliminate_zeros()
+        return matrix
 
     @cached_property
     def _scatter(self) -> sp.csr_matrix:
@@ -109,9 +104,11 @@ class LocalMatrix:
         if np.iscomplexobj(values):
             return by_parts(self.test, values)
         parts = values.reshape(prod(values.shape[:-1]), self.height)
+        if self.weights is not None:
+            parts = parts * self.weights
         local = np.empty((len(parts), self.cells, self.local))
         by_cells = parts.reshape(len(parts), self.cells, self.per_cell).transpose(1, 0, 2)
-        product(by_cells, self._tests, out=local.transpose(1, 0, 2))
+        product(by_cells, self.blocks, out=local.transpose(1, 0, 2))
         flat = local.reshape(len(parts), self.unknowns.size)
         if not self._in_order:
             flat = (self._scatter @ np.ascontiguousarray(flat.T)).T

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from types import SimpleNamespace
 from typing import Any
 
@@ -50,18 +49,15 @@ class SideJumps:
     def __init__(self, hyper: MatrixHyperviscosity, points: SidePoints) -> None:
         mesh = points.mesh
         self.points, self.weights, self._layout = points, points.weights, hyper.step.layout
-        self.matrix = points.operator(hyper.component, lambda u: hyper.fields_of(u).jump[0])
+        matrix = points.operator(hyper.component, lambda u: hyper.fields_of(u).jump[0])
+        self.jump = LocalMatrix(matrix, mesh.ne, self.weights)
+        """j of (v, a) side by side."""
         self.h = np.repeat(hyper.step.context.h.vec.FV().NumPy(), points.count // max(mesh.ne, 1))
         self._context = hyper.step.context
         if not hyper.law.is_linear:
             self.scalar = LocalMatrix(points.values(hyper.squares), mesh.ne, self.weights)
         if not hyper.is_uniform:
             self._z = LocalMatrix(points.values(hyper.fields), mesh.ne)
-
-    @cached_property
-    def jump(self) -> LocalMatrix:
-        """j of (v, a) side by side."""
-        return LocalMatrix(self.matrix, self.points.mesh.ne, self.weights)
 
     def values(self, j: np.ndarray, s: np.ndarray | None, z: np.ndarray) -> Fields:
         """Jumps, |Hs|^2 and the fields on the sides, of jumps there and of coefficients."""

@@ -46,12 +46,12 @@ class HyperDerivative:
 
     def _together(self) -> LocalMatrix:
         """B: a cell's coefficients of Hs, components after each other, then its jumps."""
-        lift, jump, cells = self.hyper.lift.matrix, self.sides.matrix, self.cells
+        lift, jump, cells = self.hyper.lift.matrix, self.sides.jump.matrix, self.cells
         per_cell = self.hyper.lift.per_cell, self.sides.jump.per_cell
         jumps = lift.shape[0] + np.arange(jump.shape[0]).reshape(cells, per_cell[1])
         rows = np.concatenate([np.arange(lift.shape[0]).reshape(cells, per_cell[0]), jumps], axis=1)
         both = sp.vstack([lift, jump], format="csr")
-        return LocalMatrix(both[rows.ravel()], cells, keep=False, dtype=self.dtype)
+        return LocalMatrix(both[rows.ravel()], cells, dtype=self.dtype)
 
     def update(self, at: HyperValues) -> None:
         """Linearise at some values."""
