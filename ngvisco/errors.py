@@ -200,7 +200,7 @@ class Declared(NamedTuple):
         return value if isinstance(value, (int, float)) else number
 
 
-_RANGE = re.compile(r"(>=?|from|in) ([\[(]?)([\d./]+)(?:,? (?:to )?([\d./]+)([\])]?))?")
+_RANGE = re.compile(r"(>=?|from|in) ([\[(]?)([\d./]+)(?:,? (?:to )?([\d./]+)([\])]?))?(?: degrees)?")
 
 
 def _is_within(number: float, text: str) -> bool:

@@ -141,7 +141,7 @@ simulation(halvings=_) | -1, 1.5, 21, "two" | TimeSteps.halvings | a whole numbe
 AdaptiveSteps(dt_min=_, dt_max=1.0) | 0.0 | AdaptiveSteps.dt_min | a finite number > 0
 AdaptiveSteps(dt_min=0.1, dt_max=_) | 0.01 | AdaptiveSteps.dt_max | at least dt_min = 0.1
 AdaptiveSteps(dt_min=0.1, dt_max=1.0, tolerance=_) | -1.0 | AdaptiveSteps.tolerance | a finite number > 0
-AdaptiveSteps(dt_min=0.1, dt_max=1.0, patience=_) | 0 | AdaptiveSteps.patience | an integer >= 1
+AdaptiveSteps(dt_min=0.1, dt_max=1.0, patience=_) | 0 | AdaptiveSteps.patience | a whole number >= 1
 """
 OF_LAWS = """\
 MooneyRivlin(K_e=1, G_e=1, epsilon=1, G_mr=_) | -1 | MooneyRivlin.G_mr | >= 0
@@ -160,7 +160,7 @@ Damaged(material=LINEAR, length=1, G_c=_) | 0.0 | Damaged.G_c | a finite number 
 Damaged(material=LINEAR, G_c=1, length=_) | -1.0 | Damaged.length | a finite number > 0
 Damaged(material=LINEAR, G_c=1, length=1, healing_viscosity=_) | 0.0 | Damaged.healing_viscosity | > 0
 Damaged(material=LINEAR, G_c=1, length=1, viscosity=_) | -1.0 | Damaged.viscosity | a finite number >= 0
-Damaged(material=LINEAR, G_c=1, length=1, floor=_) | 1.0 | Damaged.floor | > 0 and < 1
+Damaged(material=LINEAR, G_c=1, length=1, floor=_) | 1.0 | Damaged.floor | a number in (0, 1)
 Damaged(material=LINEAR, G_c=1, length=1, law=_) | "AT3" | Damaged.law | one of AT1, AT2
 PerMass(material=BarotropicFluid(B=1, gamma=2), rho_R=_) | 0.0 | PerMass.rho_R | a finite number > 0
 PerReferentialVolume(material=_) | 3 | PerReferentialVolume.material | a Material
@@ -181,7 +181,7 @@ WallHeat(temperature=300.0, coefficient=_) | None | WallHeat.coefficient | go to
 WallHeat(temperature=_, coefficient=1.0) | 0.0 | WallHeat.temperature | a finite number > 0
 WallHeat(flux=_) | nan | WallHeat.flux | a finite number
 WallHeat(flux=_) | None | WallHeat.flux | or a share of the friction
-WallHeat(friction_share=_) | 1.5 | WallHeat.friction_share | a number from 0 to 1
+WallHeat(friction_share=_) | 1.5 | WallHeat.friction_share | a number in [0, 1]
 Creep(G_m=1, nu=_) | -1 | Creep.nu | a finite number >= 0
 Creep(G_m=1, q=_) | 1 | Creep.q | a finite number > 1
 Norton(A=_, n=3) | -1.0 | Norton.A | a finite number > 0
@@ -205,11 +205,11 @@ Composite(rules=(Perzyna(sigma_Y=1.0, G_m=1.0, H=_),)) | 1.0 | Composite.rules[0
 Composite(rules=(Creep(G_m=1.0, nu=_),)) | 1.0 | Composite.rules[0].nu | 0 within a sum
 StokesViscosity(K_v=_, G_v=Parameter("theta", start=x)) | -1.0 | StokesViscosity.K_v | a finite number >= 0
 PowerLaw(K_v=1, consistency=_, n=0.5) | 0 | PowerLaw.consistency | a finite number > 0
-PowerLaw(K_v=1, consistency=1, n=_) | 0 | PowerLaw.n | a number > 0, at most 5
+PowerLaw(K_v=1, consistency=1, n=_) | 0 | PowerLaw.n | a number in (0, 5]
 PowerLaw(K_v=1, consistency=1, n=0.5, floor=_) | 0 | PowerLaw.floor | a finite number > 0
 Carreau(K_v=1, G_0=1, relaxation=_, n=0.5) | -1 | Carreau.relaxation | a finite number > 0
 Carreau(K_v=_, G_0=1, relaxation=1, n=0.5) | -1 | Carreau.K_v | a finite number >= 0
-Cross(K_v=1, G_0=1, relaxation=1, m=_) | 1.5 | Cross.m | a number > 0, at most 1
+Cross(K_v=1, G_0=1, relaxation=1, m=_) | 1.5 | Cross.m | a number in (0, 1]
 ActivatedViscosity(viscosity=_, E=1, theta_R=1) | 3 | ActivatedViscosity.viscosity | a viscosity
 ActivatedViscosity(viscosity=STOKES, E=1, theta_R=_) | 0 | ActivatedViscosity.theta_R | a finite number > 0
 HyperViscosity(mu=1, p=_) | Parameter("theta", start=x) | HyperViscosity.p | a finite number > 1
@@ -217,7 +217,7 @@ Regularisation(delta_density=_) | -1 | Regularisation.delta_density | a finite n
 Regularisation(rho_max=_) | 0 | Regularisation.rho_max | a finite number > 0
 Parameter(_) | "1st" | Variable.name | a Python identifier
 Parameter("theta", start=_) | nan | Parameter.start | a finite number or a real scalar function
-NavierFriction(_) | -1.0 | NavierFriction.coefficient | a number >= 0 or a function
+NavierFriction(_) | -1.0 | NavierFriction.coefficient | a finite number >= 0, or a scalar function
 Traction(f=(1, 0), friction=_) | -1.0 | Traction.friction | a finite number >= 0
 Open(impedance=_) | (1.0,), (1.0, -1.0), 2.0, ("a", 0.0) | Open.impedance | two numbers >= 0, Z_p and Z_s
 Open(stiffness=_) | (1.0,), (1.0, -1.0), 2.0, ("a", 0.0) | Open.stiffness | two numbers >= 0, k_p and k_s

@@ -120,7 +120,7 @@ class DruckerPrager(FlowRule):
     """
 
     cohesion: Annotated[Modulus, Quantity("Pa", ">= 0", 1.0)]
-    friction_angle: Annotated[float, Quantity("1", "in [0, 90)", 30.0)]
+    friction_angle: Annotated[float, Quantity("1", "in [0, 90) degrees", 30.0)]
     G_m: Annotated[Modulus, Quantity("Pa s", "> 0", 0.1)]
 
     reads = frozenset({PRESSURE})
