@@ -64,9 +64,18 @@ class Rates:
     def creeps_at_nodes(self) -> bool:
         """Whether creep is integrated by as many points as a field has values in a cell: where a local rule
         is nonlinear, or relaxes F or its cofactor, which are turned from point to point and cannot at more.
+
+        Not with rates that are not affine in the variables, of which constant tensors know no stress.
         """
         turns = {variable.name for variable in self.material.variables if variable.kind == "full"}
-        return self.is_local and any(f.rule.degree != 1 or turns.intersection(f.names) for f in self.flows)
+        asked = any(f.rule.degree != 1 or turns.intersection(f.names) for f in self.flows)
+        return self.is_local and asked and not self.constants.bent
+
+    @cached_property
+    def constants(self) -> RateTensors:
+        """The constant tensors of the variables' rates, one Pi for all."""
+        trace = any(flow.rule.has_trace for flow in self.flows)
+        return RateTensors.of(tuple(self.material.variables), self.dim, trace)
 
     def creep_power(
         self, z: Fields, Pi: Sequence[CoefficientFunction], G: Fields, name: Conjugate
@@ -187,8 +196,7 @@ class TabulatedRates(Rates):
         trace = any(flow.rule.has_trace for flow in self.flows)
         self.creep_space = symmetric_tensors(dim) if trace else trace_free_tensors(dim)
         """The tensors among which each Pi is, and the forces that drive it."""
-        variables = tuple(model.material.variables)
-        self.tensors = RateTensors.of(variables, dim, trace)
+        self.tensors, variables = self.constants, tuple(model.material.variables)
         if len(self.flows) > 1 or any(flow.body is not None for flow in self.flows):
             names = (flow.names for flow in self.flows)
             self.tensors = self.tensors.by_groups(tuple(names), StateSpace.of(variables, dim))
