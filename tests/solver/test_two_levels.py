@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
+from ngvisco.algebra import factorised
 from ngvisco.algebra.factorised import DAMPING, MANY, DirectSolver, TwoLevelSolver, largest_eigenvalue
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.exchange import Exchange
@@ -50,3 +51,24 @@ def test_two_levels_are_sweeps_around_a_coarse_solution():
         else:
             x[fine] += damping * left[fine] / np.diag(own)
     assert solver(r) == pytest.approx(x, abs=1e-12)
+
+
+@pytest.mark.parametrize(("shift", "sizes"), [(1e-2, [4]), (1e-7, [4, 8])], ids=["single", "double"])
+@pytest.mark.parametrize("unit", [1e-50, 1.0, 1e50])
+def test_factors_of_a_preconditioner_are_in_single_precision_where_that_does(shift, sizes, unit, monkeypatch):
+    """In units that leave it, too; next to a singular matrix they are in double precision."""
+    count, made, factorise = 50, [], factorised.splu
+
+    def counted(matrix, **options):
+        made.append(matrix.dtype.itemsize)
+        return factorise(matrix, **options)
+
+    monkeypatch.setattr(factorised, "splu", counted)
+    A = sp.diags([-1.0, 2.0, -1.0], [-1, 0, 1], (count, count)).tolil()
+    A[0, 0] = A[-1, -1] = 1.0  # constants are in the kernel
+    A = unit * (A + shift * sp.identity(count)).tocsr()
+    solver = DirectSolver(np.ones(count, dtype=bool), symmetric=True, approximate=True)
+    solver.factorise(A)
+    right = np.random.default_rng(1).standard_normal(count)
+    assert np.linalg.norm(A @ solver(right) - right) < 1e-3 * np.linalg.norm(right)
+    assert made == sizes
