@@ -66,6 +66,9 @@ def main(arguments: list[str] | None = None) -> int:
         sizes = [h for h in SIZES[series] if h >= chosen.largest]
         if chosen.quick:
             sizes = [next(iter(STRUCTURED)) if "structured" in series else 0.3 if dim == 2 else 0.7]
+        if not sizes:
+            print(f"{series}: has no mesh of {chosen.largest:g} m or more")
+            continue
         forms = FORMS.get(series[3:], ("",))
         for maxh, creeping in product(sizes, forms):
             rows.append(measure(dim, maxh, method, chosen.threads, chosen.steps, chosen.timeout, creeping))
