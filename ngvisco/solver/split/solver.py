@@ -73,6 +73,8 @@ class Split:
         """Relative increment of a creep rate field, the last one."""
         self._stale = False
         """Whether the last increment was too long beside that before."""
+        self.is_fresh = True
+        """Whether the last increment began with a tangent made for it."""
         self.damps = False
         """Whether a step is solved by ``damped``."""
 
@@ -143,9 +145,10 @@ class Split:
 
         ``last`` is the size of the one before.
         """
+        options, fresh = self.options.split, not self.is_factorised
+        self.is_fresh = fresh
         if not self.residual.ranks.all(at.residual.is_finite):
             return np.zeros_like(x), np.inf
-        options, fresh = self.options.split, not self.is_factorised
         everything = fresh or self._follows(last)
         if fresh:
             self.renew(problem, at)
@@ -345,9 +348,8 @@ def iterate(split: Split, problem: Problem, history: list[NewtonIteration]) -> S
     while len(history) < split.options.max_iterations:
         if len(history) > options.slow and last <= options.krylov_below:
             return newton_krylov(split, problem, x, history)
-        fresh = not split.is_factorised
         f, size = split.increment(problem, x, split.evaluated(x, last), last)
-        history.append(NewtonIteration(size, size / last if last < np.inf else 1.0, 1.0, fresh))
+        history.append(NewtonIteration(size, size / last if last < np.inf else 1.0, 1.0, split.is_fresh))
         if size <= options.growth * max(best[0], _FAR):
             new = x - f
             split.follow(f)
@@ -363,8 +365,9 @@ def iterate(split: Split, problem: Problem, history: list[NewtonIteration]) -> S
         elif best[0] == np.inf:
             return Status.NOT_FINITE
         elif halvings == options.halvings:
-            near = best[0] <= options.krylov_below
-            return newton_krylov(split, problem, best[1], history) if near else Status.STALLED
+            if best[0] > options.krylov_below:
+                return Status.STALLED
+            return newton_krylov(split, problem, best[1], history)
         else:
             halvings += 1
             x, last = best[1] - 0.5**halvings * best[2], np.inf
