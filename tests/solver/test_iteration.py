@@ -24,7 +24,7 @@ class Increments:
     is_steep, follow = False, lambda self, f: None
 
     def __init__(self, sizes):
-        self.sizes, self.is_factorised = sizes, True
+        self.sizes, self.is_factorised, self.is_fresh = sizes, True, False
         self.options = NewtonOptions(split=SplitOptions(slow=60))  # Newton-Krylov does not take over
         self.at, self.starts, self.resets, self.solution = [], 0, 0, None
         self.unknowns = SimpleNamespace(pack=lambda: np.zeros(1), unpack=lambda x: None)
