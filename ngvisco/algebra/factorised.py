@@ -113,7 +113,7 @@ class DirectSolver:
 def direct_solver(free: np.ndarray, exchange: Owned, *, symmetric: bool = False) -> DirectSolver | SumInverse:
     """By SuperLU on one process; over ranks by PETSc, of matrices in parts.
 
-    Of the symmetric part, which is a preconditioner, roughly.
+    With ``symmetric`` what solves is a preconditioner, on one process in single precision where that does.
     """
     if exchange.is_distributed:
         return SumInverse(free, exchange, symmetric)

@@ -54,6 +54,8 @@ class Lazy(Mapping[str, Any]):
 def fields_of(
     layout: Any, makers: Mapping[str, Any], gradients: Mapping[str, Any], place: str, context: Any
 ) -> Fields:
+    """Fields of the values and gradients that ``makers`` and ``gradients`` give, (..., points), by name."""
+
     def constant(make: Callable[[], np.ndarray]) -> Callable[[], Array]:
         return lambda: Array(make(), None)
 
@@ -158,6 +160,7 @@ def tests_of(step: Step, inside: bool, context: Any) -> Fields:
 
 
 def slots_of(parts: list[Linear]) -> dict[str, np.ndarray]:
+    """What multiplies each test in a sum of linear forms, (..., points), by the test's name."""
     if not parts:
         return {}
     total = parts[0]

@@ -2,11 +2,11 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Annotated, Any, Literal
 
-from ngvisco.errors import ParameterError, Quantity, require_ranges, require_type
+from ngvisco.errors import ParameterError, Quantity, UnknownNameError, require_ranges, require_type
 from ngvisco.run.stepping import (
     HALVINGS,
     MOST_HALVINGS,
@@ -110,8 +110,12 @@ class TimeSteps:
 def time_steps(time: TimeSteps | None, given: Mapping[str, Any]) -> TimeSteps:
     """What ``Simulation`` was given of time: ``time``, or parameters of it.
 
-    Raises ParameterError if it was given twice, or not at all.
+    Raises ParameterError if it was given twice, or not at all; TypeError for what is no argument.
     """
+    known = [field.name for field in fields(TimeSteps)]
+    for name in given:
+        if name not in known:
+            raise TypeError(f"Simulation(): {UnknownNameError('keyword argument', name, known)}")
     if time is None:
         return TimeSteps(**{"dt": None, **given})
     require_type("Simulation.time", time, TimeSteps)

@@ -16,7 +16,7 @@ from math import comb
 import numpy as np
 from ngsolve import CF, BitArray, IfPos, InnerProduct, Integrate
 
-from ngvisco.forms.mesh.mesh_arrays import mask_of
+from ngvisco.forms.mesh.mesh_arrays import is_simplicial, mask_of
 from ngvisco.forms.system import Step
 from ngvisco.forms.upwinding import FacetFlux
 from ngvisco.parallel.communicator import Communicator
@@ -63,8 +63,9 @@ class Sides:
         """Square of the Courant number of v - v*."""
         self._volumes = Integrate(CF(1.0), step.mesh, element_wise=True).NumPy()
         k, dim = step.discretisation.k, step.mesh.dim
-        self._mean_square = (COURANT / comb(k + dim, dim)) ** 2
-        """Of a polynomial of order k that is ``COURANT`` at a vertex of a simplex, at least."""
+        values = comb(k + dim, dim) if is_simplicial(step.mesh) else (k + 1) ** dim
+        self._mean_square = (COURANT / values) ** 2
+        """Of a polynomial with so many coefficients in a cell that is ``COURANT`` at a vertex, at least."""
 
     def choose(self, velocity: np.ndarray) -> None:
         """Take the coefficients ``velocity`` for v*, (unknowns of v,), m/s; a new iteration begins."""

@@ -35,5 +35,5 @@ def test_time_is_given_once():
         simulation()
     with pytest.raises(nv.ParameterError, match=r"Simulation\.time = 0\.1: expected a ngvisco.TimeSteps"):
         simulation(time=0.1)
-    with pytest.raises(TypeError, match="unexpected keyword argument 'shceme'"):
+    with pytest.raises(TypeError, match=r"Simulation\(\): .* argument 'shceme'; did you mean 'scheme'"):
         simulation(dt=0.1, shceme="midpoint")
