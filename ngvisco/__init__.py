@@ -28,10 +28,16 @@ from ngvisco.forms.term import Entry, Integrand, PointTerm
 from ngvisco.notices import print_own
 from ngvisco.physics.activation import Activated, ActivatedViscosity
 from ngvisco.physics.bodies import Body
-from ngvisco.physics.convexity import ConvexityReport, ConvexityWarning, check_convexity
+from ngvisco.physics.energy_checks import (
+    ConvexityReport,
+    ConvexityWarning,
+    IsotropyReport,
+    check_convexity,
+    check_isotropy,
+)
 from ngvisco.physics.flow_rules import Composite, Creep, DruckerPrager, Eyring, FlowRule, Norton, Perzyna
 from ngvisco.physics.heat import Heat, WallHeat
-from ngvisco.physics.isotropy import IsotropyReport, check_isotropy
+from ngvisco.physics.loads import BodyForce, CentralGravity, Gravity
 from ngvisco.physics.material import Material
 from ngvisco.physics.materials import (
     FENEP,
@@ -55,12 +61,19 @@ from ngvisco.physics.materials import (
     WithQuadratic,
     Yosida,
 )
-from ngvisco.physics.model import BodyForce, CentralGravity, Gravity, Model
+from ngvisco.physics.model import Model
 from ngvisco.physics.parameters import Parameter
 from ngvisco.physics.regularisation import Regularisation
-from ngvisco.physics.rheology import HyperViscosity, LinearViscosity, StokesViscosity, Viscosity
+from ngvisco.physics.rheology import (
+    Carreau,
+    Cross,
+    HyperViscosity,
+    LinearViscosity,
+    PowerLaw,
+    StokesViscosity,
+    Viscosity,
+)
 from ngvisco.physics.signals import pulse, step, table
-from ngvisco.physics.viscosities import Carreau, Cross, PowerLaw
 from ngvisco.physics.walls import Inflow, NavierFriction, NoSlip, Open, PrescribedTangential, Slip, Traction
 from ngvisco.run.checkpoint import Checkpoints, read_ledger
 from ngvisco.run.closure import ClosureWarning

@@ -11,7 +11,7 @@ import ngvisco.geometries as geometries
 from ngvisco.case.laws import custom_material, isotropic_strain_energy
 from ngvisco.forms.spaces import Discretisation
 from ngvisco.forms.start.initial import Initial
-from ngvisco.physics import activation, flow_rules, heat, materials, model, rheology, viscosities, walls
+from ngvisco.physics import activation, flow_rules, heat, materials, model, rheology, walls
 from ngvisco.physics.regularisation import Regularisation
 from ngvisco.run.time_steps import TimeSteps
 from ngvisco.shapes import solids
@@ -65,9 +65,9 @@ FLOW_RULE_WRAPPERS: Kinds = {"Activated": activation.Activated, "Composite": flo
 
 VISCOSITIES: Kinds = {
     "StokesViscosity": rheology.StokesViscosity,
-    **_of(viscosities, "Carreau Cross"),
+    **_of(rheology, "Carreau Cross"),
     "LinearViscosity": rheology.LinearViscosity,
-    "PowerLaw": viscosities.PowerLaw,
+    "PowerLaw": rheology.PowerLaw,
 }
 """What [rheology.viscosity] can be; the first where its kind is not said."""
 

@@ -32,11 +32,10 @@ from ngvisco.forms.fields import Fields
 from ngvisco.forms.mesh.quadrature import Quadrature
 from ngvisco.forms.rates import Conjugate, Rates, TabulatedRates
 from ngvisco.forms.spaces import Layout
-from ngvisco.physics.arrays import Array
-from ngvisco.physics.convexity import StateSampling
+from ngvisco.physics.arrays import TINY, Array
+from ngvisco.physics.energy_checks import StateSampling
 from ngvisco.physics.flow_rules.resolvent import PointRate, resolved, slope_of
-from ngvisco.physics.flows import Flow
-from ngvisco.physics.increments import TINY
+from ngvisco.physics.model import Flow
 from ngvisco.physics.pointwise import respond
 
 _OfRate: TypeAlias = Callable[[Flow, CoefficientFunction, Fields], CoefficientFunction]

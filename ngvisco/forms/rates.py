@@ -14,16 +14,13 @@ import numpy as np
 from ngsolve import CoefficientFunction
 
 from ngvisco.forms.fields import Fields
-from ngvisco.physics.arrays import Array, Linear
+from ngvisco.physics.arrays import TINY, Array, Linear
 from ngvisco.physics.flow_rules.rule import FlowRule
-from ngvisco.physics.flows import Flow
-from ngvisco.physics.increments import TINY
-from ngvisco.physics.material import mandel_stress, rate_power
+from ngvisco.physics.material import StateSpace, mandel_stress, rate_power
 from ngvisco.physics.materials.thermal import temperature
-from ngvisco.physics.model import Model
+from ngvisco.physics.model import Flow, Model
 from ngvisco.physics.rate_tensors import RateTensors
 from ngvisco.physics.rheology import Viscosity
-from ngvisco.physics.state_space import StateSpace
 from ngvisco.physics.tensors import dev, identity_like, inner, square, symmetric_tensors, trace_free_tensors
 from ngvisco.physics.variables import HARDENING, PRESSURE, TEMPERATURE, Values
 

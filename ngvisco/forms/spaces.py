@@ -45,8 +45,7 @@ from ngvisco.forms.fields import Fields
 from ngvisco.forms.term import Introducing, Place, Setting, Unknown
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.mesh import Part
-from ngvisco.physics.material import Material
-from ngvisco.physics.state_space import StateSpace
+from ngvisco.physics.material import Material, StateSpace
 
 if TYPE_CHECKING:
     from ngvisco.forms.context import Context

@@ -25,7 +25,7 @@ from ngsolve import CoefficientFunction, FESpace, Mesh
 
 from ngvisco.errors import NgviscoError, ParameterError, _is_number
 from ngvisco.forms.fields import Fields
-from ngvisco.physics.state_space import StateSpace
+from ngvisco.physics.material import StateSpace
 from ngvisco.physics.tensors import inner
 
 Place = Literal["velocity", "cells", "facets", "normals", "continuous", "walls"]

@@ -8,8 +8,7 @@ from typing import Annotated, Any
 from ngsolve import CoefficientFunction
 
 from ngvisco.errors import ParameterError, Quantity
-from ngvisco.physics.flow_rules.hardening import Hardening
-from ngvisco.physics.flow_rules.rule import FlowRule
+from ngvisco.physics.flow_rules.rule import FlowRule, Hardening
 from ngvisco.physics.parameters import Modulus, require_ranges, value_at
 from ngvisco.physics.rheology import ValueOfModulus, Viscosity
 from ngvisco.physics.tensors import exp

@@ -14,6 +14,20 @@ from typing import Any
 
 import numpy as np
 
+TINY = 1e-30
+"""Length of a complex increment, relative to the direction."""
+
+
+def slope_along(
+    function: Callable[[np.ndarray], np.ndarray], at: np.ndarray, direction: np.ndarray
+) -> np.ndarray:
+    """The derivative of an analytic function of arrays in a direction.
+
+    It is the imaginary part of a tiny complex increment: no difference is taken, so that nothing cancels.
+    """
+    return np.ascontiguousarray(function(at + (TINY * 1j) * direction).imag) / TINY
+
+
 _number = count(1)
 
 
@@ -22,7 +36,7 @@ class Array:
 
     Products, quotients and powers mean what they mean for coefficient functions: ``*`` of two vectors is
     their inner product, of matrices the matrix product.  What is not supported raises TypeError.  Values may
-    be complex: an increment of 1e-30 i carries a derivative along (``ngvisco.physics.increments``).
+    be complex: an increment of 1e-30 i carries a derivative along (``ngvisco.physics.arrays``).
     """
 
     __slots__ = ("is_constant", "number", "parents", "value")

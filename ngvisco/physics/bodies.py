@@ -14,7 +14,7 @@ from ngsolve import CoefficientFunction, Det
 
 from ngvisco.errors import ParameterError, as_integer, as_number
 from ngvisco.physics.flow_rules import FlowRule
-from ngvisco.physics.flow_rules.hardening import PLASTIC_STRAIN, PlasticStrain
+from ngvisco.physics.flow_rules.rule import PLASTIC_STRAIN, PlasticStrain
 from ngvisco.physics.heat import Heat
 from ngvisco.physics.material import Material
 from ngvisco.physics.rheology import Viscosity

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ngvisco.errors import ParameterError
-from ngvisco.physics.convexity import StateSampling
+from ngvisco.physics.energy_checks import StateSampling
 from ngvisco.physics.material import Material
 
 _SPREAD = 0.2

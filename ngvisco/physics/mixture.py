@@ -31,13 +31,13 @@ from ngsolve import CoefficientFunction, Det
 from ngvisco.errors import NgviscoError, ParameterError
 from ngvisco.physics.bodies import AMOUNT, Amount, Body, Content, PlasticContent
 from ngvisco.physics.equilibrium import equilibrium
-from ngvisco.physics.flow_rules.hardening import PLASTIC_STRAIN
+from ngvisco.physics.flow_rules.rule import PLASTIC_STRAIN
 from ngvisco.physics.material import ElasticState, Material
+from ngvisco.physics.materials.perspective import ReferenceEnergy
 from ngvisco.physics.materials.thermal import Entropy
 from ngvisco.physics.mixed_heat import MixedHeat, heat_of
 from ngvisco.physics.parameters import Parameter, distinct, parameters_in, renamed, told_apart
 from ngvisco.physics.pointwise import Respond, Response, array_response
-from ngvisco.physics.reference_energy import ReferenceEnergy
 from ngvisco.physics.rheology import ValueOfModulus, Viscosity
 from ngvisco.physics.tensors import IDENTITY, identity_like, if_positive, sqrt
 from ngvisco.physics.variables import PRESSURE, Jacobian, Values, Variable

@@ -1,107 +1,65 @@
-"""The model of a run: a material, its dissipative mechanisms and its loads."""
+"""The model of a run: a material, its dissipative mechanisms and its loads.
 
-import re
-from collections.abc import Sequence
+What creeps in a model: flow rules and the variables that each of them acts on.
+
+The model of a run: a material, its dissipative mechanisms and its loads.
+"""
+
 from dataclasses import dataclass, field
-from typing import Annotated, Any, TypeAlias
+from typing import Any
 
-import numpy as np
-from ngsolve import CF, CoefficientFunction, sqrt, x, y, z
-
-from ngvisco.errors import ParameterError, Quantity, _is_number, as_number, as_place, require_ranges
-from ngvisco.physics.bodies import Body
+from ngvisco.errors import ParameterError
+from ngvisco.physics.bodies import Body, PlasticContent
+from ngvisco.physics.energy_checks import check_energy
 from ngvisco.physics.flow_rules import FlowRule
 from ngvisco.physics.flow_rules.check import check_rule, check_viscosity
-from ngvisco.physics.flows import Flow
+from ngvisco.physics.flow_rules.rule import PLASTIC_STRAIN
 from ngvisco.physics.heat import Heat
+from ngvisco.physics.loads import BodyForce, CentralGravity, Gravity, Load, check_name
 from ngvisco.physics.material import ElasticState, Material, check_material
 from ngvisco.physics.materials.damaged import damage_in
-from ngvisco.physics.materials.hardened import hardened
-from ngvisco.physics.materials.heterogeneous import carrying
 from ngvisco.physics.materials.thermal import entropy_in, thermal_part, warming
+from ngvisco.physics.materials.wrapped import carrying, hardened
 from ngvisco.physics.mixed_heat import HeatLaw, require_heat_of_all
-from ngvisco.physics.mixture import MixedViscosity, Mixture, mixed_viscosity
+from ngvisco.physics.mixture import Fractions, MixedViscosity, Mixture, mixed_viscosity
 from ngvisco.physics.parameters import parameters_in, told_apart
 from ngvisco.physics.regularisation import Regularisation
 from ngvisco.physics.rheology import HyperViscosity, Viscosity
-from ngvisco.physics.state_function import check_energy
-from ngvisco.physics.variables import TEMPERATURE
-
-VectorLike: TypeAlias = CoefficientFunction | Sequence[float | CoefficientFunction]
+from ngvisco.physics.variables import TEMPERATURE, Values
 
 
 @dataclass(frozen=True)
-class Gravity:
-    """Gravity acceleration g: the force density rho g (paper: Euler-small-viscoelastodyn+1).
+class Flow:
+    """A flow rule, with a creep rate Pi of its own.
 
-    Parameters
+    Attributes
     ----------
-    g : sequence of numbers or coefficient functions, or a vector coefficient function
-        Acceleration, a component for each dimension; a function of x and of the run's time.
-    name : str
-        The ledger's column of its power is power_<name>.
+    rule : FlowRule
+    names : tuple of str
+        Variables whose rates have its Pi.
+    body : str or None
+        The body that it is the creep of, by its own tensors; None of the material.
+    fractions : Fractions or None
+        Those of the bodies.
     """
 
-    g: Annotated[VectorLike, Quantity("m/s^2", example=[0.0, -9.81])]
-    name: str = "gravity"
+    rule: FlowRule
+    names: tuple[str, ...]
+    body: str | None = None
+    fractions: Fractions | None = None
 
-
-@dataclass(frozen=True)
-class BodyForce:
-    """A force per actual volume.
-
-    Parameters
-    ----------
-    force : vector
-        Force per actual volume, a component for each dimension.
-    name
-        As for ``Gravity``.
-    """
-
-    force: Annotated[VectorLike, Quantity("N/m^3", example=[0.0, "-sin(t)"])]
-    name: str = "body_force"
-
-
-@dataclass(frozen=True, kw_only=True)
-class CentralGravity:
-    """Gravity towards a centre, g = -strength (r/radius)^exponent e_r, for discs, shells and spheres.
-
-    Raises ParameterError if a parameter is out of its range.
-
-    Parameters
-    ----------
-    strength : float
-        Acceleration towards the centre at r = radius; negative is outward.
-    centre : sequence of two or three numbers
-        The centre, a component for each dimension.
-    radius : float
-        Radius at which the strength holds.
-    exponent : float
-        The acceleration goes like r^exponent: 0 is constant (a mantle), 1 that inside a homogeneous ball, -2
-        that outside (-1 in 2D); below 1 the centre must not be in the domain.
-    name
-        As for ``Gravity``.
-    """
-
-    strength: Annotated[float, Quantity("m/s^2", example=9.81)]
-    centre: Annotated[tuple[float, ...], Quantity("m", example=[0.0, 0.0])] = (0.0, 0.0)
-    radius: Annotated[float, Quantity("m", "> 0", 1.0)] = 1.0
-    exponent: Annotated[float, Quantity("1")] = 0.0
-    name: str = "gravity"
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "centre", as_place("CentralGravity.centre", self.centre))
-        require_ranges(self)
+    def share(self, z: Values) -> Any:
+        """The body's fraction of the point, > 0: its power per volume is that times its own."""
+        return 1.0 if self.fractions is None or self.body is None else self.fractions.positive(z, self.body)
 
     @property
-    def g(self) -> CoefficientFunction:
-        """The acceleration, a vector of the centre's length."""
-        offset = CF(tuple(X - c for X, c in zip((x, y, z), self.centre, strict=False)))
-        r = sqrt(offset * offset)
-        return -self.strength / self.radius**self.exponent * r ** (self.exponent - 1) * offset
+    def plastic_strain(self) -> str:
+        """The variable that is made by its hardening: k, or K_i of a body."""
+        return PLASTIC_STRAIN.name if self.body is None else PlasticContent.of(self.body).name
 
-
-Load = Gravity | CentralGravity | BodyForce
+    def amount(self, z: Values) -> Any:
+        """n_i of the body, > 0: what makes its dk/dt that of K_i."""
+        return 1.0 if self.fractions is None else self.share(z) * self.fractions.total(z)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -168,7 +126,7 @@ class Model:
         for load in self.loads:
             if not isinstance(load, (Gravity, CentralGravity, BodyForce)):
                 raise ParameterError("Model.loads", load, "Gravity, CentralGravity or BodyForce objects")
-            _check_name(load)
+            check_name(load)
         names = [load.name for load in self.loads]
         if len(set(names)) < len(names):
             raise ParameterError("Model.loads", names, "distinct names")
@@ -332,61 +290,3 @@ _EXPECTED = {"viscosity": "a StokesViscosity or another viscosity", "creep": "a 
 def default_elastic_state(creep: FlowRule | None) -> ElasticState:
     """How a material that leaves it open knows of its elastic state: by B where there is creep, else by F."""
     return "B" if creep is not None and creep.flows else "F"
-
-
-_NAME = re.compile(r"(?!traction_|wall_)[A-Za-z][A-Za-z0-9_]*")
-"""Names of loads: power_<name> is a column's name, and those of walls are power_traction_<wall> and so on."""
-
-
-def _check_name(load: Load) -> None:
-    if not (isinstance(load.name, str) and _NAME.fullmatch(load.name)):
-        expected = "a name of letters, digits and _, not beginning with traction_ or wall_"
-        raise ParameterError(f"{type(load).__name__}.name", load.name, expected)
-
-
-def as_vector(value: VectorLike, dim: int, field_name: str) -> CoefficientFunction:
-    """A vector coefficient function of length ``dim``, or ParameterError naming the field."""
-    if isinstance(value, CoefficientFunction):
-        vector = value
-    else:
-        try:
-            parts: tuple[Any, ...] = tuple(np.asarray(value).ravel() if _is_matrix(value) else value)
-        except TypeError:
-            raise ParameterError(field_name, value, f"a vector of length {dim}") from None
-        if not all(isinstance(p, CoefficientFunction) or _is_number(p) for p in parts):
-            raise ParameterError(field_name, value, "finite numbers or coefficient functions")
-        vector = CF(tuple(p if isinstance(p, CoefficientFunction) else float(p) for p in parts) or 0.0)
-    if vector.dim != dim:
-        raise ParameterError(field_name, value, f"a vector of length {dim}, not {vector.dim}")
-    return vector
-
-
-def force_of(load: Load, dim: int) -> CoefficientFunction:
-    """g (m/s^2) of gravity, or the body force (N/m^3), in ``dim`` dimensions; raises ParameterError."""
-    owner = f"loads[{load.name!r}]"
-    if isinstance(load, CentralGravity) and len(load.centre) != dim:
-        expected = f"{dim} numbers, as many as the mesh has dimensions"
-        raise ParameterError(f"{owner}.centre", load.centre, expected)
-    if isinstance(load, BodyForce):
-        return as_vector(load.force, dim, f"{owner}.force")
-    return as_vector(load.g, dim, f"{owner}.g")
-
-
-def _is_matrix(value: object) -> bool:
-    """Whether it is a row or a column of NumPy, (1, n) or (n, 1)."""
-    return isinstance(value, np.ndarray) and value.ndim == 2 and 1 in value.shape
-
-
-def as_tensor(value: object, shape: tuple[int, int]) -> CoefficientFunction | None:
-    """An array, or rows of numbers and coefficient functions, as a tensor; None if it is none."""
-    entries: list[Any] = []
-    try:
-        for row in np.asarray(value) if isinstance(value, np.ndarray) else value:  # type: ignore[attr-defined]
-            entries += [e if isinstance(e, CoefficientFunction) else as_number(e) for e in row]
-            if len(entries) % shape[1]:
-                return None
-    except TypeError:
-        return None
-    if len(entries) != shape[0] * shape[1] or any(entry is None for entry in entries):
-        return None
-    return CF(tuple(entries), dims=shape)

@@ -3,7 +3,7 @@
 A parameter theta obeys dt theta + (v . grad) theta = 0.  It is a variable of the material like the strains,
 with a conjugate zeta = d phi/d theta, so that the elastic force has the part that balances d phi/dx, the
 Cauchy stress is right and the ledger closes.  An energy that reads the place x instead has a force that
-nothing balances, and is refused (``ngvisco.physics.state_function``).
+nothing balances, and is refused (``ngvisco.physics.energy_checks``).
 
 A parameter is no strain.  phi need not be convex in it: convexity is asked of phi in the strains at fixed
 parameters, and the ledger's ``bregman`` may have either sign where parameters are transported.  Quadratic

@@ -21,8 +21,7 @@ import numpy as np
 from ngsolve import CF, ET, L2, VOL, CoefficientFunction, GridFunction, IntegrationRule, VectorValued
 from ngsolve.meshes import MakeStructured2DMesh
 
-from ngvisco.physics.arrays import Array, derivatives
-from ngvisco.physics.increments import TINY
+from ngvisco.physics.arrays import TINY, Array, derivatives
 from ngvisco.physics.material import Material
 
 _CELLS = 64  # squares a side of the mesh on which a batch of states is evaluated

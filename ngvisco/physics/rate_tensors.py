@@ -20,8 +20,8 @@ import scipy.sparse as sp
 from ngsolve import CoefficientFunction
 
 from ngvisco.errors import ParameterError
+from ngvisco.physics.material import StateSpace
 from ngvisco.physics.pointwise import evaluated
-from ngvisco.physics.state_space import StateSpace
 from ngvisco.physics.tensors import IDENTITY, constant, embed_gradient, symmetric_tensors, trace_free_tensors
 from ngvisco.physics.variables import Variable
 

@@ -1,20 +1,34 @@
-"""Dissipative mechanisms of the velocity: Stokes-type viscosity and hyperviscosity.
+"""Dissipative mechanisms of the velocity: viscosities and hyperviscosity.
+
+Linear maps D of symmetric 3x3 tensors to such, in the three notations in use.
+
+* ``"tensor"``: D_ijkl, (3, 3, 3, 3), with D_ijkl = D_jikl = D_ijlk.
+* ``"voigt"``: (6, 6), from (e_11, e_22, e_33, 2 e_23, 2 e_13, 2 e_12) to (s_11, s_22, s_33, s_23, s_13,
+  s_12); its entries are the D_ijkl themselves.
+* ``"mandel"``: (6, 6), from (e_11, e_22, e_33, sqrt(2) e_23, sqrt(2) e_13, sqrt(2) e_12) to the same of s:
+  the matrix of D in an orthonormal basis, whose eigenvalues are those of D.
+
+Dissipative mechanisms of the velocity: Stokes-type viscosity and hyperviscosity.
 
 A viscosity is a stress D(eps; z), the derivative by eps of a convex potential (paper: dissipation-pot).
 Those linear in eps are here; those that change with the strain rate in ``viscosities``.
+
+Viscosities that change with the strain rate: generalised Newtonian fluids.
+
+Each is G_v(s) of the squared shear rate s = 2 |dev eps|^2 (``IsotropicViscosity``), with G_v(s) sqrt(s)
+rising, so that its potential is convex (paper: dissipation-pot).  Derivatives are never written.
 """
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Annotated, Any, TypeAlias
+from typing import Annotated, Any, Literal, TypeAlias
 
 import numpy as np
 from ngsolve import CoefficientFunction
 from numpy.typing import ArrayLike
 
 from ngvisco.errors import ParameterError, Quantity, require_choice
-from ngvisco.physics.fourth_order import Notation, full_tensor, mandel_matrix, require_semidefinite
 from ngvisco.physics.parameters import Modulus, require_ranges, value_at
 from ngvisco.physics.tensors import (
     Scalar,
@@ -28,6 +42,87 @@ from ngvisco.physics.tensors import (
     tr,
 )
 from ngvisco.physics.variables import Values
+
+Notation: TypeAlias = Literal["mandel", "voigt", "tensor"]
+
+PAIRS = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
+"""Entries in the order of the 6x6 notations: 11, 22, 33, 23, 13, 12."""
+
+_TOLERANCE = 1e-12
+"""Of symmetry and of eigenvalues, over the largest entry: what rounding in the input leaves."""
+
+
+def mandel_matrix(field: str, value: object, notation: Notation) -> np.ndarray:
+    """D as a symmetric (6, 6) matrix in Mandel's notation.
+
+    Raises ParameterError for another shape, entries that are no finite numbers, and a D that is not
+    symmetric: the message has the entries that differ.
+
+    Parameters
+    ----------
+    field : str
+        The parameter's name, for errors.
+    value : array_like
+        (6, 6), or (3, 3, 3, 3) for ``"tensor"``.
+    notation : str
+        ``"mandel"``, ``"voigt"`` or ``"tensor"``.
+    """
+    shape = (3, 3, 3, 3) if notation == "tensor" else (6, 6)
+    expected = f"{'x'.join(map(str, shape))} finite numbers in the notation {notation!r}"
+    try:
+        array = np.array(value, dtype=float)
+    except (TypeError, ValueError):
+        raise ParameterError(field, value, expected) from None
+    if array.shape != shape:
+        raise ParameterError(field, f"an array of shape {array.shape}", expected)
+    if not np.isfinite(array).all():
+        raise ParameterError(field, value, expected)
+    if notation == "tensor":
+        for axes, names in (((1, 0, 2, 3), "jikl"), ((0, 1, 3, 2), "ijlk"), ((2, 3, 0, 1), "klij")):
+            _require_equal(field, array, array.transpose(axes), f"D_ijkl = D_{names}")
+        matrix = np.array([[array[*first, *second] for second in PAIRS] for first in PAIRS])
+    else:
+        _require_equal(field, array, array.T, "a symmetric D")
+        matrix = 0.5 * (array + array.T)
+    weights = _WEIGHTS if notation != "mandel" else np.ones(6)
+    return weights[:, None] * matrix * weights
+
+
+def full_tensor(mandel: np.ndarray) -> np.ndarray:
+    """D_ijkl, (3, 3, 3, 3), of a matrix in Mandel's notation."""
+    entries = mandel / _WEIGHTS[:, None] / _WEIGHTS
+    tensor = np.empty((3, 3, 3, 3))
+    for a, (i, j) in enumerate(PAIRS):
+        for b, (m, n) in enumerate(PAIRS):
+            for row in ((i, j), (j, i)):
+                tensor[*row, m, n] = tensor[*row, n, m] = entries[a, b]
+    return tensor
+
+
+def require_semidefinite(field: str, value: object, mandel: np.ndarray) -> None:
+    """Raise ParameterError, with the strain that shows it, where e : D e < 0 for some e."""
+    eigenvalues, modes = np.linalg.eigh(mandel)
+    if eigenvalues[0] < -_TOLERANCE * max(abs(eigenvalues[-1]), abs(eigenvalues[0])):
+        e = modes[:, 0] / _WEIGHTS
+        shown = ", ".join(f"e_{i + 1}{j + 1} = {x:.3g}" for x, (i, j) in zip(e, PAIRS, strict=True))
+        expected = f"e : D e >= 0 for every strain rate e; it is {eigenvalues[0]:.3g} for {shown}"
+        raise ParameterError(field, value, expected)
+
+
+_WEIGHTS = np.array([1.0, 1.0, 1.0, *(3 * [2**0.5])])
+
+
+def _require_equal(field: str, one: np.ndarray, other: np.ndarray, expected: str) -> None:
+    difference = np.abs(one - other)
+    at = np.unravel_index(int(np.argmax(difference)), one.shape)
+    if difference[at] > _TOLERANCE * np.abs(one).max():
+        place = "".join(str(int(i) + 1) for i in at)
+        raise ParameterError(
+            field,
+            f"{float(one[at])!r} at {place}",
+            f"{expected}: there is {float(other[at])!r} opposite to it",
+        )
+
 
 ValueOfModulus: TypeAlias = float | CoefficientFunction
 """A number, or what an expression of parameters gives at every point."""
@@ -251,3 +346,99 @@ class HyperViscosity:
     def slope(self, s: Scalar, z: Values) -> Scalar:
         """c'(s) = mu (p-2)/2 s^{(p-4)/2}."""
         return 0.5 * (self.p - 2) * self.moduli(z)[0] * power_of_square(s, 0.5 * (self.p - 4), self.floor)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PowerLaw(IsotropicViscosity):
+    """G_v = consistency (s + floor^2)^{(n-1)/2}: the law of Ostwald and de Waele, 1925.
+
+    Thinning for n < 1, thickening for n > 1.  Below the shear rate ``floor`` the viscosity does not grow any
+    more: it is consistency floor^{n-1} at rest.  Raises ParameterError if a parameter is out of its range.
+
+    Parameters
+    ----------
+    K_v : float
+        Bulk viscosity.
+    consistency : float
+        Shear stress at a shear rate of 1/s.
+    n : float
+        Exponent of the shear rate in the shear stress.
+    floor : float
+        Shear rate below which the fluid is Newtonian.
+    """
+
+    K_v: Annotated[Modulus, Quantity("Pa s", ">= 0", 0.01)]
+    consistency: Annotated[Modulus, Quantity("Pa s^n", "> 0", 0.01)]
+    n: Annotated[float, Quantity("1", "in (0, 5]", 0.5)]
+    floor: Annotated[float, Quantity("1/s", "> 0")] = 1e-3
+
+    def moduli(self, s: Any, z: Values) -> tuple[ValueOfModulus, ValueOfModulus]:
+        thinning = (self.floor**2 + s) ** (0.5 * (float(self.n) - 1))
+        return value_at(self.K_v, z), value_at(self.consistency, z) * thinning
+
+
+@dataclass(frozen=True, kw_only=True)
+class Carreau(IsotropicViscosity):
+    """G_v = G_inf + (G_0 - G_inf) (1 + relaxation^2 s)^{(n-1)/2} (Carreau 1972).
+
+    Raises ParameterError if a parameter is out of its range.
+
+    Parameters
+    ----------
+    K_v : float
+        Bulk viscosity.
+    G_0 : float
+        Shear viscosity at rest.
+    G_inf : float
+        Shear viscosity at large shear rates; for n > 1 it is passed.
+    relaxation : float
+        Time whose inverse is the shear rate at which the viscosity begins to change.
+    n : float
+        Exponent of the power law in between.
+    """
+
+    K_v: Annotated[Modulus, Quantity("Pa s", ">= 0", 0.01)]
+    G_0: Annotated[Modulus, Quantity("Pa s", "> 0", 1.0)]
+    relaxation: Annotated[float, Quantity("s", "> 0", 1.0)]
+    n: Annotated[float, Quantity("1", "in (0, 5]", 0.5)]
+    G_inf: Annotated[Modulus, Quantity("Pa s", ">= 0")] = 0.0
+
+    def moduli(self, s: Any, z: Values) -> tuple[ValueOfModulus, ValueOfModulus]:
+        power = (1.0 + self.relaxation**2 * s) ** (0.5 * (float(self.n) - 1))
+        least = value_at(self.G_inf, z)
+        return value_at(self.K_v, z), least + (value_at(self.G_0, z) - least) * power
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cross(IsotropicViscosity):
+    """G_v = G_inf + (G_0 - G_inf)/(1 + (relaxation sqrt(s))^m) (Cross 1965).
+
+    Raises ParameterError if a parameter is out of its range.
+
+    Parameters
+    ----------
+    K_v : float
+        Bulk viscosity.
+    G_0 : float
+        Shear viscosity at rest.
+    G_inf : float
+        Shear viscosity at large shear rates.
+    relaxation : float
+        Time whose inverse is the shear rate at which the viscosity is in the middle of both.
+    m : float
+        How steep it falls; above 1 the shear stress would fall with the shear rate.
+    floor : float
+        Shear rate below which powers of it are smoothed.
+    """
+
+    K_v: Annotated[Modulus, Quantity("Pa s", ">= 0", 0.01)]
+    G_0: Annotated[Modulus, Quantity("Pa s", "> 0", 1.0)]
+    relaxation: Annotated[float, Quantity("s", "> 0", 1.0)]
+    m: Annotated[float, Quantity("1", "in (0, 1]", 0.8)]
+    G_inf: Annotated[Modulus, Quantity("Pa s", ">= 0")] = 0.0
+    floor: Annotated[float, Quantity("1/s", "> 0")] = 1e-9
+
+    def moduli(self, s: Any, z: Values) -> tuple[ValueOfModulus, ValueOfModulus]:
+        x = self.relaxation ** float(self.m) * power_of_square(s, 0.5 * self.m, self.floor)
+        least = value_at(self.G_inf, z)
+        return value_at(self.K_v, z), least + (value_at(self.G_0, z) - least) / (1.0 + x)

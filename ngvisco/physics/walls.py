@@ -12,7 +12,7 @@ from ngsolve import CoefficientFunction
 
 from ngvisco.errors import ParameterError, Quantity, as_numbers
 from ngvisco.physics.heat import Function, WallHeat
-from ngvisco.physics.model import VectorLike
+from ngvisco.physics.loads import VectorLike
 from ngvisco.physics.parameters import require_ranges
 
 

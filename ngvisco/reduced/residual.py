@@ -27,8 +27,7 @@ from ngvisco.forms.system import Step
 from ngvisco.forms.term import PointTerm
 from ngvisco.forms.upwinding import mean_share
 from ngvisco.parallel.exchange import Exchange
-from ngvisco.physics.arrays import Array
-from ngvisco.physics.increments import TINY
+from ngvisco.physics.arrays import TINY, Array
 from ngvisco.reduced.by_forms import RestrictedForm, RightHandSide
 from ngvisco.reduced.claims import Claims
 from ngvisco.reduced.diffusion import FieldDiffusionRows

@@ -9,7 +9,7 @@ from ngsolve import CF, CoefficientFunction
 
 from ngvisco.forms.mesh.points import CellPoints
 from ngvisco.forms.system import Step
-from ngvisco.physics.increments import slope_along
+from ngvisco.physics.arrays import slope_along
 from ngvisco.physics.material import conjugates
 from ngvisco.physics.pointwise import array_slope, respond
 

@@ -14,8 +14,7 @@ from ngvisco.errors import NgviscoError
 from ngvisco.forms.fields import Fields, Tests
 from ngvisco.forms.system import Step
 from ngvisco.forms.upwinding import SideMean
-from ngvisco.physics.arrays import Array, Linear, slots
-from ngvisco.physics.increments import TINY
+from ngvisco.physics.arrays import TINY, Array, Linear, slots
 from ngvisco.reduced.unknowns import in_cells
 
 Coefficients = Mapping[str, np.ndarray]

@@ -19,7 +19,7 @@ from ngvisco.errors import StepError
 from ngvisco.forms.bounds import Violation
 from ngvisco.forms.mesh.locating import nearest_wall
 from ngvisco.parallel.mesh import number_of
-from ngvisco.physics.flow_rules.linear import Creep
+from ngvisco.physics.flow_rules.laws import Creep
 from ngvisco.physics.flow_rules.rule import FlowRule
 from ngvisco.physics.variables import Distortion, LeftCauchyGreen
 from ngvisco.run.files import write_atomically

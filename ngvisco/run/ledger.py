@@ -25,7 +25,7 @@ from ngvisco.forms.mesh.quadrature import Sampler
 from ngvisco.forms.system import EntryIntegrals, Step
 from ngvisco.forms.term import PRODUCTION, Entry, Integrand, Kind
 from ngvisco.physics.defects import relative_defects
-from ngvisco.physics.materials.elastic_state import IsotropicElastic
+from ngvisco.physics.materials.hyperelastic import IsotropicElastic
 from ngvisco.physics.materials.thermal import entropy_in, temperature
 from ngvisco.physics.mixture import Mixture
 from ngvisco.physics.tensors import square

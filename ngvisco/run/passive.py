@@ -51,8 +51,8 @@ from ngvisco.forms.fields import Fields
 from ngvisco.forms.rates import Conjugate, Rates
 from ngvisco.forms.system import Step
 from ngvisco.forms.terms.transport import UpwindTrace, transport_in_cells, transport_through_facets
+from ngvisco.physics.material import StateSpace
 from ngvisco.physics.parameters import Parameter
-from ngvisco.physics.state_space import StateSpace
 from ngvisco.physics.tensors import IDENTITY, inner, square
 
 TOLERANCE, ENOUGH, ITERATIONS = 1e-12, 1e-9, 200

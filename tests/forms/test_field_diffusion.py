@@ -14,8 +14,8 @@ from ngvisco.forms.terms.regularisation import FieldDiffusion
 from ngvisco.geometries import box
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.exchange import Exchange
-from ngvisco.physics.convexity import StateSampling
 from ngvisco.physics.curvature import curvature_of
+from ngvisco.physics.energy_checks import StateSampling
 from ngvisco.physics.pointwise import respond
 from ngvisco.physics.regularisation import Regularisation
 from ngvisco.physics.variables import Jacobian

@@ -6,7 +6,7 @@ import pytest
 
 from ngvisco.physics.arrays import Array, derivatives
 from ngvisco.physics.materials.custom import CustomMaterial
-from ngvisco.physics.materials.neo_hookean import NeoHookean
+from ngvisco.physics.materials.hyperelastic import NeoHookean
 from ngvisco.physics.pointwise import CHUNK, array_slope
 from ngvisco.physics.tensors import dev, if_positive, inner, log, sph, square, sym, tensor_space, tr
 from ngvisco.physics.variables import Distortion, Jacobian, SmallStrain

@@ -9,7 +9,7 @@ from materials import examples
 from support import tensor, tensors, value
 
 import ngvisco as nv
-from ngvisco.physics.isotropy import require_isotropy
+from ngvisco.physics.energy_checks import require_isotropy
 from ngvisco.physics.tensors import square, tr
 from ngvisco.physics.variables import Distortion, Jacobian, SmallStrain
 

@@ -9,7 +9,7 @@ from ngsolve import CF, L2, GridFunction, x, y
 
 import ngvisco as nv
 from ngvisco.geometries import box, structured_box
-from ngvisco.physics.materials.heterogeneous import Heterogeneous
+from ngvisco.physics.materials.wrapped import Heterogeneous
 from ngvisco.physics.parameters import parameters_in, substituted
 from ngvisco.physics.pointwise import respond
 from ngvisco.physics.tensors import square

@@ -8,8 +8,7 @@ from flow_rules import EXAMPLES
 from scipy.integrate import quad
 
 import ngvisco as nv
-from ngvisco.physics.arrays import Array
-from ngvisco.physics.increments import TINY
+from ngvisco.physics.arrays import TINY, Array
 from ngvisco.physics.variables import HARDENING, PRESSURE
 
 UNIAXIAL = np.diag([2.0, -1.0, -1.0]) / 3

@@ -6,7 +6,7 @@ from ngsolve import CF, L2, GridFunction, Parameter, specialcf, x
 
 import ngvisco as nv
 from ngvisco.geometries import box
-from ngvisco.physics.state_function import check_energy
+from ngvisco.physics.energy_checks import check_energy
 from ngvisco.physics.tensors import square
 from ngvisco.physics.variables import Distortion, Jacobian
 

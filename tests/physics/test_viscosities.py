@@ -7,8 +7,7 @@ import pytest
 
 import ngvisco as nv
 from ngvisco.physics.activation import GAS_CONSTANT
-from ngvisco.physics.arrays import Array
-from ngvisco.physics.increments import TINY
+from ngvisco.physics.arrays import TINY, Array
 from ngvisco.physics.tensors import square
 from ngvisco.physics.variables import PRESSURE, TEMPERATURE
 

@@ -5,7 +5,7 @@ import pytest
 from support import tensor, value
 
 import ngvisco as nv
-from ngvisco.physics.fourth_order import PAIRS, full_tensor
+from ngvisco.physics.rheology import PAIRS, full_tensor
 
 RNG = np.random.default_rng(4)
 ROOT = RNG.standard_normal((6, 6))

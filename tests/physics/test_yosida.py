@@ -8,7 +8,7 @@ from support import tensor, values
 
 import ngvisco as nv
 from ngvisco.errors import NgviscoError
-from ngvisco.physics.convexity import StateSampling, check_convexity
+from ngvisco.physics.energy_checks import StateSampling, check_convexity
 from ngvisco.physics.material import conjugates
 from ngvisco.physics.pointwise import Response, respond
 from ngvisco.physics.tensors import square

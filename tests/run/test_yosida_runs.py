@@ -7,7 +7,7 @@ from ngsolve import CF, VOL, Id, Integrate
 import ngvisco as nv
 from ngvisco.errors import CheckpointError, InitialDataError, StepError
 from ngvisco.geometries import box
-from ngvisco.physics.convexity import ConvexityWarning
+from ngvisco.physics.energy_checks import ConvexityWarning
 from ngvisco.physics.pointwise import Response, respond
 from ngvisco.physics.tensors import square
 from ngvisco.physics.variables import Distortion, Jacobian

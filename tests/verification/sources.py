@@ -11,11 +11,11 @@ from ngsolve import CF, CoefficientFunction, specialcf
 from ngvisco.forms.context import inner_facets, time
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.term import Entry, Integrand
-from ngvisco.physics.flows import Flow
+from ngvisco.physics.loads import Gravity, as_vector
 from ngvisco.physics.material import Material, mandel_stress
 from ngvisco.physics.materials.thermal import entropy_in, temperature
 from ngvisco.physics.mixture import Mixture
-from ngvisco.physics.model import Gravity, Model, as_vector
+from ngvisco.physics.model import Flow, Model
 from ngvisco.physics.tensors import embed_gradient, inner, sym, tr
 from tests.verification.manufactured import COORDINATES, Exact, divergence, gradient
 

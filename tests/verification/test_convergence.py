@@ -13,7 +13,7 @@ from ngvisco.forms.mesh import quadrature
 from ngvisco.forms.term import Integrand, Term
 from ngvisco.forms.terms.hyperviscosity import Hyperviscosity
 from ngvisco.forms.terms.momentum import Convection, Inertia, Stokes
-from ngvisco.physics.flows import Flow
+from ngvisco.physics.model import Flow
 from ngvisco.physics.tensors import inner
 from tests.verification.convergence import coupled_rates, free_solution, separation, transport_rates
 from tests.verification.manufactured import Exact

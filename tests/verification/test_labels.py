@@ -98,7 +98,7 @@ def test_modules_are_those_that_name_the_label():
     found = label_modules()
     assert "physics/variables" in found["DT-det-extended"]
     assert "physics/rheology" in found["Euler-small-ass-D"]
-    assert found["exa-Mooney–Rivlin-ref"] == ("physics/materials/mooney_rivlin",)
+    assert found["exa-Mooney–Rivlin-ref"] == ("physics/materials/hyperelastic",)
     # a word of English is no label
     assert "run/ledger" not in found["cut-off"] and "physics/regularisation" in found["cut-off"]
 

@@ -19,7 +19,7 @@ from ngvisco.forms.mesh.mesh_arrays import VERTICES, mask_of
 from ngvisco.forms.system import Step
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.mesh import cell_numbers
-from ngvisco.physics.model import as_vector
+from ngvisco.physics.loads import as_vector
 from ngvisco.physics.signals import time
 from ngvisco.physics.tensors import tr
 from ngvisco.physics.walls import HELD, MOVING

@@ -27,7 +27,7 @@ from ngvisco.forms.spaces import Layout
 from ngvisco.forms.time_means import TimeMean
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.exchange import Interpolation
-from ngvisco.physics.model import as_vector
+from ngvisco.physics.loads import as_vector
 from ngvisco.physics.signals import may_read_time
 from ngvisco.physics.tensors import inner
 from ngvisco.physics.walls import MOVING, Inflow

@@ -31,10 +31,11 @@ from ngvisco.forms.boundary.walls import Walls
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.start.variables import as_shape, entropy_at, given_temperature, starting_values
 from ngvisco.forms.term import Entry, Integrand, PointTerm, Term
+from ngvisco.physics.loads import as_vector
 from ngvisco.physics.material import volume_ratio
 from ngvisco.physics.materials.thermal import entropy_in
 from ngvisco.physics.mixture import AMOUNT, Mixture
-from ngvisco.physics.model import Model, as_vector
+from ngvisco.physics.model import Model
 from ngvisco.physics.parameters import value_at
 from ngvisco.physics.tensors import if_positive
 from ngvisco.physics.walls import Open, Passage

@@ -11,7 +11,7 @@ from ngvisco.forms.boundary.boundaries import facet_indicator
 from ngvisco.forms.boundary.walls import Walls
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.term import Entry, Integrand, PointTerm, Setting, Term, Unknown
-from ngvisco.physics.model import as_vector
+from ngvisco.physics.loads import as_vector
 from ngvisco.physics.walls import NavierFriction, Traction
 
 

@@ -28,7 +28,7 @@ from ngvisco.forms.boundary.kinks import require_curved_cells
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.exchange import Exchange
 from ngvisco.physics.heat import WallHeat
-from ngvisco.physics.model import as_vector
+from ngvisco.physics.loads import as_vector
 from ngvisco.physics.walls import HELD, MOVING, NoSlip, Passage, Slip, Traction, Wall
 
 Conditions: TypeAlias = "Mapping[str | tuple[str, ...], Wall] | Sequence[tuple[str | tuple[str, ...], Wall]]"

@@ -26,7 +26,8 @@ from ngvisco.forms.boundary.passages import Carried, GivenStress
 from ngvisco.forms.mesh.quadrature import Sampler
 from ngvisco.forms.system import Step
 from ngvisco.parallel.communicator import Communicator
-from ngvisco.physics.convexity import check_convexity
+from ngvisco.physics.energy_checks import check_convexity
+from ngvisco.physics.loads import BodyForce, CentralGravity, VectorLike, as_vector, force_of
 from ngvisco.physics.material import Material
 from ngvisco.physics.materials import (
     CustomMaterial,
@@ -36,10 +37,8 @@ from ngvisco.physics.materials import (
     WithQuadratic,
     Yosida,
 )
-from ngvisco.physics.materials.hardened import Hardened
-from ngvisco.physics.materials.heterogeneous import Heterogeneous
+from ngvisco.physics.materials.wrapped import Hardened, Heterogeneous
 from ngvisco.physics.mixture import AMOUNT
-from ngvisco.physics.model import BodyForce, CentralGravity, VectorLike, as_vector, force_of
 from ngvisco.physics.signals import time
 from ngvisco.physics.tensors import square
 from ngvisco.physics.variables import Distortion

@@ -36,10 +36,10 @@ from ngvisco.forms.terms.hyperviscosity import Hyperviscosity
 from ngvisco.forms.velocity import project_velocity
 from ngvisco.parallel.exchange import Interpolation
 from ngvisco.physics.bodies import Body
+from ngvisco.physics.loads import VectorLike, as_vector
 from ngvisco.physics.material import Material, conjugates, volume_ratio
 from ngvisco.physics.materials.thermal import entropy_in, temperature
 from ngvisco.physics.mixture import AMOUNT, Mixture
-from ngvisco.physics.model import VectorLike, as_vector
 from ngvisco.physics.parameters import Parameter, moduli_in, value_at
 from ngvisco.physics.signals import reads_time
 from ngvisco.physics.tensors import inner, square, tensor_space, trace_free_tensors

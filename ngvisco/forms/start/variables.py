@@ -5,11 +5,11 @@ from collections.abc import Iterable, Mapping
 from ngsolve import CF, CoefficientFunction
 
 from ngvisco.errors import InitialDataError, ParameterError, UnknownNameError, as_number
+from ngvisco.physics.loads import as_tensor
 from ngvisco.physics.material import Material
 from ngvisco.physics.materials.damaged import DamageSlope
 from ngvisco.physics.materials.thermal import entropy_in, thermal_part
 from ngvisco.physics.mixture import Mixture
-from ngvisco.physics.model import as_tensor
 from ngvisco.physics.parameters import Parameter
 from ngvisco.physics.tensors import log
 

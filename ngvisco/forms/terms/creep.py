@@ -17,7 +17,7 @@ from ngsolve import CoefficientFunction
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.term import PointTerm, Setting, Unknown
 from ngvisco.physics.flow_rules import FlowRule
-from ngvisco.physics.flows import Flow
+from ngvisco.physics.model import Flow
 from ngvisco.physics.tensors import inner, square, trace_free_tensors
 
 

@@ -20,7 +20,7 @@ from ngsolve import CoefficientFunction
 
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.term import Entry, Integrand, PointTerm, Setting, Unknown
-from ngvisco.physics.model import CentralGravity, Gravity, Load, force_of
+from ngvisco.physics.loads import CentralGravity, Gravity, Load, force_of
 from ngvisco.physics.regularisation import Regularisation
 from ngvisco.physics.rheology import Viscosity
 from ngvisco.physics.tensors import inner, square, sym

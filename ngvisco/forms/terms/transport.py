@@ -30,7 +30,7 @@ from ngvisco.forms.fields import Fields
 from ngvisco.forms.rates import Conjugate
 from ngvisco.forms.term import Entry, Integrand, Integrands, PointTerm, Setting, Unknown, tested
 from ngvisco.forms.upwinding import SideMean
-from ngvisco.physics.materials.regularised import WithQuadratic
+from ngvisco.physics.materials.wrapped import WithQuadratic
 from ngvisco.physics.model import Model
 from ngvisco.physics.tensors import inner, masked
 

@@ -1,10 +1,6 @@
-"""Flow rules: how fast a material creeps, one family a file."""
+"""Flow rules: how fast a material creeps."""
 
-from ngvisco.physics.flow_rules.composite import Composite
-from ngvisco.physics.flow_rules.eyring import Eyring
-from ngvisco.physics.flow_rules.linear import Creep, CreepLaw
-from ngvisco.physics.flow_rules.plastic import DruckerPrager, Perzyna
-from ngvisco.physics.flow_rules.power import Norton
+from ngvisco.physics.flow_rules.laws import Composite, Creep, CreepLaw, DruckerPrager, Eyring, Norton, Perzyna
 from ngvisco.physics.flow_rules.rule import FlowRule
 
 __all__ = [

@@ -8,7 +8,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from ngvisco.physics.increments import TINY
+from ngvisco.physics.arrays import TINY
 
 PointRate: TypeAlias = Callable[[np.ndarray], np.ndarray]
 """Components of Pi, (points, p), of those of M; analytic."""

@@ -1,25 +1,21 @@
-"""Constitutive laws, one family a file; each is a list of variables and an energy."""
+"""Constitutive laws, each is a list of variables and an energy."""
 
-from ngvisco.physics.materials.barotropic import BarotropicFluid
-from ngvisco.physics.materials.conformation import FENEP, OldroydB
 from ngvisco.physics.materials.custom import CustomMaterial
 from ngvisco.physics.materials.damaged import Damaged
-from ngvisco.physics.materials.linearised import HardeningElastic, IsotropicStrainEnergy, LinearElastic
-from ngvisco.physics.materials.mooney_rivlin import (
-    LogarithmicMooneyRivlin,
-    MooneyRivlin,
-    ReferentialMooneyRivlin,
-)
-from ngvisco.physics.materials.neo_hookean import NeoHookean
-from ngvisco.physics.materials.perspective import PerMass, PerReferentialVolume
-from ngvisco.physics.materials.referential import (
+from ngvisco.physics.materials.fluids import FENEP, BarotropicFluid, OldroydB
+from ngvisco.physics.materials.hyperelastic import (
     IsochoricNeoHookean,
+    LogarithmicMooneyRivlin,
     LogarithmicNeoHookean,
+    MooneyRivlin,
+    NeoHookean,
+    ReferentialMooneyRivlin,
     ReferentialNeoHookean,
 )
-from ngvisco.physics.materials.regularised import WithQuadratic
+from ngvisco.physics.materials.linearised import HardeningElastic, IsotropicStrainEnergy, LinearElastic
+from ngvisco.physics.materials.perspective import PerMass, PerReferentialVolume
 from ngvisco.physics.materials.thermal import Thermal
-from ngvisco.physics.materials.yosida import Yosida
+from ngvisco.physics.materials.wrapped import WithQuadratic, Yosida
 
 __all__ = [
     "FENEP",

@@ -6,10 +6,9 @@ from dataclasses import dataclass
 from ngsolve import CoefficientFunction
 
 from ngvisco.errors import ParameterError
-from ngvisco.physics.isotropy import require_isotropy
+from ngvisco.physics.energy_checks import check_energy, require_isotropy
 from ngvisco.physics.material import Material, check_material
 from ngvisco.physics.parameters import Modulus, require_modulus
-from ngvisco.physics.state_function import check_energy
 from ngvisco.physics.tensors import IDENTITY
 from ngvisco.physics.variables import Values, Variable
 

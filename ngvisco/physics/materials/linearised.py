@@ -7,10 +7,9 @@ from typing import Annotated
 from ngsolve import CoefficientFunction
 
 from ngvisco.errors import ParameterError, Quantity
-from ngvisco.physics.isotropy import require_isotropy
+from ngvisco.physics.energy_checks import check_energy, require_isotropy
 from ngvisco.physics.material import Material
 from ngvisco.physics.parameters import Modulus
-from ngvisco.physics.state_function import check_energy
 from ngvisco.physics.tensors import dev, power_of_square, sph, square, tr
 from ngvisco.physics.variables import SmallStrain, Values, Variable
 

@@ -40,7 +40,7 @@ from ngvisco.forms.start.initial import set_initial
 from ngvisco.forms.system import Step
 from ngvisco.forms.terms.transport import Kinematics, UpwindTrace
 from ngvisco.geometries import box, disc
-from ngvisco.physics.materials.heterogeneous import Heterogeneous
+from ngvisco.physics.materials.wrapped import Heterogeneous
 from ngvisco.physics.mixture import AMOUNT
 from ngvisco.shapes.shape import Where
 from tests.verification.case import Cases, Measured, Table

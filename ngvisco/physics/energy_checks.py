@@ -1,4 +1,11 @@
-"""A sampling check of the joint convexity on which the ledger's guarantee rests.
+"""What is asked of an energy: a function of the state alone, convex, and the same for all observers.
+
+A stored energy must be a function of the state alone: what else one may read by mistake is refused.
+
+The ledger's conjugates are derivatives by the state.  An energy that also depends on the place, on the time,
+on a grid function or on the mesh has a rate that no term of the equations holds.
+
+A sampling check of the joint convexity on which the ledger's guarantee rests.
 
 The scheme never creates energy because every step's Bregman distance
 phi(b) - phi(a) - phi'(a) : (b - a) is >= 0, which is convexity in all strains together, taken as
@@ -9,6 +16,12 @@ Hessian, near and farther, and at another random state; it reports the worst neg
 States whose variables fit together (J = det F, H = Cof F, ...), which a motion can reach, are cited first,
 and of those the ones that another such state b shows: a violation elsewhere matters only as far as the
 discrete variables drift apart.
+
+A sampling check that an energy does not change when the observer turns.
+
+phi(z*) = phi(z) for the values z* that an observer turned by a rotation Q sees: Q F of F and its cofactor,
+Q E Q^T of spatial tensors.  For these the same condition says that phi is an isotropic function, which is
+what makes S E = E S, the Cauchy stress symmetric, and B = F F^T enough to know of F.
 """
 
 import warnings
@@ -19,9 +32,86 @@ from functools import cached_property
 import numpy as np
 from ngsolve import CF, CoefficientFunction
 
-from ngvisco.errors import NgviscoWarning, ParameterError, as_integer, require_positive, require_type
+from ngvisco.errors import (
+    NgviscoError,
+    NgviscoWarning,
+    ParameterError,
+    as_integer,
+    require_positive,
+    require_type,
+)
 from ngvisco.physics.material import Material
+from ngvisco.physics.materials.wrapped import Heterogeneous
 from ngvisco.physics.pointwise import Respond, energies_at, evaluated, respond, states_of
+from ngvisco.physics.signals import one_value, reads_time, sampled
+from ngvisco.physics.tensors import constant
+from ngvisco.physics.variables import Values
+
+_OTHERS = {
+    ("coordinate",): "the position",
+    ("GridFunction",): "a grid function",
+    ("MeshSize",): "the size of the cells",
+    ("normal vector", "tangential vector", "Curvature"): "the direction of a facet",
+    ("DomainWise", "RegionCF"): "the region of the mesh",
+    ("Voxel",): "values on a grid",
+    ("ReferenceCoordinate", "Jacobian"): "the map of the cells",
+    ("ProxyFunction",): "a trial or test function",
+}
+"""What NGSolve calls the leaves of an expression, and what they are."""
+
+
+def check_energy(material: Material) -> None:
+    """Raise ParameterError unless ``material.energy`` is a scalar function of the variables' values alone."""
+    inner = getattr(material, "material", None)
+    if isinstance(inner, Material) and not isinstance(material, Heterogeneous):
+        # a wrapper's energy is made of that of another material
+        check_energy(inner)
+        return
+    owner = f"{type(material).__name__}.{material.energy_parameter}"
+    function = getattr(material, material.energy_parameter)
+    names = ", ".join(v.name for v in material.variables)
+    F = CF((1.2, 0.1, 0, -0.2, 0.9, 0, 0, 0, 1.05), dims=(3, 3))  # a state without symmetries
+    z = {v.name: v.from_distortion(F).MakeVariable() for v in material.variables}
+    phi = _evaluated(material, z, owner, function, names)
+    text = str(phi)
+    for leaves, what in _OTHERS.items():
+        if any(leaf in text for leaf in leaves):
+            raise ParameterError(owner, function, f"a function of {names} alone; it reads {what}")
+    if reads_time(phi):
+        raise ParameterError(owner, function, f"a function of {names} alone; it reads the time")
+    if _is_constant(phi, z):
+        expected = f"an energy that changes with {names}: this one is a constant, without any stress"
+        raise ParameterError(owner, function, expected)
+    if not one_value(sampled(phi)):
+        expected = f"a function of {names} alone; it differs from place to place at one state"
+        raise ParameterError(owner, function, expected)
+
+
+def _is_constant(phi: CoefficientFunction, z: Values) -> bool:
+    """Whether no variable's conjugate differs from zero, but for what rounding leaves of sums that vanish."""
+    slopes = [abs(part) for variable in z.values() for part in np.ravel(sampled(phi.Diff(variable)))]
+    size = max(np.abs(sampled(phi)))
+    return bool(max(slopes) <= 1e-14 * size)
+
+
+def _evaluated(
+    material: Material, z: Values, owner: str, function: object, names: str
+) -> CoefficientFunction:
+    try:
+        phi = material.energy(z)
+    except NgviscoError:
+        raise
+    except Exception as error:  # whatever a function of the user raises
+        expected = f"a function of {names}; it raises {type(error).__name__}: {error}"
+        raise ParameterError(owner, function, expected) from error
+    if not isinstance(phi, CoefficientFunction):
+        expected = f"a function of {names} that returns a coefficient function, not {phi!r:.60}"
+        raise ParameterError(owner, function, expected)
+    if phi.dim != 1 or phi.is_complex:
+        what = "a complex number" if phi.is_complex else f"an array of shape {tuple(phi.dims)}"
+        raise ParameterError(owner, function, f"a function of {names} that returns a real scalar, not {what}")
+    return phi
+
 
 _STATES = 256
 _DISTANCES = (1.0, 0.1)
@@ -262,3 +352,113 @@ class StateSampling:
 def array_text(value: np.ndarray) -> str:
     """An array for messages, in one line."""
     return np.array2string(np.asarray(value), precision=3, suppress_small=True).replace("\n", "")
+
+
+_ROTATIONS = 4
+_TOLERANCE = 1e-8
+"""Of |phi(z*) - phi(z)| over the spread of phi among the samples; rounding is far below it."""
+
+
+@dataclass(frozen=True)
+class IsotropyReport:
+    """What the sampling found.
+
+    Attributes
+    ----------
+    samples : int
+        Pairs of a state and a turned one with finite energies.
+    worst : float
+        Largest |phi(z*) - phi(z)| found, Pa; 0 when the energy passed.
+    rotation : (3, 3) array or None
+        Q of the worst pair; None when the energy passed.
+    point : mapping of names to arrays, or None
+        z of the worst pair, 3x3 or scalar.
+    """
+
+    samples: int
+    worst: float
+    rotation: np.ndarray | None
+    point: dict[str, np.ndarray] | None
+
+    @property
+    def passed(self) -> bool:
+        return self.rotation is None
+
+    def __str__(self) -> str:
+        if self.rotation is None or self.point is None:
+            return f"no change under rotations in {self.samples} samples"
+        at = ", ".join(f"{name} = {array_text(value)}" for name, value in self.point.items())
+        return f"changes by {self.worst:.3g} Pa under the rotation {array_text(self.rotation)} of {at}"
+
+
+def check_isotropy(material: Material, *, dim: int = 3, spread: float = 0.4, seed: int = 0) -> IsotropyReport:
+    """Look for a rotation of the observer under which a material's energy changes.
+
+    Raises ParameterError if an argument is not what is said of it.
+
+    Parameters
+    ----------
+    material : Material
+    dim : int
+        Dimension of the mesh it is for; in 2 the rotations are those in the plane.
+    spread : float
+        Size of the sampled region, as for ``check_convexity``.
+    seed : int
+        Of the random states and rotations.
+
+    Returns
+    -------
+    IsotropyReport
+    """
+    rng = np.random.default_rng(seed)
+    sampling = StateSampling(material, dim)
+    states = sampling.random_states(rng, spread)
+    energy = energies_at(material, states, dim)
+    worst, found, samples = 0.0, None, 0
+    for _ in range(_ROTATIONS):
+        Q = _rotation(rng, dim)
+        turned = energies_at(material, evaluated(_turning(material, dim, Q), states), dim)
+        with np.errstate(invalid="ignore"):  # infinite at both
+            change = np.abs(turned - energy)
+        finite = np.isfinite(change)
+        samples += int(finite.sum())
+        if not finite.any():
+            continue
+        known = energy[np.isfinite(energy)]
+        # the spread, since a constant in the energy says nothing; and its rounding
+        bound = _TOLERANCE * np.ptp(known) + 1e-13 * np.abs(known).max()
+        change = np.where(finite & (change > bound), change, 0.0)
+        i = int(np.argmax(change))
+        if change[i] > worst:
+            worst, found = float(change[i]), (Q, states[i])
+    if found is None:
+        return IsotropyReport(samples, 0.0, None, None)
+    return IsotropyReport(samples, worst, found[0], sampling.named(found[1]))
+
+
+def require_isotropy(material: Material, field: str, value: object, dim: int = 3) -> None:
+    """Raise ParameterError with the rotation that shows that a material's energy depends on the observer."""
+    report = check_isotropy(material, dim=dim)
+    if not report.passed:
+        raise ParameterError(field, value, f"an energy that no rotation of the observer changes: it {report}")
+
+
+def _turning(material: Material, dim: int, Q: np.ndarray):  # type: ignore[no-untyped-def]
+    """The map of components to those that the turned observer sees."""
+    rotation = constant(Q)
+
+    def turn(state: CoefficientFunction) -> CoefficientFunction:
+        z = material.states(dim).tensors(lambda: state)
+        turned = {v.name: v.turned(z[v.name], rotation) for v in material.variables}
+        return material.states(dim).components(turned)
+
+    return turn
+
+
+def _rotation(rng: np.random.Generator, dim: int) -> np.ndarray:
+    """A random rotation, in the plane for dim = 2."""
+    Q = np.eye(3)
+    Q[:dim, :dim], R = np.linalg.qr(rng.standard_normal((dim, dim)))
+    Q[:dim, :dim] *= np.sign(np.diag(R))
+    Q[:, 0] *= np.linalg.det(Q)
+    return Q

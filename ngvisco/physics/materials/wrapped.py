@@ -1,15 +1,110 @@
-"""The Yosida approximation of a stored energy (paper: varphi-regularized)."""
+"""Materials whose energy is another one's, regularised or with more variables.
 
-from dataclasses import dataclass
+Materials whose energy is another one's, regularised as in the paper's discrete scheme.
+
+The Yosida approximation of a stored energy (paper: varphi-regularized).
+
+Materials whose moduli are functions of carried parameters.
+
+Materials that harden: the plastic strain is one more variable, with an energy of its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import reduce
+from operator import add
 from typing import Annotated
 
 import numpy as np
 from ngsolve import CF, CoefficientFunction
 
-from ngvisco.errors import NgviscoError, Quantity
-from ngvisco.physics.material import Wrapper
+from ngvisco.errors import NgviscoError, Quantity, UnknownNameError, require_names
+from ngvisco.physics.flow_rules.rule import PLASTIC_STRAIN, Hardening
+from ngvisco.physics.material import ElasticState, Material, Wrapper
+from ngvisco.physics.parameters import Parameter, distinct, substituted
 from ngvisco.physics.pointwise import Respond, Response, respond, states_of
+from ngvisco.physics.tensors import inner
 from ngvisco.physics.variables import Values, Variable
+
+
+@dataclass(frozen=True, kw_only=True)
+class WithQuadratic(Wrapper):
+    """phi + sqrt(delta)/2 sum_i |z_i|^2 (paper: varphi-regularized).
+
+    Makes a convex energy strongly convex.  At rest it adds a stress of the order of sqrt(delta).  The
+    ledger has the added energy within ``stored``, and alone as ``stored_quadratic``.  Raises ParameterError
+    or UnknownNameError for a delta that is not positive, or a name that the material does not have.
+
+    Parameters
+    ----------
+    material : Material
+        The material that is regularised.
+    delta : float
+        sqrt(delta)/2 |z|^2 is added to the energy.
+    only : tuple of str, optional
+        Variables for which it is added, no parameters; all strains where nothing is said (paper:
+        rem-neo-Hookean-ref omits those in which phi is strongly convex already).
+    """
+
+    delta: Annotated[float, Quantity("Pa^2", "> 0", 1e-6)]
+    only: Annotated[tuple[str, ...] | None, Quantity(example=["J"])] = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.only is not None:
+            require_names("WithQuadratic.only", self.only)
+        known = {v.name for form in self._forms() for v in form.variables if v.is_strain}
+        for name in self.only or ():
+            if name not in known:
+                raise UnknownNameError("material variable", name, known)
+
+    def _forms(self) -> list[Material]:
+        """The material in the forms that it may still take."""
+        return [self.material.with_elastic_state("F"), self.material.with_elastic_state("B")]
+
+    def with_elastic_state(self, state: ElasticState) -> WithQuadratic:
+        material = self.material.with_elastic_state(state)
+        names = [v.name for v in material.variables]
+        for name in self.only or ():
+            if name not in names:
+                raise UnknownNameError(f"material variable for elastic_state = {state!r}", name, names)
+        return replace(self, material=material)
+
+    @property
+    def _regularised(self) -> list[str]:
+        """Names of the variables that the energy is added for."""
+        return list(self.only or (v.name for v in self.variables if v.is_strain))
+
+    @property
+    def conformation(self) -> str | None:
+        return None  # at rest there is a stress of the added energy
+
+    def energy(self, z: Values) -> CoefficientFunction:
+        return self.material.energy(z) + self.added_energy(z)
+
+    def response(self, dim: int) -> Respond | None:
+        inner_response = self.material.response(dim)
+        if inner_response is None:
+            return None
+        slices, weights = self.states(dim).slices, np.zeros(self.states(dim).size)
+        for name in self._regularised:
+            weights[slices[name]] = self.delta**0.5
+
+        def respond(states: np.ndarray) -> Response:
+            part = inner_response(states)
+            energy = part.energy + 0.5 * (states * states) @ weights
+            hessian = part.hessian + np.diag(weights)
+            return Response(energy, part.slope + weights * states, hessian, part.failure)
+
+        return respond
+
+    def added_energy(self, z: Values) -> CoefficientFunction:
+        """sqrt(delta)/2 sum_i |z_i|^2, Pa."""
+        squares = [inner(z[name], z[name]) for name in self._regularised]
+        return 0.5 * self.delta**0.5 * reduce(add, squares)
+
 
 _MAX_ITERATIONS = 200
 _MAX_HALVINGS = 40
@@ -197,3 +292,83 @@ def _solve(matrices: np.ndarray, rhs: np.ndarray) -> np.ndarray:
         solution = np.full_like(rhs, np.nan)
         solution[regular] = np.linalg.solve(matrices[regular], rhs[regular][:, :, None])[:, :, 0]
         return solution
+
+
+@dataclass(frozen=True, kw_only=True)
+class Heterogeneous(Wrapper):
+    """A material and the parameters that it carries: phi(z, theta) with its moduli at theta.
+
+    A ``Model`` makes it where a modulus of one of its laws is no number; its variables are those of the
+    material and the parameters, whose conjugates are the energy's derivatives by them.
+
+    Parameters
+    ----------
+    material : Material
+        Its own moduli may be expressions of the parameters.
+    carried : tuple of Parameter
+        Parameters that its own variables do not have: those of its moduli and of the model's other laws.
+    """
+
+    carried: tuple[Parameter, ...]
+
+    @property
+    def variables(self) -> tuple[Variable, ...]:
+        return (*self.material.variables, *self.carried)
+
+    @property
+    def lagged(self) -> frozenset[str]:
+        return self.material.lagged
+
+    def energy(self, z: Values) -> CoefficientFunction:
+        at_this_point = substituted(self.material, lambda expression: expression.at(z))
+        return at_this_point.energy({v.name: z[v.name] for v in self.material.variables})
+
+
+def carrying(material: Material, parameters: Sequence[Parameter]) -> Material:
+    """The material with these among its variables; what wraps a material as regularised wraps that one.
+
+    Raises ParameterError for a parameter of the name of another one that the material has.
+    """
+    if isinstance(material, (WithQuadratic, Yosida)):
+        return replace(material, material=carrying(material.material, parameters))
+    own = tuple(v for v in material.variables if isinstance(v, Parameter))
+    carried = distinct((*own, *parameters))[len(own) :]
+    return Heterogeneous(material=material, carried=carried) if parameters else material
+
+
+@dataclass(frozen=True, kw_only=True)
+class Hardened(Wrapper):
+    """phi(z) + phi_h(k) of a material and the plastic strain k that it carries.
+
+    A ``Model`` makes it where its flow rule hardens.
+
+    Parameters
+    ----------
+    material : Material
+        The material without hardening, with all parameters that the hardening reads.
+    hardening : Hardening
+        phi_h.
+    """
+
+    hardening: Hardening
+
+    @property
+    def variables(self) -> tuple[Variable, ...]:
+        return (*self.material.variables, PLASTIC_STRAIN)
+
+    @property
+    def lagged(self) -> frozenset[str]:
+        return self.material.lagged
+
+    def energy(self, z: Values) -> CoefficientFunction:
+        own = {v.name: z[v.name] for v in self.material.variables}
+        return self.material.energy(own) + self.hardening.energy(z)
+
+
+def hardened(material: Material, hardening: Hardening | None) -> Material:
+    """The material with this hardening in place of any other; what regularises one has it within."""
+    if isinstance(material, (WithQuadratic, Yosida)):
+        return replace(material, material=hardened(material.material, hardening))
+    if isinstance(material, Hardened):
+        return hardened(material.material, hardening)
+    return material if hardening is None else Hardened(material=material, hardening=hardening)

@@ -1,0 +1,364 @@
+"""The flow rules: linear, by powers, by jumps, of yield, and sums of them.
+
+The linear rule of the paper, Maxwellian creep, and its kin for conformation tensors.
+
+Power-law creep.
+
+Creep by thermally activated jumps.
+
+Yield: creep by what the stress exceeds its yield stress by.
+
+Mechanisms of creep side by side.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import reduce
+from operator import add
+from typing import Annotated, Literal, TypeAlias
+
+from ngsolve import CoefficientFunction
+
+from ngvisco.errors import ParameterError, Quantity, require_choice
+from ngvisco.physics.flow_rules.rule import TINY_STRESS, FlowRule, GradientRule, Hardening
+from ngvisco.physics.parameters import Modulus, typical_value, value_at
+from ngvisco.physics.tensors import dev, exp, if_positive, log, power_of_square, sqrt, square
+from ngvisco.physics.variables import HARDENING, PRESSURE, Values
+
+CreepLaw: TypeAlias = Literal["mandel", "conformation", "leonov"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Creep(GradientRule):
+    """Maxwellian creep G_m Pi - div(nu |grad Pi|^{q-2} grad Pi) = M (paper: ED-Euler-large3).
+
+    With nu = 0 (default) that is Pi = R M at every point, R = 1/G_m; with nu > 0, Pi is a continuous field
+    with (n . grad) Pi = 0 on walls.
+
+    ``law`` says what drives Pi at every point; the others than the paper's need a conformation tensor B with
+    the conjugate zeta (``OldroydB``, ``FENEP``), are local (nu = 0), and agree with it at small elastic
+    strains, where zeta = M/2 for incompressible ones:
+
+    * ``"mandel"``: G_m Pi = M,
+    * ``"conformation"``: G_m Pi = 2 zeta, with a trace, so that det B relaxes too (Oldroyd-B, FENE-P),
+    * ``"leonov"``: G_m Pi = M/2 + dev zeta (Leonov).
+
+    In the linearised model this is E_ZJ = eps(v) - R dev S (paper: Euler-small-viscoelastodyn+2).
+    The sign is that of the energy balance; the paper's flow rules print G_m Pi = -M.
+
+    G_m is twice the usual viscosity eta of the Maxwell dashpot, G_m = 2 eta: a steady flow with the strain
+    rate eps has the deviatoric stress dev T = G_m dev eps, as a fluid's is 2 eta dev eps.  With the usual
+    shear modulus G (G_e of the small-strain materials, 2 G_e of the neo-Hookean ones, 2 (G_e + G_mr) of the
+    Mooney-Rivlin ones) the stress relaxes like exp(-t/lambda), with the Maxwell time
+    lambda = G_m/(2 G) = eta/G.  Raises ParameterError if a parameter is out of its range.
+
+    Parameters
+    ----------
+    G_m : float
+        Creep modulus: twice the usual viscosity eta of the Maxwell dashpot, G_m = 2 eta; with the usual shear
+        modulus G the relaxation time of shear is G_m/(2 G). Infinite is no creep (Kelvin-Voigt).
+    floor : float
+        |grad Pi| below which powers that are no even integers are smoothed.
+    law : str
+        "mandel" (the paper), or "conformation" or "leonov" of a conformation tensor's fluid.
+    """
+
+    G_m: Annotated[Modulus, Quantity("Pa s", "> 0", 5.0)]
+    floor: Annotated[float, Quantity("1/(m s)", "> 0")] = 1e-10
+    law: CreepLaw = "mandel"
+
+    degree = 1.0
+
+    def __post_init__(self) -> None:
+        require_choice(self, ("mandel", "conformation", "leonov"), law=self.law)
+        if self.law != "mandel" and self.nu != 0:
+            raise ParameterError("Creep.nu", self.nu, f"0 for law = {self.law!r}, which is local")
+        if isinstance(self.G_m, float) and self.G_m == math.inf:
+            replace(self, G_m=1.0)  # which looks at the others
+        else:
+            super().__post_init__()
+
+    @property
+    def R(self) -> float:
+        """Reciprocal creep modulus 1/G_m, 1/(Pa s); where G_m is an expression, of its typical value."""
+        return 1 / typical_value(self.G_m)
+
+    def rate(
+        self, M: CoefficientFunction, zeta: CoefficientFunction | None, z: Values
+    ) -> CoefficientFunction:
+        R = 1 / value_at(self.G_m, z)
+        if self.law == "mandel":
+            return R * M
+        assert zeta is not None
+        return R * (2 * zeta if self.law == "conformation" else 0.5 * M + dev(zeta))
+
+    def psi(self, Pi: CoefficientFunction, z: Values) -> CoefficientFunction:
+        """G_m |Pi|^2/2, W/m^3."""
+        return (0.5 * value_at(self.G_m, z)) * square(Pi)
+
+    @property
+    def reads_conjugate(self) -> bool:  # type: ignore[override]
+        return self.law != "mandel"
+
+    @property
+    def has_trace(self) -> bool:  # type: ignore[override]
+        return self.law == "conformation"
+
+    @property
+    def flows(self) -> bool:
+        return self.R > 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Norton(GradientRule):
+    """Power-law creep Pi = A |M|^{n-1} M, of the potential A |M|^{n+1}/(n+1) (Norton 1929, Glen 1955).
+
+    A law of uniaxial tests, strain rate B sigma^n, has A = (3/2)^{(n+1)/2} B.  With n = 1 it is ``Creep``
+    with G_m = 1/A.  Raises ParameterError if a parameter is out of its range.
+
+    Parameters
+    ----------
+    A : float
+        Rate of creep at |M| = 1 Pa.
+    n : float
+        Exponent of the stress.
+    rate_floor : float
+        |Pi| below which psi is smoothed at zero, with nu > 0; far below the rates of interest.
+    """
+
+    A: Annotated[Modulus, Quantity("1/s/Pa^n", "> 0", 0.1)]
+    n: Annotated[float, Quantity("1", "from 1 to 10", 3.0)]
+    rate_floor: Annotated[float, Quantity("1/s", "> 0")] = 1e-9
+
+    @property
+    def degree(self) -> float:  # type: ignore[override]
+        return float(self.n)
+
+    def rate(
+        self, M: CoefficientFunction, zeta: CoefficientFunction | None, z: Values
+    ) -> CoefficientFunction:
+        return value_at(self.A, z) * power_of_square(square(M), 0.5 * (self.n - 1), TINY_STRESS) * M
+
+    def psi(self, Pi: CoefficientFunction, z: Values) -> CoefficientFunction:
+        """n/(n+1) A^{-1/n} |Pi|^{(n+1)/n}, W/m^3."""
+        n = float(self.n)
+        factor = (n / (n + 1)) * value_at(self.A, z) ** (-1 / n)
+        return factor * power_of_square(square(Pi), 0.5 * (n + 1) / n, self.rate_floor)
+
+
+_SMALL = 1e-4
+"""(|M|/sigma_0)^2 below which sinh x/x is its series, whose error is then 2e-16."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Eyring(GradientRule):
+    """Pi = A sinh(|M|/sigma_0) M/|M|, of the potential A sigma_0 (cosh(|M|/sigma_0) - 1) (Eyring 1936).
+
+    Linear below sigma_0, with G_m = sigma_0/A, and exponential above: glassy polymers, and rocks at low
+    temperatures.  Raises ParameterError if a parameter is out of its range.
+
+    Parameters
+    ----------
+    A : float
+        Rate of the jumps.
+    sigma_0 : float
+        Stress that biases them.
+    rate_floor : float
+        |Pi| below which psi is smoothed at zero, with nu > 0; far below A.
+    """
+
+    A: Annotated[Modulus, Quantity("1/s", "> 0", 0.1)]
+    sigma_0: Annotated[Modulus, Quantity("Pa", "> 0", 1.0)]
+    rate_floor: Annotated[float, Quantity("1/s", "> 0")] = 1e-9
+
+    def rate(
+        self, M: CoefficientFunction, zeta: CoefficientFunction | None, z: Values
+    ) -> CoefficientFunction:
+        sigma = value_at(self.sigma_0, z)
+        s = square(M) / (sigma * sigma)
+        x = sqrt(s + _SMALL**4)
+        ratio = if_positive(s - _SMALL, (exp(x) - exp(-x)) / (2 * x), 1 + s / 6 + s * s / 120)
+        return value_at(self.A, z) / sigma * ratio * M
+
+    def psi(self, Pi: CoefficientFunction, z: Values) -> CoefficientFunction:
+        """sigma_0 (|Pi| arsinh(|Pi|/A) - sqrt(|Pi|^2 + A^2) + A), W/m^3."""
+        A, size = value_at(self.A, z), sqrt(square(Pi) + self.rate_floor**2)
+        hypotenuse = sqrt(size * size + A * A)
+        return value_at(self.sigma_0, z) * (size * log((size + hypotenuse) / A) - hypotenuse + A)
+
+
+def norm(A: CoefficientFunction) -> CoefficientFunction:
+    """|A|, with a derivative, zero, at A = 0."""
+    return sqrt(square(A) + TINY_STRESS**2)
+
+
+def positive(a: CoefficientFunction) -> CoefficientFunction:
+    """a where it is positive, 0 elsewhere."""
+    return if_positive(a, a, 0 * a)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Perzyna(GradientRule):
+    """Viscoplasticity with the yield condition of von Mises (Perzyna 1966; n = 1: Bingham 1916).
+
+        Pi = 1/G_m (|M| - s)^+ ((|M| - s)^+/s)^{n-1} M/|M|,   s = sqrt(2/3) sigma_Y,
+
+    of the potential s^2/(G_m (n + 1)) ((|M| - s)^+/s)^{n+1}.  Nothing flows up to the uniaxial stress
+    sigma_Y; in shear that is sigma_Y/sqrt(3).  For G_m -> 0 the stress does not leave the yield surface,
+    which is rate-independent perfect plasticity (Prandtl-Reuss).
+
+    With H or Q it hardens isotropically: sigma_Y grows by H k + Q (1 - exp(-b k)) with the plastic strain k,
+    dk/dt = sqrt(2/3) |Pi|, which the matter carries (the field ``plastic_strain``), and stores the work of it
+    (``ngvisco.physics.flow_rules.rule``).  Raises ParameterError if a parameter is out of its range.
+
+    Parameters
+    ----------
+    sigma_Y : float
+        Uniaxial yield stress.
+    G_m : float
+        Viscosity of what exceeds it: twice the plastic viscosity of a Bingham fluid.
+    n : float
+        Exponent of the overstress.
+    H : float
+        Linear hardening: slope of the uniaxial yield stress by the plastic strain.
+    Q : float
+        Hardening that saturates (Voce 1948): by how much the yield stress grows altogether.
+    b : float
+        How fast it does: 1/b is the plastic strain at which 63 per cent of Q are there.
+    rate_floor : float
+        |Pi| below which psi is smoothed at zero, with nu > 0: what does not yield flows by less than it.  A
+        thousandth of the rates of interest; one much smaller may need more iterations than there are.
+    """
+
+    sigma_Y: Annotated[Modulus, Quantity("Pa", "> 0", 2.0)]
+    G_m: Annotated[Modulus, Quantity("Pa s", "> 0", 0.1)]
+    n: Annotated[float, Quantity("1", "from 1 to 10")] = 1.0
+    H: Annotated[Modulus, Quantity("Pa", ">= 0", 5.0)] = 0.0
+    Q: Annotated[Modulus, Quantity("Pa", ">= 0", 1.0)] = 0.0
+    b: Annotated[float, Quantity("1", "> 0")] = 10.0
+    rate_floor: Annotated[float, Quantity("1/s", "> 0")] = 1e-9
+
+    @property
+    def hardening(self) -> Hardening | None:
+        if self.H == 0 and self.Q == 0:
+            return None
+        return Hardening(H=self.H, Q=self.Q, b=float(self.b))
+
+    @property
+    def reads(self) -> frozenset[str]:  # type: ignore[override]
+        return frozenset() if self.hardening is None else frozenset({HARDENING})
+
+    def threshold(self, z: Values) -> CoefficientFunction | float:
+        """|M| at which it yields, s, Pa."""
+        sigma_Y = value_at(self.sigma_Y, z)
+        return math.sqrt(2 / 3) * (sigma_Y if self.hardening is None else sigma_Y + z[HARDENING])
+
+    def rate(
+        self, M: CoefficientFunction, zeta: CoefficientFunction | None, z: Values
+    ) -> CoefficientFunction:
+        size, s = norm(M), self.threshold(z)
+        over = positive(size - s)
+        if self.n > 1:
+            over = over * power_of_square(over * over / (s * s), 0.5 * (self.n - 1), TINY_STRESS)
+        return over / (value_at(self.G_m, z) * size) * M
+
+    def psi(self, Pi: CoefficientFunction, z: Values) -> CoefficientFunction:
+        """s |Pi| + n/(n+1) (G_m s^{n-1})^{1/n} |Pi|^{(n+1)/n}, W/m^3."""
+        n, s, size = float(self.n), self.threshold(z), square(Pi)
+        viscous = (value_at(self.G_m, z) * s ** (n - 1)) ** (1 / n)
+        smooth = power_of_square(size, 0.5 * (n + 1) / n, self.rate_floor)
+        return s * power_of_square(size, 0.5, self.rate_floor) + (n / (n + 1) * viscous) * smooth
+
+
+@dataclass(frozen=True, kw_only=True)
+class DruckerPrager(FlowRule):
+    """Viscoplasticity of frictional matter, whose strength grows with its pressure p (Drucker, Prager 1952).
+
+        Pi = 1/G_m (|M| - s)^+ M/|M|,   s = sqrt(2) (c cos phi + p sin phi)^+,   p = -tr T/3,
+
+    so that sqrt(J_2) = |M|/sqrt(2) is held to c cos phi + p sin phi, as in plane strain by Mohr and Coulomb.
+    It does not dilate: tr Pi = 0, which has no potential together with this s, but M : Pi >= 0 always.  It is
+    local.  Raises ParameterError if a parameter is out of its range.
+
+    Parameters
+    ----------
+    cohesion : float
+        Cohesion c.
+    friction_angle : float
+        Angle phi of internal friction, degrees.
+    G_m : float
+        Viscosity of what exceeds the strength.
+    """
+
+    cohesion: Annotated[Modulus, Quantity("Pa", ">= 0", 1.0)]
+    friction_angle: Annotated[float, Quantity("1", "in [0, 90) degrees", 30.0)]
+    G_m: Annotated[Modulus, Quantity("Pa s", "> 0", 0.1)]
+
+    reads = frozenset({PRESSURE})
+
+    def rate(
+        self, M: CoefficientFunction, zeta: CoefficientFunction | None, z: Values
+    ) -> CoefficientFunction:
+        phi = math.radians(self.friction_angle)
+        strength = math.cos(phi) * value_at(self.cohesion, z) + math.sin(phi) * z[PRESSURE]
+        size = norm(M)
+        over = positive(size - math.sqrt(2) * positive(strength))
+        return over / (value_at(self.G_m, z) * size) * M
+
+
+@dataclass(frozen=True, kw_only=True)
+class Composite(FlowRule):
+    """Pi = sum of the rates of several rules under one stress, such as diffusion and dislocation creep.
+
+    Its potential of M is the sum of theirs; that of Pi has no closed form, so that it is local.  Raises
+    ParameterError if a parameter is out of its range.
+
+    Parameters
+    ----------
+    rules : sequence of FlowRule
+        At least one, each local (nu = 0).
+    """
+
+    rules: tuple[FlowRule, ...]
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.rules, (tuple, list)) or not self.rules:
+            raise ParameterError("Composite.rules", self.rules, "a sequence of flow rules")
+        object.__setattr__(self, "rules", tuple(self.rules))
+        for i, rule in enumerate(self.rules):
+            if not isinstance(rule, FlowRule):
+                raise ParameterError("Composite.rules", rule, "flow rules")
+            if not rule.is_local:
+                raise ParameterError(f"Composite.rules[{i}].nu", rule.nu, "0 within a sum")
+            if rule.hardening is not None:
+                expected = "a rule without hardening: of a sum's rate no part is that of its plastic strain"
+                name = "Q" if rule.hardening.H == 0 else "H"
+                value = getattr(rule.hardening, name)
+                raise ParameterError(f"Composite.rules[{i}].{name}", value, expected)
+
+    def rate(
+        self, M: CoefficientFunction, zeta: CoefficientFunction | None, z: Values
+    ) -> CoefficientFunction:
+        return reduce(add, (rule.rate(M, zeta, z) for rule in self.rules if rule.flows))
+
+    @property
+    def flows(self) -> bool:
+        return any(rule.flows for rule in self.rules)
+
+    @property
+    def reads_conjugate(self) -> bool:  # type: ignore[override]
+        return any(rule.reads_conjugate for rule in self.rules)
+
+    @property
+    def reads(self) -> frozenset[str]:  # type: ignore[override]
+        return frozenset[str]().union(*(rule.reads for rule in self.rules))
+
+    @property
+    def degree(self) -> float:  # type: ignore[override]
+        return max(rule.degree for rule in self.rules)
+
+    @property
+    def has_trace(self) -> bool:  # type: ignore[override]
+        return any(rule.has_trace for rule in self.rules)
