@@ -33,10 +33,9 @@ from ngvisco.forms.mesh.quadrature import Quadrature
 from ngvisco.forms.rates import Conjugate, Rates, TabulatedRates
 from ngvisco.forms.spaces import Layout
 from ngvisco.physics.arrays import TINY, Array
-from ngvisco.physics.energy_checks import StateSampling
 from ngvisco.physics.flow_rules.resolvent import PointRate, resolved, slope_of
 from ngvisco.physics.model import Flow
-from ngvisco.physics.pointwise import respond
+from ngvisco.physics.pointwise import respond, rest_state
 
 _OfRate: TypeAlias = Callable[[Flow, CoefficientFunction, Fields], CoefficientFunction]
 STRESS = "stress_"
@@ -388,7 +387,7 @@ class LinearisedTabulatedRates(LinearisedRates, TabulatedRates):
 
 def _stiffness(flow: Flow, rates: TabulatedRates) -> float:
     """How much stress a creep strain takes at rest, Pa, in the mean of its components."""
-    rest = StateSampling(rates.material, rates.dim).rest()[None]
+    rest = rest_state(rates.material, rates.dim)[None]
     response, first = respond(rates.material, rates.dim)(rest), rates.tensors.gradients
     first += rates.creep_space.size * rates.flows.index(flow)
     own = slice(first, first + rates.creep_space.size)

@@ -11,7 +11,7 @@ from ngvisco.errors import ParameterError, Quantity
 from ngvisco.physics.flow_rules.rule import FlowRule, Hardening
 from ngvisco.physics.parameters import Modulus, require_ranges, value_at
 from ngvisco.physics.rheology import ValueOfModulus, Viscosity
-from ngvisco.physics.tensors import exp
+from ngvisco.physics.tensors import Tensor, exp
 from ngvisco.physics.variables import PRESSURE, TEMPERATURE, Values
 
 GAS_CONSTANT = 8.31446261815324
@@ -102,12 +102,10 @@ class Activated(_Activation, FlowRule):  # type: ignore[override]
     def hardening(self) -> Hardening | None:
         return self.rule.hardening
 
-    def rate(
-        self, M: CoefficientFunction, zeta: CoefficientFunction | None, z: Values
-    ) -> CoefficientFunction:
+    def rate(self, M: Tensor, zeta: Tensor | None, z: Values) -> Tensor:
         return self.factor(z) * self.rule.rate(M, zeta, z)
 
-    def psi(self, Pi: CoefficientFunction, z: Values) -> CoefficientFunction:
+    def psi(self, Pi: Tensor, z: Values) -> Tensor:
         """a psi_rule(Pi/a), W/m^3."""
         a = self.factor(z)
         return a * self.rule.psi((1 / a) * Pi, z)

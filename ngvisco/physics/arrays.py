@@ -7,20 +7,21 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from functools import lru_cache
 from itertools import count
-from typing import Any
+from typing import Any, Self, TypeAlias
 
 import numpy as np
 
 TINY = 1e-30
 """Length of a complex increment, relative to the direction."""
 
+Map: TypeAlias = Callable[[np.ndarray], np.ndarray]
 
-def slope_along(
-    function: Callable[[np.ndarray], np.ndarray], at: np.ndarray, direction: np.ndarray
-) -> np.ndarray:
+
+def slope_along(function: Map, at: np.ndarray, direction: np.ndarray) -> np.ndarray:
     """The derivative of an analytic function of arrays in a direction.
 
     It is the imaginary part of a tiny complex increment: no difference is taken, so that nothing cancels.
@@ -31,42 +32,106 @@ def slope_along(
 _number = count(1)
 
 
-class Array:
+class _Node(ABC):
+    """What arrays and linear forms have in common: maps of entries, which carry derivatives back."""
+
+    __slots__ = ()
+    __array_ufunc__ = None  # numpy's numbers leave the operation to these classes
+    shape: tuple[int, ...]
+
+    @abstractmethod
+    def _mapped(self, shape: tuple[int, ...], there: Map, back: Map) -> Self:
+        """A linear map of this one, and that of derivatives by it."""
+
+    @property
+    def rank(self) -> int:
+        """0 for scalars, 1 for vectors, 2 for matrices."""
+        return len(self.shape)
+
+    @property
+    def is_scalar(self) -> bool:
+        return not self.shape
+
+    def __neg__(self) -> Self:
+        return self._mapped(self.shape, np.negative, np.negative)
+
+    def __rsub__(self, other: Any) -> Any:
+        return -self + other
+
+    @property
+    def trans(self) -> Self:
+        """The transpose."""
+        self._require_matrix()
+        return self._mapped(self.shape[::-1], _transposed, _transposed)
+
+    def trace(self) -> Self:
+        """The trace."""
+        self._require_matrix()
+        identity = np.eye(self.shape[0])[:, :, None]
+        return self._mapped((), lambda a: np.einsum("iip->p", a), lambda g: g * identity)
+
+    def __getitem__(self, index: int | tuple[int, int]) -> Self:
+        """The scalars A_ij, or v_i."""
+        shape = self.shape
+        if len(shape) != (len(index) if isinstance(index, tuple) else 1):
+            raise TypeError(f"no entry {index} of rank {self.rank}")
+
+        def placed(g: np.ndarray) -> np.ndarray:
+            result = np.zeros((*shape, g.shape[-1]), g.dtype)
+            result[index] = g
+            return result
+
+        return self._mapped((), lambda a: a[index], placed)
+
+    def mapped(self, matrix: np.ndarray, shape: tuple[int, ...]) -> Self:
+        """matrix @ entries, in row-major order, as a tensor of ``shape``."""
+        own = self.shape
+        return self._mapped(shape, lambda a: _applied(matrix, a, shape), lambda g: _applied(matrix.T, g, own))
+
+    def masked(self, mask: np.ndarray) -> Self:
+        """Rows of vectors or matrices with zero where ``mask`` is False."""
+        rows = mask.reshape(-1, *(1,) * self.rank)
+        return self._mapped(self.shape, lambda a: a * rows, lambda g: g * rows)
+
+    def _require_matrix(self) -> None:
+        if self.rank != 2:
+            raise TypeError("only matrices have a transpose, a trace and entries")
+
+
+class Array(_Node):
     """Scalars (points,), vectors (n, points) or matrices (n, m, points), with what they were made of.
 
     Products, quotients and powers mean what they mean for coefficient functions: ``*`` of two vectors is
     their inner product, of matrices the matrix product.  What is not supported raises TypeError.  Values may
-    be complex: an increment of 1e-30 i carries a derivative along (``ngvisco.physics.arrays``).
+    be complex: an increment of 1e-30 i carries a derivative along (``slope_along``).
     """
 
-    __slots__ = ("is_constant", "number", "parents", "value")
+    __slots__ = ("is_constant", "number", "parents", "shape", "value")
     is_constant: bool
-    __array_ufunc__ = None  # numpy's numbers leave the operation to this class
 
     def __init__(self, value: np.ndarray, parents: Sequence[tuple[Array, Any]] | None = ()) -> None:
         """``parents`` come with the maps that carry a derivative by this one back to them.
 
         An empty sequence is an argument, None a value that nothing is differentiated by.
         """
-        self.value = value
+        self.value, self.shape = value, value.shape[:-1]
         if parents:
             parents = [each for each in parents if not each[0].is_constant] or None
         self.is_constant = parents is None
         self.number = 0 if parents is None else next(_number)
         self.parents = parents or ()
 
-    @property
-    def rank(self) -> int:
-        """0 for scalars, 1 for vectors, 2 for matrices."""
-        return self.value.ndim - 1
-
-    @property
-    def is_scalar(self) -> bool:
-        return self.value.ndim == 1
+    def _mapped(self, shape: tuple[int, ...], there: Map, back: Map) -> Array:
+        return Array(there(self.value), [(self, back)])
 
     def like(self, number: float) -> Array:
         """Scalars all equal to ``number``."""
         return Array(np.full(self.value.shape[-1], number), None)
+
+    @staticmethod
+    def constant(value: float | np.ndarray) -> Array:
+        """A number or one 3x3 tensor, which nothing is differentiated by."""
+        return _array(value)
 
     def __add__(self, other: Any) -> Array:
         return self._joined(other, np.add, _same)
@@ -74,7 +139,7 @@ class Array:
     def __sub__(self, other: Any) -> Array:
         return self._joined(other, np.subtract, np.negative)
 
-    def _joined(self, other: Any, operation: Any, pull: Any) -> Array:
+    def _joined(self, other: Any, operation: Any, pull: Map) -> Array:
         if isinstance(other, Linear):
             return NotImplemented
         other = _array(other)
@@ -82,20 +147,21 @@ class Array:
             raise TypeError("sums of scalars, vectors and tensors are not defined")
         return Array(operation(self.value, other.value), [(self, _same), (other, pull)])
 
-    def __neg__(self) -> Array:
-        return Array(-self.value, [(self, np.negative)])
-
     def __mul__(self, other: Any) -> Array:
         if isinstance(other, Linear):
             return NotImplemented
         a, b = self, _array(other)
-        value, pull_a, pull_b = _product(a.value, b.value)
-        return Array(value, [(a, pull_a), (b, pull_b)])
+        left, right, out = _subscripts(a.shape, b.shape)
+        return Array(
+            _product(left, right, out, a.value, b.value),
+            [
+                (a, lambda g: _product(out, right, left, g, b.value)),
+                (b, lambda g: _product(out, left, right, g, a.value)),
+            ],
+        )
 
     def __truediv__(self, other: Any) -> Array:
-        other = _array(other)
-        if not other.is_scalar:
-            raise TypeError("division by a tensor is not defined")
+        other = _divisor(other)
         if self.is_constant and other.is_constant:
             return Array(self.value / other.value, None)
         inverse = 1 / other.value
@@ -115,9 +181,6 @@ class Array:
     def __radd__(self, other: Any) -> Array:
         return self + other
 
-    def __rsub__(self, other: Any) -> Array:
-        return -self + other
-
     def __rmul__(self, other: Any) -> Array:
         return _array(other) * self
 
@@ -131,36 +194,7 @@ class Array:
         a, b = self, _array(other)
         if a.rank != b.rank:
             raise TypeError("the inner product of a scalar and a tensor is not defined")
-        value = a.value * b.value if a.is_scalar else contracted(a.value, b.value)
-        return Array(value, [(a, lambda g: g * b.value), (b, lambda g: g * a.value)])
-
-    @property
-    def trans(self) -> Array:
-        """The transpose."""
-        self._require_tensor()
-        return Array(self.value.swapaxes(0, 1), [(self, lambda g: g.swapaxes(0, 1))])
-
-    def trace(self) -> Array:
-        """The trace."""
-        self._require_tensor()
-        identity = np.eye(len(self.value))[:, :, None]
-        return Array(np.einsum("iip->p", self.value), [(self, lambda g: g * identity)])
-
-    def __getitem__(self, index: int | tuple[int, int]) -> Array:
-        """The scalars A_ij, or v_i."""
-        if self.rank != (len(index) if isinstance(index, tuple) else 1):
-            raise TypeError(f"no entry {index} of rank {self.rank}")
-        return Array(self.value[index], [(self, _placing(index, self.value.shape[:-1]))])
-
-    def mapped(self, matrix: np.ndarray, shape: tuple[int, ...]) -> Array:
-        """matrix @ entries, in row-major order, as a tensor of ``shape``."""
-        own = self.value.shape[:-1]
-        return Array(_applied(matrix, self.value, shape), [(self, lambda g: _applied(matrix.T, g, own))])
-
-    def masked(self, mask: np.ndarray) -> Array:
-        """Rows of vectors or matrices with zero where ``mask`` is False."""
-        rows = mask.reshape(-1, *(1,) * (self.value.ndim - 1))
-        return Array(self.value * rows, [(self, lambda g: g * rows)])
+        return Array(contracted(a.value, b.value), [(a, lambda g: g * b.value), (b, lambda g: g * a.value)])
 
     def log(self) -> Array:
         """The natural logarithm of scalars."""
@@ -179,22 +213,21 @@ class Array:
         value = np.exp(self.value)
         return Array(value, [(self, lambda g: g * value)])
 
+    def _require_scalar(self, what: str) -> None:
+        if not self.is_scalar:
+            raise TypeError(f"only scalars have {what}")
+
     def cofactor(self) -> Array:
         """The cofactors of 3x3 tensors, (det A) A^-T."""
-        self._require_tensor()
+        self._require_matrix()
         return Array(0.5 * _cross(self.value, self.value), [(self, lambda g: _cross(self.value, g))])
 
     def determinant(self) -> Array:
         """The determinants of 3x3 tensors."""
-        self._require_tensor()
+        self._require_matrix()
         cofactor = 0.5 * _cross(self.value, self.value)
         value = (self.value[0] * cofactor[0]).sum(axis=0)
         return Array(value, [(self, lambda g: g * cofactor)])
-
-    @staticmethod
-    def constant(value: float | np.ndarray) -> Array:
-        """A number or one 3x3 tensor, which nothing is differentiated by."""
-        return _array(value)
 
     def where_positive(self, then: Any, otherwise: Any) -> Array:
         """``then`` where this scalar is > 0, ``otherwise`` elsewhere."""
@@ -204,23 +237,13 @@ class Array:
             [(a, lambda g: np.where(positive, g, 0.0)), (b, lambda g: np.where(positive, 0.0, g))],
         )
 
-    def _require_tensor(self) -> None:
-        if self.rank != 2:
-            raise TypeError("only matrices have a transpose, a trace and entries")
 
-    def _require_scalar(self, what: str) -> None:
-        if not self.is_scalar:
-            raise TypeError(f"only scalars have {what}")
-
-
-class Linear:
+class Linear(_Node):
     """What is linear in test functions: it has a shape and no value, only maps back to these.
 
     With a test function in its place, ``Term.cells`` and ``Term.facets`` give an integrand that is linear in
     the tests; ``slots`` reads off what multiplies each of them.
     """
-
-    __array_ufunc__ = None
 
     def __init__(
         self, shape: tuple[int, ...], parents: Sequence[tuple[Linear, Any]] = (), slot: str | None = None
@@ -228,9 +251,8 @@ class Linear:
         """``slot`` is the name of a test function; ``parents`` as those of ``Array``."""
         self.shape, self.parents, self.slot, self.number = shape, parents, slot, next(_number)
 
-    @property
-    def rank(self) -> int:
-        return len(self.shape)
+    def _mapped(self, shape: tuple[int, ...], there: Map, back: Map) -> Linear:
+        return Linear(shape, [(self, back)])
 
     def __add__(self, other: Any) -> Linear:
         if not isinstance(other, Linear):
@@ -243,32 +265,25 @@ class Linear:
 
     __radd__ = __add__
 
-    def __neg__(self) -> Linear:
-        return Linear(self.shape, [(self, np.negative)])
-
     def __sub__(self, other: Any) -> Linear:
         return self + (-other)
 
-    def __rsub__(self, other: Any) -> Linear:
-        return -self + other
-
     def __mul__(self, other: Any) -> Linear:
-        b = _array(other).value
-        return Linear(
-            _product_shape(self.shape, b.shape[:-1]), [(self, lambda g: _pulled_left(g, self.shape, b))]
-        )
+        b = _array(other)
+        left, right, out = _subscripts(self.shape, b.shape)
+        sizes = dict(zip(left + right, self.shape + b.shape, strict=True))
+        shape = tuple(sizes[i] for i in out)
+        return Linear(shape, [(self, lambda g: _product(out, right, left, g, b.value))])
 
     def __rmul__(self, other: Any) -> Linear:
-        a = _array(other).value
-        return Linear(
-            _product_shape(a.shape[:-1], self.shape), [(self, lambda g: _pulled_right(g, a, self.shape))]
-        )
+        a = _array(other)
+        left, right, out = _subscripts(a.shape, self.shape)
+        sizes = dict(zip(left + right, a.shape + self.shape, strict=True))
+        shape = tuple(sizes[i] for i in out)
+        return Linear(shape, [(self, lambda g: _product(out, left, right, g, a.value))])
 
     def __truediv__(self, other: Any) -> Linear:
-        other = _array(other)
-        if not other.is_scalar:
-            raise TypeError("division by a tensor is not defined")
-        return self * Array(1 / other.value, None)
+        return self * Array(1 / _divisor(other).value, None)
 
     def InnerProduct(self, other: Any) -> Linear:
         """a : b, under the name by which NGSolve's function asks for it."""
@@ -277,71 +292,32 @@ class Linear:
             raise TypeError("the inner product of a scalar and a tensor is not defined")
         return Linear((), [(self, lambda g: b if g.size == 1 and g[0] == 1.0 else g * b)])
 
-    @property
-    def trans(self) -> Linear:
-        """The transpose."""
-        return Linear(self.shape[::-1], [(self, lambda g: g.swapaxes(0, 1))])
 
-    def trace(self) -> Linear:
-        """The trace."""
-        identity = np.eye(self.shape[0])[:, :, None]
-        return Linear((), [(self, lambda g: g * identity)])
-
-    def __getitem__(self, index: int | tuple[int, int]) -> Linear:
-        return Linear((), [(self, _placing(index, self.shape))])
-
-    def mapped(self, matrix: np.ndarray, shape: tuple[int, ...]) -> Linear:
-        """matrix @ entries, in row-major order, as a tensor of ``shape``."""
-        return Linear(shape, [(self, lambda g: _applied(matrix.T, g, self.shape))])
+_PRODUCTS = {
+    (0, 0): ("", "", ""),
+    (0, 1): ("", "i", "i"),
+    (0, 2): ("", "ij", "ij"),
+    (1, 0): ("i", "", "i"),
+    (2, 0): ("ij", "", "ij"),
+    (1, 1): ("k", "k", ""),
+    (2, 1): ("ik", "k", "i"),
+    (2, 2): ("ik", "kj", "ij"),
+}
+"""Indices of the factors and of their product, by ranks."""
 
 
-def contracted(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Sum over all but the last axis of a * b."""
-    axes = "ij"[: a.ndim - 1]
-    return np.einsum(f"{axes}p,{axes}p->p", a, b)
-
-
-def _product_shape(a: tuple[int, ...], b: tuple[int, ...]) -> tuple[int, ...]:
-    if not a or not b:
-        return a + b
-    if a[-1] != b[0] or len(a) < len(b):
+def _subscripts(a: tuple[int, ...], b: tuple[int, ...]) -> tuple[str, str, str]:
+    """The indices of a product of factors of these shapes."""
+    if (len(a), len(b)) not in _PRODUCTS or (a and b and a[-1] != b[0]):
         raise TypeError(f"shapes {a} and {b} have no product")
-    return () if len(a) == len(b) == 1 else a[:-1] + b[1:]
+    return _PRODUCTS[len(a), len(b)]
 
 
-def _product(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, Any, Any]:
-    """The product and the maps that carry derivatives by it back to both factors."""
-    left, right = a.shape[:-1], b.shape[:-1]
-    _product_shape(left, right)
-    if not left or not right:
-        value = a * b
-    elif len(left) == len(right) == 1:
-        value = np.einsum("ip,ip->p", a, b)
-    elif len(left) == 2 and len(right) == 1:
-        value = np.einsum("ikp,kp->ip", a, b)
-    elif len(left) == len(right) == 2:
-        value = np.einsum("ikp,kjp->ijp", a, b)
-    else:
-        raise TypeError("a vector times a matrix is not defined")
-    return value, lambda g: _pulled_left(g, left, b), lambda g: _pulled_right(g, a, right)
-
-
-def _pulled_left(g: np.ndarray, shape: tuple[int, ...], b: np.ndarray) -> np.ndarray:
-    """The derivative by a of ``shape`` from that by a b."""
-    if not shape and b.ndim > 1:
-        return contracted(g, b)
-    if not shape or b.ndim == 1 or g.ndim == 1:
-        return g * b
-    return np.einsum("ip,kp->ikp", g, b) if b.ndim == 2 else np.einsum("ijp,kjp->ikp", g, b)
-
-
-def _pulled_right(g: np.ndarray, a: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    """The derivative by b of ``shape`` from that by a b."""
-    if not shape and a.ndim > 1:
-        return contracted(g, a)
-    if not shape or a.ndim == 1 or g.ndim == 1:
-        return g * a
-    return np.einsum("ip,ikp->kp", g, a) if len(shape) == 1 else np.einsum("ijp,ikp->kjp", g, a)
+def _product(left: str, right: str, out: str, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """The sum of a * b over indices that ``out`` lacks, at every point."""
+    if out in (left, right) and ("" in (left, right) or left == right):
+        return a * b
+    return np.einsum(f"{left}p,{right}p->{out}p", a, b)
 
 
 def _applied(matrix: np.ndarray, value: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
@@ -358,17 +334,6 @@ def _entries(numbers: bytes, width: int) -> list[tuple[int, int, float]]:
     """Places and values of what is not zero in a matrix with rows of ``width``."""
     matrix = np.frombuffer(numbers).reshape(-1, width)
     return [(int(i), int(j), float(matrix[i, j])) for i, j in np.argwhere(matrix)]
-
-
-def _placing(index: int | tuple[int, int], shape: tuple[int, ...]) -> Callable[[np.ndarray], np.ndarray]:
-    """From the derivative by one entry to that by all, (*shape, points)."""
-
-    def pull(g: np.ndarray) -> np.ndarray:
-        result = np.zeros((*shape, g.shape[-1]), g.dtype)
-        result[index] = g
-        return result
-
-    return pull
 
 
 def slots(form: Linear) -> dict[str, np.ndarray]:
@@ -431,6 +396,22 @@ def _minors(A: np.ndarray, B: np.ndarray) -> np.ndarray:
     """A_jJ B_kK - A_jK B_kJ at (i, I), for (i, j, k) and (I, J, K) cyclic."""
     one, two = (np.roll(np.arange(3), -1), np.roll(np.arange(3), -2))
     return A[one][:, one] * B[two][:, two] - A[one][:, two] * B[two][:, one]
+
+
+def contracted(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Sum over all but the last axis of a * b."""
+    axes = "ij"[: a.ndim - 1]
+    return _product(axes, axes, "", a, b)
+
+
+def _divisor(value: Any) -> Array:
+    if not (found := _array(value)).is_scalar:
+        raise TypeError("division by a tensor is not defined")
+    return found
+
+
+def _transposed(a: np.ndarray) -> np.ndarray:
+    return a.swapaxes(0, 1)
 
 
 def _same(g: np.ndarray) -> np.ndarray:

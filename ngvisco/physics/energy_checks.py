@@ -1,33 +1,23 @@
-"""What is asked of an energy: a function of the state alone, convex, and the same for all observers.
+"""What is asked of an energy: to be a function of the state alone, the same for all observers, and convex.
 
-A stored energy must be a function of the state alone: what else one may read by mistake is refused.
+**The state alone.**  The ledger's conjugates are derivatives by the state.  An energy that also depends on
+place, time, a grid function or the mesh has a rate that no term of the equations holds: it is refused.
 
-The ledger's conjugates are derivatives by the state.  An energy that also depends on the place, on the time,
-on a grid function or on the mesh has a rate that no term of the equations holds.
+**All observers.**  phi(z*) = phi(z) for the values z* that an observer turned by a rotation Q sees: Q F of F
+and its cofactor, Q E Q^T of spatial tensors.  For these phi is then isotropic, which is what makes S E = E S,
+the Cauchy stress symmetric, and B = F F^T enough to know of F.
 
-A sampling check of the joint convexity on which the ledger's guarantee rests.
-
-The scheme never creates energy because every step's Bregman distance
-phi(b) - phi(a) - phi'(a) : (b - a) is >= 0, which is convexity in all strains together, taken as
-independent ones (the discrete J is not exactly det F), at fixed parameters.  ``check_convexity`` evaluates
-that distance for random states a and, for each, b along the eigenvector of the smallest eigenvalue of the
-Hessian, near and farther, and at another random state; it reports the worst negative one.
-
-States whose variables fit together (J = det F, H = Cof F, ...), which a motion can reach, are cited first,
-and of those the ones that another such state b shows: a violation elsewhere matters only as far as the
-discrete variables drift apart.
-
-A sampling check that an energy does not change when the observer turns.
-
-phi(z*) = phi(z) for the values z* that an observer turned by a rotation Q sees: Q F of F and its cofactor,
-Q E Q^T of spatial tensors.  For these the same condition says that phi is an isotropic function, which is
-what makes S E = E S, the Cauchy stress symmetric, and B = F F^T enough to know of F.
+**Convexity.**  The scheme never creates energy because every step's Bregman distance
+phi(b) - phi(a) - phi'(a) : (b - a) is >= 0, which is convexity in all strains together, taken as independent
+ones (the discrete J is not exactly det F), at fixed parameters.  ``check_convexity`` evaluates that distance
+for random states a and, for each, b along the eigenvector of the smallest eigenvalue of the Hessian, near and
+farther, and at another random state.  States whose variables fit together (J = det F, ...), as in a motion,
+are cited first: a violation elsewhere matters only as far as the discrete variables part.
 """
 
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from ngsolve import CF, CoefficientFunction
@@ -41,11 +31,10 @@ from ngvisco.errors import (
     require_type,
 )
 from ngvisco.physics.material import Material
-from ngvisco.physics.materials.wrapped import Heterogeneous
-from ngvisco.physics.pointwise import Respond, energies_at, evaluated, respond, states_of
+from ngvisco.physics.materials.wrapped import Carrying
+from ngvisco.physics.pointwise import Respond, energies_at, evaluated, respond, rest_state, states_of
 from ngvisco.physics.signals import one_value, reads_time, sampled
 from ngvisco.physics.tensors import constant
-from ngvisco.physics.variables import Values
 
 _OTHERS = {
     ("coordinate",): "the position",
@@ -63,59 +52,96 @@ _OTHERS = {
 def check_energy(material: Material) -> None:
     """Raise ParameterError unless ``material.energy`` is a scalar function of the variables' values alone."""
     inner = getattr(material, "material", None)
-    if isinstance(inner, Material) and not isinstance(material, Heterogeneous):
-        # a wrapper's energy is made of that of another material
-        check_energy(inner)
+    if isinstance(inner, Material) and not isinstance(material, Carrying):
+        check_energy(inner)  # a wrapper's energy is made of that of another material
         return
-    owner = f"{type(material).__name__}.{material.energy_parameter}"
-    function = getattr(material, material.energy_parameter)
     names = ", ".join(v.name for v in material.variables)
+
+    def refusal(what: str) -> ParameterError:
+        return ParameterError(*_given(material), what)
+
     F = CF((1.2, 0.1, 0, -0.2, 0.9, 0, 0, 0, 1.05), dims=(3, 3))  # a state without symmetries
     z = {v.name: v.from_distortion(F).MakeVariable() for v in material.variables}
-    phi = _evaluated(material, z, owner, function, names)
-    text = str(phi)
-    for leaves, what in _OTHERS.items():
-        if any(leaf in text for leaf in leaves):
-            raise ParameterError(owner, function, f"a function of {names} alone; it reads {what}")
-    if reads_time(phi):
-        raise ParameterError(owner, function, f"a function of {names} alone; it reads the time")
-    if _is_constant(phi, z):
-        expected = f"an energy that changes with {names}: this one is a constant, without any stress"
-        raise ParameterError(owner, function, expected)
-    if not one_value(sampled(phi)):
-        expected = f"a function of {names} alone; it differs from place to place at one state"
-        raise ParameterError(owner, function, expected)
-
-
-def _is_constant(phi: CoefficientFunction, z: Values) -> bool:
-    """Whether no variable's conjugate differs from zero, but for what rounding leaves of sums that vanish."""
-    slopes = [abs(part) for variable in z.values() for part in np.ravel(sampled(phi.Diff(variable)))]
-    size = max(np.abs(sampled(phi)))
-    return bool(max(slopes) <= 1e-14 * size)
-
-
-def _evaluated(
-    material: Material, z: Values, owner: str, function: object, names: str
-) -> CoefficientFunction:
     try:
         phi = material.energy(z)
     except NgviscoError:
         raise
     except Exception as error:  # whatever a function of the user raises
-        expected = f"a function of {names}; it raises {type(error).__name__}: {error}"
-        raise ParameterError(owner, function, expected) from error
+        raise refusal(f"a function of {names}; it raises {type(error).__name__}: {error}") from error
     if not isinstance(phi, CoefficientFunction):
-        expected = f"a function of {names} that returns a coefficient function, not {phi!r:.60}"
-        raise ParameterError(owner, function, expected)
+        raise refusal(f"a function of {names} that returns a coefficient function, not {phi!r:.60}")
     if phi.dim != 1 or phi.is_complex:
         what = "a complex number" if phi.is_complex else f"an array of shape {tuple(phi.dims)}"
-        raise ParameterError(owner, function, f"a function of {names} that returns a real scalar, not {what}")
-    return phi
+        raise refusal(f"a function of {names} that returns a real scalar, not {what}")
+    text = str(phi)
+    read = [what for leaves, what in _OTHERS.items() if any(leaf in text for leaf in leaves)]
+    if reads_time(phi):
+        read.append("the time")
+    if read:
+        raise refusal(f"a function of {names} alone; it reads {read[0]}")
+    slopes = [abs(part) for value in z.values() for part in np.ravel(sampled(phi.Diff(value)))]
+    if max(slopes) <= 1e-14 * max(np.abs(sampled(phi))):  # but for what rounding leaves of sums that vanish
+        raise refusal(f"an energy that changes with {names}: this one is a constant, without any stress")
+    if not one_value(sampled(phi)):
+        raise refusal(f"a function of {names} alone; it differs from place to place at one state")
+
+
+def _given(material: Material) -> tuple[str, object]:
+    """The parameter that the energy is given by, with its material's name, and its value."""
+    field = material.energy_parameter
+    return f"{type(material).__name__}.{field}", getattr(material, field)
+
+
+class StateSampling:
+    """Random states of a material, (states, components), on a mesh of dimension ``dim``."""
+
+    def __init__(self, material: Material, dim: int, spread: float, rng: np.random.Generator) -> None:
+        self.material, self.dim, self.space = material, dim, material.states(dim)
+        self._spread, self._rng = spread, rng
+
+    def fitting(self) -> np.ndarray:
+        """States of a random F, F - I of the size ``spread``: variables that fit together, as in a motion."""
+        F = np.eye(3) + self._spread * self._rng.uniform(-1, 1, (_STATES, 3, 3))
+        if self.dim == 2:
+            F[:, 2, :2] = F[:, :2, 2] = 0
+        F[np.linalg.det(F) < 0.2] = np.eye(3)
+        return states_of(self.material, F, self.dim)
+
+    def changed(self, fitting: np.ndarray) -> np.ndarray:
+        """The states with every strain changed on its own: the discrete ones do not fit exactly."""
+        states = fitting.copy()
+        for variable in self.material.variables:
+            part = states[:, self.space.slices[variable.name]]
+            if not variable.is_strain:
+                continue
+            if part.shape[1] == 1 and variable.positive(CF(1.0)):
+                part *= np.exp(self._spread * self._rng.uniform(-1, 1, part.shape))
+            else:
+                part += self._spread * self._rng.uniform(-1, 1, part.shape)
+        return states
+
+    def named(self, components: np.ndarray) -> dict[str, np.ndarray]:
+        """Components as scalars and 3x3 arrays by name."""
+        found = {}
+        for name, space in self.space.spaces.items():
+            own = components[self.space.slices[name]]
+            found[name] = np.array(own[0]) if space.is_scalar else (space.columns @ own).reshape(3, 3)
+        return found
 
 
 _STATES = 256
-_DISTANCES = (1.0, 0.1)
-_ROUNDING = 1e-9
+
+
+def _sampling(owner: str, material: Material, dim: int, spread: float, seed: int) -> StateSampling:
+    """That of checked arguments."""
+    require_type(f"{owner}.material", material, Material)
+    require_positive(owner, spread=spread)
+    dimension, number = as_integer(dim), as_integer(seed)
+    if dimension not in (2, 3):
+        raise ParameterError(f"{owner}.dim", dim, "2 or 3")
+    if number is None or number < 0:
+        raise ParameterError(f"{owner}.seed", seed, "an integer >= 0")
+    return StateSampling(material, dimension, spread, np.random.default_rng(number))
 
 
 class ConvexityWarning(NgviscoWarning):
@@ -142,9 +168,9 @@ class ConvexityReport:
     """
 
     samples: int
-    worst: float
-    point: dict[str, np.ndarray] | None
-    direction: dict[str, np.ndarray] | None
+    worst: float = 0.0
+    point: dict[str, np.ndarray] | None = None
+    direction: dict[str, np.ndarray] | None = None
     reachable: bool = False
     distance: float = 0.0
     from_run: bool = False
@@ -156,8 +182,7 @@ class ConvexityReport:
     def __str__(self) -> str:
         if self.point is None or self.direction is None:
             return f"no violation of convexity in {self.samples} samples"
-        at = ", ".join(f"{name} = {array_text(value)}" for name, value in self.point.items())
-        along = ", ".join(f"{name}: {array_text(value)}" for name, value in self.direction.items())
+        at, along = _text(self.point, " = "), _text(self.direction, ": ")
         who = "which a motion can reach" if self.reachable else "which no motion reaches exactly"
         where = "the nearest state of the run's start" if self.from_run else "rest"
         far = f"{who}, {self.distance:.2g} from {where} in the norm of all variables"
@@ -198,38 +223,34 @@ def check_convexity(
     -------
     ConvexityReport
     """
-    require_type("check_convexity.material", material, Material)
-    require_positive("check_convexity", spread=spread)
-    dim, number = as_integer(dim) or 0, as_integer(seed)
-    if dim not in (2, 3):
-        raise ParameterError("check_convexity.dim", dim, "2 or 3")
-    if number is None or number < 0:
-        raise ParameterError("check_convexity.seed", seed, "an integer >= 0")
-    rng = np.random.default_rng(number)
-    sampling = StateSampling(material, dim)
-    fitting = sampling.with_parameters(sampling.fitting_states(rng, spread), states, rng)
-    a = sampling.changed(fitting, rng, spread)
-    other = sampling.fitting_states(rng, spread)
-    b = sampling.changed(other, rng, spread)
+    sampling = _sampling("check_convexity", material, dim, spread, seed)
+    strains, response = sampling.space.strains, respond(material, dim)
+    fitting = sampling.fitting()
+    if states is not None and not strains.all():
+        own = sampling._rng.choice(np.asarray(states, dtype=float), len(fitting))
+        fitting[:, ~strains] = own[:, ~strains]
+    a = sampling.changed(fitting)
+    other = sampling.fitting()
+    b = sampling.changed(other)
     for end in (other, b):  # at the same parameters
-        end[:, ~sampling.strains] = fitting[:, ~sampling.strains]
-    steps = [t * spread for t in (*_DISTANCES, *(-t for t in _DISTANCES))]
+        end[:, ~strains] = fitting[:, ~strains]
+    steps = [t * spread for t in (1.0, 0.1, -1.0, -0.1)]
     # (states, increments) in the order in which violations are cited
     rounds: list[tuple[bool, np.ndarray, list[np.ndarray]]] = [(True, fitting, [other - fitting])]
     for reachable, start, far in ((True, fitting, []), (False, a, [b - a])):
-        weakest = sampling.weakest_directions(start)
+        weakest = _weakest_directions(response, start, strains)
         rounds.append((reachable, start, [t * weakest for t in steps] + far))
     worst, samples = 0.0, 0
     found: tuple[bool, np.ndarray, np.ndarray] | None = None
     for reachable, start, increments in rounds:
-        count, smallest, pair = sampling.worst_bregman(start, increments)
+        count, smallest, pair = _worst_bregman(sampling, response, start, increments)
         samples, worst = samples + count, min(worst, smallest)
         if found is None and pair is not None:
             found = (reachable, *pair)
     if found is None:
-        return ConvexityReport(samples, 0.0, None, None)
+        return ConvexityReport(samples)
     reachable, at, along = found
-    near = sampling.rest()[None] if states is None else np.asarray(states, dtype=float)
+    near = rest_state(material, dim)[None] if states is None else np.asarray(states, dtype=float)
     report = ConvexityReport(
         samples,
         worst,
@@ -249,114 +270,42 @@ def check_convexity(
     return report
 
 
-class StateSampling:
-    """Random states of a material, (states, components), and its energy at them."""
-
-    def __init__(self, material: Material, dim: int) -> None:
-        self.material, self.dim, self.space = material, dim, material.states(dim)
-        self.size, self.strains = self.space.size, self.space.strains
-
-    @cached_property
-    def response(self) -> Respond:
-        """The energy and its derivatives at states."""
-        return respond(self.material, self.dim)
-
-    def fitting_states(self, rng: np.random.Generator, spread: float) -> np.ndarray:
-        """States of a random F: variables that fit together, as those of a motion."""
-        F = np.eye(3) + spread * rng.uniform(-1, 1, (_STATES, 3, 3))
-        if self.dim == 2:
-            F[:, 2, :2] = F[:, :2, 2] = 0
-        F[np.linalg.det(F) < 0.2] = np.eye(3)
-        return states_of(self.material, F, self.dim)
-
-    def with_parameters(
-        self, states: np.ndarray, run: np.ndarray | None, rng: np.random.Generator
-    ) -> np.ndarray:
-        """The states with parameters of some of a run's states, (count, components), where there is one."""
-        if run is None or self.strains.all():
-            return states
-        states = states.copy()
-        states[:, ~self.strains] = rng.choice(np.asarray(run, dtype=float), len(states))[:, ~self.strains]
-        return states
-
-    def rest(self) -> np.ndarray:
-        """The state of F = I, (components,)."""
-        return states_of(self.material, np.eye(3)[None], self.dim)[0]
-
-    def changed(self, fitting: np.ndarray, rng: np.random.Generator, spread: float) -> np.ndarray:
-        """The states with every strain changed on its own: the discrete ones do not fit exactly."""
-        states = fitting.copy()
-        for variable in self.material.variables:
-            part = states[:, self.space.slices[variable.name]]
-            if not variable.is_strain:
-                continue
-            if part.shape[1] == 1 and variable.positive(CF(1.0)):
-                part *= np.exp(spread * rng.uniform(-1, 1, part.shape))
-            else:
-                part += spread * rng.uniform(-1, 1, part.shape)
-        return states
-
-    def random_states(self, rng: np.random.Generator, spread: float) -> np.ndarray:
-        """States of a random F, with every strain then changed on its own."""
-        return self.changed(self.fitting_states(rng, spread), rng, spread)
-
-    def worst_bregman(
-        self, a: np.ndarray, increments: Sequence[np.ndarray]
-    ) -> tuple[int, float, tuple[np.ndarray, np.ndarray] | None]:
-        """Number of pairs, smallest Bregman distance over |b - a|^2, and its pair (a, b - a) if negative."""
-        at_a = self.response(a)
-        samples, worst, pair = 0, 0.0, None
-        for step in increments:
-            phi_b = energies_at(self.material, a + step, self.dim)
-            first_order = np.einsum("ij,ij->i", at_a.slope, step)
-            bregman = phi_b - at_a.energy - first_order
-            size = np.einsum("ij,ij->i", step, step)
-            finite = np.isfinite(bregman) & (size > 0) & self.is_inside(a + step)
-            samples += int(finite.sum())
-            rounding = _ROUNDING * (abs(at_a.energy) + abs(phi_b) + abs(first_order))
-            relative = np.where(finite & (bregman < -rounding), bregman / np.where(size > 0, size, 1), 0.0)
-            i = int(np.argmin(relative))
-            if relative[i] < worst:
-                worst, pair = float(relative[i]), (a[i], step[i])
-        return samples, worst, pair
-
-    def is_inside(self, states: np.ndarray) -> np.ndarray:
-        """Where the energy is asked to be convex: where J, the minors of B, ... are positive, but not det F,
-        whose domain is not convex; everywhere in variables for which the energy goes on."""
-
-        def bounds(components: CoefficientFunction) -> CoefficientFunction:
-            z = self.space.tensors(lambda: components)
-            asked = (v for v in self.material.variables if v.kind != "full")
-            parts = (v.positive(z[v.name]) for v in asked if v.name not in self.material.continued)
-            return CF((1.0, *(value for each in parts for value in each.values())))
-
-        inside: np.ndarray = np.all(evaluated(bounds, states) > 0, axis=1)
-        return inside
-
-    def weakest_directions(self, states: np.ndarray) -> np.ndarray:
-        """Unit eigenvectors of the smallest eigenvalue of the Hessian by the strains."""
-        hessian = np.nan_to_num(self.response(states).hessian, posinf=0, neginf=0)
-        weakest = np.zeros_like(states)
-        weakest[:, self.strains] = np.linalg.eigh(hessian[:, self.strains][:, :, self.strains])[1][:, :, 0]
-        return weakest
-
-    def named(self, components: np.ndarray) -> dict[str, np.ndarray]:
-        """Components as scalars and 3x3 arrays by name."""
-        found = {}
-        for name, space in self.space.spaces.items():
-            own = components[self.space.slices[name]]
-            found[name] = np.array(own[0]) if space.is_scalar else (space.columns @ own).reshape(3, 3)
-        return found
+def _weakest_directions(response: Respond, states: np.ndarray, strains: np.ndarray) -> np.ndarray:
+    """Unit eigenvectors of the smallest eigenvalue of the Hessian by the strains."""
+    hessian = np.nan_to_num(response(states).hessian, posinf=0, neginf=0)
+    weakest = np.zeros_like(states)
+    weakest[:, strains] = np.linalg.eigh(hessian[:, strains][:, :, strains])[1][:, :, 0]
+    return weakest
 
 
-def array_text(value: np.ndarray) -> str:
-    """An array for messages, in one line."""
-    return np.array2string(np.asarray(value), precision=3, suppress_small=True).replace("\n", "")
+def _worst_bregman(
+    sampling: StateSampling, response: Respond, a: np.ndarray, increments: Sequence[np.ndarray]
+) -> tuple[int, float, tuple[np.ndarray, np.ndarray] | None]:
+    """Number of pairs, smallest Bregman distance over |b - a|^2, and its pair (a, b - a) if negative."""
+    at_a, material = response(a), sampling.material
 
+    def bounds(components: CoefficientFunction) -> CoefficientFunction:
+        """What is > 0 where the energy is asked to be convex: J, the minors of B, ..., but not det F, whose
+        domain is not convex."""
+        z = sampling.space.tensors(lambda: components)
+        asked = (v for v in material.variables if v.kind != "full" and v.name not in material.continued)
+        return CF((1.0, *(value for v in asked for value in v.positive(z[v.name]).values())))
 
-_ROTATIONS = 4
-_TOLERANCE = 1e-8
-"""Of |phi(z*) - phi(z)| over the spread of phi among the samples; rounding is far below it."""
+    samples, worst, pair = 0, 0.0, None
+    for step in increments:
+        phi_b = energies_at(material, a + step, sampling.dim)
+        first_order = np.einsum("ij,ij->i", at_a.slope, step)
+        bregman = phi_b - at_a.energy - first_order
+        size = np.einsum("ij,ij->i", step, step)
+        inside = np.all(evaluated(bounds, a + step) > 0, axis=1)
+        finite = np.isfinite(bregman) & (size > 0) & inside
+        samples += int(finite.sum())
+        rounding = 1e-9 * (abs(at_a.energy) + abs(phi_b) + abs(first_order))
+        relative = np.where(finite & (bregman < -rounding), bregman / np.where(size > 0, size, 1), 0.0)
+        i = int(np.argmin(relative))
+        if relative[i] < worst:
+            worst, pair = float(relative[i]), (a[i], step[i])
+    return samples, worst, pair
 
 
 @dataclass(frozen=True)
@@ -376,9 +325,9 @@ class IsotropyReport:
     """
 
     samples: int
-    worst: float
-    rotation: np.ndarray | None
-    point: dict[str, np.ndarray] | None
+    worst: float = 0.0
+    rotation: np.ndarray | None = None
+    point: dict[str, np.ndarray] | None = None
 
     @property
     def passed(self) -> bool:
@@ -387,8 +336,8 @@ class IsotropyReport:
     def __str__(self) -> str:
         if self.rotation is None or self.point is None:
             return f"no change under rotations in {self.samples} samples"
-        at = ", ".join(f"{name} = {array_text(value)}" for name, value in self.point.items())
-        return f"changes by {self.worst:.3g} Pa under the rotation {array_text(self.rotation)} of {at}"
+        rotation, at = _text({"": self.rotation}, ""), _text(self.point, " = ")
+        return f"changes by {self.worst:.3g} Pa under the rotation {rotation} of {at}"
 
 
 def check_isotropy(material: Material, *, dim: int = 3, spread: float = 0.4, seed: int = 0) -> IsotropyReport:
@@ -410,55 +359,51 @@ def check_isotropy(material: Material, *, dim: int = 3, spread: float = 0.4, see
     -------
     IsotropyReport
     """
-    rng = np.random.default_rng(seed)
-    sampling = StateSampling(material, dim)
-    states = sampling.random_states(rng, spread)
+    sampling = _sampling("check_isotropy", material, dim, spread, seed)
+    states = sampling.changed(sampling.fitting())
     energy = energies_at(material, states, dim)
-    worst, found, samples = 0.0, None, 0
-    for _ in range(_ROTATIONS):
-        Q = _rotation(rng, dim)
-        turned = energies_at(material, evaluated(_turning(material, dim, Q), states), dim)
+    report, samples = IsotropyReport(0), 0
+    for _ in range(4):
+        Q = np.eye(3)
+        Q[:dim, :dim], R = np.linalg.qr(sampling._rng.standard_normal((dim, dim)))
+        Q[:dim, :dim] *= np.sign(np.diag(R))
+        Q[:, 0] *= np.linalg.det(Q)
         with np.errstate(invalid="ignore"):  # infinite at both
-            change = np.abs(turned - energy)
+            change = np.abs(energies_at(material, _turned(material, dim, Q, states), dim) - energy)
         finite = np.isfinite(change)
         samples += int(finite.sum())
         if not finite.any():
             continue
         known = energy[np.isfinite(energy)]
         # the spread, since a constant in the energy says nothing; and its rounding
-        bound = _TOLERANCE * np.ptp(known) + 1e-13 * np.abs(known).max()
+        bound = 1e-8 * np.ptp(known) + 1e-13 * np.abs(known).max()
         change = np.where(finite & (change > bound), change, 0.0)
         i = int(np.argmax(change))
-        if change[i] > worst:
-            worst, found = float(change[i]), (Q, states[i])
-    if found is None:
-        return IsotropyReport(samples, 0.0, None, None)
-    return IsotropyReport(samples, worst, found[0], sampling.named(found[1]))
+        if change[i] > report.worst:
+            report = IsotropyReport(0, float(change[i]), Q, sampling.named(states[i]))
+    return IsotropyReport(samples, report.worst, report.rotation, report.point)
 
 
-def require_isotropy(material: Material, field: str, value: object, dim: int = 3) -> None:
-    """Raise ParameterError with the rotation that shows that a material's energy depends on the observer."""
-    report = check_isotropy(material, dim=dim)
-    if not report.passed:
-        raise ParameterError(field, value, f"an energy that no rotation of the observer changes: it {report}")
-
-
-def _turning(material: Material, dim: int, Q: np.ndarray):  # type: ignore[no-untyped-def]
-    """The map of components to those that the turned observer sees."""
-    rotation = constant(Q)
+def _turned(material: Material, dim: int, Q: np.ndarray, states: np.ndarray) -> np.ndarray:
+    """The states that an observer turned by Q sees."""
 
     def turn(state: CoefficientFunction) -> CoefficientFunction:
         z = material.states(dim).tensors(lambda: state)
-        turned = {v.name: v.turned(z[v.name], rotation) for v in material.variables}
-        return material.states(dim).components(turned)
+        seen = {v.name: v.turned(z[v.name], constant(Q)) for v in material.variables}
+        return material.states(dim).components(seen)
 
-    return turn
+    return evaluated(turn, states)
 
 
-def _rotation(rng: np.random.Generator, dim: int) -> np.ndarray:
-    """A random rotation, in the plane for dim = 2."""
-    Q = np.eye(3)
-    Q[:dim, :dim], R = np.linalg.qr(rng.standard_normal((dim, dim)))
-    Q[:dim, :dim] *= np.sign(np.diag(R))
-    Q[:, 0] *= np.linalg.det(Q)
-    return Q
+def require_isotropy(material: Material) -> None:
+    """Raise ParameterError with the rotation that shows that a material's energy depends on the observer."""
+    report = check_isotropy(material)
+    if not report.passed:
+        expected = f"an energy that no rotation of the observer changes: it {report}"
+        raise ParameterError(*_given(material), expected)
+
+
+def _text(values: dict[str, np.ndarray], sign: str) -> str:
+    """Arrays by name in one line."""
+    texts = {n: np.array2string(v, precision=3, suppress_small=True) for n, v in values.items()}
+    return ", ".join(f"{n}{sign}{text}".replace("\n", "") for n, text in texts.items())

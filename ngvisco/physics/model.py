@@ -19,7 +19,7 @@ from ngvisco.physics.loads import BodyForce, CentralGravity, Gravity, Load, chec
 from ngvisco.physics.material import ElasticState, Material, check_material
 from ngvisco.physics.materials.damaged import damage_in
 from ngvisco.physics.materials.thermal import entropy_in, thermal_part, warming
-from ngvisco.physics.materials.wrapped import carrying, hardened
+from ngvisco.physics.materials.wrapped import carrying
 from ngvisco.physics.mixed_heat import HeatLaw, require_heat_of_all
 from ngvisco.physics.mixture import Fractions, MixedViscosity, Mixture, mixed_viscosity
 from ngvisco.physics.parameters import parameters_in, told_apart
@@ -140,12 +140,11 @@ class Model:
         if self.creep is not None and self.creep.reads_conjugate and self.material.conformation is None:
             raise ParameterError("Model.creep", self.creep, "a material with a conformation tensor")
         state = "B" if self.bodies else default_elastic_state(self.creep)
-        plain = hardened(self.material.with_elastic_state(state), None)
-        if isinstance(plain, Mixture):
-            material: Material = plain.with_carried(carried)
+        material = self.material.with_elastic_state(state)
+        if isinstance(material, Mixture):
+            material = material.with_carried(carried)
         else:
-            rule = None if self.creep is None else self.creep.hardening
-            material = hardened(carrying(plain, carried), rule)
+            material = carrying(material, carried, None if self.creep is None else self.creep.hardening)
         check_material(material)
         object.__setattr__(self, "material", material)
         if isinstance(material, Mixture):

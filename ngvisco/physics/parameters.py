@@ -346,8 +346,10 @@ def substituted(law: T, value_of: Callable[[Expression], Any]) -> T:
             return value_of(part)
         if isinstance(part, tuple) and any(True for _ in expressions_in(part)):
             return tuple(within(one) for one in part)
-        return substituted(part, value_of) if _is_law(part) else part
+        return substituted(part, value_of)
 
+    if not _is_law(law):
+        return law
     own = {each.name: getattr(law, each.name) for each in dataclasses.fields(law)}  # type: ignore[arg-type]
     found = {name: within(part) for name, part in own.items()}
     changes = {name: part for name, part in found.items() if part is not own[name]}
@@ -369,7 +371,7 @@ def renamed(law: T, prefix: str) -> T:
         named = replace(own, name=prefix + own.name)
         return replace(expression, expression=named, is_own=False)  # what has a prefix keeps it
 
-    return law if law is None else substituted(law, with_prefix)
+    return substituted(law, with_prefix)
 
 
 def told_apart(laws: Iterable[T], taken: Iterable[str] = ()) -> list[T]:
@@ -388,7 +390,7 @@ def told_apart(laws: Iterable[T], taken: Iterable[str] = ()) -> list[T]:
             name = f"{own.name}_{next(numbers)}"
         return expression if name == own.name else replace(expression, expression=replace(own, name=name))
 
-    return [substituted(law, with_number) if _is_law(law) else law for law in laws]
+    return [substituted(law, with_number) for law in laws]
 
 
 def moduli_in(value: object) -> Iterator[tuple[str, Expression, bool]]:

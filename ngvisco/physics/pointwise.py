@@ -91,6 +91,11 @@ def states_of(material: Material, F: np.ndarray, dim: int) -> np.ndarray:
     return evaluated(components, F.reshape(-1, 9))
 
 
+def rest_state(material: Material, dim: int) -> np.ndarray:
+    """The state of F = I, (N,)."""
+    return states_of(material, np.eye(3)[None], dim)[0]
+
+
 def evaluated(
     function: Callable[[CoefficientFunction], CoefficientFunction], vectors: np.ndarray
 ) -> np.ndarray:

@@ -11,13 +11,16 @@ What energies are written with also takes the arrays of ``ngvisco.physics.arrays
 import math
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import TypeVar
+from typing import TypeAlias, TypeVar
 
 import ngsolve
 import numpy as np
 from ngsolve import CF, CoefficientFunction, Cof, Det, Id, IfPos, InnerProduct, Trace
 
 IDENTITY = Id(3)
+
+Tensor: TypeAlias = CoefficientFunction
+"""A scalar or a 3x3 tensor: a coefficient function, or an array of ``ngvisco.physics.arrays``."""
 
 Scalar = TypeVar("Scalar", CoefficientFunction, np.ndarray)
 

@@ -23,7 +23,7 @@ from ngvisco.physics.material import Material, cauchy_stress
 from ngvisco.physics.mixture import Mixture
 from ngvisco.physics.model import Model
 from ngvisco.physics.parameters import Parameter, parameters_in
-from ngvisco.physics.pointwise import evaluated, squares, states_of
+from ngvisco.physics.pointwise import evaluated, rest_state, squares
 from ngvisco.physics.tensors import constant, square
 from ngvisco.timestepping.scheme import TimeScheme, backward_euler, midpoint
 
@@ -302,7 +302,7 @@ def moduli(
 
 def _rest(material: Material, dim: int, parameters: Mapping[str, float]) -> np.ndarray:
     """Components of the state of F = I, (n,)."""
-    state, slices = states_of(material, np.eye(3)[None], dim)[0], material.states(dim).slices
+    state, slices = rest_state(material, dim), material.states(dim).slices
     for name in slices.keys() & parameters.keys():
         state[slices[name]] = parameters[name]
     return state

@@ -14,10 +14,9 @@ from ngvisco.forms.terms.regularisation import FieldDiffusion
 from ngvisco.geometries import box
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.exchange import Exchange
-from ngvisco.physics.curvature import curvature_of
 from ngvisco.physics.energy_checks import StateSampling
-from ngvisco.physics.pointwise import respond
-from ngvisco.physics.regularisation import Regularisation
+from ngvisco.physics.pointwise import respond, rest_state
+from ngvisco.physics.regularisation import Regularisation, curvature_of
 from ngvisco.physics.variables import Jacobian
 from ngvisco.reduced.diffusion import FieldDiffusionRows
 from ngvisco.reduced.operators import FacetMass, Operators, SideOperators
@@ -100,17 +99,16 @@ MESH = box((1, 1), maxh=0.5)
 def rough_states(diffusion, rng, spread):
     """Coefficients of states that differ from cell to cell, and within cells."""
     material, mesh, op = diffusion.step.model.material, diffusion.step.mesh, diffusion.op
-    sampling = StateSampling(material, mesh.dim)
-    means = sampling.fitting_states(rng, spread)[: mesh.ne].T
+    means = StateSampling(material, mesh.dim, spread, rng).fitting()[: mesh.ne].T
     at = np.repeat(means, op.points.per_cell, axis=1)
-    size = 0.5 * spread * np.abs(sampling.rest()).max()
+    size = 0.5 * spread * np.abs(rest_state(material, mesh.dim)).max()
     return diffusion.projected(at + size * rng.uniform(-1, 1, at.shape))
 
 
 def continuous_states(diffusion, rng, spread):
     """Coefficients of continuous states, linear in the cells, with random values at the vertices."""
     mesh = diffusion.step.mesh
-    vertices = StateSampling(diffusion.step.model.material, mesh.dim).fitting_states(rng, spread)[: mesh.nv]
+    vertices = StateSampling(diffusion.step.model.material, mesh.dim, spread, rng).fitting()[: mesh.nv]
     values = diffusion.op.points.values(H1(mesh, order=1))
     return diffusion.projected(np.stack([values @ component for component in vertices.T]))
 
@@ -182,7 +180,7 @@ def test_directions_in_which_an_energy_is_linear_are_found():
     curvature = curvature_of(material, 2)
     slices = material.states(2).slices
     expected = np.zeros_like(curvature.linear)
-    hessian = respond(material, 2)(StateSampling(material, 2).rest()[None]).hessian[0]
+    hessian = respond(material, 2)(rest_state(material, 2)[None]).hessian[0]
     (flat,) = np.flatnonzero(np.abs(hessian).max(axis=0) == 0)
     expected[flat, flat] = 1.0
     assert flat in [where.start for where in slices.values()]

@@ -9,7 +9,7 @@ from ngsolve import CF, L2, GridFunction, x, y
 
 import ngvisco as nv
 from ngvisco.geometries import box, structured_box
-from ngvisco.physics.materials.wrapped import Heterogeneous
+from ngvisco.physics.materials.wrapped import Carrying
 from ngvisco.physics.parameters import parameters_in, substituted
 from ngvisco.physics.pointwise import respond
 from ngvisco.physics.tensors import square
@@ -144,7 +144,7 @@ def test_an_energy_that_reads_the_place_is_still_refused():
 def test_moduli_are_those_of_the_parameters():
     material = nv.MooneyRivlin(K_e=10 * (1 + theta), G_e=2 + theta, G_mr=theta * theta, epsilon=0.1)
     wrapped = nv.Model(material=material).material
-    assert isinstance(wrapped, Heterogeneous) and parameters_in((material,)) == (theta,)
+    assert isinstance(wrapped, Carrying) and parameters_in((material,)) == (theta,)
     uniform = nv.MooneyRivlin(K_e=14.0, G_e=2.4, G_mr=0.16, epsilon=0.1, elastic_state="F")
     states = np.random.default_rng(1).uniform(0.5, 1.5, (5, uniform.states(3).size))
     of_uniform = respond(uniform, 3)(states)

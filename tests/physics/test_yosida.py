@@ -20,7 +20,8 @@ NEO_HOOKEAN = EXAMPLES["NeoHookean"]
 
 def states(material: nv.Material, dim: int, spread: float = 0.4) -> np.ndarray:
     """Random states with J > 0."""
-    return StateSampling(material, dim).random_states(np.random.default_rng(1), spread)[:40]
+    sampling = StateSampling(material, dim, spread, np.random.default_rng(1))
+    return sampling.changed(sampling.fitting())[:40]
 
 
 def approximation(material: nv.Material, eps: float, z: np.ndarray, dim: int) -> Response:

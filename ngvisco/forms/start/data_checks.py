@@ -37,7 +37,7 @@ from ngvisco.physics.materials import (
     WithQuadratic,
     Yosida,
 )
-from ngvisco.physics.materials.wrapped import Hardened, Heterogeneous
+from ngvisco.physics.materials.wrapped import Carrying
 from ngvisco.physics.mixture import AMOUNT
 from ngvisco.physics.signals import time
 from ngvisco.physics.tensors import square
@@ -148,7 +148,7 @@ def warn_of_own_energy(step: Step, states: np.ndarray | None) -> None:
     """Warn where a user's own energy is not convex, and how far from these states, (points, .), that is."""
     material, ranks = step.model.material, Communicator.of(step.mesh)
     held: Material | None = material
-    while isinstance(held, (WithQuadratic, Yosida, Hardened, Heterogeneous, Damaged, Thermal)):
+    while isinstance(held, (WithQuadratic, Yosida, Carrying, Damaged, Thermal)):
         held = held.material
     if isinstance(held, (CustomMaterial, IsotropicStrainEnergy)):
         near = None if states is None else np.concatenate(ranks.gathered(states))

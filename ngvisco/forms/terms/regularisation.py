@@ -19,10 +19,9 @@ from ngsolve import CF, CoefficientFunction, IfPos
 from ngvisco.forms.energy import column, total
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.term import Entry, Integrand, PointTerm, Setting, Term, Unknown
-from ngvisco.physics.curvature import Curvature, curvature_of
 from ngvisco.physics.material import Material
 from ngvisco.physics.model import Model
-from ngvisco.physics.regularisation import Regularisation
+from ngvisco.physics.regularisation import Curvature, Regularisation, curvature_of
 from ngvisco.physics.tensors import constant, inner, masked, square
 
 

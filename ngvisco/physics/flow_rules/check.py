@@ -14,7 +14,7 @@ from ngvisco.physics.flow_rules.rule import FlowRule
 from ngvisco.physics.material import Material
 from ngvisco.physics.materials.thermal import entropy_in, thermal_part
 from ngvisco.physics.mixture import Mixture
-from ngvisco.physics.pointwise import states_of
+from ngvisco.physics.pointwise import rest_state
 from ngvisco.physics.rheology import Viscosity
 from ngvisco.physics.tensors import trace_free_tensors
 from ngvisco.physics.variables import HARDENING, PRESSURE, TEMPERATURE, Values
@@ -31,7 +31,7 @@ def values_at_rest(material: Material, parameters: Mapping[str, float] | None = 
 
     With no pressure, no hardening and, of a material with heat, its reference temperature.
     """
-    states, components = material.states(3), states_of(material, np.eye(3)[None], 3).T
+    states, components = material.states(3), rest_state(material, 3)[:, None]
     for name in states.slices.keys() & (parameters or {}).keys():
         components[states.slices[name]] = (parameters or {})[name]
     found = {name: states.tensor(name, Array(components, None)) for name in states.slices}

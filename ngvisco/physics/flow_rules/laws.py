@@ -1,15 +1,4 @@
-"""The flow rules: linear, by powers, by jumps, of yield, and sums of them.
-
-The linear rule of the paper, Maxwellian creep, and its kin for conformation tensors.
-
-Power-law creep.
-
-Creep by thermally activated jumps.
-
-Yield: creep by what the stress exceeds its yield stress by.
-
-Mechanisms of creep side by side.
-"""
+"""The flow rules: the paper's linear one, powers, jumps, yield, and sums of them."""
 
 from __future__ import annotations
 
@@ -19,12 +8,10 @@ from functools import reduce
 from operator import add
 from typing import Annotated, Literal, TypeAlias
 
-from ngsolve import CoefficientFunction
-
 from ngvisco.errors import ParameterError, Quantity, require_choice
 from ngvisco.physics.flow_rules.rule import TINY_STRESS, FlowRule, GradientRule, Hardening
 from ngvisco.physics.parameters import Modulus, typical_value, value_at
-from ngvisco.physics.tensors import dev, exp, if_positive, log, power_of_square, sqrt, square
+from ngvisco.physics.tensors import Tensor, dev, exp, if_positive, log, power_of_square, sqrt, square
 from ngvisco.physics.variables import HARDENING, PRESSURE, Values
 
 CreepLaw: TypeAlias = Literal["mandel", "conformation", "leonov"]
@@ -34,12 +21,8 @@ CreepLaw: TypeAlias = Literal["mandel", "conformation", "leonov"]
 class Creep(GradientRule):
     """Maxwellian creep G_m Pi - div(nu |grad Pi|^{q-2} grad Pi) = M (paper: ED-Euler-large3).
 
-    With nu = 0 (default) that is Pi = R M at every point, R = 1/G_m; with nu > 0, Pi is a continuous field
-    with (n . grad) Pi = 0 on walls.
-
-    ``law`` says what drives Pi at every point; the others than the paper's need a conformation tensor B with
-    the conjugate zeta (``OldroydB``, ``FENEP``), are local (nu = 0), and agree with it at small elastic
-    strains, where zeta = M/2 for incompressible ones:
+    ``law`` says what drives Pi; the others than the paper's need a conformation tensor B with the conjugate
+    zeta (``OldroydB``, ``FENEP``), are local (nu = 0), and agree with it at small elastic strains:
 
     * ``"mandel"``: G_m Pi = M,
     * ``"conformation"``: G_m Pi = 2 zeta, with a trace, so that det B relaxes too (Oldroyd-B, FENE-P),
@@ -48,11 +31,10 @@ class Creep(GradientRule):
     In the linearised model this is E_ZJ = eps(v) - R dev S (paper: Euler-small-viscoelastodyn+2).
     The sign is that of the energy balance; the paper's flow rules print G_m Pi = -M.
 
-    G_m is twice the usual viscosity eta of the Maxwell dashpot, G_m = 2 eta: a steady flow with the strain
-    rate eps has the deviatoric stress dev T = G_m dev eps, as a fluid's is 2 eta dev eps.  With the usual
-    shear modulus G (G_e of the small-strain materials, 2 G_e of the neo-Hookean ones, 2 (G_e + G_mr) of the
-    Mooney-Rivlin ones) the stress relaxes like exp(-t/lambda), with the Maxwell time
-    lambda = G_m/(2 G) = eta/G.  Raises ParameterError if a parameter is out of its range.
+    A steady flow with the strain rate eps has dev T = G_m dev eps.  With the usual shear modulus G (G_e of
+    the small-strain materials, 2 G_e of the neo-Hookean ones, 2 (G_e + G_mr) of the Mooney-Rivlin ones) the
+    stress relaxes like exp(-t/lambda), with the Maxwell time lambda = G_m/(2 G).  Raises ParameterError if a
+    parameter is out of its range.
 
     Parameters
     ----------
@@ -85,16 +67,14 @@ class Creep(GradientRule):
         """Reciprocal creep modulus 1/G_m, 1/(Pa s); where G_m is an expression, of its typical value."""
         return 1 / typical_value(self.G_m)
 
-    def rate(
-        self, M: CoefficientFunction, zeta: CoefficientFunction | None, z: Values
-    ) -> CoefficientFunction:
+    def rate(self, M: Tensor, zeta: Tensor | None, z: Values) -> Tensor:
         R = 1 / value_at(self.G_m, z)
         if self.law == "mandel":
             return R * M
         assert zeta is not None
         return R * (2 * zeta if self.law == "conformation" else 0.5 * M + dev(zeta))
 
-    def psi(self, Pi: CoefficientFunction, z: Values) -> CoefficientFunction:
+    def psi(self, Pi: Tensor, z: Values) -> Tensor:
         """G_m |Pi|^2/2, W/m^3."""
         return (0.5 * value_at(self.G_m, z)) * square(Pi)
 
@@ -136,12 +116,10 @@ class Norton(GradientRule):
     def degree(self) -> float:  # type: ignore[override]
         return float(self.n)
 
-    def rate(
-        self, M: CoefficientFunction, zeta: CoefficientFunction | None, z: Values
-    ) -> CoefficientFunction:
+    def rate(self, M: Tensor, zeta: Tensor | None, z: Values) -> Tensor:
         return value_at(self.A, z) * power_of_square(square(M), 0.5 * (self.n - 1), TINY_STRESS) * M
 
-    def psi(self, Pi: CoefficientFunction, z: Values) -> CoefficientFunction:
+    def psi(self, Pi: Tensor, z: Values) -> Tensor:
         """n/(n+1) A^{-1/n} |Pi|^{(n+1)/n}, W/m^3."""
         n = float(self.n)
         factor = (n / (n + 1)) * value_at(self.A, z) ** (-1 / n)
@@ -173,28 +151,26 @@ class Eyring(GradientRule):
     sigma_0: Annotated[Modulus, Quantity("Pa", "> 0", 1.0)]
     rate_floor: Annotated[float, Quantity("1/s", "> 0")] = 1e-9
 
-    def rate(
-        self, M: CoefficientFunction, zeta: CoefficientFunction | None, z: Values
-    ) -> CoefficientFunction:
+    def rate(self, M: Tensor, zeta: Tensor | None, z: Values) -> Tensor:
         sigma = value_at(self.sigma_0, z)
         s = square(M) / (sigma * sigma)
         x = sqrt(s + _SMALL**4)
         ratio = if_positive(s - _SMALL, (exp(x) - exp(-x)) / (2 * x), 1 + s / 6 + s * s / 120)
         return value_at(self.A, z) / sigma * ratio * M
 
-    def psi(self, Pi: CoefficientFunction, z: Values) -> CoefficientFunction:
+    def psi(self, Pi: Tensor, z: Values) -> Tensor:
         """sigma_0 (|Pi| arsinh(|Pi|/A) - sqrt(|Pi|^2 + A^2) + A), W/m^3."""
         A, size = value_at(self.A, z), sqrt(square(Pi) + self.rate_floor**2)
         hypotenuse = sqrt(size * size + A * A)
         return value_at(self.sigma_0, z) * (size * log((size + hypotenuse) / A) - hypotenuse + A)
 
 
-def norm(A: CoefficientFunction) -> CoefficientFunction:
+def norm(A: Tensor) -> Tensor:
     """|A|, with a derivative, zero, at A = 0."""
     return sqrt(square(A) + TINY_STRESS**2)
 
 
-def positive(a: CoefficientFunction) -> CoefficientFunction:
+def positive(a: Tensor) -> Tensor:
     """a where it is positive, 0 elsewhere."""
     return if_positive(a, a, 0 * a)
 
@@ -250,21 +226,19 @@ class Perzyna(GradientRule):
     def reads(self) -> frozenset[str]:  # type: ignore[override]
         return frozenset() if self.hardening is None else frozenset({HARDENING})
 
-    def threshold(self, z: Values) -> CoefficientFunction | float:
+    def threshold(self, z: Values) -> Tensor | float:
         """|M| at which it yields, s, Pa."""
         sigma_Y = value_at(self.sigma_Y, z)
         return math.sqrt(2 / 3) * (sigma_Y if self.hardening is None else sigma_Y + z[HARDENING])
 
-    def rate(
-        self, M: CoefficientFunction, zeta: CoefficientFunction | None, z: Values
-    ) -> CoefficientFunction:
+    def rate(self, M: Tensor, zeta: Tensor | None, z: Values) -> Tensor:
         size, s = norm(M), self.threshold(z)
         over = positive(size - s)
         if self.n > 1:
             over = over * power_of_square(over * over / (s * s), 0.5 * (self.n - 1), TINY_STRESS)
         return over / (value_at(self.G_m, z) * size) * M
 
-    def psi(self, Pi: CoefficientFunction, z: Values) -> CoefficientFunction:
+    def psi(self, Pi: Tensor, z: Values) -> Tensor:
         """s |Pi| + n/(n+1) (G_m s^{n-1})^{1/n} |Pi|^{(n+1)/n}, W/m^3."""
         n, s, size = float(self.n), self.threshold(z), square(Pi)
         viscous = (value_at(self.G_m, z) * s ** (n - 1)) ** (1 / n)
@@ -298,9 +272,7 @@ class DruckerPrager(FlowRule):
 
     reads = frozenset({PRESSURE})
 
-    def rate(
-        self, M: CoefficientFunction, zeta: CoefficientFunction | None, z: Values
-    ) -> CoefficientFunction:
+    def rate(self, M: Tensor, zeta: Tensor | None, z: Values) -> Tensor:
         phi = math.radians(self.friction_angle)
         strength = math.cos(phi) * value_at(self.cohesion, z) + math.sin(phi) * z[PRESSURE]
         size = norm(M)
@@ -338,9 +310,7 @@ class Composite(FlowRule):
                 value = getattr(rule.hardening, name)
                 raise ParameterError(f"Composite.rules[{i}].{name}", value, expected)
 
-    def rate(
-        self, M: CoefficientFunction, zeta: CoefficientFunction | None, z: Values
-    ) -> CoefficientFunction:
+    def rate(self, M: Tensor, zeta: Tensor | None, z: Values) -> Tensor:
         return reduce(add, (rule.rate(M, zeta, z) for rule in self.rules if rule.flows))
 
     @property

@@ -1,16 +1,5 @@
 """Flow rules: the creep rate Pi as a function of what drives it, and hardening.
 
-Isotropic hardening: a yield stress that grows with the plastic strain k that has been.
-
-k is carried by the matter, and what yield stores of its work is an energy phi_h(k) beside the elastic one:
-
-    dk/dt + (v . grad) k = sqrt(2/3) |Pi|,    sigma_Y(k) = sigma_Y + phi_h'(k).
-
-Of the power M : Pi the part phi_h'(k) dk/dt is stored.  At the yield stress the rest, which is dissipated, is
-sqrt(2/3) sigma_Y |Pi| with the yield stress of the virgin material, whatever k.
-
-Flow rules: the creep rate Pi as a function of what drives it.
-
 A rule is local, Pi = rate(M, zeta, z) at every point, or has a gradient term,
 
     psi'(Pi) - div(nu |grad Pi|^{q-2} grad Pi) = M,   (n . grad) Pi = 0 on walls   (paper: ED-Euler-large3)
@@ -18,6 +7,14 @@ A rule is local, Pi = rate(M, zeta, z) at every point, or has a gradient term,
 with psi(Pi) the potential whose derivative is the inverse of M -> rate(M).  Both are written with the
 operations of ``ngvisco.physics.tensors``, for coefficient functions and arrays alike; derivatives are never
 written.
+
+A rule that hardens has a yield stress that grows with the plastic strain k that has been.  The matter carries
+k, and what yield stores of its work is an energy phi_h(k) beside the elastic one:
+
+    dk/dt + (v . grad) k = sqrt(2/3) |Pi|,    sigma_Y(k) = sigma_Y + phi_h'(k).
+
+Of the power M : Pi the part phi_h'(k) dk/dt is stored.  At the yield stress the rest, which is dissipated, is
+sqrt(2/3) sigma_Y |Pi| with the yield stress of the virgin material, whatever k.
 """
 
 from __future__ import annotations
@@ -28,13 +25,19 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-from ngsolve import CF, CoefficientFunction
+from ngsolve import CF
 
 from ngvisco.errors import ParameterError, Quantity
 from ngvisco.physics.arrays import Array, derivatives
 from ngvisco.physics.parameters import Modulus, require_ranges, value_at
-from ngvisco.physics.tensors import exp, power_of_square, square, tr
+from ngvisco.physics.tensors import Tensor, exp, power_of_square, square, tr
 from ngvisco.physics.variables import Values, Variable
+
+TINY_STRESS = 1e-100
+"""|M|, Pa, below which powers of it are smoothed at zero, where they have no derivative."""
+
+SMALL_STRAIN = 1e-2
+"""Elastic shear strain at which a rule is asked for its relaxation time."""
 
 
 @dataclass(frozen=True)
@@ -44,11 +47,11 @@ class PlasticStrain(Variable):
     name: str = "plastic_strain"
     kind: str = "scalar"
 
-    def rate(self, z: Values, L: CoefficientFunction, Pi: CoefficientFunction) -> CoefficientFunction:
+    def rate(self, z: Values, L: Tensor, Pi: Tensor) -> Tensor:
         """Zero: what yield makes of it is not linear in Pi, and the part of a term."""
         return 0 * tr(L)
 
-    def from_distortion(self, F: CoefficientFunction) -> CoefficientFunction:
+    def from_distortion(self, F: Tensor) -> Tensor:
         """Zero: whatever was before a start is in its yield stress."""
         return CF(0.0)
 
@@ -60,34 +63,20 @@ PLASTIC_STRAIN = PlasticStrain()
 class Hardening:
     """phi_h(k) = H k^2/2 + Q (k + (exp(-b k) - 1)/b): linear, and that of Voce (1948) which saturates.
 
-    Per actual volume and convex in k, so that the energy with it is one of ``Material``.  H and Q, Pa, may
-    be expressions of parameters.
+    Per actual volume and convex in k.  H and Q, Pa, may be expressions of parameters.
     """
 
     H: Modulus
     Q: Modulus
     b: float
 
-    def energy(self, z: Values) -> CoefficientFunction:
+    def energy(self, z: Values) -> Tensor:
         """phi_h, Pa."""
         k = z[PLASTIC_STRAIN.name]
         linear = (0.5 * value_at(self.H, z)) * (k * k)
         if self.Q == 0:
             return linear
         return linear + value_at(self.Q, z) * (k + (1 / self.b) * (exp(-self.b * k) - 1))
-
-    @staticmethod
-    def rate(Pi: CoefficientFunction, floor: float) -> CoefficientFunction:
-        """dk/dt, 1/s, for |Pi| smoothed at zero below ``floor``, 1/s."""
-        size = square(Pi)
-        return math.sqrt(2 / 3) * (size * power_of_square(size, -0.5, floor))
-
-
-TINY_STRESS = 1e-100
-"""|M|, Pa, below which powers of it are smoothed at zero, where they have no derivative."""
-
-SMALL_STRAIN = 1e-2
-"""Elastic shear strain at which a rule is asked for its relaxation time."""
 
 
 class FlowRule(ABC):
@@ -131,22 +120,20 @@ class FlowRule(ABC):
         require_ranges(self)
 
     @abstractmethod
-    def rate(
-        self, M: CoefficientFunction, zeta: CoefficientFunction | None, z: Values
-    ) -> CoefficientFunction:
+    def rate(self, M: Tensor, zeta: Tensor | None, z: Values) -> Tensor:
         """Pi, 3x3, 1/s, of the Mandel stress M, 3x3, Pa, at a point with the values ``z``.
 
         ``zeta`` is the conjugate of the conformation tensor, 3x3, Pa; None where the material has none.
         """
 
-    def psi(self, Pi: CoefficientFunction, z: Values) -> CoefficientFunction:
+    def psi(self, Pi: Tensor, z: Values) -> Tensor:
         """The potential of Pi, 3x3, W/m^3, whose derivative by Pi is M; convex, where nu > 0.
 
         Raises ParameterError for a rule that does not give it.
         """
         raise ParameterError(f"{type(self).__name__}.nu", self.nu, "0: the rule gives no potential psi(Pi)")
 
-    def force(self, Pi: CoefficientFunction, z: Values) -> CoefficientFunction:
+    def force(self, Pi: Tensor, z: Values) -> Tensor:
         """psi'(Pi), 3x3, Pa."""
         if isinstance(Pi, Array):
             variable = Array(Pi.value)
@@ -160,20 +147,21 @@ class FlowRule(ABC):
         return True
 
     @property
-    def hardening(self) -> Hardening | None:
-        """What is stored of the power of a rule that reads ``HARDENING``; None of others."""
-        return None
-
-    def hardening_rate(self, Pi: CoefficientFunction) -> CoefficientFunction:
-        """dk/dt of its hardening, 1/s: of a local rule by |Pi|, else smoothed as ``psi`` is."""
-        return Hardening.rate(Pi, TINY_STRESS if self.is_local else self.rate_floor)
-
-    @property
     def is_local(self) -> bool:
         """Whether Pi is a function of the values at a point, without a field of its own."""
         return self.nu == 0 or not self.flows
 
-    def gradient_coefficient(self, s: CoefficientFunction) -> CoefficientFunction:
+    @property
+    def hardening(self) -> Hardening | None:
+        """What is stored of the power of a rule that reads ``HARDENING``; None of others."""
+        return None
+
+    def hardening_rate(self, Pi: Tensor) -> Tensor:
+        """dk/dt of its hardening, 1/s: of a local rule by |Pi|, else smoothed as ``psi`` is."""
+        size, floor = square(Pi), TINY_STRESS if self.is_local else self.rate_floor
+        return math.sqrt(2 / 3) * (size * power_of_square(size, -0.5, floor))
+
+    def gradient_coefficient(self, s: Tensor) -> Tensor:
         """nu s^{(q-2)/2} for s = |grad Pi|^2."""
         return self.nu * power_of_square(s, 0.5 * (self.q - 2), self.floor)
 
@@ -185,8 +173,7 @@ class FlowRule(ABC):
         strain = np.zeros((3, 3, 1))
         strain[0, 1] = strain[1, 0] = SMALL_STRAIN
         M = Array(2 * shear * strain, None)
-        Pi = self.rate(M, 0.5 * M, z)
-        fastest = float(np.linalg.norm(Pi.value.real))
+        fastest = float(np.linalg.norm(self.rate(M, 0.5 * M, z).value.real))
         return float(np.linalg.norm(strain)) / fastest if fastest > 0 else math.inf
 
 

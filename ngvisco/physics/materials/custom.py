@@ -75,7 +75,7 @@ class CustomMaterial(Material):
             if all(v.volume_ratio(v.from_distortion(IDENTITY)) is None for v in self.transported):
                 raise ParameterError("CustomMaterial.rho_R", self.rho_R, "a variable that J can be told from")
         check_energy(self)
-        require_isotropy(self, "CustomMaterial.stored_energy", self.stored_energy)
+        require_isotropy(self)
 
     @property
     def variables(self) -> tuple[Variable, ...]:

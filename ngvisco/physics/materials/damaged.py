@@ -21,13 +21,12 @@ damage of the step's start (``Material.lagged``), and damage itself grows after 
 from dataclasses import dataclass, field
 from typing import Annotated, Any, ClassVar, Literal
 
-import numpy as np
 from ngsolve import CF, CoefficientFunction
 
 from ngvisco.errors import ParameterError, Quantity, require_choice
 from ngvisco.physics.material import Material, Wrapper, rest_stress_and_modulus
 from ngvisco.physics.parameters import Parameter, expressions_in, parameters_in
-from ngvisco.physics.pointwise import energies_at, states_of
+from ngvisco.physics.pointwise import energies_at, rest_state
 from ngvisco.physics.tensors import IDENTITY, identity_like, if_positive, log, square, tr
 from ngvisco.physics.variables import Jacobian, LogJacobian, ReciprocalJacobian, SmallStrain, Values, Variable
 
@@ -143,7 +142,7 @@ class Damaged(Wrapper):
                 raise ParameterError("Damaged.material", self.material, expected)
         if any(True for _ in expressions_in(self.material)):
             return
-        rest = float(energies_at(self.material, states_of(self.material, np.eye(3)[None], 3), 3)[0])
+        rest = float(energies_at(self.material, rest_state(self.material, 3)[None], 3)[0])
         slope, stiffness = rest_stress_and_modulus(self.material)
         if not abs(slope) <= 1e-9 * max(abs(stiffness), abs(rest)):
             expected = (

@@ -1,10 +1,6 @@
-"""Fluids: barotropic ones, and viscoelastic ones by a conformation tensor.
+"""Fluids: barotropic ones, and viscoelastic ones by a conformation tensor (Oldroyd-B, Leonov, FENE-P).
 
-Barotropic fluids: an energy of the volume alone (paper: rem-barotropic-fluids).
-
-Viscoelastic fluids by a conformation tensor: Oldroyd-B, Leonov, FENE-P.
-
-B = J^{-2/3} F F^T is the conformation tensor of the dissolved chains.  The energies have a barrier at
+B = J^{-2/3} F F^T is the conformation tensor of dissolved chains.  Energies of it have a barrier at
 det B = 0 and their least value at B = I, so that B relaxes to I without being told its determinant.  What
 fluid it is says ``Creep(law=...)``; with the relaxation time lambda = G_m/(4 G_e) and the viscosity
 eta = 2 G_e lambda = G_m/2 the relaxation of B is
@@ -15,8 +11,7 @@ eta = 2 G_e lambda = G_m/2 the relaxation of B is
 | "leonov"       | (M/2 + dev zeta)/G_m | -(B^2 - I - tr(B - B^-1)/3 B)/(2 lambda) | Leonov            |
 | "mandel"       | M/G_m                | -(B^2 - (tr B/3) B)/lambda               | the paper's creep |
 
-K_e is the usual bulk modulus and G_e half the usual shear modulus; T(I) = 0.  The solvent is the model's
-``StokesViscosity``.
+T(I) = 0.  The solvent is the model's ``StokesViscosity``.
 """
 
 from __future__ import annotations
@@ -31,7 +26,7 @@ from ngsolve import CF, CoefficientFunction
 from ngvisco.errors import ParameterError, Quantity, require_choice, require_positive
 from ngvisco.physics.material import Material
 from ngvisco.physics.materials.hyperelastic import continued_in_J, inverse_power, referential_volume
-from ngvisco.physics.parameters import Modulus, require_ranges
+from ngvisco.physics.parameters import Modulus
 from ngvisco.physics.tensors import log, log_det, tr
 from ngvisco.physics.variables import Jacobian, LeftCauchyGreen, ReciprocalJacobian, Values, Variable
 
@@ -46,9 +41,8 @@ class BarotropicFluid(Material):
         p = a rho^gamma,   a = (gamma - 1) B / rho_R^gamma,
 
     so that rho/rho_R may be taken for the argument: A = 1/J = rho/rho_R obeys the same equation as the
-    density, and phi = B A^gamma.  ``from_state_equation`` is the material from a.  With ``rho_R`` a run's
-    initial J is that of its initial density, or the other way round (``start`` is J by hand).  The speed of
-    sound is c^2 = dp/d rho = gamma p/rho.
+    density, and phi = B A^gamma.  ``from_state_equation`` is the material from a.  The speed of sound is
+    c^2 = dp/d rho = gamma p/rho.
 
     Convex in J for every gamma > 0, in A for gamma >= 1; gamma > 1 is asked for, since the pressure is
     not positive otherwise.  Stress at rest -(gamma - 1) B I; the bulk modulus is gamma p.  There is no
@@ -75,7 +69,7 @@ class BarotropicFluid(Material):
     rho_R: Annotated[Modulus | None, Quantity("kg/m^3", "> 0", 1000.0)] = None
 
     def __post_init__(self) -> None:
-        require_ranges(self)
+        super().__post_init__()
         require_choice(self, ("J", "A"), form=self.form)
         if self.form == "A":
             require_choice(self, (None,), J_min=self.J_min)
@@ -160,21 +154,23 @@ class OldroydB(Material):
     G_e: Annotated[Modulus, Quantity("Pa", "> 0", 5.0)]
     J_min: Annotated[float | None, Quantity("1", "> 0", 0.1)] = None
 
+    conformation = "B"
+
     @property
     def variables(self) -> tuple[Variable, ...]:
         return (LeftCauchyGreen(exponent=-2 / 3), Jacobian())
-
-    @property
-    def conformation(self) -> str | None:
-        return "B"
 
     @property
     def continued(self) -> frozenset[str]:
         return continued_in_J(self.J_min)
 
     def energy(self, z: Values) -> CoefficientFunction:
-        chains = tr(z["B"]) - log_det(z["B"]) - 3
-        return referential_volume(self.K_e, 0.0, 1.0, z["J"], self.J_min) + self.G_e * chains
+        volume = referential_volume(self.K_e, 0.0, 1.0, z["J"], self.J_min)
+        return volume + self.G_e * self.chains(z["B"])
+
+    def chains(self, B: CoefficientFunction) -> CoefficientFunction:
+        """The chains' energy over G_e."""
+        return tr(B) - log_det(B) - 3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -194,7 +190,6 @@ class FENEP(OldroydB):
 
     b: Annotated[float, Quantity("1", "> 3", 50.0)]
 
-    def energy(self, z: Values) -> CoefficientFunction:
-        B, slack = z["B"], self.b - 3
-        chains = slack * log((self.b - tr(B)) * (1 / slack)) + log_det(B)
-        return referential_volume(self.K_e, 0.0, 1.0, z["J"], self.J_min) - self.G_e * chains
+    def chains(self, B: CoefficientFunction) -> CoefficientFunction:
+        slack = self.b - 3
+        return -(slack * log((self.b - tr(B)) * (1 / slack)) + log_det(B))

@@ -1,42 +1,24 @@
-"""Neo-Hookean and Mooney-Rivlin materials, by F or by B = F F^T.
+"""Neo-Hookean and Mooney-Rivlin materials, by F as in the paper or by B = F F^T.
 
-Convex functions s(J) that blow up as J -> 0+, and their linear continuation below J_min.
+**F or B.**  F = V Q.  Creep relaxes the stretch V; the rotation Q stays, and in a flow that goes on
+neighbouring points have turned by ever more different angles.  A space of fixed h cannot follow: the mean of
+two rotations has a determinant below one, so that F and J part, while the ledger still closes.  B has no Q,
+and isotropic energies need nothing else: they are linear in it or convex.
 
-The continuation is the paper's rem-neo-Hookean-ref: for energies f(F, H, J) + s(J) only the singular
-part is changed, s(J_min) + s'(J_min)(J - J_min) for J < J_min, which keeps it convex and C1 and is
-inactive as long as J >= J_min.
+**Actual and referential.**  The paper's own energies are per actual volume.  The referential ones are
+K_e/2 (J - 1 + c)^2 + G_e |F_iso|^2 + s(J) per *referential* volume, F_iso = J^{-1/3} F, and phi is that over
+J (paper: exa-neo-Hookean-ref): convex neither in F nor in (F, J), but in the variables that are chosen here.
+They are stationary at rest, so that T(I) = 0.  (|H|^2/J = tr(J^{-2/3} F F^T)/J is not convex in that tensor
+and J, so that all referential ones have B = J^{-5/3} F F^T.)
 
-Isotropic materials that know of the elastic state by F, as in the paper, or by B = F F^T.
-
-F = V Q.  Creep relaxes the stretch V; the rotation Q stays, and in a flow that goes on neighbouring points
-have turned by ever more different angles.  A space of fixed h cannot follow, upwinding averages, and the
-mean of two rotations has a determinant below one: F and J part, and the stress with them, while the ledger
-still closes.  B has no Q, and isotropic energies need nothing else.
-
-The actual neo-Hookean material of the finite-strain model (paper: Section 3).
-
-Referential neo-Hookean materials: three convex forms of one family (paper: exa-neo-Hookean-ref).
-
-The energy per *referential* volume is K_e/2 (J - 1 + c)^2 + G_e |F_iso|^2 + s(J), F_iso = J^{-1/3} F,
-and phi is that divided by J.  With s = 0, c = 0 this is K_e/2 (J - 2 + 1/J) + G_e J^{-5/3} |F|^2, which is
-convex neither in F nor in (F, J) but in each of the pairs of variables below.
-
-A body at rest is free of stress, T(I) = 0, because the referential energy is stationary there.  K_e is the
-usual bulk modulus at J = 1 (up to c and s); G_e is half the usual shear modulus: T_12 = 2 G_e gamma in
-simple shear.
-
-With ``elastic_state="B"`` all three have G_e tr B with the one B = J^{-5/3} F F^T: linear in it, convex in
-(B, J) or (B, A, K), strictly in J or A.  (|H|^2/J = tr(J^{-2/3} F F^T)/J is not convex in that tensor and J,
-so that there is no second form by B.)
-
-Mooney-Rivlin materials, which feel the cofactor of F too (paper: rem-polyconvex-general and the
-Mooney-Rivlin example after it).
+**J_min** continues the part that is singular at J = 0 linearly below it (paper: rem-neo-Hookean-ref), which
+keeps it convex and C1, and is inactive as long as J >= J_min.
 """
 
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Annotated, Any, Self, TypeAlias
+from typing import Annotated, Any, ClassVar, Self
 
 from ngsolve import CoefficientFunction
 
@@ -56,16 +38,13 @@ from ngvisco.physics.variables import (
     Variable,
 )
 
-Scalar: TypeAlias = CoefficientFunction
-
 
 def continued(
-    s: Callable[[Scalar], Scalar], slope: Callable[[Scalar], Scalar], J: Scalar, J_min: float | None
-) -> Scalar:
+    s: Callable[[Any], Any], slope: Callable[[Any], Any], J: CoefficientFunction, J_min: float | None
+) -> CoefficientFunction:
     """s(J), linear below ``J_min`` (None: nowhere); ``slope`` is s'.
 
-    With J_+ = max(J, J_min) this is s(J_+) + s'(J_+)(J - J_+): the singular function is never evaluated
-    below J_min, not even in the branch that is thrown away.
+    s is never evaluated below J_min, not even in the branch that is thrown away.
     """
     if J_min is None:
         return s(J)
@@ -73,19 +52,31 @@ def continued(
     return s(above) + slope(above) * (J - above)
 
 
-def continued_in_J(J_min: float | None, is_total: bool = True) -> frozenset[str]:
-    """``Material.continued`` of a material with ``J_min``; ``is_total`` if no other term ends at J = 0."""
-    return frozenset({"J"}) if J_min is not None and is_total else frozenset()
+def continued_in_J(J_min: float | None) -> frozenset[str]:
+    """``Material.continued`` of an energy whose terms that end at J = 0 all go on below ``J_min``."""
+    return frozenset() if J_min is None else frozenset({"J"})
 
 
-def minus_log(epsilon: Any, J: Scalar, J_min: float | None) -> Scalar:
+def minus_log(epsilon: Any, J: CoefficientFunction, J_min: float | None) -> CoefficientFunction:
     """-epsilon ln J (paper: neo-Hookean-potential-actual)."""
     return continued(lambda a: -epsilon * log(a), lambda a: -epsilon / a, J, J_min)
 
 
-def inverse_power(epsilon: Any, kappa: float, J: Scalar, J_min: float | None) -> Scalar:
+def inverse_power(
+    epsilon: Any, kappa: float, J: CoefficientFunction, J_min: float | None
+) -> CoefficientFunction:
     """epsilon / J^kappa, convex for kappa >= 0 (paper: exa-polyconvex-general)."""
     return continued(lambda a: epsilon * a**-kappa, lambda a: -epsilon * kappa * a ** (-kappa - 1), J, J_min)
+
+
+def referential_volume(
+    K_e: Any, epsilon: Any, kappa: float, J: CoefficientFunction, J_min: float | None
+) -> CoefficientFunction:
+    """[K_e/2 (J - 1 + c)^2 + epsilon/J^kappa]/J with c = kappa epsilon/K_e."""
+    rest = 1 - kappa * epsilon / K_e
+    volume = 0.5 * K_e * (J - 2 * rest) + inverse_power(0.5 * K_e * rest * rest, 1.0, J, J_min)
+    is_without = isinstance(epsilon, (int, float)) and epsilon == 0
+    return volume if is_without else volume + inverse_power(epsilon, kappa + 1, J, J_min)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,6 +91,10 @@ class IsotropicElastic(Material):
 
     elastic_state: Annotated[ElasticState | None, Quantity(example="B")] = None
 
+    by_F: ClassVar[Variable] = Distortion("H", exponent=-5 / 6)
+    by_B: ClassVar[Variable] = LeftCauchyGreen(exponent=-5 / 3)
+    """The tensor that |F|^2 is written by, with F and with B."""
+
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.elastic_state is not None:
@@ -112,6 +107,14 @@ class IsotropicElastic(Material):
     def is_by_B(self) -> bool:
         """Whether the variables are left Cauchy-Green tensors; not so as long as nothing is said."""
         return self.elastic_state == "B"
+
+    @property
+    def variables(self) -> tuple[Variable, ...]:
+        return (self.by_B if self.is_by_B else self.by_F, Jacobian())
+
+    def first_invariant(self, z: Values) -> CoefficientFunction:
+        """|F|^2 times the variable's power of J."""
+        return tr(z["B"]) if self.is_by_B else square(z[self.by_F.name])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -126,8 +129,7 @@ class NeoHookean(IsotropicElastic):
     Jointly convex in (F, J) (paper: convexity-neo-Hookean), strictly so in J by epsilon and K_e; it blows up
     as J -> 0+.  Its minimum is on SO(3).  Stress at rest is hydrostatic and constant, T(I, 1) = phi(I, 1) I =
     (3 G_e + epsilon^2/(2 K_e)) I (with kappa: (3 G_e + epsilon + (kappa epsilon)^2/(2 K_e)) I): an energy per
-    *actual* volume, which a body with a fixed shape does not feel.  The usual bulk modulus at rest is K_e +
-    epsilon (with kappa: K_e + kappa (kappa + 1) epsilon), and the paper's G_e is half the usual shear
+    *actual* volume, which a body with a fixed shape does not feel.  The paper's G_e is half the usual shear
     modulus: in simple shear F = I + gamma e1 x e2, T_12 is 2 G_e gamma.
 
     With ``elastic_state="B"`` the shear energy is G_e tr B, B = J^{-2/3} F F^T: linear, so that phi is convex
@@ -155,34 +157,66 @@ class NeoHookean(IsotropicElastic):
     kappa: Annotated[float | None, Quantity("1", "> 0", 2.0)] = None
     J_min: Annotated[float | None, Quantity("1", "> 0", 0.1)] = None
 
-    @property
-    def variables(self) -> tuple[Variable, ...]:
-        return (LeftCauchyGreen(exponent=-2 / 3) if self.is_by_B else Distortion(), Jacobian())
+    by_F = Distortion()
+    by_B = LeftCauchyGreen(exponent=-2 / 3)
 
     @property
     def continued(self) -> frozenset[str]:
-        return continued_in_J(self.J_min, is_total=self.is_by_B)
+        return continued_in_J(self.J_min if self.is_by_B else None)
+
+    def first_invariant(self, z: Values) -> CoefficientFunction:
+        """J^{-2/3} |F|^2."""
+        return tr(z["B"]) if self.is_by_B else z["J"] ** (-2 / 3) * square(z["F"])
 
     def energy(self, z: Values) -> CoefficientFunction:
-        return volumetric(self, z["J"]) + self.G_e * first_invariant(self, z)
+        return self._volumetric(z["J"]) + self.G_e * self.first_invariant(z)
+
+    def _volumetric(self, J: CoefficientFunction) -> CoefficientFunction:
+        """K_e/2 (J - 1 + c)^2 + s(J), with c such that the minimum is at J = 1."""
+        K_e, epsilon, kappa = self.K_e, self.epsilon, self.kappa
+        c = epsilon / K_e if kappa is None else kappa * epsilon / K_e
+        quadratic = 0.5 * K_e * (J - 1 + c) * (J - 1 + c)
+        if kappa is None:
+            return quadratic + minus_log(epsilon, J, self.J_min)
+        return quadratic + inverse_power(epsilon, kappa, J, self.J_min)
 
 
-def first_invariant(material: NeoHookean, z: Values) -> CoefficientFunction:
-    """J^{-2/3} |F|^2."""
-    return tr(z["B"]) if material.is_by_B else z["J"] ** (-2 / 3) * square(z["F"])
+@dataclass(frozen=True, kw_only=True)
+class MooneyRivlin(NeoHookean):
+    """The actual polyconvex Mooney-Rivlin energy in (F, Cof F, J) (paper: rem-polyconvex-general).
 
+        phi = K_e/2 (J - 1 + epsilon/K_e)^2 - epsilon ln J + G_e J^{-2/3} |F|^2
+              + 2/(3 sqrt 3) G_mr J^{-2} |H|^3
 
-def volumetric(material: NeoHookean, J: CoefficientFunction) -> CoefficientFunction:
-    """K_e/2 (J - 1 + c)^2 + s(J), with c such that the minimum is at J = 1."""
-    K_e, epsilon, kappa = material.K_e, material.epsilon, material.kappa
-    c = epsilon / K_e if kappa is None else kappa * epsilon / K_e
-    quadratic = 0.5 * K_e * (J - 1 + c) * (J - 1 + c)
-    if kappa is None:
-        return quadratic + minus_log(epsilon, J, material.J_min)
-    return quadratic + inverse_power(epsilon, kappa, J, material.J_min)
+    The second invariant of F_iso is |H|^2 J^{-4/3}, which is not convex (the paper's remark in the
+    Mooney-Rivlin example: the exponent must be <= 1).  Its power 3/2, |H|^3/J^2, is: the perspective of the
+    cube (Hartmann and Neff 2003, which the paper cites).  Its factor makes the two agree to second order at
+    rest.  Jointly convex in (F, H, J); minimum on SO(3); blows up as J -> 0+.  Stress at rest is
+    hydrostatic, T = phi(rest) I with phi(rest) = 3 G_e + 2 G_mr + epsilon^2/(2 K_e).  The bulk modulus is
+    ``NeoHookean``'s.
 
+    With ``elastic_state="B"`` the two invariants are tr B and (tr N)^{3/2}, B = J^{-2/3} F F^T and
+    N = J^{-4/3} Cof(F F^T): linear and convex, so that phi is jointly convex in (B, N, J).
+    Raises ParameterError if a parameter is out of its range.
 
-_BY_B = LeftCauchyGreen(exponent=-5 / 3)
+    Parameters
+    ----------
+    G_e
+        Weight of |F|^2; G_e + G_mr is half the usual shear modulus.
+    G_mr : float
+        Weight of the cofactor; G_e + G_mr is half the usual shear modulus.
+    """
+
+    G_mr: Annotated[Modulus, Quantity("Pa", ">= 0", 2.0)]
+
+    @property
+    def variables(self) -> tuple[Variable, ...]:
+        first, J = super().variables
+        return (first, CofactorLeftCauchyGreen(exponent=-4 / 3) if self.is_by_B else Cofactor(), J)
+
+    def energy(self, z: Values) -> CoefficientFunction:
+        second = tr(z["N"]) ** 1.5 if self.is_by_B else square(z["H"]) ** 1.5 / (z["J"] * z["J"])
+        return super().energy(z) + 2 / (3 * math.sqrt(3)) * self.G_mr * second
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -193,8 +227,8 @@ class ReferentialNeoHookean(IsotropicElastic):
     J - 2 + 1/J becomes (J - 1 + c)^2/J with c = kappa epsilon/K_e, so that T(I) stays 0.
 
     Jointly convex in (H, J), strongly in H (the paper's rem-neo-Hookean-ref), and it blows up as J -> 0+.
-    T(I) = 0; K_e is the usual bulk modulus (K_e + kappa (kappa + 1) epsilon with the added term), G_e half
-    the usual shear modulus.  Raises ParameterError if a parameter is out of its range.
+    T_12 = 2 G_e gamma in simple shear.  By B it is linear in B, and strictly convex in J.  Raises
+    ParameterError if a parameter is out of its range.
 
     Parameters
     ----------
@@ -217,25 +251,20 @@ class ReferentialNeoHookean(IsotropicElastic):
     J_min: Annotated[float | None, Quantity("1", "> 0", 0.1)] = None
 
     @property
-    def variables(self) -> tuple[Variable, ...]:
-        return (_BY_B if self.is_by_B else Distortion("H", exponent=-5 / 6), Jacobian())
-
-    @property
     def continued(self) -> frozenset[str]:
         return continued_in_J(self.J_min)
 
     def energy(self, z: Values) -> CoefficientFunction:
         volume = referential_volume(self.K_e, self.epsilon, self.kappa, z["J"], self.J_min)
-        return volume + self.G_e * (tr(z["B"]) if self.is_by_B else square(z["H"]))
+        return volume + self.G_e * self.first_invariant(z)
 
 
 @dataclass(frozen=True, kw_only=True)
 class IsochoricNeoHookean(ReferentialNeoHookean):
     """phi(H, J) = K_e/2 (J - 2 + 1/J) + G_e |H|^2/J, H = J^{-1/3} F (paper: exa-neo-Hookean-ref).
 
-    The same material as ``ReferentialNeoHookean`` by the isochoric part of F.  Jointly convex in (H, J),
-    though not strongly (|H|^2/J is the perspective of a square).  By B the two have the same variables.
-    Stress at rest, moduli, and ``epsilon`` and ``kappa`` as there.
+    ``ReferentialNeoHookean`` by the isochoric part of F.  Jointly convex in (H, J), though not strongly
+    (|H|^2/J is the perspective of a square).  By B the two are the same.
     Raises ParameterError if a parameter is out of its range.
 
     Parameters
@@ -244,17 +273,14 @@ class IsochoricNeoHookean(ReferentialNeoHookean):
         The terms singular in J alone are continued linearly below it.
     """
 
-    @property
-    def variables(self) -> tuple[Variable, ...]:
-        return (_BY_B if self.is_by_B else Distortion("H", exponent=-1 / 3), Jacobian())
+    by_F = Distortion("H", exponent=-1 / 3)
 
     @property
     def continued(self) -> frozenset[str]:
-        return continued_in_J(self.J_min, is_total=self.is_by_B)
+        return super().continued if self.is_by_B else frozenset()
 
-    def energy(self, z: Values) -> CoefficientFunction:
-        volume = referential_volume(self.K_e, self.epsilon, self.kappa, z["J"], self.J_min)
-        return volume + self.G_e * (tr(z["B"]) if self.is_by_B else square(z["H"]) / z["J"])
+    def first_invariant(self, z: Values) -> CoefficientFunction:
+        return tr(z["B"]) if self.is_by_B else square(z["H"]) / z["J"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -265,8 +291,7 @@ class LogarithmicNeoHookean(IsotropicElastic):
 
     with H = J^{-5/6} F, A = 1/J and K = ln J/J.  -(ln J)/J is not convex in J, but linear in K, whose rate
     (tr L)(A - K) closes with that of A.  Jointly convex in (H, A, K), strongly in H, strictly in A, and it
-    blows up as A -> 0+.  T(I) = 0; the bulk modulus at rest is K_e + epsilon, G_e is half the usual shear
-    modulus.  Raises ParameterError if a parameter is not a finite positive number.
+    blows up as A -> 0+.  T(I) = 0.  Raises ParameterError if a parameter is not a finite positive number.
 
     Parameters
     ----------
@@ -284,65 +309,12 @@ class LogarithmicNeoHookean(IsotropicElastic):
 
     @property
     def variables(self) -> tuple[Variable, ...]:
-        by_F = Distortion("H", exponent=-5 / 6)
-        return (_BY_B if self.is_by_B else by_F, ReciprocalJacobian(), LogJacobian())
+        return (super().variables[0], ReciprocalJacobian(), LogJacobian())
 
     def energy(self, z: Values) -> CoefficientFunction:
         A, rest = z["A"], 1 - self.epsilon / self.K_e
         volume = 0.5 * self.K_e * (1 / A - 2 * rest + rest * rest * A)
-        shear = tr(z["B"]) if self.is_by_B else square(z["H"])
-        return volume + self.G_e * shear - self.epsilon * z["K"]
-
-
-def referential_volume(
-    K_e: Any, epsilon: Any, kappa: float, J: CoefficientFunction, J_min: float | None
-) -> CoefficientFunction:
-    """[K_e/2 (J - 1 + c)^2 + epsilon/J^kappa]/J with c = kappa epsilon/K_e."""
-    rest = 1 - kappa * epsilon / K_e
-    volume = 0.5 * K_e * (J - 2 * rest) + inverse_power(0.5 * K_e * rest * rest, 1.0, J, J_min)
-    is_without = isinstance(epsilon, (int, float)) and epsilon == 0
-    return volume if is_without else volume + inverse_power(epsilon, kappa + 1, J, J_min)
-
-
-@dataclass(frozen=True, kw_only=True)
-class MooneyRivlin(NeoHookean):
-    """The actual polyconvex Mooney-Rivlin energy in (F, Cof F, J) (paper: rem-polyconvex-general).
-
-        phi = K_e/2 (J - 1 + epsilon/K_e)^2 - epsilon ln J + G_e J^{-2/3} |F|^2
-              + 2/(3 sqrt 3) G_mr J^{-2} |H|^3
-
-    The second invariant of F_iso is |H|^2 J^{-4/3}, which is not convex (the paper's remark in the
-    Mooney-Rivlin example: the exponent must be <= 1).  Its power 3/2, |H|^3/J^2, is: the perspective of the
-    cube (Hartmann and Neff 2003, which the paper cites).  Its factor makes the two agree to second order at
-    rest.  Jointly convex in (F, H, J); minimum on SO(3); blows up as J -> 0+.  Stress at rest is
-    hydrostatic, T = phi(rest) I with phi(rest) = 3 G_e + 2 G_mr + epsilon^2/(2 K_e).  G_e + G_mr is half
-    the usual shear modulus, and the bulk modulus is ``NeoHookean``'s.
-
-    With ``elastic_state="B"`` the two invariants are tr B and (tr N)^{3/2}, B = J^{-2/3} F F^T and
-    N = J^{-4/3} Cof(F F^T): linear and convex, so that phi is jointly convex in (B, N, J).
-    Raises ParameterError if a parameter is out of its range.
-
-    Parameters
-    ----------
-    G_e
-        Weight of |F|^2; G_e + G_mr is half the usual shear modulus.
-    G_mr : float
-        Weight of the cofactor; G_e + G_mr is half the usual shear modulus.
-    """
-
-    G_mr: Annotated[Modulus, Quantity("Pa", ">= 0", 2.0)]
-
-    @property
-    def variables(self) -> tuple[Variable, ...]:
-        if self.is_by_B:
-            return (LeftCauchyGreen(exponent=-2 / 3), CofactorLeftCauchyGreen(exponent=-4 / 3), Jacobian())
-        return (Distortion(), Cofactor(), Jacobian())
-
-    def energy(self, z: Values) -> CoefficientFunction:
-        J = z["J"]
-        second = tr(z["N"]) ** 1.5 if self.is_by_B else square(z["H"]) ** 1.5 / (J * J)
-        first = self.G_e * first_invariant(self, z)
-        return volumetric(self, J) + first + 2 / (3 * math.sqrt(3)) * self.G_mr * second
+        return volume + self.G_e * self.first_invariant(z) - self.epsilon * z["K"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -353,7 +325,7 @@ class _WithCofactor(IsotropicElastic):
 
     @property
     def variables(self) -> tuple[Variable, ...]:
-        first, *others = super().variables  # type: ignore[safe-super]
+        first, *others = super().variables
         by_F, by_B = Cofactor("N", exponent=-7 / 6), CofactorLeftCauchyGreen(exponent=-7 / 3)
         return (first, by_B if self.is_by_B else by_F, *others)
 
@@ -368,9 +340,8 @@ class ReferentialMooneyRivlin(_WithCofactor, ReferentialNeoHookean):
 
     H = J^{-5/6} F and N = J^{-7/6} Cof F: the compressible Mooney-Rivlin material with the invariants of
     F_iso, per referential volume.  N's rate is not the paper's printed one, see ``variables``.  Jointly
-    convex, strongly in (H, N); blows up as J -> 0+.  T(I) = 0.  K_e is the usual bulk modulus
-    (K_e + kappa (kappa + 1) epsilon with the added term), G_e + G_mr half the usual shear modulus (so G_e and
-    G_mr are the usual C_10 and C_01).  Raises ParameterError if a parameter is out of its range.
+    convex, strongly in (H, N); blows up as J -> 0+.  T(I) = 0.  Raises ParameterError if a parameter is out
+    of its range.
 
     Parameters
     ----------
@@ -385,14 +356,11 @@ class ReferentialMooneyRivlin(_WithCofactor, ReferentialNeoHookean):
 class LogarithmicMooneyRivlin(_WithCofactor, LogarithmicNeoHookean):
     """``LogarithmicNeoHookean`` with a part of the cofactor (paper: exa-Mooney–Rivlin-ref).
 
-    The paper's referential Mooney-Rivlin energy is neo-Hookean-potential-actual and G_mr |F_iso^-1|^2 per
-    referential volume, with -epsilon ln J:
-
         phi(H, N, A, K) = K_e/2 (1/A - 2(1 - c) + (1 - c)^2 A) + G_e |H|^2 + G_mr |N|^2 - epsilon K,
 
-    c = epsilon/K_e, H = J^{-5/6} F, N = J^{-7/6} Cof F, A = 1/J, K = ln J/J.  Jointly convex, strongly in
-    (H, N), strictly in A, and it blows up as A -> 0+.  T(I) = 0; the bulk modulus at rest is K_e + epsilon,
-    G_e + G_mr half the usual shear modulus.  Raises ParameterError if a parameter is out of its range.
+    c = epsilon/K_e, H = J^{-5/6} F, N = J^{-7/6} Cof F, A = 1/J, K = ln J/J: the paper's referential
+    Mooney-Rivlin energy.  Jointly convex, strongly in (H, N), strictly in A, and it blows up as A -> 0+.
+    T(I) = 0.  Raises ParameterError if a parameter is out of its range.
 
     Parameters
     ----------

@@ -66,7 +66,7 @@ class IsotropicStrainEnergy(Material):
         if not callable(self.strain_energy):
             raise ParameterError("IsotropicStrainEnergy.strain_energy", self.strain_energy, "a function of E")
         check_energy(self)
-        require_isotropy(self, "IsotropicStrainEnergy.strain_energy", self.strain_energy)
+        require_isotropy(self)
 
     @property
     def variables(self) -> tuple[Variable, ...]:

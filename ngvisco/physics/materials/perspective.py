@@ -34,7 +34,7 @@ from ngvisco.physics.parameters import (
     require_ranges,
     substituted,
 )
-from ngvisco.physics.pointwise import respond
+from ngvisco.physics.pointwise import respond, rest_state
 from ngvisco.physics.tensors import IDENTITY, log
 from ngvisco.physics.variables import (
     Cofactor,
@@ -227,9 +227,8 @@ class ReferenceEnergy(Material):
     @cached_property
     def _sampled(self) -> tuple[np.ndarray, np.ndarray]:
         """Second derivatives at states, (states, n, n), and which components are those of tensors."""
-        sampling, rng = StateSampling(self, 3), np.random.default_rng(0)
-        states = sampling.changed(sampling.fitting_states(rng, 0.3), rng, 0.3)[:64]
-        hessian = respond(self, 3)(states).hessian
+        sampling = StateSampling(self, 3, 0.3, np.random.default_rng(0))
+        hessian = respond(self, 3)(sampling.changed(sampling.fitting())[:64]).hessian
         tensors = np.zeros(hessian.shape[1], dtype=bool)
         for v in self.tensors:
             tensors[self.states(3).slices[v.name]] = True
@@ -245,8 +244,8 @@ class ReferenceEnergy(Material):
     @cached_property
     def pressures(self) -> np.ndarray:
         """U'(J) at ``_VOLUMES``, Pa; parameters have their typical values."""
-        rest = StateSampling(self, 3).rest()
-        states, at = np.tile(rest, (len(_VOLUMES), 1)), self.states(3).slices["J"].start
+        at = self.states(3).slices["J"].start
+        states = np.tile(rest_state(self, 3), (len(_VOLUMES), 1))
         states[:, at] = _VOLUMES
         return respond(self, 3)(states).slope[:, at]
 

@@ -1,13 +1,5 @@
-"""Materials whose energy is another one's, regularised or with more variables.
-
-Materials whose energy is another one's, regularised as in the paper's discrete scheme.
-
-The Yosida approximation of a stored energy (paper: varphi-regularized).
-
-Materials whose moduli are functions of carried parameters.
-
-Materials that harden: the plastic strain is one more variable, with an energy of its own.
-"""
+"""Materials whose energy is another one's: regularised as in the paper's discrete scheme, or with parameters
+and a plastic strain that are carried beside its variables."""
 
 from __future__ import annotations
 
@@ -24,9 +16,63 @@ from ngvisco.errors import NgviscoError, Quantity, UnknownNameError, require_nam
 from ngvisco.physics.flow_rules.rule import PLASTIC_STRAIN, Hardening
 from ngvisco.physics.material import ElasticState, Material, Wrapper
 from ngvisco.physics.parameters import Parameter, distinct, substituted
-from ngvisco.physics.pointwise import Respond, Response, respond, states_of
+from ngvisco.physics.pointwise import Respond, Response, respond, rest_state
 from ngvisco.physics.tensors import inner
 from ngvisco.physics.variables import Values, Variable
+
+
+@dataclass(frozen=True, kw_only=True)
+class Carrying(Wrapper):
+    """phi(z, theta) + phi_h(k): a material with its moduli at the parameters theta that it carries, and the
+    energy of a plastic strain k, where there is one.
+
+    A ``Model`` makes it where a modulus of one of its laws is no number, or its flow rule hardens.
+
+    Parameters
+    ----------
+    material : Material
+        Its own moduli may be expressions of the parameters.
+    carried : tuple of Parameter
+        Parameters that its own variables do not have: those of its moduli and of the model's other laws.
+    hardening : Hardening, optional
+        phi_h.
+    """
+
+    carried: tuple[Parameter, ...] = ()
+    hardening: Hardening | None = None
+
+    @property
+    def variables(self) -> tuple[Variable, ...]:
+        plastic = () if self.hardening is None else (PLASTIC_STRAIN,)
+        return (*self.material.variables, *self.carried, *plastic)
+
+    @property
+    def lagged(self) -> frozenset[str]:
+        return self.material.lagged
+
+    def energy(self, z: Values) -> CoefficientFunction:
+        at_this_point = substituted(self.material, lambda expression: expression.at(z))
+        phi = at_this_point.energy({v.name: z[v.name] for v in self.material.variables})
+        return phi if self.hardening is None else phi + self.hardening.energy(z)
+
+
+def carrying(
+    material: Material, parameters: Sequence[Parameter], hardening: Hardening | None = None
+) -> Material:
+    """The material with these among its variables, and this hardening in place of any other.
+
+    What wraps a material as regularised wraps that one.  Raises ParameterError for a parameter of the name of
+    another one that the material has.
+    """
+    if isinstance(material, (WithQuadratic, Yosida)):
+        return replace(material, material=carrying(material.material, parameters, hardening))
+    if isinstance(material, Carrying):
+        return carrying(material.material, (*material.carried, *parameters), hardening)
+    if not parameters and hardening is None:
+        return material
+    own = tuple(v for v in material.variables if isinstance(v, Parameter))
+    carried = distinct((*own, *parameters))[len(own) :]
+    return Carrying(material=material, carried=carried, hardening=hardening)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,14 +101,11 @@ class WithQuadratic(Wrapper):
         super().__post_init__()
         if self.only is not None:
             require_names("WithQuadratic.only", self.only)
-        known = {v.name for form in self._forms() for v in form.variables if v.is_strain}
+        forms = [self.material.with_elastic_state("F"), self.material.with_elastic_state("B")]
+        known = {v.name for form in forms for v in form.variables if v.is_strain}
         for name in self.only or ():
             if name not in known:
                 raise UnknownNameError("material variable", name, known)
-
-    def _forms(self) -> list[Material]:
-        """The material in the forms that it may still take."""
-        return [self.material.with_elastic_state("F"), self.material.with_elastic_state("B")]
 
     def with_elastic_state(self, state: ElasticState) -> WithQuadratic:
         material = self.material.with_elastic_state(state)
@@ -106,16 +149,6 @@ class WithQuadratic(Wrapper):
         return 0.5 * self.delta**0.5 * reduce(add, squares)
 
 
-_MAX_ITERATIONS = 200
-_MAX_HALVINGS = 40
-_CONVERGED = 1e-8
-"""Relative size of the last Newton increment: quadratic convergence takes it to rounding."""
-_ROUNDING = 1e-12
-"""Relative size of a residual that is rounding, where no step makes it smaller."""
-_SHARE = 0.1
-"""What a step leaves of a variable that must stay positive, at least; and its smallest start value."""
-
-
 @dataclass(frozen=True, kw_only=True)
 class Yosida(Wrapper):
     """phi_eps(z) = min over y of phi(y) + |z - y|^2/(2 eps), over all strains jointly, at fixed parameters.
@@ -154,28 +187,35 @@ class Yosida(Wrapper):
         return _Approximation(self, dim)
 
 
+_MAX_ITERATIONS = 200
+_MAX_HALVINGS = 40
+_CONVERGED = 1e-8
+"""Relative size of the last Newton increment: quadratic convergence takes it to rounding."""
+_ROUNDING = 1e-12
+"""Relative size of a residual that is rounding, where no step makes it smaller."""
+_SHARE = 0.1
+"""What a step leaves of a variable that must stay positive, at least; and its smallest start value."""
+
+
 class _Approximation:
     """phi_eps and its derivatives, from the minimisers y."""
 
     def __init__(self, material: Yosida, dim: int) -> None:
         self.eps = material.eps
         self.inner = respond(material.material, dim)
-        self.rest = states_of(material, np.eye(3)[None], dim)[0]
-        slices = material.states(dim).slices
-        self.weights = np.zeros(material.states(dim).size)
+        self.rest = rest_state(material, dim)
+        space = material.states(dim)
+        self.weights = np.where(space.strains, material.eps, 0.0)
         """eps of every component: 0 for parameters, which are not minimised over."""
-        for variable in material.variables:
-            if variable.is_strain:
-                self.weights[slices[variable.name]] = material.eps
-        self.positive = [slices[v.name].start for v in material.variables if self._is_bounded(v, slices)]
+        scalars = (v for v in material.variables if v.kind == "scalar" and v.positive(CF(1.0)))
+        places = (space.slices[v.name].start for v in scalars)
+        self.positive = [i for i in places if not self._goes_on(i)]
+        """Where y must be kept positive: J or A in an energy that is singular at 0 or undefined below."""
 
-    def _is_bounded(self, variable: Variable, slices: dict[str, slice]) -> bool:
-        """Whether y must be kept positive: J or A in an energy that is singular at 0 or undefined below."""
-        if variable.kind != "scalar" or not variable.positive(CF(1.0)):
-            return False
+    def _goes_on(self, i: int) -> bool:
         states = np.tile(self.rest, (3, 1))
-        states[:, slices[variable.name].start] = (0.0, -0.01, -1.0)
-        return not bool(self.inner(states).finite.all())
+        states[:, i] = (0.0, -0.01, -1.0)
+        return bool(self.inner(states).finite.all())
 
     def __call__(self, states: np.ndarray) -> Response:
         n, size = states.shape
@@ -206,31 +246,15 @@ class _Approximation:
         text = f"Yosida approximation with eps = {self.eps:g}: "
         if len(given) < len(states):
             return f"{text}the variables are not finite at {len(states) - len(given)} points"
-        if not solved.all():
-            i = given[~solved][0]
-            return (
-                f"{text}no minimiser at {int((~solved).sum())} points, e.g. for the components "
-                f"{np.array2string(states[i], precision=4)}: the energy is not convex, or not "
-                "singular where it ends"
-            )
-        if not definite.all():
-            i = given[solved][~definite][0]
-            return (
-                f"{text}{int((~definite).sum())} points are no minima, e.g. for the components "
-                f"{np.array2string(states[i], precision=4)}: the energy is not convex, take a smaller eps"
-            )
+        for good, at, what, remedy in (
+            (solved, given, "no minimiser at {} points", ", or not singular where it ends"),
+            (definite, given[solved], "{} points are no minima", ", take a smaller eps"),
+        ):
+            if not good.all():
+                example = np.array2string(states[at[~good][0]], precision=4)
+                found = f"{what.format(int((~good).sum()))}, e.g. for the components {example}"
+                return f"{text}{found}: the energy is not convex{remedy}"
         return None
-
-    def _start(self, z: np.ndarray) -> tuple[np.ndarray, Response]:
-        """z moved into the domain; the rest state where that is not enough."""
-        y = z.copy()
-        y[:, self.positive] = np.maximum(y[:, self.positive], _SHARE)
-        at_y = self.inner(y)
-        outside = ~at_y.finite
-        if outside.any():
-            y[outside] = np.where(self.weights > 0, self.rest, z[outside])
-            at_y = self.inner(y)
-        return y, at_y
 
     def _minimise(self, z: np.ndarray) -> tuple[np.ndarray, Response, np.ndarray]:
         """The minimisers y, the inner response there, and where they were found.
@@ -238,7 +262,6 @@ class _Approximation:
         Newton for r(y) = y - z + eps phi'(y) = 0, eps = 0 for parameters.  r' >= I where phi is convex, so
         that halving the step until |r| decreases converges from everywhere.
         """
-        size = z.shape[1]
         y, at_y = self._start(z)
         energy, slope, hessian = at_y.energy, at_y.slope, at_y.hessian
         solved, active = np.zeros(len(z), dtype=bool), np.flatnonzero(at_y.finite)
@@ -246,11 +269,10 @@ class _Approximation:
             if not len(active):
                 break
             r = y[active] - z[active] + self.weights * slope[active]
-            d = _solve(np.eye(size) + self.weights[:, None] * hessian[active], -r)
+            d = _solve(np.eye(z.shape[1]) + self.weights[:, None] * hessian[active], -r)
             length = self._admitted(y[active], d)
             small = np.abs(d).max(axis=1) <= _CONVERGED * np.abs(y[active]).max(axis=1)
-            for i in self.positive:
-                small &= np.abs(d[:, i]) <= _CONVERGED * y[active, i]
+            small &= (np.abs(d) <= _CONVERGED * y[active])[:, self.positive].all(axis=1)
             bound = np.linalg.norm(r, axis=1)
             trying, moved = np.arange(len(active)), np.zeros(len(active), dtype=bool)
             for _ in range(_MAX_HALVINGS):
@@ -274,101 +296,25 @@ class _Approximation:
             active = active[moved & ~done]
         return y, Response(energy, slope, hessian), solved
 
+    def _start(self, z: np.ndarray) -> tuple[np.ndarray, Response]:
+        """z moved into the domain; the rest state where that is not enough."""
+        y = z.copy()
+        y[:, self.positive] = np.maximum(y[:, self.positive], _SHARE)
+        at_y = self.inner(y)
+        outside = ~at_y.finite
+        if outside.any():
+            y[outside] = np.where(self.weights > 0, self.rest, z[outside])
+            at_y = self.inner(y)
+        return y, at_y
+
     def _admitted(self, y: np.ndarray, d: np.ndarray) -> np.ndarray:
         """The longest step, 1 at most, that leaves a share of what must stay positive."""
-        length = np.ones(len(y))
-        for i in self.positive:
-            down = d[:, i] < 0
-            length[down] = np.minimum(length[down], (_SHARE - 1) * y[down, i] / d[down, i])
-        return length
+        y, d = y[:, self.positive], d[:, self.positive]
+        return np.where(d < 0, (_SHARE - 1) * y / d, 1.0).min(axis=1, initial=1.0)
 
 
 def _solve(matrices: np.ndarray, rhs: np.ndarray) -> np.ndarray:
-    """Solutions of many small systems; NaN for all of a batch with a singular one, which then fails."""
-    try:
-        return np.linalg.solve(matrices, rhs[:, :, None])[:, :, 0]
-    except np.linalg.LinAlgError:
-        regular = np.abs(np.linalg.det(matrices)) > 0
-        solution = np.full_like(rhs, np.nan)
-        solution[regular] = np.linalg.solve(matrices[regular], rhs[regular][:, :, None])[:, :, 0]
-        return solution
-
-
-@dataclass(frozen=True, kw_only=True)
-class Heterogeneous(Wrapper):
-    """A material and the parameters that it carries: phi(z, theta) with its moduli at theta.
-
-    A ``Model`` makes it where a modulus of one of its laws is no number; its variables are those of the
-    material and the parameters, whose conjugates are the energy's derivatives by them.
-
-    Parameters
-    ----------
-    material : Material
-        Its own moduli may be expressions of the parameters.
-    carried : tuple of Parameter
-        Parameters that its own variables do not have: those of its moduli and of the model's other laws.
-    """
-
-    carried: tuple[Parameter, ...]
-
-    @property
-    def variables(self) -> tuple[Variable, ...]:
-        return (*self.material.variables, *self.carried)
-
-    @property
-    def lagged(self) -> frozenset[str]:
-        return self.material.lagged
-
-    def energy(self, z: Values) -> CoefficientFunction:
-        at_this_point = substituted(self.material, lambda expression: expression.at(z))
-        return at_this_point.energy({v.name: z[v.name] for v in self.material.variables})
-
-
-def carrying(material: Material, parameters: Sequence[Parameter]) -> Material:
-    """The material with these among its variables; what wraps a material as regularised wraps that one.
-
-    Raises ParameterError for a parameter of the name of another one that the material has.
-    """
-    if isinstance(material, (WithQuadratic, Yosida)):
-        return replace(material, material=carrying(material.material, parameters))
-    own = tuple(v for v in material.variables if isinstance(v, Parameter))
-    carried = distinct((*own, *parameters))[len(own) :]
-    return Heterogeneous(material=material, carried=carried) if parameters else material
-
-
-@dataclass(frozen=True, kw_only=True)
-class Hardened(Wrapper):
-    """phi(z) + phi_h(k) of a material and the plastic strain k that it carries.
-
-    A ``Model`` makes it where its flow rule hardens.
-
-    Parameters
-    ----------
-    material : Material
-        The material without hardening, with all parameters that the hardening reads.
-    hardening : Hardening
-        phi_h.
-    """
-
-    hardening: Hardening
-
-    @property
-    def variables(self) -> tuple[Variable, ...]:
-        return (*self.material.variables, PLASTIC_STRAIN)
-
-    @property
-    def lagged(self) -> frozenset[str]:
-        return self.material.lagged
-
-    def energy(self, z: Values) -> CoefficientFunction:
-        own = {v.name: z[v.name] for v in self.material.variables}
-        return self.material.energy(own) + self.hardening.energy(z)
-
-
-def hardened(material: Material, hardening: Hardening | None) -> Material:
-    """The material with this hardening in place of any other; what regularises one has it within."""
-    if isinstance(material, (WithQuadratic, Yosida)):
-        return replace(material, material=hardened(material.material, hardening))
-    if isinstance(material, Hardened):
-        return hardened(material.material, hardening)
-    return material if hardening is None else Hardened(material=material, hardening=hardening)
+    """Solutions of many small systems; NaN of the singular ones."""
+    solution, regular = np.full_like(rhs, np.nan), np.abs(np.linalg.det(matrices)) > 0
+    solution[regular] = np.linalg.solve(matrices[regular], rhs[regular][:, :, None])[:, :, 0]
+    return solution

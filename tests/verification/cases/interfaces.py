@@ -40,7 +40,7 @@ from ngvisco.forms.start.initial import set_initial
 from ngvisco.forms.system import Step
 from ngvisco.forms.terms.transport import Kinematics, UpwindTrace
 from ngvisco.geometries import box, disc
-from ngvisco.physics.materials.wrapped import Heterogeneous
+from ngvisco.physics.materials.wrapped import Carrying
 from ngvisco.physics.mixture import AMOUNT
 from ngvisco.shapes.shape import Where
 from tests.verification.case import Cases, Measured, Table
@@ -122,7 +122,7 @@ def carried(test: Test, mesh: Mesh, m: int, carrier: Carrier) -> Smear:
     else:
         starts = {"theta": exact} if carrier == "rate zero" else {"X": x, "Y": y}
         parameters = tuple(nv.Parameter(name, start=start) for name, start in starts.items())
-        model, names = nv.Model(material=Heterogeneous(material=fluid, carried=parameters)), list(starts)
+        model, names = nv.Model(material=Carrying(material=fluid, carried=parameters)), list(starts)
     step = Step(mesh, model, nv.Discretisation(m=m))
     sampler = Sampler(mesh, step.quadrature)
     set_initial(step, nv.Initial(), sampler)
