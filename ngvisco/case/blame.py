@@ -19,7 +19,7 @@ from ngvisco.case.faults import (
     tables_of,
 )
 from ngvisco.case.schema import CaseSections
-from ngvisco.case.section import Section, names_of, parameters
+from ngvisco.case.section import Section, owner_of, parameters
 from ngvisco.errors import InitialDataError, MeshError, NgviscoError, ParameterError, UnknownNameError
 from ngvisco.parallel.petsc import PETScError
 from ngvisco.run.ranks import abort_alone
@@ -112,7 +112,11 @@ def key_of(field: str, path: tuple[str, ...], sections: Any, value: object = Non
         return (rest[0],) if rest[:1] in (["bodies"], ["loads"]) else ("rheology", *rest)
     if owner in _KEYS:
         return (*_KEYS[owner], *(() if owner in ("until", "stops") else rest))
-    tables = [(*place, *rest) for place, part in tables_of(sections) if owner in names_of(part)]
+    tables = [
+        (*place, *rest)
+        for place, part in tables_of(sections)
+        if owner in (type(part).__name__, owner_of(type(part)).__name__)
+    ]
     found = [key for key in tables if not rest or has_key(sections, key[: len(key) - len(rest) + 1])]
     near = [key for key in found if key[: len(path)] == path] or found
     exact = [key for key in near if value is not None and given(sections, key) == value]

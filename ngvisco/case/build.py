@@ -338,7 +338,7 @@ class Case:
 
     def _values(self, part: Section, path: tuple[str, ...], dim: int) -> dict[str, Any]:
         """A section's parameters with its expressions as coefficient functions."""
-        values, fields = parameters(part), field_names(part)
+        values, fields = parameters(part), field_names(type(part))
         for name, value in values.items():
             if isinstance(value, Section):
                 values[name] = self._made(value, (*path, name), dim)

@@ -10,8 +10,7 @@ from typing import Any, get_args
 from pydantic import BaseModel, ValidationError
 
 from ngvisco.case.schema import CaseSections
-from ngvisco.case.section import TAGS, models_in, owner_of, place_in
-from ngvisco.case.table import Section
+from ngvisco.case.section import TAGS, Section, models_in, owner_of, place_in
 from ngvisco.case.toml import line_of, value_text
 from ngvisco.errors import NgviscoError, ParameterError
 
@@ -84,7 +83,7 @@ class Locator:
         return Fault(key, message, line_of(self.lines, path))
 
 
-def faults_of(error: ValidationError, model: type[BaseModel], locator: Locator) -> list[Fault]:
+def faults_of(error: ValidationError, model: type[Section], locator: Locator) -> list[Fault]:
     """One fault for each of pydantic's errors, in the order of the file."""
     found = []
     for one in error.errors():
@@ -181,7 +180,7 @@ def _places() -> dict[str, tuple[str, str | None]]:
     """The tables that hold the parameters of classes and functions, by their names, and their kinds."""
     found: list[tuple[int, str, str, str | None]] = [(0, "Model", "rheology", None)]
 
-    def look(model: type[BaseModel], path: tuple[str, ...]) -> None:
+    def look(model: type[Section], path: tuple[str, ...]) -> None:
         tags = [tag for tag in TAGS if tag in model.model_fields]
         kind = str(get_args(model.model_fields[tags[0]].annotation)[0]) if tags else None
         for away, name in ((0, model.__name__), (_OTHER, owner_of(model).__name__)):
@@ -200,10 +199,10 @@ _OTHER = 100
 """Levels by which a table that has another name than its class is farther away."""
 
 
-def _resolve(model: type[BaseModel], location: tuple[Any, ...]) -> tuple[tuple[str, ...], str, list[str]]:
+def _resolve(model: type[Section], location: tuple[Any, ...]) -> tuple[tuple[str, ...], str, list[str]]:
     """Key path without the unions' tags, the table that holds the key, and that table's keys."""
     path: list[str] = []
-    candidates: list[type[BaseModel]] = [model]
+    candidates: list[type[Section]] = [model]
     here, known = "the case", list(model.model_fields)
     for part in location:
         if isinstance(part, str) and part.startswith("<"):  # which form a value has, which is no key

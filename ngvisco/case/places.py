@@ -6,7 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from ngvisco.case.faults import CaseError, Fault
-from ngvisco.case.section import Section, field_names, moduli, owner_of, parameters
+from ngvisco.case.section import Section, owner_of, parameters, values_of
+from ngvisco.case.values import FieldValue, ModulusValue
 from ngvisco.expressions import Expression, parse, parse_region
 from ngvisco.shapes.shape import Shape, Union, Where
 
@@ -69,7 +70,9 @@ def reads_z(
     if isinstance(part, str):
         return (path, part) if parsed is not None and "z" in parsed(part).names else None
     if isinstance(part, Section):
-        of_place = dict.fromkeys(moduli(type(part)) | field_names(part), parse) | {"where": parse_region}
+        values = values_of(type(part)).items()
+        of_place: dict[str, Callable[[str], Expression]] = {"where": parse_region}
+        of_place |= {name: parse for name, value in values if issubclass(value, (FieldValue, ModulusValue))}
         inner = ((name, getattr(part, name), of_place.get(name)) for name in type(part).model_fields)
     elif isinstance(part, (list, dict)):
         items = part.items() if isinstance(part, dict) else enumerate(part)

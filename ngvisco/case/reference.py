@@ -8,29 +8,21 @@ import difflib
 import inspect
 import json
 import re
-import types
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
+from types import NoneType, UnionType
+from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
-from pydantic import BaseModel
+from pydantic.json_schema import GenerateJsonSchema
+from pydantic_core import core_schema
 
 from ngvisco.case import catalogue, toml
 from ngvisco.case.laws import EnergyText
 from ngvisco.case.schema import CaseSections
-from ngvisco.case.section import _TARGETS, TAGS, annotation_of, models_in, owner_of, place_in
-from ngvisco.case.values import (
-    LawValue,
-    ModulusValue,
-    NumberValues,
-    RegionText,
-    RowsValue,
-    ScalarValue,
-    TensorValue,
-    VectorValue,
-)
-from ngvisco.errors import ParameterError, Quantity
+from ngvisco.case.section import TAGS, Section, models_in, owner_of, place_in, quantity
+from ngvisco.case.values import Value
+from ngvisco.errors import ParameterError
 from ngvisco.run import fields as output
 from ngvisco.run import passive
 
@@ -106,57 +98,37 @@ _SAME_KEYS = {
 """Tables that have the keys of another one, which are listed there."""
 
 
-def _walk(model: type[BaseModel], path: tuple[str, ...], kinds: tuple[str, ...]) -> Iterator[Entry]:
-    fields = sorted(model.model_fields.items(), key=lambda field: bool(models_in(field[1].annotation)))
-    for name, field in fields:  # tables come last, as in a file
-        here, inner = (*path, name), models_in(field.annotation)
-        if name in TAGS:
-            continue
-        said, default = quantity(model, name), None if inner or field.is_required() else field.default
-        example = (
-            said.example if default in (None, "", [], {}, False) and said.example is not None else default
-        )
+def _walk(model: type[Section], path: tuple[str, ...], kinds: tuple[str, ...]) -> Iterator[Entry]:
+    keys = [(name, field) for name, field in model.model_fields.items() if name not in TAGS]
+    for name, field in sorted(keys, key=lambda key: bool(models_in(key[1].annotation))):  # tables come last
+        inner, said = models_in(field.annotation), quantity(model, name)
+        default = None if inner or field.is_required() else field.default
+        is_empty = default in (None, "", [], {}, False) and said.example is not None
         yield Entry(
-            here,
+            (*path, name),
             kinds,
-            ", ".join(filter(None, (type_text(annotation_of(model, name)), said.range))),
+            ", ".join(filter(None, (type_text(field.annotation), said.range))),
             said.unit,
             field.is_required(),
             default,
             meaning(model, name),
-            None if inner else example,
+            None if inner else said.example if is_empty else default,
         )
-        below = (*here, *place_in(field.annotation))
+        below = (*path, name, *place_in(field.annotation))
         if inner and below not in _SAME_KEYS:
-            yield from _walk_kinds(inner, below, name)
+            yield from _walk_kinds(inner, below)
 
 
-def _walk_kinds(models: list[type[BaseModel]], path: tuple[str, ...], name: str) -> Iterator[Entry]:
+def _walk_kinds(models: list[type[Section]], path: tuple[str, ...]) -> Iterator[Entry]:
     tag = next((tag for tag in TAGS if tag in models[0].model_fields), None)
     if tag is not None:
-        names = tuple(kind_of(model, tag) for model in models)
+        names = [model.__name__ for model in models]
         required = all(model.model_fields[tag].is_required() for model in models)
-        default = None if required else names[0]
         kinds = f"one of {', '.join(names)}"
+        default = None if required else names[0]
         yield Entry((*path, tag), (), kinds, "", required, default, "Which one", names[0])
     for model in models:
-        yield from _walk(model, path, () if tag is None else (kind_of(model, tag),))
-
-
-def quantity(model: type[BaseModel], name: str) -> Quantity:
-    """Unit, range and example of a key."""
-    return {**quantities(model), **quantities(owner_of(model))}[name]
-
-
-def meaning(model: type[BaseModel], name: str) -> str:
-    """What a key means; a table that its section does not describe is what it holds."""
-    said = {**meanings(model), **meanings(owner_of(model))}.get(name)
-    return said or summary(owner_of(models_in(model.model_fields[name].annotation)[0]))
-
-
-def kind_of(model: type[BaseModel], tag: str) -> str:
-    """The value of ``kind`` or ``geometry`` that chooses a section."""
-    return str(get_args(model.model_fields[tag].annotation)[0])
+        yield from _walk(model, path, () if tag is None else (model.__name__,))
 
 
 def type_text(annotation: Any) -> str:
@@ -167,35 +139,25 @@ def type_text(annotation: Any) -> str:
         bool: "true or false",
         str: "text",
         EnergyText: "expression of the variables",
-        ModulusValue: "number or expression",
-        LawValue: "number, expression of theta, or three rows of three numbers",
-        ScalarValue: "number or expression",
-        VectorValue: "array of numbers or expressions",
-        RowsValue: "three rows of three numbers or expressions",
-        TensorValue: "number, expression, or three rows of three of them",
+        NoneType: "",
     }
+    origin, arguments = get_origin(annotation), get_args(annotation)
     if annotation in plain:
         return plain[annotation]
-    if annotation == NumberValues or annotation == list[Any]:
-        return "array of numbers"
-    origin, arguments = get_origin(annotation), get_args(annotation)
+    if isinstance(annotation, type) and issubclass(annotation, Value):
+        return annotation.words
     if origin is Literal:
         return f"one of {', '.join(json.dumps(value) for value in arguments)}"
-    if origin in (Union, types.UnionType):
-        parts = dict.fromkeys(type_text(part) for part in arguments if part is not type(None))
-        return " or ".join(parts)
-    if origin is Annotated and get_args(RegionText)[1] in arguments:
-        return "condition"
+    if origin in (Union, UnionType):
+        return " or ".join(dict.fromkeys(filter(None, map(type_text, arguments))))
     if origin is Annotated:
         return type_text(arguments[0])
     if models_in(annotation):
         return {dict: "tables by name", list: "array of tables"}.get(origin, "table")
-    if origin is list:
-        inner = type_text(arguments[0])
-        return f"array of arrays{inner[5:]}" if inner.startswith("array") else f"array of {inner}s"
+    inner = type_text(arguments[-1])
     if origin is dict:
-        return f"table of {type_text(arguments[1])}s" if arguments[1] is float else "table by name"
-    return type_text(arguments[0])
+        return "table by name" if arguments[1] is not float else f"table of {inner}s"
+    return f"array of arrays{inner[5:]}" if inner.startswith("array") else f"array of {inner}s"
 
 
 def explain(path: str) -> str:
@@ -215,39 +177,37 @@ def explain(path: str) -> str:
         if len(wanted) > len(place) and matches(place, wanted[: len(place)]):
             wanted = (*same, *wanted[len(place) :])
     kinds = {kind: entry.path[:-1] for entry in every for kind in entry.kinds}
-    fields = [f"output: the field {name} is {what}" for name, what in _fields(wanted[-1] if wanted else "")]
-    names = [*{entry.path[-1] for entry in every}, *kinds]
-    if wanted and not fields and wanted[-1] not in names:
-        found = [name for name in sorted(names) if name.lower() == wanted[-1].lower()]
-        wanted = (*wanted[:-1], *(found or wanted[-1:])[:1])
-    if wanted and wanted[-1] in kinds:
-        kind, section = wanted[-1], kinds[wanted[-1]]
-        tag = [replace(e, example=kind) for e in every if e.path[:-1] == section and e.path[-1] in TAGS]
-        own = [*tag, *(e for e in every if e.path[:-1] == section and kind in e.kinds)]
-        return "\n\n".join([_said_of(kind), *cards(own)])
-    exact = [entry for entry in every if matches(entry.path, wanted)]
+    last = wanted[-1] if wanted else ""
+    fields = [f"output: the field {name} is {what}" for name, what in _fields(last)]
+    names = {entry.path[-1]: entry.name for entry in every} | dict.fromkeys(kinds, "")
+    if not fields and last not in names:
+        last = next((name for name in sorted(names) if name.lower() == last.lower()), last)
+        wanted = (*wanted[:-1], last)
+    if last in kinds:
+        own = [entry for entry in every if entry.path[:-1] == kinds[last]]
+        tag = [replace(entry, example=last) for entry in own if entry.path[-1] in TAGS]
+        return "\n\n".join([_said_of(last), *cards([*tag, *(entry for entry in own if last in entry.kinds)])])
     # a name alone is that of a key in all tables that have it
-    exact = exact or [entry for entry in every if entry.path[-1:] == wanted]
+    exact = [e for e in every if matches(e.path, wanted)] or [e for e in every if e.path[-1:] == wanted]
     below = [e for e in every if len(e.path) > len(wanted) and matches(e.path[: len(wanted)], wanted)]
     if wanted and below:
         title = [f"[{path}]  {entry.type}: {entry.meaning}" for entry in exact]
         return "\n".join([*title, *(line(entry) for entry in below)])
-    said = [*cards(exact), *fields] or _mentions(every, kinds, wanted)
-    if not said:
-        last = {entry.path[-1]: entry.name for entry in every}
-        close = [last[name] for name in difflib.get_close_matches(wanted[-1], last, n=2)] if wanted else []
-        names = [*dict.fromkeys(entry.name for entry in every), *kinds]
-        close += difflib.get_close_matches(path, names, n=3, cutoff=0.4)
-        close = list(dict.fromkeys(close))[:3]
-        hint = f"such as {', '.join(close)}; " if close else ""
-        raise ParameterError("KEY", path, f"a key of a case file, {hint}ngvisco list --keys has them all")
-    return "\n\n".join(said)
+    if said := [*cards(exact), *fields] or _mentions(every, list(kinds), wanted):
+        return "\n\n".join(said)
+    known = [*dict.fromkeys(entry.name for entry in every), *kinds]
+    close = [names[name] or name for name in difflib.get_close_matches(last, names, n=2)]
+    close = list(dict.fromkeys([*close, *difflib.get_close_matches(path, known, n=3, cutoff=0.4)]))[:3]
+    hint = f"such as {', '.join(close)}; " if close else ""
+    raise ParameterError("KEY", path, f"a key of a case file, {hint}ngvisco list --keys has them all")
+
+
+_KINDS = {name: target for table in catalogue.TABLES for name, target in table.items()}
 
 
 def _said_of(kind: str) -> str:
     """A kind, and what it is."""
-    doc = next((summary(made) for model, made in _TARGETS.items() if model.__name__ == kind), "")
-    return f"{kind}: {doc}" if doc else kind
+    return f"{kind}: {summary(_KINDS[kind])}"
 
 
 def _fields(name: str) -> list[tuple[str, str]]:
@@ -257,13 +217,13 @@ def _fields(name: str) -> list[tuple[str, str]]:
     return [(name, what) for named, what in rows if named == re.sub(r"_\d$", "_i", name)]
 
 
-def _mentions(
-    every: Sequence[Entry], kinds: Mapping[str, tuple[str, ...]], wanted: tuple[str, ...]
-) -> list[str]:
-    """Kinds and keys of which a word is said; none where it is said of half of them."""
-    word = re.compile(rf"\b{re.escape(wanted[0])}" if len(wanted) == 1 else r"\Z\b", re.IGNORECASE)
-    docs = {model.__name__: inspect.getdoc(made) or "" for model, made in _TARGETS.items()}
-    said = [_said_of(kind) for kind in kinds if word.search(re.split(r"\n\w+\n--", docs.get(kind, ""))[0])]
+def _mentions(every: Sequence[Entry], kinds: Sequence[str], wanted: tuple[str, ...]) -> list[str]:
+    """Kinds and keys of which a word is said; none where it is said of many."""
+    if len(wanted) != 1:
+        return []
+    word = re.compile(rf"\b{re.escape(wanted[0])}", re.IGNORECASE)
+    docs = {kind: re.split(r"\n\w+\n--", inspect.getdoc(_KINDS[kind]) or "")[0] for kind in kinds}
+    said = [_said_of(kind) for kind, doc in docs.items() if word.search(doc)]
     said += [line(entry).strip() for entry in every if word.search(f"{entry.type} {entry.meaning}")]
     return said if len(said) < _MANY else []
 
@@ -352,37 +312,27 @@ is A : A) and `exp log sqrt abs sinh cosh tanh min max` of scalars.
 """
 
 
+class _Described(GenerateJsonSchema):
+    """With meanings, units and examples of the keys; numbers that have a unit may be texts with it."""
+
+    def model_schema(self, schema: core_schema.ModelSchema) -> dict[str, Any]:
+        node, model = super().model_schema(schema), schema["cls"]
+        for name in node["properties"].keys() - set(TAGS):
+            said, key = quantity(model, name), node["properties"][name]
+            has_unit = said.unit not in ("", "1")
+            if has_unit and said.unit != "any":
+                key = _with_quantities(key)
+            words = ", ".join(filter(None, (meaning(model, name), said.range)))
+            described = {"title": name, "description": f"{words} [{said.unit}]" if has_unit else words}
+            examples = {} if said.example is None else {"examples": [said.example]}
+            node["properties"][name] = {**key, **described, **examples}
+        return node
+
+
 def json_schema() -> dict[str, Any]:
     """The schema as JSON Schema (draft 2020-12), with meanings, units and examples, for editors."""
-    schema = CaseSections.model_json_schema()
-    models: dict[str, type[BaseModel]] = {}
-    _collect(CaseSections, models)
-    for name, model in models.items():
-        node = schema if model is CaseSections else schema["$defs"][name]
-        node["title"] = name
-        for field_name, prop in list(node["properties"].items()):
-            if field_name not in TAGS:
-                if quantity(model, field_name).unit not in ("", "1", "any"):
-                    node["properties"][field_name] = prop = _with_quantities(prop)
-                prop.update(_annotations(model, field_name))
-    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema, "title": "ngvisco case file"}
-
-
-def _collect(model: type[BaseModel], into: dict[str, type[BaseModel]]) -> None:
-    if into.setdefault(model.__name__, model) is not model:
-        raise TypeError(f"two sections of a case file are called {model.__name__}")
-    for field in model.model_fields.values():
-        for inner in models_in(field.annotation):
-            if inner.__name__ not in into:
-                _collect(inner, into)
-
-
-def _annotations(model: type[BaseModel], name: str) -> dict[str, Any]:
-    said = quantity(model, name)
-    words = ", ".join(filter(None, (meaning(model, name), said.range)))
-    unit = f" [{said.unit}]" if said.unit not in ("", "1") else ""
-    examples = {} if said.example is None else {"examples": [said.example]}
-    return {"description": f"{words}{unit}", "title": name, **examples}
+    schema = CaseSections.model_json_schema(schema_generator=_Described)
+    return {"$schema": GenerateJsonSchema.schema_dialect, **schema, "title": "ngvisco case file"}
 
 
 def _with_quantities(node: Any) -> Any:
@@ -395,18 +345,14 @@ def _with_quantities(node: Any) -> Any:
     return [_with_quantities(part) for part in node] if isinstance(node, list) else node
 
 
+def meaning(model: type[Section], name: str) -> str:
+    """What a key means; a table that its section does not describe is what it holds."""
+    field = model.model_fields[name]
+    said = field.description or meanings(owner_of(model)).get(name)
+    return said or summary(owner_of(models_in(field.annotation)[0]))
+
+
 _SAME = re.compile(r"As for (\w+)")
-
-
-@cache
-def quantities(owner: Any) -> Mapping[str, Quantity]:
-    """What the annotations of a class or function say of its parameters; the unit is "1" of other numbers."""
-    found = {}
-    for name, hint in get_type_hints(owner, include_extras=True).items():
-        said = [part for part in getattr(hint, "__metadata__", ()) if isinstance(part, Quantity)]
-        is_number = re.search(r"\b(int|float)\b", str(getattr(hint, "__origin__", hint)))
-        found[name] = said[0] if said else Quantity("1" if is_number else "")
-    return found
 
 
 @cache
@@ -422,7 +368,7 @@ def meanings(owner: Any) -> Mapping[str, str]:
             if part.args[0] != "param":
                 continue
             for name in part.arg_name.split(", "):
-                found[name] = meanings(_named(same[1]))[name] if same else text
+                found[name] = meanings(_class(same[1]))[name] if same else text
     return found
 
 
@@ -431,5 +377,5 @@ def summary(owner: Any) -> str:
     return (inspect.getdoc(owner) or "").split("\n")[0].replace("``", "").removesuffix(".")
 
 
-def _named(name: str) -> Any:
-    return next(made for table in catalogue.TABLES for made in table.values() if made.__name__ == name)
+def _class(name: str) -> Any:
+    return next(target for target in _KINDS.values() if target.__name__ == name)

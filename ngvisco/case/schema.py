@@ -23,36 +23,26 @@ _MAX_OUTPUT_TIMES = 100_000
 _MAX_STEPS = 100_000_000
 """Steps above which a run has no end: ten of the smallest a second make a hundred days."""
 
-
 Adapt = section(Refinement)
+HeatCapacity = section(Thermal, is_whole=False, without=("p_infinity",))
 
 
 class Meshed(Section):
-    """What every geometry has besides its own keys.
+    """What every geometry has besides its own keys."""
 
-    Parameters
-    ----------
-    adapt
-        Divide the cells where a field is steep, and choose them anew as it moves.
-    """
-
-    adapt: Adapt | None = None  # type: ignore[valid-type]
-
-
-Domain = tagged("geometry", catalogue.GEOMETRIES, Meshed)
-HeatCapacity = section(Thermal, wrapped={}, is_whole=False, without=("p_infinity",))
+    adapt: Adapt | None = Field(  # type: ignore[valid-type]
+        default=None, description="Divide the cells where a field is steep, and choose them anew as it moves"
+    )
 
 
 class Heated(Section):
-    """What every material has besides its own keys.
+    """What every material has besides its own keys."""
 
-    Parameters
-    ----------
-    thermal
-        Its heat, where the material has a temperature: the table's other keys are of the material without.
-    """
-
-    thermal: HeatCapacity | None = None  # type: ignore[valid-type]
+    thermal: HeatCapacity | None = Field(  # type: ignore[valid-type]
+        default=None,
+        description="Its heat, where the material has a temperature: the table's other keys are of the "
+        "material without",
+    )
 
     def completed(self, made: MaterialObject) -> MaterialObject:
         """The material, with its heat if it has any."""
@@ -66,6 +56,7 @@ class Heated(Section):
             raise ParameterError(key, error.value, error.expected) from error
 
 
+Domain = tagged("geometry", catalogue.GEOMETRIES, Meshed)
 Material = laws(
     MaterialObject,
     catalogue.MATERIALS,
@@ -87,21 +78,17 @@ Rheology: Any = create_model(
     __base__=Section,
     **{name: (part | None, None) for name, part in _MECHANISMS.items()},  # type: ignore
 )
-Discretisation, Initial, Solver = (
-    section(catalogue.SECTIONS[name]) for name in ("discretisation", "initial", "solver")
+Discretisation, Initial, Solver, TimeSteps = (
+    section(catalogue.SECTIONS[name]) for name in ("discretisation", "initial", "solver", "time")
 )
 
 
-class Time(section(catalogue.SECTIONS["time"])):  # type: ignore[misc]
-    """Step length and end.
+class Time(TimeSteps):  # type: ignore[misc, valid-type]
+    """Step length and end."""
 
-    Parameters
-    ----------
-    until
-        End of the run, a multiple of dt where steps have one length.
-    """
-
-    until: Annotated[float, Quantity("s", "> 0", 1.0)]
+    until: Annotated[float, Quantity("s", "> 0", 1.0)] = Field(
+        description="End of the run, a multiple of dt where steps have one length"
+    )
 
     @model_validator(mode="after")
     def _ends(self) -> Time:
@@ -132,37 +119,36 @@ Where = Annotated[
 
 
 class Body(Section):
-    """A body of one material, and where it is at the start.
+    """A body of one material, and where it is at the start."""
 
-    Parameters
-    ----------
-    name
-        Letters, digits and _; fields and columns of the body begin with it.
-    where
-        Where the body is at the start: a condition on x, y, z, a shape, or several of which it is the union;
-        what the other bodies leave without this key, which one of them at most may lack.
-    material
-        Its material, with the keys of [material].
-    viscosity
-        Its viscosity, with the keys of [rheology.viscosity].
-    creep
-        Its creep, with the keys of [rheology.creep].
-    heat
-        Its conductivity and heat source, with the keys of [rheology.heat], to which they add by its fraction.
-    density
-        Its density where J = 1; that of its material where this has rho_R.
-    order
-        Of two bodies that overlap at the start the one of higher order is there.
-    """
-
-    name: Annotated[str, Quantity(example="disc")]
-    where: Where | None = None
-    material: Material  # type: ignore[valid-type]
-    viscosity: Viscosity | None = None  # type: ignore[valid-type]
-    creep: Creep | None = None  # type: ignore[valid-type]
-    heat: Heat | None = None  # type: ignore[valid-type]
-    density: Annotated[float | None, Quantity("kg/m^3", "> 0", 1000.0)] = None
-    order: int = 0
+    name: Annotated[str, Quantity(example="disc")] = Field(
+        description="Letters, digits and _; fields and columns of the body begin with it"
+    )
+    where: Where | None = Field(
+        default=None,
+        description="Where the body is at the start: a condition on x, y, z, a shape, or several of which it "
+        "is the union; what the other bodies leave without this key, which one of them at most may lack",
+    )
+    material: Material = Field(  # type: ignore[valid-type]
+        description="Its material, with the keys of [material]"
+    )
+    viscosity: Viscosity | None = Field(  # type: ignore[valid-type]
+        default=None, description="Its viscosity, with the keys of [rheology.viscosity]"
+    )
+    creep: Creep | None = Field(  # type: ignore[valid-type]
+        default=None, description="Its creep, with the keys of [rheology.creep]"
+    )
+    heat: Heat | None = Field(  # type: ignore[valid-type]
+        default=None,
+        description="Its conductivity and heat source, with the keys of [rheology.heat], to which they add "
+        "by its fraction",
+    )
+    density: Annotated[float | None, Quantity("kg/m^3", "> 0", 1000.0)] = Field(
+        default=None, description="Its density where J = 1; that of its material where this has rho_R"
+    )
+    order: int = Field(
+        default=0, description="Of two bodies that overlap at the start the one of higher order is there"
+    )
 
     @model_validator(mode="after")
     def _admitted(self) -> Body:
@@ -176,81 +162,52 @@ class Body(Section):
 
 
 class Units(Section):
-    """The units of plain numbers; they are converted before the case is validated (``ngvisco.case.units``).
+    """The units of plain numbers, which are converted before the case is validated."""
 
-    Parameters
-    ----------
-    length
-        Of lengths, and of x, y, z in expressions.
-    time
-        Of times, and of t in expressions.
-    velocity
-        Of velocities.
-    acceleration
-        Of accelerations.
-    density
-        Of densities.
-    pressure
-        Of stresses and elastic moduli.
-    viscosity
-        Of viscosities and the creep modulus.
-    """
-
-    length: str = "m"
-    time: str = "s"
-    velocity: str = "m/s"
-    acceleration: str = "m/s^2"
-    density: str = "kg/m^3"
-    pressure: str = "Pa"
-    viscosity: str = "Pa s"
+    length: str = Field(default="m", description="Of lengths, and of x, y, z in expressions")
+    time: str = Field(default="s", description="Of times, and of t in expressions")
+    velocity: str = Field(default="m/s", description="Of velocities")
+    acceleration: str = Field(default="m/s^2", description="Of accelerations")
+    density: str = Field(default="kg/m^3", description="Of densities")
+    pressure: str = Field(default="Pa", description="Of stresses and elastic moduli")
+    viscosity: str = Field(default="Pa s", description="Of viscosities and the creep modulus")
 
 
 class CaseSections(Section):
-    """A whole case file.
+    """A whole case file."""
 
-    Parameters
-    ----------
-    title
-        What the case is, for logs and pictures.
-    units
-        Units of plain numbers; SI where nothing is said.
-    domain
-        The domain and its mesh.
-    material
-        The material: its variables and its stored energy.
-    bodies
-        Bodies of different material, each an element of the array, in place of [material].
-    time
-        Step length and end.
-    walls
-        What holds on the walls, by name; Slip where nothing is said.
-    rheology
-        Dissipative mechanisms, each a table of its own.
-    loads
-        Forces, each an element of the array.
-    initial
-        The state at t = 0.
-    discretisation
-        Orders in space.
-    solver
-        Method and tolerances of a step's solver.
-    output
-        What the run directory gets.
-    """
-
-    title: Annotated[str, Quantity(example="A block under gravity")] = ""
-    units: Units = Units()
-    domain: Domain  # type: ignore[valid-type]
-    material: Material | None = None  # type: ignore[valid-type]
-    bodies: list[Body] = Field(default=[])
-    time: Time
-    walls: dict[str, Wall] = Field(default={})  # type: ignore[valid-type]
-    rheology: Rheology = Rheology()
-    loads: list[Load] = Field(default=[])  # type: ignore[valid-type]
-    initial: Initial = Initial()  # type: ignore[valid-type]
-    discretisation: Discretisation = Discretisation()  # type: ignore[valid-type]
-    solver: Solver = Solver()  # type: ignore[valid-type]
-    output: Output = Output()
+    title: Annotated[str, Quantity(example="A block under gravity")] = Field(
+        default="", description="What the case is, for logs and pictures"
+    )
+    units: Units = Field(default=Units(), description="Units of plain numbers; SI where nothing is said")
+    domain: Domain = Field(description="The domain and its mesh")  # type: ignore[valid-type]
+    material: Material | None = Field(  # type: ignore[valid-type]
+        default=None, description="The material: its variables and its stored energy"
+    )
+    bodies: list[Body] = Field(
+        default=[],
+        description="Bodies of different material, each an element of the array, in place of [material]",
+    )
+    time: Time = Field(description="Step length and end")
+    walls: dict[str, Wall] = Field(  # type: ignore[valid-type]
+        default={}, description="What holds on the walls, by name; Slip where nothing is said"
+    )
+    rheology: Rheology = Field(
+        default=Rheology(), description="Dissipative mechanisms, each a table of its own"
+    )
+    loads: list[Load] = Field(  # type: ignore[valid-type]
+        default=[], description="Forces, each an element of the array"
+    )
+    initial: Initial = Field(  # type: ignore[valid-type]
+        default=Initial(), description="The state at t = 0"
+    )
+    discretisation: Discretisation = Field(  # type: ignore[valid-type]
+        default=Discretisation(), description="Orders in space"
+    )
+    solver: Solver = Field(  # type: ignore[valid-type]
+        default=Solver(), description="Method and tolerances of a step's solver"
+    )
+    output: Output = Field(default=Output(), description="What the run directory gets")
 
     @model_validator(mode="after")
     def _consistent(self) -> CaseSections:

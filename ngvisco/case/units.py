@@ -11,18 +11,14 @@ value in the unit of ``pressure``, and is multiplied as a whole; one per mass is
 import ast
 import math
 import re
-from collections.abc import Iterator
 from functools import cache
 from typing import Any
 
-from pydantic import BaseModel
-
 from ngvisco.case.faults import Wrong
 from ngvisco.case.laws import EnergyText
-from ngvisco.case.reference import quantity
 from ngvisco.case.schema import Units
-from ngvisco.case.section import models_in
-from ngvisco.case.values import FIELDS, NumberValues, is_table
+from ngvisco.case.section import Section, models_in, quantity, values_of
+from ngvisco.case.values import NumberValues, is_table
 from ngvisco.expressions import ExpressionError, parse, parse_region
 
 SI: dict[str, str] = {name: field.default for name, field in Units.model_fields.items()}
@@ -106,7 +102,7 @@ class Converter:
                 except UnitError as error:
                     self.faults.append((("units", name), f"{error}; expected a unit such as {SI[name]}"))
 
-    def __call__(self, model: type[BaseModel], data: dict[str, Any]) -> dict[str, Any]:
+    def __call__(self, model: type[Section], data: dict[str, Any]) -> dict[str, Any]:
         """A section's data with numbers in SI units; tables in it are sections of their own."""
         result = dict(data)
         for name, value in data.items():
@@ -124,7 +120,7 @@ class Converter:
                 result[name] = found
         return result
 
-    def _entry(self, value: Any, model: type[BaseModel], name: str, data: dict[str, Any]) -> Any:
+    def _entry(self, value: Any, model: type[Section], name: str, data: dict[str, Any]) -> Any:
         annotation = model.model_fields[name].annotation
         if models_in(annotation):
             return self._region(value) if isinstance(value, str) else value
@@ -132,8 +128,7 @@ class Converter:
         if annotation is EnergyText:
             # [units] has none of energies per mass: these are in J/kg
             return value if data.get("per") == "mass" else self._energy(value, unit)
-        parts = list(_parts(annotation))
-        is_field = any(part is Any or part in FIELDS for part in parts) and NumberValues not in parts
+        is_field = values_of(model).get(name, NumberValues) is not NumberValues
         if unit in ("", "any") or (unit == "1" and not is_field):
             return value
         return self._value(value, _with_exponents(unit, model, data), is_field)
@@ -213,13 +208,7 @@ class _Scaled(ast.NodeTransformer):
         return node if scale == 1.0 else ast.BinOp(node, ast.Div(), ast.Constant(scale))
 
 
-def _parts(annotation: Any) -> Iterator[Any]:
-    yield annotation
-    for part in getattr(annotation, "__args__", ()):
-        yield from _parts(part)
-
-
-def _with_exponents(unit: str, model: type[BaseModel], data: dict[str, Any]) -> str:
+def _with_exponents(unit: str, model: type[Section], data: dict[str, Any]) -> str:
     """A unit whose exponents are keys of the section, with their values."""
 
     def exponent(match: re.Match[str]) -> str:

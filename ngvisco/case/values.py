@@ -1,15 +1,49 @@
-"""Values of case files that are more than a number: functions of place and time, moduli, regions, arrays."""
+"""Values of case files that are more than a number: functions of place and time, moduli, regions, arrays.
+
+Each is a class with a check of what a case file has, what may stand there in words, and its JSON Schema.
+"""
 
 from functools import cache
-from typing import Annotated, Any
+from typing import Any, ClassVar
 
 from ngsolve import CF, CoefficientFunction
-from pydantic import AfterValidator, WithJsonSchema
+from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
+from pydantic_core import CoreSchema, core_schema
 
 from ngvisco.case.energies import parse_law
 from ngvisco.errors import as_number
 from ngvisco.expressions import parse, parse_region
 from ngvisco.physics.signals import table
+
+_ROWS = "expected three rows of three, as in [[1, 0, 0], [0, 1, 0], [0, 0, 1]]"
+
+
+class Value:
+    """What a key may have; ``check`` returns it, or raises ValueError."""
+
+    words: ClassVar[str]
+    json: ClassVar[dict[str, Any]]
+
+    @staticmethod
+    def check(value: Any) -> Any:
+        raise NotImplementedError
+
+    @classmethod
+    def made(cls, value: Any) -> Any:
+        """What the value stands for, which needs no more than itself."""
+        return value
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        return core_schema.no_info_plain_validator_function(cls.check)
+
+    @classmethod
+    def __get_pydantic_json_schema__(cls, core: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        return dict(cls.json)
+
+
+class FieldValue(Value):
+    """A function of place and time, of which ``as_function`` makes a coefficient function."""
 
 
 def is_table(value: Any) -> bool:
@@ -17,121 +51,143 @@ def is_table(value: Any) -> bool:
     return isinstance(value, dict) and set(value) == {"times", "values"}
 
 
-def _check_scalar(value: Any) -> Any:
-    """A number or an expression; raises ValueError."""
-    if isinstance(value, str):
-        parse(value)
-    elif isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise ValueError("expected a number, or an expression in quotes")
-    elif as_number(value) is None:
+def _checked_number(value: Any, alternative: str = "an expression in quotes") -> Any:
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise ValueError(f"expected a number, or {alternative}")
+    if as_number(value) is None:
         raise ValueError("expected a finite number")
     return value
 
 
-def _check_vector(value: Any) -> Any:
-    """An array of numbers, expressions and tables of time, or one such table; raises ValueError."""
-    if is_table(value):
-        table(value["times"], value["values"])
+class ScalarValue(FieldValue):
+    """A scalar field."""
+
+    words, json = "number or expression", {"type": ["number", "string"]}
+
+    @staticmethod
+    def check(value: Any) -> Any:
+        if isinstance(value, str):
+            parse(value)
+            return value
+        return _checked_number(value)
+
+
+class VectorValue(FieldValue):
+    """A vector field: its components, each of which may be a table of time, or one such table for all."""
+
+    words = "array of numbers or expressions"
+    json: ClassVar = {"type": ["array", "object"], "items": {"type": ["number", "string", "object"]}}
+
+    @staticmethod
+    def check(value: Any) -> Any:
+        is_array = isinstance(value, list) and value and not any(isinstance(part, list) for part in value)
+        if not is_array and not is_table(value):
+            raise ValueError('expected an array of its components, as in [0, "-1 + x"]')
+        for part in value if is_array else [value]:
+            if is_table(part):
+                table(part["times"], part["values"])
+            else:
+                ScalarValue.check(part)
         return value
-    if not isinstance(value, list) or not value or any(isinstance(part, list) for part in value):
-        raise ValueError('expected an array of its components, as in [0, "-1 + x"]')
-    for part in value:
-        if is_table(part):
-            table(part["times"], part["values"])
-        else:
-            _check_scalar(part)
-    return value
 
 
-def _check_tensor(value: Any) -> Any:
-    """A number or an expression, or three rows of three of them; raises ValueError."""
-    return _check_rows(value) if isinstance(value, list) else _check_scalar(value)
+class RowsValue(FieldValue):
+    """A tensor field."""
+
+    words, json = "three rows of three numbers or expressions", {"type": "array"}
+
+    @staticmethod
+    def check(value: Any) -> Any:
+        rows = value if isinstance(value, list) else []
+        if [len(row) if isinstance(row, list) else 0 for row in rows] != [3, 3, 3]:
+            raise ValueError(_ROWS)
+        for row in rows:
+            for part in row:
+                ScalarValue.check(part)
+        return value
 
 
-def _check_rows(value: Any) -> Any:
-    """Three rows of three numbers or expressions; raises ValueError."""
-    rows = value if isinstance(value, list) else []
-    if [len(row) if isinstance(row, list) else 0 for row in rows] != [3, 3, 3]:
-        raise ValueError("expected three rows of three, as in [[1, 0, 0], [0, 1, 0], [0, 0, 1]]")
-    for row in rows:
-        for part in row:
-            _check_scalar(part)
-    return value
+class TensorValue(FieldValue):
+    """A tensor field, or a variable, which may be a scalar."""
+
+    words = "number, expression, or three rows of three of them"
+    json: ClassVar = {"type": ["number", "string", "array"]}
+
+    @staticmethod
+    def check(value: Any) -> Any:
+        return (RowsValue if isinstance(value, list) else ScalarValue).check(value)
 
 
-ScalarValue = Annotated[Any, AfterValidator(_check_scalar), WithJsonSchema({"type": ["number", "string"]})]
-"""A scalar field as it stands in a case file."""
-VectorValue = Annotated[
-    Any,
-    AfterValidator(_check_vector),
-    WithJsonSchema({"type": ["array", "object"], "items": {"type": ["number", "string", "object"]}}),
-]
-"""A vector field; an object is a table of time."""
-TensorValue = Annotated[
-    Any, AfterValidator(_check_tensor), WithJsonSchema({"type": ["number", "string", "array"]})
-]
-"""A tensor field, or a variable, which may be a scalar."""
-RowsValue = Annotated[Any, AfterValidator(_check_rows), WithJsonSchema({"type": "array"})]
-"""A tensor field."""
-FIELDS = (ScalarValue, VectorValue, TensorValue, RowsValue)
+class NumberValues(Value):
+    """Finite numbers in arrays of arrays."""
+
+    words, json = "array of numbers", {"type": "array", "items": {}}
+
+    @staticmethod
+    def check(value: Any) -> Any:
+        if not isinstance(value, list):
+            raise ValueError("expected an array, as in [1, 1]")
+        for part in value:
+            if isinstance(part, list):
+                NumberValues.check(part)
+            elif as_number(part) is None:
+                raise ValueError(
+                    f"expected an array of finite numbers, or of such arrays, not of {part!r:.30}"
+                )
+        return value
 
 
-def _check_numbers(value: list[Any]) -> list[Any]:
-    """Arrays of arrays of finite numbers; raises ValueError."""
-    for part in value:
-        if isinstance(part, list):
-            _check_numbers(part)
-        elif as_number(part) is None:
-            raise ValueError(f"expected an array of finite numbers, or of such arrays, not of {part!r:.30}")
-    return value
+class ModulusValue(Value):
+    """A modulus: a number, or a function of the initial place, which then travels with the matter."""
 
+    words, json = ScalarValue.words, ScalarValue.json
 
-NumberValues = Annotated[list[Any], AfterValidator(_check_numbers)]
-"""Numbers in arrays of arrays."""
-
-
-def _check_modulus(value: Any) -> Any:
-    """A finite number, or an expression of x, y, z; raises ValueError."""
-    if isinstance(value, str):
+    @staticmethod
+    def check(value: Any) -> Any:
+        if not isinstance(value, str):
+            return float(_checked_number(value, "an expression of x, y, z in quotes"))
         names = parse(value).names
         if "t" in names or not names:
             raise ValueError("expected a number, or a function of the initial place, of x, y and z alone")
         return value
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise ValueError("expected a number, or an expression of x, y, z in quotes")
-    if as_number(value) is None:
-        raise ValueError("expected a finite number")
-    return float(value)
+
+    @classmethod
+    def made(cls, value: Any) -> Any:
+        return parse(value).coefficient() if isinstance(value, str) else value
 
 
-ModulusValue = Annotated[Any, AfterValidator(_check_modulus), WithJsonSchema({"type": ["number", "string"]})]
-"""A modulus: a number, or a function of the initial place, which then travels with the matter."""
+class LawValue(Value):
+    """A function of the temperature theta, K."""
+
+    words = "number, expression of theta, or three rows of three numbers"
+    json = TensorValue.json
+
+    @staticmethod
+    def check(value: Any) -> Any:
+        if isinstance(value, str):
+            parse_law(value)
+            return value
+        return NumberValues.check(value) if isinstance(value, list) else _checked_number(value)
+
+    @classmethod
+    def made(cls, value: Any) -> Any:
+        return parse_law(value) if isinstance(value, str) else value
 
 
-def _check_region(value: str) -> str:
-    if "t" in parse_region(value).names:
-        raise ValueError("expected a condition on x, y and z alone: it says where a body is at the start")
-    return value
+class RegionText(Value):
+    """A condition on x, y, z."""
 
+    words, json = "condition", {"type": "string"}
 
-RegionText = Annotated[str, AfterValidator(_check_region)]
-"""A condition on x, y, z."""
-
-
-def _check_law(value: Any) -> Any:
-    """A number, three rows of three, or an expression of theta; raises ValueError."""
-    if isinstance(value, str):
-        parse_law(value)
+    @staticmethod
+    def check(value: Any) -> Any:
+        if "t" in parse_region(value).names:
+            raise ValueError("expected a condition on x, y and z alone: it says where a body is at the start")
         return value
-    return _check_numbers(value) if isinstance(value, list) else _check_scalar(value)
-
-
-LawValue = Annotated[Any, AfterValidator(_check_law), WithJsonSchema({"type": ["number", "string", "array"]})]
-"""A function of the temperature theta, K."""
 
 
 def as_function(value: Any) -> Any:
-    """A number, text or array as a coefficient function; arrays of rows are 3x3 matrices."""
+    """The value of a ``FieldValue`` as a coefficient function; arrays of rows are 3x3 matrices."""
     if not isinstance(value, list):
         return _scalar(value)
     if isinstance(value[0], list):

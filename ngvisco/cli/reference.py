@@ -4,9 +4,8 @@ import argparse
 import json
 from collections.abc import Callable
 
-from ngvisco.case import catalogue, reference, template
-from ngvisco.case.schema import CaseSections
-from ngvisco.case.section import section
+from ngvisco.case import catalogue, reference, schema, template
+from ngvisco.case.section import TAGS, Section, models_in
 from ngvisco.run.fields import NAMES as FURTHER
 from ngvisco.run.passive import NAMES as PASSIVE
 from ngvisco.timestepping.scheme import SCHEMES
@@ -36,27 +35,35 @@ _FORMS: dict[str, Callable[[], str]] = {
 }
 
 
+def _by_kind(choice: object) -> dict[str, type[Section]]:
+    """The sections of a choice by their kinds."""
+    return {model.__name__: model for model in models_in(choice)}
+
+
 def listing(options: argparse.Namespace) -> int:
     """Say what a case file can name, or every key."""
     if options.form is not None:
         print(_FORMS[options.form](), end="")
         return 0
+    materials = _by_kind(schema.Material)
+    of_another = {name: materials.pop(name) for name in catalogue.WRAPPERS}
+    mechanisms = {name: schema.Rheology.model_fields[name].annotation for name in catalogue.MECHANISMS}
     groups = (
-        ("geometries: [domain] geometry =", "geometry", catalogue.GEOMETRIES),
-        ("materials: [material] kind =", "kind", catalogue.MATERIALS),
-        ("materials of another one, [material.material]: [material] kind =", "kind", catalogue.WRAPPERS),
-        ("mechanisms: [rheology.NAME]", None, catalogue.MECHANISMS),
-        ("flow rules: [rheology.creep] kind =", "kind", catalogue.CREEPS),
-        ("viscosities: [rheology.viscosity] kind =", "kind", catalogue.ALL_VISCOSITIES),
-        ("loads: [[loads]] kind =", "kind", catalogue.LOADS),
-        ("walls: [walls.NAME] kind =", "kind", catalogue.WALLS),
+        ("geometries: [domain] geometry =", _by_kind(schema.Domain)),
+        ("materials: [material] kind =", materials),
+        ("materials of another one, [material.material]: [material] kind =", of_another),
+        ("mechanisms: [rheology.NAME]", {name: models_in(part)[0] for name, part in mechanisms.items()}),
+        ("flow rules: [rheology.creep] kind =", _by_kind(schema.Creep)),
+        ("viscosities: [rheology.viscosity] kind =", _by_kind(schema.Viscosity)),
+        ("loads: [[loads]] kind =", _by_kind(schema.Load)),
+        ("walls: [walls.NAME] kind =", _by_kind(schema.Wall)),
     )
-    for title, tag, table in groups:
+    for title, models in groups:
         print(title)
-        for name, target in table.items():
-            keys = section(target, (tag, name) if tag else None).model_fields
-            required = [key for key, f in keys.items() if f.is_required() and key != tag]
-            shown = [*required, *(f"[{key}]" for key, f in keys.items() if not f.is_required())]
+        for name, model in models.items():
+            keys = [(key, field) for key, field in model.model_fields.items() if key not in TAGS]
+            required = [key for key, field in keys if field.is_required()]
+            shown = [*required, *(f"[{key}]" for key, field in keys if not field.is_required())]
             print(f"  {name}: {', '.join(shown)}" if shown else f"  {name}")
     print("time schemes: [time] scheme =")
     for name, make in SCHEMES.items():
@@ -72,7 +79,7 @@ def listing(options: argparse.Namespace) -> int:
     print("passive: [output] passive =")
     print(f"  {', '.join(PASSIVE)}")
     others = ", ".join(
-        name for name in CaseSections.model_fields if name not in ("domain", "material", "loads")
+        name for name in schema.CaseSections.model_fields if name not in ("domain", "material", "loads")
     )
     print(f"other sections: {others}")
     return 0
