@@ -49,13 +49,18 @@ class UnknownNameError(NgviscoError, KeyError):
 
     def __init__(self, kind: str, name: str, known: Iterable[str]) -> None:
         self.kind, self.name, self.known = kind, name, sorted(set(known))
-        close = difflib.get_close_matches(str(name), self.known, n=1)
-        hint = f"; did you mean {close[0]!r}?" if close else ""
+        hint = nearest(str(name), self.known)
         self.message = f"unknown {kind} {name!r}{hint} (known: {listed(self.known)})"
         super().__init__(self.message)
 
     def __str__(self) -> str:  # KeyError would print the repr of the message
         return self.message
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """``; did you mean 'x'?`` or nothing."""
+    close = difflib.get_close_matches(name, list(known), n=1, cutoff=0.5)
+    return f"; did you mean {close[0]!r}?" if close else ""
 
 
 def listed(names: Iterable[str]) -> str:

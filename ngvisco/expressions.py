@@ -9,6 +9,8 @@ and never by Python: a case file, or an integrand of ``Integrals``, cannot execu
 * ``a if condition else b`` (or ``where(condition, a, b)``), conditions being comparisons
   ``< <= > >=`` (also chained) joined by ``and``, ``or``, ``not``.
 
+Energies of case files (``ngvisco.case.laws``) are of scalars and 3x3 tensors, with functions of both.
+
 A region (``parse_region``) is written as a condition, ``"(x - 0.6)**2 + y**2 < 0.04 and y < 0.6"``; without
 a comparison, ``"x - 0.5"``, it is none, and is refused.
 
@@ -16,19 +18,20 @@ Constant parts are computed at once, so that ``1/0`` or ``log(-1)`` is an error 
 """
 
 import ast
-import difflib
 import math
+import operator
 import warnings
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
+from functools import reduce
 from typing import Any, TypeAlias
 
 import ngsolve
 from ngsolve import CF, CoefficientFunction
 
-from ngvisco.errors import NgviscoError, listed
+from ngvisco.errors import NgviscoError, listed, nearest
 from ngvisco.physics.signals import time
-from ngvisco.physics.tensors import exp, if_positive, log, sqrt
+from ngvisco.physics.tensors import cof, det, dev, exp, if_positive, inner, log, sph, sqrt, square, sym, tr
 
 Value: TypeAlias = float | CoefficientFunction
 
@@ -78,11 +81,11 @@ def parse(text: str, fields: Collection[str] = ()) -> Expression:
     Raises ExpressionError with the position: syntax, unknown name or function, a constant part that is no
     finite number, or one of the limits on length, depth and operations.
     """
-    tree, lead = syntax_tree(text)
     # any scalar function stands for a field
-    evaluator = Evaluator(text, _SYMBOLS | {name: ngsolve.x for name in fields if name not in NAMES}, lead)
+    evaluator = Evaluator(text, _SYMBOLS | {name: ngsolve.x for name in fields if name not in NAMES})
+    tree = syntax_tree(text)
     evaluator.value(tree)
-    return Expression(text, frozenset(evaluator.seen), shifted(tree, lead))
+    return Expression(text, frozenset(evaluator.seen), tree)
 
 
 def parse_region(text: str) -> Expression:
@@ -91,23 +94,18 @@ def parse_region(text: str) -> Expression:
 
     Raises ExpressionError as ``parse``, and for what is no condition.
     """
-    tree, lead = syntax_tree(text)
-    evaluator = Evaluator(text, _SYMBOLS, lead)
+    evaluator, tree = Evaluator(text, _SYMBOLS), syntax_tree(text)
     evaluator.level(tree)
-    return Expression(text, frozenset(evaluator.seen), shifted(tree, lead), is_region=True)
+    return Expression(text, frozenset(evaluator.seen), tree, is_region=True)
 
 
 def number(text: str) -> float:
     """The value of a constant expression, such as ``"-5/6"``; raises ExpressionError."""
-    tree, lead = syntax_tree(text)
-    return float(Evaluator(text, CONSTANTS, lead).value(tree))
+    return float(Evaluator(text, CONSTANTS).value(syntax_tree(text)))
 
 
-def syntax_tree(text: str) -> tuple[ast.expr, int]:
-    """A text's tree and the number of blanks before it, which the tree's columns leave out.
-
-    Raises ExpressionError for what is no expression by its syntax or size.
-    """
+def syntax_tree(text: str) -> ast.expr:
+    """A text's tree; raises ExpressionError for what is no expression by its syntax or size."""
     if len(text) > MAX_LENGTH:
         raise ExpressionError(text, MAX_LENGTH, f"longer than {MAX_LENGTH} characters")
     if not text.isascii() or "\0" in text:
@@ -125,29 +123,24 @@ def syntax_tree(text: str) -> tuple[ast.expr, int]:
         raise ExpressionError(text, min(position, len(text)), "not an expression") from None
     except (ValueError, MemoryError, RecursionError):  # absurd nesting or number
         raise ExpressionError(text, 0, "too deeply nested") from None
-    _check_size(text, tree, lead)
-    if (count := _operations(tree)) > MAX_OPERATIONS:
-        reason = f"too long: written out it has {count:.0e} operations, at most {MAX_OPERATIONS} are taken"
-        raise ExpressionError(text, lead, reason)
-    return tree, lead
-
-
-def shifted(tree: ast.expr, lead: int) -> ast.expr:
-    """The tree with columns that count from the text's first character."""
     for node in ast.walk(tree):
         if hasattr(node, "col_offset"):
             node.col_offset += lead
+    _check_size(text, tree)
+    if (count := _operations(tree)) > MAX_OPERATIONS:
+        reason = f"too long: written out it has {count:.0e} operations, at most {MAX_OPERATIONS} are taken"
+        raise ExpressionError(text, lead, reason)
     return tree
 
 
-def _check_size(text: str, tree: ast.expr, lead: int) -> None:
+def _check_size(text: str, tree: ast.AST) -> None:
     count, layer, depth = 0, [tree], 0
     while layer:
         count, depth = count + len(layer), depth + 1
         if count > MAX_NODES or depth > MAX_DEPTH:
-            position = lead + getattr(layer[0], "col_offset", 0)
+            position = getattr(layer[0], "col_offset", 0)
             raise ExpressionError(text, position, "too long or too deeply nested")
-        layer = [child for node in layer for child in ast.iter_child_nodes(node)]  # type: ignore[misc]
+        layer = [child for node in layer for child in ast.iter_child_nodes(node)]
 
 
 def _operations(node: ast.AST) -> float:
@@ -191,56 +184,56 @@ _USES = {
 class Evaluator:
     """Evaluates a tree with floats where it is constant, and coefficient functions elsewhere.
 
+    With ``of_tensors`` an expression of scalars and tensors, of coefficient functions or of arrays.
+
     Attributes
     ----------
     seen : set of str
         The names that were read.
     """
 
-    allowed = "only numbers, names, + - * / ** and the listed functions are allowed"
-
-    def __init__(self, text: str, symbols: Mapping[str, Any], lead: int = 0) -> None:
-        self.text, self.symbols, self.lead = text, symbols, lead
+    def __init__(self, text: str, symbols: Mapping[str, Any], of_tensors: bool = False) -> None:
+        self.text, self.symbols, self.of_tensors = text, symbols, of_tensors
+        self.functions = FUNCTIONS_OF_TENSORS if of_tensors else FUNCTIONS
         self.seen: set[str] = set()
-
-    @property
-    def functions(self) -> Mapping[str, tuple[Any, ...]]:
-        """What can be called: the number of arguments first, then what computes the value."""
-        return FUNCTIONS
 
     def value(self, node: ast.expr) -> Any:
         """The value of a node; raises ExpressionError."""
-        if isinstance(node, ast.Constant):
-            return self._number(node)
-        if isinstance(node, ast.Name):
-            return self._name(node)
-        if isinstance(node, ast.UnaryOp) and isinstance(node.op, (ast.UAdd, ast.USub)):
-            operand = self.value(node.operand)
-            return operand if isinstance(node.op, ast.UAdd) else -operand
-        if isinstance(node, ast.BinOp):
-            return self._binary(node)
-        if isinstance(node, ast.Call):
-            return self._call(node)
-        if isinstance(node, ast.IfExp):
-            return self._choice(node, node.test, node.body, node.orelse)
-        if isinstance(node, (ast.Compare, ast.BoolOp)) or (
-            isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not)
-        ):
-            raise self._error(node, "a condition may only stand in 'a if condition else b'")
-        raise self._error(node, self.allowed)
+        match node:
+            case ast.Constant():
+                return self._number(node)
+            case ast.Name():
+                return self._name(node)
+            case ast.UnaryOp(op=ast.UAdd()):
+                return self.value(node.operand)
+            case ast.UnaryOp(op=ast.USub()):
+                return -self.value(node.operand)
+            case ast.BinOp():
+                return self._binary(node)
+            case ast.Call():
+                return self._call(node)
+            case ast.IfExp():
+                return self._choice(node, node.test, node.body, node.orelse)
+            case ast.Subscript() if self.of_tensors:
+                return self._entry(node)
+            case ast.Compare() | ast.BoolOp() | ast.UnaryOp(op=ast.Not()):
+                raise self._error(node, "a condition may only stand in 'a if condition else b'")
+        entries = "entries F[0, 1], " if self.of_tensors else ""
+        allowed = f"only numbers, names, {entries}+ - * / ** and the listed functions are allowed"
+        raise self._error(node, allowed)
 
     def _error(self, node: ast.AST, reason: str) -> ExpressionError:
-        return ExpressionError(self.text, self.lead + getattr(node, "col_offset", 0), reason)
+        return ExpressionError(self.text, getattr(node, "col_offset", 0), reason)
 
     def _number(self, node: ast.Constant) -> float:
         value = node.value
         if isinstance(value, bool) or not isinstance(value, (int, float)):
             raise self._error(node, f"{value!r:.40} is not a number")
-        return self._finite(node, lambda: float(value))
+        return self._finite(node, float, value)
 
-    def _finite(self, node: ast.AST, compute: Callable[[], float]) -> float:
+    def _finite(self, node: ast.AST, function: Callable[..., float], *arguments: Any) -> float:
         try:
-            result = compute()
+            result = function(*arguments)
         except (ValueError, ArithmeticError) as error:
             raise self._error(node, f"no finite number ({error})") from None
         if isinstance(result, complex) or not math.isfinite(result):
@@ -252,24 +245,39 @@ class Evaluator:
         if name not in self.symbols:
             if name in self.functions:
                 raise self._error(node, f"function {name!r} needs its arguments in parentheses")
-            hint, known = _hint(name, self.symbols), listed(self.symbols)
+            hint, known = nearest(name, self.symbols), listed(self.symbols)
             raise self._error(node, f"unknown name {name!r}{hint} (known: {known})")
         self.seen.add(name)
         return self.symbols[name]
 
+    def _entry(self, node: ast.Subscript) -> Any:
+        tensor = self.value(node.value)
+        if not is_tensor(tensor):
+            raise self._error(node, "only tensors have entries")
+        parts = node.slice.elts if isinstance(node.slice, ast.Tuple) else [node.slice]
+        indices = [part.value for part in parts if isinstance(part, ast.Constant)]
+        if not len(parts) == 2 == sum(type(i) is int and 0 <= i <= 2 for i in indices):
+            raise self._error(node.slice, "an entry has two indices from 0 to 2, as in F[0, 1]")
+        return tensor[indices[0], indices[1]]
+
     def _binary(self, node: ast.BinOp) -> Any:
-        operation = _BINARY.get(type(node.op))
-        if operation is None:
+        kind = type(node.op)
+        if kind not in _BINARY:
             raise self._error(node, "the operators are + - * / **")
         a, b = self.value(node.left), self.value(node.right)
-        return self._combined(node, operation, a, b)
-
-    def _combined(self, node: ast.BinOp, operation: Callable[[Any, Any], Any], a: Any, b: Any) -> Any:
         if isinstance(a, float) and isinstance(b, float):
-            return self._finite(node, lambda: operation(a, b))
-        if isinstance(node.op, ast.Div) and b == 0.0 and isinstance(b, float):
+            return self._finite(node, _BINARY[kind], a, b)
+        if kind in (ast.Add, ast.Sub) and is_tensor(a) != is_tensor(b):
+            raise self._error(node, "a scalar and a tensor have no sum (the identity is I)")
+        if kind is ast.Div and is_tensor(b):
+            raise self._error(node, "nothing is divided by a tensor (inv(A) is its inverse)")
+        if kind is ast.Div and isinstance(b, float) and b == 0.0:
             raise self._error(node, "division by zero")
-        return operation(a, b)
+        if kind is ast.Pow and (is_tensor(a) or is_tensor(b)):
+            raise self._error(node, "only scalars have powers (A*A is a product of tensors)")
+        if kind is ast.Pow and self.of_tensors and not isinstance(b, float):
+            raise self._error(node, "an exponent is a number or a parameter (a**b is exp(b*log(a)))")
+        return _BINARY[kind](a, b)
 
     def _call(self, node: ast.Call) -> Any:
         if not isinstance(node.func, ast.Name):
@@ -277,72 +285,74 @@ class Evaluator:
         name = node.func.id
         if node.keywords or any(isinstance(argument, ast.Starred) for argument in node.args):
             raise self._error(node, f"{name} takes plain arguments only")
-        if name == "where":
-            if len(node.args) != 3:
-                raise self._error(node, f"where takes 3 arguments, not {len(node.args)}")
-            return self._choice(node, *node.args)
-        if name not in self.functions:
-            known = ", ".join([*self.functions, "where"])
-            hint = _hint(name, [*self.functions, "where"])
-            raise self._error(node, f"unknown function {name!r}{hint} (known: {known})")
-        count = self.functions[name][0]
+        known = [*self.functions, "where"]
+        if name not in known:
+            hint = nearest(name, known)
+            raise self._error(node, f"unknown function {name!r}{hint} (known: {', '.join(known)})")
+        count, exact, general = (3, None, None) if name == "where" else self.functions[name]
         if len(node.args) != count:
             plural = "" if count == 1 else "s"
             raise self._error(node, f"{name} takes {count} argument{plural}, not {len(node.args)}")
-        return self._applied(node, name, [self.value(argument) for argument in node.args])
-
-    def _applied(self, node: ast.Call, name: str, arguments: list[Any]) -> Any:
-        _, exact, general = self.functions[name]
-        if all(isinstance(argument, float) for argument in arguments):
-            return self._finite(node, lambda: exact(*arguments))
+        if general is None:
+            return self._choice(node, *node.args)
+        arguments = [self.value(argument) for argument in node.args]
+        if any(is_tensor(argument) != (exact is None) for argument in arguments):
+            raise self._error(node, f"{name} takes {'tensors' if exact is None else 'scalars'}")
+        if exact is not None and all(isinstance(argument, float) for argument in arguments):
+            return self._finite(node, exact, *arguments)
         return general(*arguments)
 
     def _choice(self, node: ast.AST, test: ast.expr, yes: ast.expr, no: ast.expr) -> Any:
         condition, a, b = self._condition(test), self.value(yes), self.value(no)
-        self._check_choice(node, a, b)
+        if is_tensor(a) != is_tensor(b):
+            raise self._error(node, "both values are scalars, or both are tensors")
         if isinstance(condition, float):
             return a if condition > 0 else b
         return if_positive(condition, a, b)
 
-    def _check_choice(self, node: ast.AST, a: Any, b: Any) -> None:
-        """Raise ExpressionError where a value cannot be one or the other."""
+    def _compared(self, node: ast.expr) -> list[tuple[type[ast.cmpop], Any, Any]]:
+        """The comparisons of a chain, each with its two values; raises ExpressionError for what is none."""
+        if not isinstance(node, ast.Compare):
+            raise self._error(node, "expected a condition such as x < 0.5")
+        values = []
+        for part in (node.left, *node.comparators):
+            values.append(self.value(part))
+            if is_tensor(values[-1]):
+                raise self._error(part, "tensors are not compared")
+        kinds = [type(kind) for kind in node.ops]
+        if not _COMPARE.keys() >= set(kinds):
+            raise self._error(node, "the comparisons are < <= > >=")
+        return list(zip(kinds, values[:-1], values[1:], strict=True))
 
     def _condition(self, node: ast.expr) -> Any:
         """A number or function that is 1 where the condition holds and 0 elsewhere."""
-        if isinstance(node, ast.BoolOp):
-            parts = [self._condition(value) for value in node.values]
-            if isinstance(node.op, ast.And):
-                return math.prod(parts[1:], start=parts[0])
-            return 1.0 - math.prod((1.0 - part for part in parts[1:]), start=1.0 - parts[0])
-        if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not):
-            return 1.0 - self._condition(node.operand)
-        if not isinstance(node, ast.Compare):
-            raise self._error(node, "expected a condition such as x < 0.5")
-        values = [self._scalar(part) for part in (node.left, *node.comparators)]
-        for operator in node.ops:
-            if type(operator) not in _COMPARE:
-                raise self._error(node, "the comparisons are < <= > >=")
-        pairs = zip(node.ops, values, values[1:], strict=False)
-        parts = [_COMPARE[type(operator)](a, b) for operator, a, b in pairs]
-        return math.prod(parts[1:], start=parts[0])
+        match node:
+            case ast.BoolOp(op=ast.And()):
+                return reduce(operator.mul, map(self._condition, node.values))
+            case ast.BoolOp():
+                return 1.0 - reduce(operator.mul, (1.0 - self._condition(part) for part in node.values))
+            case ast.UnaryOp(op=ast.Not()):
+                return 1.0 - self._condition(node.operand)
+        return reduce(operator.mul, (_COMPARE[kind](a, b) for kind, a, b in self._compared(node)))
 
     def level(self, node: ast.expr) -> Any:
         """Of a condition a value that is positive where it holds; raises ExpressionError for what is none."""
-        if isinstance(node, ast.BoolOp):
-            parts = [self.level(value) for value in node.values]
-            return _extremum(parts, "min" if isinstance(node.op, ast.And) else "max")
-        if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not):
-            return -self.level(node.operand)
-        self._condition(node)  # which checks it, and refuses what is no comparison
-        assert isinstance(node, ast.Compare)
-        values = [self._scalar(part) for part in (node.left, *node.comparators)]
-        pairs = zip(node.ops, values, values[1:], strict=False)
+        match node:
+            case ast.BoolOp(op=ast.And()):
+                return reduce(_smaller, map(self.level, node.values))
+            case ast.BoolOp():
+                return -reduce(_smaller, (-self.level(part) for part in node.values))
+            case ast.UnaryOp(op=ast.Not()):
+                return -self.level(node.operand)
         is_less = (ast.Lt, ast.LtE)
-        return _extremum([b - a if isinstance(op, is_less) else a - b for op, a, b in pairs], "min")
+        return reduce(_smaller, (b - a if kind in is_less else a - b for kind, a, b in self._compared(node)))
 
-    def _scalar(self, node: ast.expr) -> Any:
-        """The value of a node that has to be a scalar."""
-        return self.value(node)
+
+def is_tensor(value: Any) -> bool:
+    """Whether a number, coefficient function or array is a 3x3 tensor."""
+    if isinstance(value, CoefficientFunction):
+        return len(value.dims) == 2
+    return not (isinstance(value, float) or value.is_scalar)
 
 
 def _power(a: Value, b: Value) -> Value:
@@ -371,10 +381,10 @@ _COMPARE: dict[type[ast.cmpop], Callable[[Any, Any], Any]] = {
 }
 
 _BINARY: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
-    ast.Add: lambda a, b: a + b,
-    ast.Sub: lambda a, b: a - b,
-    ast.Mult: lambda a, b: a * b,
-    ast.Div: lambda a, b: a / b,
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: operator.mul,
+    ast.Div: operator.truediv,
     ast.Pow: _power,
 }
 
@@ -411,17 +421,22 @@ FUNCTIONS: dict[str, tuple[int, Callable[..., float], Callable[..., Any]]] = {
 }
 """Name -> count of arguments, the function of numbers, that of coefficient functions."""
 
+FUNCTIONS_OF_TENSORS: dict[str, tuple[int, Callable[..., float] | None, Callable[..., Any]]] = {
+    "tr": (1, None, tr),
+    "det": (1, None, det),
+    "norm2": (1, None, square),
+    "dot": (2, None, inner),
+    "cof": (1, None, cof),
+    "inv": (1, None, lambda A: cof(A).trans / det(A)),
+    "trans": (1, None, lambda A: A.trans),
+    "sym": (1, None, sym),
+    "dev": (1, None, dev),
+    "sph": (1, None, sph),
+    **{name: FUNCTIONS[name] for name in ["exp", "log", "sqrt", "abs", "sinh", "cosh", "tanh", "min", "max"]},
+}
+"""As ``FUNCTIONS``; those of tensors have none of numbers."""
 
-def _extremum(values: list[Any], name: str) -> Any:
-    """The smallest or the largest of some values."""
-    _, exact, general = FUNCTIONS[name]
-    result = values[0]
-    for value in values[1:]:
-        is_constant = isinstance(result, float) and isinstance(value, float)
-        result = exact(result, value) if is_constant else general(result, value)
-    return result
 
-
-def _hint(name: str, known: Any) -> str:
-    close = difflib.get_close_matches(name, list(known), n=1, cutoff=0.5)
-    return f"; did you mean {close[0]!r}?" if close else ""
+def _smaller(a: Any, b: Any) -> Any:
+    _, exact, general = FUNCTIONS["min"]
+    return (exact if isinstance(a, float) and isinstance(b, float) else general)(a, b)

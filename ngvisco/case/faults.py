@@ -12,7 +12,7 @@ from pydantic import BaseModel, ValidationError
 from ngvisco.case.schema import CaseSections
 from ngvisco.case.section import TAGS, Section, models_in, owner_of, place_in
 from ngvisco.case.toml import line_of, value_text
-from ngvisco.errors import NgviscoError, ParameterError
+from ngvisco.errors import NgviscoError, ParameterError, nearest
 
 
 @dataclass(frozen=True)
@@ -105,12 +105,6 @@ def faults_of(error: ValidationError, model: type[Section], locator: Locator) ->
 def names_in(field: str) -> list[str]:
     """The names and indices in that of a parameter, ``walls['top'].f`` or ``Composite.rules[0].nu``."""
     return re.sub(r"\[[\"']?(.*?)[\"']?\]", r".\1", field).split(".")
-
-
-def nearest(name: str, known: Iterable[str]) -> str:
-    """``; did you mean 'x'?`` or nothing."""
-    close = difflib.get_close_matches(name, list(known), n=1, cutoff=0.5)
-    return f"; did you mean {close[0]!r}?" if close else ""
 
 
 def _message(one: Any, raised: object, path: tuple[str, ...], here: str, known: list[str]) -> str:

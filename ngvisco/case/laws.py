@@ -1,14 +1,31 @@
-"""Materials of case files that are written otherwise than in scripts: by texts, or by other parameters."""
+"""Laws of case files that are written as texts: energies and laws of the temperature, materials of them.
 
+A text is an expression as in ``ngvisco.expressions``, of scalars and 3x3 tensors, and is computed by
+this package, never by Python.  Written are
+
+* numbers, the variables' names, the parameters' names, ``pi`` and the identity ``I``; not x, y, z or t;
+* entries of a tensor, ``F[0, 1]`` with indices 0, 1, 2;
+* ``+ -`` of two scalars or two tensors, ``*`` (of two tensors the matrix product), ``/`` by a scalar, and
+  ``**`` of a scalar with a number;
+* ``tr det norm2 dot`` (of tensors: norm2(A) is A : A, dot(A, B) is A : B), ``cof inv trans sym dev sph``;
+* ``exp log sqrt abs sinh cosh tanh min max`` of scalars, ``a if condition else b`` and ``where``.
+"""
+
+import ast
 import re
-from collections.abc import Mapping, Sequence
-from typing import Annotated, Literal, NewType
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Annotated, Any, Literal, NewType
 
-from ngvisco.case.energies import RESERVED, UNIT, EnergyExpression, parse_energy
+import numpy as np
+from ngsolve import x
+
 from ngvisco.errors import ParameterError, Quantity, require_names
-from ngvisco.expressions import ExpressionError, number
+from ngvisco.expressions import CONSTANTS, Evaluator, ExpressionError, is_tensor, number, syntax_tree
 from ngvisco.physics.material import Material
 from ngvisco.physics.materials import CustomMaterial, IsotropicStrainEnergy, PerMass, PerReferentialVolume
+from ngvisco.physics.materials.thermal import Entropy
+from ngvisco.physics.tensors import IDENTITY
 from ngvisco.physics.variables import (
     Cofactor,
     CofactorLeftCauchyGreen,
@@ -22,7 +39,11 @@ from ngvisco.physics.variables import (
 )
 
 EnergyText = NewType("EnergyText", str)
-"""A text that ``ngvisco.case.energies`` parses."""
+"""A text that ``parse_energy`` takes."""
+
+_IDENTITY = "I"
+_RESERVED = (*CONSTANTS, _IDENTITY)
+"""Names that neither a variable nor a parameter can have."""
 
 _VARIABLES: dict[str, Variable] = {
     "F": Distortion(),
@@ -45,6 +66,59 @@ _VARIABLE = (
     f"one of {', '.join(_VARIABLES)}, or NAME = J**(a)*X with a number a and X one of "
     f"{', '.join(_TENSORS)}, as in 'H = J**(-5/6)*F'"
 )
+
+
+@dataclass(frozen=True)
+class EnergyExpression:
+    """A checked text as a function of the variables' values: coefficient functions or arrays."""
+
+    text: str
+    parameters: Mapping[str, float]
+    _tree: ast.expr = field(repr=False, compare=False)
+
+    def __call__(self, **values: Any) -> Any:
+        backend = next(iter(values.values()))
+        identity = backend.constant(np.eye(3)) if hasattr(backend, "constant") else IDENTITY
+        symbols = {**CONSTANTS, _IDENTITY: identity, **self.parameters, **values}
+        return Evaluator(self.text, symbols, of_tensors=True).value(self._tree)
+
+
+def parse_law(text: str) -> Callable[[Any], Any]:
+    """Check the text of a law theta -> value; raises ExpressionError as ``parse_energy``."""
+    law = parse_energy(text, (Entropy(name="theta"),), what="a law of the temperature")
+    return lambda theta: law(theta=theta)
+
+
+def parse_energy(
+    text: str,
+    variables: Sequence[Variable],
+    parameters: Mapping[str, float] | None = None,
+    what: str = "an energy",
+) -> EnergyExpression:
+    """Check an energy's text completely.
+
+    Raises ExpressionError with the position and what is allowed: for syntax, unknown names and functions,
+    scalars in place of tensors and the like, constant parts that are no finite numbers, a tensor as the
+    result, and a text that reads none of the variables.
+
+    Parameters
+    ----------
+    variables : sequence of Variable
+        Their names are scalars or tensors by their kinds.
+    parameters : mapping of names to numbers, optional
+    what : str
+        What errors call it.
+    """
+    constants = {name: float(value) for name, value in (parameters or {}).items()}
+    stand_ins = {v.name: x if v.kind == "scalar" else IDENTITY for v in variables}
+    symbols = {**stand_ins, **constants, **CONSTANTS, _IDENTITY: IDENTITY}
+    evaluator, tree = Evaluator(text, symbols, of_tensors=True), syntax_tree(text)
+    if is_tensor(evaluator.value(tree)):
+        message = f"{what} is a scalar, this is a tensor (tr, det, norm2, dot)"
+        raise ExpressionError(text, tree.col_offset, message)
+    if not evaluator.seen & stand_ins.keys():
+        raise ExpressionError(text, tree.col_offset, f"{what} reads at least one of {', '.join(stand_ins)}")
+    return EnergyExpression(text, constants, tree)
 
 
 def custom_material(
@@ -78,8 +152,8 @@ def custom_material(
     carried = tuple(_variable(text) for text in require_names("Custom.variables", variables))
     names = [v.name for v in carried]
     for name in names:
-        if name in RESERVED:
-            raise ParameterError("Custom.variables", name, f"another name than {', '.join(RESERVED)}")
+        if name in _RESERVED:
+            raise ParameterError("Custom.variables", name, f"another name than {', '.join(_RESERVED)}")
     if not names:
         raise ParameterError("Custom.variables", variables, f"at least one variable, {_VARIABLE}")
     expression = _energy("Custom", energy, carried, parameters)
@@ -132,8 +206,8 @@ def _energy(
 ) -> EnergyExpression:
     names = [v.name for v in variables]
     for name, value in (parameters or {}).items():
-        if not name.isidentifier() or name in (*names, *RESERVED):
-            taken = ", ".join([*names, *RESERVED])
+        if not name.isidentifier() or name in (*names, *_RESERVED):
+            taken = ", ".join([*names, *_RESERVED])
             expected = f"a name of letters, digits and _ that is none of {taken}"
             raise ParameterError(f"{owner}.parameters", name, expected)
         if not abs(value) < float("inf"):
@@ -141,7 +215,7 @@ def _energy(
     try:
         return parse_energy(text, variables, parameters)
     except ExpressionError as error:
-        expected = f"an expression of {', '.join([*names, *(parameters or {}), UNIT])}: {error}"
+        expected = f"an expression of {', '.join([*names, *(parameters or {}), _IDENTITY])}: {error}"
         raise ParameterError(f"{owner}.energy", text, expected) from error
 
 

@@ -10,7 +10,7 @@ from ngsolve import CF, CoefficientFunction
 from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic_core import CoreSchema, core_schema
 
-from ngvisco.case.energies import parse_law
+from ngvisco.case.laws import parse_law
 from ngvisco.errors import as_number
 from ngvisco.expressions import parse, parse_region
 from ngvisco.physics.signals import table

@@ -12,8 +12,7 @@ from ngsolve import x
 
 import ngvisco as nv
 from ngvisco.case.build import parse_case
-from ngvisco.case.energies import parse_energy
-from ngvisco.case.laws import custom_material, isotropic_strain_energy
+from ngvisco.case.laws import custom_material, isotropic_strain_energy, parse_energy
 from ngvisco.expressions import ExpressionError
 from ngvisco.physics.arrays import Array, derivatives
 from ngvisco.physics.materials import NeoHookean
