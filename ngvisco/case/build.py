@@ -4,27 +4,29 @@ from __future__ import annotations
 
 import hashlib
 import os
-import tomllib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 from ngsolve import Mesh
-from pydantic import ValidationError
 
 from ngvisco.case import toml
-from ngvisco.case.blame import Blame
-from ngvisco.case.faults import CaseError, Fault, Locator, faults_of, numbers_out_of_range, refused
-from ngvisco.case.places import copy_of, digest_of, parts_of, reads_z, shape_of, shapes_with_files, united
+from ngvisco.case.faults import (
+    Blame,
+    CaseError,
+    Fault,
+    Locator,
+    refused,
+    tables_of,
+)
+from ngvisco.case.reading import sections_of, text_of
 from ngvisco.case.schema import CaseSections
-from ngvisco.case.section import Section, field_names, made, owner_of, parameters
-from ngvisco.case.timetables import with_tables
-from ngvisco.case.units import SI, Converter
-from ngvisco.case.values import as_function, is_table
+from ngvisco.case.section import Section, field_names, made, parameters, values_of
+from ngvisco.case.values import LawValue, RegionText, as_function, is_table
 from ngvisco.errors import ParameterError, UnknownNameError, require_path
-from ngvisco.expressions import ExpressionError
+from ngvisco.expressions import ExpressionError, parse, parse_region
 from ngvisco.forms.boundary.boundaries import check_boundary_names
 from ngvisco.forms.context import time
 from ngvisco.physics.bodies import Body
@@ -38,9 +40,7 @@ from ngvisco.run.refinement import Refinement
 from ngvisco.run.series import Series
 from ngvisco.run.simulation import Observer, Simulation
 from ngvisco.shapes.fractions import MISSED, volumes
-from ngvisco.shapes.shape import Shape
-
-MAX_FILE_SIZE = 1_000_000
+from ngvisco.shapes.shape import Shape, Union, Where
 
 
 def load_case(path: str | os.PathLike[str], settings: Sequence[str] = ()) -> Case:
@@ -55,56 +55,12 @@ def load_case(path: str | os.PathLike[str], settings: Sequence[str] = ()) -> Cas
         Overrides ``key.path=value``, as of the command line's ``--set``.
     """
     source = require_path("load_case.path", path)
-    if source.exists() and not (source.is_file() or source.is_dir()):  # a pipe would be waited for
-        raise CaseError(str(source), [Fault("", "cannot be read: it is a pipe or a device, and no file")])
-    try:
-        with source.open("rb") as file:
-            raw = file.read(MAX_FILE_SIZE + 1)
-    except OSError as error:
-        raise CaseError(str(source), [Fault("", f"cannot be read: {error.strerror}")]) from error
-    if len(raw) > MAX_FILE_SIZE:
-        raise CaseError(str(source), [Fault("", f"longer than {MAX_FILE_SIZE} bytes")])
-    try:
-        text = raw.decode()
-    except UnicodeDecodeError as error:
-        line = raw[: error.start].count(b"\n") + 1
-        raise CaseError(str(source), [Fault("", "not a text in UTF-8", line)]) from error
-    return parse_case(text, str(source), source.parent, settings)
+    return parse_case(text_of(source), str(source), source.parent, settings)
 
 
 def parse_case(text: str, source: str, directory: Path, settings: Sequence[str] = ()) -> Case:
     """As ``load_case``, of a text; relative paths in it are those from ``directory``."""
-    try:
-        data = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise CaseError(source, [Fault("", f"not TOML: {error}")]) from error
-    except RecursionError as error:
-        raise CaseError(source, [Fault("", "not TOML: too deeply nested")]) from error
-    overridden = []
-    for setting in settings:
-        try:
-            path, value = toml.parse_override(setting)
-            toml.override(data, path, value)
-        except ValueError as error:
-            raise CaseError(source, [Fault("--set", str(error))]) from error
-        overridden.append(path)
-    locator = Locator(toml.key_lines(text), overridden)
-    try:
-        data, faults = with_tables(data, directory, locator)
-        converter = Converter(data.get("units"))
-        locator.data, locator.converted = data, converter.converted
-        if faults or converter.faults:
-            raise CaseError(source, [*faults, *(locator.fault(*fault) for fault in converter.faults)])
-        if converter.scales:  # what is no unit is left to the schema
-            kept = {name: u for name, u in data["units"].items() if name not in SI or not isinstance(u, str)}
-            data = data | {"units": kept}
-        sections = CaseSections.model_validate(data, context=converter)
-    except ValidationError as error:
-        raise CaseError(source, faults_of(error, CaseSections, locator)) from error
-    except RecursionError as error:
-        raise CaseError(source, [Fault("", "too deeply nested")]) from error
-    if faults := numbers_out_of_range(sections, locator):
-        raise CaseError(source, faults)
+    sections, locator = sections_of(text, source, directory, settings)
     return Case(sections, source, directory, locator)
 
 
@@ -133,11 +89,6 @@ class Case:
         adapt = self.sections.domain.adapt  # type: ignore[attr-defined]
         return None if adapt is None else made(adapt)
 
-    @property
-    def stops(self) -> tuple[float, ...]:
-        """Output times that steps meet exactly, s."""
-        return self.output_times(self.until)
-
     def output_times(self, until: float) -> tuple[float, ...]:
         """Multiples of ``output.vtk.interval`` up to ``until``; none without one."""
         interval = self.sections.output.vtk.interval
@@ -151,10 +102,9 @@ class Case:
 
         Files of shapes are those that a run directory has copies of, ``shape_files``.
         """
-        data = self.sections.model_dump(exclude_none=True)
-        self._settle(data)
-        for table, file in shapes_with_files(data, self.directory):
-            table["path"] = copy_of(file)
+        data, files = self._settled()
+        for table, file in files:
+            table["path"] = _copy_of(file)
         if data["domain"]["geometry"] == "file":
             data["domain"]["path"] = str(self._mesh_path)
         return toml.write(data)
@@ -162,10 +112,9 @@ class Case:
     @property
     def hash(self) -> str:
         """SHA-256 of all that the solution depends on: not of title, end time and output."""
-        data = self.sections.model_dump()
-        self._settle(data)
-        for table, file in shapes_with_files(data, self.directory):
-            table["path"] = digest_of(file)
+        data, files = self._settled()
+        for table, file in files:
+            table["path"] = _digest_of(file)
         for name in ("title", "units", "output", "domain"):  # the mesh has a hash of its own
             del data[name]
         if self.refinement is not None:
@@ -176,26 +125,32 @@ class Case:
     @property
     def shape_files(self) -> dict[str, Path]:
         """The files that bodies' shapes are in, by the names that they have in a run directory."""
-        dump = self.sections.model_dump()
-        return {copy_of(file): file for _, file in shapes_with_files(dump, self.directory)}
+        return {_copy_of(file): file for _, file in self._settled()[1]}
 
-    def _settle(self, data: dict[str, Any]) -> None:
-        """Write into a dump what the case left to the model: whether its material is by F or by B, and the
-        density where no referential one says what it is."""
+    def _settled(self) -> tuple[dict[str, Any], list[tuple[dict[str, Any], Path]]]:
+        """The case's data, and those of its tables that are shapes with their files.
+
+        With what the case leaves to the model: whether its material is by F or by B, and the density where no
+        referential one says what it is.
+        """
+        data = self.sections.model_dump()
+        files = []
+        for body in data["bodies"]:
+            shapes = body["where"] if isinstance(body["where"], list) else [body["where"]]
+            tables = [table for table in shapes if isinstance(table, dict) and "path" in table]
+            files += [(table, (self.directory / table["path"]).resolve()) for table in tables]
         if self.sections.material is None:
-            return
+            return data, files
         creep = self.sections.rheology.creep
         part: Any = self.sections.material
         values = data["material"]
-        if data["initial"].get("density") is None and made(part).referential_density is None:
-            data["initial"] = {"density": None, **data["initial"]} | {"density": 1.0}
+        if data["initial"]["density"] is None and made(part).referential_density is None:
+            data["initial"]["density"] = 1.0
         while getattr(part, "material", None) is not None:  # a gas has none
             part, values = part.material, values["material"]
-        if "elastic_state" in type(part).model_fields and values.get("elastic_state") is None:
+        if values.get("elastic_state", "") is None:
             values["elastic_state"] = default_elastic_state(None if creep is None else made(creep))
-            in_order = {name: values[name] for name in type(part).model_fields if name in values}
-            values.clear()
-            values.update(in_order)
+        return data, files
 
     @property
     def _mesh_path(self) -> Path:
@@ -208,7 +163,7 @@ class Case:
         if domain.geometry == "file":
             values["path"] = str(self._mesh_path)
         with self.blame.located("domain"):
-            mesh: Mesh = owner_of(type(domain))(**values)
+            mesh: Mesh = type(domain).target(**values)
             return mesh
 
     def model(self, dim: int) -> Model:
@@ -228,25 +183,45 @@ class Case:
             return Model(material=material, loads=loads, **mechanisms)
 
     def _check_place(self, dim: int) -> None:
-        if dim == 2 and (found := reads_z(self.sections)) is not None:
-            path, text = found
-            raise self.blame.error(path, f"{text!r:.60}: there is no z in a mesh of two dimensions")
+        """Raise CaseError for a function of z, or a body's place that reads it, in two dimensions."""
+        for path, part in tables_of(self.sections) if dim == 2 else ():
+            for name, kind in values_of(type(part)).items():
+                parsed = parse_region if kind is RegionText else parse
+                for text in _texts_in(getattr(part, name)) if kind is not LawValue else ():
+                    if "z" in parsed(text).names:
+                        message = f"{text!r:.60}: there is no z in a mesh of two dimensions"
+                        raise self.blame.error((*path, name), message)
 
     def _body(self, number: int, dim: int) -> Body:
         part, path = self.sections.bodies[number], ("bodies", str(number))
         values = self._all_made(part, ("material", "viscosity", "creep", "heat"), path, dim)
-        values["where"] = united([shape for _, shape in self._places(number)])
+        shapes = [shape for _, shape in self._shapes(number)]
+        values["where"] = Union(shapes) if shapes else None
         with self.blame.located(*path):
             return Body(name=part.name, density=part.density, order=part.order, **values)
 
-    def _places(self, number: int) -> list[tuple[tuple[str, ...], Shape]]:
+    def _shapes(self, number: int) -> list[tuple[tuple[str, ...], Shape]]:
         """Shapes of which a body's place is the union, with their key paths; none for the rest."""
+        where: Any = self.sections.bodies[number].where
+        place: tuple[str, ...] = ("bodies", str(number), "where")
+        parts = [] if where is None else [(place, where)]
+        if isinstance(where, list):
+            parts = [((*place, str(i)), part) for i, part in enumerate(where)]
         found = []
-        for key, part in parts_of(self.sections.bodies[number].where):
-            path = ("bodies", str(number), "where", *key)
+        for path, part in parts:
             with self.blame.located(*path):
-                found.append((path, shape_of(part, self.directory)))
+                found.append((path, self._shape(part)))
         return found
+
+    def _shape(self, part: Any) -> Shape:
+        """The shape of a condition or of a table."""
+        if isinstance(part, str):
+            return Where(parse_region(part).coefficient())
+        values = parameters(part)
+        if "path" in values:
+            values["path"] = str((self.directory / values["path"]).resolve())
+        shape: Shape = type(part).target(**values)
+        return shape
 
     def simulation(self, mesh: Mesh, observers: Sequence[Observer] = ()) -> Simulation:
         """The simulation at its initial state; raises CaseError for data that the model refuses."""
@@ -284,7 +259,7 @@ class Case:
         """Raise CaseError for a body that is nowhere in the mesh, or whose place does not fit it."""
         for i, body in enumerate(self.sections.bodies):
             volume = 0.0
-            for path, shape in self._places(i):
+            for path, shape in self._shapes(i):
                 with self.blame.located(*path):
                     volume += volumes(mesh, [shape])[0]
             with self.blame.located("bodies", str(i), "where"):
@@ -334,7 +309,7 @@ class Case:
     def _made(self, part: Section, path: tuple[str, ...], dim: int) -> Any:
         """What a section describes."""
         with self.blame.located(*path):
-            return part.completed(owner_of(type(part))(**self._values(part, path, dim)))
+            return part.completed(type(part).target(**self._values(part, path, dim)))
 
     def _values(self, part: Section, path: tuple[str, ...], dim: int) -> dict[str, Any]:
         """A section's parameters with its expressions as coefficient functions."""
@@ -357,6 +332,27 @@ class Case:
             raise self.blame.error(
                 path, f"{value!r:.60}: expected an array of {dim} components, not {len(value)}"
             )
+
+
+def _texts_in(value: Any) -> Iterator[str]:
+    """The texts in arrays and tables of a value."""
+    if isinstance(value, str):
+        yield value
+    for part in value.values() if isinstance(value, dict) else value if isinstance(value, list) else ():
+        yield from _texts_in(part)
+
+
+def _digest_of(file: Path) -> str:
+    """SHA-256 of a file's content; raises CaseError where there is none."""
+    try:
+        return hashlib.sha256(file.read_bytes()).hexdigest()
+    except OSError as error:
+        raise CaseError(str(file), [Fault("", f"cannot be read: {error.strerror}")]) from error
+
+
+def _copy_of(file: Path) -> str:
+    """The name of a shape's file in a run directory, which has copies of them."""
+    return f"shapes/{_digest_of(file)[:16]}{file.suffix.lower()}"
 
 
 def samples(case: CaseSections, run: Path) -> dict[tuple[str, ...], Series]:

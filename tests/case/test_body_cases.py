@@ -11,7 +11,6 @@ import ngvisco as nv
 from ngvisco.case import reference, runs
 from ngvisco.case.build import parse_case
 from ngvisco.case.faults import CaseError
-from ngvisco.case.places import parts_of, shape_of, united
 from ngvisco.cli.main import main
 from ngvisco.geometries import box
 from ngvisco.physics.arrays import Array
@@ -60,16 +59,10 @@ def case(text=HEAD + BODIES, place=Path(".")):
     return parse_case(text, "case.toml", place)
 
 
-def _place(where):
-    return united([shape_of(part, Path(".")) for _, part in parts_of(where)])
-
-
 def where_of(text):
     """The volume of the second body's place in the unit square."""
     given = BODIES.replace('{ kind = "Ball", centre = [0.6, 0.5], radius = 0.2 }', text)
-    part = case(HEAD + given).sections.bodies[1].where
-    place = _place(part)
-    assert place is not None
+    place = case(HEAD + given).model(2).bodies[1].where
     return volumes(box((1, 1), maxh=0.1), [place])[0]
 
 
@@ -102,7 +95,7 @@ def test_units_of_length_hold_for_places_of_bodies():
         '"(x - 6e-4)**2 + (y - 5e-4)**2 < 4e-8"',
     ):
         bodies = BODIES.replace('{ kind = "Ball", centre = [0.6, 0.5], radius = 0.2 }', given)
-        place = _place(case(text + bodies).sections.bodies[1].where)
+        place = case(text + bodies).model(2).bodies[1].where
         assert volumes(box((1, 1), maxh=0.1), [place])[0] == pytest.approx(0.04 * pi, rel=1e-3)
 
 

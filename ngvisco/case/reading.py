@@ -1,0 +1,112 @@
+"""Case files as sections: read, overridden, with the numbers of files, in SI units, and checked."""
+
+import tomllib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from ngvisco.case import toml
+from ngvisco.case.faults import CaseError, Fault, Locator, faults_of, numbers_out_of_range
+from ngvisco.case.schema import CaseSections
+from ngvisco.case.units import SI, Converter
+from ngvisco.errors import ParameterError
+from ngvisco.physics.signals import read_table
+
+MAX_FILE_SIZE = 1_000_000
+
+
+def text_of(path: Path) -> str:
+    """A case file's text; raises CaseError."""
+
+    def refused(message: str, line: int | None = None) -> CaseError:
+        return CaseError(str(path), [Fault("", message, line)])
+
+    if path.exists() and not (path.is_file() or path.is_dir()):  # a pipe would be waited for
+        raise refused("cannot be read: it is a pipe or a device, and no file")
+    try:
+        with path.open("rb") as file:
+            raw = file.read(MAX_FILE_SIZE + 1)
+    except OSError as error:
+        raise refused(f"cannot be read: {error.strerror}") from error
+    if len(raw) > MAX_FILE_SIZE:
+        raise refused(f"longer than {MAX_FILE_SIZE} bytes")
+    try:
+        return raw.decode()
+    except UnicodeDecodeError as error:
+        raise refused("not a text in UTF-8", raw[: error.start].count(b"\n") + 1) from error
+
+
+def sections_of(
+    text: str, source: str, directory: Path, settings: Sequence[str]
+) -> tuple[CaseSections, Locator]:
+    """The sections of a case file's text, and where its keys are; raises CaseError with every fault found."""
+    overridden = []
+    try:
+        data = tomllib.loads(text)
+        for setting in settings:
+            path, value = toml.parse_override(setting)
+            toml.override(data, path, value)
+            overridden.append(path)
+    except tomllib.TOMLDecodeError as error:
+        raise CaseError(source, [Fault("", f"not TOML: {error}")]) from error
+    except ValueError as error:
+        raise CaseError(source, [Fault("--set", str(error))]) from error
+    except RecursionError as error:
+        raise CaseError(source, [Fault("", "not TOML: too deeply nested")]) from error
+    locator = Locator(toml.key_lines(text), overridden)
+    try:
+        data, faults = _with_tables(data, directory)
+        converter = Converter(data.get("units"))
+        locator.data, locator.converted = data, converter.converted
+        if faults := [*faults, *converter.faults]:
+            raise CaseError(source, [locator.fault(*fault) for fault in faults])
+        if converter.scales:  # what is no unit is left to the schema
+            kept = {name: u for name, u in data["units"].items() if name not in SI or not isinstance(u, str)}
+            data = data | {"units": kept}
+        sections = CaseSections.model_validate(data, context=converter)
+    except ValidationError as error:
+        raise CaseError(source, faults_of(error, CaseSections, locator)) from error
+    except RecursionError as error:
+        raise CaseError(source, [Fault("", "too deeply nested")]) from error
+    if out := numbers_out_of_range(sections, locator):
+        raise CaseError(source, out)
+    return sections, locator
+
+
+def _with_tables(
+    data: dict[str, Any], directory: Path
+) -> tuple[dict[str, Any], list[tuple[tuple[str, ...], str]]]:
+    """A case's data with the numbers of its tables of time, ``{ file = "load.csv" }``, and faults of these."""
+    faults: list[tuple[tuple[str, ...], str]] = []
+
+    def read(value: Any, path: tuple[str, ...]) -> Any:
+        if isinstance(value, list):
+            return [read(part, (*path, str(i))) for i, part in enumerate(value)]
+        if not isinstance(value, dict):
+            return value
+        if "file" not in value or not set(value) <= {"file", "column"}:
+            return {name: read(part, (*path, name)) for name, part in value.items()}
+        try:
+            return _numbers_of(directory, **value)
+        except ParameterError as error:
+            message = f"{error.field}: {error.value!r:.60}: expected {error.expected}"
+            faults.append((path, message))
+            return value
+
+    return data | {name: read(data[name], (name,)) for name in ("loads", "walls") if name in data}, faults
+
+
+def _numbers_of(directory: Path, file: Any, column: Any = None) -> dict[str, Any]:
+    """Times and values of a file; of its values' columns the one with the number ``column``, from 1 on."""
+    if not isinstance(file, str):
+        raise ParameterError("file", file, "the path of a CSV file, relative to the case file")
+    rows = read_table(directory / file)
+    if column is None:
+        values = rows[:, 1] if rows.shape[1] == 2 else rows[:, 1:]
+    elif isinstance(column, int) and not isinstance(column, bool) and 1 <= column < rows.shape[1]:
+        values = rows[:, column]
+    else:
+        raise ParameterError("column", column, f"a whole number from 1 to {rows.shape[1] - 1}")
+    return {"times": rows[:, 0].tolist(), "values": values.tolist()}
