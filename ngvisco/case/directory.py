@@ -30,15 +30,16 @@ import platform
 import subprocess
 import sys
 import time as clock
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, TextIO
 
+import numpy as np
 from ngsolve import Mesh
 
 from ngvisco.case.build import Case, load_case
-from ngvisco.errors import MeshError, NgviscoError, require_path
-from ngvisco.run.checkpoint import ChosenMesh, mesh_of_checkpoints
+from ngvisco.errors import CheckpointError, MeshError, NgviscoError, require_path
+from ngvisco.run.checkpoint import ChosenMesh, mesh_of_checkpoints, read_ledger
 from ngvisco.run.files import locks, write_atomically
 from ngvisco.run.identity import version
 from ngvisco.run.meshfile import mesh_in, mesh_of, require_whole
@@ -57,6 +58,7 @@ _RESULTS = (
     *("samples/*.csv", "case.until-step-*.toml", "shapes/*.stl", "shapes/*.png", "log.txt"),
 )
 """Patterns of the files that runs leave, but for those of failures."""
+_FAILURES = ("failed.txt", "failed.vtu", "failed.pvtu", "failed_p*.vtu")
 
 
 class RunDirectory:
@@ -67,7 +69,6 @@ class RunDirectory:
         self.case_file = self.path / "case.toml"
         self.versions_file = self.path / "versions.json"
         self.mesh_file = self.path / "mesh.vol"
-        self.ledger_file = self.path / "ledger.csv"
         self.run_file = self.path / "run.h5"
         self.log_file = self.path / "log.txt"
         self.vtk = self.path / "vtk"
@@ -76,16 +77,13 @@ class RunDirectory:
 
     @property
     def results(self) -> list[Path]:
-        """Files of an earlier run."""
-        return [*self._found(_RESULTS), *self.failures]
+        """Files of an earlier run, but for ``failures``."""
+        return [path for pattern in _RESULTS for path in self.path.glob(pattern)]
 
     @property
     def failures(self) -> list[Path]:
         """What an attempt that failed has left."""
-        return self._found(("failed.txt", "failed.vtu", "failed.pvtu", "failed_p*.vtu"))
-
-    def _found(self, patterns: Sequence[str]) -> list[Path]:
-        return [path for pattern in patterns for path in self.path.glob(pattern)]
+        return [path for pattern in _FAILURES for path in self.path.glob(pattern)]
 
     @contextlib.contextmanager
     def locked(self) -> Iterator[None]:
@@ -109,12 +107,12 @@ class RunDirectory:
 
     def clear(self) -> None:
         """Remove the results of an earlier run, and nothing else."""
-        for path in self.results:
+        for path in [*self.results, *self.failures]:
             path.unlink()
 
     def keep_failure(self) -> None:
         """Remove all but the report of a run that made no step, for the corrected case to run here."""
-        for path in set(self.results) - set(self.failures):
+        for path in self.results:
             path.unlink()
         for folder in (self.vtk, self.path / "samples", self.path / "shapes"):
             with contextlib.suppress(OSError):  # missing, or with files of the user's
@@ -131,11 +129,11 @@ class RunDirectory:
         record = versions() | {"mesh_sha256": hashlib.sha256(image).hexdigest()}
         if origin is not None:
             record["from"] = dict(origin)
-        write_atomically(self.versions_file, (json.dumps(record, indent=2) + "\n").encode())
+        self.write_versions(record)
 
     def refuse_results(self) -> None:
         """Raise RunDirectoryError if there are results of an earlier run."""
-        if results := set(self.results) - set(self.failures):
+        if results := self.results:
             found = ", ".join(sorted(path.name for path in results)[:3])
             raise RunDirectoryError(
                 f"{self.path}: holds results of an earlier run ({found}, ...); resume it, choose another "
@@ -151,6 +149,17 @@ class RunDirectory:
         if not isinstance(record, dict):
             raise RunDirectoryError(f"{self.versions_file}: expected a JSON object")
         return record
+
+    def write_versions(self, record: Mapping[str, Any]) -> None:
+        """Write the record of versions, whole or not at all."""
+        write_atomically(self.versions_file, (json.dumps(record, indent=2) + "\n").encode())
+
+    def ledger(self) -> dict[str, np.ndarray]:
+        """The columns of the ledger in run.h5, a row at least; raises CheckpointError."""
+        ledger = read_ledger(self.run_file)
+        if not len(ledger.get("time", ())):
+            raise CheckpointError(f"{self.run_file}: its ledger is empty")
+        return ledger
 
     @property
     def is_prepared(self) -> bool:

@@ -17,6 +17,7 @@ from pydantic import BaseModel, ValidationError
 from ngvisco.case.schema import CaseSections
 from ngvisco.case.section import TAGS, Section, models_in, owner_of, parameters, place_in
 from ngvisco.case.toml import line_of, value_text
+from ngvisco.case.values import Wrong
 from ngvisco.errors import (
     InitialDataError,
     MeshError,
@@ -48,10 +49,6 @@ class CaseError(NgviscoError, ValueError):
     def _line(self, fault: Fault) -> str:
         place = f"{self.source}:{fault.line}" if fault.line else self.source
         return f"{place}: {fault.key}: {fault.message}" if fault.key else f"{place}: {fault.message}"
-
-
-class Wrong(str):
-    """Stands for a value whose unit is wrong, which no key takes, and says why."""
 
 
 _SHOWN = 60

@@ -78,7 +78,7 @@ def sections_of(
 def _with_tables(
     data: dict[str, Any], directory: Path
 ) -> tuple[dict[str, Any], list[tuple[tuple[str, ...], str]]]:
-    """A case's data with the numbers of its tables of time, ``{ file = "load.csv" }``, and faults of these."""
+    """A case's data with the numbers of its tables of time, ``{ file = "load.csv" }``, and their faults."""
     faults: list[tuple[tuple[str, ...], str]] = []
 
     def read(value: Any, path: tuple[str, ...]) -> Any:

@@ -1,4 +1,10 @@
-"""Runs of cases in their directories: from the start, from another run, from a checkpoint; what they hold."""
+"""Runs of cases in their directories: from the start, from another run, from a checkpoint; what they hold.
+
+A run may go on with a changed case.  The directory's case.toml becomes that one; the case before is kept as
+``case.until-step-N.toml``, and versions.json lists the changes with their step, time and settings.  run.h5
+still says by the hash of which case it was written until its first checkpoint after the change, so that a
+change that was interrupted is taken up.
+"""
 
 from __future__ import annotations
 
@@ -11,20 +17,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 from ngsolve import CoefficientFunction, Mesh
 
-from ngvisco.case import changes
-from ngvisco.case.build import Case
+from ngvisco.case.build import Case, parse_case
 from ngvisco.case.directory import RunDirectory, RunDirectoryError
-from ngvisco.case.faults import in_case
+from ngvisco.case.faults import CaseError, in_case
 from ngvisco.errors import CheckpointError, StepError
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.mesh import distributed
 from ngvisco.parallel.petsc import require_petsc
 from ngvisco.run.checkpoint import read_ledger
 from ngvisco.run.failure import write_failure
-from ngvisco.run.files import append
+from ngvisco.run.files import append, write_atomically
 from ngvisco.run.meshfile import mesh_image, mesh_of
 from ngvisco.run.notebook import data_frame, results_html
 from ngvisco.run.observers import Progress
@@ -32,31 +38,19 @@ from ngvisco.run.refinement import stretches
 from ngvisco.run.simulation import Observer, Simulation
 from ngvisco.run.transfer import resume_changed, transfer
 
-
-@dataclass(frozen=True)
-class Origin:
-    """The state of an earlier run that a new one starts from."""
-
-    directory: Path
-    step: int
-
-    @classmethod
-    def last_of(cls, directory: str | os.PathLike[str]) -> Origin:
-        """The last state of a run directory."""
-        return cls(Path(directory).resolve(), load(directory).simulation.number)
-
-    @property
-    def record(self) -> dict[str, Any]:
-        """As versions.json has it."""
-        return {"directory": str(self.directory), "step": self.step}
-
-    def carry_to(self, simulation: Simulation) -> str:
-        """Put a simulation into this state; a line for the log of what that did."""
-        done = transfer(load(self.directory, self.step).simulation, simulation)
-        return (
-            f"from step {self.step} of {self.directory}, t = {simulation.t:g} s: density times "
-            f"1 {done.scaled - 1:+.2e}, energy lost {done.lost:.6e} J of {done.energy_before:.6e} J"
-        )
+_CHANGEABLE = "title, time, loads, walls, numbers of material and rheology, solver, output but for passive"
+"""What ``--set`` may change of a run that goes on."""
+_FIXED = (
+    "domain",
+    "initial",
+    "discretisation",
+    "material.kind",
+    "material.thermal",
+    "bodies",
+    "output.passive",
+)
+"""What it may not, of bodies all but the numbers of their materials and mechanisms: another mesh or other
+unknowns are a new run, which takes over the fields of this one."""
 
 
 def run(
@@ -85,7 +79,7 @@ def run(
         ranks.on_first(place.refuse_results)
     # all that can be wrong with the case is found here, before anything is written or removed
     notes, image = [f"run: {case.sections.title or case.source}"], b""
-    with noting_warnings(notes.append):
+    with _noting_warnings(notes.append):
 
         def whole() -> Mesh:
             nonlocal image
@@ -93,9 +87,11 @@ def run(
             return mesh_of(image)
 
         simulation = case.simulation(_mesh_of_first(case, ranks, whole))
-    origin = None if source is None else Origin.last_of(source)
-    if origin is not None:
-        notes.append(origin.carry_to(simulation))
+    origin: dict[str, Any] | None = None
+    if source is not None:
+        state = load(source).simulation
+        origin = {"directory": str(Path(source).resolve()), "step": state.number}
+        notes.append(_taken_over(state, origin, simulation))
         _check_times(place, case, simulation, case.until)
         if simulation.t >= case.until * (1 - 1e-12):
             raise _reached(place, simulation)
@@ -104,13 +100,13 @@ def run(
         if not force:
             place.refuse_results()
         place.clear()
-        place.prepare(case, image, None if origin is None else origin.record)
+        place.prepare(case, image, origin)
 
     with ranks.held_by_first(place.locked()):
         ranks.on_first(begin)
         start = simulation.t
         try:
-            return _go(place, case, simulation, None, observers, notes)
+            return _go(place, case, simulation, case.until, observers, notes)
         except StepError as error:
             if error.report is not None and error.report.time == start:
                 ranks.on_first(place.keep_failure)
@@ -126,8 +122,8 @@ def resume(
 ) -> Simulation:
     """Go on with the run in a directory, from its last checkpoint (or its start, if it has none).
 
-    ``until`` (s) replaces the case's end time.  ``settings`` change the case from here on
-    (``ngvisco.case.changes`` says what may change); the directory keeps the case as it was too.
+    ``until`` (s) replaces the case's end time.  ``settings`` change the case from here on, as far as
+    ``changed`` lets them; the directory keeps the case as it was too.
     """
     place, ranks = RunDirectory(directory), Communicator.world()
     require_petsc(ranks)
@@ -139,38 +135,40 @@ def resume(
 
     with ranks.held_by_first(place.locked()):
         ranks.on_first(prepare)
-        if settings:
-            new = changes.changed(place, case, settings)
-            if new.resolved != case.resolved:
-                simulation = new.simulation(_mesh_of_first(new, ranks, place.present_mesh))
-                changes.check_change(place, case, simulation)  # before anything is written
-                _check_times(place, new, simulation, new.until if until is None else until)
-                ranks.on_first(lambda: changes.write_change(place, case, new, settings))
-                case = place.case()
+        new = changed(place, case, settings) if settings else case
+        if new.resolved != case.resolved:
+            simulation = new.simulation(_mesh_of_first(new, ranks, place.present_mesh))
+            if ranks.on_first(place.run_file.exists):  # what it raises is raised before anything is written
+                before = ranks.on_first(lambda: _pending_change(place, case)) or case.hash
+                resume_changed(simulation, place.run_file, {"case": before})
+            _check_times(place, new, simulation, new.until if until is None else until)
+            ranks.on_first(lambda: _write_change(place, case, new, settings))
+            case = place.case()
         notes = [f"resume: {case.sections.title or case.source}"]
-        with noting_warnings(notes.append):
+        with _noting_warnings(notes.append):
             simulation = case.simulation(_mesh_of_first(case, ranks, place.present_mesh))
-        return _go(place, case, simulation, until, observers, notes)
+        return _go(place, case, simulation, case.until if until is None else until, observers, notes)
 
 
 def _go(
     place: RunDirectory,
     case: Case,
     simulation: Simulation,
-    until: float | None,
+    end: float,
     observers: Sequence[Observer],
     notes: list[str],
 ) -> Simulation:
-    end, ranks = case.until if until is None else until, simulation.ranks
+    ranks = simulation.ranks
     if ranks.on_first(place.run_file.exists):
-        before = ranks.on_first(lambda: changes.pending_change(place, case))
+        before = ranks.on_first(lambda: _pending_change(place, case))
         if before is None:
             simulation.restore(place.run_file, attributes={"case": case.hash})
         else:
             resume_changed(simulation, place.run_file, {"case": before})
             notes.append(f"changed: {', '.join(place.read_versions()['changes'][-1]['settings'])}")
-    elif not simulation.ledger.rows and (found := place.read_versions().get("from")) is not None:
-        notes.append(Origin(Path(found["directory"]), found["step"]).carry_to(simulation))
+    elif not simulation.ledger.rows and (origin := place.read_versions().get("from")) is not None:
+        state = load(origin["directory"], origin["step"]).simulation
+        notes.append(_taken_over(state, origin, simulation))
     _check_times(place, case, simulation, end)
     log = Log(place.log_file, end, case.sections.output.log_every)
     # an end time given to resume is an output time of its own
@@ -188,9 +186,13 @@ def _go(
 
     ranks.on_first(begin)
     write = log.write if ranks.is_first else (lambda line: None)
+    parts: Iterator[tuple[Simulation, float]] = iter([(simulation, max(end, simulation.t))])
+    if case.refinement is not None:  # the run on each of its meshes, and until when
+        last = max(end, simulation.t)
+        parts = stretches(simulation, case.refinement, last, place.mesh(), place.chosen_mesh())
     try:
-        with noting_warnings(write):
-            for simulation, stop in _stretches(place, case, simulation, max(end, simulation.t)):  # noqa: B020
+        with _noting_warnings(write):
+            for simulation, stop in parts:
                 simulation.run(stop, [time for time in case.output_times(end) if time <= stop])
     except BaseException as error:
         with contextlib.suppress(OSError):  # a full disk is what may have ended the run
@@ -207,13 +209,13 @@ def _go(
     return simulation
 
 
-def _stretches(
-    place: RunDirectory, case: Case, simulation: Simulation, end: float
-) -> Iterator[tuple[Simulation, float]]:
-    """The run on each of its meshes, and until when, s."""
-    if case.refinement is None:
-        return iter([(simulation, end)])
-    return stretches(simulation, case.refinement, end, place.mesh(), place.chosen_mesh())
+def _taken_over(old: Simulation, origin: dict[str, Any], simulation: Simulation) -> str:
+    """Put a simulation into the state of another one; a line for the log of what that did."""
+    done = transfer(old, simulation)
+    return (
+        f"from step {origin['step']} of {origin['directory']}, t = {simulation.t:g} s: density times "
+        f"1 {done.scaled - 1:+.2e}, energy lost {done.lost:.6e} J of {done.energy_before:.6e} J"
+    )
 
 
 def _mesh_of_first(case: Case, ranks: Communicator, make: Callable[[], Mesh]) -> Mesh:
@@ -235,6 +237,64 @@ def _check_times(place: RunDirectory, case: Case, simulation: Simulation, end: f
 def _reached(place: RunDirectory, simulation: Simulation) -> RunDirectoryError:
     message = f"the run has already reached t = {simulation.t:g} s: expected an end time above that"
     return RunDirectoryError(f"{place.path}: {message}")
+
+
+def changed(place: RunDirectory, case: Case, settings: Sequence[str]) -> Case:
+    """The directory's case with settings; raises CaseError under the key of a setting that may not change."""
+    new = parse_case(case.resolved, case.source, case.directory, settings)
+    for key in _FIXED:
+        if _fixed_value(new, key) != _fixed_value(case, key):
+            message = (
+                f"cannot change when a run goes on (what can: {_CHANGEABLE}); start a new run with its "
+                f"fields: ngvisco run CASE -o NEW --from {place.path}"
+            )
+            where = tuple(key.split("."))
+            set_there = [path for path in new.locator.overridden if path[: len(where)] == where]
+            raise CaseError(case.source, [new.locator.fault((set_there or [where])[0], message)])
+    return new
+
+
+def _fixed_value(case: Case, key: str) -> Any:
+    node: Any = case.sections.model_dump()
+    if key == "bodies":
+        kept, mechanisms = ("name", "where", "density", "order"), ("viscosity", "creep")
+        return [
+            {name: body[name] for name in kept}
+            | {"kind": body["material"]["kind"], "has heat": body["material"]["thermal"] is not None}
+            | {name: body[name] is not None for name in mechanisms}
+            for body in node["bodies"]
+        ]
+    for part in key.split("."):
+        node = None if node is None else node[part]
+    return node is not None if key == "material.thermal" else node
+
+
+def _write_change(place: RunDirectory, case: Case, new: Case, settings: Sequence[str]) -> None:
+    """Put the changed case into the directory, and keep the one before."""
+    step, time = 0, 0.0
+    if place.run_file.exists():
+        ledger = place.ledger()
+        step, time = int(ledger["step"][-1]), float(ledger["time"][-1])
+    record = place.read_versions()
+    before = _pending_change(place, case) or case.hash  # a change that no checkpoint has reached is replaced
+    change = {"step": step, "time": time, "settings": list(settings), "from": before, "to": new.hash}
+    record["changes"] = [*record.get("changes", []), change]
+    write_atomically(place.path / f"case.until-step-{step}.toml", case.resolved.encode())
+    place.write_versions(record)
+    write_atomically(place.case_file, new.resolved.encode())
+
+
+def _pending_change(place: RunDirectory, case: Case) -> str | None:
+    """Hash of the case that run.h5 was written with, where the last change has not reached it yet."""
+    changes = place.read_versions().get("changes", [])
+    if not changes or changes[-1]["to"] != case.hash or changes[-1]["from"] == case.hash:
+        return None
+    try:
+        with h5py.File(place.run_file) as file:
+            found = file.attrs.get("case")
+    except OSError:  # whoever reads it next says why
+        return None
+    return str(found) if found == changes[-1]["from"] else None
 
 
 @dataclass(frozen=True)
@@ -298,15 +358,13 @@ class Log(Progress):
 
     def write(self, line: str) -> None:
         """Append a line."""
-        stamp = clock.strftime("%Y-%m-%d %H:%M:%S")
-        append(self.path, f"{stamp}  {line}\n")
+        append(self.path, f"{clock.strftime('%Y-%m-%d %H:%M:%S')}  {line}\n")
 
-    def _print(self, line: str) -> None:
-        self.write(line)
+    _print = write
 
 
 @contextlib.contextmanager
-def noting_warnings(note: Callable[[str], None]) -> Iterator[None]:
+def _noting_warnings(note: Callable[[str], None]) -> Iterator[None]:
     """Within: warnings are given to ``note`` too, each as a line."""
     shown = warnings.showwarning
 

@@ -14,11 +14,10 @@ import re
 from functools import cache
 from typing import Any
 
-from ngvisco.case.faults import Wrong
 from ngvisco.case.laws import EnergyText
 from ngvisco.case.schema import Units
 from ngvisco.case.section import Section, models_in, quantity, values_of
-from ngvisco.case.values import NumberValues, is_table
+from ngvisco.case.values import NumberValues, Wrong, is_table
 from ngvisco.expressions import ExpressionError, parse, parse_region
 
 SI: dict[str, str] = {name: field.default for name, field in Units.model_fields.items()}

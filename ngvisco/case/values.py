@@ -186,6 +186,10 @@ class RegionText(Value):
         return value
 
 
+class Wrong(str):
+    """Stands for a value whose unit is wrong, which no key takes, and says why."""
+
+
 def as_function(value: Any) -> Any:
     """The value of a ``FieldValue`` as a coefficient function; arrays of rows are 3x3 matrices."""
     if not isinstance(value, list):

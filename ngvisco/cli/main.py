@@ -53,164 +53,94 @@ def parser() -> argparse.ArgumentParser:
     )
     top.add_argument("--version", action="version", version=f"ngvisco {__version__}")
     commands = top.add_subparsers(dest="command", required=True, metavar="COMMAND")
-
-    run = commands.add_parser("run", help="run a case into a new directory")
-    run.add_argument("case", metavar="CASE", help="case file, TOML")
-    run.add_argument(
-        "-o", "--output", metavar="DIR", help="run directory (default results/<name of the case>)"
+    a_case, settings, running = (argparse.ArgumentParser(add_help=False) for _ in range(3))
+    a_case.add_argument("case", metavar="CASE", help="case file, TOML")
+    text = "override a key of the case, e.g. --set material.G_e=8 (repeatable)"
+    settings.add_argument(
+        "--set", dest="settings", metavar="KEY=VALUE", action="append", default=[], help=text
     )
-    _add_set(run)
+    text = "threads of assembly; with 1 (default) a resumed run is the uninterrupted one bit for bit"
+    running.add_argument("--threads", type=_threads, default=1, metavar="N", help=text)
+    running.add_argument("--quiet", action="store_true", help="no progress on the terminal (log.txt has it)")
+    # of a study's runs: its end, however it comes, is theirs
+    running.add_argument("--ends-with-stdin", action="store_true", help=argparse.SUPPRESS)
+
+    run = commands.add_parser(
+        "run", help="run a case into a new directory", parents=[a_case, settings, running]
+    )
+    text = "run directory (default results/<name of the case>)"
+    run.add_argument("-o", "--output", metavar="DIR", help=text)
     run.add_argument("--force", action="store_true", help="replace the results of an earlier run in DIR")
-    run.add_argument(
-        "--from",
-        dest="source",
-        metavar="OLD",
-        help="start from the last state of the run directory OLD, also on another mesh or in other spaces",
-    )
-    _add_run_options(run)
+    text = "start from the last state of the run directory OLD, also on another mesh or in other spaces"
+    run.add_argument("--from", dest="source", metavar="OLD", help=text)
 
-    resume = commands.add_parser(
-        "resume", help="go on from a directory's last checkpoint", description=_RESUME
-    )
+    text = "go on from a directory's last checkpoint"
+    resume = commands.add_parser("resume", help=text, description=_RESUME, parents=[settings, running])
     resume.add_argument("directory", metavar="DIR", help="run directory")
-    _add_set(resume)
     resume.add_argument("--until", metavar="T", type=float, help="end time in s (default: the case's)")
-    _add_run_options(resume)
 
-    _add_sweep(
-        commands.add_parser("sweep", help="run a case with some of its keys varied", description=_SWEEP)
-    )
+    text = "run a case with some of its keys varied"
+    parents = [a_case, settings, running]
+    sweep = commands.add_parser("sweep", help=text, description=_SWEEP, parents=parents)
+    text = "values of a key, e.g. --vary material.G_e=1,2,5 (repeatable: all combinations are run)"
+    sweep.add_argument("--vary", metavar="KEY=V1,V2,...", action="append", default=[], help=text)
+    text = "directory of the study (default results/<name of the case>-sweep)"
+    sweep.add_argument("-o", "--output", metavar="DIR", help=text)
+    sweep.add_argument("--force", action="store_true", help="run all of them anew")
+    text = "runs at once on this machine (default: its processors, by the threads of a run)"
+    sweep.add_argument("--workers", type=_threads, metavar="N", help=text)
+    text = "dask scheduler whose workers do the runs, e.g. tcp://host:8786; they must see the same files"
+    sweep.add_argument("--scheduler", metavar="ADDRESS", help=text)
 
-    check = commands.add_parser(
-        "check",
-        help="validate and mesh a case; report sizes, scales and advice, memory and time; writes nothing",
-    )
-    check.add_argument("case", metavar="CASE", help="case file, TOML")
-    _add_set(check)
+    text = "validate and mesh a case; report sizes, scales and advice, memory and time; writes nothing"
+    commands.add_parser("check", help=text, parents=[a_case, settings])
+    text = "what a run directory holds, and how far the run got"
+    info = commands.add_parser("info", help=text, description=text)
+    info.add_argument("directory", metavar="DIR", help="run directory", nargs="?")
+    text = "what distributed runs need instead: MPI, PETSc and its packages, and a test of them"
+    info.add_argument("--parallel", action="store_true", help=text)
 
-    for name, text in (
-        ("info", "what a run directory holds, and how far the run got"),
-        ("plot", "energies, dissipations, closure, extrema, iterations and fields as pictures; animations"),
-        ("scene", "the states of the VTK series as one HTML file that opens offline, with time and cuts"),
-    ):
-        command = commands.add_parser(name, help=text, description=text)
-        needed = {"info": "?", "plot": "+"}.get(name)
-        what = "run directory" + ("; several, or that of a study, are compared" if name == "plot" else "")
-        command.add_argument("directory", metavar="DIR", help=what, nargs=needed)
-        if name == "info":
-            text = "what distributed runs need instead: MPI, PETSc and its packages, and a test of them"
-            command.add_argument("--parallel", action="store_true", help=text)
-        else:
-            command.add_argument("--fields", metavar="NAMES", help="fields to draw, separated by commas")
-            command.add_argument(
-                "--step", type=int, metavar="N", help="checkpoint's step (default: the last)"
-            )
-        if name == "plot":
-            _add_plot_options(command)
-    listing = commands.add_parser(
-        "list", help="materials, mechanisms, loads, walls, geometries and outputs of case files"
-    )
-    forms = listing.add_mutually_exclusive_group()
+    drawn = argparse.ArgumentParser(add_help=False)
+    drawn.add_argument("--fields", metavar="NAMES", help="fields to draw, separated by commas")
+    drawn.add_argument("--step", type=int, metavar="N", help="checkpoint's step (default: the last)")
+    text = "energies, dissipations, closure, extrema, iterations and fields as pictures; animations"
+    plot = commands.add_parser("plot", help=text, description=text, parents=[drawn])
+    text = "run directory; several, or that of a study, are compared"
+    plot.add_argument("directory", metavar="DIR", help=text, nargs="+")
+    text = "of the pictures (default png)"
+    plot.add_argument("--format", choices=("png", "pdf", "svg"), default="png", help=text)
+    text = "of the pictures of several runs (default: the study, or .)"
+    plot.add_argument("-o", "--output", metavar="DIR", help=text)
+    plot.add_argument("--section", metavar="PLANE", help="in 3D, e.g. z=0.5 or x (default: z, the middle)")
+    text = "animate the VTK series instead, as .gif or .mp4 (needs ffmpeg; default DIR/movie.gif)"
+    plot.add_argument("--movie", metavar="FILE", nargs="?", const="", help=text)
+    text = "frames a second of the animation (default 10)"
+    plot.add_argument("--fps", type=float, default=10.0, metavar="N", help=text)
+    text = "the states of the VTK series as one HTML file that opens offline, with time and cuts"
+    scene = commands.add_parser("scene", help=text, description=text, parents=[drawn])
+    scene.add_argument("directory", metavar="DIR", help="run directory")
+
+    text = "materials, mechanisms, loads, walls, geometries and outputs of case files"
+    forms = commands.add_parser("list", help=text).add_mutually_exclusive_group()
     for option, text in (
         ("keys", "every key with its type, unit, default and meaning"),
         ("markdown", "the same as a page with examples"),
         ("schema", "the JSON Schema of case files, with which editors complete and check them"),
     ):
         forms.add_argument(f"--{option}", dest="form", action="store_const", const=option, help=text)
-
     explain = commands.add_parser("explain", help="what a key of a case file means, e.g. time.dt")
     explain.add_argument("key", metavar="KEY", help="a key, a table or a kind: time.dt, material, NeoHookean")
-
     new = commands.add_parser("new", help="print an annotated case file to start from")
     new.add_argument("name", metavar="NAME", nargs="?", help="a demo, e.g. swirl; without it their names")
     return top
 
 
-def _add_sweep(command: argparse.ArgumentParser) -> None:
-    command.add_argument("case", metavar="CASE", help="case file, TOML")
-    command.add_argument(
-        "--vary",
-        metavar="KEY=V1,V2,...",
-        action="append",
-        default=[],
-        help="values of a key, e.g. --vary material.G_e=1,2,5 (repeatable: all combinations are run)",
-    )
-    command.add_argument(
-        "-o",
-        "--output",
-        metavar="DIR",
-        help="directory of the study (default results/<name of the case>-sweep)",
-    )
-    _add_set(command)
-    command.add_argument("--force", action="store_true", help="run all of them anew")
-    command.add_argument(
-        "--workers",
-        type=_threads,
-        metavar="N",
-        help="runs at once on this machine (default: its processors, by the threads of a run)",
-    )
-    command.add_argument(
-        "--scheduler",
-        metavar="ADDRESS",
-        help="dask scheduler whose workers do the runs, e.g. tcp://host:8786; they must see the same files",
-    )
-    _add_run_options(command)
-
-
-def _add_plot_options(command: argparse.ArgumentParser) -> None:
-    command.add_argument(
-        "--format", choices=("png", "pdf", "svg"), default="png", help="of the pictures (default png)"
-    )
-    command.add_argument(
-        "-o", "--output", metavar="DIR", help="of the pictures of several runs (default: the study, or .)"
-    )
-    command.add_argument("--section", metavar="PLANE", help="in 3D, e.g. z=0.5 or x (default: z, the middle)")
-    command.add_argument(
-        "--movie",
-        metavar="FILE",
-        nargs="?",
-        const="",
-        help="animate the VTK series instead, as .gif or .mp4 (needs ffmpeg; default DIR/movie.gif)",
-    )
-    command.add_argument(
-        "--fps", type=float, default=10.0, metavar="N", help="frames a second of the animation (default 10)"
-    )
-
-
-def _add_set(command: argparse.ArgumentParser) -> None:
-    command.add_argument(
-        "--set",
-        dest="settings",
-        metavar="KEY=VALUE",
-        action="append",
-        default=[],
-        help="override a key of the case, e.g. --set material.G_e=8 (repeatable)",
-    )
-
-
-def _add_run_options(command: argparse.ArgumentParser) -> None:
-    command.add_argument(
-        "--threads",
-        type=_threads,
-        default=1,
-        metavar="N",
-        help="threads of assembly; with 1 (default) a resumed run is the uninterrupted one bit for bit",
-    )
-    # of a study's runs: its end, however it comes, is theirs
-    command.add_argument("--ends-with-stdin", action="store_true", help=argparse.SUPPRESS)
-    command.add_argument("--quiet", action="store_true", help="no progress on the terminal (log.txt has it)")
-
-
 def _threads(text: str) -> int:
-    try:
-        value = int(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text}: expected a whole number >= 1") from None
-    if value < 1:
+    if not text.isdecimal() or int(text) < 1:
         raise argparse.ArgumentTypeError(f"{text}: expected a whole number >= 1")
-    if value > (most := max(os.cpu_count() or 1, _FEW_THREADS)):
+    if int(text) > (most := max(os.cpu_count() or 1, _FEW_THREADS)):
         raise argparse.ArgumentTypeError(f"{text}: expected at most {most}, for {os.cpu_count()} processors")
-    return value
+    return int(text)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -281,19 +211,14 @@ def _ended(options: argparse.Namespace) -> int:
 
 def _command(name: str) -> Callable[[argparse.Namespace], int]:
     # imported late: NGSolve takes a second, and --help needs none of it
-    from ngvisco.cli import parallel, pictures, reference, report, run, sweep
+    from ngvisco.cli import parallel, pictures, reference, report, run
 
     table: dict[str, Callable[[argparse.Namespace], int]] = {
-        "run": run.run,
-        "resume": run.resume,
-        "sweep": sweep.sweep,
+        **{"run": run.run, "resume": run.resume, "sweep": run.sweep},
+        **{"plot": pictures.plot, "scene": pictures.scene},
+        **{"list": reference.listing, "explain": reference.explain, "new": reference.new},
         "check": report.check,
         "info": lambda options: (parallel.info if options.parallel else report.info)(options),
-        "list": reference.listing,
-        "explain": reference.explain,
-        "new": reference.new,
-        "plot": pictures.plot,
-        "scene": pictures.scene,
     }
     return table[name]
 

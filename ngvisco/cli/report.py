@@ -9,8 +9,7 @@ from ngsolve import SetNumThreads
 
 from ngvisco import case as cases
 from ngvisco.case.directory import RunDirectory
-from ngvisco.errors import CheckpointError, ParameterError
-from ngvisco.run.checkpoint import read_ledger
+from ngvisco.errors import ParameterError
 from ngvisco.run.refinement import stretches
 from ngvisco.run.scales import scales
 from ngvisco.run.simulation import Simulation
@@ -109,9 +108,7 @@ def info(options: argparse.Namespace) -> int:
     if not place.run_file.exists():
         print(f"state      nothing computed; start with: ngvisco resume {place.path}")
         return 0
-    ledger = read_ledger(place.run_file)
-    if not len(ledger.get("time", ())):
-        raise CheckpointError(f"{place.run_file}: its ledger is empty")
+    ledger = place.ledger()
     end, step = ledger["time"][-1], int(ledger["step"][-1])
     of = " s, beyond the case's" if end > case.until * (1 + 1e-9) else " of"
     state = f"resumable: ngvisco resume {place.path}" if end < case.until * (1 - 1e-9) else "finished"
@@ -122,6 +119,6 @@ def info(options: argparse.Namespace) -> int:
         f"largest |mass drift| {np.abs(ledger['mass_drift']).max():.1e}, "
         f"rejected steps {int(ledger['rejections'].sum())}"
     )
-    for path in place.results:
+    for path in [*place.results, *place.failures]:
         print(f"  {path.stat().st_size:12d} bytes  {path.relative_to(place.path)}")
     return 0

@@ -1,4 +1,4 @@
-"""``ngvisco run`` and ``ngvisco resume``: progress on the terminal, signals."""
+"""``ngvisco run``, ``resume`` and ``sweep``: progress on the terminal, signals."""
 
 import argparse
 import os
@@ -11,15 +11,15 @@ from pathlib import Path
 from ngsolve import SetNumThreads
 
 from ngvisco import case as cases
-from ngvisco.case import changes
 from ngvisco.case.directory import RunDirectory
+from ngvisco.case.runs import changed
 from ngvisco.cli import streams
-from ngvisco.cli.signals import Stopping
-from ngvisco.cli.streams import DONE, NOT_CLOSED
+from ngvisco.cli.streams import DONE, FAILED, NOT_CLOSED, Stopping
 from ngvisco.errors import ParameterError
 from ngvisco.run.observers import Progress, dissipation_advice, limited_in_words, steps_in_words
 from ngvisco.run.simulation import Observer, Simulation
 from ngvisco.run.stepping import Rejection
+from ngvisco.sweep import Outcome, Study, Variation
 
 
 class StopOnSignal(Stopping, Observer):
@@ -93,7 +93,7 @@ def resume(options: argparse.Namespace) -> int:
     until = options.until
     if until is None:
         place = RunDirectory(directory)
-        until = changes.changed(place, place.case(), options.settings).until
+        until = changed(place, place.case(), options.settings).until
     stop = StopOnSignal()
     observers = [*_terminal(options, until), stop]
     result = cases.resume(directory, options.until, observers=observers, settings=options.settings)
@@ -145,3 +145,57 @@ def _close(directory: Path, result: Simulation, stop: StopOnSignal) -> int:
     )
     streams.write(f"results in {directory}\n")
     return NOT_CLOSED if result.closure_check.failures else DONE
+
+
+def sweep(options: argparse.Namespace) -> int:
+    """Run a study; a line for each run that ends."""
+    SetNumThreads(1)
+    variations = [Variation.parse(text) for text in options.vary]
+    directory = Path(options.output or Path("results") / f"{Path(options.case).stem}-sweep")
+    study = Study(options.case, variations, directory, settings=options.settings, force=options.force)
+    before = len(study.outcomes) - len(study.unfinished)
+    ended = before
+
+    def report(outcome: Outcome) -> None:
+        nonlocal ended
+        ended += 1
+        if not options.quiet:
+            streams.write(f"[{ended}/{len(study.outcomes)}] {_line(outcome)}\n")
+
+    if not options.quiet:
+        finished = f", {before} of them finished before" if before else ""
+        streams.write(f"{len(study.outcomes)} runs{finished}\n")
+    stop = threading.Event()
+    with Stopping(stop.set) as signals:
+        outcomes = study.run(
+            workers=options.workers,
+            threads=options.threads,
+            scheduler=options.scheduler,
+            report=report,
+            stop=stop,
+        )
+    return _close_study(study, outcomes, signals.received)
+
+
+def _line(outcome: Outcome) -> str:
+    reached = f", t = {outcome.last['time']:.4g} s" if outcome.last else ""
+    closure = f", largest |closure| {outcome.last['largest_closure']:.1e}" if outcome.is_finished else ""
+    reason = f": {outcome.message}" if outcome.message else ""
+    return f"{outcome.name}: {outcome.state}{reached}{closure}{reason}"
+
+
+def _close_study(study: Study, outcomes: list[Outcome], received: int) -> int:
+    missing = [outcome for outcome in outcomes if not outcome.is_finished]
+    streams.write(f"finished: {len(outcomes) - len(missing)} of {len(outcomes)} runs; table {study.table}\n")
+    if received:
+        name = signal.Signals(received).name
+        streams.write(f"{name}: stopped, with checkpoints; the same command goes on\n")
+        return 128 + received
+    for outcome in missing:
+        streams.complain(_line(outcome))
+    if missing:
+        return FAILED
+    open_ledgers = [outcome for outcome in outcomes if outcome.state == "not closed"]
+    for outcome in open_ledgers:
+        streams.complain(f"{outcome.name}: the ledger does not close")
+    return NOT_CLOSED if open_ledgers else DONE

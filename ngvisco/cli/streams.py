@@ -1,8 +1,12 @@
-"""Exit codes; and standard output that may be closed, full or of another encoding: it never ends a run."""
+"""Exit codes; signals that let a run come to an end by itself; and standard output, which may be closed, full
+or of another encoding, and never ends a run."""
 
 import contextlib
 import os
+import signal
 import sys
+from collections.abc import Callable
+from types import FrameType
 from typing import Any
 
 DONE = 0
@@ -60,3 +64,25 @@ def give_up(stream: Any) -> None:
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, stream.fileno())
         os.close(nowhere)
+
+
+class Stopping:
+    """Within: SIGINT and SIGTERM call ``stop`` and are noted; a second one ends the process as usual."""
+
+    def __init__(self, stop: Callable[[], None]) -> None:
+        self.stop, self.received = stop, 0
+        self._before: dict[int, Any] = {}
+
+    def __enter__(self) -> "Stopping":
+        for number in (signal.SIGINT, signal.SIGTERM):
+            self._before.setdefault(number, signal.signal(number, self._handle))
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+    def _handle(self, number: int, frame: FrameType | None) -> None:
+        self.received = number
+        self.stop()
+        self.__exit__()

@@ -10,8 +10,6 @@ import numpy as np
 
 from ngvisco.case.build import Case
 from ngvisco.case.directory import RunDirectory
-from ngvisco.errors import CheckpointError
-from ngvisco.run.checkpoint import read_ledger
 from ngvisco.run.closure import closure_limit
 from ngvisco.run.files import write_atomically
 from ngvisco.sweep.variations import SweepError
@@ -57,9 +55,7 @@ class Outcome:
         """
         if not place.run_file.exists():
             return
-        ledger = read_ledger(place.run_file)
-        if not len(ledger.get("time", ())):
-            raise CheckpointError(f"{place.run_file}: its ledger is empty")
+        ledger = place.ledger()
         closure = np.abs(ledger["closure_relative"])
         self.last = {name: float(column[-1]) for name, column in ledger.items()}
         self.last["largest_closure"] = float(closure.max())
