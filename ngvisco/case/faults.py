@@ -52,7 +52,7 @@ class CaseError(NgviscoError, ValueError):
 
 
 _SHOWN = 60
-_TYPES = {
+_WORDS = {
     "float_type": "expected a number",
     "int_type": "expected a whole number",
     "int_from_float": "expected a whole number",
@@ -62,12 +62,14 @@ _TYPES = {
     "dict_type": "expected a table",
     "model_type": "expected a table",
     "model_attributes_type": "expected a table",
-    "missing": "is missing",
     "too_short": "expected at least one; without the key it is all of them",
+    "greater_than": "expected a number > {gt:g}",
+    "greater_than_equal": "expected a number >= {ge:g}",
+    "less_than": "expected a number < {lt:g}",
+    "less_than_equal": "expected a number <= {le:g}",
+    "literal_error": "expected {expected}",
 }
-
-
-_LIMITS = {"greater_than": ">", "greater_than_equal": ">=", "less_than": "<", "less_than_equal": "<="}
+"""What is said of pydantic's errors."""
 
 
 class Locator:
@@ -136,14 +138,10 @@ def _message(one: Any, raised: object, path: tuple[str, ...], here: str, known: 
         written = difflib.get_close_matches(wanted, [str(key) for key in value], n=1, cutoff=0.5)
         hint = f"; {written[0]!r} is unknown: did you mean {wanted!r}?" if written else ""
         return f"the key {wanted!r} is missing{hint}"
-    if kind in _LIMITS:
-        (limit,) = context.values()
-        return f"{shown(value)}: expected a number {_LIMITS[kind]} {limit:g}"
     if kind == "list_type" and isinstance(value, dict):
         return f"{shown(value)}: expected an array of tables, [[{'.'.join(path)}]]"
-    if kind == "literal_error":
-        return f"{shown(value)}: expected {context['expected']}"
-    return f"{shown(value)}: {_TYPES.get(kind, one['msg'].lower())}"
+    words = _WORDS[kind].format(**context) if kind in _WORDS else one["msg"].lower()
+    return f"{shown(value)}: {words}"
 
 
 def shown(value: object) -> str:
@@ -206,23 +204,16 @@ _OTHER = 100
 def _resolve(model: type[Section], location: tuple[Any, ...]) -> tuple[tuple[str, ...], str, list[str]]:
     """Key path without the unions' tags, the table that holds the key, and that table's keys."""
     path: list[str] = []
-    candidates: list[type[Section]] = [model]
-    here, known = "the case", list(model.model_fields)
+    models, here, known = [model], "the case", list(model.model_fields)
     for part in location:
-        if isinstance(part, str) and part.startswith("<"):  # which form a value has, which is no key
-            continue
-        fields = {name: field for c in candidates for name, field in c.model_fields.items()}
-        chosen = [c for c in candidates if c.__name__ == part]
-        if part in fields:
-            here, known = (".".join(path) or "the case"), list(fields)
-            candidates = models_in(fields[part].annotation) or candidates[:0]
-            path.append(str(part))
-        elif chosen and len(path) > 0:
-            candidates = chosen
-            here, known = ".".join(path), list(chosen[0].model_fields)
-        else:
-            here = ".".join(path) or "the case"
-            known = list(fields)
+        fields = {name: field for one in models for name, field in one.model_fields.items()}
+        chosen = [one for one in models if one.__name__ == part]
+        if chosen and part not in fields:
+            models = chosen
+        elif not str(part).startswith("<"):  # which form a value has, which is no key
+            here, known = ".".join(path) or "the case", list(fields)
+            if part in fields:
+                models = models_in(fields[part].annotation)
             path.append(str(part))
     return tuple(path), here, known
 

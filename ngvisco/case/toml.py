@@ -25,9 +25,7 @@ def key_lines(text: str) -> dict[tuple[str, ...], int]:
                 table = (*_indexed(table[:-1], counts), table[-1])
                 counts[table] = counts.get(table, -1) + 1
                 lines.setdefault(table, number)
-                table = (*table, str(counts[table]))
-            else:
-                table = _indexed(table, counts)
+            table = _indexed(table, counts)
             lines.setdefault(table, number)
         elif assignment:
             path = (*table, *_split(assignment[1]))
@@ -82,22 +80,18 @@ def override(data: dict[str, Any], path: tuple[str, ...], value: Any) -> None:
     """
     node: Any = data
     for depth, part in enumerate(path):
-        last = depth == len(path) - 1
         where = ".".join(path[: depth + 1])
+        key: Any = part
         if isinstance(node, list):
             if not (part.isascii() and part.isdigit() and int(part) < len(node)):
                 raise ValueError(f"{where}: expected an index below {len(node)}")
-            if last:
-                node[int(part)] = value
-            else:
-                node = node[int(part)]
-        elif isinstance(node, dict):
-            if last:
-                node[part] = value
-            else:
-                node = node.setdefault(part, {})
-        else:
+            key = int(part)
+        elif not isinstance(node, dict):
             raise ValueError(f"{where}: {'.'.join(path[:depth])} is no table")
+        if depth == len(path) - 1:
+            node[key] = value
+        else:
+            node = node[key] if isinstance(node, list) else node.setdefault(key, {})
 
 
 def write(data: dict[str, Any]) -> str:
@@ -108,26 +102,22 @@ def write(data: dict[str, Any]) -> str:
 
 
 def _write_table(table: dict[str, Any], path: tuple[str, ...], lines: list[str]) -> None:
-    inner = {k: v for k, v in table.items() if isinstance(v, dict)}
-    arrays = {k: v for k, v in table.items() if _is_table_array(v)}
+    inner = {key: value for key, value in table.items() if isinstance(value, dict)}
+    arrays = {
+        key: value
+        for key, value in table.items()
+        if isinstance(value, list) and value and all(isinstance(part, dict) for part in value)
+    }
     for key, value in table.items():
         if value is not None and key not in inner and key not in arrays:
             lines.append(f"{_key(key)} = {value_text(value)}")
     for key, value in inner.items():
-        lines += ["", f"[{_header(path, key)}]"]
+        lines += ["", f"[{'.'.join(map(_key, (*path, key)))}]"]
         _write_table(value, (*path, key), lines)
     for key, members in arrays.items():
         for member in members:
-            lines += ["", f"[[{_header(path, key)}]]"]
+            lines += ["", f"[[{'.'.join(map(_key, (*path, key)))}]]"]
             _write_table(member, (*path, key), lines)
-
-
-def _is_table_array(value: Any) -> bool:
-    return isinstance(value, list) and bool(value) and all(isinstance(v, dict) for v in value)
-
-
-def _header(path: tuple[str, ...], key: str) -> str:
-    return ".".join(_key(part) for part in (*path, key))
 
 
 def _key(key: str) -> str:

@@ -11,6 +11,7 @@ value in the unit of ``pressure``, and is multiplied as a whole; one per mass is
 import ast
 import math
 import re
+from collections.abc import Callable
 from functools import cache
 from typing import Any
 
@@ -120,25 +121,18 @@ class Converter:
         return result
 
     def _entry(self, value: Any, model: type[Section], name: str, data: dict[str, Any]) -> Any:
-        annotation = model.model_fields[name].annotation
-        if models_in(annotation):
-            return self._region(value) if isinstance(value, str) else value
-        unit = quantity(model, name).unit
+        annotation, unit = model.model_fields[name].annotation, quantity(model, name).unit
+        if models_in(annotation):  # a body's place may be a text
+            is_region = isinstance(value, str) and _is(parse_region, value)
+            return self._in_si_places(value) if is_region else value
         if annotation is EnergyText:
-            # [units] has none of energies per mass: these are in J/kg
-            return value if data.get("per") == "mass" else self._energy(value, unit)
-        is_field = values_of(model).get(name, NumberValues) is not NumberValues
-        if unit in ("", "any") or (unit == "1" and not is_field):
+            # its value is in units of the case, its variables are numbers; [units] has none per mass, in J/kg
+            scale = 1.0 if data.get("per") == "mass" else self._scale(unit)
+            return value if scale == 1.0 or not isinstance(value, str) else f"({value})*{scale!r}"
+        is_function = values_of(model).get(name, NumberValues) is not NumberValues
+        if unit in ("", "any") or (unit == "1" and not is_function):
             return value
-        return self._value(value, _with_exponents(unit, model, data), is_field)
-
-    def _region(self, value: str) -> str:
-        """The same condition on x, y, z in m."""
-        try:
-            parse_region(value)
-        except ExpressionError:
-            return value  # the schema says what is wrong with it
-        return self._in_si_places(value)
+        return self._value(value, _with_exponents(unit, model, data), is_function)
 
     def _in_si_places(self, text: str) -> str:
         """The same function of x, y, z in m and t in s."""
@@ -147,53 +141,38 @@ class Converter:
             return text
         return ast.unparse(_Scaled(length, time).visit(ast.parse(" ".join(text.split()), mode="eval")))
 
-    def _energy(self, value: Any, unit: str) -> Any:
-        """The same energy in SI units: its value is in those of the case, its variables are pure numbers."""
+    def _value(self, value: Any, unit: str, is_function: bool) -> Any:
         scale = self._scale(unit)
-        if scale == 1.0 or not isinstance(value, str):
-            return value
-        return f"({value})*{scale!r}"
-
-    def _value(self, value: Any, unit: str, is_field: bool) -> Any:
-        if isinstance(value, bool):
-            return value
-        if isinstance(value, (int, float)):
-            scale = self._scale(unit)
-            return value if scale == 1.0 else value * scale
         if isinstance(value, list):
-            return [self._value(part, unit, is_field) for part in value]
+            return [self._value(part, unit, is_function) for part in value]
         if is_table(value):
             times = self._value(value["times"], SI["time"], False)
             return {"times": times, "values": self._value(value["values"], unit, False)}
         if isinstance(value, dict):
-            return {name: self._value(part, unit, is_field) for name, part in value.items()}
-        if isinstance(value, str):
-            return self._text(value, unit, is_field)
-        return value
-
-    def _text(self, text: str, unit: str, is_field: bool) -> Any:
-        if is_field:
-            try:
-                parse(text)
-            except ExpressionError:
-                pass
-            else:
-                return self._expression(text, unit)
-        match = _QUANTITY.fullmatch(text)
-        if match is None:
-            return text  # the schema says what is wrong with it
-        if unit == "1":
-            raise UnitError("a pure number is expected, without a unit")
-        return converted(float(match[1]), match[2].strip(), unit)
-
-    def _expression(self, text: str, unit: str) -> str:
-        """The same function of x, y, z in m and t in s, with values in SI units."""
-        scale, inner = self._scale(unit), self._in_si_places(text)
-        return inner if scale == 1.0 else f"{scale!r}*({inner})"
+            return {name: self._value(part, unit, is_function) for name, part in value.items()}
+        if isinstance(value, str) and is_function and _is(parse, value):
+            inner = self._in_si_places(value)
+            return inner if scale == 1.0 else f"{scale!r}*({inner})"
+        if isinstance(value, str) and (match := _QUANTITY.fullmatch(value)):
+            if unit == "1":
+                raise UnitError("a pure number is expected, without a unit")
+            return converted(float(match[1]), match[2].strip(), unit)
+        if isinstance(value, bool) or not isinstance(value, (int, float)):
+            return value  # the schema says what is wrong with it
+        return value if scale == 1.0 else value * scale
 
     def _scale(self, unit: str) -> float:
         kind = next((kind for kind, si in SI.items() if si == unit), None)
         return 1.0 if kind is None else self.scales.get(kind, 1.0)
+
+
+def _is(parsed: Callable[[str], object], text: str) -> bool:
+    """Whether a text is an expression."""
+    try:
+        parsed(text)
+    except ExpressionError:
+        return False
+    return True
 
 
 class _Scaled(ast.NodeTransformer):

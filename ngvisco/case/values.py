@@ -15,8 +15,6 @@ from ngvisco.errors import as_number
 from ngvisco.expressions import parse, parse_region
 from ngvisco.physics.signals import table
 
-_ROWS = "expected three rows of three, as in [[1, 0, 0], [0, 1, 0], [0, 0, 1]]"
-
 
 class Value:
     """What a key may have; ``check`` returns it, or raises ValueError."""
@@ -42,10 +40,6 @@ class Value:
         return dict(cls.json)
 
 
-class FieldValue(Value):
-    """A function of place and time, of which ``as_function`` makes a coefficient function."""
-
-
 def is_table(value: Any) -> bool:
     """Whether a value is a table of time, which a case that was read has in place of its file."""
     return isinstance(value, dict) and set(value) == {"times", "values"}
@@ -59,6 +53,10 @@ def _checked_number(value: Any, alternative: str = "an expression in quotes") ->
     return value
 
 
+class FieldValue(Value):
+    """A function of place and time, of which ``as_function`` makes a coefficient function."""
+
+
 class ScalarValue(FieldValue):
     """A scalar field."""
 
@@ -66,10 +64,10 @@ class ScalarValue(FieldValue):
 
     @staticmethod
     def check(value: Any) -> Any:
-        if isinstance(value, str):
-            parse(value)
-            return value
-        return _checked_number(value)
+        if not isinstance(value, str):
+            return _checked_number(value)
+        parse(value)
+        return value
 
 
 class VectorValue(FieldValue):
@@ -80,10 +78,10 @@ class VectorValue(FieldValue):
 
     @staticmethod
     def check(value: Any) -> Any:
-        is_array = isinstance(value, list) and value and not any(isinstance(part, list) for part in value)
-        if not is_array and not is_table(value):
+        parts = [value] if is_table(value) else value
+        if not isinstance(parts, list) or not parts or any(isinstance(part, list) for part in parts):
             raise ValueError('expected an array of its components, as in [0, "-1 + x"]')
-        for part in value if is_array else [value]:
+        for part in parts:
             if is_table(part):
                 table(part["times"], part["values"])
             else:
@@ -100,10 +98,9 @@ class RowsValue(FieldValue):
     def check(value: Any) -> Any:
         rows = value if isinstance(value, list) else []
         if [len(row) if isinstance(row, list) else 0 for row in rows] != [3, 3, 3]:
-            raise ValueError(_ROWS)
-        for row in rows:
-            for part in row:
-                ScalarValue.check(part)
+            raise ValueError("expected three rows of three, as in [[1, 0, 0], [0, 1, 0], [0, 0, 1]]")
+        for part in (part for row in rows for part in row):
+            ScalarValue.check(part)
         return value
 
 

@@ -17,7 +17,7 @@ from ngvisco.run.outlines import outlined
 from ngvisco.run.plots import Section, plot_energies, plot_fields, plot_history, require_space, titled
 from ngvisco.run.scene import write_scene, write_scene_of_series
 from ngvisco.run.vtu import read_pvd
-from ngvisco.sweep.table import read_table
+from ngvisco.sweep.study import read_table
 
 
 def plot(options: argparse.Namespace) -> int:

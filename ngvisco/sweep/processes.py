@@ -10,7 +10,7 @@ import contextlib
 import os
 import subprocess
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import Any
 
 from ngvisco.run.identity import version
@@ -148,12 +148,3 @@ def message_of(said: str) -> str:
     if any(line.startswith("Traceback") for line in lines):
         lines = lines[-1:]
     return "; ".join(line.strip() for line in lines if line.strip() and not line.startswith("warning: "))
-
-
-def submit(client: Any, jobs: Sequence[tuple[str, str]], threads: int, stop: str) -> dict[Any, int]:
-    """Hand out runs, (case file, directory) each; the futures with the number of their run."""
-    # not pure: the same run may be asked for again after it was stopped
-    return {
-        client.submit(run_or_resume, case, directory, threads, stop, pure=False): number
-        for number, (case, directory) in enumerate(jobs)
-    }

@@ -2,31 +2,86 @@
 
 | in a study's directory | holds                                                              |
 |------------------------|--------------------------------------------------------------------|
-| sweep.csv              | the table: a line a run (``ngvisco.sweep.table``)                  |
+| sweep.csv              | the table: a line a run, what became of it, the end of its ledger  |
 | cases/NAME.toml        | each run's case as resolved                                        |
 | NAME/                  | its run directory (``ngvisco.case.directory``)                     |
 """
 
+import csv
+import io
 import os
 import signal
 import threading
 import uuid
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from ngvisco.case.build import Case, load_case
 from ngvisco.case.directory import RunDirectory
 from ngvisco.errors import CheckpointError, ParameterError, as_integer, require_path
+from ngvisco.run.closure import closure_limit
 from ngvisco.run.files import write_atomically
-from ngvisco.sweep.processes import connected, message_of, submit
-from ngvisco.sweep.table import FAILED, STOPPED, Outcome, read_table, write_table
-from ngvisco.sweep.variations import Combination, SweepError, Variation, combinations
+from ngvisco.sweep.processes import connected, message_of, run_or_resume
+from ngvisco.sweep.variations import SweepError, Variation, combinations
 
 _LOOK = 0.5
 """Seconds between looks whether the study is to be stopped."""
 _STOPPED = (128 + signal.SIGINT, 128 + signal.SIGTERM, -signal.SIGTERM)
 """Exit codes of a run that was told to stop, the last before its first step."""
+FINISHED, NOT_CLOSED, FAILED = "finished", "not closed", "failed"
+STOPPED, WAITING = "stopped", "not started"
+
+
+@dataclass
+class Outcome:
+    """What became of one run.
+
+    Attributes
+    ----------
+    name : str
+        Its directory in the study's.
+    values : dict of str
+        The varied keys.
+    state : str
+        ``"finished"``; ``"not closed"``, finished with a ledger that does not close; ``"failed"``;
+        ``"stopped"`` before its end, with a checkpoint; ``"not started"``.
+    message : str
+        Why it failed.
+    last : dict of float
+        The last row of its ledger; ``largest_closure`` is the largest ``|closure_relative|`` of all rows.
+    """
+
+    name: str
+    values: dict[str, str]
+    state: str = WAITING
+    message: str = ""
+    last: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def is_finished(self) -> bool:
+        """Whether the run has reached its end."""
+        return self.state in (FINISHED, NOT_CLOSED)
+
+    def read(self, place: RunDirectory, case: Case) -> None:
+        """Take the ledger from the run's directory, and from it whether the run has reached its end.
+
+        Raises CheckpointError if its file cannot be read.
+        """
+        if not place.run_file.exists():
+            return
+        ledger = place.ledger()
+        closure = np.abs(ledger["closure_relative"])
+        self.last = {name: float(column[-1]) for name, column in ledger.items()}
+        self.last["largest_closure"] = float(closure.max())
+        if self.last["time"] >= case.until * (1 - 1e-9):
+            limit = closure_limit(case.sections.solver.tolerance)  # type: ignore[attr-defined]
+            self.state = FINISHED if bool((closure <= limit).all()) else NOT_CLOSED
+        else:
+            self.state = STOPPED
 
 
 class Study:
@@ -62,58 +117,43 @@ class Study:
         self.directory = require_path("Study.directory", directory).resolve()
         self.table = self.directory / "sweep.csv"
         self.force = force
-        self.combinations = combinations(variations)
-        _check_settings(variations, settings)
-        self.cases = [load_case(path, [*settings, *c.settings]) for c in self.combinations]
-        self._check_distinct()
-        self.outcomes = [Outcome(c.name, c.values) for c in self.combinations]
-        self._others = self._of_earlier_studies()
-        if not force:
-            for number, case in enumerate(self.cases):
-                self._take_up(number, case)
+        chosen = combinations(variations)
+        fixed = {setting.partition("=")[0].strip() for setting in settings}
+        if twice := fixed & set(chosen[0].values):
+            raise SweepError(f"{min(twice)}: expected --set or --vary, but it is in both")
+        self.cases = [load_case(path, [*settings, *one.settings]) for one in chosen]
+        names: dict[str, str] = {}
+        for one, case in zip(chosen, self.cases, strict=True):
+            if (other := names.setdefault(case.resolved, one.name)) != one.name:
+                raise SweepError(f"{other} and {one.name} are the same case: expected one of them")
+        self.outcomes = [Outcome(one.name, one.values) for one in chosen]
+        self._others = [  # of earlier studies, whose case files are there still
+            other
+            for other in read_table(self.table)
+            if other.name not in names.values() and self._case_file(other.name).exists()
+        ]
+        for outcome, case in zip(self.outcomes, self.cases, strict=True):
+            place = self._place(outcome)
+            if force or not place.results:
+                continue
+            if not place.case_file.exists() or place.case().resolved != case.resolved:
+                raise SweepError(
+                    f"{place.path}: expected a run of this study, but it has the results of another case; "
+                    "choose another directory, or run all anew with --force"
+                )
+            outcome.read(place, case)
         _build([self.cases[number] for number in self.unfinished])
 
-    def place(self, number: int) -> RunDirectory:
-        """The directory of a run."""
-        return RunDirectory(self.directory / self.combinations[number].name)
+    def _place(self, outcome: Outcome) -> RunDirectory:
+        return RunDirectory(self.directory / outcome.name)
+
+    def _case_file(self, name: str) -> Path:
+        return self.directory / "cases" / f"{name}.toml"
 
     @property
     def unfinished(self) -> list[int]:
         """Numbers of the runs that have not reached their end."""
         return [number for number, outcome in enumerate(self.outcomes) if not outcome.is_finished]
-
-    def _of_earlier_studies(self) -> list[Outcome]:
-        """The table's rows of runs that this study does not name, and whose case files are there still."""
-        own = {combination.name for combination in self.combinations}
-        return [
-            other
-            for other in read_table(self.table)
-            if other.name not in own and (self.directory / "cases" / f"{other.name}.toml").exists()
-        ]
-
-    def _write_table(self) -> None:
-        write_table(self.table, [*self._others, *self.outcomes])
-
-    def _check_distinct(self) -> None:
-        seen: dict[str, Combination] = {}
-        for combination, case in zip(self.combinations, self.cases, strict=True):
-            other = seen.setdefault(case.resolved, combination)
-            if other is not combination:
-                raise SweepError(
-                    f"{other.name} and {combination.name} are the same case: expected one of them"
-                )
-
-    def _take_up(self, number: int, case: Case) -> None:
-        """What an earlier study left in a run's directory; SweepError where that is no run of this case."""
-        place = self.place(number)
-        if not place.results:
-            return
-        if not place.case_file.exists() or place.case().resolved != case.resolved:
-            raise SweepError(
-                f"{place.path}: expected a run of this study, but it has the results of another case; choose "
-                "another directory, or run all anew with --force"
-            )
-        self.outcomes[number].read(place, case)
 
     def run(
         self,
@@ -142,9 +182,7 @@ class Study:
         stop : threading.Event, optional
             When it is set, running steps are finished, and checkpoints written.
         """
-        if workers is None:
-            workers = max(1, (os.cpu_count() or 1) // threads)
-        count = as_integer(workers)
+        count = as_integer(max(1, (os.cpu_count() or 1) // threads) if workers is None else workers)
         if count is None or count < 1:
             raise ParameterError("workers", workers, "a whole number >= 1")
         todo = self.unfinished
@@ -156,18 +194,18 @@ class Study:
             self._collect(client, todo, threads, report, stop or threading.Event())
         return self.outcomes
 
-    def _case_file(self, number: int) -> Path:
-        return self.directory / "cases" / f"{self.combinations[number].name}.toml"
-
     def _prepare(self, todo: Sequence[int]) -> None:
         for number in todo:
-            if self.force:
-                place = self.place(number)
-                if place.results:
-                    with place.locked():
-                        place.clear()
-            write_atomically(self._case_file(number), self.cases[number].resolved.encode())
+            place = self._place(self.outcomes[number])
+            if self.force and place.results:
+                with place.locked():
+                    place.clear()
+            file = self._case_file(self.outcomes[number].name)
+            write_atomically(file, self.cases[number].resolved.encode())
         self._write_table()
+
+    def _write_table(self) -> None:
+        write_table(self.table, [*self._others, *self.outcomes])
 
     def _collect(
         self,
@@ -179,11 +217,17 @@ class Study:
     ) -> None:
         from distributed import Event, wait
 
-        name = f"ngvisco-stop-{uuid.uuid4().hex}"
-        event = Event(name, client=client)
-        jobs = [(str(self._case_file(n)), str(self.place(n).path)) for n in todo]
-        futures = submit(client, jobs, threads, name)
-        pending = set(futures)
+        event = Event(f"ngvisco-stop-{uuid.uuid4().hex}", client=client)
+        numbers = {}
+        for number in todo:
+            files = (
+                str(self._case_file(self.outcomes[number].name)),
+                str(self._place(self.outcomes[number]).path),
+            )
+            # not pure: the same run may be asked for again after it was stopped
+            future = client.submit(run_or_resume, *files, threads, event.name, pure=False)
+            numbers[future] = number
+        pending = set(numbers)
         with client.as_current():
             while pending:
                 if stop.is_set():
@@ -193,16 +237,16 @@ class Study:
                 except TimeoutError:
                     continue
                 for future in done:
-                    self._end(todo[futures[future]], future)
-                    report(self.outcomes[todo[futures[future]]])
+                    self._end(numbers[future], future)
+                    report(self.outcomes[numbers[future]])
                 self._write_table()
 
     def _end(self, number: int, future: Any) -> None:
-        outcome, place = self.outcomes[number], self.place(number)
+        outcome = self.outcomes[number]
         error = future.exception()
         code, said = (1, f"{type(error).__name__}: {error}") if error is not None else future.result()
         try:
-            outcome.read(place, self.cases[number])
+            outcome.read(self._place(outcome), self.cases[number])
         except CheckpointError as fault:
             outcome.state, outcome.message = FAILED, str(fault)
             return
@@ -211,13 +255,6 @@ class Study:
         elif code is not None and (code not in (0, 4) or not outcome.is_finished):  # None: not begun
             outcome.state = FAILED
             outcome.message = message_of(said) or f"ended with exit code {code}"
-
-
-def _check_settings(variations: Sequence[Variation], settings: Sequence[str]) -> None:
-    fixed = {setting.partition("=")[0].strip() for setting in settings}
-    for variation in variations:
-        if variation.key in fixed:
-            raise SweepError(f"{variation.key}: expected --set or --vary, but it is in both")
 
 
 def _build(cases: Sequence[Case]) -> None:
@@ -229,3 +266,49 @@ def _build(cases: Sequence[Case]) -> None:
         mesh = same[0].mesh()
         for case in same:
             case.simulation(mesh)
+
+
+def read_table(path: Path) -> list[Outcome]:
+    """The outcomes that a table holds; none if there is no file.
+
+    Raises SweepError if the file is no such table.
+    """
+    if not path.exists():
+        return []
+    try:
+        header, *rows = csv.reader(io.StringIO(path.read_text(encoding="utf-8"), newline=""))
+        state = header.index("state")
+        if header[0] != "run" or header[-1] != "message" or any(len(row) != len(header) for row in rows):
+            raise ValueError
+        found = []
+        for row in rows:
+            given = {name: text for name, text in zip(header, row, strict=True) if text}
+            values = {key: given[key] for key in header[1:state] if key in given}
+            last = {name: float(given[name]) for name in header[state + 1 : -1] if name in given}
+            found.append(Outcome(row[0], values, row[state], row[-1], last))
+        return found
+    except ValueError:
+        raise SweepError(
+            f"{path}: expected the table of an earlier study, as it was written; move it away, or choose "
+            "another directory"
+        ) from None
+
+
+def write_table(path: Path, outcomes: Sequence[Outcome]) -> None:
+    """Write the table as CSV, whole or not at all; keys and columns that a run lacks stay empty."""
+    keys = dict.fromkeys(key for outcome in outcomes for key in outcome.values)
+    columns = {name for outcome in outcomes for name in outcome.last}
+    first = [name for name in ("step", "time", "largest_closure") if name in columns]
+    ledger = dict.fromkeys([*first, *(name for outcome in outcomes for name in outcome.last)])
+    text = io.StringIO()
+    writer = csv.DictWriter(text, ["run", *keys, "state", *ledger, "message"], lineterminator="\n")
+    writer.writeheader()
+    for outcome in outcomes:
+        last = {name: _number(value) for name, value in outcome.last.items()}
+        about = {"run": outcome.name, "state": outcome.state, "message": outcome.message}
+        writer.writerow({**outcome.values, **last, **about})
+    write_atomically(path, text.getvalue().encode())
+
+
+def _number(value: float) -> str:
+    return str(int(value)) if value.is_integer() and abs(value) < 1e15 else repr(value)

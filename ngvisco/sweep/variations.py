@@ -51,10 +51,6 @@ class Variation:
             raise SweepError(f"--vary {text}: expected key.path=value,value,...")
         return cls(".".join(path), tuple(_parted(values, text)))
 
-    def setting(self, value: str) -> str:
-        """The value as ``--set`` takes it."""
-        return f"{self.key}={value}"
-
 
 def _parted(values: str, text: str) -> list[str]:
     parts, closing, quote = [""], [], ""
@@ -109,7 +105,7 @@ def combinations(variations: Sequence[Variation]) -> list[Combination]:
             raise SweepError(f"--vary {key}: expected all its values in one option, but it is there twice")
     found = []
     for values in itertools.product(*(variation.values for variation in variations)):
-        settings = tuple(v.setting(value) for v, value in zip(variations, values, strict=True))
+        settings = tuple(f"{key}={value}" for key, value in zip(keys, values, strict=True))
         found.append(Combination(_name(settings), dict(zip(keys, values, strict=True)), settings))
     return found
 

@@ -15,9 +15,8 @@ from support import A_BODY, A_SWIRL, NO_VTK, TWO_STEPS
 from ngvisco.case.build import load_case
 from ngvisco.case.directory import RunDirectory
 from ngvisco.cli.main import main
-from ngvisco.sweep import Study, Variation
+from ngvisco.sweep import Outcome, Study, Variation
 from ngvisco.sweep.processes import _check_workers, connected
-from ngvisco.sweep.table import Outcome
 from ngvisco.sweep.variations import SweepError
 
 pytest.importorskip("distributed")
