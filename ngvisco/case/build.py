@@ -169,18 +169,20 @@ class Case:
     def model(self, dim: int) -> Model:
         """Material, mechanisms and loads in ``dim`` dimensions; raises CaseError."""
         self._check_place(dim)
-        rheology = self.sections.rheology
-        mechanisms = self._all_made(rheology, type(rheology).model_fields, ("rheology",), dim)
-        loads = tuple(self._made(load, ("loads", str(i)), dim) for i, load in enumerate(self.sections.loads))
-        if self.sections.bodies:
-            bodies = tuple(self._body(i, dim) for i in range(len(self.sections.bodies)))
-            with self.blame.located("bodies"):
-                return Model(bodies=bodies, loads=loads, **mechanisms)
-        part: Any = self.sections.material
-        with self.blame.located("material"):
-            material = made(part).with_elastic_state(default_elastic_state(mechanisms.get("creep")))
-        with self.blame.located("loads"):
-            return Model(material=material, loads=loads, **mechanisms)
+        sections: Any = self.sections
+        rheology = sections.rheology
+        parts = self._all_made(rheology, type(rheology).model_fields, ("rheology",), dim)
+        parts["loads"] = tuple(
+            self._made(load, ("loads", str(i)), dim) for i, load in enumerate(sections.loads)
+        )
+        if sections.bodies:
+            parts["bodies"] = tuple(self._body(i, dim) for i in range(len(sections.bodies)))
+        else:
+            with self.blame.located("material"):
+                state = default_elastic_state(parts.get("creep"))
+                parts["material"] = made(sections.material).with_elastic_state(state)
+        with self.blame.located("bodies" if sections.bodies else "loads"):
+            return Model(**parts)
 
     def _check_place(self, dim: int) -> None:
         """Raise CaseError for a function of z, or a body's place that reads it, in two dimensions."""
@@ -237,17 +239,9 @@ class Case:
         model = self.model(mesh.dim)
         self._check_bodies(mesh)
         with self.blame.located("initial"):
-            run = Simulation(
-                mesh,
-                model,
-                time=parts["time"],
-                initial=parts["initial"],
-                walls=walls,
-                passive=sections.output.passive,
-                discretisation=parts["discretisation"],
-                newton=parts["solver"],
-                observers=observers,
-            )
+            parts["newton"] = parts.pop("solver")
+            passive = sections.output.passive
+            run = Simulation(mesh, model, walls=walls, passive=passive, observers=observers, **parts)
             run.check_data(times_of(0.0, self.until))
         if self.refinement is not None:
             with self.blame.located("domain", "adapt"):
@@ -290,9 +284,8 @@ class Case:
                 series.prepare(run)
             except ParameterError as error:
                 key = error.field.partition(".")[2].partition("[")[0]
-                key = {("probes", "points"): "point", ("integrals", "integrands"): "of"}.get(
-                    (path[1], key), key
-                )
+                renamed = {("probes", "points"): "point", ("integrals", "integrands"): "of"}
+                key = renamed.get((path[1], key), key)
                 raise refuse((*path, key), refused(error.value, error)) from error
             except UnknownNameError as error:
                 raise refuse((*path, {"wall": "walls"}.get(error.kind, "fields")), str(error)) from error
@@ -307,31 +300,26 @@ class Case:
         return {n: self._made(part, (*path, n), dim) for n, part in parts.items() if part is not None}
 
     def _made(self, part: Section, path: tuple[str, ...], dim: int) -> Any:
-        """What a section describes."""
+        """What a section describes, of coefficient functions for its expressions."""
         with self.blame.located(*path):
-            return part.completed(type(part).target(**self._values(part, path, dim)))
+            values, fields = parameters(part), field_names(type(part))
+            for name, value in values.items():
+                if isinstance(value, Section):
+                    values[name] = self._made(value, (*path, name), dim)
+                elif name in fields:
+                    values[name] = self._function(value, (*path, name), dim)
+            return part.completed(type(part).target(**values))
 
-    def _values(self, part: Section, path: tuple[str, ...], dim: int) -> dict[str, Any]:
-        """A section's parameters with its expressions as coefficient functions."""
-        values, fields = parameters(part), field_names(type(part))
-        for name, value in values.items():
-            if isinstance(value, Section):
-                values[name] = self._made(value, (*path, name), dim)
-            if name in fields:
-                self._check_length(value, (*path, name), dim)
-                with self.blame.located(*path, name):
-                    if isinstance(value, dict) and not is_table(value):
-                        values[name] = {key: as_function(field) for key, field in value.items()}
-                    else:
-                        values[name] = value if isinstance(value, (int, float)) else as_function(value)
-        return values
-
-    def _check_length(self, value: Any, path: tuple[str, ...], dim: int) -> None:
+    def _function(self, value: Any, path: tuple[str, ...], dim: int) -> Any:
+        """The number, or the coefficient function or functions, that a key's value stands for."""
         is_vector = isinstance(value, list) and not any(isinstance(part, list) for part in value)
         if is_vector and len(value) != dim:
-            raise self.blame.error(
-                path, f"{value!r:.60}: expected an array of {dim} components, not {len(value)}"
-            )
+            message = f"{value!r:.60}: expected an array of {dim} components, not {len(value)}"
+            raise self.blame.error(path, message)
+        with self.blame.located(*path):
+            if isinstance(value, dict) and not is_table(value):
+                return {key: as_function(field) for key, field in value.items()}
+            return value if isinstance(value, (int, float)) else as_function(value)
 
 
 def _texts_in(value: Any) -> Iterator[str]:
@@ -356,24 +344,22 @@ def _copy_of(file: Path) -> str:
 
 
 def samples(case: CaseSections, run: Path) -> dict[tuple[str, ...], Series]:
-    """Probes, lines, forces, integrals and bodies by the key that describes them, writing into a run's
-    directory."""
-    output, directory, found = case.output, run / "samples", dict[tuple[str, ...], Series]()
+    """Probes, lines, forces, integrals and bodies by the keys that describe them."""
+    output, found = case.output, dict[tuple[str, ...], Series]()
+
+    def file(name: str) -> Path:
+        return run / "samples" / f"{name}.csv"
+
     if case.bodies:
         every = 1 if output.bodies is None else output.bodies.every
         found["output", "bodies"] = Bodies(run / "bodies.csv", every)
     for i, p in enumerate(output.probes):
-        path = directory / f"{p.name}.csv"
-        found["output", "probes", str(i)] = Probes({p.name: p.point}, p.fields, path, p.every)
-    for i, line in enumerate(output.lines):
-        path = directory / f"{line.name}.csv"
-        found["output", "lines", str(i)] = LineSamples(
-            line.start, line.end, line.points, line.fields, path, line.every
-        )
-    if output.forces is not None:
-        f, path = output.forces, directory / "forces.csv"
-        found["output", "forces"] = WallForces(f.walls, f.about, path, f.every)
-    for i, integral in enumerate(output.integrals):
-        path = directory / f"{integral.name}.csv"
-        found["output", "integrals", str(i)] = Integrals({integral.name: integral.of}, path, integral.every)
+        found["output", "probes", str(i)] = Probes({p.name: p.point}, p.fields, file(p.name), p.every)
+    for i, e in enumerate(output.lines):
+        line = LineSamples(e.start, e.end, e.points, e.fields, file(e.name), e.every)
+        found["output", "lines", str(i)] = line
+    if (f := output.forces) is not None:
+        found["output", "forces"] = WallForces(f.walls, f.about, file("forces"), f.every)
+    for i, of in enumerate(output.integrals):
+        found["output", "integrals", str(i)] = Integrals({of.name: of.of}, file(of.name), of.every)
     return found
