@@ -87,10 +87,8 @@ from ngvisco.run.simulation import Observer, Simulation
 from ngvisco.run.stepping import AdaptiveSteps, Rejection
 from ngvisco.run.time_steps import TimeSteps
 from ngvisco.run.transfer import Transfer, resume_changed, transfer
-from ngvisco.shapes.image import Image
-from ngvisco.shapes.shape import Shape
-from ngvisco.shapes.solids import Ball, Block, HalfSpace, Polygon, Subdomain
-from ngvisco.shapes.surface import ClosedSurface
+from ngvisco.shapes.files import ClosedSurface, Image
+from ngvisco.shapes.shape import Ball, Block, HalfSpace, Polygon, Shape, Subdomain
 from ngvisco.solver.options import NewtonOptions
 from ngvisco.timestepping.scheme import SCHEMES, TimeScheme
 

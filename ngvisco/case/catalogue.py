@@ -14,9 +14,8 @@ from ngvisco.forms.start.initial import Initial
 from ngvisco.physics import activation, flow_rules, heat, materials, model, rheology, walls
 from ngvisco.physics.regularisation import Regularisation
 from ngvisco.run.time_steps import TimeSteps
-from ngvisco.shapes import solids
-from ngvisco.shapes.image import Image
-from ngvisco.shapes.surface import ClosedSurface
+from ngvisco.shapes import shape
+from ngvisco.shapes.files import ClosedSurface, Image
 from ngvisco.solver.options import NewtonOptions
 
 Kinds: TypeAlias = Mapping[str, Callable[..., Any]]
@@ -82,11 +81,11 @@ WALLS: Kinds = _of(walls, "Inflow NavierFriction NoSlip Open PrescribedTangentia
 """Walls that a case does not name are Slip."""
 
 SHAPES: Kinds = {
-    **_of(solids, "Ball Block"),
+    **_of(shape, "Ball Block"),
     "ClosedSurface": ClosedSurface,
-    "HalfSpace": solids.HalfSpace,
+    "HalfSpace": shape.HalfSpace,
     "Image": Image,
-    **_of(solids, "Polygon Subdomain"),
+    **_of(shape, "Polygon Subdomain"),
 }
 """Where bodies are at the start, besides conditions on x, y, z."""
 

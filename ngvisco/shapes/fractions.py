@@ -13,6 +13,7 @@ rest sum to one at every point.
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Iterator, Sequence
 from functools import cache
 from typing import TYPE_CHECKING
@@ -144,14 +145,7 @@ def share_of_simplex(levels: np.ndarray) -> np.ndarray:
     """Share of a simplex in which the linear function with these values at its vertices is positive.
 
     Of a level that only says on which side a vertex lies, all of one size, it is the share of the vertices.
-
-    Parameters
-    ----------
-    levels : array (..., 3) or (..., 4)
-
-    Returns
-    -------
-    array (...)
+    ``levels`` are (..., 3) or (..., 4), shares (...).
     """
     values = np.sort(levels, axis=-1)
     count = np.sum(values > 0, axis=-1)
@@ -201,9 +195,7 @@ def subdivision(dim: int, count: int, is_quad: bool = False) -> tuple[np.ndarray
 def _larger(dim: int, count: int, is_quad: bool) -> np.ndarray:
     """The sub-cells of twice the size, (pieces, dim + 1), by the numbers of the corners of the small ones."""
     small, (corners, pieces) = subdivision(dim, count, is_quad)[0], subdivision(dim, count // 2, is_quad)
-    numbers = {
-        tuple(corner): i for i, corner in enumerate(small)
-    }  # quotients of whole numbers: the same ones
+    numbers = {tuple(corner): i for i, corner in enumerate(small)}  # quotients of whole numbers: the same
     return np.array([numbers[tuple(corner)] for corner in corners])[pieces]
 
 
@@ -231,17 +223,12 @@ def _projected(
         result[:, 0] = shares[0][..., 0]
         return result
     count = _PIECES[mesh.dim]
-    polynomials, means = _projection(mesh, cells, is_quad, shares[0], powers, count)
-    others = _projection(mesh, cells, is_quad, shares[1], powers, count // 2)
+    fine = _projection(mesh, cells, is_quad, shares[0], powers, count)
+    coarse = _projection(mesh, cells, is_quad, shares[1], powers, count // 2)
     # errors of second order: a quarter of those of twice the size
-    extrapolated = [
-        fine + (fine - coarse) / 3 for fine, coarse in zip((polynomials, means), others, strict=True)
-    ]
-    is_share = ((extrapolated[1] >= 0) & (extrapolated[1] <= 1)).all(axis=0, keepdims=True)
-    polynomials, means = (
-        np.where(is_share, better, fine)
-        for better, fine in zip(extrapolated, (polynomials, means), strict=True)
-    )
+    better = [a + (a - b) / 3 for a, b in zip(fine, coarse, strict=True)]
+    is_share = ((better[1] >= 0) & (better[1] <= 1)).all(axis=0, keepdims=True)
+    polynomials, means = (np.where(is_share, a, b) for a, b in zip(better, fine, strict=True))
     corners, _ = subdivision(mesh.dim, count, is_quad)
     return np.moveaxis(_limited(polynomials, means, _monomials(corners, powers)), 2, 1)
 
@@ -301,10 +288,9 @@ def _function(
     for exponents, numbers in zip(powers, coefficients, strict=True):
         term = GridFunction(constants)
         term.vec.FV().NumPy()[:] = numbers
-        for axis, exponent in enumerate(exponents):
-            for _ in range(exponent):
-                term = term * place[axis]
-        value = value + term
+        value = value + math.prod(
+            (x for x, n in zip(place, exponents, strict=True) for _ in range(n)), start=term
+        )
     result = GridFunction(L2(mesh, order=order))
     result.Set(value)
     return result

@@ -1,4 +1,4 @@
-"""What a shape is: a part of space, told by a level that is positive inside; unions and complements.
+"""Shapes, parts of space told by a level that is positive inside: of few numbers, functions, subdomains.
 
 Shapes say where bodies are at the start of a run.  A level is any function with the right sign; near the
 surface it should be continuous, so that cells that the surface cuts are divided where it is (``fractions``).
@@ -9,11 +9,20 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from ngsolve import CoefficientFunction, GridFunction, Mesh
 
-from ngvisco.errors import ParameterError, require_collection
+from ngvisco.errors import (
+    ParameterError,
+    Quantity,
+    UnknownNameError,
+    as_place,
+    require_collection,
+    require_names,
+    require_ranges,
+)
 from ngvisco.shapes.fractions import fractions
 from ngvisco.shapes.places import Places
 
@@ -98,6 +107,198 @@ class Where(Shape):
             raise ParameterError("Where.function", "not finite somewhere in the domain", "finite values")
         is_indicator = bool(np.isin(values, (0.0, 1.0)).all())
         return values - 0.5 if is_indicator else values
+
+
+@dataclass(frozen=True)
+class Ball(Shape):
+    """A ball, in two dimensions a disc.
+
+    Raises ParameterError if a parameter is out of its range.
+
+    Parameters
+    ----------
+    centre : two or three numbers
+        Its centre, a coordinate for each dimension.
+    radius : float
+        Radius.
+    """
+
+    centre: Annotated[tuple[float, ...], Quantity("m", example=[0.6, 0.5])]
+    radius: Annotated[float, Quantity("m", "> 0", 0.2)]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "centre", as_place("Ball.centre", self.centre))
+        require_ranges(self)
+
+    def level(self, at: Places) -> np.ndarray:
+        require_dim("Ball.centre", self.centre, at.mesh)
+        return self.radius - np.linalg.norm(at.coordinates - self.centre, axis=1)
+
+
+@dataclass(frozen=True)
+class Block(Shape):
+    """The box between two corners, with edges along the axes.
+
+    Raises ParameterError if a parameter is out of its range.
+
+    Parameters
+    ----------
+    low : two or three numbers
+        Corner of the smallest coordinates, a coordinate for each dimension.
+    high : two or three numbers
+        Corner of the largest coordinates.
+    """
+
+    low: Annotated[tuple[float, ...], Quantity("m", example=[0.2, 0.2])]
+    high: Annotated[tuple[float, ...], Quantity("m", example=[0.8, 0.4])]
+
+    def __post_init__(self) -> None:
+        low, high = as_place("Block.low", self.low), as_place("Block.high", self.high)
+        if len(low) != len(high) or not all(a < b for a, b in zip(low, high, strict=True)):
+            raise ParameterError("Block.high", self.high, f"coordinates above those of low = {low}")
+        object.__setattr__(self, "low", low)
+        object.__setattr__(self, "high", high)
+
+    def level(self, at: Places) -> np.ndarray:
+        require_dim("Block.low", self.low, at.mesh)
+        inside = np.minimum(at.coordinates - self.low, np.array(self.high) - at.coordinates)
+        return inside.min(axis=1)
+
+
+@dataclass(frozen=True)
+class HalfSpace(Shape):
+    """All that lies behind a plane, on the side that its normal points away from.
+
+    Raises ParameterError if a parameter is out of its range.
+
+    Parameters
+    ----------
+    point : two or three numbers
+        A point of the plane, a coordinate for each dimension.
+    normal : as many numbers
+        Outward normal of the plane, of any length.
+    """
+
+    point: Annotated[tuple[float, ...], Quantity("m", example=[0.0, 0.5])]
+    normal: Annotated[tuple[float, ...], Quantity("1", example=[0.0, 1.0])]
+
+    def __post_init__(self) -> None:
+        point, normal = as_place("HalfSpace.point", self.point), as_place("HalfSpace.normal", self.normal)
+        largest = max(map(abs, normal))
+        if len(normal) != len(point) or largest == 0:
+            raise ParameterError(
+                "HalfSpace.normal", self.normal, f"a vector of length {len(point)}, not zero"
+            )
+        object.__setattr__(self, "point", point)
+        scaled = [n / largest for n in normal]  # squares of the numbers given may leave the range of floats
+        length = float(np.linalg.norm(scaled))
+        object.__setattr__(self, "normal", tuple(n / length for n in scaled))
+
+    def level(self, at: Places) -> np.ndarray:
+        require_dim("HalfSpace.point", self.point, at.mesh)
+        return (self.point - at.coordinates) @ np.array(self.normal)
+
+
+@dataclass(frozen=True)
+class Polygon(Shape):
+    """A polygon of the plane, which need not be convex; the last point is joined to the first.
+
+    Raises ParameterError if a parameter is out of its range.
+
+    Parameters
+    ----------
+    points : three pairs of numbers at least
+        Three corners at least, in either sense of rotation; the last is joined to the first, and edges do not
+        cross each other.
+    """
+
+    points: Annotated[tuple[tuple[float, float], ...], Quantity("m", example=[[0, 0], [1, 0], [0, 1]])]
+
+    def __post_init__(self) -> None:
+        expected = "at least three points of two finite numbers"
+        try:
+            points = tuple(as_place("Polygon.points", point) for point in self.points)
+        except TypeError:
+            points = ()
+        if len(points) < 3 or any(len(point) != 2 for point in points):
+            raise ParameterError("Polygon.points", self.points, expected)
+        object.__setattr__(self, "points", points)
+        a, b = self._edges
+        if not (np.linalg.norm(b - a, axis=1) > 0).all():
+            raise ParameterError("Polygon.points", self.points, "points that differ from the one before")
+        if (otherwise := _expected_of_edges(a, b)) is not None:
+            raise ParameterError("Polygon.points", self.points, otherwise)
+
+    @property
+    def _edges(self) -> tuple[np.ndarray, np.ndarray]:
+        first = np.array(self.points)
+        return first, np.roll(first, -1, axis=0)
+
+    def level(self, at: Places) -> np.ndarray:
+        if at.mesh.dim != 2:
+            raise ParameterError("Polygon.points", self.points, "a mesh of the plane")
+        p, is_inside = at.coordinates, np.zeros(len(at.coordinates), dtype=bool)
+        distance = np.full(len(p), np.inf)
+        for a, b in zip(*self._edges, strict=True):
+            along = b - a
+            share = np.clip((p - a) @ along / (along @ along), 0, 1)
+            distance = np.minimum(distance, np.linalg.norm(p - a - share[:, None] * along, axis=1))
+            spans = (a[1] > p[:, 1]) != (b[1] > p[:, 1])  # the ray to the right meets the edge's height
+            if spans.any():
+                where = a[0] + (p[spans, 1] - a[1]) / along[1] * along[0]
+                is_inside[spans] ^= p[spans, 0] < where
+        return np.where(is_inside, distance, -distance)
+
+
+def _expected_of_edges(a: np.ndarray, b: np.ndarray) -> str | None:
+    """What edges a_i b_i should be, two of which cross or have a piece of a line in common."""
+    along = b - a
+    length = np.linalg.norm(along, axis=1)[:, None]
+    ends = np.stack([a, b])[:, None] - a[None, :, None]  # (end, i, j): of edge j, from the start of edge i
+    off = along[:, None, 0] * ends[..., 1] - along[:, None, 1] * ends[..., 0]
+    on = (along[:, None] * ends).sum(axis=-1) / length
+    has_both_sides = np.sign(off).prod(axis=0) < 0
+    rounding = 1e-12 * np.ptp(a, axis=0).max()
+    common = np.minimum(on.max(axis=0), length) - np.maximum(on.min(axis=0), 0)
+    is_collinear = (abs(off) <= rounding * length).all(axis=0) & ~np.eye(len(a), dtype=bool)
+    for found, expected in (
+        (has_both_sides & has_both_sides.T, "edges that do not cross: {} and {} do"),
+        (is_collinear & (common > rounding), "edges apart: {} and {} lie on each other"),
+    ):
+        if found.any():
+            return expected.format(*(np.argwhere(found)[0] + 1))
+    return None
+
+
+@dataclass(frozen=True)
+class Subdomain(Shape):
+    """The cells of named subdomains (NGSolve: materials) of the mesh: exactly these, nothing is cut.
+
+    Raises ParameterError if a parameter is out of its range.
+
+    Parameters
+    ----------
+    names : str or sequence of str
+        Names of subdomains of the mesh.
+    """
+
+    names: Annotated[str | Sequence[str], Quantity(example=["inclusion"])]
+
+    def __post_init__(self) -> None:
+        names = (self.names,) if isinstance(self.names, str) else require_names("Subdomain.names", self.names)
+        if not names:
+            raise ParameterError("Subdomain.names", self.names, "at least one name")
+        object.__setattr__(self, "names", tuple(names))
+
+    def level(self, at: Places) -> np.ndarray:
+        known = at.mesh.GetMaterials()
+        for name in self.names:
+            if name not in known:
+                raise UnknownNameError("subdomain", name, known)
+        wanted = np.array([name in self.names for name in known])
+        elements = at.mesh.ngmesh.Elements2D() if at.mesh.dim == 2 else at.mesh.ngmesh.Elements3D()
+        index = elements.NumPy()["index"][at.cell_numbers]  # from 1
+        return np.where(wanted[index - 1], 1.0, -1.0)
 
 
 def as_shape(field: str, value: object) -> Shape:

@@ -10,10 +10,9 @@ from ngsolve import Mesh, pi
 
 from ngvisco.errors import ParameterError, UnknownNameError
 from ngvisco.geometries import box
+from ngvisco.shapes.files import ClosedSurface, Image, crossings
 from ngvisco.shapes.fractions import volumes
-from ngvisco.shapes.image import Image
-from ngvisco.shapes.solids import Block, Subdomain
-from ngvisco.shapes.surface import ClosedSurface, crossings
+from ngvisco.shapes.shape import Block, Subdomain
 
 
 def cube(low=0.2, high=0.8):

@@ -8,8 +8,7 @@ from ngsolve import ET, VOL, IfPos, Integrate, IntegrationRule, Mesh, pi, x, y
 from ngvisco.errors import ParameterError
 from ngvisco.geometries import box, disc
 from ngvisco.shapes.fractions import fractions, volumes
-from ngvisco.shapes.shape import Union, Where
-from ngvisco.shapes.solids import Ball, Block, HalfSpace, Polygon
+from ngvisco.shapes.shape import Ball, Block, HalfSpace, Polygon, Union, Where
 
 
 def sampled(mesh, function):

@@ -1,5 +1,6 @@
-"""Shapes from STL files: closed surfaces of triangles."""
+"""Shapes from files: closed surfaces of triangles (STL), and what is dark in a picture (PNG)."""
 
+import importlib
 import os
 import re
 from collections.abc import Iterator
@@ -12,9 +13,9 @@ import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from ngvisco.errors import ParameterError, Quantity, require_path, require_ranges
+from ngvisco.errors import ParameterError, Quantity, as_place, require_path, require_ranges, require_type
 from ngvisco.shapes.places import Places
-from ngvisco.shapes.shape import Shape
+from ngvisco.shapes.shape import Shape, require_dim
 
 _RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 _SAME = 1e-6  # of the surface's size: corners that are this close are one, as files round them
@@ -71,7 +72,7 @@ class ClosedSurface(Shape):
         inside = crossings(self.triangles, at.coordinates) > 0
         size = at.spacing.copy()
         near = at.of_cut_pieces(inside)
-        size[near] = np.minimum(size[near], distances(self.triangles, at.coordinates[near]))
+        size[near] = np.minimum(size[near], _distances(self.triangles, at.coordinates[near]))
         return np.where(inside, size, -size)
 
 
@@ -155,10 +156,6 @@ def crossings(triangles: np.ndarray, points: np.ndarray) -> np.ndarray:
     triangles : array (triangles, 3, 3)
         Corners, m, seen from outside against the clock.
     points : array (points, 3)
-
-    Returns
-    -------
-    array (points,)
     """
     height, heights = points @ _RAYS[0], triangles @ _RAYS[0]
     beside = np.flatnonzero((height >= heights.min()) & (height <= heights.max()))
@@ -168,20 +165,10 @@ def crossings(triangles: np.ndarray, points: np.ndarray) -> np.ndarray:
     return result
 
 
-def distances(triangles: np.ndarray, points: np.ndarray) -> np.ndarray:
+def _distances(triangles: np.ndarray, points: np.ndarray) -> np.ndarray:
     """How far points are from a surface along the nearest of three lines normal to each other, m.
 
-    Beside a plane face that is a multiple of the distance from it, sqrt(3) times at most; inf where none of
-    the lines meets the surface.
-
-    Parameters
-    ----------
-    triangles : array (triangles, 3, 3)
-    points : array (points, 3)
-
-    Returns
-    -------
-    array (points,)
+    Beside a plane face that is a multiple of the distance, sqrt(3) times at most; inf where no line meets it.
     """
     result = np.full(len(points), np.inf)
     for ray in _RAYS:
@@ -203,14 +190,13 @@ def _met(
     # only that it can meet
     across = np.cross(ray, (1.0, 0.0, 0.0)) / np.linalg.norm(ray[1:])
     plane = np.array([across, np.cross(ray, across)])  # with the ray a right-handed frame
-    along = triangles @ ray
-    flat, at, height = triangles @ plane.T, points @ plane.T, points @ ray
-    low, high = flat.reshape(-1, 2).min(axis=0), flat.reshape(-1, 2).max(axis=0)
+    flat, along = triangles @ plane.T, triangles @ ray
+    at, height = points @ plane.T, points @ ray
+    low, high = flat.min(axis=(0, 1)), flat.max(axis=(0, 1))
     count = int(np.clip(np.sqrt(len(triangles)), 1, 256))
-    step = (high - low) / count
 
     def square(where: np.ndarray) -> np.ndarray:
-        return np.clip(((where - low) / step).astype(int), 0, count - 1)
+        return np.clip((count * (where - low) / (high - low)).astype(int), 0, count - 1)
 
     first, last = square(flat.min(axis=1)), square(flat.max(axis=1))
     todo = np.flatnonzero(((at >= low) & (at <= high)).all(axis=1))
@@ -244,3 +230,80 @@ def _heights(flat: np.ndarray, along: np.ndarray, at: np.ndarray) -> tuple[np.nd
     with np.errstate(divide="ignore", invalid="ignore"):
         met = np.einsum("ipt,ti->pt", parts, along) / whole
     return sense[0], np.where(hit, met, np.nan)
+
+
+_LUMA = np.array([0.299, 0.587, 0.114])  # of red, green, blue in a grey
+
+
+@dataclass(frozen=True)
+class Image(Shape):
+    """Where a picture is dark, in the plane; read by matplotlib (extra ``plots``).
+
+    Raises ParameterError if the file is missing or no PNG, or matplotlib is.
+
+    Parameters
+    ----------
+    path : path
+        A PNG file, grey or in colours, in a case file relative to it; what is transparent counts as white.
+    low : pair of numbers
+        Place of the picture's lower left corner; outside of it there is nothing.
+    high : pair of numbers
+        Place of its upper right corner.
+    threshold : float
+        Grey, from 0 (black) to 1 (white), below which a pixel belongs to it; between the middles of pixels
+        the grey is interpolated.
+    dark : bool
+        If false, what is brighter than the threshold instead.
+    """
+
+    path: Annotated[str | os.PathLike[str], Quantity(example="part.png")]
+    low: Annotated[tuple[float, float], Quantity("m", example=[0.0, 0.0])]
+    high: Annotated[tuple[float, float], Quantity("m", example=[1.0, 1.0])]
+    threshold: Annotated[float, Quantity("1", "in (0, 1)")] = 0.5
+    dark: bool = True
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "path", str(require_path("Image.path", self.path)))
+        low, high = as_place("Image.low", self.low), as_place("Image.high", self.high)
+        if len(low) != 2 or len(high) != 2 or not (low[0] < high[0] and low[1] < high[1]):
+            raise ParameterError("Image.high", self.high, f"two coordinates above those of low = {low}")
+        object.__setattr__(self, "low", low)
+        object.__setattr__(self, "high", high)
+        require_ranges(self)
+        require_type("Image.dark", self.dark, bool)
+        self.grey  # read and checked  # noqa: B018
+
+    @cached_property
+    def grey(self) -> np.ndarray:
+        """0 (black) to 1 (white), (columns from the left, rows from below)."""
+        try:
+            image = importlib.import_module("matplotlib.image")
+        except ImportError as error:
+            expected = 'matplotlib to read it: pip install "ngvisco[plots]"'
+            raise ParameterError("Image.path", self.path, expected) from error
+        if Path(self.path).suffix.lower() != ".png":
+            raise ParameterError("Image.path", self.path, "a PNG file, with a name that ends in .png")
+        try:
+            pixels = np.asarray(image.imread(self.path), dtype=float)
+        except (OSError, SyntaxError, ValueError) as error:
+            raise ParameterError("Image.path", self.path, f"a readable PNG file ({error})") from error
+        if pixels.ndim == 3:
+            alpha = pixels[..., -1] if pixels.shape[2] in (2, 4) else 1.0
+            colour = pixels[..., :3] @ _LUMA if pixels.shape[2] >= 3 else pixels[..., 0]
+            pixels = alpha * colour + (1 - alpha)
+        return pixels[::-1].T
+
+    def level(self, at: Places) -> np.ndarray:
+        require_dim("Image.low", self.low, at.mesh)
+        low, size, count = np.array(self.low), np.subtract(self.high, self.low), np.array(self.grey.shape)
+        darkness = (self.threshold - self.grey) * (1 if self.dark else -1)
+        from scipy.interpolate import RegularGridInterpolator  # a fifth of the package's time to be imported
+
+        # middles of pixels; the edges' pixels reach to the edges
+        padded = np.pad(darkness, 1, mode="edge")
+        axes = [np.arange(-0.5, n + 1) for n in count]
+        pixels = (at.coordinates - low) / size * count
+        inside = ((pixels >= 0) & (pixels <= count)).all(axis=1)
+        result = np.full(len(pixels), -1.0)
+        result[inside] = RegularGridInterpolator(axes, padded)(pixels[inside])
+        return result
