@@ -137,8 +137,7 @@ def as_number(value: object) -> float | None:
 
     Numbers of Python and NumPy are taken, and arrays without dimensions; not bool, texts or functions.
     """
-    if isinstance(value, np.ndarray) and value.ndim == 0:
-        value = value[()]
+    value = value[()] if isinstance(value, np.ndarray) and value.ndim == 0 else value
     if isinstance(value, (bool, np.bool_)) or not isinstance(value, numbers.Real):
         return None
     try:
@@ -154,29 +153,9 @@ def _is_number(value: object) -> bool:
 
 def as_integer(value: object) -> int | None:
     """The integer that ``value`` is, of Python's or NumPy's types, or None; 2.0 is none."""
-    if isinstance(value, np.ndarray) and value.ndim == 0:
-        value = value[()]
-    if isinstance(value, bool) or not isinstance(value, (int, np.integer)):
-        return None
-    return int(value)
-
-
-def require_positive(owner: object, **values: float) -> None:
-    """Raise ParameterError unless every value is a finite number > 0."""
-    for name, value in values.items():
-        number = as_number(value)
-        if number is None or not number > 0:
-            raise ParameterError(_field(owner, name), value, "a finite number > 0")
-        _keep(owner, name, value if isinstance(value, (int, float)) else number)
-
-
-def require_count(owner: object, **values: int) -> None:
-    """Raise ParameterError unless every value is an integer >= 1."""
-    for name, value in values.items():
-        count = as_integer(value)
-        if count is None or count < 1:
-            raise ParameterError(_field(owner, name), value, "an integer >= 1")
-        _keep(owner, name, count)
+    value = value[()] if isinstance(value, np.ndarray) and value.ndim == 0 else value
+    is_integer = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
+    return int(value) if is_integer else None  # type: ignore[call-overload]
 
 
 class Declared(NamedTuple):
@@ -244,13 +223,26 @@ def require_ranges(owner: Any) -> None:
     for name, said in declared(type(owner)).items():  # type: ignore[arg-type]
         value = getattr(owner, name)
         if said.is_plain and not (value is None and NoneType in said.kinds):
-            if (number := said.number(value)) is None:
-                raise ParameterError(f"{type(owner).__name__}.{name}", value, said.expected)
-            object.__setattr__(owner, name, number)
+            _require(owner, said, {name: value})
 
 
-def _field(owner: object, name: str) -> str:
-    return f"{owner if isinstance(owner, str) else type(owner).__name__}.{name}"
+def require_positive(owner: object, **values: float) -> None:
+    """Raise ParameterError unless every value is a finite number > 0."""
+    _require(owner, Declared("> 0", (float,)), values)
+
+
+def require_count(owner: object, **values: int) -> None:
+    """Raise ParameterError unless every value is an integer >= 1."""
+    _require(owner, Declared(">= 1", (int,)), values)
+
+
+def _require(owner: object, said: Declared, values: Mapping[str, object]) -> None:
+    for name, value in values.items():
+        number = said.number(value)
+        if number is None:
+            kind = owner if isinstance(owner, str) else type(owner).__name__
+            raise ParameterError(f"{kind}.{name}", value, said.expected)
+        _keep(owner, name, number)
 
 
 def _keep(owner: object, name: str, value: object) -> None:

@@ -402,12 +402,7 @@ def _of_exponentials(a: Any, sign: float) -> Any:
 
 
 FUNCTIONS: dict[str, tuple[int, Callable[..., float], Callable[..., Any]]] = {
-    "sin": (1, math.sin, ngsolve.sin),
-    "cos": (1, math.cos, ngsolve.cos),
-    "tan": (1, math.tan, ngsolve.tan),
-    "asin": (1, math.asin, ngsolve.asin),
-    "acos": (1, math.acos, ngsolve.acos),
-    "atan": (1, math.atan, ngsolve.atan),
+    **{n: (1, getattr(math, n), getattr(ngsolve, n)) for n in ("sin", "cos", "tan", "asin", "acos", "atan")},
     "atan2": (2, math.atan2, lambda a, b: ngsolve.atan2(CF(a), CF(b))),
     "exp": (1, math.exp, exp),
     "log": (1, math.log, log),

@@ -29,17 +29,9 @@ from ngvisco.run import passive
 
 @dataclass(frozen=True)
 class Entry:
-    """One key as a user sees it.
+    """One key as a user sees it, with the kinds of its section that have it; none for all.
 
-    Attributes
-    ----------
-    path : tuple of str
-    kinds : tuple of str
-        Values of the section's ``kind`` (or ``geometry``) that have this key; empty for all.
-    type, unit, meaning : str
-    required : bool
-    default : value or None
-    example : value or None
+    A table of keys has no example.
     """
 
     path: tuple[str, ...]
