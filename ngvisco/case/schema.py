@@ -1,5 +1,8 @@
 """The schema of a case file: its sections, made from the dataclasses and functions of the catalogue."""
 
+# mypy: disable-error-code="valid-type, call-arg"
+# sections are made at run time, and defaults given by position
+
 from __future__ import annotations
 
 import math
@@ -30,16 +33,16 @@ HeatCapacity = section(Thermal, is_whole=False, without=("p_infinity",))
 class Meshed(Section):
     """What every geometry has besides its own keys."""
 
-    adapt: Adapt | None = Field(  # type: ignore[valid-type]
-        default=None, description="Divide the cells where a field is steep, and choose them anew as it moves"
+    adapt: Adapt | None = Field(
+        None, description="Divide the cells where a field is steep, and choose them anew as it moves"
     )
 
 
 class Heated(Section):
     """What every material has besides its own keys."""
 
-    thermal: HeatCapacity | None = Field(  # type: ignore[valid-type]
-        default=None,
+    thermal: HeatCapacity | None = Field(
+        None,
         description="Its heat, where the material has a temperature: the table's other keys are of the "
         "material without",
     )
@@ -83,7 +86,7 @@ Discretisation, Initial, Solver, TimeSteps = (
 )
 
 
-class Time(TimeSteps):  # type: ignore[misc, valid-type]
+class Time(TimeSteps):  # type: ignore[misc]
     """Step length and end."""
 
     until: Annotated[float, Quantity("s", "> 0", 1.0)] = Field(
@@ -111,8 +114,8 @@ def _form_of_place(value: Any) -> str:
 
 Where = Annotated[
     Annotated[RegionText, Tag("<text>")]
-    | Annotated[Shape, Tag("<shape>")]  # type: ignore[valid-type]
-    | Annotated[list[Shape], Tag("<shapes>")],  # type: ignore[valid-type]
+    | Annotated[Shape, Tag("<shape>")]
+    | Annotated[list[Shape], Tag("<shapes>")],
     Discriminator(_form_of_place),
 ]
 """A condition on x, y, z, a shape, or several of them, of which it is the union."""
@@ -125,29 +128,26 @@ class Body(Section):
         description="Letters, digits and _; fields and columns of the body begin with it"
     )
     where: Where | None = Field(
-        default=None,
-        description="Where the body is at the start: a condition on x, y, z, a shape, or several of which it "
-        "is the union; what the other bodies leave without this key, which one of them at most may lack",
+        None,
+        description="Where the body is at the start: a condition on x, y, z, a shape, or several of "
+        "which it is the union; what the other bodies leave without this key, which one of "
+        "them at most may lack",
     )
-    material: Material = Field(  # type: ignore[valid-type]
-        description="Its material, with the keys of [material]"
+    material: Material = Field(description="Its material, with the keys of [material]")
+    viscosity: Viscosity | None = Field(
+        None, description="Its viscosity, with the keys of [rheology.viscosity]"
     )
-    viscosity: Viscosity | None = Field(  # type: ignore[valid-type]
-        default=None, description="Its viscosity, with the keys of [rheology.viscosity]"
-    )
-    creep: Creep | None = Field(  # type: ignore[valid-type]
-        default=None, description="Its creep, with the keys of [rheology.creep]"
-    )
-    heat: Heat | None = Field(  # type: ignore[valid-type]
-        default=None,
-        description="Its conductivity and heat source, with the keys of [rheology.heat], to which they add "
-        "by its fraction",
+    creep: Creep | None = Field(None, description="Its creep, with the keys of [rheology.creep]")
+    heat: Heat | None = Field(
+        None,
+        description="Its conductivity and heat source, with the keys of [rheology.heat], to which they "
+        "add by its fraction",
     )
     density: Annotated[float | None, Quantity("kg/m^3", "> 0", 1000.0)] = Field(
-        default=None, description="Its density where J = 1; that of its material where this has rho_R"
+        None, description="Its density where J = 1; that of its material where this has rho_R"
     )
     order: int = Field(
-        default=0, description="Of two bodies that overlap at the start the one of higher order is there"
+        0, description="Of two bodies that overlap at the start the one of higher order is there"
     )
 
     @model_validator(mode="after")
@@ -183,35 +183,35 @@ _COMPONENTS = "Fields or components of them; without this key as for output.vtk.
 class VTK(Section):
     """The VTK series."""
 
-    enabled: bool = Field(default=True, description="Whether the VTK series is written")
-    every: Count = Field(default=10, description="A file every so many steps")
+    enabled: bool = Field(True, description="Whether the VTK series is written")
+    every: Count = Field(10, description="A file every so many steps")
     interval: Annotated[float | None, Quantity("s", "> 0", 0.1)] = Field(
-        default=None,
+        None,
         gt=0,
         allow_inf_nan=False,
         description="A file at every multiple of this time instead of every so many steps",
     )
     fields: Annotated[Names | None, Quantity(example=["velocity", "density"])] = Field(
-        default=None,
+        None,
         description="Which fields; without this key all but creep_rate, mandel_stress, viscous_stress, "
         "hyperstress_1 (to 3), principal_stresses, principal_stretches",
     )
     subdivision: int = Field(
-        default=0, ge=0, le=4, description="Bisections of cells, 0 to 4: fields are linear in the pieces"
+        0, ge=0, le=4, description="Bisections of cells, 0 to 4: fields are linear in the pieces"
     )
 
 
 class Checkpoint(Section):
     """Checkpoints in run.h5."""
 
-    every: Count = Field(default=10, description="A checkpoint every so many steps, and at the end")
-    keep: Count = Field(default=2, description="How many checkpoints run.h5 holds")
+    every: Count = Field(10, description="A checkpoint every so many steps, and at the end")
+    keep: Count = Field(2, description="How many checkpoints run.h5 holds")
 
 
 class Table(Section):
     """A table over time."""
 
-    every: Count = Field(default=1, description="A row every so many steps, and at the end")
+    every: Count = Field(1, description="A row every so many steps, and at the end")
 
 
 class NamedTable(Table):
@@ -228,7 +228,7 @@ class Probe(NamedTable):
     point: Annotated[list[float], Quantity("m", example=[0.5, 0.5])] = Field(
         description="Where, a coordinate for each dimension"
     )
-    fields: Components = Field(default=None, description=_COMPONENTS)
+    fields: Components = Field(None, description=_COMPONENTS)
 
 
 class Line(NamedTable):
@@ -239,20 +239,20 @@ class Line(NamedTable):
     )
     end: Annotated[list[float], Quantity("m", example=[1.0, 0.5])] = Field(description="The other end")
     points: int = Field(
-        default=101, ge=2, le=100_000, description="How many points, equally spaced, the ends among them"
+        101, ge=2, le=100_000, description="How many points, equally spaced, the ends among them"
     )
-    fields: Components = Field(default=None, description=_COMPONENTS)
-    every: Count = Field(default=10, description="A row every so many steps, and at the end")
+    fields: Components = Field(None, description=_COMPONENTS)
+    every: Count = Field(10, description="A row every so many steps, and at the end")
 
 
 class Forces(Table):
     """Forces and torques on walls over time."""
 
     walls: Annotated[Names | None, Quantity(example=["left"])] = Field(
-        default=None, description="Names of walls; all without this key"
+        None, description="Names of walls; all without this key"
     )
     about: Annotated[list[float] | None, Quantity("m", example=[0.5, 0.5])] = Field(
-        default=None, description="The point that torques refer to; the origin without this key"
+        None, description="The point that torques refer to; the origin without this key"
     )
 
 
@@ -267,26 +267,22 @@ class DomainIntegral(NamedTable):
 class Output(Section):
     """What is written into the run directory."""
 
-    vtk: VTK = Field(default=VTK(), description="The VTK series, for ParaView")
-    checkpoint: Checkpoint = Field(default=Checkpoint(), description="Checkpoints in run.h5")
-    probes: list[Probe] = Field(
-        default=[], description="Fields at points over time, each a file samples/NAME.csv"
-    )
-    lines: list[Line] = Field(
-        default=[], description="Fields along lines over time, each a file samples/NAME.csv"
-    )
+    vtk: VTK = Field(VTK(), description="The VTK series, for ParaView")
+    checkpoint: Checkpoint = Field(Checkpoint(), description="Checkpoints in run.h5")
+    probes: list[Probe] = Field([], description="Fields at points over time, each a file samples/NAME.csv")
+    lines: list[Line] = Field([], description="Fields along lines over time, each a file samples/NAME.csv")
     forces: Forces | None = Field(
-        default=None, description="Forces and torques on walls over time, in samples/forces.csv"
+        None, description="Forces and torques on walls over time, in samples/forces.csv"
     )
     integrals: list[DomainIntegral] = Field(
-        default=[], description="Integrals over the domain over time, each a file samples/NAME.csv"
+        [], description="Integrals over the domain over time, each a file samples/NAME.csv"
     )
     bodies: Table | None = Field(
-        default=None, description="Mass, centroid, energies, ... of each body over time, in bodies.csv"
+        None, description="Mass, centroid, energies, ... of each body over time, in bodies.csv"
     )
-    log_every: Count = Field(default=1, description="A line in log.txt every so many steps")
+    log_every: Count = Field(1, description="A line in log.txt every so many steps")
     passive: Annotated[list[str], AfterValidator(_check_once), Quantity(example=["reference_map"])] = Field(
-        default=[], description="Further fields to carry along: F_tot, reference_map, creep_strain"
+        [], description="Further fields to carry along: F_tot, reference_map, creep_strain"
     )
 
     @model_validator(mode="after")
@@ -309,50 +305,37 @@ class Output(Section):
 class Units(Section):
     """The units of plain numbers, which are converted before the case is validated."""
 
-    length: str = Field(default="m", description="Of lengths, and of x, y, z in expressions")
-    time: str = Field(default="s", description="Of times, and of t in expressions")
-    velocity: str = Field(default="m/s", description="Of velocities")
-    acceleration: str = Field(default="m/s^2", description="Of accelerations")
-    density: str = Field(default="kg/m^3", description="Of densities")
-    pressure: str = Field(default="Pa", description="Of stresses and elastic moduli")
-    viscosity: str = Field(default="Pa s", description="Of viscosities and the creep modulus")
+    length: str = Field("m", description="Of lengths, and of x, y, z in expressions")
+    time: str = Field("s", description="Of times, and of t in expressions")
+    velocity: str = Field("m/s", description="Of velocities")
+    acceleration: str = Field("m/s^2", description="Of accelerations")
+    density: str = Field("kg/m^3", description="Of densities")
+    pressure: str = Field("Pa", description="Of stresses and elastic moduli")
+    viscosity: str = Field("Pa s", description="Of viscosities and the creep modulus")
 
 
 class CaseSections(Section):
     """A whole case file."""
 
     title: Annotated[str, Quantity(example="A block under gravity")] = Field(
-        default="", description="What the case is, for logs and pictures"
+        "", description="What the case is, for logs and pictures"
     )
-    units: Units = Field(default=Units(), description="Units of plain numbers; SI where nothing is said")
-    domain: Domain = Field(description="The domain and its mesh")  # type: ignore[valid-type]
-    material: Material | None = Field(  # type: ignore[valid-type]
-        default=None, description="The material: its variables and its stored energy"
-    )
+    units: Units = Field(Units(), description="Units of plain numbers; SI where nothing is said")
+    domain: Domain = Field(description="The domain and its mesh")
+    material: Material | None = Field(None, description="The material: its variables and its stored energy")
     bodies: list[Body] = Field(
-        default=[],
-        description="Bodies of different material, each an element of the array, in place of [material]",
+        [], description="Bodies of different material, each an element of the array, in place of [material]"
     )
     time: Time = Field(description="Step length and end")
-    walls: dict[str, Wall] = Field(  # type: ignore[valid-type]
-        default={}, description="What holds on the walls, by name; Slip where nothing is said"
+    walls: dict[str, Wall] = Field(
+        {}, description="What holds on the walls, by name; Slip where nothing is said"
     )
-    rheology: Rheology = Field(
-        default=Rheology(), description="Dissipative mechanisms, each a table of its own"
-    )
-    loads: list[Load] = Field(  # type: ignore[valid-type]
-        default=[], description="Forces, each an element of the array"
-    )
-    initial: Initial = Field(  # type: ignore[valid-type]
-        default=Initial(), description="The state at t = 0"
-    )
-    discretisation: Discretisation = Field(  # type: ignore[valid-type]
-        default=Discretisation(), description="Orders in space"
-    )
-    solver: Solver = Field(  # type: ignore[valid-type]
-        default=Solver(), description="Method and tolerances of a step's solver"
-    )
-    output: Output = Field(default=Output(), description="What the run directory gets")
+    rheology: Rheology = Field(Rheology(), description="Dissipative mechanisms, each a table of its own")
+    loads: list[Load] = Field([], description="Forces, each an element of the array")
+    initial: Initial = Field(Initial(), description="The state at t = 0")
+    discretisation: Discretisation = Field(Discretisation(), description="Orders in space")
+    solver: Solver = Field(Solver(), description="Method and tolerances of a step's solver")
+    output: Output = Field(Output(), description="What the run directory gets")
 
     @model_validator(mode="after")
     def _consistent(self) -> CaseSections:
