@@ -150,32 +150,24 @@ def custom_material(
         another.
     """
     carried = tuple(_variable(text) for text in require_names("Custom.variables", variables))
-    names = [v.name for v in carried]
-    for name in names:
-        if name in _RESERVED:
-            raise ParameterError("Custom.variables", name, f"another name than {', '.join(_RESERVED)}")
-    if not names:
+    for name in {v.name for v in carried} & set(_RESERVED):
+        raise ParameterError("Custom.variables", name, f"another name than {', '.join(_RESERVED)}")
+    if not carried:
         raise ParameterError("Custom.variables", variables, f"at least one variable, {_VARIABLE}")
     expression = _energy("Custom", energy, carried, parameters)
+    if per == "mass" and rho_R is None:
+        raise ParameterError("Custom.rho_R", None, "the referential density, kg/m^3, for an energy per mass")
     try:
         density = rho_R if per == "volume" else None
         material = CustomMaterial(transported=carried, stored_energy=expression, rho_R=density)
         if per == "volume":
             return material
-    except ParameterError as error:
-        if error.field == "CustomMaterial.rho_R":
-            raise ParameterError("Custom.rho_R", rho_R, error.expected) from error
-        if error.field == "CustomMaterial.stored_energy":
-            raise ParameterError("Custom.energy", energy, error.expected) from error
-        raise ParameterError("Custom.variables", variables, error.expected) from error
-    if per == "mass" and rho_R is None:
-        raise ParameterError("Custom.rho_R", None, "the referential density, kg/m^3, for an energy per mass")
-    try:
         if rho_R is None:
             return PerReferentialVolume(material=material)
         return (PerMass if per == "mass" else PerReferentialVolume)(material=material, rho_R=rho_R)
     except ParameterError as error:
-        key, given = ("rho_R", rho_R) if error.field.endswith("rho_R") else ("variables", variables)
+        keys: dict[str, tuple[str, object]] = {"rho_R": ("rho_R", rho_R), "stored_energy": ("energy", energy)}
+        key, given = keys.get(error.field.rpartition(".")[2], ("variables", variables))
         raise ParameterError(f"Custom.{key}", given, error.expected) from error
 
 
