@@ -96,7 +96,7 @@ Discretisation(m=_) | -1, 3, True, 1.0 | Discretisation.m | one of 0, 1, 2
 Discretisation(quadrature_bonus=_) | -1, 0.5 | Discretisation.quadrature_bonus | one of 0, 1
 NewtonOptions(refresh=_) | 1.0, 2 | NewtonOptions.refresh | a number in (0, 1)
 NewtonOptions(min_damping=_) | 1 | NewtonOptions.min_damping | a number in (0, 1)
-NewtonOptions(max_iterations=_) | 0, 2.5 | NewtonOptions.max_iterations | integer >= 1
+NewtonOptions(max_iterations=_) | 0, 2.5 | NewtonOptions.max_iterations | a whole number >= 1
 NewtonOptions(inverse=_) | "sparsecholesky" | NewtonOptions.inverse | one of umfpack
 simulation(velocity_scale=_) | 0, -1, "1" | TimeSteps.velocity_scale | number > 0
 Simulation(_, FINITE, dt=0.1) | "mesh", None | Simulation.mesh | a ngsolve.Mesh
