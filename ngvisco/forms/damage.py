@@ -52,8 +52,8 @@ from ngvisco.forms.mesh.mesh_arrays import is_simplicial
 from ngvisco.forms.mesh.points import csr
 from ngvisco.forms.term import PRODUCTION, Entry, Integrand
 from ngvisco.parallel.communicator import Communicator
-from ngvisco.physics.material import conjugates
-from ngvisco.physics.materials.damaged import DAMAGE, SLOPE, Damaged, damage_in
+from ngvisco.physics.material import conjugates, part_of
+from ngvisco.physics.materials.damaged import DAMAGE, SLOPE, Damaged
 from ngvisco.physics.materials.thermal import Entropy, entropy_in
 from ngvisco.physics.parameters import substituted
 
@@ -266,5 +266,5 @@ class _Heat:
 
 def damage_growth(step: Step) -> DamageGrowth | None:
     """That of a step whose material breaks."""
-    law = damage_in(step.model.material)
+    law = part_of(step.model.material, Damaged)
     return None if law is None else DamageGrowth(step, law)

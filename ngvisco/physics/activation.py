@@ -5,8 +5,6 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Annotated, Any
 
-from ngsolve import CoefficientFunction
-
 from ngvisco.errors import ParameterError, Quantity
 from ngvisco.physics.flow_rules.rule import FlowRule, Hardening
 from ngvisco.physics.parameters import Modulus, require_ranges, value_at
@@ -147,7 +145,7 @@ class ActivatedViscosity(_Activation, Viscosity):  # type: ignore[override]
     def is_linear(self) -> bool:  # type: ignore[override]
         return self.viscosity.is_linear
 
-    def stress(self, eps: CoefficientFunction, z: Values) -> CoefficientFunction:
+    def stress(self, eps: Tensor, z: Values) -> Tensor:
         return (1 / self.factor(z)) * self.viscosity.stress(eps, z)
 
     def shear_viscosity(self, z: Values) -> ValueOfModulus:

@@ -7,8 +7,11 @@ theta_i = n_i/sum n_j are fractions.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal, Protocol, TypeAlias, runtime_checkable
+from functools import reduce
+from operator import add
+from typing import Any, Protocol, TypeAlias, runtime_checkable
 
 from ngsolve import CoefficientFunction, Det
 
@@ -18,8 +21,14 @@ from ngvisco.physics.flow_rules.rule import PLASTIC_STRAIN, PlasticStrain
 from ngvisco.physics.heat import Heat
 from ngvisco.physics.material import Material
 from ngvisco.physics.rheology import Viscosity
-from ngvisco.physics.tensors import tr
-from ngvisco.physics.variables import Values, Variable
+from ngvisco.physics.tensors import Tensor, if_positive, sqrt, tr
+from ngvisco.physics.variables import Frame, Values, Variable
+
+TRACE = 1e-3
+"""What is left of an absent body: a trace of matter at rest, by the amount of all matter."""
+
+_HALF = 1 / 5
+"""The fraction at which matter takes half a part."""
 
 AMOUNT = "n_"
 """What the name of a body's amount begins with."""
@@ -36,7 +45,7 @@ class Region(Protocol):
         """The share of a point's surroundings that is inside, in [0, 1]."""
 
 
-Where: TypeAlias = CoefficientFunction | Region
+Where: TypeAlias = Tensor | Region
 """A function of x, y, z that is > 0 inside, or a shape."""
 
 
@@ -60,17 +69,15 @@ class Amount(Variable):
     density: float = 1.0
     share: float = field(default=0.5, compare=False)
 
-    @property
-    def is_conserved(self) -> bool:
-        return True
+    is_conserved = True
 
-    def rate(self, z: Values, L: CoefficientFunction, Pi: CoefficientFunction) -> CoefficientFunction:
+    def rate(self, z: Values, L: Tensor, Pi: Tensor) -> Tensor:
         return -tr(L) * z[self.name]
 
-    def from_distortion(self, F: CoefficientFunction) -> CoefficientFunction:
+    def from_distortion(self, F: Tensor) -> Tensor:
         return self.share / Det(F)
 
-    def positive(self, value: CoefficientFunction) -> Values:
+    def positive(self, value: Tensor) -> Values:
         return {self.name: value}
 
 
@@ -94,24 +101,22 @@ class Content(Variable):
     tensor: Variable
     share: float = field(default=0.5, compare=False)
 
-    @property
-    def by_flux(self) -> bool:
-        return True
+    by_flux = True
 
-    def rate(self, z: Values, L: CoefficientFunction, Pi: CoefficientFunction) -> CoefficientFunction:
+    def rate(self, z: Values, L: Tensor, Pi: Tensor) -> Tensor:
         return self.tensor.rate(z, L, Pi)
 
-    def from_distortion(self, F: CoefficientFunction) -> CoefficientFunction:
+    def from_distortion(self, F: Tensor) -> Tensor:
         return self.share * self.tensor.from_distortion(F)
 
-    def positive(self, value: CoefficientFunction) -> Values:
+    def positive(self, value: Tensor) -> Values:
         return self.tensor.positive(value)
 
     @property
-    def frame(self) -> Literal["relaxed", "actual"] | None:
+    def frame(self) -> Frame | None:
         return self.tensor.frame
 
-    def turned(self, value: CoefficientFunction, Q: CoefficientFunction) -> CoefficientFunction:
+    def turned(self, value: Tensor, Q: Tensor) -> Tensor:
         return self.tensor.turned(value, Q)
 
 
@@ -124,12 +129,45 @@ class PlasticContent(PlasticStrain):
         """That of the body of this name."""
         return cls(f"{PLASTIC_STRAIN.name}_{body}")
 
-    @property
-    def by_flux(self) -> bool:
-        return True
+    by_flux = True
 
-    def rate(self, z: Values, L: CoefficientFunction, Pi: CoefficientFunction) -> CoefficientFunction:
+    def rate(self, z: Values, L: Tensor, Pi: Tensor) -> Tensor:
         return -tr(L) * z[self.name]
+
+
+@dataclass(frozen=True)
+class Fractions:
+    """theta_i of the amounts of bodies, by name."""
+
+    bodies: tuple[str, ...]
+
+    def total(self, z: Values) -> Any:
+        """N = sum n_i, the inverse of the volume of the matter at a point."""
+        return reduce(add, (z[AMOUNT + name] for name in self.bodies))
+
+    def at(self, z: Values) -> dict[str, Any]:
+        """theta_i at a point with the values ``z``, by the bodies' names; their sum is one."""
+        inverse = 1 / self.total(z)
+        return {name: z[AMOUNT + name] * inverse for name in self.bodies}
+
+    def not_negative(self, z: Values) -> dict[str, Any]:
+        """The same with zero where theta_i < 0, as polynomials beside a jump are."""
+        return {name: if_positive(value, value, 0.0 * value) for name, value in self.at(z).items()}
+
+    def taking_part(self, z: Values) -> dict[str, Any]:
+        """chi of each body, smooth: 0 where there is none of it, 1/2 at a fifth, 0.996 at a half."""
+        found = {}
+        for name, theta in self.at(z).items():
+            others, own = 1 - theta, (1 / _HALF - 1) * if_positive(theta, theta, 0.0 * theta)
+            others, own = others * others, own * own
+            others, own = others * others, own * own
+            found[name] = own / (others + own)
+        return found
+
+    def positive(self, z: Values, body: str) -> Any:
+        """theta_i of one body, smooth and > 0: of what is less than ``TRACE`` about that."""
+        value = z[AMOUNT + body] / self.total(z)
+        return 0.5 * (value + sqrt(value * value + 4 * TRACE**2))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -158,7 +196,7 @@ class Body:
     ----------
     name : str
         An identifier, other than those of the other bodies; columns and fields of the body begin with it.
-    where : CoefficientFunction or ngvisco.shapes.Shape, optional
+    where : Tensor or ngvisco.shapes.Shape, optional
         Where the body is at the start: where a function of x, y, z is > 0, or a shape, of one's own with a
         ``level`` that is positive inside.  None (default) is the rest, what no other body of the model
         covers; one body at most is the rest.
@@ -200,15 +238,8 @@ class Body:
             raise ParameterError(f"{owner}.where", self.where, expected)
         if isinstance(self.where, CoefficientFunction) and (self.where.dim != 1 or self.where.is_complex):
             raise ParameterError(f"{owner}.where", self.where, "a real scalar function of x, y, z")
-        for name, kind in (
-            ("material", Material),
-            ("viscosity", Viscosity),
-            ("creep", FlowRule),
-            ("heat", Heat),
-        ):
-            value = getattr(self, name)
-            if not (isinstance(value, kind) or (value is None and name != "material")):
-                raise ParameterError(f"{owner}.{name}", value, f"a {kind.__name__}")
+        kinds = {"material": Material, "viscosity": Viscosity, "creep": FlowRule, "heat": Heat}
+        require_parts(self, owner, "material", kinds)
         density = as_number(self.material.referential_density if self.density is None else self.density)
         if density is None or density <= 0:
             expected = "a number > 0, kg/m^3: a body has mass (of a material with rho_R that is the default)"
@@ -220,3 +251,21 @@ class Body:
             expected = "0 without a place: the rest is below all others"
             raise ParameterError(f"{owner}.order", self.order, expected)
         object.__setattr__(self, "order", order)
+
+
+def require_parts(
+    whole: object,
+    owner: str,
+    needed: str,
+    kinds: Mapping[str, type],
+    expected: Mapping[str, str] | None = None,
+) -> None:
+    """Raise ParameterError unless parts of a model or a body are of their kinds, or None if not ``needed``.
+
+    ``expected`` says what a part has to be where its kind does not say it.
+    """
+    for name, kind in kinds.items():
+        value = getattr(whole, name)
+        if not (isinstance(value, kind) or (value is None and name != needed)):
+            text = (expected or {}).get(name, f"a {kind.__name__}")
+            raise ParameterError(f"{owner}.{name}", value, text)

@@ -5,11 +5,11 @@ slowly in a solid and without end where F winds up (``materials.elastic_state``)
 it: the scheme's energy identity takes them for independent variables.
 """
 
-from ngsolve import CoefficientFunction, Cof, log, sqrt
+from ngsolve import Cof, log, sqrt
 
 from ngvisco.physics.flow_rules import FlowRule
 from ngvisco.physics.material import Material
-from ngvisco.physics.tensors import square
+from ngvisco.physics.tensors import Tensor, square
 from ngvisco.physics.variables import (
     Cofactor,
     CofactorLeftCauchyGreen,
@@ -23,9 +23,7 @@ from ngvisco.physics.variables import (
 )
 
 
-def relative_defects(
-    material: Material, z: Values, creep: FlowRule | None = None
-) -> dict[str, CoefficientFunction]:
+def relative_defects(material: Material, z: Values, creep: FlowRule | None = None) -> dict[str, Tensor]:
     """Relative defects of the variables' relations by what is compared; empty where there are none.
 
     * ``"det F and J"``: det z J^-n - 1 for every tensor, n by its exponent; ``"det B and 1"`` for n = 0,
@@ -35,7 +33,7 @@ def relative_defects(
     A law of ``creep`` with a trace relaxes det B, which then is no function of J.
     """
     variables = {v.name: v for v in material.variables}
-    found: dict[str, CoefficientFunction] = {}
+    found: dict[str, Tensor] = {}
     volume = next((v for v in material.variables if isinstance(v, (Jacobian, ReciprocalJacobian))), None)
     free = creep is not None and creep.has_trace
     for variable in material.variables:

@@ -9,11 +9,28 @@ psi_i'(y_i) is one multiplier m for all, -p or (-p, theta).  W is jointly convex
 perspectives.  By the envelope theorem dW/dn_i = psi_i - m . y_i and dW/dc = m, and from
 Q dm = dc - sum y_i dn_i, Q = sum n_i psi_i''^-1, its second derivative is a_k . Q^-1 a_l with a_i = -y_i and
 the unit vectors of c.
+
+Bodies with heat have psi_i = U_i(J) + u_i(S, J) (``Thermal``) and share the entropy s per actual volume:
+dW/ds is the one temperature.  S_i = c_i (ln(theta/theta_R,i) + g_i(J_i)), so that at known volumes
+
+    ln theta = (s + sum n_i c_i (ln theta_R,i - g_i(J_i)))/sum n_i c_i.
+
+Where all thermal pressures are one function of (J, theta), and all U_i' one of J, all J_i are 1/N and W has
+an expression.
 """
 
-from collections.abc import Callable
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, reduce
+from operator import add
+from typing import Any
 
 import numpy as np
+
+from ngvisco.physics.bodies import Body
+from ngvisco.physics.materials.thermal import Entropy, Thermal
 
 _ITERATIONS = 100
 _CONVERGED = 1e-7
@@ -96,3 +113,68 @@ def _sum(n: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 def _times(A: np.ndarray, x: np.ndarray) -> np.ndarray:
     return np.einsum("...ij,...j->...i", A, x)
+
+
+_SAME = 1e-9
+"""Relative difference of thermal pressures that are one function."""
+
+
+@dataclass(frozen=True)
+class MixedHeat:
+    """The thermal energies of bodies.
+
+    Parameters
+    ----------
+    parts : mapping of names to Thermal
+        The materials of the bodies, which all count their entropies in one unit.
+    """
+
+    parts: Mapping[str, Thermal]
+
+    @property
+    def entropy(self) -> Entropy:
+        """The carried one."""
+        return next(iter(self.parts.values())).entropy
+
+    @cached_property
+    def has_one_pressure(self) -> bool:
+        """Whether the thermal pressure is one function of J and theta."""
+        J, theta = np.meshgrid([0.5, 1.0, 2.0], [1.0, 300.0])
+        first, *others = (each.pressure(theta, J) for each in self.parts.values())
+        return all(abs(other - first).max() <= _SAME * abs(first).max() for other in others)
+
+    @property
+    def reference_temperature(self) -> float | None:
+        """theta_R, K, where it is that of all."""
+        found = {each.theta_R for each in self.parts.values()}
+        return found.pop() if len(found) == 1 else None
+
+    def capacity(self, n: Mapping[str, Any]) -> Any:
+        """sum n_i c_i, J/(m^3 K)."""
+        return reduce(add, (each.c * n[name] for name, each in self.parts.items()))
+
+    def total(self, n: Mapping[str, Any], log_theta: Any, J: Any) -> Any:
+        """The carried entropy where all bodies have the volume J and a temperature, by its logarithm."""
+        parts = (n[name] * each.entropy_of(log_theta, J) for name, each in self.parts.items())
+        return 1 / self.entropy.unit * reduce(add, parts)
+
+    def entropies(self, n: Mapping[str, Any], s: Any, J: Any) -> dict[str, Any]:
+        """S_i in the carried one's unit, by name, of which s is the sum where all have the volume J."""
+        unit = self.entropy.unit
+        log_theta = unit / self.capacity(n) * (s - self.total(n, 0.0, J))
+        return {name: 1 / unit * each.entropy_of(log_theta, J) for name, each in self.parts.items()}
+
+    def energy(self, body: str, S: Any, J: Any) -> Any:
+        """u_i(S, J) of a body, Pa."""
+        return J * self.parts[body].of_heat({"A": 1 / J, "s": S / J})
+
+
+def heat_of(bodies: Sequence[Body]) -> MixedHeat | None:
+    """Of bodies with heat; None of such without.
+
+    The entropy counts in the first of the units that are given, else in the largest heat capacity.
+    """
+    parts = {body.name: body.material for body in bodies if isinstance(body.material, Thermal)}
+    units = [each.entropy_unit for each in parts.values() if each.entropy_unit]
+    unit = units[0] if units else max((each.c for each in parts.values()), default=None)
+    return MixedHeat({n: replace(each, entropy_unit=unit) for n, each in parts.items()}) if parts else None

@@ -5,8 +5,10 @@ dissipate.  ``Heat`` is what a model says besides, and ``WallHeat`` what a wall 
 conducted, and walls are insulated.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import reduce
+from operator import add
 from typing import Annotated, Any, TypeAlias
 
 import numpy as np
@@ -15,6 +17,7 @@ from ngsolve import CoefficientFunction
 from ngvisco.errors import ParameterError, Quantity, as_number
 from ngvisco.physics.parameters import require_ranges
 from ngvisco.physics.tensors import linear_map
+from ngvisco.physics.variables import Values
 
 Function: TypeAlias = float | CoefficientFunction
 """A number, or a function of the place and the run's time."""
@@ -97,21 +100,7 @@ class Heat:
                 worst = float(np.nanmin(values)) if np.isfinite(values).any() else values[0]
                 raise ParameterError(owner, worst, "a function of the temperature, finite and >= 0")
         else:
-            try:
-                matrix = np.array(given, dtype=float)
-            except (TypeError, ValueError):
-                matrix = np.zeros(0)
-            expected = "a number >= 0, a function of the temperature, or a 3x3 matrix"
-            if matrix.shape != (3, 3) or not np.isfinite(matrix).all():
-                raise ParameterError(owner, given, expected)
-            size = abs(matrix).max()
-            if abs(matrix - matrix.T).max() > 1e-12 * size:
-                raise ParameterError(owner, given, f"{expected}, symmetric")
-            if (least := np.linalg.eigvalsh(matrix)[0]) < -1e-12 * size:
-                raise ParameterError(
-                    owner, given, f"{expected}, positive semidefinite; it has an eigenvalue {least:.4g}"
-                )
-            object.__setattr__(self, "conductivity", tuple(map(tuple, matrix.tolist())))
+            object.__setattr__(self, "conductivity", _matrix(owner, given))
 
     @property
     def conducts(self) -> bool:
@@ -133,5 +122,63 @@ class Heat:
         return self.size(theta) * slope
 
 
+def _matrix(owner: str, given: object) -> tuple[tuple[float, ...], ...]:
+    """A conductivity that is no number and no function, as rows."""
+    try:
+        matrix = np.array(given, dtype=float)
+    except (TypeError, ValueError):
+        matrix = np.zeros(0)
+    expected = "a number >= 0, a function of the temperature, or a 3x3 matrix"
+    if matrix.shape != (3, 3) or not np.isfinite(matrix).all():
+        raise ParameterError(owner, given, expected)
+    size = abs(matrix).max()
+    if abs(matrix - matrix.T).max() > 1e-12 * size:
+        raise ParameterError(owner, given, f"{expected}, symmetric")
+    if (least := np.linalg.eigvalsh(matrix)[0]) < -1e-12 * size:
+        expected = f"{expected}, positive semidefinite; it has an eigenvalue {least:.4g}"
+        raise ParameterError(owner, given, expected)
+    return tuple(map(tuple, matrix.tolist()))
+
+
 _TEMPERATURES = 10.0 ** np.arange(-3, 5)
 """K, at which a conductivity is looked at."""
+
+
+@dataclass(frozen=True)
+class HeatLaw:
+    """What a model says of heat and, by its fraction, each body: kappa = kappa_0 + sum theta_i kappa_i."""
+
+    parts: Mapping[str | None, Heat]
+    """By the bodies' names; None for all matter."""
+    fractions: Any = None
+    """``ngvisco.physics.bodies.Fractions`` of bodies."""
+
+    @property
+    def conducts(self) -> bool:
+        """Whether heat is conducted at all."""
+        return any(law.conducts for law in self.parts.values())
+
+    @property
+    def numerical_heating(self) -> bool:
+        return any(law.numerical_heating for law in self.parts.values())
+
+    @property
+    def sources(self) -> list[tuple[str | None, Function]]:
+        """Heat that is produced, W/m^3, and by which body; None for all."""
+        return [(name, law.source) for name, law in self.parts.items() if law.source is not None]
+
+    def share(self, body: str | None, z: Values) -> Any:
+        """How much of a point with the values ``z`` is a body's."""
+        return 1.0 if body is None else self.fractions.not_negative(z)[body]
+
+    def size(self, theta: Any, z: Values) -> Any:
+        """kappa, of a matrix its largest eigenvalue, W/(m K)."""
+        return self._sum(z, lambda law: law.size(theta))
+
+    def flux(self, theta: Any, slope: Any, z: Values, dim: int) -> Any:
+        """kappa grad theta, W/m^2."""
+        return self._sum(z, lambda law: law.flux(theta, slope, dim))
+
+    def _sum(self, z: Values, of: Callable[[Heat], Any]) -> Any:
+        conducting = {name: law for name, law in self.parts.items() if law.conducts or name is None}
+        return reduce(add, (self.share(name, z) * of(law) for name, law in conducting.items()))

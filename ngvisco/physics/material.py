@@ -1,9 +1,5 @@
 """Materials: a list of transported variables and a stored energy; all stresses are derived.
 
-The space that a material's state lives in: all components of its transported variables, side by side.
-
-Materials: a list of transported variables and a stored energy; all stresses are derived.
-
 For a material with variables z_i and stored energy phi(z) per actual volume (Pa = J/m^3), the rest
 follows from the energy balance and is never written by hand:
 
@@ -23,16 +19,17 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import TYPE_CHECKING, Literal, Self, TypeAlias
+from typing import TYPE_CHECKING, Literal, Self, TypeAlias, TypeVar
 
 import numpy as np
-from ngsolve import CF, CoefficientFunction, Id
+from ngsolve import CF, Id
 
 from ngvisco.errors import ParameterError
 from ngvisco.physics.parameters import Modulus, require_ranges, substituted
 from ngvisco.physics.signals import sampled
 from ngvisco.physics.tensors import (
     IDENTITY,
+    Tensor,
     TensorSpace,
     constant,
     inner,
@@ -90,7 +87,7 @@ class StateSpace:
         """The one of these variables."""
         return StateSpace(variables, dim)
 
-    def tensor(self, name: str, components: CoefficientFunction) -> CoefficientFunction:
+    def tensor(self, name: str, components: Tensor) -> Tensor:
         """A variable's value, a scalar or 3x3, from all components: a coefficient function or an array."""
         where, space = self.slices[name], self.spaces[name]
         if space.is_scalar:
@@ -100,15 +97,15 @@ class StateSpace:
         matrix[:, where] = space.columns
         return linear_map(matrix, components, (3, 3))
 
-    def tensors(self, components: Callable[[], CoefficientFunction]) -> Values:
+    def tensors(self, components: Callable[[], Tensor]) -> Values:
         """All values by name, each made where it is first asked for."""
         return _Tensors(self, components)
 
-    def density(self, components: CoefficientFunction, size: int = 1) -> CoefficientFunction:
+    def density(self, components: Tensor, size: int = 1) -> Tensor:
         """sum rho_i n_i of components, or of (components, ``size``) entries, a vector of ``size``."""
         return linear_map(np.kron(self.densities, np.eye(size)), components, (size,))
 
-    def components(self, values: Values) -> CoefficientFunction:
+    def components(self, values: Values) -> Tensor:
         """All components of values by name, by orthogonal projection."""
         total = None
         for name, space in self.spaces.items():
@@ -120,14 +117,14 @@ class StateSpace:
         return total
 
 
-class _Tensors(Mapping[str, CoefficientFunction]):
+class _Tensors(Mapping[str, Tensor]):
     """Values by name that are made of the components where they are asked for."""
 
-    def __init__(self, space: StateSpace, components: Callable[[], CoefficientFunction]) -> None:
+    def __init__(self, space: StateSpace, components: Callable[[], Tensor]) -> None:
         self._space, self._components = space, components
-        self._made: dict[str, CoefficientFunction] = {}
+        self._made: dict[str, Tensor] = {}
 
-    def __getitem__(self, name: str) -> CoefficientFunction:
+    def __getitem__(self, name: str) -> Tensor:
         if name not in self._space.slices:
             raise KeyError(name)
         if name not in self._made:
@@ -166,7 +163,7 @@ class Material(ABC):
         """The transported variables, in the order in which they are stored."""
 
     @abstractmethod
-    def energy(self, z: Values) -> CoefficientFunction:
+    def energy(self, z: Values) -> Tensor:
         """Stored energy per actual volume, Pa, from the variables' values by name."""
 
     def with_elastic_state(self, state: ElasticState) -> Material:
@@ -222,9 +219,7 @@ class Material(ABC):
         """How far variables are stretched by the flow and creep, in [0, 1], by name; wholly if not named."""
         return {}
 
-    def rate(
-        self, variable: Variable, z: Values, L: CoefficientFunction, Pi: CoefficientFunction
-    ) -> CoefficientFunction:
+    def rate(self, variable: Variable, z: Values, L: Tensor, Pi: Tensor) -> Tensor:
         """rate(z; L, Pi) of a variable, without -(tr L) z of a density, which is within its flux."""
         share = self.taking_part(z).get(variable.name)
         if share is not None:
@@ -237,50 +232,51 @@ class Material(ABC):
         return StateSpace.of(tuple(self.variables), dim)
 
     def response(self, dim: int) -> Respond | None:
-        """None where ``energy`` is an expression (the rule); otherwise what replaces it.
-
-        The energy is then evaluated as an array at the quadrature points, see ``ngvisco.physics.pointwise``.
-        """
+        """None where ``energy`` is an expression (the rule); otherwise what replaces it, at points."""
         return None
 
 
 def check_material(material: Material) -> None:
     """Raise ParameterError when a material's list of variables does not make sense."""
-    owner = type(material).__name__
+    field = f"{type(material).__name__}.variables"
     for variable in material.variables:
         if not isinstance(variable, Variable):
-            raise ParameterError(f"{owner}.variables", variable, "Variable objects, e.g. Distortion()")
+            raise ParameterError(field, variable, "Variable objects, e.g. Distortion()")
     names = [v.name for v in material.variables]
     if not names:
-        raise ParameterError(f"{owner}.variables", names, "at least one variable")
+        raise ParameterError(field, names, "at least one variable")
     if len(set(names)) < len(names):
-        raise ParameterError(f"{owner}.variables", names, "distinct names")
+        raise ParameterError(field, names, "distinct names")
     for variable in material.variables:
-        for other in variable.requires:
-            if other not in names:
-                raise ParameterError(
-                    f"{owner}.variables", names, f"{other!r} too: the rate of {variable.name!r} reads it"
-                )
+        for other in set(variable.requires).difference(names):
+            raise ParameterError(field, names, f"{other!r} too: the rate of {variable.name!r} reads it")
     frames = {v.frame: v.name for v in material.variables if v.frame is not None}
     if len(frames) > 1 and not hasattr(material, "bodies"):  # which creep each by itself
-        raise ParameterError(
-            f"{owner}.variables",
-            names,
+        expected = (
             f"tensors of one frame: the creep rate of {frames['relaxed']!r} is that of the relaxed "
-            f'configuration, that of {frames["actual"]!r} of the actual one (take elastic_state = "B")',
+            f'configuration, that of {frames["actual"]!r} of the actual one (take elastic_state = "B")'
         )
+        raise ParameterError(field, names, expected)
 
 
-def conjugates(material: Material, z: Values) -> dict[str, CoefficientFunction]:
+M = TypeVar("M", bound=Material)
+
+
+def part_of(material: object, kind: type[M]) -> M | None:
+    """The material of a kind that a material is, or that it holds; None without one."""
+    while isinstance(material, Material) and not isinstance(material, kind):
+        material = getattr(material, "material", None)
+    return material if isinstance(material, kind) else None
+
+
+def conjugates(material: Material, z: Values) -> dict[str, Tensor]:
     """zeta_i = d phi / d z_i as coefficient functions of the values ``z`` (same shapes as z)."""
     variables = {name: value.MakeVariable() for name, value in z.items()}
     phi = material.energy(variables)
     return {name: phi.Diff(variable) for name, variable in variables.items()}
 
 
-def rate_power(
-    material: Material, z: Values, zeta: Values, L: CoefficientFunction, Pi: CoefficientFunction
-) -> CoefficientFunction:
+def rate_power(material: Material, z: Values, zeta: Values, L: Tensor, Pi: Tensor) -> Tensor:
     """sum_i zeta_i : rate_i(z; L, Pi): power per volume of the conjugates, Pa/s."""
     total = 0.0 * tr(L)
     for v in material.variables:
@@ -290,8 +286,8 @@ def rate_power(
 
 
 def cauchy_stress(
-    material: Material, z: Values, zeta: Values | None = None, phi: CoefficientFunction | None = None
-) -> CoefficientFunction:
+    material: Material, z: Values, zeta: Values | None = None, phi: Tensor | None = None
+) -> Tensor:
     """Cauchy stress T, 3x3, Pa (paper: Cauchy-stress-polyconvex).
 
     ``zeta`` defaults to the exact conjugates; the discretisation passes its projected ones.
@@ -300,12 +296,8 @@ def cauchy_stress(
     """
     zeta = conjugates(material, z) if zeta is None else zeta
     zero = constant(np.zeros((3, 3)))
-    entries = []
-    for i in range(3):
-        for j in range(3):
-            unit = np.zeros((3, 3))
-            unit[i, j] = 1.0
-            entries.append(rate_power(material, z, zeta, constant(unit), zero))
+    units = np.eye(9).reshape(9, 3, 3)
+    entries = [rate_power(material, z, zeta, constant(unit), zero) for unit in units]
     phi = material.energy(z) if phi is None else phi
     return CF(tuple(entries), dims=(3, 3)) + phi * IDENTITY
 
@@ -322,13 +314,11 @@ def rest_stress_and_modulus(material: Material) -> tuple[float, float]:
 
 def mandel_stress(
     material: Material, z: Values, zeta: Values, dim: int, names: Sequence[str] | None = None
-) -> CoefficientFunction:
-    """Mandel stress M in R^{3x3}_dev (symmetric, trace-free), Pa; of the given conjugates.
+) -> Tensor:
+    """Mandel stress M in R^{3x3}_dev, Pa, of the given conjugates and, where given, of ``names`` alone.
 
-    Of the variables ``names`` alone, where they are given.
-
-    M is minus the derivative of sum_i zeta_i : rate_i(z; 0, Pi) in Pi, restricted to symmetric
-    trace-free Pi; for F it is sym dev(F^T S_F), paper: Mandel-stress-polyconvex.
+    M is minus the derivative of sum_i zeta_i : rate_i(z; 0, Pi) in symmetric trace-free Pi; for F it is
+    sym dev(F^T S_F), paper: Mandel-stress-polyconvex.
     """
     space = trace_free_tensors(dim)
     zero = constant(np.zeros((3, 3)))
@@ -343,11 +333,8 @@ def mandel_stress(
     return space.tensor(CF(tuple(entries)))
 
 
-def volume_ratio(material: Material, z: Values) -> CoefficientFunction:
-    """J by the first scalar that has it, otherwise by the first tensor whose determinant depends on it.
-
-    The material must have such a variable, as every one at finite strain has.
-    """
+def volume_ratio(material: Material, z: Values) -> Tensor:
+    """J by the first scalar that has it, otherwise by the first tensor whose determinant depends on it."""
     variables = sorted(material.variables, key=lambda v: v.kind != "scalar")
     found = (v.volume_ratio(z[v.name]) for v in variables)
     power, exponent = next(ratio for ratio in found if ratio is not None and abs(ratio[1]) > 1e-12)

@@ -26,24 +26,20 @@ from operator import add
 from typing import Any
 
 import numpy as np
-from ngsolve import CoefficientFunction, Det
+from ngsolve import Det
 
 from ngvisco.errors import NgviscoError, ParameterError
-from ngvisco.physics.bodies import AMOUNT, Amount, Body, Content, PlasticContent
-from ngvisco.physics.equilibrium import equilibrium
+from ngvisco.physics.bodies import AMOUNT, TRACE, Amount, Body, Content, Fractions, PlasticContent
+from ngvisco.physics.equilibrium import MixedHeat, equilibrium, heat_of
 from ngvisco.physics.flow_rules.rule import PLASTIC_STRAIN
 from ngvisco.physics.material import ElasticState, Material
 from ngvisco.physics.materials.perspective import ReferenceEnergy
 from ngvisco.physics.materials.thermal import Entropy
-from ngvisco.physics.mixed_heat import MixedHeat, heat_of
 from ngvisco.physics.parameters import Parameter, distinct, parameters_in, renamed, told_apart
 from ngvisco.physics.pointwise import Respond, Response, array_response
 from ngvisco.physics.rheology import ValueOfModulus, Viscosity
-from ngvisco.physics.tensors import IDENTITY, identity_like, if_positive, sqrt
+from ngvisco.physics.tensors import IDENTITY, Tensor, identity_like
 from ngvisco.physics.variables import PRESSURE, Jacobian, Values, Variable
-
-TRACE = 1e-3
-"""eta of the module's docstring, and the fraction below which a body does not creep any slower."""
 
 HARDENING_TRACE = 0.1
 """delta of the module's docstring: K_i and n_i are polynomials each by itself, and K_i/n_i is none."""
@@ -51,46 +47,8 @@ HARDENING_TRACE = 0.1
 _LIGHTEST = "the density, less half of that of the lightest body"
 """What is lighter than any of its parts is thrown by forces that these bear."""
 
-_HALF = 1 / 5
-"""The fraction at which matter takes half a part."""
-
 _SAME = 1e-9
 """Relative difference of volumetric energies that are one function."""
-
-
-@dataclass(frozen=True)
-class Fractions:
-    """theta_i of the amounts of bodies, by name."""
-
-    bodies: tuple[str, ...]
-
-    def total(self, z: Values) -> Any:
-        """N = sum n_i, the inverse of the volume of the matter at a point."""
-        return reduce(add, (z[AMOUNT + name] for name in self.bodies))
-
-    def at(self, z: Values) -> dict[str, Any]:
-        """theta_i at a point with the values ``z``, by the bodies' names; their sum is one."""
-        inverse = 1 / self.total(z)
-        return {name: z[AMOUNT + name] * inverse for name in self.bodies}
-
-    def not_negative(self, z: Values) -> dict[str, Any]:
-        """The same with zero where theta_i < 0, as polynomials beside a jump are."""
-        return {name: if_positive(value, value, 0.0 * value) for name, value in self.at(z).items()}
-
-    def taking_part(self, z: Values) -> dict[str, Any]:
-        """chi of each body, smooth: 0 where there is none of it, 1/2 at a fifth, 0.996 at a half."""
-        found = {}
-        for name, theta in self.at(z).items():
-            others, own = 1 - theta, (1 / _HALF - 1) * if_positive(theta, theta, 0.0 * theta)
-            others, own = others * others, own * own
-            others, own = others * others, own * own
-            found[name] = own / (others + own)
-        return found
-
-    def positive(self, z: Values, body: str) -> Any:
-        """theta_i of one body, smooth and > 0: of what is less than ``TRACE`` about that."""
-        value = z[AMOUNT + body] / self.total(z)
-        return 0.5 * (value + sqrt(value * value + 4 * TRACE**2))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -262,7 +220,7 @@ class Mixture(Material):
         shares = self.fractions.taking_part(z)
         return {X.name: share for name, share in shares.items() for X in self.contents(name)}
 
-    def filled(self, shares: Mapping[str, Any], F: CoefficientFunction) -> dict[str, Any]:
+    def filled(self, shares: Mapping[str, Any], F: Tensor) -> dict[str, Any]:
         """n_i and X_i where bodies take up these shares of the volume, by name, with the distortion F."""
         found = {AMOUNT + name: share / Det(F) for name, share in shares.items()}
         for name, share in shares.items():
@@ -312,7 +270,7 @@ class Mixture(Material):
         S = {} if self.heat is None else self.heat.entropies(n, z[self.heat.entropy.name], J)
         return {name: n[name] * self.volumetric(name, {**z, "J": J, "S": S.get(name)}) for name in n}
 
-    def energy(self, z: Values) -> CoefficientFunction:
+    def energy(self, z: Values) -> Tensor:
         if not self.has_one_volume:
             raise NgviscoError(
                 "bodies of different volumetric energies have no expression for theirs: use "
@@ -336,7 +294,7 @@ class _Part(Material):
     def variables(self) -> tuple[Variable, ...]:
         return self.transported
 
-    def energy(self, z: Values) -> CoefficientFunction:
+    def energy(self, z: Values) -> Tensor:
         return self.of(z)
 
 
@@ -419,7 +377,7 @@ class MixedViscosity(Viscosity):
         theta = self.fractions.not_negative(z)
         return reduce(add, (theta[name] * of(part) for name, part in self.parts))
 
-    def stress(self, eps: CoefficientFunction, z: Values) -> CoefficientFunction:
+    def stress(self, eps: Tensor, z: Values) -> Tensor:
         return self._mean(z, lambda part: part.stress(eps, z))
 
     def shear_viscosity(self, z: Values) -> ValueOfModulus:

@@ -1,27 +1,22 @@
-"""The model of a run: a material, its dissipative mechanisms and its loads.
+"""The model of a run: a material, its dissipative mechanisms and its loads."""
 
-What creeps in a model: flow rules and the variables that each of them acts on.
-
-The model of a run: a material, its dissipative mechanisms and its loads.
-"""
-
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 from ngvisco.errors import ParameterError
-from ngvisco.physics.bodies import Body, PlasticContent
+from ngvisco.physics.bodies import Body, Fractions, PlasticContent, require_parts
 from ngvisco.physics.energy_checks import check_energy
 from ngvisco.physics.flow_rules import FlowRule
 from ngvisco.physics.flow_rules.check import check_rule, check_viscosity
 from ngvisco.physics.flow_rules.rule import PLASTIC_STRAIN
-from ngvisco.physics.heat import Heat
+from ngvisco.physics.heat import Heat, HeatLaw
 from ngvisco.physics.loads import BodyForce, CentralGravity, Gravity, Load, check_name
-from ngvisco.physics.material import ElasticState, Material, check_material
-from ngvisco.physics.materials.damaged import damage_in
-from ngvisco.physics.materials.thermal import entropy_in, thermal_part, warming
+from ngvisco.physics.material import ElasticState, Material, check_material, part_of
+from ngvisco.physics.materials.damaged import Damaged
+from ngvisco.physics.materials.thermal import Thermal, entropy_in, warming
 from ngvisco.physics.materials.wrapped import carrying
-from ngvisco.physics.mixed_heat import HeatLaw, require_heat_of_all
-from ngvisco.physics.mixture import Fractions, MixedViscosity, Mixture, mixed_viscosity
+from ngvisco.physics.mixture import MixedViscosity, Mixture, mixed_viscosity
 from ngvisco.physics.parameters import parameters_in, told_apart
 from ngvisco.physics.regularisation import Regularisation
 from ngvisco.physics.rheology import HyperViscosity, Viscosity
@@ -108,33 +103,13 @@ class Model:
 
     def __post_init__(self) -> None:
         self._take_bodies()
-        for name, kind in (
-            ("material", Material),
-            ("viscosity", Viscosity),
-            ("hyperviscosity", HyperViscosity),
-            ("creep", FlowRule),
-            ("regularisation", Regularisation),
-            ("heat", Heat),
-        ):
-            value = getattr(self, name)
-            if not (isinstance(value, kind) or (value is None and name != "material")):
-                expected = _EXPECTED.get(name, f"a {kind.__name__}")
-                raise ParameterError(f"Model.{name}", value, expected)
-        if not isinstance(self.loads, (tuple, list)):
-            raise ParameterError("Model.loads", self.loads, "a sequence of Gravity or BodyForce objects")
-        object.__setattr__(self, "loads", tuple(self.loads))
-        for load in self.loads:
-            if not isinstance(load, (Gravity, CentralGravity, BodyForce)):
-                raise ParameterError("Model.loads", load, "Gravity, CentralGravity or BodyForce objects")
-            check_name(load)
-        names = [load.name for load in self.loads]
-        if len(set(names)) < len(names):
-            raise ParameterError("Model.loads", names, "distinct names")
+        require_parts(self, "Model", "material", _KINDS, _EXPECTED)
+        self._take_loads()
         check_material(self.material)
-        names_of = ("material", "viscosity", "hyperviscosity", "creep")
+        names = ("material", "viscosity", "hyperviscosity", "creep")
         taken = [] if entropy_in(self.material) is None else [TEMPERATURE]
-        laws = told_apart((getattr(self, name) for name in names_of), taken)
-        for name, law in zip(names_of, laws, strict=True):
+        laws = told_apart((getattr(self, name) for name in names), taken)
+        for name, law in zip(names, laws, strict=True):
             object.__setattr__(self, name, law)
         carried = parameters_in(laws)
         if self.creep is not None and self.creep.reads_conjugate and self.material.conformation is None:
@@ -155,8 +130,7 @@ class Model:
             material.require()
         else:
             check_energy(material)
-        self._check_heat(material)
-        self._check_damage(material)
+        self._check_heat_and_damage(material)
         for flow in self.flows:
             check_rule(flow.rule, material)
         if self.viscosity is not None:
@@ -165,17 +139,15 @@ class Model:
     @property
     def flows(self) -> tuple[Flow, ...]:
         """What creeps: the material, or each of the bodies by its own tensors."""
-        if isinstance(self.material, Mixture):
-            of = self.material
-            creeping = ((b.name, b.creep) for b in self.bodies if b.creep is not None and b.creep.flows)
-            return tuple(
-                Flow(rule, tuple(X.name for X in of.contents(name)), name, of.fractions)
-                for name, rule in creeping
-                if of.contents(name)
-            )
-        if self.creep is None or not self.creep.flows:
-            return ()
-        return (Flow(self.creep, tuple(v.name for v in self.material.variables if v.creeps)),)
+        of = self.material
+        if not isinstance(of, Mixture):
+            names = tuple(v.name for v in of.variables if v.creeps)
+            return (Flow(self.creep, names),) if self.creep is not None and self.creep.flows else ()
+        return tuple(
+            Flow(body.creep, tuple(X.name for X in of.contents(body.name)), body.name, of.fractions)
+            for body in self.bodies
+            if body.creep is not None and body.creep.flows and of.contents(body.name)
+        )
 
     @property
     def heat_law(self) -> HeatLaw:
@@ -184,12 +156,21 @@ class Model:
         parts |= {body.name: body.heat for body in self.bodies if body.heat is not None}
         return HeatLaw(parts, self.material.fractions if isinstance(self.material, Mixture) else None)
 
-    def _check_heat(self, material: Material) -> None:
-        if self.heat is not None and entropy_in(material) is None:
-            expected = "None for a material without a temperature; nv.Thermal(material=...) gives it one"
-            raise ParameterError("Model.heat", self.heat, expected)
+    def _take_loads(self) -> None:
+        if not isinstance(self.loads, (tuple, list)):
+            raise ParameterError("Model.loads", self.loads, "a sequence of Gravity or BodyForce objects")
+        object.__setattr__(self, "loads", tuple(self.loads))
+        for load in self.loads:
+            if not isinstance(load, (Gravity, CentralGravity, BodyForce)):
+                raise ParameterError("Model.loads", load, "Gravity, CentralGravity or BodyForce objects")
+            check_name(load)
+        _require_distinct("Model.loads", [load.name for load in self.loads])
+
+    def _check_heat_and_damage(self, material: Material) -> None:
         entropy = entropy_in(material)
-        own = thermal_part(material) is None and not isinstance(material, Mixture)
+        if self.heat is not None and entropy is None:
+            raise ParameterError("Model.heat", self.heat, _NO_TEMPERATURE)
+        own = part_of(material, Thermal) is None and not isinstance(material, Mixture)
         if entropy is not None and own and not (slope := warming(material, entropy)) > 0:
             expected = f"an energy convex in the entropy: at rest d theta/d s is {slope:.4g} K, not > 0"
             raise ParameterError("Model.material", material, expected)
@@ -199,9 +180,7 @@ class Model:
                 "whose pressures are different functions of volume and temperature"
             )
             raise ParameterError("Heat.numerical_heating", True, expected)
-
-    def _check_damage(self, material: Material) -> None:
-        if damage_in(material) is not None and not material.lagged:
+        if part_of(material, Damaged) is not None and not material.lagged:
             expected = (
                 "nv.Damaged(...), or that in nv.Thermal(material=...): no other material knows of damage"
             )
@@ -215,75 +194,93 @@ class Model:
         if not self.bodies:
             return
         for name in ("material", "viscosity", "creep"):
-            if (value := getattr(self, name)) is not None and not isinstance(value, _MIXED):
+            value = getattr(self, name)
+            # what a model with bodies has already, where this one is made of another one
+            if not (value is None or isinstance(value, (Mixture, MixedViscosity))):
                 raise ParameterError(f"Model.{name}", value, "None with bodies, which have theirs")
         names = [body.name for body in self.bodies]
-        if len(set(names)) < len(names):
-            raise ParameterError("Model.bodies", names, "distinct names")
+        _require_distinct("Model.bodies", names)
         for name in names:
             if (other := name.removesuffix("_momentum")) != name and other in names:
                 expected = f"distinct columns of bodies; those of {name!r} would be the momentum of {other!r}"
                 raise ParameterError("Model.bodies", names, expected)
-        for body in self.bodies:
-            if damage_in(body.material) is not None:
-                expected = "a material without damage: that of one body would be the damage of all"
-                raise ParameterError(f"bodies[{body.name!r}].material", body.material, expected)
         if sum(body.where is None for body in self.bodies) > 1:
             without = [body.name for body in self.bodies if body.where is None]
             raise ParameterError("Model.bodies", without, "one body at most without a place, the rest")
-        self._require_mass_of_bodies()
-        self._require_local_laws_of_bodies()
+        law = self.regularisation
+        if isinstance(law, Regularisation):
+            for name, given, none in (
+                ("rho_max", law.rho_max, None),
+                ("delta_density", law.delta_density, 0.0),
+            ):
+                if given != none:
+                    why = "the density is the sum of theirs, which nothing cuts off or mixes"
+                    raise ParameterError(f"Regularisation.{name}", given, f"{none} with bodies: {why}")
+        for body in self.bodies:
+            for part, fault in _faults(body, self.bodies):
+                raise ParameterError(f"bodies[{body.name!r}].{part}", _value(body, part), fault)
         mixture = Mixture(bodies=self.bodies)
         object.__setattr__(self, "material", mixture)
         object.__setattr__(self, "viscosity", mixed_viscosity(mixture.bodies))
-
-    def _require_local_laws_of_bodies(self) -> None:
-        """Raise ParameterError for a law that bodies cannot have beside others."""
-        require_heat_of_all(self.bodies)
-        for body in self.bodies:
-            if getattr(body.material, "J_min", None) is not None:
-                expected = "J_min = None: continued below it, the energy is not convex per reference volume"
-                raise ParameterError(f"bodies[{body.name!r}].material", body.material, expected)
-            law = body.creep
-            if law is None or not law.flows:
-                continue
-            expected = ""
-            if law.nu:
-                expected = "nu = 0: the creep of several bodies is local"
-            elif law.reads_conjugate or law.has_trace:
-                expected = "a flow rule that reads no conformation tensor, which no body has"
-            if expected:
-                raise ParameterError(f"bodies[{body.name!r}].creep", law, expected)
-
-    def _require_mass_of_bodies(self) -> None:
-        """Raise ParameterError where rho moves by other fluxes than the bodies' amounts, whose sum it is, and
-        where the momentum of one body is lost beside another's."""
-        lightest = min(self.bodies, key=lambda body: body.density or 0.0)
-        for body in self.bodies:
-            if (body.density or 0.0) > MOST_DENSER * (lightest.density or 0.0):
-                expected = (
-                    f"at most {MOST_DENSER:g} times that of {lightest.name!r}, {lightest.density:g} kg/m^3"
-                )
-                raise ParameterError(f"bodies[{body.name!r}].density", body.density, expected)
-        law = self.regularisation
-        if not isinstance(law, Regularisation):
-            return
-        for name, value, none in (("rho_max", law.rho_max, None), ("delta_density", law.delta_density, 0.0)):
-            if value != none:
-                expected = (
-                    f"{none} with bodies: the density is the sum of theirs, which nothing cuts off or mixes"
-                )
-                raise ParameterError(f"Regularisation.{name}", value, expected)
 
 
 MOST_DENSER = 1e10
 """Ratio of bodies' densities above which the momentum of the lighter one is below the tolerance, 1e-10, of a
 solver that sees both in one cell."""
 
-_MIXED = (Mixture, MixedViscosity)
-"""What a model with bodies has already, where it is made of another one."""
-
+_KINDS = {
+    "material": Material,
+    "viscosity": Viscosity,
+    "hyperviscosity": HyperViscosity,
+    "creep": FlowRule,
+    "regularisation": Regularisation,
+    "heat": Heat,
+}
 _EXPECTED = {"viscosity": "a StokesViscosity or another viscosity", "creep": "a Creep or another FlowRule"}
+_NO_TEMPERATURE = "None for a material without a temperature; nv.Thermal(material=...) gives it one"
+
+
+def _faults(body: Body, bodies: Sequence[Body]) -> Iterable[tuple[str, str]]:
+    """What a body cannot have beside others, and what would be right."""
+    material, law, heat = body.material, body.creep, body.heat
+    if part_of(material, Damaged) is not None:
+        yield "material", "a material without damage: that of one body would be the damage of all"
+    lightest = min(bodies, key=lambda each: each.density or 0.0)
+    if (body.density or 0.0) > MOST_DENSER * (lightest.density or 0.0):
+        most = f"at most {MOST_DENSER:g} times that of {lightest.name!r}, {lightest.density:g} kg/m^3"
+        yield "density", most
+    warm = [each for each in bodies if entropy_in(each.material) is not None]
+    thermal = [each.material for each in warm if isinstance(each.material, Thermal)]
+    units = {each.entropy_unit for each in thermal if each.entropy_unit is not None}
+    if warm and body not in warm:
+        yield "material", f"nv.Thermal(material=...), as {warm[0].name!r} has: all have one temperature"
+    if body in warm and not isinstance(material, Thermal):
+        yield "material", "nv.Thermal(material=...) itself: of no other energy is a body's entropy known"
+    if len(units) > 1:
+        yield "material", f"one entropy_unit for all bodies, not {sorted(units)}: they share one entropy"
+    if heat is not None and not warm:
+        yield "heat", _NO_TEMPERATURE
+    if heat is not None and heat.numerical_heating:
+        yield "heat.numerical_heating", "False: what the scheme dissipates is of all bodies, Model(heat=...)"
+    if getattr(material, "J_min", None) is not None:
+        yield "material", "J_min = None: continued below it, the energy is not convex per reference volume"
+    if law is not None and law.flows:
+        if law.nu:
+            yield "creep", "nu = 0: the creep of several bodies is local"
+        if law.reads_conjugate or law.has_trace:
+            yield "creep", "a flow rule that reads no conformation tensor, which no body has"
+
+
+def _value(body: Body, part: str) -> Any:
+    value: Any = body
+    for name in part.split("."):
+        value = getattr(value, name)
+    return value
+
+
+def _require_distinct(field_name: str, names: list[str]) -> None:
+    if len(set(names)) < len(names):
+        raise ParameterError(field_name, names, "distinct names")
 
 
 def default_elastic_state(creep: FlowRule | None) -> ElasticState:

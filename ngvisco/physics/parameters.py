@@ -16,7 +16,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from copy import copy
 from dataclasses import dataclass, field, replace
 from itertools import count
@@ -28,6 +28,7 @@ from ngsolve import CF, CoefficientFunction
 from ngvisco import errors
 from ngvisco.errors import Declared, ParameterError, as_number, declared
 from ngvisco.physics.signals import reads_time
+from ngvisco.physics.tensors import Tensor
 from ngvisco.physics.variables import Values, Variable
 
 T = TypeVar("T")
@@ -39,17 +40,13 @@ class Expression(ABC):
     __array_ufunc__ = None  # numpy's numbers leave the operation to this class
 
     @abstractmethod
-    def at(self, z: Values) -> CoefficientFunction:
+    def at(self, z: Values) -> Tensor:
         """Its value where the parameters have the values ``z``, coefficient functions or arrays."""
 
     @property
     @abstractmethod
     def parameters(self) -> tuple[Parameter, ...]:
         """The parameters that it reads, each once."""
-
-    @abstractmethod
-    def replaced(self, new: Mapping[str, Expression]) -> Expression:
-        """The same function of other parameters, by the names of those that are replaced."""
 
     @property
     def typical(self) -> float:
@@ -60,23 +57,23 @@ class Expression(ABC):
     def __add__(self, other: object) -> Expression:
         return _Operation(add, (self, _operand(other)))
 
-    def __radd__(self, other: object) -> Expression:
-        return _Operation(add, (_operand(other), self))
-
     def __sub__(self, other: object) -> Expression:
         return _Operation(sub, (self, _operand(other)))
-
-    def __rsub__(self, other: object) -> Expression:
-        return _Operation(sub, (_operand(other), self))
 
     def __mul__(self, other: object) -> Expression:
         return _Operation(mul, (self, _operand(other)))
 
-    def __rmul__(self, other: object) -> Expression:
-        return _Operation(mul, (_operand(other), self))
-
     def __truediv__(self, other: object) -> Expression:
         return _Operation(truediv, (self, _operand(other)))
+
+    def __radd__(self, other: object) -> Expression:
+        return _Operation(add, (_operand(other), self))
+
+    def __rsub__(self, other: object) -> Expression:
+        return _Operation(sub, (_operand(other), self))
+
+    def __rmul__(self, other: object) -> Expression:
+        return _Operation(mul, (_operand(other), self))
 
     def __rtruediv__(self, other: object) -> Expression:
         return _Operation(truediv, (_operand(other), self))
@@ -114,7 +111,7 @@ class _Operation(Expression):
     function: Callable[..., Any]
     operands: tuple[Expression | float, ...]
 
-    def at(self, z: Values) -> CoefficientFunction:
+    def at(self, z: Values) -> Tensor:
         return self.function(*(value_at(operand, z) for operand in self.operands))
 
     @property
@@ -126,10 +123,6 @@ class _Operation(Expression):
         if isinstance(self.function, _Power):
             return f"{texts[0]}**{self.function.exponent:g}"
         return f"-{texts[0]}" if self.function is neg else f"({f' {_SIGNS[self.function]} '.join(texts)})"
-
-    def replaced(self, new: Mapping[str, Expression]) -> Expression:
-        found = (o.replaced(new) if isinstance(o, Expression) else o for o in self.operands)
-        return _Operation(self.function, tuple(found))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -144,7 +137,7 @@ class _Modulus(Expression):
     is_own: bool = False
     """Whether it is a parameter that a function of the place became by itself."""
 
-    def at(self, z: Values) -> CoefficientFunction:
+    def at(self, z: Values) -> Tensor:
         return self.expression.at(z)
 
     @property
@@ -153,9 +146,6 @@ class _Modulus(Expression):
 
     def __repr__(self) -> str:
         return repr(self.expression)
-
-    def replaced(self, new: Mapping[str, Expression]) -> Expression:
-        return replace(self, expression=self.expression.replaced(new))
 
 
 @dataclass(frozen=True)
@@ -180,7 +170,7 @@ class Parameter(Variable, Expression):
     ----------
     name : str
         A Python identifier, other than those of the material's variables.
-    start : number or CoefficientFunction, optional
+    start : number or Tensor, optional
         Its value at the start, a function of the place; None where ``Initial.values`` has it.
     typical : float
         A value at which an energy is looked at before a run is known; default that of a ``start`` that is a
@@ -189,8 +179,9 @@ class Parameter(Variable, Expression):
 
     name: str
     kind: str = "scalar"
-    start: float | CoefficientFunction | None = field(default=None, compare=False, repr=False)
+    start: float | Tensor | None = field(default=None, compare=False, repr=False)
     typical: float = math.nan
+    is_strain = False
     limits: ClassVar[tuple[float, float] | None] = None
     """Within which it stays; None for the range of its start values."""
 
@@ -209,29 +200,22 @@ class Parameter(Variable, Expression):
         elif as_number(self.typical) is None:
             raise ParameterError("Parameter.typical", self.typical, "a finite number")
 
-    def at(self, z: Values) -> CoefficientFunction:
+    def at(self, z: Values) -> Tensor:
         return z[self.name]
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         return (self,)
 
-    def replaced(self, new: Mapping[str, Expression]) -> Expression:
-        return new.get(self.name, self)
-
-    @property
-    def is_strain(self) -> bool:
-        return False
-
-    def rate(self, z: Values, L: CoefficientFunction, Pi: CoefficientFunction) -> CoefficientFunction:
+    def rate(self, z: Values, L: Tensor, Pi: Tensor) -> Tensor:
         return 0 * z[self.name]
 
-    def from_distortion(self, F: CoefficientFunction) -> CoefficientFunction:
+    def from_distortion(self, F: Tensor) -> Tensor:
         """The typical value: no distortion tells a parameter."""
         return CF(self.typical)
 
 
-Modulus: TypeAlias = float | CoefficientFunction | Expression
+Modulus: TypeAlias = float | Tensor | Expression
 """A number; a function of the initial place, which is carried; or an expression of parameters."""
 
 
@@ -251,48 +235,37 @@ def require_ranges(owner: Any) -> None:
     Moduli may be functions of the initial place and expressions too, others functions of the actual one.
     """
     for name, said in declared(type(owner)).items():  # type: ignore[arg-type]
-        value = getattr(owner, name)
+        value, full = getattr(owner, name), f"{type(owner).__name__}.{name}"
         if said.is_plain or (value is None and type(None) in said.kinds):
             continue
         if Expression in said.kinds:
-            require_modulus(owner, name, said)
+            object.__setattr__(owner, name, _as_modulus(full, value, said))
         elif CoefficientFunction in said.kinds and not _is_scalar_function(value):
             if (number := said.number(value)) is None:
                 expected = f"{said.expected}, or a scalar function of the place and the time"
-                raise ParameterError(f"{type(owner).__name__}.{name}", value, expected)
+                raise ParameterError(full, value, expected)
             object.__setattr__(owner, name, number)
     errors.require_ranges(owner)
 
 
-POSITIVE = Declared("> 0", (float,))
-"""What most moduli have to be."""
-
-
-def require_modulus(owner: object, name: str, said: Declared = POSITIVE) -> None:
-    """Raise ParameterError unless a parameter is a number of the range, a function of the initial place or an
-    expression of parameters.
-
-    A function of the place becomes a parameter of its own, with the modulus' name.
-    """
-    value, full = getattr(owner, name), f"{type(owner).__name__}.{name}"
-    number = said.number(value)
-    if isinstance(value, _Modulus):
-        return
+def _as_modulus(full: str, value: object, said: Declared) -> Modulus:
+    """A number of the range, an expression of parameters, or a function of the initial place, which becomes a
+    parameter of its own with the modulus' name."""
+    is_positive = said.range == "> 0"
+    if isinstance(value, _Modulus) or (number := said.number(value)) is not None:
+        return value if isinstance(value, _Modulus) else number
     if isinstance(value, Expression):
-        value = _Modulus(full, value, said.range == "> 0")
-    elif _is_scalar_function(value):
-        if reads_time(value):
-            expected = "a function of the initial place; it reads the time, as loads and walls may"
-            raise ParameterError(full, value, expected)
-        value = _Modulus(full, Parameter(name, start=value, typical=1.0), said.range == "> 0", is_own=True)
-    elif number is not None:
-        value = number
-    elif as_number(value) is not None:
+        return _Modulus(full, value, is_positive)
+    if as_number(value) is not None:
         raise ParameterError(full, value, said.expected)
-    else:
+    if not _is_scalar_function(value):
         expected = f"{said.expected}, a function of the initial place, an expression of parameters"
         raise ParameterError(full, value, expected)
-    object.__setattr__(owner, name, value)
+    if reads_time(value):
+        expected = "a function of the initial place; it reads the time, as loads and walls may"
+        raise ParameterError(full, value, expected)
+    own = Parameter(full.rpartition(".")[2], start=value, typical=1.0)
+    return _Modulus(full, own, is_positive, is_own=True)
 
 
 def parameters_in(values: Iterable[object]) -> tuple[Parameter, ...]:

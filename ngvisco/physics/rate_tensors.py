@@ -17,12 +17,18 @@ from functools import cache, cached_property
 
 import numpy as np
 import scipy.sparse as sp
-from ngsolve import CoefficientFunction
 
 from ngvisco.errors import ParameterError
 from ngvisco.physics.material import StateSpace
 from ngvisco.physics.pointwise import evaluated
-from ngvisco.physics.tensors import IDENTITY, constant, embed_gradient, symmetric_tensors, trace_free_tensors
+from ngvisco.physics.tensors import (
+    IDENTITY,
+    Tensor,
+    constant,
+    embed_gradient,
+    symmetric_tensors,
+    trace_free_tensors,
+)
 from ngvisco.physics.variables import Variable
 
 _ROUNDING = 1e-10
@@ -61,7 +67,7 @@ class RateTensors:
             L = embed_gradient(constant(X[:g].reshape(dim, dim)), dim)
             Pi = constant(np.tensordot(X[g:], np.array(space.basis), 1))
 
-            def components(z: CoefficientFunction) -> CoefficientFunction:
+            def components(z: Tensor) -> Tensor:
                 tensors = states.tensors(lambda: z)
                 return states.components({v.name: v.rate(tensors, L, Pi) for v in variables})
 

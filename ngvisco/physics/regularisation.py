@@ -15,14 +15,14 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-from ngsolve import CF, CoefficientFunction
+from ngsolve import CF
 
 from ngvisco.errors import ParameterError, Quantity
 from ngvisco.physics.energy_checks import StateSampling
 from ngvisco.physics.material import Material
 from ngvisco.physics.parameters import require_ranges
 from ngvisco.physics.pointwise import respond, rest_state
-from ngvisco.physics.tensors import Scalar, if_positive, power_of_square
+from ngvisco.physics.tensors import Scalar, Tensor, if_positive, power_of_square
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,11 +87,11 @@ class Regularisation:
         """delta |grad rho|^{r-2}, m^2/s, of |grad rho|^2."""
         return self.delta_density * power_of_square(gradient_square, 0.5 * (self.r - 2), self.floor)
 
-    def friction(self, speed_square: CoefficientFunction) -> CoefficientFunction:
+    def friction(self, speed_square: Tensor) -> Tensor:
         """epsilon |v|^{p-2} of |v|^2."""
         return self.epsilon * power_of_square(speed_square, 0.5 * (self.p - 2), self.floor)
 
-    def cut_off(self, rho: CoefficientFunction) -> CoefficientFunction:
+    def cut_off(self, rho: Tensor) -> Tensor:
         """The cut-off K(rho) (paper: cut-off).
 
         1 on [0, rho_max], 0 below 0 and above rho_max + width, and 1 - 3 s^2 + 2 s^3 with
@@ -111,15 +111,15 @@ class Regularisation:
         c = 6 * self.rho_max / self.width
         return self.rho_max + self.width * (1 - c + math.sqrt((c - 1) ** 2 + 32)) / 16
 
-    def carried(self, rho: CoefficientFunction) -> CoefficientFunction:
+    def carried(self, rho: Tensor) -> Tensor:
         """K(rho) rho, what the velocity carries; rho itself without a cut-off."""
         return rho if self.rho_max is None else self.cut_off(rho) * rho
 
-    def rising(self, rho: CoefficientFunction) -> CoefficientFunction:
+    def rising(self, rho: Tensor) -> Tensor:
         """The non-decreasing part of K(rho) rho: that of min(rho, ``densest_flow``)."""
         return if_positive(self.densest_flow - rho, self.carried(rho), self.carried(CF(self.densest_flow)))
 
-    def falling(self, rho: CoefficientFunction) -> CoefficientFunction:
+    def falling(self, rho: Tensor) -> Tensor:
         """The non-increasing part: K(rho) rho is ``rising`` + ``falling``."""
         return self.carried(rho) - self.rising(rho)
 

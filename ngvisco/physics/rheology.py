@@ -25,13 +25,13 @@ from functools import cached_property
 from typing import Annotated, Any, Literal, TypeAlias
 
 import numpy as np
-from ngsolve import CoefficientFunction
 from numpy.typing import ArrayLike
 
 from ngvisco.errors import ParameterError, Quantity, require_choice
 from ngvisco.physics.parameters import Modulus, require_ranges, value_at
 from ngvisco.physics.tensors import (
     Scalar,
+    Tensor,
     dev,
     identity_like,
     inner,
@@ -124,7 +124,7 @@ def _require_equal(field: str, one: np.ndarray, other: np.ndarray, expected: str
         )
 
 
-ValueOfModulus: TypeAlias = float | CoefficientFunction
+ValueOfModulus: TypeAlias = float | Tensor
 """A number, or what an expression of parameters gives at every point."""
 
 
@@ -149,14 +149,14 @@ class Viscosity(ABC):
         require_ranges(self)
 
     @abstractmethod
-    def stress(self, eps: CoefficientFunction, z: Values) -> CoefficientFunction:
+    def stress(self, eps: Tensor, z: Values) -> Tensor:
         """D(eps), 3x3, Pa, for the strain rate eps(v), 3x3, 1/s, at a point with the values ``z``."""
 
-    def bulk_dissipation(self, eps: CoefficientFunction, z: Values) -> CoefficientFunction:
+    def bulk_dissipation(self, eps: Tensor, z: Values) -> Tensor:
         """D(eps) : sph eps, W/m^3: the power of the viscous pressure."""
         return inner(self.stress(eps, z), sph(eps))
 
-    def shear_dissipation(self, eps: CoefficientFunction, z: Values) -> CoefficientFunction:
+    def shear_dissipation(self, eps: Tensor, z: Values) -> Tensor:
         """D(eps) : dev eps, W/m^3; with ``bulk_dissipation`` this is D(eps) : eps >= 0."""
         return inner(self.stress(eps, z), dev(eps))
 
@@ -179,16 +179,16 @@ class IsotropicViscosity(Viscosity):
     def moduli(self, s: Any, z: Values) -> tuple[ValueOfModulus, ValueOfModulus]:
         """K_v and G_v, Pa s, at the squared shear rate s, 1/s^2, and a point with the values ``z``."""
 
-    def stress(self, eps: CoefficientFunction, z: Values) -> CoefficientFunction:
+    def stress(self, eps: Tensor, z: Values) -> Tensor:
         shear = dev(eps)
         K_v, G_v = self.moduli(2 * square(shear), z)
         return (K_v * tr(eps)) * identity_like(eps) + (2 * G_v) * shear
 
-    def bulk_dissipation(self, eps: CoefficientFunction, z: Values) -> CoefficientFunction:
+    def bulk_dissipation(self, eps: Tensor, z: Values) -> Tensor:
         """K_v (tr eps)^2, W/m^3."""
         return self.moduli(2 * square(dev(eps)), z)[0] * tr(eps) * tr(eps)
 
-    def shear_dissipation(self, eps: CoefficientFunction, z: Values) -> CoefficientFunction:
+    def shear_dissipation(self, eps: Tensor, z: Values) -> Tensor:
         """2 G_v |dev eps|^2, W/m^3."""
         s = 2 * square(dev(eps))
         return self.moduli(s, z)[1] * s
@@ -279,7 +279,7 @@ class LinearViscosity(Viscosity):
     def shear_viscosity(self, z: Values) -> ValueOfModulus:
         return self.G_v
 
-    def stress(self, eps: CoefficientFunction, z: Values) -> CoefficientFunction:
+    def stress(self, eps: Tensor, z: Values) -> Tensor:
         return linear_map(full_tensor(self.mandel).reshape(9, 9), eps, (3, 3))
 
     def require_dimension(self, dim: int) -> None:

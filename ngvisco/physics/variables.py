@@ -29,14 +29,16 @@ differentiating H = J^{-7/6} Cof F gives the row above with b = -7/6.
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import ClassVar, Literal, TypeAlias
 
-from ngsolve import CoefficientFunction, Cof, Det, log
+from ngsolve import Cof, Det, log
 
 from ngvisco.errors import ParameterError, _is_number
-from ngvisco.physics.tensors import IDENTITY, skw, sym, tr
+from ngvisco.physics.tensors import IDENTITY, Tensor, skw, sym, tr
 
-Values = Mapping[str, CoefficientFunction]
+Values = Mapping[str, Tensor]
+
+Frame: TypeAlias = Literal["relaxed", "actual"]
 
 PRESSURE, TEMPERATURE, HARDENING = "pressure", "temperature", "hardening"
 """Under which names ``Values`` have -tr T/3, Pa, theta, K, and d phi/dk, Pa, for the laws that read them."""
@@ -57,6 +59,15 @@ class Variable(ABC):
     name: str
     kind: str
 
+    is_strain = True
+    """Whether the energy has to be convex in it, together with the other strains; not of parameters."""
+    is_conserved = False
+    """Whether rate(z; L, Pi) = -(tr L) z, without a production, so that int z is kept."""
+    density = 0.0
+    """What one unit of it has of the density, kg/m^3; 0 of what is no amount of matter."""
+    own_scale: ClassVar[float | None] = None
+    """Its size beside which small increments count by themselves; None: by those of all variables."""
+
     def __post_init__(self) -> None:
         if not (isinstance(self.name, str) and self.name.isidentifier()):
             raise ParameterError("Variable.name", self.name, "a Python identifier")
@@ -64,11 +75,11 @@ class Variable(ABC):
             raise ParameterError("Variable.kind", self.kind, "'scalar', 'vector', 'symmetric' or 'full'")
 
     @abstractmethod
-    def rate(self, z: Values, L: CoefficientFunction, Pi: CoefficientFunction) -> CoefficientFunction:
+    def rate(self, z: Values, L: Tensor, Pi: Tensor) -> Tensor:
         """dt z + (v . grad) z, in 1/s, for the values ``z`` of all variables, L and Pi (3x3)."""
 
     @abstractmethod
-    def from_distortion(self, F: CoefficientFunction) -> CoefficientFunction:
+    def from_distortion(self, F: Tensor) -> Tensor:
         """Initial value that belongs to an elastic distortion F (3x3, det F > 0)."""
 
     @property
@@ -76,7 +87,7 @@ class Variable(ABC):
         """Names of other variables that the rate reads."""
         return ()
 
-    def positive(self, value: CoefficientFunction) -> Values:
+    def positive(self, value: Tensor) -> Values:
         """The scalars of the variable's value that must stay > 0, by what they are (``"det F"``).
 
         The implicit equations of a long step have solutions of the wrong sign too; a step that ends in
@@ -85,29 +96,9 @@ class Variable(ABC):
         return {}
 
     @property
-    def is_strain(self) -> bool:
-        """Whether the energy has to be convex in it, together with the other strains; not of parameters."""
-        return True
-
-    @property
-    def is_conserved(self) -> bool:
-        """Whether rate(z; L, Pi) = -(tr L) z, without a production, so that int z is kept."""
-        return False
-
-    @property
     def by_flux(self) -> bool:
         """Whether it is a density, rate = -(tr L) z and a production: -(tr L) z is part of its flux."""
         return self.is_conserved
-
-    @property
-    def density(self) -> float:
-        """What one unit of it has of the density, kg/m^3; 0 of what is no amount of matter."""
-        return 0.0
-
-    @property
-    def own_scale(self) -> float | None:
-        """Its size beside which small increments count by themselves; None: by those of all variables."""
-        return None
 
     @property
     def creeps(self) -> bool:
@@ -115,7 +106,7 @@ class Variable(ABC):
         return self.kind != "scalar"
 
     @property
-    def frame(self) -> Literal["relaxed", "actual"] | None:
+    def frame(self) -> Frame | None:
         """Where the rate's Pi lives; None for variables that do not creep.
 
         dF/dt = L F - F Pi has the creep rate Pi of the relaxed (intermediate) configuration.  That of E and
@@ -123,11 +114,11 @@ class Variable(ABC):
         """
         return "actual" if self.creeps else None
 
-    def turned(self, value: CoefficientFunction, Q: CoefficientFunction) -> CoefficientFunction:
+    def turned(self, value: Tensor, Q: Tensor) -> Tensor:
         """The value that an observer turned by the rotation Q (3x3) sees."""
         return Q * value * Q.trans if self.creeps else value
 
-    def volume_ratio(self, value: CoefficientFunction) -> tuple[CoefficientFunction, float] | None:
+    def volume_ratio(self, value: Tensor) -> tuple[Tensor, float] | None:
         """(d, n) with d = J^n for a variable that belongs to a distortion of determinant J, or None."""
         return None
 
@@ -144,11 +135,11 @@ class SmallStrain(Variable):
     name: str = "E"
     kind: str = "symmetric"
 
-    def rate(self, z: Values, L: CoefficientFunction, Pi: CoefficientFunction) -> CoefficientFunction:
+    def rate(self, z: Values, L: Tensor, Pi: Tensor) -> Tensor:
         E, W = z[self.name], skw(L)
         return sym(L) + W * E - E * W - Pi
 
-    def from_distortion(self, F: CoefficientFunction) -> CoefficientFunction:
+    def from_distortion(self, F: Tensor) -> Tensor:
         return sym(F) - IDENTITY
 
 
@@ -171,13 +162,13 @@ class DistortionTensor(Variable):
 
     @staticmethod
     @abstractmethod
-    def tensor(F: CoefficientFunction) -> CoefficientFunction:
+    def tensor(F: Tensor) -> Tensor:
         """The tensor of F, without the power of J."""
 
-    def from_distortion(self, F: CoefficientFunction) -> CoefficientFunction:
+    def from_distortion(self, F: Tensor) -> Tensor:
         return Det(F) ** float(self.exponent) * self.tensor(F) if self.exponent else self.tensor(F)
 
-    def positive(self, value: CoefficientFunction) -> Values:
+    def positive(self, value: Tensor) -> Values:
         name, A = self.name, value
         minors = {
             f"{name}_11": A[0, 0],
@@ -186,13 +177,13 @@ class DistortionTensor(Variable):
         return (minors if self.kind == "symmetric" else {}) | {f"det {name}": Det(A)}
 
     @property
-    def frame(self) -> Literal["relaxed", "actual"] | None:
+    def frame(self) -> Frame | None:
         return "actual" if self.kind == "symmetric" else "relaxed"
 
-    def turned(self, value: CoefficientFunction, Q: CoefficientFunction) -> CoefficientFunction:
+    def turned(self, value: Tensor, Q: Tensor) -> Tensor:
         return super().turned(value, Q) if self.kind == "symmetric" else Q * value
 
-    def volume_ratio(self, value: CoefficientFunction) -> tuple[CoefficientFunction, float] | None:
+    def volume_ratio(self, value: Tensor) -> tuple[Tensor, float] | None:
         return Det(value), 3 * self.exponent + self.degree
 
 
@@ -203,13 +194,13 @@ class Distortion(DistortionTensor):
     name: str = "F"
     kind: str = "full"
 
-    def rate(self, z: Values, L: CoefficientFunction, Pi: CoefficientFunction) -> CoefficientFunction:
+    def rate(self, z: Values, L: Tensor, Pi: Tensor) -> Tensor:
         H = z[self.name]
         convected = L * H - H * Pi
         return convected + self.exponent * tr(L) * H if self.exponent else convected
 
     @staticmethod
-    def tensor(F: CoefficientFunction) -> CoefficientFunction:
+    def tensor(F: Tensor) -> Tensor:
         return F
 
 
@@ -225,12 +216,12 @@ class Cofactor(DistortionTensor):
 
     degree = 2
 
-    def rate(self, z: Values, L: CoefficientFunction, Pi: CoefficientFunction) -> CoefficientFunction:
+    def rate(self, z: Values, L: Tensor, Pi: Tensor) -> Tensor:
         H = z[self.name]
         return (1 + self.exponent) * tr(L) * H - L.trans * H + H * Pi.trans
 
     @staticmethod
-    def tensor(F: CoefficientFunction) -> CoefficientFunction:
+    def tensor(F: Tensor) -> Tensor:
         return Cof(F)
 
 
@@ -256,14 +247,14 @@ class LeftCauchyGreen(DistortionTensor):
 
     degree = 2
 
-    def rate(self, z: Values, L: CoefficientFunction, Pi: CoefficientFunction) -> CoefficientFunction:
+    def rate(self, z: Values, L: Tensor, Pi: Tensor) -> Tensor:
         B = z[self.name]
         half = (L - Pi) * B
         rate = half + half.trans
         return rate + self.exponent * tr(L) * B if self.exponent else rate
 
     @staticmethod
-    def tensor(F: CoefficientFunction) -> CoefficientFunction:
+    def tensor(F: Tensor) -> Tensor:
         return F * F.trans
 
 
@@ -284,13 +275,13 @@ class CofactorLeftCauchyGreen(DistortionTensor):
 
     degree = 4
 
-    def rate(self, z: Values, L: CoefficientFunction, Pi: CoefficientFunction) -> CoefficientFunction:
+    def rate(self, z: Values, L: Tensor, Pi: Tensor) -> Tensor:
         N = z[self.name]
         half = (L.trans - Pi) * N
         return (2 + self.exponent) * tr(L) * N - half - half.trans
 
     @staticmethod
-    def tensor(F: CoefficientFunction) -> CoefficientFunction:
+    def tensor(F: Tensor) -> Tensor:
         return Cof(F) * Cof(F).trans
 
 
@@ -301,16 +292,16 @@ class Jacobian(Variable):
     name: str = "J"
     kind: str = "scalar"
 
-    def rate(self, z: Values, L: CoefficientFunction, Pi: CoefficientFunction) -> CoefficientFunction:
+    def rate(self, z: Values, L: Tensor, Pi: Tensor) -> Tensor:
         return tr(L) * z[self.name]
 
-    def from_distortion(self, F: CoefficientFunction) -> CoefficientFunction:
+    def from_distortion(self, F: Tensor) -> Tensor:
         return Det(F)
 
-    def positive(self, value: CoefficientFunction) -> Values:
+    def positive(self, value: Tensor) -> Values:
         return {self.name: value}
 
-    def volume_ratio(self, value: CoefficientFunction) -> tuple[CoefficientFunction, float] | None:
+    def volume_ratio(self, value: Tensor) -> tuple[Tensor, float] | None:
         return value, 1.0
 
 
@@ -321,16 +312,16 @@ class ReciprocalJacobian(Variable):
     name: str = "A"
     kind: str = "scalar"
 
-    def rate(self, z: Values, L: CoefficientFunction, Pi: CoefficientFunction) -> CoefficientFunction:
+    def rate(self, z: Values, L: Tensor, Pi: Tensor) -> Tensor:
         return -tr(L) * z[self.name]
 
-    def from_distortion(self, F: CoefficientFunction) -> CoefficientFunction:
+    def from_distortion(self, F: Tensor) -> Tensor:
         return 1 / Det(F)
 
-    def positive(self, value: CoefficientFunction) -> Values:
+    def positive(self, value: Tensor) -> Values:
         return {self.name: value}
 
-    def volume_ratio(self, value: CoefficientFunction) -> tuple[CoefficientFunction, float] | None:
+    def volume_ratio(self, value: Tensor) -> tuple[Tensor, float] | None:
         return value, -1.0
 
 
@@ -342,10 +333,10 @@ class LogJacobian(Variable):
     kind: str = "scalar"
     reciprocal: str = "A"
 
-    def rate(self, z: Values, L: CoefficientFunction, Pi: CoefficientFunction) -> CoefficientFunction:
+    def rate(self, z: Values, L: Tensor, Pi: Tensor) -> Tensor:
         return tr(L) * (z[self.reciprocal] - z[self.name])
 
-    def from_distortion(self, F: CoefficientFunction) -> CoefficientFunction:
+    def from_distortion(self, F: Tensor) -> Tensor:
         return log(Det(F)) / Det(F)
 
     @property

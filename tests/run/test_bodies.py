@@ -11,8 +11,8 @@ import ngvisco as nv
 from ngvisco.forms.term import PointTerm
 from ngvisco.geometries import box
 from ngvisco.physics.arrays import Array
-from ngvisco.physics.bodies import AMOUNT
-from ngvisco.physics.mixture import Fractions, Mixture
+from ngvisco.physics.bodies import AMOUNT, Fractions
+from ngvisco.physics.mixture import Mixture
 from ngvisco.physics.variables import Jacobian
 from tests.verification.cases.discs import control
 

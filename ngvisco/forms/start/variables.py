@@ -6,9 +6,9 @@ from ngsolve import CF, CoefficientFunction
 
 from ngvisco.errors import InitialDataError, ParameterError, UnknownNameError, as_number
 from ngvisco.physics.loads import as_tensor
-from ngvisco.physics.material import Material
+from ngvisco.physics.material import Material, part_of
 from ngvisco.physics.materials.damaged import DamageSlope
-from ngvisco.physics.materials.thermal import entropy_in, thermal_part
+from ngvisco.physics.materials.thermal import Thermal, entropy_in
 from ngvisco.physics.mixture import Mixture
 from ngvisco.physics.parameters import Parameter
 from ngvisco.physics.tensors import log
@@ -64,7 +64,7 @@ def given_temperature(material: Material, given: object, owner: str) -> Coeffici
     known: float | None = None
     if isinstance(material, Mixture):
         known = None if material.heat is None else material.heat.reference_temperature
-    elif (thermal := thermal_part(material)) is not None:
+    elif (thermal := part_of(material, Thermal)) is not None:
         known = thermal.theta_R
     else:
         entropy = entropy_in(material)
@@ -83,7 +83,7 @@ def entropy_at(material: Material, theta: CoefficientFunction, values: Given) ->
     if isinstance(material, Mixture):
         assert material.heat is not None
         return material.heat.total(material.amounts(values), log(theta), 1 / material.fractions.total(values))
-    thermal = thermal_part(material)
+    thermal = part_of(material, Thermal)
     assert thermal is not None
     return thermal.start(theta, values["A"])
 

@@ -34,8 +34,8 @@ from ngvisco.forms.term import (
     dissipations,
 )
 from ngvisco.forms.upwinding import SideMean
+from ngvisco.physics.heat import HeatLaw
 from ngvisco.physics.materials.thermal import Entropy, entropy_in
-from ngvisco.physics.mixed_heat import HeatLaw
 from ngvisco.physics.model import Model
 from ngvisco.physics.tensors import inner, linear_map, square
 

@@ -11,8 +11,8 @@ import numpy as np
 from ngvisco.errors import ParameterError
 from ngvisco.physics.arrays import Array
 from ngvisco.physics.flow_rules.rule import FlowRule
-from ngvisco.physics.material import Material
-from ngvisco.physics.materials.thermal import entropy_in, thermal_part
+from ngvisco.physics.material import Material, part_of
+from ngvisco.physics.materials.thermal import Thermal, entropy_in
 from ngvisco.physics.mixture import Mixture
 from ngvisco.physics.pointwise import rest_state
 from ngvisco.physics.rheology import Viscosity
@@ -36,7 +36,7 @@ def values_at_rest(material: Material, parameters: Mapping[str, float] | None = 
         components[states.slices[name]] = (parameters or {})[name]
     found = {name: states.tensor(name, Array(components, None)) for name in states.slices}
     found[PRESSURE] = found[HARDENING] = Array(np.zeros(1), None)
-    thermal = thermal_part(material.bodies[0].material if isinstance(material, Mixture) else material)
+    thermal = part_of(material.bodies[0].material if isinstance(material, Mixture) else material, Thermal)
     if thermal is not None:
         found[TEMPERATURE] = found[PRESSURE].like(float(thermal.theta_R))
     return found

@@ -2,13 +2,14 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Annotated
 
 from ngsolve import CoefficientFunction
 
-from ngvisco.errors import ParameterError
+from ngvisco.errors import ParameterError, Quantity
 from ngvisco.physics.energy_checks import check_energy, require_isotropy
 from ngvisco.physics.material import Material, check_material
-from ngvisco.physics.parameters import Modulus, require_modulus
+from ngvisco.physics.parameters import Modulus
 from ngvisco.physics.tensors import IDENTITY
 from ngvisco.physics.variables import Values, Variable
 
@@ -56,24 +57,22 @@ class CustomMaterial(Material):
 
     transported: tuple[Variable, ...]
     stored_energy: Callable[..., CoefficientFunction]
-    rho_R: Modulus | None = None
+    rho_R: Annotated[Modulus | None, Quantity("kg/m^3", "> 0", 1000.0)] = None
 
     def __post_init__(self) -> None:
         try:
             object.__setattr__(self, "transported", tuple(self.transported))
         except TypeError:
-            raise ParameterError(
-                "CustomMaterial.transported", self.transported, "a sequence of Variable objects"
-            ) from None
+            expected = "a sequence of Variable objects"
+            raise ParameterError("CustomMaterial.transported", self.transported, expected) from None
         if not callable(self.stored_energy):
-            raise ParameterError(
-                "CustomMaterial.stored_energy", self.stored_energy, "a function of the variables"
-            )
+            expected = "a function of the variables"
+            raise ParameterError("CustomMaterial.stored_energy", self.stored_energy, expected)
         check_material(self)
-        if self.rho_R is not None:
-            require_modulus(self, "rho_R")
-            if all(v.volume_ratio(v.from_distortion(IDENTITY)) is None for v in self.transported):
-                raise ParameterError("CustomMaterial.rho_R", self.rho_R, "a variable that J can be told from")
+        super().__post_init__()
+        of_volume = (v.volume_ratio(v.from_distortion(IDENTITY)) for v in self.transported)
+        if self.rho_R is not None and all(ratio is None for ratio in of_volume):
+            raise ParameterError("CustomMaterial.rho_R", self.rho_R, "a variable that J can be told from")
         check_energy(self)
         require_isotropy(self)
 

@@ -21,13 +21,13 @@ damage of the step's start (``Material.lagged``), and damage itself grows after 
 from dataclasses import dataclass, field
 from typing import Annotated, Any, ClassVar, Literal
 
-from ngsolve import CF, CoefficientFunction
+from ngsolve import CF
 
 from ngvisco.errors import ParameterError, Quantity, require_choice
-from ngvisco.physics.material import Material, Wrapper, rest_stress_and_modulus
+from ngvisco.physics.material import Wrapper, part_of, rest_stress_and_modulus
 from ngvisco.physics.parameters import Parameter, expressions_in, parameters_in
 from ngvisco.physics.pointwise import energies_at, rest_state
-from ngvisco.physics.tensors import IDENTITY, identity_like, if_positive, log, square, tr
+from ngvisco.physics.tensors import IDENTITY, Tensor, identity_like, if_positive, log, square, tr
 from ngvisco.physics.variables import Jacobian, LogJacobian, ReciprocalJacobian, SmallStrain, Values, Variable
 
 
@@ -47,22 +47,17 @@ class DamageSlope(Variable):
     name: str = "grad_damage"
     kind: str = "vector"
 
-    @property
-    def is_strain(self) -> bool:
-        return False
+    is_strain = False
+    creeps = False
 
-    @property
-    def creeps(self) -> bool:
-        return False
-
-    def rate(self, z: Values, L: CoefficientFunction, Pi: CoefficientFunction) -> CoefficientFunction:
+    def rate(self, z: Values, L: Tensor, Pi: Tensor) -> Tensor:
         return -L.trans * z[self.name]
 
-    def from_distortion(self, F: CoefficientFunction) -> CoefficientFunction:
+    def from_distortion(self, F: Tensor) -> Tensor:
         """Zero: that of the start's damage is made of it."""
         return 0 * F
 
-    def turned(self, value: CoefficientFunction, Q: CoefficientFunction) -> CoefficientFunction:
+    def turned(self, value: Tensor, Q: Tensor) -> Tensor:
         return Q * value
 
 
@@ -122,7 +117,7 @@ class Damaged(Wrapper):
         require_choice(self, ("AT1", "AT2"), law=self.law)
         require_choice(self, ("all", "tensile"), part=self.part)
         owner = type(self).__name__
-        if damage_in(self.material) is not None:
+        if part_of(self.material, Damaged) is not None:
             raise ParameterError(f"{owner}.material", self.material, "a material without damage")
         if self.material.response(3) is not None:
             expected = "a material whose energy is an expression, not that of a Yosida approximation"
@@ -184,7 +179,7 @@ class Damaged(Wrapper):
         """Reference volume per actual volume, A; 1 of a linearised material."""
         return 1.0 if self.is_linearised else z["A"]
 
-    def parts(self, z: Values) -> tuple[CoefficientFunction, CoefficientFunction | None]:
+    def parts(self, z: Values) -> tuple[Tensor, Tensor | None]:
         """a(z), what damage takes of the energy, and c(z), what it leaves (None: nothing), Pa."""
         own = self.material.variables
         inner = {v.name: z[v.name] for v in own}
@@ -212,14 +207,14 @@ class Damaged(Wrapper):
         one = 1 + 0 * z["A"]
         return self.material.energy(_spherical(own, {v.name: z[v.name] for v in own}, one))
 
-    def surface_energy(self, z: Values) -> CoefficientFunction:
+    def surface_energy(self, z: Values) -> Tensor:
         """That of cracks, per actual volume, Pa."""
         d, q = z[DAMAGE.name], z[SLOPE.name]
         of_damage, of_slope = self.surface
         w = d * d if self.law == "AT2" else d
         return self.weight(z) * (of_damage * w + of_slope * square(q))
 
-    def energy(self, z: Values) -> CoefficientFunction:
+    def energy(self, z: Values) -> Tensor:
         taken, kept = self.parts(z)
         phi = self.degradation(z[DAMAGE.name]) * taken + self.surface_energy(z)
         return phi if kept is None else phi + kept
@@ -240,10 +235,3 @@ def _spherical(variables: tuple[Variable, ...], z: Values, J: Any) -> dict[str, 
             size = J if power == 1 else J ** float(power)
             found[v.name] = size if v.kind == "scalar" else size * identity_like(z[v.name])
     return found
-
-
-def damage_in(material: object) -> Damaged | None:
-    """The damaged material that a material is, or that it holds; None without damage."""
-    while isinstance(material, Material) and not isinstance(material, Damaged):
-        material = getattr(material, "material", None)
-    return material if isinstance(material, Damaged) else None

@@ -21,13 +21,13 @@ from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from ngsolve import CF, CoefficientFunction
+from ngsolve import CF
 
 from ngvisco.errors import ParameterError, Quantity, require_choice, require_positive
 from ngvisco.physics.material import Material
 from ngvisco.physics.materials.hyperelastic import continued_in_J, inverse_power, referential_volume
 from ngvisco.physics.parameters import Modulus
-from ngvisco.physics.tensors import log, log_det, tr
+from ngvisco.physics.tensors import Tensor, log, log_det, tr
 from ngvisco.physics.variables import Jacobian, LeftCauchyGreen, ReciprocalJacobian, Values, Variable
 
 
@@ -114,12 +114,12 @@ class BarotropicFluid(Material):
     def continued(self) -> frozenset[str]:
         return continued_in_J(self.J_min)
 
-    def energy(self, z: Values) -> CoefficientFunction:
+    def energy(self, z: Values) -> Tensor:
         if self.form == "A":
             return self.B * z["A"] ** self.gamma
         return inverse_power(self.B, self.gamma, z["J"], self.J_min)
 
-    def start(self, rho_0: float | CoefficientFunction, rho_R: float) -> dict[str, CoefficientFunction]:
+    def start(self, rho_0: float | Tensor, rho_R: float) -> dict[str, Tensor]:
         """Initial value of the variable that belongs to rho_0, for ``Initial(values=...)``."""
         return {self.form: CF(rho_R / rho_0 if self.form == "J" else rho_0 / rho_R)}
 
@@ -164,11 +164,11 @@ class OldroydB(Material):
     def continued(self) -> frozenset[str]:
         return continued_in_J(self.J_min)
 
-    def energy(self, z: Values) -> CoefficientFunction:
+    def energy(self, z: Values) -> Tensor:
         volume = referential_volume(self.K_e, 0.0, 1.0, z["J"], self.J_min)
         return volume + self.G_e * self.chains(z["B"])
 
-    def chains(self, B: CoefficientFunction) -> CoefficientFunction:
+    def chains(self, B: Tensor) -> Tensor:
         """The chains' energy over G_e."""
         return tr(B) - log_det(B) - 3
 
@@ -190,6 +190,6 @@ class FENEP(OldroydB):
 
     b: Annotated[float, Quantity("1", "> 3", 50.0)]
 
-    def chains(self, B: CoefficientFunction) -> CoefficientFunction:
+    def chains(self, B: Tensor) -> Tensor:
         slack = self.b - 3
         return -(slack * log((self.b - tr(B)) * (1 / slack)) + log_det(B))

@@ -20,12 +20,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, ClassVar, Self
 
-from ngsolve import CoefficientFunction
-
 from ngvisco.errors import Quantity, require_choice
 from ngvisco.physics.material import ElasticState, Material
 from ngvisco.physics.parameters import Modulus
-from ngvisco.physics.tensors import if_positive, log, square, tr
+from ngvisco.physics.tensors import Tensor, if_positive, log, square, tr
 from ngvisco.physics.variables import (
     Cofactor,
     CofactorLeftCauchyGreen,
@@ -39,9 +37,7 @@ from ngvisco.physics.variables import (
 )
 
 
-def continued(
-    s: Callable[[Any], Any], slope: Callable[[Any], Any], J: CoefficientFunction, J_min: float | None
-) -> CoefficientFunction:
+def continued(s: Callable[[Any], Any], slope: Callable[[Any], Any], J: Tensor, J_min: float | None) -> Tensor:
     """s(J), linear below ``J_min`` (None: nowhere); ``slope`` is s'.
 
     s is never evaluated below J_min, not even in the branch that is thrown away.
@@ -57,21 +53,17 @@ def continued_in_J(J_min: float | None) -> frozenset[str]:
     return frozenset() if J_min is None else frozenset({"J"})
 
 
-def minus_log(epsilon: Any, J: CoefficientFunction, J_min: float | None) -> CoefficientFunction:
+def minus_log(epsilon: Any, J: Tensor, J_min: float | None) -> Tensor:
     """-epsilon ln J (paper: neo-Hookean-potential-actual)."""
     return continued(lambda a: -epsilon * log(a), lambda a: -epsilon / a, J, J_min)
 
 
-def inverse_power(
-    epsilon: Any, kappa: float, J: CoefficientFunction, J_min: float | None
-) -> CoefficientFunction:
+def inverse_power(epsilon: Any, kappa: float, J: Tensor, J_min: float | None) -> Tensor:
     """epsilon / J^kappa, convex for kappa >= 0 (paper: exa-polyconvex-general)."""
     return continued(lambda a: epsilon * a**-kappa, lambda a: -epsilon * kappa * a ** (-kappa - 1), J, J_min)
 
 
-def referential_volume(
-    K_e: Any, epsilon: Any, kappa: float, J: CoefficientFunction, J_min: float | None
-) -> CoefficientFunction:
+def referential_volume(K_e: Any, epsilon: Any, kappa: float, J: Tensor, J_min: float | None) -> Tensor:
     """[K_e/2 (J - 1 + c)^2 + epsilon/J^kappa]/J with c = kappa epsilon/K_e."""
     rest = 1 - kappa * epsilon / K_e
     volume = 0.5 * K_e * (J - 2 * rest) + inverse_power(0.5 * K_e * rest * rest, 1.0, J, J_min)
@@ -112,7 +104,7 @@ class IsotropicElastic(Material):
     def variables(self) -> tuple[Variable, ...]:
         return (self.by_B if self.is_by_B else self.by_F, Jacobian())
 
-    def first_invariant(self, z: Values) -> CoefficientFunction:
+    def first_invariant(self, z: Values) -> Tensor:
         """|F|^2 times the variable's power of J."""
         return tr(z["B"]) if self.is_by_B else square(z[self.by_F.name])
 
@@ -164,14 +156,14 @@ class NeoHookean(IsotropicElastic):
     def continued(self) -> frozenset[str]:
         return continued_in_J(self.J_min if self.is_by_B else None)
 
-    def first_invariant(self, z: Values) -> CoefficientFunction:
+    def first_invariant(self, z: Values) -> Tensor:
         """J^{-2/3} |F|^2."""
         return tr(z["B"]) if self.is_by_B else z["J"] ** (-2 / 3) * square(z["F"])
 
-    def energy(self, z: Values) -> CoefficientFunction:
+    def energy(self, z: Values) -> Tensor:
         return self._volumetric(z["J"]) + self.G_e * self.first_invariant(z)
 
-    def _volumetric(self, J: CoefficientFunction) -> CoefficientFunction:
+    def _volumetric(self, J: Tensor) -> Tensor:
         """K_e/2 (J - 1 + c)^2 + s(J), with c such that the minimum is at J = 1."""
         K_e, epsilon, kappa = self.K_e, self.epsilon, self.kappa
         c = epsilon / K_e if kappa is None else kappa * epsilon / K_e
@@ -214,7 +206,7 @@ class MooneyRivlin(NeoHookean):
         first, J = super().variables
         return (first, CofactorLeftCauchyGreen(exponent=-4 / 3) if self.is_by_B else Cofactor(), J)
 
-    def energy(self, z: Values) -> CoefficientFunction:
+    def energy(self, z: Values) -> Tensor:
         second = tr(z["N"]) ** 1.5 if self.is_by_B else square(z["H"]) ** 1.5 / (z["J"] * z["J"])
         return super().energy(z) + 2 / (3 * math.sqrt(3)) * self.G_mr * second
 
@@ -254,7 +246,7 @@ class ReferentialNeoHookean(IsotropicElastic):
     def continued(self) -> frozenset[str]:
         return continued_in_J(self.J_min)
 
-    def energy(self, z: Values) -> CoefficientFunction:
+    def energy(self, z: Values) -> Tensor:
         volume = referential_volume(self.K_e, self.epsilon, self.kappa, z["J"], self.J_min)
         return volume + self.G_e * self.first_invariant(z)
 
@@ -279,7 +271,7 @@ class IsochoricNeoHookean(ReferentialNeoHookean):
     def continued(self) -> frozenset[str]:
         return super().continued if self.is_by_B else frozenset()
 
-    def first_invariant(self, z: Values) -> CoefficientFunction:
+    def first_invariant(self, z: Values) -> Tensor:
         return tr(z["B"]) if self.is_by_B else square(z["H"]) / z["J"]
 
 
@@ -311,7 +303,7 @@ class LogarithmicNeoHookean(IsotropicElastic):
     def variables(self) -> tuple[Variable, ...]:
         return (super().variables[0], ReciprocalJacobian(), LogJacobian())
 
-    def energy(self, z: Values) -> CoefficientFunction:
+    def energy(self, z: Values) -> Tensor:
         A, rest = z["A"], 1 - self.epsilon / self.K_e
         volume = 0.5 * self.K_e * (1 / A - 2 * rest + rest * rest * A)
         return volume + self.G_e * self.first_invariant(z) - self.epsilon * z["K"]
@@ -329,7 +321,7 @@ class _WithCofactor(IsotropicElastic):
         by_F, by_B = Cofactor("N", exponent=-7 / 6), CofactorLeftCauchyGreen(exponent=-7 / 3)
         return (first, by_B if self.is_by_B else by_F, *others)
 
-    def energy(self, z: Values) -> CoefficientFunction:
+    def energy(self, z: Values) -> Tensor:
         second = tr(z["N"]) if self.is_by_B else square(z["N"])
         return super().energy(z) + self.G_mr * second  # type: ignore[safe-super]
 

@@ -20,7 +20,6 @@ from functools import cached_property
 from typing import Annotated, Any, Self
 
 import numpy as np
-from ngsolve import CoefficientFunction
 
 from ngvisco.errors import ParameterError, Quantity
 from ngvisco.physics.energy_checks import StateSampling, check_convexity
@@ -35,7 +34,7 @@ from ngvisco.physics.parameters import (
     substituted,
 )
 from ngvisco.physics.pointwise import respond, rest_state
-from ngvisco.physics.tensors import IDENTITY, log
+from ngvisco.physics.tensors import IDENTITY, Tensor, log
 from ngvisco.physics.variables import (
     Cofactor,
     CofactorLeftCauchyGreen,
@@ -114,7 +113,7 @@ class PerReferentialVolume(Material):
     def referential_density(self) -> Modulus | None:
         return self.rho_R
 
-    def energy(self, z: Values) -> CoefficientFunction:
+    def energy(self, z: Values) -> Tensor:
         A = z["A"]
         J = 1 / A
         own = {v.name: z[v.name] for v in self.material.variables if not v.is_strain}
@@ -142,7 +141,7 @@ class PerMass(PerReferentialVolume):
 
     rho_R: Annotated[Modulus, Quantity("kg/m^3", "> 0", 1000.0)]
 
-    def energy(self, z: Values) -> CoefficientFunction:
+    def energy(self, z: Values) -> Tensor:
         return self.rho_R * super().energy(z)
 
 
@@ -205,7 +204,7 @@ class ReferenceEnergy(Material):
         own = tuple(v for v in self.material.variables if isinstance(v, Parameter))
         return (*self.tensors, Jacobian("J"), *distinct((*own, *parameters_in((self.material,)))))
 
-    def energy(self, z: Values) -> CoefficientFunction:
+    def energy(self, z: Values) -> Tensor:
         J, own = z["J"], {}
         for v in self.material.variables:
             if isinstance(v, Jacobian):
@@ -218,7 +217,7 @@ class ReferenceEnergy(Material):
                 own[v.name] = (1 / J) * z[v.name] if _is_density(v) else z[v.name]
         return J * substituted(self.material, lambda expression: expression.at(z)).energy(own)
 
-    def volumetric(self, z: Values) -> CoefficientFunction:
+    def volumetric(self, z: Values) -> Tensor:
         """U(J) = psi(I, J), Pa."""
         J: Any = z["J"]
         identity = J.constant(np.eye(3)) if hasattr(J, "constant") else IDENTITY

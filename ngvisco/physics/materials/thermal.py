@@ -15,13 +15,13 @@ from dataclasses import dataclass, field, replace
 from typing import Annotated, Any, Self
 
 import numpy as np
-from ngsolve import CF, CoefficientFunction, Id
+from ngsolve import CF, Id
 
 from ngvisco.errors import ParameterError, Quantity
 from ngvisco.physics.material import ElasticState, Material, rest_stress_and_modulus
 from ngvisco.physics.parameters import Modulus, require_ranges, substituted
 from ngvisco.physics.signals import sampled
-from ngvisco.physics.tensors import exp, log, tr
+from ngvisco.physics.tensors import Tensor, exp, log, tr
 from ngvisco.physics.variables import ReciprocalJacobian, Values, Variable
 
 
@@ -40,23 +40,18 @@ class Entropy(Variable):
     kind: str = "scalar"
     unit: float = 1.0
 
-    @property
-    def is_conserved(self) -> bool:
-        return True
+    is_conserved = True
+    own_scale = 1e4
+    """In heat capacities; of it 1e-9 is 3 mK at 300 K, of which rounding leaves 1e-11.
 
-    @property
-    def own_scale(self) -> float:
-        """In heat capacities; of it 1e-9 is 3 mK at 300 K, of which rounding leaves 1e-11.
+    Beside A = 1 an increment of 1e-10 of all variables is, where temperatures differ by a hundredth, 1e-8 of
+    the energy above theta_R.
+    """
 
-        Beside A = 1 an increment of 1e-10 of all variables is, where temperatures differ by a hundredth,
-        1e-8 of the energy above theta_R.
-        """
-        return 1e4
-
-    def rate(self, z: Values, L: CoefficientFunction, Pi: CoefficientFunction) -> CoefficientFunction:
+    def rate(self, z: Values, L: Tensor, Pi: Tensor) -> Tensor:
         return -tr(L) * z[self.name]
 
-    def from_distortion(self, F: CoefficientFunction) -> CoefficientFunction:
+    def from_distortion(self, F: Tensor) -> Tensor:
         """Zero: a start has a temperature (``Initial.temperature``)."""
         return CF(0.0)
 
@@ -178,10 +173,10 @@ class Thermal(Material):
     def lagged(self) -> frozenset[str]:
         return self.cold.lagged
 
-    def energy(self, z: Values) -> CoefficientFunction:
+    def energy(self, z: Values) -> Tensor:
         return self.of_heat(z) + self.cold.energy({v.name: z[v.name] for v in self.cold.variables})
 
-    def of_heat(self, z: Values) -> CoefficientFunction:
+    def of_heat(self, z: Values) -> Tensor:
         """What the energy without heat leaves of it, Pa."""
         A, heat, J = z["A"], self.c * self.theta_R, 1 / z["A"]
         unit = self.entropy.unit / self.c
@@ -214,7 +209,7 @@ class Thermal(Material):
         """S, J/(m^3 K), of the logarithm of the temperature in K."""
         return self.c * (log_theta - math.log(self.theta_R) + self.g(J))
 
-    def start(self, theta: Any, A: Any) -> CoefficientFunction:
+    def start(self, theta: Any, A: Any) -> Tensor:
         """The carried entropy of a temperature theta, K, and A = 1/J."""
         return 1 / self.entropy.unit * A * self.entropy_of(log(theta), 1 / A)
 
@@ -239,11 +234,11 @@ class _Stiffening(Material):
     def variables(self) -> tuple[Variable, ...]:
         return (ReciprocalJacobian(),)
 
-    def energy(self, z: Values) -> CoefficientFunction:
+    def energy(self, z: Values) -> Tensor:
         return self.p_infinity * (1 - z["A"])
 
 
-def temperature(material: Material, zeta: Values) -> CoefficientFunction | None:
+def temperature(material: Material, zeta: Values) -> Tensor | None:
     """theta, K, by the conjugates' values; None of a material without heat."""
     entropy = entropy_in(material)
     return None if entropy is None else zeta[entropy.name] / entropy.unit
@@ -255,10 +250,3 @@ def warming(material: Material, entropy: Entropy) -> float:
     s = CF(1e-6).MakeVariable()  # a zero would be taken for a constant
     z = {v.name: v.from_distortion(Id(3)) for v in material.variables} | {entropy.name: s}
     return float(np.mean(sampled(typical.energy(z).Diff(s).Diff(s)))) / entropy.unit
-
-
-def thermal_part(part: object) -> Thermal | None:
-    """The material with heat that a material is, or that it regularises; None without one."""
-    while isinstance(part, Material) and not isinstance(part, Thermal):
-        part = getattr(part, "material", None)
-    return part if isinstance(part, Thermal) else None

@@ -10,14 +10,14 @@ from operator import add
 from typing import Annotated
 
 import numpy as np
-from ngsolve import CF, CoefficientFunction
+from ngsolve import CF
 
 from ngvisco.errors import NgviscoError, Quantity, UnknownNameError, require_names
 from ngvisco.physics.flow_rules.rule import PLASTIC_STRAIN, Hardening
 from ngvisco.physics.material import ElasticState, Material, Wrapper
 from ngvisco.physics.parameters import Parameter, distinct, substituted
 from ngvisco.physics.pointwise import Respond, Response, respond, rest_state
-from ngvisco.physics.tensors import inner
+from ngvisco.physics.tensors import Tensor, inner
 from ngvisco.physics.variables import Values, Variable
 
 
@@ -50,7 +50,7 @@ class Carrying(Wrapper):
     def lagged(self) -> frozenset[str]:
         return self.material.lagged
 
-    def energy(self, z: Values) -> CoefficientFunction:
+    def energy(self, z: Values) -> Tensor:
         at_this_point = substituted(self.material, lambda expression: expression.at(z))
         phi = at_this_point.energy({v.name: z[v.name] for v in self.material.variables})
         return phi if self.hardening is None else phi + self.hardening.energy(z)
@@ -124,7 +124,7 @@ class WithQuadratic(Wrapper):
     def conformation(self) -> str | None:
         return None  # at rest there is a stress of the added energy
 
-    def energy(self, z: Values) -> CoefficientFunction:
+    def energy(self, z: Values) -> Tensor:
         return self.material.energy(z) + self.added_energy(z)
 
     def response(self, dim: int) -> Respond | None:
@@ -143,7 +143,7 @@ class WithQuadratic(Wrapper):
 
         return respond
 
-    def added_energy(self, z: Values) -> CoefficientFunction:
+    def added_energy(self, z: Values) -> Tensor:
         """sqrt(delta)/2 sum_i |z_i|^2, Pa."""
         squares = [inner(z[name], z[name]) for name in self._regularised]
         return 0.5 * self.delta**0.5 * reduce(add, squares)
@@ -177,7 +177,7 @@ class Yosida(Wrapper):
     def continued(self) -> frozenset[str]:
         return frozenset(variable.name for variable in self.variables if variable.is_strain)
 
-    def energy(self, z: Values) -> CoefficientFunction:
+    def energy(self, z: Values) -> Tensor:
         raise NgviscoError(
             "a Yosida approximation has no expression: use ngvisco.physics.pointwise.respond(material, dim), "
             "which gives its energy and derivatives for arrays of states"
