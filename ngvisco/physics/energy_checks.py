@@ -197,7 +197,6 @@ def check_convexity(
     seed: int = 0,
     warn: bool = True,
     states: np.ndarray | None = None,
-    name: str | None = None,
 ) -> ConvexityReport:
     """Look for states where a material's energy is not jointly convex.
 
@@ -216,8 +215,6 @@ def check_convexity(
         Whether to issue a ConvexityWarning with the point where the energy fails.
     states : array (count, components), optional
         Components of a run's states, to say how far from them the energy fails; default rest.
-    name : str, optional
-        What a warning calls the material; default its class.
 
     Returns
     -------
@@ -262,7 +259,7 @@ def check_convexity(
     )
     if warn:
         warnings.warn(
-            f"{name or type(material).__name__}: the stored energy is {report}; the scheme stays consistent, "
+            f"{type(material).__name__}: the stored energy is {report}; the scheme stays consistent, "
             "but its numerical dissipation (the ledger's bregman) may be negative there",
             ConvexityWarning,
             stacklevel=2,

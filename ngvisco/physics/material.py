@@ -47,20 +47,16 @@ if TYPE_CHECKING:
 
 
 class StateSpace:
-    """Sizes, places and tensors of a material's variables on a mesh of dimension ``dim``.
+    """The space that a material's state lives in: all components of its variables, side by side.
 
     Attributes
     ----------
     size : int
         Number of components N of a state.
-    slices : dict
-        Where every variable's components stand, by its name.
-    spaces : dict
-        The space of tensors that a variable's values are in, by its name.
-    strains : (size,) array of bool
-        Which components are those of strains, and not of parameters.
-    by_flux : (size,) array of bool
-        Which components are densities, transported by their flux.
+    slices, spaces : dict
+        Where every variable's components stand, and the space that its tensors are in, by its name.
+    strains, by_flux : (size,) arrays of bool
+        Which components are strains, no parameters; and which are densities, transported by their flux.
     densities : (size,) array
         rho is their sum times the components, kg/m^3, where amounts of matter are among these; else 0.
     """
@@ -68,18 +64,14 @@ class StateSpace:
     def __init__(self, variables: tuple[Variable, ...], dim: int) -> None:
         self.variables, self.dim = variables, dim
         self.spaces: dict[str, TensorSpace] = {v.name: tensor_space(v.kind, dim) for v in variables}
-        self.slices: dict[str, slice] = {}
-        start = 0
-        for name, space in self.spaces.items():
-            self.slices[name] = slice(start, start + space.size)
-            start += space.size
-        self.size = start
-        self.strains, self.by_flux = np.ones(start, dtype=bool), np.zeros(start, dtype=bool)
-        self.densities = np.zeros(start)
-        for variable in variables:
-            self.strains[self.slices[variable.name]] = variable.is_strain
-            self.by_flux[self.slices[variable.name]] = variable.by_flux
-            self.densities[self.slices[variable.name]] = variable.density
+        sizes = [space.size for space in self.spaces.values()]
+        ends = np.cumsum(sizes).tolist()
+        places = (slice(end - size, end) for size, end in zip(sizes, ends, strict=True))
+        self.slices = dict(zip(self.spaces, places, strict=True))
+        self.size: int = ends[-1]
+        self.strains = np.repeat([v.is_strain for v in variables], sizes)
+        self.by_flux = np.repeat([v.by_flux for v in variables], sizes)
+        self.densities = np.repeat([v.density for v in variables], sizes)
 
     @staticmethod
     @cache

@@ -3,12 +3,9 @@
 A state is the vector of all components of a material's variables (``StateSpace``).  A material
 whose energy has no expression, such as a Yosida approximation, supplies a ``Respond`` in its place.
 
-phi'(z) of a material at many points as arrays, where its energy can be written with them.
-
 NGSolve's symbolic derivative of an energy takes 3 microseconds a point (neo-Hookean, 3D), because it is a
-tree of small tensor operations for each point.  Here every operation of ``Material.energy`` acts on all
-points at once (``ngvisco.physics.arrays``).  An energy can be written with coefficient functions' operations
-that have no counterpart there; it is then left to NGSolve.
+tree of small tensor operations for each point.  Where an energy can be written with arrays
+(``ngvisco.physics.arrays``), every operation acts on all points at once.
 """
 
 import math
@@ -18,13 +15,12 @@ from functools import cache
 from typing import Any, TypeAlias
 
 import numpy as np
-from ngsolve import CF, ET, L2, VOL, CoefficientFunction, GridFunction, IntegrationRule, VectorValued
+from ngsolve import CF, ET, L2, VOL, GridFunction, IntegrationRule, VectorValued
 from ngsolve.meshes import MakeStructured2DMesh
 
 from ngvisco.physics.arrays import TINY, Array, derivatives
 from ngvisco.physics.material import Material
-
-_CELLS = 64  # squares a side of the mesh on which a batch of states is evaluated
+from ngvisco.physics.tensors import Tensor
 
 
 @dataclass(frozen=True)
@@ -56,16 +52,10 @@ Respond: TypeAlias = Callable[[np.ndarray], Response]
 """The response at states of shape (n, N)."""
 
 
-_KNOWN_BY = 8  # states at which an energy is looked at to know it again
-
-
 def sampled_energies(material: Material, dim: int) -> str:
-    """Energies at fixed states, Pa, as a text: the same for the same energy, whatever it is called.
-
-    Nine digits are kept, so that other libraries' rounding makes no difference.
-    """
+    """Energies at fixed states, Pa, as a text: the same for the same energy, with other libraries too."""
     rng = np.random.default_rng(2024)
-    F = np.eye(3) + 0.25 * rng.uniform(-1, 1, (_KNOWN_BY, 3, 3))
+    F = np.eye(3) + 0.25 * rng.uniform(-1, 1, (8, 3, 3))
     if dim == 2:
         F[:, 2, :2] = F[:, :2, 2] = 0.0
     return " ".join(f"{value:.8e}" for value in energies_at(material, states_of(material, F, dim), dim))
@@ -82,11 +72,10 @@ def energies_at(material: Material, states: np.ndarray, dim: int) -> np.ndarray:
 def states_of(material: Material, F: np.ndarray, dim: int) -> np.ndarray:
     """Components of the states that belong to distortions F, (n, 3, 3): (n, N)."""
 
-    def components(entries: CoefficientFunction) -> CoefficientFunction:
+    def components(entries: Tensor) -> Tensor:
         tensor = entries.Reshape((3, 3))
-        return material.states(dim).components(
-            {v.name: v.from_distortion(tensor) for v in material.variables}
-        )
+        values = {v.name: v.from_distortion(tensor) for v in material.variables}
+        return material.states(dim).components(values)
 
     return evaluated(components, F.reshape(-1, 9))
 
@@ -96,13 +85,8 @@ def rest_state(material: Material, dim: int) -> np.ndarray:
     return states_of(material, np.eye(3)[None], dim)[0]
 
 
-def evaluated(
-    function: Callable[[CoefficientFunction], CoefficientFunction], vectors: np.ndarray
-) -> np.ndarray:
-    """Values of a function of vectors, (n, values), at each of n of them, (n, components).
-
-    NaN and inf where it has none.
-    """
+def evaluated(function: Callable[[Tensor], Tensor], vectors: np.ndarray) -> np.ndarray:
+    """Values of a function of vectors, (n, values), at n of them; NaN and inf where it has none."""
     count, size = vectors.shape
     mesh, points = squares(math.isqrt(max(count, 1) - 1) + 1)
     field = GridFunction(VectorValued(L2(mesh, order=0), size))
@@ -122,7 +106,7 @@ class ExpressionResponse:
     def __init__(self, material: Material, dim: int) -> None:
         states = material.states(dim)
         self.size = states.size
-        self.mesh, self.points = squares(_CELLS)
+        self.mesh, self.points = squares(64)
         self.state = GridFunction(VectorValued(L2(self.mesh, order=0), self.size))
         z = {name: value.MakeVariable() for name, value in states.tensors(lambda: self.state).items()}
         phi = material.energy(z)
@@ -138,31 +122,28 @@ class ExpressionResponse:
         """For every variable its basis, (entries, components), and where its components stand."""
 
     def __call__(self, states: np.ndarray) -> Response:
-        n, size = len(self.points), self.size
-        parts = [self._batch(states[i : i + n]) for i in range(0, len(states), n)]
-        if not parts:
-            return Response(np.empty(0), np.empty((0, size)), np.empty((0, size, size)))
-        energy, slope, hessian = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
-        return Response(energy, slope, hessian)
+        n, size = len(states), self.size
+        result = Response(np.empty(n), np.empty((n, size)), np.empty((n, size, size)))
+        for start in range(0, n, len(self.points)):
+            self._put(result, states, slice(start, min(start + len(self.points), n)))
+        return result
 
-    def _batch(self, states: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        count = len(states)
-        self.state.vec.FV().NumPy().reshape(self.size, -1)[:, :count] = states.T
+    def _put(self, result: Response, states: np.ndarray, some: slice) -> None:
+        count = some.stop - some.start
+        self.state.vec.FV().NumPy().reshape(self.size, -1)[:, :count] = states[some].T
         values = np.asarray(self.outputs(self.points[:count])).reshape(count, -1)
-        slope = np.empty((count, self.size))
-        hessian = np.empty((count, self.size, self.size))
+        result.energy[some] = values[:, 0]
         start = 1
         with np.errstate(all="ignore"):  # outside the energy's domain there are NaN and inf
             for B, where in self.blocks:
-                slope[:, where] = values[:, start : start + len(B)] @ B
+                result.slope[some, where] = values[:, start : start + len(B)] @ B
                 start += len(B)
             for B, where in self.blocks:
                 for C, other in self.blocks:
                     stop = start + len(B) * len(C)
                     block = values[:, start:stop].reshape(count, len(B), len(C))
-                    hessian[:, where, other] = B.T @ block @ C
+                    result.hessian[some, where, other] = B.T @ block @ C
                     start = stop
-        return values[:, 0].copy(), slope, hessian
 
 
 @cache
@@ -175,21 +156,19 @@ def squares(cells: int) -> tuple[Any, Any]:
 CHUNK = 2048
 """Points at a time, so that what is made on the way stays in the processor's cache."""
 
-Slope: TypeAlias = Callable[[np.ndarray], np.ndarray]
+Both: TypeAlias = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
-def array_slope(material: Material, dim: int) -> Slope | None:
+def array_slope(material: Material, dim: int) -> Callable[[np.ndarray], np.ndarray] | None:
     """phi'(z) for components z (n, points), by arrays; None where the energy does not allow for them."""
     both = energy_and_slope(material, dim)
     return None if both is None else lambda z: both(z)[1]
 
 
-def energy_and_slope(
-    material: Material, dim: int
-) -> Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]] | None:
+def energy_and_slope(material: Material, dim: int) -> Both | None:
     """phi(z), (points,), and phi'(z), both by arrays; None where the energy does not allow for them."""
     states = material.states(dim)
-    slices, spaces = states.slices, states.spaces
+    parts = [(name, where, states.spaces[name]) for name, where in states.slices.items()]
 
     def both(z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         energy, slope = np.empty(z.shape[1], z.dtype), np.empty_like(z)
@@ -201,13 +180,13 @@ def energy_and_slope(
 
     def put(z: np.ndarray, result: np.ndarray) -> np.ndarray:
         values = {}
-        for name, where in slices.items():
-            space = spaces[name]
+        for name, where, space in parts:
             part = z[where.start] if space.is_scalar else (space.columns @ z[where]).reshape(3, 3, -1)
             values[name] = Array(part)
         energy = material.energy(values)
-        for (name, where), g in zip(slices.items(), derivatives(energy, list(values.values())), strict=True):
-            result[where] = g if spaces[name].is_scalar else spaces[name].columns.T @ g.reshape(9, -1)
+        slopes = derivatives(energy, list(values.values()))
+        for (_, where, space), g in zip(parts, slopes, strict=True):
+            result[where] = g if space.is_scalar else space.columns.T @ g.reshape(9, -1)
         return energy.value
 
     try:

@@ -1,22 +1,7 @@
 """Dissipative mechanisms of the velocity: viscosities and hyperviscosity.
 
-Linear maps D of symmetric 3x3 tensors to such, in the three notations in use.
-
-* ``"tensor"``: D_ijkl, (3, 3, 3, 3), with D_ijkl = D_jikl = D_ijlk.
-* ``"voigt"``: (6, 6), from (e_11, e_22, e_33, 2 e_23, 2 e_13, 2 e_12) to (s_11, s_22, s_33, s_23, s_13,
-  s_12); its entries are the D_ijkl themselves.
-* ``"mandel"``: (6, 6), from (e_11, e_22, e_33, sqrt(2) e_23, sqrt(2) e_13, sqrt(2) e_12) to the same of s:
-  the matrix of D in an orthonormal basis, whose eigenvalues are those of D.
-
-Dissipative mechanisms of the velocity: Stokes-type viscosity and hyperviscosity.
-
-A viscosity is a stress D(eps; z), the derivative by eps of a convex potential (paper: dissipation-pot).
-Those linear in eps are here; those that change with the strain rate in ``viscosities``.
-
-Viscosities that change with the strain rate: generalised Newtonian fluids.
-
-Each is G_v(s) of the squared shear rate s = 2 |dev eps|^2 (``IsotropicViscosity``), with G_v(s) sqrt(s)
-rising, so that its potential is convex (paper: dissipation-pot).  Derivatives are never written.
+A viscosity is a stress D(eps; z), the derivative by eps of a convex potential (paper: dissipation-pot).  An
+isotropic one is G_v(s) of the squared shear rate s = 2 |dev eps|^2, with G_v(s) sqrt(s) rising.
 """
 
 from abc import ABC, abstractmethod
@@ -39,90 +24,10 @@ from ngvisco.physics.tensors import (
     power_of_square,
     sph,
     square,
+    symmetric_tensors,
     tr,
 )
 from ngvisco.physics.variables import Values
-
-Notation: TypeAlias = Literal["mandel", "voigt", "tensor"]
-
-PAIRS = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
-"""Entries in the order of the 6x6 notations: 11, 22, 33, 23, 13, 12."""
-
-_TOLERANCE = 1e-12
-"""Of symmetry and of eigenvalues, over the largest entry: what rounding in the input leaves."""
-
-
-def mandel_matrix(field: str, value: object, notation: Notation) -> np.ndarray:
-    """D as a symmetric (6, 6) matrix in Mandel's notation.
-
-    Raises ParameterError for another shape, entries that are no finite numbers, and a D that is not
-    symmetric: the message has the entries that differ.
-
-    Parameters
-    ----------
-    field : str
-        The parameter's name, for errors.
-    value : array_like
-        (6, 6), or (3, 3, 3, 3) for ``"tensor"``.
-    notation : str
-        ``"mandel"``, ``"voigt"`` or ``"tensor"``.
-    """
-    shape = (3, 3, 3, 3) if notation == "tensor" else (6, 6)
-    expected = f"{'x'.join(map(str, shape))} finite numbers in the notation {notation!r}"
-    try:
-        array = np.array(value, dtype=float)
-    except (TypeError, ValueError):
-        raise ParameterError(field, value, expected) from None
-    if array.shape != shape:
-        raise ParameterError(field, f"an array of shape {array.shape}", expected)
-    if not np.isfinite(array).all():
-        raise ParameterError(field, value, expected)
-    if notation == "tensor":
-        for axes, names in (((1, 0, 2, 3), "jikl"), ((0, 1, 3, 2), "ijlk"), ((2, 3, 0, 1), "klij")):
-            _require_equal(field, array, array.transpose(axes), f"D_ijkl = D_{names}")
-        matrix = np.array([[array[*first, *second] for second in PAIRS] for first in PAIRS])
-    else:
-        _require_equal(field, array, array.T, "a symmetric D")
-        matrix = 0.5 * (array + array.T)
-    weights = _WEIGHTS if notation != "mandel" else np.ones(6)
-    return weights[:, None] * matrix * weights
-
-
-def full_tensor(mandel: np.ndarray) -> np.ndarray:
-    """D_ijkl, (3, 3, 3, 3), of a matrix in Mandel's notation."""
-    entries = mandel / _WEIGHTS[:, None] / _WEIGHTS
-    tensor = np.empty((3, 3, 3, 3))
-    for a, (i, j) in enumerate(PAIRS):
-        for b, (m, n) in enumerate(PAIRS):
-            for row in ((i, j), (j, i)):
-                tensor[*row, m, n] = tensor[*row, n, m] = entries[a, b]
-    return tensor
-
-
-def require_semidefinite(field: str, value: object, mandel: np.ndarray) -> None:
-    """Raise ParameterError, with the strain that shows it, where e : D e < 0 for some e."""
-    eigenvalues, modes = np.linalg.eigh(mandel)
-    if eigenvalues[0] < -_TOLERANCE * max(abs(eigenvalues[-1]), abs(eigenvalues[0])):
-        e = modes[:, 0] / _WEIGHTS
-        shown = ", ".join(f"e_{i + 1}{j + 1} = {x:.3g}" for x, (i, j) in zip(e, PAIRS, strict=True))
-        expected = f"e : D e >= 0 for every strain rate e; it is {eigenvalues[0]:.3g} for {shown}"
-        raise ParameterError(field, value, expected)
-
-
-_WEIGHTS = np.array([1.0, 1.0, 1.0, *(3 * [2**0.5])])
-
-
-def _require_equal(field: str, one: np.ndarray, other: np.ndarray, expected: str) -> None:
-    difference = np.abs(one - other)
-    at = np.unravel_index(int(np.argmax(difference)), one.shape)
-    if difference[at] > _TOLERANCE * np.abs(one).max():
-        place = "".join(str(int(i) + 1) for i in at)
-        raise ParameterError(
-            field,
-            f"{float(one[at])!r} at {place}",
-            f"{expected}: there is {float(other[at])!r} opposite to it",
-        )
-
 
 ValueOfModulus: TypeAlias = float | Tensor
 """A number, or what an expression of parameters gives at every point."""
@@ -221,134 +126,6 @@ class StokesViscosity(IsotropicViscosity):
 
 
 @dataclass(frozen=True, kw_only=True)
-class LinearViscosity(Viscosity):
-    """Any linear viscosity D eps, with D symmetric, positive semidefinite (paper: Euler-small-ass-D).
-
-    D is constant in the actual frame: directions that it prefers are those of space, not of the matter, and
-    do not turn with it.  Both parts of the ledger's viscous dissipation can be of either sign where D couples
-    sph eps with dev eps; their sum is D eps : eps >= 0.  Raises ParameterError for another shape, what is not
-    finite, and a D that is not symmetric (with the entries) or not positive semidefinite (with the strain
-    rate that shows it).
-
-    Example::
-
-        import ngvisco as nv
-
-        # slow along x_1: a fluid with layers across it
-        D = [[3, 0, 0, 0, 0, 0], [0, 1, 0, 0, 0, 0], [0, 0, 1, 0, 0, 0],
-             [0, 0, 0, 1, 0, 0], [0, 0, 0, 0, 1, 0], [0, 0, 0, 0, 0, 1]]
-        law = nv.LinearViscosity(D=D, notation="mandel")
-        print(law.K_v, law.G_v)
-
-    Parameters
-    ----------
-    D : array_like
-        Viscous stress D eps(v): 6x6 or 3x3x3x3, symmetric and positive semidefinite.
-    notation : str
-        How D is written, entries in the order 11, 22, 33, 23, 13, 12: "voigt" has the D_ijkl themselves,
-        "mandel" those of an orthonormal basis, "tensor" is 3x3x3x3. An isotropic D has D_11 = K_v + 4/3 G_v
-        in both, and D_44 = G_v in Voigt's, 2 G_v in Mandel's.
-    """
-
-    D: Annotated[ArrayLike, Quantity("Pa s", example=np.eye(6).tolist())]
-    notation: Annotated[Notation, Quantity(example="mandel")]
-
-    is_linear = True
-
-    def __post_init__(self) -> None:
-        require_choice(self, ("mandel", "voigt", "tensor"), notation=self.notation)
-        mandel = mandel_matrix("LinearViscosity.D", self.D, self.notation)
-        require_semidefinite("LinearViscosity.D", self.D, mandel)
-        object.__setattr__(self, "D", _as_tuples(np.asarray(self.D, dtype=float)))
-
-    @cached_property
-    def mandel(self) -> np.ndarray:
-        """D in Mandel's notation, (6, 6), Pa s."""
-        return mandel_matrix("LinearViscosity.D", self.D, self.notation)
-
-    @property
-    def K_v(self) -> float:
-        """Bulk viscosity of the isotropic part: the mean pressure of eps = I over tr eps, Pa s."""
-        return float(self.mandel[:3, :3].sum()) / 9
-
-    @property
-    def G_v(self) -> float:
-        """Shear viscosity of the isotropic part: half the mean of D over deviatoric eps of size 1, Pa s."""
-        return (float(np.trace(self.mandel)) - 3 * self.K_v) / 10
-
-    def shear_viscosity(self, z: Values) -> ValueOfModulus:
-        return self.G_v
-
-    def stress(self, eps: Tensor, z: Values) -> Tensor:
-        return linear_map(full_tensor(self.mandel).reshape(9, 9), eps, (3, 3))
-
-    def require_dimension(self, dim: int) -> None:
-        out_of_plane = full_tensor(self.mandel)[:2, 2, :2, :2]
-        if dim == 2 and np.abs(out_of_plane).max() > 0:
-            expected = "no stress D_13kl, D_23kl of plane strain rates on a mesh of two dimensions"
-            raise ParameterError("LinearViscosity.D", self.D, expected)
-
-
-def _as_tuples(array: np.ndarray) -> Any:
-    return tuple(map(_as_tuples, array)) if array.ndim else float(array)
-
-
-@dataclass(frozen=True, kw_only=True)
-class HyperViscosity:
-    """Hyperviscosity, the stress (mu_1 + mu |hess v|^{p-2}) hess v (paper: Euler-small-viscoelastodyn+1).
-
-    The paper's analysis wants p > 3; any p > 1 runs.
-    Raises ParameterError if a parameter is out of its range.
-
-    Parameters
-    ----------
-    mu : float
-        Hyperviscosity: mu |hess v|^p is its dissipation.
-    p : float
-        Exponent; the paper's analysis has p > 3.
-    mu_1 : float
-        Coefficient of the quadratic part (the paper's mu_1 + mu_2 |.|^{p-2}).
-    penalty : float
-        Weight of the interior penalty in the lifted form.
-    floor : float
-        |hess v| below which powers that are no even integers are smoothed.
-    """
-
-    mu: Annotated[Modulus, Quantity("W/m^3 (m s)^p", "> 0", 1e-5)]
-    p: Annotated[float, Quantity("1", "> 1", 4.0)] = 4.0
-    mu_1: Annotated[Modulus, Quantity("Pa s m^2", ">= 0", 1e-4)] = 0.0
-    penalty: Annotated[float, Quantity("1", "> 0")] = 1.0
-    floor: Annotated[float, Quantity("1/(m s)", "> 0")] = 1e-10
-
-    def __post_init__(self) -> None:
-        require_ranges(self)
-
-    @property
-    def is_linear(self) -> bool:
-        """Whether the hyperstress is linear in hess v (p = 2)."""
-        return self.p == 2
-
-    def moduli(self, z: Values) -> tuple[ValueOfModulus, ValueOfModulus]:
-        """mu and mu_1 where the variables have the values ``z``."""
-        return value_at(self.mu, z), value_at(self.mu_1, z)
-
-    def linear(self, z: Values) -> ValueOfModulus:
-        """c of p = 2, Pa s m^2."""
-        mu, mu_1 = self.moduli(z)
-        return mu + mu_1
-
-    def coefficient(self, s: Scalar, z: Values) -> Scalar:
-        """c(s) = mu_1 + mu s^{(p-2)/2} for s = |hess v|^2, a coefficient function or an array."""
-        mu, mu_1 = self.moduli(z)
-        power = mu * power_of_square(s, 0.5 * (self.p - 2), self.floor)
-        return power if isinstance(mu_1, (int, float)) and mu_1 == 0 else power + mu_1
-
-    def slope(self, s: Scalar, z: Values) -> Scalar:
-        """c'(s) = mu (p-2)/2 s^{(p-4)/2}."""
-        return 0.5 * (self.p - 2) * self.moduli(z)[0] * power_of_square(s, 0.5 * (self.p - 4), self.floor)
-
-
-@dataclass(frozen=True, kw_only=True)
 class PowerLaw(IsotropicViscosity):
     """G_v = consistency (s + floor^2)^{(n-1)/2}: the law of Ostwald and de Waele, 1925.
 
@@ -442,3 +219,178 @@ class Cross(IsotropicViscosity):
         x = self.relaxation ** float(self.m) * power_of_square(s, 0.5 * self.m, self.floor)
         least = value_at(self.G_inf, z)
         return value_at(self.K_v, z), least + (value_at(self.G_0, z) - least) / (1.0 + x)
+
+
+@dataclass(frozen=True, kw_only=True)
+class LinearViscosity(Viscosity):
+    """Any linear viscosity D eps, with D symmetric, positive semidefinite (paper: Euler-small-ass-D).
+
+    D is constant in the actual frame: directions that it prefers are those of space, not of the matter, and
+    do not turn with it.  Both parts of the ledger's viscous dissipation can be of either sign where D couples
+    sph eps with dev eps; their sum is D eps : eps >= 0.  Raises ParameterError for another shape, what is not
+    finite, and a D that is not symmetric (with the entries) or not positive semidefinite (with the strain
+    rate that shows it).
+
+    Example::
+
+        import ngvisco as nv
+
+        # slow along x_1: a fluid with layers across it
+        D = [[3, 0, 0, 0, 0, 0], [0, 1, 0, 0, 0, 0], [0, 0, 1, 0, 0, 0],
+             [0, 0, 0, 1, 0, 0], [0, 0, 0, 0, 1, 0], [0, 0, 0, 0, 0, 1]]
+        law = nv.LinearViscosity(D=D, notation="mandel")
+        print(law.K_v, law.G_v)
+
+    Parameters
+    ----------
+    D : array_like
+        Viscous stress D eps(v): 6x6 or 3x3x3x3, symmetric and positive semidefinite.
+    notation : str
+        How D is written, entries in the order 11, 22, 33, 23, 13, 12: "voigt" has the D_ijkl themselves,
+        "mandel" those of an orthonormal basis, "tensor" is 3x3x3x3. An isotropic D has D_11 = K_v + 4/3 G_v
+        in both, and D_44 = G_v in Voigt's, 2 G_v in Mandel's.
+    """
+
+    D: Annotated[ArrayLike, Quantity("Pa s", example=np.eye(6).tolist())]
+    notation: Annotated[Literal["mandel", "voigt", "tensor"], Quantity(example="mandel")]
+
+    is_linear = True
+
+    def __post_init__(self) -> None:
+        require_choice(self, ("mandel", "voigt", "tensor"), notation=self.notation)
+        eigenvalues, modes = np.linalg.eigh(self.mandel)
+        if eigenvalues[0] < -_TOLERANCE * max(abs(eigenvalues[-1]), abs(eigenvalues[0])):
+            entries = zip(modes[:, 0] / _WEIGHTS, PAIRS, strict=True)
+            shown = ", ".join(f"e_{i + 1}{j + 1} = {e:.3g}" for e, (i, j) in entries)
+            expected = f"e : D e >= 0 for every strain rate e; it is {eigenvalues[0]:.3g} for {shown}"
+            raise ParameterError("LinearViscosity.D", self.D, expected)
+        object.__setattr__(self, "D", _as_tuples(np.asarray(self.D, dtype=float)))
+
+    @cached_property
+    def mandel(self) -> np.ndarray:
+        """D in Mandel's notation, (6, 6), Pa s: in an orthonormal basis, with the eigenvalues of D."""
+        shape = (3, 3, 3, 3) if self.notation == "tensor" else (6, 6)
+        expected = f"{'x'.join(map(str, shape))} finite numbers in the notation {self.notation!r}"
+        try:
+            array = np.array(self.D, dtype=float)
+        except (TypeError, ValueError):
+            raise ParameterError("LinearViscosity.D", self.D, expected) from None
+        if array.shape != shape:
+            raise ParameterError("LinearViscosity.D", f"an array of shape {array.shape}", expected)
+        if not np.isfinite(array).all():
+            raise ParameterError("LinearViscosity.D", self.D, expected)
+        if self.notation == "tensor":
+            for axes, names in (((1, 0, 2, 3), "jikl"), ((0, 1, 3, 2), "ijlk"), ((2, 3, 0, 1), "klij")):
+                _require_equal(array, array.transpose(axes), f"D_ijkl = D_{names}")
+            return _BASIS.T @ array.reshape(9, 9) @ _BASIS
+        _require_equal(array, array.T, "a symmetric D")
+        weights = _WEIGHTS if self.notation == "voigt" else np.ones(6)
+        return weights[:, None] * (0.5 * (array + array.T)) * weights
+
+    @property
+    def K_v(self) -> float:
+        """Bulk viscosity of the isotropic part: the mean pressure of eps = I over tr eps, Pa s."""
+        return float(self.mandel[:3, :3].sum()) / 9
+
+    @property
+    def G_v(self) -> float:
+        """Shear viscosity of the isotropic part: half the mean of D over deviatoric eps of size 1, Pa s."""
+        return (float(np.trace(self.mandel)) - 3 * self.K_v) / 10
+
+    def shear_viscosity(self, z: Values) -> ValueOfModulus:
+        return self.G_v
+
+    def stress(self, eps: Tensor, z: Values) -> Tensor:
+        return linear_map(full_tensor(self.mandel).reshape(9, 9), eps, (3, 3))
+
+    def require_dimension(self, dim: int) -> None:
+        out_of_plane = full_tensor(self.mandel)[:2, 2, :2, :2]
+        if dim == 2 and np.abs(out_of_plane).max() > 0:
+            expected = "no stress D_13kl, D_23kl of plane strain rates on a mesh of two dimensions"
+            raise ParameterError("LinearViscosity.D", self.D, expected)
+
+
+PAIRS = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
+"""Entries in the order of the 6x6 notations: 11, 22, 33, 23, 13, 12."""
+
+_WEIGHTS = np.array([1.0, 1.0, 1.0, *(3 * [2**0.5])])
+"""Of a strain's entries in Mandel's notation."""
+
+_BASIS = symmetric_tensors(3).columns[:, [0, 3, 5, 4, 2, 1]]
+"""Mandel's orthonormal basis of symmetric tensors, (9, 6): 11, 22, 33, 23, 13, 12."""
+
+_TOLERANCE = 1e-12
+"""Of symmetry and of eigenvalues, over the largest entry: what rounding in the input leaves."""
+
+
+def full_tensor(mandel: np.ndarray) -> np.ndarray:
+    """D_ijkl, (3, 3, 3, 3), of a matrix in Mandel's notation."""
+    return (_BASIS @ mandel @ _BASIS.T).reshape(3, 3, 3, 3)
+
+
+def _require_equal(one: np.ndarray, other: np.ndarray, expected: str) -> None:
+    difference = np.abs(one - other)
+    at = np.unravel_index(int(np.argmax(difference)), one.shape)
+    if difference[at] > _TOLERANCE * np.abs(one).max():
+        found = f"{float(one[at])!r} at {''.join(str(int(i) + 1) for i in at)}"
+        opposite = f"{expected}: there is {float(other[at])!r} opposite to it"
+        raise ParameterError("LinearViscosity.D", found, opposite)
+
+
+def _as_tuples(array: np.ndarray) -> Any:
+    return tuple(map(_as_tuples, array)) if array.ndim else float(array)
+
+
+@dataclass(frozen=True, kw_only=True)
+class HyperViscosity:
+    """Hyperviscosity, the stress (mu_1 + mu |hess v|^{p-2}) hess v (paper: Euler-small-viscoelastodyn+1).
+
+    The paper's analysis wants p > 3; any p > 1 runs.
+    Raises ParameterError if a parameter is out of its range.
+
+    Parameters
+    ----------
+    mu : float
+        Hyperviscosity: mu |hess v|^p is its dissipation.
+    p : float
+        Exponent; the paper's analysis has p > 3.
+    mu_1 : float
+        Coefficient of the quadratic part (the paper's mu_1 + mu_2 |.|^{p-2}).
+    penalty : float
+        Weight of the interior penalty in the lifted form.
+    floor : float
+        |hess v| below which powers that are no even integers are smoothed.
+    """
+
+    mu: Annotated[Modulus, Quantity("W/m^3 (m s)^p", "> 0", 1e-5)]
+    p: Annotated[float, Quantity("1", "> 1", 4.0)] = 4.0
+    mu_1: Annotated[Modulus, Quantity("Pa s m^2", ">= 0", 1e-4)] = 0.0
+    penalty: Annotated[float, Quantity("1", "> 0")] = 1.0
+    floor: Annotated[float, Quantity("1/(m s)", "> 0")] = 1e-10
+
+    def __post_init__(self) -> None:
+        require_ranges(self)
+
+    @property
+    def is_linear(self) -> bool:
+        """Whether the hyperstress is linear in hess v (p = 2)."""
+        return self.p == 2
+
+    def moduli(self, z: Values) -> tuple[ValueOfModulus, ValueOfModulus]:
+        """mu and mu_1 where the variables have the values ``z``."""
+        return value_at(self.mu, z), value_at(self.mu_1, z)
+
+    def linear(self, z: Values) -> ValueOfModulus:
+        """c of p = 2, Pa s m^2."""
+        mu, mu_1 = self.moduli(z)
+        return mu + mu_1
+
+    def coefficient(self, s: Scalar, z: Values) -> Scalar:
+        """c(s) = mu_1 + mu s^{(p-2)/2} for s = |hess v|^2, a coefficient function or an array."""
+        mu, mu_1 = self.moduli(z)
+        power = mu * power_of_square(s, 0.5 * (self.p - 2), self.floor)
+        return power if isinstance(mu_1, (int, float)) and mu_1 == 0 else power + mu_1
+
+    def slope(self, s: Scalar, z: Values) -> Scalar:
+        """c'(s) = mu (p-2)/2 s^{(p-4)/2}."""
+        return 0.5 * (self.p - 2) * self.moduli(z)[0] * power_of_square(s, 0.5 * (self.p - 4), self.floor)

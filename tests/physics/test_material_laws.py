@@ -292,8 +292,6 @@ def test_barotropic_state_equation(form):
         start = {name: CF(float(at_point(value))) for name, value in fluid.start(rho, rho_R).items()}
         T = at_point(cauchy_stress(fluid, start))
         assert np.allclose(T, -a * rho**gamma * np.eye(3), rtol=1e-12)
-        assert math.isclose(fluid.pressure(rho, rho_R), a * rho**gamma, rel_tol=1e-13)
-        assert math.isclose(fluid.sound_speed(rho, rho_R) ** 2, a * gamma * rho ** (gamma - 1), rel_tol=1e-13)
 
 
 @pytest.mark.parametrize("s", [3.0, 3.5, 4.0, 6.0])

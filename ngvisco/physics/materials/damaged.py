@@ -27,7 +27,7 @@ from ngvisco.errors import ParameterError, Quantity, require_choice
 from ngvisco.physics.material import Wrapper, part_of, rest_stress_and_modulus
 from ngvisco.physics.parameters import Parameter, expressions_in, parameters_in
 from ngvisco.physics.pointwise import energies_at, rest_state
-from ngvisco.physics.tensors import IDENTITY, Tensor, identity_like, if_positive, log, square, tr
+from ngvisco.physics.tensors import IDENTITY, Tensor, identity_like, if_positive, log, sph, square, tr
 from ngvisco.physics.variables import Jacobian, LogJacobian, ReciprocalJacobian, SmallStrain, Values, Variable
 
 
@@ -116,21 +116,20 @@ class Damaged(Wrapper):
         super().__post_init__()
         require_choice(self, ("AT1", "AT2"), law=self.law)
         require_choice(self, ("all", "tensile"), part=self.part)
-        owner = type(self).__name__
+        expected = ""
         if part_of(self.material, Damaged) is not None:
-            raise ParameterError(f"{owner}.material", self.material, "a material without damage")
-        if self.material.response(3) is not None:
+            expected = "a material without damage"
+        elif self.material.response(3) is not None:
             expected = "a material whose energy is an expression, not that of a Yosida approximation"
-            raise ParameterError(f"{owner}.material", self.material, expected)
-        if any(parameter.name == DAMAGE.name for parameter in parameters_in((self.material,))):
+        elif any(parameter.name == DAMAGE.name for parameter in parameters_in((self.material,))):
             expected = "moduli that do not read the damage, which degrades the energy by g(d)"
-            raise ParameterError(f"{owner}.material", self.material, expected)
+        if expected:
+            raise ParameterError("Damaged.material", self.material, expected)
         self._check_rest()
 
     def _check_rest(self) -> None:
         """Raise ParameterError where the material's variables have no spherical states, or stress at rest."""
-        own = self.material.variables
-        for v in own:
+        for v in self.material.variables:
             known = isinstance(v, (SmallStrain, Jacobian, ReciprocalJacobian, LogJacobian, Parameter))
             if not known and v.volume_ratio(CF((1, 0, 0, 0, 1, 0, 0, 0, 1), dims=(3, 3))) is None:
                 expected = f"a material without {v.name!r}, of which no spherical state is known"
@@ -181,31 +180,38 @@ class Damaged(Wrapper):
 
     def parts(self, z: Values) -> tuple[Tensor, Tensor | None]:
         """a(z), what damage takes of the energy, and c(z), what it leaves (None: nothing), Pa."""
-        own = self.material.variables
-        inner = {v.name: z[v.name] for v in own}
-        whole = self.material.energy(inner)
-        if not self.is_linearised:
-            whole = whole - self._at_rest(z) * z["A"]
-        if self.part == "all":
-            return whole, None
+        own = {v.name: z[v.name] for v in self.material.variables}
+        whole = self.material.energy(own)
         if self.is_linearised:
-            (name,) = inner
-            E = inner[name]
-            compressed = self.material.energy({name: (1 / 3) * tr(E) * identity_like(E)})
-            kept = if_positive(-tr(E), compressed, 0 * compressed)
+            if self.part == "all":
+                return whole, None
+            ((name, E),) = own.items()
+            compressed, compression = self.material.energy({name: sph(E)}), -tr(E)
         else:
-            J = z["J"] if "J" in inner else 1 / z["A"]
-            compressed = self.material.energy(_spherical(own, inner, J)) - self._at_rest(z) / J
-            kept = if_positive(1 - J, compressed, 0 * compressed)
+            rest = self._spherical_energy(own, 1 + 0 * z["A"]) if self._rest is None else self._rest
+            whole = whole - rest * z["A"]
+            if self.part == "all":
+                return whole, None
+            J = own["J"] if "J" in own else 1 / z["A"]
+            compressed, compression = self._spherical_energy(own, J) - rest / J, 1 - J
+        kept = if_positive(compression, compressed, 0 * compressed)
         return whole - kept, kept
 
-    def _at_rest(self, z: Values) -> Any:
-        """phi at rest without damage, Pa."""
-        if self._rest is not None:
-            return self._rest
-        own = self.material.variables
-        one = 1 + 0 * z["A"]
-        return self.material.energy(_spherical(own, {v.name: z[v.name] for v in own}, one))
+    def _spherical_energy(self, z: Values, J: Any) -> Any:
+        """phi without damage at F = J^{1/3} I; ``z`` tells arrays from coefficient functions."""
+        found: dict[str, Any] = {}
+        for v in self.material.variables:
+            if isinstance(v, Parameter):
+                found[v.name] = z[v.name]
+            elif isinstance(v, LogJacobian):
+                found[v.name] = log(J) / J
+            else:
+                ratio = v.volume_ratio(CF(1.0) if v.kind == "scalar" else IDENTITY)
+                assert ratio is not None  # as checked when the material was made
+                power = ratio[1] if v.kind == "scalar" else ratio[1] / 3
+                size = J if power == 1 else J ** float(power)
+                found[v.name] = size if v.kind == "scalar" else size * identity_like(z[v.name])
+        return self.material.energy(found)
 
     def surface_energy(self, z: Values) -> Tensor:
         """That of cracks, per actual volume, Pa."""
@@ -218,20 +224,3 @@ class Damaged(Wrapper):
         taken, kept = self.parts(z)
         phi = self.degradation(z[DAMAGE.name]) * taken + self.surface_energy(z)
         return phi if kept is None else phi + kept
-
-
-def _spherical(variables: tuple[Variable, ...], z: Values, J: Any) -> dict[str, Any]:
-    """The values that belong to F = J^{1/3} I; ``z`` tells arrays from coefficient functions."""
-    found: dict[str, Any] = {}
-    for v in variables:
-        if isinstance(v, Parameter):
-            found[v.name] = z[v.name]
-        elif isinstance(v, LogJacobian):
-            found[v.name] = log(J) / J
-        else:
-            ratio = v.volume_ratio(CF(1.0) if v.kind == "scalar" else IDENTITY)
-            assert ratio is not None  # as checked when the material was made
-            power = ratio[1] if v.kind == "scalar" else ratio[1] / 3
-            size = J if power == 1 else J ** float(power)
-            found[v.name] = size if v.kind == "scalar" else size * identity_like(z[v.name])
-    return found

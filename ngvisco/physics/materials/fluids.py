@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from ngsolve import CF
@@ -122,14 +122,6 @@ class BarotropicFluid(Material):
     def start(self, rho_0: float | Tensor, rho_R: float) -> dict[str, Tensor]:
         """Initial value of the variable that belongs to rho_0, for ``Initial(values=...)``."""
         return {self.form: CF(rho_R / rho_0 if self.form == "J" else rho_0 / rho_R)}
-
-    def pressure(self, rho: Any, rho_R: float) -> Any:
-        """p = a rho^gamma, Pa; ``rho`` a number or a coefficient function."""
-        return (self.gamma - 1) * self.B * (rho / rho_R) ** self.gamma
-
-    def sound_speed(self, rho: float, rho_R: float) -> float:
-        """sqrt(gamma p/rho), m/s."""
-        return math.sqrt(self.gamma * self.pressure(rho, rho_R) / rho)
 
 
 @dataclass(frozen=True, kw_only=True)

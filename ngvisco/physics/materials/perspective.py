@@ -30,26 +30,19 @@ from ngvisco.physics.parameters import (
     Parameter,
     distinct,
     parameters_in,
-    require_ranges,
     substituted,
 )
 from ngvisco.physics.pointwise import respond, rest_state
 from ngvisco.physics.tensors import IDENTITY, Tensor, log
 from ngvisco.physics.variables import (
-    Cofactor,
-    CofactorLeftCauchyGreen,
-    Distortion,
     DistortionTensor,
     Jacobian,
-    LeftCauchyGreen,
     LogJacobian,
     ReciprocalJacobian,
     SmallStrain,
     Values,
     Variable,
 )
-
-_TENSORS = (Distortion, Cofactor, LeftCauchyGreen, CofactorLeftCauchyGreen)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,26 +76,24 @@ class PerReferentialVolume(Material):
     rho_R: Annotated[Modulus | None, Quantity("kg/m^3", "> 0", 1000.0)] = None
 
     def __post_init__(self) -> None:
-        owner = type(self).__name__
+        super().__post_init__()
+        field_name = f"{type(self).__name__}.material"
         if not isinstance(self.material, Material):
-            raise ParameterError(f"{owner}.material", self.material, "a Material")
-        require_ranges(self)
+            raise ParameterError(field_name, self.material, "a Material")
         if self.material.response(3) is not None:
             expected = "a material whose energy is an expression; a Yosida approximation goes around this one"
-            raise ParameterError(f"{owner}.material", self.material, expected)
-        for variable in self.material.variables:
-            if variable.is_strain and not isinstance(variable, (Jacobian, *_TENSORS)):
-                expected = "a material of J = det F and of F, Cof F, F F^T, Cof(F F^T) times powers of J"
-                raise ParameterError(
-                    f"{owner}.material", self.material, f"{expected}, not of {variable.name!r}"
-                )
+            raise ParameterError(field_name, self.material, expected)
+        for v in self.material.variables:
+            if v.is_strain and not isinstance(v, (Jacobian, DistortionTensor)):
+                known = "a material of J = det F and of F, Cof F, F F^T, Cof(F F^T) times powers of J"
+                raise ParameterError(field_name, self.material, f"{known}, not of {v.name!r}")
 
     def with_elastic_state(self, state: ElasticState) -> Self:
         return replace(self, material=self.material.with_elastic_state(state))
 
     @property
     def variables(self) -> tuple[Variable, ...]:
-        tensors = (v for v in self.material.variables if isinstance(v, _TENSORS))
+        tensors = (v for v in self.material.variables if isinstance(v, DistortionTensor))
         return (
             *(replace(v, name=f"A{v.name}", exponent=v.exponent - 1) for v in tensors),
             ReciprocalJacobian(),
@@ -119,7 +110,7 @@ class PerReferentialVolume(Material):
         own = {v.name: z[v.name] for v in self.material.variables if not v.is_strain}
         for v in self.material.variables:
             if v.is_strain:
-                own[v.name] = z[f"A{v.name}"] * J if isinstance(v, _TENSORS) else J
+                own[v.name] = z[f"A{v.name}"] * J if isinstance(v, DistortionTensor) else J
         return A * self.material.energy(own)
 
 
@@ -153,23 +144,19 @@ _VOLUMES = np.linspace(0.5, 2.0, 31)
 
 @dataclass(frozen=True, kw_only=True)
 class ReferenceEnergy(Material):
-    """psi(B, J) of a material, Pa.
+    """psi(B, J) = J phi(z) of a material, Pa: of a body, whose energy is one per reference volume.
 
-    Raises ParameterError for variables other than J, 1/J, ln J/J, tensors of F times powers of J and
-    parameters, without one of the first three, and for a material without an expression.
-
-    Parameters
-    ----------
-    material : Material
-    owner : str
-        What messages call it.
-    is_gas : bool
-        Whether it is heat that makes it strictly convex in J, as of a gas and a stiffened one.
+    Where a tensor of phi has a power of J that makes it a density, such as J^{-5/3} F F^T, psi is that of J
+    times the tensor.  Bodies share a point by n psi(X/n, alpha/n) (``ngvisco.physics.mixture``), which is
+    convex where psi is.  Raises ParameterError for variables other than J, 1/J, ln J/J, tensors of F times
+    powers of J and parameters, without one of the first three, and for a material without an expression.
     """
 
     material: Material
     owner: str = field(compare=False)
+    """What messages call it."""
     is_gas: bool = False
+    """Whether it is heat that makes it strictly convex in J, as of a gas and a stiffened one."""
 
     @classmethod
     def of(cls, material: Material, owner: str) -> ReferenceEnergy:
@@ -207,12 +194,12 @@ class ReferenceEnergy(Material):
     def energy(self, z: Values) -> Tensor:
         J, own = z["J"], {}
         for v in self.material.variables:
-            if isinstance(v, Jacobian):
-                own[v.name] = J
-            elif isinstance(v, ReciprocalJacobian):
+            if isinstance(v, ReciprocalJacobian):
                 own[v.name] = 1 / J
             elif isinstance(v, LogJacobian):
                 own[v.name] = log(J) / J
+            elif isinstance(v, Jacobian):
+                own[v.name] = J
             else:
                 own[v.name] = (1 / J) * z[v.name] if _is_density(v) else z[v.name]
         return J * substituted(self.material, lambda expression: expression.at(z)).energy(own)
@@ -277,9 +264,8 @@ class ReferenceEnergy(Material):
             raise ParameterError(self.owner, self.material, expected)
         report = check_convexity(self, warn=False)
         if not report.passed:
-            raise ParameterError(
-                self.owner, self.material, f"an energy convex per reference volume; J phi is {report}"
-            )
+            expected = f"an energy convex per reference volume; J phi is {report}"
+            raise ParameterError(self.owner, self.material, expected)
 
 
 def _is_density(variable: Variable) -> bool:

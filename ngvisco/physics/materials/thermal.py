@@ -19,7 +19,7 @@ from ngsolve import CF, Id
 
 from ngvisco.errors import ParameterError, Quantity
 from ngvisco.physics.material import ElasticState, Material, rest_stress_and_modulus
-from ngvisco.physics.parameters import Modulus, require_ranges, substituted
+from ngvisco.physics.parameters import Modulus, substituted
 from ngvisco.physics.signals import sampled
 from ngvisco.physics.tensors import Tensor, exp, log, tr
 from ngvisco.physics.variables import ReciprocalJacobian, Values, Variable
@@ -29,11 +29,7 @@ from ngvisco.physics.variables import ReciprocalJacobian, Values, Variable
 class Entropy(Variable):
     """The entropy per actual volume in a unit of its own, that of a heat capacity: ds/dt = -(tr L) s.
 
-    Parameters
-    ----------
-    name : str
-    unit : float
-        J/(m^3 K).  The conjugate of the number s is unit theta, Pa.
+    The conjugate of the number s is ``unit`` theta, Pa; ``unit`` in J/(m^3 K).
     """
 
     name: str = "s"
@@ -116,29 +112,28 @@ class Thermal(Material):
     """Of the module's docstring."""
 
     def __post_init__(self) -> None:
-        require_ranges(self)
-        owner = type(self).__name__
-        if not (self.material is None or isinstance(self.material, Material)):
-            raise ParameterError(f"{owner}.material", self.material, "a Material, or None for a gas")
-        if self.material is None and self.expansion is not None:
+        super().__post_init__()
+        material, Gamma = self.material, self.gruneisen or 0.0
+        if not (material is None or isinstance(material, Material)):
+            raise ParameterError("Thermal.material", material, "a Material, or None for a gas")
+        if material is None and self.expansion is not None:
             expected = "None without a material: a gas has its pressure by gruneisen, > 0"
-            raise ParameterError(f"{owner}.expansion", self.expansion, expected)
+            raise ParameterError("Thermal.expansion", self.expansion, expected)
         if self.expansion is not None and self.gruneisen is not None:
-            raise ParameterError(f"{owner}.gruneisen", self.gruneisen, "None beside an expansion")
-        if self.material is None and not self.gruneisen:
+            raise ParameterError("Thermal.gruneisen", self.gruneisen, "None beside an expansion")
+        if material is None and not self.gruneisen:
             expected = "a number > 0, by which a gas has its pressure; else a material that is no gas"
-            raise ParameterError(f"{owner}.gruneisen", self.gruneisen, expected)
-        if self.material is not None and entropy_in(self.material) is not None:
-            raise ParameterError(f"{owner}.material", self.material, "a material without heat")
-        if self.material is not None and self.p_infinity:
+            raise ParameterError("Thermal.gruneisen", self.gruneisen, expected)
+        if material is not None and entropy_in(material) is not None:
+            raise ParameterError("Thermal.material", material, "a material without heat")
+        if material is not None and self.p_infinity:
             expected = "0 beside a material, which has a pressure of its own: it is a gas that is stiffened"
-            raise ParameterError(f"{owner}.p_infinity", self.p_infinity, expected)
-        Gamma = self.gruneisen or 0.0
-        if self.expansion and self.material is not None:
-            Gamma = self.expansion * rest_stress_and_modulus(self.material)[1] / self.c
+            raise ParameterError("Thermal.p_infinity", self.p_infinity, expected)
+        if self.expansion and material is not None:
+            Gamma = self.expansion * rest_stress_and_modulus(material)[1] / self.c
             if not Gamma > 0:
                 expected = "None, or a material whose bulk modulus at rest is > 0"
-                raise ParameterError(f"{owner}.expansion", self.expansion, expected)
+                raise ParameterError("Thermal.expansion", self.expansion, expected)
         object.__setattr__(self, "_Gamma", Gamma)
 
     def with_elastic_state(self, state: ElasticState) -> Self:
