@@ -54,20 +54,14 @@ class Amount(Variable):
     """n_i, the volume that body i has in its reference state per actual volume: dt n_i + div(n_i v) = 0.
 
     It is conserved, and with it the mass of the body, int rho_i n_i.  It is no function of a strain.
-
-    Parameters
-    ----------
-    name : str
-    density : float
-        rho_i of the reference state, kg/m^3.
-    share : float
-        Of the body at a point that stands for all states, where there is as much of each.
     """
 
     name: str
     kind: str = "scalar"
     density: float = 1.0
+    """rho_i of the reference state, kg/m^3."""
     share: float = field(default=0.5, compare=False)
+    """Of the body at a point that stands for all states, where there is as much of each."""
 
     is_conserved = True
 
@@ -87,13 +81,6 @@ class Content(Variable):
 
     Its rate is that of ``tensor``, which has the exponent a - 1 and the name of this variable: n_i = 1/J
     where there is nothing but the body, and the rate is linear.
-
-    Parameters
-    ----------
-    name, kind : str
-    tensor : Variable
-    share : float
-        As for ``Amount``.
     """
 
     name: str
@@ -190,7 +177,8 @@ class Body:
         print(run.advance()["mass_drift"])
 
     Energies whose stress at rest, F = I, differs from body to body push each other from the start, which an
-    ``InputWarning`` says of bodies that meet.
+    ``InputWarning`` says of bodies that meet.  Raises ParameterError for a name that is none, a part of the
+    wrong type, and a density that is missing or not positive.
 
     Parameters
     ----------
@@ -212,11 +200,6 @@ class Body:
     order : int
         Where two bodies overlap at the start, there is the one of higher order; bodies of the same order
         must not overlap.  The rest is below all others, and has none.
-
-    Raises
-    ------
-    ParameterError
-        For a name that is none, a part of the wrong type, and a density that is missing or not positive.
     """
 
     name: str

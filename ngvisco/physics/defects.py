@@ -19,7 +19,6 @@ from ngvisco.physics.variables import (
     LogJacobian,
     ReciprocalJacobian,
     Values,
-    Variable,
 )
 
 
@@ -51,23 +50,13 @@ def relative_defects(material: Material, z: Values, creep: FlowRule | None = Non
         if isinstance(variable, LogJacobian):
             A = z[variable.reciprocal]
             found[f"{name} and {variable.reciprocal}"] = z[name] / A + log(A)
-        partner = _partner(variable, material)
-        if partner is not None:
-            cofactor = Cof(z[partner.name])
-            # J^b Cof F of z = J^a F, as a multiple of Cof z; its size is free where J is not known
-            scale = sqrt(square(z[name]) / square(cofactor))
-            gap = sqrt(square(z[name] - scale * cofactor) / square(z[name]))
-            found[f"{name} and Cof {partner.name}"] = gap
+    for kind, of in ((Cofactor, Distortion), (CofactorLeftCauchyGreen, LeftCauchyGreen)):
+        partner = next((name for name, v in variables.items() if isinstance(v, of)), None)
+        for name in [name for name, v in variables.items() if isinstance(v, kind)]:
+            if partner is not None:
+                cofactor = Cof(z[partner])
+                # J^b Cof F of z = J^a F, as a multiple of Cof z; its size is free where J is not known
+                scale = sqrt(square(z[name]) / square(cofactor))
+                gap = sqrt(square(z[name] - scale * cofactor) / square(z[name]))
+                found[f"{name} and Cof {partner}"] = gap
     return found
-
-
-def _partner(variable: Variable, material: Material) -> Variable | None:
-    """The tensor of which this one is the cofactor, up to powers of J."""
-    kind: type[Variable]
-    if isinstance(variable, Cofactor):
-        kind = Distortion
-    elif isinstance(variable, CofactorLeftCauchyGreen):
-        kind = LeftCauchyGreen
-    else:
-        return None
-    return next((v for v in material.variables if isinstance(v, kind)), None)

@@ -21,15 +21,14 @@ an expression.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from functools import cached_property, reduce
 from operator import add
 from typing import Any
 
 import numpy as np
 
-from ngvisco.physics.bodies import Body
 from ngvisco.physics.materials.thermal import Entropy, Thermal
 
 _ITERATIONS = 100
@@ -121,15 +120,10 @@ _SAME = 1e-9
 
 @dataclass(frozen=True)
 class MixedHeat:
-    """The thermal energies of bodies.
-
-    Parameters
-    ----------
-    parts : mapping of names to Thermal
-        The materials of the bodies, which all count their entropies in one unit.
-    """
+    """The thermal energies of bodies."""
 
     parts: Mapping[str, Thermal]
+    """The materials of the bodies by name, which all count their entropies in one unit."""
 
     @property
     def entropy(self) -> Entropy:
@@ -167,14 +161,3 @@ class MixedHeat:
     def energy(self, body: str, S: Any, J: Any) -> Any:
         """u_i(S, J) of a body, Pa."""
         return J * self.parts[body].of_heat({"A": 1 / J, "s": S / J})
-
-
-def heat_of(bodies: Sequence[Body]) -> MixedHeat | None:
-    """Of bodies with heat; None of such without.
-
-    The entropy counts in the first of the units that are given, else in the largest heat capacity.
-    """
-    parts = {body.name: body.material for body in bodies if isinstance(body.material, Thermal)}
-    units = [each.entropy_unit for each in parts.values() if each.entropy_unit]
-    unit = units[0] if units else max((each.c for each in parts.values()), default=None)
-    return MixedHeat({n: replace(each, entropy_unit=unit) for n, each in parts.items()}) if parts else None

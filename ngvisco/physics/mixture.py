@@ -30,11 +30,11 @@ from ngsolve import Det
 
 from ngvisco.errors import NgviscoError, ParameterError
 from ngvisco.physics.bodies import AMOUNT, TRACE, Amount, Body, Content, Fractions, PlasticContent
-from ngvisco.physics.equilibrium import MixedHeat, equilibrium, heat_of
+from ngvisco.physics.equilibrium import MixedHeat, equilibrium
 from ngvisco.physics.flow_rules.rule import PLASTIC_STRAIN
 from ngvisco.physics.material import ElasticState, Material
 from ngvisco.physics.materials.perspective import ReferenceEnergy
-from ngvisco.physics.materials.thermal import Entropy
+from ngvisco.physics.materials.thermal import Entropy, Thermal
 from ngvisco.physics.parameters import Parameter, distinct, parameters_in, renamed, told_apart
 from ngvisco.physics.pointwise import Respond, Response, array_response
 from ngvisco.physics.rheology import ValueOfModulus, Viscosity
@@ -55,22 +55,14 @@ _SAME = 1e-9
 class Mixture(Material):
     """The material of bodies; a ``Model`` makes it.
 
-    Parameters
-    ----------
-    bodies : tuple of Body
-        Parameters that moduli became by themselves have the body's name before theirs.
-    carried : tuple of Parameter
-        Parameters of the model's other laws.
-
-    Raises
-    ------
-    ParameterError
-        For two parameters of one name that are not the same, and materials whose energy is none per reference
-        volume (``ReferenceEnergy``).
+    Raises ParameterError for two parameters of one name that are not the same, and for materials whose energy
+    is none per reference volume (``ReferenceEnergy``).
     """
 
     bodies: tuple[Body, ...]
+    """Parameters that moduli became by themselves have the body's name before theirs."""
     carried: tuple[Parameter, ...] = ()
+    """Parameters of the model's other laws."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "bodies", tuple(_with_own_names(body) for body in self.bodies))
@@ -79,13 +71,20 @@ class Mixture(Material):
     @cached_property
     def energies(self) -> dict[str, ReferenceEnergy]:
         """psi_i by the bodies' names, without what heat adds to it."""
-        owners = {body.name: f"bodies[{body.name!r}].material" for body in self.bodies}
-        return {body.name: ReferenceEnergy.of(body.material, owners[body.name]) for body in self.bodies}
+        return {b.name: ReferenceEnergy.of(b.material, f"bodies[{b.name!r}].material") for b in self.bodies}
 
     @cached_property
     def heat(self) -> MixedHeat | None:
-        """The bodies' heat; None of such without."""
-        return heat_of(self.bodies)
+        """The bodies' heat; None of such without.
+
+        The entropy counts in the first of the units that are given, else in the largest heat capacity.
+        """
+        parts = {b.name: b.material for b in self.bodies if isinstance(b.material, Thermal)}
+        if not parts:
+            return None
+        units = [each.entropy_unit for each in parts.values() if each.entropy_unit]
+        unit = units[0] if units else max(each.c for each in parts.values())
+        return MixedHeat({name: replace(each, entropy_unit=unit) for name, each in parts.items()})
 
     def amounts(self, z: Values) -> dict[str, Any]:
         """n_i by the bodies' names."""
@@ -118,8 +117,8 @@ class Mixture(Material):
 
     def contents(self, body: str) -> tuple[Content, ...]:
         """X_i of a body, in the order of its energy's tensors."""
-        found = self.energies[body].tensors
-        own = (replace(v, name=f"{v.name}_{body}", exponent=v.exponent - 1) for v in found)
+        tensors = self.energies[body].tensors
+        own = (replace(v, name=f"{v.name}_{body}", exponent=v.exponent - 1) for v in tensors)
         return tuple(Content(v.name, v.kind, v, 1 / len(self.bodies)) for v in own)
 
     @cached_property
@@ -130,8 +129,8 @@ class Mixture(Material):
 
     def densities(self, body: str) -> tuple[Variable, ...]:
         """What a body carries: X_i, n_i, and K_i where it hardens."""
-        own = {AMOUNT + body, *(K.name for name, K in self.plastic_contents.items() if name == body)}
-        return (*self.contents(body), *(v for v in self.variables if v.name in own))
+        own = {X.name for X in self.contents(body)} | {AMOUNT + body, PlasticContent.of(body).name}
+        return tuple(v for v in self.variables if v.name in own)
 
     @cached_property
     def variables(self) -> tuple[Variable, ...]:
@@ -139,8 +138,7 @@ class Mixture(Material):
         share = 1 / len(self.bodies)
         amounts = (Amount(AMOUNT + b.name, density=b.density or 0.0, share=share) for b in self.bodies)
         entropy = () if self.heat is None else (self.heat.entropy,)
-        hardening = self.plastic_contents.values()
-        return (*contents, *amounts, *hardening, *entropy, *self.parameters)
+        return (*contents, *amounts, *self.plastic_contents.values(), *entropy, *self.parameters)
 
     def with_elastic_state(self, state: ElasticState) -> Mixture:
         bodies = (replace(body, material=body.material.with_elastic_state(state)) for body in self.bodies)
@@ -148,8 +146,7 @@ class Mixture(Material):
 
     def with_carried(self, parameters: Sequence[Parameter]) -> Mixture:
         """The same with parameters of the model's other laws, those that it does not have yet."""
-        own = self.parameters
-        more = distinct((*own, *parameters))[len(own) :]
+        more = distinct((*self.parameters, *parameters))[len(self.parameters) :]
         return replace(self, carried=(*self.carried, *more)) if more else self
 
     @cached_property
@@ -172,9 +169,8 @@ class Mixture(Material):
         return {name: psi.stiffness + of_heat.get(name, 0.0) for name, psi in self.energies.items()}
 
     def bounds(self, z: Values) -> dict[str, Values]:
-        """What must be > 0: N; sum n_i/U_i'' at rest, less a tenth of its least value, where these differ, or
-        there is no common pressure; sum n_i c_i, less a tenth of its least; and n_i, but for half of what f_i
-        or phi_h adds to it, where one is not linear or hardens."""
+        """What must be > 0: N; sum n_i/U_i'' at rest where these differ, or there is no common pressure; sum
+        n_i c_i; and n_i, but for half of what f_i or phi_h adds to it, where one is not linear or hardens."""
         n, total = self.amounts(z), self.fractions.total(z)
 
         def above(share: float, sizes: Sequence[float]) -> Any:

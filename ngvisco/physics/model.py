@@ -25,23 +25,14 @@ from ngvisco.physics.variables import TEMPERATURE, Values
 
 @dataclass(frozen=True)
 class Flow:
-    """A flow rule, with a creep rate Pi of its own.
-
-    Attributes
-    ----------
-    rule : FlowRule
-    names : tuple of str
-        Variables whose rates have its Pi.
-    body : str or None
-        The body that it is the creep of, by its own tensors; None of the material.
-    fractions : Fractions or None
-        Those of the bodies.
-    """
+    """A flow rule, with a creep rate Pi of its own, of the material or of one of several bodies."""
 
     rule: FlowRule
     names: tuple[str, ...]
+    """Variables whose rates have its Pi."""
     body: str | None = None
     fractions: Fractions | None = None
+    """Those of the bodies."""
 
     def share(self, z: Values) -> Any:
         """The body's fraction of the point, > 0: its power per volume is that times its own."""

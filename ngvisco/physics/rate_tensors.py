@@ -11,7 +11,7 @@ law of creep with a trace).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 
@@ -119,27 +119,33 @@ class RateTensors:
     def rate(self, z: np.ndarray, X: np.ndarray, first: int = 0) -> np.ndarray:
         """rate(z; X), (n, points), of the X (X, points) from ``first`` on."""
         out = np.zeros((self.linear.shape[1], z.shape[1]), np.result_type(z, X))
-        stop = first + len(X)
-        for (x, n), C in self._entries[0]:
-            if first <= x < stop:
-                out[n] += C * X[x - first]
-        product = np.empty(z.shape[1], out.dtype)
-        for (x, n, m), T in self._entries[1]:
-            if first <= x < stop:
-                _add_product(out[n], X[x - first], z[m], T, product)
+        self._sum(z, first, first + len(X), lambda x, n: (out[n], X[x]))
         return out
 
     def stress(self, z: np.ndarray, zeta: np.ndarray, first: int, stop: int) -> np.ndarray:
         """d(zeta : rate)/dX for X = first ... stop - 1, (X, points)."""
         out = np.zeros((stop - first, z.shape[1]), np.result_type(z, zeta))
+        self._sum(z, first, stop, lambda x, n: (out[x], zeta[n]))
+        return out
+
+    def _sum(
+        self,
+        z: np.ndarray,
+        first: int,
+        stop: int,
+        places: Callable[[int, int], tuple[np.ndarray, np.ndarray]],
+    ) -> None:
+        """Add (C_xn + sum_m T_xnm z_m) times the second of ``places`` (x - first, n) to the first of them."""
         for (x, n), C in self._entries[0]:
             if first <= x < stop:
-                out[x - first] += C * zeta[n]
-        product = np.empty(z.shape[1], out.dtype)
+                target, factor = places(x - first, n)
+                target += C * factor
+        product: np.ndarray | None = None
         for (x, n, m), T in self._entries[1]:
             if first <= x < stop:
-                _add_product(out[x - first], zeta[n], z[m], T, product)
-        return out
+                target, factor = places(x - first, n)
+                product = np.empty_like(target) if product is None else product
+                _add_product(target, factor, z[m], T, product)
 
     def rate_slope(self, X: np.ndarray) -> np.ndarray:
         """d rate(z; X)/dz, (n, n, points), of all X (X, points)."""

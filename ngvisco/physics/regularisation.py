@@ -133,22 +133,14 @@ _ZERO = 1e-10
 
 @dataclass(frozen=True)
 class Curvature:
-    """What of phi'' does not depend on the state.
-
-    Attributes
-    ----------
-    linear : (N, N) array
-        The orthogonal projection on the directions n of strains with phi''(z) n = 0 for all z.
-    strains : (N,) array of bool
-        Which components are those of strains.
-    compliance : (N, N) array
-        Of the strains, the inverse of phi''(rest) + ``linear`` (in Pa), symmetric and positive definite; it
-        commutes with ``linear``.
-    """
+    """What of phi'' does not depend on the state."""
 
     linear: np.ndarray
+    """The orthogonal projection on the directions n of strains with phi''(z) n = 0 for all z, (N, N)."""
     strains: np.ndarray
+    """Which components are those of strains, (N,)."""
     compliance: np.ndarray
+    """Of the strains, the inverse of phi''(rest) + ``linear`` (in Pa), positive definite, (N, N)."""
 
     @property
     def of_itself(self) -> np.ndarray:

@@ -25,87 +25,87 @@ Tensor: TypeAlias = CoefficientFunction
 Scalar = TypeVar("Scalar", CoefficientFunction, np.ndarray)
 
 
-def sym(A: CoefficientFunction) -> CoefficientFunction:
+def sym(A: Tensor) -> Tensor:
     """Symmetric part (A + A^T)/2."""
     return 0.5 * (A + A.trans)
 
 
-def skw(A: CoefficientFunction) -> CoefficientFunction:
+def skw(A: Tensor) -> Tensor:
     """Skew part (A - A^T)/2; W = skw(grad v) is the spin (paper: ZJ)."""
     return 0.5 * (A - A.trans)
 
 
-def tr(A: CoefficientFunction) -> CoefficientFunction:
+def tr(A: Tensor) -> Tensor:
     """Trace."""
     return A.trace() if hasattr(A, "trace") else Trace(A)
 
 
-def sph(A: CoefficientFunction) -> CoefficientFunction:
+def sph(A: Tensor) -> Tensor:
     """Spherical part (tr A / 3) I (paper: St.Venenat-Kirchhoff-linear)."""
     return (1 / 3) * tr(A) * identity_like(A)
 
 
-def identity_like(A: CoefficientFunction) -> CoefficientFunction | np.ndarray:
+def identity_like(A: Tensor) -> Tensor | np.ndarray:
     """The 3x3 identity, to be combined with A."""
     return np.eye(3) if hasattr(A, "trace") else IDENTITY
 
 
-def dev(A: CoefficientFunction) -> CoefficientFunction:
+def dev(A: Tensor) -> Tensor:
     """Deviatoric part A - sph A."""
     return A - sph(A)
 
 
-def inner(A: CoefficientFunction, B: CoefficientFunction) -> CoefficientFunction:
+def inner(A: Tensor, B: Tensor) -> Tensor:
     """A : B (or a . b)."""
     return InnerProduct(A, B)
 
 
-def square(A: CoefficientFunction) -> CoefficientFunction:
+def square(A: Tensor) -> Tensor:
     """|A|^2 = A : A."""
     return InnerProduct(A, A)
 
 
-def log(a: CoefficientFunction) -> CoefficientFunction:
+def log(a: Tensor) -> Tensor:
     """Natural logarithm of a scalar, or of an array of numbers."""
     if isinstance(a, np.ndarray):
         return np.log(a)
     return a.log() if hasattr(a, "log") else ngsolve.log(a)
 
 
-def sqrt(a: CoefficientFunction) -> CoefficientFunction:
+def sqrt(a: Tensor) -> Tensor:
     """Square root of a scalar."""
     return a.sqrt() if hasattr(a, "sqrt") else ngsolve.sqrt(a)
 
 
-def exp(a: CoefficientFunction) -> CoefficientFunction:
+def exp(a: Tensor) -> Tensor:
     """Exponential of a scalar."""
     return a.exp() if hasattr(a, "exp") else ngsolve.exp(a)
 
 
-def det(A: CoefficientFunction) -> CoefficientFunction:
+def det(A: Tensor) -> Tensor:
     """Determinant of a 3x3 tensor."""
     return A.determinant() if hasattr(A, "determinant") else Det(A)
 
 
-def cof(A: CoefficientFunction) -> CoefficientFunction:
+def cof(A: Tensor) -> Tensor:
     """Cofactor of a 3x3 tensor, (det A) A^-T where A is invertible."""
     return A.cofactor() if hasattr(A, "cofactor") else Cof(A)
 
 
-def constant(array: np.ndarray) -> CoefficientFunction:
+def constant(array: np.ndarray) -> Tensor:
     """An array of numbers as a coefficient function of its shape; the same one for the same numbers."""
     return _constant(np.asarray(array, dtype=float).tobytes(), array.shape)
 
 
 @lru_cache(maxsize=1024)
-def _constant(numbers: bytes, shape: tuple[int, ...]) -> CoefficientFunction:
+def _constant(numbers: bytes, shape: tuple[int, ...]) -> Tensor:
     """Each different number is made once: NGSolve takes a tenth of a millisecond to make one of Python's."""
     values, which = np.unique(np.frombuffer(numbers), return_inverse=True)
     made = [CF(float(value)) for value in values]
     return CF(tuple(made[i] for i in which.ravel()), dims=shape)
 
 
-def linear_map(matrix: np.ndarray, A: CoefficientFunction, shape: tuple[int, ...]) -> CoefficientFunction:
+def linear_map(matrix: np.ndarray, A: Tensor, shape: tuple[int, ...]) -> Tensor:
     """A constant matrix times the entries of A, row by row, as a vector or matrix of ``shape``."""
     if hasattr(A, "mapped"):
         return A.mapped(matrix, shape)
@@ -113,14 +113,14 @@ def linear_map(matrix: np.ndarray, A: CoefficientFunction, shape: tuple[int, ...
     return product if len(shape) == 1 else product.Reshape(shape)
 
 
-def masked(A: CoefficientFunction, mask: np.ndarray) -> CoefficientFunction:
+def masked(A: Tensor, mask: np.ndarray) -> Tensor:
     """A vector, or a matrix by its rows, with zero where ``mask`` is False."""
     if hasattr(A, "masked"):
         return A.masked(mask)
     return constant(np.diag(mask.astype(float))) * A
 
 
-def log_det(A: CoefficientFunction) -> CoefficientFunction:
+def log_det(A: Tensor) -> Tensor:
     """ln det A of a symmetric positive definite 3x3 tensor; NaN for every other one.
 
     The sum of the logarithms of the pivots: det A alone is positive for two negative eigenvalues too.
@@ -132,14 +132,12 @@ def log_det(A: CoefficientFunction) -> CoefficientFunction:
     return log(a) + log(minor / a) + log(det / minor)
 
 
-def if_positive(
-    a: CoefficientFunction, then: CoefficientFunction | float, otherwise: CoefficientFunction | float
-) -> CoefficientFunction:
+def if_positive(a: Tensor, then: Tensor | float, otherwise: Tensor | float) -> Tensor:
     """``then`` where a > 0, ``otherwise`` elsewhere."""
     return a.where_positive(then, otherwise) if hasattr(a, "where_positive") else IfPos(a, then, otherwise)
 
 
-def embed_gradient(grad: CoefficientFunction, dim: int) -> CoefficientFunction:
+def embed_gradient(grad: Tensor, dim: int) -> Tensor:
     """The 3x3 velocity gradient (grad v)_ij = d_j v_i from the dim x dim one (plane strain in 2D)."""
     if dim == 3:
         return grad
@@ -181,16 +179,11 @@ def _unit(i: int, j: int) -> np.ndarray:
 
 @dataclass(frozen=True)
 class TensorSpace:
-    """A linear space of scalars or 3x3 tensors with an orthonormal basis (Frobenius product).
-
-    Attributes
-    ----------
-    name : str
-    basis : tuple of (3, 3) arrays; empty for scalars
-    """
+    """A linear space of scalars or 3x3 tensors with an orthonormal basis (Frobenius product)."""
 
     name: str
     basis: tuple[tuple[tuple[float, ...], ...], ...]
+    """Of 3x3 tensors; empty for scalars."""
 
     @property
     def size(self) -> int:
@@ -206,14 +199,14 @@ class TensorSpace:
         """The basis as a (9, size) array, tensors in row-major order; (1, 1) of scalars."""
         return np.ones((1, 1)) if self.is_scalar else np.array(self.basis).reshape(len(self.basis), 9).T
 
-    def tensor(self, components: CoefficientFunction) -> CoefficientFunction:
+    def tensor(self, components: Tensor) -> Tensor:
         """The 3x3 tensor (or scalar) with these components, a vector of length ``size``."""
         if self.is_scalar:
             is_vector = components.rank if hasattr(components, "rank") else components.dims
             return components[0] if is_vector else components
         return linear_map(self.columns, components, (3, 3))
 
-    def components(self, value: CoefficientFunction) -> CoefficientFunction:
+    def components(self, value: Tensor) -> Tensor:
         """Components of the orthogonal projection of a 3x3 tensor (or scalar) to this space."""
         if self.is_scalar:
             return value.mapped(np.ones((1, 1)), (1,)) if hasattr(value, "mapped") else CF((value,))

@@ -25,6 +25,7 @@ def slope_of(rate: PointRate, M: np.ndarray) -> np.ndarray:
     return np.stack([rate(M + unit).imag for unit in units], axis=2) / TINY
 
 
+@np.errstate(all="ignore")  # a rate that overflows is bisected
 def resolved(
     rate: PointRate, Y: np.ndarray, c: float, start: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -33,13 +34,6 @@ def resolved(
     By Newton's method within a bracket along Y, from |M| = ``start``, (points,), or |Y|.  Where the
     rate is no multiple of its stress, Newton's method for all components goes on from there.
     """
-    with np.errstate(all="ignore"):  # a rate that overflows is bisected
-        return _resolved(rate, Y, c, start)
-
-
-def _resolved(
-    rate: PointRate, Y: np.ndarray, c: float, start: np.ndarray | None
-) -> tuple[np.ndarray, np.ndarray]:
     size = np.linalg.norm(Y, axis=1)
     along = Y / np.where(size > 0, size, 1.0)[:, None]
     low, high, s = np.zeros_like(size), np.full_like(size, np.inf), size if start is None else start
@@ -62,34 +56,26 @@ def _resolved(
     turned = Pi - (Pi * along).sum(axis=1)[:, None] * along
     if (c * np.linalg.norm(turned, axis=1) <= _TURNED * size).all():
         return M, Pi
-
-    def defect_of(M: np.ndarray) -> np.ndarray:
-        return M + c * rate(M) - Y
-
-    def slope(M: np.ndarray) -> np.ndarray:
-        return np.eye(M.shape[1]) + c * slope_of(rate, M)
-
-    M = _newton(defect_of, slope, M)
+    M = _by_components(rate, Y, c, M)
     return M, rate(M)
 
 
-def _newton(
-    defect: Callable[[np.ndarray], np.ndarray], slope: Callable[[np.ndarray], np.ndarray], x: np.ndarray
-) -> np.ndarray:
-    """A zero of the defect from x, all points at once, each with a length of its own."""
-    wrong = defect(x)
+def _by_components(rate: PointRate, Y: np.ndarray, c: float, M: np.ndarray) -> np.ndarray:
+    """M by Newton's method for all components, all points at once, each with a step length of its own."""
+    wrong = M + c * rate(M) - Y
     for _ in range(_ITERATIONS):
-        d = np.linalg.solve(slope(x), wrong[..., None])[..., 0]
-        length = np.ones(len(x))
+        slope = np.eye(M.shape[1]) + c * slope_of(rate, M)
+        d = np.linalg.solve(slope, wrong[..., None])[..., 0]
+        length = np.ones(len(M))
         for _ in range(_HALVINGS):
-            new = x - length[:, None] * d
-            left = defect(new)
+            new = M - length[:, None] * d
+            left = new + c * rate(new) - Y
             far = np.linalg.norm(left, axis=1) > (1 - 0.25 * length) * np.linalg.norm(wrong, axis=1)
-            small = np.linalg.norm(d, axis=1) <= _NEAR * np.linalg.norm(x, axis=1)
+            small = np.linalg.norm(d, axis=1) <= _NEAR * np.linalg.norm(M, axis=1)
             if not (far & ~small).any():
                 break
             length = np.where(far & ~small, 0.5 * length, length)
-        x, wrong = new, left
+        M, wrong = new, left
         if small.all():
             break
-    return x
+    return M
