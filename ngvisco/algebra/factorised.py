@@ -1,12 +1,10 @@
 """Direct solution with a matrix of scipy's by factorisations."""
 
 from collections.abc import Callable
-from functools import cache, partial
 from typing import Any, Protocol
 
 import numpy as np
 import scipy.sparse as sp
-from ngsolve.la import SparseMatrixd
 from scipy.sparse.linalg import eigsh, splu
 
 from ngvisco.algebra import precision
@@ -16,6 +14,21 @@ from ngvisco.parallel.petsc import SumInverse
 
 MANY = 100
 """Unknowns from which an eigenvalue is found by iteration."""
+
+_NEAR_SYMMETRIC: dict[str, Any] = {
+    "permc_spec": "MMD_AT_PLUS_A",
+    "diag_pivot_thresh": 0.01,
+    "options": {"SymmetricMode": True},
+}
+"""For matrices with entries in symmetric places.  By the default order, for any, a step with delta_density on
+2,639 tetrahedra took 4.5 times as long, in half as much memory again."""
+
+_ENOUGH = 1e-3
+"""What factors in single precision may leave of a right side drawn at random."""
+
+SWEEPS, DAMPING = 2, 1.65
+"""Of Jacobi before and after the coarse problem, and their damping in units of 1/(largest eigenvalue of
+D^{-1} A), below 2; the eigenvalue depends on the mesh."""
 
 
 class Direct(Protocol):
@@ -30,28 +43,52 @@ class Direct(Protocol):
         """Give its memory back; over ranks collective."""
 
 
-class MakesDirect(Protocol):
-    """Makes a solver for the free unknowns; of the matrix's symmetric part where that is said."""
-
-    def __call__(self, free: np.ndarray, *, symmetric: bool) -> Direct: ...
+MakesDirect = Callable[..., Direct]
+"""Makes a solver for a mask ``free``; ``symmetric=True``: of the matrix's symmetric part."""
 
 
-_NEAR_SYMMETRIC: dict[str, Any] = {
-    "permc_spec": "MMD_AT_PLUS_A",
-    "diag_pivot_thresh": 0.01,
-    "options": {"SymmetricMode": True},
-}
-"""For matrices with entries in symmetric places.  By the default order, for any, a step with delta_density on
-2,639 tetrahedra took 4.5 times as long, in half as much memory again."""
+class DirectSolver:
+    """The factorised matrix on its free unknowns; the others get 0.
+
+    Parameters
+    ----------
+    free : (unknowns,) array of bool
+    symmetric : bool
+        Take the matrix's symmetric part.
+    approximate : bool
+        For a preconditioner: factors in single precision where that does, half of the time and the memory.
+    """
+
+    def __init__(self, free: np.ndarray, symmetric: bool = False, approximate: bool = False) -> None:
+        self.free, self.symmetric, self.approximate = np.flatnonzero(free), symmetric, approximate
+        self._solve: Callable[[np.ndarray], np.ndarray] | None = None
+
+    def factorise(self, matrix: sp.csr_matrix) -> None:
+        self._solve = None
+        if not len(self.free):
+            return
+        matrix = matrix[self.free][:, self.free]
+        if self.symmetric:
+            matrix = 0.5 * (matrix + matrix.T)
+        try:
+            if self.approximate:
+                self._solve = _in_single(matrix)
+            if self._solve is None:
+                self._solve = splu(matrix.tocsc(), **_NEAR_SYMMETRIC).solve
+        except RuntimeError as error:  # of SuperLU
+            raise StepError(f"a matrix of the step has no factorisation: {error}") from error
+
+    def __call__(self, r: np.ndarray) -> np.ndarray:
+        result = np.zeros_like(r)
+        if self._solve is not None:
+            result[self.free] = self._solve(r[self.free])
+        return result
+
+    def release(self) -> None:
+        self._solve = None
 
 
-_Solve = Callable[[np.ndarray], np.ndarray]
-
-_ENOUGH = 1e-3
-"""What factors in single precision may leave of a right side drawn at random."""
-
-
-def _in_single(matrix: sp.csr_matrix) -> _Solve | None:
+def _in_single(matrix: sp.csr_matrix) -> Callable[[np.ndarray], np.ndarray] | None:
     """What solves with factors in single precision, in units of the diagonal; None where that does not."""
     diagonal = abs(matrix.diagonal())
     unit = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
@@ -71,45 +108,6 @@ def _in_single(matrix: sp.csr_matrix) -> _Solve | None:
     return solve if np.linalg.norm(left) <= _ENOUGH * np.linalg.norm(right) else None
 
 
-class DirectSolver:
-    """The factorised matrix on its free unknowns; the others get 0.
-
-    Factors of a preconditioner are in single precision where that does, in units of the diagonal: half of the
-    time and the memory.
-    """
-
-    def __init__(self, free: np.ndarray, symmetric: bool = False, approximate: bool = False) -> None:
-        """``free`` is a mask of unknowns; of the matrix's symmetric part where that is said."""
-        self.free, self.symmetric, self.approximate = np.flatnonzero(free), symmetric, approximate
-        self._solve: _Solve | None = None
-
-    def factorise(self, matrix: sp.csr_matrix) -> None:
-        """Raises StepError if the matrix is singular."""
-        matrix = matrix[self.free][:, self.free]
-        self._solve = None
-        if not len(self.free):
-            return
-        try:
-            if self.symmetric:
-                matrix = 0.5 * (matrix + matrix.T)
-            if self.approximate:
-                self._solve = _in_single(matrix)
-            if self._solve is None:
-                self._solve = splu(matrix.tocsc(), **_NEAR_SYMMETRIC).solve
-        except RuntimeError as error:  # of SuperLU
-            raise StepError(f"a matrix of the step has no factorisation: {error}") from error
-
-    def __call__(self, r: np.ndarray) -> np.ndarray:
-        result = np.zeros_like(r)
-        if self._solve is not None:
-            result[self.free] = self._solve(r[self.free])
-        return result
-
-    def release(self) -> None:
-        """Drop the factorisation."""
-        self._solve = None
-
-
 def direct_solver(free: np.ndarray, exchange: Owned, *, symmetric: bool = False) -> DirectSolver | SumInverse:
     """By SuperLU on one process; over ranks by PETSc, of matrices in parts.
 
@@ -121,7 +119,10 @@ def direct_solver(free: np.ndarray, exchange: Owned, *, symmetric: bool = False)
 
 
 class Fallback:
-    """A solver, and in its place another one for matrices that it does not take."""
+    """A solver, and for matrices that it does not take another one, made where the first such comes.
+
+    ``say`` is then told why.
+    """
 
     def __init__(
         self,
@@ -132,20 +133,20 @@ class Fallback:
         *,
         symmetric: bool,
     ) -> None:
-        """``say`` is told once why the other one, which is made where it is needed, has to solve."""
-        self.first = self._present = first(free, symmetric=symmetric)
-        self._make_other, self._say = partial(other, free, symmetric=symmetric), say
-        self._other: Direct | None = None
+        self._solvers = [first(free, symmetric=symmetric)]
+        self._present = self._solvers[0]
+        self._make_other, self._say = lambda: other(free, symmetric=symmetric), say
 
     def factorise(self, matrix: sp.csr_matrix) -> None:
-        """Raises StepError if the matrix is singular."""
+        self._present = self._solvers[0]
         try:
-            self.first.factorise(matrix)
-            self._present = self.first
+            self._present.factorise(matrix)
         except StepError as error:
-            is_new = self._other is None
-            self._other = self._present = self._other or self._make_other()
-            self._other.factorise(matrix)
+            is_new = len(self._solvers) == 1
+            if is_new:
+                self._solvers.append(self._make_other())
+            self._present = self._solvers[1]
+            self._present.factorise(matrix)
             if is_new:
                 self._say(str(error))
 
@@ -153,15 +154,8 @@ class Fallback:
         return self._present(r)
 
     def release(self) -> None:
-        """Give back the memory of both; over ranks collective."""
-        self.first.release()
-        if self._other is not None:
-            self._other.release()
-
-
-SWEEPS, DAMPING = 2, 1.65
-"""Of Jacobi before and after the coarse problem, and their damping in units of 1/(largest eigenvalue of
-D^{-1} A), below 2; the eigenvalue depends on the mesh."""
+        for solver in self._solvers:
+            solver.release()
 
 
 class TwoLevelSolver:
@@ -173,6 +167,18 @@ class TwoLevelSolver:
     Jacobi sweeps before and after.  Unknowns beside the velocity - stresses of walls, creep rates - belong
     to the coarse problem, with the velocities that they are coupled to: those of the walls.  Where the
     fourth-order term dominates at the mesh's scale the iterations that it takes grow.
+
+    Parameters
+    ----------
+    free, vertices, others : (unknowns,) arrays of bool
+        Free ones, velocities at vertices, and others than velocities.
+    direct : callable
+        Makes the solver of the coarse problem.
+    exchange : Exchange
+        Of the unknowns; over ranks matrices are in parts.
+    dropped : float
+        Entries smaller than this share of the diagonal are left out of the sweeps: two thirds, for a
+        hundredth more of GMRES's iterations.
     """
 
     def __init__(
@@ -185,23 +191,13 @@ class TwoLevelSolver:
         *,
         dropped: float = 1e-2,
     ) -> None:
-        """Masks of unknowns: ``free`` ones, velocities at ``vertices``, and ``others`` than velocities.
-
-        ``direct`` makes the solver of the coarse problem from a mask and whether the matrix is to be made
-        symmetric; ``exchange`` is that of the unknowns: over ranks matrices are in parts.
-        Entries smaller than ``dropped`` of the diagonal are left out of the sweeps: two thirds, for a
-        hundredth more of GMRES's iterations.
-        """
         self.free, self.vertices, self.others = free, vertices, others
-        self.direct, self.exchange = direct, exchange
-        self.dropped = dropped
+        self.direct, self.exchange, self.dropped = direct, exchange, dropped
         self.coarse: Direct | None = None
 
     def factorise(self, matrix: sp.csr_matrix) -> None:
-        """Raises StepError if the coarse block is singular."""
-        matrix = matrix.tocsr()
+        matrix, exchange = matrix.tocsr(), self.exchange
         is_coarse = self.vertices | self.others
-        exchange = self.exchange
         beside = exchange.communicator.any(self.others.any())
         if beside:
             is_coarse[matrix[self.others].indices] = True
@@ -209,19 +205,18 @@ class TwoLevelSolver:
         self.release()
         self.coarse = self.direct(self.free & is_coarse, symmetric=not beside)
         self.coarse.factorise(matrix)
-        own_diagonal = matrix.diagonal()
-        diagonal = exchange.sum(own_diagonal)
-        self._fine = np.flatnonzero(self.free & ~is_coarse & (diagonal != 0))
-        self._coarse = np.flatnonzero(self.free & is_coarse)
-        rows, columns = matrix[self._fine], matrix[:, self._fine].tocsr()
-        self._of_fine, self._of_coarse = (exchange.part(own) for own in (self._fine, self._coarse))
-        own = _without_small(rows[:, self._fine], diagonal[self._fine], self.dropped)
-        between = rows[:, self._coarse].tocsr(), columns[self._coarse].tocsr()
-        self._own, self._from_coarse, self._to_coarse = (m.astype(precision.SINGLE) for m in (own, *between))
+        diagonal = exchange.sum(matrix.diagonal())
+        fine = self._fine = np.flatnonzero(self.free & ~is_coarse & (diagonal != 0))
+        coarse = self._coarse = np.flatnonzero(self.free & is_coarse)
+        self._of_fine, self._of_coarse = exchange.part(fine), exchange.part(coarse)
+        rows = matrix[fine]
+        own = _without_small(rows[:, fine], diagonal[fine], self.dropped)
+        self._own = own.astype(precision.SINGLE)
+        self._from_coarse = rows[:, coarse].tocsr().astype(precision.SINGLE)
+        self._to_coarse = matrix[coarse][:, fine].tocsr().astype(precision.SINGLE)
         # a sum of matrices has no larger one than the largest of these, each in its own diagonal's units
         largest = exchange.communicator.most(largest_eigenvalue(own))
-        smoother = DAMPING / (largest * diagonal[self._fine])
-        self._smoother = smoother.astype(precision.SINGLE)
+        self._smoother = (DAMPING / (largest * diagonal[fine])).astype(precision.SINGLE)
 
     def __call__(self, r: np.ndarray) -> np.ndarray:
         assert self.coarse is not None
@@ -236,7 +231,6 @@ class TwoLevelSolver:
         return result
 
     def release(self) -> None:
-        """Give back the memory of the coarse factorisation."""
         if self.coarse is not None:
             self.coarse.release()
 
@@ -263,15 +257,3 @@ def largest_eigenvalue(matrix: sp.csr_matrix) -> float:
         return float(np.linalg.eigvalsh(scaled.toarray()).max(initial=1.0))
     start = np.random.default_rng(0).standard_normal(scaled.shape[0])
     return float(eigsh(scaled, k=1, which="LA", v0=start, tol=0.02, return_eigenvectors=False)[0])
-
-
-@cache
-def is_available(inverse: str) -> bool:
-    """Whether NGSolve, as it is installed, has this sparse direct solver: found by asking it for one."""
-    if inverse == "umfpack":
-        return True
-    try:
-        SparseMatrixd.CreateFromCOO([0, 1], [0, 1], [1.0, 1.0], 2, 2).Inverse(inverse=inverse)
-    except Exception:  # NGSolve raises NgException and RuntimeError
-        return False
-    return True

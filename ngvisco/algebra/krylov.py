@@ -84,8 +84,7 @@ def improved(
     """x with apply(x) = rows up to ``tolerance``, from what an approximate inverse gives, and its iterations.
 
     Residuals are measured by what the approximate inverse makes of them, every column of the values, which
-    may have other units, relative to the first one's.  Where that first one is good enough, there is no
-    iteration.
+    may have other units, relative to the first one's.
 
     Parameters
     ----------
@@ -95,7 +94,7 @@ def improved(
     most : int
         Iterations at most.
     enough : float
-        What one application may leave without any.
+        What the first application may leave: there is then no iteration.
     products : callable
         Inner products, see ``Products``, of values that are each on one rank.
     """
@@ -119,14 +118,11 @@ def improved(
     return start + scale * x.reshape(shape), taken
 
 
-Product = Callable[[np.ndarray, np.ndarray], float]
-
-
 def conjugate_gradients(
-    operator: Callable[[np.ndarray], np.ndarray],
+    operator: Map,
     right: np.ndarray,
-    inverse: Callable[[np.ndarray], np.ndarray],
-    product: Product,
+    inverse: Map,
+    product: Callable[[np.ndarray, np.ndarray], float],
     reduction: float,
     iterations: int,
 ) -> np.ndarray:

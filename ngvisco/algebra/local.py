@@ -5,7 +5,6 @@ of its own cell only.  Products for all components of a field are one small dens
 many times faster than a sparse product for each component.
 """
 
-from collections.abc import Callable
 from functools import cached_property
 from math import prod
 
@@ -13,12 +12,6 @@ import numpy as np
 import scipy.sparse as sp
 
 from ngvisco.threads import product, shared
-
-
-def by_parts(function: Callable[[np.ndarray], np.ndarray], values: np.ndarray) -> np.ndarray:
-    """A real linear function of complex values."""
-    real, imaginary = (np.ascontiguousarray(part) for part in (values.real, values.imag))
-    return function(real) + 1j * function(imaginary)
 
 
 class LocalMatrix:
@@ -55,9 +48,7 @@ class LocalMatrix:
         self._blocks = np.zeros((cells, self.local, self.per_cell), dtype)
         self._blocks[cell, place[position], row] = entries.data
         # coefficients of a discontinuous space stand cell by cell
-        self._in_order = self.width == cells * self.local and bool(
-            (self.unknowns.ravel() == np.arange(self.width)).all()
-        )
+        self._in_order = np.array_equal(self.unknowns.ravel(), np.arange(self.width))
 
     @property
     def blocks(self) -> np.ndarray:
@@ -75,25 +66,23 @@ class LocalMatrix:
         return matrix
 
     @cached_property
-    def _scatter(self) -> sp.csr_matrix:
+    def scatter(self) -> sp.csr_matrix:
+        """What sums up values of the cells' unknowns, (width, cells times unknowns of a cell)."""
         places = np.arange(self.unknowns.size)
         ones = np.ones(self.unknowns.size, self._blocks.dtype)
         return sp.csr_matrix((ones, (self.unknowns.ravel(), places)), shape=(self.width, places.size))
 
-    def __call__(self, rows: np.ndarray, out: np.ndarray | None = None) -> np.ndarray:
+    def __call__(self, rows: np.ndarray) -> np.ndarray:
         """matrix @ each of ``rows``, (..., width) -> (..., height)."""
         if np.iscomplexobj(rows):
-            result = by_parts(self, rows)
-            if out is not None:
-                out[...] = result
-            return result
+            return self(rows.real.copy()) + 1j * self(rows.imag.copy())  # for the BLAS
         parts = rows.reshape(prod(rows.shape[:-1]), self.width)
-        result = np.empty((len(parts), self.height)) if out is None else out
-        shape = (len(parts), self.cells, self.local)
+        result = np.empty((len(parts), self.height))
         by_cells = result.reshape(len(parts), self.cells, self.per_cell).transpose(1, 0, 2)
 
         def work(s: slice) -> None:
-            local = parts.reshape(shape)[:, s] if self._in_order else parts[:, self.unknowns[s]]
+            by_unknowns = (len(parts), self.cells, self.local)
+            local = parts.reshape(by_unknowns)[:, s] if self._in_order else parts[:, self.unknowns[s]]
             np.matmul(local.transpose(1, 0, 2), self._blocks[s], out=by_cells[s])
 
         shared(work, self.cells, len(parts) * self._blocks.size)
@@ -102,7 +91,7 @@ class LocalMatrix:
     def test(self, values: np.ndarray) -> np.ndarray:
         """matrix^T @ (weights * each of ``values``), (..., height) -> (..., width)."""
         if np.iscomplexobj(values):
-            return by_parts(self.test, values)
+            return self.test(values.real.copy()) + 1j * self.test(values.imag.copy())
         parts = values.reshape(prod(values.shape[:-1]), self.height)
         if self.weights is not None:
             parts = parts * self.weights
@@ -111,7 +100,7 @@ class LocalMatrix:
         product(by_cells, self.blocks, out=local.transpose(1, 0, 2))
         flat = local.reshape(len(parts), self.unknowns.size)
         if not self._in_order:
-            flat = (self._scatter @ np.ascontiguousarray(flat.T)).T
+            flat = (self.scatter @ np.ascontiguousarray(flat.T)).T
         return flat.reshape(*values.shape[:-1], self.width)
 
     def by_cells(self, columns: np.ndarray) -> np.ndarray:
@@ -122,4 +111,4 @@ class LocalMatrix:
     def tested(self, values: np.ndarray) -> np.ndarray:
         """matrix^T @ ``values``, (cells, n, rows of a cell), without weights: (width, n)."""
         local = product(self._blocks, values.swapaxes(1, 2))
-        return self._scatter @ local.reshape(self.unknowns.size, values.shape[1])
+        return self.scatter @ local.reshape(self.unknowns.size, values.shape[1])

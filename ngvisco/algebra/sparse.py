@@ -2,13 +2,16 @@
 
 import numpy as np
 import scipy.sparse as sp
+from scipy.sparse.csgraph import connected_components
 
 from ngvisco.algebra import precision
 
 
 def apply(matrix: sp.csr_matrix, rows: np.ndarray) -> np.ndarray:
-    """matrix @ each row, (rows, height): twice as fast as by one pass for several columns."""
-    return np.stack([matrix @ row for row in rows])
+    """matrix @ each row, (..., height): twice as fast as by one pass for several columns."""
+    if rows.ndim == 1:
+        return matrix @ rows
+    return np.stack([apply(matrix, row) for row in rows])
 
 
 def largest(values: np.ndarray) -> float:
@@ -49,22 +52,55 @@ def pruned(matrix: sp.csr_matrix) -> sp.csr_matrix:
     return matrix
 
 
-def of_blocks(
-    own: np.ndarray, across: np.ndarray, neighbours: np.ndarray, count: int | None = None
-) -> sp.csr_matrix:
+class Blocks:
+    """The diagonal blocks of a matrix: the connected components of ``pattern``.
+
+    Unknowns without an entry there (copies of identified ones) are in none.  ``groups`` are the unknowns of
+    blocks of one size, (blocks, size).
+    """
+
+    def __init__(self, pattern: sp.csr_matrix) -> None:
+        graph = pattern.tocsr().copy()
+        graph.data = np.where(abs(graph.data) > 1e-13 * largest(graph.data), 1.0, 0.0)
+        graph.eliminate_zeros()
+        _, label = connected_components(graph, directed=False)
+        order = np.argsort(label, kind="stable")
+        order = order[np.diff(graph.indptr)[order] > 0]
+        _, sizes = np.unique(label[order], return_counts=True)
+        starts = np.cumsum(sizes) - sizes
+        self.groups = [order[starts[sizes == n][:, None] + np.arange(n)] for n in np.unique(sizes)]
+
+    def inverse(self, matrix: sp.csr_matrix) -> sp.csr_matrix:
+        """The inverse of the blocks of ``matrix``, zero elsewhere; LinAlgError where one is singular."""
+        values, rows, columns = [np.zeros(0)], [np.zeros(0, int)], [np.zeros(0, int)]
+        for group in self.groups:
+            size = group.shape[1]
+            rows.append(np.repeat(group, size, axis=1).ravel())
+            columns.append(np.tile(group, (1, size)).ravel())
+            blocks = np.asarray(matrix[rows[-1], columns[-1]]).reshape(-1, size, size)
+            values.append(np.linalg.inv(blocks).ravel())
+        data, *places = map(np.concatenate, (values, rows, columns))
+        return sp.csr_matrix((data, tuple(places)), shape=matrix.shape)
+
+
+def inverse_of_blocks(matrix: sp.csr_matrix) -> sp.csr_matrix:
+    """The inverse of a block-diagonal matrix."""
+    return Blocks(matrix).inverse(matrix)
+
+
+def of_blocks(own: np.ndarray, across: np.ndarray, neighbours: np.ndarray, count: int) -> sp.csr_matrix:
     """A matrix of cells' blocks: their ``own`` (cells, q, q), and ``across`` each side, (cells, sides, q, q).
 
-    ``neighbours`` (cells, sides) are the cells there; ``count`` is their number where some have no blocks.
+    ``neighbours`` (cells, sides) are the cells there; ``count`` is their number, some of which may have no
+    rows.
     """
     cells, sides, q, _ = across.shape
-    count = cells if count is None else count
-    row = np.repeat(np.arange(cells), 1 + sides)
-    column = np.concatenate([np.arange(cells)[:, None], neighbours], axis=1).ravel()
     blocks = np.concatenate([own[:, None], across], axis=1).reshape(-1, q, q)
-    inside = np.arange(q)
-    rows = np.broadcast_to((q * row[:, None, None] + inside[:, None]), blocks.shape)
-    columns = np.broadcast_to((q * column[:, None, None] + inside[None, :]), blocks.shape)
-    return sp.csr_matrix((blocks.ravel(), (rows.ravel(), columns.ravel())), shape=(q * count,) * 2)
+    columns = np.concatenate([np.arange(cells)[:, None], neighbours], axis=1).ravel()
+    ends = (1 + sides) * np.minimum(np.arange(count + 1), cells)
+    matrix = sp.bsr_matrix((blocks, columns, ends), shape=(q * count, q * count)).tocsr()
+    matrix.sum_duplicates()  # a cell may meet another one across two sides
+    return matrix
 
 
 class ElementAssembly:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -23,13 +23,10 @@ class RestrictedForm:
 
     def __init__(self, step: Step, names: Sequence[str], terms: Sequence[Term]) -> None:
         layout, self.names, self.step = step.layout, list(names), step
-        blocks = [layout.blocks[name] for name in self.names]
-        self.space = FESpace(blocks)
+        self.space = FESpace([layout.blocks[name] for name in self.names])
+        trial, test = (dict(zip(self.names, parts, strict=True)) for parts in self.space.TnT())
         known = dict(zip(layout.names, step.state.components, strict=True))
-        trial, test = self.space.TnT()
-        zero: dict[str, Any] = {name: _zero(layout.blocks[name]) for name in layout.names}
-        u = Fields(layout, known | dict(zip(self.names, trial, strict=True)))
-        tests = zero | dict(zip(self.names, test, strict=True))
+        tests = {name: _zero(layout.blocks[name]) for name in layout.names} | test
 
         def gradient(name: str) -> Any:  # a constant has none for NGSolve
             value = tests[name]
@@ -37,7 +34,7 @@ class RestrictedForm:
                 return Grad(value)
             return CF((0.0,) * (value.dim * layout.mesh.dim), dims=(*value.dims, layout.mesh.dim))
 
-        w = Tests(layout, tests, gradient=gradient)
+        u, w = Fields(layout, known | trial), Tests(layout, tests, gradient=gradient)
         self.form = BilinearForm(self.space, check_unused=False)
         for term in terms:
             step.quadrature.add(self.form, term.form(u, w))
@@ -68,55 +65,35 @@ def _zero(space: FESpace) -> Any:
     return CF((0.0,) * trial.dim, dims=tuple(trial.dims)) if trial.dims else CF(0.0)
 
 
-def source_obstacle(step: Step) -> str | None:
-    """Why the step's source cannot be assembled before the iteration, or None."""
-    if step.sources is None:
-        return None
-    try:
-        names = receivers(step)
-        _integrands(step, joint_space(step, names), names)
-    except WithheldError as error:
-        return str(error)
-    return None
-
-
-def receivers(step: Step) -> list[str]:
-    """Names of the unknowns whose equations may have sources."""
-    allowed = Unknowns(step).names
-    return [name for name in step.layout.names if name in allowed]
-
-
-def joint_space(step: Step, names: Iterable[str]) -> FESpace:
-    return FESpace([step.layout.blocks[name] for name in names])
-
-
-def _integrands(step: Step, space: FESpace, names: list[str]) -> list[Integrand]:
-    """The source's form, of tests of ``names`` in their joint space and of no unknowns."""
-    assert step.sources is not None
-    u = GivenParts({}, "a source takes the unknown {name}, which the split solver does not know beforehand")
-    tests = dict(zip(names, space.TestFunction(), strict=True))
-    w = GivenParts(tests, "a source has a row of {name}, which the split solver does not iterate on")
-    return step.sources.form(Fields(step.layout, u), Tests(step.layout, w))
-
-
 class RightHandSide:
-    """The rows of a step's source, added to the residual."""
+    """The rows of a step's source, packed as the unknowns, added to the residual.
 
-    def __init__(self, step: Step, unknowns: Unknowns) -> None:
-        self.step, self.unknowns = step, unknowns
-        self.names = receivers(step)
-        self.space = joint_space(step, self.names)
-        self.form = LinearForm(self.space)
-        step.quadrature.add(self.form, _integrands(step, self.space, self.names))
-        self.rows: dict[str, np.ndarray] = {}
+    Raises WithheldError for a source that takes unknowns, or has rows that the split solver has not.
+    """
+
+    def __init__(self, step: Step) -> None:
+        assert step.sources is not None
+        names = Unknowns(step).names
+        space = FESpace([step.layout.blocks[name] for name in names])
+        u = GivenParts(
+            {}, "a source takes the unknown {name}, which the split solver does not know beforehand"
+        )
+        tests = dict(zip(names, space.TestFunction(), strict=True))
+        w = GivenParts(tests, "a source has a row of {name}, which the split solver does not iterate on")
+        self._form = LinearForm(space)
+        integrands: list[Integrand] = step.sources.form(Fields(step.layout, u), Tests(step.layout, w))
+        step.quadrature.add(self._form, integrands)
 
     def start(self) -> None:
         """Assemble for the present step."""
-        self.form.Assemble()
-        values = self.form.vec.FV().NumPy()
-        ranges = [self.space.Range(i) for i in range(len(self.names))]
-        self.rows = {n: values[r.start : r.stop].copy() for n, r in zip(self.names, ranges, strict=True)}
+        self.rows = self._form.Assemble().vec.FV().NumPy().copy()
 
-    def of(self, names: Iterable[str]) -> np.ndarray:
-        """The rows of these unknowns, one after the other."""
-        return np.concatenate([np.zeros(0), *(self.rows[name] for name in names)])
+
+def source_obstacle(step: Step) -> str | None:
+    """Why the step's source cannot be assembled before the iteration, or None."""
+    try:
+        if step.sources is not None:
+            RightHandSide(step)
+    except WithheldError as error:
+        return str(error)
+    return None

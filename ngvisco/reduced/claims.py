@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
@@ -32,20 +31,29 @@ from ngvisco.forms.terms.regularisation import CutOffVolume, DensityDiffusion, F
 from ngvisco.forms.terms.transport import Conjugates, ElasticForce, Kinematics
 from ngvisco.forms.upwinding import SideMean
 from ngvisco.physics.arrays import Array
-from ngvisco.reduced.unknowns import Unknowns, density_by_forms, derived_in_cells, in_cells
-from ngvisco.reduced.values import (
+from ngvisco.reduced.evaluation import (
     CELLS,
     FACETS,
-    Lazy,
     NotAtPointsError,
+    lazy_fields,
     on_sides,
     shapes_of,
     slots_of,
     tests_of,
 )
+from ngvisco.reduced.unknowns import Unknowns, density_by_forms, derived_in_cells, in_cells
 
 _FIELDS = {"rho", "grad rho", "z", "grad z"}
 """Tests whose rows are those of the fields, and not of the flow."""
+
+_PARTS: dict[type, str] = {
+    Continuity: "continuity",
+    Hyperviscosity: "hyperviscosity",
+    FieldDiffusion: "diffusion",
+    Conjugates: "conjugates",
+    CutOffVolume: "without_rows",
+}
+"""What takes the terms that are neither at points nor by forms as they are."""
 
 
 @dataclass
@@ -67,7 +75,6 @@ class Claims:
     forms_ask_for: set[str] = field(default_factory=set)
     """Names of what these take of the step's ``Context``."""
     diffusion: list[FieldDiffusion] = field(default_factory=list)
-    """delta Laplace z, its slope and traces eliminated."""
     hyperviscosity: list[Hyperviscosity] = field(default_factory=list)
     sources: list[Term] = field(default_factory=list)
     """Known before the iteration."""
@@ -91,16 +98,13 @@ class Claims:
         if bent := step.tabulated_rates.tensors.bent:
             expected = f"the rate of {bent[0]!r} is not linear in the variables, as the split solver needs it"
             raise ParameterError("Variable.rate", bent[0], expected)
-        if any(isinstance(term, Heating) for term in step.terms):
-            for term in step.terms:
-                if isinstance(term, FieldDiffusion):
-                    expected = (
-                        "Regularisation.delta_fields with heat: what it dissipates is made of phi'' by forms"
-                    )
-                    raise ParameterError("Regularisation.delta_fields", term.law.delta_fields, expected)
         claims = cls()
         for term in step.terms:
             claims._claim(step, term)
+        if claims.diffusion and any(isinstance(term, Heating) for term in step.terms):
+            expected = "Regularisation.delta_fields with heat: what it dissipates is made of phi'' by forms"
+            delta = claims.diffusion[0].law.delta_fields
+            raise ParameterError("Regularisation.delta_fields", delta, expected)
         return claims
 
     def beside_the_points(self) -> list[Term]:
@@ -110,22 +114,20 @@ class Claims:
         others = [
             term
             for term in self.at_points
-            if type(term) not in own
-            and id(term) not in at_coarse_points
-            and set(self.rows[id(term)]) - _FIELDS
+            if type(term) not in own and id(term) not in at_coarse_points and self._of_flow(term)
         ]
         return [*self.by_forms, *others]
 
     def of_gradients(self) -> list[PointTerm]:
         """Terms with rows of grad w, whose linearisation by v a coarse rule will do for; not the elastic
         force, which changes with the fields, nor what couples v with another unknown of the flow."""
-        return [
-            term
-            for term in self.at_points
-            if "grad v" in self.rows[id(term)]
-            and set(self.rows[id(term)]) - _FIELDS <= {"v", "grad v"}
-            and not isinstance(term, ElasticForce)
-        ]
+        alone = ({"grad v"}, {"v", "grad v"})
+        terms = (term for term in self.at_points if self._of_flow(term) in alone)
+        return [term for term in terms if not isinstance(term, ElasticForce)]
+
+    def _of_flow(self, term: Term) -> set[str]:
+        """Tests of the flow that a term at points has rows of."""
+        return set(self.rows[id(term)]) - _FIELDS
 
     @property
     def conducting(self) -> list[Heating]:
@@ -138,45 +140,36 @@ class Claims:
 
     def of_state(self) -> list[PointTerm]:
         """Terms with rows of z, and stresses, that read z or zeta: not the rates and the elastic force."""
-        asked = [term for term in self.at_points if type(term) is not Kinematics]
-        stresses = {id(term) for term in self.of_gradients()}
-        return [
-            term
-            for term in asked
-            if self.rows[id(term)].get("z") or (id(term) in stresses and any(self.rows[id(term)].values()))
-        ]
+        stresses, found = {id(term) for term in self.of_gradients()}, []
+        for term in self.at_points:
+            reads = self.rows[id(term)]
+            is_stress = id(term) in stresses and any(reads.values())
+            if type(term) is not Kinematics and (reads.get("z") or is_stress):
+                found.append(term)
+        return found
 
     def of_nodes(self) -> list[PointTerm]:
         """Terms with rows by as many points as a field has values in a cell."""
         return [term for term in self.at_points if id(term) in self.at_nodes]
 
     def _claim(self, step: Step, term: Term) -> None:
-        kind = type(term)
-        if term is step.sources:
-            self.sources.append(term)
-        elif kind in (Continuity, DensityDiffusion) and density_by_forms(step):
-            self.density.append(term)
-        elif isinstance(term, Continuity) and kind is Continuity:
-            self.continuity.append(term)
-        elif isinstance(term, Hyperviscosity) and kind is Hyperviscosity:
+        kind, obstacle = type(term), None
+        if kind is Hyperviscosity:
             _require_arrays(step, term)
-            self.hyperviscosity.append(term)
-        elif isinstance(term, FieldDiffusion) and kind is FieldDiffusion:
-            self.diffusion.append(term)
+        if term is step.sources:
+            part = "sources"
+        elif kind in (Continuity, DensityDiffusion) and density_by_forms(step):
+            part = "density"
+        elif kind in _PARTS:
+            part = _PARTS[kind]
         elif isinstance(term, SideMean) and type(term).facets is SideMean.facets:
-            self.traces.append(term)
-        elif kind is Conjugates:
-            self.conjugates.append(term)
-        elif kind is CutOffVolume:
-            self.without_rows.append(term)
+            part = "traces"
         else:
             obstacle = self._obstacle_at_points(step, term)
-            if isinstance(term, PointTerm) and obstacle is None:
-                self.at_points.append(term)
-            else:
-                asked = _require_flow_rows(step, term, obstacle)
-                self.by_forms.append(term)
-                self.forms_ask_for |= asked
+            part = "at_points" if obstacle is None else "by_forms"
+        if obstacle is not None:
+            self.forms_ask_for |= _require_flow_rows(step, term, obstacle)
+        getattr(self, part).append(term)
 
     def _obstacle_at_points(self, step: Step, term: Term) -> str | None:
         """Why a term is not taken by its arrays, or None; notes its rows."""
@@ -203,19 +196,20 @@ def term_obstacle(step: Step) -> str | None:
     return None
 
 
-def _require_arrays(step: Step, term: Hyperviscosity) -> None:
-    """Raise ParameterError if the law's coefficients are not functions of the variables at a point."""
+def _require_arrays(step: Step, term: Any) -> None:
+    """Raise ParameterError if a hyperviscosity's coefficients are not functions of the values at a point."""
     law, one = term.law, Array(np.ones(1), None)
-    found: list[Any]
     z = step.layout.states.tensors(lambda: Array(np.ones((step.layout.states.size, 1)), None))
+    reason = None
     try:
         with np.errstate(all="ignore"):  # all values one need not be in the law's domain
             found = [*law.moduli(z)]
             found += [law.linear(z)] if law.is_linear else [law.coefficient(one, z), law.slope(one, z)]
-        reason = "its coefficients are not made of the variables' values alone"
+        if not all(isinstance(value, (int, float, Array)) for value in found):
+            reason = "its coefficients are not made of the variables' values alone"
     except Exception as error:  # whatever a law raises at values that it does not know
-        found, reason = [None], f"its law does not take arrays: {why(error)}"
-    if not all(isinstance(value, (int, float, Array)) for value in found):
+        reason = f"its law does not take arrays: {why(error)}"
+    if reason is not None:
         name = type(term).__name__
         raise ParameterError("Simulation.terms", name, f"{name}: {reason}")
 
@@ -264,44 +258,41 @@ def asked_slots(step: Step, term: PointTerm, rates: TabulatedRates) -> tuple[dic
     NotAtPointsError
         When the term asks for something that arrays do not have.
     """
-    d, shapes, derived = step.mesh.dim, shapes_of(step), derived_in_cells(step.layout)
-    shapes |= {name: step.layout.unknowns[name].shape for name in ("zeta", *derived)}
+    d, layout, shapes, derived = step.mesh.dim, step.layout, shapes_of(step), derived_in_cells(step.layout)
+    shapes |= {name: layout.unknowns[name].shape for name in ("zeta", *derived)}
 
-    def ones(shape: tuple[int, ...], dtype: type = float) -> Array:
+    def ones(*shape: int, dtype: type = float) -> Array:
         return Array(np.ones((*shape, 1), dtype), None)
 
     def fields(
         context: Any, names: Iterable[str], sloping: Iterable[str], place: str, state: type = complex
     ) -> Fields:
-        dtypes = {"z": state, "zeta": state}
-        parts = {name: partial(ones, shapes[name], dtypes.get(name, float)) for name in names}
-        slopes = {name: partial(ones, (*shapes[name], d)) for name in sloping}
-        gradients = Lazy(slopes, f"{place}, as a gradient")
-        return Fields(step.layout, Lazy(parts, place), context, lambda name: gradients[name])
+        def value(name: str) -> Array:
+            return ones(*shapes[name], dtype=state if name in ("z", "zeta") else float)
 
-    inside = SimpleNamespace(
-        momentum_old=ones((d,)),
-        rate=lambda difference: difference,
-        average=lambda value: ones(tuple(value.dims)),
-        given=lambda value: ones(tuple(value.dims)),
-        h=ones(()),
-        rates=rates,
-        terms=step.terms,
-    )
-    evolving, cells = set(step.layout.evolving).intersection(shapes), in_cells(step.layout)
+        def gradient(name: str) -> Array:
+            return ones(*shapes[name], d)
+
+        return lazy_fields(Fields, layout, (value, names), (gradient, sloping), place, context)
+
+    known = {
+        "rate": lambda difference: difference,
+        "given": lambda value: ones(*value.dims),
+        "h": ones(),
+        "rates": rates,
+        "terms": step.terms,
+    }
+    inside = SimpleNamespace(momentum_old=ones(d), average=known["given"], **known)
+    evolving, cells = set(layout.evolving).intersection(shapes), in_cells(layout)
     inside.old = fields(inside, evolving, evolving, CELLS, float)
     side = SimpleNamespace(
-        normal=ones((d,)),
-        inner=ones(()),
-        crossed=ones(()),
-        upwinding=SimpleNamespace(share=ones(()), inflow=ones(())),
-        rates=rates,
-        h=ones(()),
+        normal=ones(d),
+        inner=ones(),
+        crossed=ones(),
+        upwinding=SimpleNamespace(share=ones(), inflow=ones()),
         eta=1.0,
         curvature=1.0,
-        rate=inside.rate,
-        given=inside.given,
-        terms=step.terms,
+        **known,
     )
     try:
         with np.errstate(all="ignore"):  # all values one need not be in a law's domain
@@ -309,7 +300,7 @@ def asked_slots(step: Step, term: PointTerm, rates: TabulatedRates) -> tuple[dic
             inside_cells, at_nodes = list(term.cells(u, w)), list(term.nodes(u, w))
             names = (*on_sides(step), "zeta", *derived)
             u, w = fields(side, names, ["zeta"], FACETS), tests_of(step, False, side)
-            u.__dict__["jump"] = ones((d,))
+            u.__dict__["jump"] = ones(d)
             found = slots_of(list(term.facets(u, w))) | slots_of(inside_cells + at_nodes)
             return {name: np.iscomplexobj(g) for name, g in found.items()}, bool(slots_of(at_nodes))
     except NotAtPointsError:

@@ -19,16 +19,15 @@ import numpy as np
 import scipy.sparse as sp
 from ngsolve import BilinearForm, FESpace, VectorValued
 
-from ngvisco.algebra.blocks import BlockInverse
-from ngvisco.algebra.sparse import apply, widened
+from ngvisco.algebra.sparse import apply, inverse_of_blocks, widened
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.mesh.points import csr
 from ngvisco.forms.system import Step
 from ngvisco.forms.terms.regularisation import FieldDiffusion
 from ngvisco.parallel.halo import HaloUnknowns
+from ngvisco.reduced.evaluation import Coefficients
 from ngvisco.reduced.operators import FacetMass, Operators
 from ngvisco.reduced.slope import PointwiseSlope
-from ngvisco.reduced.values import Coefficients
 
 _INCREMENT = 6e-6
 """Of z over its size, in central differences of phi''(z) q: the third root of the rounding unit."""
@@ -60,17 +59,15 @@ class FieldDiffusionRows:
         form = BilinearForm(space)
         step.quadrature.add(form, term.of_one_component(u, w))
         matrix = csr(form.Assemble().mat)
-        where = {
-            name: slice(r.start, r.stop) for name, r in zip(names, map(space.Range, range(4)), strict=True)
-        }
+        ranges = dict(zip(names, map(space.Range, range(4)), strict=True))
+        where = {name: slice(r.start, r.stop) for name, r in ranges.items()}
 
         def block(test: str, trial: str) -> sp.csr_matrix:
             return matrix[where[test], where[trial]].tocsr()
 
         mean, jump = (traces.summed_blocks(block(name, name)) for name in ("zeta_delta_hat", "z_slope_hat"))
-        self._mean, self._jump = map(BlockInverse.of, (mean, jump))
-        self._to_mean = -(self._mean.matrix() @ block("zeta_delta_hat", "zeta")).tocsr()
-        self._to_jump = -(self._jump.matrix() @ block("z_slope_hat", "z_slope")).tocsr()
+        self._to_mean = -(inverse_of_blocks(mean) @ block("zeta_delta_hat", "zeta")).tocsr()
+        self._to_jump = -(inverse_of_blocks(jump) @ block("z_slope_hat", "z_slope")).tocsr()
         self._traces, self._ranks = traces.exchange, traces.exchange.communicator
         self.unknowns = HaloUnknowns(traces.halo, operators.z.blocks.shape[2])
         """Of one component, with those of the cells beyond."""
@@ -106,12 +103,12 @@ class FieldDiffusionRows:
         columns = np.tile(beyond, (1, size)).ravel()
         return (own + sp.csr_matrix((others, (rows, columns)), shape=own.shape)).tocsr()
 
-    def laplacian(self, inverse_mass: BlockInverse) -> sp.csr_matrix:
+    def laplacian(self, inverse_mass: sp.csr_matrix) -> sp.csr_matrix:
         """delta Laplace of one component, as if phi'' were one: what the rows are near for smooth z.
 
         Over ranks in parts, of ``unknowns``.
         """
-        square = sum(L.T @ inverse_mass.matrix() @ L for L in self._lifting)
+        square = sum(L.T @ inverse_mass @ L for L in self._lifting)
         penalty = widened(self._penalty, *square.shape)
         return (self._delta * (square + penalty)).tocsr()
 
@@ -153,10 +150,7 @@ class FieldDiffusionRows:
     def _matrices(self, z_values: np.ndarray) -> np.ndarray:
         """Inverses of phi''(z) + P in the functions of every cell, (cells, n functions, n functions)."""
         n, (cells, points, q) = len(z_values), self._op.z.blocks.shape
-        along = self._slope.derivative(z_values)
-        units = np.eye(n)
-        columns = [self._of_strains(along(np.broadcast_to(e[:, None], z_values.shape))) for e in units]
-        hessian = np.stack(columns, axis=1).reshape(n * n, cells, points)
+        hessian = self._of_strains(self._slope.hessian(z_values)).reshape(n * n, cells, points)
         if self._of_itself is not None:
             hessian = hessian + self._of_itself.reshape(-1, 1, 1)
         tested = self._products @ hessian.transpose(1, 2, 0)  # (cells, functions^2, n^2)

@@ -8,7 +8,8 @@ imaginary parts of the rows are their derivative.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections import ChainMap
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cached_property, partial
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -17,28 +18,166 @@ import numpy as np
 import scipy.sparse as sp
 from ngsolve import CF, CoefficientFunction, GridFunction, specialcf
 
-from ngvisco.forms.fields import Fields
+from ngvisco.errors import NgviscoError
+from ngvisco.forms.fields import Fields, Tests
 from ngvisco.forms.rates import TabulatedRates
+from ngvisco.forms.spaces import Layout
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import PointTerm, Where
-from ngvisco.forms.upwinding import Incoming, Upwinding
-from ngvisco.physics.arrays import Array
+from ngvisco.forms.upwinding import Incoming, SideMean, Upwinding
+from ngvisco.physics.arrays import Array, Linear, slots
+from ngvisco.physics.increments import TINY
 from ngvisco.reduced.operators import Operators, SideOperators
 from ngvisco.reduced.unknowns import derived_in_cells, in_cells
-from ngvisco.reduced.values import (
-    CELLS,
-    FACETS,
-    Coefficients,
-    derivative_of,
-    fields_of,
-    incremented,
-    on_sides,
-    slots_of,
-    tests_of,
-)
+
+Coefficients = Mapping[str, np.ndarray]
+"""Coefficients of unknowns by name, (components, functions); of scalars (functions,)."""
 
 Rows = dict[str, np.ndarray]
 """Rows of a residual by the tests' unknowns, in the same shapes."""
+
+TOGETHER = 8192
+"""Points of all directions that are taken together: what is made of them stays in the processor's cache."""
+
+CELLS, FACETS = "in cells", "on facets"
+
+
+class NotAtPointsError(NgviscoError, LookupError):
+    """A term asks for something that there is not at the points of a rule."""
+
+
+class Lazy(Mapping[str, Any]):
+    """Values by name that are made when they are asked for."""
+
+    def __init__(self, make: Mapping[str, Callable[[], Any]], place: str) -> None:
+        self._make, self._place = make, place
+        self._made: dict[str, Any] = {}
+
+    def __getitem__(self, name: str) -> Any:
+        if name not in self._made:
+            if name not in self._make:
+                raise NotAtPointsError(f"there is no {name} {self._place}")
+            self._made[name] = self._make[name]()
+        return self._made[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._make)
+
+    def __len__(self) -> int:
+        return len(self._make)
+
+
+def lazy_fields(
+    kind: type[Fields],
+    layout: Layout,
+    values: tuple[Callable[[str], Any], Iterable[str]],
+    gradients: tuple[Callable[[str], Any], Iterable[str]],
+    place: str,
+    context: Any,
+) -> Fields:
+    """Unknowns or tests by what makes values, or gradients, of a name, and of which names it does."""
+    parts, slopes = ({name: partial(make, name) for name in names} for make, names in (values, gradients))
+    of_gradients = Lazy(slopes, f"{place}, as a gradient")
+    return kind(layout, Lazy(parts, place), context, lambda name: of_gradients[name])
+
+
+def with_values(u: Fields, **given: np.ndarray) -> Fields:
+    """The same fields with other values of some unknowns, or of ``grad_v``."""
+    parts = {name: Array(values, None) for name, values in given.items()}
+    other = Fields(u.layout, ChainMap(parts, u.parts), u.context, u.gradient)  # type: ignore[arg-type]
+    if "grad_v" in parts:
+        other.__dict__["grad_v"] = parts["grad_v"]
+    return other
+
+
+def incremented(u: Fields, **along: np.ndarray) -> Iterator[tuple[int, Fields]]:
+    """``u`` with imaginary increments in directions, some at a time, which are counted.
+
+    Each direction has the points for itself, all of the next one following: an operation on few points
+    takes no longer on many.
+
+    Parameters
+    ----------
+    along
+        Directions (k, ..., points or 1), of unknowns by name or of ``grad_v``.
+    """
+    first = next(iter(along))
+    points = getattr(u, first).value.shape[-1]
+    size = max(1, TOGETHER // max(points, 1))
+    for start in range(0, len(along[first]), size):
+        changed = {}
+        for name, directions in along.items():
+            value, some = getattr(u, name).value, directions[start : start + size]
+            each = value[..., None, :] + (TINY * 1j) * np.moveaxis(some, 0, -2)
+            changed[name] = each.reshape(*value.shape[:-1], -1)
+        yield len(some), with_values(u if len(some) == 1 else _repeated(u, len(some)), **changed)
+
+
+def derivative_of(values: np.ndarray, directions: int) -> np.ndarray:
+    """(..., directions, points) of what came of ``incremented`` fields."""
+    return values.imag.reshape(*values.shape[:-1], directions, -1) / TINY
+
+
+def _repeated(u: Fields, times: int) -> Fields:
+    """The same fields, and what is known, at their points ``times`` times over."""
+
+    def over(value: Array) -> Array:
+        return value if value.value.shape[-1] == 1 else Array(np.tile(value.value, times), None)
+
+    context: Any = _Repeated(u.context, times, over)
+    parts = Lazy({name: lambda name=name: over(u.parts[name]) for name in u.parts}, CELLS)  # type: ignore[misc]
+    return Fields(u.layout, parts, context, lambda name: over(u.gradient(name)))
+
+
+class _Repeated:
+    """A context of cells at points that stand there several times."""
+
+    def __init__(self, context: Any, times: int, over: Callable[[Array], Array]) -> None:
+        self._context, self._times, self._over = context, times, over
+
+    def __getattr__(self, name: str) -> Any:
+        value, over = getattr(self._context, name), self._over
+        if name == "old":
+            value = _repeated(value, self._times)
+        elif name in ("average", "given"):
+            return lambda function: over(value(function))
+        elif isinstance(value, Array):
+            value = over(value)
+        setattr(self, name, value)
+        return value
+
+
+def shapes_of(step: Step) -> dict[str, tuple[int, ...]]:
+    """Shapes of the values of the unknowns that have tests, by name."""
+    names = dict.fromkeys((*in_cells(step.layout), *on_sides(step)))
+    return {name: step.layout.unknowns[name].shape for name in names if name != "zeta"}
+
+
+def on_sides(step: Step) -> list[str]:
+    """Unknowns with tests on facets: of cells, and means of both sides."""
+    means = (term.name for term in step.terms if isinstance(term, SideMean))
+    density = [name for name in ("rho", "rho_hat") if name in step.layout.unknowns]
+    return ["v", *density, "z", *means]
+
+
+def tests_of(step: Step, inside: bool, context: Any) -> Fields:
+    """Tests that record what multiplies them: with gradients in cells, with those of traces on facets."""
+    shapes, d = shapes_of(step), step.mesh.dim
+    names = [name for name in in_cells(step.layout) if name in shapes] if inside else on_sides(step)
+
+    def value(name: str) -> Linear:
+        return Linear(shapes[name], slot=name)
+
+    def gradient(name: str) -> Linear:
+        return Linear((*shapes[name], d), slot=f"grad {name}")
+
+    sloping = gradient, names if inside else []
+    return lazy_fields(Tests, step.layout, (value, names), sloping, CELLS if inside else FACETS, context)
+
+
+def slots_of(parts: Sequence[Linear]) -> dict[str, np.ndarray]:
+    """What multiplies each test in a sum of linear forms, (..., points), by the test's name."""
+    return slots(sum(parts[1:], parts[0])) if parts else {}
 
 
 class CellContext:
@@ -59,7 +198,7 @@ class CellContext:
             size = layout.unknowns[name].size
             of_name = state[layout.ranges[name]].copy()
             old[name] = of_name if size is None else of_name.reshape(size, -1)
-        self.old = _in_cells(self._op, old, old, "of the old state", self)
+        self.old = _in_cells(self._op, old, list(old), "of the old state", self)
         for value, function in self._averages.items():
             _put(function, step.context.average_now(value))
         for value, function in self._given.items():
@@ -79,28 +218,31 @@ class CellContext:
 
     def average(self, value: CoefficientFunction) -> Array:
         """The mean over the step of a scalar, a vector or a matrix, see ``Context.average``."""
-        return self._read(self._averages, value, self._step.context.average_now)
+        if value not in self._averages:
+            self._averages[value] = self._op.points.function(value.dim)
+            _put(self._averages[value], self._step.context.average_now(value))
+        return self._read(self._averages[value], value)
 
     def given(self, value: CoefficientFunction) -> Array:
         """The same at the end of the step, see ``Context.given``."""
-        return self._read(self._given, value, self._step.context.given)
+        if value not in self._given:
+            self._given[value] = self._op.points.function(value.dim)
+            _put(self._given[value], value)
+        return self._read(self._given[value], value)
 
-    def _read(
-        self,
-        known: WeakKeyDictionary[CoefficientFunction, GridFunction],
-        value: CoefficientFunction,
-        made: Callable[[CoefficientFunction], CoefficientFunction],
-    ) -> Array:
-        if value not in known:
-            known[value] = self._op.points.function(value.dim)
-            _put(known[value], made(value))
-        values = self._op.points.read(known[value], value.dim)
-        return Array(values.reshape(*value.dims, -1), None)
+    def _read(self, function: GridFunction, value: CoefficientFunction) -> Array:
+        return Array(self._op.points.read(function, value.dim).reshape(*value.dims, -1), None)
 
 
 def _put(function: GridFunction, value: CoefficientFunction) -> None:
     """Values at points; grid functions there have two components at least."""
     function.Interpolate(CF((value, 0.0)) if value.dim == 1 else value)
+
+
+def _rate(step: Step, difference: Any) -> Any:
+    """``Context.rate`` for arrays, also of a number."""
+    known = Array.constant(difference) if isinstance(difference, (int, float)) else difference
+    return step.context.rate(known)
 
 
 class SideContext:
@@ -109,10 +251,9 @@ class SideContext:
     def __init__(self, step: Step, operators: SideOperators) -> None:
         self._step, self._op, self._points = step, operators, operators.points
         self._given = WeakKeyDictionary[CoefficientFunction, Array]()
-        self.normal = Array(operators.points.normals, None)
+        self.normal, self.h = Array(operators.points.normals, None), Array(operators.h, None)
         self.inner, self.crossed = Array(operators.inner, None), Array(operators.crossed, None)
-        self.rates = step.tabulated_rates
-        self.h, self.terms = Array(operators.h, None), step.terms
+        self.rates, self.terms = step.tabulated_rates, step.terms
 
     def rate(self, difference: Any) -> Any:
         """difference/tau."""
@@ -175,7 +316,7 @@ class CellTerms:
 
     def fields(self, c: Coefficients) -> Fields:
         """The unknowns with these coefficients at the points."""
-        names = (*in_cells(self.layout), *derived_in_cells(self.layout))
+        names = [*in_cells(self.layout), *derived_in_cells(self.layout)]
         return _in_cells(self.op, c, names, CELLS, self.context)
 
     def slots(self, terms: Iterable[PointTerm], u: Fields) -> dict[str, np.ndarray]:
@@ -194,19 +335,16 @@ class CellTerms:
 
     def rows(self, terms: Iterable[PointTerm], u: Fields) -> Rows:
         """Rows of the terms' integrals over the cells."""
-        op, rows = self.op, Rows()
-        found = self.slots(terms, u)
-        for name in in_cells(self.layout):
-            parts = []
-            value, derivatives = op.of(name)
-            if name in found:
-                parts.append(value.test(_full(found[name], op.points.count)))
-            if f"grad {name}" in found:
-                gradient = _full(found[f"grad {name}"], op.points.count)
-                for j, D in enumerate(derivatives):
-                    parts.append(D.test(gradient[..., j, :]))
-            if parts:
-                rows[name] = sum(parts[1:], parts[0])
+        rows, count = Rows(), self.op.points.count
+        for name, values in self.slots(terms, u).items():
+            unknown = name.removeprefix("grad ")
+            value, derivatives = self.op.of(unknown)
+            tested = [(value, values)]
+            if unknown != name:
+                tested = [(D, values[..., j, :]) for j, D in enumerate(derivatives)]
+            for operator, part in tested:
+                found = operator.test(_full(part, count))
+                rows[unknown] = rows[unknown] + found if unknown in rows else found
         return rows
 
 
@@ -216,14 +354,19 @@ class FacetTerms:
     def __init__(self, step: Step, operators: SideOperators) -> None:
         self.layout, self.op = step.layout, operators
         self.context = SideContext(step, operators)
-        self._tests, self._names = tests_of(step, False, self.context), (*on_sides(step), "zeta")
+        self._tests, self._names = tests_of(step, False, self.context), [*on_sides(step), "zeta"]
 
     def fields(self, c: Coefficients) -> Fields:
         """The unknowns with these coefficients on the sides."""
-        names = (*self._names, *derived_in_cells(self.layout))
-        makers = {name: partial(lambda name: self.op.of(name)(c[name]), name) for name in names}
-        slopes = {"zeta": lambda: np.stack([D(c["zeta"]) for D in self.op.dz], axis=1)}
-        return fields_of(self.layout, makers, slopes, FACETS, self.context)
+
+        def value(name: str) -> Array:
+            return Array(self.op.of(name)(c[name]), None)
+
+        def gradient(name: str) -> Array:
+            return Array(np.stack([D(c[name]) for D in self.op.dz], axis=1), None)
+
+        names = [*self._names, *derived_in_cells(self.layout)]
+        return lazy_fields(Fields, self.layout, (value, names), (gradient, ["zeta"]), FACETS, self.context)
 
     def slots(self, terms: Iterable[PointTerm], u: Fields) -> dict[str, np.ndarray]:
         """What multiplies each test, (..., points)."""
@@ -231,33 +374,22 @@ class FacetTerms:
 
     def rows(self, terms: Iterable[PointTerm], u: Fields) -> Rows:
         """Rows of the terms' integrals over the facets, those of traces left out."""
-        op = self.op
-        values, found = {"v": op.v, "rho": op.z, "z": op.z}, self.slots(terms, u)
-        return {
-            name: space.test(_full(found[name], op.points.count))
-            for name, space in values.items()
-            if name in found
-        }
+        found = self.slots(terms, u)
+        count, names = self.op.points.count, {"v", "rho", "z"}.intersection(found)
+        return {name: self.op.of(name).test(_full(found[name], count)) for name in names}
 
 
-def _in_cells(op: Operators, c: Coefficients, names: Iterable[str], place: str, context: Any) -> Fields:
+def _in_cells(op: Operators, c: Coefficients, names: Sequence[str], place: str, context: Any) -> Fields:
     """Values and gradients of the unknowns ``names``; their coefficients are read when one is asked for."""
 
-    def values(name: str) -> np.ndarray:
-        return op.of(name)[0](c[name])
+    def value(name: str) -> Array:
+        return Array(op.of(name)[0](c[name]), None)
 
-    def gradients(name: str) -> np.ndarray:
-        rows = np.atleast_2d(c[name])
-        return op.gradients(op.of(name)[1], rows).reshape(*c[name].shape[:-1], len(op.dv), -1)
+    def gradient(name: str) -> Array:
+        gradients = op.gradients(op.of(name)[1], np.atleast_2d(c[name]))
+        return Array(gradients.reshape(*c[name].shape[:-1], len(op.dv), -1), None)
 
-    makers, slopes = ({name: partial(make, name) for name in names} for make in (values, gradients))
-    return fields_of(op.layout, makers, slopes, place, context)
-
-
-def _rate(step: Step, difference: Any) -> Any:
-    """``Context.rate`` for arrays, also of a number."""
-    known = Array.constant(difference) if isinstance(difference, (int, float)) else difference
-    return step.context.rate(known)
+    return lazy_fields(Fields, op.layout, (value, names), (gradient, names), place, context)
 
 
 def _full(values: np.ndarray, count: int) -> np.ndarray:

@@ -29,9 +29,8 @@ from ngsolve import (
     VectorValued,
 )
 
-from ngvisco.algebra.blocks import BlockInverse
 from ngvisco.algebra.local import LocalMatrix
-from ngvisco.algebra.sparse import mass_matrix, pruned
+from ngvisco.algebra.sparse import apply, inverse_of_blocks, mass_matrix, pruned
 from ngvisco.forms.fields import Fields, hessian_basis
 from ngvisco.forms.mesh.points import CellPoints, csr
 from ngvisco.forms.mesh.side_points import SidePoints
@@ -40,7 +39,7 @@ from ngvisco.forms.system import Step
 from ngvisco.forms.terms.hyperviscosity import Hyperviscosity
 from ngvisco.physics.arrays import Array, contracted
 from ngvisco.physics.variables import Values
-from ngvisco.reduced.values import Lazy
+from ngvisco.reduced.evaluation import FACETS, Lazy
 
 
 class SideJumps:
@@ -65,21 +64,21 @@ class SideJumps:
         if s is not None:
             makers["hess_square"] = lambda: Array(self.scalar(s), None)
         known = SimpleNamespace(h=Array(self.h, None), curvature=self._context.curvature.Get())
-        u = Fields(self._layout, Lazy(makers, "on facets"), known)  # type: ignore[arg-type]
+        u = Fields(self._layout, Lazy(makers, FACETS), known)  # type: ignore[arg-type]
         u.__dict__["jump"] = Array(j, None)
         return u
 
 
 @dataclass
 class HyperValues:
-    """The local unknowns, the jumps at the sides' points and the rows that belong to some (v, a).
+    """What belongs to some (v, a).
 
     Attributes
     ----------
     x : (dim, unknowns of v and a) array
-    hess, stress : (dim components, functions) arrays
-    square, coefficient : (functions,) arrays or None
-        |Hs|^2 and c_s; None where the hyperstress is linear.
+    local : dict
+        Coefficients of the local unknowns by name: "hess" and "hyperstress", (dim components, functions),
+        and where the hyperstress is not linear |Hs|^2, "hess_square", and c_s, "hyper_coefficient".
     jumps : (dim, sides' points) array
     z : (n, functions) array
         Coefficients of the fields.
@@ -87,21 +86,10 @@ class HyperValues:
     """
 
     x: np.ndarray
-    hess: np.ndarray
-    stress: np.ndarray
-    square: np.ndarray | None
-    coefficient: np.ndarray | None
+    local: dict[str, np.ndarray]
     jumps: np.ndarray
     z: np.ndarray
     rows: np.ndarray
-
-    @property
-    def local(self) -> dict[str, np.ndarray]:
-        """The local unknowns by name."""
-        found = {"hess": self.hess, "hyperstress": self.stress}
-        if self.square is not None and self.coefficient is not None:
-            found |= {"hess_square": self.square, "hyper_coefficient": self.coefficient}
-        return found
 
 
 class MatrixHyperviscosity:
@@ -125,7 +113,7 @@ class MatrixHyperviscosity:
         self.sides = SideJumps(self, sides)
         if not self.law.is_linear:
             self.s_values = self._local(self.points.values(self.squares))
-            self.s_inverse = BlockInverse.of(mass_matrix(self.s_values.matrix, self.points.weights))
+            self.s_inverse = inverse_of_blocks(mass_matrix(self.s_values.matrix, self.points.weights))
         if not self.is_uniform:
             self._z = LocalMatrix(self.points.values(self.fields), step.mesh.ne)
 
@@ -156,10 +144,10 @@ class MatrixHyperviscosity:
         step.quadrature.add(form, self.term.lifting(self.fields_of(self.component.TrialFunction()), X))
         loads = pruned(csr(form.Assemble().mat))
         self.h_values = self._local(self.points.values(scalar))
-        self.h_inverse = BlockInverse.of(mass_matrix(self.h_values.matrix, self.points.weights))
+        self.h_inverse = inverse_of_blocks(mass_matrix(self.h_values.matrix, self.points.weights))
         self.size, self.h_count = size, scalar.ndof
         # rows cell by cell, the components of Hs after each other in a cell
-        inverse = sp.block_diag([self.h_inverse.matrix()] * size, format="csr")
+        inverse = sp.block_diag([self.h_inverse] * size, format="csr")
         order = np.arange(size * self.h_count).reshape(size, mesh.ne, self.h_values.local)
         self.lift = LocalMatrix((inverse @ loads).tocsr()[order.transpose(1, 0, 2).ravel()], mesh.ne)
 
@@ -177,24 +165,24 @@ class MatrixHyperviscosity:
         """Evaluate for coefficients of v, a (dim, .) and z, real or with an infinitesimal imaginary part."""
         law, sides, x = self.law, self.sides, np.concatenate([v, a], axis=1)
         hess, j, tensors = self.lifted(x), sides.jump(x), self.tensors(z)
-        at_points = self.h_values(hess)
-        s = coefficient = None
+        at_points, local = self.h_values(hess), {"hess": hess}
         if law.is_linear:
+            on_sides = sides.values(j, None, z)
             at_points = at_points * value_of(law.linear(tensors))
         else:
-            s = self.s_inverse(self.s_values.test(contracted(at_points, at_points)))
-        on_sides = sides.values(j, s, z)
-        if s is not None:
+            s = local["hess_square"] = self.s_inverse @ self.s_values.test(contracted(at_points, at_points))
+            on_sides = sides.values(j, s, z)
             in_cells = law.coefficient(Array(self.s_values(s), None), tensors)
             _, coupling = self.term.penalty(on_sides)
             assert coupling is not None
             loads = self.s_values.test(in_cells.value) + sides.scalar.test(coupling.value)
-            coefficient = self.s_inverse(loads)
+            coefficient = local["hyper_coefficient"] = self.s_inverse @ loads
             at_points = at_points * self.s_values(coefficient)
         loads = self.h_values.test(at_points)
+        local["hyperstress"] = apply(self.h_inverse, loads)
         stiffness = value_of(self.term.stiffness(on_sides))
         rows = self.tested(loads) + sides.jump.test(stiffness * j)
-        return HyperValues(x, hess, self.h_inverse(loads), s, coefficient, j, z, rows)
+        return HyperValues(x, local, j, z, rows)
 
 
 def value_of(modulus: Any) -> Any:

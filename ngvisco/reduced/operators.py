@@ -12,8 +12,8 @@ import numpy as np
 import scipy.sparse as sp
 from ngsolve import Grad
 
-from ngvisco.algebra.blocks import BlockInverse
 from ngvisco.algebra.local import LocalMatrix
+from ngvisco.algebra.sparse import Blocks
 from ngvisco.forms.mesh.points import CellPoints
 from ngvisco.forms.mesh.side_points import SidePoints
 from ngvisco.forms.system import Step
@@ -37,20 +37,16 @@ class Operators:
         key = unknown.place, unknown.order
         if key not in self._made:
             space, points = self.layout.scalar_space(name), self.points
-            slopes = [self.local(D) for D in points.gradients(space)]
-            self._made[key] = self.local(points.values(space)), slopes
+            value, *slopes = (
+                LocalMatrix(matrix, points.mesh.ne, self.weights)
+                for matrix in (points.values(space), *points.gradients(space))
+            )
+            self._made[key] = value, slopes
         return self._made[key]
-
-    def local(self, matrix: sp.csr_matrix) -> LocalMatrix:
-        """A matrix whose rows are the points, with the rule's weights for tests."""
-        return LocalMatrix(matrix, self.points.mesh.ne, self.weights)
 
     def gradients(self, operators: Sequence[LocalMatrix], rows: np.ndarray) -> np.ndarray:
         """Partial derivatives of each of ``rows``, (rows, dim, points)."""
-        result = np.empty((len(rows), len(operators), self.points.count), rows.dtype)
-        for j, D in enumerate(operators):
-            D(rows, out=result[:, j])
-        return result
+        return np.stack([D(rows) for D in operators], axis=1)
 
     def velocity_gradient(self, v: np.ndarray) -> np.ndarray:
         """L_ij = d_j v_i row by row at the points, (dim^2, points)."""
@@ -84,12 +80,12 @@ class SideOperators:
     @cached_property
     def dz(self) -> list[LocalMatrix]:
         """Partial derivatives of a component of z, in its cell."""
-        space = self.layout.scalar_space("z")
+        space, points = self.layout.scalar_space("z"), self.points
 
         def slope(j: int) -> sp.csr_matrix:
-            return self.points.operator(space, lambda u: Grad(u)[j])
+            return points.operator(space, lambda u: Grad(u)[j])
 
-        return [self._local(slope(j)) for j in range(self.points.mesh.dim)]
+        return [self._local(slope(j)) for j in range(points.mesh.dim)]
 
     def _local(self, matrix: sp.csr_matrix) -> LocalMatrix:
         return LocalMatrix(matrix, self.points.mesh.ne, self.points.weights)
@@ -101,14 +97,14 @@ class FacetMass:
     def __init__(self, values: LocalMatrix, exchange: Exchange) -> None:
         """``values`` at the sides' points of functions of facets, whose unknowns ``exchange`` shares."""
         matrix, self.exchange = values.matrix, exchange
-        pattern = BlockInverse((abs(matrix).T @ abs(matrix)).tocsr())
-        (self.unknowns,) = pattern.groups or [np.zeros((0, 1), dtype=np.int64)]
+        (self.unknowns,) = Blocks(abs(matrix).T @ abs(matrix)).groups or [np.zeros((0, 1), dtype=np.int64)]
         self.of_facets = exchange.part(self.unknowns[:, 0])
         """The exchange of one value a facet."""
         facet_of, place = np.zeros((2, matrix.shape[1]), dtype=np.int64)
         count, size = self.unknowns.shape
         facet_of[self.unknowns], place[self.unknowns] = np.arange(count)[:, None], np.arange(size)
         self.facet = facet_of[matrix.indices[matrix.indptr[:-1]]]
+        """That of each point."""
         cell = np.zeros(count, dtype=np.int64)
         cell[self.facet] = np.arange(len(self.facet)) // max(values.per_cell, 1)
         self.halo = Halo(self.of_facets, cell[self.of_facets.places], values.cells)
@@ -129,18 +125,14 @@ class FacetMass:
         return (matrix + sp.csr_matrix((others.ravel(), (rows, columns)), shape=matrix.shape)).tocsr()
 
     def update(self, weights: np.ndarray) -> None:
-        """Invert the blocks for the weights (points,)."""
+        """Invert the blocks for the weights (points,): ``inverses``, (facets, functions of one, the same)."""
         size, count = self.unknowns.shape[1], len(self.unknowns)
-        blocks = np.empty((count, size, size))
-        for i in range(size):
-            weighted = weights * self.shapes[i]
-            for j in range(i + 1):
-                blocks[:, i, j] = np.bincount(self.facet, weighted * self.shapes[j], count)
-                blocks[:, j, i] = blocks[:, i, j]
+        blocks = np.empty((size, size, count))
+        for i, j in np.ndindex(size, size):
+            blocks[i, j] = np.bincount(self.facet, weights * self.shapes[i] * self.shapes[j], count)
         with self.exchange.communicator.together(np.linalg.LinAlgError):
             # with what the other rank has of a shared facet
-            self.inverses = np.linalg.inv(self.of_facets.sum(blocks.transpose(1, 2, 0)).transpose(2, 0, 1))
-        """(facets, functions of a facet, the same)."""
+            self.inverses = np.linalg.inv(self.of_facets.sum(blocks).transpose(2, 0, 1))
 
     def summed(self, values: np.ndarray) -> np.ndarray:
         """At the sides' points the sum of ``values`` (points,) at both sides' points of the facet."""

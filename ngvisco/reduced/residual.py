@@ -13,14 +13,11 @@ of the flow, of the normal derivatives and of iterated traces at the end; all ot
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
-from itertools import chain
 
 import numpy as np
 
-from ngvisco.algebra.blocks import BlockInverse
-from ngvisco.algebra.sparse import mass_matrix
+from ngvisco.algebra.sparse import apply, inverse_of_blocks, mass_matrix
 from ngvisco.forms.driving_stress import LinearisedTabulatedRates
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.system import Step
@@ -31,39 +28,11 @@ from ngvisco.physics.arrays import TINY, Array
 from ngvisco.reduced.by_forms import RestrictedForm, RightHandSide
 from ngvisco.reduced.claims import Claims
 from ngvisco.reduced.diffusion import FieldDiffusionRows
-from ngvisco.reduced.evaluation import CellTerms, FacetTerms
+from ngvisco.reduced.evaluation import CellTerms, FacetTerms, with_values
 from ngvisco.reduced.hyperviscosity import HyperValues, MatrixHyperviscosity
 from ngvisco.reduced.operators import FacetMass, Operators, SideOperators
 from ngvisco.reduced.slope import PointwiseSlope
 from ngvisco.reduced.unknowns import Unknowns
-from ngvisco.reduced.values import with_values
-
-Clock = Callable[[str], AbstractContextManager[None]]
-
-
-@dataclass
-class Residual:
-    """Rows of the flow's unknowns, of the normal derivatives a (dim, .), of the density's and of z (n, .)."""
-
-    flow: np.ndarray
-    normals: np.ndarray | None
-    density: np.ndarray
-    z: np.ndarray
-
-    def parts(self) -> list[np.ndarray]:
-        """The blocks one after the other."""
-        normals = [] if self.normals is None else [self.normals.ravel()]
-        return [self.flow, *normals, self.density, self.z.ravel()]
-
-    def mapped(self, function: Callable[[np.ndarray], np.ndarray]) -> Residual:
-        """A function of every block."""
-        normals = None if self.normals is None else function(self.normals)
-        return Residual(function(self.flow), normals, function(self.density), function(self.z))
-
-    @property
-    def is_finite(self) -> bool:
-        """On this rank."""
-        return all(bool(np.isfinite(part).all()) for part in self.parts())
 
 
 @dataclass
@@ -79,7 +48,8 @@ class Evaluation:
     cells, facets : Fields
         Arrays of values at the points of cells and of sides.
     hyper : HyperValues or None
-    residual : Residual
+    residual : (unknowns,) array
+        The rows, packed as the unknowns.
     """
 
     x: np.ndarray
@@ -87,15 +57,16 @@ class Evaluation:
     cells: Fields
     facets: Fields
     hyper: HyperValues | None
-    residual: Residual
+    residual: np.ndarray
 
 
 class ReducedResidual:
     """R of one step at packed unknowns x, and its derivative."""
 
-    def __init__(self, step: Step, exchange: Exchange, clock: Clock = lambda name: nullcontext()) -> None:
-        """``clock(name)`` measures the time of a part; ``exchange`` is that of the step's space."""
-        self.step, self.unknowns, self._clock = step, Unknowns(step), clock
+    def __init__(self, step: Step, exchange: Exchange) -> None:
+        """``exchange`` is that of the step's space."""
+        self.step = step
+        self.unknowns = u = Unknowns(step)
         self.op = Operators(step, step.quadrature.volume_degree // 2)
         self.side_op = SideOperators(step)
         self.rates = step.tabulated_rates
@@ -108,25 +79,17 @@ class ReducedResidual:
         if claims.of_nodes():
             rates = LinearisedTabulatedRates(self.rates, step.stresses)
             self.node_terms = CellTerms(step, Operators(step, step.quadrature.field_order), rates, "nodes")
-        self.inverse_mass = BlockInverse.of(mass_matrix(self.op.z.matrix, self.op.weights))
-        flow, density = self.unknowns.flow, self.unknowns.density
-        self.by_forms = RestrictedForm(step, flow, claims.by_forms) if claims.by_forms else None
-        self.density = RestrictedForm(step, density, claims.density) if claims.density else None
+        self.inverse_mass = inverse_of_blocks(mass_matrix(self.op.z.matrix, self.op.weights))
+        self.by_forms = RestrictedForm(step, u.flow, claims.by_forms) if claims.by_forms else None
+        self.density = RestrictedForm(step, u.density, claims.density) if claims.density else None
         self._density_of_all: RestrictedForm | None = None
         self.hyper: MatrixHyperviscosity | None = None
         if claims.hyperviscosity:
             points = self.op.points, self.side_op.points
             self.hyper = MatrixHyperviscosity(step, claims.hyperviscosity[0], *points)
-        self.right_hand_side: RightHandSide | None = None
-        if step.sources is not None:
-            self.right_hand_side = RightHandSide(step, self.unknowns)
-        u = self.unknowns
+        self.right_hand_side = None if step.sources is None else RightHandSide(step)
         self.ranks, self.exchange = exchange.communicator, exchange.part(u.places(u.names))
         """Of the packed unknowns."""
-        self.shared_rows = exchange.part(u.places([*u.flow, *u.normals]))
-        """Of the flow's unknowns and the normal derivatives."""
-        self.shared_density = exchange.part(u.places(u.density))
-        """Of the density's unknowns: its traces, where its equation is not linear, are iterated."""
         # of one component: those of rho, which bodies have not, lie alike
         self._traces = exchange.part(u.places(["z_hat"])[: self.side_op.hat.width])
         self.trace_mass = FacetMass(self.side_op.hat, self._traces)
@@ -138,8 +101,6 @@ class ReducedResidual:
         self._at_points = [*claims.at_points, *claims.continuity]
         self._of_traces: list[tuple[PointTerm, str]] = [(term, term.name) for term in claims.traces]
         self._of_traces += [(term, "rho_hat") for term in claims.continuity]
-        shapes = {name: step.layout.unknowns[name].shape for _, name in self._of_traces}
-        self._zeros = {name: np.zeros((*shape, 1)) for name, shape in shapes.items()}
 
     def start(self) -> None:
         """Evaluate what is known through the step."""
@@ -157,26 +118,20 @@ class ReducedResidual:
         read the state; with complex x they are taken as linear about it.
         """
         c, u, s, hyper = self._derived(x)
-        with self._clock("rows"):
-            rows = self.cell_terms.rows(self._at_points, u)
-            others = [self.facet_terms.rows(self._at_points, s)]
-            if self.node_terms is not None:
-                n = self._at_nodes(self.node_terms, c, not np.iscomplexobj(x))
-                if anew:
-                    self.step.stresses.linearise()
-                others.append(self.node_terms.rows(self._at_points, n))
-            for name, values in chain(*(each.items() for each in others)):
-                rows[name] = rows[name] + values if name in rows else values
-            if self.diffusion is not None:
-                rows["z"] = rows["z"] + self.diffusion.rows(c)
-            if hyper is not None:
-                rows["v"] = rows["v"] + hyper.rows[:, : c["v"].shape[1]]
-                rows["a"] = hyper.rows[:, c["v"].shape[1] :]
+        rows = [self.cell_terms.rows(self._at_points, u), self.facet_terms.rows(self._at_points, s)]
+        if self.node_terms is not None:
+            n = self._at_nodes(self.node_terms, c, not np.iscomplexobj(x))
+            if anew:
+                self.step.stresses.linearise()
+            rows.append(self.node_terms.rows(self._at_points, n))
+        if self.diffusion is not None:
+            rows.append({"z": self.diffusion.rows(c)})
+        if hyper is not None:
+            of_v, of_a = np.split(hyper.rows, [c["v"].shape[1]], axis=1)
+            rows.append({"v": of_v, "a": of_a})
         if not np.iscomplexobj(x) and "energy" in self.claims.forms_ask_for:
             self.step.eliminate.refresh()
-        with self._clock("forms"):
-            residual = self._joined(x, rows)
-        return Evaluation(x, c, u, s, hyper, residual)
+        return Evaluation(x, c, u, s, hyper, self._packed(x, rows))
 
     def put(self, x: np.ndarray) -> None:
         """Make ``x``, real, and what is derived from it, the step's state."""
@@ -193,90 +148,61 @@ class ReducedResidual:
 
     def _derived(self, x: np.ndarray) -> tuple[dict[str, np.ndarray], Fields, Fields, HyperValues | None]:
         """Coefficients, values in cells and on sides, the hyperviscosity's; the state where x is real."""
-        op, is_real = self.op, not np.iscomplexobj(x)
+        op, hyper = self.op, None
         c = self.unknowns.coefficients(x)
         u, s = self.cell_terms.fields(c), self.facet_terms.fields(c)
-        with self._clock("projections"):
-            c["zeta"] = self.inverse_mass(op.z.test(self.slope(u.z.value)))
-        with self._clock("traces"):
-            self._set_traces(c, s)
-        with self._clock("diffusion"):
-            if self.diffusion is not None:
-                c |= self.diffusion.slopes(u.z.value, c)
-        hyper = None
-        with self._clock("hyperviscosity"):
-            if self.hyper is not None:
-                hyper = self.hyper(c["v"], c["a"], c["z"])
-                c |= hyper.local
-                s.__dict__["jump"] = Array(hyper.jumps, None)
-        if is_real:
-            self.unknowns.unpack(x)
-            self.unknowns.put(c)
+        c["zeta"] = apply(self.inverse_mass, op.z.test(self.slope(u.z.value)))
+        self._set_traces(c, s)
+        if self.diffusion is not None:
+            c |= self.diffusion.slopes(u.z.value, c)
+        if self.hyper is not None:
+            hyper = self.hyper(c["v"], c["a"], c["z"])
+            c |= hyper.local
+            s.__dict__["jump"] = Array(hyper.jumps, None)
+        if not np.iscomplexobj(x):
+            self.unknowns.unpack(x, c)
         return c, u, s, hyper
 
-    def derivative(self, at: Evaluation) -> Callable[[np.ndarray], Residual]:
+    def derivative(self, at: Evaluation) -> Callable[[np.ndarray], np.ndarray]:
         """The map from directions d, packed, to rows of dR d at an evaluation, which the state has to be.
 
         By complex increments of all arrays; of the terms that only forms have, their linearisations.
         """
         self.step.stresses.linearise()
         self._flow_rows = None if self.by_forms is None else self.by_forms.jacobian()
-        self._density_rows = None
         if self.density is not None:
             if self._density_of_all is None:
                 names = ["v", *self.unknowns.density]
                 self._density_of_all = RestrictedForm(self.step, names, self.claims.density)
-            count = at.coefficients["v"].size
-            self._density_rows = self._density_of_all.jacobian()[count:]
-
-        def rows(d: np.ndarray) -> Residual:
-            residual = self(at.x + (TINY * 1j) * d).residual
-            return residual.mapped(lambda part: np.ascontiguousarray(part.imag) / TINY)
-
-        return rows
+            self._density_rows = self._density_of_all.jacobian()[at.coefficients["v"].size :]
+        return lambda d: self(at.x + (TINY * 1j) * d).residual.imag / TINY
 
     def _set_traces(self, c: dict[str, np.ndarray], s: Fields) -> None:
         """Solve for the upwind traces and other means of both sides, which may read those before them."""
         for term, name in self._of_traces:
-            loads = self.facet_terms.slots([term], with_values(s, **{name: self._zeros[name]}))
+            zeros = np.zeros((*self.step.layout.unknowns[name].shape, 1))
+            loads = self.facet_terms.slots([term], with_values(s, **{name: zeros}))
             tested = self._traces.sum(self.side_op.hat.test(loads[name]))
             c[name] = -self.trace_mass.solve(tested)
 
-    def _joined(self, x: np.ndarray, rows: dict[str, np.ndarray]) -> Residual:
-        u, dtype, is_real = self.unknowns, x.dtype, not np.iscomplexobj(x)
-        flow = np.zeros(u.flow_slice.stop, dtype)
-        for name in u.flow:
-            if name in rows:
-                flow[u.slices[name]] += rows[name].ravel()
-        if self.by_forms is not None and is_real:
-            flow += self.by_forms.residual()
-        elif self.by_forms is not None:
-            flow += 1j * (self._flow_rows @ x[u.flow_slice].imag)
-        if self.density is None:
-            density = rows.get("rho", np.zeros(0, dtype))
-        else:
-            density = np.zeros(u.density_slice.stop - u.density_slice.start, dtype)
+    def _packed(self, x: np.ndarray, rows: list[dict[str, np.ndarray]]) -> np.ndarray:
+        """The sum of rows by unknowns, of what forms have and of the source, also of other ranks' cells."""
+        u, is_real, result = self.unknowns, not np.iscomplexobj(x), np.zeros_like(x)
+        for part in rows:
+            for name, values in part.items():
+                where = u.normal_slice if name == "a" else u.slices.get(name)
+                if where is not None:
+                    result[where] += values.ravel()
+        if self.by_forms is not None:
+            of_forms = result[u.flow_slice]
+            of_forms += self.by_forms.residual() if is_real else 1j * (self._flow_rows @ x[u.flow_slice].imag)
+        if self.density is not None:
+            of_forms = result[u.density_slice]
             if is_real:
-                density += self.density.residual()
+                of_forms += self.density.residual()
             else:
                 direction = np.concatenate([x[u.slices["v"]].imag, x[u.density_slice].imag])
-                density += 1j * (self._density_rows @ direction)
-            if "rho" in rows:
-                density[: rows["rho"].size] += rows["rho"]
-        residual = Residual(flow, rows.get("a"), density, rows["z"])
+                of_forms += 1j * (self._density_rows @ direction)
         if self.right_hand_side is not None and is_real:
-            names = (u.flow, u.normals, u.density, ["z"])
-            for part, of in zip(vars(residual).values(), names, strict=True):
-                if part is not None:
-                    part += self.right_hand_side.of(of).reshape(part.shape)
-        return self._summed(residual)
-
-    def _summed(self, residual: Residual) -> Residual:
-        """With what other ranks' cells have of the flow's, the normal derivatives' and the traces' rows."""
-        flow, normals = residual.flow, residual.normals
-        rows = self.shared_rows.sum(np.concatenate([flow, *([] if normals is None else [normals.ravel()])]))
-        residual.flow = rows[: flow.size]
-        if normals is not None:
-            residual.normals = rows[flow.size :].reshape(normals.shape)
-        residual.density = self.shared_density.sum(residual.density)
-        return residual
+            result += self.right_hand_side.rows
+        return self.exchange.sum(result)

@@ -28,6 +28,7 @@ class PointwiseSlope:
         self._frozen: tuple[np.ndarray, np.ndarray] | None = None
         self.response = self._curvature = material.response(dim)
         if self.response is not None:
+            self.arrays = None
             return
         self.arrays, self.is_checked = array_slope(material, dim), False
         self.at, self.slope = points.function(self.components), points.function(self.components)
@@ -41,6 +42,20 @@ class PointwiseSlope:
         if not self.lagged.any():
             return self._whole(z_values)
         return np.where(self.lagged, self._whole(z_values), self._whole(self._seen(z_values)))
+
+    def derivative(self, z_values: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+        """The map dz -> phi''(z) dz at the points, both (n, points), for z as above."""
+        own = self._whole_derivative(z_values)
+        if not self.lagged.any():
+            return own
+        of_others = self._whole_derivative(self._seen(z_values))
+        return lambda dz: np.where(self.lagged, own(dz), of_others(np.where(self.lagged, 0.0, dz)))
+
+    def hessian(self, z_values: np.ndarray) -> np.ndarray:
+        """phi''(z), (n, n, points), for real z."""
+        along = self.derivative(z_values)
+        units = np.eye(self.components)[:, :, None]
+        return np.stack([along(np.broadcast_to(e, z_values.shape)) for e in units], axis=1)
 
     def _seen(self, z_values: np.ndarray) -> np.ndarray:
         """z as the conjugates of what does not lag see it."""
@@ -60,43 +75,35 @@ class PointwiseSlope:
             return self._whole(z) + 1j * self._whole_derivative(z)(dz)
         if self.response is not None:
             return np.ascontiguousarray(self.response(z_values.T).slope.T)
-        if self.arrays is None:
-            return self._by_expression(z_values)
-        slope = self.arrays(z_values)
-        if not self.is_checked:
-            self.is_checked = True
-            # at rest much of an energy is zero, and agrees whatever it means, or only up to rounding
-            away = z_values + 0.05 * np.random.default_rng(0).standard_normal(z_values.shape)
-            if not self._agrees(z_values, away):
-                self.arrays = None  # an energy that means something else with arrays
-                return self._by_expression(z_values)
-        return slope
-
-    def _agrees(self, *states: np.ndarray) -> bool:
-        """Whether both slopes are the same, where they are numbers, up to rounding of the largest."""
-        assert self.arrays is not None
-        slope = np.concatenate([self.arrays(z) for z in states], axis=1)
-        expected = np.concatenate([self._by_expression(z) for z in states], axis=1)
-        known = np.isfinite(expected).all(axis=0)
-        size = abs(expected[:, known]).max(initial=0.0)
-        return np.allclose(slope[:, known], expected[:, known], rtol=1e-9, atol=1e-12 * size)
-
-    def derivative(self, z_values: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
-        """The map dz -> phi''(z) dz at the points, both (n, points), for z as above."""
-        own = self._whole_derivative(z_values)
-        if not self.lagged.any():
-            return own
-        of_others = self._whole_derivative(self._seen(z_values))
-        return lambda dz: np.where(self.lagged, own(dz), of_others(np.where(self.lagged, 0.0, dz)))
+        arrays = self._checked(z_values)
+        return self._by_expression(z_values) if arrays is None else arrays(z_values)
 
     def _whole_derivative(self, z_values: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
-        arrays = self.arrays if self.response is None else None
-        if arrays is not None:
+        if self.response is None and (arrays := self._checked(z_values)) is not None:
             return lambda dz: slope_along(arrays, z_values, dz)
         if self._curvature is None:
             self._curvature = respond(self.material, self.dim)
         hessian = self._curvature(z_values.T).hessian
         return lambda dz: np.einsum("pnm,mp->np", hessian, dz)
+
+    def _checked(self, z_values: np.ndarray) -> Callable[[np.ndarray], np.ndarray] | None:
+        """The slope by arrays; None for an energy that means something else with them, or has none.
+
+        That is seen once: where both slopes are numbers they have to agree, up to rounding of the largest.
+        """
+        if self.arrays is not None and not self.is_checked:
+            self.is_checked = True
+            # at rest much of an energy is zero, and agrees whatever it means, or only up to rounding
+            away = z_values + 0.05 * np.random.default_rng(0).standard_normal(z_values.shape)
+            slope, expected = (
+                np.concatenate([by(z) for z in (z_values, away)], axis=1)
+                for by in (self.arrays, self._by_expression)
+            )
+            known = np.isfinite(expected).all(axis=0)
+            size = abs(expected[:, known]).max(initial=0.0)
+            if not np.allclose(slope[:, known], expected[:, known], rtol=1e-9, atol=1e-12 * size):
+                self.arrays = None
+        return self.arrays
 
     def _by_expression(self, z_values: np.ndarray) -> np.ndarray:
         self.points.read(self.at, self.components)[:] = z_values

@@ -1,4 +1,4 @@
-"""The unknowns that the split solver iterates on, packed into one vector."""
+"""The unknowns that the split solver iterates on, packed into one vector, as are their equations' rows."""
 
 from __future__ import annotations
 
@@ -27,12 +27,13 @@ class Unknowns:
     """Views of the state's blocks and a packed copy of those that are iterated.
 
     ``flow`` are v, the wall stress and the creep rate field where there are such; ``normals`` the facets'
-    normal derivatives; ``fields`` rho, z, and the traces of rho where its equation is not linear.  Of bodies
-    rho is a sum of components of z, and no unknown.
+    normal derivatives; ``density`` rho, which of bodies is a sum of components of z and no unknown, and its
+    traces where its equation is not linear; then comes z.
     """
 
     def __init__(self, step: Step) -> None:
         layout = step.layout
+        self._step, self.ranges = step, layout.ranges
         self.flow = layout.names_of("velocity", "walls", "continuous")
         self.normals = layout.names_of("normals")
         self.density = ["rho"] if "rho" in layout.unknowns else []
@@ -40,22 +41,18 @@ class Unknowns:
             facets = layout.names_of("facets")
             self.density += [name for name in facets if layout.unknowns[name].trace_of == "rho"]
         self.names = [*self.flow, *self.normals, *self.density, "z"]
-        self.ranges = layout.ranges
         sizes = {name: layout.unknowns[name].size for name in self.names}
         self.components = {name: size for name, size in sizes.items() if size is not None}
-        self._step = step
-        self.slices: dict[str, slice] = {}
-        start = 0
-        for name in self.names:
-            size = self.ranges[name].stop - self.ranges[name].start
-            self.slices[name] = slice(start, start + size)
-            start += size
-        self.size = start
-        self.flow_slice = self._joint(self.flow)
-        self.normal_slice = self._joint(self.normals)
-        self.density_slice = self._joint(self.density)
+        lengths = [self.ranges[name].stop - self.ranges[name].start for name in self.names]
+        ends = np.cumsum([0, *lengths]).tolist()
+        self.slices = dict(zip(self.names, map(slice, ends[:-1], ends[1:]), strict=True))
+        self.size = ends[-1]
+        self.flow_slice, self.normal_slice, self.density_slice = map(
+            self._joint, (self.flow, self.normals, self.density)
+        )
 
     def _joint(self, names: list[str]) -> slice:
+        """Of blocks that follow each other."""
         return slice(self.slices[names[0]].start, self.slices[names[-1]].stop) if names else slice(0, 0)
 
     @property
@@ -67,21 +64,17 @@ class Unknowns:
         """A copy of the iterated unknowns of the state."""
         return np.concatenate([self.state[self.ranges[name]] for name in self.names])
 
-    def unpack(self, x: np.ndarray) -> None:
-        """Put them into the state."""
+    def unpack(self, x: np.ndarray, derived: Mapping[str, np.ndarray] | None = None) -> None:
+        """Put them into the state, and coefficients of other unknowns, by name."""
         for name in self.names:
             self.state[self.ranges[name]] = x[self.slices[name]]
-
-    def put(self, derived: Mapping[str, np.ndarray]) -> None:
-        """Put coefficients of other unknowns, by name, into the state."""
-        for name, values in derived.items():
+        for name, values in (derived or {}).items():
             if name in self.ranges and name not in self.slices:
                 self.state[self.ranges[name]] = values.ravel()
 
     def places(self, names: Iterable[str]) -> np.ndarray:
         """Where the unknowns ``names`` stand in the state, one after the other."""
-        parts = (np.arange(self.ranges[n].start, self.ranges[n].stop) for n in names)
-        return np.concatenate([np.zeros(0, dtype=int), *parts])
+        return np.concatenate([np.arange(self.ranges[n].start, self.ranges[n].stop) for n in names])
 
     def coefficients(self, x: np.ndarray) -> dict[str, np.ndarray]:
         """The iterated unknowns by name, (components, functions); the normal derivatives together as a."""
@@ -98,11 +91,9 @@ class Unknowns:
         ``exchange`` is that of the packed unknowns.
         """
         scale = np.ones_like(x)
-        for name in self.names:
-            where = self.slices[name]
-            size = exchange.norm(x, where)
-            determined = not self._step.layout.unknowns[name].evolves
-            scale[where] = (1e3 if determined else 1.0) * size if size > 0 else 1.0
+        for name, where in self.slices.items():
+            size = exchange.norm(x, where) * (1.0 if self._step.layout.unknowns[name].evolves else 1e3)
+            scale[where] = size or 1.0
         return scale
 
 

@@ -22,16 +22,15 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from ngsolve import BaseVector, BilinearForm
+from ngsolve import BaseMatrix, BaseVector, BilinearForm, SetHeapSize
 
-from ngvisco.algebra.condensed import CondensedJacobian
 from ngvisco.errors import StepError
 from ngvisco.forms.driving_stress import Stresses
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.exchange import Exchange
-from ngvisco.solver.norm import BlockNorm
+from ngvisco.parallel.petsc import Direct
 from ngvisco.solver.options import NewtonOptions
-from ngvisco.solver.problem import NewtonIteration, Problem, Solution, Status
+from ngvisco.solver.problem import BlockNorm, NewtonIteration, Problem, Solution, Status
 
 NOISE_SAMPLES, NOISE_MARGIN, NOISE_CAP = 2, 10.0, 100.0
 """Perturbations of the state by rounding, of which the largest change of the increment counts; a stalled
@@ -41,10 +40,88 @@ NEAR = 10.0
 """The same without a measurement: rounding of a stiff pressure moves slow velocities so much."""
 HEAP_SIZES = (500_000_000, 2_000_000_000)
 """NGSolve's memory for a cell's matrix, bytes, tried where its own is too small: k = 3, m = 2 in 3D."""
+_UNITS = (
+    "; a cell's own unknowns are eliminated without scaling: where moduli and volume/dt are twenty orders "
+    "apart, as in SI in geodynamics, take units in which they are near one, or the split solver"
+)
+
+
+class CondensedJacobian:
+    """The factorised linearisation of a condensed form; applies its inverse to full residuals."""
+
+    def __init__(self, form: BilinearForm, inverse: str, ranks: Communicator) -> None:
+        """``inverse`` is NGSolve's solver; on several ranks it is PETSc's MUMPS."""
+        self.form, self.inverse_type, self.ranks = form, inverse, ranks
+        self.free = form.space.FreeDofs(True)
+        self.inverse: BaseMatrix | None = None
+
+    def factorise(self, state: BaseVector) -> None:
+        """Assemble and factorise at ``state``; raises StepError if the matrix is singular."""
+        for work in (self.assemble, self._invert):
+            failure = None
+            try:
+                work(state)
+            except Exception as error:  # NGSolve raises NgException and std::exception alike
+                failure = error
+            together = self.ranks.agree(failure)
+            if together is not None:
+                self.forget()
+                message = f"the linearised step has no factorisation: {str(together).strip()}"
+                if "CalcLU" in message:  # of a cell, whose rows and columns NGSolve does not scale
+                    message += _UNITS
+                raise StepError(message) from together
+
+    def assemble(self, state: BaseVector) -> None:
+        """With as much memory as it takes, of ``HEAP_SIZES`` at most."""
+        for size in (*HEAP_SIZES, None):
+            try:
+                self.form.AssembleLinearization(state)
+                return
+            except Exception as error:
+                if size is None or "heap overflow" not in str(error).lower():
+                    raise
+                SetHeapSize(size)
+
+    def _invert(self, state: BaseVector) -> None:
+        if self.inverse is not None:
+            self.inverse.Update()
+        elif self.ranks.is_distributed:
+            self.inverse = Direct(self.form.mat, self.free, self.ranks)
+        else:
+            self.inverse = self.form.mat.Inverse(self.free, inverse=self.inverse_type)
+        self._rhs = state.CreateVector()
+
+    def forget(self) -> None:
+        """Drop the factorisation, so that the next one is new; collective."""
+        if isinstance(self.inverse, Direct):
+            self.inverse.release()
+        self.inverse = None
+
+    def solve(self, residual: BaseVector, increment: BaseVector) -> None:
+        """increment = Jacobian^{-1} residual, all blocks."""
+        form, rhs = self.form, self._rhs
+        rhs.data = residual
+        rhs.data += form.harmonic_extension_trans * residual
+        increment.data = self.inverse * rhs
+        increment.data += form.harmonic_extension * increment
+        increment.data += form.inner_solve * rhs
 
 
 class Newton:
-    """Solves R(u; .) = 0 for ``state``; keeps its vectors and factorisation between solves."""
+    """Solves R(u; .) = 0 for ``state``; keeps its vectors and factorisation between solves.
+
+    Parameters
+    ----------
+    form, state, norm, options
+    eliminate : callable
+        Recomputes the local unknowns of ``state`` from the others.
+    refresh : callable
+        Called before the form is used at a state that ``eliminate`` was not just called at.
+    exchange : Exchange, optional
+        Of the form's space, where it may be distributed.
+    stresses : Stresses, optional
+        What flow rules are linearised at, unknowns beside those of the state.
+    """
 
     def __init__(
         self,
@@ -57,26 +134,17 @@ class Newton:
         exchange: Exchange | None = None,
         stresses: Stresses | None = None,
     ) -> None:
-        """``eliminate`` recomputes the local unknowns of ``state`` from the others.
-
-        ``refresh`` is called before the form is used at a state that ``eliminate`` was not just called at.
-        ``exchange`` is that of the form's space, where it may be distributed.  ``stresses`` are what flow
-        rules are linearised at, unknowns beside those of the state.
-        """
-        self.stresses = stresses
-        self.exchange = exchange or Exchange.of(form.space, Communicator())
         self.form, self.state, self.norm, self.options = form, state, norm, options
-        self.eliminate, self.refresh = eliminate, refresh
-        self.jacobian = CondensedJacobian(form, options.inverse, HEAP_SIZES, self.exchange.communicator)
-        self._residual = state.CreateVector()
-        self._trial_residual = state.CreateVector()
-        self._increment = state.CreateVector()
-        self._next = state.CreateVector()
-        self._base = state.CreateVector()
+        self.eliminate, self.refresh, self.stresses = eliminate, refresh, stresses
+        self.exchange = exchange or Exchange.of(form.space, Communicator())
+        self.jacobian = CondensedJacobian(form, options.inverse, self.exchange.communicator)
+        self._residual, self._trial_residual = state.CreateVector(), state.CreateVector()
+        self._increment, self._next, self._base = (state.CreateVector() for _ in range(3))
 
     @property
     def is_factorised(self) -> bool:
-        return self.jacobian.exists
+        """Whether the next solve begins with a factorisation at hand."""
+        return self.jacobian.inverse is not None
 
     def reset(self) -> None:
         """Drop the factorisation, so that the next solve makes a new one."""
@@ -87,11 +155,14 @@ class Newton:
         problem.pose()
         self._factorise(problem)
 
-    def _factorise(self, problem: Problem) -> None:
+    def _factorise(self, problem: Problem, residual: BaseVector | None = None) -> None:
+        """The same within an iteration; evaluate ``residual`` again where slopes of flow rules are new."""
         self.refresh()
-        self._slopes_are_new = self.stresses is not None and self.stresses.linearise()
+        slopes_are_new = self.stresses is not None and self.stresses.linearise()
         self.jacobian.factorise(self.state)
         problem.factorised()
+        if slopes_are_new and residual is not None:
+            self.form.Apply(self.state, residual)
 
     def solve(self, problem: Problem, guess: BaseVector) -> Solution:
         """Iterate from ``guess``; ``state`` is then the solution, or some iterate where there is none."""
@@ -118,14 +189,13 @@ class Newton:
         return Solution(status, tuple(history), reason)
 
     def _iterate(self, problem: Problem, history: list[NewtonIteration]) -> Status:
-        options, u, jacobian = self.options, self.state, self.jacobian
+        options, u = self.options, self.state
         self.refresh()
         self.form.Apply(u, self._residual)
         if not self._is_finite(self._residual):
             return Status.NOT_FINITE
-        fresh = not jacobian.exists
+        fresh, damping = not self.is_factorised, 1.0
         self._set_increment(problem, fresh)
-        damping = 1.0
         while len(history) < options.max_iterations:
             self._base.data = u
             self._follow(self._increment, damping)
@@ -138,12 +208,11 @@ class Newton:
                 # where points have begun or ceased to yield the next increment is a matter of their slopes
                 renewed = bool(self.stresses) and not contraction <= 1 - damping / 4
                 if renewed:
-                    self._factorise(problem)
-                    if self._slopes_are_new:
-                        self.form.Apply(u, self._trial_residual)
+                    self._factorise(problem, self._trial_residual)
                     next_size, contraction = self._following(size)
             history.append(NewtonIteration(size, contraction, damping, fresh))
-            if contraction <= 1 - damping / 4 and problem.changes(next_size):
+            is_shorter = contraction <= 1 - damping / 4
+            if is_shorter and problem.changes(next_size):
                 self.eliminate()
                 self.form.Apply(u, self._residual)
                 fresh, damping = True, 1.0
@@ -155,7 +224,7 @@ class Newton:
                 if contraction < 1:
                     self._follow(self._next, 1.0)
                 return Status.CONVERGED
-            if not contraction <= 1 - damping / 4:
+            if not is_shorter:
                 u.data = self._base
                 if self.stresses:
                     self.stresses.undo()
@@ -194,9 +263,7 @@ class Newton:
     def _set_increment(self, problem: Problem, fresh: bool) -> None:
         """The increment of the present residual, by a Jacobian of the present state if ``fresh``."""
         if fresh:
-            self._factorise(problem)
-            if self._slopes_are_new:
-                self.form.Apply(self.state, self._residual)
+            self._factorise(problem, self._residual)
         self.jacobian.solve(self._residual, self._increment)
 
     def _is_finite(self, residual: BaseVector) -> bool:

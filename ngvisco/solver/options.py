@@ -6,9 +6,11 @@ Pairs are values in 2D and in 3D.  Measurements behind the defaults are in ``ngv
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from functools import cache
 from typing import Annotated
 
-from ngvisco.algebra.factorised import is_available
+from ngsolve.la import SparseMatrixd
+
 from ngvisco.errors import (
     ParameterError,
     Quantity,
@@ -92,7 +94,7 @@ class SplitOptions(_Checked):
 
 @dataclass(frozen=True, kw_only=True)
 class NewtonOptions(_Checked):
-    """Tolerances of the iteration, in the norm of ``ngvisco.solver.norm``, and the parts of the solvers.
+    """Tolerances of the iteration, in the norm of ``ngvisco.solver.problem``, and the parts of the solvers.
 
     Parameters
     ----------
@@ -133,9 +135,8 @@ class NewtonOptions(_Checked):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.tolerance < _ROUNDING:
-            raise ParameterError(
-                "NewtonOptions.tolerance", self.tolerance, f"at least {_ROUNDING:g}, which rounding leaves"
-            )
+            expected = f"at least {_ROUNDING:g}, which rounding leaves"
+            raise ParameterError("NewtonOptions.tolerance", self.tolerance, expected)
         for name in ("tolerance", "refresh", "min_damping"):
             if getattr(self, name) >= 1:
                 raise ParameterError(f"NewtonOptions.{name}", getattr(self, name), "a number in (0, 1)")
@@ -153,3 +154,15 @@ class NewtonOptions(_Checked):
                 raise ParameterError("NewtonOptions.coarse", self.coarse, expected)
             if (missing := obstacle(self.coarse)) is not None:
                 raise ParameterError("NewtonOptions.coarse", self.coarse, f"'direct': {missing}")
+
+
+@cache
+def is_available(inverse: str) -> bool:
+    """Whether NGSolve, as it is installed, has this sparse direct solver: found by asking it for one."""
+    if inverse == "umfpack":
+        return True
+    try:
+        SparseMatrixd.CreateFromCOO([0, 1], [0, 1], [1.0, 1.0], 2, 2).Inverse(inverse=inverse)
+    except Exception:  # NGSolve raises NgException and RuntimeError
+        return False
+    return True

@@ -18,13 +18,11 @@ from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.exchange import Exchange
 from ngvisco.reduced.by_forms import source_obstacle
 from ngvisco.reduced.claims import term_obstacle
-from ngvisco.solver.extrapolation import Extrapolation
 from ngvisco.solver.newton import Newton
-from ngvisco.solver.norm import BlockNorm
 from ngvisco.solver.options import NewtonOptions
-from ngvisco.solver.problem import Attempt, Interval, NonlinearSolver, RotheProblem, Solution, Status
-from ngvisco.solver.sides import Sides
+from ngvisco.solver.problem import Attempt, BlockNorm, Interval, RotheProblem, Solution, Status
 from ngvisco.solver.split.solver import Split
+from ngvisco.solver.start import Extrapolation, Sides
 from ngvisco.threads import on_arrays
 
 _PARAMETERS = ("tau", "end", "loads_from", "loads_over")
@@ -64,26 +62,17 @@ class RotheSolver:
         self,
         step: Step,
         options: NewtonOptions,
-        defect: Callable[[], str | None] | None = None,
+        defect: Callable[[], str | None] = lambda: None,
     ) -> None:
-        self.step, self.options = step, options
-        self.defect = defect or (lambda: None)
-        self.exchange = Exchange.of(step.layout.space, Communicator.of(step.mesh))
-        self.h_min = self.exchange.communicator.least(step.context.h.vec.FV().NumPy())
-        units = {name: step.layout.unknowns[name].scale for name in step.layout.evolving}
-        if "rho_delta_hat" in step.layout.ranges:
-            units["rho_delta_hat"] = 0.0  # its equation is cubic where the density is flat
-        shared = {"Pi"} & set(step.layout.ranges)
-        units |= dict.fromkeys(shared, 0.0)
-        ranges = dict(step.layout.ranges)
-        for variable in step.model.material.variables:
-            if variable.own_scale is not None:
-                ranges[variable.name], units[variable.name] = _part(step, variable.name), variable.own_scale
-        self.norm = BlockNorm(ranges, units, self.exchange, shared)
+        self.step, self.options, self.defect = step, options, defect
+        self.ranks = Communicator.of(step.mesh)
+        self.exchange = Exchange.of(step.layout.space, self.ranks)
+        self.h_min = self.ranks.least(step.context.h.vec.FV().NumPy())
+        self.norm = _norm(step, self.exchange)
         self.method = chosen_method(step, options)
         """``"coupled"`` or ``"split"``."""
         self._last_tau: float | None = None
-        self._factorised = {name: step.state.vec.CreateVector() for name in self._vectors()}
+        self._factorised = {name: np.zeros(len(step.state.vec)) for name in self._vectors()}
         self._factorised_at = dict.fromkeys(_PARAMETERS, 0.0)
         self._stresses: dict[str, np.ndarray] = {}
         """Those that flow rules are linearised at, at the last factorisation."""
@@ -99,25 +88,21 @@ class RotheSolver:
         return nullcontext() if self.method == "coupled" else on_arrays()
 
     @cached_property
-    def newton(self) -> NonlinearSolver:
+    def newton(self) -> Newton | Split:
         """Made with the first step: what looks at a run without going on with it needs no matrices."""
         step, norm, options, eliminate = self.step, self.norm, self.options, self.step.eliminate
+        found: Newton | Split
         if self.method == "split":
-            split = Split(step, norm, options, self.exchange)
-            self._warn_without_multigrid(split.preconditioner.without_multigrid)
-            return split
-        self._warn_without_multigrid("the coupled solver, which takes the steps, factorises all unknowns")
-        refresh = eliminate.refresh
-        stresses = step.stresses
-        return Newton(
-            step.residual, step.state.vec, norm, eliminate, options, refresh, self.exchange, stresses
-        )
-
-    def _warn_without_multigrid(self, reason: str | None) -> None:
-        """Say why the options' multigrid has no part in the steps, for which there may be a reason."""
-        if self.options.coarse != "direct" and reason is not None:
-            message = f"coarse = {self.options.coarse!r} of the solver has no effect: {reason}"
-            self.exchange.communicator.warn(message, InputWarning, stacklevel=6)
+            found = Split(step, norm, options, self.exchange)
+            reason = found.preconditioner.without_multigrid
+        else:
+            more = eliminate.refresh, self.exchange, step.stresses
+            found = Newton(step.residual, step.state.vec, norm, eliminate, options, *more)
+            reason = "the coupled solver, which takes the steps, factorises all unknowns"
+        if options.coarse != "direct" and reason is not None:
+            message = f"coarse = {options.coarse!r} of the solver has no effect: {reason}"
+            self.ranks.warn(message, InputWarning, stacklevel=5)
+        return found
 
     def problem(self, interval: Interval) -> RotheProblem:
         """The problem of a step over the interval."""
@@ -153,17 +138,17 @@ class RotheSolver:
             for name, guess in self._guesses(interval):
                 attempts.append(Attempt(name, self._attempt(interval, guess, name == _DAMPED)))
                 if attempts[-1].solution.converged:
-                    self.extrapolation.keep(interval.end)
-                    return attempts
+                    break
                 self.newton.reset()  # what was factorised belongs to iterates that have been given up
-            if self.method == "coupled" and self._grows(interval, attempts):
-                self.extrapolation.keep(interval.end)
-                return attempts
-            failed = [attempt.solution for attempt in attempts if not attempt.solution.converged]
-            raise StepError(failed[-1].reason, attempts)  # shorter steps may have been solved
+            else:
+                if self.method == "split" or not self._grows(interval, attempts):
+                    failed = [attempt.solution for attempt in attempts if not attempt.solution.converged]
+                    raise StepError(failed[-1].reason, attempts)  # shorter steps may have been solved
         except BaseException:  # also an interrupt: never leave an iterate behind
             self.return_to(self._start)
             raise
+        self.extrapolation.keep(interval.end)
+        return attempts
 
     def _guesses(self, interval: Interval) -> Iterator[tuple[str, BaseVector]]:
         """Start values in the order in which they are tried, with what a history calls them."""
@@ -173,7 +158,7 @@ class RotheSolver:
                 yield "from extrapolated values", guess
         guess, courant = self._start.Copy(), self._courant(interval, self._start)
         if self.method == "split" and courant > _TOO_FAST:
-            guess.FV().NumPy()[self.step.layout.ranges["v"]] *= _TOO_FAST / courant
+            self._velocity(guess)[:] *= _TOO_FAST / courant
         yield "from the last state", guess
         if self.method == "split" and self.step.stresses:
             yield _DAMPED, guess
@@ -201,21 +186,21 @@ class RotheSolver:
             length = min(1.0, solved * factor)
         return False
 
+    def _velocity(self, vector: BaseVector) -> np.ndarray:
+        values: np.ndarray = vector.FV().NumPy()[self.step.layout.ranges["v"]]
+        return values
+
     def _courant(self, interval: Interval, values: BaseVector) -> float:
         """|v| tau/h of the fastest coefficient and the smallest cell."""
-        v = values.FV().NumPy()[self.step.layout.ranges["v"]]
-        fastest = self.exchange.communicator.most(abs(v).max(initial=0.0))
-        return fastest * interval.tau / self.h_min
+        return self.ranks.most(abs(self._velocity(values)).max(initial=0.0)) * interval.tau / self.h_min
 
     def _attempt(self, interval: Interval, guess: BaseVector, damps: bool = False) -> Solution:
         if isinstance(self.newton, Split):
             self.newton.damps = damps
         self.step.energy.last_failure = None
-        self.exchange.communicator.forget_notes()
+        self.ranks.forget_notes()
         velocity = self.extrapolation.velocity(interval.end)
-        if velocity is None:
-            velocity = self._start.FV().NumPy()[self.step.layout.ranges["v"]]
-        self.sides.choose(velocity)
+        self.sides.choose(self._velocity(self._start) if velocity is None else velocity)
         return self._judged(self.newton.solve(self.problem(interval), guess))
 
     def return_to(self, values: BaseVector) -> None:
@@ -237,7 +222,7 @@ class RotheSolver:
         if self._last_tau is None or not self.newton.is_factorised:
             return numbers, arrays
         numbers |= {**self._factorised_at, "last_tau": self._last_tau}
-        arrays |= {name: vec.FV().NumPy().copy() for name, vec in self._factorised.items()}
+        arrays |= {name: values.copy() for name, values in self._factorised.items()}
         return numbers, arrays | self._stresses
 
     def load_state_dict(self, numbers: dict[str, float], arrays: dict[str, np.ndarray]) -> None:
@@ -247,24 +232,24 @@ class RotheSolver:
         if "last_tau" not in numbers:
             return
         now, kept = time.Get(), {name: vector.copy() for name, vector in self._vectors().items()}
-        for name, vector in self._vectors().items():
-            vector[:] = arrays[name][self._part(name)]
-        self.step.follow_wind()
-        self.step.start_from_old()  # by numerical heating, of backward Euler, the derivative has m_old too
-        parameters = {name: numbers[name] for name in _PARAMETERS}
+        self._set({name: arrays[name][self._part(name)] for name in kept})
         self.step.stresses.give(arrays)
+        parameters = {name: numbers[name] for name in _PARAMETERS}
         self.newton.factorise(self.problem(Interval(begin=now, **parameters)))
         self._last_tau = numbers["last_tau"]
-        for name, vector in self._vectors().items():
-            vector[:] = kept[name]
-        self.step.follow_wind()
-        self.step.start_from_old()
+        self._set(kept)
         time.Set(now)
 
     def _vectors(self) -> dict[str, np.ndarray]:
         """What a factorisation depends on, for reading and writing."""
         given = {name: getattr(self.step, name) for name in _FACTORISED_AT}
         return {name: each.vec.FV().NumPy() for name, each in given.items() if each is not None}
+
+    def _set(self, values: dict[str, np.ndarray]) -> None:
+        for name, vector in self._vectors().items():
+            vector[:] = values[name]
+        self.step.follow_wind()
+        self.step.start_from_old()  # by numerical heating, of backward Euler, the derivative has m_old too
 
     def _part(self, name: str) -> slice:
         """Where such a vector's numbers stand in a state's."""
@@ -275,22 +260,36 @@ class RotheSolver:
         self._factorised_at = {name: getattr(problem.interval, name) for name in _PARAMETERS}
         self._stresses = self.step.stresses.frozen()
         for name, values in self._vectors().items():
-            self._factorised[name].FV().NumPy()[self._part(name)] = values
+            self._factorised[name][self._part(name)] = values
 
     def _judged(self, solution: Solution) -> Solution:
         """The solution, which has failed too where its energy is no number or rho or J is not positive."""
         energy = self.step.energy
         if not solution.converged:
-            noted = self.exchange.communicator.noted()
-            parts = solution.reason, energy.last_failure, *noted
+            parts = solution.reason, energy.last_failure, *self.ranks.noted()
             return replace(solution, reason="; ".join(filter(None, parts)))
-        if energy.failure is not None:  # of the last increment, which is added without a test
-            return Solution(Status.INADMISSIBLE, solution.history, energy.failure)
-        defect = self.defect()
-        if defect is None:
-            return solution
-        reason = f"{defect}: take a smaller step or a finer mesh"
-        return Solution(Status.INADMISSIBLE, solution.history, reason)
+        reason = energy.failure  # of the last increment, which is added without a test
+        if reason is None and (defect := self.defect()) is not None:
+            reason = f"{defect}: take a smaller step or a finer mesh"
+        return solution if reason is None else Solution(Status.INADMISSIBLE, solution.history, reason)
+
+
+def _norm(step: Step, exchange: Exchange) -> BlockNorm:
+    """The norm of the step's increments."""
+    units = {name: step.layout.unknowns[name].scale for name in step.layout.evolving}
+    if "rho_delta_hat" in step.layout.ranges:
+        units["rho_delta_hat"] = 0.0  # its equation is cubic where the density is flat
+    shared = {"Pi"} & set(step.layout.ranges)
+    units |= dict.fromkeys(shared, 0.0)
+    ranges, states = dict(step.layout.ranges), step.layout.states
+    z = ranges["z"]
+    count = (z.stop - z.start) // states.size
+    for variable in step.model.material.variables:
+        if variable.own_scale is not None:  # of a scalar
+            begin = z.start + states.slices[variable.name].start * count
+            ranges[variable.name] = slice(begin, begin + count)
+            units[variable.name] = variable.own_scale
+    return BlockNorm(ranges, units, exchange, shared)
 
 
 def chosen_method(step: Step, options: NewtonOptions) -> str:
@@ -301,25 +300,16 @@ def chosen_method(step: Step, options: NewtonOptions) -> str:
     ParameterError
         If ``options.method`` is ``"split"`` for a step that the split solver cannot take.
     """
-    if options.method == "auto":
-        large = Communicator.of(step.mesh).total(step.mesh.ne) >= options.split.chosen_from[step.mesh.dim - 2]
-        return "split" if large and split_obstacle(step) is None else "coupled"
-    if options.method == "split" and (obstacle := split_obstacle(step)) is not None:
-        raise ParameterError("NewtonOptions.method", options.method, f"'coupled': {obstacle}")
-    return options.method
-
-
-def split_obstacle(step: Step) -> str | None:
-    """Why the split solver cannot take this step, or None."""
     ranks = Communicator.of(step.mesh)
+    if options.method == "coupled":
+        return "coupled"
+    is_chosen = options.method == "split"
+    if not is_chosen and ranks.total(step.mesh.ne) < options.split.chosen_from[step.mesh.dim - 2]:
+        return "coupled"
     if not ranks.all(is_simplicial(step.mesh)):
-        return "the split solver needs a mesh of triangles or tetrahedra only"
-    return source_obstacle(step) or term_obstacle(step)
-
-
-def _part(step: Step, name: str) -> slice:
-    """The coefficients of a scalar variable among all."""
-    z, states = step.layout.ranges["z"], step.layout.states
-    count = (z.stop - z.start) // states.size
-    begin = z.start + states.slices[name].start * count
-    return slice(begin, begin + count)
+        obstacle: str | None = "the split solver needs a mesh of triangles or tetrahedra only"
+    else:
+        obstacle = source_obstacle(step) or term_obstacle(step)
+    if is_chosen and obstacle is not None:
+        raise ParameterError("NewtonOptions.method", options.method, f"'coupled': {obstacle}")
+    return "split" if obstacle is None else "coupled"

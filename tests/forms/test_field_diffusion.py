@@ -6,8 +6,7 @@ from materials import examples
 from ngsolve import CF, H1, VOL, ElementId, Integrate, cos, pi, x, y
 
 import ngvisco as nv
-from ngvisco.algebra.blocks import BlockInverse
-from ngvisco.algebra.sparse import mass_matrix
+from ngvisco.algebra.sparse import apply, inverse_of_blocks, mass_matrix
 from ngvisco.errors import ParameterError
 from ngvisco.forms.system import Step
 from ngvisco.forms.terms.regularisation import FieldDiffusion
@@ -42,12 +41,10 @@ class Diffusion:
         self.term = next(term for term in step.terms if isinstance(term, FieldDiffusion))
         traces = FacetMass(self.side.hat, Exchange(self.side.hat.width, {}, Communicator()))
         self.rows = FieldDiffusionRows(step, op, self.slope, self.term, traces)
-        mass = mass_matrix(op.z.matrix, op.weights)
-        self.inverse_mass = BlockInverse(mass)
-        self.inverse_mass.update(mass)
+        self.inverse_mass = inverse_of_blocks(mass_matrix(op.z.matrix, op.weights))
 
     def projected(self, values):
-        return self.inverse_mass(self.op.z.test(values))
+        return apply(self.inverse_mass, self.op.z.test(values))
 
     def power(self, z):
         """The form at G = zeta, and the ledger's entry, W."""
@@ -88,9 +85,8 @@ class Diffusion:
     def _mean(self, values):
         """Means of both sides; on walls the value itself."""
         hat, weights = self.side.hat, self.side.points.weights
-        mass = BlockInverse(mass_matrix(hat.matrix, weights))
-        mass.update(mass_matrix(hat.matrix, weights))
-        return hat(mass(hat.test(values)))
+        inverse = inverse_of_blocks(mass_matrix(hat.matrix, weights))
+        return hat(apply(inverse, hat.test(values)))
 
 
 MESH = box((1, 1), maxh=0.5)

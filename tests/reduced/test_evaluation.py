@@ -6,7 +6,7 @@ from support import swirling
 import ngvisco as nv
 from ngvisco.geometries import disc
 from ngvisco.reduced.claims import Claims, asked_slots
-from ngvisco.reduced.values import NotAtPointsError
+from ngvisco.reduced.evaluation import NotAtPointsError
 
 
 def test_what_a_term_asks_for_is_found_without_values():

@@ -43,7 +43,7 @@ def test_rows_of_fields_and_density_are_the_derivative(mesh, m, bound):
     run.rothe_step.follow_wind()
     split.residual.start()
     at = split.residual(u)
-    split.preconditioner.update(at, split._clock)
+    split.preconditioner.update(at)
     expected = split.residual.derivative(at)(direction)
     dz = direction[slices["z"]].reshape(expected.z.shape)
     found = split.preconditioner.fields.rows(np.ascontiguousarray(dz.T)).T

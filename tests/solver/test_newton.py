@@ -10,8 +10,7 @@ from ngsolve import H1, BilinearForm, CoefficientFunction, GridFunction, IfPos, 
 from ngvisco import NewtonOptions
 from ngvisco.geometries import box
 from ngvisco.solver.newton import Newton
-from ngvisco.solver.norm import BlockNorm
-from ngvisco.solver.problem import Problem, Solution, Status
+from ngvisco.solver.problem import BlockNorm, Problem, Solution, Status
 
 SPACE = H1(box((1, 1), 0.7), order=2)
 

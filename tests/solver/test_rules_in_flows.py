@@ -122,7 +122,7 @@ def test_the_preconditioner_of_newton_krylov_is_linear():
     run.advance()
     split = run.solver.newton
     at = split.residual(split.unknowns.pack())
-    split.preconditioner.update(at, split._clock)
+    split.preconditioner.update(at)
     derivative, noise = split.residual.derivative(at), np.random.default_rng(0)
     scale = split.unknowns.scales(at.x, split.residual.exchange)
     first, second = (scale * noise.standard_normal(len(at.x)) for _ in range(2))

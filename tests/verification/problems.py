@@ -18,8 +18,7 @@ from ngvisco.forms.term import Entry, Integrand, Term
 from ngvisco.geometries import box, disc, sphere
 from ngvisco.physics.tensors import square
 from ngvisco.solver.newton import Newton
-from ngvisco.solver.norm import BlockNorm
-from ngvisco.solver.problem import Attempt
+from ngvisco.solver.problem import Attempt, BlockNorm
 from ngvisco.solver.problem import Problem as Posed
 from tests.verification.manufactured import Exact
 

@@ -19,7 +19,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ngvisco.algebra import precision
-from ngvisco.algebra.sparse import ElementAssembly
+from ngvisco.algebra.sparse import ElementAssembly, widened
 from ngvisco.reduced.by_forms import RestrictedForm
 from ngvisco.reduced.operators import Operators
 from ngvisco.reduced.residual import Evaluation, ReducedResidual
@@ -30,7 +30,19 @@ from ngvisco.threads import concurrently, product
 
 
 class FlowElements:
-    """The element matrices at the state of the last ``update``."""
+    """The element matrices at the state of the last ``update``.
+
+    Attributes
+    ----------
+    own : array, (cells, local dim, dim local)
+        Rows of v from v.
+    to_fields : array, (cells, q n, dim local)
+        Rows of the fields from v.
+    of_velocity : array
+        Both, one after the other: what an increment of v makes is one product.
+    from_fields : array, (cells, local dim, q n)
+        Rows of v from what the transport makes of the fields' rows.
+    """
 
     def __init__(self, points: PointTangent, fine: Operators) -> None:
         """``points`` has the rule of the matrices, ``fine`` that of inertia."""
@@ -42,71 +54,46 @@ class FlowElements:
         self.dofs, count = op.v.unknowns, self.cells * self.per
         shapes = np.stack([each.blocks.reshape(count, self.local) for each in (op.v, *op.dv)], axis=1)
         self.shapes = shapes.astype(precision.SINGLE)  # (points, 1 + d, local)
-        tests = (shapes * op.weights[:, None, None]).reshape(
-            self.cells, self.per * (1 + self.dim), self.local
-        )
+        tests = shapes * op.weights[:, None, None]
+        tests = tests.reshape(self.cells, self.per * (1 + self.dim), self.local)
         self._tests = precision.single(tests.transpose(0, 2, 1))  # (cells, local, points (1 + d))
         z_tests = op.z.blocks * op.weights.reshape(self.cells, self.per, 1)
         self._z_tests = precision.single(z_tests.transpose(0, 2, 1))  # (cells, q, points)
-        places = np.arange(self.dofs.size)
-        ones = np.ones(places.size)
-        self._scatter = sp.csr_matrix(
-            (ones.astype(precision.SINGLE), (self.dofs.ravel(), places)), shape=(op.v.width, places.size)
+        self._scatter = op.v.scatter.astype(precision.SINGLE)
+        rows = self.local * self.dim
+        self.of_velocity = np.empty(
+            (self.cells, rows + self.functions * self.components, rows), precision.SINGLE
         )
+        self.own, self.to_fields = self.of_velocity[:, :rows], self.of_velocity[:, rows:]
 
     def update(self, base: np.ndarray, inertia: np.ndarray) -> None:
         """``base`` is dR/d(v, grad v) without the fields, (points, 0 or 1 + j, i, k, 0 or 1 + l).
 
         ``inertia`` are the coefficients of w . dv at the points of the fine rule, (points,).
         """
-        cells, d, n, local, q, p = (
-            self.cells,
-            self.dim,
-            self.components,
-            self.local,
-            self.functions,
-            self.tangent,
-        )
-        right = product(precision.single(base).reshape(len(base), (1 + d) * d**2, 1 + d), self.shapes)
-        # rows of v and of the fields, one matrix a cell: what an increment of v makes is one product
-        self.of_velocity = np.empty((cells, local * d + q * n, d * local), precision.SINGLE)
+        cells, d, n, local, q = self.cells, self.dim, self.components, self.local, self.functions
+        p, count = self.tangent, len(base)
+        right = product(precision.single(base).reshape(count, (1 + d) * d**2, 1 + d), self.shapes)
         own = product(self._tests, right.reshape(cells, self.per * (1 + d), d * d * local))
         own = own.reshape(cells, local, d, d, local)
-        mass = self._inertia(inertia)
+        shapes, weights = self.fine.v.blocks, inertia * self.fine.weights
+        mass = product(shapes.transpose(0, 2, 1), weights.reshape(*shapes.shape[:2], 1) * shapes)
         for i in range(d):
             own[:, :, i, i] += mass
         self.own[...] = own.reshape(cells, local * d, d * local)
         # z's rows from (v, grad v): - rate(z; grad dv) + (dv . grad) z
-        to_z = np.empty((len(base), n, d, 1 + d), precision.SINGLE)
+        to_z = np.empty((count, n, d, 1 + d), precision.SINGLE)
         to_z[..., 0] = p.dz.transpose(2, 0, 1)
-        to_z[..., 1:] = -p.columns[:, :, : d * d].reshape(len(base), n, d, d)
-        right = product(to_z.reshape(len(base), n * d, 1 + d), self.shapes)
+        to_z[..., 1:] = -p.columns[:, :, : d * d].reshape(count, n, d, d)
+        right = product(to_z.reshape(count, n * d, 1 + d), self.shapes)
         to_fields = product(self._z_tests, right.reshape(cells, self.per, n * d * local))
         self.to_fields[...] = to_fields.reshape(cells, q * n, d * local)
         # v's rows from z: the elastic force of (1 - tau P K)^{-1} dz
-        force = (
-            precision.single(p.force[:, : d * d]).reshape(len(base), d, d, n).swapaxes(1, 2)
-        )  # (points, j, i, n)
-        left = product(self.shapes[:, 1:].transpose(0, 2, 1), force.reshape(len(base), d, d * n))
+        force = precision.single(p.force[:, : d * d]).reshape(count, d, d, n).swapaxes(1, 2)
+        left = product(self.shapes[:, 1:].transpose(0, 2, 1), force.reshape(count, d, d * n))
         back = product(self._z_tests, left.reshape(cells, self.per, local * d * n))
         back = back.reshape(cells, q, local * d, n).transpose(0, 2, 1, 3).reshape(cells, local * d, q * n)
         self.from_fields = product(precision.single(back), precision.single(p.resolvent))
-
-    def _inertia(self, density: np.ndarray) -> np.ndarray:
-        op = self.fine
-        weighted = (density * op.weights).reshape(self.cells, op.v.per_cell, 1)
-        shapes = op.v.blocks
-        return product(shapes.transpose(0, 2, 1), weighted * shapes)
-
-    @property
-    def own(self) -> np.ndarray:
-        """Rows of v from v, (cells, local dim, dim local)."""
-        return self.of_velocity[:, : self.local * self.dim]
-
-    @property
-    def to_fields(self) -> np.ndarray:
-        """Rows of the fields from v, (cells, q n, dim local)."""
-        return self.of_velocity[:, self.local * self.dim :]
 
     def gathered(self, dv: np.ndarray) -> np.ndarray:
         """The cells' unknowns of dv (dim, .), (cells, dim local, 1)."""
@@ -129,15 +116,14 @@ class FlowSchurComplement:
         derivative: HyperDerivative | None,
     ) -> None:
         self.residual, self.points, self.sweep, self.derivative = residual, points, sweep, derivative
-        step, u = residual.step, residual.unknowns
-        self.op, self.dim = points.op, step.mesh.dim
+        u, self.dim, self.op = residual.unknowns, residual.step.mesh.dim, points.op
         self.elements = FlowElements(points, residual.op)
         self.nv, self.size = u.slices["v"].stop, u.flow_slice.stop
-        claims = residual.claims
-        others = claims.beside_the_points()
-        self.others = RestrictedForm(step, u.flow, others) if others else None
-        self.leading = claims.of_gradients()
-        self.inertial = claims.of_inertia()
+        """How many unknowns v has, and the flow, without the normal derivatives."""
+        self.others: RestrictedForm | None = None
+        if others := residual.claims.beside_the_points():
+            self.others = RestrictedForm(residual.step, u.flow, others)
+        self.leading, self.inertial = residual.claims.of_gradients(), residual.claims.of_inertia()
         self._assembled = ElementAssembly(self.elements.dofs, self.op.v.width)
 
     def update(self, at: Evaluation, everything: bool = True) -> None:
@@ -178,34 +164,30 @@ class FlowSchurComplement:
         rest = None if self.others is None else self.others.jacobian()
         if "Pi" not in self.residual.unknowns.flow:
             return rest
-        creep = self._creep_stiffness()
-        first = self.size - creep.shape[0]
-        creep = sp.block_diag([sp.csr_matrix((first, first)), creep], format="csr")
-        return creep if rest is None else (rest + creep).tocsr()
-
-    def _creep_stiffness(self) -> sp.csr_matrix:
-        """What M takes from a creep rate field Pi within the step, coupling to v left out."""
-        first = self.residual.rates.tensors.gradients
-        values = self.op.of("Pi")[0].matrix
+        # what M takes from a creep rate field Pi within the step, coupling to v left out
+        first, values = self.residual.rates.tensors.gradients, self.op.of("Pi")[0].matrix
         C = self.points.stiffness()[:, first:, first:] * self.op.weights[:, None, None]
         size = C.shape[1]
         blocks = [[values.T @ sp.diags(C[:, i, k]) @ values for k in range(size)] for i in range(size)]
-        return sp.bmat(blocks, format="csr")
+        creep = sp.bmat(blocks)
+        before = sp.csr_matrix((self.size - creep.shape[0],) * 2)
+        creep = sp.block_diag([before, creep], format="csr")
+        return creep if rest is None else (rest + creep).tocsr()
 
-    def __call__(self, flow: np.ndarray, normals: np.ndarray | None) -> tuple[np.ndarray, np.ndarray | None]:
+    def __call__(self, flow: np.ndarray) -> np.ndarray:
         """Rows of the flow's unknowns and of a, of an increment of these; over ranks in parts."""
-        dv, of_a = flow[: self.nv].reshape(self.dim, -1), None
-        if self.derivative is None or normals is None:
-            rows = self._with_fields(dv)
-        else:
-            x, hyper = np.concatenate([dv, normals], axis=1), self.derivative
-            size = self.elements.own.size
-            rows, of_x = concurrently(lambda: self._with_fields(dv), lambda: hyper(x), size)
-            rows += of_x[:, : dv.shape[1]]
-            of_a = of_x[:, dv.shape[1] :]
-        result = np.zeros(self.size) if self.rest is None else self.rest @ flow
+        dv, result = flow[: self.nv].reshape(self.dim, -1), np.zeros(len(flow))
+        if self.rest is not None:
+            result[: self.size] = self.rest @ flow[: self.size]
+        if self.derivative is None:
+            result[: self.nv] += self._with_fields(dv).ravel()
+            return result
+        x, hyper = np.concatenate([dv, flow[self.size :].reshape(self.dim, -1)], axis=1), self.derivative
+        rows, of_x = concurrently(lambda: self._with_fields(dv), lambda: hyper(x), self.elements.own.size)
+        rows += of_x[:, : dv.shape[1]]
         result[: self.nv] += rows.ravel()
-        return result, of_a
+        result[self.size :] = of_x[:, dv.shape[1] :].ravel()
+        return result
 
     def _with_fields(self, dv: np.ndarray) -> np.ndarray:
         """Rows of v, (dim, .), without hyperviscosity, with the fields carried along."""
@@ -225,8 +207,7 @@ class FlowSchurComplement:
         """Rows of v in parts, (dim, .), of an increment of z, (cells' unknowns, n), in double precision."""
         op, p, d = self.op, self.points, self.dim
         values = at_points(p.force[:, : d * d], op.z(np.ascontiguousarray(dz.T)))
-        parts = [D.test(values[j::d]) for j, D in enumerate(op.dv)]
-        return sum(parts[1:], parts[0])
+        return np.sum([D.test(values[j::d]) for j, D in enumerate(op.dv)], axis=0)
 
     def fields_rows(self, dv: np.ndarray, dPi: np.ndarray | None) -> np.ndarray:
         """What the rows of z, (cells' unknowns, n), take from an increment of v (dim, .) and Pi."""
@@ -259,9 +240,7 @@ class FlowSchurComplement:
             n = self.op.v.width
             for i in range(d):
                 blocks[i][i] = blocks[i][i] + hyper.matrix[:n, :n]
-        matrix, others = sp.bmat(blocks, format="csr"), self.size - self.nv
-        if others:
-            matrix = sp.block_diag([matrix, sp.csr_matrix((others, others))], format="csr")
+        matrix = widened(sp.bmat(blocks, format="csr"), self.size, self.size)
         if self.rest is not None:
             matrix = (matrix + self.rest).tocsr()
         return matrix if hyper is None or not len(hyper.kept) else hyper.bordered(matrix, d)

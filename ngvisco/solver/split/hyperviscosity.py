@@ -15,9 +15,8 @@ import numpy as np
 import scipy.sparse as sp
 
 from ngvisco.algebra import precision
-from ngvisco.algebra.blocks import BlockInverse
 from ngvisco.algebra.local import LocalMatrix
-from ngvisco.algebra.sparse import ElementAssembly, Rounded, largest
+from ngvisco.algebra.sparse import Blocks, ElementAssembly, Rounded, largest
 from ngvisco.forms.mesh.side_points import SidePoints
 from ngvisco.physics.arrays import Array
 from ngvisco.reduced.hyperviscosity import HyperValues, MatrixHyperviscosity, SideJumps, value_of
@@ -29,76 +28,76 @@ class HyperDerivative:
 
     def __init__(self, hyper: MatrixHyperviscosity, penalty_degree: int) -> None:
         step = hyper.step
-        self.hyper = hyper
-        self.cells = step.mesh.ne
+        self.hyper, self.cells, self.dtype = hyper, step.mesh.ne, precision.SINGLE
         coarse = step.discretisation.k == 2 and step.mesh.GetCurveOrder() <= 1
         self.sides = SideJumps(hyper, SidePoints(step.mesh, penalty_degree)) if coarse else hyper.sides
-        self._weights = hyper.points.weights.reshape(self.cells, 1, 1, hyper.h_values.per_cell)
-        self._volume = hyper.points.weights.max(initial=0.0) or 1.0
-        self._side_weights = self.sides.weights.reshape(self.cells, self.sides.jump.per_cell)
-        self.dtype = precision.SINGLE
+        self.weights = hyper.points.weights.reshape(self.cells, hyper.h_values.per_cell)
+        self.side_weights = self.sides.weights.reshape(self.cells, self.sides.jump.per_cell)
+        self._volume = self.weights.max(initial=0.0) or 1.0
         self.of_component = self._together()
         self._at_points = hyper.h_values.blocks.swapaxes(1, 2).astype(self.dtype)
         if not hyper.law.is_linear:
             squares = (hyper.s_values.blocks, self.sides.scalar.blocks)
             self._s_points, self._s_sides = (each.astype(self.dtype) for each in squares)
-        self._of_hessian = hyper.lift.per_cell
 
     def _together(self) -> LocalMatrix:
         """B: a cell's coefficients of Hs, components after each other, then its jumps."""
-        lift, jump, cells = self.hyper.lift.matrix, self.sides.jump.matrix, self.cells
-        per_cell = self.hyper.lift.per_cell, self.sides.jump.per_cell
-        jumps = lift.shape[0] + np.arange(jump.shape[0]).reshape(cells, per_cell[1])
-        rows = np.concatenate([np.arange(lift.shape[0]).reshape(cells, per_cell[0]), jumps], axis=1)
-        both = sp.vstack([lift, jump], format="csr")
-        return LocalMatrix(both[rows.ravel()], cells, dtype=self.dtype)
+        parts, first, order = (self.hyper.lift, self.sides.jump), 0, []
+        for part in parts:
+            order.append(first + np.arange(part.height).reshape(self.cells, part.per_cell))
+            first += part.height
+        both = sp.vstack([part.matrix for part in parts], format="csr")
+        return LocalMatrix(both[np.concatenate(order, axis=1).ravel()], self.cells, dtype=self.dtype)
 
     def update(self, at: HyperValues) -> None:
         """Linearise at some values."""
-        h, law, sides, cells = self.hyper, self.hyper.law, self.sides, self.cells
-        tensors, shape = h.tensors(at.z), self._side_weights.shape
+        h, law, sides, weights = self.hyper, self.hyper.law, self.sides, self.weights
+        shape, hess_square = self.side_weights.shape, at.local.get("hess_square")
         jumps = at.jumps if sides is h.sides else sides.jump(at.x)
-        self._at, self._on_sides = at, sides.values(jumps, at.square, at.z)
-        if at.square is None or at.coefficient is None:
-            linear = np.broadcast_to(value_of(law.linear(tensors)), h.points.count)
-            self._c = self._weights * linear.reshape(self._weights.shape)
-            penalty, _ = h.term.penalty(self._on_sides)
-            self._penalty = self._side_weights * value_of(penalty).reshape(shape)
-            self._normalise()
-            return
-        hessian = h.h_values(at.hess).reshape(h.dim, h.size, cells, h.h_values.per_cell)
-        self._hessian, self._j = hessian.transpose(2, 0, 1, 3), jumps.reshape(h.dim, *shape).swapaxes(0, 1)
-        size, z, squared = h.term.size(self._on_sides), self._on_sides.z_tensors, sides.h**2
-        weight = law.penalty / sides.h
-        q = np.einsum("cip,cip->cp", self._j, self._j).ravel()
-        slope = weight * law.slope(size, z).value
-        bend = 0.5 * (law.p - 4) * slope / size.value * q  # c'' |j|^2
-        self._c = self._weights * h.s_values(at.coefficient).reshape(self._weights.shape)
-        self._penalty = self._side_weights * h.term.stiffness(self._on_sides).value.reshape(shape)
-        # second derivatives by s = P |Hs|^2 and q = |j|^2, tested with these: the same both ways
-        s_slope = law.slope(Array(h.s_values(at.square), None), tensors).value
-        self._s_slope = self._weights[:, 0, 0] * s_slope.reshape(cells, h.h_values.per_cell)
-        self._ss = self._side_weights * bend.reshape(shape)
-        self._sq = self._side_weights * (slope + bend / squared).reshape(shape)
-        self._qq = self._side_weights * ((2 * slope + bend / squared) / squared).reshape(shape)
-        self._normalise()
+        on_sides = sides.values(jumps, hess_square, at.z)
+        self._at, self._on_sides = at, on_sides
+        c = value_of(law.linear(h.tensors(at.z))) if law.is_linear else self._coefficient()
+        c = weights * np.broadcast_to(c, h.points.count).reshape(weights.shape)
+        penalty = np.broadcast_to(value_of(h.term.stiffness(on_sides)), sides.h.shape)
+        self._unit = unit = largest(c)
 
-    def _normalise(self) -> None:
-        """Measure all in units of its own and round it: in SI units numbers may leave single precision."""
-        self._unit = unit = largest(self._c)
-        units = {"_c": unit, "_penalty": unit}
-        if not self.hyper.law.is_linear:
-            H, j = largest(self._hessian), largest(self._j)
-            units |= {"_hessian": H, "_j": j}
-            units |= {"_s_slope": unit / H**2, "_ss": unit / H**2, "_sq": unit / (H * j), "_qq": unit / j**2}
-        for name, size in units.items():
-            setattr(self, name, (getattr(self, name) / size).astype(self.dtype))
+        def rounded(values: np.ndarray, unit: float) -> np.ndarray:
+            """In units of its own: in SI units numbers may leave single precision."""
+            return (values / unit).astype(self.dtype)
+
+        self._c = rounded(c, unit)[:, None, None]
+        self._penalty = rounded(self.side_weights * penalty.reshape(shape), unit)
+        if hess_square is None:
+            return
+        hessian = h.h_values(at.local["hess"]).reshape(h.dim, h.size, *weights.shape).transpose(2, 0, 1, 3)
+        j = jumps.reshape(h.dim, *shape).swapaxes(0, 1)
+        H, J = largest(hessian), largest(j)
+        self._hessian, self._j = rounded(hessian, H), rounded(j, J)
+        size, squared = h.term.size(on_sides), sides.h**2
+        slope = law.penalty / sides.h * law.slope(size, on_sides.z_tensors).value
+        bend = 0.5 * (law.p - 4) * slope / size.value * np.einsum("cip,cip->cp", j, j).ravel()  # c'' |j|^2
+        # second derivatives by s = P |Hs|^2 and q = |j|^2, tested with these: the same both ways
+        s_slope = law.slope(Array(h.s_values(hess_square), None), h.tensors(at.z)).value
+        self._s_slope = rounded(weights * s_slope.reshape(weights.shape), unit / H**2)
+        self._ss, self._sq, self._qq = (
+            rounded(self.side_weights * values.reshape(shape), unit / units)
+            for values, units in (
+                (bend, H**2),
+                (slope + bend / squared, H * J),
+                ((2 * slope + bend / squared) / squared, J**2),
+            )
+        )
+
+    def _coefficient(self) -> np.ndarray:
+        """c_s at the cells' points."""
+        return self.hyper.s_values(self._at.local["hyper_coefficient"])
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
         """The rows' derivative in the direction x = (v, a) side by side, (dim, unknowns)."""
-        length, split, h = largest(x), self._of_hessian, self.hyper
+        length, h = largest(x), self.hyper
+        split, rows = h.lift.per_cell, (self.cells, h.dim * h.size)
         values = self.of_component.by_cells(x.T / length)
-        dj, rows = values[..., split:], (self.cells, h.dim * h.size)
+        dj = values[..., split:]
         dH = product(values[..., :split].reshape(*rows, h.h_values.local), self._at_points)
         dH = dH.reshape(self.cells, h.dim, h.size, h.h_values.per_cell)
         of_H, of_j = self._c * dH, self._penalty[:, None] * dj
@@ -111,7 +110,7 @@ class HyperDerivative:
     def _bend(self, dH: np.ndarray, dj: np.ndarray, of_H: np.ndarray, of_j: np.ndarray) -> None:
         """Add what the changes of s = P |Hs|^2 and of q = |j|^2 make, to the loads of Hs and j."""
         at_points, at_sides = self._s_points, self._s_sides
-        w = (self._weights[:, 0, 0] / self._volume).astype(self.dtype)
+        w = (self.weights / self._volume).astype(self.dtype)
         dq = 2 * np.einsum("cip,cip->cp", self._j, dj)
         tested = (2 * w) * np.einsum("cibp,cibp->cp", self._hessian, dH)
         ds = self._projected(_transposed(at_points, tested))
@@ -125,31 +124,30 @@ class HyperDerivative:
 
     def _projected(self, loads: np.ndarray) -> np.ndarray:
         """Coefficients of a projection from its loads, (cells, functions, 1), over the largest weight."""
-        return (self.hyper.s_inverse(loads.ravel()) * self._volume).reshape(loads.shape).astype(self.dtype)
+        return (self.hyper.s_inverse @ loads.ravel() * self._volume).reshape(loads.shape).astype(self.dtype)
 
     def tangent_coefficients(self) -> tuple[np.ndarray, np.ndarray]:
-        """Coefficients of |Hs|^2, (cells,), and of the penalty, (sides' points,), for ``HyperTangent``."""
-        h, law, at, sides = self.hyper, self.hyper.law, self._at, self.sides
-        weights = h.points.weights.reshape(self.cells, h.h_values.per_cell)
+        """Coefficients of |Hs|^2, (cells,), and of the penalty, (sides' points,), for ``HyperTangent``.
+
+        They are c + (c - mu_1)(p - 2)/2: in the middle between the smallest and the largest eigenvalue of the
+        second derivative of |.|^p/p, which couples the components of v.
+        """
+        h, law, sides = self.hyper, self.hyper.law, self.sides
+        in_cells, z_on_sides = h.tensors(self._at.z), self._on_sides.z_tensors
+        if law.is_linear:
+            c, on_sides = law.linear(in_cells), value_of(law.linear(z_on_sides))
+        else:
+            c, on_sides = self._coefficient(), law.coefficient(h.term.size(self._on_sides), z_on_sides).value
 
         def mean(values: Any) -> np.ndarray:
-            return (np.broadcast_to(value_of(values), h.points.count).reshape(weights.shape) * weights).sum(
-                axis=1
-            ) / weights.sum(axis=1)
+            at_points = np.broadcast_to(value_of(values), h.points.count).reshape(self.weights.shape)
+            return (at_points * self.weights).sum(axis=1) / self.weights.sum(axis=1)
 
-        in_cells, on_sides = h.tensors(at.z), self._on_sides.z_tensors
-        if at.coefficient is None:
-            penalty, _ = h.term.penalty(self._on_sides)
-            return mean(law.linear(in_cells)), np.broadcast_to(value_of(penalty), sides.h.shape)
-        c, c_penalty = (
-            mean(h.s_values(at.coefficient)),
-            law.coefficient(h.term.size(self._on_sides), on_sides),
-        )
-        mu_1, mu_1_on_sides = mean(law.moduli(in_cells)[1]), value_of(law.moduli(on_sides)[1])
-        stretch = 0.5 * law.p
-        c = mu_1 + stretch * (np.maximum(c, 0) - mu_1)
-        stretched = mu_1_on_sides + stretch * (np.maximum(c_penalty.value, 0) - mu_1_on_sides)
-        return c, law.penalty / sides.h * stretched
+        def stretched(c: np.ndarray, mu_1: np.ndarray) -> np.ndarray:
+            return mu_1 + 0.5 * law.p * (np.maximum(c, 0) - mu_1)
+
+        penalty = law.penalty / sides.h * stretched(on_sides, value_of(law.moduli(z_on_sides)[1]))
+        return stretched(mean(c), mean(law.moduli(in_cells)[1])), penalty
 
 
 def _transposed(matrices: np.ndarray, values: np.ndarray) -> np.ndarray:
@@ -158,18 +156,13 @@ def _transposed(matrices: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 
 class HyperTangent:
-    """The hyperviscosity's second derivative in v and the kept a, with a = E v elsewhere, and facets' blocks.
-
-    The coefficient is c + (c - mu_1)(p - 2)/2: in the middle between the smallest and the largest
-    eigenvalue of the second derivative of |.|^p/p, which couples the components of v.
-    """
+    """The second derivative in v and the kept a, with a = E v elsewhere, and facets' blocks."""
 
     def __init__(self, derivative: HyperDerivative, kept: np.ndarray) -> None:
         """``kept`` are the unknowns of a component of a that are not eliminated."""
         self.derivative, self.kept = derivative, kept
         values, h = derivative.of_component, derivative.hyper
-        count = values.width - h.velocities
-        self.eliminated = np.setdiff1d(np.arange(count), kept)
+        self.eliminated = np.setdiff1d(np.arange(values.width - h.velocities), kept)
         order = np.concatenate([np.arange(h.velocities), h.velocities + kept, h.velocities + self.eliminated])
         number = np.empty_like(order)
         number[order] = np.arange(len(order))
@@ -178,11 +171,11 @@ class HyperTangent:
         lifted = lifted.reshape(values.cells, h.size, h.h_values.local, values.local)
         at_points = h.h_values.blocks[:, None] @ lifted
         of_each = at_points.reshape(values.cells, h.size * h.h_values.per_cell, values.local)
-        weights = np.tile(h.points.weights.reshape(values.cells, h.h_values.per_cell), (1, h.size))
+        weights = np.tile(derivative.weights, (1, h.size))
         self._of_hessians = _squared(of_each, weights).astype(precision.SINGLE)
         """Cells' matrices of |Hs|^2."""
         pattern = _squared(abs(self._jump), np.ones(self._jump.shape[:2]))
-        self._facets = BlockInverse(self._in_parts(pattern)[2])
+        self._facets = Blocks(self._in_parts(pattern)[2])
 
     def _in_parts(self, elements: np.ndarray) -> tuple[sp.csr_matrix, sp.csr_matrix, sp.csr_matrix]:
         """Of v with the kept a by these and by the other a, and of the others, of a sum over the cells."""
@@ -192,18 +185,15 @@ class HyperTangent:
     def update(self) -> None:
         """Form E, the matrix of v and the facets' blocks where the derivative was last updated."""
         cell, penalty = self.derivative.tangent_coefficients()
-        weights = (self.derivative.sides.weights * penalty).reshape(self._jump.shape[:2])
-        of_jumps = _squared(self._jump, weights)
+        of_jumps = _squared(self._jump, self.derivative.side_weights * penalty.reshape(self._jump.shape[:2]))
         _, coupling, facets = self._in_parts(of_jumps)
-        self._facets.update(facets)
-        E = -(self._facets.matrix() @ coupling.T).tocsr()
+        E = -(self._facets.inverse(facets) @ coupling.T).tocsr()
         self.E_t = Rounded(E.T)
         own, coupling, others = self._in_parts(of_jumps + cell[:, None, None] * self._of_hessians)
         cross = (coupling.T + others @ E).tocsr()
         self.matrix = (own + coupling @ E + E.T @ cross).tocsr()
-        self._facets.update(others)
         # a = E v + (blocks)^{-1} (r - cross v), v with the kept a
-        of_rows = self._facets.matrix()
+        of_rows = self._facets.inverse(others)
         self.of_velocity, self.of_rows = Rounded(E - of_rows @ cross), Rounded(of_rows)
 
     def bordered(self, matrix: sp.csr_matrix, dim: int) -> sp.csr_matrix:

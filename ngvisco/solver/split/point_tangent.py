@@ -21,16 +21,15 @@ import numpy as np
 from ngvisco.algebra import precision
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.term import PointTerm
-from ngvisco.reduced.evaluation import CellTerms
+from ngvisco.reduced.evaluation import CellTerms, derivative_of, incremented
 from ngvisco.reduced.operators import Operators
 from ngvisco.reduced.residual import Evaluation, ReducedResidual
 from ngvisco.reduced.slope import PointwiseSlope
-from ngvisco.reduced.values import derivative_of, incremented
 from ngvisco.threads import product
 
 
 class _AtPoints:
-    """Values and K at the points of one rule, at an evaluation."""
+    """Values, phi'' and K at the points of one rule, at an evaluation."""
 
     rate_slope: np.ndarray
     """K, (points, n, n)."""
@@ -41,9 +40,10 @@ class _AtPoints:
         self.components = residual.step.layout.states.size
         self.slope = PointwiseSlope(residual.step, self.op.points)
         z = self.op.z
-        tests = z.blocks.swapaxes(1, 2) * self.op.weights.reshape(z.cells, 1, z.per_cell)
+        functions = z.blocks.swapaxes(1, 2)
+        tests = functions * self.op.weights.reshape(z.cells, 1, z.per_cell)
         of_values = np.linalg.solve(tests @ z.blocks, tests)  # (cells, q, points)
-        by_points = of_values[:, :, None] * z.blocks.swapaxes(1, 2)[:, None]
+        by_points = of_values[:, :, None] * functions[:, None]
         self._projecting = by_points.reshape(z.cells, z.local**2, z.per_cell)
         """Coefficients of products of values at the points and the cells' functions, (cells, q q, points)."""
 
@@ -52,7 +52,7 @@ class _AtPoints:
         self.tau = self.residual.step.context.tau.Get()
         self.values = u = self.terms.fields(at.coefficients)
         self.z, self.zeta = u.z.value, u.zeta.value
-        self.curvature = self._second_derivative()
+        self.curvature = np.ascontiguousarray(self.slope.hessian(self.z).transpose(2, 0, 1))
 
     def _slopes(self) -> Iterator[tuple[slice, dict[str, np.ndarray]]]:
         """Derivatives of the asked terms' slots, and of creep, by some components of z, which zeta follows by
@@ -76,20 +76,6 @@ class _AtPoints:
         """(K dz, .) of coefficients dz, both (cells' unknowns, n)."""
         values = self.op.z(np.ascontiguousarray(dz.T))
         return self.op.z.test(at_points(self.rate_slope, values)).T
-
-    def _second_derivative(self) -> np.ndarray:
-        """phi'', (points, n, n): the material's, or by one-sided differences of phi'."""
-        if self.slope.response is not None:
-            return self.slope.response(self.z.T).hessian
-        n, step = self.components, 1e-6
-        result = np.empty((self.op.points.count, n, n))
-        slope, shifted = self.slope(self.z), self.z.copy()
-        for m in range(n):
-            size = step * (1 + abs(self.z[m]).max(initial=0.0))
-            shifted[m] += size
-            result[:, :, m] = ((self.slope(shifted) - slope) / size).T
-            shifted[m] = self.z[m]
-        return result
 
 
 class NodeTangent(_AtPoints):
@@ -180,10 +166,9 @@ class PointTangent(_AtPoints):
         Not of values at points: where some points of a cell yield and others do not, tau K is large at some.
         """
         z, n = self.op.z, self.components
-        count, q = z.cells, z.local
         tested = self.tested() if self.nodes is None else self.tested() + self.nodes.tested()
-        matrix = tested.reshape(count, q, q, n, n).transpose(0, 1, 3, 2, 4).reshape(count, q * n, q * n)
-        return _resolvents(matrix)
+        matrix = tested.reshape(z.cells, z.local, z.local, n, n).transpose(0, 1, 3, 2, 4)
+        return _resolvents(matrix.reshape(z.cells, z.local * n, z.local * n))
 
 
 def at_points(matrices: np.ndarray, values: np.ndarray) -> np.ndarray:
@@ -196,18 +181,16 @@ def _resolvents(matrices: np.ndarray) -> np.ndarray:
 
     Products take a fifth of the time of factorisations; what they leave is below 1e-4.
     """
-    one, size = np.eye(matrices.shape[1]), _size(matrices)
-    if not size < 0.5:
+
+    def size(matrices: np.ndarray) -> float:
+        return float(abs(matrices).sum(axis=2).max(initial=0.0))
+
+    one = np.eye(matrices.shape[1])
+    if not size(matrices) < 0.5:
         return np.linalg.inv(one - matrices)
     power = precision.single(matrices)
     result = power + one.astype(precision.SINGLE)
-    while size**2 > 1e-4:
+    while size(power) ** 2 > 1e-4:
         power = product(power, power)
         result += product(result, power)
-        size = _size(power)
     return result
-
-
-def _size(matrices: np.ndarray) -> float:
-    """The largest sum of moduli in a row."""
-    return float(abs(matrices).sum(axis=2).max(initial=0.0))

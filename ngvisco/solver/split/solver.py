@@ -18,12 +18,8 @@ Measurements are in ``ngvisco/solver/NOTES.md``.
 
 from __future__ import annotations
 
-import time as clock
-from collections import defaultdict
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from ngsolve import BaseVector
@@ -33,9 +29,8 @@ from ngvisco.errors import StepError
 from ngvisco.forms.system import Step
 from ngvisco.parallel.exchange import Exchange
 from ngvisco.reduced.residual import Evaluation, ReducedResidual
-from ngvisco.solver.norm import BlockNorm
 from ngvisco.solver.options import NewtonOptions
-from ngvisco.solver.problem import NewtonIteration, Problem, Solution, Status
+from ngvisco.solver.problem import BlockNorm, NewtonIteration, Problem, Solution, Status
 from ngvisco.solver.split.preconditioner import Preconditioner
 from ngvisco.threads import on_arrays
 
@@ -63,9 +58,7 @@ class Split:
         """``exchange`` is that of the step's space."""
         self.step, self.norm, self.options = step, norm, options
         self.is_factorised = False
-        self.seconds: dict[str, float] = defaultdict(float)
-        """Wall time by parts of the work, s, since the solver was made."""
-        self.residual = ReducedResidual(step, exchange, self._clock)
+        self.residual = ReducedResidual(step, exchange)
         self.unknowns = self.residual.unknowns
         self.preconditioner = Preconditioner(self.residual, options)
         self._full = step.state.vec.CreateVector()
@@ -98,12 +91,6 @@ class Split:
         with on_arrays():
             self.residual.start()
             self.renew(problem, self.residual(self.unknowns.pack()))
-
-    @contextmanager
-    def _clock(self, name: str) -> Iterator[None]:
-        began = clock.perf_counter()
-        yield
-        self.seconds[name] += clock.perf_counter() - began
 
     def solve(self, problem: Problem, guess: BaseVector) -> Solution:
         """Iterate from ``guess``; the step's state is then the solution, or some iterate."""
@@ -147,14 +134,12 @@ class Split:
         """
         options, fresh = self.options.split, not self.is_factorised
         self.is_fresh = fresh
-        if not self.residual.ranks.all(at.residual.is_finite):
+        if not self.is_finite(at):
             return np.zeros_like(x), np.inf
-        everything = fresh or self._follows(last)
         if fresh:
             self.renew(problem, at)
         else:
-            with self._clock("assembly"):
-                self.preconditioner.linearise(at, everything)
+            self.preconditioner.linearise(at, self._follows(last))
         f = self.solved(at)
         for better in (lambda: not fresh, self.preconditioner.strengthen):
             if self.preconditioner.iterations >= options.flow_iterations and better():  # unsolved
@@ -163,6 +148,10 @@ class Split:
         size = self.size(f)
         self._stale = size > options.stale_above * last
         return f, size
+
+    def is_finite(self, at: Evaluation) -> bool:
+        """Whether all of R is numbers."""
+        return self.residual.ranks.all(np.isfinite(at.residual).all())
 
     def evaluated(self, x: np.ndarray, last: float) -> Evaluation:
         """R at the unknowns x, with flow rules' slopes there if the operator is to have them.
@@ -214,13 +203,12 @@ class Split:
 
     def solved(self, at: Evaluation) -> np.ndarray:
         """The increment by the tangent at hand."""
-        with self._clock("solves"):
-            return self.preconditioner(at, _FORCING[self.step.mesh.dim])
+        return self.preconditioner(at, _FORCING[self.step.mesh.dim])
 
     def renew(self, problem: Problem, at: Evaluation) -> None:
         """Make the tangent anew at an evaluation, which is that of the step's state."""
         self.is_factorised = False
-        self.preconditioner.update(at, self._clock)  # where it fails there is no tangent
+        self.preconditioner.update(at)  # where it fails there is no tangent
         self.is_factorised = True
         problem.factorised()
 
@@ -229,6 +217,7 @@ class Split:
         return self.sizes(f, *states, coarse=coarse)[0]
 
     def sizes(self, f: np.ndarray, *states: BaseVector, coarse: bool = False) -> tuple[float, float]:
+        """That, and the relative increment of a creep rate field."""
         full = self._full.FV().NumPy()
         full[:] = 0.0
         for name in self.unknowns.names:
@@ -255,8 +244,7 @@ def damped(split: Split, problem: Problem, history: list[NewtonIteration]) -> St
         split.follow(f, damping)
         new = x - damping * f
         at = split.residual(new)
-        is_finite = split.residual.ranks.all(at.residual.is_finite)
-        by_old = split.size(split.solved(at), base) if is_finite else np.inf
+        by_old = split.size(split.solved(at), base) if split.is_finite(at) else np.inf
         new_f, new_size = increment(new)
         by_new = split.size(new_f, base) if new_size < np.inf else np.inf
         left = min(by_old, by_new) / split.size(f, base) if size > 0 else 0.0
@@ -292,17 +280,20 @@ def newton_krylov(split: Split, problem: Problem, x: np.ndarray, history: list[N
         f = solved(split.residual(at.x) if split.is_steep else at)
         return f, split.size(f)
 
+    def along(at: Evaluation) -> Callable[[np.ndarray], np.ndarray]:
+        derivative = split.residual.derivative(at)
+        return lambda d: solved(replace(at, residual=derivative(scale * d))) / scale
+
+    def ends_at(x: np.ndarray, converged: bool) -> Status:
+        """Make x, with the unknowns that it determines, the state."""
+        split.residual.put(x)
+        return Status.CONVERGED if converged else Status.STALLED
+
     at = split.residual(x)
     f, size = renewed(at)
-    sizes = [size]
+    sizes, products = [size], split.residual.exchange.products
     while len(history) < split.options.max_iterations:
-        derivative = split.residual.derivative(at)
-
-        def along(d: np.ndarray, derivative: Any = derivative, at: Evaluation = at) -> np.ndarray:
-            return solved(replace(at, residual=derivative(scale * d))) / scale
-
-        products = split.residual.exchange.products
-        d, _ = gmres(along, f / scale, rtol=TOLERANCE, directions=_DIRECTIONS, products=products)
+        d, _ = gmres(along(at), f / scale, rtol=TOLERANCE, directions=_DIRECTIONS, products=products)
         damping = 1.0
         while True:
             new_x = x - damping * scale * d
@@ -315,7 +306,7 @@ def newton_krylov(split: Split, problem: Problem, x: np.ndarray, history: list[N
             damping /= 2
             split.step.stresses.undo()
             if damping < _MIN_DAMPING or size <= tolerance:
-                return _ends_at(split, x, size <= tolerance)
+                return ends_at(x, size <= tolerance)
         history.append(NewtonIteration(new_size, new_size / size, damping, True))
         at, x, f, size = new, new_x, new_f, new_size
         if problem.changes(size):
@@ -323,20 +314,14 @@ def newton_krylov(split: Split, problem: Problem, x: np.ndarray, history: list[N
             at = split.residual(x)
         elif size <= options.margin * tolerance:
             split.follow(f)
-            return _ends_at(split, x - f, True)
+            return ends_at(x - f, True)
         sizes.append(size)
         window = _WINDOW * (3 if split.norm.shared else 1)  # increments of Pi rise in between
         before = sizes[max(len(sizes) - 1 - window, 0)]
         if len(sizes) > window and size > max(0.2 * before, options.rounding):
-            return _ends_at(split, x, size <= tolerance)
+            return ends_at(x, size <= tolerance)
         f, size = renewed(at)
     return Status.TOO_MANY_ITERATIONS
-
-
-def _ends_at(split: Split, x: np.ndarray, converged: bool) -> Status:
-    """Make x, with the unknowns that it determines, the state."""
-    split.residual.put(x)
-    return Status.CONVERGED if converged else Status.STALLED
 
 
 def iterate(split: Split, problem: Problem, history: list[NewtonIteration]) -> Status:

@@ -15,7 +15,7 @@ from __future__ import annotations
 import numpy as np
 
 from ngvisco.algebra import precision
-from ngvisco.algebra.factorised import direct_solver
+from ngvisco.algebra.factorised import Direct, direct_solver
 from ngvisco.algebra.sparse import of_blocks
 from ngvisco.forms.terms.heat import Heating, penalty_weight
 from ngvisco.forms.upwinding import mean_share
@@ -48,27 +48,22 @@ class FacetCoupling:
         self._hat = np.ascontiguousarray(mass.shapes.T).reshape(count, per, len(mass.shapes))
         self._hat_t = np.ascontiguousarray(self._hat.transpose(0, 2, 1))
         self._facet = mass.facet[::per]
-        self.across = self._other_sides()
-        """The side of the other cell, (sides,); itself on the boundary; beyond all sides on another rank."""
         self.halo = mass.halo
+        order = np.argsort(self._facet, kind="stable")
+        first = np.flatnonzero(np.diff(self._facet[order]) == 0)
+        one, other = order[first], order[first + 1]
+        self.across = np.arange(count)
+        """The side of the other cell, (sides,); itself on the boundary; beyond all sides on another rank."""
+        self.across[one], self.across[other] = other, one
         side_of = np.zeros(len(mass.unknowns), dtype=np.int64)
         side_of[self._facet] = np.arange(count)
         self._border = side_of[mass.of_facets.places]
         self.across[self._border] = count + np.arange(len(self._border))
-        self._inner = (self.across != np.arange(len(self._z)))[:, None, None]
-
-    def _other_sides(self) -> np.ndarray:
-        order = np.argsort(self._facet, kind="stable")
-        same = np.flatnonzero(np.diff(self._facet[order]) == 0)
-        across = np.arange(len(order))
-        across[order[same]], across[order[same + 1]] = order[same + 1], order[same]
-        return across
-
-    def neighbours(self) -> np.ndarray:
-        """The cell across each side, (cells, sides)."""
-        beyond = self.across - self.cells * self.sides
+        self._inner = (self.across != np.arange(count))[:, None, None]
+        beyond = self.across - count
         cell = np.where(beyond < 0, self.across // max(self.sides, 1), self.cells + beyond)
-        return cell.reshape(self.cells, self.sides)
+        self.neighbours = cell.reshape(self.cells, self.sides)
+        """The cell across each side, (cells, sides)."""
 
     def blocks(
         self,
@@ -163,18 +158,62 @@ class ConductionBlocks:
         return values.reshape(self.coupling.cells, per).sum(axis=1) / max(per, 1)
 
 
+class SweptMatrix:
+    """A matrix of cells' blocks in single precision, and an approximate inverse by sweeps over the cells."""
+
+    def __init__(self, own: np.ndarray, across: np.ndarray, coupling: FacetCoupling) -> None:
+        """Blocks as of ``FacetCoupling.blocks``."""
+        count, sides, q, _ = across.shape
+        self._coupling, self._own = coupling, own
+        self._across = across.transpose(0, 2, 1, 3).reshape(count, q, sides * q)
+        self._rows = np.concatenate([own, self._across], axis=2).astype(precision.SINGLE)
+
+    def invert(self) -> SweptMatrix:
+        """The cells' own blocks; LinAlgError where one is singular."""
+        inverse = np.linalg.inv(self._own)
+        self.cells = inverse.astype(precision.SINGLE)
+        self._carried = (-product(inverse, self._across)).astype(precision.SINGLE)
+        return self
+
+    def __call__(self, x: np.ndarray) -> np.ndarray:
+        """Rows of coefficients x, both (cells' unknowns, n)."""
+        values = self._by_cells(x)
+        return product(self._rows, np.concatenate([values, self._beside(values)], axis=1)).reshape(x.shape)
+
+    def swept(self, r: np.ndarray, sweeps: int) -> np.ndarray:
+        """Coefficients of rows r, (cells' unknowns, n) or (cells' unknowns,)."""
+        x = start = product(self.cells, self._by_cells(r))
+        for _ in range(sweeps - 1):
+            x = start + self.carried(x)
+        return x.reshape(r.shape)
+
+    def carried(self, x: np.ndarray) -> np.ndarray:
+        """What a sweep takes from the neighbours' values, (cells, q, n)."""
+        return product(self._carried, self._beside(x))
+
+    def _by_cells(self, x: np.ndarray) -> np.ndarray:
+        values = x.astype(precision.SINGLE, copy=False)
+        return values.reshape(*self._own.shape[:2], x.shape[1] if x.ndim == 2 else 1)
+
+    def _beside(self, x: np.ndarray) -> np.ndarray:
+        """The neighbours' values side by side, (cells, sides q, n), of values (cells, q, n)."""
+        neighbours = self._coupling.neighbours
+        beside = self._coupling.halo.with_others(x)[neighbours]
+        return beside.reshape(len(neighbours), neighbours.shape[1] * x.shape[1], x.shape[2])
+
+
 class TransportSweeps:
     """Approximate inverses of the scalar transport of z and of the density equation."""
 
     def __init__(self, residual: ReducedResidual) -> None:
         self.residual, self.sweeps = residual, LEAST
         self.coupling = FacetCoupling(residual.side_op, residual.trace_mass)
-        self._neighbours = self.coupling.neighbours()
         op = residual.op
-        shape = (self.coupling.cells, op.z.per_cell, 1)
-        self._tests = np.ascontiguousarray((op.weights.reshape(shape) * op.z.blocks).transpose(0, 2, 1))
+        self._shape = (self.coupling.cells, op.z.per_cell, 1)
+        self._tests = np.ascontiguousarray((op.weights.reshape(self._shape) * op.z.blocks).transpose(0, 2, 1))
         self._mass = product(self._tests, op.z.blocks)
-        self._whole = self._own = None
+        self._whole: Direct | None = None
+        """Of z where it diffuses."""
         if residual.diffusion is not None:
             self._laplacian = residual.diffusion.laplacian(residual.inverse_mass)
             self._unknowns = residual.diffusion.unknowns
@@ -184,130 +223,99 @@ class TransportSweeps:
             self._conduction = ConductionBlocks(residual, term, self.coupling)
             self._of_heat = HaloUnknowns(self.coupling.halo, op.z.blocks.shape[2])
             self._heat = direct_solver(np.ones(self._of_heat.count, dtype=bool), self._of_heat)
+        self._density: Direct | None = None
+        """Of a density equation that is not linear."""
         if residual.density is not None:
-            self._own = direct_solver(residual.density.free, residual.shared_density)
+            u = residual.unknowns
+            shared = residual.exchange.part(np.arange(u.size)[u.density_slice])
+            self._density = direct_solver(residual.density.free, shared)
+
+    @property
+    def density_is_factorised(self) -> bool:
+        """Whether ``density`` is exact: where the equation is not linear."""
+        return self._density is not None
 
     def update(self, at: Evaluation) -> None:
         """Form the matrices and invert at an evaluation."""
-        r, storage = self.residual, self.residual.step.context.rate(self._mass)
-        convection, share = self._convection(at), at.facets.context.upwinding.share.value
+        r, coupling = self.residual, self.coupling
+        storage, convection = r.step.context.rate(self._mass), self._convection(at)
+        share = at.facets.context.upwinding.share.value
         through = r.side_op.crossed * (r.side_op.points.normals * at.facets.v.value).sum(axis=0)
-        own, across = self.coupling.blocks(-through, share, through, r.trace_mass)
+        own, across = coupling.blocks(-through, share, through, r.trace_mass)
         own += storage + convection
         if self._whole is not None:
-            transport = of_blocks(own, across, self._neighbours, self.coupling.halo.count)
+            transport = of_blocks(own, across, coupling.neighbours, coupling.halo.count)
             self._whole.factorise((transport + self._laplacian).tocsr())
         if self._conduction is not None:
             here, there = self._conduction(at)
-            count = self.coupling.halo.count
-            self._heat.factorise(of_blocks(own + here, across + there, self._neighbours, count))
-            self._conducted = _rows_of(here, there)
+            self._heat.factorise(
+                of_blocks(own + here, across + there, coupling.neighbours, coupling.halo.count)
+            )
+            self._conducted = SweptMatrix(here, there, coupling)
         with r.ranks.together(np.linalg.LinAlgError):
-            self._cells, self._carried = _sweep(own, across)
-        self._blocks = _rows_of(own, across)
+            self.of_z = SweptMatrix(own, across, coupling).invert()
         self._count_sweeps()
-        if self._own is None and r.unknowns.density:
-            own, across = self.coupling.blocks(np.zeros_like(through), share, through, r.trace_mass)
+        if self._density is None and r.unknowns.density:
+            own, across = coupling.blocks(np.zeros_like(through), share, through, r.trace_mass)
             own += storage - convection.transpose(0, 2, 1)
             with r.ranks.together(np.linalg.LinAlgError):
-                self._rho_cells, self._rho_carried = _sweep(own, across)
-            self._rho_blocks = _rows_of(own, across)
+                self.of_rho = SweptMatrix(own, across, coupling).invert()
 
     def _count_sweeps(self) -> None:
         """How many sweeps the present transport takes, by what they leave of a field drawn at random."""
-        count, q = self._cells.shape[:2]
+        count, q = self._mass.shape[:2]
         x = np.random.default_rng(0).standard_normal((count, q, 1)).astype(precision.SINGLE)
         norm = self.residual.ranks.norm
         size, number = SHARE * norm(x.ravel()), 0
         # the error of n sweeps is the n-th power of what carries from cell to cell
         while number < MOST and (number < LEAST or norm(x.ravel()) > size):
-            x = product(self._carried, self._beside(x))
+            x = self.of_z.carried(x)
             number += 1
         self.sweeps = number
 
     def _convection(self, at: Evaluation) -> np.ndarray:
         """int (v . grad z) q in cells, (cells, q, q)."""
-        v, shape = at.cells.v.value, (self.coupling.cells, self.residual.op.z.per_cell, 1)
-        along = sum(v_j.reshape(shape) * D.blocks for v_j, D in zip(v, self.residual.op.dz, strict=True))
+        v, derivatives = at.cells.v.value, self.residual.op.dz
+        along = sum(v_j.reshape(self._shape) * D.blocks for v_j, D in zip(v, derivatives, strict=True))
         return product(self._tests, along)
 
     def linearise(self) -> None:
         """Let a density equation that is not linear follow the present state."""
-        if self._own is not None and self.residual.density is not None:
-            self._own.factorise(self.residual.density.jacobian())
+        if self._density is not None and self.residual.density is not None:
+            self._density.factorise(self.residual.density.jacobian())
 
     def fields(self, r: np.ndarray) -> np.ndarray:
         """Increments of z before rates and creep, of rows r: both (cells' unknowns, n)."""
-        result = self._swept(self._cells, self._carried, r)
-        if self._whole is not None:
-            assert self.residual.diffusion is not None
-            cells = self._unknowns.of_cells
+        result = self.of_z.swept(r, self.sweeps)
+        if self._whole is not None and self.residual.diffusion is not None:
             for i in np.flatnonzero(self.residual.diffusion.strains):
-                result[:, i] = self._whole(self._unknowns.of_cells_alone(r[:, i]))[:cells]
+                result[:, i] = _solved(self._whole, self._unknowns, r[:, i])
         if self._conduction is not None:
-            i, of_heat = self._conduction.component, self._of_heat
-            result[:, i] = self._heat(of_heat.of_cells_alone(r[:, i]))[: of_heat.of_cells]
+            i = self._conduction.component
+            result[:, i] = _solved(self._heat, self._of_heat, r[:, i])
         return result
 
     def in_cells(self, rows: np.ndarray) -> np.ndarray:
         """The cells' own inverses times ``rows``, (cells' unknowns, .): no sweep, no diffusion."""
-        return product(self._cells, rows.reshape(*self._cells.shape[:2], rows.shape[1])).reshape(rows.shape)
-
-    @property
-    def density_is_factorised(self) -> bool:
-        """Whether ``density`` is exact: where the equation is not linear."""
-        return self._own is not None
+        return self.of_z.swept(rows, 1)
 
     def density(self, r: np.ndarray) -> np.ndarray:
         """Increments of the density's unknowns, of rows (unknowns,), or of (cells' unknowns, .) by sweeps."""
-        if self._own is not None:
-            return self._own(r)
-        return self._swept(self._rho_cells, self._rho_carried, r)
+        return self.of_rho.swept(r, self.sweeps) if self._density is None else self._density(r)
 
     def rows(self, x: np.ndarray) -> np.ndarray:
         """T x, of coefficients x of the fields: both (cells' unknowns, n)."""
-        rows = self._applied(self._blocks, x)
+        rows = self.of_z(x)
         if self.residual.diffusion is not None:
             strains = self.residual.diffusion.strains
-            beyond = self._unknowns.with_others(x[:, strains].T).T
-            rows[:, strains] += self._unknowns.added((self._laplacian @ beyond).T).T
+            beyond = self._unknowns.with_others(x[:, strains].T)
+            rows[:, strains] += self._unknowns.added((self._laplacian @ beyond.T).T).T
         if self._conduction is not None:
             i = self._conduction.component
-            rows[:, [i]] += self._applied(self._conducted, x[:, [i]])
+            rows[:, [i]] += self._conducted(x[:, [i]])
         return rows
 
-    def density_rows(self, x: np.ndarray) -> np.ndarray:
-        """The density equation's matrix times x, (cells' unknowns, .), where it is not factorised."""
-        return self._applied(self._rho_blocks, x)
 
-    def _applied(self, blocks: np.ndarray, x: np.ndarray) -> np.ndarray:
-        values = x.astype(precision.SINGLE, copy=False).reshape(*blocks.shape[:2], x.shape[1])
-        return product(blocks, np.concatenate([values, self._beside(values)], axis=1)).reshape(x.shape)
-
-    def _beside(self, x: np.ndarray) -> np.ndarray:
-        """The neighbours' values side by side, (cells, sides q, .), of values (cells, q, .)."""
-        cells, sides = self._neighbours.shape
-        beside = self.coupling.halo.with_others(x)[self._neighbours]
-        return beside.reshape(cells, sides * x.shape[1], x.shape[2])
-
-    def _swept(self, cells: np.ndarray, carried: np.ndarray, r: np.ndarray) -> np.ndarray:
-        shape = (*cells.shape[:2], r.shape[1] if r.ndim == 2 else 1)
-        x = start = product(cells, r.astype(precision.SINGLE, copy=False).reshape(shape))
-        for _ in range(self.sweeps - 1):
-            x = start + product(carried, self._beside(x))
-        return x.reshape(r.shape)
-
-
-def _sweep(own: np.ndarray, across: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Inverses of the own blocks, and what a sweep takes from the neighbours' values side by side."""
-    count, sides, q, _ = across.shape
-    inverse = np.linalg.inv(own)
-    taken = -product(inverse, across.transpose(0, 2, 1, 3).reshape(count, q, sides * q))
-    return inverse.astype(precision.SINGLE), taken.astype(precision.SINGLE)
-
-
-def _rows_of(own: np.ndarray, across: np.ndarray) -> np.ndarray:
-    """A cell's rows by its own values and its neighbours' side by side, (cells, q, (1 + sides) q)."""
-    count, sides, q, _ = across.shape
-    beside = across.transpose(0, 2, 1, 3).reshape(count, q, sides * q)
-    return np.concatenate([own, beside], axis=2).astype(precision.SINGLE)
+def _solved(solver: Direct, unknowns: HaloUnknowns, rows: np.ndarray) -> np.ndarray:
+    """By a factorisation over ranks, of rows of this rank's cells."""
+    return solver(unknowns.of_cells_alone(rows))[: unknowns.of_cells]

@@ -1,4 +1,4 @@
-"""The velocity v* that says which side of a facet is upstream, chosen before a step is solved.
+"""What a step starts from: values extrapolated in time, and the velocity v* that says which side is upstream.
 
 v* is the velocity extrapolated through the last two solutions, else the last one.  Where it misses the side,
 the flow through the facet is slow, and its error is of the scheme's order: but in a start from rest, and in a
@@ -14,12 +14,18 @@ from __future__ import annotations
 from math import comb
 
 import numpy as np
-from ngsolve import CF, BitArray, IfPos, InnerProduct, Integrate
+from ngsolve import CF, BaseVector, BitArray, IfPos, InnerProduct, Integrate
 
 from ngvisco.forms.mesh.mesh_arrays import is_simplicial, mask_of
 from ngvisco.forms.system import Step
 from ngvisco.forms.upwinding import FacetFlux
 from ngvisco.parallel.communicator import Communicator
+
+FARTHEST = 3.0
+"""Distance of the step's end from the last solution, in units of that between the two."""
+
+LARGEST_CHANGE = 0.5
+"""Of density and elastic variables, in units of their size: to stay in the energy's domain."""
 
 COURANT = 0.1
 """|v . n| tau/h from which a wrong side matters."""
@@ -34,9 +40,73 @@ followed iterates."""
 _LOST = 0.25
 """Share of the downstream side in the trace from which its side is wrong."""
 
-
 _AT_REST = 1e-3
 """Courant number up to which a start from rest needs no side."""
+
+
+class Extrapolation:
+    """Keeps the last two solutions; part of what a restart has to know."""
+
+    def __init__(self, step: Step) -> None:
+        self.step, self._ranks = step, Communicator.of(step.mesh)
+        self._kept: list[tuple[float, np.ndarray]] = []
+        """Times, s, and coefficients."""
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether no solution is known."""
+        return not self._kept
+
+    def keep(self, time: float) -> None:
+        """``step.state`` is the solution at ``time``, s."""
+        self._kept = [*self._kept[-1:], (time, self.step.state.vec.FV().NumPy().copy())]
+
+    def drop(self) -> None:
+        """Forget: the states at hand do not follow from each other."""
+        self._kept.clear()
+
+    def _change(self, time: float, where: slice) -> np.ndarray | None:
+        """What some coefficients change by from the last solution to ``time``; None where that is too far, or
+        nothing is known to extrapolate from."""
+        if len(self._kept) < 2:
+            return None
+        (earlier, before), (last, now) = self._kept
+        # stages of a tableau need not go forward in time
+        if last <= earlier or not 0 < (reach := (time - last) / (last - earlier)) <= FARTHEST:
+            return None
+        return reach * (now[where] - before[where])
+
+    def velocity(self, time: float) -> np.ndarray | None:
+        """Coefficients of v extrapolated to ``time``, s; None if there is nothing to do so from."""
+        v = self.step.layout.ranges["v"]
+        change = self._change(time, v)
+        return None if change is None else self._kept[1][1][v] + change
+
+    def guess(self, time: float) -> BaseVector | None:
+        """The state extrapolated to ``time``, s; None if there is nothing to do so from, or it would change
+        what evolves, but for v, by more than ``LARGEST_CHANGE`` of their size."""
+        change = self._change(time, slice(None))
+        if change is None:
+            return None
+        last = self._kept[1][1]
+        for name in self.step.layout.evolving:
+            where = self.step.layout.ranges[name]
+            size, change_of = (self._ranks.most(abs(u[where]).max(initial=0.0)) for u in (last, change))
+            if not change_of < LARGEST_CHANGE * size and name != "v":
+                return None
+        guess = self.step.state.vec.CreateVector()
+        guess.FV().NumPy()[:] = last + change
+        return guess
+
+    def state_dict(self) -> tuple[dict[str, float], dict[str, np.ndarray]]:
+        """Numbers and arrays for a restart."""
+        kept = list(zip(("earlier", "last"), self._kept, strict=False))
+        return {f"{name}_time": t for name, (t, _) in kept}, {name: u.copy() for name, (_, u) in kept}
+
+    def load_state_dict(self, numbers: dict[str, float], arrays: dict[str, np.ndarray]) -> None:
+        """Take up what ``state_dict`` gave."""
+        names = [name for name in ("earlier", "last") if name in arrays]
+        self._kept = [(numbers[f"{name}_time"], np.array(arrays[name])) for name in names]
 
 
 class Sides:

@@ -2,11 +2,10 @@
 
 import pytest
 
-from ngvisco.algebra import condensed
 from ngvisco.errors import StepError
-from ngvisco.solver.newton import HEAP_SIZES
-
-SIZES = HEAP_SIZES
+from ngvisco.parallel.communicator import Communicator
+from ngvisco.solver import newton
+from ngvisco.solver.newton import HEAP_SIZES, CondensedJacobian
 
 
 class Form:
@@ -23,31 +22,35 @@ class Form:
             raise RuntimeError(self.messages.pop(0))
 
 
+def jacobian(form):
+    return CondensedJacobian(form, "umfpack", Communicator())
+
+
 @pytest.fixture
 def sizes(monkeypatch):
     asked = []
-    monkeypatch.setattr(condensed, "SetHeapSize", asked.append)
+    monkeypatch.setattr(newton, "SetHeapSize", asked.append)
     return asked
 
 
 @pytest.mark.parametrize("count", [0, 1, 2])
 def test_an_overflow_is_answered_by_a_larger_heap(sizes, count):
     form = Form(*["Local Heap overflow"] * count)
-    condensed.CondensedJacobian(form, "umfpack", SIZES)._assemble(None)
-    assert sizes == list(SIZES[:count])
+    jacobian(form).assemble(None)
+    assert sizes == list(HEAP_SIZES[:count])
 
 
 def test_what_the_largest_heap_does_not_hold_is_a_failed_step(sizes):
     form = Form(*["Local Heap overflow"] * 3)
     with pytest.raises(StepError, match="Local Heap overflow"):
-        condensed.CondensedJacobian(form, "umfpack", SIZES).factorise(None)
-    assert sizes == list(SIZES)
+        jacobian(form).factorise(None)
+    assert sizes == list(HEAP_SIZES)
 
 
 def test_another_failure_is_not_tried_again(sizes):
     form = Form("division by zero")
     with pytest.raises(StepError, match="division by zero"):
-        condensed.CondensedJacobian(form, "umfpack", SIZES).factorise(None)
+        jacobian(form).factorise(None)
     assert sizes == []
 
 
@@ -55,7 +58,7 @@ def test_a_cell_s_matrix_that_units_make_singular_is_said_with_the_remedy():
     """In SI a slab in a weak medium, 1e11 Pa and steps of 1 kyr, has such matrices; in km and kyr none."""
     form = Form("CalcLU: matrix singularin AssembleLinearization\n")
     with pytest.raises(StepError, match=r"matrix singular.*take units in which they are near one"):
-        condensed.CondensedJacobian(form, "umfpack").factorise(None)
+        jacobian(form).factorise(None)
     with pytest.raises(StepError, match="no factorisation") as other:
-        condensed.CondensedJacobian(Form("something else"), "umfpack").factorise(None)
+        jacobian(Form("something else")).factorise(None)
     assert "units" not in str(other.value)
