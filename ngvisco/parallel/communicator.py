@@ -28,9 +28,33 @@ from ngvisco.errors import NgviscoError
 _SHORTEST, _LONGEST, _GROWTH = 2e-5, 1e-3, 1.5
 """Seconds between two looks of a rank that waits asleep, and by how much they grow from look to look."""
 
-_kept: dict[int, tuple[Any, Working]] = {}
-"""By MPI's number of a communicator, which is kept too, so that no other gets its number.  (With MPI's own
-attributes of communicators a process does not end: mpi4py asks for an interpreter that has gone.)"""
+_SIZES = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "MPI_LOCALNRANKS")
+"""Variables by which the usual MPIs tell a process how many there are."""
+
+OF_ALL_RANKS = "_of_all_ranks"
+"""Attribute of errors that all ranks have agreed on."""
+
+_LOOK, _PATIENCE = 0.01, 20.0
+"""Seconds between looks at other ranks, and for which a rank that has failed waits for their end."""
+
+Result = TypeVar("Result")
+
+
+class MPIError(NgviscoError, RuntimeError):
+    """Processes that mpirun started cannot work together."""
+
+
+@dataclass
+class Traffic:
+    """What this process sent: messages to neighbours, their bytes, and reductions of a few numbers each."""
+
+    messages: int = 0
+    bytes: int = 0
+    reductions: int = 0
+
+
+TRAFFIC = Traffic()
+"""Of this process so far."""
 
 
 class Working:
@@ -55,6 +79,7 @@ class Working:
 
     def sums(self, values: np.ndarray) -> np.ndarray:
         """The sums of each of some values over the ranks with cells, on all ranks."""
+        TRAFFIC.reductions += 1
         result = np.empty_like(values)
         if self.is_first:
             asleep(self._first.Irecv(result, 1))
@@ -74,33 +99,9 @@ def asleep(request: Any) -> None:
         pause = min(_GROWTH * pause, _LONGEST)
 
 
-Result = TypeVar("Result")
-
-_SIZES = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "MPI_LOCALNRANKS")
-"""Variables by which the usual MPIs tell a process how many there are."""
-
-OF_ALL_RANKS = "_of_all_ranks"
-"""Attribute of errors that all ranks have agreed on."""
-
-_LOOK, _PATIENCE = 0.01, 20.0
-"""Seconds between looks at other ranks, and for which a rank that has failed waits for their end."""
-
-
-class MPIError(NgviscoError, RuntimeError):
-    """Processes that mpirun started cannot work together."""
-
-
-@dataclass
-class Traffic:
-    """What this process sent: messages to neighbours, their bytes, and reductions of a few numbers each."""
-
-    messages: int = 0
-    bytes: int = 0
-    reductions: int = 0
-
-
-TRAFFIC = Traffic()
-"""Of this process so far."""
+_kept: dict[int, tuple[Any, Working]] = {}
+"""By MPI's number of a communicator, which is kept too, so that no other gets its number.  (With MPI's own
+attributes of communicators a process does not end: mpi4py asks for an interpreter that has gone.)"""
 
 
 class Communicator:
@@ -203,7 +204,7 @@ class Communicator:
 
     def products(self, several: np.ndarray, one: np.ndarray) -> np.ndarray:
         """Inner products of vectors (n, entries) with one, (n,), each entry on one rank with cells."""
-        return several @ one if self.size == 1 else self._of_cells(several @ one)
+        return several @ one if self.size == 1 else Working.of(self.mpi).sums(several @ one)
 
     def dot(self, a: np.ndarray, b: np.ndarray) -> float:
         """The inner product of what the ranks with cells hold together, each entry on one of them."""
@@ -212,11 +213,6 @@ class Communicator:
     def norm(self, values: np.ndarray) -> float:
         """The Euclidean norm of what the ranks with cells hold together, each entry on one of them."""
         return float(np.linalg.norm(values)) if self.size == 1 else float(np.sqrt(self.dot(values, values)))
-
-    def _of_cells(self, values: np.ndarray) -> np.ndarray:
-        """The sums over the ranks of values in which the first one, without cells, has no share."""
-        TRAFFIC.reductions += 1
-        return Working.of(self.mpi).sums(values)
 
     def _reduced(self, value: Any, name: str) -> Any:
         from mpi4py import MPI
@@ -275,11 +271,10 @@ class Communicator:
         if self.size == 1:
             return work()
         result, error = None, None
-        if self.is_first:
-            try:
-                result = work()
-            except BaseException as raised:
-                error = raised
+        try:
+            result = work() if self.is_first else None
+        except BaseException as raised:
+            error = raised
         together = self.agree(error)
         if together is not None:
             raise together from error
@@ -324,29 +319,26 @@ class Communicator:
             self.mpi.Abort(code)
 
 
-def _packed(error: BaseException | None) -> tuple[type[BaseException], tuple, dict[str, Any], bool] | None:
+def _packed(error: BaseException | None) -> Any:
     """An error for other ranks.  Ours are made without their arguments, which may be no plain objects."""
-    if error is None:
-        return None
+
+    def travels(value: Any) -> bool:
+        try:
+            pickle.loads(pickle.dumps(value))
+        except Exception:  # whatever pickling raises
+            return False
+        return True
+
     if isinstance(error, NgviscoError):
-        kept = {}
-        for name, value in error.__dict__.items():
-            with contextlib.suppress(Exception):  # whatever pickling raises
-                kept[name] = pickle.loads(pickle.dumps(value))
-        return type(error), (str(error),), kept, True
-    try:
-        pickle.loads(pickle.dumps(error))
-        return type(error), (error,), {}, False
-    except Exception:  # whatever pickling raises
-        return RuntimeError, (RuntimeError(f"{type(error).__name__}: {error}"),), {}, False
+        return type(error), str(error), {name: value for name, value in vars(error).items() if travels(value)}
+    return error if travels(error) else RuntimeError(f"{type(error).__name__}: {error}")
 
 
-def _unpacked(packed: tuple[type[BaseException], tuple, dict[str, Any], bool]) -> BaseException:
-    kind, arguments, values, is_ours = packed
-    if not is_ours:
-        found: BaseException = arguments[0]
-        return found
-    error: BaseException = BaseException.__new__(kind)
-    error.args = arguments
-    error.__dict__.update(values)
+def _unpacked(packed: Any) -> BaseException:
+    error: BaseException = packed
+    if isinstance(packed, tuple):
+        kind, message, values = packed
+        error = BaseException.__new__(kind)
+        error.args = (message,)
+        error.__dict__.update(values)
     return error

@@ -1,17 +1,11 @@
 """The one primitive of distributed vectors: what ranks share of a vector's unknowns is summed up.
 
 ``ParallelDofs().Proc2Dof(r)`` lists the unknowns shared with rank r in the same order on both sides.  Each
-rank sends its own values of them and adds what it gets, so that all ranks which share an unknown have the
-same sum up to its order, which is that of the ranks: bit for bit the same.
+rank sends its own values of them and adds what it gets in the order of the ranks, so that all ranks which
+share an unknown have bit for bit the same sum.
 
 A vector is *summed* where all ranks that share an unknown have the same value of it, that of one process, and
 *in parts* where their sum is that value, as what each rank's cells make of a residual.
-
-``Interpolation`` in spaces of continuous functions: NGSolve's ``Set``, over ranks the same to the bit.
-
-``Set`` projects element by element and averages what elements share.  Over ranks NGSolve adds their parts in
-the order in which they come, which rounds three of them in one way or another.  So ranks that share an
-unknown with a third one set in turns, in which the others have zeros, and the turns are added in their order.
 """
 
 from __future__ import annotations
@@ -141,17 +135,11 @@ class Exchange(Owned):
 
         For unknowns that two ranks share, as those of facets.
         """
-        result = np.zeros_like(values)
-        if self.shared:
-            got = self._got({rank: values[..., where] for rank, where in self._among_places.items()})
-            for rank, where in self._among_places.items():
-                result[..., where] += got[rank]
+        among = {rank: np.searchsorted(self.places, own) for rank, own in self.shared.items()}
+        result, got = np.zeros_like(values), self._got({rank: values[..., at] for rank, at in among.items()})
+        for rank, where in among.items():
+            result[..., where] += got[rank]
         return result
-
-    @cached_property
-    def _among_places(self) -> dict[int, np.ndarray]:
-        """Where among ``places`` those of each neighbour stand."""
-        return {rank: np.searchsorted(self.places, own) for rank, own in self.shared.items()}
 
     def _got(self, values: dict[int, np.ndarray]) -> dict[int, np.ndarray]:
         """What neighbours sent for what was sent to them."""
@@ -183,7 +171,12 @@ class Exchange(Owned):
 
 
 class Interpolation:
-    """Sets functions of a space; collective."""
+    """NGSolve's ``Set`` of functions of a continuous space, over ranks the same to the bit; collective.
+
+    ``Set`` projects element by element and averages what elements share.  Over ranks NGSolve adds their parts
+    in the order in which they come, which rounds three of them in one way or another.  So ranks that share an
+    unknown with a third one set in turns, in which the others have zeros, and the turns are added in order.
+    """
 
     def __init__(self, space: FESpace) -> None:
         self._turn, self._turns = _turns(Exchange.of(space, Communicator.of(space.mesh)))

@@ -4,11 +4,11 @@ Cells take values from these; what they give to the rows of these goes back to t
 across two shared facets is counted twice.
 """
 
+from collections.abc import Callable
 from functools import cached_property
 
 import numpy as np
 
-from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.exchange import Exchange, Owned
 
 
@@ -29,10 +29,6 @@ class Halo:
         self.facets, self.beside, self.cells = facets, beside, cells
         self.count = cells + len(beside)
         """Cells of this rank and those beyond."""
-
-    @property
-    def communicator(self) -> Communicator:
-        return self.facets.communicator
 
     def swapped(self, values: np.ndarray) -> np.ndarray:
         """What the other rank has for each shared facet in place of ``values``, (shared facets, ...)."""
@@ -60,7 +56,7 @@ class HaloUnknowns(Owned):
     """
 
     def __init__(self, halo: Halo, per_cell: int) -> None:
-        super().__init__(halo.count * per_cell, halo.facets.neighbours, halo.communicator)
+        super().__init__(halo.count * per_cell, halo.facets.neighbours, halo.facets.communicator)
         self.halo, self.per_cell = halo, per_cell
         self.of_cells = halo.cells * per_cell
         """How many are those of this rank's cells."""
@@ -74,28 +70,21 @@ class HaloUnknowns(Owned):
 
     def with_others(self, values: np.ndarray) -> np.ndarray:
         """Values of this rank's cells, (..., unknowns), and after them those of the cells beyond."""
-        if self.count == self.of_cells:
-            return values
-        return self._flat(self.halo.with_others(self._by_cells(values)))
+        return self._by_cells(self.halo.with_others, values)
 
     def of_cells_alone(self, values: np.ndarray) -> np.ndarray:
         """Values of this rank's cells, (..., unknowns), and zeros for the cells beyond."""
-        if self.count == self.of_cells:
-            return values
         beyond = np.zeros((*values.shape[:-1], self.count - self.of_cells), values.dtype)
         return np.concatenate([values, beyond], axis=-1)
 
     def added(self, rows: np.ndarray) -> np.ndarray:
         """Rows of this rank's cells with what other ranks have of them, of ``rows`` (..., count)."""
+        return self._by_cells(self.halo.added, rows)
+
+    def _by_cells(self, function: Callable[[np.ndarray], np.ndarray], values: np.ndarray) -> np.ndarray:
+        """A function of (cells, functions, ...) for values (..., unknowns)."""
         if self.count == self.of_cells:
-            return rows
-        return self._flat(self.halo.added(self._by_cells(rows)))
-
-    def _by_cells(self, values: np.ndarray) -> np.ndarray:
-        """(cells, functions, ...), the cells first."""
+            return values
         by_cells = values.reshape(*values.shape[:-1], -1, self.per_cell)
-        return np.moveaxis(by_cells, (-2, -1), (0, 1))
-
-    def _flat(self, by_cells: np.ndarray) -> np.ndarray:
-        values = np.moveaxis(by_cells, (0, 1), (-2, -1))
-        return np.ascontiguousarray(values).reshape(*values.shape[:-2], -1)
+        result = np.moveaxis(function(np.moveaxis(by_cells, (-2, -1), (0, 1))), (0, 1), (-2, -1))
+        return np.ascontiguousarray(result).reshape(*result.shape[:-2], -1)

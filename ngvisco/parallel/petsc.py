@@ -128,11 +128,9 @@ class Rows:
 
     def release(self) -> None:
         """Give back what PETSc holds; collective."""
-        held = [self._rows, self._own]
-        if not self.exchange.communicator.is_idle:
-            held += [self._right, self._solution, self._scatter]
-        for each in held:
-            each.destroy()
+        for name in ("_rows", "_own", "_right", "_solution", "_scatter"):
+            if name in vars(self):
+                vars(self)[name].destroy()
 
     @property
     def solving(self) -> Any:
@@ -164,13 +162,11 @@ class Rows:
         ends = np.cumsum(self.comm.allgather(self.size[0]))
         owner = np.searchsorted(ends, entries[0], side="right")
         # what has to go elsewhere is shared with who has it; ranks with cells come after the first
-        near = {rank - 1 for rank in self.exchange.neighbours}
-        beside = (set(range(self.comm.size)) if self.on_one else near) - {self.comm.rank}
-        split = {rank: tuple(part[owner == rank] for part in entries) for rank in beside | {self.comm.rank}}
-        sent = [self.comm.isend(split[rank], rank) for rank in sorted(beside)]
-        parts = [
-            split[rank] if rank == self.comm.rank else self.comm.recv(source=rank) for rank in sorted(split)
-        ]
+        own, near = self.comm.rank, {rank - 1 for rank in self.exchange.neighbours}
+        ranks = sorted({own, *(range(self.comm.size) if self.on_one else near)})
+        split = {rank: tuple(part[owner == rank] for part in entries) for rank in ranks}
+        sent = [self.comm.isend(split[rank], rank) for rank in ranks if rank != own]
+        parts = [split[own] if rank == own else self.comm.recv(source=rank) for rank in ranks]
         for request in sent:
             request.wait()
         rows, columns, data = (np.concatenate(part) for part in zip(*parts, strict=True))
@@ -305,7 +301,7 @@ class SumInverse:
         self._solver = module.KSP().create(comm=self.rows.solving)
         self._solver.setOperators(matrix)
         self._solver.setType("preonly")
-        preconditioner = self._solver.getPC()
+        preconditioner, held = self._solver.getPC(), []
         if self.method == "mumps":
             preconditioner.setType("lu")
             preconditioner.setFactorSolverType("mumps")
@@ -314,12 +310,10 @@ class SumInverse:
         else:
             preconditioner.setType(self.method)
             if self.kernel is not None:
-                vectors = [self.rows.vector(matrix, each) for each in self.kernel]
-                space = module.NullSpace().create(vectors=vectors, comm=self.rows.comm)
-                matrix.setNearNullSpace(space)
-                for each in (*vectors, space):
-                    each.destroy()
-        for each in (preconditioner, matrix):  # the solver has them
+                held = [self.rows.vector(matrix, each) for each in self.kernel]
+                held.append(module.NullSpace().create(vectors=held, comm=self.rows.comm))
+                matrix.setNearNullSpace(held[-1])
+        for each in (*held, preconditioner, matrix):  # the solver has them
             each.destroy()
         try:
             self._solver.setUp()
@@ -350,10 +344,10 @@ class SumInverse:
         try:
             return self.rows.solve(self._solver, rows)
         except PETScError as error:
-            if communicator.is_distributed:  # products with it tell it the first rank
-                communicator.note(f"{self.method}: {error}")
-                return np.full_like(rows, np.nan)
-            raise SingularError(f"{self.method} did not take the matrix ({error})") from error
+            if not communicator.is_distributed:
+                raise SingularError(f"{self.method} did not take the matrix ({error})") from error
+            communicator.note(f"{self.method}: {error}")  # products with NaN tell it the first rank
+            return np.full_like(rows, np.nan)
 
 
 class Direct(BaseMatrix):

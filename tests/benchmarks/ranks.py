@@ -88,7 +88,7 @@ def measured(n: int, steps: int, coarse: str, two_levels_from: int | None) -> li
         "coarse": coarse,
         "cells": run.cells,
         "own cells": run.mesh.ne,
-        "neighbours": len(run.solver.newton.residual.shared_rows.shared),
+        "neighbours": len(run.solver.newton.residual.exchange.shared),
         "imports": imported,
     }
     row["set-up"] = time.perf_counter() - began

@@ -7,10 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-PARTS = (
-    *("traces", "projections", "rows", "hyperviscosity", "forms"),
-    *("assembly", "factorisation", "solves"),
-)
+PARTS = ("residuals", "assembly", "factorisation", "solves")
 
 
 def _part(name: str) -> Callable[[dict], str]:

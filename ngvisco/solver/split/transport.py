@@ -176,7 +176,7 @@ class SweptMatrix:
         return self
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
-        """Rows of coefficients x, both (cells' unknowns, n)."""
+        """Rows of coefficients x, both (cells' unknowns, n) or (cells' unknowns,)."""
         values = self._by_cells(x)
         return product(self._rows, np.concatenate([values, self._beside(values)], axis=1)).reshape(x.shape)
 
