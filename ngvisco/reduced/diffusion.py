@@ -24,7 +24,7 @@ from ngvisco.forms.fields import Fields
 from ngvisco.forms.mesh.points import csr
 from ngvisco.forms.system import Step
 from ngvisco.forms.terms.regularisation import FieldDiffusion
-from ngvisco.parallel.halo import HaloUnknowns
+from ngvisco.parallel.exchange import HaloUnknowns
 from ngvisco.reduced.evaluation import Coefficients
 from ngvisco.reduced.operators import FacetMass, Operators
 from ngvisco.reduced.slope import PointwiseSlope

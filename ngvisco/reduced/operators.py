@@ -17,8 +17,7 @@ from ngvisco.algebra.sparse import Blocks
 from ngvisco.forms.mesh.points import CellPoints
 from ngvisco.forms.mesh.side_points import SidePoints
 from ngvisco.forms.system import Step
-from ngvisco.parallel.exchange import Exchange
-from ngvisco.parallel.halo import Halo
+from ngvisco.parallel.exchange import Exchange, Halo
 
 
 class Operators:

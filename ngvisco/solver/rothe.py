@@ -16,8 +16,8 @@ from ngvisco.forms.mesh.mesh_arrays import is_simplicial
 from ngvisco.forms.system import Step
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.exchange import Exchange
-from ngvisco.reduced.by_forms import source_obstacle
 from ngvisco.reduced.claims import term_obstacle
+from ngvisco.reduced.residual import source_obstacle
 from ngvisco.solver.newton import Newton
 from ngvisco.solver.options import NewtonOptions
 from ngvisco.solver.problem import Attempt, BlockNorm, Interval, RotheProblem, Solution, Status

@@ -7,7 +7,7 @@ from ngsolve import CF
 import ngvisco as nv
 from ngvisco.forms.terms.transport import ElasticForce
 from ngvisco.geometries import box
-from ngvisco.solver.split.point_tangent import _resolvents
+from ngvisco.solver.split.flow_operator import _resolvents
 
 STEP = 1e-5
 

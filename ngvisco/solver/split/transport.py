@@ -19,7 +19,7 @@ from ngvisco.algebra.factorised import Direct, direct_solver
 from ngvisco.algebra.sparse import of_blocks
 from ngvisco.forms.terms.heat import Heating, penalty_weight
 from ngvisco.forms.upwinding import mean_share
-from ngvisco.parallel.halo import HaloUnknowns
+from ngvisco.parallel.exchange import HaloUnknowns
 from ngvisco.physics.arrays import Array
 from ngvisco.reduced.operators import FacetMass, SideOperators
 from ngvisco.reduced.residual import Evaluation, ReducedResidual
