@@ -19,7 +19,7 @@ floor, but for Pi.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from enum import Enum
 from typing import Protocol
@@ -27,10 +27,8 @@ from typing import Protocol
 import numpy as np
 from ngsolve import BaseVector
 
-from ngvisco.forms.system import Step
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.exchange import Exchange
-from ngvisco.solver.start import Sides
 
 FLOOR = 1e-9
 """Small strains and velocities converge relatively to themselves, as the ledger needs."""
@@ -189,44 +187,3 @@ class Interval:
         end = self.end if fraction == 1.0 else self.begin + fraction * (self.end - self.begin)
         loads_from = self.loads_from if self.loads_over > 0 else end
         return Interval(fraction * self.tau, self.begin, end, loads_from, fraction * self.loads_over)
-
-
-@dataclass(frozen=True)
-class RotheProblem:
-    """R(u) = 0 of a step over an interval from the old state that ``step`` holds.
-
-    Attributes
-    ----------
-    step : Step
-    norm : BlockNorm
-        Its unit of velocity becomes ``h_min``/tau.
-    h_min : float
-        Smallest cell size, m.
-    interval : Interval
-    sides : Sides
-    on_factorise : callable
-        Called when the problem's derivative has been factorised at the present state.
-    """
-
-    step: Step
-    norm: BlockNorm
-    h_min: float
-    interval: Interval
-    sides: Sides
-    on_factorise: Callable[[RotheProblem], None]
-
-    def pose(self) -> None:
-        """Set the step's parameters, the time and the velocities of walls, also those of v*."""
-        interval = self.interval
-        self.step.context.set_step(interval.tau, interval.end, interval.loads_from, interval.loads_over)
-        self.step.moving_walls.set_values()
-        self.sides.take_walls()
-        self.norm.units["v"] = self.h_min / interval.tau
-        self.norm.units |= dict.fromkeys(self.norm.shared, 1 / interval.tau)
-
-    def changes(self, increment: float) -> bool:
-        """Whether v* becomes the iterate's velocity."""
-        return self.sides.change(increment)
-
-    def factorised(self) -> None:
-        self.on_factorise(self)

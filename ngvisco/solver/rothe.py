@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -20,7 +20,7 @@ from ngvisco.reduced.claims import term_obstacle
 from ngvisco.reduced.residual import source_obstacle
 from ngvisco.solver.newton import Newton
 from ngvisco.solver.options import NewtonOptions
-from ngvisco.solver.problem import Attempt, BlockNorm, Interval, RotheProblem, Solution, Status
+from ngvisco.solver.problem import Attempt, BlockNorm, Interval, Problem, Solution, Status
 from ngvisco.solver.split.solver import Split
 from ngvisco.solver.start import Extrapolation, Sides
 from ngvisco.threads import on_arrays
@@ -73,7 +73,7 @@ class RotheSolver:
         """``"coupled"`` or ``"split"``."""
         self._last_tau: float | None = None
         self._factorised = {name: np.zeros(len(step.state.vec)) for name in self._vectors()}
-        self._factorised_at = dict.fromkeys(_PARAMETERS, 0.0)
+        self._factorised_at: Interval | None = None
         self._stresses: dict[str, np.ndarray] = {}
         """Those that flow rules are linearised at, at the last factorisation."""
         self._start = step.state.vec.CreateVector()
@@ -106,7 +106,7 @@ class RotheSolver:
 
     def problem(self, interval: Interval) -> RotheProblem:
         """The problem of a step over the interval."""
-        return RotheProblem(self.step, self.norm, self.h_min, interval, self.sides, self._remember)
+        return RotheProblem(self, interval)
 
     def solve(self, interval: Interval) -> list[Attempt]:
         """Solve the step from ``step.old``; ``step.state``, the start value, becomes its solution.
@@ -221,7 +221,8 @@ class RotheSolver:
         numbers, arrays = self.extrapolation.state_dict()
         if self._last_tau is None or not self.newton.is_factorised:
             return numbers, arrays
-        numbers |= {**self._factorised_at, "last_tau": self._last_tau}
+        numbers |= {name: getattr(self._factorised_at, name) for name in _PARAMETERS}
+        numbers["last_tau"] = self._last_tau
         arrays |= {name: values.copy() for name, values in self._factorised.items()}
         return numbers, arrays | self._stresses
 
@@ -256,9 +257,9 @@ class RotheSolver:
         unknown = _FACTORISED_AT[name]
         return slice(None) if unknown is None else self.step.layout.ranges[unknown]
 
-    def _remember(self, problem: RotheProblem) -> None:
-        self._factorised_at = {name: getattr(problem.interval, name) for name in _PARAMETERS}
-        self._stresses = self.step.stresses.frozen()
+    def remember(self, interval: Interval) -> None:
+        """The derivative has been factorised at the present state, in a step over this interval."""
+        self._factorised_at, self._stresses = interval, self.step.stresses.frozen()
         for name, values in self._vectors().items():
             self._factorised[name][self._part(name)] = values
 
@@ -272,6 +273,31 @@ class RotheSolver:
         if reason is None and (defect := self.defect()) is not None:
             reason = f"{defect}: take a smaller step or a finer mesh"
         return solution if reason is None else Solution(Status.INADMISSIBLE, solution.history, reason)
+
+
+@dataclass(frozen=True)
+class RotheProblem(Problem):
+    """R(u) = 0 of a solver's step over an interval from the old state."""
+
+    solver: RotheSolver
+    interval: Interval
+
+    def pose(self) -> None:
+        """Set the step's parameters, the time, velocities of walls, also those of v*, and the norm's units."""
+        solver, at = self.solver, self.interval
+        solver.step.context.set_step(at.tau, at.end, at.loads_from, at.loads_over)
+        solver.step.moving_walls.set_values()
+        solver.sides.take_walls()
+        solver.norm.units["v"] = solver.h_min / at.tau
+        solver.norm.units |= dict.fromkeys(solver.norm.shared, 1 / at.tau)
+
+    def changes(self, increment: float) -> bool:
+        """Whether v* becomes the iterate's velocity."""
+        return self.solver.sides.change(increment)
+
+    def factorised(self) -> None:
+        """Keep what a restart has to know."""
+        self.solver.remember(self.interval)
 
 
 def _norm(step: Step, exchange: Exchange) -> BlockNorm:

@@ -48,7 +48,7 @@ class FacetCoupling:
         self._hat = np.ascontiguousarray(mass.shapes.T).reshape(count, per, len(mass.shapes))
         self._hat_t = np.ascontiguousarray(self._hat.transpose(0, 2, 1))
         self._facet = mass.facet[::per]
-        self.halo = mass.halo
+        self._mass, self.halo = mass, mass.halo
         order = np.argsort(self._facet, kind="stable")
         first = np.flatnonzero(np.diff(self._facet[order]) == 0)
         one, other = order[first], order[first + 1]
@@ -70,7 +70,6 @@ class FacetCoupling:
         own: np.ndarray,
         to_trace: np.ndarray,
         from_trace: np.ndarray,
-        mass: FacetMass,
         values: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Derivatives of int (own z + from_trace z_hat) q, where mass z_hat = int to_trace z t of both sides.
@@ -78,8 +77,6 @@ class FacetCoupling:
         Parameters
         ----------
         own, to_trace, from_trace : ndarray, shape (sides' points,)
-        mass : FacetMass
-            At its last ``update``.
         values : ndarray, shape (cells, points, functions), optional
             Of the functions in the place of z at the sides' points; default their own.
 
@@ -91,7 +88,7 @@ class FacetCoupling:
         z = self._z if values is None else values.reshape(self._z.shape)
         to_hat = product(self._hat_t, (w * to_trace.reshape(shape)) * z)
         from_hat = product(self._z_t, (w * from_trace.reshape(shape)) * self._hat)
-        from_hat = product(from_hat, mass.inverses[self._facet])
+        from_hat = product(from_hat, self._mass.inverses[self._facet])
         here = product(self._z_t, (w * own.reshape(shape)) * z) + product(from_hat, to_hat)
         if len(self._border):
             to_hat = np.concatenate([to_hat, self.halo.swapped(to_hat[self._border])])
@@ -122,40 +119,31 @@ class ConductionBlocks:
 
     def __call__(self, at: Evaluation) -> tuple[np.ndarray, np.ndarray]:
         """(cells, q, q) and (cells, sides, q, q)."""
-        r, coupling, term = self.residual, self.coupling, self.term
-        slope = self._mean(self._slope(at))
-        weight = slope * self._mean(self._kappa(at))
+        r, coupling, i, z = self.residual, self.coupling, self.component, at.cells.z.value
+        along = np.zeros_like(z)
+        along[i] = 1.0
+        slope = r.slope.derivative(z)(along)[i] / (self.term.entropy.unit * at.cells.zeta.value[i])  # K/Pa
+        kappa = self.term.conductivity(at.cells)
+        kappa = kappa.value if isinstance(kappa, Array) else np.full(z.shape[1], kappa)
+
+        def mean(values: np.ndarray) -> np.ndarray:
+            per = r.op.z.per_cell  # none on a rank without cells
+            return values.reshape(coupling.cells, per).sum(axis=1) / max(per, 1)
 
         def on_sides(values: np.ndarray) -> np.ndarray:
             return np.repeat(values, r.side_op.points.count // max(coupling.cells, 1))
 
+        slope = mean(slope)
+        weight = slope * mean(kappa)
         inner, of_sides = r.side_op.inner, on_sides(weight)
         penalty = penalty_weight(r.step.discretisation.m) * of_sides / r.side_op.h
         # half of the sum of both sides' penalties times what is missing to the mean
-        mean = 0.5 * inner * r.trace_mass.summed(penalty / r.side_op.points.per_side)
-        through = sum((each.value for each in term.exchange(at.facets)), 0.0) * on_sides(slope)
-        own, across = coupling.blocks(mean + through, self._share, -mean, r.trace_mass)
-        flux = inner * of_sides
-        more, beyond = coupling.blocks(-flux, self._share * of_sides, inner, r.trace_mass, self._outwards)
+        jump = 0.5 * inner * r.trace_mass.summed(penalty / r.side_op.points.per_side)
+        through = sum((each.value for each in self.term.exchange(at.facets)), 0.0) * on_sides(slope)
+        own, across = coupling.blocks(jump + through, self._share, -jump)
+        flux = self._share * of_sides
+        more, beyond = coupling.blocks(-inner * of_sides, flux, inner, self._outwards)
         return own + more + weight[:, None, None] * self._laplacian, across + beyond
-
-    def _slope(self, at: Evaluation) -> np.ndarray:
-        """theta'(s)/zeta_s at the points, K/Pa."""
-        i, z = self.component, at.cells.z.value
-        along = np.zeros_like(z)
-        along[i] = 1.0
-        slope = self.residual.slope.derivative(z)(along)[i] / self.term.entropy.unit
-        return slope / at.cells.zeta.value[i]
-
-    def _kappa(self, at: Evaluation) -> np.ndarray:
-        """kappa at the points, W/(m K)."""
-        kappa = self.term.conductivity(at.cells)
-        return kappa.value if isinstance(kappa, Array) else np.full(at.cells.z.value.shape[-1], kappa)
-
-    def _mean(self, values: np.ndarray) -> np.ndarray:
-        """Over the points of each cell."""
-        per = self.residual.op.z.per_cell  # none on a rank without cells
-        return values.reshape(self.coupling.cells, per).sum(axis=1) / max(per, 1)
 
 
 class SweptMatrix:
@@ -241,7 +229,7 @@ class TransportSweeps:
         storage, convection = r.step.context.rate(self._mass), self._convection(at)
         share = at.facets.context.upwinding.share.value
         through = r.side_op.crossed * (r.side_op.points.normals * at.facets.v.value).sum(axis=0)
-        own, across = coupling.blocks(-through, share, through, r.trace_mass)
+        own, across = coupling.blocks(-through, share, through)
         own += storage + convection
         if self._whole is not None:
             transport = of_blocks(own, across, coupling.neighbours, coupling.halo.count)
@@ -256,7 +244,7 @@ class TransportSweeps:
             self.of_z = SweptMatrix(own, across, coupling).invert()
         self._count_sweeps()
         if self._density is None and r.unknowns.density:
-            own, across = coupling.blocks(np.zeros_like(through), share, through, r.trace_mass)
+            own, across = coupling.blocks(np.zeros_like(through), share, through)
             own += storage - convection.transpose(0, 2, 1)
             with r.ranks.together(np.linalg.LinAlgError):
                 self.of_rho = SweptMatrix(own, across, coupling).invert()
