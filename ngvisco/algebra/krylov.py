@@ -72,52 +72,6 @@ def gmres(
     return y.astype(right.dtype) @ basis[: k + 1], k + 1
 
 
-def improved(
-    apply: Map,
-    approximate: Map,
-    rows: np.ndarray,
-    tolerance: float,
-    most: int,
-    enough: float = 0.0,
-    products: Products = np.matmul,
-) -> tuple[np.ndarray, int]:
-    """x with apply(x) = rows up to ``tolerance``, from what an approximate inverse gives, and its iterations.
-
-    Residuals are measured by what the approximate inverse makes of them, every column of the values, which
-    may have other units, relative to the first one's.
-
-    Parameters
-    ----------
-    apply, approximate : callable
-        The matrix and an approximation of its inverse, linear maps of arrays (values, columns).
-    rows : (values, columns) array
-    most : int
-        Iterations at most.
-    enough : float
-        What the first application may leave: there is then no iteration.
-    products : callable
-        Inner products, see ``Products``, of values that are each on one rank.
-    """
-
-    def squares(columns: np.ndarray) -> np.ndarray:
-        return products((columns * columns).T, np.ones(len(columns)))
-
-    start = approximate(rows).astype(float)  # squares of single precision's numbers may leave it
-    scale = np.sqrt(squares(start))
-    scale[scale == 0] = 1.0
-    rest = approximate(rows - apply(start)).astype(float) / scale
-    size = float(np.sqrt(squares(rest).sum()))
-    if not max(tolerance, enough) < size < np.inf:  # good enough, or nothing that is a number
-        return start, 0
-    shape = start.shape
-
-    def mapped(x: np.ndarray) -> np.ndarray:
-        return (approximate(apply(scale * x.reshape(shape))) / scale).ravel()
-
-    x, taken = gmres(mapped, rest.ravel(), rtol=tolerance / size, directions=most, products=products)
-    return start + scale * x.reshape(shape), taken
-
-
 def conjugate_gradients(
     operator: Map,
     right: np.ndarray,
@@ -128,14 +82,8 @@ def conjugate_gradients(
 ) -> np.ndarray:
     """x with |right - operator x| <= ``reduction`` |right|, or what ``iterations`` lead to.
 
-    Parameters
-    ----------
-    operator, inverse : callable
-        Symmetric and positive semidefinite for ``product``, the preconditioner near the operator's inverse.
-    right : array, (n,)
-        In the operator's range.
-    product : callable
-        The inner product of two vectors; SciPy's solvers have that of one process only.
+    ``operator`` and ``inverse``, an approximation of its inverse, are symmetric and positive semidefinite for
+    ``product``, the inner product of two vectors; ``right``, (n,), is in the operator's range.
     """
     x, r = np.zeros_like(right), right.copy()
     wanted = reduction**2 * product(right, right)

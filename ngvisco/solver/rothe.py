@@ -283,7 +283,7 @@ class RotheProblem(Problem):
     interval: Interval
 
     def pose(self) -> None:
-        """Set the step's parameters, the time, velocities of walls, also those of v*, and the norm's units."""
+        """Set the step's parameters, the time, velocities of walls and of v* there, and the norm's units."""
         solver, at = self.solver, self.interval
         solver.step.context.set_step(at.tau, at.end, at.loads_from, at.loads_over)
         solver.step.moving_walls.set_values()

@@ -18,7 +18,7 @@ import numpy as np
 
 from ngvisco.algebra import precision
 from ngvisco.algebra.factorised import Direct, Fallback, MakesDirect, TwoLevelSolver, direct_solver
-from ngvisco.algebra.krylov import Map, gmres, improved
+from ngvisco.algebra.krylov import Map, gmres
 from ngvisco.algebra.sparse import apply
 from ngvisco.errors import InputWarning
 from ngvisco.forms.mesh.mesh_arrays import mask_of, rigid_motions
@@ -69,14 +69,33 @@ class FieldsSystem:
         return self._solved(sweep.of_rho, sweep.density, rows[:, None], tolerance)[:, 0]
 
     def _solved(self, apply: Map, approximate: Map, rows: np.ndarray, tolerance: float) -> np.ndarray:
+        """x with apply(x) = rows up to ``tolerance``, from what the approximate inverse gives.
+
+        Residuals are measured by what that makes of them, every column of the values, which may have other
+        units, relative to the first one's.
+        """
         enough = self.enough if tolerance >= TOLERANCE else 0.0
         if enough and approximate in self._swept_is_enough:
             return approximate(rows)
         products = self.operator.residual.ranks.products
-        found, iterations = improved(apply, approximate, rows, tolerance, self.iterations, enough, products)
-        if not iterations:
+
+        def squares(columns: np.ndarray) -> np.ndarray:
+            return products((columns * columns).T, np.ones(len(columns)))
+
+        def mapped(x: np.ndarray) -> np.ndarray:
+            return (approximate(apply(scale * x.reshape(start.shape))) / scale).ravel()
+
+        start = approximate(rows).astype(float)  # squares of single precision's numbers may leave it
+        scale = np.sqrt(squares(start))
+        scale[scale == 0] = 1.0
+        rest = approximate(rows - apply(start)).astype(float) / scale
+        size = float(np.sqrt(squares(rest).sum()))
+        if not max(tolerance, enough) < size < np.inf:  # good enough, or nothing that is a number
             self._swept_is_enough.add(approximate)
-        return found
+            return start
+        most = self.iterations
+        x, _ = gmres(mapped, rest.ravel(), rtol=tolerance / size, directions=most, products=products)
+        return start + scale * x.reshape(start.shape)
 
     def approximate(self, rows: np.ndarray) -> np.ndarray:
         """Increments of z by sweeps and at every point."""
