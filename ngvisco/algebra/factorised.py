@@ -43,8 +43,8 @@ class Direct(Protocol):
         """Give its memory back; over ranks collective."""
 
 
-MakesDirect = Callable[..., Direct]
-"""Makes a solver for a mask ``free``; ``symmetric=True``: of the matrix's symmetric part."""
+Factorising = Callable[[np.ndarray, sp.csr_matrix, bool], Direct]
+"""Makes what solves with a matrix on a mask of unknowns; of its symmetric part where that is said."""
 
 
 class DirectSolver:
@@ -108,7 +108,7 @@ def _in_single(matrix: sp.csr_matrix) -> Callable[[np.ndarray], np.ndarray] | No
     return solve if np.linalg.norm(left) <= _ENOUGH * np.linalg.norm(right) else None
 
 
-def direct_solver(free: np.ndarray, exchange: Owned, *, symmetric: bool = False) -> DirectSolver | SumInverse:
+def direct_solver(free: np.ndarray, exchange: Owned, symmetric: bool = False) -> DirectSolver | SumInverse:
     """By SuperLU on one process; over ranks by PETSc, of matrices in parts.
 
     With ``symmetric`` what solves is a preconditioner, on one process in single precision where that does.
@@ -116,46 +116,6 @@ def direct_solver(free: np.ndarray, exchange: Owned, *, symmetric: bool = False)
     if exchange.is_distributed:
         return SumInverse(free, exchange, symmetric)
     return DirectSolver(free, symmetric, approximate=symmetric)
-
-
-class Fallback:
-    """A solver, and for matrices that it does not take another one, made where the first such comes.
-
-    ``say`` is then told why.
-    """
-
-    def __init__(
-        self,
-        first: MakesDirect,
-        other: MakesDirect,
-        say: Callable[[str], None],
-        free: np.ndarray,
-        *,
-        symmetric: bool,
-    ) -> None:
-        self._solvers = [first(free, symmetric=symmetric)]
-        self._present = self._solvers[0]
-        self._make_other, self._say = lambda: other(free, symmetric=symmetric), say
-
-    def factorise(self, matrix: sp.csr_matrix) -> None:
-        self._present = self._solvers[0]
-        try:
-            self._present.factorise(matrix)
-        except StepError as error:
-            is_new = len(self._solvers) == 1
-            if is_new:
-                self._solvers.append(self._make_other())
-            self._present = self._solvers[1]
-            self._present.factorise(matrix)
-            if is_new:
-                self._say(str(error))
-
-    def __call__(self, r: np.ndarray) -> np.ndarray:
-        return self._present(r)
-
-    def release(self) -> None:
-        for solver in self._solvers:
-            solver.release()
 
 
 class TwoLevelSolver:
@@ -172,7 +132,7 @@ class TwoLevelSolver:
     ----------
     free, vertices, others : (unknowns,) arrays of bool
         Free ones, velocities at vertices, and others than velocities.
-    direct : callable
+    factorised : callable
         Makes the solver of the coarse problem.
     exchange : Exchange
         Of the unknowns; over ranks matrices are in parts.
@@ -186,13 +146,13 @@ class TwoLevelSolver:
         free: np.ndarray,
         vertices: np.ndarray,
         others: np.ndarray,
-        direct: MakesDirect,
+        factorised: Factorising,
         exchange: Exchange,
         *,
         dropped: float = 1e-2,
     ) -> None:
         self.free, self.vertices, self.others = free, vertices, others
-        self.direct, self.exchange, self.dropped = direct, exchange, dropped
+        self.factorised, self.exchange, self.dropped = factorised, exchange, dropped
         self.coarse: Direct | None = None
 
     def factorise(self, matrix: sp.csr_matrix) -> None:
@@ -203,8 +163,7 @@ class TwoLevelSolver:
             is_coarse[matrix[self.others].indices] = True
             is_coarse = exchange.sum(is_coarse.astype(float)) > 0
         self.release()
-        self.coarse = self.direct(self.free & is_coarse, symmetric=not beside)
-        self.coarse.factorise(matrix)
+        self.coarse = self.factorised(self.free & is_coarse, matrix, not beside)
         diagonal = exchange.sum(matrix.diagonal())
         fine = self._fine = np.flatnonzero(self.free & ~is_coarse & (diagonal != 0))
         coarse = self._coarse = np.flatnonzero(self.free & is_coarse)

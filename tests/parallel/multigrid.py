@@ -58,9 +58,9 @@ def iterations(inverse) -> int:
 
 found = {"cells": run.cells, "with": iterations(solver.coarse), "without": iterations(bare)}
 with warnings.catch_warnings(record=True) as caught:
-    solver.coarse.factorise(-matrix)
+    factorised = solver.factorised(free, -matrix, True)
 whole = np.zeros(len(free))
 whole[own] = np.random.default_rng(1).standard_normal(len(own))
-found["left"] = float(abs(whole[own] + block @ solver.coarse(whole)[own]).max())
+found["left"] = float(abs(whole[own] + block @ factorised(whole)[own]).max())
 found["said"] = [str(each.message) for each in caught]
 print(json.dumps(found))

@@ -1,14 +1,11 @@
-"""``NewtonOptions.coarse``: refused by name, said where it has no part, and what is done where it fails."""
+"""``NewtonOptions.coarse``: refused by name, and said where it has no part."""
 
 import sys
 
-import numpy as np
 import pytest
-import scipy.sparse as sp
 
 import ngvisco as nv
-from ngvisco.algebra.factorised import Fallback
-from ngvisco.errors import InputWarning, ParameterError, StepError
+from ngvisco.errors import InputWarning, ParameterError
 from ngvisco.geometries import box, disc
 from ngvisco.parallel import petsc
 from ngvisco.solver import options
@@ -45,32 +42,3 @@ def test_multigrid_without_effect_is_warned_of(monkeypatch, domain, solver, reas
     model = nv.Model(material=nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1))
     with pytest.warns(InputWarning, match=f"coarse = 'gamg' of the solver has no effect: {reason}"):
         assert nv.Simulation(domain(), model, dt=0.02, newton=newton, solver=solver).solver.newton
-
-
-class Halves:
-    """Divides by the diagonal's first entry; takes no matrix with a zero there."""
-
-    def __init__(self, free, *, symmetric):
-        assert symmetric and free.all()
-
-    def factorise(self, matrix):
-        if matrix[0, 0] == 0:
-            raise StepError("a zero")
-        self.by = matrix[0, 0]
-
-    def __call__(self, r):
-        return r / self.by
-
-
-class Zero(Halves):
-    def factorise(self, matrix):
-        self.by = np.inf
-
-
-def test_a_matrix_that_is_not_taken_goes_to_the_other_solver_and_the_next_one_does_not():
-    said = []
-    solver = Fallback(Halves, Zero, said.append, np.ones(3, dtype=bool), symmetric=True)
-    for first, expected in ((2.0, 0.5), (0.0, 0.0), (0.0, 0.0), (4.0, 0.25)):
-        solver.factorise(sp.csr_matrix(np.diag([first, 1.0, 1.0])))
-        assert (solver(np.ones(3)) == expected).all()
-    assert said == ["a zero"]

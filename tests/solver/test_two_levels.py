@@ -35,9 +35,14 @@ def test_two_levels_are_sweeps_around_a_coarse_solution():
     A = B @ B.T + n * np.eye(n)
     free, vertices, others = np.ones(n, dtype=bool), np.arange(n) < 10, np.zeros(n, dtype=bool)
     free[[3, 20]] = False
-    direct = DirectSolver
+
+    def coarse_solver(free, matrix, symmetric):
+        direct = DirectSolver(free, symmetric)
+        direct.factorise(matrix)
+        return direct
+
     exchange = Exchange(n, {}, Communicator())
-    solver = TwoLevelSolver(free, vertices, others, direct, exchange, dropped=1e-300)
+    solver = TwoLevelSolver(free, vertices, others, coarse_solver, exchange, dropped=1e-300)
     solver.factorise(sp.csr_matrix(A))
     coarse, fine = np.flatnonzero(free & vertices), np.flatnonzero(free & ~vertices)
     own, r = A[np.ix_(fine, fine)], rng.standard_normal(n)

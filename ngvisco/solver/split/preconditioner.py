@@ -15,12 +15,13 @@ from collections.abc import Callable
 from functools import partial
 
 import numpy as np
+import scipy.sparse as sp
 
 from ngvisco.algebra import precision
-from ngvisco.algebra.factorised import Direct, Fallback, MakesDirect, TwoLevelSolver, direct_solver
+from ngvisco.algebra.factorised import Direct, TwoLevelSolver, direct_solver
 from ngvisco.algebra.krylov import Map, gmres
 from ngvisco.algebra.sparse import apply
-from ngvisco.errors import InputWarning
+from ngvisco.errors import InputWarning, StepError
 from ngvisco.forms.mesh.mesh_arrays import mask_of, rigid_motions
 from ngvisco.parallel.petsc import SumInverse
 from ngvisco.reduced.operators import Operators
@@ -165,11 +166,9 @@ class Preconditioner:
 
     def _solver(self, free: np.ndarray) -> Direct:
         """A solver for the velocity tangent with these free unknowns."""
-        exchange, operator = self._of_tangent, self.operator
-        direct: MakesDirect = partial(direct_solver, exchange=exchange)
-        number = np.arange(len(free))
+        exchange, operator, number = self._of_tangent, self.operator, np.arange(len(free))
         count = int(self.ranks.total(int((free & exchange.owned)[: operator.size].sum())))
-        whole = partial(direct, free, symmetric=self.unknowns.flow == ["v"])
+        whole = partial(direct_solver, free, exchange, self.unknowns.flow == ["v"])
         if count <= (largest := self.options.direct_up_to[self.dim - 2]):
             self.without_multigrid = f"up to {largest} unknowns of v are factorised as a whole, here {count}"
             return whole()
@@ -181,11 +180,25 @@ class Preconditioner:
         if self.ranks.any(others.any()):
             known = " and ".join(_IN_WORDS.get(name, name) for name in self.unknowns.flow if name != "v")
             self.without_multigrid = f"with {known} beside v the matrix is not positive definite"
-        elif self._coarse != "direct":
-            kernel = rigid_motions(mesh, width, len(free))
-            multigrid = partial(SumInverse, exchange=exchange, method=self._coarse, kernel=kernel)
-            direct = partial(Fallback, multigrid, direct, self._say)
-        return TwoLevelSolver(free, vertices, others, direct, exchange)
+        self._multigrid = self._coarse != "direct" and self.without_multigrid is None
+        self._kernel = rigid_motions(mesh, width, len(free)) if self._multigrid else None
+        return TwoLevelSolver(free, vertices, others, self._factorised, exchange)
+
+    def _factorised(self, free: np.ndarray, matrix: sp.csr_matrix, symmetric: bool) -> Direct:
+        """What solves for the vertices: multigrid where the options say so and it takes the matrix."""
+        solver: Direct
+        if self._multigrid:
+            solver = SumInverse(free, self._of_tangent, symmetric, self._coarse, self._kernel)
+            try:
+                solver.factorise(matrix)
+                return solver
+            except StepError as error:
+                solver.release()
+                how = f"coarse = {self._coarse!r}: {error}; the velocities of the vertices are factorised"
+                self.ranks.warn(how, InputWarning)
+        solver = direct_solver(free, self._of_tangent, symmetric)
+        solver.factorise(matrix)
+        return solver
 
     def strengthen(self) -> bool:
         """Let the tangent be factorised as a whole from the next ``update`` on, if it is not and may be."""
@@ -202,10 +215,6 @@ class Preconditioner:
         self.solver.release()
         self.solver, self._two_levels = self._two_levels, None
         return True
-
-    def _say(self, reason: str) -> None:
-        message = f"coarse = {self._coarse!r}: {reason}; the velocities of the vertices are factorised"
-        self.ranks.warn(message, InputWarning)
 
     def update(self, at: Evaluation) -> None:
         """Form and factorise everything at an evaluation, which is that of the step's state."""
