@@ -90,167 +90,17 @@ def own_part(matrix: BaseMatrix) -> sp.csr_matrix:
     return sp.csr_matrix((values, columns, starts), shape=(matrix.local_mat.height, matrix.local_mat.width))
 
 
-class Rows:
-    """The free unknowns of a distributed vector as rows of PETSc's matrices and vectors, on ranks with cells.
+class SumInverse:
+    """The inverse of a sum of the ranks' matrices in the free unknowns, or an approximation of it.
+
+    Raises PETScError if PETSc, which is needed on one process as well, or the method's package is missing.
 
     Parameters
     ----------
     free : (unknowns,) array of bool
-        The same on all ranks that share an unknown.
+        The same on all ranks that share an unknown; others get 0.
     exchange : Exchange or HaloUnknowns
         Of the unknowns.
-    may_be_on_one : bool
-        Whether the first rank with cells has all rows where they are few (``ON_ONE_RANK_UP_TO``).
-    """
-
-    def __init__(self, free: np.ndarray, exchange: Owned, may_be_on_one: bool = False) -> None:
-        module = petsc()
-        self.exchange = exchange
-        self.comm = exchange.communicator.working or module.COMM_SELF
-        numbers, count = exchange.numbers(free)
-        mine = int(np.count_nonzero(free & exchange.owned))
-        largest = module.Options().getInt("ngvisco_on_one_rank_up_to", ON_ONE_RANK_UP_TO)
-        self.on_one = exchange.is_distributed and may_be_on_one and count <= largest
-        if self.on_one:
-            mine = count if self.comm.rank == 0 else 0
-        self.size = mine, count
-        """Of this rank and in all."""
-        self.free = np.flatnonzero(free)
-        self._numbers = numbers[self.free].astype(module.IntType)
-        self._rows = module.IS().createGeneral(self._numbers, comm=self.comm)
-        self._values = np.zeros(len(self._numbers))
-        self._own = module.Vec().createWithArray(self._values, comm=module.COMM_SELF)
-        if exchange.communicator.is_idle:
-            return
-        self._right = module.Vec().createMPI(self.size, comm=self.comm)
-        self._solution = self._right.duplicate()
-        self._scatter = module.Scatter().create(self._own, None, self._right, self._rows)
-
-    def release(self) -> None:
-        """Give back what PETSc holds; collective."""
-        for name in ("_rows", "_own", "_right", "_solution", "_scatter"):
-            if name in vars(self):
-                vars(self)[name].destroy()
-
-    @property
-    def solving(self) -> Any:
-        """The communicator that a system is solved on; None on a rank that has no rows of it."""
-        if not self.on_one:
-            return self.comm
-        return petsc().COMM_SELF if self.comm.rank == 0 else None
-
-    def matrix(self, own: sp.csr_matrix) -> Any:
-        """The sum of the ranks' matrices, (unknowns, unknowns), in free rows and columns, as AIJ.
-
-        None on a rank that does not solve.
-        """
-        module, (mine, count) = petsc(), self.size
-        free = own[self.free][:, self.free].tocoo()
-        rows, columns = self._numbers[free.row], self._numbers[free.col]
-        if self.exchange.is_distributed:
-            rows, columns, data, first = self._of_owners(rows, columns, free.data)
-        else:
-            data, first = free.data, 0
-        if self.solving is None:
-            return None
-        summed = sp.csr_matrix((data, (rows - first, columns)), shape=(mine, count))
-        csr = summed.indptr.astype(module.IntType), summed.indices.astype(module.IntType), summed.data
-        return module.Mat().createAIJ(size=(self.size, self.size), csr=csr, comm=self.solving)
-
-    def _of_owners(self, *entries: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
-        """The entries, rows first, of the rows that this rank has, rank after rank, and its first row."""
-        ends = np.cumsum(self.comm.allgather(self.size[0]))
-        owner = np.searchsorted(ends, entries[0], side="right")
-        # what has to go elsewhere is shared with who has it; ranks with cells come after the first
-        own, near = self.comm.rank, {rank - 1 for rank in self.exchange.neighbours}
-        ranks = sorted({own, *(range(self.comm.size) if self.on_one else near)})
-        split = {rank: tuple(part[owner == rank] for part in entries) for rank in ranks}
-        sent = [self.comm.isend(split[rank], rank) for rank in ranks if rank != own]
-        parts = [split[own] if rank == own else self.comm.recv(source=rank) for rank in ranks]
-        for request in sent:
-            request.wait()
-        rows, columns, data = (np.concatenate(part) for part in zip(*parts, strict=True))
-        return rows, columns, data, int(ends[self.comm.rank] - self.size[0])
-
-    def vector(self, matrix: Any, values: np.ndarray) -> Any:
-        """A vector of the matrix with the free ones of summed ``values``, of length one."""
-        module = petsc()
-        vector = matrix.createVecs()[0]
-        own = module.Vec().createWithArray(np.ascontiguousarray(values[self.free]), comm=module.COMM_SELF)
-        scatter = module.Scatter().create(own, None, vector, self._rows)
-        scatter.scatter(own, vector, addv=module.InsertMode.INSERT)
-        scatter.destroy()
-        own.destroy()
-        vector.normalize()
-        return vector
-
-    def solve(self, solver: Any, rows: np.ndarray) -> np.ndarray:
-        """The solver's solution, summed, for a right-hand side in parts; 0 where not free."""
-        module = petsc()
-        self._values[:] = rows[self.free]
-        self._right.set(0.0)
-        self._scatter.scatter(self._own, self._right, addv=module.InsertMode.ADD)
-        failure = None if self.solving is None else self._failure(solver)
-        if self.on_one:
-            failure = self.comm.bcast(failure)
-        if failure is not None:
-            raise PETScError(f"PETSc did not solve a linear system ({failure})")
-        self._scatter.scatter(
-            self._solution, self._own, addv=module.InsertMode.INSERT, mode=module.ScatterMode.REVERSE
-        )
-        result = np.zeros(len(rows))
-        result[self.free] = self._values
-        return result
-
-    def _failure(self, solver: Any) -> str | None:
-        """Solve with what is in the right-hand side; why there is no solution, or None."""
-        module, vectors = petsc(), (self._right, self._solution)
-        own = [
-            module.Vec().createWithArray(vector.getArray(), comm=module.COMM_SELF)
-            for vector in vectors
-            if self.on_one  # the same numbers as vectors of this rank alone
-        ]
-        try:
-            solver.solve(*(own or vectors))
-        except module.Error as error:
-            return str(error)
-        finally:
-            for vector in own:
-                vector.destroy()
-        return _reason(solver) if solver.getConvergedReason() < 0 else None
-
-
-def _may_be_definite(matrix: Any) -> bool:
-    """Whether all entries are finite and those of the diagonal positive: multigrid's smoothers divide by
-    these, and end the process where there is a zero; collective."""
-    diagonal = matrix.getDiagonal()
-    diagonal.setArray(diagonal.getArray() > 0)
-    return bool(np.isfinite(matrix.norm())) and diagonal.min()[1] > 0
-
-
-def _reason(solver: Any) -> str:
-    """Why a solver of PETSc's has given up, by PETSc's names, with MUMPS's own number where it is that."""
-    number, names = solver.getConvergedReason(), vars(petsc().KSP.ConvergedReason)
-    name = next((name for name, value in names.items() if value == number), f"reason {number}")
-    preconditioner = solver.getPC()
-    kind = preconditioner.getType()
-    if kind == "lu":
-        matrix = preconditioner.getFactorMatrix()
-        numbers = [f"INFOG({i}) = {matrix.getMumpsInfog(i)}" for i in (1, 2)]
-        matrix.destroy()
-    preconditioner.destroy()
-    return f"{name}, MUMPS's {', '.join(numbers)}" if kind == "lu" else f"{name} by {kind}"
-
-
-class SumInverse:
-    """The inverse of a sum of the ranks' matrices in the free unknowns, or an approximation of it.
-
-    Raises PETScError if PETSc or the method's package is missing.
-
-    Parameters
-    ----------
-    free, exchange
-        As of ``Rows``; on one process PETSc is needed as well.
     symmetric : bool
         Take the symmetric part instead.
     method : str
@@ -270,35 +120,87 @@ class SumInverse:
     ) -> None:
         if (missing := obstacle(method)) is not None:
             raise PETScError(missing)
-        self.rows, self.symmetric = Rows(free, exchange, may_be_on_one=method == "mumps"), symmetric
-        self.method, self.kernel = method, kernel
+        self.exchange, self.symmetric, self.method, self.kernel = exchange, symmetric, method, kernel
+        self.communicator, module = exchange.communicator, petsc()
+        self._comm = self.communicator.working or module.COMM_SELF
+        numbers, count = exchange.numbers(free)
+        mine = int(np.count_nonzero(free & exchange.owned))
+        largest = module.Options().getInt("ngvisco_on_one_rank_up_to", ON_ONE_RANK_UP_TO)
+        self._on_one = exchange.is_distributed and method == "mumps" and count <= largest
+        """Whether the first rank with cells has all rows."""
+        self._solving: Any = self._comm
+        """The communicator that a system is solved on; None on a rank that has no rows of it."""
+        if self._on_one:
+            mine = count if self._comm.rank == 0 else 0
+            self._solving = module.COMM_SELF if self._comm.rank == 0 else None
+        self._size = mine, count
+        """Rows of this rank and in all."""
+        self._free = np.flatnonzero(free)
+        self._numbers = numbers[self._free].astype(module.IntType)
+        self._values = np.zeros(len(self._numbers))
         self._solver: Any = None
+        self._rows = module.IS().createGeneral(self._numbers, comm=self._comm)
+        self._own = module.Vec().createWithArray(self._values, comm=module.COMM_SELF)
+        self._held = [self._rows, self._own]
+        if not self.communicator.is_idle:
+            self._right = module.Vec().createMPI(self._size, comm=self._comm)
+            self._solution = self._right.duplicate()
+            self._scatter = module.Scatter().create(self._own, None, self._right, self._rows)
+            self._held += [self._right, self._solution, self._scatter]
 
     def factorise(self, own: sp.csr_matrix) -> None:
         """Of the sum of the ranks' matrices; raises SingularError on every rank if it is singular."""
-        communicator = self.rows.exchange.communicator
-        with communicator.together(SingularError):
-            if not communicator.is_idle:
-                self._factorise(0.5 * (own + own.T) if self.symmetric else own)
+        with self.communicator.together(SingularError):
+            if self.communicator.is_idle:
+                return
+            self._drop()  # first: two factorisations are the most memory
+            matrix, failure = self._matrix(0.5 * (own + own.T) if self.symmetric else own), None
+            if self._solving is not None:
+                failure = self._set_up(matrix)
+            if self._on_one:
+                failure = self._comm.bcast(failure)
+            if failure is not None:
+                raise self._refused(failure)
+            try:
+                self.solve(np.zeros(self.exchange.count))
+            except PETScError as error:  # a zero pivot shows here
+                raise self._refused(error) from error
 
-    def _factorise(self, own: sp.csr_matrix) -> None:
-        self._drop()  # first: two factorisations are the most memory
-        matrix, failure = self.rows.matrix(own), None
-        if self.rows.solving is not None:
-            failure = self._set_up(matrix)
-        if self.rows.on_one:
-            failure = self.rows.comm.bcast(failure)
-        if failure is not None:
-            raise SingularError(f"{self.method} did not take the matrix ({failure})")
-        try:
-            self.rows.solve(self._solver, np.zeros(len(self.rows.exchange.owned)))
-        except PETScError as error:  # a zero pivot shows here
-            raise SingularError(f"{self.method} did not take the matrix ({error})") from error
+    def _refused(self, reason: object) -> SingularError:
+        return SingularError(f"{self.method} did not take the matrix ({reason})")
+
+    def _matrix(self, own: sp.csr_matrix) -> Any:
+        """The ranks' matrices' sum in free rows and columns, as AIJ; None on a rank that does not solve."""
+        module, (mine, count) = petsc(), self._size
+        free = own[self._free][:, self._free].tocoo()
+        rows, columns, data, first = self._numbers[free.row], self._numbers[free.col], free.data, 0
+        if self.exchange.is_distributed:
+            rows, columns, data, first = self._of_owners(rows, columns, data)
+        if self._solving is None:
+            return None
+        summed = sp.csr_matrix((data, (rows - first, columns)), shape=(mine, count))
+        csr = summed.indptr.astype(module.IntType), summed.indices.astype(module.IntType), summed.data
+        return module.Mat().createAIJ(size=(self._size, self._size), csr=csr, comm=self._solving)
+
+    def _of_owners(self, *entries: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
+        """The entries, rows first, of the rows that this rank has, rank after rank, and its first row."""
+        ends, own = np.cumsum(self._comm.allgather(self._size[0])), self._comm.rank
+        owner = np.searchsorted(ends, entries[0], side="right")
+        # what has to go elsewhere is shared with who has it; ranks with cells come after the first
+        near = range(self._comm.size) if self._on_one else (rank - 1 for rank in self.exchange.neighbours)
+        ranks = sorted({own, *near})
+        split = {rank: tuple(part[owner == rank] for part in entries) for rank in ranks}
+        sent = [self._comm.isend(split[rank], rank) for rank in ranks if rank != own]
+        parts = [split[own] if rank == own else self._comm.recv(source=rank) for rank in ranks]
+        for request in sent:
+            request.wait()
+        rows, columns, data = (np.concatenate(part) for part in zip(*parts, strict=True))
+        return rows, columns, data, int(ends[own] - self._size[0])
 
     def _set_up(self, matrix: Any) -> str | None:
         """Make a solver with the matrix; why it is none, or None."""
         module = petsc()
-        self._solver = module.KSP().create(comm=self.rows.solving)
+        self._solver = module.KSP().create(comm=self._solving)
         self._solver.setOperators(matrix)
         self._solver.setType("preonly")
         preconditioner, held = self._solver.getPC(), []
@@ -310,8 +212,8 @@ class SumInverse:
         else:
             preconditioner.setType(self.method)
             if self.kernel is not None:
-                held = [self.rows.vector(matrix, each) for each in self.kernel]
-                held.append(module.NullSpace().create(vectors=held, comm=self.rows.comm))
+                held = [self._vector(matrix, each) for each in self.kernel]
+                held.append(module.NullSpace().create(vectors=held, comm=self._comm))
                 matrix.setNearNullSpace(held[-1])
         for each in (*held, preconditioner, matrix):  # the solver has them
             each.destroy()
@@ -321,6 +223,18 @@ class SumInverse:
             return str(error)
         return None
 
+    def _vector(self, matrix: Any, values: np.ndarray) -> Any:
+        """A vector of the matrix with the free ones of summed ``values``, of length one."""
+        module = petsc()
+        vector = matrix.createVecs()[0]
+        own = module.Vec().createWithArray(np.ascontiguousarray(values[self._free]), comm=module.COMM_SELF)
+        scatter = module.Scatter().create(own, None, vector, self._rows)
+        scatter.scatter(own, vector, addv=module.InsertMode.INSERT)
+        scatter.destroy()
+        own.destroy()
+        vector.normalize()
+        return vector
+
     def _drop(self) -> None:
         if self._solver is not None:
             self._solver.destroy()
@@ -329,25 +243,82 @@ class SumInverse:
     def release(self) -> None:
         """Give back what PETSc holds, as before another one takes its place; collective."""
         self._drop()
-        self.rows.release()
+        for each in self._held:
+            each.destroy()
 
     def __call__(self, r: np.ndarray) -> np.ndarray:
         """The solution for a summed right-hand side; collective."""
-        return self.of_parts(np.where(self.rows.exchange.owned, r, 0.0))
+        return self.of_parts(np.where(self.exchange.owned, r, 0.0))
 
     def of_parts(self, rows: np.ndarray) -> np.ndarray:
         """The same for a right-hand side in parts; over ranks NaN where the solver does not give one, and why
         is noted (``Communicator.noted``)."""
-        communicator = self.rows.exchange.communicator
-        if communicator.is_idle:
+        if self.communicator.is_idle:
             return np.zeros_like(rows)
         try:
-            return self.rows.solve(self._solver, rows)
+            return self.solve(rows)
         except PETScError as error:
-            if not communicator.is_distributed:
-                raise SingularError(f"{self.method} did not take the matrix ({error})") from error
-            communicator.note(f"{self.method}: {error}")  # products with NaN tell it the first rank
+            if not self.communicator.is_distributed:
+                raise self._refused(error) from error
+            self.communicator.note(f"{self.method}: {error}")  # products with NaN tell it the first rank
             return np.full_like(rows, np.nan)
+
+    def solve(self, rows: np.ndarray) -> np.ndarray:
+        """The same on ranks with cells; raises PETScError where there is no solution."""
+        module = petsc()
+        self._values[:] = rows[self._free]
+        self._right.set(0.0)
+        self._scatter.scatter(self._own, self._right, addv=module.InsertMode.ADD)
+        failure = None if self._solving is None else self._failure()
+        if self._on_one:
+            failure = self._comm.bcast(failure)
+        if failure is not None:
+            raise PETScError(f"PETSc did not solve a linear system ({failure})")
+        reverse = {"addv": module.InsertMode.INSERT, "mode": module.ScatterMode.REVERSE}
+        self._scatter.scatter(self._solution, self._own, **reverse)
+        result = np.zeros(len(rows))
+        result[self._free] = self._values
+        return result
+
+    def _failure(self) -> str | None:
+        """Solve with what is in the right-hand side; why there is no solution, or None."""
+        module, vectors = petsc(), (self._right, self._solution)
+        own = [
+            module.Vec().createWithArray(vector.getArray(), comm=module.COMM_SELF)
+            for vector in vectors
+            if self._on_one  # the same numbers as vectors of this rank alone
+        ]
+        try:
+            self._solver.solve(*(own or vectors))
+        except module.Error as error:
+            return str(error)
+        finally:
+            for vector in own:
+                vector.destroy()
+        return _reason(self._solver) if self._solver.getConvergedReason() < 0 else None
+
+
+def _may_be_definite(matrix: Any) -> bool:
+    """Whether all entries are finite and those of the diagonal positive: multigrid's smoothers divide by
+    these, and end the process where there is a zero; collective."""
+    diagonal = matrix.getDiagonal()
+    diagonal.setArray(diagonal.getArray() > 0)
+    return bool(np.isfinite(matrix.norm())) and diagonal.min()[1] > 0
+
+
+def _reason(solver: Any) -> str:
+    """Why a solver of PETSc's has given up, by PETSc's names, with MUMPS's own number where it is that."""
+    number, names = solver.getConvergedReason(), vars(petsc().KSP.ConvergedReason)
+    name = next((name for name, value in names.items() if value == number), f"reason {number}")
+    preconditioner = solver.getPC()
+    how = f"{name} by {preconditioner.getType()}"
+    if preconditioner.getType() == "lu":
+        matrix = preconditioner.getFactorMatrix()
+        numbers = [f"INFOG({i}) = {matrix.getMumpsInfog(i)}" for i in (1, 2)]
+        how = f"{name}, MUMPS's {', '.join(numbers)}"
+        matrix.destroy()
+    preconditioner.destroy()
+    return how
 
 
 class Direct(BaseMatrix):

@@ -488,7 +488,7 @@ import numpy
 import ngvisco as nv
 from ngvisco.geometries import box
 from ngvisco.parallel.communicator import Communicator
-from ngvisco.parallel.petsc import PETScError, Rows
+from ngvisco.parallel.petsc import PETScError, SumInverse
 from ngvisco.run import simulation
 
 class Fails:
@@ -526,19 +526,19 @@ def failed(fault, regularised):
         equation = newton.residual.density
         formed = equation.jacobian
         equation.jacobian = lambda: 0.0 * formed()
-    solve = Rows.solve
+    solve = SumInverse.solve
     if fault == "petsc":
-        def fails(self, solver, rows):
+        def fails(self, rows):
             if rows.any():  # not what a factorisation is tried with
                 raise PETScError("PETSc did not solve a linear system (DIVERGED_PC_FAILED)")
             return rows
-        Rows.solve = fails
+        SumInverse.solve = fails
     try:
         run.run(until=0.1)
         message = "ended"
     except (OSError, nv.StepError) as error:
         message = error
-    Rows.solve = solve
+    SumInverse.solve = solve
     said = run.ranks.gathered(f"rank {run.ranks.rank} of {run.ranks.size} at step {run.number}: {message}")
     if run.ranks.is_first:
         for line in said:
