@@ -5,7 +5,7 @@ Pairs are values in 2D and in 3D.  Measurements behind the defaults are in ``ngv
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cache
 from typing import Annotated
 
@@ -16,8 +16,7 @@ from ngvisco.errors import (
     Quantity,
     as_integer,
     require_choice,
-    require_count,
-    require_positive,
+    require_ranges,
     require_type,
 )
 from ngvisco.parallel.petsc import obstacle
@@ -27,73 +26,66 @@ COARSE = ("direct", "gamg", "hypre")
 INVERSES = ("umfpack", "pardiso", "mumps")
 _ROUNDING = 1e-14
 
-
-class _Checked:
-    """Options of numbers > 0, counts >= 1, tuples of integers >= 0, and other options."""
-
-    def __post_init__(self) -> None:
-        for option in fields(self):  # type: ignore[arg-type]
-            name, value, default = option.name, getattr(self, option.name), option.default
-            if isinstance(default, _Checked):
-                require_type(f"{type(self).__name__}.{name}", value, type(default))
-            elif isinstance(default, tuple):
-                numbers = [as_integer(number) for number in value] if isinstance(value, tuple) else []
-                if len(numbers) != len(default) or any(n is None or n < 0 for n in numbers):
-                    expected = f"{len(default)} integers >= 0, as {default}"
-                    raise ParameterError(f"{type(self).__name__}.{name}", value, expected)
-            elif isinstance(default, int):
-                require_count(self, **{name: value})
-            elif isinstance(default, float):
-                require_positive(self, **{name: value})
+Positive = Annotated[float, Quantity("1", "> 0")]
+Count = Annotated[int, Quantity("1", ">= 1")]
+Share = Annotated[float, Quantity("1", "in (0, 1)")]
 
 
 @dataclass(frozen=True, kw_only=True)
-class SplitOptions(_Checked):
+class SplitOptions:
     """The split solver's choice, iteration and linear systems."""
 
     chosen_from: tuple[int, int] = (60, 10)
     """Cells from which ``method = "auto"`` takes it: from there it is the faster one (tests/benchmarks)."""
-    margin: float = 0.1
+    margin: Positive = 0.1
     """What may be left, in tolerances, when the last increment, which is below one, has been added: by the
     contraction of the last iterations.  A last increment as small as that costs an iteration in ten more, and
     the ledger closes to rounding without."""
-    slow: int = 24
+    slow: Count = 24
     """Iterations after which Newton-Krylov takes over."""
-    growth: float = 4.0
+    growth: Positive = 4.0
     """Of an increment over the smallest one, above which the iterate is given up for one half as far from the
     best one."""
-    halvings: int = 5
+    halvings: Count = 5
     """Of such steps, at most."""
-    renewed_after: int = 20
+    renewed_after: Count = 20
     """Iterations for the flow's linear system after which operator and preconditioner are made anew, which
     takes as long as 30 to 65 of them."""
-    renewed_above: float = 0.05
+    renewed_above: Positive = 0.05
     """Increment after which they are; below, only hyperviscosity, which changes suddenly, is followed."""
-    stale_above: float = 0.2
+    stale_above: Positive = 0.2
     """Share of the increment before, above which they are too.  For a steep flow rule, whose operator is made
     anew by itself, ten times the one and half of the other."""
-    bends_above: float = 0.03
+    bends_above: Positive = 0.03
     """Relative increment of a creep rate field after which it is, where the one before was not three times as
     large: with its gradient's law of q = 4, made at Pi = 0, the iteration diverges."""
-    rounding: float = 1e-8
+    rounding: Positive = 1e-8
     """Increment, relative to the smallest velocities, from which a stall may be rounding."""
-    flow_iterations: int = 30
+    flow_iterations: Count = 30
     """Iterations for the flow's linear system at most."""
     direct_up_to: tuple[int, int] = (3_000, 3_000)
     """Unknowns of v up to which its tangent is factorised as a whole; above, two levels are faster."""
     direct_at_most: tuple[int, int] = (100_000, 15_000)
     """Unknowns of v up to which it is so in what is left of a step, where ``flow_iterations`` by two levels
     do not solve the flow's system: a bar of CSM3 in a light medium finds no first step without."""
-    krylov_below: float = 0.05
+    krylov_below: Positive = 0.05
     """Increment up to which Newton-Krylov takes over: farther off half of the step is solved at once."""
-    penalty_degree: int = 4
+    penalty_degree: Count = 4
     """Of the rule for the derivative of the hyperviscosity's penalty, for k = 2 on straight cells: right for
     p = 4, where it takes (P_1 jumps)^4; degree 2 leaves an eigenvalue of 0.5 of the preconditioned error on
     refined tetrahedra.  For k = 3 and on curved cells the rule is that of the forms."""
 
+    def __post_init__(self) -> None:
+        require_ranges(self)
+        for name in ("chosen_from", "direct_up_to", "direct_at_most"):
+            value = getattr(self, name)
+            numbers = [as_integer(number) for number in value] if isinstance(value, tuple) else []
+            if len(numbers) != 2 or any(n is None or n < 0 for n in numbers):
+                raise ParameterError(f"SplitOptions.{name}", value, "two integers >= 0, in 2D and in 3D")
+
 
 @dataclass(frozen=True, kw_only=True)
-class NewtonOptions(_Checked):
+class NewtonOptions:
     """Tolerances of the iteration, in the norm of ``ngvisco.solver.problem``, and the parts of the solvers.
 
     Parameters
@@ -123,23 +115,21 @@ class NewtonOptions(_Checked):
         If a parameter is out of its range.
     """
 
-    tolerance: Annotated[float, Quantity("1", "> 0")] = 1e-10
-    max_iterations: Annotated[int, Quantity("1", ">= 1")] = 60
-    refresh: Annotated[float, Quantity("1", "in (0, 1)")] = 0.25
-    min_damping: Annotated[float, Quantity("1", "in (0, 1)")] = 1e-3
+    tolerance: Share = 1e-10
+    max_iterations: Count = 60
+    refresh: Share = 0.25
+    min_damping: Share = 1e-3
     inverse: str = "umfpack"
     coarse: str = "direct"
     method: str = "auto"
     split: SplitOptions = SplitOptions()
 
     def __post_init__(self) -> None:
-        super().__post_init__()
+        require_ranges(self)
+        require_type("NewtonOptions.split", self.split, SplitOptions)
         if self.tolerance < _ROUNDING:
             expected = f"at least {_ROUNDING:g}, which rounding leaves"
             raise ParameterError("NewtonOptions.tolerance", self.tolerance, expected)
-        for name in ("tolerance", "refresh", "min_damping"):
-            if getattr(self, name) >= 1:
-                raise ParameterError(f"NewtonOptions.{name}", getattr(self, name), "a number in (0, 1)")
         # sparsecholesky returns nonsense for nonsymmetric matrices, silently
         require_choice(self, INVERSES, inverse=self.inverse)
         if not is_available(self.inverse):
