@@ -57,19 +57,17 @@ class CondensedJacobian:
 
     def factorise(self, state: BaseVector) -> None:
         """Assemble and factorise at ``state``; raises StepError if the matrix is singular."""
-        for work in (self.assemble, self._invert):
-            failure = None
-            try:
-                work(state)
-            except Exception as error:  # NGSolve raises NgException and std::exception alike
-                failure = error
-            together = self.ranks.agree(failure)
-            if together is not None:
-                self.forget()
-                message = f"the linearised step has no factorisation: {str(together).strip()}"
-                if "CalcLU" in message:  # of a cell, whose rows and columns NGSolve does not scale
-                    message += _UNITS
-                raise StepError(message) from together
+        try:
+            with self.ranks.together(Exception):  # NGSolve raises NgException and std::exception alike
+                self.assemble(state)
+            with self.ranks.together(Exception):
+                self._invert(state)
+        except Exception as error:
+            self.forget()
+            message = f"the linearised step has no factorisation: {str(error).strip()}"
+            if "CalcLU" in message:  # of a cell, whose rows and columns NGSolve does not scale
+                message += _UNITS
+            raise StepError(message) from error
 
     def assemble(self, state: BaseVector) -> None:
         """With as much memory as it takes, of ``HEAP_SIZES`` at most."""
