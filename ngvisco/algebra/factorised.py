@@ -20,8 +20,7 @@ _NEAR_SYMMETRIC: dict[str, Any] = {
     "diag_pivot_thresh": 0.01,
     "options": {"SymmetricMode": True},
 }
-"""For matrices with entries in symmetric places.  By the default order, for any, a step with delta_density on
-2,639 tetrahedra took 4.5 times as long, in half as much memory again."""
+"""For matrices with entries in symmetric places."""
 
 _ENOUGH = 1e-3
 """What factors in single precision may leave of a right side drawn at random."""

@@ -39,8 +39,7 @@ class SplitOptions:
     """Cells from which ``method = "auto"`` takes it: from there it is the faster one (tests/benchmarks)."""
     margin: Positive = 0.1
     """What may be left, in tolerances, when the last increment, which is below one, has been added: by the
-    contraction of the last iterations.  A last increment as small as that costs an iteration in ten more, and
-    the ledger closes to rounding without."""
+    contraction of the last iterations."""
     slow: Count = 24
     """Iterations after which Newton-Krylov takes over."""
     growth: Positive = 4.0
@@ -58,7 +57,7 @@ class SplitOptions:
     anew by itself, ten times the one and half of the other."""
     bends_above: Positive = 0.03
     """Relative increment of a creep rate field after which it is, where the one before was not three times as
-    large: with its gradient's law of q = 4, made at Pi = 0, the iteration diverges."""
+    large."""
     rounding: Positive = 1e-8
     """Increment, relative to the smallest velocities, from which a stall may be rounding."""
     flow_iterations: Count = 30
@@ -67,13 +66,12 @@ class SplitOptions:
     """Unknowns of v up to which its tangent is factorised as a whole; above, two levels are faster."""
     direct_at_most: tuple[int, int] = (100_000, 15_000)
     """Unknowns of v up to which it is so in what is left of a step, where ``flow_iterations`` by two levels
-    do not solve the flow's system: a bar of CSM3 in a light medium finds no first step without."""
+    do not solve the flow's system."""
     krylov_below: Positive = 0.05
     """Increment up to which Newton-Krylov takes over: farther off half of the step is solved at once."""
     penalty_degree: Count = 4
     """Of the rule for the derivative of the hyperviscosity's penalty, for k = 2 on straight cells: right for
-    p = 4, where it takes (P_1 jumps)^4; degree 2 leaves an eigenvalue of 0.5 of the preconditioned error on
-    refined tetrahedra.  For k = 3 and on curved cells the rule is that of the forms."""
+    p = 4, where it takes (P_1 jumps)^4.  For k = 3 and on curved cells the rule is that of the forms."""
 
     def __post_init__(self) -> None:
         require_ranges(self)

@@ -35,9 +35,7 @@ FLOOR = 1e-9
 COARSE_FLOOR = 1e-3
 """By it a stalled iteration is asked: near a state of rest the other floor is below rounding."""
 SHARE = 1e-4
-"""What the relative increment of a creep rate field counts; steps stall where it is 1.  Left out, Pi was
-4 % off in a step of 1e-8 s.  In steps in which its strain is below the floor it still is left open: 3e-5
-off in 1e-11 s, 4 % in 1e-13 s, with a relaxation time of 2 s."""
+"""What the relative increment of a creep rate field counts; steps stall where it is 1."""
 
 
 class BlockNorm:

@@ -32,13 +32,10 @@ from ngvisco.solver.split.hyperviscosity import HyperDerivative, HyperTangent
 from ngvisco.solver.split.transport import TransportSweeps
 
 TOLERANCE, ITERATIONS = 0.05, 20
-"""Of z's and rho's increments, by GMRES at most; 0.1 takes an iteration of Newton more in twenty, 0.01 no
-fewer."""
+"""Of z's and rho's increments, by GMRES at most."""
 ENOUGH, ENOUGH_WHERE_STEEP = 0.15, 0.05
 """Share of the right side that sweeps alone may leave, without GMRES: Newton's iteration then contracts by
-as much.  In a smooth run with creep 0.05 takes as many iterations as 0.15 and a tenth more time.  Steep are
-local rules of creep that are not linear: there 0.05 takes fewer iterations, and fewer operators, which are
-made anew where an increment is above a tenth of the one before."""
+as much.  Steep are local rules of creep that are not linear."""
 _LINEAR = 1e-3
 """Tolerance of the flow's linear systems down to which directions are in single precision."""
 _IN_WORDS = {"wall_stress": "stresses of oblique or curved walls", "Pi": "a creep rate field"}

@@ -37,11 +37,9 @@ from ngvisco.threads import on_arrays
 _FORCING = {2: 0.03, 3: 0.003}
 """Tolerances of the flow's linear systems: in 3D a residual costs more directions than are saved by less."""
 _STEEP = 0.01
-"""Increment above which the operator of a flow rule is that of the next iterate, stale or not; with 0.05
-yield of next to no viscosity takes 50 to 80 iterations in three steps in place of 30 to 40."""
+"""Increment above which the operator of a flow rule is that of the next iterate, stale or not."""
 TOLERANCE, _DIRECTIONS = 0.01, 40
-"""Of Newton-Krylov's linear systems, and derivatives taken for one at most; with 0.1 one of six long steps
-failed."""
+"""Of Newton-Krylov's linear systems, and derivatives taken for one at most."""
 INNER = 3e-4, 1e-6
 """Tolerances of the flow's and the fields' systems in P, which has to be a linear map: where a flow rule is
 steep, P times the derivative has single eigenvalues of 1e2 to 1e4, which multiply what is not linear."""

@@ -26,12 +26,9 @@ from ngvisco.reduced.residual import Evaluation, ReducedResidual
 from ngvisco.threads import product
 
 LEAST, MOST = 3, 30
-"""Sweeps over the cells in which the fields' change is carried into the flow's system.  Two take 12 instead
-of 9 iterations on 2,258 triangles (Courant number 0.55) and 11 instead of 10 on 739 tetrahedra; four take as
-many as three."""
+"""Sweeps over the cells in which the fields' change is carried into the flow's system."""
 SHARE = 0.05
-"""What they may leave of a field: at a Courant number of 2.5 twelve sweeps take 28 iterations, three 34 and
-seven times as long, by Newton-Krylov."""
+"""What they may leave of a field."""
 
 
 class FacetCoupling:
