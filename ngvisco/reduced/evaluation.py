@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections import ChainMap
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -46,25 +46,18 @@ class NotAtPointsError(NgviscoError, LookupError):
     """A term asks for something that there is not at the points of a rule."""
 
 
-class Lazy(Mapping[str, Any]):
-    """Values by name that are made when they are asked for."""
+class Lazy(dict[str, Any]):
+    """Values of some names that are made when they are asked for."""
 
-    def __init__(self, make: Mapping[str, Callable[[], Any]], place: str) -> None:
-        self._make, self._place = make, place
-        self._made: dict[str, Any] = {}
+    def __init__(self, make: Callable[[str], Any], names: Iterable[str], place: str) -> None:
+        super().__init__()
+        self._make, self._names, self._place = make, frozenset(names), place
 
-    def __getitem__(self, name: str) -> Any:
-        if name not in self._made:
-            if name not in self._make:
-                raise NotAtPointsError(f"there is no {name} {self._place}")
-            self._made[name] = self._make[name]()
-        return self._made[name]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._make)
-
-    def __len__(self) -> int:
-        return len(self._make)
+    def __missing__(self, name: str) -> Any:
+        if name not in self._names:
+            raise NotAtPointsError(f"there is no {name} {self._place}")
+        self[name] = self._make(name)
+        return self[name]
 
 
 def lazy_fields(
@@ -76,9 +69,8 @@ def lazy_fields(
     context: Any,
 ) -> Fields:
     """Unknowns or tests by what makes values, or gradients, of a name, and of which names it does."""
-    parts, slopes = ({name: partial(make, name) for name in names} for make, names in (values, gradients))
-    of_gradients = Lazy(slopes, f"{place}, as a gradient")
-    return kind(layout, Lazy(parts, place), context, lambda name: of_gradients[name])
+    parts, slopes = Lazy(*values, place), Lazy(*gradients, f"{place}, as a gradient")
+    return kind(layout, parts, context, slopes.__getitem__)
 
 
 def with_values(u: Fields, **given: np.ndarray) -> Fields:
@@ -125,7 +117,7 @@ def _repeated(u: Fields, times: int) -> Fields:
         return value if value.value.shape[-1] == 1 else Array(np.tile(value.value, times), None)
 
     context: Any = _Repeated(u.context, times, over)
-    parts = Lazy({name: lambda name=name: over(u.parts[name]) for name in u.parts}, CELLS)  # type: ignore[misc]
+    parts = Lazy(lambda name: over(u.parts[name]), u.layout.names, CELLS)
     return Fields(u.layout, parts, context, lambda name: over(u.gradient(name)))
 
 

@@ -64,7 +64,7 @@ class SideJumps:
         if s is not None:
             makers["hess_square"] = lambda: Array(self.scalar(s), None)
         known = SimpleNamespace(h=Array(self.h, None), curvature=self._context.curvature.Get())
-        u = Fields(self._layout, Lazy(makers, FACETS), known)  # type: ignore[arg-type]
+        u = Fields(self._layout, Lazy(lambda name: makers[name](), makers, FACETS), known)  # type: ignore[arg-type]
         u.__dict__["jump"] = Array(j, None)
         return u
 

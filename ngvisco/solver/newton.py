@@ -30,7 +30,7 @@ from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.exchange import Exchange
 from ngvisco.parallel.petsc import Direct
 from ngvisco.solver.options import NewtonOptions
-from ngvisco.solver.problem import BlockNorm, NewtonIteration, Problem, Solution, Status
+from ngvisco.solver.problem import BlockNorm, NewtonIteration, Problem, Solution, Status, unconverged
 
 NOISE_SAMPLES, NOISE_MARGIN, NOISE_CAP = 2, 10.0, 100.0
 """Perturbations of the state by rounding, of which the largest change of the increment counts; a stalled
@@ -175,16 +175,11 @@ class Newton:
             status = self._iterate(problem, history)
         except StepError as error:  # of a factorisation
             return Solution(Status.SINGULAR, tuple(history), str(error))
-        reason = ""
+        if status is Status.CONVERGED:
+            return Solution(status, tuple(history))
         if status is Status.NOT_FINITE:
-            reason = "the residual at the start of the step is not finite"
-        elif status is not Status.CONVERGED:
-            last = history[-1].increment if history else np.inf
-            reason = (
-                f"Newton did not converge ({status.value}; {len(history)} iterations, last increment "
-                f"{last:.1e}, wanted {self.options.tolerance:.0e}): take a smaller step"
-            )
-        return Solution(status, tuple(history), reason)
+            return Solution(status, (), "the residual at the start of the step is not finite")
+        return unconverged(status, history, "Newton", self.options.tolerance, "a smaller step")
 
     def _iterate(self, problem: Problem, history: list[NewtonIteration]) -> Status:
         options, u = self.options, self.state

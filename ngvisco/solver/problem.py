@@ -19,7 +19,7 @@ floor, but for Pi.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from typing import Protocol
@@ -134,6 +134,15 @@ class Solution:
     @property
     def converged(self) -> bool:
         return self.status is Status.CONVERGED
+
+
+def unconverged(
+    status: Status, history: Sequence[NewtonIteration], solver: str, wanted: float, remedy: str
+) -> Solution:
+    """The end of an attempt that has found no increment as small as wanted."""
+    last = history[-1].increment if history else np.inf
+    ended = f"{status.value}; {len(history)} iterations, last increment {last:.1e}, wanted {wanted:.0e}"
+    return Solution(status, tuple(history), f"{solver} did not converge ({ended}): take {remedy}")
 
 
 @dataclass(frozen=True)

@@ -30,7 +30,7 @@ from ngvisco.forms.system import Step
 from ngvisco.parallel.exchange import Exchange
 from ngvisco.reduced.residual import Evaluation, ReducedResidual
 from ngvisco.solver.options import NewtonOptions
-from ngvisco.solver.problem import BlockNorm, NewtonIteration, Problem, Solution, Status
+from ngvisco.solver.problem import BlockNorm, NewtonIteration, Problem, Solution, Status, unconverged
 from ngvisco.solver.split.preconditioner import Preconditioner
 from ngvisco.threads import on_arrays
 
@@ -115,13 +115,9 @@ class Split:
             self.step.eliminate.refresh()
             self._relax()  # now, so that a run that is resumed here begins its next step alike
             return Solution(status, tuple(history))
-        last = history[-1].increment if history else np.inf
-        reason = (
-            f"the split solver did not converge ({status.value}; {len(history)} iterations, last increment "
-            f"{last:.1e}, wanted {self.options.split.margin * self.options.tolerance:.0e}): take a smaller "
-            "step or the coupled solver"
-        )
-        return Solution(status, tuple(history), reason)
+        wanted = self.options.split.margin * self.options.tolerance
+        remedy = "a smaller step or the coupled solver"
+        return unconverged(status, history, "the split solver", wanted, remedy)
 
     def increment(
         self, problem: Problem, x: np.ndarray, at: Evaluation, last: float
