@@ -25,8 +25,7 @@ from ngvisco.forms.spaces import Layout
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import PointTerm, Where
 from ngvisco.forms.upwinding import Incoming, SideMean, Upwinding
-from ngvisco.physics.arrays import Array, Linear, slots
-from ngvisco.physics.increments import TINY
+from ngvisco.physics.arrays import TINY, Array, Linear, slots
 from ngvisco.reduced.operators import Operators, SideOperators
 from ngvisco.reduced.unknowns import derived_in_cells, in_cells
 

@@ -30,8 +30,7 @@ from ngvisco.forms.system import Step
 from ngvisco.forms.term import GivenParts, Integrand, PointTerm, Term, WithheldError
 from ngvisco.forms.upwinding import mean_share
 from ngvisco.parallel.exchange import Exchange
-from ngvisco.physics.arrays import Array
-from ngvisco.physics.increments import TINY
+from ngvisco.physics.arrays import TINY, Array
 from ngvisco.reduced.claims import Claims
 from ngvisco.reduced.diffusion import FieldDiffusionRows
 from ngvisco.reduced.evaluation import CellTerms, FacetTerms, with_values
