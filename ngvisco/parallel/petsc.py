@@ -84,12 +84,6 @@ def require_petsc(communicator: Communicator) -> None:
         raise PETScError(missing)
 
 
-def own_part(matrix: BaseMatrix) -> sp.csr_matrix:
-    """What a rank's cells make of a distributed matrix of NGSolve's."""
-    values, columns, starts = (np.array(part) for part in matrix.local_mat.CSR())
-    return sp.csr_matrix((values, columns, starts), shape=(matrix.local_mat.height, matrix.local_mat.width))
-
-
 class SumInverse:
     """The inverse of a sum of the ranks' matrices in the free unknowns, or an approximation of it.
 
@@ -333,7 +327,9 @@ class Direct(BaseMatrix):
 
     def Update(self) -> None:
         """Factorise again, as NGSolve's inverses do, where the matrix has changed."""
-        self._inverse.factorise(own_part(self.matrix))
+        own = self.matrix.local_mat  # what this rank's cells make of it
+        csr = tuple(np.array(part) for part in own.CSR())
+        self._inverse.factorise(sp.csr_matrix(csr, shape=(own.height, own.width)))
 
     def release(self) -> None:
         """As of ``SumInverse``."""

@@ -47,10 +47,6 @@ class Operators:
         """Partial derivatives of each of ``rows``, (rows, dim, points)."""
         return np.stack([D(rows) for D in operators], axis=1)
 
-    def velocity_gradient(self, v: np.ndarray) -> np.ndarray:
-        """L_ij = d_j v_i row by row at the points, (dim^2, points)."""
-        return self.gradients(self.dv, v).reshape(len(v) * len(self.dv), self.points.count)
-
 
 class SideOperators:
     """Fields at the points of the cells' sides, and tests there."""

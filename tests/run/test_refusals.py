@@ -93,7 +93,7 @@ Creep(G_m=_) | 0, -1, nan | Creep.G_m | a finite number > 0
 Discretisation(k=_) | 1, 4, 2.0, "2" | Discretisation.k | one of 2, 3
 Discretisation(m=_) | -1, 3, True, 1.0 | Discretisation.m | one of 0, 1, 2
 Discretisation(quadrature_bonus=_) | -1, 0.5 | Discretisation.quadrature_bonus | one of 0, 1
-NewtonOptions(tolerance=_) | 0, -1.0, nan, inf, '1', None, True, 1 | NewtonOptions.tolerance | a number in (0, 1)
+NewtonOptions(tolerance=_) | 0, -1.0, nan, inf, '1', True, 1 | NewtonOptions.tolerance | a number in (0, 1)
 NewtonOptions(refresh=_) | 1.0, 2 | NewtonOptions.refresh | a number in (0, 1)
 NewtonOptions(min_damping=_) | 1 | NewtonOptions.min_damping | a number in (0, 1)
 NewtonOptions(max_iterations=_) | 0, 2.5 | NewtonOptions.max_iterations | a whole number >= 1

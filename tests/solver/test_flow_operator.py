@@ -105,7 +105,9 @@ def test_what_the_fields_take(run):
     dv = linear(run, lambda x, y: (y - 0.3, 2 * x + y))
     expected = derivative(split, at, dv, lambda at: at.residual[split.unknowns.slices["z"]])
     op = operator.op
-    source = np.einsum("pnx,xp->np", operator.points.columns[:, :, :4], op.velocity_gradient(dv))
+    source = np.einsum(
+        "pnx,xp->np", operator.points.columns[:, :, :4], op.gradients(op.dv, dv).reshape(4, -1)
+    )
     for j, values in enumerate(op.v(dv)):
         source -= operator.points.dz[:, j] * values
     found = -op.z.test(source).ravel()

@@ -62,7 +62,7 @@ class FieldsSystem:
     def density(self, rows: np.ndarray, tolerance: float) -> np.ndarray:
         """Increments of the density's unknowns, of rows."""
         sweep = self.sweep
-        if sweep.density_is_factorised:
+        if sweep.of_rho is None:
             return sweep.density(rows)
         return self._solved(sweep.of_rho, sweep.density, rows[:, None], tolerance)[:, 0]
 
@@ -251,9 +251,9 @@ class Preconditioner:
             dz = dz + alone
         if not u.density:
             return np.concatenate([dflow, dz.T.ravel()])
-        rho, dv_q, L = at.coefficients["rho"], op.v(dv), op.velocity_gradient(dv)
-        drho = op.z(rho) * L[:: dim + 1].sum(axis=0)
-        drho += sum(D(rho) * dv_q[j] for j, D in enumerate(op.dz))
+        rho = at.coefficients["rho"]
+        drho = op.z(rho) * sum(D(dv_j) for D, dv_j in zip(op.dv, dv, strict=True))
+        drho += sum(D(rho) * op.v(dv_j) for D, dv_j in zip(op.dz, dv, strict=True))
         density = at.residual[u.density_slice].copy()
         density[: rho.size] -= op.z.test(drho)
         return np.concatenate([dflow, self.fields.density(density, of_fields), dz.T.ravel()])

@@ -208,17 +208,13 @@ class TransportSweeps:
             self._conduction = ConductionBlocks(residual, term, self.coupling)
             self._of_heat = HaloUnknowns(self.coupling.halo, op.z.blocks.shape[2])
             self._heat = direct_solver(np.ones(self._of_heat.count, dtype=bool), self._of_heat)
+        self.of_rho: SweptMatrix | None = None
         self._density: Direct | None = None
-        """Of a density equation that is not linear."""
+        """Of a density equation that is not linear, in place of ``of_rho``."""
         if residual.density is not None:
             u = residual.unknowns
             shared = residual.exchange.part(np.arange(u.size)[u.density_slice])
             self._density = direct_solver(residual.density.free, shared)
-
-    @property
-    def density_is_factorised(self) -> bool:
-        """Whether ``density`` is exact: where the equation is not linear."""
-        return self._density is not None
 
     def update(self, at: Evaluation) -> None:
         """Form the matrices and invert at an evaluation."""
@@ -286,7 +282,10 @@ class TransportSweeps:
 
     def density(self, r: np.ndarray) -> np.ndarray:
         """Increments of the density's unknowns, of rows (unknowns,), or of (cells' unknowns, .) by sweeps."""
-        return self.of_rho.swept(r, self.sweeps) if self._density is None else self._density(r)
+        if self._density is not None:
+            return self._density(r)
+        assert self.of_rho is not None
+        return self.of_rho.swept(r, self.sweeps)
 
     def rows(self, x: np.ndarray) -> np.ndarray:
         """T x, of coefficients x of the fields: both (cells' unknowns, n)."""
