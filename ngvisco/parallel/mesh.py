@@ -60,9 +60,7 @@ def distributed(mesh: Mesh | None, ranks: Communicator) -> Mesh:
     if not ranks.is_distributed:
         assert mesh is not None
         return mesh
-    refusal = ranks.on_first(lambda: _refusal(mesh, ranks.size - 1))
-    if refusal is not None:
-        raise MeshError(refusal)
+    ranks.on_first(lambda: _check(mesh, ranks.size - 1))
     if mesh is not None and ranks.is_first:
         # of a copy, whose cells it takes away; Netgen's ``Copy`` forgets which boundaries are identified
         part = Part(pickle.loads(pickle.dumps(mesh.ngmesh)).Distribute(ranks.mpi))
@@ -174,10 +172,9 @@ def _corners(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
     return np.array(mesh.ngmesh.Coordinates()[: mesh.nv]), nodes
 
 
-def _refusal(mesh: Mesh | None, parts: int) -> str | None:
+def _check(mesh: Mesh | None, parts: int) -> None:
     assert mesh is not None
     if mesh.GetCurveOrder() > 1 and not has_geometry(mesh):
-        return CURVED
+        raise MeshError(CURVED)
     if mesh.ne < parts:
-        return f"the mesh has {mesh.ne} cells for {parts} ranks with cells: expected fewer ranks"
-    return None
+        raise MeshError(f"the mesh has {mesh.ne} cells for {parts} ranks with cells: expected fewer ranks")
