@@ -137,14 +137,10 @@ class Material(ABC):
     """What a constitutive law supplies: ``variables`` and ``energy``.
 
     A material that is a dataclass raises ParameterError for a parameter outside the range of its annotation.
-
-    Attributes
-    ----------
-    energy_parameter : str
-        The parameter that the energy is given by, for messages; ``"energy"`` where it is the method itself.
     """
 
     energy_parameter = "energy"
+    """The parameter that the energy is given by, for messages."""
 
     def __post_init__(self) -> None:
         require_ranges(self)
@@ -179,9 +175,8 @@ class Material(ABC):
     def continued(self) -> frozenset[str]:
         """Names of variables whose bounds (``Variable.positive``) do not bind: the energy goes on beyond.
 
-        So it is where a user asks for it, by a Yosida approximation or J_min: the paper's discrete scheme
-        admits any such state.  An energy that happens to have values there, such as (J - 1)^2, is not
-        continued: J <= 0 means interpenetration.
+        So it is by a Yosida approximation or J_min.  An energy that happens to have values there, such as
+        (J - 1)^2, is not continued: J <= 0 means interpenetration.
         """
         return frozenset()
 
@@ -338,10 +333,6 @@ class Wrapper(Material):
     """A material of another one: what it does not say otherwise is that one's.
 
     Raises ParameterError if ``material`` is none, or a parameter is out of its range.
-
-    Parameters
-    ----------
-    material : Material
     """
 
     material: Material

@@ -5,10 +5,10 @@ with a conjugate zeta = d phi/d theta, so that the elastic force has the part th
 Cauchy stress is right and the ledger closes.  An energy that reads the place x instead has a force that
 nothing balances, and is refused (``ngvisco.physics.energy_checks``).
 
-A parameter is no strain.  phi need not be convex in it: convexity is asked of phi in the strains at fixed
-parameters, and the ledger's ``bregman`` may have either sign where parameters are transported.  Quadratic
-regularisation, Yosida approximation and the diffusion of the fields leave it alone.  Its exact solution stays
-within the range of its start values, and so does that of a run with a limiter (``ngvisco.forms.bounds``).
+A parameter is no strain.  phi need not be convex in it, and the ledger's ``bregman`` may have either sign
+where parameters are transported.  Quadratic regularisation, Yosida approximation and the diffusion of the
+fields leave it alone.  It stays within the range of its start values, in a run with a limiter
+(``ngvisco.forms.bounds``).
 """
 
 from __future__ import annotations
@@ -85,20 +85,10 @@ class Expression(ABC):
         number = as_number(exponent)
         if number is None:
             raise ParameterError("exponent", exponent, "a finite number")
-        return _Operation(_Power(number), (self,))
+        return _Operation(pow, (self, float(number)))
 
     def __rpow__(self, base: object) -> Expression:
         raise ParameterError("exponent", self, f"a finite number, of the power of {base!r}")
-
-
-@dataclass(frozen=True)
-class _Power:
-    """a -> a^exponent."""
-
-    exponent: float
-
-    def __call__(self, base: Any) -> Any:
-        return base ** float(self.exponent)
 
 
 _SIGNS: dict[Callable[..., Any], str] = {add: "+", sub: "-", mul: "*", truediv: "/"}
@@ -120,8 +110,8 @@ class _Operation(Expression):
 
     def __repr__(self) -> str:
         texts = [o.name if isinstance(o, Parameter) else repr(o) for o in self.operands]
-        if isinstance(self.function, _Power):
-            return f"{texts[0]}**{self.function.exponent:g}"
+        if self.function is pow:
+            return f"{texts[0]}**{self.operands[1]:g}"
         return f"-{texts[0]}" if self.function is neg else f"({f' {_SIGNS[self.function]} '.join(texts)})"
 
 
@@ -337,14 +327,8 @@ def substituted(law: T, value_of: Callable[[Expression], Any]) -> T:
 def renamed(law: T, prefix: str) -> T:
     """A law with ``prefix`` before the names of the parameters that its moduli became by themselves."""
 
-    def with_prefix(expression: Expression) -> Expression:
-        if not (isinstance(expression, _Modulus) and expression.is_own):
-            return expression
-        (own,) = expression.parameters
-        named = replace(own, name=prefix + own.name)
-        return replace(expression, expression=named, is_own=False)  # what has a prefix keeps it
-
-    return substituted(law, with_prefix)
+    # what has a prefix keeps it
+    return _with_own_names(law, lambda own: prefix + own.name, is_own=False)
 
 
 def told_apart(laws: Iterable[T], taken: Iterable[str] = ()) -> list[T]:
@@ -354,16 +338,27 @@ def told_apart(laws: Iterable[T], taken: Iterable[str] = ()) -> list[T]:
     """
     known: dict[str, Parameter | None] = dict.fromkeys(taken)
 
-    def with_number(expression: Expression) -> Expression:
-        if not (isinstance(expression, _Modulus) and expression.is_own):
-            return expression
-        (own,) = expression.parameters
+    def with_number(own: Parameter) -> str:
         name, numbers = own.name, count(2)
         while (other := known.setdefault(name, own)) is None or other.start is not own.start:
             name = f"{own.name}_{next(numbers)}"
-        return expression if name == own.name else replace(expression, expression=replace(own, name=name))
+        return name
 
-    return [substituted(law, with_number) for law in laws]
+    return [_with_own_names(law, with_number, is_own=True) for law in laws]
+
+
+def _with_own_names(law: T, name_of: Callable[[Parameter], str], is_own: bool) -> T:
+    """A law whose own parameters, which moduli became by themselves, have other names."""
+
+    def named(expression: Expression) -> Expression:
+        if not (isinstance(expression, _Modulus) and expression.is_own):
+            return expression
+        (own,) = expression.parameters
+        if (name := name_of(own)) == own.name:
+            return expression
+        return replace(expression, expression=replace(own, name=name), is_own=is_own)
+
+    return substituted(law, named)
 
 
 def moduli_in(value: object) -> Iterator[tuple[str, Expression, bool]]:

@@ -129,8 +129,8 @@ class StokesViscosity(IsotropicViscosity):
 class PowerLaw(IsotropicViscosity):
     """G_v = consistency (s + floor^2)^{(n-1)/2}: the law of Ostwald and de Waele, 1925.
 
-    Thinning for n < 1, thickening for n > 1.  Below the shear rate ``floor`` the viscosity does not grow any
-    more: it is consistency floor^{n-1} at rest.  Raises ParameterError if a parameter is out of its range.
+    Thinning for n < 1, thickening for n > 1; consistency floor^{n-1} at rest.  Raises ParameterError if a
+    parameter is out of its range.
 
     Parameters
     ----------
@@ -225,11 +225,10 @@ class Cross(IsotropicViscosity):
 class LinearViscosity(Viscosity):
     """Any linear viscosity D eps, with D symmetric, positive semidefinite (paper: Euler-small-ass-D).
 
-    D is constant in the actual frame: directions that it prefers are those of space, not of the matter, and
-    do not turn with it.  Both parts of the ledger's viscous dissipation can be of either sign where D couples
-    sph eps with dev eps; their sum is D eps : eps >= 0.  Raises ParameterError for another shape, what is not
-    finite, and a D that is not symmetric (with the entries) or not positive semidefinite (with the strain
-    rate that shows it).
+    Directions that D prefers are those of space, not of the matter, and do not turn with it.  Both parts of
+    the ledger's viscous dissipation can be of either sign where D couples sph eps with dev eps; their sum is
+    D eps : eps >= 0.  Raises ParameterError for another shape, what is not finite, and a D that is not
+    symmetric or not positive semidefinite, with the entries or the strain rate that show it.
 
     Example::
 
@@ -345,7 +344,6 @@ def _as_tuples(array: np.ndarray) -> Any:
 class HyperViscosity:
     """Hyperviscosity, the stress (mu_1 + mu |hess v|^{p-2}) hess v (paper: Euler-small-viscoelastodyn+1).
 
-    The paper's analysis wants p > 3; any p > 1 runs.
     Raises ParameterError if a parameter is out of its range.
 
     Parameters

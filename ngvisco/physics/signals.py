@@ -5,7 +5,7 @@ Of any other function it looks for the signs of what its ``IfPos`` decides by.
 """
 
 import csv
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from os import PathLike, fspath
 
 import numpy as np
@@ -22,7 +22,7 @@ _PLACES = (0.1, 0.35, 0.6, 0.9)
 
 def reads_time(function: CoefficientFunction) -> bool:
     """Whether a function has other values at other times; other parameters of NGSolve's are numbers."""
-    if "ParameterCoefficientFunction" not in str(function):
+    if not may_read_time(function):
         return False
     present, found = time.Get(), []
     try:
@@ -51,7 +51,7 @@ def one_value(found: list[float]) -> bool:
     return bool(np.allclose(found, found[0], rtol=1e-12, atol=0.0, equal_nan=True))
 
 
-_CHOICE, _TABLE, _TIME = "IfPosCoefficientFunction", "bspline", "ParameterCoefficientFunction"
+_CHOICE = "IfPosCoefficientFunction"
 _knots: dict[bytes, np.ndarray] = {}
 
 
@@ -60,7 +60,9 @@ def step(at: float) -> CoefficientFunction:
 
     Raises ParameterError if ``at`` is no finite number.
     """
-    return IfPos(_number("step", "at", at) - time, 0.0, 1.0)
+    if (number := as_number(at)) is None:
+        raise ParameterError("step.at", at, "a finite number, s")
+    return IfPos(number - time, 0.0, 1.0)
 
 
 def pulse(begin: float, duration: float) -> CoefficientFunction:
@@ -68,9 +70,12 @@ def pulse(begin: float, duration: float) -> CoefficientFunction:
 
     Raises ParameterError if ``begin`` is no finite number, or ``duration`` no positive one.
     """
-    if _number("pulse", "duration", duration) <= 0:
+    start, length = as_number(begin), as_number(duration)
+    if start is None:
+        raise ParameterError("pulse.begin", begin, "a finite number, s")
+    if length is None or length <= 0:
         raise ParameterError("pulse.duration", duration, "a number > 0, s")
-    return step(begin) - step(_number("pulse", "begin", begin) + duration)
+    return step(start) - step(start + length)
 
 
 def table(
@@ -119,35 +124,25 @@ def read_table(path: str | PathLike[str]) -> np.ndarray:
 def breaking(function: CoefficientFunction) -> tuple[list[CoefficientFunction], list[np.ndarray]]:
     """What a function of time breaks by: what its choices by sign decide by, and times of tables, s.
 
-    Only what reads the time is returned.  The times are those of all tables that were made: a rule with more
-    breaks than it needs is right, too.
+    The times are those of all tables that were made: a rule with more breaks than it needs is right, too.
     """
-    found: list[CoefficientFunction] = []
-    _collect(function, found)
-    return found, list(_knots.values()) if _TABLE in str(function) else []
+    return list(_choices(function)), list(_knots.values()) if "bspline" in str(function) else []
 
 
-def _collect(function: CoefficientFunction, found: list[CoefficientFunction]) -> None:
+def _choices(function: CoefficientFunction) -> Iterator[CoefficientFunction]:
     text = str(function)
     if _CHOICE not in text or not may_read_time(function):
         return
     children = [child for child in function.data["childs"] if child is not None]
     if _CHOICE in text.split("\n", 1)[0] and may_read_time(children[0]):
-        found.append(children[0])
+        yield children[0]
     for child in children:
-        _collect(child, found)
+        yield from _choices(child)
 
 
 def may_read_time(function: CoefficientFunction) -> bool:
     """Whether a function has a parameter of NGSolve's in it, as the run's time is."""
-    return _TIME in str(function)
-
-
-def _number(name: str, field: str, value: object) -> float:
-    number = as_number(value)
-    if number is None:
-        raise ParameterError(f"{name}.{field}", value, "a finite number, s")
-    return number
+    return "ParameterCoefficientFunction" in str(function)
 
 
 def _checked(name: str, rows: np.ndarray) -> np.ndarray:

@@ -1,11 +1,8 @@
 """Tensor algebra on 3x3 coefficient functions, and the spaces of tensors that fields live in.
 
-All tensors are three-dimensional.  A two-dimensional mesh means plane strain: v_3 = 0 and nothing
-depends on x_3, so a tensor keeps its 33 entry and has zero 13, 23, 31, 32 entries.  That subspace is
-closed under every operation used here (products, Cof, W E - E W, ...), so its fields are stored by
-their components in an orthonormal basis and all algebra is done on the full 3x3 tensor.
-
-What energies are written with also takes the arrays of ``ngvisco.physics.arrays``.
+All tensors are 3x3.  A two-dimensional mesh means plane strain: a tensor keeps its 33 entry and has zero 13,
+23, 31, 32 entries.  That subspace is closed under every operation used here; its fields are stored by their
+components in an orthonormal basis.  What energies are written with also takes ``ngvisco.physics.arrays``.
 """
 
 import math

@@ -17,9 +17,8 @@ inelastic distortion rate Pi (symmetric, tr Pi = 0).  Every rate is linear in z,
 | J^a F F^T     | L B + B L^T + a (tr L) B - 2 sym(Pi B) | none, see ``LeftCauchyGreen``  |
 | J^b Cof F F^T | (2 + b)(tr L) N - 2 sym(N L) + 2 sym(Pi N) | none, see ``CofactorLeftCauchyGreen`` |
 
-The two last ones are for isotropic energies: they do not know of the rotation in F, which creep never
-relaxes and whose gradient grows for ever in a flow.  Their Pi is the creep rate in the actual frame, that
-of F the one in the relaxed frame; one material has variables of one frame only (``frame``).
+The two last ones are for isotropic energies: they do not know of the rotation in F.  Their Pi is the creep
+rate in the actual frame, that of F the one in the relaxed frame; one material has variables of one frame.
 
 The cofactor rows are the paper's (Cof' F)(L F - F Pi) written out: d/dt (J F^-T) with tr Pi = 0.
 The paper's line for Mooney-Rivlin prints (Cof' F)((grad v)H - H Pi) - (7/6)(div v)H, which is a slip:
@@ -46,18 +45,12 @@ PRESSURE, TEMPERATURE, HARDENING = "pressure", "temperature", "hardening"
 
 @dataclass(frozen=True)
 class Variable(ABC):
-    """A transported variable.
-
-    Attributes
-    ----------
-    name : str
-        Key under which energies find it, e.g. ``"F"``.
-    kind : str
-        ``"scalar"``, ``"symmetric"`` or ``"full"`` (3x3), or ``"vector"``, the first column of a tensor.
-    """
+    """A transported variable."""
 
     name: str
+    """Key under which energies find it, e.g. ``"F"``."""
     kind: str
+    """``"scalar"``, ``"symmetric"`` or ``"full"`` (3x3), or ``"vector"``, the first column of a tensor."""
 
     is_strain = True
     """Whether the energy has to be convex in it, together with the other strains; not of parameters."""
@@ -107,10 +100,9 @@ class Variable(ABC):
 
     @property
     def frame(self) -> Frame | None:
-        """Where the rate's Pi lives; None for variables that do not creep.
+        """Where the rate's Pi lives, of F in the relaxed configuration; None for what does not creep.
 
-        dF/dt = L F - F Pi has the creep rate Pi of the relaxed (intermediate) configuration.  That of E and
-        of F F^T lives in the actual one: it is Q Pi Q^T with the polar factor Q of F.
+        That of E and of F F^T lives in the actual one: it is Q Pi Q^T with the polar factor Q of F.
         """
         return "actual" if self.creeps else None
 
@@ -127,9 +119,8 @@ class Variable(ABC):
 class SmallStrain(Variable):
     """Small elastic strain E with the Zaremba-Jaumann rate (paper: ZJ, Euler-small-flow-rule).
 
-    The creep rate enters with the sign that the energy balance needs, E_ZJ = eps(v) - Pi with
-    G_m Pi = + dev S; the paper prints G_m Pi = - dev T in Euler-small-flow-rule, yet merges it
-    rightly into E_ZJ = eps(v) - R dev T.
+    The energy balance needs E_ZJ = eps(v) - Pi with G_m Pi = + dev S; the paper prints G_m Pi = - dev T in
+    Euler-small-flow-rule, yet merges it rightly into E_ZJ = eps(v) - R dev T.
     """
 
     name: str = "E"
@@ -206,10 +197,7 @@ class Distortion(DistortionTensor):
 
 @dataclass(frozen=True)
 class Cofactor(DistortionTensor):
-    """J^exponent Cof F (paper: H-flow-rule; exponent -7/6 for exa-Mooney-Rivlin-ref).
-
-    The paper prints another rate for the Mooney-Rivlin variable; see the module's docstring.
-    """
+    """J^exponent Cof F (paper: H-flow-rule; exponent -7/6 for exa-Mooney-Rivlin-ref, see above)."""
 
     name: str = "H"
     kind: str = "full"
@@ -237,9 +225,7 @@ class LeftCauchyGreen(DistortionTensor):
     decomposition F = V Q, Pi = Q Pi_R Q^T is then coaxial with V, and F Pi_R F^T = V Pi V = Pi V^2: the creep
     term is -Pi B - B Pi, with Pi symmetric, trace-free and of the same size, G_m Pi = dev 2 sym(zeta B).
 
-    The rotation Q is gone, and with it what winds up in a flow that goes on.  B is positive definite and
-    det B = J^(3a + 2).  The implicit step promises neither; the leading minors are checked.
-    Isotropic energies are functions of B and J: |J^(a/2) F|^2 = tr B.
+    B is positive definite and det B = J^(3a + 2); |J^(a/2) F|^2 = tr B.
     """
 
     name: str = "B"

@@ -112,10 +112,7 @@ class NavierFriction(Wall):
 
 @dataclass(frozen=True, kw_only=True)
 class Passage(Wall):
-    """Base of the walls that matter crosses: what flows out has its own values, what flows in these.
-
-    The mesh does not move: such a wall is a window, through which the body is seen, and no free surface.
-    """
+    """Base of the walls that matter crosses: what flows out has its own values, what flows in these."""
 
     density: Annotated[Function | None, Quantity("kg/m^3", "> 0", 1.0)] = None
     values: Annotated[Mapping[str, CoefficientFunction], Quantity("1", example={"J": "1 + 0.1*sin(t)"})] = (

@@ -24,13 +24,12 @@ class Creep(GradientRule):
     ``law`` says what drives Pi; the others than the paper's need a conformation tensor B with the conjugate
     zeta (``OldroydB``, ``FENEP``), are local (nu = 0), and agree with it at small elastic strains:
 
-    * ``"mandel"``: G_m Pi = M,
+    * ``"mandel"``: G_m Pi = M; of small strains E_ZJ = eps(v) - R dev S (paper:
+      Euler-small-viscoelastodyn+2),
     * ``"conformation"``: G_m Pi = 2 zeta, with a trace, so that det B relaxes too (Oldroyd-B, FENE-P),
     * ``"leonov"``: G_m Pi = M/2 + dev zeta (Leonov).
 
-    In the linearised model this is E_ZJ = eps(v) - R dev S (paper: Euler-small-viscoelastodyn+2).
     The sign is that of the energy balance; the paper's flow rules print G_m Pi = -M.
-
     A steady flow with the strain rate eps has dev T = G_m dev eps.  With the usual shear modulus G (G_e of
     the small-strain materials, 2 G_e of the neo-Hookean ones, 2 (G_e + G_mr) of the Mooney-Rivlin ones) the
     stress relaxes like exp(-t/lambda), with the Maxwell time lambda = G_m/(2 G).  Raises ParameterError if a
@@ -181,12 +180,11 @@ class Perzyna(GradientRule):
 
         Pi = 1/G_m (|M| - s)^+ ((|M| - s)^+/s)^{n-1} M/|M|,   s = sqrt(2/3) sigma_Y,
 
-    of the potential s^2/(G_m (n + 1)) ((|M| - s)^+/s)^{n+1}.  Nothing flows up to the uniaxial stress
-    sigma_Y; in shear that is sigma_Y/sqrt(3).  For G_m -> 0 the stress does not leave the yield surface,
-    which is rate-independent perfect plasticity (Prandtl-Reuss).
+    of the potential s^2/(G_m (n + 1)) ((|M| - s)^+/s)^{n+1}.  Nothing flows up to the stress sigma_Y in
+    tension, sigma_Y/sqrt(3) in shear.  For G_m -> 0 that is rate-independent perfect plasticity.
 
-    With H or Q it hardens isotropically: sigma_Y grows by H k + Q (1 - exp(-b k)) with the plastic strain k,
-    dk/dt = sqrt(2/3) |Pi|, which the matter carries (the field ``plastic_strain``), and stores the work of it
+    With H or Q it hardens: sigma_Y grows by H k + Q (1 - exp(-b k)) with the plastic strain k, which the
+    matter carries (the field ``plastic_strain``), and the work of it is stored
     (``ngvisco.physics.flow_rules.rule``).  Raises ParameterError if a parameter is out of its range.
 
     Parameters
@@ -284,8 +282,8 @@ class DruckerPrager(FlowRule):
 class Composite(FlowRule):
     """Pi = sum of the rates of several rules under one stress, such as diffusion and dislocation creep.
 
-    Its potential of M is the sum of theirs; that of Pi has no closed form, so that it is local.  Raises
-    ParameterError if a parameter is out of its range.
+    Its potential of Pi has no closed form, so that it is local.  Raises ParameterError if a parameter is out
+    of its range.
 
     Parameters
     ----------

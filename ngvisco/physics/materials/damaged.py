@@ -8,14 +8,10 @@ q = grad d, a the part of the energy that damage takes (all of it, or what is no
 ``AT2`` has w = d^2, c_w = 2 (Ambrosio and Tortorelli), ``AT1`` w = d, c_w = 8/3, which is elastic up to a
 threshold: the density of a crack's surface times G_c (Pham et al., Int. J. Damage Mech. 20, 2011).
 
-d is carried by the matter, its slope with it: from dd/dt + v . grad d = 0 follows
-
-    dq/dt + (v . grad) q = -L^T q,
-
-a variable like the others, whose conjugate gives the stress of the gradient term with nothing more.  phi is
-convex in z for given (d, q) and in (d, q) for given z, but not jointly: the conjugates of z are those at the
-damage of the step's start (``Material.lagged``), and damage itself grows after the step, z kept
-(``ngvisco.forms.damage``; the staggered scheme of Roubicek, arXiv:2510.10355).
+The matter carries d and its slope, dq/dt + (v . grad) q = -L^T q, whose conjugate gives the stress of the
+gradient term.  phi is convex in z for given (d, q) and in (d, q) for given z, but not jointly: the conjugates
+of z are those at the damage of the step's start (``Material.lagged``), and damage itself grows after it, z
+kept (``ngvisco.forms.damage``; the staggered scheme of Roubicek, arXiv:2510.10355).
 """
 
 from dataclasses import dataclass, field

@@ -118,15 +118,13 @@ class NeoHookean(IsotropicElastic):
     or, with ``kappa``, epsilon/J^kappa in place of -epsilon ln J and kappa epsilon/K_e in place of
     epsilon/K_e, which keeps the minimum at J = 1 (paper: exa-polyconvex-general, its last sentence).
 
-    Jointly convex in (F, J) (paper: convexity-neo-Hookean), strictly so in J by epsilon and K_e; it blows up
-    as J -> 0+.  Its minimum is on SO(3).  Stress at rest is hydrostatic and constant, T(I, 1) = phi(I, 1) I =
-    (3 G_e + epsilon^2/(2 K_e)) I (with kappa: (3 G_e + epsilon + (kappa epsilon)^2/(2 K_e)) I): an energy per
-    *actual* volume, which a body with a fixed shape does not feel.  The paper's G_e is half the usual shear
-    modulus: in simple shear F = I + gamma e1 x e2, T_12 is 2 G_e gamma.
+    Jointly convex in (F, J) (paper: convexity-neo-Hookean), strictly in J; it blows up as J -> 0+.  Its
+    minimum is on SO(3).  Stress at rest is hydrostatic, T(I, 1) = phi(I, 1) I = (3 G_e + epsilon^2/(2 K_e)) I
+    (with kappa: (3 G_e + epsilon + (kappa epsilon)^2/(2 K_e)) I): an energy per *actual* volume, which a body
+    with a fixed shape does not feel.  In simple shear F = I + gamma e1 x e2, T_12 is 2 G_e gamma.
 
-    With ``elastic_state="B"`` the shear energy is G_e tr B, B = J^{-2/3} F F^T: linear, so that phi is convex
-    in (B, J), strictly in J.  Raises ParameterError if a parameter is not a finite positive number, or
-    ``elastic_state`` is another.
+    With ``elastic_state="B"`` it is linear in B = J^{-2/3} F F^T and convex in (B, J), strictly in J.  Raises
+    ParameterError if a parameter is not a finite positive number, or ``elastic_state`` is another.
 
     Parameters
     ----------
@@ -180,16 +178,13 @@ class MooneyRivlin(NeoHookean):
         phi = K_e/2 (J - 1 + epsilon/K_e)^2 - epsilon ln J + G_e J^{-2/3} |F|^2
               + 2/(3 sqrt 3) G_mr J^{-2} |H|^3
 
-    The second invariant of F_iso is |H|^2 J^{-4/3}, which is not convex (the paper's remark in the
-    Mooney-Rivlin example: the exponent must be <= 1).  Its power 3/2, |H|^3/J^2, is: the perspective of the
-    cube (Hartmann and Neff 2003, which the paper cites).  Its factor makes the two agree to second order at
-    rest.  Jointly convex in (F, H, J); minimum on SO(3); blows up as J -> 0+.  Stress at rest is
-    hydrostatic, T = phi(rest) I with phi(rest) = 3 G_e + 2 G_mr + epsilon^2/(2 K_e).  The bulk modulus is
-    ``NeoHookean``'s.
+    The second invariant of F_iso, |H|^2 J^{-4/3}, is not convex; its power 3/2, |H|^3/J^2, is the perspective
+    of the cube (Hartmann and Neff 2003, which the paper cites).  Its factor makes the two agree to second
+    order at rest.  Jointly convex in (F, H, J); minimum on SO(3); blows up as J -> 0+.  Stress at rest is
+    T = phi(rest) I with phi(rest) = 3 G_e + 2 G_mr + epsilon^2/(2 K_e).
 
-    With ``elastic_state="B"`` the two invariants are tr B and (tr N)^{3/2}, B = J^{-2/3} F F^T and
-    N = J^{-4/3} Cof(F F^T): linear and convex, so that phi is jointly convex in (B, N, J).
-    Raises ParameterError if a parameter is out of its range.
+    With ``elastic_state="B"`` the two invariants are tr B and (tr N)^{3/2}, N = J^{-4/3} Cof(F F^T), and phi
+    is jointly convex in (B, N, J).  Raises ParameterError if a parameter is out of its range.
 
     Parameters
     ----------

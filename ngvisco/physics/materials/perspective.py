@@ -7,10 +7,8 @@ ED-Euler-large that T = rho psi'(F) F^T then).  Written in F, Cof F and J a poly
 
     phi(A, G, N) = A psi(G/A, N/A, 1/A),   G = A F,  N = A Cof F,
 
-is the perspective of psi, which is convex where psi is; J = 1/A is the perspective of the constant 1.  The
-rates of G = J^{-1} F and N = J^{-1} Cof F are those of ``Distortion`` and ``Cofactor`` with the exponent -1.
-So every polyconvex energy of the Lagrangian theory is an energy of this one, with all that follows from
-convexity, without a growth or a volumetric part of its own.
+is the perspective of psi, which is convex where psi is.  So every polyconvex energy of the Lagrangian theory
+is an energy of this one.
 """
 
 from __future__ import annotations

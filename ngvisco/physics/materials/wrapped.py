@@ -27,18 +27,10 @@ class Carrying(Wrapper):
     energy of a plastic strain k, where there is one.
 
     A ``Model`` makes it where a modulus of one of its laws is no number, or its flow rule hardens.
-
-    Parameters
-    ----------
-    material : Material
-        Its own moduli may be expressions of the parameters.
-    carried : tuple of Parameter
-        Parameters that its own variables do not have: those of its moduli and of the model's other laws.
-    hardening : Hardening, optional
-        phi_h.
     """
 
     carried: tuple[Parameter, ...] = ()
+    """Parameters of the material's moduli and of the model's other laws that are no variables of its own."""
     hardening: Hardening | None = None
 
     @property
@@ -154,14 +146,13 @@ class Yosida(Wrapper):
     """phi_eps(z) = min over y of phi(y) + |z - y|^2/(2 eps), over all strains jointly, at fixed parameters.
 
     Convex where phi is, phi_eps <= phi, with the slope phi_eps'(z) = (z - y)/eps = phi'(y), whose Lipschitz
-    constant is at most 1/eps; phi_eps = phi - eps/2 |phi'|^2 + O(eps^2).  It is finite for all z, also
-    for J <= 0.  At rest the stress changes by O(eps), and so does a body's stiffness: K becomes
-    K/(1 + eps K) for phi = K z^2/2.  |.| is the Frobenius norm of tensors.
+    constant is at most 1/eps.  It is finite for all z, also for J <= 0.  At rest stress and stiffness change
+    by O(eps): K becomes K/(1 + eps K) for phi = K z^2/2.
 
     y is found by a damped Newton iteration at every quadrature point, from a start value that depends on
-    z alone, so that the energy is a function of the state and of nothing else.  There is no expression
-    for it: ``energy`` raises, and the Cauchy stress for output has the cellwise L2 projection of phi_eps.
-    Raises ParameterError if eps is not a finite positive number or ``material`` is none.
+    z alone.  There is no expression: ``energy`` raises, and the Cauchy stress for output has the cellwise L2
+    projection of phi_eps.  Raises ParameterError if eps is not a finite positive number or ``material`` is
+    none.
 
     Parameters
     ----------
