@@ -1,7 +1,6 @@
 """Laws that temperature and pressure speed up: the factor of Arrhenius, of flow rules and of viscosities."""
 
 import math
-from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Annotated, Any
 
@@ -17,7 +16,7 @@ GAS_CONSTANT = 8.31446261815324
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Activation(ABC):
+class _Activation:
     """a = exp(E/(R theta_R) - (E + p V)/(R theta)): how many times faster than at theta_R and p = 0."""
 
     E: Annotated[float, Quantity("J/mol", example=2e5)]
@@ -29,15 +28,9 @@ class _Activation(ABC):
         require_ranges(self)
 
     @property
-    @abstractmethod
-    def law(self) -> FlowRule | Viscosity:
-        """What is activated."""
-
-    @property
-    def reads(self) -> frozenset[str]:
-        """Temperature and pressure, as far as they are asked for, and what the law reads."""
-        own = {TEMPERATURE} if self.temperature is None else set()
-        return self.law.reads | own | ({PRESSURE} if self.V else set())
+    def _reads(self) -> set[str]:
+        """Temperature and pressure, as far as they are asked for."""
+        return ({TEMPERATURE} if self.temperature is None else set()) | ({PRESSURE} if self.V else set())
 
     def factor(self, z: Values) -> Any:
         """a at a point with the values ``z``."""
@@ -47,7 +40,7 @@ class _Activation(ABC):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Activated(_Activation, FlowRule):  # type: ignore[override]
+class Activated(_Activation, FlowRule):
     """A flow rule whose rate is a = exp(E/(R theta_R) - (E + p V)/(R theta)) times as large (Arrhenius 1889).
 
     Example::
@@ -89,8 +82,8 @@ class Activated(_Activation, FlowRule):  # type: ignore[override]
         object.__setattr__(self, "degree", 1.0 if self.rule.degree == 1 else math.inf)
 
     @property
-    def law(self) -> FlowRule:
-        return self.rule
+    def reads(self) -> frozenset[str]:  # type: ignore[override]
+        return self.rule.reads | self._reads
 
     @property
     def flows(self) -> bool:
@@ -110,7 +103,7 @@ class Activated(_Activation, FlowRule):  # type: ignore[override]
 
 
 @dataclass(frozen=True, kw_only=True)
-class ActivatedViscosity(_Activation, Viscosity):  # type: ignore[override]
+class ActivatedViscosity(_Activation, Viscosity):
     """A viscosity that is a = exp(E/(R theta_R) - (E + p V)/(R theta)) times thinner (Arrhenius, Andrade).
 
     With V it grows with the pressure like exp(V p/(R theta)), which is the law of Barus, 1893.
@@ -138,8 +131,8 @@ class ActivatedViscosity(_Activation, Viscosity):  # type: ignore[override]
             raise ParameterError("ActivatedViscosity.viscosity", self.viscosity, "a viscosity")
 
     @property
-    def law(self) -> Viscosity:
-        return self.viscosity
+    def reads(self) -> frozenset[str]:  # type: ignore[override]
+        return self.viscosity.reads | self._reads
 
     @property
     def is_linear(self) -> bool:  # type: ignore[override]

@@ -355,26 +355,14 @@ def derivatives(result: Array, arguments: Sequence[Array]) -> list[np.ndarray]:
 def _backwards(root: Any, seed: np.ndarray) -> Iterator[tuple[Any, np.ndarray]]:
     """What a value was made of, itself first, and the derivative by each, from that by the value."""
     found, nodes = {root.number: seed}, {root.number: root}
-    sums: set[int] = set()  # which of those found are arrays of their own, to be added to in place
     while nodes:
         number = max(nodes)  # whatever is made of it has a larger number
         node, g = nodes.pop(number), found.pop(number)
         yield node, g
         for parent, pull in node.parents:
-            at, share = parent.number, pull(g)
-            if at not in found:
-                found[at], nodes[at] = share, parent
-            elif at in sums and _holds(found[at], share):
-                found[at] += share
-            else:
-                found[at] = found[at] + share
-                sums.add(at)
-
-
-def _holds(total: np.ndarray, share: np.ndarray) -> bool:
-    """Whether ``share`` can be added in place."""
-    same_shape = total.shape == np.broadcast_shapes(total.shape, share.shape)
-    return same_shape and np.result_type(total, share) == total.dtype
+            share = pull(g)
+            found[parent.number] = found[parent.number] + share if parent.number in found else share
+            nodes[parent.number] = parent
 
 
 def _array(value: Any) -> Array:

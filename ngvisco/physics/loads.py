@@ -102,8 +102,10 @@ def as_vector(value: VectorLike, dim: int, field_name: str) -> CoefficientFuncti
     if isinstance(value, CoefficientFunction):
         vector = value
     else:
+        # also a row or a column of NumPy, (1, n) or (n, 1)
+        is_matrix = isinstance(value, np.ndarray) and value.ndim == 2 and 1 in value.shape
         try:
-            parts: tuple[Any, ...] = tuple(np.asarray(value).ravel() if _is_matrix(value) else value)
+            parts: tuple[Any, ...] = tuple(np.ravel(value) if is_matrix else value)
         except TypeError:
             raise ParameterError(field_name, value, f"a vector of length {dim}") from None
         if not all(isinstance(p, CoefficientFunction) or _is_number(p) for p in parts):
@@ -123,11 +125,6 @@ def force_of(load: Load, dim: int) -> CoefficientFunction:
     if isinstance(load, BodyForce):
         return as_vector(load.force, dim, f"{owner}.force")
     return as_vector(load.g, dim, f"{owner}.g")
-
-
-def _is_matrix(value: object) -> bool:
-    """Whether it is a row or a column of NumPy, (1, n) or (n, 1)."""
-    return isinstance(value, np.ndarray) and value.ndim == 2 and 1 in value.shape
 
 
 def as_tensor(value: object, shape: tuple[int, int]) -> CoefficientFunction | None:
