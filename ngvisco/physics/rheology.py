@@ -155,42 +155,8 @@ class PowerLaw(IsotropicViscosity):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Carreau(IsotropicViscosity):
-    """G_v = G_inf + (G_0 - G_inf) (1 + relaxation^2 s)^{(n-1)/2} (Carreau 1972).
-
-    Raises ParameterError if a parameter is out of its range.
-
-    Parameters
-    ----------
-    K_v : float
-        Bulk viscosity.
-    G_0 : float
-        Shear viscosity at rest.
-    G_inf : float
-        Shear viscosity at large shear rates; for n > 1 it is passed.
-    relaxation : float
-        Time whose inverse is the shear rate at which the viscosity begins to change.
-    n : float
-        Exponent of the power law in between.
-    """
-
-    K_v: Annotated[Modulus, Quantity("Pa s", ">= 0", 0.01)]
-    G_0: Annotated[Modulus, Quantity("Pa s", "> 0", 1.0)]
-    relaxation: Annotated[float, Quantity("s", "> 0", 1.0)]
-    n: Annotated[float, Quantity("1", "in (0, 5]", 0.5)]
-    G_inf: Annotated[Modulus, Quantity("Pa s", ">= 0")] = 0.0
-
-    def moduli(self, s: Any, z: Values) -> tuple[ValueOfModulus, ValueOfModulus]:
-        power = (1.0 + self.relaxation**2 * s) ** (0.5 * (float(self.n) - 1))
-        least = value_at(self.G_inf, z)
-        return value_at(self.K_v, z), least + (value_at(self.G_0, z) - least) * power
-
-
-@dataclass(frozen=True, kw_only=True)
-class Cross(IsotropicViscosity):
-    """G_v = G_inf + (G_0 - G_inf)/(1 + (relaxation sqrt(s))^m) (Cross 1965).
-
-    Raises ParameterError if a parameter is out of its range.
+class _BetweenPlateaus(IsotropicViscosity):
+    """G_v = G_inf + (G_0 - G_inf) share(s), which is 1 at rest.
 
     Parameters
     ----------
@@ -201,6 +167,52 @@ class Cross(IsotropicViscosity):
     G_inf : float
         Shear viscosity at large shear rates.
     relaxation : float
+        Time whose inverse is the shear rate at which the viscosity begins to change.
+    """
+
+    K_v: Annotated[Modulus, Quantity("Pa s", ">= 0", 0.01)]
+    G_0: Annotated[Modulus, Quantity("Pa s", "> 0", 1.0)]
+    G_inf: Annotated[Modulus, Quantity("Pa s", ">= 0")] = 0.0
+    relaxation: Annotated[float, Quantity("s", "> 0", 1.0)]
+
+    @abstractmethod
+    def share(self, s: Any) -> Any:
+        """What is left of G_0 - G_inf at the squared shear rate s."""
+
+    def moduli(self, s: Any, z: Values) -> tuple[ValueOfModulus, ValueOfModulus]:
+        least = value_at(self.G_inf, z)
+        return value_at(self.K_v, z), least + (value_at(self.G_0, z) - least) * self.share(s)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Carreau(_BetweenPlateaus):
+    """G_v = G_inf + (G_0 - G_inf) (1 + relaxation^2 s)^{(n-1)/2} (Carreau 1972).
+
+    Raises ParameterError if a parameter is out of its range.
+
+    Parameters
+    ----------
+    G_inf : float
+        Shear viscosity at large shear rates; for n > 1 it is passed.
+    n : float
+        Exponent of the power law in between.
+    """
+
+    n: Annotated[float, Quantity("1", "in (0, 5]", 0.5)]
+
+    def share(self, s: Any) -> Any:
+        return (1.0 + self.relaxation**2 * s) ** (0.5 * (float(self.n) - 1))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cross(_BetweenPlateaus):
+    """G_v = G_inf + (G_0 - G_inf)/(1 + (relaxation sqrt(s))^m) (Cross 1965).
+
+    Raises ParameterError if a parameter is out of its range.
+
+    Parameters
+    ----------
+    relaxation : float
         Time whose inverse is the shear rate at which the viscosity is in the middle of both.
     m : float
         How steep it falls; above 1 the shear stress would fall with the shear rate.
@@ -208,17 +220,12 @@ class Cross(IsotropicViscosity):
         Shear rate below which powers of it are smoothed.
     """
 
-    K_v: Annotated[Modulus, Quantity("Pa s", ">= 0", 0.01)]
-    G_0: Annotated[Modulus, Quantity("Pa s", "> 0", 1.0)]
-    relaxation: Annotated[float, Quantity("s", "> 0", 1.0)]
     m: Annotated[float, Quantity("1", "in (0, 1]", 0.8)]
-    G_inf: Annotated[Modulus, Quantity("Pa s", ">= 0")] = 0.0
     floor: Annotated[float, Quantity("1/s", "> 0")] = 1e-9
 
-    def moduli(self, s: Any, z: Values) -> tuple[ValueOfModulus, ValueOfModulus]:
+    def share(self, s: Any) -> Any:
         x = self.relaxation ** float(self.m) * power_of_square(s, 0.5 * self.m, self.floor)
-        least = value_at(self.G_inf, z)
-        return value_at(self.K_v, z), least + (value_at(self.G_0, z) - least) / (1.0 + x)
+        return 1.0 / (1.0 + x)
 
 
 @dataclass(frozen=True, kw_only=True)

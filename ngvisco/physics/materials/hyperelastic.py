@@ -79,9 +79,15 @@ class IsotropicElastic(Material):
     ----------
     elastic_state : str, optional
         Variables of the distortion "F" or of "B" = F F^T, for a body that flows; B where there is creep.
+    K_e : float
+        Bulk modulus.
+    G_e : float
+        Elastic modulus of shear: half the usual shear modulus.
     """
 
     elastic_state: Annotated[ElasticState | None, Quantity(example="B")] = None
+    K_e: Annotated[Modulus, Quantity("Pa", "> 0", 10.0)]
+    G_e: Annotated[Modulus, Quantity("Pa", "> 0", 5.0)]
 
     by_F: ClassVar[Variable] = Distortion("H", exponent=-5 / 6)
     by_B: ClassVar[Variable] = LeftCauchyGreen(exponent=-5 / 3)
@@ -130,8 +136,6 @@ class NeoHookean(IsotropicElastic):
     ----------
     K_e : float
         Bulk modulus; the usual one is K_e + epsilon, with kappa K_e + kappa (kappa + 1) epsilon.
-    G_e : float
-        Elastic modulus of shear: half the usual shear modulus.
     epsilon : float
         Weight of the term that is singular at J = 0.
     kappa : float, optional
@@ -141,8 +145,6 @@ class NeoHookean(IsotropicElastic):
         stays as it is.
     """
 
-    K_e: Annotated[Modulus, Quantity("Pa", "> 0", 10.0)]
-    G_e: Annotated[Modulus, Quantity("Pa", "> 0", 5.0)]
     epsilon: Annotated[Modulus, Quantity("Pa", "> 0", 0.1)]
     kappa: Annotated[float | None, Quantity("1", "> 0", 2.0)] = None
     J_min: Annotated[float | None, Quantity("1", "> 0", 0.1)] = None
@@ -221,8 +223,6 @@ class ReferentialNeoHookean(IsotropicElastic):
     ----------
     K_e : float
         Bulk modulus; the usual one is K_e + kappa (kappa + 1) epsilon.
-    G_e : float
-        Elastic modulus of shear: half the usual shear modulus.
     epsilon : float
         Weight of the term epsilon/J^kappa per referential volume, which is singular at J = 0.
     kappa : float
@@ -231,8 +231,6 @@ class ReferentialNeoHookean(IsotropicElastic):
         All terms singular in J are continued linearly below it (paper: rem-neo-Hookean-ref).
     """
 
-    K_e: Annotated[Modulus, Quantity("Pa", "> 0", 10.0)]
-    G_e: Annotated[Modulus, Quantity("Pa", "> 0", 5.0)]
     epsilon: Annotated[Modulus, Quantity("Pa", ">= 0", 0.1)] = 0.0
     kappa: Annotated[float, Quantity("1", ">= 0", 2.0)] = 1.0
     J_min: Annotated[float | None, Quantity("1", "> 0", 0.1)] = None
@@ -284,14 +282,10 @@ class LogarithmicNeoHookean(IsotropicElastic):
     ----------
     K_e : float
         Bulk modulus; the usual one is K_e + epsilon.
-    G_e : float
-        Elastic modulus of shear: half the usual shear modulus.
     epsilon : float
         Weight of -epsilon ln J per referential volume, which is singular at J = 0.
     """
 
-    K_e: Annotated[Modulus, Quantity("Pa", "> 0", 10.0)]
-    G_e: Annotated[Modulus, Quantity("Pa", "> 0", 5.0)]
     epsilon: Annotated[Modulus, Quantity("Pa", "> 0", 0.1)]
 
     @property
@@ -306,7 +300,15 @@ class LogarithmicNeoHookean(IsotropicElastic):
 
 @dataclass(frozen=True, kw_only=True)
 class _WithCofactor(IsotropicElastic):
-    """Adds G_mr |N|^2, N = J^{-7/6} Cof F, or by B tr N, N = J^{-7/3} Cof(F F^T), to the class after it."""
+    """Adds G_mr |N|^2, N = J^{-7/6} Cof F, or by B tr N, N = J^{-7/3} Cof(F F^T), to the class after it.
+
+    Parameters
+    ----------
+    G_e : float
+        Weight of |H|^2 (C_10); G_e + G_mr is half the usual shear modulus.
+    G_mr : float
+        Weight of the cofactor (C_01); G_e + G_mr is half the usual shear modulus.
+    """
 
     G_mr: Annotated[Modulus, Quantity("Pa", ">= 0", 2.0)]
 
@@ -329,13 +331,6 @@ class ReferentialMooneyRivlin(_WithCofactor, ReferentialNeoHookean):
     F_iso, per referential volume.  N's rate is not the paper's printed one, see ``variables``.  Jointly
     convex, strongly in (H, N); blows up as J -> 0+.  T(I) = 0.  Raises ParameterError if a parameter is out
     of its range.
-
-    Parameters
-    ----------
-    G_e : float
-        Weight of |F|^2 (C_10); G_e + G_mr is half the usual shear modulus.
-    G_mr : float
-        Weight of the cofactor (C_01); G_e + G_mr is half the usual shear modulus.
     """
 
 
@@ -348,13 +343,4 @@ class LogarithmicMooneyRivlin(_WithCofactor, LogarithmicNeoHookean):
     c = epsilon/K_e, H = J^{-5/6} F, N = J^{-7/6} Cof F, A = 1/J, K = ln J/J: the paper's referential
     Mooney-Rivlin energy.  Jointly convex, strongly in (H, N), strictly in A, and it blows up as A -> 0+.
     T(I) = 0.  Raises ParameterError if a parameter is out of its range.
-
-    Parameters
-    ----------
-    G_e : float
-        Weight of |H|^2; G_e + G_mr is half the usual shear modulus.
-    G_mr : float
-        Weight of the cofactor; G_e + G_mr is half the usual shear modulus.
-    K_e, epsilon
-        As for ``LogarithmicNeoHookean``.
     """
