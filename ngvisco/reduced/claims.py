@@ -98,13 +98,13 @@ class Claims:
         if bent := step.tabulated_rates.tensors.bent:
             expected = f"the rate of {bent[0]!r} is not linear in the variables, as the split solver needs it"
             raise ParameterError("Variable.rate", bent[0], expected)
+        diffusing = [term for term in step.terms if isinstance(term, FieldDiffusion)]
+        if diffusing and any(isinstance(term, Heating) for term in step.terms):
+            expected = "Regularisation.delta_fields with heat: what it dissipates is made of phi'' by forms"
+            raise ParameterError("Regularisation.delta_fields", diffusing[0].law.delta_fields, expected)
         claims = cls()
         for term in step.terms:
             claims._claim(step, term)
-        if claims.diffusion and any(isinstance(term, Heating) for term in step.terms):
-            expected = "Regularisation.delta_fields with heat: what it dissipates is made of phi'' by forms"
-            delta = claims.diffusion[0].law.delta_fields
-            raise ParameterError("Regularisation.delta_fields", delta, expected)
         return claims
 
     def beside_the_points(self) -> list[Term]:
