@@ -1,8 +1,7 @@
 """Bodies of different material in one domain: what each of them is and carries, and where it is at the start.
 
-The bodies of a ``Model`` travel with the flow.  Body i carries densities per actual volume: its amount n_i
-and, where it has tensors, X_i = n_i B, and where it hardens K_i = n_i k, of its own, by their flux.
-theta_i = n_i/sum n_j are fractions.
+Body i carries densities per actual volume by their flux: its amount n_i and, where it has tensors,
+X_i = n_i B, and where it hardens K_i = n_i k.  theta_i = n_i/sum n_j are fractions.
 """
 
 from __future__ import annotations

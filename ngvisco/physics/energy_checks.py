@@ -150,30 +150,22 @@ class ConvexityWarning(NgviscoWarning):
 
 @dataclass(frozen=True)
 class ConvexityReport:
-    """What the sampling found.
-
-    Attributes
-    ----------
-    samples : int
-        Pairs with finite energies that were compared.
-    worst : float
-        Smallest [phi(b) - phi(a) - phi'(a):(b - a)]/|b - a|^2 found, Pa; 0 when the energy passed.
-    point, direction : mapping of names to arrays, or None
-        a and b - a of the pair that is cited, 3x3 or scalar; None when the energy passed.
-    reachable : bool
-        Whether a motion can reach the state a.
-    distance : float
-        Of a from the nearest of the ``states`` that were given, without such from rest: the Frobenius norm
-        over all variables; 0 when the energy passed.
-    """
+    """What the sampling of pairs of states a, b found."""
 
     samples: int
+    """Pairs with finite energies that were compared."""
     worst: float = 0.0
+    """Smallest [phi(b) - phi(a) - phi'(a):(b - a)]/|b - a|^2, Pa; 0 when the energy passed."""
     point: dict[str, np.ndarray] | None = None
+    """a of the pair that is cited, 3x3 or scalar by name; None when the energy passed."""
     direction: dict[str, np.ndarray] | None = None
+    """b - a of that pair."""
     reachable: bool = False
+    """Whether a motion can reach a."""
     distance: float = 0.0
+    """Of a from the nearest of the ``states`` that were given, else from rest, in the Frobenius norm."""
     from_run: bool = False
+    """Whether ``states`` were given."""
 
     @property
     def passed(self) -> bool:
@@ -215,10 +207,6 @@ def check_convexity(
         Whether to issue a ConvexityWarning with the point where the energy fails.
     states : array (count, components), optional
         Components of a run's states, to say how far from them the energy fails; default rest.
-
-    Returns
-    -------
-    ConvexityReport
     """
     sampling = _sampling("check_convexity", material, dim, spread, seed)
     strains, response = sampling.space.strains, respond(material, dim)
@@ -307,24 +295,16 @@ def _worst_bregman(
 
 @dataclass(frozen=True)
 class IsotropyReport:
-    """What the sampling found.
-
-    Attributes
-    ----------
-    samples : int
-        Pairs of a state and a turned one with finite energies.
-    worst : float
-        Largest |phi(z*) - phi(z)| found, Pa; 0 when the energy passed.
-    rotation : (3, 3) array or None
-        Q of the worst pair; None when the energy passed.
-    point : mapping of names to arrays, or None
-        z of the worst pair, 3x3 or scalar.
-    """
+    """What the sampling of states z and turned ones z* found."""
 
     samples: int
+    """Pairs with finite energies."""
     worst: float = 0.0
+    """Largest |phi(z*) - phi(z)|, Pa; 0 when the energy passed."""
     rotation: np.ndarray | None = None
+    """Q of the worst pair, 3x3; None when the energy passed."""
     point: dict[str, np.ndarray] | None = None
+    """z of the worst pair, 3x3 or scalar by name."""
 
     @property
     def passed(self) -> bool:
@@ -351,10 +331,6 @@ def check_isotropy(material: Material, *, dim: int = 3, spread: float = 0.4, see
         Size of the sampled region, as for ``check_convexity``.
     seed : int
         Of the random states and rotations.
-
-    Returns
-    -------
-    IsotropyReport
     """
     sampling = _sampling("check_isotropy", material, dim, spread, seed)
     states = sampling.changed(sampling.fitting())

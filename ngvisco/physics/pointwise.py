@@ -25,21 +25,13 @@ from ngvisco.physics.tensors import Tensor
 
 @dataclass(frozen=True)
 class Response:
-    """An energy at n states of N components.
-
-    Attributes
-    ----------
-    energy : (n,) array, Pa
-    slope : (n, N) array, its derivative by the components
-    hessian : (n, N, N) array
-    failure : str or None
-        Why some entries are NaN; None where all is well.
-    """
+    """An energy, (n,), Pa, at n states of N components, its slope, (n, N), and Hessian, (n, N, N)."""
 
     energy: np.ndarray
     slope: np.ndarray
     hessian: np.ndarray
     failure: str | None = None
+    """Why some entries are NaN; None where all is well."""
 
     @property
     def finite(self) -> np.ndarray:

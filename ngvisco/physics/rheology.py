@@ -38,17 +38,12 @@ class Viscosity(ABC):
 
     ``Model`` refuses one whose power is negative or which is not monotone, by samples.  Raises ParameterError
     for a parameter of a dataclass outside the range of its annotation.
-
-    Attributes
-    ----------
-    reads : frozenset of str
-        Which of ``PRESSURE`` and ``TEMPERATURE`` it finds among the values ``z``.
-    is_linear : bool
-        Whether D is linear in eps.
     """
 
     reads: frozenset[str] = frozenset()
+    """Which of ``PRESSURE`` and ``TEMPERATURE`` it finds among the values ``z``."""
     is_linear: bool = False
+    """Whether D is linear in eps."""
 
     def __post_init__(self) -> None:
         require_ranges(self)

@@ -85,36 +85,24 @@ class FlowRule(ABC):
     A rule with a gradient term declares ``nu`` and gives ``psi`` as well; ``Model`` refuses a rule whose
     power M : Pi is negative, whose Pi is not symmetric and trace-free, or whose psi' is not the inverse of
     ``rate``, by samples.  Raises ParameterError for a parameter outside the range of its annotation.
-
-    Attributes
-    ----------
-    nu : float
-        Coefficient of the gradient term, such that nu |grad Pi|^q is W/m^3; 0 (default) is a local rule.
-    q : float
-        Its exponent, > 1.
-    floor : float
-        Regularisation of |grad Pi| at zero for exponents that are no even integers, 1/(m s), > 0.
-    rate_floor : float
-        |Pi| below which ``psi`` is smoothed at zero where it is no even power, 1/s, > 0.
-    reads_conjugate : bool
-        Whether ``rate`` reads zeta: the material then needs a conformation tensor, and the rule is local.
-    reads : frozenset of str
-        Which of ``PRESSURE``, ``TEMPERATURE``, ``HARDENING`` (``physics.variables``) it reads in ``z``.
-    has_trace : bool
-        Whether tr Pi is not zero: the determinant of B is then not that of a distortion.
-    degree : float
-        The power of |M| that the rate grows as, 1 of a linear rule; infinite (default) of one that grows
-        otherwise.
     """
 
     nu: float = 0.0
+    """Coefficient of the gradient term, such that nu |grad Pi|^q is W/m^3; 0 is a local rule."""
     q: float = 4.0
+    """Its exponent, > 1."""
     floor: float = 1e-10
+    """Regularisation of |grad Pi| at zero for exponents that are no even integers, 1/(m s), > 0."""
     rate_floor: float = 1e-9
+    """|Pi| below which ``psi`` is smoothed at zero where it is no even power, 1/s, > 0."""
     reads_conjugate: bool = False
+    """Whether ``rate`` reads zeta: the material then needs a conformation tensor, and the rule is local."""
     reads: frozenset[str] = frozenset()
+    """Which of ``PRESSURE``, ``TEMPERATURE``, ``HARDENING`` (``physics.variables``) it reads in ``z``."""
     has_trace: bool = False
+    """Whether tr Pi is not zero: the determinant of B is then not that of a distortion."""
     degree: float = math.inf
+    """The power of |M| that the rate grows as, 1 of a linear rule; infinite of one that grows otherwise."""
 
     def __post_init__(self) -> None:
         require_ranges(self)

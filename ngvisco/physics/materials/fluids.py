@@ -40,13 +40,9 @@ class BarotropicFluid(Material):
 
         p = a rho^gamma,   a = (gamma - 1) B / rho_R^gamma,
 
-    so that rho/rho_R may be taken for the argument: A = 1/J = rho/rho_R obeys the same equation as the
-    density, and phi = B A^gamma.  ``from_state_equation`` is the material from a.  The speed of sound is
-    c^2 = dp/d rho = gamma p/rho.
-
-    Convex in J for every gamma > 0, in A for gamma >= 1; gamma > 1 is asked for, since the pressure is
-    not positive otherwise.  Stress at rest -(gamma - 1) B I; the bulk modulus is gamma p.  There is no
-    shear modulus, and creep does nothing.  Raises ParameterError if a parameter is out of its range.
+    and phi = B A^gamma with A = 1/J = rho/rho_R.  ``from_state_equation`` is the material from a.  The speed
+    of sound is c^2 = gamma p/rho, the bulk modulus gamma p.  Convex in J and in A.  There is no shear
+    modulus, and creep does nothing.  Raises ParameterError if a parameter is out of its range.
 
     Parameters
     ----------

@@ -61,13 +61,11 @@ def entropy_in(material: Material) -> Entropy | None:
 class Thermal(Material):
     """A material that has a temperature: its energy is the internal one, phi(z, s), and theta = d phi/d s.
 
-    The heat capacity at constant volume is c.  With ``expansion`` the thermal pressure is Gamma c (theta -
-    theta_R) with Gamma c = K ``expansion``, K the bulk modulus at rest of the material without heat, which is
-    the isothermal one: no stress at theta_R beside that of the material.  With ``gruneisen`` it is Gamma c
-    theta/J, that of an ideal gas with the adiabatic exponent 1 + Gamma where there is no other material, and
-    less ``p_infinity`` that of a stiffened one, as liquids are.  Raises ParameterError if a parameter is out
-    of its range, both of ``expansion`` and ``gruneisen`` are given, a gas has no ``gruneisen``, a material
-    has a ``p_infinity`` or an expansion without a bulk modulus, or the material has heat already.
+    With ``expansion`` the thermal pressure is Gamma c (theta - theta_R) with Gamma c = K ``expansion``, K the
+    (isothermal) bulk modulus at rest of the material without heat.  With ``gruneisen`` it is Gamma c theta/J,
+    that of an ideal gas with the adiabatic exponent 1 + Gamma where there is no other material, and less
+    ``p_infinity`` that of a stiffened one, as liquids are.  Raises ParameterError if a parameter is out of
+    its range, parameters contradict one another, or the material has heat already.
 
     Example::
 
