@@ -1,7 +1,7 @@
 """What is left of the relations between variables that stand for one thing.
 
 J is det F and H is Cof F for exact solutions; the discrete ones are transported each by itself and part,
-slowly in a solid and without end where F winds up (``materials.elastic_state``).  The ledger does not see
+slowly in a solid and without end where F winds up (``materials.hyperelastic``).  The ledger does not see
 it: the scheme's energy identity takes them for independent variables.
 """
 

@@ -10,8 +10,8 @@ such a sum is convex: phi is so in everything that is carried.  V = sum n_i U_i(
 U_i' are one function, else ``ngvisco.physics.equilibrium``.  N f(X/n) is linear, C : (X - n I), where f is.
 Any other f is that of (n + eta N, X + eta N I)/(1 + eta bodies), an affine map that leaves phi convex: a
 body that is absent is a trace of matter at rest.  Hardening adds w phi_h(K/w), w = (n + delta N)/(1 + delta),
-which is n phi_h(k) where there is nothing but the body.  Bodies with heat (``ngvisco.physics.mixed_heat``)
-have one temperature and one entropy s, and V(n) becomes W(n, s).
+which is n phi_h(k) where there is nothing but the body.  Bodies with heat have one temperature and one
+entropy s, and V(n) becomes W(n, s).
 
 Of the flow body i sees W + chi_i D and chi_i Pi_i, 0 <= chi_i <= 1 by its fraction (``taking_part``): where
 there is none of it, or less than none, it is turned and not stretched, and bears no stress.
