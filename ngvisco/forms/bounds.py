@@ -28,9 +28,9 @@ With a cut-off rho_max + width - rho is such a quantity too (paper: Euler-small-
 the bounds are made for, that of a run's start, has it positive.
 """
 
-import math
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from ngsolve import CF, L2, CoefficientFunction, GridFunction
@@ -41,6 +41,7 @@ from ngvisco.forms.mesh.quadrature import Sampler
 from ngvisco.forms.system import Step
 from ngvisco.parallel.mesh import number_of
 from ngvisco.physics.materials.thermal import temperature
+from ngvisco.physics.variables import Values
 
 OF_CUT_OFF = "rho_max + width - rho"
 """The name of the bound of a cut-off."""
@@ -48,44 +49,30 @@ OF_CUT_OFF = "rho_max + width - rho"
 _HALVINGS = 45
 """Of the interval of s, until it is a number to rounding: limited states depend continuously on theirs."""
 
-_ON_WALL = 1e-9
-"""Distance below which a point is said to be on a wall, over the size of its cell."""
-
-_UNREAD = 1e-14
-"""Size of phi' by a variable, over the median size of phi' in the mesh, which counts as zero."""
+_ON_WALL = 1e-9  # distance below which a point is said to be on a wall, over the size of its cell
+_UNREAD = 1e-14  # size of phi' by a variable, over the median size of phi' in the mesh, which counts as zero
 
 
 @dataclass(frozen=True)
 class Violation:
-    """The worst place where a state is out of bounds.
-
-    Attributes
-    ----------
-    quantity : str
-        ``"rho"``, ``"J"``, ``"det F"``, ...
-    value : float
-        Its least value, kg/m^3 for rho, else 1.
-    is_mean : bool
-        Whether it is that of the mean of a cell, and not that at a point.
-    cell : int or None
-        Its number, over ranks that in the whole mesh; None where the mesh was distributed otherwise than by
-        ``Simulation``: the whole is not known.
-    point : tuple of float
-        A point of the cell, m: its midpoint, or where the value is.
-    wall : str or None
-        The nearest boundary, at ``distance``, m, 0 to rounding on it; None in a domain without.
-    cells : int
-        How many cells are out of bounds.
-    """
+    """The worst place where a state is out of bounds."""
 
     quantity: str
+    """``"rho"``, ``"J"``, ``"det F"``, ..."""
     value: float
+    """Its least value, kg/m^3 for rho, else 1."""
     is_mean: bool
+    """Whether it is that of the mean of a cell, and not that at a point."""
     cell: int | None
+    """Its number, of the whole mesh; None where that is not known, of meshes distributed not by
+    ``Simulation``."""
     point: tuple[float, ...]
+    """A point of the cell, m: its midpoint, or where the value is."""
     wall: str | None
+    """The nearest boundary, at ``distance``, m, 0 to rounding on it; None in a domain without."""
     distance: float
     cells: int
+    """How many cells are out of bounds."""
 
     def __str__(self) -> str:
         at = ", ".join(f"{round(coordinate, 12) + 0.0:.4g}" for coordinate in self.point)
@@ -115,45 +102,39 @@ class _Outside:
 
 
 class Bounds:
-    """Finds where the present state of a step is out of bounds, and limits it.
+    """Finds where the present state of a step is out of bounds, at the sampler's points, and limits it.
 
-    Parameters
-    ----------
-    sampler : Sampler
-        Its points are those at which bounds are looked at.
-    limits : bool
-        Whether only means out of bounds are ``violation``; False for a run without a limiter.
+    With ``limits`` only means out of bounds are a ``violation``; without, as of a run without a limiter, all.
     """
 
     def __init__(self, step: Step, sampler: Sampler, limits: bool = True) -> None:
         self.step, self.sampler, self.limits = step, sampler, limits
         self._ranks = sampler.ranks
-        material, dim, u = step.model.material, step.mesh.dim, step.now
-        self._variables: list[str | None] = [None]
-        """The variable that each bound is of; None for rho, "" for several."""
-        present: dict[str, CoefficientFunction] = {"rho": u.rho}
         law = step.model.regularisation
-        self._densest: float | None = None
-        """The density that a cut-off bounds it by, kg/m^3."""
+        self._densest: float | None = None  # the density that a cut-off bounds it by, kg/m^3
         if law is not None and law.rho_max is not None:
-            bound = law.rho_max + law.width
-            if sampler.extrema(u.rho)[1] < bound:
-                self._densest = bound
-                present[OF_CUT_OFF] = bound - u.rho
-                self._variables.append(None)
-        for name, bounds in material.bounds(u.z_tensors).items():
-            present |= bounds
-            self._variables += [name] * len(bounds)
-        self.names = tuple(present)
+            densest = law.rho_max + law.width
+            self._densest = densest if sampler.extrema(step.now.rho)[1] < densest else None
+        found = self._bounds(step.now.rho, step.now.z_tensors)
+        self.names = tuple(name for _, name, _ in found)
+        self._variables = tuple(variable for variable, *_ in found)
+        """The variable that each bound is of; None for rho, "" for several."""
+        self._present = CF(tuple(value for *_, value in found))
+        material = step.model.material
         self._where_means_do = np.array([name in material.where_means_do for name in self.names])
-        self._present = CF(tuple(present.values()))
-        self._slices = material.states(dim).slices
-        self._share = GridFunction(L2(step.mesh, order=0))
-        """s of rho in the last limited state."""
+        self._share = GridFunction(L2(step.mesh, order=0))  # s of rho in the last limited state
         self.refused: tuple[Violation, np.ndarray] | None = None
         """The last solution that had a ``defect``: where, and its coefficients."""
         self.takes_energy = False
         """Whether more than tensors of linear energies was limited there."""
+
+    def _bounds(
+        self, rho: CoefficientFunction, z: Values
+    ) -> list[tuple[str | None, str, CoefficientFunction]]:
+        """What is to be positive: of which variable, by what name, and its value."""
+        of_rho = {"rho": rho} if self._densest is None else {"rho": rho, OF_CUT_OFF: self._densest - rho}
+        groups = [(None, of_rho), *self.step.model.material.bounds(z).items()]
+        return [(variable, name, value) for variable, of in groups for name, value in of.items()]
 
     @cached_property
     def _means(self) -> CellMeans:
@@ -170,15 +151,9 @@ class Bounds:
         return Stretches(self.step, self.sampler, self._means)
 
     @cached_property
-    def _bounds_of_means(self) -> CoefficientFunction:
-        material, means = self.step.model.material, self._means
-        z = material.states(self.step.mesh.dim).tensors(lambda: means.z)
-        values = [means.rho]
-        if self._densest is not None:
-            values.append(self._densest - means.rho)
-        for bounds in material.bounds(z).values():
-            values += bounds.values()
-        return CF(tuple(values))
+    def _of_means(self) -> CoefficientFunction:
+        z = self.step.layout.states.tensors(lambda: self._means.z)
+        return CF(tuple(value for *_, value in self._bounds(self._means.rho, z)))
 
     @cached_property
     def _slope(self) -> CoefficientFunction:
@@ -216,6 +191,10 @@ class Bounds:
         found = self._outside()
         return np.zeros(0, dtype=int) if found is None else found.cells
 
+    def is_exceeded(self) -> bool:
+        """Whether ``limit`` would change the present state."""
+        return self.ranges.is_exceeded() or self._outside() is not None or self.stretches.is_exceeded()
+
     def limit(self) -> int:
         """Limit the present state, whose means are within their bounds; gives the number of cells changed.
 
@@ -224,33 +203,24 @@ class Bounds:
         self._share.vec[:] = 1.0
         changed, found = self.ranges.limit(), self._outside()
         if found is not None:
-            self._limit(found)
+            _ = self._means.owner  # which all ranks make together
+            of_density = np.array([variable is None for variable in self._variables])
+            if self.step.model.bodies:  # z has rho in it
+                self._scale("z", found, np.ones_like(of_density))
+            else:
+                self._scale("rho", found, of_density)
+                self._scale("z", found, ~of_density)
             changed = np.union1d(changed, found.cells)
         self.takes_energy = self._ranks.total(len(changed)) > 0
         changed = np.union1d(changed, self.stretches.limit())
         return int(self._ranks.total(len(changed)))
 
-    def _limit(self, found: _Outside) -> None:
-        """Scale rho and z in the cells that were found outside; of bodies z alone, which has rho in it."""
-        target, _ = SHARE * found.means, self._means.owner  # which all ranks make together
-        of_density = np.array([variable is None for variable in self._variables])
-        if self.step.model.bodies:
-            self._scale("z", found, of_density | True, target)
-        else:
-            self._scale("rho", found, of_density, target)
-            self._scale("z", found, ~of_density, target)
-
     def limit_momentum(self) -> None:
         """Scale the momentum density that the step starts from as ``limit`` has scaled rho."""
-        momentum, means = self.step.momentum_old, self._means
-        means.project_momentum()
-        momentum.Interpolate(means.momentum + self._share * (momentum - means.momentum))
+        momentum, mean = self.step.momentum_old, self._means.momentum()
+        momentum.Interpolate(mean + self._share * (momentum - mean))
 
-    def is_exceeded(self) -> bool:
-        """Whether ``limit`` would change the present state."""
-        return self.ranges.is_exceeded() or self._outside() is not None or self.stretches.is_exceeded()
-
-    def _scale(self, name: str, found: _Outside, group: np.ndarray, target: np.ndarray) -> None:
+    def _scale(self, name: str, found: _Outside, group: np.ndarray) -> None:
         """Scale rho or z in the cells where bounds of the ``group`` are broken, until these are kept."""
         required, outside = found.required & group, (found.broken & group).any(axis=1)
         place = np.full(self.step.mesh.ne, -1)
@@ -265,7 +235,8 @@ class Bounds:
         for _ in range(_HALVINGS if outside.any() else 0):
             middle = 0.5 * (low + high)
             values[:, dofs] = centre + middle[cells] * rest
-            holds = (~required | (self._at(found) >= target)).all(axis=1)
+            least = least_of(self.sampler.rows(self._present, found.points), found.owner, len(found.cells))
+            holds = (~required | (least >= SHARE * found.means)).all(axis=1)
             low, high = np.where(holds, middle, low), np.where(holds, high, middle)
         values[:, dofs] = centre + low[cells] * rest
         if name == "rho" or self.step.model.bodies:
@@ -273,7 +244,7 @@ class Bounds:
 
     def _outside(self) -> _Outside | None:
         """The cells that are out of bounds at one of the sampler's points; NaN is so."""
-        values = self._rows(self.sampler.values(self._present))
+        values = self.sampler.rows(self._present)
         bad = ~(values > 0)
         if not self._ranks.any(bad.any()):  # from here on all ranks go together, with no cells perhaps
             return None
@@ -281,7 +252,8 @@ class Bounds:
         cells = np.unique(numbers[bad.any(axis=1)])
         points = np.flatnonzero(np.isin(numbers, cells))
         owner = np.searchsorted(cells, numbers[points])
-        means = self._at_means(points[np.unique(owner, return_index=True)[1]])
+        self._means.project()
+        means = self.sampler.rows(self._of_means, points[np.unique(owner, return_index=True)[1]])
         required = self._required(len(cells), points, owner) & (~self._where_means_do | (means > 0))
         least = least_of(values[points], owner, len(cells))
         broken = required & ~(least > 0)
@@ -304,25 +276,15 @@ class Bounds:
         required = np.ones((count, len(self.names)), dtype=bool)
         if self.step.energy.projected is not None:  # no values but at the quadrature points
             return required
-        sizes = np.nan_to_num(np.abs(self._rows(self.sampler.values(self._slope))), nan=np.inf)
+        sizes = np.nan_to_num(np.abs(self.sampler.rows(self._slope)), nan=np.inf)
         every = np.concatenate(self._ranks.gathered(sizes.max(axis=1, initial=0.0)))
         unread = _UNREAD * float(np.median(every))
         for i, name in enumerate(self._variables):
             if name:
-                largest = np.zeros(count)
-                np.maximum.at(largest, owner, sizes[points][:, self._slices[name]].max(axis=1))
+                of_variable = sizes[points][:, self.step.layout.states.slices[name]].max(axis=1)
+                largest = -least_of(-of_variable[:, None], owner, count)[:, 0]
                 required[:, i] = largest > unread
         return required
-
-    def _at(self, found: _Outside) -> np.ndarray:
-        """The present least value of every bound in every cell, (cells, bounds)."""
-        values = self._rows(np.asarray(self._present(self.sampler.points[found.points])))
-        return least_of(values, found.owner, len(found.cells))
-
-    def _at_means(self, points: np.ndarray) -> np.ndarray:
-        """The bounds' values for the means of the cells that these points are in, (points, bounds)."""
-        self._means.project()
-        return self._rows(np.asarray(self._bounds_of_means(self.sampler.points[points])))
 
     def _worst(self, found: _Outside, broken: np.ndarray, values: np.ndarray, is_mean: bool) -> Violation:
         """Of the first bound that is broken the least value, and where that is, of all ranks."""
@@ -331,8 +293,7 @@ class Bounds:
 
         def order(one: tuple[Violation, float]) -> tuple[int, float, int]:
             value, cell = one[0].value, one[0].cell
-            rank = value if value == value else -np.inf
-            return self.names.index(one[0].quantity), rank, -1 if cell is None else cell
+            return self.names.index(one[0].quantity), _or_least(value), -1 if cell is None else cell
 
         worst, size = min(named, key=order)
         wall, distance = nearest_wall(self.step.mesh, np.array(worst.point))
@@ -346,14 +307,13 @@ class Bounds:
         """The same of this rank, but for walls and other ranks' cells, and the size of the cell, m."""
         bound = int(np.flatnonzero(broken.any(axis=0))[0])
         where = np.flatnonzero(broken[:, bound])
-        least = values[where, bound]
-        i = int(where[np.argmin(np.where(np.isnan(least), -np.inf, least))])
+        i = int(where[np.argmin(_or_least(values[where, bound]))])
         own = found.points[found.owner == i]
         places = self.sampler.coordinates(own)
         place = places.mean(axis=0)
         if not is_mean:
-            at_points = self._rows(np.asarray(self._present(self.sampler.points[own])))[:, bound]
-            place = places[int(np.argmin(np.where(np.isnan(at_points), -np.inf, at_points)))]
+            at_points = self.sampler.rows(self._present, own)[:, bound]
+            place = places[int(np.argmin(_or_least(at_points)))]
         cell = int(found.cells[i])
         worst = Violation(
             quantity=self.names[bound],
@@ -367,5 +327,7 @@ class Bounds:
         )
         return worst, float(self.step.context.h.vec[cell])
 
-    def _rows(self, values: np.ndarray) -> np.ndarray:
-        return values.reshape(len(values), math.prod(values.shape[1:]))
+
+def _or_least(values: Any) -> Any:
+    """What is not a number as the least of all."""
+    return np.where(np.isnan(values), -np.inf, values)

@@ -26,7 +26,8 @@ from ngsolve import CF, L2, BilinearForm, CoefficientFunction, GridFunction, Vec
 
 from ngvisco.forms.mesh.points import csr
 from ngvisco.forms.mesh.quadrature import Sampler
-from ngvisco.forms.system import LocalProjection, Step
+from ngvisco.forms.projections import LocalProjection
+from ngvisco.forms.system import Step
 from ngvisco.forms.term import tested
 from ngvisco.physics.bodies import AMOUNT
 from ngvisco.physics.mixture import Mixture
@@ -35,11 +36,8 @@ from ngvisco.physics.parameters import Parameter
 SHARE = 1e-2
 """What a limited cell keeps at every point, at least, of the bounded quantities of its mean.
 
-Measured, a neo-Hookean cavity under a lid of full speed near its corners (230 triangles, dt = 0.02 s, until
-0.6 s): with 1e-6, 1e-3 and 1e-2 the same cells are limited and energies agree to 3e-3; the step after, in
-which the body is being torn at two corners, the split solver does not take with these, and does with 0.1
-(until 0.72 s).  Cells are limited where something is <= 0, not where it is below its share of the mean:
-a density that falls to zero along a line is no reason to change it.
+Cells are limited where something is <= 0, not where it is below its share of the mean: a density that falls
+to zero along a line is no reason to change it.
 """
 
 
@@ -48,11 +46,10 @@ class CellMeans:
 
     def __init__(self, step: Step) -> None:
         self.step = step
-        space, size = L2(step.mesh, order=0), step.model.material.states(step.mesh.dim).size
-        self.rho = GridFunction(space)
-        self.z = GridFunction(VectorValued(space, size))
+        space, size = L2(step.mesh, order=0), step.layout.states.size
+        self.rho, self.z = GridFunction(space), GridFunction(VectorValued(space, size))
         self._projections = [
-            LocalProjection(target.space, target, step.quadrature, tested(value))
+            LocalProjection(target, step.quadrature, tested(value))
             for target, value in ((self.rho, step.now.rho), (self.z, step.now.z))
         ]
         self._space = step.layout.scalar_space("z")
@@ -67,18 +64,14 @@ class CellMeans:
             projection()
 
     @cached_property
+    def _of_momentum(self) -> LocalProjection:
+        target = GridFunction(VectorValued(self.rho.space, self.step.mesh.dim))
+        return LocalProjection(target, self.step.quadrature, tested(self.step.momentum_old))
+
     def momentum(self) -> GridFunction:
         """Of the momentum density that the step starts from, kg/(m^2 s)."""
-        return GridFunction(VectorValued(self.rho.space, self.step.mesh.dim))
-
-    @cached_property
-    def _momentum_projection(self) -> LocalProjection:
-        load = tested(self.step.momentum_old)
-        return LocalProjection(self.momentum.space, self.momentum, self.step.quadrature, load)
-
-    def project_momentum(self) -> None:
-        """Make ``momentum`` that of the present ``momentum_old``."""
-        self._momentum_projection()
+        self._of_momentum()
+        return self._of_momentum.target
 
     def of_cells(self, name: str) -> np.ndarray:
         """Means of ``"rho"`` or ``"z"``, (components, cells)."""
@@ -116,15 +109,7 @@ SLACK = 1e-9
 
 
 class Ranges:
-    """Keeps the parameters of a step's present state within their ranges.
-
-    Parameters
-    ----------
-    step : Step
-        Its ``ranges`` have, by name, the least and the largest start value of every parameter.
-    sampler : Sampler
-        Its points are those at which values are looked at.
-    """
+    """Keeps the parameters of a step's present state within ``Step.ranges``, at the sampler's points."""
 
     def __init__(self, step: Step, sampler: Sampler, means: CellMeans) -> None:
         self.step, self.sampler, self._means = step, sampler, means
@@ -169,20 +154,11 @@ class Ranges:
         return ((least < low - slack) | (largest > high + slack)).T, least.T, largest.T
 
 
-_PART = 0.1
-"""Fraction from which on the body takes part (``Mixture.taking_part``)."""
+_PART = 0.1  # fraction from which on the body takes part (``Mixture.taking_part``)
 
 
 class Stretches:
-    """Keeps X_i of a step's present state positive.
-
-    Parameters
-    ----------
-    step : Step
-        Of bodies, whose ``linear_contents`` these are.
-    sampler : Sampler
-        Its points are those at which values are looked at.
-    """
+    """Keeps the ``linear_contents`` X_i of a step's present state positive, at the sampler's points."""
 
     def __init__(self, step: Step, sampler: Sampler, means: CellMeans) -> None:
         self.step, self.sampler, self._means = step, sampler, means

@@ -8,14 +8,10 @@ from typing import TYPE_CHECKING, TypeVar
 
 from ngsolve import (
     CF,
-    EDGE,
-    FACE,
     L2,
     CoefficientFunction,
-    FacetFESpace,
     GridFunction,
     Mesh,
-    NodeId,
     Parameter,
     Region,
     TaskManager,
@@ -25,7 +21,7 @@ from ngsolve import (
 from ngvisco.errors import InputWarning
 from ngvisco.forms.energy import StoredEnergy
 from ngvisco.forms.fields import Fields
-from ngvisco.forms.mesh.mesh_arrays import boundary_facets, facets_with_two_sides
+from ngvisco.forms.mesh.mesh_arrays import inner_facets
 from ngvisco.forms.rates import Rates
 from ngvisco.forms.term import Term
 from ngvisco.forms.time_means import TOLERANCE, TimeMean, mean_in_cells, mean_on_walls
@@ -35,7 +31,7 @@ from ngvisco.physics.model import Model
 from ngvisco.physics.signals import may_read_time, time
 
 if TYPE_CHECKING:
-    from ngvisco.forms.boundary.passages import Carried
+    from ngvisco.forms.boundary.wall_terms import Carried
 
 __all__ = ["Context", "cell_size", "inner_facets", "time"]
 
@@ -60,12 +56,9 @@ class Context:
         degree: int = 8,
         passages: Sequence[Carried] = (),
     ) -> None:
-        """``wind`` is the velocity v* of the upwinding, m/s.
-
-        ``energy`` may be None where the material's energy has an expression.
-
-        ``momentum_old`` are the values of m_old at the points of the forms' rule, kg/(m^2 s); None for
-        rho_old v_old.  ``degree`` is that of the forms' rule; ``passages`` are the walls that matter crosses.
+        """``wind`` is the velocity v* of the upwinding, m/s; ``degree`` that of the forms' rule, at whose
+        points ``momentum_old`` are the values of m_old, kg/(m^2 s), None for rho_old v_old; ``passages`` are
+        the walls that matter crosses.  ``energy`` may be None where the material's energy has an expression.
         """
         self.mesh, self.old = mesh, old
         self.energy = energy or StoredEnergy(model.material, mesh.dim)
@@ -93,10 +86,15 @@ class Context:
         self.crossed, incoming = self.inner, None
         """1 on facets that matter crosses, on those between two cells and on such walls; 0 on all others."""
         if passages:
-            names = ("z",) if model.bodies else ("rho", "z")
             where = sum((passage.indicator for passage in passages), CF(0.0))
             self.crossed = self.inner + where
-            incoming = Incoming(where, {name: self._entering(name, passages) for name in names})
+            parts = {}
+            for name in ("z",) if model.bodies else ("rho", "z"):
+                of_walls = [
+                    wall.indicator * self.average(wall.values[name], wall.region) for wall in passages
+                ]
+                parts[name] = sum(of_walls[1:], of_walls[0])
+            incoming = Incoming(where, parts)
         self._through = wind * self.normal
         self.upwinding = Upwinding(self._through, self.crossed, self.eta, incoming)
         """On a cell's boundary only."""
@@ -179,17 +177,13 @@ class Context:
         return _shaped(self._mean(value, None)[0], value)
 
     def _mean(self, value: CoefficientFunction, walls: Region | None) -> tuple[GridFunction, TimeMean]:
-        if walls is None:
-            made = mean_in_cells(value, self.mesh, self._degree)
-        else:
-            made = mean_on_walls(value, self.mesh, self._degree, walls)
+        made = (
+            mean_in_cells(value, self.mesh, self._degree)
+            if walls is None
+            else mean_on_walls(value, self.mesh, self._degree, walls)
+        )
         made[1].update(self.loads_from.Get(), self.loads_over.Get())
         return made
-
-    def _entering(self, name: str, passages: Sequence[Carried]) -> CoefficientFunction:
-        """What flows in through walls, averaged over the step; zero elsewhere."""
-        parts = [one.indicator * self.average(one.values[name], one.region) for one in passages]
-        return sum(parts[1:], parts[0])
 
 
 def _shaped(function: GridFunction, value: CoefficientFunction) -> CoefficientFunction:
@@ -197,25 +191,6 @@ def _shaped(function: GridFunction, value: CoefficientFunction) -> CoefficientFu
         return function.components[0] if function.components else function
     vector = function if function.dim == value.dim else CF(tuple(function.components))
     return vector.Reshape(tuple(value.dims))
-
-
-def periodic_facets(mesh: Mesh) -> set[int]:
-    """The boundary facets that the mesh identifies with another one, as indices of ``mesh_arrays``."""
-    kind, space = EDGE if mesh.dim == 2 else FACE, FacetFESpace(mesh, order=0)
-    pairs = (pair for pair, _ in mesh.GetPeriodicNodePairs(kind))
-    return {facet for pair in pairs for nr in pair for facet in space.GetDofNrs(NodeId(kind, nr))}
-
-
-def inner_facets(mesh: Mesh) -> GridFunction:
-    """1 on facets between two cells, also identified ones and interfaces, 0 on walls.
-
-    Nothing is carried through a wall.
-    """
-    indicator = GridFunction(FacetFESpace(mesh, order=0))
-    wall = boundary_facets(mesh) & ~facets_with_two_sides(mesh)
-    wall[list(periodic_facets(mesh))] = False
-    indicator.vec.FV().NumPy()[:] = ~wall
-    return indicator
 
 
 def cell_size(mesh: Mesh) -> GridFunction:

@@ -52,7 +52,7 @@ from ngvisco.forms.mesh.mesh_arrays import is_simplicial
 from ngvisco.forms.mesh.points import csr
 from ngvisco.forms.term import PRODUCTION, Entry, Integrand
 from ngvisco.parallel.communicator import Communicator
-from ngvisco.physics.material import conjugates, part_of
+from ngvisco.physics.material import conjugates
 from ngvisco.physics.materials.damaged import DAMAGE, SLOPE, Damaged
 from ngvisco.physics.materials.thermal import Entropy, entropy_in
 from ngvisco.physics.parameters import substituted
@@ -99,12 +99,14 @@ class DamageGrowth:
         self._part = GridFunction(step.layout.scalar_space("z"))
         entropy = entropy_in(step.model.material)
         self._heat = None if entropy is None else _Heat(step, entropy)
-        self.entries = (
+        self.entries = [
             Entry(DISSIPATION, "dissipation", Integrand()),
             Entry(BREGMAN, "numerical", Integrand()),
             Entry("stored_surface", "monitor", Integrand(law.surface_energy(z))),
-            *(() if self._heat is None else self._heat.entries),
-        )
+        ]
+        if self._heat is not None:
+            self.entries.append(Entry(_POWER, "power", Integrand()))
+            self.entries.append(Entry(_PRODUCTION, "production", Integrand()))
 
     def _check(self) -> None:
         step, law = self.step, self.law
@@ -158,8 +160,7 @@ class DamageGrowth:
         values, dofs = self._at_vertices(self.damage), self._dofs
         size = len(self._masses)
         sums, counts = np.bincount(dofs, values, size), np.bincount(dofs, minlength=size)
-        z = self._z()
-        z[self._rows] = 0.0
+        self._z()[self._rows] = 0.0
         self._add(np.clip(sums / np.maximum(counts, 1), 0.0, 1.0))
 
     def __call__(self, tau: float) -> tuple[dict[str, float], dict[str, float]]:
@@ -168,13 +169,10 @@ class DamageGrowth:
         Raises StepError where there is no minimum: the energy is not convex in the damage.
         """
         law, step = self.law, self.step
-        H = csr(self._hessian.Assemble().mat)
-        f = self._slope.Assemble().vec.FV().NumPy().copy()
+        H, f = csr(self._hessian.Assemble().mat), self._slope.Assemble().vec.FV().NumPy().copy()
         low, high = self._bounds()
-        rising = self._masses * law.viscosity / tau
-        falling = rising
-        if law.healing_viscosity is not None:
-            falling = self._masses * law.healing_viscosity / tau
+        healing = law.viscosity if law.healing_viscosity is None else law.healing_viscosity
+        rising, falling = (self._masses * viscosity / tau for viscosity in (law.viscosity, healing))
         try:
             found = minimise_in_box(H, f, (rising, falling), low, high)
         except StepError as error:
@@ -228,14 +226,11 @@ class _Heat:
 
     def __init__(self, step: Step, entropy: Entropy) -> None:
         self.step, self.entropy, self._place = step, entropy, step.layout.states.slices[entropy.name].start
-        self._share, self._added = (
-            GridFunction(L2(step.mesh, order=0)),
-            GridFunction(step.layout.scalar_space("z")),
-        )
+        self._share = GridFunction(L2(step.mesh, order=0))
+        self._added = GridFunction(step.layout.scalar_space("z"))
         self._heat = step.energy.density(step.now).Compile()
         theta = conjugates(step.model.material, step.now.z_tensors)[entropy.name]
         self._theta = (1 / entropy.unit * theta).Compile()
-        self.entries = (Entry(_POWER, "power", Integrand()), Entry(_PRODUCTION, "production", Integrand()))
 
     def __call__(self, xi: GridFunction, tau: float) -> dict[str, float]:
         """Add the heat ``xi``, J/m^3, to the present state; by columns, W and W/K."""
@@ -262,9 +257,3 @@ class _Heat:
         """Over each cell, by the rule of the forms."""
         degree = self.step.quadrature.volume_degree
         return np.asarray(Integrate(f, self.step.mesh, order=degree, element_wise=True).NumPy()).copy()
-
-
-def damage_growth(step: Step) -> DamageGrowth | None:
-    """That of a step whose material breaks."""
-    law = part_of(step.model.material, Damaged)
-    return None if law is None else DamageGrowth(step, law)

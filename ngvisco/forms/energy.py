@@ -7,24 +7,19 @@ approximation) they are computed at the quadrature points and kept there: with t
 
 which at z = z_k is the slope and has its exact derivative, all that a residual and its Jacobian need.
 ``refresh`` makes them those of the present state, and is asked for before every use.  They depend on z
-alone, so that checkpoints need not have them.  Further states (``follow``) have values of their own.  The
-minimisers as unknowns at the points, condensed cell by cell, are the alternative: with F and J 72 of them
-in a triangle and 240 in a tetrahedron.  Measured, of the two equations z -> zeta on 6 triangles (12
-tetrahedra): 6 (124) ms for a linearisation against 0.5 (12) ms here and 7 (22) ms for the minimisers.
+alone, so that checkpoints need not have them.  Further states (``follow``) have values of their own.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial, reduce
 from operator import add
 
 import numpy as np
-from ngsolve import CF, L2, CoefficientFunction, GridFunction, VectorValued
-from ngsolve.comp import IntegrationRuleSpace
+from ngsolve import CF, L2, CoefficientFunction, GridFunction
 
 from ngvisco.errors import InitialDataError, StepError
 from ngvisco.forms.fields import Fields
-from ngvisco.forms.mesh.quadrature import Quadrature, Sampler
+from ngvisco.forms.mesh.quadrature import Quadrature, Sampler, values_of
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.physics.material import Material, conjugates
 from ngvisco.physics.pointwise import Respond
@@ -78,7 +73,7 @@ class StoredEnergy:
         for j in range(self.dim):
             along = states.tensors(partial(column, slope, j))
             curved = {
-                name: total([of.Diff(variables[other], along[other]) for other in variables])
+                name: reduce(add, (of.Diff(variables[other], along[other]) for other in variables))
                 for name, of in slopes.items()
             }
             parts.append(states.components(curved))
@@ -114,21 +109,17 @@ class PointwiseEnergy(StoredEnergy):
         self.response, self.fields = response, now
         self._ranks = Communicator.of(quadrature.mesh)
         self._own_failure: str | None = None
-        points = IntegrationRuleSpace(quadrature.mesh, order=quadrature.volume_degree // 2)
-        self._size = material.states(self.dim).size
-        self._points, self._vectors = points, VectorValued(points, self._size)
+        self._quadrature, self._size = quadrature, material.states(self.dim).size
         self._values: dict[Fields, _Values] = {}
         self.follow(now)
-        self._hessian = GridFunction(VectorValued(points, self._size * self._size))
+        self._hessian = quadrature.vectors(self._size * self._size)
         self.projected = GridFunction(L2(quadrature.mesh, order=order))
 
     def follow(self, u: Fields) -> None:
-        self._values[u] = _Values(
-            GridFunction(self._points), *(GridFunction(self._vectors) for _ in range(2))
-        )
+        self._values[u] = _Values(*(self._quadrature.vectors(size) for size in (1, self._size, self._size)))
 
     def density(self, u: Fields) -> CoefficientFunction:
-        return self._values.get(u, self._values[self.fields]).energy
+        return self._values.get(u, self._values[self.fields]).energy.components[0]
 
     def slope(self, u: Fields) -> CoefficientFunction:
         if u is not self.fields and u in self._values:
@@ -172,13 +163,13 @@ class PointwiseEnergy(StoredEnergy):
         """The same on this rank."""
         mine = self._values[u]
         mine.state.Interpolate(u.z)
-        states = _array(mine.state)
+        states = values_of(mine.state)
         if mine.at is not None and np.array_equal(states, mine.at):
             return False
         if u is self.fields:
             response = self.response(states.T)
             self._own_failure = response.failure
-            _array(self._hessian)[:] = response.hessian.reshape(len(response.energy), self._size**2).T
+            values_of(self._hessian)[:] = response.hessian.reshape(len(response.energy), self._size**2).T
             energy, slope = response.energy, response.slope.T
         else:  # mostly a state that has been met
             known = (v for v in self._values.values() if v.at is not None and np.array_equal(states, v.at))
@@ -187,9 +178,9 @@ class PointwiseEnergy(StoredEnergy):
                 response = self.response(states.T)
                 energy, slope = response.energy, response.slope.T
             else:
-                energy, slope = _array(met.energy)[0].copy(), _array(met.slope).copy()
-        _array(mine.energy)[0] = energy
-        _array(mine.slope)[:] = slope
+                energy, slope = values_of(met.energy)[0].copy(), values_of(met.slope).copy()
+        values_of(mine.energy)[0] = energy
+        values_of(mine.slope)[:] = slope
         mine.at = states.copy()
         return True
 
@@ -204,11 +195,6 @@ def column(matrix: CoefficientFunction, j: int) -> CoefficientFunction:
     return matrix * CF(tuple(float(i == j) for i in range(matrix.dims[1])))
 
 
-def total(parts: Sequence[CoefficientFunction]) -> CoefficientFunction:
-    """The sum of at least one function."""
-    return reduce(add, parts)
-
-
 @dataclass
 class _Values:
     """phi, the state and phi' at the quadrature points, and the state they were computed at."""
@@ -217,9 +203,3 @@ class _Values:
     state: GridFunction
     slope: GridFunction
     at: np.ndarray | None = None
-
-
-def _array(function: GridFunction) -> np.ndarray:
-    """The values of a grid function of quadrature points, (components, points)."""
-    values = function.vec.FV().NumPy()
-    return values.reshape(len(function.components) or 1, -1)

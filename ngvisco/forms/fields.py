@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from functools import cached_property
+from itertools import combinations_with_replacement
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,11 +21,10 @@ if TYPE_CHECKING:
 def hessian_basis(dim: int) -> np.ndarray:
     """(dim^2, dim(dim+1)/2): orthonormal basis of symmetric dim x dim matrices, as columns."""
     columns = []
-    for i in range(dim):
-        for j in range(i, dim):
-            B = np.zeros((dim, dim))
-            B[i, j] = B[j, i] = 1.0 if i == j else np.sqrt(0.5)
-            columns.append(B.ravel())
+    for i, j in combinations_with_replacement(range(dim), 2):
+        B = np.zeros((dim, dim))
+        B[i, j] = B[j, i] = 1.0 if i == j else np.sqrt(0.5)
+        columns.append(B.ravel())
     return np.array(columns).T
 
 
@@ -123,11 +123,6 @@ class Fields:
         return self.gradient("z")
 
     @cached_property
-    def z_jump(self) -> CoefficientFunction:
-        """z_hat - z; on a cell's boundary only."""
-        return self.z_hat - self.z
-
-    @cached_property
     def grad_zeta(self) -> CoefficientFunction:
         """Gradient of the conjugates' components, (components, dim)."""
         return self.gradient("zeta")
@@ -171,21 +166,17 @@ class Fields:
 
     def hyperstress_normal(self, n: CoefficientFunction) -> CoefficientFunction:
         """(S n)_ij = S_ijk n_k, dim x dim."""
-        return self.hyperstress * contraction(n, self.dim)
+        basis = hessian_basis(self.dim)
+        along = constant(basis.T.reshape(-1, self.dim)) * n  # rows B n, B of the basis
+        return self.hyperstress * along.Reshape((basis.shape[1], self.dim))
 
     @cached_property
     def div_hyperstress(self) -> CoefficientFunction:
         """(div S)_ij = d_k S_ijk in a cell, dim x dim."""
-        basis = hessian_basis(self.dim)
-        size, dim, rows = basis.shape[1], self.dim, self.rows
-        gradient = self.gradient("hyperstress")  # ((i, B), k)
-        matrix = np.zeros((rows * dim, rows * size * dim))
-        for i in range(rows):
-            for j in range(dim):
-                for b in range(size):
-                    for k in range(dim):
-                        matrix[i * dim + j, (i * size + b) * dim + k] = basis[j * dim + k, b]
-        flat = constant(matrix) * gradient.Reshape((matrix.shape[1],))
+        basis, dim, rows = hessian_basis(self.dim), self.dim, self.rows
+        of_row = basis.reshape(dim, dim, -1).transpose(0, 2, 1).reshape(dim, -1)  # (j, (B, k))
+        matrix = np.kron(np.eye(rows), of_row)
+        flat = constant(matrix) * self.gradient("hyperstress").Reshape((matrix.shape[1],))  # ((i, B), k)
         return flat.Reshape((rows, dim))
 
     @cached_property
@@ -212,13 +203,3 @@ class Tests(Fields):
     @cached_property
     def grad_rho(self) -> CoefficientFunction:
         return self.gradient("rho")
-
-
-def contraction(n: CoefficientFunction, dim: int) -> CoefficientFunction:
-    """The (dim(dim+1)/2, dim) matrix with rows B n for the basis matrices B of ``hessian_basis``."""
-    basis = hessian_basis(dim)
-    matrix = np.zeros((basis.shape[1] * dim, dim))
-    for b in range(basis.shape[1]):
-        matrix[b * dim : (b + 1) * dim] = basis[:, b].reshape(dim, dim)
-    rows = constant(matrix) * n
-    return rows.Reshape((basis.shape[1], dim))

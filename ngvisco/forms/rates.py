@@ -1,8 +1,7 @@
 """Rates of the transported variables and their power, as the terms of a step ask for them.
 
-``Rates`` writes them with coefficient functions.  ``TabulatedRates`` (``ngvisco.forms.rates``) has
-the same methods for arrays of values, with the constant tensors that the rates are made of: a term asks
-``u.context.rates`` and need not know which of them it is.
+``Rates`` writes them with coefficient functions, ``TabulatedRates`` with arrays of values and the constant
+tensors that the rates are made of: a term asks ``u.context.rates`` and need not know which of them it is.
 """
 
 from collections.abc import Sequence
@@ -21,7 +20,7 @@ from ngvisco.physics.materials.thermal import temperature
 from ngvisco.physics.model import Flow, Model
 from ngvisco.physics.rate_tensors import RateTensors
 from ngvisco.physics.rheology import Viscosity
-from ngvisco.physics.tensors import dev, identity_like, inner, square, symmetric_tensors, trace_free_tensors
+from ngvisco.physics.tensors import dev, identity_like, inner, symmetric_tensors, trace_free_tensors
 from ngvisco.physics.variables import HARDENING, PRESSURE, TEMPERATURE, Values
 
 Conjugate: TypeAlias = Literal["z", "zeta"]
@@ -33,6 +32,11 @@ class Rates:
 
     def __init__(self, model: Model, dim: int) -> None:
         self.model, self.material, self.dim = model, model.material, dim
+        self.flows = model.flows
+        """What creeps."""
+        self.is_local = all(flow.rule.is_local for flow in self.flows)
+        """Whether all that creeps has its rate at the point."""
+        self._has_trace = any(flow.rule.has_trace for flow in self.flows)
 
     def power(self, z: Fields, along: Fields, G: Fields, name: Conjugate) -> Sequence[CoefficientFunction]:
         """rate(z; grad w, 0) : G in summands, w the velocity of ``along``, G the part ``name`` of ``G``.
@@ -48,16 +52,6 @@ class Rates:
         return parts
 
     @cached_property
-    def flows(self) -> tuple[Flow, ...]:
-        """What creeps."""
-        return self.model.flows
-
-    @cached_property
-    def is_local(self) -> bool:
-        """Whether all that creeps has its rate at the point."""
-        return all(flow.rule.is_local for flow in self.flows)
-
-    @cached_property
     def creeps_at_nodes(self) -> bool:
         """Whether creep is integrated by as many points as a field has values in a cell: where a local rule
         is nonlinear, or relaxes F or its cofactor, which are turned from point to point and cannot at more.
@@ -71,8 +65,7 @@ class Rates:
     @cached_property
     def constants(self) -> RateTensors:
         """The constant tensors of the variables' rates, one Pi for all."""
-        trace = any(flow.rule.has_trace for flow in self.flows)
-        return RateTensors.of(tuple(self.material.variables), self.dim, trace)
+        return RateTensors.of(tuple(self.material.variables), self.dim, self._has_trace)
 
     def creep_power(
         self, z: Fields, Pi: Sequence[CoefficientFunction], G: Fields, name: Conjugate
@@ -91,10 +84,6 @@ class Rates:
         names = None if flow is None else flow.names
         return mandel_stress(self.material, u.z_tensors, u.zeta_tensors, self.dim, names)
 
-    def mandel_components(self, u: Fields) -> CoefficientFunction:
-        """The same of all variables in the components that a creep rate field has."""
-        return trace_free_tensors(self.dim).components(self.mandel(u))
-
     def creep(self, u: Fields) -> list[CoefficientFunction]:
         """Pi of every flow, 3x3, 1/s: of a local rule, or the field of its own."""
         return [self.local_creep(flow, u) if flow.rule.is_local else u.Pi for flow in self.flows]
@@ -105,42 +94,37 @@ class Rates:
         return sum(parts[1:], parts[0]) if parts else None
 
     def local_creep(self, flow: Flow, u: Fields) -> CoefficientFunction:
-        """Pi of a flow at the values at the point, 3x3, 1/s: by the Mandel stress per its own volume."""
-        M = self.mandel(u, flow)
-        if flow.body is not None:
-            M = (1 / flow.share(u.z_tensors)) * M
-        return flow.rule.rate(M, self.read_conjugate(u), self.read_values(flow.rule, u, flow))
-
-    def read_conjugate(self, u: Fields) -> CoefficientFunction | None:
-        """The zeta that a rule may read; None where the material has no conformation tensor."""
+        """Pi of a flow at the values at the point, 3x3, 1/s."""
         conformation = self.material.conformation
-        return None if conformation is None else u.zeta_tensors[conformation]
+        zeta = None if conformation is None else u.zeta_tensors[conformation]
+        return flow.rule.rate(self.driving(flow, u), zeta, self.read_values(flow.rule, u, flow))
+
+    def driving(self, flow: Flow, u: Fields) -> CoefficientFunction:
+        """The Mandel stress that drives a flow, of a body per its own volume, 3x3, Pa."""
+        M = self.mandel(u, flow)
+        return M if flow.body is None else (1 / flow.share(u.z_tensors)) * M
 
     def read_values(self, law: FlowRule | Viscosity, u: Fields, flow: Flow | None = None) -> Values:
         """The values z that a law may read, with pressure and others where it asks for them.
 
         ``flow`` is that of a rule that may harden.
         """
-        made = {PRESSURE: self.pressure, TEMPERATURE: self.temperature}
-        found = {**u.z_tensors, **{name: made[name](u) for name in sorted(law.reads & made.keys())}}
-        if HARDENING in law.reads and flow is not None:
-            found[HARDENING] = self.hardening(flow, u)
+        found = {**u.z_tensors}
+        if PRESSURE in law.reads:
+            found[PRESSURE] = self.pressure(u)
+        if TEMPERATURE in law.reads:  # by the projected conjugates, K
+            found[TEMPERATURE] = temperature(self.material, u.zeta_tensors)
+        if HARDENING in law.reads and flow is not None:  # phi_h'(k), Pa, of a body per its own volume
+            slope = u.zeta_tensors[flow.plastic_strain]
+            of_body = flow.fractions
+            found[HARDENING] = slope if of_body is None else of_body.total(u.z_tensors) * slope
         return found
-
-    def temperature(self, u: Fields) -> CoefficientFunction:
-        """theta by the projected conjugates, K, of a material with heat."""
-        return temperature(self.material, u.zeta_tensors)
 
     def pressure(self, u: Fields) -> CoefficientFunction:
         """-tr T/3 by the projected conjugates, Pa."""
         identity = identity_like(u.L) + 0 * u.L
         power = rate_power(self.material, u.z_tensors, u.zeta_tensors, identity, 0 * u.L)
         return (-1 / 3) * power - self.stored(u)
-
-    def hardening(self, flow: Flow, u: Fields) -> CoefficientFunction:
-        """phi_h'(k) by the projected conjugates, Pa, of a flow that hardens; of a body per its own volume."""
-        slope = u.zeta_tensors[flow.plastic_strain]
-        return slope if flow.fractions is None else flow.fractions.total(u.z_tensors) * slope
 
     def hardening_rate(self, flow: Flow, Pi: CoefficientFunction, u: Fields) -> CoefficientFunction:
         """What a flow's rate Pi makes of its plastic strain k, or of K_i, 1/s."""
@@ -158,24 +142,15 @@ class Rates:
 
     def power_of_creep(self, flow: Flow, Pi: CoefficientFunction, u: Fields) -> CoefficientFunction:
         """That of one flow with the rate Pi, W/m^3, without what hardening stores of it."""
-        power = self._whole_power_of_creep(flow, Pi, u)
+        if not flow.rule.is_local:
+            power = inner(flow.rule.force(Pi, self.read_values(flow.rule, u, flow)), Pi)
+        elif flow.rule.has_trace:
+            power = -rate_power(self.material, u.z_tensors, u.zeta_tensors, 0 * Pi, Pi)
+        else:
+            power = inner(Pi, self.mandel(u, flow))
         if flow.rule.hardening is None:
             return power
         return power - u.zeta_tensors[flow.plastic_strain] * self.hardening_rate(flow, Pi, u)
-
-    def _whole_power_of_creep(self, flow: Flow, Pi: CoefficientFunction, u: Fields) -> CoefficientFunction:
-        if not flow.rule.is_local:
-            return inner(flow.rule.force(Pi, self.read_values(flow.rule, u, flow)), Pi)
-        if not flow.rule.has_trace:
-            return inner(Pi, self.mandel(u, flow))
-        return -rate_power(self.material, u.z_tensors, u.zeta_tensors, 0 * Pi, Pi)
-
-    def gradient_dissipation(self, u: Fields) -> CoefficientFunction | None:
-        """nu |grad Pi|^q, W/m^3; None where creep has no gradient term."""
-        if self.is_local:
-            return None
-        size = square(u.grad_Pi)
-        return self.flows[0].rule.gradient_coefficient(size) * size
 
 
 def _tensors(G: Fields, name: Conjugate) -> Values:
@@ -190,8 +165,7 @@ class TabulatedRates(Rates):
 
     def __init__(self, model: Model, dim: int) -> None:
         super().__init__(model, dim)
-        trace = any(flow.rule.has_trace for flow in self.flows)
-        self.creep_space = symmetric_tensors(dim) if trace else trace_free_tensors(dim)
+        self.creep_space = symmetric_tensors(dim) if self._has_trace else trace_free_tensors(dim)
         """The tensors among which each Pi is, and the forces that drive it."""
         self.tensors, variables = self.constants, tuple(model.material.variables)
         if len(self.flows) > 1 or any(flow.body is not None for flow in self.flows):

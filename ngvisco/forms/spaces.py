@@ -110,11 +110,8 @@ class Layout:
                     expected = f"another name for what evolves: the material has a variable {unknown.name!r}"
                     raise ParameterError(f"{type(term).__name__}.unknowns", unknown.name, expected)
                 if unknown.name in self.unknowns:
-                    raise ParameterError(
-                        f"{type(term).__name__}.unknowns",
-                        unknown.name,
-                        "a name that no other term introduces",
-                    )
+                    expected = "a name that no other term introduces"
+                    raise ParameterError(f"{type(term).__name__}.unknowns", unknown.name, expected)
                 self.unknowns[unknown.name] = unknown
         self._make(list(self.unknowns))
 
@@ -130,10 +127,8 @@ class Layout:
         self.blocks = {name: self._space(self.unknowns[name]) for name in names}
         self.names = tuple(names)
         self.space = FESpace(list(self.blocks.values()))
-        self.ranges = {
-            name: slice(r.start, r.stop)
-            for name, r in ((name, self.space.Range(i)) for i, name in enumerate(self.names))
-        }
+        ranges = (self.space.Range(i) for i in range(len(self.names)))
+        self.ranges = {name: slice(r.start, r.stop) for name, r in zip(self.names, ranges, strict=True)}
 
     def count(self) -> int:
         """The number of unknowns of the whole mesh; collective."""
@@ -164,14 +159,21 @@ class Layout:
             return self.velocity_space(self._dirichlet)
         if unknown.space is not None:
             return unknown.space(self.mesh)
+        return self._of_place(unknown, unknown.size)
+
+    def scalar_space(self, name: str) -> FESpace:
+        """The scalar space, without constraints, that every component of an unknown lives in."""
+        return self._of_place(self.unknowns[name], None)
+
+    def _of_place(self, unknown: Unknown, size: int | None) -> FESpace:
         space = _SPACES[unknown.place](self.mesh, order=unknown.order)
-        if unknown.size is not None:
-            space = VectorValued(space, unknown.size)
+        if size is not None:
+            space = VectorValued(space, size)
         return Periodic(space) if self.periodic and not unknown.is_local else space
 
     def velocity_space(self, dirichlet: Sequence[Region | None]) -> FESpace:
         """Continuous P_k with v_i prescribed on the boundaries ``dirichlet[i]``."""
-        with numbered_boundaries(self.mesh) as names:
+        with _numbered_boundaries(self.mesh) as names:
             patterns = {
                 key: "|".join(name for name, is_in in zip(names, region.Mask(), strict=True) if is_in)
                 for key, region in zip(_DIRICHLET, dirichlet, strict=False)
@@ -184,12 +186,6 @@ class Layout:
         free = identified.FreeDofs()  # Periodic forgets the constraints of components
         free &= space.FreeDofs()
         return identified
-
-    def scalar_space(self, name: str) -> FESpace:
-        """The scalar space, without constraints, that every component of an unknown lives in."""
-        unknown = self.unknowns[name]
-        space = _SPACES[unknown.place](self.mesh, order=unknown.order)
-        return Periodic(space) if self.periodic and not unknown.is_local else space
 
     def fields(self, parts: Sequence[Any]) -> Fields:
         """Fields of trial or test proxies, or of a grid function's components."""
@@ -209,14 +205,14 @@ _DIRICHLET = ("dirichletx", "dirichlety", "dirichletz")
 
 
 @contextmanager
-def numbered_boundaries(mesh: Mesh) -> Iterator[list[str]]:
+def _numbered_boundaries(mesh: Mesh) -> Iterator[list[str]]:
     """Names of their own for all parts of the boundary, for as long as the context lasts.
 
     The components of NGSolve's vector spaces are constrained by names alone, and a wall and an interface may
     have the same one.
     """
     given = list(mesh.GetBoundaries())
-    numbered = [f"part{i}" for i in range(len(given))]
+    numbered = [f"part{i}" for i, _ in enumerate(given)]
     try:
         for i, name in enumerate(numbered):
             mesh.ngmesh.SetBCName(i, name)

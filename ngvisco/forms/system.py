@@ -16,12 +16,10 @@ The old momentum m_old is rho_old v_old for the paper's scheme; others start fro
 which are linear in (rho, m, z).
 ``Step`` owns the spaces, the fields and the compiled forms; it knows no solver and no time loop.
 
-Local unknowns as functions of the others, evaluated exactly at every Newton iterate.
-
-zeta, |Hs|^2, its coefficient c_s and the hyperstress are unknowns only so that the elements can be
-condensed.  Newton on all of them at once may leave c_s negative and the velocity tangent indefinite
-(measured: 45 iterations with restarts, or failure, where the flow turns round at p = 4); with them
-recomputed from (v, a, z) after every update, it is Newton on the reduced, convex potential.
+Local unknowns are functions of the others, evaluated exactly at every Newton iterate: zeta, |Hs|^2, its
+coefficient c_s and the hyperstress are unknowns only so that the elements can be condensed.  Newton on all of
+them at once may leave c_s negative and the velocity tangent indefinite; with them recomputed from (v, a, z)
+after every update, it is Newton on the reduced, convex potential.
 """
 
 from __future__ import annotations
@@ -29,85 +27,55 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 from ngsolve import (
     CF,
-    BaseMatrix,
     BilinearForm,
     CoefficientFunction,
-    FESpace,
     GridFunction,
-    LinearForm,
     Mesh,
-    VectorValued,
 )
-from ngsolve.comp import IntegrationRuleSpace
 
-from ngvisco.forms.boundary.boundaries import check_mesh
-from ngvisco.forms.boundary.moving_walls import MovingWalls
-from ngvisco.forms.boundary.passages import Carried, passage_terms
-from ngvisco.forms.boundary.springs import spring_terms
-from ngvisco.forms.boundary.wall_terms import Impenetrability, wall_terms
-from ngvisco.forms.boundary.walls import Conditions, Walls
+from ngvisco.forms.boundary.wall_terms import Carried, Impenetrability, wall_terms
+from ngvisco.forms.boundary.walls import Conditions, MovingWalls, Walls
 from ngvisco.forms.context import Context
-from ngvisco.forms.damage import DamageGrowth, damage_growth
+from ngvisco.forms.damage import DamageGrowth
 from ngvisco.forms.driving_stress import KeptRates, LinearisedRates, Stresses
 from ngvisco.forms.energy import PointwiseEnergy, StoredEnergy
 from ngvisco.forms.fields import Fields, Tests
-from ngvisco.forms.mesh.mesh_arrays import is_simplicial
+from ngvisco.forms.mesh.mesh_arrays import check_mesh
 from ngvisco.forms.mesh.quadrature import Quadrature
+from ngvisco.forms.projections import LocalProjection
 from ngvisco.forms.rates import Rates, TabulatedRates
 from ngvisco.forms.spaces import Discretisation, Layout
 from ngvisco.forms.term import (
     Entry,
     GivenParts,
     Integrand,
-    Integrands,
     Projecting,
     Term,
     refused_by_name,
     tested,
 )
-from ngvisco.forms.terms.creep import CreepRate, PlasticStraining
 from ngvisco.forms.terms.heat import heat_terms
 from ngvisco.forms.terms.hyperviscosity import Hyperviscosity
 from ngvisco.forms.terms.momentum import Continuity, Convection, Inertia, Loading, Stokes
 from ngvisco.forms.terms.regularisation import regularising_terms
-from ngvisco.forms.terms.transport import Conjugates, ElasticForce, Kinematics, UpwindTrace
+from ngvisco.forms.terms.transport import (
+    Conjugates,
+    CreepRate,
+    ElasticForce,
+    Kinematics,
+    PlasticStraining,
+    UpwindTrace,
+)
 from ngvisco.forms.upwinding import FacetFlux
+from ngvisco.physics.material import part_of
+from ngvisco.physics.materials.damaged import Damaged
 from ngvisco.physics.model import Model
-from ngvisco.physics.tensors import inner
-
-
-class LocalProjection:
-    """target = cellwise L2 projection of an integrand that may have a part on the cell's boundary."""
-
-    def __init__(
-        self, space: FESpace, target: GridFunction, quadrature: Quadrature, integrands: Integrands
-    ) -> None:
-        self.target = target
-        self.load = LinearForm(space)
-        quadrature.add(self.load, integrands(space.TestFunction()))
-        self.inverse_mass = _inverse_mass(space, quadrature)
-
-    def __call__(self) -> None:
-        self.load.Assemble()
-        self.target.vec.data = self.inverse_mass * self.load.vec
-
-
-def _inverse_mass(space: FESpace, quadrature: Quadrature) -> BaseMatrix:
-    """The inverse mass matrix by the rule of the forms, which ``Mass`` has on straight simplices only."""
-    mesh = quadrature.mesh
-    # the same on all ranks, also on those without cells
-    if mesh.comm.Max(mesh.GetCurveOrder()) <= 1 and mesh.comm.Min(is_simplicial(mesh)):
-        return space.Mass(1).Inverse()
-    trial, test = space.TnT()
-    mass = BilinearForm(space, symmetric=True, condense=True)
-    mass += inner(trial, test) * quadrature.cells
-    mass.Assemble()
-    return mass.inner_solve  # all unknowns belong to cells: the inverse, cell by cell
 
 
 class Elimination:
@@ -121,47 +89,43 @@ class Elimination:
         terms: Iterable[Term],
         stresses: Stresses | None = None,
     ) -> None:
-        self.stresses = stresses
+        self.stresses, self.energy = stresses, layout.context.energy
         u = layout.fields(state.components)
         parts = dict(zip(layout.names, state.components, strict=True))
-        self.energy = layout.context.energy
         self.projections: dict[str, LocalProjection] = {}
         for term in terms:
             if isinstance(term, Projecting):
                 with refused_by_name(term):
                     for name, load in term.projections(u):
-                        one = LocalProjection(layout.blocks[name], parts[name], quadrature, load)
-                        self.projections[name] = one
-        self._project_energy: LocalProjection | None = None
-        target = self.energy.projected
-        if target is not None:
+                        self.projections[name] = LocalProjection(parts[name], quadrature, load)
+        self._of_energy: LocalProjection | None = None
+        if self.energy.projected is not None:
             load = tested(self.energy.density(u))
-            self._project_energy = LocalProjection(target.space, target, quadrature, load)
+            self._of_energy = LocalProjection(self.energy.projected, quadrature, load)
 
     def __call__(self) -> None:
         """Make the local unknowns of the state consistent with its v, a and z."""
         self._refresh_energy()
         for projection in self.projections.values():
             projection()
-        self._refresh_stresses()
+        if self.stresses:
+            self.stresses.refresh()
 
     def refresh(self) -> None:
         """Make an energy and stresses that are kept at the quadrature points those of the present state."""
         self._refresh_energy()
-        self._refresh_stresses()
+        if self.stresses:
+            self.stresses.refresh()
 
     def _refresh_energy(self) -> None:
-        if self.energy.refresh() and self._project_energy is not None:
-            self._project_energy()
-
-    def _refresh_stresses(self) -> None:
-        if self.stresses is not None:
-            self.stresses.refresh()
+        if self.energy.refresh() and self._of_energy is not None:
+            self._of_energy()
 
 
 _NOT_EVOLVED = (
     "it reads the old value of {name}, which does not evolve: the unknown's declaration lacks evolves=True"
 )
+_NO_EQUATION = "it has a row of {name}, which is no unknown (of bodies the density is the sum of theirs)"
 
 
 def equations(model: Model, dim: int) -> tuple[Term, ...]:
@@ -178,9 +142,6 @@ def equations(model: Model, dim: int) -> tuple[Term, ...]:
         terms.append(CreepRate(model.creep))
     terms += [PlasticStraining(flow) for flow in model.flows if flow.rule.hardening is not None]
     return (*terms, *regularising_terms(model, dim))
-
-
-_NO_EQUATION = "it has a row of {name}, which is no unknown (of bodies the density is the sum of theirs)"
 
 
 @dataclass(frozen=True)
@@ -226,9 +187,7 @@ class Step:
         known = () if sources is None else (sources,)
         self.terms = (
             *equations(model, mesh.dim),
-            *wall_terms(self.walls),
-            *passage_terms(self.walls, model),
-            *spring_terms(self.walls),
+            *wall_terms(self.walls, model),
             *heat_terms(model, self.walls),
             *terms,
             *known,
@@ -249,15 +208,13 @@ class Step:
         evolving = {name: old[name] for name in self.layout.evolving}
         self.old = Fields(self.layout, GivenParts(evolving, _NOT_EVOLVED))
         self.moving_walls = MovingWalls(self.walls, self.layout, self.state)
-        k, m, bonus = (getattr(self.discretisation, name) for name in ("k", "m", "quadrature_bonus"))
+        k, m, bonus = self.discretisation.k, self.discretisation.m, self.discretisation.quadrature_bonus
         response = model.material.response(mesh.dim)
         self.quadrature = Quadrature.for_orders(mesh, k, m, bonus)
         self.energy = StoredEnergy(model.material, mesh.dim)
         if response is not None:
             self.energy = PointwiseEnergy(model.material, response, self.quadrature, self.now, m)
-        points = IntegrationRuleSpace(mesh, order=self.quadrature.volume_degree // 2)
-        self.momentum_old = GridFunction(VectorValued(points, mesh.dim), name="momentum_old")
-        self._momentum = GridFunction(VectorValued(points, mesh.dim))
+        self.momentum_old, self._momentum = (self.quadrature.vectors(mesh.dim) for _ in range(2))
         self.wind = GridFunction(self.layout.blocks["v"], name="wind")
         """v*, which says what side of a facet is upstream, m/s; known before a step is solved."""
         self.through = FacetFlux(mesh, self.wind, k) if m == 0 else None
@@ -289,7 +246,8 @@ class Step:
         """The present state, with rates of creep to its last digit."""
         self.residual = self._residual(LinearisedRates(rates, self.stresses, self.now))
         self.eliminate = Elimination(self.layout, self.state, self.quadrature, self.terms, self.stresses)
-        self.damage: DamageGrowth | None = damage_growth(self)
+        law = part_of(model.material, Damaged)
+        self.damage = None if law is None else DamageGrowth(self, law)
         """What lets the damage grow after a step; None where nothing breaks."""
 
     def _residual(self, rates: Rates) -> BilinearForm:
@@ -353,23 +311,17 @@ class Step:
         for term in self.terms:
             with refused_by_name(term):
                 found += term.entries(u)
-        return found + self._reactions()
-
-    def _reactions(self) -> list[Entry]:
-        """Power of the reactions of moving walls: the residual's rows there, tested by v."""
-
-        def power(name: str) -> Callable[[], float]:
-            def evaluate() -> float:
-                residual = self.state.vec.CreateVector()
-                self.residual.Apply(self.state.vec, residual)
-                return self.moving_walls.reaction_power(residual, name)
-
-            return evaluate
-
-        return [
-            Entry(f"power_wall_{name}", "power", Integrand(), power(name))
+        # of moving walls the power of their reactions
+        return found + [
+            Entry(f"power_wall_{name}", "power", Integrand(), partial(self._reaction_power, name))
             for name in self.moving_walls.moving
         ]
+
+    def _reaction_power(self, name: str) -> float:
+        """The residual's rows on a moving wall, tested by v, W."""
+        residual = self.state.vec.CreateVector()
+        self.residual.Apply(self.state.vec, residual)
+        return self.moving_walls.reaction_power(residual, name)
 
 
 class EntryIntegrals:
@@ -379,12 +331,11 @@ class EntryIntegrals:
         self.step = step
         quadrature = step.quadrature
         self._in_cells: list[tuple[list[str], CoefficientFunction, Callable[[CoefficientFunction], Any]]] = []
-        for place, integrate in (
-            ("cells", quadrature.integrate_cells),
-            ("nodes", quadrature.integrate_nodes),
+        for of_entries, integrate in (
+            ({name: e.integrand.cells for name, e in entries.items()}, quadrature.integrate_cells),
+            ({name: e.integrand.nodes for name, e in entries.items()}, quadrature.integrate_nodes),
         ):
-            parts = {name: getattr(e.integrand, place) for name, e in entries.items()}
-            parts = {name: part for name, part in parts.items() if part is not None}
+            parts = {name: part for name, part in of_entries.items() if part is not None}
             if parts:
                 together = CF((*parts.values(), 0.0, 0.0)).Compile()  # a vector, however few there are
                 self._in_cells.append((list(parts), together, integrate))

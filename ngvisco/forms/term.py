@@ -15,7 +15,6 @@ What a term reads besides u, w and ``u.context`` has to stay as it is through th
 out of a Parameter by ``Get()`` is that of the moment when the form was made.
 """
 
-import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -121,12 +120,12 @@ PRODUCTION = "entropy_production_"
 
 @dataclass(frozen=True)
 class Integrand:
-    """What is to be integrated over the cells and over the cells' boundaries."""
+    """What is to be integrated over the cells, over the cells' boundaries, and over the cells by as many
+    points as a field has values in one (``Quadrature.nodes``)."""
 
     cells: CoefficientFunction | None = None
     facets: CoefficientFunction | None = None
     nodes: CoefficientFunction | None = None
-    """Over the cells too, by as many points as a field has values in one (``Quadrature.nodes``)."""
 
 
 Kind = Literal["dissipation", "power", "energy", "numerical", "monitor", "production", "flux"]
@@ -154,10 +153,10 @@ class Entry:
 class Term(Protocol):
     """One term of the system.
 
-    ``form(u, w)`` is its contribution to R(u; w) = 0, a left-hand side, in summands that are assembled
-    one by one: NGSolve evaluates a whole integrand for each pair of components in it, so small
-    summands are many times cheaper to linearise than their sum.  ``entries(u)`` is what the term
-    puts into the energy ledger, such that form(u; v, zeta) is the sum of the entries' powers.
+    ``form(u, w)`` is its contribution to R(u; w) = 0 in summands that are assembled one by one: NGSolve
+    evaluates a whole integrand for each pair of components in it, so small summands are many times cheaper to
+    linearise than their sum.  ``entries(u)`` are its columns of the ledger, such that form(u; v, zeta) is the
+    sum of the entries' powers.
     """
 
     def form(self, u: Fields, w: Fields) -> list[Integrand]: ...
@@ -227,11 +226,6 @@ def dissipations(u: Fields, reader: Term, where: Where = "cells") -> dict[str, C
     points = (term for term in u.context.terms if term is not reader and isinstance(term, PointTerm))
     parts = (DISSIPATED[where](term, u) for term in points)
     return {name: value for part in parts for name, value in part.items()}
-
-
-def named(term: Term) -> str:
-    """A term by the name of its class: ``elastic force``."""
-    return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", " ", type(term).__name__).lower()
 
 
 Integrands: TypeAlias = Callable[[CoefficientFunction], Sequence[Integrand]]

@@ -7,14 +7,14 @@ break that is known (``ngvisco.physics.signals``) is seen where it lasts for a t
 All ranks find the same rule.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from heapq import heapify, heappop, heappush
 from itertools import pairwise
+from typing import TypeAlias
 
 import numpy as np
 from ngsolve import (
-    ET,
     L2,
     VOL,
     BilinearForm,
@@ -23,7 +23,6 @@ from ngsolve import (
     FacetFESpace,
     FESpace,
     GridFunction,
-    IntegrationRule,
     LinearForm,
     Mesh,
     Region,
@@ -31,6 +30,7 @@ from ngsolve import (
     ds,
 )
 
+from ngvisco.forms.mesh.mesh_arrays import rules
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.physics.signals import breaking, time
 
@@ -43,11 +43,8 @@ _PANELS, _SCANS = 8, 32
 _BISECTIONS, _BREAKS, _HALVINGS = 46, 64, 48
 """Halvings to a break, to rounding; breaks that are followed, and panels halved, at most."""
 _ROUNDING = 4e-16
-_SHARE = 1.0 / 64
-"""Of the interval: what a panel may be off by is not made less for one that is shorter."""
-_CELLS = {1: (ET.SEGM,), 2: (ET.TRIG, ET.QUAD), 3: (ET.TET, ET.PRISM, ET.PYRAMID, ET.HEX)}
-_POINTS = 128
-"""Of space at which a function is looked at, on each rank."""
+_SHARE = 1.0 / 64  # of the interval: what a panel may be off by is not made less for one that is shorter
+_POINTS = 128  # of space at which a function is looked at, on each rank
 
 Values = Callable[[float], np.ndarray]
 """Values of a function at this rank's points, at a time, s."""
@@ -76,40 +73,23 @@ def rule(
 ) -> Rule:
     """The rule for the mean over [begin, begin + length], s; of length 0 the value at ``begin``.
 
-    Parameters
-    ----------
-    conditions : sequence of callables
-        The function may break where one of them changes its sign.
-    knots : sequence of arrays
-        And at these times, s.
-    ranks : Communicator, optional
-        Whose points' values these are.
+    The function may break where one of the conditions changes its sign, and at the knots, s.  The values are
+    those of the points of ``ranks``.
     """
     if length == 0:
         return Rule(np.array([begin]), np.ones(1))
     return _Search(values, begin, length, ranks or Communicator()).found(conditions, knots)
 
 
-@dataclass(frozen=True, order=True)
-class _Panel:
-    """[a, b] with the integrals over its halves, ordered by how far their sum is from that over the whole."""
+def _gauss(*intervals: tuple[float, float]) -> np.ndarray:
+    """Nodes and weights, (2, n)."""
+    parts = [[0.5 * (a + b) + (b - a) * _NODES, (b - a) * _WEIGHTS] for a, b in intervals]
+    return np.concatenate(parts, axis=1)
 
-    off: float
-    """Its size over that of the largest value, negative, so that the worst comes first."""
-    a: float
-    b: float
-    is_constant: bool = field(compare=False)
-    halves: tuple[np.ndarray, ...] = field(default=(), compare=False)
-    error: np.ndarray = field(default_factory=lambda: np.zeros(0), compare=False)
 
-    def nodes(self) -> np.ndarray:
-        """Nodes and weights, (2, n): of its halves where these are known."""
-        middle = 0.5 * (self.a + self.b)
-        if self.is_constant:
-            return np.array([[middle], [self.b - self.a]])
-        parts = [(self.a, middle), (middle, self.b)] if self.halves else [(self.a, self.b)]
-        found = [[0.5 * (a + b) + (b - a) * _NODES, (b - a) * _WEIGHTS] for a, b in parts]
-        return np.concatenate(found, axis=1)
+_Panel: TypeAlias = tuple[float, float, float, tuple[np.ndarray, np.ndarray], np.ndarray]
+"""[a, b]: minus the size of its error, so that the worst is the least, a, b, the integrals over its halves,
+and how far their sum is from that over the whole."""
 
 
 class _Search:
@@ -130,54 +110,50 @@ class _Search:
         ends.append(1.0)
         pieces = list(pairwise(ends))
         # the scale first: what is small in one piece need not be resolved where another is large
-        looks = [self._panels(a, b, _PANELS) for a, b in pieces]
+        looks = [[self._integral(*ends) for ends in _equal(a, b)] for a, b in pieces]
         found = [self._resolved(a, b, look) for (a, b), look in zip(pieces, looks, strict=True)]
-        panels = sorted((panel for part, _ in found for panel in part), key=lambda panel: panel.a)
-        times, weights = np.concatenate([panel.nodes() for panel in panels], axis=1)
+        times, weights = np.concatenate([nodes for nodes, _ in found], axis=1)
         error = self._size(sum(off for _, off in found[1:]) + found[0][1])
         return Rule(self.begin + self.length * times, weights, error)
 
     def _at(self, values: Values, s: float) -> np.ndarray:
         return np.asarray(values(self.begin + self.length * s), dtype=float)
 
-    def _panel(self, a: float, b: float) -> np.ndarray:
-        """The integral over [a, b] by Gauss points."""
+    def _integral(self, a: float, b: float) -> np.ndarray:
+        """Over [a, b] by Gauss points."""
         found = [self._at(self.values, 0.5 * (a + b) + (b - a) * node) for node in _NODES]
         self.largest = max(self.largest, self.ranks.most(np.abs(found).max(initial=0.0)))
         return (b - a) * sum(w * value for w, value in zip(_WEIGHTS, found, strict=True))
 
-    def _panels(self, a: float, b: float, count: int) -> list[np.ndarray]:
-        ends = np.linspace(a, b, count + 1)
-        return [self._panel(*both) for both in pairwise(ends)]
-
-    def _resolved(self, a: float, b: float, look: list[np.ndarray]) -> tuple[list[_Panel], np.ndarray]:
-        """A piece as one panel where that agrees with its look, else its panels; what they may be off by."""
-        whole = self._panel(a, b)
+    def _resolved(self, a: float, b: float, look: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+        """Nodes and weights of a piece, one panel where that agrees with its look; what they are off by."""
+        whole = self._integral(a, b)
         off = np.abs(whole - sum(look[1:], look[0]))
         if self._size(off) <= TOLERANCE * (b - a):
-            return [_Panel(0.0, a, b, self._is_constant(a, b))], off
-        ends = np.linspace(a, b, len(look) + 1)
-        panels = [self._halved(*both, known) for both, known in zip(pairwise(ends), look, strict=True)]
+            one = np.array([[0.5 * (a + b)], [b - a]])
+            return one if self._is_constant(a, b) else _gauss((a, b)), off
+        panels = [self._halved(*ends, known) for ends, known in zip(_equal(a, b), look, strict=True)]
         heapify(panels)
-        done: list[_Panel] = []
+        done, error = [], np.zeros_like(whole)
         while panels:
-            worst = heappop(panels)
+            size, a, b, halves, off = heappop(panels)
+            middle = 0.5 * (a + b)
             # what is off by so little in total may be off by all of it in one panel
-            small = TOLERANCE * max(worst.b - worst.a, _SHARE)
-            middle = 0.5 * (worst.a + worst.b)
-            if -worst.off <= small or self.left <= 0 or not worst.a < middle < worst.b:
-                done.append(worst)
+            is_small = -size <= TOLERANCE * max(b - a, _SHARE)
+            if is_small or self.left <= 0 or not a < middle < b:
+                done.append(_gauss((a, middle), (middle, b)))
+                error = error + off
                 continue
             self.left -= 1
-            for both, known in zip(((worst.a, middle), (middle, worst.b)), worst.halves, strict=True):
-                heappush(panels, self._halved(*both, known))
-        return done, sum((panel.error for panel in done), np.zeros_like(whole))
+            for ends, known in zip(((a, middle), (middle, b)), halves, strict=True):
+                heappush(panels, self._halved(*ends, known))
+        return np.concatenate(sorted(done, key=lambda nodes: nodes[0, 0]), axis=1), error
 
     def _halved(self, a: float, b: float, whole: np.ndarray) -> _Panel:
         middle = 0.5 * (a + b)
-        halves = self._panel(a, middle), self._panel(middle, b)
+        halves = self._integral(a, middle), self._integral(middle, b)
         error = np.abs(whole - halves[0] - halves[1])
-        return _Panel(-self._size(error), a, b, False, halves, error)
+        return -self._size(error), a, b, halves, error
 
     def _is_constant(self, a: float, b: float) -> bool:
         found = [self._at(self.values, a + c * (b - a)) for c in (0.211, 0.5, 0.83)]
@@ -215,17 +191,16 @@ class _Search:
         return not self.ranks.all(not flags.any())
 
 
-class TimeMean:
-    """The mean of a function of place and time, as a function of place.
+def _equal(a: float, b: float) -> Iterable[tuple[float, float]]:
+    """The panels of the first look at [a, b]."""
+    return pairwise(np.linspace(a, b, _PANELS + 1))
 
-    Parameters
-    ----------
-    value : CoefficientFunction
-        Of place and ``ngvisco.time``.
-    make : callable
-        Gives what belongs to one time, set by ``ngvisco.time``, as an array; its mean goes to ``put``.
-    walls : ngsolve.Region, optional
-        Where the function is looked at: cells by default.
+
+class TimeMean:
+    """The mean of a function of place and ``ngvisco.time``, as a function of place.
+
+    ``make`` gives what belongs to the present time as an array, whose mean goes to ``mean``.  The function is
+    looked at on ``walls``, by default in cells.
     """
 
     def __init__(
@@ -233,12 +208,15 @@ class TimeMean:
         value: CoefficientFunction,
         mesh: Mesh,
         make: Callable[[], np.ndarray],
-        put: Callable[[np.ndarray], None],
+        mean: np.ndarray,
         walls: Region | None = None,
     ) -> None:
-        self._value, self._make, self._put = value, make, put
+        self._value, self._make, self._mean = value, make, mean
         self._ranks = Communicator.of(mesh)
-        self._points = _some_points(mesh, walls)
+        # none of the rules' points is a midpoint of edges
+        of_kinds = rules(mesh.dim if walls is None else mesh.dim - 1, 4)
+        points = mesh.MapToAllElements(of_kinds, VOL if walls is None else walls)
+        self._points = points[:: -(-len(points) // _POINTS) or 1]
         self._conditions, self._knots = breaking(value)
 
     def update(self, begin: float, length: float) -> float:
@@ -252,7 +230,7 @@ class TimeMean:
         try:
             conditions = [self._at_points(c) for c in self._conditions]
             found = rule(self._at_points(self._value), begin, length, conditions, self._knots, self._ranks)
-            self._put(found.mean(at))
+            self._mean[:] = found.mean(at)
         finally:
             time.Set(present)
         return found.error
@@ -273,15 +251,13 @@ def mean_in_cells(value: CoefficientFunction, mesh: Mesh, degree: int) -> tuple[
     """
     scalar = L2(mesh, order=degree // 2)
     function = GridFunction(VectorValued(scalar, value.dim) if value.dim > 1 else scalar)
+    coefficients = function.vec.FV().NumPy()
 
     def make() -> np.ndarray:
         function.Set(value if value.dim == 1 else value.Reshape((value.dim,)))
-        return function.vec.FV().NumPy().copy()
+        return coefficients
 
-    def put(values: np.ndarray) -> None:
-        function.vec.FV().NumPy()[:] = values
-
-    return function, TimeMean(value, mesh, make, put)
+    return function, TimeMean(value, mesh, make, coefficients)
 
 
 def mean_on_walls(
@@ -292,7 +268,7 @@ def mean_on_walls(
     space = FESpace([scalar] * value.dim)
     function = GridFunction(space)
     trial, test = space.TnT()
-    measure = ds(definedon=walls, intrules={et: IntegrationRule(et, degree) for et in _CELLS[mesh.dim - 1]})
+    measure = ds(definedon=walls, intrules=rules(mesh.dim - 1, degree))
     mass, load = BilinearForm(space, check_unused=False), LinearForm(space)
     for i, (u, w) in enumerate(zip(trial, test, strict=True)):
         mass += u * w * measure
@@ -308,15 +284,4 @@ def mean_on_walls(
         local = getattr(load.vec, "local_vec", load.vec)
         return np.array((inverse * local).Evaluate().FV().NumPy())
 
-    def put(values: np.ndarray) -> None:
-        function.vec.FV().NumPy()[:] = values
-
-    return function, TimeMean(value, mesh, make, put, walls)
-
-
-def _some_points(mesh: Mesh, walls: Region | None) -> np.ndarray:
-    """Mesh points of cells or walls, ``_POINTS`` of them spread over all."""
-    kinds = _CELLS[mesh.dim] if walls is None else _CELLS[mesh.dim - 1]
-    rules = {et: IntegrationRule(et, 4) for et in kinds}  # none of whose points is a midpoint of edges
-    points = mesh.MapToAllElements(rules, VOL if walls is None else walls)
-    return points[:: -(-len(points) // _POINTS) or 1]
+    return function, TimeMean(value, mesh, make, function.vec.FV().NumPy(), walls)

@@ -32,15 +32,8 @@ def mean_share(inner: CoefficientFunction) -> CoefficientFunction:
 
 @dataclass(frozen=True)
 class Incoming:
-    """What flows in through walls, zero elsewhere.
-
-    Attributes
-    ----------
-    where : CoefficientFunction or Array
-        1 on the walls that matter crosses, else 0.
-    parts : dict
-        Values of ``"rho"`` and ``"z"`` there.
-    """
+    """What flows in: ``where`` is 1 on the walls that matter crosses, ``parts`` are ``"rho"`` and ``"z"``
+    there; zero elsewhere."""
 
     where: CoefficientFunction
     parts: Mapping[str, CoefficientFunction]
@@ -85,8 +78,8 @@ class Upwinding:
 class SideMean(PointTerm):
     """sum_K int_{dK} share (a_hat - a) t = 0: a_hat, an unknown of facets, is a mean of both sides' values.
 
-    The shares of both sides sum up to one.  An explicit function of the cells' unknowns, which no solver
-    iterates on; where it reads other means, those of terms before it.
+    An explicit function of the cells' unknowns, which no solver iterates on; where it reads other means,
+    those of terms before it.
     """
 
     name: str
@@ -104,17 +97,13 @@ class SideMean(PointTerm):
 
 
 class FacetFlux:
-    """The Raviart-Thomas field of lowest order with a velocity's mean normal components.
+    """The Raviart-Thomas field of lowest order with the mean normal components of a velocity of some order,
+    m/s.
 
     With fields of order 0 a trace has one value a facet.  By sides that differ from point to point it is a
     mean of both cells' values where v . n changes its sign along the facet, and what leaves a cell is taken
     from its neighbour too: a density may become negative.  By the side of the mean it is the value of one
     cell, and the implicit step has an M-matrix.
-
-    Parameters
-    ----------
-    velocity : CoefficientFunction
-        m/s, a polynomial of order ``order``.
     """
 
     def __init__(self, mesh: Mesh, velocity: CoefficientFunction, order: int) -> None:

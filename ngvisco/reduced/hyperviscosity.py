@@ -32,8 +32,7 @@ from ngsolve import (
 from ngvisco.algebra.local import LocalMatrix
 from ngvisco.algebra.sparse import apply, inverse_of_blocks, mass_matrix, pruned
 from ngvisco.forms.fields import Fields, hessian_basis
-from ngvisco.forms.mesh.points import CellPoints, csr
-from ngvisco.forms.mesh.side_points import SidePoints
+from ngvisco.forms.mesh.points import CellPoints, SidePoints, csr
 from ngvisco.forms.spaces import Layout
 from ngvisco.forms.system import Step
 from ngvisco.forms.terms.hyperviscosity import Hyperviscosity

@@ -14,8 +14,7 @@ from ngsolve import Grad
 
 from ngvisco.algebra.local import LocalMatrix
 from ngvisco.algebra.sparse import Blocks
-from ngvisco.forms.mesh.points import CellPoints
-from ngvisco.forms.mesh.side_points import SidePoints
+from ngvisco.forms.mesh.points import CellPoints, SidePoints
 from ngvisco.forms.system import Step
 from ngvisco.parallel.exchange import Exchange, Halo
 

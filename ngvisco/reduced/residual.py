@@ -200,7 +200,7 @@ class ReducedResidual:
     def __call__(self, x: np.ndarray, anew: bool = False) -> Evaluation:
         """Evaluate at ``x``; where it is real, it and what is derived from it become the step's state.
 
-        ``anew`` linearises flow rules there, ``DrivingStress``; else their slopes stay.  The forms of NGSolve
+        ``anew`` linearises flow rules there, ``Stresses``; else their slopes stay.  The forms of NGSolve
         read the state; with complex x they are taken as linear about it.
         """
         c, u, s, hyper = self._derived(x)

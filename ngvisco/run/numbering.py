@@ -15,7 +15,7 @@ import numpy as np
 from ngsolve import VOL, ElementId, FESpace, Mesh
 
 from ngvisco.errors import ParameterError
-from ngvisco.forms.driving_stress import STRESS, at_nodes
+from ngvisco.forms.driving_stress import STRESS
 from ngvisco.forms.spaces import Layout
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.exchange import Exchange
@@ -99,7 +99,8 @@ class Numbering:
         for name, stress in step.stresses.functions.items():
             space = None
             if self.mesh is not None:
-                space = at_nodes(replace(step.quadrature, mesh=self.mesh), len(stress.components)).space
+                of_whole = replace(step.quadrature, mesh=self.mesh)
+                space = of_whole.vectors(len(stress.components), at_nodes=True).space
             self._add(f"solver/{name}", part, stress.space, space)
         for key, field in simulation.passive.parts.items():
             space = None if self.mesh is None else simulation.passive.space(key, self.mesh)

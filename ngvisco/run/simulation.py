@@ -15,13 +15,12 @@ from typing import Any, Protocol
 from ngsolve import CoefficientFunction, Mesh
 
 from ngvisco.errors import MeshError, ParameterError, StepError, as_number, as_numbers, require_type
-from ngvisco.forms.boundary.corners import warn_of_corners
 from ngvisco.forms.boundary.walls import Conditions
 from ngvisco.forms.bounds import Bounds
 from ngvisco.forms.context import time as run_time
 from ngvisco.forms.mesh.quadrature import Sampler
 from ngvisco.forms.spaces import Discretisation
-from ngvisco.forms.start.data_checks import check_loads, check_walls
+from ngvisco.forms.start.data_checks import check_loads, check_walls, warn_of_corners
 from ngvisco.forms.start.initial import Initial, set_initial
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import Term

@@ -23,10 +23,9 @@ from ngsolve import CF, L2, CoefficientFunction, GridFunction, Integrate, Mesh
 
 from ngvisco.errors import InitialDataError, MeshError, ParameterError
 from ngvisco.forms.mesh.locating import Located
+from ngvisco.forms.projections import project, project_velocity
 from ngvisco.forms.start.given import QuadraturePoints
 from ngvisco.forms.start.initial import complete
-from ngvisco.forms.start.projections import project
-from ngvisco.forms.velocity import project_velocity
 from ngvisco.physics.bodies import AMOUNT, Amount
 from ngvisco.physics.variables import Variable
 from ngvisco.run import checkpoint

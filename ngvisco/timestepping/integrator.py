@@ -32,8 +32,8 @@ from ngvisco.errors import StepError
 from ngvisco.forms.bounds import Bounds
 from ngvisco.forms.context import time
 from ngvisco.forms.distance import BregmanDistance
+from ngvisco.forms.projections import VelocityOfMomentum
 from ngvisco.forms.system import Evolved
-from ngvisco.forms.velocity import VelocityOfMomentum
 from ngvisco.solver.problem import Attempt, Interval, iterations
 from ngvisco.solver.rothe import RotheSolver
 from ngvisco.timestepping.scheme import TimeScheme, backward_euler

@@ -8,9 +8,9 @@ import ngvisco as nv
 from ngvisco.forms.bounds import OF_CUT_OFF, SHARE, Bounds
 from ngvisco.forms.mesh.locating import nearest_wall
 from ngvisco.forms.mesh.quadrature import Sampler
+from ngvisco.forms.projections import VelocityOfMomentum
 from ngvisco.forms.start.initial import set_initial
 from ngvisco.forms.system import Step
-from ngvisco.forms.velocity import VelocityOfMomentum
 from ngvisco.geometries import box, disc
 from ngvisco.physics.tensors import square
 from ngvisco.physics.variables import Cofactor, Distortion, Jacobian, LeftCauchyGreen, ReciprocalJacobian

@@ -7,7 +7,7 @@ import pytest
 from ngsolve import x
 
 import ngvisco as nv
-from ngvisco.forms.boundary.corners import warn_of_corners
+from ngvisco.forms.start.data_checks import warn_of_corners
 from ngvisco.geometries import split_corner_cells, structured_box
 from tests.verification.setups import lid_driven
 

@@ -7,8 +7,8 @@ import pytest
 from ngsolve import Mesh, specialcf, x, y, z
 from ngsolve.meshes import MakeStructured2DMesh
 
+from ngvisco.forms.mesh.points import SidePoints
 from ngvisco.forms.mesh.quadrature import Quadrature, Sampler
-from ngvisco.forms.mesh.side_points import SidePoints
 from ngvisco.geometries import box
 
 MESHES: dict[str, Callable[[], Mesh]] = {

@@ -6,7 +6,7 @@ from ngsolve import BND, CF, Id, IfPos, Integrate, cos, exp, pi, sin, specialcf,
 from support import ROTATION, WALLS, assert_balanced, difference_times, jacobian_times, uncondensed
 
 import ngvisco as nv
-from ngvisco.forms.start.projections import set_traces
+from ngvisco.forms.projections import set_traces
 from ngvisco.forms.system import Step
 from ngvisco.geometries import block_with_hole, box, channel, disc, refine_walls, sphere, spherical_shell
 

@@ -7,8 +7,8 @@ from ngsolve import BND, CF, Integrate, Mesh, specialcf
 
 import ngvisco as nv
 from ngvisco.forms.mesh.mesh_arrays import mask_of
+from ngvisco.forms.projections import WallProjection
 from ngvisco.forms.system import Step
-from ngvisco.forms.velocity import WallProjection
 from ngvisco.geometries import sphere
 
 

@@ -12,11 +12,11 @@ from ngvisco import MeshError, Model, NeoHookean, NoSlip, ParameterError, Unknow
 from ngvisco.forms.boundary.boundaries import (
     axis_parallel_walls,
     check_boundary_names,
-    check_mesh,
     interior_boundaries,
     periodic_boundaries,
 )
 from ngvisco.forms.context import inner_facets
+from ngvisco.forms.mesh.mesh_arrays import check_mesh
 from ngvisco.forms.system import Step
 from ngvisco.geometries import box, sphere
 

@@ -108,7 +108,7 @@ def test_heat_is_carried_through(solver):
         ({"amounts": {"medium": -1.0}}, r"amounts.*expected the sum of the amounts > 0|>= 0"),
         ({"amounts": {"medium": 1.0, "disc": -0.1}}, r"amounts\['disc'\] = .*>= 0"),
         ({"amounts": {"medium": 1.0}, "values": {"n_disc": 0.1}}, r"'disc' in walls"),
-        ({"amounts": {"medium": 1.0}, "temperature": 300.0}, "temperature = 300.0: expected none"),
+        ({"amounts": {"medium": 1.0}, "temperature": 300.0}, "temperature = 300.0: expected None"),
     ],
 )
 def test_bodies_that_flow_in_are_looked_at(wall, message):

@@ -18,14 +18,14 @@ so that each keeps its own pressure, and equally where all n_i are zero.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Protocol, runtime_checkable
 
 import numpy as np
 from ngsolve import CF, CoefficientFunction, GridFunction, LinearForm, ds, specialcf, x, y, z
 
 from ngvisco.errors import UnknownNameError
 from ngvisco.forms.boundary.boundaries import facet_indicator
-from ngvisco.forms.boundary.moving_walls import MovingWalls
+from ngvisco.forms.boundary.wall_terms import OnWall
+from ngvisco.forms.boundary.walls import MovingWalls
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import Integrand
@@ -35,41 +35,25 @@ from ngvisco.physics.tensors import inner
 from ngvisco.physics.walls import HELD
 
 
-@runtime_checkable
-class WallStress(Protocol):
-    """A term by which a wall acts on the body, beside what it constrains."""
-
-    name: str
-    """Of the wall."""
-
-    def on_body(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
-        """Its rows of v, -t . w with the stress t, Pa, on the facets of the wall."""
-
-
 class WallReactions:
-    """Force and torque on the walls of a step.
+    """Force and torque on the walls of a step, by default on all; UnknownNameError for a name that is no
+    wall.
 
     Parameters
     ----------
     step : Step
     names : sequence of str, optional
-        Walls; default all.
     about : sequence of numbers
         The point c that torques refer to, m; of the mesh's dimension.
-
-    Raises
-    ------
-    UnknownNameError
-        For a name that is no wall.
     """
 
     def __init__(self, step: Step, names: Sequence[str] | None, about: Sequence[float]) -> None:
-        walls = step.walls
+        walls = step.walls.conditions
         self.step, self._ranks = step, Communicator.of(step.mesh)
-        self.names = list(walls.conditions) if names is None else list(names)
+        self.names = list(walls) if names is None else list(names)
         for name in self.names:
-            if name not in walls.conditions:
-                raise UnknownNameError("wall", name, walls.conditions)
+            if name not in walls:
+                raise UnknownNameError("wall", name, walls)
         self.motions = rigid_motions(step.mesh.dim, about)
         space = step.layout.blocks["v"]
         interpolated, interpolate = GridFunction(space), Interpolation(space)
@@ -77,28 +61,29 @@ class WallReactions:
         for motion in self.motions.values():
             interpolate(interpolated, motion)
             self._tests.append(interpolated.vec.FV().NumPy().copy())
-        self._weights = self._shares({name: self._constrained(name) for name in walls.conditions})
-        self._energy = self._energy_flux()
+        self._weights = self._shares()
+        # int phi (w . n) over the walls that nothing crosses: of others it is in the residual
+        free = step.layout.velocity_space((None,) * step.mesh.dim)
+        closed = facet_indicator(step.mesh, [name for name in walls if name not in step.walls.crossed])
+        through = free.TestFunction() * step.context.normal
+        self._energy = LinearForm(free)
+        flux = closed * step.energy.anywhere(step.now) * through
+        step.quadrature.add(self._energy, [Integrand(facets=flux)])
         self._terms = {name: self._own_terms(name) for name in self.names}
 
-    def _constrained(self, name: str) -> np.ndarray:
-        """The coefficients of v that this wall prescribes."""
-        walls = self.step.walls
-        is_fixed = isinstance(walls.conditions[name], HELD)
-        own = walls.region([name])
-        regions = [own if is_fixed or name in walls.axis[i] else None for i in range(self.step.mesh.dim)]
-        return MovingWalls.constrained(self.step.layout, regions)
-
-    def _shares(self, masks: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    def _shares(self) -> dict[str, np.ndarray]:
         """How much of each coefficient of v counts for each wall."""
-        mesh = self.step.mesh
-        space = self.step.layout.velocity_space((None,) * mesh.dim)
+        step, mesh, walls = self.step, self.step.mesh, self.step.walls
+        space = step.layout.velocity_space((None,) * mesh.dim)
         n, w = specialcf.normal(mesh.dim), space.TestFunction()
         squares = CF(tuple(n[i] * n[i] for i in range(mesh.dim)))
         hats = np.arange(space.ndof) % (space.ndof // mesh.dim) < mesh.nv  # the others change their sign
-        exchange, claims = Exchange.of(space, self._ranks), {}
-        for name, mask in masks.items():
-            load = LinearForm(inner(squares, w.Trace()) * ds(definedon=self.step.walls.region([name])))
+        exchange, masks, claims = Exchange.of(space, self._ranks), {}, {}
+        for name, wall in walls.conditions.items():
+            own, is_fixed = walls.region([name]), isinstance(wall, HELD)
+            regions = [own if is_fixed or name in of_axis else None for of_axis in walls.axis]
+            masks[name] = mask = MovingWalls.constrained(step.layout, regions)
+            load = LinearForm(inner(squares, w.Trace()) * ds(definedon=own))
             claims[name] = np.where(mask & hats, exchange.sum(load.Assemble().vec.FV().NumPy()), 0.0)
         scale = max((self._ranks.most(claim) for claim in claims.values()), default=0.0)
         total = sum(claims.values(), np.zeros(space.ndof))
@@ -109,31 +94,17 @@ class WallReactions:
             for name, mask in masks.items()
         }
 
-    def _energy_flux(self) -> LinearForm:
-        """int phi (w . n) over the walls that nothing crosses: of others it is in the residual."""
-        step = self.step
-        space = step.layout.velocity_space((None,) * step.mesh.dim)
-        closed = [name for name in step.walls.conditions if name not in step.walls.crossed]
-        walls, w = facet_indicator(step.mesh, closed), space.TestFunction()
-        load = LinearForm(space)
-        flux = walls * step.energy.anywhere(step.now) * (w * step.context.normal)
-        step.quadrature.add(load, [Integrand(facets=flux)])
-        return load
-
     def _own_terms(self, name: str) -> list[list[CoefficientFunction]]:
         """For each rigid motion the integrands of the stress that is given, friction and the multiplier."""
         step, u = self.step, self.step.now
         found = []
         for motion in self.motions.values():
             w = Fields(step.layout, {"v": motion})
-            parts: list[CoefficientFunction] = []
-            for term in step.terms:
-                if isinstance(term, WallStress) and term.name == name:
-                    parts += term.on_body(u, w)
+            own = [term for term in step.terms if isinstance(term, OnWall) and term.name == name]
+            parts = [part for term in own for part in term.on_body(u, w)]
             if name in step.walls.multiplied:
-                indicator = facet_indicator(step.mesh, [name])
                 excess = u.wall_stress - step.energy.anywhere(u)
-                parts.append(indicator * excess * (motion * step.context.normal))
+                parts.append(facet_indicator(step.mesh, [name]) * excess * (motion * step.context.normal))
             found.append(parts)
         return found
 
@@ -152,16 +123,14 @@ class WallReactions:
         be that, with the step's old state, length and loads in place.  Of a scheme with stages or an
         extrapolated end see ``ngvisco.run.probes.WallForces``.
         """
-        step = self.step
+        step, integrate = self.step, self.step.quadrature.integrate_facets
         residual = step.state.vec.CreateVector()
         step.residual.Apply(step.state.vec, residual)
         self._energy.Assemble()
         rows = residual.FV().NumPy()[step.layout.ranges["v"]] + self._energy.vec.FV().NumPy()
         result = {}
         for name, of_rows in zip(self.names, self.of_rows(rows), strict=True):
-            own = [
-                sum(step.quadrature.integrate_facets(part) for part in parts) for parts in self._terms[name]
-            ]
+            own = [sum(integrate(part) for part in parts) for parts in self._terms[name]]
             result[name] = [float(value) for value in of_rows + np.array(own)]
         return result
 

@@ -1,4 +1,4 @@
-"""Walls: impenetrability v.n = 0 with a free tangential part (paper: Euler-small-BC-hyper).
+"""Walls: v.n = 0 with a free tangential part (paper: Euler-small-BC-hyper), or a velocity that is prescribed.
 
 On a wall parallel to the axes the condition is one component of v, constrained exactly in the space.
 Anything that a wall adds to the system as a form (a multiplier for an oblique or curved wall, friction,
@@ -11,10 +11,29 @@ polygons that approach a curved wall locks v (Babuska).
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import TypeAlias
 
 import numpy as np
-from ngsolve import H1, Compress, FacetFESpace, FESpace, Mesh, Region
+from ngsolve import (
+    BND,
+    H1,
+    BaseMatrix,
+    BaseVector,
+    BilinearForm,
+    BitArray,
+    CoefficientFunction,
+    Compress,
+    FacetFESpace,
+    FESpace,
+    GridFunction,
+    Integrate,
+    LinearForm,
+    Mesh,
+    Region,
+    ds,
+    specialcf,
+)
 
 from ngvisco.errors import ParameterError
 from ngvisco.forms.boundary.boundaries import (
@@ -22,14 +41,22 @@ from ngvisco.forms.boundary.boundaries import (
     check_boundary_names,
     interior_boundaries,
     periodic_boundaries,
+    require_curved_cells,
     walls_of,
 )
-from ngvisco.forms.boundary.kinks import require_curved_cells
+from ngvisco.forms.mesh.mesh_arrays import mask_of
+from ngvisco.forms.spaces import Layout
+from ngvisco.forms.time_means import TimeMean
 from ngvisco.parallel.communicator import Communicator
-from ngvisco.parallel.exchange import Exchange
+from ngvisco.parallel.exchange import Exchange, Interpolation
 from ngvisco.physics.heat import WallHeat
 from ngvisco.physics.loads import as_vector
-from ngvisco.physics.walls import HELD, MOVING, NoSlip, Passage, Slip, Traction, Wall
+from ngvisco.physics.signals import may_read_time
+from ngvisco.physics.tensors import inner
+from ngvisco.physics.walls import HELD, MOVING, Inflow, NoSlip, Passage, Slip, Traction, Wall
+
+OPEN = 1e-3  # |V.n|^2/|V|^2 that the geometry's approximation may leave of a tangential velocity
+
 
 Conditions: TypeAlias = "Mapping[str | tuple[str, ...], Wall] | Sequence[tuple[str | tuple[str, ...], Wall]]"
 
@@ -37,21 +64,13 @@ Conditions: TypeAlias = "Mapping[str | tuple[str, ...], Wall] | Sequence[tuple[s
 class Walls:
     """Which condition holds on which boundary of a mesh, and what the spaces must do for it.
 
-    Parameters
-    ----------
-    mesh : ngsolve.Mesh
-    conditions : mapping of boundary names (or tuples of them) to Wall objects, or pairs of these
-        Boundaries that are not named slip; boundaries that the mesh identifies, and interfaces between
-        cells, are no walls, also where they have the name of one.
+    ``conditions`` maps boundary names (or tuples of them) to Wall objects, or has pairs of these.  Boundaries
+    that are not named slip; those that the mesh identifies, and interfaces between cells, are no walls, also
+    where they have the name of one.
 
-    Raises
-    ------
-    UnknownNameError
-        For a name that the mesh does not have.
-    ParameterError
-        If a boundary is given two conditions, is periodic or an interface, or the condition is no Wall.
-    MeshError
-        If a wall that has to be curved is not (``kinks``).
+    Raises UnknownNameError for a name that the mesh does not have; ParameterError if a boundary is given two
+    conditions, is periodic or an interface, or the condition is no Wall; MeshError if a wall that has to be
+    curved is not.
     """
 
     def __init__(self, mesh: Mesh, conditions: Conditions | None = None) -> None:
@@ -60,16 +79,13 @@ class Walls:
         self.periodic = periodic_boundaries(mesh)
         given = _by_name(conditions or {})
         check_boundary_names(mesh, given)
-        for name in given:
-            if name in self.periodic:
-                raise ParameterError(
-                    f"walls[{name!r}]", given[name], "no condition: it is a periodic boundary"
-                )
         interfaces = interior_boundaries(mesh)
-        for name in interfaces.intersection(given):
-            raise ParameterError(
-                f"walls[{name!r}]", given[name], "no condition: it lies between two cells and is no wall"
-            )
+        for name, wall in given.items():
+            if name in self.periodic or name in interfaces:
+                reason = "is a periodic boundary"
+                if name in interfaces:
+                    reason = "lies between two cells and is no wall"
+                raise ParameterError(f"walls[{name!r}]", wall, f"no condition: it {reason}")
         names = sorted(set(mesh.GetBoundaries()) - self.periodic - interfaces)
         self.conditions: dict[str, Wall] = {name: given.get(name, Slip()) for name in names}
         self.axis, self.oblique = axis_parallel_walls(mesh)
@@ -114,15 +130,11 @@ class Walls:
     def multiplier_space(self, mesh: Mesh, k: int) -> FESpace:
         """Space of the multiplier of v.n = 0 for velocities in P_k: P_{k-2}, and in 2D P_2 for k = 3.
 
-        On the mesh of the step, or on the whole of which that is a rank's part.
-
-        P_{k-1} is the most that the traces v.n allow.  In 3D it has more unknowns than there are normal
-        traces.  In 2D it has as many on a closed curve, and for even k the trace that is the same
-        Legendre polynomial of degree k on every edge is orthogonal to all of it: measured on a disc with
-        k = 2, rates 2.5 of v and 1.5 of grad v, against 3 and 2 with P_0.  For k = 3 P_2 and P_1 give the
-        same rates, and P_2 holds a wall pressure that varies better.  On a chain of n edges that ends
-        where v is constrained there are n k - 1 traces, so that its edges at such ends have one unknown
-        less.
+        On the mesh of the step, or on the whole of which that is a rank's part.  P_{k-1} is the most that the
+        traces v.n allow.  In 3D it has more unknowns than there are normal traces.  In 2D it has as many on a
+        closed curve, and for even k the trace that is the same Legendre polynomial of degree k on every edge
+        is orthogonal to all of it.  On a chain of n edges that ends where v is constrained there are n k - 1
+        traces, so that its edges at such ends have one unknown less.
         """
         fine = mesh.dim == 2 and k == 3
         order = k - 1 if fine else k - 2
@@ -156,3 +168,114 @@ def _by_name(conditions: Conditions) -> dict[str, Wall]:
                 raise ParameterError(f"walls[{name!r}]", (result[name], wall), "one condition, not two")
             result[name] = wall
     return result
+
+
+class MovingWalls:
+    """The constrained coefficients of v: zero, or a prescribed wall velocity.
+
+    Of a Rothe step that is its mean over the time that loads are averaged over: the wall is displaced by what
+    it moves in the step, whatever it does within.  The rows of R(u; .) at these coefficients are not zero but
+    the wall's reaction; tested by v they give its power, which is what is missing in R(u; v) = 0 for the
+    energy identity.
+    """
+
+    def __init__(self, walls: Walls, layout: Layout, state: GridFunction) -> None:
+        self.walls, self.layout = walls, layout
+        self._v = state.vec.FV().NumPy()[layout.ranges["v"]]
+        self._values = GridFunction(layout.blocks["v"])
+        self._set = Interpolation(layout.blocks["v"])
+        self._inverses: dict[str, BaseMatrix] = {}
+        self.zero = self.constrained(layout, walls.homogeneous)
+        self.moving: dict[str, tuple[CoefficientFunction, np.ndarray]] = {}
+        """Velocity and coefficients of v of the walls that move."""
+        self._means: dict[str, tuple[np.ndarray, TimeMean]] = {}
+        taken, dim = self.zero.copy(), walls.mesh.dim
+        for name, wall in walls.conditions.items():
+            if isinstance(wall, MOVING):
+                region = walls.region([name])
+                mask = self.constrained(layout, (region,) * dim) & ~taken
+                taken |= mask
+                velocity = as_vector(wall.velocity, dim, f"walls[{name!r}].velocity")
+                self.moving[name] = velocity, mask
+                if may_read_time(velocity):
+                    mean, make = np.zeros(np.count_nonzero(mask)), partial(self._on_wall, name)
+                    self._means[name] = mean, TimeMean(velocity, walls.mesh, make, mean, region)
+        self._averaged: tuple[float, float] | None = None
+
+    @staticmethod
+    def constrained(layout: Layout, regions: Sequence[Region | None]) -> np.ndarray:
+        """Coefficients of v_i on the i-th of these boundaries, as a mask."""
+        free = mask_of(layout.velocity_space(regions).FreeDofs())
+        unconstrained = mask_of(layout.velocity_space((None,) * layout.mesh.dim).FreeDofs())
+        return unconstrained & ~free
+
+    def set_values(self) -> None:
+        """Write the constrained coefficients of v of the Rothe step into the state."""
+        context = self.layout.context
+        window = context.loads_from.Get(), context.loads_over.Get()
+        if window != self._averaged:
+            for name, (_, mean) in self._means.items():
+                context.require_mean(f"the velocity of the wall {name!r}", mean.update(*window))
+            self._averaged = window
+        self._write({name: mean for name, (mean, _) in self._means.items()})
+
+    def set_present_values(self) -> None:
+        """Write those of the present ``ngvisco.time`` into the state."""
+        self._write({})
+
+    def _write(self, means: dict[str, np.ndarray]) -> None:
+        self._v[self.zero] = 0.0
+        for name, (_, mask) in self.moving.items():
+            self._v[mask] = means[name] if name in means else self._on_wall(name)
+
+    def _on_wall(self, name: str) -> np.ndarray:
+        velocity, mask = self.moving[name]
+        return self.interpolate(name, velocity)[mask]
+
+    def velocities(self) -> dict[str, np.ndarray]:
+        """Coefficients on every moving wall at the present ``ngvisco.time``, m/s."""
+        return {name: self._on_wall(name) for name in self.moving}
+
+    def interpolate(self, name: str, velocity: CoefficientFunction) -> np.ndarray:
+        """Coefficients on the wall of a velocity; of its tangential part where nothing crosses the wall.
+
+        Raises ParameterError if the velocity has a normal part there.
+        """
+        mesh, region = self.walls.mesh, self.walls.region([name])
+        if not isinstance(self.walls.conditions[name], Inflow):
+            n = specialcf.normal(mesh.dim)
+            normal = velocity * n
+            size = Integrate(velocity * velocity, mesh, BND, definedon=region)
+            through = Integrate(normal * normal, mesh, BND, definedon=region)
+            if not through <= OPEN * size:
+                found = f"normal part {through**0.5:.3g} of {size**0.5:.3g} in L2"
+                expected = (
+                    "a tangential velocity: nothing crosses such a wall; an inlet is nv.Inflow(velocity=...)"
+                )
+                raise ParameterError(f"walls[{name!r}].velocity", found, expected)
+            velocity = velocity - normal * n
+        self._values.vec[:] = 0.0
+        if self.layout.periodic:
+            self._project(name, velocity)
+        else:
+            self._set(self._values, velocity, region)
+        return self._values.vec.FV().NumPy()
+
+    def _project(self, name: str, velocity: CoefficientFunction) -> None:
+        """The L2 projection on the wall: ``Set`` counts a vertex twice in a facet that meets its image."""
+        space, region = self._values.space, self.walls.region([name])
+        trial, test = space.TnT()
+        if name not in self._inverses:
+            mass = BilinearForm(space, check_unused=False)
+            mass += inner(trial, test) * ds(definedon=region)
+            on_wall = self.constrained(self.layout, (region,) * self.walls.mesh.dim)
+            active = BitArray(list(map(bool, on_wall)))
+            self._inverses[name] = mass.Assemble().mat.Inverse(active, inverse="umfpack")
+        load = LinearForm(space)
+        load += inner(velocity, test) * ds(definedon=region)
+        self._values.vec.data = self._inverses[name] * load.Assemble().vec
+
+    def reaction_power(self, residual: BaseVector, name: str) -> float:
+        """Power of the reaction on a moving wall, W, from the residual of the solved step."""
+        mask, rows = self.moving[name][1], residual.FV().NumPy()[self.layout.ranges["v"]]
+        return Communicator.of(self.walls.mesh).dot(rows[mask], self._v[mask])

@@ -45,18 +45,12 @@ def locate(mesh: Mesh, points: np.ndarray, names: Sequence[str]) -> np.ndarray:
 
 
 class Located:
-    """Points of space, (count, dim), m, at which functions on a mesh are evaluated.
+    """Points of space, (count, dim), m, at which functions on a mesh are evaluated; ``names`` are for errors.
 
     Over ranks each rank has points of its own, and each point is in the cell in which it is on one process:
     what jumps across facets has one value there.  Making one and every evaluation are collective.  Raises
     ParameterError for a point that is not in the domain, and for a mesh that was distributed otherwise than
     by ``Simulation``: the whole is not known.
-
-    Parameters
-    ----------
-    points : array (count, dim)
-    names : sequence of str
-        What an error calls them.
     """
 
     def __init__(self, mesh: Mesh, points: np.ndarray, names: Sequence[str]) -> None:
@@ -95,8 +89,7 @@ class Located:
                 for rank in every
             ]
         mine = mpi.scatter(wanted)
-        self._from: list[np.ndarray] = mpi.scatter(given)
-        """Which of this rank's points each rank has."""
+        self._from: list[np.ndarray] = mpi.scatter(given)  # which of this rank's points each rank has
         self._ends = np.cumsum([len(local) for local, _ in mine])
         self._at = mesh_points(mesh, *(np.concatenate(parts) for parts in zip(*mine, strict=True)))
 

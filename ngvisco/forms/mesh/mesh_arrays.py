@@ -5,15 +5,19 @@ from itertools import combinations
 import numpy as np
 from ngsolve import (
     BND,
+    EDGE,
     ET,
+    FACE,
     VOL,
     BitArray,
     CoefficientFunction,
     Det,
     FacetFESpace,
+    GridFunction,
     IntegrationRule,
     LinearForm,
     Mesh,
+    NodeId,
     Projector,
     dx,
     specialcf,
@@ -32,6 +36,14 @@ VERTICES: dict[ET, list[tuple[float, ...]]] = {
 }
 """Of NGSolve's reference facets and cells."""
 
+_KINDS = {1: (ET.SEGM,), 2: (ET.TRIG, ET.QUAD), 3: (ET.TET, ET.PRISM, ET.PYRAMID, ET.HEX)}
+
+
+def rules(dim: int, degree: int) -> dict[ET, IntegrationRule]:
+    """The rules of a degree of all cells, or facets, of a dimension."""
+    return {et: IntegrationRule(et, degree) for et in _KINDS[dim]}
+
+
 SIMPLICES = (10, 12, 20, 21)
 """Netgen's numbers of triangles and tetrahedra, straight and of second order."""
 
@@ -42,18 +54,6 @@ def mask_of(bits: BitArray) -> np.ndarray:
     ones[:] = 1.0
     Projector(bits, True).Project(ones)
     return ones.FV().NumPy() != 0
-
-
-_KNOWN = {2: {ET.TRIG, ET.QUAD}, 3: {ET.TET}}
-_WORDS = {ET.PYRAMID: "pyramids", ET.PRISM: "prisms", ET.HEX: "hexahedra"}
-
-
-def unknown_cells(mesh: Mesh) -> list[str]:
-    """Types of cells, in words, for which there are no spaces and rules here."""
-    if is_simplicial(mesh):
-        return []
-    found = {cell.type for cell in mesh.Elements(VOL)} - _KNOWN[mesh.dim]
-    return sorted(_WORDS.get(kind, str(kind)) for kind in found)
 
 
 def _cells(mesh: Mesh) -> np.ndarray:
@@ -131,46 +131,68 @@ def boundary_facets(mesh: Mesh) -> np.ndarray:
     return mask_of(space.GetDofs(mesh.Boundaries(".*")))
 
 
+def periodic_facets(mesh: Mesh) -> set[int]:
+    """The boundary facets that the mesh identifies with another one, as indices into such arrays."""
+    kind, space = EDGE if mesh.dim == 2 else FACE, FacetFESpace(mesh, order=0)
+    pairs = (pair for pair, _ in mesh.GetPeriodicNodePairs(kind))
+    return {facet for pair in pairs for nr in pair for facet in space.GetDofNrs(NodeId(kind, nr))}
+
+
+def inner_facets(mesh: Mesh) -> GridFunction:
+    """1 on facets between two cells, also identified ones and interfaces, 0 on walls."""
+    indicator = GridFunction(FacetFESpace(mesh, order=0))
+    wall = boundary_facets(mesh) & ~facets_with_two_sides(mesh)
+    wall[list(periodic_facets(mesh))] = False
+    indicator.vec.FV().NumPy()[:] = ~wall
+    return indicator
+
+
 _ORDER = 4  # degree of the points at which the determinant is looked at; curved cells vary inside
+_CELLS = {2: (ET.TRIG, ET.QUAD), 3: (ET.TET,)}
+_WORDS = {ET.PYRAMID: "pyramids", ET.PRISM: "prisms", ET.HEX: "hexahedra"}
 
 
-def check_orientation(mesh: Mesh) -> None:
-    """Raise MeshError for a cell that is turned inside out, in part or as a whole.
+def check_mesh(mesh: Mesh) -> None:
+    """Raise MeshError unless the mesh is 2D or 3D, has cells, all of known types, and none is inverted.
 
-    Two things are looked at.  The determinant of the map from the reference cell keeps its sign and
-    is nowhere zero in a cell; which sign is only a matter of the order of its vertices.  The two cells
-    of an inner facet lie on different sides of it, so that their outward normals cancel.
+    Of orientation two things are looked at.  The determinant of the map from the reference cell keeps its
+    sign and is nowhere zero in a cell; which sign is only a matter of the order of its vertices.  The two
+    cells of an inner facet lie on different sides of it, so that their outward normals cancel.
     """
-    for check in (_of_determinants, _of_sides):
-        error = Communicator.of(mesh).agree(check(mesh))
-        if error is not None:
-            raise error
+    if mesh.dim not in (2, 3):
+        raise MeshError(f"the mesh has dimension {mesh.dim}: expected 2 (plane strain) or 3")
+    if mesh.comm.Sum(mesh.ne) == 0:
+        raise MeshError("the mesh has no volume elements: mesh the interior, not only its surface")
+    others: set[ET] = set()
+    if not is_simplicial(mesh):
+        others = {cell.type for cell in mesh.Elements(VOL)}.difference(_CELLS[mesh.dim])
+    if mesh.comm.Sum(len(others)):
+        names = ", ".join(sorted(_WORDS.get(kind, str(kind)) for kind in others)) or "others"
+        raise MeshError(
+            f"the mesh has cells of the types {names}: expected triangles and quadrilaterals, or tetrahedra "
+            "(mesh.ngmesh.Split2Tets() divides hexahedra and prisms)"
+        )
+    ranks = Communicator.of(mesh)
+    with ranks.together(MeshError):
+        _check_determinants(mesh)
+    doubled = ~(facets_with_two_sides(mesh) | boundary_facets(mesh))
+    with ranks.together(MeshError):
+        if doubled.any():
+            raise MeshError(
+                f"facet {int(np.argmax(doubled))}, on no boundary, has cells on one side only: "
+                "a cell is inverted, cells overlap, or the mesh lacks a boundary element there"
+            )
 
 
-def _of_determinants(mesh: Mesh) -> MeshError | None:
-    types = (ET.TRIG, ET.QUAD) if mesh.dim == 2 else (ET.TET,)
+def _check_determinants(mesh: Mesh) -> None:
     determinant = Det(specialcf.JacobianMatrix(mesh.dim))
-    for et in types:
-        rule = IntegrationRule(et, _ORDER)
-        points = mesh.MapToAllElements({et: rule}, VOL)
-        values = np.asarray(determinant(points)).reshape(-1, len(rule.points))
+    for et, rule in rules(mesh.dim, _ORDER).items():
+        values = np.asarray(determinant(mesh.MapToAllElements({et: rule}, VOL))).reshape(-1, len(rule.points))
         flat = np.sign(values).min(axis=1) * np.sign(values).max(axis=1) <= 0
         if flat.any():
             row = int(np.argmax(flat))
             numbers = [element.nr for element in mesh.Elements(VOL) if element.type == et]
-            return MeshError(
+            raise MeshError(
                 f"element {numbers[row]} is inverted or flat: the determinant of its map takes values from "
                 f"{values[row].min():.3e} to {values[row].max():.3e}; expected one sign and no zero"
             )
-    return None
-
-
-def _of_sides(mesh: Mesh) -> MeshError | None:
-    doubled = ~(facets_with_two_sides(mesh) | boundary_facets(mesh))
-    if not doubled.any():
-        return None
-    facet = int(np.argmax(doubled))
-    return MeshError(
-        f"facet {facet}, on no boundary, has cells on one side only: "
-        "a cell is inverted, cells overlap, or the mesh lacks a boundary element there"
-    )

@@ -1,23 +1,27 @@
-"""Values at the cells' quadrature points by sparse matrices.
+"""Values at the quadrature points of the cells and of their sides by sparse matrices.
 
 The split solver evaluates the transported fields' part of the residual hundreds of times on one mesh.
 A symbolic form evaluates its whole integrand for each component of each test function; here every field
 is carried to the points once, the integrand is formed once, and the transposed matrices test it.  The
-matrices are assembled, once, from the spaces of the step by the rule of its forms, so that they know of
+matrices are assembled, once, from the spaces of the step by the rules of its forms, so that they know of
 curved cells, of identified unknowns and of NGSolve's numbering.
 
-Arrays are (components, points), points cell by cell.
+Arrays are (components, points), points cell by cell; those of sides side by side, in the cell's own order.
 """
 
+from collections.abc import Callable
 from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
 from ngsolve import (
+    CF,
     ET,
     BaseMatrix,
     BilinearForm,
     CoefficientFunction,
+    Discontinuous,
+    FacetFESpace,
     FESpace,
     GridFunction,
     IntegrationRule,
@@ -26,10 +30,14 @@ from ngsolve import (
     VectorValued,
     dx,
     grad,
+    specialcf,
 )
 from ngsolve.comp import IntegrationRuleSpace
 
 from ngvisco.errors import MeshError
+
+NEGLIGIBLE = 1e-14
+"""Entries smaller than this, relative to the largest, are rounding: a side sees its own facet alone."""
 
 
 def csr(matrix: BaseMatrix) -> sp.csr_matrix:
@@ -52,19 +60,13 @@ class CellPoints:
         self.space = IntegrationRuleSpace(mesh, order=order)
         if self.space.ndof != mesh.ne * self.per_cell:
             raise MeshError("the split solver needs a mesh of triangles or tetrahedra only")
-        self.dx = dx(intrules=self.rules)
-
-    @cached_property
-    def count(self) -> int:
-        return self.space.ndof
+        self.count, self.dx = self.space.ndof, dx(intrules=self.rules)
 
     @cached_property
     def weights(self) -> np.ndarray:
         """Weight times Jacobian at every point, (points,), m^dim."""
-        form = LinearForm(self.space)
-        form += self.space.TestFunction() * self.dx
-        form.Assemble()
-        return form.vec.FV().NumPy().copy()
+        form = LinearForm(self.space.TestFunction() * self.dx)
+        return form.Assemble().vec.FV().NumPy().copy()
 
     def values(self, space: FESpace) -> sp.csr_matrix:
         """The matrix that takes coefficients of a scalar space to values at the points."""
@@ -77,8 +79,7 @@ class CellPoints:
     def _operator(self, space: FESpace, value: CoefficientFunction) -> sp.csr_matrix:
         form = BilinearForm(trialspace=space, testspace=self.space)
         form += value * self.space.TestFunction() * self.dx
-        form.Assemble()
-        matrix = csr(form.mat)
+        matrix = csr(form.Assemble().mat)
         matrix.data /= np.repeat(self.weights, np.diff(matrix.indptr))
         return matrix
 
@@ -92,3 +93,69 @@ class CellPoints:
     def read(self, function: GridFunction, components: int) -> np.ndarray:
         """The values of such a function, (components, points), as a view."""
         return function.vec.FV().NumPy().reshape(function.dim, self.count)[:components]
+
+
+class SidePoints:
+    """The points of the rule of degree ``degree`` on every side of every simplex of a mesh.
+
+    NGSolve has no space of values at these points: a matrix is put together from one assembly for each point
+    of the rule, with a rule of that point alone and one constant test on each side.
+    """
+
+    def __init__(self, mesh: Mesh, degree: int) -> None:
+        self.mesh = mesh
+        self.shape = ET.SEGM if mesh.dim == 2 else ET.TRIG
+        rule = IntegrationRule(self.shape, degree)
+        self.rules = [
+            IntegrationRule(points=[tuple(point[: mesh.dim - 1])], weights=[1.0]) for point in rule.points
+        ]
+        self.per_side = len(self.rules)
+        self._tests = Discontinuous(FacetFESpace(mesh, order=0))
+        self.sides = self._tests.ndof
+        self._measure = self._loads(CF(1.0))
+        self.weights = (np.array(rule.weights)[None] * self._measure).ravel()
+        self.count = self.weights.size
+
+    def _dx(self, rule: IntegrationRule) -> object:
+        return dx(element_boundary=True, intrules={self.shape: rule})
+
+    def _loads(self, value: CoefficientFunction) -> np.ndarray:
+        """Values times the facets' Jacobians, (sides, points of a side)."""
+        result = np.empty((self.sides, self.per_side))
+        for q, rule in enumerate(self.rules):
+            form = LinearForm(self._tests)  # a value that is zero has no test function
+            form += value * self._tests.TestFunction() * self._dx(rule)
+            result[:, q] = form.Assemble().vec.FV().NumPy()
+        return result
+
+    def sample(self, value: CoefficientFunction) -> np.ndarray:
+        """A scalar function at the points, (points,)."""
+        return (self._loads(value) / self._measure).ravel()
+
+    @cached_property
+    def normals(self) -> np.ndarray:
+        """Unit outer normals of the cells, (dim, points)."""
+        n = specialcf.normal(self.mesh.dim)
+        return np.stack([self.sample(n[i]) for i in range(self.mesh.dim)])
+
+    def values(self, space: FESpace) -> sp.csr_matrix:
+        """The matrix that takes coefficients of a scalar space to values at the points."""
+        return self.operator(space, lambda u: u)
+
+    def operator(
+        self, space: FESpace, value: Callable[[CoefficientFunction], CoefficientFunction]
+    ) -> sp.csr_matrix:
+        """The matrix (points, unknowns) of a scalar ``value``, linear in the space's functions."""
+        form_value = value(space.TrialFunction())
+        data, columns, rows = [], [], []
+        for q, rule in enumerate(self.rules):
+            form = BilinearForm(trialspace=space, testspace=self._tests)
+            form += form_value * self._tests.TestFunction() * self._dx(rule)
+            part = csr(form.Assemble().mat).tocoo()
+            data.append(part.data / self._measure[part.row, q])
+            columns.append(part.col)
+            rows.append(part.row * self.per_side + q)
+        values = np.concatenate(data)
+        keep = abs(values) > NEGLIGIBLE * abs(values).max(initial=0.0)
+        where = (np.concatenate(rows)[keep], np.concatenate(columns)[keep])
+        return sp.csr_matrix((values[keep], where), shape=(self.count, space.ndof))

@@ -1,14 +1,8 @@
 """Quadrature: the one place where degrees are chosen, for the forms and for the ledger alike.
 
 The energy identity holds for any quadrature as long as a form and the ledger's integral of the same
-thing use the same one.  ``Quadrature`` hands out both.
-
-Integrands are straight-line programs, interpreted by NGSolve or, where asked, compiled to machine code.
-
-Machine code takes minutes to be made (about 15 s for each of some 40 integrands) and a C++ compiler.
-NGSolve's compiler script takes ccache where that is at /usr/bin: a second process that needed the same
-integrands was ready after 135 s instead of 455 s (230 triangles, coupled; half of the compiler's calls were
-hits).
+thing use the same one.  ``Quadrature`` hands out both.  Integrands are straight-line programs, interpreted by
+NGSolve or, where asked, compiled to machine code.
 """
 
 from __future__ import annotations
@@ -25,22 +19,24 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from ngsolve import (
     CF,
-    ET,
     VOL,
     BitArray,
     CoefficientFunction,
+    GridFunction,
     Integrate,
     IntegrationRule,
     Mesh,
+    VectorValued,
     ds,
     dx,
     x,
     y,
     z,
 )
+from ngsolve.comp import IntegrationRuleSpace
 
 from ngvisco.errors import InitialDataError, ParameterError
-from ngvisco.forms.mesh.mesh_arrays import VERTICES
+from ngvisco.forms.mesh.mesh_arrays import VERTICES, rules
 from ngvisco.parallel.communicator import Communicator
 
 if TYPE_CHECKING:
@@ -88,16 +84,11 @@ class Quadrature:
     @cached_property
     def cell_rules(self) -> dict[Any, IntegrationRule]:
         """The rule of every type of cell."""
-        return self._rules(self.volume_degree)
-
-    def _rules(self, degree: int) -> dict[Any, IntegrationRule]:
-        cells = (ET.TRIG, ET.QUAD) if self.mesh.dim == 2 else (ET.TET, ET.PRISM, ET.PYRAMID, ET.HEX)
-        return {et: IntegrationRule(et, degree) for et in cells}
+        return rules(self.mesh.dim, self.volume_degree)
 
     @cached_property
     def _facet_rules(self) -> dict[Any, IntegrationRule]:
-        facets = (ET.SEGM,) if self.mesh.dim == 2 else (ET.TRIG, ET.QUAD)
-        return {et: IntegrationRule(et, self.facet_degree) for et in facets}
+        return rules(self.mesh.dim - 1, self.facet_degree)
 
     @property
     def cells(self) -> Any:
@@ -107,7 +98,7 @@ class Quadrature:
     @cached_property
     def nodes(self) -> Any:
         """dx over the cells by the rule of the fields' products."""
-        return dx(intrules=self._rules(2 * self.field_order))
+        return dx(intrules=rules(self.mesh.dim, 2 * self.field_order))
 
     @property
     def facets(self) -> Any:
@@ -118,6 +109,11 @@ class Quadrature:
     def walls(self) -> Any:
         """ds by the rule of ``facets``."""
         return ds(intrules=self._facet_rules)
+
+    def vectors(self, size: int, at_nodes: bool = False) -> GridFunction:
+        """A function of vectors at the points of ``cells``, or of ``nodes``; ``values_of`` has its values."""
+        order = self.field_order if at_nodes else self.volume_degree // 2
+        return GridFunction(VectorValued(IntegrationRuleSpace(self.mesh, order=order), size))
 
     def add(self, form: Any, integrands: Iterable[Integrand]) -> None:
         """Add the integrands to an NGSolve form, by the rules of ``cells``, ``facets`` and ``nodes``."""
@@ -145,6 +141,12 @@ class Quadrature:
         return float(self.mesh.comm.Sum(Integrate(total, self.mesh)))
 
 
+def values_of(function: GridFunction) -> np.ndarray:
+    """The values of a grid function of points, (components, points), not a copy."""
+    values = function.vec.FV().NumPy()
+    return values.reshape(len(function.components) or 1, -1)
+
+
 VARIABLE = "NGVISCO_COMPILE"
 """Environment variable: "1" asks for machine code."""
 
@@ -158,23 +160,17 @@ def compiled(integrand: CoefficientFunction) -> CoefficientFunction:
     Raises ParameterError when machine code is asked for by something else than "0" or "1", or without a
     compiler.
     """
-    if not _wanted():
-        return integrand.Compile()
-    return integrand.Compile(realcompile=True, wait=True)
-
-
-def _wanted() -> bool:
     value = os.environ.get(VARIABLE, "0")
     if value not in ("", "0", "1"):
         raise ParameterError(VARIABLE, value, '"1" for machine code, "0" for none')
     if value != "1":
-        return False
+        return integrand.Compile()
     beside = str(Path(sys.executable).parent)
     if shutil.which(SCRIPT) is None and shutil.which(SCRIPT, path=beside) is not None:
         os.environ["PATH"] = os.pathsep.join([beside, os.environ.get("PATH", "")])
     if shutil.which(SCRIPT) is None or shutil.which("c++") is None:
         raise ParameterError(VARIABLE, value, f"{SCRIPT} (of NGSolve) and c++ on the path")
-    return True
+    return integrand.Compile(realcompile=True, wait=True)
 
 
 class Sampler:
@@ -187,13 +183,13 @@ class Sampler:
     @cached_property
     def points(self) -> np.ndarray:
         """Mesh points: at vertices (just inside each cell) and at the forms' quadrature points."""
-        rules = {}
+        found = {}
         for et, vertices in VERTICES.items():
             if et in self.quadrature.cell_rules:
                 inner_points = list(self.quadrature.cell_rules[et].points)
                 points = [tuple(p)[: len(vertices[0])] for p in inner_points] + list(vertices)
-                rules[et] = IntegrationRule(points, [0.0] * len(points))
-        return self.mesh.MapToAllElements(rules, VOL)
+                found[et] = IntegrationRule(points, [0.0] * len(points))
+        return self.mesh.MapToAllElements(found, VOL)
 
     @property
     def cells(self) -> np.ndarray:
@@ -205,14 +201,15 @@ class Sampler:
         result = np.asarray(f(self.points))
         return result[:, 0] if result.ndim == 2 and result.shape[1] == 1 else result
 
-    def rows(self, f: CoefficientFunction) -> np.ndarray:
-        """The same as (points, components), also of a scalar and on a rank without points."""
-        return np.asarray(f(self.points)).reshape(len(self.points), f.dim)
+    def rows(self, f: CoefficientFunction, some: np.ndarray | None = None) -> np.ndarray:
+        """The same as (points, components), also of a scalar and without points; of all or ``some`` by
+        number."""
+        points = self.points if some is None else self.points[some]
+        return np.asarray(f(points)).reshape(len(points), f.dim)
 
     def coordinates(self, indices: np.ndarray) -> np.ndarray:
         """Where some of the points are, (indices, dim), m."""
-        position = CF((x, y, z)[: self.mesh.dim])
-        return np.asarray(position(self.points[indices])).reshape(len(indices), self.mesh.dim)
+        return self.rows(CF((x, y, z)[: self.mesh.dim]), indices)
 
     def integral(self, values: np.ndarray) -> float:
         """Of values at this rank's points over the whole mesh: of each cell the mean of its points counts."""

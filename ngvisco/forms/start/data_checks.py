@@ -1,10 +1,10 @@
 """What loads, walls and initial data must be, looked at where the forms look: at points and at times.
 
-What cannot be right is refused.  What the model has no place for, a normal part of a traction or a start
-velocity through a wall, is left out by the projections, and that is said by an ``InputWarning``.
+What cannot be right is refused.  What the model has no place for, or what is hardly meant, is said by an
+``InputWarning``.
 """
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Sequence
 from functools import partial
 
 import numpy as np
@@ -12,23 +12,34 @@ from ngsolve import (
     BND,
     CF,
     ET,
+    H1,
+    VOL,
     BoundaryFromVolumeCF,
     CoefficientFunction,
     Det,
+    Grad,
+    GridFunction,
+    HCurl,
     Integrate,
     IntegrationRule,
     specialcf,
+    x,
+    y,
+    z,
 )
 
 from ngvisco.errors import InputWarning, ParameterError
-from ngvisco.forms.boundary.moving_walls import OPEN
-from ngvisco.forms.boundary.passages import Carried, GivenStress
+from ngvisco.forms.boundary.wall_terms import Carried
+from ngvisco.forms.boundary.walls import OPEN
+from ngvisco.forms.mesh.mesh_arrays import VERTICES, mask_of, rules
 from ngvisco.forms.mesh.quadrature import Sampler
+from ngvisco.forms.start.variables import Given
 from ngvisco.forms.system import Step
 from ngvisco.parallel.communicator import Communicator
+from ngvisco.parallel.mesh import cell_numbers
 from ngvisco.physics.energy_checks import check_convexity
 from ngvisco.physics.loads import BodyForce, CentralGravity, VectorLike, as_vector, force_of
-from ngvisco.physics.material import Material
+from ngvisco.physics.material import Material, rest_stress_and_modulus
 from ngvisco.physics.materials import (
     CustomMaterial,
     Damaged,
@@ -38,37 +49,55 @@ from ngvisco.physics.materials import (
     Yosida,
 )
 from ngvisco.physics.materials.wrapped import Carrying
-from ngvisco.physics.mixture import AMOUNT
+from ngvisco.physics.mixture import AMOUNT, Mixture
 from ngvisco.physics.signals import time
-from ngvisco.physics.tensors import square
+from ngvisco.physics.tensors import square, tr
 from ngvisco.physics.variables import Distortion
-from ngvisco.physics.walls import MOVING, NavierFriction, Traction
+from ngvisco.physics.walls import HELD, MOVING, Traction
 
 _FLAT = 1e-12  # |a.n|^2/|a|^2 on walls parallel to the axes, whose normals are exact
 _ROUNDING = 1e-20  # of the mean of |a|^2 in the domain: sin(pi x) at x = 1 is 1e-16
 _MATCH = 1e-8
 _DEGREE = 6  # of the rule whose points are looked at on walls
+_STRESS_ROUNDING = 1e-9  # of the stiffness: less of a stress is rounding of the energies' constants
+_STIFFER = 10.0
+"""Ratio of bulk moduli above which a run is warned: at 20 steps are divided (``demos/collision``); with
+overshoots of a quarter the compliance may be negative from 5 on."""
+
+_SIGNS = {
+    "velocity": "",
+    "f": "",
+    "traction": "",
+    "pressure": "",
+    "coefficient": ">= 0",
+    "heat.temperature": "> 0",
+    "heat.coefficient": ">= 0",
+    "heat.flux": "",
+}
+"""What is looked at of the conditions on walls, and what it must be beside finite."""
+_VECTORS = ("velocity", "f", "traction")
 
 
 def check_loads(step: Step, sampler: Sampler, times: Iterable[float]) -> None:
     """Raise ParameterError for a load or source of heat not finite at a sampling point at a time (s)."""
-    dim, times = step.mesh.dim, list(times)
+    given: list[tuple[str, object, CoefficientFunction, str]] = []
     for body, source in step.model.heat_law.sources:
         owner = "Heat.source" if body is None else f"bodies[{body!r}].heat.source"
-        for t in _at(times):
-            if not sampler.ranks.all(np.isfinite(sampler.values(CF(source))).all()):
-                expected = f"finite values; at t = {t:g} s it is not finite somewhere"
-                raise ParameterError(owner, source, expected)
+        given.append((owner, source, CF(source), "finite values"))
     for load in step.model.loads:
-        name, value = ("force", load.force) if isinstance(load, BodyForce) else ("g", load.g)
-        vector = force_of(load, dim)
+        owner, vector = f"loads[{load.name!r}]", force_of(load, step.mesh.dim)
+        if isinstance(load, CentralGravity):
+            given.append(
+                (owner, load, vector, "centre, strength, radius and exponent that give finite values")
+            )
+        else:
+            name = "force" if isinstance(load, BodyForce) else "g"
+            given.append((f"{owner}.{name}", getattr(load, name), vector, "finite values"))
+    times = list(times)
+    for field, value, function, expected in given:
         for t in _at(times):
-            if not sampler.ranks.all(np.isfinite(sampler.values(vector)).all()):
-                expected = f"finite values; at t = {t:g} s it is not finite somewhere"
-                if isinstance(load, CentralGravity):
-                    expected = f"centre, strength, radius and exponent that give {expected}"
-                    raise ParameterError(f"loads[{load.name!r}]", load, expected)
-                raise ParameterError(f"loads[{load.name!r}].{name}", value, expected)
+            if not sampler.ranks.all(np.isfinite(sampler.values(function)).all()):
+                raise ParameterError(field, value, f"{expected}; at t = {t:g} s it is not finite somewhere")
 
 
 def check_walls(step: Step, times: Iterable[float]) -> None:
@@ -78,33 +107,19 @@ def check_walls(step: Step, times: Iterable[float]) -> None:
     temperature (0 too) that is negative somewhere, for a prescribed velocity with a normal part, and for
     what flows in where density, J, ... are not positive.
     """
-    dim, times = step.mesh.dim, list(times)
+    times = list(times)
     for name, wall in step.walls.conditions.items():
-        owner, given = f"walls[{name!r}]", {}
-        if isinstance(wall, MOVING):
-            given["velocity"] = (wall.velocity, as_vector(wall.velocity, dim, f"{owner}.velocity"), "")
-        if isinstance(wall, Traction):
-            given["f"] = (wall.f, as_vector(wall.f, dim, f"{owner}.f"), "")
-        if isinstance(wall, NavierFriction):
-            given["coefficient"] = (wall.coefficient, wall.coefficient, ">= 0")
-        if wall.heat is not None:
-            ranges = {"temperature": "> 0", "coefficient": ">= 0", "flux": ""}
-            of_heat = {key: getattr(wall.heat, key) for key in ranges}
-            given |= {f"heat.{key}": (value, value, ranges[key]) for key, value in of_heat.items()}
-        for key, (value, function, sign) in given.items():
-            for t in _at(times if isinstance(function, CoefficientFunction) else ()):
-                values = _require_finite(step, name, function, f"{owner}.{key}", value, t)
+        for key, sign in _SIGNS.items():
+            part = wall.heat if key.startswith("heat.") else wall
+            value, field = getattr(part, key.removeprefix("heat."), None), f"walls[{name!r}].{key}"
+            if value is None:
+                continue
+            function = as_vector(value, step.mesh.dim, field) if key in _VECTORS else CF(value)
+            for t in _at(times):
+                _look(step, name, function, field, t, sign, value=value)
                 if key == "velocity":
                     step.moving_walls.interpolate(name, function)
-                least = Communicator.of(step.mesh).least(values.min(initial=np.inf))
-                if sign and (least < 0 or (least == 0 and sign == "> 0")):
-                    expected = f"a function {sign}; at t = {t:g} s it is {least:.3g} somewhere on the wall"
-                    raise ParameterError(f"{owner}.{key}", value, expected)
     for term in step.terms:
-        if isinstance(term, GivenStress):
-            for field, stress in (("pressure", term.pressure), ("traction", term.f)):
-                for t in _at(times if stress is not None else []):
-                    _require_finite(step, term.name, stress, f"walls[{term.name!r}].{field}", stress, t)
         if isinstance(term, Carried):
             for t in _at(times):
                 _check_incoming(step, term, t)
@@ -112,36 +127,58 @@ def check_walls(step: Step, times: Iterable[float]) -> None:
 
 def _check_incoming(step: Step, term: Carried, t: float) -> None:
     """Raise ParameterError where what flows in is not finite, or its density, J, ... not positive."""
-    owner, ranks = f"walls[{term.name!r}]", Communicator.of(step.mesh)
-    z = step.layout.states.tensors(lambda: term.values["z"])
+    material, owner = step.model.material, f"walls[{term.name!r}]"
+    values = step.layout.states.tensors(lambda: term.values["z"])
     if term.temperature is not None:  # before the entropy, which has its logarithm
-        where = f"{owner}.temperature"
-        _require_positive(step, term.name, "temperature", term.temperature, where, t)
+        _look(step, term.name, term.temperature, f"{owner}.temperature", t, "> 0", "temperature")
     positive = {f"{owner}.density": {"density": term.values["rho"]}}
-    for variable in step.model.material.variables:
-        where = f"{owner}.values[{variable.name!r}]"
-        _require_finite(step, term.name, z[variable.name], where, z[variable.name], t)
+    for variable in material.variables:
+        where, value = f"{owner}.values[{variable.name!r}]", values[variable.name]
+        _look(step, term.name, value, where, t)
         if not step.model.bodies:  # whose variables vanish where they are not
-            positive[where] = dict(variable.positive(z[variable.name]))
+            positive[where] = dict(variable.positive(value))
     if step.model.bodies:
-        positive[f"{owner}.amounts"] = dict(step.model.material.bounds(z)[""])
-        for body in step.model.bodies:
-            where, n = f"{owner}.amounts[{body.name!r}]", z[AMOUNT + body.name]
-            least = ranks.least(_require_finite(step, term.name, n, where, n, t).min(initial=np.inf))
-            if least < 0:
-                raise ParameterError(where, f"{least:.4g} at t = {t:g} s", ">= 0 everywhere on the wall")
+        positive[f"{owner}.amounts"] = dict(material.bounds(values)[""])
+    for body in step.model.bodies:
+        where = f"{owner}.amounts[{body.name!r}]"
+        _look(step, term.name, values[AMOUNT + body.name], where, t, ">= 0", "an amount")
     for where, of_field in positive.items():
         for name, function in of_field.items():
-            _require_positive(step, term.name, name, function, where, t)
+            _look(step, term.name, function, where, t, "> 0", name)
 
 
-def _require_positive(
-    step: Step, wall: str, name: str, function: CoefficientFunction, where: str, t: float
+def _look(
+    step: Step,
+    wall: str,
+    function: CoefficientFunction,
+    field: str,
+    t: float,
+    sign: str = "",
+    name: str = "a function",
+    value: object = None,
 ) -> None:
-    values = _require_finite(step, wall, function, where, function, t)
-    if (least := Communicator.of(step.mesh).least(values.min(initial=np.inf))) <= 0:
-        found = f"{name} = {least:.4g} somewhere on the wall at t = {t:g} s"
-        raise ParameterError(where, found, f"{name} > 0 of what flows in")
+    """Raise ParameterError unless a function is finite, and of its sign, on a wall at the time ``t``."""
+    points = step.mesh.MapToAllElements(rules(step.mesh.dim - 1, _DEGREE), step.walls.region([wall]))
+    values = np.asarray(function(points))
+    ranks = Communicator.of(step.mesh)
+    if not ranks.all(np.isfinite(values).all()):
+        expected = f"finite values; at t = {t:g} s it is not finite on the wall"
+        raise ParameterError(field, function if value is None else value, expected)
+    least = ranks.least(values.min(initial=np.inf))
+    if sign and (least < 0 or (least == 0 and sign == "> 0")):
+        expected = f"{name} {sign}; at t = {t:g} s it is {least:.3g} somewhere on the wall"
+        raise ParameterError(field, f"{name} = {least:.4g}" if value is None else value, expected)
+
+
+def _at(times: Iterable[float]) -> Iterator[float]:
+    """Set the run's time to each of the times, and back in the end."""
+    present = time.Get()
+    try:
+        for t in times:
+            time.Set(t)
+            yield t
+    finally:
+        time.Set(present)
 
 
 def warn_of_own_energy(step: Step, states: np.ndarray | None) -> None:
@@ -155,79 +192,100 @@ def warn_of_own_energy(step: Step, states: np.ndarray | None) -> None:
         ranks.on_first(partial(check_convexity, material, dim=step.mesh.dim, states=near))
 
 
-def warn_of_normal_parts(step: Step, velocity: VectorLike | None) -> None:
-    """Say which parts of tractions and of the start velocity are not used; at the present time."""
-    if step.sources is not None:  # manufactured states need not fit
-        return
-    conditions = step.walls.conditions
+def warn_of_doubts(
+    step: Step, sampler: Sampler, values: Given, velocity: VectorLike | None, is_at_rest: bool
+) -> None:
+    """Say what is doubtful of the start values of variables, by name, of the velocity, and of bodies and
+    walls.
+
+    ``is_at_rest`` says whether the strains are those of rest.
+    """
+    messages = [*_moduli(step), *_heat_at_walls(step)]
+    if step.sources is None:  # manufactured states need not fit
+        messages += [*_mismatches(step, sampler, values), *_normal_parts(step, velocity)]
+        if is_at_rest:
+            messages += _rest_stresses(step)
+    for message in messages:
+        sampler.ranks.warn(message, InputWarning, stacklevel=5)
+
+
+def _normal_parts(step: Step, velocity: VectorLike | None) -> Iterator[str]:
+    """Which parts of tractions and of the start velocity are not used; at the present time."""
+    conditions, dim = step.walls.conditions, step.mesh.dim
     for name, wall in conditions.items():
+        share = 0.0
         if isinstance(wall, Traction):
-            share = _normal_share(step, name, as_vector(wall.f, step.mesh.dim, "Traction.f"))
-            if share > 0:
-                _warn(
-                    step,
-                    f"walls[{name!r}].f: {share:.0%} of the traction (in L2) is normal to the wall; walls "
-                    "are impenetrable: this part has no power and is left out, only the tangential part acts",
-                )
+            share = _normal_share(step, name, as_vector(wall.f, dim, "Traction.f"))
+        if share > 0:
+            yield (
+                f"walls[{name!r}].f: {share:.0%} of the traction (in L2) is normal to the wall; walls "
+                "are impenetrable: this part has no power and is left out, only the tangential part acts"
+            )
     if velocity is None:
         return
-    v_0 = as_vector(velocity, step.mesh.dim, "Initial.velocity")
+    v_0 = as_vector(velocity, dim, "Initial.velocity")
     # a function of the cells, such as one from an array, has no values on the boundary of its own
+    on_wall = BoundaryFromVolumeCF(v_0)
     closed = [name for name in conditions if name not in step.walls.crossed]
-    shares = {name: _normal_share(step, name, v_0, BoundaryFromVolumeCF(v_0)) for name in closed}
+    shares = {name: _normal_share(step, name, v_0, on_wall) for name in closed}
     through = ", ".join(f"{name} ({share:.0%})" for name, share in shares.items() if share > 0)
     if through:
-        _warn(
-            step,
+        yield (
             f"initial velocity: parts of it (in L2) are normal to the walls {through}; walls are "
-            "impenetrable: the run starts with its projection to v.n = 0",
+            "impenetrable: the run starts with its projection to v.n = 0"
         )
 
 
-def warn_of_heat_at_walls(step: Step) -> None:
-    """Say at which walls heat comes in that nothing conducts."""
-    heats = {name: wall.heat for name, wall in step.walls.conditions.items() if wall.heat is not None}
-    for name, heat in heats.items():
-        comes_in = heat.flux is not None or heat.temperature is not None
+def _normal_share(
+    step: Step, name: str, a: CoefficientFunction, on_wall: CoefficientFunction | None = None
+) -> float:
+    """|a.n| over |a| in L2 on a wall; 0 where it is not more than the geometry's approximation leaves."""
+    b = a if on_wall is None else on_wall
+    n = specialcf.normal(step.mesh.dim)
+    squares = CF((CF(1.0), b * b, (b * n) * (b * n)))
+    area, size, through = Integrate(squares, step.mesh, BND, definedon=step.walls.region([name]))
+    volume, inside = Integrate(CF((CF(1.0), a * a)), step.mesh)
+    is_flat = any(name in names for names in step.walls.axis)
+    is_rounding = through * volume <= _ROUNDING * inside * area
+    if is_rounding or through <= (_FLAT if is_flat else OPEN) * size:
+        return 0.0
+    return float(np.sqrt(through / size))
+
+
+def _heat_at_walls(step: Step) -> Iterator[str]:
+    """At which walls heat comes in that nothing conducts."""
+    for name, wall in step.walls.conditions.items():
+        heat = wall.heat
+        comes_in = heat is not None and (heat.flux is not None or heat.temperature is not None)
         if comes_in and not step.model.heat_law.conducts:
-            _warn(
-                step,
+            yield (
                 f"walls[{name!r}].heat: nothing conducts what comes in: it heats the cells beside the wall, "
-                "the more the smaller they are; give a conductivity, Heat.conductivity",
+                "the more the smaller they are; give a conductivity, Heat.conductivity"
             )
 
 
-def _warn(step: Step, message: str) -> None:
-    Communicator.of(step.mesh).warn(message, InputWarning, stacklevel=6)
-
-
-def warn_of_mismatch(step: Step, sampler: Sampler, values: Mapping[str, CoefficientFunction]) -> None:
-    """Say that start values of the variables, by name, are not those of one elastic distortion."""
-    variables = step.model.material.variables
+def _mismatches(step: Step, sampler: Sampler, values: Given) -> Iterator[str]:
+    """Which start values are not those of one elastic distortion."""
     F = distortion_of(step.model.material, values)
-    if F is None or step.sources is not None:  # manufactured states need not fit
+    if F is None:
         return
+    variables = [v for v in step.model.material.variables if v.is_strain]
     distortion = next(v for v in variables if isinstance(v, Distortion))
     for variable in variables:
-        if not variable.is_strain:  # parameters and amounts: no distortion tells them
-            continue
         expected = variable.from_distortion(F)
         scale = 1 + sampler.extrema(square(expected))[1]
         gap = square(values[variable.name] - expected)
         worst = sampler.extrema(gap)[1]
         if worst > _MATCH**2 * scale:
             place = ", ".join(f"{c:.4g}" for c in sampler.place_of_largest(gap))
-            _warn(
-                step,
+            yield (
                 f"initial values: {variable.name} is not that of {distortion.name} (they differ by up to "
                 f"{worst**0.5:.3g}, at ({place}) m); both are transported as they are given, as "
-                "variables of their own",
+                "variables of their own"
             )
 
 
-def distortion_of(
-    material: Material, values: Mapping[str, CoefficientFunction]
-) -> CoefficientFunction | None:
+def distortion_of(material: Material, values: Given) -> CoefficientFunction | None:
     """F of the variables' values, by name, where one of them tells it; None otherwise."""
     variable = next((v for v in material.variables if isinstance(v, Distortion)), None)
     if variable is None:
@@ -239,41 +297,113 @@ def distortion_of(
     return None if abs(power) < 1e-12 else Det(H) ** (-exponent / power) * H
 
 
-def _normal_share(
-    step: Step, name: str, a: CoefficientFunction, on_wall: CoefficientFunction | None = None
-) -> float:
-    """|a.n| over |a| in L2 on a wall; 0 where it is not more than the geometry's approximation leaves."""
-    b = a if on_wall is None else on_wall
-    flat = any(name in names for names in step.walls.axis)
-    n = specialcf.normal(step.mesh.dim)
-    region = step.walls.region([name])
-    squares = CF((CF(1.0), b * b, (b * n) * (b * n)))
-    area, size, through = Integrate(squares, step.mesh, BND, definedon=region)
-    volume, inside = Integrate(CF((CF(1.0), a * a)), step.mesh)
-    is_rounding = through * volume <= _ROUNDING * inside * area
-    if is_rounding or through <= (_FLAT if flat else OPEN) * size:
-        return 0.0
-    return float(np.sqrt(through / size))
+def _rest_stresses(step: Step) -> Iterator[str]:
+    """Where bodies have different stresses at rest, F = I, and so push each other.
+
+    An energy per actual volume has the stress phi(I) I at rest, on top of what its derivatives give: a
+    ``NeoHookean`` body is under tension there, a ``BarotropicFluid`` under pressure.  Alone in its box a body
+    does not feel it; a drop of it in another body is pulled together or driven apart from the first step on.
+    """
+    found = {body.name: rest_stress_and_modulus(body.material) for body in step.model.bodies}
+    stresses, stiffnesses = ([each[i] for each in found.values()] for i in range(2))
+    if found and max(stresses) - min(stresses) > _STRESS_ROUNDING * max(abs(K) for K in stiffnesses):
+        names = ", ".join(repr(name) for name in found)
+        values = ", ".join(f"{stress:.4g} Pa" for stress in stresses)
+        yield (
+            f"bodies {names} meet with different stresses at rest, T(I) = {values} (mean normal stress): "
+            "they move from the first step on until they balance. Take energies without stress at rest "
+            "(ReferentialNeoHookean, OldroydB, ...), subtract the constant T(I) from an energy of your own, "
+            "or start where the stresses agree (Initial.F, or Initial.values of J)"
+        )
 
 
-def _require_finite(
-    step: Step, name: str, f: CoefficientFunction, field: str, value: object, t: float
-) -> np.ndarray:
-    """Values at points of a wall; raises ParameterError unless all are finite."""
-    facets = (ET.SEGM,) if step.mesh.dim == 2 else (ET.TRIG, ET.QUAD)
-    rules = {et: IntegrationRule(et, _DEGREE) for et in facets}
-    values = np.asarray(f(step.mesh.MapToAllElements(rules, step.walls.region([name]))))
-    if not Communicator.of(step.mesh).all(np.isfinite(values).all()):
-        raise ParameterError(field, value, f"finite values; at t = {t:g} s it is not finite on the wall")
-    return values
+def _moduli(step: Step) -> Iterator[str]:
+    """Which bodies' bulk moduli are too different for amounts that overshoot (``Mixture.bounds``)."""
+    material, m = step.model.material, step.discretisation.m
+    if isinstance(material, Mixture) and m and not material.has_one_volume:
+        (soft, least), *_, (stiff, most) = sorted(material.stiffnesses.items(), key=lambda one: one[1])
+        if most > _STIFFER * least:
+            yield (
+                f"bodies {stiff!r} and {soft!r} have bulk moduli of {most:.4g} and {least:.4g} Pa: where "
+                f"polynomials of order m = {m} have less than nothing of {soft!r} there may be no common "
+                "pressure, and steps are divided. Take Discretisation(m=0), or one volumetric energy for all "
+                "where it does not matter"
+            )
 
 
-def _at(times: Iterable[float]) -> Iterator[float]:
-    """Set the run's time to each of the times, and back in the end."""
-    present = time.Get()
-    try:
-        for t in times:
-            time.Set(t)
-            yield t
-    finally:
-        time.Set(present)
+_CORNERS = {et: IntegrationRule(VERTICES[et], [0.0] * len(VERTICES[et])) for et in (ET.TRIG, ET.QUAD, ET.TET)}
+
+
+def warn_of_corners(step: Step, times: Sequence[float]) -> None:
+    """Say where the walls' velocities alone change a volume e-fold from the first to the last time, s.
+
+    Where all edges of a cell at a vertex lie on walls that prescribe v, they give grad v of that cell at the
+    vertex, for any order of v: no pressure can hold div v.  Under a lid of speed U that meets a wall at rest
+    div v = +-U/h there, and as v itself is zero the matter stays: J and rho change by exp(+-U t/h).  A cell
+    that is divided at its midpoint has an edge into the interior at every vertex, and div v is free
+    (``ngvisco.geometries.split_corner_cells``).  Collective; all ranks say the same.
+    """
+    cells, ranks = _corner_cells(step), Communicator.of(step.mesh)
+    duration = times[-1] - times[0]
+    if not ranks.any(bool(cells)) or not duration > 0:
+        return
+    places, rates = _divergences(step, cells, times)
+    number = cell_numbers(step.mesh)
+    mine = [
+        (int(number[cell]), vertex, tuple(place), of_times)
+        for (cell, vertex), place, of_times in zip(cells, places, rates.T, strict=True)
+    ]
+    # as on one process: ranks number their vertices in the order of the whole mesh
+    every = sorted((one for of_rank in ranks.gathered(mine) for one in of_rank), key=lambda one: one[:2])
+    rates = np.array([one[3] for one in every]).T
+    strains = rates.mean(axis=0) * duration
+    worst = int(np.argmax(np.abs(strains)))
+    if abs(strains[worst]) > 1:
+        at = ", ".join(f"{coordinate:.4g}" for coordinate in every[worst][2])
+        rate = rates[np.argmax(np.abs(rates[:, worst])), worst]
+        message = (
+            f"walls: their velocities alone determine div v = {rate:.3g} 1/s at ({at}) m, the corner of a "
+            f"cell whose edges there lie on walls; no pressure can hold its volume ({len(every)} such "
+            "cells): mesh with split_corners = true, or divide them by geometries.split_corner_cells(mesh)"
+        )
+        ranks.warn(message, InputWarning, stacklevel=4)
+
+
+def _corner_cells(step: Step) -> list[tuple[int, int]]:
+    """Cells and their vertices on moving walls at which all their edges lie on walls that prescribe v."""
+    mesh, conditions = step.mesh, step.walls.conditions
+    moving = [name for name, wall in conditions.items() if isinstance(wall, MOVING)]
+    if not moving:
+        return []
+    held = [name for name, wall in conditions.items() if isinstance(wall, HELD)]
+    # an edge or a vertex may lie on walls by facets of other ranks alone, which these spaces know
+    on_walls = ~mask_of(HCurl(mesh, order=0, dirichlet=step.walls.region(held)).FreeDofs())
+    moved = ~mask_of(H1(mesh, order=1, dirichlet=step.walls.region(moving)).FreeDofs())
+    found = set()
+    for vertex in (mesh.vertices[int(number)] for number in np.flatnonzero(moved)):
+        around = {edge.nr for edge in vertex.edges}
+        for cell in vertex.elements:
+            if on_walls[list(around.intersection(edge.nr for edge in mesh[cell].edges))].all():
+                found.add((cell.nr, vertex.nr))
+    return sorted(found)
+
+
+def _divergences(
+    step: Step, cells: Sequence[tuple[int, int]], times: Sequence[float]
+) -> tuple[np.ndarray, np.ndarray]:
+    """The places of these vertices, (cells, dim), m, and div v there in these cells, (times, cells), 1/s."""
+    mesh, walls = step.mesh, step.moving_walls
+    points = mesh.MapToAllElements(_CORNERS, VOL)
+    points = points[np.isin(points["nr"], [cell for cell, _ in cells])]
+    at = np.asarray(CF((x, y, z)[: mesh.dim])(points))
+    places = np.array([mesh.vertices[vertex].point for _, vertex in cells])
+    wanted = []
+    for (cell, _), place in zip(cells, places, strict=True):
+        own = np.flatnonzero(points["nr"] == cell)
+        wanted.append(own[np.argmin(np.linalg.norm(at[own] - place, axis=1))])
+    v, found = GridFunction(step.layout.blocks["v"]), []
+    for _ in _at(times):
+        for name, values in walls.velocities().items():
+            v.vec.FV().NumPy()[walls.moving[name][1]] = values
+        found.append(np.asarray(tr(Grad(v))(points)).ravel()[wanted])
+    return places, np.array(found)

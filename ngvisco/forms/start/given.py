@@ -12,7 +12,7 @@ from ngsolve.comp import IntegrationRuleSpace, IntegrationRuleSpaceSurface
 
 from ngvisco.errors import ParameterError, require_type
 from ngvisco.forms.mesh.quadrature import Quadrature
-from ngvisco.forms.system import _inverse_mass
+from ngvisco.forms.projections import inverse_mass
 
 
 class QuadraturePoints:
@@ -63,7 +63,7 @@ class QuadraturePoints:
         """The cellwise L2 projection of ``values``, (points,), on a discontinuous scalar space."""
         load = LinearForm(space)
         load += self.function(values) * space.TestFunction() * self.quadrature.cells
-        into.vec.data = _inverse_mass(space, self.quadrature) * load.Assemble().vec
+        into.vec.data = inverse_mass(space, self.quadrature) * load.Assemble().vec
 
 
 def function_field(mesh: Mesh, function: Callable[..., object], order: int = 2) -> CoefficientFunction:

@@ -14,31 +14,26 @@ from ngvisco.forms.bounds import Bounds
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.mesh.mesh_arrays import mask_of
 from ngvisco.forms.mesh.quadrature import Sampler
-from ngvisco.forms.start.data_checks import (
-    distortion_of,
-    warn_of_heat_at_walls,
-    warn_of_mismatch,
-    warn_of_normal_parts,
-    warn_of_own_energy,
-)
-from ngvisco.forms.start.projections import project, set_traces
-from ngvisco.forms.start.starting_bodies import starting_fractions, warn_of_moduli, warn_of_rest_stresses
+from ngvisco.forms.projections import LocalProjection, project, project_velocity, set_traces
+from ngvisco.forms.start.data_checks import distortion_of, warn_of_doubts, warn_of_own_energy
 from ngvisco.forms.start.variables import (
+    Given,
+    Values,
     as_shape,
     entropy_at,
-    given_temperature,
     parameter_values,
+    starting_fractions,
     starting_values,
+    temperature_for,
 )
-from ngvisco.forms.system import LocalProjection, Step
+from ngvisco.forms.system import Step
 from ngvisco.forms.term import Integrand
 from ngvisco.forms.terms.hyperviscosity import Hyperviscosity
-from ngvisco.forms.velocity import project_velocity
 from ngvisco.parallel.exchange import Interpolation
 from ngvisco.physics.bodies import Body
 from ngvisco.physics.loads import VectorLike, as_vector
 from ngvisco.physics.material import Material, conjugates, volume_ratio
-from ngvisco.physics.materials.thermal import entropy_in, temperature
+from ngvisco.physics.materials.thermal import temperature
 from ngvisco.physics.mixture import AMOUNT, Mixture
 from ngvisco.physics.parameters import Parameter, moduli_in, value_at
 from ngvisco.physics.signals import reads_time
@@ -46,11 +41,8 @@ from ngvisco.physics.tensors import inner, square, tensor_space, trace_free_tens
 
 ScalarLike: TypeAlias = float | CoefficientFunction
 
-_LEAST_DENSITY = 1e-30
-"""kg/m^3; the largest is one over it, as the sizes of domains are from 1e-30 to 1e30 m."""
-
-_CONTRADICTION = 1e-6
-"""Of rho_0 J_0/rho_R from 1: what is left where one of them is rounded to seven digits."""
+_LEAST_DENSITY = 1e-30  # kg/m^3; the largest is one over it, as the sizes of domains are from 1e-30 to 1e30 m
+_CONTRADICTION = 1e-6  # of rho_0 J_0/rho_R from 1: what is left where one of them is rounded to seven digits
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,61 +103,76 @@ def set_initial(step: Step, initial: Initial, sampler: Sampler) -> CoefficientFu
     CoefficientFunction
         The initial elastic distortion F_0, 3x3: that of the data, or of a start value that tells it.
     """
+    if step.sources is None:  # manufactured states are those of one time of many
+        _require_no_time(initial)
     try:
-        F_0 = _set(step, initial, sampler)
+        values, density, F = _data(step, initial, sampler)
+        _project(step, initial, sampler, values, density)
     except InitialDataError:
         warn_of_own_energy(step, None)  # it may be the reason
         raise
     warn_of_own_energy(step, sampler.rows(step.now.z))
-    strains = [v.name for v in step.model.material.variables if v.is_strain]
-    if initial.F is None and not set(strains) & set(initial.values):  # else a state of the user's own
-        warn_of_rest_stresses(step, sampler.ranks)
-    warn_of_moduli(step, sampler.ranks)
-    warn_of_normal_parts(step, initial.velocity)
-    warn_of_heat_at_walls(step)
-    return F_0
+    strains = {v.name for v in step.model.material.variables if v.is_strain}
+    is_at_rest = initial.F is None and not strains.intersection(initial.values)
+    warn_of_doubts(step, sampler, values, initial.velocity, is_at_rest)
+    known = distortion_of(step.model.material, values)
+    return F if known is None else known
 
 
-def _set(step: Step, initial: Initial, sampler: Sampler) -> CoefficientFunction:
-    parts = dict(zip(step.layout.names, step.state.components, strict=True))
-    dim = step.mesh.dim
-    if step.sources is None:  # manufactured states are those of one time of many
-        _require_no_time(initial)
+def _data(
+    step: Step, initial: Initial, sampler: Sampler
+) -> tuple[Values, CoefficientFunction, CoefficientFunction]:
+    """Start values of the material's variables, the density and the elastic distortion that are meant."""
+    material = step.model.material
     F = Id(3) if initial.F is None else as_shape("Initial.F", initial.F, (3, 3))
     sampler.require(Det(F), "det F_0", minimum=0.0)
-    referential = step.model.material.referential_density
-    parameters = parameter_values(step.model.material, initial.values)
+    parameters = parameter_values(material, initial.values)
     of_bodies = _of_bodies(step, initial, F)
-    rho_R = None if referential is None else CF(value_at(referential, parameters))
+    rho_R = material.referential_density
+    rho_R = None if rho_R is None else CF(value_at(rho_R, parameters))
     _check_moduli(step, parameters, sampler)
-    if of_bodies:
-        values = starting_values(step.model.material, initial.values, F, step.layout.further) | of_bodies
-        density = reduce(add, (body.density * values[AMOUNT + body.name] for body in step.model.bodies))
-    elif initial.density is None:
-        values = starting_values(step.model.material, initial.values, F, step.layout.further)
-        density = CF(1.0) if rho_R is None else rho_R / volume_ratio(step.model.material, values)
-        sampler.require(density, "density rho_0", minimum=0.0)
-    else:
+    density: CoefficientFunction | None = None
+    if not of_bodies and initial.density is not None:
         density = as_shape("Initial.density", initial.density, ())
         sampler.require(density, "density rho_0", minimum=0.0)
         if rho_R is not None and initial.F is None and set(initial.values) <= set(parameters):
             F = (rho_R / density) ** (1 / 3) * Id(3)
-        values = starting_values(step.model.material, initial.values, F, step.layout.further)
-        if rho_R is not None:
-            _check_density(rho_R, density, volume_ratio(step.model.material, values), sampler)
-    values |= _entropy(step, initial, values, sampler)
+    values = starting_values(material, initial.values, F, step.layout.further) | of_bodies
+    if of_bodies:
+        density = reduce(add, (body.density * values[AMOUNT + body.name] for body in step.model.bodies))
+    elif density is None:
+        density = CF(1.0) if rho_R is None else rho_R / volume_ratio(material, values)
+        sampler.require(density, "density rho_0", minimum=0.0)
+    elif rho_R is not None:
+        _check_density(rho_R, density, volume_ratio(material, values), sampler)
+    theta = temperature_for(material, initial.temperature, initial.values, "Initial")
+    if theta is not None:
+        sampler.require(theta, "temperature theta_0", minimum=0.0)
+        values |= entropy_at(material, theta, values)
     _check_spaces(step, values, sampler)
+    low, high = sampler.extrema(density)  # whose products with others are numbers
+    if not _LEAST_DENSITY <= low <= high <= 1 / _LEAST_DENSITY:
+        expected = f"kg/m^3 from {_LEAST_DENSITY:g} to {1 / _LEAST_DENSITY:g}"
+        raise InitialDataError("density rho_0", f"{low:.6g} to {high:.6g}", expected)
+    _check_continuation(material, values, sampler)
+    step.ranges = _ranges(step, parameters, sampler)
+    return values, density, F
+
+
+def _project(
+    step: Step, initial: Initial, sampler: Sampler, values: Values, density: CoefficientFunction
+) -> None:
+    """The state of these data, and all that follows from it."""
+    material, dim = step.model.material, step.mesh.dim
+    parts = dict(zip(step.layout.names, step.state.components, strict=True))
     further = _further(step, initial, sampler)
-    _check_density_range(density, sampler)
-    _check_continuation(step.model.material, values, sampler)
     with TaskManager():
         step.state.vec[:] = 0.0
-        if not of_bodies:
+        if not step.model.bodies:
             parts["rho"].Set(density)
-        parts["z"].Set(step.model.material.states(dim).components(values))
+        parts["z"].Set(material.states(dim).components(values))
         for name, value in further.items():
             project(step.layout.unknowns[name], parts[name], step.quadrature, value)
-        step.ranges = _ranges(step, parameters, sampler)
         bounds = Bounds(step, sampler)
         (bounds if step.model.bodies else bounds.ranges).limit()
         if step.damage is not None:
@@ -176,29 +183,25 @@ def _set(step: Step, initial: Initial, sampler: Sampler) -> CoefficientFunction:
             sampler.require(inner(v_0, v_0), "|v_0|^2")
             Interpolation(step.layout.blocks["v"])(parts["v"], v_0)
             _impose_walls(step, v_0)
+        z = step.now.z_tensors
         sampler.require(inner(step.now.z, step.now.z), "material variables")
         sampler.require(step.now.rho, "projected density rho_0", minimum=0.0)
-        signs = [v.positive(step.now.z_tensors[v.name]) for v in step.model.material.variables]
+        signs = [v.positive(z[v.name]) for v in material.variables]
         if step.model.bodies:  # whose variables vanish where they are not
-            signs = list(step.model.material.bounds(step.now.z_tensors).values())
+            signs = list(material.bounds(z).values())
         for name, value in ((name, value) for each in signs for name, value in each.items()):
             sampler.require(value, f"projected {name}_0", minimum=0.0)
-        if not np.isfinite(step.energy.samples(step.now.z_tensors, sampler)).all():
+        if not np.isfinite(step.energy.samples(z, sampler)).all():
             raise InitialDataError("stored energy", "not finite somewhere", "finite values")
         complete(step)
-    theta = temperature(step.model.material, step.now.zeta_tensors)
+    theta = temperature(material, step.now.zeta_tensors)
     if theta is not None:
         sampler.require(theta, "projected temperature theta_0", minimum=0.0)
-    warn_of_mismatch(step, sampler, values)
     step.state_old.vec.data = step.state.vec
     step.start_from_old()
-    known = distortion_of(step.model.material, values)
-    return F if known is None else known
 
 
-def _ranges(
-    step: Step, parameters: Mapping[str, CoefficientFunction], sampler: Sampler
-) -> dict[str, tuple[float, float]]:
+def _ranges(step: Step, parameters: Given, sampler: Sampler) -> dict[str, tuple[float, float]]:
     """Within which the material's parameters stay, by name: the range of their start values, or their limits.
 
     Raises InitialDataError for a start out of its limits.
@@ -214,7 +217,7 @@ def _ranges(
     return ranges
 
 
-def _of_bodies(step: Step, initial: Initial, F: CoefficientFunction) -> dict[str, CoefficientFunction]:
+def _of_bodies(step: Step, initial: Initial, F: CoefficientFunction) -> Values:
     """Amounts and tensors of the model's bodies at the start, but for what ``initial.values`` has."""
     material = step.model.material
     if not isinstance(material, Mixture):
@@ -227,7 +230,7 @@ def _of_bodies(step: Step, initial: Initial, F: CoefficientFunction) -> dict[str
     return {name: v for name, v in material.filled(shares, F).items() if name not in initial.values}
 
 
-def _check_moduli(step: Step, parameters: Mapping[str, CoefficientFunction], sampler: Sampler) -> None:
+def _check_moduli(step: Step, parameters: Given, sampler: Sampler) -> None:
     """Raise InitialDataError where a modulus of a law is not of its sign somewhere at the start."""
     model = step.model
     laws: list[tuple[str, object]] = [
@@ -261,37 +264,7 @@ def _functions_in(value: object) -> Iterator[CoefficientFunction]:
             yield from _functions_in(part)
 
 
-def _entropy(
-    step: Step, initial: Initial, values: Mapping[str, CoefficientFunction], sampler: Sampler
-) -> dict[str, CoefficientFunction]:
-    """The start value of the entropy, by the temperature and the volume of the others."""
-    material = step.model.material
-    entropy = entropy_in(material)
-    if entropy is None:
-        if initial.temperature is not None:
-            expected = "None for a material without a temperature; nv.Thermal(material=...) gives it one"
-            raise ParameterError("Initial.temperature", initial.temperature, expected)
-        return {}
-    if entropy.name in initial.values:
-        if initial.temperature is not None:
-            raise ParameterError("Initial.temperature", initial.temperature, "None beside a start entropy")
-        return {}
-    theta = given_temperature(material, initial.temperature, "Initial")
-    sampler.require(theta, "temperature theta_0", minimum=0.0)
-    return {entropy.name: entropy_at(material, theta, values)}
-
-
-def _check_density_range(density: CoefficientFunction, sampler: Sampler) -> None:
-    """Raise InitialDataError for densities whose products with others are no numbers any more."""
-    low, high = sampler.extrema(density)
-    if not _LEAST_DENSITY <= low <= high <= 1 / _LEAST_DENSITY:
-        expected = f"kg/m^3 from {_LEAST_DENSITY:g} to {1 / _LEAST_DENSITY:g}"
-        raise InitialDataError("density rho_0", f"{low:.6g} to {high:.6g}", expected)
-
-
-def _check_continuation(
-    material: Material, values: Mapping[str, CoefficientFunction], sampler: Sampler
-) -> None:
+def _check_continuation(material: Material, values: Given, sampler: Sampler) -> None:
     """Raise ParameterError for a ``J_min``, below which an energy is continued, that the start is below."""
     for part in () if isinstance(material, Mixture) else _materials_in(material):
         J_min = getattr(part, "J_min", None)
@@ -314,13 +287,13 @@ def _materials_in(part: object) -> Iterator[Material]:
             yield from _materials_in(one)
 
 
-def _further(step: Step, initial: Initial, sampler: Sampler) -> dict[str, CoefficientFunction]:
+def _further(step: Step, initial: Initial, sampler: Sampler) -> Values:
     """Start values of what evolves beside v, rho and z, as far as they are given."""
     found = {}
     for name in step.layout.further:
         if name in initial.values:
-            size, field_name = step.layout.unknowns[name].size, f"Initial.values[{name!r}]"
-            found[name] = value = as_shape(field_name, initial.values[name], () if size is None else (size,))
+            shape, field_name = step.layout.unknowns[name].shape, f"Initial.values[{name!r}]"
+            found[name] = value = as_shape(field_name, initial.values[name], shape)
             sampler.require(inner(value, value), f"|{name}_0|^2")
     return found
 
@@ -340,7 +313,7 @@ def _check_density(
         raise InitialDataError("density rho_0", found, expected)
 
 
-def _check_spaces(step: Step, values: Mapping[str, CoefficientFunction], sampler: Sampler) -> None:
+def _check_spaces(step: Step, values: Given, sampler: Sampler) -> None:
     """Raise InitialDataError when a tensor loses something in the space of its variable."""
     for variable in step.model.material.variables:
         space = tensor_space(variable.kind, step.mesh.dim)
@@ -356,17 +329,12 @@ def _check_spaces(step: Step, values: Mapping[str, CoefficientFunction], sampler
             raise InitialDataError(f"{variable.name}_0", "entries that its space does not hold", shape)
 
 
-def remove_constrained(step: Step) -> None:
-    """Zero the constrained coefficients: ``Set`` leaves a small v.n, which the ledger would show."""
-    free = mask_of(step.layout.space.FreeDofs())
-    step.state.vec.FV().NumPy()[~free] = 0.0
-
-
 def _impose_walls(step: Step, v_0: CoefficientFunction) -> None:
     """Make v.n = 0 hold in the walls' discrete sense: v = 0 where there is no slip, the given tangential
     part where a wall moves, and on oblique or curved walls the L2 projection with their multiplier.
     """
-    remove_constrained(step)
+    # ``Set`` leaves a small v.n in constrained coefficients, which the ledger would show
+    step.state.vec.FV().NumPy()[~mask_of(step.layout.space.FreeDofs())] = 0.0
     where = step.layout.ranges["v"]
     v = step.state.vec.FV().NumPy()[where]
     for name, (_, mask) in step.moving_walls.moving.items():
@@ -415,4 +383,4 @@ def _recover_hessian(step: Step, term: Hyperviscosity) -> None:
         # the lifting is tested by hyperstress; its local space is the same as that of hess
         return term.lifting(step.now, Fields(layout, {"hyperstress": test}))
 
-    LocalProjection(layout.blocks["hess"], parts["hess"], step.quadrature, lifted)()
+    LocalProjection(parts["hess"], step.quadrature, lifted)()

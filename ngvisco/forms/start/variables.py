@@ -1,24 +1,40 @@
 """A material's variables by name from what is given of them, at the start or where matter flows in."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from functools import reduce
+from operator import add
+from typing import TypeAlias
 
-from ngsolve import CF, CoefficientFunction
+import numpy as np
+from ngsolve import CF, VOL, CoefficientFunction, ElementId, Id, Integrate, Mesh
 
 from ngvisco.errors import InitialDataError, ParameterError, UnknownNameError, as_number
+from ngvisco.parallel.communicator import Communicator
+from ngvisco.physics.bodies import AMOUNT, Body
 from ngvisco.physics.loads import as_tensor
-from ngvisco.physics.material import Material, part_of
+from ngvisco.physics.material import Material, part_of, volume_ratio
 from ngvisco.physics.materials.damaged import DamageSlope
 from ngvisco.physics.materials.thermal import Thermal, entropy_in
 from ngvisco.physics.mixture import Mixture
-from ngvisco.physics.parameters import Parameter
+from ngvisco.physics.model import Model
+from ngvisco.physics.parameters import Parameter, value_at
 from ngvisco.physics.tensors import log
+from ngvisco.physics.walls import Passage
+from ngvisco.shapes.fractions import MISSED, fractions, volumes
+from ngvisco.shapes.shape import Shape
+from ngvisco.shapes.shape import as_shape as as_place
 
-Given = Mapping[str, CoefficientFunction]
+Given: TypeAlias = Mapping[str, CoefficientFunction]
+Values: TypeAlias = dict[str, CoefficientFunction]
+
+_OVERLAP = 1e-3
+"""Of the volume of the smaller of two bodies: less of it in both is what touching surfaces leave."""
+
+_COVERED = 1e-10
+"""Of the volume of the domain or of a cell: what is left of it by rounding where all of it is taken."""
 
 
-def parameter_values(
-    material: Material, given: Given, owner: str = "Initial"
-) -> dict[str, CoefficientFunction]:
+def parameter_values(material: Material, given: Given, owner: str = "Initial") -> Values:
     """Values of the material's parameters by name, where nothing is given those of the start."""
     values = {}
     for variable in material.variables:
@@ -37,14 +53,13 @@ def starting_values(
     F: CoefficientFunction,
     further: Iterable[str] = (),
     owner: str = "Initial",
-) -> dict[str, CoefficientFunction]:
+) -> Values:
     """Values of all variables by name: those given, else what the elastic distortion F says.
 
     Raises UnknownNameError for a name that is neither a variable's nor among ``further``.
     """
-    names = [
-        v.name for v in material.variables if not isinstance(v, DamageSlope)
-    ]  # it follows from the damage
+    # the slope follows from the damage
+    names = [v.name for v in material.variables if not isinstance(v, DamageSlope)]
     for name in given:
         if name not in (*names, *further):
             raise UnknownNameError("material variable", name, [*names, *further])
@@ -55,37 +70,92 @@ def starting_values(
     return values
 
 
-def given_temperature(material: Material, given: object, owner: str) -> CoefficientFunction:
-    """``owner.temperature``, K, which where it is None is the one of reference.
+def temperature_for(
+    material: Material, temperature: object, given: Given, owner: str
+) -> CoefficientFunction | None:
+    """The temperature, K, that tells the entropy: where None is given the one of reference.
 
-    Raises ParameterError for a material whose entropy no temperature tells, and bodies that have not one of
+    None where the material has no entropy, or that is among the values.  Raises ParameterError for a
+    temperature then, for a material whose entropy no temperature tells, and for bodies that have not one of
     reference.
     """
-    known: float | None = None
+    field, entropy = f"{owner}.temperature", entropy_in(material)
+    if entropy is None or entropy.name in given:
+        if temperature is not None:
+            expected = "None beside an entropy among the values"
+            if entropy is None:
+                expected = "None for a material without a temperature; nv.Thermal(material=...) gives it one"
+            raise ParameterError(field, temperature, expected)
+        return None
     if isinstance(material, Mixture):
         known = None if material.heat is None else material.heat.reference_temperature
     elif (thermal := part_of(material, Thermal)) is not None:
         known = thermal.theta_R
     else:
-        entropy = entropy_in(material)
-        assert entropy is not None
         expected = f"a value of {entropy.name!r}: by a temperature only nv.Thermal knows it"
         raise ParameterError(f"{owner}.values", "no entropy", expected)
-    if given is None and known is None:
+    if temperature is None and known is None:
         expected = "a temperature: those of reference, theta_R, differ from body to body"
-        raise ParameterError(f"{owner}.temperature", None, expected)
-    return as_shape(f"{owner}.temperature", known if given is None else given, ())
+        raise ParameterError(field, None, expected)
+    return as_shape(field, known if temperature is None else temperature, ())
 
 
-def entropy_at(material: Material, theta: CoefficientFunction, values: Given) -> CoefficientFunction:
-    """The entropy of a temperature, K, and the other variables' values; where bodies meet they share the
-    volume that all have at a point."""
+def entropy_at(material: Material, theta: CoefficientFunction, values: Given) -> Values:
+    """The entropy, by its name, of a temperature, K, and the other variables' values; where bodies meet they
+    share the volume that all have at a point."""
+    entropy, thermal = entropy_in(material), part_of(material, Thermal)
+    assert entropy is not None
     if isinstance(material, Mixture):
         assert material.heat is not None
-        return material.heat.total(material.amounts(values), log(theta), 1 / material.fractions.total(values))
-    thermal = part_of(material, Thermal)
+        volume = 1 / material.fractions.total(values)
+        return {entropy.name: material.heat.total(material.amounts(values), log(theta), volume)}
     assert thermal is not None
-    return thermal.start(theta, values["A"])
+    return {entropy.name: thermal.start(theta, values["A"])}
+
+
+def entering(
+    wall: Passage, owner: str, model: Model
+) -> tuple[Values, CoefficientFunction, CoefficientFunction | None]:
+    """Variables, density, kg/m^3, and temperature, K, of what flows in through a wall.
+
+    Raises ParameterError for what is missing, or given and not used; UnknownNameError for unknown names.
+    """
+    material, given = model.material, dict(wall.values)
+    if isinstance(material, Mixture):
+        amounts = _entering_amounts(wall, owner, [body.name for body in model.bodies])
+        for name in given:
+            if name.startswith(AMOUNT):
+                expected = f"{name.removeprefix(AMOUNT)!r} in {owner}.amounts"
+                raise ParameterError(f"{owner}.values", name, expected)
+        plastic = {K.name: CF(0.0) for K in material.plastic_contents.values()}
+        given = material.filled(amounts, Id(3)) | plastic | given
+    elif wall.amounts:
+        raise ParameterError(f"{owner}.amounts", dict(wall.amounts), "none where there are no bodies")
+    z = starting_values(material, given, Id(3), owner=owner)
+    if model.bodies:
+        density = reduce(add, (body.density * amounts[body.name] for body in model.bodies))
+    elif wall.density is not None:
+        density = as_shape(f"{owner}.density", wall.density, ())
+    elif material.referential_density is not None:
+        density = CF(value_at(material.referential_density, z)) / volume_ratio(material, z)
+    else:
+        expected = "that of what flows in, kg/m^3: the material has no referential density that tells it"
+        raise ParameterError(f"{owner}.density", None, expected)
+    theta = temperature_for(material, wall.temperature, wall.values, owner)
+    return z if theta is None else z | entropy_at(material, theta, z), density, theta
+
+
+def _entering_amounts(wall: Passage, owner: str, names: Sequence[str]) -> Values:
+    """n_i of the bodies that flow in."""
+    for name in wall.amounts:
+        if name not in names:
+            raise UnknownNameError(f"{owner}.amounts", name, names)
+    if not wall.amounts:
+        expected = f"which of the bodies flows in, as {{{names[0]!r}: 1.0}}"
+        raise ParameterError(f"{owner}.amounts", {}, expected)
+    if wall.density is not None:
+        raise ParameterError(f"{owner}.density", wall.density, "none with bodies: it is sum rho_i n_i")
+    return {name: as_shape(f"{owner}.amounts[{name!r}]", wall.amounts.get(name, 0.0), ()) for name in names}
 
 
 def as_shape(field_name: str, value: object, shape: tuple[int, ...]) -> CoefficientFunction:
@@ -106,3 +176,65 @@ def as_shape(field_name: str, value: object, shape: tuple[int, ...]) -> Coeffici
     if tuple(value.dims) != shape:
         raise ParameterError(field_name, f"shape {tuple(value.dims)}", expected)
     return value
+
+
+def starting_fractions(mesh: Mesh, bodies: Sequence[Body], order: int) -> Values:
+    """Volume fractions of the bodies, discontinuous P_order that sum to one, by name, from their places.
+
+    Raises ParameterError for bodies of one order that overlap, an empty body, and points that no body covers.
+    """
+    names = [body.name for body in bodies]
+    placed = sorted((body for body in bodies if body.where is not None), key=lambda body: body.order)
+    shapes = {body.name: as_place(f"bodies[{body.name!r}].where", body.where) for body in placed}
+    rest = next((body for body in bodies if body.where is None), None)
+    _require_order(mesh, placed, shapes)
+    *of_placed, of_rest = volumes(mesh, list(shapes.values()))
+    total = sum(of_placed) + of_rest
+    for i, (body, volume) in enumerate(zip(placed, of_placed, strict=True)):
+        if volume <= _COVERED * total:
+            above = [other.name for other in placed[i + 1 :] if other.order > body.order]
+            is_seen = volumes(mesh, [shapes[body.name]])[0] > _COVERED * total
+            hidden = f"a place that {', '.join(above)}, of higher order, does not cover"
+            raise ParameterError(f"bodies[{body.name!r}].where", body.where, hidden if is_seen else MISSED)
+    if rest is None and of_rest > _OVERLAP * total:
+        expected = f"one without a place, for the rest: {of_rest / total:.2%} of the domain is in no body"
+        raise ParameterError("Model.bodies", names, expected)
+    if rest is not None and of_rest <= _COVERED * total:
+        body, _ = max(zip(placed, of_placed, strict=True), key=lambda one: one[1])
+        expected = f"a place that leaves something of the domain to {rest.name!r}, the rest"
+        raise ParameterError(f"bodies[{body.name!r}].where", body.where, expected)
+    *found, of_none = fractions(mesh, list(shapes.values()), order)
+    result: Values = dict(zip(shapes, found, strict=True))
+    if rest is not None:
+        result[rest.name] = of_none
+    else:  # what is in no body, less than ``_OVERLAP`` of all, is of all in their shares
+        _require_some_body_in_each_cell(mesh, names, of_none)
+        known = reduce(add, found)
+        result = {name: part / known for name, part in result.items()}
+    return {name: result[name] for name in names}
+
+
+def _require_some_body_in_each_cell(mesh: Mesh, names: Sequence[str], rest: CoefficientFunction) -> None:
+    """Raise ParameterError for a cell that is in no body at all: there are no shares to fill it by."""
+    size, covered = (np.array(Integrate(f, mesh, VOL, element_wise=True)) for f in (CF(1.0), 1 - rest))
+    with Communicator.of(mesh).together(ParameterError):
+        if np.any(empty := covered <= _COVERED * size):
+            corners = mesh[ElementId(VOL, int(np.argmax(empty)))].vertices
+            middle = np.mean([mesh[vertex].point for vertex in corners], axis=0)
+            place = ", ".join(f"{c:.4g}" for c in middle)
+            expected = f"one without a place, for the rest: a cell at ({place}) is in no body"
+            raise ParameterError("Model.bodies", list(names), expected)
+
+
+def _require_order(mesh: Mesh, placed: Sequence[Body], shapes: Mapping[str, Shape]) -> None:
+    """Raise ParameterError for two bodies of one order in one place."""
+    for i, first in enumerate(placed):
+        for second in (other for other in placed[i + 1 :] if other.order == first.order):
+            a, b = shapes[first.name], shapes[second.name]
+            common, size = volumes(mesh, [a & b])[0], min(volumes(mesh, [s])[0] for s in (a, b))
+            if common > _OVERLAP * size:
+                expected = (
+                    f"an order other than {first.order}, that of {first.name!r}: {common / size:.1%} of the "
+                    "smaller of the two is in both, and there is the one of higher order"
+                )
+                raise ParameterError(f"bodies[{second.name!r}].order", second.order, expected)

@@ -11,7 +11,7 @@ and the total energy changes by the power of loads and walls alone.  q = 1 gives
 int xi/theta - a(theta, 1/theta), and what comes with the heat through walls.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import reduce
 from operator import add
 
@@ -31,6 +31,7 @@ from ngvisco.forms.term import (
     Setting,
     Term,
     Unknown,
+    Where,
     dissipations,
 )
 from ngvisco.forms.upwinding import SideMean
@@ -88,18 +89,16 @@ class Heating(_OfEntropy):
     def __init__(self, law: HeatLaw, entropy: Entropy, walls: Walls) -> None:
         super().__init__(law, entropy)
         self._sources = [(body, CF(source)) for body, source in law.sources]
-        of_walls = {name: wall.heat for name, wall in walls.conditions.items() if wall.heat is not None}
-        self._walls = {
-            name: tuple(
-                CF(0.0 if value is None else value)
-                for value in (heat.temperature, heat.coefficient, heat.flux)
-            )
-            for name, heat in of_walls.items()
-        }
-        self._to_walls = {
-            name: 1 - heat.friction_share for name, heat in of_walls.items() if heat.friction_share < 1
-        }
-        self._indicators = {name: facet_indicator(walls.mesh, [name]) for name in of_walls}
+        self._walls: dict[str, tuple[CoefficientFunction, ...]] = {}
+        """Indicator, temperature, coefficient and flux of the walls that heat comes through."""
+        self._to_walls: dict[str, float] = {}  # what of their friction walls take
+        for name, wall in walls.conditions.items():
+            if (heat := wall.heat) is not None:
+                given = (heat.temperature, heat.coefficient, heat.flux)
+                values = (CF(0.0 if value is None else value) for value in given)
+                self._walls[name] = facet_indicator(walls.mesh, [name]), *values
+                if heat.friction_share < 1:
+                    self._to_walls[name] = 1 - heat.friction_share
 
     def _supplied(self, u: Fields) -> dict[str, CoefficientFunction]:
         """Sources of heat in cells beside what is dissipated, W/m^3, by the ledger's columns."""
@@ -108,35 +107,26 @@ class Heating(_OfEntropy):
             given = u.context.given
             parts = (self.law.share(body, u.z_tensors) * given(source) for body, source in self._sources)
             found["power_heat_source"] = reduce(add, parts)
-        if self.law.numerical_heating:
-            found["power_heat_numerical"] = u.context.rate(self._remainder(u))
+        if self.law.numerical_heating:  # what a backward Euler step dissipates, J/m^3
+            c, old = u.context, u.context.old
+            dv = u.v - (1 / old.rho) * c.momentum_old
+            bregman = c.rates.stored(old) - c.rates.stored(u) - inner(u.zeta, old.z - u.z)
+            found["power_heat_numerical"] = c.rate(0.5 * old.rho * square(dv) + bregman)
         return found
-
-    def _remainder(self, u: Fields) -> CoefficientFunction:
-        """What a backward Euler step dissipates, J/m^3."""
-        c = u.context
-        old, rates = c.old, c.rates
-        dv = u.v - (1 / old.rho) * c.momentum_old
-        bregman = rates.stored(old) - rates.stored(u) - inner(u.zeta, old.z - u.z)
-        return 0.5 * old.rho * square(dv) + bregman
 
     def _through_walls(self, u: Fields) -> dict[str, CoefficientFunction]:
         """Heat that comes in through walls, W/m^2, by the ledger's columns."""
         found = {}
         for name, values in self._walls.items():
-            temperature, coefficient, flux = (u.context.given(value) for value in values)
+            indicator, temperature, coefficient, flux = (u.context.given(value) for value in values)
             heat = flux + coefficient * (temperature - self.theta(u))
-            found[f"power_heat_{name}"] = u.context.given(self._indicators[name]) * heat
-        if self._to_walls:
-            dissipated = dissipations(u, self, "facets")
-            for name, share in self._to_walls.items():
-                friction = dissipated.get(f"dissipation_friction_{name}")
-                if friction is None:
-                    expected = (
-                        "1 on a wall without friction, as NavierFriction or Traction(friction=...) have"
-                    )
-                    raise ParameterError(f"walls[{name!r}].heat.friction_share", 1 - share, expected)
-                found[f"power_heat_friction_{name}"] = -share * friction
+            found[f"power_heat_{name}"] = indicator * heat
+        dissipated = dissipations(u, self, "facets") if self._to_walls else {}
+        for name, share in self._to_walls.items():
+            if (friction := dissipated.get(f"dissipation_friction_{name}")) is None:
+                expected = "1 on a wall without friction, as NavierFriction or Traction(friction=...) have"
+                raise ParameterError(f"walls[{name!r}].heat.friction_share", 1 - share, expected)
+            found[f"power_heat_friction_{name}"] = -share * friction
         return found
 
     @property
@@ -147,47 +137,46 @@ class Heating(_OfEntropy):
     def exchange(self, u: Fields) -> list[CoefficientFunction]:
         """Heat transfer coefficients of walls, zero elsewhere, W/(m^2 K)."""
         given = u.context.given
-        return [given(self._indicators[name]) * given(values[1]) for name, values in self._walls.items()]
+        return [given(values[0]) * given(values[2]) for values in self._walls.values()]
+
+    def _rows(
+        self, u: Fields, w: Fields, where: Where, others: Mapping[str, CoefficientFunction]
+    ) -> Sequence[CoefficientFunction]:
+        """Of what is dissipated there and of other heat."""
+        heat = [*dissipations(u, self, where).values(), *others.values()]
+        return [-(reduce(add, heat) * self.chi(u, w))] if heat else []
 
     def cells(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
-        heat = [*dissipations(u, self).values(), *self._supplied(u).values()]
-        return [-(reduce(add, heat) * self.chi(u, w))] if heat else []
+        return self._rows(u, w, "cells", self._supplied(u))
 
     def facets(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
-        heat = [*dissipations(u, self, "facets").values(), *self._through_walls(u).values()]
-        return [-(reduce(add, heat) * self.chi(u, w))] if heat else []
+        return self._rows(u, w, "facets", self._through_walls(u))
 
     def nodes(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
-        heat = dissipations(u, self, "nodes").values()
-        return [-(reduce(add, heat) * self.chi(u, w))] if heat else []
+        return self._rows(u, w, "nodes", {})
 
     def entries(self, u: Fields) -> list[Entry]:
         """The heat as powers, since it is a part of the energy; entropy, and what produces and brings it."""
-        places = [dissipations(u, self, place) for place in PLACES]
+        places, theta = [dissipations(u, self, place) for place in PLACES], self.theta(u)
         names = dict.fromkeys(name for heat in places for name in heat)
         self._require_all(set(names), u)
-        supplied, through = self._supplied(u), self._through_walls(u)
-        theta = self.theta(u)
-        total = [reduce(add, heat.values()) if heat else None for heat in places]
-        found = [
-            *([Entry("power_heat_dissipated", "power", Integrand(*total))] if names else []),
-            *(Entry(name, "power", Integrand(heat)) for name, heat in supplied.items()),
-            *(Entry(name, "power", Integrand(facets=heat)) for name, heat in through.items()),
-            Entry("entropy", "monitor", Integrand(self.entropy.unit * u.z_tensors[self.entropy.name])),
-        ]
+        powers, produced = [], []
+        if names:
+            total = [reduce(add, heat.values()) if heat else None for heat in places]
+            powers.append(Entry("power_heat_dissipated", "power", Integrand(*total)))
         for name in names:
-            parts = [None if name not in heat else heat[name] / theta for heat in places]
+            parts = [heat[name] / theta if name in heat else None for heat in places]
             column = PRODUCTION + name.removeprefix("dissipation_")
-            found.append(Entry(column, "production", Integrand(*parts)))
-        for name, heat in supplied.items():
-            column = name.replace("power_heat_", "entropy_supply_")
-            if name.endswith("_numerical"):
-                column = PRODUCTION + "numerical"
-            found.append(Entry(column, "production", Integrand(heat / theta)))
-        for name, heat in through.items():
-            column = name.replace("power_heat_", "entropy_supply_")
-            found.append(Entry(column, "production", Integrand(facets=heat / theta)))
-        return found
+            produced.append(Entry(column, "production", Integrand(*parts)))
+        for place, others in (("cells", self._supplied(u)), ("facets", self._through_walls(u))):
+            for name, heat in others.items():
+                column = name.replace("power_heat_", "entropy_supply_")
+                if name == "power_heat_numerical":
+                    column = PRODUCTION + "numerical"
+                powers.append(Entry(name, "power", Integrand(**{place: heat})))
+                produced.append(Entry(column, "production", Integrand(**{place: heat / theta})))
+        entropy = self.entropy.unit * u.z_tensors[self.entropy.name]
+        return [*powers, Entry("entropy", "monitor", Integrand(entropy)), *produced]
 
     def _require_all(self, known: set[str], u: Fields) -> None:
         """Raise ParameterError for a term whose dissipation stands in its columns alone."""

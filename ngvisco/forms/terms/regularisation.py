@@ -12,11 +12,12 @@ That of the fields is ``FieldDiffusion``.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, reduce
+from operator import add
 
 from ngsolve import CF, CoefficientFunction, IfPos
 
-from ngvisco.forms.energy import column, total
+from ngvisco.forms.energy import column
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.term import Entry, Integrand, PointTerm, Setting, Term, Unknown
 from ngvisco.physics.material import Material
@@ -120,13 +121,14 @@ class FieldDiffusion(PointTerm):
         delta = self.law.delta_fields
         if not self.curvature.strains.all():
             return {_COLUMN: delta * inner(self._of_strains(u.z_slope), u.grad_zeta)}
-        parts = u.context.energy.curved(u, u.z_slope)
-        return {_COLUMN: delta * total([inner(part, column(u.z_slope, j)) for j, part in enumerate(parts)])}
+        curved = u.context.energy.curved(u, u.z_slope)
+        parts = (inner(part, column(u.z_slope, j)) for j, part in enumerate(curved))
+        return {_COLUMN: delta * reduce(add, parts)}
 
     def dissipated_on_facets(self, u: Fields) -> dict[str, CoefficientFunction]:
         jump = self._jump(u)
         if not self.curvature.strains.all():
-            return {_COLUMN: total(self._through_facets(u, self._across(u), jump, u.zeta))}
+            return {_COLUMN: reduce(add, self._through_facets(u, self._across(u), jump, u.zeta))}
         curved = self.curvature.compliance - self.curvature.compliance @ self.curvature.linear
         size = inner(constant(curved) * jump, jump)
         return {_COLUMN: self.law.delta_fields * self._weight(u) * size}

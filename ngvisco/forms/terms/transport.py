@@ -1,4 +1,4 @@
-"""Transport of the material's variables and the elastic force: one bilinear operator used twice.
+"""Transport of the material's variables and the elastic force: one bilinear operator used twice; creep.
 
     B_h(w; z, G) = sum_K int_K (rate(grad w; z) - (w . grad) z) : G
                  - sum_K int_{dK} (w . n) (z_hat - z) : G
@@ -30,9 +30,10 @@ from ngvisco.forms.fields import Fields
 from ngvisco.forms.rates import Conjugate
 from ngvisco.forms.term import Entry, Integrand, Integrands, PointTerm, Setting, Unknown, tested
 from ngvisco.forms.upwinding import SideMean
+from ngvisco.physics.flow_rules import FlowRule
 from ngvisco.physics.materials.wrapped import WithQuadratic
-from ngvisco.physics.model import Model
-from ngvisco.physics.tensors import inner, masked
+from ngvisco.physics.model import Flow, Model
+from ngvisco.physics.tensors import inner, masked, square, trace_free_tensors
 
 
 def transport_in_cells(along: Fields, u: Fields, G: Fields, name: Conjugate) -> list[CoefficientFunction]:
@@ -51,7 +52,7 @@ def transport_in_cells(along: Fields, u: Fields, G: Fields, name: Conjugate) -> 
 def transport_through_facets(along: Fields, u: Fields, G: Fields, name: Conjugate) -> CoefficientFunction:
     """The facets' part of B_h(w; z, G), of both sides."""
     c, by_flux = u.context, u.layout.states.by_flux
-    carried = c.crossed * u.z_jump
+    carried = c.crossed * (u.z_hat - u.z)
     if by_flux.any():
         carried = masked(carried, ~by_flux) + c.crossed * masked(u.z_hat, by_flux)
     return -((along.v * c.normal) * inner(carried, G.parts[name]))
@@ -94,12 +95,10 @@ class Kinematics(PointTerm):
     def dissipated(self, u: Fields) -> dict[str, CoefficientFunction]:
         """Creep's, where it has no equation of its own."""
         rates = u.context.rates
-        if not (rates.flows and rates.is_local) or rates.creeps_at_nodes:
-            return {}
-        return {"dissipation_creep": rates.dissipation(u)}
+        is_here = rates.flows and rates.is_local and not rates.creeps_at_nodes
+        return {"dissipation_creep": rates.dissipation(u)} if is_here else {}
 
     def dissipated_at_nodes(self, u: Fields) -> dict[str, CoefficientFunction]:
-        """The same where it is at nodes."""
         rates = u.context.rates
         return {"dissipation_creep": rates.dissipation(u)} if rates.creeps_at_nodes else {}
 
@@ -169,3 +168,63 @@ class ElasticForce(PointTerm):
 
     def facets(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         return [transport_through_facets(w, u, u, "zeta")]
+
+
+@dataclass(frozen=True)
+class CreepRate(PointTerm):
+    """Creep with a gradient term: its rate Pi is a field of its own.
+
+        psi'(Pi) - div(nu |grad Pi|^{q-2} grad Pi) = M,   (n . grad) Pi = 0 on walls
+        (paper: ED-Euler-large3, Euler-large-viscoelastodyn+4disc, with + M as the energy balance needs),
+        int psi'(Pi) : P + nu |grad Pi|^{q-2} grad Pi : grad P - M : P = 0, M of the projected conjugates.
+
+    psi'(Pi) = G_m Pi in the paper; any flow rule with a potential of Pi gives its own.  Pi is continuous, in
+    the components of an orthonormal basis of R^{3x3}_dev (plane strain in 2D): symmetric and trace-free. P =
+    Pi gives the creep power that the kinematic equations, tested by zeta, take from the stored energy.
+    """
+
+    rule: FlowRule
+
+    def unknowns(self, setting: Setting) -> tuple[Unknown, ...]:
+        return (Unknown("Pi", "continuous", max(1, setting.m), trace_free_tensors(setting.dim).size),)
+
+    def cells(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
+        gradient = self.rule.gradient_coefficient(square(u.grad_Pi))
+        z = u.context.rates.read_values(self.rule, u, u.context.rates.flows[0])
+        space = trace_free_tensors(u.dim)
+        force, driving = self.rule.force(u.Pi, z), u.context.rates.mandel(u)
+        return [
+            inner(space.components(force), w.parts["Pi"]),
+            gradient * inner(u.grad_Pi, w.grad_Pi),
+            -inner(space.components(driving), w.parts["Pi"]),
+        ]
+
+    def dissipated(self, u: Fields) -> dict[str, CoefficientFunction]:
+        size = square(u.grad_Pi)
+        of_gradient = self.rule.gradient_coefficient(size) * size
+        return {
+            "dissipation_creep": u.context.rates.dissipation(u),
+            "dissipation_creep_gradient": of_gradient,
+        }
+
+
+@dataclass(frozen=True)
+class PlasticStraining(PointTerm):
+    """- int dk/dt q in the equation of the plastic strain k, q its test, dk/dt = sqrt(2/3) |Pi|.
+
+    Of a body that is - int n_i dk/dt q in that of K_i = n_i k.  q = zeta_k = phi_h'(k) gives the power that
+    hardening stores: ``dissipation_creep`` is without it.
+    """
+
+    flow: Flow
+
+    def cells(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
+        return [] if u.context.rates.creeps_at_nodes else self._rows(u, w)
+
+    def nodes(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
+        return self._rows(u, w) if u.context.rates.creeps_at_nodes else []
+
+    def _rows(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
+        rates = u.context.rates
+        Pi = rates.creep(u)[rates.flows.index(self.flow)]
+        return [-rates.hardening_rate(self.flow, Pi, u) * w.z_tensors[self.flow.plastic_strain]]

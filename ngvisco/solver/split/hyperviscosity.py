@@ -17,7 +17,7 @@ import scipy.sparse as sp
 from ngvisco.algebra import precision
 from ngvisco.algebra.local import LocalMatrix
 from ngvisco.algebra.sparse import Blocks, ElementAssembly, Rounded, largest
-from ngvisco.forms.mesh.side_points import SidePoints
+from ngvisco.forms.mesh.points import SidePoints
 from ngvisco.physics.arrays import Array
 from ngvisco.reduced.hyperviscosity import HyperValues, MatrixHyperviscosity, SideJumps, value_of
 from ngvisco.threads import product

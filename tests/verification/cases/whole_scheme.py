@@ -9,7 +9,7 @@ from ngsolve import L2, CoefficientFunction, GridFunction, Integrate, Mesh, Oute
 
 import ngvisco as nv
 from ngvisco.forms.fields import Fields
-from ngvisco.forms.system import LocalProjection
+from ngvisco.forms.projections import LocalProjection
 from ngvisco.forms.term import tested
 from ngvisco.physics.material import cauchy_stress
 from ngvisco.physics.tensors import dev, square, sym
@@ -309,7 +309,7 @@ def fields(run: Simulation) -> dict[str, CoefficientFunction]:
     """
     step = run.rothe_step
     u, energy = step.now, GridFunction(L2(run.mesh, order=step.discretisation.m))
-    LocalProjection(energy.space, energy, step.quadrature, tested(step.energy.density(u)))()
+    LocalProjection(energy, step.quadrature, tested(step.energy.density(u)))()
     found = state(run) | {"T": cauchy_stress(run.model.material, u.z_tensors, u.zeta_tensors, energy)}
     p = u.rho * u.v
     found |= {"p": p, "p x v": OuterProduct(p, u.v), "eps(v)": sym(u.L), "hess v": u.hess}

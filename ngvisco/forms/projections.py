@@ -1,16 +1,19 @@
-"""The velocity of a momentum functional: int rho v . w = <m, w> for all admissible w.
+"""L2 projections, each on its own space: no matrix over all unknowns of a step.
 
-v attains the maximum in E(rho, m) = max_w <m, w> - 1/2 int rho |w|^2 over the velocities that the walls
-admit: prescribed coefficients are kept, and on oblique and curved walls (v . n, mu) = 0 for all multipliers
-mu (paper: Euler-small-BC-hyper).  The mass matrix is that of one scalar component; conjugate gradients with
-its diagonal take 30 to 60 iterations whatever the mesh.  With multipliers they run in the null space of the
-walls' condition, by the projection onto it in the inner product of that diagonal (``WallProjection``).
+A facet unknown's mass matrix is one block a facet, a cell unknown's one block a cell, and components
+of a vector share it.
 
-The projection onto the velocities that oblique and curved walls admit: C v = 0, (v . n, mu) for all mu.
+The velocity is that of a momentum functional, int rho v . w = <m, w> for all admissible w: it attains the
+maximum in E(rho, m) = max_w <m, w> - 1/2 int rho |w|^2 over the velocities that the walls admit.  Prescribed
+coefficients are kept, and on oblique and curved walls (v . n, mu) = 0 for all multipliers mu (paper:
+Euler-small-BC-hyper). The mass matrix is that of one scalar component; conjugate gradients with its diagonal
+take 30 to 60 iterations whatever the mesh.  With multipliers they run in the null space of the walls'
+condition C v = 0, by the projection onto it in the inner product of that diagonal D (``WallProjection``),
 
-I - D^-1 C^T (C D^-1 C^T)^-1 C, orthogonal in the inner product of a diagonal matrix D.  C D^-1 C^T is no sum
-over ranks: walls of two ranks share vertices and edges.  There y = D^-1 C^T lambda is kept as an unknown, so
-that y and lambda with C y = g solve
+    I - D^-1 C^T (C D^-1 C^T)^-1 C.
+
+C D^-1 C^T is no sum over ranks: walls of two ranks share vertices and edges.  There y = D^-1 C^T lambda is
+kept as an unknown, so that y and lambda with C y = g solve
 
     D y - C_s^T lambda = 0,   C_s y + C_i D_i^-1 C_i^T lambda = g,
 
@@ -21,37 +24,118 @@ units in which D and the rows of C have length one.
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy.sparse as sp
-from ngsolve import CF, BilinearForm, CoefficientFunction, FESpace, GridFunction, LinearForm
+from ngsolve import CF, BaseMatrix, BilinearForm, CoefficientFunction, FESpace, GridFunction, LinearForm
 
-from ngvisco.algebra.factorised import Direct, DirectSolver
+from ngvisco.algebra.factorised import DirectSolver
 from ngvisco.algebra.krylov import conjugate_gradients
 from ngvisco.errors import StepError
-from ngvisco.forms.boundary.wall_terms import Impenetrability
 from ngvisco.forms.fields import Fields
-from ngvisco.forms.mesh.mesh_arrays import mask_of
+from ngvisco.forms.mesh.mesh_arrays import is_simplicial, mask_of
 from ngvisco.forms.mesh.points import csr
 from ngvisco.forms.mesh.quadrature import Quadrature
 from ngvisco.forms.spaces import Layout
+from ngvisco.forms.term import Integrands, Unknown, tested
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.exchange import Exchange
-from ngvisco.parallel.petsc import SumInverse
+from ngvisco.parallel.petsc import Direct, SumInverse, inverse_of
 from ngvisco.physics.tensors import inner
+
+if TYPE_CHECKING:
+    from ngvisco.forms.boundary.wall_terms import Impenetrability
+    from ngvisco.forms.context import Context
+
+
+class LocalProjection:
+    """target = cellwise L2 projection of an integrand that may have a part on the cell's boundary."""
+
+    def __init__(self, target: GridFunction, quadrature: Quadrature, integrands: Integrands) -> None:
+        self.target, space = target, target.space
+        self.load = LinearForm(space)
+        quadrature.add(self.load, integrands(space.TestFunction()))
+        self.inverse_mass = inverse_mass(space, quadrature)
+
+    def __call__(self) -> None:
+        self.load.Assemble()
+        self.target.vec.data = self.inverse_mass * self.load.vec
+
+
+def inverse_mass(space: FESpace, quadrature: Quadrature) -> BaseMatrix:
+    """The inverse mass matrix of cells by the rule of the forms, which ``Mass`` has on straight simplices
+    only."""
+    mesh = quadrature.mesh
+    # the same on all ranks, also on those without cells
+    if mesh.comm.Max(mesh.GetCurveOrder()) <= 1 and mesh.comm.Min(is_simplicial(mesh)):
+        return space.Mass(1).Inverse()
+    trial, test = space.TnT()
+    mass = BilinearForm(space, symmetric=True, condense=True)
+    mass += inner(trial, test) * quadrature.cells
+    mass.Assemble()
+    return mass.inner_solve  # all unknowns belong to cells: the inverse, cell by cell
+
+
+def project(
+    unknown: Unknown, target: GridFunction, quadrature: Quadrature, value: CoefficientFunction
+) -> None:
+    """Make an unknown that evolves the L2 projection of ``value``, in cells or on the walls that it lives on.
+
+    What is prescribed stays.
+    """
+    if unknown.is_local:
+        LocalProjection(target, quadrature, tested(value))()
+        return
+    space = target.space
+    trial, test = space.TnT()
+    mass, load = BilinearForm(space, symmetric=True), LinearForm(space)
+    weight, measure = (1.0, quadrature.cells) if unknown.on is None else (unknown.on, quadrature.walls)
+    mass += weight * inner(trial, test) * measure
+    load += weight * inner(value - target, test) * measure
+    inverse = inverse_of(mass.Assemble().mat, space.FreeDofs(), Communicator.of(space.mesh))
+    target.vec.data += inverse * load.Assemble().vec
+    _release(inverse)
+
+
+def set_traces(layout: Layout, state: GridFunction, context: Context, quadrature: Quadrature) -> None:
+    """Traces of the state: the means of both sides' values of rho, z, ... and d_n v, in L2 of every facet."""
+    parts, now = dict(zip(layout.names, state.components, strict=True)), layout.fields(state.components)
+    kinds: dict[tuple[str, int], list[Unknown]] = {}
+    for name in layout.names_of("facets", "normals"):
+        unknown = layout.unknowns[name]
+        if unknown.trace_of is not None:
+            kinds.setdefault((unknown.place, unknown.order), []).append(unknown)
+    for (place, _), unknowns in kinds.items():
+        space, n = layout.scalar_space(unknowns[0].name), context.normal
+        # on ``normals`` an unknown is a multiple of the cells' outward normal
+        trial, test = (f * n if place == "normals" else f for f in space.TnT())
+        mass = BilinearForm(space)
+        mass += trial * test * quadrature.facets
+        # free are neither facets of coarser meshes nor identified copies
+        inverse = inverse_of(mass.Assemble().mat, space.FreeDofs(), Communicator.of(layout.mesh))
+        for unknown in unknowns:
+            target, of = parts[unknown.name].vec, unknown.trace_of or ""
+            value = (now.grad_v * n)[unknown.component] if place == "normals" else now.parts[of]
+            for i in range(value.dim):
+                component = value[i] if value.dim > 1 else value
+                load = LinearForm(component * test * quadrature.facets).Assemble()
+                row = (inverse * load.vec).Evaluate()
+                target[i * len(row) : (i + 1) * len(row)] = row
+        _release(inverse)
+
+
+def _release(inverse: BaseMatrix) -> None:
+    """Give a factorisation's memory back; collective."""
+    if isinstance(inverse, Direct):
+        inverse.release()
 
 
 class WallProjection:
     """Projects the free coefficients of v; over ranks vectors of v are summed ones, and all is collective.
 
-    Parameters
-    ----------
-    layout : Layout
-    term : Impenetrability
-        The term of the multipliers.  Each of them is of one rank: a wall's facet has one cell.
-    quadrature : Quadrature
-    free : (unknowns of v,) array of bool
-        What is not prescribed.
+    ``term`` is that of the multipliers, each of which is of one rank: a wall's facet has one cell.  ``free``
+    is (unknowns of v,) of bool, what is not prescribed.
     """
 
     def __init__(
@@ -70,25 +154,19 @@ class WallProjection:
         self._constraint, self._prescribed = constraint[:, free].tocsr(), constraint[:, ~free].tocsr()
         exchange = Exchange.of(space, Communicator.of(layout.mesh))
         exchange = exchange.part(np.concatenate([of_v[free], multipliers]))
-        self._shared = exchange.places
-        """Of the free coefficients of v."""
+        self._shared = exchange.places  # of the free coefficients of v
         last = np.count_nonzero(free) + np.arange(len(multipliers))
         exchange = exchange.part(np.concatenate([self._shared, last]))
         self._owned = exchange.owned[: len(self._shared)].astype(float)
         coupled = np.ones(exchange.count)
         coupled[: len(self._shared)] = abs(self._constraint[:, self._shared]).sum(axis=0)
         solved = exchange.sum(coupled) > 0
-        self._solver: Direct
-        if exchange.is_distributed:
-            self._solver = SumInverse(solved, exchange)
-        else:
-            self._solver = DirectSolver(solved, symmetric=True)
+        self._solver = (
+            SumInverse(solved, exchange) if exchange.is_distributed else DirectSolver(solved, symmetric=True)
+        )
 
     def update(self, diagonal: np.ndarray) -> None:
-        """D, of the free coefficients.
-
-        Raises StepError if C has not full rank.
-        """
+        """D, of the free coefficients; raises StepError if C has not full rank."""
         self._root = np.sqrt(diagonal)
         scaled = self._constraint @ sp.diags(1 / self._root)
         self._length = np.sqrt(np.asarray(scaled.multiply(scaled).sum(axis=1)).ravel())
@@ -128,18 +206,10 @@ _ROUNDING, _ENOUGH = 3e-16, 1e-13
 
 
 class VelocityOfMomentum:
-    """Solves for the velocity in the state of a layout.
+    """Solves for the velocity in the state of a layout, by rho > 0, kg/m^3, and m, kg/(m^2 s).
 
-    Parameters
-    ----------
-    state : GridFunction
-        Of the layout; its v is both the start value and, where it is prescribed, given.
-    density : CoefficientFunction
-        rho > 0, kg/m^3.
-    momentum : CoefficientFunction
-        Values of m, kg/(m^2 s), at the points of ``quadrature``.
-    term : Impenetrability or None
-        None where there are no multipliers.
+    v of the state is both the start value and, where it is prescribed, given; m are values at the points of
+    ``quadrature``; ``term`` is None where there are no multipliers.
     """
 
     def __init__(
@@ -226,8 +296,5 @@ def project_velocity(
     term: Impenetrability | None,
     quadrature: Quadrature,
 ) -> None:
-    """v as the L2 projection of v_0 on the velocities with (v.n, mu) = 0 for all multipliers mu.
-
-    Prescribed coefficients of v are kept as they are; ``term`` is None where there are no multipliers.
-    """
+    """v as the L2 projection of v_0 on the velocities that the walls admit."""
     VelocityOfMomentum(layout, state, CF(1.0), CF(v_0), term, quadrature)()
