@@ -211,13 +211,12 @@ def _ended(options: argparse.Namespace) -> int:
 
 def _command(name: str) -> Callable[[argparse.Namespace], int]:
     # imported late: NGSolve takes a second, and --help needs none of it
-    from ngvisco.cli import parallel, pictures, reference, report, run
+    from ngvisco.cli import parallel, pictures, report, run
 
     table: dict[str, Callable[[argparse.Namespace], int]] = {
         **{"run": run.run, "resume": run.resume, "sweep": run.sweep},
         **{"plot": pictures.plot, "scene": pictures.scene},
-        **{"list": reference.listing, "explain": reference.explain, "new": reference.new},
-        "check": report.check,
+        **{"list": report.listing, "explain": report.explain, "new": report.new, "check": report.check},
         "info": lambda options: (parallel.info if options.parallel else report.info)(options),
     }
     return table[name]
