@@ -1,4 +1,4 @@
-"""``ngvisco check``, ``info``, ``list``, ``explain``, ``new``: what a case needs, a run has, a case may have."""
+"""``ngvisco check``, ``info``, ``list``, ``explain``, ``new``: what a case, a run, a case file may have."""
 
 import argparse
 import json
