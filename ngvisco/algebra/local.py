@@ -11,8 +11,6 @@ from math import prod
 import numpy as np
 import scipy.sparse as sp
 
-from ngvisco.threads import product, shared
-
 
 class LocalMatrix:
     """A sparse matrix by cells, and its transpose with weights of the rows."""
@@ -79,13 +77,9 @@ class LocalMatrix:
         parts = rows.reshape(prod(rows.shape[:-1]), self.width)
         result = np.empty((len(parts), self.height))
         by_cells = result.reshape(len(parts), self.cells, self.per_cell).transpose(1, 0, 2)
-
-        def work(s: slice) -> None:
-            by_unknowns = (len(parts), self.cells, self.local)
-            local = parts.reshape(by_unknowns)[:, s] if self._in_order else parts[:, self.unknowns[s]]
-            np.matmul(local.transpose(1, 0, 2), self._blocks[s], out=by_cells[s])
-
-        shared(work, self.cells, len(parts) * self._blocks.size)
+        by_unknowns = (len(parts), self.cells, self.local)
+        local = parts.reshape(by_unknowns) if self._in_order else parts[:, self.unknowns]
+        np.matmul(local.transpose(1, 0, 2), self._blocks, out=by_cells)
         return result.reshape(*rows.shape[:-1], self.height)
 
     def test(self, values: np.ndarray) -> np.ndarray:
@@ -97,7 +91,7 @@ class LocalMatrix:
             parts = parts * self.weights
         local = np.empty((len(parts), self.cells, self.local))
         by_cells = parts.reshape(len(parts), self.cells, self.per_cell).transpose(1, 0, 2)
-        product(by_cells, self.blocks, out=local.transpose(1, 0, 2))
+        np.matmul(by_cells, self.blocks, out=local.transpose(1, 0, 2))
         flat = local.reshape(len(parts), self.unknowns.size)
         if not self._in_order:
             flat = (self.scatter @ np.ascontiguousarray(flat.T)).T
@@ -106,9 +100,9 @@ class LocalMatrix:
     def by_cells(self, columns: np.ndarray) -> np.ndarray:
         """matrix @ ``columns``, (width, n), cell by cell: (cells, n, rows of a cell)."""
         local = np.take(np.ascontiguousarray(columns, self._blocks.dtype), self.unknowns, axis=0)
-        return product(local.swapaxes(1, 2), self._blocks)
+        return np.matmul(local.swapaxes(1, 2), self._blocks)
 
     def tested(self, values: np.ndarray) -> np.ndarray:
         """matrix^T @ ``values``, (cells, n, rows of a cell), without weights: (width, n)."""
-        local = product(self._blocks, values.swapaxes(1, 2))
+        local = np.matmul(self._blocks, values.swapaxes(1, 2))
         return self.scatter @ local.reshape(self.unknowns.size, values.shape[1])

@@ -36,7 +36,6 @@ from ngvisco.reduced.residual import Evaluation, ReducedResidual, RestrictedForm
 from ngvisco.reduced.slope import PointwiseSlope
 from ngvisco.solver.split.hyperviscosity import HyperDerivative, HyperTangent
 from ngvisco.solver.split.transport import TransportSweeps
-from ngvisco.threads import concurrently, product
 
 
 class _AtPoints:
@@ -147,14 +146,14 @@ class PointTangent(_AtPoints):
         if rates.flows and not rates.creeps_at_nodes:
             X[g:] = rates.creep_components(u)
         K, force = (each.transpose(2, 0, 1) for each in rates.slopes(self.z, X, self.zeta))
-        force = force + product(self.columns.swapaxes(1, 2), self.curvature)
+        force = force + np.matmul(self.columns.swapaxes(1, 2), self.curvature)
         force[:, : g : self.residual.step.mesh.dim + 1] += self.zeta.T[:, None]
         if not (self._asked or self._creeps):
             return np.ascontiguousarray(K), force
         K, of_creep = K.copy(), self.columns[:, :, g:]
         for some, found in self._slopes():
             if "creep" in found:
-                K[:, :, some] += product(of_creep, found["creep"].transpose(2, 0, 1))
+                K[:, :, some] += np.matmul(of_creep, found["creep"].transpose(2, 0, 1))
             if "z" in found:
                 K[:, :, some] -= found["z"].transpose(2, 0, 1)
             if "grad v" in found:
@@ -184,7 +183,7 @@ class PointTangent(_AtPoints):
 
 def at_points(matrices: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Matrices (points, i, j) times values (j, points): (i, points)."""
-    return np.ascontiguousarray(product(matrices, values.T[:, :, None])[:, :, 0].T)
+    return np.ascontiguousarray(np.matmul(matrices, values.T[:, :, None])[:, :, 0].T)
 
 
 def _resolvents(matrices: np.ndarray) -> np.ndarray:
@@ -202,8 +201,8 @@ def _resolvents(matrices: np.ndarray) -> np.ndarray:
     power = precision.single(matrices)
     result = power + one.astype(precision.SINGLE)
     while size(power) ** 2 > 1e-4:
-        power = product(power, power)
-        result += product(result, power)
+        power = np.matmul(power, power)
+        result += np.matmul(result, power)
     return result
 
 
@@ -251,11 +250,11 @@ class FlowElements:
         """
         cells, d, n, local, q = self.cells, self.dim, self.components, self.local, self.functions
         p, count = self.tangent, len(base)
-        right = product(precision.single(base).reshape(count, (1 + d) * d**2, 1 + d), self.shapes)
-        own = product(self._tests, right.reshape(cells, self.per * (1 + d), d * d * local))
+        right = np.matmul(precision.single(base).reshape(count, (1 + d) * d**2, 1 + d), self.shapes)
+        own = np.matmul(self._tests, right.reshape(cells, self.per * (1 + d), d * d * local))
         own = own.reshape(cells, local, d, d, local)
         shapes, weights = self.fine.v.blocks, inertia * self.fine.weights
-        mass = product(shapes.transpose(0, 2, 1), weights.reshape(*shapes.shape[:2], 1) * shapes)
+        mass = np.matmul(shapes.transpose(0, 2, 1), weights.reshape(*shapes.shape[:2], 1) * shapes)
         for i in range(d):
             own[:, :, i, i] += mass
         self.own[...] = own.reshape(cells, local * d, d * local)
@@ -263,15 +262,15 @@ class FlowElements:
         to_z = np.empty((count, n, d, 1 + d), precision.SINGLE)
         to_z[..., 0] = p.dz.transpose(2, 0, 1)
         to_z[..., 1:] = -p.columns[:, :, : d * d].reshape(count, n, d, d)
-        right = product(to_z.reshape(count, n * d, 1 + d), self.shapes)
-        to_fields = product(self._z_tests, right.reshape(cells, self.per, n * d * local))
+        right = np.matmul(to_z.reshape(count, n * d, 1 + d), self.shapes)
+        to_fields = np.matmul(self._z_tests, right.reshape(cells, self.per, n * d * local))
         self.to_fields[...] = to_fields.reshape(cells, q * n, d * local)
         # v's rows from z: the elastic force of (1 - tau P K)^{-1} dz
         force = precision.single(p.force[:, : d * d]).reshape(count, d, d, n).swapaxes(1, 2)
-        left = product(self.shapes[:, 1:].transpose(0, 2, 1), force.reshape(count, d, d * n))
-        back = product(self._z_tests, left.reshape(cells, self.per, local * d * n))
+        left = np.matmul(self.shapes[:, 1:].transpose(0, 2, 1), force.reshape(count, d, d * n))
+        back = np.matmul(self._z_tests, left.reshape(cells, self.per, local * d * n))
         back = back.reshape(cells, q, local * d, n).transpose(0, 2, 1, 3).reshape(cells, local * d, q * n)
-        self.from_fields = product(precision.single(back), precision.single(p.resolvent))
+        self.from_fields = np.matmul(precision.single(back), precision.single(p.resolvent))
 
     def gathered(self, dv: np.ndarray) -> np.ndarray:
         """The cells' unknowns of dv (dim, .), (cells, dim local, 1)."""
@@ -315,10 +314,9 @@ class FlowSchurComplement:
         if not everything:
             return
         self.points.terms.context.start()
-        count = self.op.points.count * self.points.components**2
         with self.residual.ranks.together(np.linalg.LinAlgError):
-            # the sweep first, in this thread: it exchanges with other ranks
-            concurrently(lambda: self.sweep.update(at), lambda: self.points.update(at), count)
+            self.sweep.update(at)
+            self.points.update(at)
         self.elements.update(self._base(), self._inertia(at))
         self.rest = self._rest()
 
@@ -361,7 +359,7 @@ class FlowSchurComplement:
             result[: self.nv] += self._with_fields(dv).ravel()
             return result
         x, hyper = np.concatenate([dv, flow[self.size :].reshape(self.dim, -1)], axis=1), self.derivative
-        rows, of_x = concurrently(lambda: self._with_fields(dv), lambda: hyper(x), self.elements.own.size)
+        rows, of_x = self._with_fields(dv), hyper(x)
         rows += of_x[:, : dv.shape[1]]
         result[: self.nv] += rows.ravel()
         result[self.size :] = of_x[:, dv.shape[1] :].ravel()
@@ -370,16 +368,16 @@ class FlowSchurComplement:
     def _with_fields(self, dv: np.ndarray) -> np.ndarray:
         """Rows of v, (dim, .), without hyperviscosity, with the fields carried along."""
         e = self.elements
-        rows, own = product(e.of_velocity, e.gathered(dv)), self.dim * e.local
+        rows, own = np.matmul(e.of_velocity, e.gathered(dv)), self.dim * e.local
         carried = self.sweep.fields(-rows[:, own:].reshape(e.cells * e.functions, e.components))
         of_cells = np.ascontiguousarray(rows[:, :own])
-        of_cells += product(e.from_fields, carried.reshape(e.cells, e.functions * e.components, 1))
+        of_cells += np.matmul(e.from_fields, carried.reshape(e.cells, e.functions * e.components, 1))
         return e.scattered(of_cells)
 
     def force(self, dz: np.ndarray) -> np.ndarray:
         """Rows of v in parts, (dim, .), of what sweeps make of the fields' rows, (cells' unknowns, n)."""
         e = self.elements
-        return e.scattered(product(e.from_fields, dz.reshape(e.cells, e.functions * e.components, 1)))
+        return e.scattered(np.matmul(e.from_fields, dz.reshape(e.cells, e.functions * e.components, 1)))
 
     def force_of(self, dz: np.ndarray) -> np.ndarray:
         """Rows of v in parts, (dim, .), of an increment of z, (cells' unknowns, n), in double precision."""
@@ -390,7 +388,7 @@ class FlowSchurComplement:
     def fields_rows(self, dv: np.ndarray, dPi: np.ndarray | None) -> np.ndarray:
         """What the rows of z, (cells' unknowns, n), take from an increment of v (dim, .) and Pi."""
         e = self.elements
-        rows = product(e.to_fields, e.gathered(dv)).reshape(e.cells * e.functions, e.components)
+        rows = np.matmul(e.to_fields, e.gathered(dv)).reshape(e.cells * e.functions, e.components)
         if dPi is not None:
             values = at_points(self.points.columns[:, :, self.dim**2 :], dPi)
             rows -= self.op.z.test(values).T
@@ -399,7 +397,7 @@ class FlowSchurComplement:
     def resolved(self, dz: np.ndarray) -> np.ndarray:
         """(1 - tau P K)^{-1} dz of coefficients dz: both (cells' unknowns, n)."""
         cells = dz.reshape(*self.points.resolvent.shape[:2], 1)  # of a rank without cells too
-        return product(self.points.resolvent, cells).reshape(dz.shape)
+        return np.matmul(self.points.resolvent, cells).reshape(dz.shape)
 
     def tangent(self, hyper: HyperTangent | None) -> sp.csr_matrix:
         """The velocity tangent: the operator with the fields predicted inside each cell, as a matrix.

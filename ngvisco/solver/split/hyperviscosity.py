@@ -20,7 +20,6 @@ from ngvisco.algebra.sparse import Blocks, ElementAssembly, Rounded, largest
 from ngvisco.forms.mesh.points import SidePoints
 from ngvisco.physics.arrays import Array
 from ngvisco.reduced.hyperviscosity import HyperValues, MatrixHyperviscosity, SideJumps, value_of
-from ngvisco.threads import product
 
 
 class HyperDerivative:
@@ -98,12 +97,12 @@ class HyperDerivative:
         split, rows = h.lift.per_cell, (self.cells, h.dim * h.size)
         values = self.of_component.by_cells(x.T / length)
         dj = values[..., split:]
-        dH = product(values[..., :split].reshape(*rows, h.h_values.local), self._at_points)
+        dH = np.matmul(values[..., :split].reshape(*rows, h.h_values.local), self._at_points)
         dH = dH.reshape(self.cells, h.dim, h.size, h.h_values.per_cell)
         of_H, of_j = self._c * dH, self._penalty[:, None] * dj
         if not h.law.is_linear:
             self._bend(dH, dj, of_H, of_j)
-        tested = product(of_H.reshape(*rows, h.h_values.per_cell), self._at_points.swapaxes(1, 2))
+        tested = np.matmul(of_H.reshape(*rows, h.h_values.per_cell), self._at_points.swapaxes(1, 2))
         loads = np.concatenate([tested.reshape(self.cells, h.dim, split), of_j], axis=2)
         return np.float64(self._unit * length) * self.of_component.tested(loads).T
 
@@ -114,12 +113,12 @@ class HyperDerivative:
         dq = 2 * np.einsum("cip,cip->cp", self._j, dj)
         tested = (2 * w) * np.einsum("cibp,cibp->cp", self._hessian, dH)
         ds = self._projected(_transposed(at_points, tested))
-        ds_sides = product(at_sides, ds)[..., 0]
+        ds_sides = np.matmul(at_sides, ds)[..., 0]
         of_j += (self._sq * ds_sides + self._qq * dq)[:, None] * self._j
         # the coefficient's change: c_s = P c(s) + facets
-        dc = _transposed(at_points, self._s_slope * product(at_points, ds)[..., 0])
+        dc = _transposed(at_points, self._s_slope * np.matmul(at_points, ds)[..., 0])
         dc += _transposed(at_sides, self._ss * ds_sides + self._sq * dq)
-        change = product(at_points, self._projected(dc))[..., 0] * w
+        change = np.matmul(at_points, self._projected(dc))[..., 0] * w
         of_H += self._hessian * change[:, None, None]
 
     def _projected(self, loads: np.ndarray) -> np.ndarray:
@@ -152,7 +151,7 @@ class HyperDerivative:
 
 def _transposed(matrices: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Transposes of stacked matrices (cells, i, j) times values (cells, i): (cells, j, 1)."""
-    return product(matrices.transpose(0, 2, 1), values[..., None])
+    return np.matmul(matrices.transpose(0, 2, 1), values[..., None])
 
 
 class HyperTangent:
@@ -208,4 +207,4 @@ class HyperTangent:
 
 def _squared(matrices: np.ndarray, weights: np.ndarray) -> np.ndarray:
     """B^T W B of stacked matrices B and weights of their rows, (cells, rows)."""
-    return product(matrices.transpose(0, 2, 1), weights[:, :, None] * matrices)
+    return np.matmul(matrices.transpose(0, 2, 1), weights[:, :, None] * matrices)

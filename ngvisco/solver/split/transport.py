@@ -23,7 +23,6 @@ from ngvisco.parallel.exchange import HaloUnknowns
 from ngvisco.physics.arrays import Array
 from ngvisco.reduced.operators import FacetMass, SideOperators
 from ngvisco.reduced.residual import Evaluation, ReducedResidual
-from ngvisco.threads import product
 
 LEAST, MOST = 3, 30
 """Sweeps over the cells in which the fields' change is carried into the flow's system."""
@@ -83,13 +82,13 @@ class FacetCoupling:
         """
         shape, w = self._weights.shape, self._weights
         z = self._z if values is None else values.reshape(self._z.shape)
-        to_hat = product(self._hat_t, (w * to_trace.reshape(shape)) * z)
-        from_hat = product(self._z_t, (w * from_trace.reshape(shape)) * self._hat)
-        from_hat = product(from_hat, self._mass.inverses[self._facet])
-        here = product(self._z_t, (w * own.reshape(shape)) * z) + product(from_hat, to_hat)
+        to_hat = np.matmul(self._hat_t, (w * to_trace.reshape(shape)) * z)
+        from_hat = np.matmul(self._z_t, (w * from_trace.reshape(shape)) * self._hat)
+        from_hat = np.matmul(from_hat, self._mass.inverses[self._facet])
+        here = np.matmul(self._z_t, (w * own.reshape(shape)) * z) + np.matmul(from_hat, to_hat)
         if len(self._border):
             to_hat = np.concatenate([to_hat, self.halo.swapped(to_hat[self._border])])
-        there = product(from_hat, to_hat[self.across]) * self._inner
+        there = np.matmul(from_hat, to_hat[self.across]) * self._inner
         by_cells = (self.cells, self.sides, self.functions, self.functions)
         return here.reshape(by_cells).sum(axis=1), there.reshape(by_cells)
 
@@ -106,7 +105,7 @@ class ConductionBlocks:
         op, sides = residual.op, residual.side_op
         self.component = residual.step.layout.states.slices[term.entropy.name].start
         weights = op.weights.reshape(coupling.cells, op.z.per_cell, 1)
-        self._laplacian = sum(product((weights * D.blocks).transpose(0, 2, 1), D.blocks) for D in op.dz)
+        self._laplacian = sum(np.matmul((weights * D.blocks).transpose(0, 2, 1), D.blocks) for D in op.dz)
         self._outwards = np.zeros((sides.points.count, op.z.blocks.shape[2]))
         for n, D in zip(sides.points.normals, sides.dz, strict=True):
             entries = D.matrix.tocoo()
@@ -157,24 +156,24 @@ class SweptMatrix:
         """The cells' own blocks; LinAlgError where one is singular."""
         inverse = np.linalg.inv(self._own)
         self.cells = inverse.astype(precision.SINGLE)
-        self._carried = (-product(inverse, self._across)).astype(precision.SINGLE)
+        self._carried = (-np.matmul(inverse, self._across)).astype(precision.SINGLE)
         return self
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
         """Rows of coefficients x, both (cells' unknowns, n) or (cells' unknowns,)."""
         values = self._by_cells(x)
-        return product(self._rows, np.concatenate([values, self._beside(values)], axis=1)).reshape(x.shape)
+        return np.matmul(self._rows, np.concatenate([values, self._beside(values)], axis=1)).reshape(x.shape)
 
     def swept(self, r: np.ndarray, sweeps: int) -> np.ndarray:
         """Coefficients of rows r, (cells' unknowns, n) or (cells' unknowns,)."""
-        x = start = product(self.cells, self._by_cells(r))
+        x = start = np.matmul(self.cells, self._by_cells(r))
         for _ in range(sweeps - 1):
             x = start + self.carried(x)
         return x.reshape(r.shape)
 
     def carried(self, x: np.ndarray) -> np.ndarray:
         """What a sweep takes from the neighbours' values, (cells, q, n)."""
-        return product(self._carried, self._beside(x))
+        return np.matmul(self._carried, self._beside(x))
 
     def _by_cells(self, x: np.ndarray) -> np.ndarray:
         values = x.astype(precision.SINGLE, copy=False)
@@ -196,7 +195,7 @@ class TransportSweeps:
         op = residual.op
         self._shape = (self.coupling.cells, op.z.per_cell, 1)
         self._tests = np.ascontiguousarray((op.weights.reshape(self._shape) * op.z.blocks).transpose(0, 2, 1))
-        self._mass = product(self._tests, op.z.blocks)
+        self._mass = np.matmul(self._tests, op.z.blocks)
         self._whole: Direct | None = None
         """Of z where it diffuses."""
         if residual.diffusion is not None:
@@ -258,7 +257,7 @@ class TransportSweeps:
         """int (v . grad z) q in cells, (cells, q, q)."""
         v, derivatives = at.cells.v.value, self.residual.op.dz
         along = sum(v_j.reshape(self._shape) * D.blocks for v_j, D in zip(v, derivatives, strict=True))
-        return product(self._tests, along)
+        return np.matmul(self._tests, along)
 
     def linearise(self) -> None:
         """Let a density equation that is not linear follow the present state."""
