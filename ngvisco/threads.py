@@ -2,9 +2,9 @@
 
 NGSolve's task threads wait actively; a BLAS that starts its own threads beside them takes the cores from
 both (measured beside other work on two cores: the swirl demo in 9 min 52 s against 2 min 10 s).  Array
-products have one thread, which NGSolve's workers must not disturb: ``on_arrays`` ends these.  Sent to sleep, they
-would be waited for by what NGSolve does meanwhile: 6.6 ms in place of 0.2 for a factorisation's solution with
-2,754 unknowns.
+products have one thread, which NGSolve's workers must not disturb: ``on_arrays`` ends these.  Sent to sleep,
+they would be waited for by what NGSolve does meanwhile: 6.6 ms in place of 0.2 for a factorisation's solution
+with 2,754 unknowns.
 """
 
 from collections.abc import Iterator
