@@ -101,7 +101,7 @@ def parser() -> argparse.ArgumentParser:
     info.add_argument("--parallel", action="store_true", help=text)
 
     drawn = argparse.ArgumentParser(add_help=False)
-    drawn.add_argument("--fields", metavar="NAMES", help="fields to draw, separated by commas")
+    drawn.add_argument("--fields", type=_names, metavar="NAMES", help="fields to draw, separated by commas")
     drawn.add_argument("--step", type=int, metavar="N", help="checkpoint's step (default: the last)")
     text = "energies, dissipations, closure, extrema, iterations and fields as pictures; animations"
     plot = commands.add_parser("plot", help=text, description=text, parents=[drawn])
@@ -141,6 +141,10 @@ def _threads(text: str) -> int:
     if int(text) > (most := max(os.cpu_count() or 1, _FEW_THREADS)):
         raise argparse.ArgumentTypeError(f"{text}: expected at most {most}, for {os.cpu_count()} processors")
     return int(text)
+
+
+def _names(text: str) -> list[str]:
+    return [name.strip() for name in text.split(",")]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

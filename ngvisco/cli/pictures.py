@@ -25,29 +25,28 @@ def plot(options: argparse.Namespace) -> int:
     runs = _runs(options)
     if len(runs) > 1:
         return _compare(options, runs)
-    ((_, options.directory),) = runs.items()
-    out = Path(options.directory)
+    (out,) = runs.values()
     section = None if options.section is None else Section.parse(options.section)
     if options.movie is not None:
-        place, names = RunDirectory(out), _names(options)
-        path = Path(options.movie) if options.movie else out / "movie.gif"
-        title = place.case().sections.title
-        write_movie(place.vtk, path, names, section=section, frames_per_second=options.fps, title=title)
+        place = RunDirectory(out)
+        path, title = Path(options.movie or out / "movie.gif"), place.case().sections.title
+        write_movie(
+            place.vtk, path, options.fields, section=section, frames_per_second=options.fps, title=title
+        )
         _say_without_outlines(place)
         print(path)
         return 0
-    results, chosen = _load(options)
+    results, chosen, lines = _load(out, options)
     require_space(section, results.mesh.dim)  # before anything is drawn
-    ledger = results.simulation.ledger
-    written = [out / f"{name}.{options.format}" for name in ("energies", "history", "fields")]
-    plot_energies(ledger, written[0])
-    plot_history(ledger, written[1])
+    energies, history, states = (
+        out / f"{name}.{options.format}" for name in ("energies", "history", "fields")
+    )
+    plot_energies(results.simulation.ledger, energies)
+    plot_history(results.simulation.ledger, history)
     fields = [(title_of(name), value) for name, value in chosen.items()]
     title = titled(results.case.sections.title, results.time)
-    lines = _outlines(results)
-    plot_fields(results.mesh, fields, written[2], section=section, title=title, outlines=lines)
-    for path in written:
-        print(path)
+    plot_fields(results.mesh, fields, states, section=section, title=title, outlines=lines)
+    print(energies, history, states, sep="\n")
     return 0
 
 
@@ -69,7 +68,7 @@ def _compare(options: argparse.Namespace, runs: dict[str, Path]) -> int:
             raise ParameterError(f"plot --{name}", value, "one run directory; several are compared over time")
     study = len(options.directory) == 1
     out = Path(options.output or (options.directory[0] if study else "."))
-    for path in plot_comparison(runs, out, _names(options), options.format):
+    for path in plot_comparison(runs, out, options.fields, options.format):
         print(path)
     return 0
 
@@ -77,27 +76,25 @@ def _compare(options: argparse.Namespace, runs: dict[str, Path]) -> int:
 def scene(options: argparse.Namespace) -> int:
     """The states of the VTK series, or one checkpoint, as one HTML file in the run directory."""
     place = RunDirectory(options.directory)
-    path, names, title = place.path / "scene.html", _names(options), place.case().sections.title or "ngvisco"
+    path, title = place.path / "scene.html", place.case().sections.title or "ngvisco"
     if options.step is None and read_pvd(place.vtk / "fields.pvd"):
-        write_scene_of_series(place.vtk, path, names, title)
+        write_scene_of_series(place.vtk, path, options.fields, title)
         _say_without_outlines(place)
     else:
-        results, chosen = _load(options)
-        title = titled(title, results.time)
-        write_scene(results.mesh, chosen, path, title, outlines=_outlines(results))
+        results, chosen, lines = _load(place.path, options)
+        write_scene(results.mesh, chosen, path, titled(title, results.time), outlines=lines)
     print(path)
     return 0
 
 
-def _load(options: argparse.Namespace) -> tuple[Results, dict[str, CoefficientFunction]]:
+def _load(
+    directory: Path, options: argparse.Namespace
+) -> tuple[Results, dict[str, CoefficientFunction], list[CoefficientFunction]]:
+    """The state of a run, the fields to draw, and those whose steps outline bodies."""
     SetNumThreads(1)
-    results = cases.load(options.directory, options.step)
-    return results, scalar_fields(results.fields, _names(options))
-
-
-def _outlines(results: Results) -> list[CoefficientFunction]:
+    results = cases.load(directory, options.step)
     fields = results.fields
-    return [fields[name] for name in outlined(list(fields))]
+    return results, scalar_fields(fields, options.fields), [fields[name] for name in outlined(list(fields))]
 
 
 def _say_without_outlines(place: RunDirectory) -> None:
@@ -107,7 +104,3 @@ def _say_without_outlines(place: RunDirectory) -> None:
     if len(bodies) > 1 and written is not None and not outlined(written):
         wanted = ", ".join([*(f"{name}_fraction" for name in bodies), "body"])
         print(f"no outlines of bodies: output.vtk.fields leaves out {wanted}", file=sys.stderr)
-
-
-def _names(options: argparse.Namespace) -> list[str] | None:
-    return None if options.fields is None else [name.strip() for name in options.fields.split(",")]
