@@ -31,7 +31,6 @@ GEOMETRIES: Kinds = {
     "file": geometries.load,
     **_of(geometries, "sphere spherical_shell structured_box"),
 }
-
 MATERIALS: Kinds = {
     "BarotropicFluid": materials.BarotropicFluid,
     "Custom": custom_material,
@@ -44,24 +43,17 @@ MATERIALS: Kinds = {
     **_of(materials, "LinearElastic LogarithmicMooneyRivlin LogarithmicNeoHookean MooneyRivlin NeoHookean"),
     **_of(materials, "OldroydB ReferentialMooneyRivlin ReferentialNeoHookean"),
 }
-
 WRAPPERS: Kinds = _of(materials, "PerReferentialVolume Damaged Yosida WithQuadratic")
 """Materials of another one, [material.material]: of those above, and of wrappers before them here."""
-
-ALL_MATERIALS: Kinds = {**MATERIALS, **WRAPPERS}
-
 MECHANISMS: Kinds = {
     "hyperviscosity": rheology.HyperViscosity,
     "heat": heat.Heat,
     "regularisation": Regularisation,
 }
-
 FLOW_RULES: Kinds = {"Linear": flow_rules.Creep, **_of(flow_rules, "DruckerPrager Eyring Norton Perzyna")}
 """What [rheology.creep] can be; the first where its kind is not said."""
-
 FLOW_RULE_WRAPPERS: Kinds = {"Activated": activation.Activated, "Composite": flow_rules.Composite}
 """Rules of other ones: of those above, and of wrappers before them here."""
-
 VISCOSITIES: Kinds = {
     "StokesViscosity": rheology.StokesViscosity,
     **_of(rheology, "Carreau Cross"),
@@ -69,17 +61,12 @@ VISCOSITIES: Kinds = {
     "PowerLaw": rheology.PowerLaw,
 }
 """What [rheology.viscosity] can be; the first where its kind is not said."""
-
 VISCOSITY_WRAPPERS: Kinds = _of(activation, "ActivatedViscosity")
-
 CREEPS: Kinds = {**FLOW_RULES, **FLOW_RULE_WRAPPERS}
 ALL_VISCOSITIES: Kinds = {**VISCOSITIES, **VISCOSITY_WRAPPERS}
-
 LOADS: Kinds = _of(model, "BodyForce CentralGravity Gravity")
-
 WALLS: Kinds = _of(walls, "Inflow NavierFriction NoSlip Open PrescribedTangential Slip Traction")
 """Walls that a case does not name are Slip."""
-
 SHAPES: Kinds = {
     **_of(shape, "Ball Block"),
     "ClosedSurface": ClosedSurface,
@@ -88,13 +75,14 @@ SHAPES: Kinds = {
     **_of(shape, "Polygon Subdomain"),
 }
 """Where bodies are at the start, besides conditions on x, y, z."""
-
 SECTIONS: Kinds = {
     "discretisation": Discretisation,
     "initial": Initial,
     "solver": NewtonOptions,
     "time": TimeSteps,
 }
-
-TABLES: list[Kinds] = [GEOMETRIES, ALL_MATERIALS, MECHANISMS, CREEPS, ALL_VISCOSITIES]
-TABLES += [LOADS, WALLS, SHAPES, SECTIONS]
+KINDS: Kinds = {
+    **{**GEOMETRIES, **MATERIALS, **WRAPPERS, **MECHANISMS, **CREEPS, **ALL_VISCOSITIES},
+    **{**LOADS, **WALLS, **SHAPES, **SECTIONS},
+}
+"""All of them."""

@@ -17,7 +17,8 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin
 from pydantic.json_schema import GenerateJsonSchema
 from pydantic_core import core_schema
 
-from ngvisco.case import catalogue, toml
+from ngvisco.case import toml
+from ngvisco.case.catalogue import KINDS
 from ngvisco.case.laws import EnergyText
 from ngvisco.case.schema import CaseSections
 from ngvisco.case.section import TAGS, Section, models_in, owner_of, place_in, quantity
@@ -194,12 +195,9 @@ def explain(path: str) -> str:
     raise ParameterError("KEY", path, f"a key of a case file, {hint}ngvisco list --keys has them all")
 
 
-_KINDS = {name: target for table in catalogue.TABLES for name, target in table.items()}
-
-
 def _said_of(kind: str) -> str:
     """A kind, and what it is."""
-    return f"{kind}: {summary(_KINDS[kind])}"
+    return f"{kind}: {summary(KINDS[kind])}"
 
 
 def _fields(name: str) -> list[tuple[str, str]]:
@@ -214,7 +212,7 @@ def _mentions(every: Sequence[Entry], kinds: Sequence[str], wanted: tuple[str, .
     if len(wanted) != 1:
         return []
     word = re.compile(rf"\b{re.escape(wanted[0])}", re.IGNORECASE)
-    docs = {kind: re.split(r"\n\w+\n--", inspect.getdoc(_KINDS[kind]) or "")[0] for kind in kinds}
+    docs = {kind: re.split(r"\n\w+\n--", inspect.getdoc(KINDS[kind]) or "")[0] for kind in kinds}
     said = [_said_of(kind) for kind, doc in docs.items() if word.search(doc)]
     said += [line(entry).strip() for entry in every if word.search(f"{entry.type} {entry.meaning}")]
     return said if len(said) < _MANY else []
@@ -370,4 +368,4 @@ def summary(owner: Any) -> str:
 
 
 def _class(name: str) -> Any:
-    return next(target for target in _KINDS.values() if target.__name__ == name)
+    return next(target for target in KINDS.values() if target.__name__ == name)

@@ -122,23 +122,12 @@ def section(
     is_whole: bool = True,
     without: Collection[str] = (),
 ) -> type[Section]:
-    """The section that holds a dataclass's (or function's) parameters.
+    """The section that holds the parameters of a dataclass or function.
 
-    Parameters
-    ----------
-    target : class or function
-    tag : (key, name), optional
-        A key whose value chooses this section, e.g. ``("kind", "NeoHookean")``.
-    types : mapping
-        The schema's types of parameters that are laws, by their class.
-    is_default : bool
-        Whether the section is this one where the tag's key is left out.
-    base : class
-        With the keys that it has besides.
-    is_whole : bool
-        Whether the object can be made of the section alone.
-    without : collection of str
-        Parameters that it has no keys for.
+    ``tag`` is a key and the value by which it chooses this section, as ``("kind", "NeoHookean")``; it may be
+    left out where the section ``is_default``.  ``types`` are the schema's types of parameters that are laws.
+    ``base`` has the keys besides, ``without`` the parameters that are no keys.  An object that is not
+    ``is_whole`` cannot be made of the section alone.
     """
     types = {**_TYPES, **types}
     # of a dataclass its fields', each with the names that its own class's module knows
