@@ -208,7 +208,7 @@ def _resolve(model: type[Section], location: tuple[Any, ...]) -> tuple[tuple[str
     for part in location:
         fields = {name: field for one in models for name, field in one.model_fields.items()}
         chosen = [one for one in models if one.__name__ == part]
-        if chosen and part not in fields:
+        if chosen not in ([], models) and part not in fields:
             models = chosen
         elif not str(part).startswith("<"):  # which form a value has, which is no key
             here, known = ".".join(path) or "the case", list(fields)
