@@ -75,17 +75,7 @@ def _parted(values: str, text: str) -> list[str]:
 
 @dataclass(frozen=True)
 class Combination:
-    """One value for each varied key.
-
-    Attributes
-    ----------
-    name : str
-        The run directory's: ``material.G_e=1,time.dt=0.02``.  The same in any study.
-    values : dict of str
-        By key.
-    settings : tuple of str
-        As ``--set`` takes them.
-    """
+    """One value for each varied key, and the run directory's name, the same in any study."""
 
     name: str
     values: dict[str, str]
