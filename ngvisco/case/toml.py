@@ -25,7 +25,9 @@ def key_lines(text: str) -> dict[tuple[str, ...], int]:
                 table = (*_indexed(table[:-1], counts), table[-1])
                 counts[table] = counts.get(table, -1) + 1
                 lines.setdefault(table, number)
-            table = _indexed(table, counts)
+                table = (*table, str(counts[table]))
+            else:
+                table = _indexed(table, counts)
             lines.setdefault(table, number)
         elif assignment:
             path = (*table, *_split(assignment[1]))
