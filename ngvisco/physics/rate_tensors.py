@@ -144,8 +144,9 @@ class RateTensors:
         for (x, n, m), T in self._entries[1]:
             if first <= x < stop:
                 target, factor = places(x - first, n)
-                product = np.empty_like(target) if product is None else product
-                _add_product(target, factor, z[m], T, product)
+                product = np.multiply(factor, z[m], out=product)
+                product *= T
+                target += product
 
     def rate_slope(self, X: np.ndarray) -> np.ndarray:
         """d rate(z; X)/dz, (n, n, points), of all X (X, points)."""
@@ -169,20 +170,6 @@ class RateTensors:
         T = self.linear
         by_X, by_zeta = T.transpose(1, 2, 0), T.transpose(0, 2, 1)
         return tuple(sp.csr_matrix(A.reshape(-1, A.shape[2])) for A in (by_X, by_zeta))
-
-
-def _add_product(
-    target: np.ndarray, a: np.ndarray, b: np.ndarray, factor: float, product: np.ndarray
-) -> None:
-    """target += factor a b; ``product`` is overwritten."""
-    np.multiply(a, b, out=product)
-    if factor == 1.0:
-        target += product
-    elif factor == -1.0:
-        target -= product
-    else:
-        product *= factor
-        target += product
 
 
 def _differ(a: np.ndarray, b: np.ndarray) -> bool:
