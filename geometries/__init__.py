@@ -1,11 +1,9 @@
 """Domains with named walls, meshed by Netgen; sizes in the user's length unit."""
 
-from ngvisco.geometries.boxes import bar, block_with_hole, box, channel
-from ngvisco.geometries.corners import split_corner_cells
+from ngvisco.geometries.boxes import bar, block_with_hole, box, channel, structured_box
 from ngvisco.geometries.files import load
-from ngvisco.geometries.meshing import refine_walls
+from ngvisco.geometries.meshing import refine_walls, split_corner_cells
 from ngvisco.geometries.round import annulus, cylinder, disc, sphere, spherical_shell
-from ngvisco.geometries.structured import structured_box
 
 __all__ = [
     "annulus",

@@ -1,38 +1,35 @@
-"""Boxes, channels, bars and a block with a hole."""
+"""Boxes, channels, bars, a block with a hole, and boxes of rows of cells: thin strips, columns, layers."""
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from typing import Annotated, Any
 
-from netgen.occ import (
-    Box,
-    Circle,
-    Cylinder,
-    IdentificationType,
-    Pnt,
-    Rectangle,
-    WorkPlane,
-    X,
-    Y,
-    Z,
-    gp_Trsf,
-    gp_Vec,
-)
+import netgen.occ as occ
 from ngsolve import Mesh
+from ngsolve.meshes import MakeStructured2DMesh, MakeStructured3DMesh
 
-from ngvisco.errors import ParameterError, Quantity, as_number, require_names
+from ngvisco.errors import ParameterError, Quantity, as_integer, as_number, require_names, require_type
 from ngvisco.geometries.meshing import (
     CURVE_ORDER,
+    MAX_CELLS,
     CellSize,
     Domain,
     Length,
     as_length,
     box_lengths,
+    split_corner_cells,
 )
 
 _WALLS = {
-    2: (("left", -X), ("right", X), ("bottom", -Y), ("top", Y)),
-    3: (("left", -X), ("right", X), ("front", -Y), ("back", Y), ("bottom", -Z), ("top", Z)),
+    2: ("left", "right", "bottom", "top"),
+    3: ("left", "right", "front", "back", "bottom", "top"),
 }
+"""In pairs, at the lower and the upper end of each axis."""
+_AXES = (occ.X, occ.Y, occ.Z)
+_NAMES = {"back": "left", "front": "right", "left": "front", "right": "back"}
+"""NGSolve's names of the walls of a structured box in 3D, and those of ``box``."""
+_STEEPEST = 1e6
+"""Last row over the first one, or the other way round; with 1e14 Newton's iteration fails."""
 
 
 def box(
@@ -92,10 +89,7 @@ def channel(
     maxh, refine, split_corners
         As for ``box``.
     """
-    sizes = [("length", length), ("height", height)]
-    if width is not None:
-        sizes.insert(1, ("width", width))
-    sizes = [(name, as_length(f"channel.{name}", value)) for name, value in sizes]
+    sizes = [("length", length), *([] if width is None else [("width", width)]), ("height", height)]
     return _box("channel", sizes, maxh, "x" if width is None else "xy", refine, split_corners)
 
 
@@ -123,8 +117,7 @@ def bar(
     """
     if isinstance(dim, bool) or dim not in (2, 3):
         raise ParameterError("bar.dim", dim, "2 or 3")
-    across = [("thickness", as_length("bar.thickness", thickness))] * (int(dim) - 1)
-    sizes = [("length", as_length("bar.length", length)), *across]
+    sizes = [("length", length), *[("thickness", thickness)] * (int(dim) - 1)]
     return _box("bar", sizes, maxh, (), refine, split_corners)
 
 
@@ -165,15 +158,15 @@ def block_with_hole(
             raise ParameterError("block_with_hole.fillet", fillet, f"a number < {min(lengths) / 2:g}")
         parts += [("fillet", fillet), ("fillet", min(lengths) / 2 - fillet)]
     domain = Domain("block_with_hole", dim, parts, ["radius", "fillet"])
-    scaled, r = [length / domain.unit for length in lengths], radius / domain.unit
+    scaled, r = domain.lengths[:dim], domain.lengths[dim]
     shape = _block(scaled)
     if fillet != 0:
         shape = _rounded(shape, scaled, fillet / domain.unit)
     if dim == 2:
-        hole = Circle((scaled[0] / 2, scaled[1] / 2), r).Face()
+        hole = occ.Circle((scaled[0] / 2, scaled[1] / 2), r).Face()
         hole.edges.name = "hole"
     else:
-        hole = Cylinder(Pnt(scaled[0] / 2, 0, scaled[2] / 2), Y, r=r, h=scaled[1])
+        hole = occ.Cylinder(occ.Pnt(scaled[0] / 2, 0, scaled[2] / 2), occ.Y, r=r, h=scaled[1])
         hole.faces.name = "hole"
     return domain.mesh(shape - hole, maxh, order, refine, split_corners)
 
@@ -186,28 +179,41 @@ def _box(
     refine: Mapping[str, float] | None,
     split_corners: bool,
 ) -> Mesh:
-    """A box from the names and values of its edges' lengths, m."""
     domain = Domain(owner, len(lengths), lengths)
-    scaled = [length / domain.unit for _, length in lengths]
-    shape = _block(scaled)
-    _identify(shape, domain.dim, scaled, periodic)
+    shape = _block(domain.lengths)
+    walls = shape.edges if domain.dim == 2 else shape.faces
+    for name in _directions(f"{owner}.periodic", periodic, domain.dim):
+        number = "xyz".index(name)
+        axis, shift = _AXES[number], [0.0, 0.0, 0.0]
+        shift[number] = domain.lengths[number]
+        moved = occ.gp_Trsf.Translation(occ.gp_Vec(*shift))
+        there = walls.Max(axis)
+        walls.Min(axis).Identify(there, f"periodic_{name}", occ.IdentificationType.PERIODIC, moved)
     return domain.mesh(shape, maxh, 1, refine, split_corners)
 
 
+def _directions(field: str, periodic: str | Sequence[str], dim: int) -> list[str]:
+    """Some of x, y, z; raises ParameterError for others."""
+    names = list(periodic) if isinstance(periodic, str) else require_names(field, periodic)
+    if not set(names) <= set("xyz"[:dim]):
+        raise ParameterError(field, periodic, f"some of {', '.join('xyz'[:dim])}")
+    return names
+
+
 def _block(lengths: Sequence[float]) -> Any:
-    """The rectangle or box with its walls named, in the unit of the lengths."""
     dim = len(lengths)
-    shape = Rectangle(*lengths).Face() if dim == 2 else Box(Pnt(0, 0, 0), Pnt(*lengths))
+    shape = occ.Rectangle(*lengths).Face() if dim == 2 else occ.Box(occ.Pnt(0, 0, 0), occ.Pnt(*lengths))
     walls = shape.edges if dim == 2 else shape.faces
-    for name, direction in _WALLS[dim]:
-        walls.Max(direction).name = name
+    for number, name in enumerate(_WALLS[dim]):
+        axis = _AXES[number // 2]
+        walls.Max(axis if number % 2 else -axis).name = name
     return shape
 
 
 def _rounded(shape: Any, lengths: Sequence[float], fillet: float) -> Any:
     """The box with its walls, all its corners or edges rounded; what is new has the name ``fillet``."""
     if len(lengths) == 2:
-        path = WorkPlane().MoveTo(fillet, 0)
+        path = occ.WorkPlane().MoveTo(fillet, 0)
         for length in (*lengths, *lengths):
             path = path.Line(length - 2 * fillet).Arc(fillet, 90)
         rounded = path.Face()
@@ -227,17 +233,75 @@ def _middle(wall: Any) -> tuple[float, ...]:
     return tuple(round(float(c), 9) + 0.0 for c in wall.center)
 
 
-def _identify(shape: Any, dim: int, lengths: Sequence[float], periodic: str | Sequence[str]) -> None:
-    walls = shape.edges if dim == 2 else shape.faces
-    axes = dict(zip("xyz", (X, Y, Z)[:dim], strict=False))
-    for name in periodic if isinstance(periodic, str) else require_names("box.periodic", periodic):
+def structured_box(
+    size: Annotated[Sequence[float], Quantity("m", example=[1.0, 1.0])],
+    cells: Annotated[Sequence[int], Quantity("1", example=[2, 40])],
+    *,
+    periodic: Annotated[str | Sequence[str], Quantity(example="x")] = (),
+    grading: Annotated[Mapping[str, float] | None, Quantity("1", example={"y": 5.0})] = None,
+    split_corners: bool = False,
+) -> Mesh:
+    """A box [0, size_1] x [0, size_2] (x [0, size_3]) of rows of cells, with the walls of ``box``.
+
+    A rectangle of the grid is two triangles, a cuboid six tetrahedra.  A column that is uniform across, the
+    set-up of problems in one dimension, is one or two periodic cells wide.
+
+    Parameters
+    ----------
+    cells : as many whole numbers
+        Rows of cells along each direction, >= 1.
+    grading : mapping of directions to numbers from 1e-6 to 1e6, optional
+        Length of the last row over that of the first one, by direction, from 1e-6 to 1e6; geometric between
+        them, 1 where nothing is said.
+    size, periodic, split_corners
+        As for ``box``.
+
+    Raises
+    ------
+    ParameterError
+        For lengths or numbers of cells that are none, more than a million cells, another direction than the
+        box has, or steeper grading.
+    """
+    lengths = box_lengths("structured_box", size)
+    dim = len(lengths)
+    counts = [as_integer(n) for n in cells] if isinstance(cells, (tuple, list)) else []
+    if len(counts) != dim or any(n is None or n < 1 for n in counts):
+        raise ParameterError("structured_box.cells", cells, f"{dim} whole numbers >= 1")
+    number = (2 if dim == 2 else 6) * math.prod(n or 1 for n in counts)
+    if number > MAX_CELLS:
+        kind = "triangles" if dim == 2 else "tetrahedra"
+        raise ParameterError("structured_box.cells", cells, f"at most {MAX_CELLS} {kind}, these are {number}")
+    axes = "xyz"[:dim]
+    require_type("structured_box.split_corners", split_corners, bool)
+    directions = _directions("structured_box.periodic", periodic, dim)
+    rows = [_spacing(axis, n or 1, grading) for axis, n in zip(axes, counts, strict=True)]
+    for name in grading or {}:
         if name not in axes:
-            raise ParameterError("box.periodic", periodic, f"some of {', '.join(axes)}")
-        shift = [0.0, 0.0, 0.0]
-        shift["xyz".index(name)] = lengths["xyz".index(name)]
-        walls.Min(axes[name]).Identify(
-            walls.Max(axes[name]),
-            f"periodic_{name}",
-            IdentificationType.PERIODIC,
-            gp_Trsf.Translation(gp_Vec(*shift)),
-        )
+            raise ParameterError("structured_box.grading", grading, f"ratios for some of {', '.join(axes)}")
+
+    def place(*point: float) -> tuple[float, ...]:
+        return tuple(length * row(s) for length, row, s in zip(lengths, rows, point, strict=True))
+
+    options = {f"n{axis}": n for axis, n in zip(axes, counts, strict=True)}
+    options |= {f"periodic_{axis}": axis in directions for axis in axes}
+    if dim == 2:
+        mesh = MakeStructured2DMesh(quads=False, mapping=place, **options)
+    else:
+        mesh = MakeStructured3DMesh(hexes=False, mapping=place, **options)
+        for number, name in enumerate(mesh.GetBoundaries()):
+            mesh.ngmesh.SetBCName(number, _NAMES.get(name, name))
+        mesh = Mesh(mesh.ngmesh)
+    return split_corner_cells(mesh) if split_corners else mesh
+
+
+def _spacing(axis: str, rows: int, grading: Mapping[str, float] | None) -> Callable[[float], float]:
+    """The place of a grid line, of 1, as a function of its number over that of the rows."""
+    ratio = (grading or {}).get(axis, 1.0)
+    number = as_number(ratio)
+    if number is None or not 1 / _STEEPEST <= number <= _STEEPEST:
+        expected = f"a number between {1 / _STEEPEST:g} and {_STEEPEST:g}"
+        raise ParameterError(f"structured_box.grading[{axis!r}]", ratio, expected)
+    if rows == 1 or number == 1:
+        return lambda s: s
+    growth = number ** (1 / (rows - 1))
+    return lambda s: (growth ** (s * rows) - 1) / (growth**rows - 1)

@@ -15,8 +15,14 @@ from netgen.read_gmsh import ReadGmsh
 from ngsolve import Mesh
 
 from ngvisco.errors import MeshError, ParameterError, Quantity, require_path, require_type
-from ngvisco.geometries.corners import split_corner_cells
-from ngvisco.geometries.meshing import CURVE_ORDER, Domain, as_length, check_order, try_apart
+from ngvisco.geometries.meshing import (
+    CURVE_ORDER,
+    Domain,
+    as_length,
+    check_order,
+    split_corner_cells,
+    try_apart,
+)
 
 _FLAT = 1e-6  # of a sheet's width, above and below z = 0; OCC's bounding boxes have a margin
 
@@ -83,14 +89,17 @@ def load(
 
 
 def _check_file(path: Path) -> None:
-    """Raise MeshError or ParameterError for a file that is no mesh or geometry at the first look."""
     kind = path.suffix.lower()
     if kind not in _ENDS:
         raise ParameterError("load.path", str(path), f"a name that ends in {', '.join(_ENDS)}")
     if not path.is_file():
         raise MeshError(f"{path}: no such file")
     text = path.read_text(encoding="utf-8", errors="replace")
-    if _ENDS[kind] not in text or (kind == ".brep" and not _is_whole_brep(text)):
+    is_whole = _ENDS[kind] in text
+    if kind == ".brep" and is_whole:  # Netgen crashes where not all shapes are there that it announces
+        head, *shapes = text[text.index("TShapes") :].split("*")
+        is_whole = head.split()[1:2] == [str(len(shapes))] and len(text.rpartition("*")[2].split()) >= 2
+    if not is_whole:
         raise MeshError(f"{path}: the file is cut short (no end of {_ENDS[kind]!r} in it)")
 
 
@@ -115,14 +124,6 @@ OCCGeometry(path).shape
 """How files are tried: without ngvisco, whose import takes longer than that of Netgen."""
 
 
-def _is_whole_brep(text: str) -> bool:
-    """Whether all shapes that the file announces are there; netgen crashes on a file cut short."""
-    shapes = text[text.index("TShapes") :].split("*")
-    announced = shapes[0].split()[1:2]
-    root = shapes[-1].split()
-    return announced == [str(len(shapes) - 1)] and len(root) >= 2
-
-
 def _read(path: Path, kind: str, maxh: Any) -> Any:
     if kind == ".vol":
         netgen_mesh = NetgenMesh()
@@ -134,23 +135,16 @@ def _read(path: Path, kind: str, maxh: Any) -> Any:
             return Mesh(ReadGmsh(str(path)))
     shape = OCCGeometry(str(path)).shape
     dim = 3 if len(shape.solids) else 2
-    if dim == 2:
-        _require_sheet(path, shape)
     low, high = shape.bounding_box
     extents = [high.x - low.x, high.y - low.y, high.z - low.z][:dim]
+    is_sheet = len(shape.faces) > 0 and max(abs(low.z), abs(high.z)) <= _FLAT * max(extents)
+    if dim == 2 and not is_sheet:
+        raise MeshError(
+            f"{path}: the geometry has no solid, so that its mesh has no volume elements; expected a solid, "
+            "or faces in the plane z = 0 for a two-dimensional mesh"
+        )
     domain = Domain("load", dim, [("maxh", max(extents))])
     domain.is_round = domain.is_delicate = True  # for all that is known of it
     if domain.unit != 1.0:
         shape = shape.Scale(Pnt(0, 0, 0), 1 / domain.unit)
     return domain.mesh(shape, maxh)
-
-
-def _require_sheet(path: Path, shape: Any) -> None:
-    """Raise MeshError unless the shape consists of faces in the plane z = 0."""
-    low, high = shape.bounding_box
-    width = max(high.x - low.x, high.y - low.y)
-    if len(shape.faces) == 0 or max(abs(low.z), abs(high.z)) > _FLAT * width:
-        raise MeshError(
-            f"{path}: the geometry has no solid, so that its mesh has no volume elements; expected a solid, "
-            "or faces in the plane z = 0 for a two-dimensional mesh"
-        )

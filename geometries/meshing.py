@@ -14,9 +14,18 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, TypeAlias
 
-from netgen.meshing import NetgenGeometry
+import numpy as np
+from netgen.meshing import (
+    Element2D,
+    Element3D,
+    ElementId2D,
+    ElementId3D,
+    MeshPoint,
+    NetgenGeometry,
+)
+from netgen.meshing import Pnt as MeshPlace
 from netgen.occ import OCCGeometry, Pnt
-from ngsolve import BND, CF, VOL, Integrate, Mesh
+from ngsolve import BND, CF, EDGE, FACE, VOL, Integrate, Mesh, NodeId
 
 from ngvisco.errors import (
     MeshError,
@@ -28,7 +37,6 @@ from ngvisco.errors import (
     require_names,
     require_type,
 )
-from ngvisco.geometries.corners import split_corner_cells
 
 Length: TypeAlias = Annotated[float, Quantity("m", "> 0", 1.0)]
 CellSize: TypeAlias = Annotated[float, Quantity("m", "> 0", 0.1)]
@@ -44,6 +52,10 @@ _ORDER_ONE = (1e-2, 1e2)
 _SLENDER = 1e-6  # smallest over largest length; OpenCASCADE refuses to build what is below 1e-7
 _DELICATE = 1e-3  # the same ratio, below which Netgen is tried in a process of its own
 _PATIENCE = 300.0  # s for that trial
+_CELLS_PER, _GRADING = {2: 1 / 0.43, 3: 5.9}, 0.3
+"""Cells of size 1 in a unit square and cube, measured; sizes grow by 0.3 a length away from a wall."""
+_FLAT = 1e-6
+_POLYGON = 0.4  # a coarse polygon fills so much less than its circle, or more than the ring about it
 _SMALLEST_ROUND = {2: 1e-4, 3: 1e-3}
 """Radii, m, below which OpenCASCADE's projections onto curves (2D) and surfaces (3D) are wrong: of a disc of
 1e-5 m the area is wrong by 1e-7, of a ball of 1e-4 m the volume by 4e-3."""
@@ -82,38 +94,29 @@ def check_order(owner: str, order: int) -> None:
 class Domain:
     """A domain that is built and meshed in a unit of length in which it is of order one.
 
-    Parameters
-    ----------
-    owner : str
-        What errors call it.
-    dim : int
-    lengths : sequence of (parameter, float)
-        Sizes, radii and gaps, m.
-    round_ones : names
-        The parameters that are radii of curved walls.
+    ``sizes`` are parameters of ``owner`` with their values, and gaps, m; ``round_ones`` names those that are
+    radii of curved walls.  Raises ParameterError for what is no length, one of less than 1e-6 of the largest,
+    or a radius too small for OpenCASCADE.
 
     Attributes
     ----------
     unit : float
         m, a power of two, 1 if the domain is of order one.
+    lengths : list of float
+        The sizes in this unit.
     is_round : bool
         Whether it has curved walls: a mesh that is refined or curved later asks for them.
     is_delicate : bool
         Whether its lengths differ so much that Netgen is tried in a process of its own first: it may crash.
-
-    Raises
-    ------
-    ParameterError
-        If a length is not more than 1e-6 of the largest one, or a radius too small for OpenCASCADE.
     """
 
     def __init__(
-        self, owner: str, dim: int, lengths: Sequence[tuple[str, float]], round_ones: Sequence[str] = ()
+        self, owner: str, dim: int, sizes: Sequence[tuple[str, float]], round_ones: Sequence[str] = ()
     ) -> None:
         self.owner, self.dim, self.is_round = owner, dim, bool(round_ones)
-        values = [value for _, value in lengths]
+        values = [as_length(f"{owner}.{name}", value) for name, value in sizes]
         largest = max(values)
-        for name, value in lengths:
+        for (name, _), value in zip(sizes, values, strict=True):
             if not value >= _SLENDER * largest:
                 expected = f"at least {_SLENDER:g} of the domain's largest length {largest:g} m"
                 raise ParameterError(f"{owner}.{name}", value, expected)
@@ -124,6 +127,7 @@ class Domain:
                 )
                 raise ParameterError(f"{owner}.{name}", value, expected)
         self.unit = 1.0 if _ORDER_ONE[0] <= largest <= _ORDER_ONE[1] else 2.0 ** round(math.log2(largest))
+        self.lengths = [value / self.unit for value in values]
         self.is_delicate = min(values) < _DELICATE * largest
 
     def mesh(
@@ -136,17 +140,9 @@ class Domain:
     ) -> Mesh:
         """Mesh an OCC shape in this unit, with smaller cells on the walls named in ``refine``, and curve it.
 
-        ``maxh`` and ``refine`` are in m; ``split_corners`` divides the cells with all edges at a vertex on
-        walls (``corners``).
-
-        Raises
-        ------
-        ParameterError
-            If a size is not a positive number, or would give more than ``MAX_CELLS`` cells.
-        UnknownNameError
-            For an unknown wall in ``refine``.
-        MeshError
-            If Netgen cannot mesh the shape.
+        ``maxh`` and ``refine`` are in m.  Raises ParameterError for a size that is no positive number, or
+        that would give more than ``MAX_CELLS`` cells; UnknownNameError for an unknown wall in ``refine``;
+        MeshError if Netgen cannot mesh the shape.
         """
         owner, dim, unit = self.owner, self.dim, self.unit
         size = as_length(f"{owner}.maxh", maxh) / unit
@@ -154,7 +150,8 @@ class Domain:
         require_type(f"{owner}.split_corners", split_corners, bool)
         walls = shape.edges if dim == 2 else shape.faces
         known = {str(wall.name) for wall in walls if wall.name}
-        cells = {f"{owner}.maxh": (maxh, sum(part.mass for part in _interior(shape, dim)), size, dim)}
+        whole = sum(part.mass for part in _interior(shape, dim))
+        _check_count(f"{owner}.maxh", maxh, whole, size, dim, dim, unit)
         if not isinstance(refine, Mapping | None):
             raise ParameterError(f"{owner}.refine", refine, "a mapping of walls to cell sizes")
         for name, value in (refine or {}).items():
@@ -163,14 +160,15 @@ class Domain:
             if name not in known:
                 raise UnknownNameError("wall", name, known)
             named = [wall for wall in walls if wall.name == name]
-            cells[field] = (value, sum(wall.mass for wall in named), local, dim - 1)
+            _check_count(field, value, sum(wall.mass for wall in named), local, dim, dim - 1, unit)
             for wall in named:
                 wall.maxh = local
-        for field, (value, measure, h, of) in cells.items():
-            _check_count(field, value, measure, h, dim, of, unit)
         if self.is_delicate:
-            _try_shape(owner, shape, dim, size)
-        mesh = _generated(owner, shape, dim, size)
+            try_shape(owner, shape, dim, size)
+        try:  # by one thread: Netgen's others wait for each other, for a second of a mesh of twelve cells
+            mesh = Mesh(OCCGeometry(shape, dim=dim).GenerateMesh(maxh=size, parallel_meshing=False))
+        except Exception as error:  # OpenCASCADE and Netgen raise their own
+            raise MeshError(f"{owner}: Netgen cannot mesh it ({error})") from error
         _require_all(owner, shape, mesh, known, self.is_round)
         if unit != 1.0:
             mesh.ngmesh.Scale(unit)
@@ -186,11 +184,6 @@ def _interior(shape: Any, dim: int) -> Any:
     return shape.faces if dim == 2 else shape.solids
 
 
-_CELLS_PER = {2: 1 / 0.43, 3: 5.9}
-"""Cells of size 1 in a unit square and cube, measured; sizes grow by 0.3 a length away from a wall."""
-_GRADING = 0.3
-
-
 def _check_count(field: str, value: float, measure: float, h: float, dim: int, of: int, unit: float) -> None:
     """Raise ParameterError for a cell size of the domain (of = dim) or a wall that gives too many cells."""
     # at a wall there are layers in which the size grows: int measure c / (h + 0.3 s)^dim ds
@@ -199,14 +192,6 @@ def _check_count(field: str, value: float, measure: float, h: float, dim: int, o
         least = (factor / MAX_CELLS) ** (1 / of) * unit
         count = math.exp(min(math.log(factor) - of * math.log(h), 700))
         raise ParameterError(field, value, f"at least {least:.2g}: this one makes about {count:.0e} cells")
-
-
-def _generated(owner: str, shape: Any, dim: int, maxh: float) -> Mesh:
-    """By one thread: Netgen's others wait for each other, for a second of a mesh of twelve tetrahedra."""
-    try:
-        return Mesh(OCCGeometry(shape, dim=dim).GenerateMesh(maxh=maxh, parallel_meshing=False))
-    except Exception as error:  # OpenCASCADE and Netgen raise their own
-        raise MeshError(f"{owner}: Netgen cannot mesh it ({error})") from error
 
 
 def _require_all(owner: str, shape: Any, mesh: Mesh, walls: Iterable[str], is_round: bool) -> None:
@@ -223,10 +208,6 @@ def _require_all(owner: str, shape: Any, mesh: Mesh, walls: Iterable[str], is_ro
         raise MeshError(
             f"{owner}: Netgen's mesh lacks the walls {', '.join(missing)}; expected a smaller maxh"
         )
-
-
-_FLAT = 1e-6
-_POLYGON = 0.4  # a coarse polygon fills so much less than its circle, or more than the ring about it
 
 
 def try_apart(owner: str, what: str, code: str, *arguments: str, patience: float | None = None) -> None:
@@ -246,7 +227,7 @@ def try_apart(owner: str, what: str, code: str, *arguments: str, patience: float
         raise MeshError(f"{owner}: Netgen cannot {what} it ({said[-1] if said else 'it crashes'})")
 
 
-def _try_shape(owner: str, shape: Any, dim: int, maxh: float) -> None:
+def try_shape(owner: str, shape: Any, dim: int, maxh: float) -> None:
     with tempfile.TemporaryDirectory() as scratch:
         path = str(Path(scratch) / "shape.brep")
         shape.WriteBrep(path)
@@ -268,15 +249,11 @@ def refine_walls(mesh: Mesh, names: Iterable[str], times: int = 1) -> Mesh:
     their shape, they are not flattened as those of a layer that is extruded from the wall.
     The mesh is changed in place, curved again as it was, and returned.
 
-    Raises
-    ------
-    UnknownNameError
-        For a name that no boundary has.
-    ParameterError
-        If ``times`` is not an integer >= 0.
+    Raises UnknownNameError for a name that no boundary has; ParameterError unless ``times`` is an integer >=
+    0.
     """
-    number = as_number(times)
-    if number is None or number != int(number) or number < 0:
+    number = as_integer(times)
+    if number is None or number < 0:
         raise ParameterError("refine_walls.times", times, "an integer >= 0")
     names = [names] if isinstance(names, str) else require_names("refine_walls.names", names)
     known = set(mesh.GetBoundaries())
@@ -284,7 +261,7 @@ def refine_walls(mesh: Mesh, names: Iterable[str], times: int = 1) -> Mesh:
         if name not in known:
             raise UnknownNameError("boundary", name, known)
     order = mesh.GetCurveOrder()
-    for _ in range(int(number)):
+    for _ in range(number):
         near = {v for e in mesh.Elements(BND) if e.mat in names for v in e.vertices}
         for element in mesh.Elements(VOL):
             mesh.SetRefinementFlag(element, bool(near.intersection(element.vertices)))
@@ -292,3 +269,72 @@ def refine_walls(mesh: Mesh, names: Iterable[str], times: int = 1) -> Mesh:
         if order > 1:
             mesh.Curve(order)
     return mesh
+
+
+def corner_cells(mesh: Mesh) -> list[int]:
+    """Numbers of the cells that have a vertex all of whose edges in the cell lie on walls.
+
+    In 2D these are the cells with two edges on walls that meet, in 3D among others those with two faces on
+    walls.  Boundaries between two cells and boundaries that the mesh identifies are no walls.
+    """
+    wall = _edges_on_walls(mesh)
+    found = []
+    for cell in mesh.Elements():
+        edges: dict[int, list[int]] = {}
+        for edge in cell.edges:
+            for vertex in mesh[edge].vertices:
+                edges.setdefault(vertex.nr, []).append(edge.nr)
+        if any(wall.issuperset(at) for at in edges.values()):
+            found.append(cell.nr)
+    return found
+
+
+def split_corner_cells(mesh: Mesh) -> Mesh:
+    """Divide each of the ``corner_cells`` at its midpoint, into as many cells as it has facets (Alfeld).
+
+    In such a cell walls that hold the velocity prescribe the whole of grad v at that vertex; with one edge
+    into the interior more div v is free.  No other cell changes, and walls, subdomains and identified
+    boundaries stay what they are.  The mesh is changed in place; use the one that is returned, which is
+    curved as it was.
+
+    Raises MeshError for a mesh that is distributed, or has other cells than triangles, quadrilaterals and
+    tetrahedra.
+    """
+    if mesh.comm.size > 1:
+        raise MeshError("split_corner_cells: the mesh is distributed; divide its cells before that")
+    cells = corner_cells(mesh)
+    if not cells:
+        return mesh
+    order, raw = mesh.GetCurveOrder(), mesh.ngmesh
+    elements = raw.Elements2D() if mesh.dim == 2 else raw.Elements3D()
+    number, made = (ElementId2D, Element2D) if mesh.dim == 2 else (ElementId3D, Element3D)
+    for cell in cells:
+        element = elements[number(cell)]
+        corners, index = list(element.vertices), element.index
+        if mesh.dim == 3 and len(corners) != 4:
+            raise MeshError("split_corner_cells: expected triangles, quadrilaterals or tetrahedra")
+        places = np.array([raw[corner].p for corner in corners])
+        middle = raw.Add(MeshPoint(MeshPlace(*places.mean(axis=0))))
+        if mesh.dim == 2:
+            parts = [[a, b, middle] for a, b in zip(corners, corners[1:] + corners[:1], strict=True)]
+        else:
+            parts = [[middle if i == k else corner for i, corner in enumerate(corners)] for k in range(4)]
+        elements[number(cell)] = made(index, parts[0])
+        for part in parts[1:]:
+            raw.Add(made(index, part))
+    mesh = Mesh(raw)
+    return mesh.Curve(order) if order > 1 else mesh
+
+
+def _edges_on_walls(mesh: Mesh) -> set[int]:
+    kind = EDGE if mesh.dim == 2 else FACE
+    cells = np.zeros(mesh.nedge if mesh.dim == 2 else mesh.nface, dtype=int)
+    for cell in mesh.Elements():
+        for facet in cell.facets:
+            cells[facet.nr] += 1
+    for pair, _ in mesh.GetPeriodicNodePairs(kind):
+        cells[list(pair)] = 2
+    walls = [NodeId(kind, int(nr)) for nr in np.flatnonzero(cells == 1)]
+    if mesh.dim == 2:
+        return {wall.nr for wall in walls}
+    return {edge.nr for wall in walls for edge in mesh[wall].edges}

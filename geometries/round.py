@@ -28,9 +28,8 @@ def disc(
     maxh, refine
         As for ``box``.
     """
-    radius = as_length("disc.radius", radius)
     domain = Domain("disc", 2, [("radius", radius)], ["radius"])
-    face = Circle((0, 0), radius / domain.unit).Face()
+    face = Circle((0, 0), domain.lengths[0]).Face()
     face.edges.name = "wall"
     return domain.mesh(face, maxh, order, refine)
 
@@ -51,9 +50,7 @@ def annulus(
         Inner radius.
     outer : float
         Outer radius, above the inner one.
-    maxh, refine
-        As for ``box``.
-    order
+    maxh, order, refine
         As for ``disc``.
     """
     domain, r, R = _shell("annulus", 2, inner, outer)
@@ -75,22 +72,16 @@ def cylinder(
 
     Parameters
     ----------
-    radius : float
-        Radius.
     height : float
         Height, along z.
-    maxh, refine, split_corners
+    split_corners
         As for ``box``.
-    order
+    radius, maxh, order, refine
         As for ``disc``.
     """
-    sizes = [
-        ("radius", as_length("cylinder.radius", radius)),
-        ("height", as_length("cylinder.height", height)),
-    ]
-    domain = Domain("cylinder", 3, sizes, ["radius"])
-    (_, radius), (_, height) = sizes
-    solid = Cylinder(Pnt(0, 0, 0), Z, r=radius / domain.unit, h=height / domain.unit)
+    domain = Domain("cylinder", 3, [("radius", radius), ("height", height)], ["radius"])
+    r, h = domain.lengths
+    solid = Cylinder(Pnt(0, 0, 0), Z, r=r, h=h)
     solid.faces.name = "side"
     solid.faces.Min(Z).name, solid.faces.Max(Z).name = "bottom", "top"
     return domain.mesh(solid, maxh, order, refine, split_corners)
@@ -107,16 +98,11 @@ def sphere(
 
     Parameters
     ----------
-    radius : float
-        Radius.
-    maxh, refine
-        As for ``box``.
-    order
+    radius, maxh, order, refine
         As for ``disc``.
     """
-    radius = as_length("sphere.radius", radius)
     domain = Domain("sphere", 3, [("radius", radius)], ["radius"])
-    solid = Sphere(Pnt(0, 0, 0), radius / domain.unit)
+    solid = Sphere(Pnt(0, 0, 0), domain.lengths[0])
     solid.faces.name = "wall"
     return domain.mesh(solid, maxh, order, refine)
 
@@ -133,14 +119,8 @@ def spherical_shell(
 
     Parameters
     ----------
-    inner : float
-        Inner radius.
-    outer : float
-        Outer radius, above the inner one.
-    maxh, refine
-        As for ``box``.
-    order
-        As for ``disc``.
+    inner, outer, maxh, order, refine
+        As for ``annulus``.
     """
     domain, r, R = _shell("spherical_shell", 3, inner, outer)
     ball, core = Sphere(Pnt(0, 0, 0), R), Sphere(Pnt(0, 0, 0), r)
@@ -155,4 +135,4 @@ def _shell(owner: str, dim: int, inner: float, outer: float) -> tuple[Domain, fl
         raise ParameterError(f"{owner}.inner", inner, f"a number < outer = {R:g}")
     sizes = [("inner", r), ("outer", R), ("thickness", R - r)]
     domain = Domain(owner, dim, sizes, ["inner", "outer"])
-    return domain, r / domain.unit, R / domain.unit
+    return domain, domain.lengths[0], domain.lengths[1]

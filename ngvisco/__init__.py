@@ -76,16 +76,15 @@ from ngvisco.physics.rheology import (
 from ngvisco.physics.signals import pulse, step, table
 from ngvisco.physics.walls import Inflow, NavierFriction, NoSlip, Open, PrescribedTangential, Slip, Traction
 from ngvisco.run.checkpoint import Checkpoints, read_ledger
-from ngvisco.run.closure import ClosureWarning
-from ngvisco.run.ledger import CreepPowerWarning, DefectWarning, EntropyWarning
+from ngvisco.run.ledger import ClosureWarning, CreepPowerWarning, DefectWarning, EntropyWarning
 from ngvisco.run.observers import LedgerCSV, NotebookProgress, Progress, VTKSeries
-from ngvisco.run.plots import plot_energies, plot_fields, plot_schemes
+from ngvisco.run.pictures import plot_fields
+from ngvisco.run.plots import plot_energies, plot_schemes
 from ngvisco.run.probes import Bodies, Integrals, LineSamples, Probes, WallForces
 from ngvisco.run.record import record
 from ngvisco.run.refinement import Refinement, run_refined
 from ngvisco.run.simulation import Observer, Simulation
-from ngvisco.run.stepping import AdaptiveSteps, Rejection
-from ngvisco.run.time_steps import TimeSteps
+from ngvisco.run.stepping import AdaptiveSteps, Rejection, TimeSteps
 from ngvisco.run.transfer import Transfer, resume_changed, transfer
 from ngvisco.shapes.files import ClosedSurface, Image
 from ngvisco.shapes.shape import Ball, Block, HalfSpace, Polygon, Shape, Subdomain

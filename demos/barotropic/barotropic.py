@@ -10,7 +10,7 @@ from ngsolve import pi, sin, x
 
 import ngvisco as nv
 from ngvisco.geometries import box
-from ngvisco.run.plots import figure
+from ngvisco.run.pictures import figure
 
 RHO_R, GAMMA, A = 1.0, 1.4, 1 / 1.4
 """p = A rho^GAMMA, so that the speed of sound at RHO_R is 1 m/s."""

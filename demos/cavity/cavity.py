@@ -9,7 +9,7 @@ from ngsolve import sqrt, x
 
 import ngvisco as nv
 from ngvisco.geometries import box
-from ngvisco.run.plots import figure
+from ngvisco.run.pictures import figure
 
 LIDS = {"full": (1.0, 0.0), "smooth": (16 * x**2 * (1 - x) ** 2, 0.0)}
 """Velocities of the lid, m/s."""

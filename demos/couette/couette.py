@@ -10,7 +10,7 @@ from ngsolve import x, y
 
 import ngvisco as nv
 from ngvisco.geometries import annulus
-from ngvisco.run.plots import figure
+from ngvisco.run.pictures import figure
 
 R_I, R_O, OMEGA, G, ETA = 1.0, 2.0, 0.2, 10.0, 1.0  # m, m, 1/s, Pa, Pa s
 

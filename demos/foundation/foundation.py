@@ -10,7 +10,7 @@ from ngsolve import exp, x
 
 import ngvisco as nv
 from ngvisco.geometries import box
-from ngvisco.run.plots import figure
+from ngvisco.run.pictures import figure
 
 LENGTH, HEIGHT, K_E, G_E = 4.0, 0.4, 100.0, 50.0  # m, Pa
 SPRING, DASHPOT = 0.3, 0.4  # Pa/m, Pa s/m

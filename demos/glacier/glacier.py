@@ -11,7 +11,7 @@ from ngsolve import y
 
 import ngvisco as nv
 from ngvisco.geometries import channel
-from ngvisco.run.plots import figure
+from ngvisco.run.pictures import figure
 
 SLOPE = (1.0, -3.0)  # gravity, m/s^2, along the bed and into it
 

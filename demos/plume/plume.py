@@ -10,9 +10,9 @@ from ngsolve import exp, x, y
 
 import ngvisco as nv
 from ngvisco.geometries import box
+from ngvisco.run.frames import read_frame, read_series_files
 from ngvisco.run.ledger import Ledger
-from ngvisco.run.plots import figure
-from ngvisco.run.vtu import read_frame, read_series_files
+from ngvisco.run.pictures import figure
 
 
 def simulation(maxh: float = 0.08, dt: float = 0.05, **options) -> nv.Simulation:

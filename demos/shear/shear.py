@@ -10,7 +10,7 @@ from ngsolve import SetNumThreads, y
 
 import ngvisco as nv
 from ngvisco.geometries import channel
-from ngvisco.run.plots import figure
+from ngvisco.run.pictures import figure
 
 RATE, G, ETA, DT = 0.3, 100.0, 100.0, 0.0025  # 1/s, Pa, Pa s, s
 TIMES = (0.01, 0.02, 0.1, 0.25, 0.5, 1.0, 2.0)  # s

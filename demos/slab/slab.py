@@ -10,9 +10,8 @@ from ngsolve import IfPos
 import ngvisco as nv
 from ngvisco.geometries import structured_box
 from ngvisco.physics.variables import Jacobian
-from ngvisco.run.outlines import averaged, outline
-from ngvisco.run.plots import figure
-from ngvisco.run.vtu import read_frame, read_series_files
+from ngvisco.run.frames import averaged, outline, read_frame, read_series_files
+from ngvisco.run.pictures import figure
 
 KYR = 3.15576e10  # s
 

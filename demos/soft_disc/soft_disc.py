@@ -10,9 +10,8 @@ import numpy as np
 import ngvisco as nv
 from ngvisco.geometries import structured_box
 from ngvisco.physics.variables import Jacobian
-from ngvisco.run.outlines import averaged, outline
-from ngvisco.run.plots import figure
-from ngvisco.run.vtu import read_frame, read_series_files
+from ngvisco.run.frames import averaged, outline, read_frame, read_series_files
+from ngvisco.run.pictures import figure
 
 
 def simulation(cells=(20, 22), dt: float = 0.05, K_e: float = 50.0, **options) -> nv.Simulation:

@@ -10,7 +10,7 @@ from ngsolve import CF, Integrate, cos, pi, x
 
 import ngvisco as nv
 from ngvisco.geometries import box
-from ngvisco.run.plots import figure
+from ngvisco.run.pictures import figure
 
 K, G_E, G_V, A, DT = 2.0, 1.0, 0.02, 1e-4, 0.04  # wave number 1/m, Pa, Pa s, m/s, s
 

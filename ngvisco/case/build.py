@@ -33,7 +33,6 @@ from ngvisco.physics.bodies import Body
 from ngvisco.physics.model import Model, default_elastic_state
 from ngvisco.physics.walls import Wall
 from ngvisco.run.checkpoint import Checkpoints
-from ngvisco.run.inputs import times_of
 from ngvisco.run.observers import LedgerCSV, VTKSeries
 from ngvisco.run.probes import Bodies, Integrals, LineSamples, Probes, WallForces
 from ngvisco.run.refinement import Refinement
@@ -242,7 +241,7 @@ class Case:
             parts["newton"] = parts.pop("solver")
             passive = sections.output.passive
             run = Simulation(mesh, model, walls=walls, passive=passive, observers=observers, **parts)
-            run.check_data(times_of(0.0, self.until))
+            run.check_data(self.until)
         if self.refinement is not None:
             with self.blame.located("domain", "adapt"):
                 self.refinement.check(run)

@@ -13,7 +13,7 @@ from ngvisco.forms.spaces import Discretisation
 from ngvisco.forms.start.initial import Initial
 from ngvisco.physics import activation, flow_rules, heat, materials, model, rheology, walls
 from ngvisco.physics.regularisation import Regularisation
-from ngvisco.run.time_steps import TimeSteps
+from ngvisco.run.stepping import TimeSteps
 from ngvisco.shapes import shape
 from ngvisco.shapes.files import ClosedSurface, Image
 from ngvisco.solver.options import NewtonOptions

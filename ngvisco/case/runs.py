@@ -30,8 +30,7 @@ from ngvisco.parallel.mesh import distributed
 from ngvisco.parallel.petsc import require_petsc
 from ngvisco.run.checkpoint import read_ledger
 from ngvisco.run.failure import write_failure
-from ngvisco.run.files import append, write_atomically
-from ngvisco.run.meshfile import mesh_image, mesh_of
+from ngvisco.run.files import append, mesh_image, mesh_of, write_atomically
 from ngvisco.run.notebook import data_frame, results_html
 from ngvisco.run.observers import Progress
 from ngvisco.run.refinement import stretches
@@ -204,8 +203,8 @@ def _go(
         raise
     if simulation.stop_requested:
         write(f"stopped on request at step {simulation.step_number}, t = {simulation.t:g} s")
-    if simulation.closure_check.failures:
-        write(simulation.closure_check.message)
+    if message := simulation.ledger.unclosed:
+        write(message)
     return simulation
 
 

@@ -10,13 +10,11 @@ from ngvisco import case as cases
 from ngvisco.case.directory import RunDirectory
 from ngvisco.case.runs import Results
 from ngvisco.errors import ParameterError
-from ngvisco.run.comparison import plot_comparison
 from ngvisco.run.fields import scalar_fields, title_of
-from ngvisco.run.movie import write_movie
-from ngvisco.run.outlines import outlined
-from ngvisco.run.plots import Section, plot_energies, plot_fields, plot_history, require_space, titled
+from ngvisco.run.frames import outlined, read_pvd
+from ngvisco.run.pictures import Section, plot_fields, require_space, titled, write_movie
+from ngvisco.run.plots import plot_comparison, plot_energies, plot_history
 from ngvisco.run.scene import write_scene, write_scene_of_series
-from ngvisco.run.vtu import read_pvd
 from ngvisco.sweep.study import read_table
 
 

@@ -128,8 +128,8 @@ class _Lines(Progress):
 
 
 def _close(directory: Path, result: Simulation, stop: StopOnSignal) -> int:
-    if result.closure_check.failures:
-        streams.complain(result.closure_check.message)
+    if message := result.ledger.unclosed:
+        streams.complain(message)
     received = int(result.ranks.most(stop.received))  # a signal may have met one rank
     if received:
         name = signal.Signals(received).name
@@ -144,7 +144,7 @@ def _close(directory: Path, result: Simulation, stop: StopOnSignal) -> int:
         "(closure: what the terms leave of a step's energy balance, over the energy; rounding is 1e-14)\n"
     )
     streams.write(f"results in {directory}\n")
-    return NOT_CLOSED if result.closure_check.failures else DONE
+    return NOT_CLOSED if message else DONE
 
 
 def sweep(options: argparse.Namespace) -> int:

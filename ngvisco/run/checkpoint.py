@@ -31,18 +31,22 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import hashlib
+import importlib.metadata
 import io
-import os
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import h5py
 import numpy as np
+from ngsolve import Mesh
 
 from ngvisco.errors import CheckpointError, require_count, require_file, require_path
-from ngvisco.run.files import write_atomically
-from ngvisco.run.identity import identity
+from ngvisco.forms.mesh.mesh_arrays import coordinates, vertices
+from ngvisco.physics.bodies import AMOUNT, Amount, Body
+from ngvisco.physics.material import Material
+from ngvisco.physics.pointwise import sampled_energies
+from ngvisco.run.files import AnyPath, write_atomically
 from ngvisco.run.ledger import Balance, Ledger, unit
 from ngvisco.run.series import Series
 
@@ -57,22 +61,34 @@ UNITS = (
 _WHOLE = ("step", "newton_iterations", "rejections", "limited_cells")
 """Ledger columns of whole numbers."""
 _CHECKSUM = "checksum"
+FORMAT = 5
+"""Of the file of a run."""
+_PARTS = ("", "solver", "stepping", "passive")
 
 
 @dataclasses.dataclass(frozen=True)
 class Snapshot:
-    """One checkpoint: numbers and arrays by group, the group of the state being ``""``."""
+    """One checkpoint: numbers and arrays under their names in its group, as ``/time`` and ``solver/tau``."""
 
-    numbers: dict[str, dict[str, float]]
-    arrays: dict[str, dict[str, np.ndarray]]
+    numbers: dict[str, float]
+    arrays: dict[str, np.ndarray]
 
     @property
     def checksum(self) -> str:
         """SHA-256 of all of it."""
-        return _digest(
-            {f"{part}/{k}": v for part, named in self.numbers.items() for k, v in named.items()},
-            {f"{part}/{k}": v for part, named in self.arrays.items() for k, v in named.items()},
+        return _digest(self.numbers, self.arrays)
+
+    @property
+    def balance(self) -> Balance:
+        return Balance(
+            **{field.name: self.numbers[f"/{field.name}"] for field in dataclasses.fields(Balance)}
         )
+
+    def part(self, name: str) -> tuple[dict[str, float], dict[str, np.ndarray]]:
+        """The numbers and arrays of its own group, ``""``, or of one within it, by their names there."""
+        numbers = {k.removeprefix(f"{name}/"): v for k, v in self.numbers.items() if k.startswith(f"{name}/")}
+        arrays = {k.removeprefix(f"{name}/"): v for k, v in self.arrays.items() if k.startswith(f"{name}/")}
+        return numbers, arrays
 
 
 @dataclasses.dataclass(frozen=True)
@@ -101,11 +117,7 @@ class Checkpoints:
     """
 
     def __init__(
-        self,
-        path: str | os.PathLike[str],
-        every: int = 10,
-        keep: int = 2,
-        attributes: Mapping[str, str] | None = None,
+        self, path: AnyPath, every: int = 10, keep: int = 2, attributes: Mapping[str, str] | None = None
     ) -> None:
         require_count("Checkpoints", every=every, keep=keep)
         self.path = require_file("Checkpoints.path", path)
@@ -134,15 +146,14 @@ class Checkpoints:
 
     def _write(self, simulation: Simulation) -> None:
         kept = {**self._kept, simulation.number: snapshot(simulation)}
-        kept = {number: kept[number] for number in sorted(kept)[-self.keep :]}
+        self._kept = {number: kept[number] for number in sorted(kept)[-self.keep :]}
         if simulation.ranks.is_first:
-            self._write_file(simulation, kept)
-        self._kept = kept
+            write_atomically(self.path, self._image(simulation))
 
-    def _write_file(self, simulation: Simulation, kept: Mapping[int, Snapshot]) -> None:
+    def _image(self, simulation: Simulation) -> bytes:
         image = io.BytesIO()
         with h5py.File(image, "w") as file:
-            file.attrs.update(identity(simulation) | self.attributes | {"units": UNITS})
+            file.attrs.update(_identity(simulation) | self.attributes | {"units": UNITS})
             if self.chosen is not None:
                 content = np.frombuffer(self.chosen.image, dtype=np.uint8)
                 mesh = file.create_dataset("mesh", data=content, compression="gzip")
@@ -153,9 +164,9 @@ class Checkpoints:
             for observer in simulation.observers:
                 if isinstance(observer, Series) and observer.group is not None and observer.group not in file:
                     _store_table(file.create_group(observer.group), observer, observer.unit)
-            for number, one in kept.items():
+            for number, one in self._kept.items():
                 _store(file.create_group(f"checkpoints/{number:08d}"), one)
-        write_atomically(self.path, image.getvalue())
+        return image.getvalue()
 
 
 def _store_table(group: h5py.Group, table: Series | Ledger, unit: Callable[[str], str]) -> None:
@@ -166,29 +177,25 @@ def _store_table(group: h5py.Group, table: Series | Ledger, unit: Callable[[str]
 
 def _store(group: h5py.Group, one: Snapshot) -> None:
     group.attrs[_CHECKSUM] = one.checksum
-    for name, numbers in one.numbers.items():
-        part = group.require_group(name) if name else group
+    for name in _PARTS:
+        part, (numbers, arrays) = group.require_group(name) if name else group, one.part(name)
         part.attrs.update(numbers)
-        for key, array in one.arrays[name].items():
+        for key, array in arrays.items():
             part.create_dataset(key, data=array)
 
 
 def _load(path: Path, group: h5py.Group) -> Snapshot:
-    parts = {"": group} | {name: group[name] for name in ("solver", "stepping", "passive")}
-    numbers = {
-        name: {k: float(v) for k, v in part.attrs.items() if k != _CHECKSUM} for name, part in parts.items()
-    }
-    arrays = {
-        name: {key: np.array(data) for key, data in part.items() if isinstance(data, h5py.Dataset)}
-        for name, part in parts.items()
-    }
-    one = Snapshot(numbers, arrays)
+    one = Snapshot({}, {})
+    for name in _PARTS:
+        part = group[name] if name else group
+        one.numbers.update({f"{name}/{k}": float(v) for k, v in part.attrs.items() if k != _CHECKSUM})
+        arrays = {f"{name}/{k}": np.array(v) for k, v in part.items() if isinstance(v, h5py.Dataset)}
+        one.arrays.update(arrays)
     _verify(path, group, one.checksum)
     return one
 
 
 def _digest(numbers: Mapping[str, float], arrays: Mapping[str, np.ndarray]) -> str:
-    """SHA-256 of named numbers and arrays."""
     digest = hashlib.sha256()
     for name, value in sorted(numbers.items()):
         digest.update(f"{name}={float(value).hex()};".encode())
@@ -216,11 +223,11 @@ def _opened(path: Path) -> Iterator[h5py.File]:
             yield file
     except CheckpointError:
         raise
-    except _UNREADABLE as error:
+    except (OSError, KeyError, RuntimeError, ValueError, TypeError) as error:  # h5py's, by what is damaged
         raise CheckpointError(f"{path}: not a readable run file ({error})") from error
 
 
-def mesh_of_checkpoints(path: str | os.PathLike[str]) -> ChosenMesh | None:
+def mesh_of_checkpoints(path: AnyPath) -> ChosenMesh | None:
     """The mesh of a run's states where it is not the run's first one.
 
     Raises CheckpointError if the file cannot be read.
@@ -235,127 +242,66 @@ def snapshot(simulation: Simulation) -> Snapshot:
     """What a restart needs, copied, in the numbering of one process; on the first rank, collective."""
     balance = simulation.ledger.balance
     assert balance is not None
-    numbers = {
-        "time": simulation.t,
-        "step": simulation.number,
-        "velocity_scale": simulation.velocity_scale,
-        **dataclasses.asdict(balance),
+    numbers = {"time": simulation.t, "step": simulation.number, "velocity_scale": simulation.velocity_scale}
+    parts: dict[str, tuple[dict[str, float], dict[str, np.ndarray]]] = {
+        "": (
+            numbers | dataclasses.asdict(balance),
+            {"state": simulation.rothe_step.state.vec.FV().NumPy().copy()},
+        ),
+        "solver": simulation.solver.state_dict(),
+        "stepping": simulation.stepper.state_dict(),
+        "passive": ({}, simulation.passive.arrays()),
     }
-    solver, stepping = simulation.solver.state_dict(), simulation.stepper.state_dict()
-    state, numbering = simulation.rothe_step.state.vec.FV().NumPy().copy(), simulation.numbering
-    arrays = {
-        "": {"state": state},
-        "solver": solver[1],
-        "stepping": stepping[1],
-        "passive": simulation.passive.arrays(),
-    }
+    arrays = {f"{part}/{name}": array for part, (_, own) in parts.items() for name, array in own.items()}
     return Snapshot(
-        {"": numbers, "solver": solver[0], "stepping": stepping[0], "passive": {}},
-        {
-            part: {name: numbering.whole(array, part, name) for name, array in named.items()}
-            for part, named in arrays.items()
-        },
+        {f"{part}/{name}": number for part, (own, _) in parts.items() for name, number in own.items()},
+        {name: simulation.numbering.whole(array, name) for name, array in arrays.items()},
     )
-
-
-def distributed(one: Snapshot | None, simulation: Simulation) -> Snapshot:
-    """The checkpoint that the first rank has read, with each rank's coefficients; collective."""
-    numbering, ranks = simulation.numbering, simulation.ranks
-    if not ranks.is_distributed:
-        assert one is not None
-        return one
-    numbers, names = ranks.on_first(
-        lambda: (one.numbers, {part: list(named) for part, named in one.arrays.items()})  # type: ignore[union-attr]
-    )
-    arrays = {
-        part: {
-            name: numbering.own(None if one is None else one.arrays[part][name], part, name)
-            for name in named
-            if numbering.knows(part, name)
-        }
-        for part, named in names.items()
-    }
-    return Snapshot(numbers, arrays)
-
-
-def restore(
-    simulation: Simulation,
-    path: str | os.PathLike[str],
-    step: int | None = None,
-    attributes: Mapping[str, str] | None = None,
-) -> None:
-    """Put a simulation into the state of a checkpoint, by default the last one of the file.
-
-    Raises CheckpointError if the file is missing or damaged, has no such checkpoint, or belongs to another
-    mesh, discretisation or material, or other ``attributes``; the message says which.
-    """
-    one, rows = take_up(simulation, path, step, attributes)
-    numbers, rothe_step = one.numbers[""], simulation.rothe_step
-    rothe_step.state_old.vec.data = rothe_step.state.vec
-    rothe_step.start_from_old()
-    simulation.set_time(numbers["time"], int(numbers["step"]))
-    simulation.set_velocity_scale(numbers["velocity_scale"])
-    simulation.solver.load_state_dict(one.numbers["solver"], one.arrays["solver"])
-    simulation.stepper.load_state_dict(simulation, one.numbers["stepping"], one.arrays["stepping"])
-    simulation.ledger.resume(balance_of(one), rows)
 
 
 def take_up(
     simulation: Simulation,
-    path: str | os.PathLike[str],
+    path: AnyPath,
     step: int | None = None,
     attributes: Mapping[str, str] | None = None,
     may_differ: Collection[str] = (),
 ) -> tuple[Snapshot, list[dict[str, float]]]:
-    """Give a simulation the state and the passive fields of a checkpoint, and what its ledger has to hold.
+    """Give a simulation the state and passive fields of a checkpoint; that, and the ledger's rows up to it.
 
-    Collective.  ``may_differ`` names parts of the ``identity``; where there are some, the rows have the
-    file's columns, and the run's otherwise.  Raises CheckpointError as ``restore``.
-
-    Returns
-    -------
-    checkpoint, rows
-        The checkpoint with each rank's coefficients, and the ledger's rows up to its step.
+    Collective.  ``may_differ`` names parts of what a run is known by; where there are some, the rows have the
+    file's columns, and the run's otherwise.  Raises CheckpointError as
+    ``Simulation.restore``.
     """
     path = require_path("restore.path", path)
-    ledger, ranks = simulation.ledger, simulation.ranks
-    _ = simulation.numbering  # made by all ranks together
+    ledger, ranks, numbering = simulation.ledger, simulation.ranks, simulation.numbering
     read: list[Snapshot] = []
 
-    def read_all() -> tuple[list[str], list[dict[str, float]]]:
-        own = {name: value for name, value in identity(simulation).items() if name not in may_differ}
-        one = read_checkpoint(path, own | dict(attributes or {}), step)
-        size, expected = one.arrays[""]["state"].size, simulation.unknowns
+    def read_all() -> tuple[dict[str, float], list[str], list[str], list[dict[str, float]]]:
+        own = {name: value for name, value in _identity(simulation).items() if name not in may_differ}
+        one = _read_checkpoint(path, own | dict(attributes or {}), step)
+        size, expected = one.arrays["/state"].size, simulation.unknowns
         if size != expected:
             raise CheckpointError(f"{path}: the state has {size} coefficients, not {expected}")
         read.append(one)
-        number, found = int(one.numbers[""]["step"]), read_ledger(path)
+        number, found = int(one.numbers["/step"]), read_ledger(path)
         names = list(found) if may_differ else [*ledger.columns, *ledger.foreign(found)]
         rows = [row for row in _rows(path, found, names) if row["step"] <= number]
         if [row["step"] for row in rows] != list(range(number + 1)):
             raise CheckpointError(f"{path}: its ledger has not the rows of steps 0 to {number}")
-        return names, rows
+        return one.numbers, list(one.arrays), names, rows
 
-    names, rows = ranks.on_first(read_all)
-    one = distributed(read[0] if read else None, simulation)
-    simulation.passive.load(one.arrays["passive"])
-    simulation.rothe_step.state.vec.FV().NumPy()[:] = one.arrays[""]["state"]
+    numbers, arrays, names, rows = ranks.on_first(read_all)
+    whole = read[0].arrays if read else {}
+    own = {name: numbering.own(whole.get(name), name) for name in arrays if numbering.knows(name)}
+    one = Snapshot(numbers, own)
+    simulation.passive.load(one.part("passive")[1])
+    simulation.rothe_step.state.vec.FV().NumPy()[:] = one.arrays["/state"]
     ledger.keep(names)
     return one, rows
 
 
-def balance_of(one: Snapshot) -> Balance:
-    """Energy and masses as a checkpoint has them."""
-    return Balance(**{f.name: one.numbers[""][f.name] for f in dataclasses.fields(Balance)})
-
-
-_UNREADABLE = (OSError, KeyError, RuntimeError, ValueError, TypeError)
-"""What h5py raises for a damaged file, depending on where it is damaged."""
-
-
-def read_checkpoint(path: Path, expected: dict[str, Any], step: int | None) -> Snapshot:
-    """One checkpoint, by default the last, of a file that has the expected attributes; raises
-    CheckpointError."""
+def _read_checkpoint(path: Path, expected: dict[str, Any], step: int | None) -> Snapshot:
+    """One checkpoint, by default the last, of a file that has the expected attributes."""
     with _opened(path) as file:
         for name, value in expected.items():
             found = file.attrs.get(name)
@@ -374,7 +320,7 @@ def read_checkpoint(path: Path, expected: dict[str, Any], step: int | None) -> S
         return _load(path, file["checkpoints"][name])
 
 
-def read_ledger(path: str | os.PathLike[str]) -> dict[str, np.ndarray]:
+def read_ledger(path: AnyPath) -> dict[str, np.ndarray]:
     """The ledger of a run's HDF5 file, an array a column.
 
     Raises CheckpointError if the file cannot be read, or its ledger is not as it was written.
@@ -392,5 +338,74 @@ def _rows(path: Path, found: Mapping[str, np.ndarray], columns: Sequence[str]) -
         raise CheckpointError(f"{path}: its ledger has no column {', '.join(missing)}")
     if len({found[name].shape for name in columns}) != 1 or found[columns[0]].ndim != 1:
         raise CheckpointError(f"{path}: the columns of its ledger have different lengths")
-    kinds = {name: int if name in _WHOLE else float for name in columns}
-    return [{name: kinds[name](found[name][i]) for name in columns} for i in range(len(found[columns[0]]))]
+    numbers = [found[name].astype(int if name in _WHOLE else float).tolist() for name in columns]
+    return [dict(zip(columns, row, strict=True)) for row in zip(*numbers, strict=True)]
+
+
+def _identity(simulation: Simulation) -> dict[str, Any]:
+    """What must be equal for a checkpoint to fit, on the first rank: format, mesh, spaces and material.
+
+    A material is its parameters and energies at some states: functions of one name are different energies.
+    """
+    layout, mesh = simulation.numbering.layout, simulation.numbering.mesh
+    assert layout is not None and mesh is not None
+    spaces = ", ".join(f"{name} {layout.blocks[name].ndof}" for name in layout.names)
+    material = simulation.model.material
+    # what the amounts in the state are amounts of
+    amounts = [v for v in material.variables if isinstance(v, Amount)]
+    return {
+        "format": FORMAT,
+        "ngvisco": version() or "0+unknown",
+        "mesh": _mesh_hash(mesh),
+        "spaces": spaces,
+        "material": _material_signature(material),
+        "bodies": ", ".join(f"{v.name.removeprefix(AMOUNT)} of {v.density!r} kg/m^3" for v in amounts),
+        "scheme": _scheme_signature(simulation),
+        "energies": sampled_energies(material, simulation.mesh.dim),
+    }
+
+
+def _mesh_hash(mesh: Mesh) -> str:
+    digest = hashlib.sha256()
+    digest.update(np.ascontiguousarray(coordinates(mesh)).tobytes())
+    digest.update(vertices(mesh).tobytes())
+    digest.update("|".join(mesh.GetBoundaries()).encode())
+    digest.update(str(mesh.GetCurveOrder()).encode())
+    return digest.hexdigest()
+
+
+def _material_signature(material: object) -> str:
+    """Class and numbers of a material, and of the bodies that it is of; functions by their names."""
+    values = [
+        f"{field.name}={_signature_of(getattr(material, field.name))}"
+        for field in (dataclasses.fields(material) if dataclasses.is_dataclass(material) else ())
+        if field.repr  # the place of a body is that of the start alone
+    ]
+    return f"{type(material).__name__}({', '.join(values)})"
+
+
+def _signature_of(value: object) -> str:
+    if isinstance(value, (Material, Body)):
+        return _material_signature(value)
+    if isinstance(value, tuple):
+        return f"({', '.join(_signature_of(one) for one in value)}{',' * (len(value) == 1)})"
+    return getattr(value, "__qualname__", None) or repr(value)
+
+
+def _scheme_signature(simulation: Simulation) -> str:
+    integrator = simulation.integrator
+    scheme = integrator.scheme
+    text = f"{scheme.name}, A = {scheme.A}, b = {scheme.b}"
+    if scheme.averages_loads:
+        text += ", loads averaged"
+    if integrator.startup:
+        text += f", startup = {integrator.startup}"
+    return text + (", relaxed" if integrator.relaxed else "")
+
+
+def version(package: str = "ngvisco") -> str | None:
+    """Of an installed package, None of another."""
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return None

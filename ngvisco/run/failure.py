@@ -20,11 +20,9 @@ from ngvisco.forms.bounds import Violation
 from ngvisco.forms.mesh.locating import nearest_wall
 from ngvisco.parallel.mesh import number_of
 from ngvisco.physics.flow_rules.laws import Creep
-from ngvisco.physics.flow_rules.rule import FlowRule
 from ngvisco.physics.variables import Distortion, LeftCauchyGreen
 from ngvisco.run.files import write_atomically
 from ngvisco.run.scales import diameter
-from ngvisco.run.stepping import step_under_way
 from ngvisco.run.vtu import shown_by, write_vtu
 from ngvisco.solver.problem import Attempt, iterations
 
@@ -54,15 +52,12 @@ class FailureReport:
         From where, and how long the step was to be, s (of adaptive steps: the last one tried).
     number : int
         Of the step that failed, from 1.
-    reason : str
-        The error's message.
-    violation : Violation or None
-        Where the refused solution is out of bounds; None where no solution was found.
-    state : array or None
-        All coefficients of that solution, over ranks this rank's, for ``showing``.
+    violation, state : Violation and array, or None
+        Where the solution that was refused is out of bounds, and all its coefficients, over ranks this
+        rank's, for ``showing``; None where no solution was found.
     courant : float
-        Largest tau |v|/h at the state before, 0 at rest, in cell ``fastest`` at ``place`` (m), near ``wall``.
-        Cells have their numbers in the whole mesh, or None where that is not known.
+        Largest tau |v|/h at the state before, 0 at rest, in cell ``fastest`` (its number in the whole mesh,
+        or None where that is not known) at ``place`` (m), near ``wall``.
     history : tuple of Attempt
         What was tried, from which start values.
     advice : tuple of str
@@ -83,13 +78,13 @@ class FailureReport:
     advice: tuple[str, ...]
 
     def __str__(self) -> str:
-        at = ", ".join(f"{c:.4g}" for c in self.place)
         near = "" if self.wall is None else f", nearest wall {self.wall!r}"
+        at = f"at ({', '.join(f'{c:.4g}' for c in self.place)}) m{near}"
         cell = "" if self.fastest is None else f"in cell {self.fastest} "
         first, *others = self.advice
-        where = f"the flow is fastest at ({at}) m{near}" if self.courant else "from rest"
+        where = f"the flow is fastest {at}" if self.courant else "from rest"
         what = self.violation or f"no solution was found; {where}"
-        fast = f"Courant number {self.courant:.3g} at most, {cell}at ({at}) m{near}"
+        fast = f"Courant number {self.courant:.3g} at most, {cell}{at}"
         lines = [
             f"what       step {self.number} over {self.tau:.4g} s was not taken: {what}",
             f"change     {first}",
@@ -129,7 +124,7 @@ def failure_report(simulation: Simulation, error: StepError) -> FailureReport:
     return FailureReport(
         time=simulation.t,
         tau=tau,
-        number=step_under_way(simulation),
+        number=simulation.step_under_way,
         reason=str(error),
         violation=violation,
         state=state,
@@ -158,38 +153,32 @@ def _fastest(simulation: Simulation) -> tuple[float, int | None, tuple[float, ..
     return rate if rate > _ROUNDING * usual else 0.0, fastest, place
 
 
-def _of_sharp_creep(creep: FlowRule | None, rate: float) -> list[str]:
-    """What to change of a potential psi that is smoothed far below the flow's rates, up to ``rate``."""
-    if creep is None or isinstance(creep, Creep) or creep.nu == 0 or creep.rate_floor >= _SHARP * rate:
-        return []
-    floor = f"rheology.creep.rate_floor, {creep.rate_floor:.3g}/s, to a thousandth of the rates of creep"
-    return [f"{floor}; the velocity varies by up to {rate:.2g}/s"]
-
-
 def _advice(simulation: Simulation, violation: Violation | None, courant: float, rate: float) -> list[str]:
     """``rate`` is the largest |v|/h, 1/s."""
-    lines = []
+    model, lines = simulation.model, []
     if violation is not None and not violation.is_mean:
         lines.append("time.limiter = true: the run then goes on where the cell's mean is positive")
     shorter = "shorter steps, time.dt, or lengths that the run chooses, [time.adaptive]"
-    if courant > _FAST:
-        shorter += f"; the largest Courant number is {courant:.3g}"
-    lines.append(shorter)
+    lines.append(shorter + (f"; the largest Courant number is {courant:.3g}" if courant > _FAST else ""))
     if violation is None:
-        met = simulation.rothe_step.energy.last_failure
-        lines[:0] = [*_of_sharp_creep(simulation.model.creep, rate), *filter(None, (met,))]
-        lines.append("more viscosity, or a start, walls and loads that change over several steps")
-        return lines
+        if (met := simulation.rothe_step.energy.last_failure) is not None:
+            lines.insert(0, met)
+        creep = model.creep
+        is_sharp = creep is not None and not isinstance(creep, Creep) and creep.nu != 0
+        if creep is not None and is_sharp and creep.rate_floor < _SHARP * rate:  # far below the flow's rates
+            floor = f"rheology.creep.rate_floor, {creep.rate_floor:.3g}/s, to a thousandth of the rates of"
+            lines.insert(0, f"{floor} creep; the velocity varies by up to {rate:.2g}/s")
+        return [*lines, "more viscosity, or a start, walls and loads that change over several steps"]
     near = "there" if violation.wall is None else f"near {violation.wall!r}"
     lines.append(f"a finer mesh {near}, or data that are smooth there (walls that meet with one velocity)")
-    variables = simulation.model.material.variables
     if violation.quantity != "rho":
         lines.append("an energy that rises faster as the volume goes to zero (material.epsilon, kappa)")
         lines.append("material.J_min or a Yosida approximation, with which a run may pass J = 0")
+    variables = model.material.variables
     winds = next((v for v in variables if isinstance(v, Distortion)), None)
     if winds is not None and violation.quantity == f"det {winds.name}":
         lines.append('material.elastic_state = "B" where the body flows: F winds up there')
-    if any(isinstance(v, LeftCauchyGreen) for v in variables) and simulation.model.creep is None:
+    if any(isinstance(v, LeftCauchyGreen) for v in variables) and model.creep is None:
         lines.append("creep where the body flows, which lets B relax")
     return lines
 

@@ -37,7 +37,6 @@ from ngvisco.physics.materials.thermal import entropy_in, temperature
 from ngvisco.physics.mixture import Mixture
 from ngvisco.physics.tensors import IDENTITY, constant, det, dev, if_positive, square, sym, tr
 from ngvisco.physics.variables import TEMPERATURE, Distortion, LeftCauchyGreen, SmallStrain
-from ngvisco.run.passive import CARRIED
 from ngvisco.run.scales import rest_pressure
 
 USUAL = ("density", "J", "velocity", "pressure", "von_mises", "temperature")
@@ -50,8 +49,11 @@ _OWN = ("velocity", "density", "cauchy_stress", "pressure", "pressure_from_rest"
 _TAKEN = "another name: a field of the run has this one"
 
 
-def require_names_of_their_own(material: Material, further: Sequence[str] = ()) -> None:
-    """Raise ParameterError for a variable or a further unknown that has the name of a field of the run."""
+def require_names_of_their_own(material: Material, further: Sequence[str], carried: Sequence[str]) -> None:
+    """Raise ParameterError for a variable or a further unknown that has the name of a field of the run.
+
+    ``carried`` are those of passive fields.
+    """
     bodies = material.bodies if isinstance(material, Mixture) else ()
     taken = (*_OWN, *NAMES, *(body.name + _FRACTION for body in bodies), *(["body"] if bodies else []))
     if entropy_in(material) is not None:  # else the one that laws were given
@@ -60,7 +62,7 @@ def require_names_of_their_own(material: Material, further: Sequence[str] = ()) 
         if variable.name in taken:
             raise ParameterError("Variable.name", variable.name, _TAKEN)
     for name in further:
-        if name in (*taken, *CARRIED):
+        if name in (*taken, *carried):
             raise ParameterError("Unknown.name", name, _TAKEN)
 
 
@@ -69,10 +71,12 @@ def output_fields(step: Step) -> dict[str, CoefficientFunction]:
     u, material = step.now, step.model.material
     T = cauchy_stress(material, u.z_tensors, u.zeta_tensors, step.energy.anywhere(u))
     theta = temperature(material, u.zeta_tensors)
+    vectors = [v.name for v in material.variables if v.kind == "vector"]
     return {
         "velocity": u.v,
         "density": u.rho,
-        **_variables(step),
+        **u.z_tensors,
+        **{name: CF(tuple(u.z_tensors[name][i, 0] for i in range(step.mesh.dim))) for name in vectors},
         "cauchy_stress": T,
         "pressure": (-1 / 3) * tr(T),
         "pressure_from_rest": (-1 / 3) * tr(T) - rest_pressure(material, step.mesh.dim),
@@ -82,13 +86,6 @@ def output_fields(step: Step) -> dict[str, CoefficientFunction]:
         **_body_fields(step),
         **further_fields(step, T),
     }
-
-
-def _variables(step: Step) -> dict[str, CoefficientFunction]:
-    """The material's, vectors as such."""
-    z, dim = step.now.z_tensors, step.mesh.dim
-    vectors = [v.name for v in step.model.material.variables if v.kind == "vector"]
-    return {**z, **{name: CF(tuple(z[name][i, 0] for i in range(dim))) for name in vectors}}
 
 
 _FRACTION = "_fraction"
@@ -114,24 +111,15 @@ def scalar_fields(
 ) -> dict[str, CoefficientFunction]:
     """Scalars to be drawn: of a vector or a tensor its norm, or a component ``NAME_i``, ``NAME_ij``.
 
-    Parameters
-    ----------
-    fields : mapping
-        As ``simulation.fields``.
-    names : sequence of str, optional
-        Default: density, J, modulus of the velocity, pressure and von Mises stress, where there are such.
+    By default density, J, modulus of the velocity, pressure and von Mises stress, where there are such.
     """
-    known = {}
-    for name, value in fields.items():
-        if value.dim > 1:
-            known[name] = sqrt(square(value))
-    known |= components(fields)
-    if names is None:
-        return {name: known[name] for name in USUAL if name in known}
-    for name in names:
+    norms = {name: sqrt(square(value)) for name, value in fields.items() if value.dim > 1}
+    known = norms | components(fields)
+    chosen = [name for name in USUAL if name in known] if names is None else names
+    for name in chosen:
         if name not in known:
             raise UnknownNameError("field", name, known)
-    return {name: known[name] for name in names}
+    return {name: known[name] for name in chosen}
 
 
 def components(fields: Mapping[str, CoefficientFunction]) -> dict[str, CoefficientFunction]:
@@ -166,26 +154,19 @@ def _parts(name: str, value: CoefficientFunction) -> dict[str, CoefficientFuncti
     return {f"{name}_{i + 1}{j + 1}": value[i, j] for i in range(3) for j in range(3)}
 
 
+_UNITS = {
+    **{"velocity": "m/s", "density": "kg/m³", "temperature": "K", "creep_rate": "1/s"},
+    **dict.fromkeys(("pressure", "pressure_from_rest", "von_mises", "cauchy_stress"), "Pa"),
+    **dict.fromkeys(("mandel_stress", "viscous_stress", "principal_stresses"), "Pa"),
+    **dict.fromkeys(("hyperstress", *(f"hyperstress_{i}" for i in (1, 2, 3))), "Pa m"),
+    **{"displacement": "m", "reference_map": "m"},
+}
+
+
 def field_unit(name: str) -> str:
-    """The SI unit of a field that is drawn, empty for a pure number."""
-    units = {
-        "velocity": "m/s",
-        "density": "kg/m³",
-        "temperature": "K",
-        "pressure": "Pa",
-        "pressure_from_rest": "Pa",
-        "von_mises": "Pa",
-        "cauchy_stress": "Pa",
-        "creep_rate": "1/s",
-        "mandel_stress": "Pa",
-        "viscous_stress": "Pa",
-        **dict.fromkeys(("hyperstress", "hyperstress_1", "hyperstress_2", "hyperstress_3"), "Pa m"),
-        "principal_stresses": "Pa",
-        "displacement": "m",
-        "reference_map": "m",
-    }
-    whole = name.rpartition("_")[0] if name.rpartition("_")[2].isdigit() else name
-    return units.get(whole, "")
+    """The SI unit of a field that is drawn, or of its component, empty for a pure number."""
+    whole, _, index = name.rpartition("_")
+    return _UNITS.get(whole if index.isdigit() else name, "")
 
 
 def title_of(name: str) -> str:

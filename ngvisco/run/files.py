@@ -1,13 +1,27 @@
-"""Writing files so that nothing is lost: whole or not at all, with the file's name in every error; locks."""
+"""Files: written whole or not at all, with their name in every error, and locked; tables, and meshes."""
 
 import contextlib
 import csv
+import gzip
 import io
 import os
 import sys
+import tempfile
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any, TextIO, TypeAlias
+
+import numpy as np
+from ngsolve import Mesh
+
+from ngvisco.errors import MeshError
+from ngvisco.forms.mesh.mesh_arrays import coordinates
+from ngvisco.parallel.mesh import has_geometry, volume_and_surface
+
+AnyPath: TypeAlias = str | os.PathLike[str]
+
+_DIGITS = 1e-5
+"""Relative difference of volumes and surfaces that the digits of curved cells in a file may make."""
 
 
 def write_atomically(path: Path, content: bytes) -> None:
@@ -41,7 +55,6 @@ def csv_text(rows: Iterable[Iterable[object]]) -> str:
 
 @contextlib.contextmanager
 def _named(path: Path) -> Iterator[None]:
-    """Put the file's name into errors of writing, which Python raises without one."""
     try:
         yield
     except OSError as error:
@@ -66,3 +79,57 @@ def locks(file: TextIO) -> bool:
     except OSError:
         return False
     return True
+
+
+def require_whole(path: Path) -> None:
+    """Raise MeshError unless the file looks like a complete Netgen mesh."""
+    if path.suffix != ".vol" and path.suffixes[-2:] != [".vol", ".gz"]:
+        raise MeshError(f"{path}: expected a Netgen mesh, .vol or .vol.gz")
+    try:
+        raw = path.read_bytes()
+        text = gzip.decompress(raw) if path.suffix == ".gz" else raw
+    except FileNotFoundError:
+        raise MeshError(f"{path}: no such mesh file") from None
+    except (OSError, EOFError) as error:
+        raise MeshError(f"{path}: cannot be read ({error})") from error
+    lines = [line.strip() for line in text.split(b"\n")]
+    if b"mesh3d" not in lines[:10]:
+        raise MeshError(f"{path}: not a Netgen mesh file")
+    if b"endmesh" not in lines:
+        raise MeshError(f"{path}: the mesh file is cut short (no line 'endmesh')")
+
+
+def mesh_image(mesh: Mesh) -> bytes:
+    """The mesh as a .vol file's content; Netgen itself would be silent about a full disk."""
+    with tempfile.TemporaryDirectory() as scratch:
+        path = Path(scratch) / "mesh.vol"
+        mesh.ngmesh.Save(str(path))
+        require_whole(path)
+        lines = path.read_bytes().split(b"\n")
+    first = lines.index(b"points") + 2
+    for i, point in enumerate(coordinates(mesh).tolist()):  # Netgen writes 16 decimals, none of 1e-17 m
+        lines[first + i] = " ".join(map(repr, [*point, 0.0][:3])).encode()
+    return b"\n".join(lines)
+
+
+def mesh_of(image: bytes) -> Mesh:
+    """The mesh in a .vol file's content."""
+    with tempfile.TemporaryDirectory() as scratch:
+        path = Path(scratch) / "mesh.vol"
+        path.write_bytes(image)
+        return mesh_in(path)
+
+
+def mesh_in(path: Path) -> Mesh:
+    """The mesh in a file; of a known geometry curved by that: Netgen writes eight decimals of curved cells.
+
+    Otherwise the cells of a case file were others than those of a script, 3e-10 of a disc's area, and than
+    those of several ranks.
+    """
+    mesh = Mesh(str(path))
+    if mesh.GetCurveOrder() > 1 and has_geometry(mesh):
+        sizes = volume_and_surface(mesh)
+        mesh.Curve(mesh.GetCurveOrder())
+        if not np.allclose(volume_and_surface(mesh), sizes, rtol=_DIGITS, atol=0):  # of another geometry
+            return Mesh(str(path))
+    return mesh

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from ngsolve import CF, CoefficientFunction, Det, sqrt
+from ngsolve import CF, Det, sqrt
 
 from ngvisco.errors import NgviscoWarning, ParameterError, UnknownNameError
 from ngvisco.forms.distance import ENERGIES, NUMERICAL, energies
@@ -30,7 +30,6 @@ from ngvisco.physics.materials.thermal import entropy_in, temperature
 from ngvisco.physics.mixture import Mixture
 from ngvisco.physics.tensors import square
 from ngvisco.physics.variables import Distortion, Jacobian, ReciprocalJacobian
-from ngvisco.run.closure import CLOSED
 from ngvisco.run.notebook import data_frame, ledger_html
 from ngvisco.timestepping.integrator import LIMITER, LIMITER_WALLS, StepTaken
 
@@ -38,26 +37,19 @@ _STRETCH, _OPERATIONS = 1e-4, 30
 """Relative change of the variables whose second difference gives the size of an energy density's terms, and
 the roundings of one, in units of that size."""
 
-RATES = ("dissipation", "power", "production", "flux")
+_RATES = ("dissipation", "power", "production", "flux")
 """Kinds of entries that are rates, of the scheme's stages."""
 
+_COUNTS = ("newton_iterations", "rejections", "limited_cells")
 _UNITS = {
-    "1": (
-        *("step", "closure_relative", "mass_drift", "defect_rms", "defect_max", "newton_iterations"),
-        *("rejections", "limited_cells", "cfl", "error_estimate", "J_min"),
-    ),
-    "s": ("time", "dt"),
-    "kg": ("mass",),
-    "kg/m^3": ("rho_min", "rho_max"),
-    "m/s": ("v_max",),
-    "K": ("temperature_min", "temperature_max"),
-    "J/K": ("entropy",),
-    "W/m^3": ("creep_power_min",),
-    "m^3": ("cutoff_volume",),
-    "m^(d/2)": ("J_defect",),
-    "kg^2/m^3/s": ("density_diffusion",),
+    **{"time": "s", "dt": "s", "mass": "kg", "rho_min": "kg/m^3", "rho_max": "kg/m^3", "v_max": "m/s"},
+    **{"temperature_min": "K", "temperature_max": "K", "entropy": "J/K", "creep_power_min": "W/m^3"},
+    **{"cutoff_volume": "m^3", "J_defect": "m^(d/2)", "density_diffusion": "kg^2/m^3/s"},
+    **dict.fromkeys(("step", "closure_relative", "mass_drift", "defect_rms", "defect_max", "J_min"), "1"),
+    **dict.fromkeys((*_COUNTS, "cfl", "error_estimate"), "1"),
 }
-"""Columns that are neither energies (J) nor powers (W), by units."""
+"""Columns that are neither energies (J) nor rates, by units; the units of rates by how their names begin."""
+_UNITS_OF_RATES = {"dissipation_": "W", "power_": "W", "entropy_": "W/K", "inflow_": "kg/s"}
 
 TRANSFER = "transfer"
 """Energy lost where a state was carried over to another mesh or other parameters, J."""
@@ -65,13 +57,10 @@ TRANSFER = "transfer"
 
 def unit(column: str) -> str:
     """The SI unit of a ledger column (per metre of thickness in plane strain)."""
-    if column.startswith(("dissipation_", "power_")):
-        return "W"
-    if column.startswith("entropy_"):
-        return "W/K"
-    if column.startswith("inflow_"):
-        return "kg/s"
-    return next((unit for unit, columns in _UNITS.items() if column in columns), "J")
+    for prefix, unit in _UNITS_OF_RATES.items():
+        if column.startswith(prefix):
+            return unit
+    return _UNITS.get(column, "J")
 
 
 @dataclass(frozen=True)
@@ -86,14 +75,24 @@ class Balance:
 
 _NEGATIVE = 1e-9
 """Share of all entropy that is produced that may be missing of a mechanism: what an iteration leaves."""
-
-CREEP_POWER = "creep_power_min"
+_CREEP_POWER = "creep_power_min"
 """The column of the least M : Pi at a point."""
 _ROUNDING = 1e-12
 """Share of the largest power at a point that rounding may leave of one that is zero."""
-
-WARNING_DEFECT = 0.01
+_DEFECT = 0.01
 """Relative root mean square of a defect from which on a run warns."""
+CLOSED = 1e-8
+"""|closure_relative| up to which a ledger counts as closed, whatever the solver's tolerance."""
+_PER_TOLERANCE = 100.0
+
+
+def closure_limit(tolerance: float) -> float:
+    """Largest |closure_relative| of a ledger that closes, for a solver's tolerance."""
+    return max(CLOSED, _PER_TOLERANCE * tolerance)
+
+
+class ClosureWarning(NgviscoWarning):
+    """The energy ledger of a step does not close: the state does not solve the step's equations."""
 
 
 class DefectWarning(NgviscoWarning):
@@ -109,7 +108,7 @@ class EntropyWarning(NgviscoWarning):
 
 
 class Ledger:
-    """Evaluates a row after every step.
+    """Evaluates a row after every step; a step with |closure_relative| above ``closed`` does not close.
 
     Attributes
     ----------
@@ -118,21 +117,25 @@ class Ledger:
         One for every step so far, and row 0 for the initial state.
     """
 
-    def __init__(self, step: Step, sampler: Sampler) -> None:
-        self.step, self.sampler = step, sampler
+    def __init__(self, step: Step, sampler: Sampler, closed: float = CLOSED) -> None:
+        self.step, self.sampler, self.closed = step, sampler, closed
         own = (Entry(name, "numerical", Integrand()) for name in (*NUMERICAL, LIMITER, LIMITER_WALLS))
         of_damage = () if step.damage is None else step.damage.entries
         self.entries = [*step.entries(), *own, *of_damage]
-        _check_names(self.entries)
-        self._state = EntryIntegrals(step, self._state_integrands())
-        self._rates = EntryIntegrals(step, {e.name: e for e in self.entries if e.kind in RATES})
+        names = [entry.name for entry in self.entries]
+        if twice := [name for name in names if names.count(name) > 1]:
+            raise ParameterError("Entry.name", twice[0], "names that no other term's columns have")
+        integrands = {**energies(step, step.now), "mass": Integrand(step.now.rho)}
+        of_state = {name: Entry(name, "monitor", value) for name, value in integrands.items()}
+        of_state |= {e.name: e for e in self.entries if e.kind == "monitor"}
+        self._state = EntryIntegrals(step, of_state)
+        self._rates = EntryIntegrals(step, {e.name: e for e in self.entries if e.kind in _RATES})
         theta = temperature(step.model.material, step.now.zeta_tensors)
         power = step.context.rates.dissipation(step.now)
-        watched = {"temperature_min": theta, "temperature_max": theta, CREEP_POWER: power}
+        watched = {"temperature_min": theta, "temperature_max": theta, _CREEP_POWER: power}
         self._watched = {name: value for name, value in watched.items() if value is not None}
-        self._monitors = self._monitor_functions()
+        self._prepare_monitors()
         self._warned: set[type[NgviscoWarning]] = set()
-        self._absent: dict[str, float] = {}
         self._pending: dict[str, float] = {}
         self.rows: list[dict[str, float]] = []
         self.balance: Balance | None = None
@@ -145,8 +148,7 @@ class Ledger:
             *(entry.name for entry in self.entries),
             *("closure", "closure_relative", "mass", "mass_drift"),
             *("rho_min", "rho_max", "J_min", *self._watched, "J_defect", "defect_rms", "defect_max"),
-            *("v_max", "newton_iterations", "rejections", "limited_cells"),
-            *("cfl", "error_estimate"),
+            *("v_max", *_COUNTS, "cfl", "error_estimate"),
         ]
 
     def column(self, name: str) -> np.ndarray:
@@ -155,12 +157,39 @@ class Ledger:
             raise UnknownNameError("ledger column", name, self.columns)
         return np.array([row[name] for row in self.rows])
 
+    def exchanged(self, *names: str) -> np.ndarray:
+        """What dissipations, powers and numerical entries together stand for since the start, J, (rows,)."""
+        lengths, total = self.column("dt"), np.zeros(len(self.rows))
+        numerical = {entry.name for entry in self.entries if entry.kind == "numerical"}
+        for name in names:
+            total += self.column(name) * (1.0 if name in numerical else lengths)
+        return np.cumsum(total)
+
+    @property
+    def unclosed(self) -> str:
+        """What is wrong with a ledger that does not close, in words; nothing of one that closes."""
+        if not self.rows or self.step.sources is not None:  # the power of manufactured sources has no entry
+            return ""
+        closure = np.nan_to_num(np.abs(self.column("closure_relative")), nan=math.inf)
+        count, worst = int((closure > self.closed).sum()), self.rows[int(closure.argmax())]
+        if not count:
+            return ""
+        return (
+            f"THE LEDGER DOES NOT CLOSE in {count} step{'s' * (count > 1)}: |closure_relative| is "
+            f"{closure.max():.1e} in step {worst['step']}, t = {worst['time']:.4g} s, the limit "
+            f"{self.closed:.0e}; energy is gained or lost that no term accounts for, and the results "
+            "are not to be trusted"
+        )
+
     def frame(self) -> Any:
         """All rows as a pandas frame, with the step as index; NotebookError where pandas is missing."""
-        return data_frame({name: self.column(name) for name in self.columns})
+        return data_frame(self._columns())
 
     def _repr_html_(self) -> str:
-        return ledger_html(self.rows)
+        return ledger_html(self._columns())
+
+    def _columns(self) -> dict[str, np.ndarray]:
+        return {name: self.column(name) for name in self.columns}
 
     def start(self, time: float) -> dict[str, float]:
         """Row 0: the initial state, with no exchange."""
@@ -168,10 +197,13 @@ class Ledger:
         values = self._state()
         energy = energy_of(values)
         self.balance = Balance(energy, values["mass"], values["mass"])
-        idle = dict.fromkeys((entry.name for entry in self.entries), 0.0)
-        row = {"step": 0, "time": time, "dt": 0.0, **idle, **values, "closure": 0.0}
-        row |= {"closure_relative": 0.0, "mass_drift": 0.0, "error_estimate": math.nan, "limited_cells": 0}
-        return self._append(row, 0, 0, 0.0)
+        row = self._idle() | values | dict.fromkeys(("dt", "closure", "closure_relative", "mass_drift"), 0.0)
+        row |= {"time": time, "error_estimate": math.nan, **dict.fromkeys(("step", *_COUNTS), 0)}
+        return self._append(row | self._measured(0.0, time))
+
+    def _idle(self) -> dict[str, float]:
+        """Entries of a step in which nothing is exchanged."""
+        return dict.fromkeys((entry.name for entry in self.entries), 0.0)
 
     def resume(self, balance: Balance, rows: list[dict[str, float]]) -> None:
         """Go on from a checkpoint's balance and the rows up to its step."""
@@ -201,7 +233,6 @@ class Ledger:
             kind: Kind = "numerical" if name == TRANSFER else "dissipation"
             kind = "power" if name.startswith("power_") else kind
             self.entries.append(Entry(name, kind, Integrand()))
-            self._absent[name] = 0.0
 
     def add_once(self, name: str, value: float) -> None:
         """Add ``value``, J, to the column ``name`` of the next row, a transfer between states."""
@@ -216,35 +247,40 @@ class Ledger:
         ``error`` is the estimate of the step's relative error, None where there is none.
         """
         assert self.balance is not None
-        tau, iterations = taken.tau, taken.iterations
+        tau = taken.tau
         self.step.energy.require()
-        values = {LIMITER: 0.0, LIMITER_WALLS: 0.0} | self._absent | self._pending
-        values |= self._state() | taken.rates | taken.numerical
+        values = self._idle() | self._pending | self._state() | taken.rates | taken.numerical
         energy = energy_of(values)
-        dissipated, worked = self._sum(values, "dissipation"), self._sum(values, "power")
-        remainder = self._sum(values, "numerical")
+        dissipated, worked, remainder, inflow = (
+            sum(values[entry.name] for entry in self.entries if entry.kind == kind)
+            for kind in ("dissipation", "power", "numerical", "flux")
+        )
         closure = energy - self.balance.energy + tau * (dissipated - worked) + remainder
         physical = (e.name for e in self.entries if e.kind in ("dissipation", "power"))
         exchanged = tau * sum(abs(values[name]) for name in physical)
         scale = max(abs(energy), abs(self.balance.energy), exchanged)
         if not abs(closure) <= CLOSED * scale:
             scale = max(scale, self.rounding() / CLOSED, self.heat())
-        expected = self.balance.initial_mass + tau * self._sum(values, "flux")
-        drift = (values["mass"] - expected) / expected
-        row = {
-            **{"step": number, "time": time, "dt": tau, **values},
-            **{"closure": closure, "closure_relative": closure / scale if scale else closure},
-            **{"mass_drift": drift, "error_estimate": math.nan if error is None else error},
-            "limited_cells": taken.limited,
+        expected = self.balance.initial_mass + tau * inflow
+        row = values | {
+            **{"step": number, "time": time, "dt": tau, "closure": closure},
+            **{"closure_relative": closure / scale if scale else closure},
+            **{"mass_drift": (values["mass"] - expected) / expected},
+            **{"newton_iterations": taken.iterations, "rejections": rejections},
+            **{"limited_cells": taken.limited, "error_estimate": math.nan if error is None else error},
+            **self._measured(tau, time),
         }
-        row = self._append(row, iterations, rejections, tau)
         self._check_entropy(row)
         self._pending = {}
         self.balance = Balance(energy, values["mass"], expected)
-        return row
+        return self._append(row)
+
+    def check_closure(self) -> None:
+        """Warn of the last row if it is the first one that does not close."""
+        if not abs(self.rows[-1]["closure_relative"]) <= self.closed and (message := self.unclosed):
+            self._warn_once(message, ClosureWarning)
 
     def _check_entropy(self, row: Mapping[str, float]) -> None:
-        """Warn once of a mechanism that takes entropy away."""
         made = {name: row[name] for name in self.columns if name.startswith(PRODUCTION)}
         least = min(made, key=lambda name: made[name], default="")
         if made and made[least] < -_NEGATIVE * sum(map(abs, made.values())):
@@ -253,17 +289,6 @@ class Ledger:
                 "the cells are too large for the slopes of the temperature; else a law gives energy"
             )
             self._warn_once(message, EntropyWarning)
-
-    def _check_power(self, power: np.ndarray, time: float) -> None:
-        """Warn once of creep that gives energy somewhere."""
-        ranks = self.sampler.ranks
-        least, largest = ranks.least(power), ranks.most(abs(power))
-        if least < -_ROUNDING * largest and CreepPowerWarning not in self._warned:
-            message = (
-                f"at t = {time:.4g} s creep gives energy, M : Pi = {least:.3g} W/m^3, most "
-                f"{self._place_of_largest(-power)}: its flow rule is none, though the ledger closes"
-            )
-            self._warn_once(message, CreepPowerWarning)
 
     def _warn_once(self, message: str, kind: type[NgviscoWarning]) -> None:
         if kind not in self._warned:
@@ -296,87 +321,75 @@ class Ledger:
         heat = u.zeta_tensors[entropy.name] * (u.z_tensors[entropy.name] if s is None else s)
         return float(self.step.quadrature.integrate_cells(sqrt(heat * heat)))
 
-    def _sum(self, values: dict[str, float], kind: str) -> float:
-        return sum(values[entry.name] for entry in self.entries if entry.kind == kind)
-
-    def _append(
-        self, row: dict[str, float], iterations: int, rejections: int, tau: float
-    ) -> dict[str, float]:
-        row = row | self._extrema(tau, row["time"])
-        row |= {"newton_iterations": iterations, "rejections": rejections}
+    def _append(self, row: dict[str, float]) -> dict[str, float]:
         self.rows.append({name: row[name] for name in self.columns})
         return self.rows[-1]
 
-    def _state_integrands(self) -> dict[str, Entry]:
-        """What is integrated of a state: energies, mass, and what is for information."""
-        u = self.step.now
-        named = {**energies(self.step, u), "mass": Integrand(u.rho)}
-        entries = {name: Entry(name, "monitor", value) for name, value in named.items()}
-        return entries | {e.name: e for e in self.entries if e.kind == "monitor"}
-
-    def _monitor_functions(self) -> CoefficientFunction:
-        """rho, J (NaN where the material has none), |v|, |v|/h, and what is watched."""
-        u, nan = self.step.now, CF(math.nan)
-        z = u.z_tensors
-        J, F = nan, None
-        for variable in self.step.model.material.variables:
-            value = z[variable.name]
+    def _prepare_monitors(self) -> None:
+        """What is looked at besides the integrals of entries: at points, and squares of defects in cells."""
+        u, material = self.step.now, self.step.model.material
+        J, F = None, None
+        for variable in material.variables:
+            value = u.z_tensors[variable.name]
             if isinstance(variable, Jacobian):
                 J = value
-            elif isinstance(variable, ReciprocalJacobian) and J is nan:
+            elif isinstance(variable, ReciprocalJacobian) and J is None:
                 J = 1 / value
             elif isinstance(variable, Distortion) and variable.exponent == 0:
                 F = value
-        material = self.step.model.material
         if isinstance(material, Mixture):
-            J = 1 / material.fractions.total(z)
-        has_both = F is not None and J is not nan
-        self._defect = ((J - Det(F)) * (J - Det(F))).Compile() if has_both else None
-        defects = relative_defects(material, z, self.step.model.creep)
-        self._defects = CF(tuple(defects.values())).Compile() if defects else None
-        self._defect_squares = CF((1.0, *(d * d for d in defects.values()))).Compile()
-        self._defect_names = list(defects)
-        if F is not None and J is nan:
-            J = Det(F)
+            J = 1 / material.fractions.total(u.z_tensors)
+        self._has_both = F is not None and J is not None
+        gap = J - Det(F) if self._has_both else CF(0.0)
+        if J is None:
+            J = CF(math.nan) if F is None else Det(F)
+        self._defects = relative_defects(material, u.z_tensors, self.step.model.creep)
+        defects = self._defects.values()
+        self._squares = CF((1.0, gap * gap, *(defect * defect for defect in defects))).Compile()
         speed = sqrt(square(u.v))
-        return CF((u.rho, J, speed, speed / self.step.context.h, *self._watched.values())).Compile()
+        at_points = (u.rho, J, speed, speed / self.step.context.h, *self._watched.values(), *defects)
+        self._at_points = CF(at_points).Compile()
 
-    def _extrema(self, tau: float, time: float) -> dict[str, float]:
-        values, ranks = self.sampler.values(self._monitors), self.sampler.ranks
-        if CREEP_POWER in self._watched:
-            self._check_power(values[:, 4 + list(self._watched).index(CREEP_POWER)], time)
-        defect = math.nan
-        if self._defect is not None:
-            defect = math.sqrt(self.step.quadrature.integrate_cells(self._defect))
-        rms, largest = self._relative_defects(time)
+    def _measured(self, tau: float, time: float) -> dict[str, float]:
+        ranks, values = self.sampler.ranks, self.sampler.rows(self._at_points).T
+        least, most = ranks.least, ranks.most
+        (rho, J, speed, rate), values = values[:4], values[4:]
+        watched = dict(zip(self._watched, values, strict=False))
+        if _CREEP_POWER in watched:
+            self._check_power(watched[_CREEP_POWER], time)
+        volume, gap, *squares = self.step.quadrature.integrate_cells(self._squares)
+        rms, largest = self._relative_defects(values[len(watched) :], np.array(squares) / volume, time)
         return {
-            "rho_min": ranks.least(values[:, 0]),
-            "rho_max": ranks.most(values[:, 0]),
-            "J_min": ranks.least(values[:, 1]),
-            "J_defect": defect,
-            "defect_rms": rms,
-            "defect_max": largest,
-            "v_max": ranks.most(values[:, 2]),
-            "cfl": tau * ranks.most(values[:, 3]),
-            **{
-                name: (ranks.most if name.endswith("_max") else ranks.least)(values[:, 4 + i])
-                for i, name in enumerate(self._watched)
-            },
+            **{"rho_min": least(rho), "rho_max": most(rho), "J_min": least(J)},
+            **{name: (most if name.endswith("_max") else least)(v) for name, v in watched.items()},
+            **{"v_max": most(speed), "cfl": tau * most(rate)},
+            "J_defect": math.sqrt(gap) if self._has_both else math.nan,
+            **{"defect_rms": rms, "defect_max": largest},
         }
 
-    def _relative_defects(self, time: float) -> tuple[float, float]:
-        """Largest root mean square and largest value of the relative defects; warns once from 1 % on."""
-        if self._defects is None:
+    def _check_power(self, power: np.ndarray, time: float) -> None:
+        ranks = self.sampler.ranks
+        least, largest = ranks.least(power), ranks.most(abs(power))
+        if least < -_ROUNDING * largest and CreepPowerWarning not in self._warned:
+            message = (
+                f"at t = {time:.4g} s creep gives energy, M : Pi = {least:.3g} W/m^3, most "
+                f"{self._place_of_largest(-power)}: its flow rule is none, though the ledger closes"
+            )
+            self._warn_once(message, CreepPowerWarning)
+
+    def _relative_defects(self, values: np.ndarray, squares: np.ndarray, time: float) -> tuple[float, float]:
+        """Largest root mean square and largest value of the relative defects; warns once from 1 % on.
+
+        ``values`` are (defects, points), ``squares`` their means.
+        """
+        if not self._defects:
             return math.nan, math.nan
-        values = self.sampler.values(self._defects)
-        sizes = np.abs(values.reshape(len(values), len(self._defect_names)))
-        largest = np.array([self.sampler.ranks.most(column) for column in sizes.T])
-        volume, *squares = self.step.quadrature.integrate_cells(self._defect_squares)
-        rms = np.sqrt(np.array(squares) / volume)
+        largest = np.array([self.sampler.ranks.most(abs(one)) for one in values])
+        rms = np.sqrt(squares)
         worst = int(np.argmax(rms))
-        if rms[worst] >= WARNING_DEFECT and DefectWarning not in self._warned:
-            where = self._place_of_largest(sizes[:, worst])
-            message = _winding_message(self._defect_names[worst], rms[worst], largest[worst], self.step)
+        if rms[worst] >= _DEFECT and DefectWarning not in self._warned:
+            where, pair = self._place_of_largest(abs(values[worst])), list(self._defects)[worst]
+            message = _winding_message(pair, rms[worst], largest[worst], self.step)
             self._warn_once(f"at t = {time:.4g} s, most {where}: {message}", DefectWarning)
         return float(rms.max()), float(largest.max())
 
@@ -413,10 +426,3 @@ def _winding_message(pair: str, rms: float, largest: float, step: Step) -> str:
         "belong to one distortion, and the stress is wrong by as much, though the ledger closes; the remedy "
         f"is {remedy}"
     )
-
-
-def _check_names(entries: list[Entry]) -> None:
-    names = [entry.name for entry in entries]
-    for name in names:
-        if names.count(name) > 1:
-            raise ParameterError("Entry.name", name, "names that no other term's columns have")

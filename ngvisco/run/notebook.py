@@ -41,52 +41,40 @@ def simulation_html(simulation: Simulation) -> str:
         "mesh": f"{simulation.mesh.ne} cells in {simulation.mesh.dim}D, {layout.space.ndof} unknowns",
         "time": f"t = {simulation.t:g} s, step {simulation.step_number}, {steps}",
     }
-    return _table(rows) + ledger_html(simulation.ledger.rows)
+    return _table(rows) + simulation.ledger._repr_html_()
 
 
 def results_html(title: str, time: float, ledger: Mapping[str, np.ndarray]) -> str:
     """What a run directory holds."""
-    count = len(ledger["time"])
-    rows = [{name: float(column[i]) for name, column in ledger.items()} for i in range(count)]
-    return _table({"run": html.escape(title), "state": f"t = {time:g} s"}) + ledger_html(rows)
+    return _table({"run": html.escape(title), "state": f"t = {time:g} s"}) + ledger_html(ledger)
 
 
-def ledger_html(rows: list[dict[str, float]]) -> str:
-    """Energies over time as a drawing, and the last row's balance."""
-    if not rows:
+def ledger_html(ledger: Mapping[str, np.ndarray]) -> str:
+    """Energies over time as a drawing, and the last row's balance, of a ledger's columns."""
+    if not len(ledger["time"]):
         return "<div>no step yet</div>"
-    last = rows[-1]
-    closure = max(abs(row["closure_relative"]) for row in rows)
     shown = {
-        "time": f"{last['time']:.6g} s",
-        "kinetic": f"{last['kinetic']:.6e} J",
-        "stored": f"{last['stored']:.6e} J",
-        "largest |closure|": f"{closure:.1e} of the energy",
-        "mass drift": f"{last['mass_drift']:+.1e}",
+        "time": f"{ledger['time'][-1]:.6g} s",
+        "kinetic": f"{ledger['kinetic'][-1]:.6e} J",
+        "stored": f"{ledger['stored'][-1]:.6e} J",
+        "largest |closure|": f"{abs(ledger['closure_relative']).max():.1e} of the energy",
+        "mass drift": f"{ledger['mass_drift'][-1]:+.1e}",
     }
-    return _curves(rows) + _table(shown)
+    return _curves(ledger) + _table(shown)
 
 
-def _curves(rows: list[dict[str, float]]) -> str:
-    """Kinetic energy and the stored one's change over time, as an SVG."""
-    if len(rows) < 2:
+def _curves(ledger: Mapping[str, np.ndarray]) -> str:
+    t = ledger["time"]
+    if len(t) < 2:
         return ""
-    t = np.array([row["time"] for row in rows])
-    curves = {
-        "kinetic": np.array([row["kinetic"] for row in rows]),
-        "stored − initial": np.array([row["stored"] - rows[0]["stored"] for row in rows]),
-    }
-    values = np.concatenate(list(curves.values()))
-    low, high = values.min(), values.max()
-    span, length = (high - low) or 1.0, (t[-1] - t[0]) or 1.0
-    parts = []
-    for (name, curve), colour in zip(curves.items(), ("#1f77b4", "#ff7f0e"), strict=True):
-        X, Y = _WIDTH * (t - t[0]) / length, _HEIGHT * (high - curve) / span
-        points = " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(X, Y, strict=True))
+    curves = {"kinetic": ledger["kinetic"], "stored − initial": ledger["stored"] - ledger["stored"][0]}
+    high = max(curve.max() for curve in curves.values())
+    span = (high - min(curve.min() for curve in curves.values())) or 1.0
+    X, parts = _WIDTH * (t - t[0]) / ((t[-1] - t[0]) or 1.0), []
+    for i, ((name, curve), colour) in enumerate(zip(curves.items(), ("#1f77b4", "#ff7f0e"), strict=True)):
+        points = " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(X, _HEIGHT * (high - curve) / span, strict=True))
         parts.append(f'<polyline points="{points}" fill="none" stroke="{colour}" stroke-width="1.5"/>')
-        parts.append(
-            f'<text x="{4 + 80 * (len(parts) // 2)}" y="{_HEIGHT + 16}" fill="{colour}">{name}</text>'
-        )
+        parts.append(f'<text x="{4 + 80 * i}" y="{_HEIGHT + 16}" fill="{colour}">{name}</text>')
     size = f'width="{_WIDTH}" height="{_HEIGHT + 22}" viewBox="0 -2 {_WIDTH} {_HEIGHT + 24}"'
     return f'<svg xmlns="http://www.w3.org/2000/svg" {size} font-size="12">{"".join(parts)}</svg>'
 

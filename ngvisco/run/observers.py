@@ -1,18 +1,12 @@
-"""Observers of a run: progress lines, the ledger as CSV, the VTK series.
-
-Each takes what it needs from the simulation and changes nothing in it.  Files appear under their
-names only when they are complete (written beside and renamed).
-"""
+"""Observers of a run: progress, as lines or in a notebook, the ledger as CSV, the VTK series."""
 
 from __future__ import annotations
 
 import contextlib
-import os
 import re
 import sys
 import time as clock
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
 from ngvisco.errors import (
@@ -28,10 +22,10 @@ from ngvisco.errors import (
 )
 from ngvisco.forms.distance import NUMERICAL
 from ngvisco.run.fields import usual
-from ngvisco.run.files import append, csv_text, write_atomically
-from ngvisco.run.notebook import NotebookError, ledger_html
-from ngvisco.run.stepping import step_under_way
-from ngvisco.run.vtu import read_pvd, shown_by, write_vtu
+from ngvisco.run.files import AnyPath, append, csv_text, write_atomically
+from ngvisco.run.frames import read_pvd
+from ngvisco.run.notebook import NotebookError
+from ngvisco.run.vtu import shown_by, write_pvd, write_vtu
 
 if TYPE_CHECKING:
     from ngvisco.run.simulation import Simulation
@@ -70,21 +64,22 @@ class Progress:
         spent = clock.perf_counter() - self._began
         return f"{spent * left / covered:.0f} s left" if covered > 0 else ""
 
+    def _is_at_end(self, simulation: Simulation) -> bool:
+        return simulation.t >= self.until * (1 - 1e-9)
+
     def start(self, simulation: Simulation) -> None:
         self._set_out(simulation)
-        self._total = "" if simulation.is_adaptive else f"/{round(self.until / simulation.dt)}"
-        cells, unknowns = simulation.cells, simulation.unknowns
-        steps = (
-            "adaptive steps" if simulation.is_adaptive else f"{self._total[1:]} steps of {simulation.dt:g} s"
-        )
-        line = f"{cells} cells, {unknowns} unknowns, {steps}, {simulation.scheme}"
+        self._total, steps = "", "adaptive steps"
+        if not simulation.is_adaptive:
+            count = round(self.until / simulation.dt)
+            self._total, steps = f"/{count}", f"{count} steps of {simulation.dt:g} s"
+        line = f"{simulation.cells} cells, {simulation.unknowns} unknowns, {steps}, {simulation.scheme}"
         if line != self._last:  # a run on meshes that follow a field starts on each of them
             self._print(line)
         self._last = line
 
     def step(self, simulation: Simulation, row: dict[str, float]) -> None:
-        at_end = simulation.t >= self.until * (1 - 1e-9)
-        if not (simulation.is_due(self.every) or at_end):
+        if not (simulation.is_due(self.every) or self._is_at_end(simulation)):
             return
         self._print(
             f"step {simulation.step_number:5d}{self._total}  t {row['time']:.4g} s  "
@@ -96,15 +91,15 @@ class Progress:
     def rejected(self, simulation: Simulation, rejection: Rejection) -> None:
         """A line for each rejected step."""
         self._print(
-            f"step {step_under_way(simulation):5d}{self._total}  t {rejection.time:.4g} s  rejected "
+            f"step {simulation.step_under_way:5d}{self._total}  t {rejection.time:.4g} s  rejected "
             f"dt {rejection.tau:.4g} s: {rejection.reason}"
         )
 
     def finish(self, simulation: Simulation) -> None:
-        finished = simulation.t >= self.until * (1 - 1e-9)
-        if not (finished or simulation.stop_requested):  # it goes on
+        is_at_end = self._is_at_end(simulation)
+        if not (is_at_end or simulation.stop_requested):  # it goes on
             return
-        word = "finished" if finished else "stopped"
+        word = "finished" if is_at_end else "stopped"
         self._print(f"{word} at t = {simulation.t:g} s after {steps_in_words(simulation)}")
         if (advice := dissipation_advice(simulation)) is not None:
             self._print(advice)
@@ -131,21 +126,16 @@ class NotebookProgress(Progress):
     def __init__(self, until: float, seconds: float = 0.5) -> None:
         super().__init__(until)
         self.seconds = seconds
-        self._display()
-
-    @staticmethod
-    def _display() -> tuple[Any, Any]:
         try:
-            from IPython.display import HTML, display
+            import IPython.display as display
         except ImportError as error:
             raise NotebookError("IPython is missing: pip install ipython") from error
-        return HTML, display
+        self._display: Any = display
 
     def start(self, simulation: Simulation) -> None:
         self._set_out(simulation)
-        make, display = self._display()
         self._drawn = clock.perf_counter() - self.seconds
-        self._handle = display(make(self._page(simulation)), display_id=True)
+        self._handle = self._display.display(self._page(simulation), display_id=True)
 
     def step(self, simulation: Simulation, row: dict[str, float]) -> None:
         if clock.perf_counter() - self._drawn >= self.seconds:
@@ -157,15 +147,16 @@ class NotebookProgress(Progress):
 
     def finish(self, simulation: Simulation) -> None:
         if self._handle is not None:  # there is none outside of a notebook
-            self._handle.update(self._display()[0](self._page(simulation)))
+            self._handle.update(self._page(simulation))
 
-    def _page(self, simulation: Simulation) -> str:
+    def _page(self, simulation: Simulation) -> Any:
         share, left = min(1.0, simulation.t / self.until), self._left(simulation) or "starting"
         bar = (
             '<div style="width:420px;border:1px solid #888;height:10px">'
             f'<div style="width:{100 * share:.1f}%;background:#31688e;height:10px"></div></div>'
         )
-        return f"{bar}<div>step {simulation.step_number}, {left}</div>{ledger_html(simulation.ledger.rows)}"
+        line = f"<div>step {simulation.step_number}, {left}</div>"
+        return self._display.HTML(bar + line + simulation.ledger._repr_html_())
 
 
 def steps_in_words(simulation: Simulation) -> str:
@@ -189,7 +180,7 @@ class LedgerCSV:
 
     on_first_rank = True
 
-    def __init__(self, path: str | os.PathLike[str]) -> None:
+    def __init__(self, path: AnyPath) -> None:
         self.path = require_file("LedgerCSV.path", path)
 
     def start(self, simulation: Simulation) -> None:
@@ -208,7 +199,8 @@ class VTKSeries:
     """A series of .vtu files and the .pvd that ParaView opens.
 
     Velocity, density, the material's variables, Cauchy stress, pressure and von Mises stress, with
-    their components labelled; vectors are padded to three components.
+    their components labelled; vectors are padded to three components.  A resumed run drops what the
+    interrupted one wrote out of turn when it stopped.
     Raises ParameterError if a parameter is out of its range.
 
     Parameters
@@ -223,13 +215,11 @@ class VTKSeries:
         Bisections of every cell for output (fields are linear in the pieces), >= 0.
     times : sequence of float
         Further times at which to write, s; pass them as ``stops`` to ``Simulation.run`` too.
-
-    A resumed run drops what the interrupted one wrote out of turn when it stopped.
     """
 
     def __init__(
         self,
-        directory: str | os.PathLike[str],
+        directory: AnyPath,
         every: int | None = 1,
         fields: Sequence[str] | None = None,
         subdivision: int = 0,
@@ -242,7 +232,7 @@ class VTKSeries:
         self.directory, self.every = require_path("VTKSeries.directory", directory), every
         if self.directory.exists() and not self.directory.is_dir():
             raise ParameterError("VTKSeries.directory", str(directory), "a directory; this is a file")
-        self.times = tuple(as_numbers("VTKSeries.times", times, "a sequence of finite numbers, s"))
+        self.times = as_numbers("VTKSeries.times", times, "a sequence of finite numbers, s")
         self.names = None if fields is None else require_some_names("VTKSeries.fields", fields)
         self.subdivision = int(subdivision)
         self.written: list[tuple[float, str]] = []
@@ -257,13 +247,12 @@ class VTKSeries:
         self.written = []
         if simulation.number > 0:
             now = simulation.t * (1 - 1e-12)
-            self.written = [(time, name) for time, name in read_pvd(self._pvd) if time < now]
+            self.written = [one for one in read_pvd(self.directory / "fields.pvd") if one[0] < now]
             simulation.ranks.on_first(self._remove_others)
         if simulation.number == 0 or self._is_due(simulation):
             self._write(simulation)
 
     def _remove_others(self) -> None:
-        """Remove what the interrupted run wrote out of turn or did not come to list."""
         kept = {name.partition(".")[0] for _, name in self.written}
         for path in self.directory.glob("fields_*"):
             match = re.fullmatch(r"(fields_\d{6})(_p\d+)?\.p?vtu", path.name)
@@ -282,26 +271,12 @@ class VTKSeries:
         if not self.written or self.written[-1][0] != simulation.t:
             self._write(simulation)
 
-    @property
-    def _pvd(self) -> Path:
-        return self.directory / "fields.pvd"
-
     def _write(self, simulation: Simulation) -> None:
         path = self.directory / f"fields_{simulation.number:06d}.vtu"
         write_vtu(path, simulation.mesh, self._fields, simulation.t, self.subdivision)
         self.written.append((simulation.t, shown_by(path, simulation.ranks).name))
         if simulation.ranks.is_first:
-            self._write_pvd()
-
-    def _write_pvd(self) -> None:
-        sets = "\n".join(
-            f'<DataSet timestep="{time!r}" group="" part="0" file="{name}"/>' for time, name in self.written
-        )
-        text = (
-            '<?xml version="1.0"?>\n<VTKFile type="Collection" version="1.0" '
-            f'byte_order="LittleEndian">\n<Collection>\n{sets}\n</Collection>\n</VTKFile>\n'
-        )
-        write_atomically(self._pvd, text.encode())
+            write_pvd(self.directory / "fields.pvd", self.written)
 
 
 NEGLIGIBLE = 1e-3
@@ -314,25 +289,23 @@ def dissipation_advice(simulation: Simulation) -> str | None:
     The energy there was to be moved is the largest kinetic energy, or change of the stored one, plus the work
     done by loads and walls.
     """
-    ledger = simulation.ledger
+    ledger, scheme = simulation.ledger, simulation.scheme
     if len(ledger.rows) < 2:
         return None
-    dt = ledger.column("dt")
 
     def total(kind: str) -> float:
-        return float(sum(dt @ ledger.column(entry.name) for entry in ledger.entries if entry.kind == kind))
+        return float(ledger.exchanged(*(one.name for one in ledger.entries if one.kind == kind))[-1])
 
-    numerical = float(sum(ledger.column(name).sum() for name in NUMERICAL))  # not what a transfer took
-    physical = total("dissipation")
-    stored = ledger.column("stored")
+    numerical = float(ledger.exchanged(*NUMERICAL)[-1])  # not what a transfer took
+    physical, stored = total("dissipation"), ledger.column("stored")
     moved = max(ledger.column("kinetic").max(), abs(stored - stored[0]).max()) + abs(total("power"))
     if numerical <= max(physical, NEGLIGIBLE * moved):
         return None
-    scheme = simulation.scheme
-    said = f"the time scheme {scheme.name} dissipated {numerical:.3g} J, the model {physical:.3g} J: "
-    if scheme.order > 1:
-        return said + "take a smaller dt"
-    return said + (
-        "take scheme = 'midpoint' (second order, one solve a step), 'sdirk2' where stiff parts are to be "
-        "damped, or a much smaller dt"
-    )
+    remedy = "take a smaller dt"
+    if scheme.order == 1:
+        remedy = (
+            "take scheme = 'midpoint' (second order, one solve a step), 'sdirk2' where stiff parts are to be "
+            "damped, or a much smaller dt"
+        )
+    said = f"the time scheme {scheme.name} dissipated {numerical:.3g} J, the model {physical:.3g} J"
+    return f"{said}: {remedy}"

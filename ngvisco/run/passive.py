@@ -23,27 +23,9 @@ from __future__ import annotations
 import copy
 from collections.abc import Mapping, Sequence
 
+import ngsolve as ngs
 import numpy as np
-from ngsolve import (
-    CF,
-    L2,
-    BilinearForm,
-    CoefficientFunction,
-    FacetFESpace,
-    FESpace,
-    GridFunction,
-    LinearForm,
-    Mesh,
-    Periodic,
-    Preconditioner,
-    Projector,
-    VectorL2,
-    VectorValued,
-    sqrt,
-    x,
-    y,
-    z,
-)
+from ngsolve import CF, L2, CoefficientFunction, FESpace, GridFunction, Mesh, sqrt, x, y, z
 from ngsolve.krylovspace import GMRESSolver
 
 from ngvisco.errors import CheckpointError, ParameterError, StepError, UnknownNameError
@@ -64,16 +46,9 @@ CARRIED = (*NAMES, "displacement")
 
 
 class PassiveFields:
-    """The passive fields of a run.
+    """The passive fields of a run, some of ``NAMES``; ``F_0``, 3x3, is what F_tot starts from.
 
     Raises UnknownNameError for any other name; ParameterError for ``creep_strain`` without creep.
-
-    Parameters
-    ----------
-    names : sequence of str
-        Some of ``NAMES``.
-    F_0 : 3x3 coefficient function
-        What F_tot starts from.
     """
 
     def __init__(self, step: Step, names: Sequence[str], F_0: CoefficientFunction = IDENTITY) -> None:
@@ -180,7 +155,7 @@ def _combined(weights: np.ndarray, stages: Sequence[Mapping[str, np.ndarray]], k
 
 
 def _cells(mesh: Mesh, order: int, vector: bool) -> FESpace:
-    return VectorL2(mesh, order=order) if vector else L2(mesh, order=order)
+    return ngs.VectorL2(mesh, order=order) if vector else L2(mesh, order=order)
 
 
 class _Growth(Rates):
@@ -205,9 +180,9 @@ class _Carrier:
         """``rate`` is A, (dim, dim), or None for none; ``vector`` fields have dim components."""
         mesh, order = step.mesh, step.discretisation.k
         self.vector, self.cells = vector, _cells(mesh, order, vector)
-        traces = FacetFESpace(mesh, order=order)
-        traces = VectorValued(traces, mesh.dim) if vector else traces
-        self.space = FESpace([self.cells, Periodic(traces) if step.layout.periodic else traces])
+        traces = ngs.FacetFESpace(mesh, order=order)
+        traces = ngs.VectorValued(traces, mesh.dim) if vector else traces
+        self.space = FESpace([self.cells, ngs.Periodic(traces) if step.layout.periodic else traces])
         (f, f_hat), (g, g_hat) = self.space.TnT()
         c, layout, rules = step.context.closed(), copy.copy(step.layout), step.quadrature
         c.rates = _Growth(step, rate)
@@ -216,16 +191,16 @@ class _Carrier:
         w = Fields(layout, {"z": g, "z_hat": g_hat}, c)
         cells = c.rate(inner(f, g)) - sum(transport_in_cells(u, u, w, "z"))
         facets = sum(UpwindTrace().facets(u, w)) - transport_through_facets(u, u, w, "z")
-        self.form = BilinearForm(self.space, condense=True)
+        self.form = ngs.BilinearForm(self.space, condense=True)
         self.form += cells.Compile() * rules.cells
         self.form += facets.Compile() * rules.facets
-        self._preconditioner = Preconditioner(self.form, "local")
+        self._preconditioner = ngs.Preconditioner(self.form, "local")
         # the old value by the rule of the matrix: another one lets errors grow at rest
         self._old = GridFunction(self.cells)
-        self._load = LinearForm(self.space)
+        self._load = ngs.LinearForm(self.space)
         self._load += c.rate(inner(self._old, g)) * rules.cells
         self._tests, self._rules = g, rules
-        self._traces = Projector(self.space.FreeDofs(True), True)
+        self._traces = ngs.Projector(self.space.FreeDofs(True), True)
         self._solution = GridFunction(self.space)
 
     def carry(self, name: str, old: np.ndarray, source: CoefficientFunction | None) -> np.ndarray:
@@ -237,7 +212,7 @@ class _Carrier:
         self._old.vec.FV().NumPy()[:] = old
         rhs = self._load.Assemble().vec
         if source is not None:
-            rhs += LinearForm(source * self._tests * self._rules.cells).Assemble().vec
+            rhs += ngs.LinearForm(source * self._tests * self._rules.cells).Assemble().vec
         reduced = (rhs + form.harmonic_extension_trans * rhs).Evaluate()
         self._traces.Project(reduced)
         solution.vec[:] = 0.0

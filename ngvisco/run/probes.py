@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from ngsolve import CF, CoefficientFunction, x, y, z
 
-from ngvisco.errors import InputWarning, ParameterError, require_some_names
+from ngvisco.errors import InputWarning, ParameterError, as_integer, require_collection, require_some_names
 from ngvisco.expressions import parse
 from ngvisco.forms.boundary.reactions import WallReactions
 from ngvisco.forms.mesh.locating import Located, as_points
@@ -17,6 +16,7 @@ from ngvisco.physics.bodies import AMOUNT
 from ngvisco.physics.mixture import Mixture
 from ngvisco.physics.tensors import inner, sym
 from ngvisco.run.fields import component_fields, components
+from ngvisco.run.files import AnyPath
 from ngvisco.run.series import Series
 
 if TYPE_CHECKING:
@@ -47,29 +47,21 @@ class Probes(Series):
         self,
         points: Mapping[str, Sequence[float]] | Sequence[Sequence[float]],
         fields: Sequence[str] | None = None,
-        path: str | os.PathLike[str] | None = None,
+        path: AnyPath | None = None,
         every: int = 1,
     ) -> None:
         super().__init__(path, every)
         if not isinstance(points, Mapping):
-            try:
-                points = {f"p{i + 1}": point for i, point in enumerate(points)}
-            except TypeError as error:
-                raise ParameterError(
-                    "Probes.points", points, "points, or a mapping of names to points"
-                ) from error
+            some = require_collection("Probes.points", points, "points, or a mapping of names to points")
+            points = {f"p{i + 1}": point for i, point in enumerate(some)}
         if not points:
             raise ParameterError("Probes.points", points, "at least one point")
         self.points, self.fields = dict(points), _chosen("Probes", fields)
 
     def prepare(self, simulation: Simulation) -> list[str]:
-        mesh = simulation.mesh
-        names = [f"Probes.points[{name!r}]" for name in self.points]
-        at = [as_points(name, p, mesh.dim) for name, p in zip(names, self.points.values(), strict=True)]
-        for name, found, given in zip(names, at, self.points.values(), strict=True):
-            if len(found) != 1:
-                raise ParameterError(name, given, "one point")
-        self._at = Located(mesh, np.concatenate(at), names)
+        mesh, named = simulation.mesh, {f"Probes.points[{name!r}]": p for name, p in self.points.items()}
+        at = np.array([_one_point(name, point, mesh.dim) for name, point in named.items()])
+        self._at = Located(mesh, at, list(named))
         self._values, columns = _stacked(simulation, self.fields)
         return [f"{name}.{column}" for name in self.points for column in columns]
 
@@ -101,20 +93,18 @@ class LineSamples(Series):
         end: Sequence[float],
         points: int = 101,
         fields: Sequence[str] | None = None,
-        path: str | os.PathLike[str] | None = None,
+        path: AnyPath | None = None,
         every: int = 1,
     ) -> None:
         super().__init__(path, every)
-        if not isinstance(points, int) or isinstance(points, bool) or points < 2:
+        if (count := as_integer(points)) is None or count < 2:
             raise ParameterError("LineSamples.points", points, "an integer >= 2")
-        self.ends, self.points, self.fields = (start, end), points, _chosen("LineSamples", fields)
+        self.ends, self.points, self.fields = (start, end), count, _chosen("LineSamples", fields)
 
     def prepare(self, simulation: Simulation) -> list[str]:
         mesh = simulation.mesh
-        a, b = (
-            as_points(f"LineSamples.{name}", value, mesh.dim)[0]
-            for name, value in zip(("start", "end"), self.ends, strict=True)
-        )
+        a = _one_point("LineSamples.start", self.ends[0], mesh.dim)
+        b = _one_point("LineSamples.end", self.ends[1], mesh.dim)
         length = float(np.linalg.norm(b - a))
         if length == 0:
             raise ParameterError("LineSamples.end", b.tolist(), "another point than start")
@@ -157,7 +147,7 @@ class WallForces(Series):
         self,
         walls: Sequence[str] | None = None,
         about: Sequence[float] | None = None,
-        path: str | os.PathLike[str] | None = None,
+        path: AnyPath | None = None,
         every: int = 1,
     ) -> None:
         super().__init__(path, every)
@@ -166,10 +156,8 @@ class WallForces(Series):
 
     def prepare(self, simulation: Simulation) -> list[str]:
         dim = simulation.mesh.dim
-        about = as_points("WallForces.about", [0.0] * dim if self.about is None else self.about, dim)
-        if len(about) != 1:
-            raise ParameterError("WallForces.about", self.about, "one point")
-        self._reactions = WallReactions(simulation.rothe_step, self.walls, about[0])
+        about = _one_point("WallForces.about", [0.0] * dim if self.about is None else self.about, dim)
+        self._reactions = WallReactions(simulation.rothe_step, self.walls, about.tolist())
         self._integrator = simulation.integrator
         self.begin()
         return [f"{name}.{part}" for name in self._reactions.names for part in self._reactions.motions]
@@ -186,7 +174,7 @@ class WallForces(Series):
     # of the integrator: the mean over a step's stages, taken while these are the present state
 
     def begin(self) -> None:
-        self._mean: np.ndarray = np.zeros((len(self._reactions.names), len(self._reactions.motions)))
+        self._mean = np.zeros((len(self._reactions.names), len(self._reactions.motions)))
 
     def stage(self, weights: np.ndarray, share: float) -> None:
         self._mean += share * np.array(list(self._reactions().values()))
@@ -195,8 +183,8 @@ class WallForces(Series):
         if self._integrator.impulse is not None:
             self._mean += self._reactions.of_rows(self._integrator.impulse)
 
-    def _sample(self, simulation: Simulation) -> list[list[float]]:
-        return [self._mean.ravel().tolist()]
+    def _sample(self, simulation: Simulation) -> Any:
+        return [self._mean.ravel()]
 
 
 class Integrals(Series):
@@ -216,10 +204,7 @@ class Integrals(Series):
     """
 
     def __init__(
-        self,
-        integrands: Mapping[str, CoefficientFunction | str],
-        path: str | os.PathLike[str] | None = None,
-        every: int = 1,
+        self, integrands: Mapping[str, CoefficientFunction | str], path: AnyPath | None = None, every: int = 1
     ) -> None:
         super().__init__(path, every)
         if not isinstance(integrands, Mapping) or not integrands:
@@ -234,13 +219,12 @@ class Integrals(Series):
 
     def prepare(self, simulation: Simulation) -> list[str]:
         known = components(simulation.fields)
-        parts = []
-        for value in self.integrands.values():
-            if isinstance(value, str):
-                parts.append(parse(value, tuple(known)).coefficient(known))
-            else:
-                parts.append(value)
-        self._integrand = CF(tuple(parts))
+        self._integrand = CF(
+            tuple(
+                parse(value, tuple(known)).coefficient(known) if isinstance(value, str) else value
+                for value in self.integrands.values()
+            )
+        )
         for name, value in zip(self.integrands, self._totals(simulation), strict=True):
             if not np.isfinite(value):
                 expected = f"an integrand that is finite; at t = {simulation.t:g} s its integral is {value}"
@@ -264,21 +248,24 @@ class Integrals(Series):
         return [totals]
 
 
+def _one_point(name: str, value: Any, dim: int) -> np.ndarray:
+    if len(found := as_points(name, value, dim)) != 1:
+        raise ParameterError(name, value, "one point")
+    return found[0]
+
+
 def _chosen(owner: str, fields: Sequence[str] | None) -> list[str] | None:
     """Names of fields, of which there is one at least; None for the usual ones."""
     return None if fields is None else require_some_names(f"{owner}.fields", fields)
 
 
 def _stacked(simulation: Simulation, names: Sequence[str] | None) -> tuple[CoefficientFunction, list[str]]:
-    """All wanted components as one function, and their names."""
     chosen = component_fields(simulation.fields, names)
     return CF(tuple(chosen.values())), list(chosen)
 
 
 _HALF = 0.5
 """Fraction from which on a point counts to a body's extent."""
-
-UNITS = {"mass": "kg", "volume": "m^d", "kinetic": "J", "stored": "J", "dissipation": "W"}
 
 
 class Bodies(Series):
@@ -316,36 +303,34 @@ class Bodies(Series):
             expected = "bodies, Model(bodies=[...]), which it would measure"
             raise ParameterError("Bodies.model", type(material).__name__, expected)
         axes = "xyz"[: simulation.mesh.dim]
-        self._names = [body.name for body in material.bodies]
-        quantities = ["mass", "volume", *axes, *(f"momentum_{axis}" for axis in axes)]
-        quantities += ["kinetic", "stored", "dissipation"]
-        self._integrand = CF(tuple(part for name in self._names for part in _integrands(step, name)))
+        units = {"mass": "kg", "volume": "m^d", **dict.fromkeys(axes, "m")}
+        units |= {f"momentum_{axis}": "kg m/s" for axis in axes}
+        units |= {"kinetic": "J", "stored": "J", "dissipation": "W"}
+        units |= {f"{axis}_{end}": "m" for axis in axes for end in ("min", "max")}
+        names = [body.name for body in material.bodies]
+        self._units = {f"{name}_{quantity}": unit for name in names for quantity, unit in units.items()}
+        self._integrand = CF(tuple(part for name in names for part in _integrands(step, name)))
         theta = material.fractions.at(step.now.z_tensors)
-        self._theta = CF(tuple(theta[name] for name in self._names))
+        self._theta = CF(tuple(theta[name] for name in names))
         sampler = simulation.sampler
         self._places = sampler.coordinates(np.arange(len(sampler.points)))
-        quantities += [f"{axis}_{end}" for axis in axes for end in ("min", "max")]
-        return [f"{name}_{quantity}" for name in self._names for quantity in quantities]
+        return list(self._units)
 
     def unit(self, column: str) -> str:
         """SI unit of a column (per metre of thickness in plane strain)."""
-        if column in ("step", "time"):
-            return super().unit(column)
-        name = next(name for name in sorted(self._names, key=len)[::-1] if column.startswith(f"{name}_"))
-        quantity = column[len(name) + 1 :]
-        return "kg m/s" if quantity.startswith("momentum") else UNITS.get(quantity, "m")
+        return self._units.get(column) or super().unit(column)
 
     def _sample(self, simulation: Simulation) -> Any:
         dim = simulation.mesh.dim
         simulation.rothe_step.eliminate.refresh()
         totals = np.asarray(simulation.rothe_step.quadrature.integrate_cells(self._integrand), dtype=float)
-        values = totals.reshape(len(self._names), -1)
+        values = totals.reshape(self._theta.dim, -1)
         values[:, 2 : 2 + dim] /= np.where(values[:, 1:2] > 0, values[:, 1:2], np.nan)
-        there = simulation.sampler.rows(self._theta).T >= _HALF
+        there = simulation.sampler.rows(self._theta).T[:, :, None] >= _HALF
         # the least as the largest of the negative ones: a rank may have none
-        ends = np.array([_ends(self._places[where]) for where in there])
-        low, high = np.moveaxis(simulation.ranks.largest(ends), 1, 0)
-        extents = np.stack([-low, high], axis=-1).reshape(len(self._names), -1)
+        ends = np.stack([-self._places, self._places], axis=-1).reshape(-1, 2 * dim)
+        extents = np.where(there, ends, -np.inf).max(axis=1, initial=-np.inf)
+        extents = simulation.ranks.largest(extents) * np.tile([-1, 1], dim)
         extents[np.isinf(extents)] = np.nan
         return [np.hstack([values, extents]).ravel()]
 
@@ -379,8 +364,3 @@ def _integrands(step: Step, name: str) -> list[CoefficientFunction]:
         shears.get(name, CF(0.0)) + rest[name] + theta * of_volume,
         loss,
     ]
-
-
-def _ends(places: np.ndarray) -> np.ndarray:
-    """Largest negative and largest coordinate along each axis, (2, dim); -inf without any place."""
-    return np.stack([(-places).max(axis=0, initial=-np.inf), places.max(axis=0, initial=-np.inf)])

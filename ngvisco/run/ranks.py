@@ -1,20 +1,159 @@
-"""What one rank of a run meets alone, made known to all of them."""
+"""A run over ranks: coefficients in the numbering of one process, and errors of one rank raised on all.
+
+A checkpoint has the numbering of one process, so that any number of ranks reads it.  The number of a rank's
+cell in the whole mesh is known (``Part.cells``); the unknowns of a cell have the same order in both.  The
+orientation of edges and faces is the same too: ranks number their vertices in the order of the whole mesh.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import sys
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from ngvisco.errors import NgviscoError
+import numpy as np
+from ngsolve import VOL, ElementId, FESpace, Mesh
+
+from ngvisco.errors import NgviscoError, ParameterError
+from ngvisco.forms.driving_stress import STRESS
+from ngvisco.forms.spaces import Layout
 from ngvisco.parallel.communicator import OF_ALL_RANKS, Communicator
+from ngvisco.parallel.exchange import Exchange
+from ngvisco.parallel.mesh import Part
 
 if TYPE_CHECKING:
     from ngvisco.run.simulation import Observer, Simulation
 
 _FAILED, _INTERRUPTED = 1, 130
+
+
+class _Numbers:
+    """Which unknown of a space on the whole mesh each unknown of a rank is; collective.
+
+    ``whole`` is that space, None but on the first rank, and ``chosen`` there the unknowns of it that are
+    counted alone, in this order.  In ``own``, (unknowns,), those of no cell, as images of identified ones,
+    are -1.
+    """
+
+    def __init__(
+        self, own: np.ndarray, whole: FESpace | None, ranks: Communicator, chosen: np.ndarray | None = None
+    ) -> None:
+        self._count, self._ranks = 0 if whole is None else whole.ndof, ranks
+        self._parts = ranks.mpi.gather(own)
+        if whole is not None and chosen is not None:
+            self._count, place = len(chosen), np.full(whole.ndof + 1, -1)
+            place[chosen] = np.arange(len(chosen))
+            self._parts = [place[numbers] for numbers in self._parts]
+
+    def whole(self, values: np.ndarray) -> np.ndarray:
+        parts = self._ranks.mpi.gather(values)
+        if parts is None:
+            return np.zeros(0)
+        result = np.zeros(self._count + 1)  # one more, for -1
+        for numbers, part in zip(self._parts, parts, strict=True):
+            result[numbers] = part
+        return result[:-1]
+
+    def own(self, values: np.ndarray | None) -> np.ndarray:
+        parts = None if values is None else [np.append(values, 0.0)[numbers] for numbers in self._parts]
+        found: np.ndarray = self._ranks.mpi.scatter(parts)
+        return found
+
+
+class Numbering:
+    """Which unknown of the whole mesh each unknown of a rank is; on one process itself.
+
+    Raises ParameterError for a mesh that was distributed otherwise than by ``Simulation``: the whole is not
+    known.  Arrays have the names of a checkpoint: those of ``stepping`` have the unknowns that evolve, in
+    the order of ``Layout.evolving``, those of ``passive`` and stresses of flow rules spaces of their own,
+    others all unknowns.
+
+    Attributes
+    ----------
+    mesh, layout : Mesh and Layout, or None
+        Of the whole mesh, None but on the first rank.
+    """
+
+    def __init__(self, simulation: Simulation) -> None:
+        step, ranks = simulation.rothe_step, simulation.ranks
+        self.mesh: Mesh | None = step.mesh
+        self.layout: Layout | None = step.layout
+        self._numbers: dict[str, _Numbers] | None = None
+        if not ranks.is_distributed:
+            return
+        part = step.mesh
+        if not isinstance(part, Part):
+            expected = "a mesh that Simulation distributes itself, of which it knows the whole"
+            raise ParameterError("Checkpoints", "a distributed mesh", expected)
+        self.mesh = mesh = part.whole
+        self.layout = None if mesh is None else step.layout.on(mesh)
+        whole = None if self.layout is None else self.layout.space
+        own = numbers_in(part, step.layout.space, whole)
+        evolved = None if self.layout is None else _evolved(self.layout)
+        self._numbers = {
+            "": _Numbers(own, whole, ranks),
+            "stepping": _Numbers(own[_evolved(step.layout)], whole, ranks, evolved),
+        }
+        spaces: dict[str, tuple[FESpace, FESpace | None]] = {}
+        for name, stress in step.stresses.functions.items():
+            size = len(stress.components)
+            of_whole = None if mesh is None else replace(step.quadrature, mesh=mesh)
+            nodes = None if of_whole is None else of_whole.vectors(size, at_nodes=True).space
+            spaces[f"solver/{name}"] = stress.space, nodes
+        for name, field in simulation.passive.parts.items():
+            cells = None if mesh is None else simulation.passive.space(name, mesh)
+            spaces[f"passive/{name}"] = field.space, cells
+        for name, (space, of_whole) in spaces.items():
+            self._numbers[name] = _Numbers(numbers_in(part, space, of_whole), of_whole, ranks)
+
+    def whole(self, values: np.ndarray, name: str) -> np.ndarray:
+        """An array of a checkpoint as one process has it, on the first rank, an empty one on others."""
+        return values if self._numbers is None else self._numbers[_key(name)].whole(values)
+
+    def own(self, values: np.ndarray | None, name: str) -> np.ndarray:
+        """A rank's part of such an array that the first one has, None on others."""
+        if self._numbers is not None:
+            return self._numbers[_key(name)].own(values)
+        assert values is not None
+        return values
+
+    def knows(self, name: str) -> bool:
+        """Whether such an array is of this simulation, whose passive fields and flow rules may be others."""
+        return self._numbers is None or _key(name) in self._numbers
+
+
+def _key(name: str) -> str:
+    part, _, own = name.rpartition("/")
+    if part == "passive" or (part == "solver" and own.startswith(STRESS)):
+        return name
+    return "stepping" if part == "stepping" else ""
+
+
+def _evolved(layout: Layout) -> np.ndarray:
+    ranges = (layout.ranges[name] for name in layout.evolving)
+    return np.concatenate([np.arange(where.start, where.stop) for where in ranges])
+
+
+def numbers_in(part: Part, space: FESpace, whole: FESpace | None) -> np.ndarray:
+    """Numbers in a space on the whole mesh, None but on the first rank, of a rank's unknowns; collective."""
+    wanted = part.ranks.mpi.gather(part.cells)
+    answers = None
+    if whole is not None:
+        answers = [_of_cells(whole, cells) for cells in wanted]
+    numbers, here = np.zeros((2, space.ndof))
+    of_cells = _of_cells(space, range(part.ne))
+    numbers[of_cells], here[of_cells] = part.ranks.mpi.scatter(answers), 1.0
+    exchange = Exchange.of(space, part.ranks)  # of periodic domains a rank has unknowns of others' cells
+    numbers, count = exchange.sum(numbers), exchange.sum(here)
+    return np.where(count > 0, numbers / np.maximum(count, 1), -1).astype(np.int64)
+
+
+def _of_cells(space: FESpace, cells: Iterable[int]) -> np.ndarray:
+    each = (np.array(space.GetDofNrs(ElementId(VOL, int(cell))), dtype=np.int64) for cell in cells)
+    return np.concatenate([np.zeros(0, dtype=np.int64), *(dofs[dofs >= 0] for dofs in each)])
 
 
 def tell(simulation: Simulation, observer: Observer, what: Callable[..., None], *arguments: object) -> None:
@@ -32,12 +171,6 @@ def tell(simulation: Simulation, observer: Observer, what: Callable[..., None], 
     together = ranks.agree(failure)
     if together is not None:
         raise together from failure
-
-
-def is_to_stop(simulation: Simulation) -> bool:
-    """Whether some rank was asked to stop, as by a signal, and now all are."""
-    simulation.stop_requested = simulation.ranks.any(simulation.stop_requested)
-    return simulation.stop_requested
 
 
 @contextlib.contextmanager

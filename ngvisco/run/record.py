@@ -1,23 +1,24 @@
 """A run with the usual files and pictures in one call: what demos and short scripts do."""
 
-import os
 from collections.abc import Mapping
 
 from ngvisco.errors import ParameterError, as_number, require_path
 from ngvisco.expressions import parse
 from ngvisco.run.checkpoint import Checkpoints
 from ngvisco.run.fields import components
+from ngvisco.run.files import AnyPath
+from ngvisco.run.frames import outlined
 from ngvisco.run.ledger import Ledger
 from ngvisco.run.observers import LedgerCSV, Progress, VTKSeries
-from ngvisco.run.outlines import outlined
-from ngvisco.run.plots import figure, plot_energies, plot_fields
+from ngvisco.run.pictures import figure, plot_fields
+from ngvisco.run.plots import plot_energies
 from ngvisco.run.probes import Bodies
 from ngvisco.run.simulation import Observer, Simulation
 
 
 def record(
     simulation: Simulation,
-    directory: str | os.PathLike[str],
+    directory: AnyPath,
     until: float,
     *,
     every: int = 5,

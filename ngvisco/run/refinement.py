@@ -9,7 +9,6 @@ coarser ones; the energy that this takes is the ledger's column ``transfer``.
 from __future__ import annotations
 
 import math
-import os
 import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -34,7 +33,7 @@ from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.mesh import of_whole, whole_of
 from ngvisco.run.checkpoint import Checkpoints, ChosenMesh, mesh_of_checkpoints
 from ngvisco.run.fields import field_unit
-from ngvisco.run.meshfile import mesh_image, mesh_of
+from ngvisco.run.files import AnyPath, mesh_image, mesh_of
 from ngvisco.run.scales import Place, diameter, extreme_places
 from ngvisco.run.simulation import Simulation
 from ngvisco.run.transfer import go_on, require_fit, transfer
@@ -118,10 +117,7 @@ class Refinement:
 
 
 def run_refined(
-    simulation: Simulation,
-    refinement: Refinement,
-    until: float,
-    checkpoint: str | os.PathLike[str] | None = None,
+    simulation: Simulation, refinement: Refinement, until: float, checkpoint: AnyPath | None = None
 ) -> Simulation:
     """Run on meshes that follow a field, refined from that of ``simulation``.
 
@@ -168,58 +164,40 @@ def stretches(
 ) -> Iterator[tuple[Simulation, float]]:
     """A run on each of its meshes, and until when it is to go on there, s.
 
-    Parameters
-    ----------
-    simulation : Simulation
-        At its start on the first mesh, or at a later state on a later one.
-    refinement : Refinement
-    until : float
-        End of the run, s.
-    first : Mesh
-        Of which all meshes are refinements.
-    chosen : ChosenMesh or None
-        The mesh of the present state, where it is not the first one.
+    ``simulation`` is at its start on the ``first`` mesh, of which all are refinements, or at a later state on
+    a later one, ``chosen``.
     """
-    cells, every = _First(first, simulation.ranks), refinement.every
+    cells, every = _First(first, simulation.ranks, refinement), refinement.every
     if simulation.number == 0 and simulation.ledger.balance is None:
         for _ in range(refinement.levels):  # the start values anew, as sharp as the mesh
-            image = cells.refined(simulation.mesh, refinement.steep(simulation), refinement.levels)
-            if image is None:
+            if (finer := cells.under(simulation)) is None:
                 break
-            simulation = _on(simulation, image)
-            _tell_checkpoints(simulation, ChosenMesh(image, 0))
+            simulation, chosen = finer
+        _tell_checkpoints(simulation, chosen)
     else:
         _tell_checkpoints(simulation, chosen)
         periods = simulation.t / every
         at_choice = abs(periods - round(periods)) < _SAME_TIME
         if at_choice and (chosen is None or chosen.step != simulation.number) and simulation.t < until:
-            simulation = _moved(simulation, cells, refinement)
+            simulation = _moved(simulation, cells)
     while True:
         stop = min((math.floor(simulation.t / every + _SAME_TIME) + 1) * every, until)
         stop = until if stop > until * (1 - _SAME_TIME) else stop
         yield simulation, stop
         if simulation.stop_requested or stop == until:
             return
-        simulation = _moved(simulation, cells, refinement)
+        simulation = _moved(simulation, cells)
 
 
-def _moved(simulation: Simulation, cells: _First, refinement: Refinement) -> Simulation:
+def _moved(simulation: Simulation, cells: _First) -> Simulation:
     """The run on the mesh that its present state wants; the same one where that is the one it has."""
-    image = cells.refined(simulation.mesh, refinement.steep(simulation), refinement.levels)
-    if image is None:
+    if (found := cells.under(simulation)) is None:
         return simulation
-    target = _on(simulation, image)
+    target, chosen = found
     transfer(simulation, target)
     go_on(simulation, target)
-    _tell_checkpoints(target, ChosenMesh(image, target.number))
+    _tell_checkpoints(target, chosen)
     return target
-
-
-def _on(simulation: Simulation, image: bytes) -> Simulation:
-    """The run at its start on the mesh of a file, from which it is read as when the run is resumed."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", NgviscoWarning)  # of the start values, given on the first mesh
-        return simulation.on(mesh_of(image))
 
 
 def _tell_checkpoints(simulation: Simulation, chosen: ChosenMesh | None) -> None:
@@ -231,35 +209,44 @@ def _tell_checkpoints(simulation: Simulation, chosen: ChosenMesh | None) -> None
 class _First:
     """The first mesh, of which all others are refinements; over ranks the first one has it and divides it."""
 
-    def __init__(self, mesh: Mesh, ranks: Communicator) -> None:
-        self._ranks, whole = ranks, whole_of(mesh) if ranks.is_first else None
+    def __init__(self, mesh: Mesh, ranks: Communicator, refinement: Refinement) -> None:
+        self._ranks, self._refinement = ranks, refinement
+        whole = whole_of(mesh) if ranks.is_first else None
         if whole is not None:
             self._image, self._order = mesh_image(whole), whole.GetCurveOrder()
             self._straight = Mesh(whole.ngmesh.Copy())  # volumes of straight cells are halved exactly
             self._volumes = _volumes(self._straight)
 
-    def refined(self, present: Mesh, marked: np.ndarray, levels: int) -> bytes | None:
-        """The file of the first mesh with cells divided that lie in marked ones of ``present``, or have such
-        in them; None where that is ``present``.  Collective."""
-        return self._ranks.on_first(lambda: self._refined(whole_of(present), marked, levels))
+    def under(self, simulation: Simulation) -> tuple[Simulation, ChosenMesh] | None:
+        """The run at its start on the mesh that a state wants, and that mesh, read from its file as when the
+        run is resumed; None where the state is on it.  Collective."""
+        marked = self._refinement.steep(simulation)
+        image = self._ranks.on_first(lambda: self._refined(whole_of(simulation.mesh), marked))
+        if image is None:
+            return None
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", NgviscoWarning)  # of the start values, given on the first mesh
+            return simulation.on(mesh_of(image)), ChosenMesh(image, simulation.number)
 
-    def _refined(self, present: Mesh | None, marked: np.ndarray, levels: int) -> bytes | None:
+    def _refined(self, present: Mesh | None, marked: np.ndarray) -> bytes | None:
+        """The file of the first mesh with cells divided that lie in marked ones of ``present``, or have such
+        in them; None where that is ``present``."""
         assert present is not None
         mesh = mesh_of(self._image)  # Netgen's ``Copy`` forgets which walls are identified
         straight = Mesh(present.ngmesh.Copy())
-        places = _centres(straight)[marked]
-        for _ in range(mesh.dim * levels):
+        places, times = _centres(straight)[marked], mesh.dim * self._refinement.levels
+        for _ in range(times):
             centres = _centres(mesh)
             wanted = marked[_cells_at(straight, centres)]
             wanted[_cells_at(mesh, places)] = True
-            asked = self._volumes[_cells_at(self._straight, centres)] / 2 ** (mesh.dim * levels)
+            asked = self._volumes[_cells_at(self._straight, centres)] / 2**times
             wanted &= _volumes(mesh) > _TOO_LARGE * asked
             if not wanted.any():
                 break
             for cell in mesh.Elements(VOL):
                 mesh.SetRefinementFlag(cell, bool(wanted[cell.nr]))
             mesh.Refine()
-        if _are_same(mesh, present):
+        if mesh.ne == present.ne and np.array_equal(_centres(mesh), _centres(present)):
             return None
         if self._order == 1:
             return mesh_image(mesh)
@@ -285,7 +272,3 @@ def _cells_at(mesh: Mesh, points: np.ndarray) -> np.ndarray:
     outside = found < 0
     found[outside] = cKDTree(_centres(mesh)).query(points[outside])[1]
     return found
-
-
-def _are_same(one: Mesh, other: Mesh) -> bool:
-    return one.ne == other.ne and np.array_equal(_centres(one), _centres(other))

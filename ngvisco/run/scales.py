@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -46,30 +46,20 @@ class Scales:
 
     Of moduli that differ from place to place and from body to body, each by itself, those are taken that ask
     most of dt and maxh.
-
-    Attributes
-    ----------
-    length, cell : float
-        Shortest edge of the body's bounding box, and median cell size, m.
-    velocity : float
-        The run's typical velocity, m/s: the largest of the initial one, of free fall, of elastic release.
-    speeds : tuple of float
-        Of the fastest longitudinal and the fastest shear waves at rest, m/s.
-    kinematic_viscosity : float
-        The least G_v/rho that is not zero, m^2/s.
-    maxwell : float
-        The shortest relaxation time of shear by creep, G_m/(2 G), s.
-    dt : float
-        s.
-    scheme : TimeScheme
     """
 
     length: float
+    """Shortest edge of the body's bounding box, m."""
     cell: float
+    """Median size of a cell, m."""
     velocity: float
+    """The run's typical velocity, m/s."""
     speeds: tuple[float, float]
+    """Of the fastest longitudinal and the fastest shear waves at rest, m/s."""
     kinematic_viscosity: float
+    """The least G_v/rho that is not zero, m^2/s."""
     maxwell: float
+    """The shortest relaxation time of shear by creep, G_m/(2 G), s."""
     dt: float
     scheme: TimeScheme = field(default_factory=backward_euler)
     densities: float = 1.0
@@ -123,13 +113,14 @@ class Scales:
                 f"the modulus of compression is {(fast / slow) ** 2:.2g} times that of shear: cells lock "
                 "with k = 2 (take discretisation.k = 3), and steps are hard to solve; or take a smaller K_e"
             )
-        if self.densities > _DENSER * (1 + 1e-6):
+        is_denser = self.densities > _DENSER * (1 + 1e-6)
+        if is_denser:
             said.append(
                 f"densities differ {self.densities:.2g} times: where their boundary moves through cells what "
                 "is light is thrown about, and steps are hard to solve; take a ratio up to "
                 f"{_DENSER:g}, and what is light as viscous as the other"
             )
-        if not self.one_bulk_energy and self.densities > _DENSER * (1 + 1e-6):
+        if is_denser and not self.one_bulk_energy:
             said.append(
                 "bodies of such densities have different bulk energies: few steps are solved; where it does "
                 "not matter give all of them one, e.g. a medium beside ReferentialNeoHookean "
@@ -215,9 +206,11 @@ def extreme_places(step: Step, sampler: Sampler) -> list[Place]:
     With bodies those of each body, among the points where there is most of it, at which it is then alone; a
     body without parameters has one place.  None where there are neither parameters nor bodies.
     """
-    u, model = step.now, step.model
-    material = model.material
-
+    u, material, slices = step.now, step.model.material, step.layout.states.slices
+    carried = [v.name for v in material.variables if isinstance(v, Parameter)]
+    bodies = material.bodies if isinstance(material, Mixture) else ()
+    if not (carried or bodies):
+        return []
     own = cell_numbers(step.mesh)[sampler.cells]
     order = np.argsort(np.concatenate(sampler.ranks.gathered(own)), kind="stable")
 
@@ -225,64 +218,43 @@ def extreme_places(step: Step, sampler: Sampler) -> list[Place]:
         """At the points of all ranks, in the order of one process: what is equal is met there first."""
         return np.concatenate(sampler.ranks.gathered(np.asarray(sampler.values(f))))[order]
 
-    carried = [v.name for v in material.variables if isinstance(v, Parameter)]
-    bodies = material.bodies if isinstance(material, Mixture) else ()
-    if not (carried or bodies):
-        return []
-    values = {name: everywhere(u.z_tensors[name]) for name in carried}
-    rho = everywhere(u.rho)
+    values, rho = {name: everywhere(u.z_tensors[name]) for name in carried}, everywhere(u.rho)
     states = everywhere(u.z).reshape(len(rho), -1)
+
+    def chosen(names: Sequence[str], among: np.ndarray, usual: int = 0) -> dict[int, dict[str, float]]:
+        """Points at which one of the named values is least or largest, and all values there.
+
+        Values that differ by rounding count once: an end is often taken along a line.
+        """
+        found: dict[int, dict[str, float]] = {}
+        ends = [values[name][among] for name in names]
+        for i in sorted({int(among[at]) for v in ends for at in (v.argmin(), v.argmax())}) or [usual]:
+            here = {name: float(value[i]) for name, value in values.items()}
+            if not any(np.allclose(list(here.values()), list(z.values()), 1e-6, 0) for z in found.values()):
+                found[i] = here
+        return found
+
     if not isinstance(material, Mixture):
-        at = _ends(values, carried, np.arange(len(rho)))
-        places = (Place(model, _picked(values, i), float(rho[i]), states[i]) for i in at)
-        return _distinct(places)
-    column = [step.layout.states.slices[AMOUNT + body.name].start for body in bodies]
-    amounts = states[:, column]
-    total, most = amounts.sum(axis=1), amounts.argmax(axis=1)
-    alone, slices = np.zeros((len(bodies), states.shape[1])), step.layout.states.slices
+        points = chosen(carried, np.arange(len(rho)))
+        return [Place(step.model, z, float(rho[i]), states[i]) for i, z in points.items()]
+    amounts = states[:, [slices[AMOUNT + body.name].start for body in bodies]]
+    total, most, kept = amounts.sum(axis=1), amounts.argmax(axis=1), ~step.layout.states.by_flux
+    places = []
     for number, body in enumerate(bodies):
-        for variable in material.densities(body.name):
-            alone[number, slices[variable.name]] = 1.0
-    kept = ~step.layout.states.by_flux
-    found: list[Place] = []
-    for number, body in enumerate(bodies):
-        own = [p.name for p in parameters_in((body,))]
-        own += [v.name for v in body.material.variables if isinstance(v, Parameter)]
+        names = [p.name for p in parameters_in((body,))]
+        names += [v.name for v in body.material.variables if isinstance(v, Parameter)]
         among = np.flatnonzero(most == number)
         if not len(among):  # it is smaller than a cell
             among = amounts[:, [number]].argmax(axis=0)
+        alone = np.zeros(states.shape[1])
+        for variable in material.densities(body.name):
+            alone[slices[variable.name]] = 1.0
         laws = Model(material=body.material, viscosity=body.viscosity, creep=body.creep)
-        of_body: list[Place] = []
-        for i in _ends(values, own, among) or [int(among[amounts[among, number].argmax()])]:
-            state = states[i] * alone[number] * (total[i] / amounts[i, number])
+        for i, z in chosen(names, among, int(among[amounts[among, number].argmax()])).items():
+            state = states[i] * alone * (total[i] / amounts[i, number])
             state[kept] = states[i, kept]
-            of_body.append(Place(laws, _picked(values, i), (body.density or 0.0) * float(total[i]), state))
-        found += _distinct(of_body)
-    return found
-
-
-def _ends(values: dict[str, np.ndarray], names: Sequence[str], among: np.ndarray) -> list[int]:
-    """The points among some at which one of the named values is least or largest."""
-    at = ((values[name][among].argmin(), values[name][among].argmax()) for name in names)
-    return sorted({int(among[i]) for both in at for i in both})
-
-
-def _picked(values: dict[str, np.ndarray], i: int) -> dict[str, float]:
-    return {name: float(value[i]) for name, value in values.items()}
-
-
-def _distinct(places: Iterable[Place]) -> list[Place]:
-    """Those that do not have the parameters of one before."""
-    found: list[Place] = []
-    for place in places:
-        if not any(_same(place.parameters, known.parameters) for known in found):
-            found.append(place)
-    return found
-
-
-def _same(these: dict[str, float], those: dict[str, float]) -> bool:
-    """Whether values at two points differ by rounding: an end is often taken along a line."""
-    return all(math.isclose(value, those[name], rel_tol=1e-6) for name, value in these.items())
+            places.append(Place(laws, z, (body.density or 0.0) * float(total[i]), state))
+    return places
 
 
 def moduli(
@@ -290,10 +262,7 @@ def moduli(
 ) -> tuple[float, float]:
     """dT_11/dF_11 and dT_12/dF_12 at F = I, Pa: moduli of longitudinal and of shear waves.
 
-    Parameters
-    ----------
-    parameters : mapping, optional
-        Values of carried parameters by name; default their typical ones.
+    Carried parameters have the values in ``parameters``, by default their typical ones.
     """
     state = _rest(material, dim, parameters or {})
     longitudinal, shear = (acoustic_tensor(material, state, dim, j)[0, 0] for j in (0, 1))
@@ -301,7 +270,6 @@ def moduli(
 
 
 def _rest(material: Material, dim: int, parameters: Mapping[str, float]) -> np.ndarray:
-    """Components of the state of F = I, (n,)."""
     state, slices = rest_state(material, dim), material.states(dim).slices
     for name in slices.keys() & parameters.keys():
         state[slices[name]] = parameters[name]
@@ -359,15 +327,10 @@ def rest_pressure(material: Material, dim: int) -> float:
 
 
 def typical_velocity(step: Step, sampler: Sampler, dt: float) -> float:
-    """How fast a run will be, m/s, by its state at the start: the largest of what moves, of free fall and of
-    elastic release; where all is at rest a tenth of the speed of sound.
+    """How fast a run will be, m/s, by its state at the start and its step length ``dt``, s.
 
-    Parameters
-    ----------
-    step : Step
-        At the start values, ``ngvisco.time`` that of the start.
-    dt : float
-        Length of a step, s.
+    The largest of what moves, of free fall and of elastic release; where all is at rest a tenth of the speed
+    of sound.
     """
     u, model, ranks = step.now, step.model, sampler.ranks
     speed = math.sqrt(sampler.extrema(square(u.v))[1])

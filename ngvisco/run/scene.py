@@ -8,9 +8,7 @@ card.
 
 import base64
 import html
-import itertools
 import json
-import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -19,8 +17,8 @@ from ngsolve import CoefficientFunction, Mesh
 
 from ngvisco.errors import ParameterError
 from ngvisco.run.fields import USUAL, field_unit
-from ngvisco.run.files import write_atomically
-from ngvisco.run.vtu import Frame, frame_of, read_frame, read_series_files
+from ngvisco.run.files import AnyPath, write_atomically
+from ngvisco.run.frames import Frame, frame_of, read_frame, read_series_files
 
 _VIEWER = Path(__file__).with_name("viewer.html")
 _PIECES = {2: 3, 3: 1}
@@ -30,18 +28,13 @@ _PIECES = {2: 3, 3: 1}
 def write_scene(
     mesh: Mesh,
     fields: Mapping[str, CoefficientFunction],
-    path: str | os.PathLike[str],
+    path: AnyPath,
     title: str = "ngvisco",
     outlines: Sequence[CoefficientFunction] = (),
 ) -> None:
-    """Write the view of scalar fields at the present time.
+    """Write the view of scalar fields, by name, at the present time.
 
-    Parameters
-    ----------
-    fields : mapping of names to scalar coefficient functions, not empty
-    path : path of the HTML file
-    outlines : sequence of scalar coefficient functions
-        Volume fractions of bodies: drawn as lines where they are one half.
+    ``outlines`` are volume fractions of bodies, drawn as lines where they are one half.
     """
     if not fields:
         raise ParameterError("write_scene.fields", list(fields), "at least one field")
@@ -50,27 +43,18 @@ def write_scene(
 
 
 def write_scene_of_series(
-    series: str | os.PathLike[str],
-    path: str | os.PathLike[str],
+    series: AnyPath,
+    path: AnyPath,
     fields: Sequence[str] | None = None,
     title: str = "ngvisco",
     most: int = 60,
 ) -> None:
-    """Write the view of a run's VTK series, with a slider of time.
+    """Write the view of a run's VTK series, e.g. in ``results/swirl/vtk``, with a slider of time.
 
-    Raises CheckpointError if there is no series, or a file of it cannot be read; UnknownNameError for a
-    field that the series does not have.
-
-    Parameters
-    ----------
-    series : path
-        Directory of the series, e.g. ``results/swirl/vtk``.
-    path : path of the HTML file
-    fields : sequence of str, optional
-        Of a vector its modulus or ``NAME_i``, of a tensor ``NAME_ij``; default density, J, velocity, pressure
-        and von Mises stress, as far as the series has them.
-    most : int
-        States that the page holds, evenly chosen from the series' ones.
+    ``fields`` are of a vector its modulus or ``NAME_i``, of a tensor ``NAME_ij``; default density, J,
+    velocity, pressure and von Mises stress, as far as the series has them.  The page holds ``most`` states,
+    evenly chosen. Raises CheckpointError if there is no series, or a file of it cannot be read;
+    UnknownNameError for a field that the series does not have.
     """
     files = read_series_files(series)
     chosen = sorted({round(i) for i in np.linspace(0, len(files) - 1, min(most, len(files)))})
@@ -83,33 +67,29 @@ def write_scene_of_series(
 
 
 def _write_page(
-    states: Sequence[tuple[float, Frame]], names: Sequence[str], path: str | os.PathLike[str], title: str
+    states: Sequence[tuple[float, Frame]], names: Sequence[str], path: AnyPath, title: str
 ) -> None:
     """Write states, each with its time (s), and the viewer into one file.
 
     In 3D the faces are drawn, and the tetrahedra are there for the plane that cuts them.
     """
-    (_, first), frames = states[0], [frame for _, frame in states]
-    drawn, meshes, mesh = [_corners(first)], [first], [0]
-    for last, frame in itertools.pairwise(frames):
+    frames = [frame for _, frame in states]
+    meshes, mesh, drawn = [frames[0]], list[int](), [_corners(frames[0])]
+    for frame in frames:
+        last = meshes[-1]
         if not (np.array_equal(frame.points, last.points) and np.array_equal(frame.cells, last.cells)):
-            drawn.append(_corners(frame))
             meshes.append(frame)
+            drawn.append(_corners(frame))
         mesh.append(len(meshes) - 1)
 
     def packed(values: Sequence[np.ndarray]) -> dict[str, str]:
-        sides = zip(
-            *((v[faces], v[corners]) for v, (faces, corners) in zip(values, of, strict=True)), strict=True
-        )
-        return {
-            name: _packed(np.concatenate(parts))
-            for name, parts in zip(("values", "inside"), sides, strict=True)
-        }
+        parts = {"values": 0, "inside": 1}
+        of = list(zip(values, (drawn[i] for i in mesh), strict=True))
+        return {name: _packed(np.concatenate([v[at[k]] for v, at in of])) for name, k in parts.items()}
 
-    of = [drawn[i] for i in mesh]
     data = {
         "title": title,
-        "dim": first.dim,
+        "dim": frames[0].dim,
         "meshes": [
             {"points": _packed(frame.points[faces]), "cells": _packed(frame.points[corners])}
             for frame, (faces, corners) in zip(meshes, drawn, strict=True)

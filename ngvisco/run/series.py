@@ -7,7 +7,6 @@ when it stopped, so that the file is that of an uninterrupted run.
 from __future__ import annotations
 
 import csv
-import os
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from pathlib import Path
@@ -16,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ngvisco.errors import CheckpointError, UnknownNameError, require_count, require_file
-from ngvisco.run.files import append, csv_text, write_atomically
+from ngvisco.run.files import AnyPath, append, csv_text, write_atomically
 
 if TYPE_CHECKING:
     from ngvisco.run.simulation import Simulation
@@ -41,7 +40,7 @@ class Series(ABC):
     group: str | None = None
     """Under which a run's HDF5 file has the columns too; None (default) is not at all."""
 
-    def __init__(self, path: str | os.PathLike[str] | None = None, every: int = 1) -> None:
+    def __init__(self, path: AnyPath | None = None, every: int = 1) -> None:
         require_count(type(self).__name__, every=every)
         self.path = None if path is None else require_file(f"{type(self).__name__}.path", path)
         self.every = every
@@ -118,17 +117,18 @@ def read_series(path: Path, columns: Sequence[str]) -> list[list[float]]:
     """
     if not path.exists():
         return []
-    head, rows = read_columns(path)
-    if head != list(columns):
+    table = read_columns(path)
+    if list(table) != list(columns):
         raise CheckpointError(f"{path}: has other columns than this run writes; move it away to go on")
-    return [[int(row[0]), *row[1:]] for row in rows.tolist()]
+    return [[int(row[0]), *row[1:]] for row in np.transpose(list(table.values())).tolist()]
 
 
-def read_columns(path: Path) -> tuple[list[str], np.ndarray]:
-    """The columns' names and the rows of a table; raises CheckpointError where it is none."""
+def read_columns(path: Path) -> dict[str, np.ndarray]:
+    """The columns of a table by name; raises CheckpointError where it is none."""
     try:
         with path.open(newline="", encoding="utf-8") as file:
             head, *body = csv.reader(file)
-        return head, np.array(body, dtype=float).reshape(len(body), len(head))
+        rows = np.array(body, dtype=float).reshape(len(body), len(head))
+        return dict(zip(head, rows.T, strict=True))
     except (ValueError, csv.Error) as error:
         raise CheckpointError(f"{path}: not a table of numbers ({error}); move it away to go on") from error

@@ -9,12 +9,20 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
-from os import PathLike
 from typing import Any, Protocol
 
 from ngsolve import CoefficientFunction, Mesh
 
-from ngvisco.errors import MeshError, ParameterError, StepError, as_number, as_numbers, require_type
+from ngvisco.errors import (
+    MeshError,
+    ParameterError,
+    StepError,
+    as_number,
+    as_numbers,
+    require_collection,
+    require_names,
+    require_type,
+)
 from ngvisco.forms.boundary.walls import Conditions
 from ngvisco.forms.bounds import Bounds
 from ngvisco.forms.context import time as run_time
@@ -28,24 +36,24 @@ from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.mesh import distributed
 from ngvisco.parallel.petsc import require_petsc
 from ngvisco.physics.model import Model
-from ngvisco.run import checkpoint
-from ngvisco.run.closure import ClosureCheck
+from ngvisco.physics.walls import Wall
+from ngvisco.run.checkpoint import take_up
 from ngvisco.run.failure import failure_report
 from ngvisco.run.fields import output_fields, require_names_of_their_own
-from ngvisco.run.inputs import check_arguments, check_observer, times_of
-from ngvisco.run.ledger import Ledger
+from ngvisco.run.files import AnyPath
+from ngvisco.run.ledger import Ledger, closure_limit
 from ngvisco.run.notebook import simulation_html
-from ngvisco.run.numbering import Numbering
-from ngvisco.run.passive import PassiveFields
-from ngvisco.run.ranks import ending_all_ranks, is_to_stop, tell
+from ngvisco.run.passive import CARRIED, PassiveFields
+from ngvisco.run.ranks import Numbering, ending_all_ranks, tell
 from ngvisco.run.scales import diameter, typical_velocity
-from ngvisco.run.stepping import AdaptiveStepper, Rejection, RejectionObserver
-from ngvisco.run.time_steps import TimeSteps, time_steps
+from ngvisco.run.stepping import AdaptiveStepper, Rejection, TimeSteps, time_steps
 from ngvisco.solver.options import NewtonOptions
 from ngvisco.solver.rothe import RotheSolver
 from ngvisco.threads import computing
 from ngvisco.timestepping.integrator import Integrator
 from ngvisco.timestepping.scheme import TimeScheme
+
+_LOOKED_AT = 4
 
 
 class Observer(Protocol):
@@ -131,7 +139,7 @@ class Simulation:
         ):
             require_type(f"Simulation.{name}", value, kind)
         time = time_steps(time, steps)
-        check_arguments(observers, walls, passive, sources, terms)
+        _check_arguments(observers, walls, passive, sources, terms)
         if model.heat is not None and model.heat.numerical_heating and time.made.A != ((1.0,),):
             expected = f"False for {time.made.name!r}: at a point only that of backward Euler is known"
             raise ParameterError("Heat.numerical_heating", True, expected)
@@ -145,16 +153,16 @@ class Simulation:
         self.dt = float(time.dt)
         self.stepper = time.stepper()
         self.rothe_step = Step(mesh, model, discretisation, sources, walls, terms)
-        require_names_of_their_own(model.material, self.rothe_step.layout.further)
+        require_names_of_their_own(model.material, self.rothe_step.layout.further, CARRIED)
         self.sampler = Sampler(mesh, self.rothe_step.quadrature)
         self.ranks = self.sampler.ranks
         self.unknowns = self.rothe_step.layout.count()
         """Of the whole mesh, as are ``cells``."""
         self.cells = int(self.ranks.total(mesh.ne))
         self._cells_here = mesh.ne
-        self.check_data([0.0])
-        self.observers = list(observers)
         self._t, self._number = 0.0, 0
+        self.check_data(0.0)
+        self.observers = list(observers)
         run_time.Set(0.0)  # whatever ran before: start values and walls are those of the start
         F_0 = set_initial(self.rothe_step, initial, self.sampler)
         typical = time.velocity_scale or typical_velocity(self.rothe_step, self.sampler, self.dt)
@@ -162,17 +170,16 @@ class Simulation:
         options = newton if solver is None else replace(newton, method=solver)
         self.bounds = Bounds(self.rothe_step, self.sampler, time.limiter)
         self.solver = RotheSolver(self.rothe_step, options, self.bounds.defect)
-        self.ledger = Ledger(self.rothe_step, self.sampler)
-        self.closure_check = ClosureCheck(options.tolerance)
+        self.ledger = Ledger(self.rothe_step, self.sampler, closure_limit(options.tolerance))
         self.passive = PassiveFields(self.rothe_step, passive, F_0)
         self.integrator = Integrator(
             self.solver,
             time.made,
             self.ledger.rates,
-            [self.passive],
-            time.startup,
-            time.relaxation,
-            self.bounds if time.limiter else None,
+            self.bounds,
+            carried=[self.passive],
+            startup=time.startup,
+            relaxed=time.relaxation,
         )
         self.stop_requested = False
 
@@ -232,6 +239,11 @@ class Simulation:
         """Number of the step that led here, or is under way; ``number`` counts its parts."""
         return self.stepper.step_of(self.t, self.number)[0]
 
+    @property
+    def step_under_way(self) -> int:
+        """Number of the step that is taken next, or that the run is within."""
+        return self.step_number + self.is_due(1)
+
     def is_due(self, every: int) -> bool:
         """Whether the present state ends a step whose number is a multiple of ``every``."""
         number, ended = self.stepper.step_of(self.t, self.number)
@@ -244,14 +256,23 @@ class Simulation:
 
     @ending_all_ranks()
     def restore(
-        self, path: str | PathLike[str], step: int | None = None, attributes: Mapping[str, str] | None = None
+        self, path: AnyPath, step: int | None = None, attributes: Mapping[str, str] | None = None
     ) -> None:
         """Go on from a checkpoint in a run's HDF5 file, by default its last one.
 
         The file's ``attributes`` must have the given values (see ``Checkpoints``).  Raises CheckpointError if
-        the file does not fit this mesh, discretisation and material, or cannot be read.
+        the file is missing or damaged, has no such checkpoint, or belongs to another mesh, discretisation or
+        material; the message says which.
         """
-        checkpoint.restore(self, path, step, attributes)
+        one, rows = take_up(self, path, step, attributes)
+        self.rothe_step.state_old.vec.data = self.rothe_step.state.vec
+        self.rothe_step.start_from_old()
+        numbers, _ = one.part("")
+        self.set_time(numbers["time"], int(numbers["step"]))
+        self.set_velocity_scale(numbers["velocity_scale"])
+        self.solver.load_state_dict(*one.part("solver"))
+        self.stepper.load_state_dict(self, *one.part("stepping"))
+        self.ledger.resume(one.balance, rows)
 
     @property
     def fields(self) -> dict[str, CoefficientFunction]:
@@ -267,7 +288,6 @@ class Simulation:
 
     @cached_property
     def _expressions(self) -> dict[str, CoefficientFunction]:
-        """They follow the state."""
         return output_fields(self.rothe_step)
 
     def advance(self, stop: float = math.inf) -> dict[str, float]:
@@ -302,7 +322,7 @@ class Simulation:
                 raise
             self.integrator.accept()
             self.set_time(step.time, number)
-            self.closure_check.step(self, row)
+            self.ledger.check_closure()
             return row
 
     @ending_all_ranks()
@@ -323,10 +343,9 @@ class Simulation:
             raise ParameterError("until", until, f"a finite number >= {self.t:g}")
         until, stops = end, as_numbers("stops", stops, "a sequence of finite numbers, s")
         for observer in self.observers:
-            check_observer(observer)
-        times = times_of(self.t, until)
-        self.check_data(times)
-        warn_of_corners(self.rothe_step, times)
+            _check_observer(observer)
+        self.check_data(until)
+        warn_of_corners(self.rothe_step, self._looked_at(until))
         for name, value in [("until", until), *(("stops", stop) for stop in stops)]:
             self.stepper.check(name, value)
         targets = sorted({*(stop for stop in stops if self.t < stop < until), until})
@@ -343,31 +362,35 @@ class Simulation:
             raise failure
         return self.ledger
 
-    def check_data(self, times: Sequence[float]) -> None:
-        """Raise ParameterError for loads and walls that are not what they must be at one of the times, s.
+    def check_data(self, until: float) -> None:
+        """Raise ParameterError for loads and walls that are not what they must be from now to ``until``, s.
 
         ``run`` does so before its first step.
         """
+        times = self._looked_at(until)
         check_loads(self.rothe_step, self.sampler, times)
         check_walls(self.rothe_step, times)
+
+    def _looked_at(self, until: float) -> list[float]:
+        """Times of a run at which its loads and walls are looked at before it begins, s."""
+        return sorted({self.t + i / _LOOKED_AT * (until - self.t) for i in range(_LOOKED_AT + 1)})
 
     def request_stop(self) -> None:
         """Let ``run`` end after the present step, with its observers finished."""
         self.stop_requested = True
 
     def notify_rejection(self, rejection: Rejection) -> None:
-        """Tell the observers that ask for it that a step was rejected."""
+        """Tell the observers with a method ``rejected`` of a step that was; the state is that before it."""
         for observer in self.observers:
-            if isinstance(observer, RejectionObserver):
-                tell(self, observer, observer.rejected, rejection)
+            if (rejected := getattr(observer, "rejected", None)) is not None:
+                tell(self, observer, rejected, rejection)
 
     def _observed(self, targets: Sequence[float]) -> BaseException | None:
-        """Start the observers and step through the targets; what ended it early, if anything did."""
         try:
             for observer in self.observers:
                 tell(self, observer, observer.start)
             for target in targets:
-                while not self.stepper.reached(self, target) and not is_to_stop(self):
+                while not (self.stepper.reached(self, target) or self._is_to_stop()):
                     row = self.advance(target)
                     for observer in self.observers:
                         tell(self, observer, observer.step, row)
@@ -375,6 +398,49 @@ class Simulation:
             return error
         return None
 
+    def _is_to_stop(self) -> bool:
+        """Whether some rank was asked to stop, as by a signal, and now all are."""
+        self.stop_requested = self.ranks.any(self.stop_requested)
+        return self.stop_requested
+
     def _start_ledger(self) -> None:
         if not self.ledger.rows and self.ledger.balance is None:
             self.ledger.start(self.t)
+
+
+def _check_arguments(observers: Any, walls: Any, passive: Any, sources: Any, terms: Any) -> None:
+    for observer in require_collection("Simulation.observers", observers, "a sequence of observers"):
+        _check_observer(observer)
+    require_names("Simulation.passive", passive)
+    if walls is not None:
+        _check_walls(walls)
+    if sources is not None:
+        _require_methods("sources", sources, ("form", "entries"), "a Term, with")
+    for term in require_collection("Simulation.terms", terms, "a sequence of Terms"):
+        _require_methods("terms", term, ("form", "entries"))
+
+
+def _check_observer(observer: object) -> None:
+    _require_methods("observers", observer, ("start", "step", "finish"))
+
+
+def _require_methods(name: str, value: object, methods: Sequence[str], kind: str = "objects with") -> None:
+    if isinstance(value, type) or not all(callable(getattr(value, method, None)) for method in methods):
+        *others, last = methods
+        expected = f"{kind} the methods {', '.join(others)} and {last}"
+        raise ParameterError(f"Simulation.{name}", value, expected)
+
+
+def _check_walls(walls: Any) -> None:
+    expected = "a mapping of boundary names to Wall objects, e.g. {'top': NoSlip()}"
+    pairs = walls.items() if isinstance(walls, Mapping) else walls
+    if isinstance(pairs, (str, Wall)):
+        raise ParameterError("Simulation.walls", walls, expected)
+    try:
+        keys = [key for key, _ in pairs]
+    except (TypeError, ValueError):
+        raise ParameterError("Simulation.walls", walls, expected) from None
+    for key in keys:
+        names = (key,) if isinstance(key, str) else key
+        if not isinstance(names, (tuple, list)) or not all(isinstance(name, str) for name in names):
+            raise ParameterError("Simulation.walls", key, "the name of a boundary, or a tuple of names")

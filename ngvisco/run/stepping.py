@@ -1,4 +1,4 @@
-"""How the time loop chooses its steps: fixed, as in the paper, or adaptive.
+"""How a run goes through time: scheme and step lengths, fixed, as in the paper, or adaptive.
 
 Fixed.  A step that is not solved is taken in halves, quarters, eighths (``FixedStepper``).
 
@@ -21,15 +21,24 @@ of lengths.
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Protocol, runtime_checkable
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from functools import cached_property
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 
-from ngvisco.errors import ParameterError, Quantity, StepError, require_ranges
+from ngvisco.errors import (
+    ParameterError,
+    Quantity,
+    StepError,
+    UnknownNameError,
+    require_ranges,
+    require_type,
+)
 from ngvisco.timestepping.error import ErrorEstimate
 from ngvisco.timestepping.integrator import StepTaken
+from ngvisco.timestepping.scheme import TimeScheme, midpoint, scheme_of
 
 if TYPE_CHECKING:
     from ngvisco.run.simulation import Simulation
@@ -45,6 +54,9 @@ INTEGRAL, PROPORTIONAL = 0.7, 0.4
 
 LARGEST_CHANGE, UNCHANGED = 2.0, 0.1
 """Factor by which a length changes at most, and the share of it below which it is kept."""
+
+LEAST_CONSTANT = 1e-2
+"""Error constant of a scheme, times (p + 1)!, below which its local error cannot be estimated by it."""
 
 HALVINGS, MOST_HALVINGS = 3, 20
 """Of a step of fixed length that is not solved: by default, and at most."""
@@ -80,6 +92,102 @@ class AdaptiveSteps:
             raise ParameterError("AdaptiveSteps.dt_max", self.dt_max, f"at least dt_min = {self.dt_min:g}")
 
 
+@dataclass(frozen=True, kw_only=True)
+class TimeSteps:
+    """Scheme and step lengths of a run, the keys of [time] in a case file but for its end.
+
+    Raises ParameterError or UnknownNameError if a parameter is out of its range, or does not fit the scheme.
+
+    Parameters
+    ----------
+    dt : float
+        Length of a step; of the first one, with [time.adaptive].
+    scheme : str or TimeScheme
+        Time scheme: "backward-euler" (order 1, the paper's), "midpoint" (order 2, damps nothing), "sdirk2"
+        (order 2, damps what the step does not resolve) or "theta".
+    theta : float, optional
+        Of scheme = "theta": 1/2 is midpoint, 1 backward-euler.
+    startup : int
+        First steps of the run that are of backward-euler, which damps rough data.
+    relaxation : bool
+        With midpoint and [time.adaptive]: end each step where the scheme dissipates nothing.
+    limiter : bool
+        Whether cells in which rho, J, det F, ... are not positive at a point, though in the mean, are scaled
+        towards their means after a step, whose energy the ledger has as limiter; false ends the run there.
+    halvings : int
+        Of a step of fixed length that is not solved, before the coupled solver is asked; 0 asks at once.
+    velocity_scale : float, optional
+        A typical velocity, which sets the width of the upwinding (1e-4 of it); default: of flow, walls, free
+        fall or elastic release, at rest a tenth of the speed of sound.
+    adaptive : AdaptiveSteps, optional
+        Step lengths chosen by the run; of one length without this table.
+    """
+
+    dt: Annotated[float, Quantity("s", "> 0", 0.02)]
+    scheme: Literal["backward-euler", "midpoint", "theta", "sdirk2"] | TimeScheme = "backward-euler"
+    theta: Annotated[float | None, Quantity("1", "in [1/2, 1]", 0.6)] = None
+    startup: Annotated[int, Quantity("1", ">= 0")] = 0
+    relaxation: bool = False
+    limiter: bool = True
+    halvings: Annotated[int, Quantity("1", f"from 0 to {MOST_HALVINGS}")] = HALVINGS
+    velocity_scale: Annotated[float | None, Quantity("m/s", "> 0", 1.0)] = None
+    adaptive: AdaptiveSteps | None = None
+
+    def __post_init__(self) -> None:
+        require_ranges(self)
+        for name in ("relaxation", "limiter"):
+            require_type(f"TimeSteps.{name}", getattr(self, name), bool)
+        if self.adaptive is not None:
+            require_type("TimeSteps.adaptive", self.adaptive, AdaptiveSteps)
+            least, most = self.adaptive.dt_min, self.adaptive.dt_max
+            if not least <= self.dt <= most:
+                expected = f"a number from {least:g} to {most:g}, dt_min to dt_max"
+                raise ParameterError("TimeSteps.dt", self.dt, expected)
+        made, tolerance = self.made, None if self.adaptive is None else self.adaptive.tolerance
+        constant = abs(made.error_constant) * math.factorial(made.order + 1)
+        if tolerance is not None and constant < LEAST_CONSTANT:
+            expected = (
+                f"None with this scheme, whose local error is not that of its order {made.order}: "
+                f"its error constant is {made.error_constant:.1e}"
+            )
+            raise ParameterError("AdaptiveSteps.tolerance", tolerance, expected)
+        if self.relaxation and (self.adaptive is None or made.A != midpoint().A):
+            expected = "False, or the scheme 'midpoint' with adaptive steps"
+            raise ParameterError("TimeSteps.relaxation", self.relaxation, expected)
+
+    def stepper(self) -> FixedStepper | AdaptiveStepper:
+        """What takes these steps."""
+        if self.adaptive is None:
+            return FixedStepper(float(self.dt), self.halvings)
+        return AdaptiveStepper(float(self.dt), self.adaptive)
+
+    @cached_property
+    def made(self) -> TimeScheme:
+        """The scheme itself."""
+        try:
+            return scheme_of(self.scheme, self.theta)
+        except ParameterError as error:
+            field = error.field if "." in error.field else f"TimeSteps.{error.field}"
+            raise ParameterError(field, error.value, error.expected) from error
+
+
+def time_steps(time: TimeSteps | None, given: Mapping[str, Any]) -> TimeSteps:
+    """What ``Simulation`` was given of time: ``time``, or parameters of it.
+
+    Raises ParameterError if it was given twice, or not at all; TypeError for what is no argument.
+    """
+    known = [field.name for field in fields(TimeSteps)]
+    for name in given:
+        if name not in known:
+            raise TypeError(f"Simulation(): {UnknownNameError('keyword argument', name, known)}")
+    if time is None:
+        return TimeSteps(**{"dt": None, **given})
+    require_type("Simulation.time", time, TimeSteps)
+    if given:
+        raise ParameterError("Simulation.time", time, f"None beside {', '.join(given)}, parameters of it")
+    return time
+
+
 @dataclass(frozen=True)
 class Rejection:
     """A step that was not accepted: from ``time`` over ``tau`` (s), and why.
@@ -103,55 +211,7 @@ class Accepted:
     error: float | None = None
 
 
-@runtime_checkable
-class RejectionObserver(Protocol):
-    """An observer that wants to know of rejected steps too."""
-
-    def rejected(self, simulation: Simulation, rejection: Rejection) -> None:
-        """After a step was rejected; the state is that before the step."""
-
-
-class Stepper(ABC):
-    """Chooses and takes steps for a simulation."""
-
-    @abstractmethod
-    def reached(self, simulation: Simulation, time: float) -> bool:
-        """Whether the present state is that of ``time`` or later."""
-
-    @abstractmethod
-    def advance(self, simulation: Simulation, stop: float) -> Accepted:
-        """Take one step that does not pass ``stop``; raises StepError and leaves the old state."""
-
-    @abstractmethod
-    def state_dict(self) -> tuple[dict[str, float], dict[str, np.ndarray]]:
-        """Numbers and arrays that a restart needs."""
-
-    @abstractmethod
-    def load_state_dict(
-        self, simulation: Simulation, numbers: dict[str, float], arrays: dict[str, np.ndarray]
-    ) -> None:
-        """Take up what ``state_dict`` gave."""
-
-    def check(self, name: str, time: float) -> None:
-        """Raise ParameterError when ``time`` cannot be met exactly."""
-        return
-
-    def step_of(self, time: float, number: int) -> tuple[int, bool]:
-        """Of the state at ``time`` (s), in row ``number`` of the ledger: the number of its step, and whether
-        it is that step's end, not that of a part."""
-        return number, True
-
-    def begin(self, time: float, number: int) -> None:
-        """Count steps from the state of step ``number`` at ``time``, as in a run with another dt."""
-        return
-
-
-def _estimate_for(simulation: Simulation) -> ErrorEstimate:
-    order = simulation.scheme.order
-    return ErrorEstimate(simulation.rothe_step, lambda: simulation.velocity_scale, order)
-
-
-class FixedStepper(Stepper):
+class FixedStepper:
     """Steps of one length, taken in parts where the solver at hand does not solve them.
 
     A step that it does not solve is taken in halves, these in quarters, down to 2^-``halvings`` of it: each
@@ -160,19 +220,14 @@ class FixedStepper(Stepper):
     """
 
     def __init__(self, dt: float, halvings: int = HALVINGS) -> None:
-        self.dt, self.halvings = dt, halvings
+        self.dt, self.halvings, self._parts = dt, halvings, 1 << halvings  # the shortest parts of a step
         self.begin(0.0, 0)
 
     def begin(self, time: float, number: int) -> None:
+        """Count steps from the state of step ``number`` at ``time``, as in a run with another dt."""
         self._start, self._first, self._level = time, number, 0
 
-    @property
-    def _parts(self) -> int:
-        """How many of the shortest parts a step has."""
-        return 1 << self.halvings
-
     def _position(self, time: float) -> int:
-        """The shortest parts from the start to ``time``."""
         return round((time - self._start) / self.dt * self._parts)
 
     def _time(self, position: int) -> float:
@@ -180,6 +235,7 @@ class FixedStepper(Stepper):
         return self._start + position / self._parts * self.dt
 
     def check(self, name: str, time: float) -> None:
+        """Raise ParameterError when ``time`` cannot be met exactly."""
         covered = time - self._start
         number = round(covered / self.dt)
         if not math.isclose(number * self.dt, covered, rel_tol=1e-9, abs_tol=1e-12 * max(self.dt, time)):
@@ -187,9 +243,12 @@ class FixedStepper(Stepper):
             raise ParameterError(name, time, f"a multiple of dt = {self.dt:g}{after}")
 
     def reached(self, simulation: Simulation, time: float) -> bool:
+        """Whether the present state is that of ``time`` or later."""
         return self._position(simulation.t) >= self._position(time)
 
     def step_of(self, time: float, number: int) -> tuple[int, bool]:
+        """Of the state at ``time`` (s), in row ``number`` of the ledger: the number of its step, and whether
+        it is that step's end, not that of a part."""
         position = self._position(time)
         if position < 0:  # of steps of another length
             return number, True
@@ -197,6 +256,7 @@ class FixedStepper(Stepper):
         return self._first + whole + (part > 0), part == 0
 
     def advance(self, simulation: Simulation, stop: float) -> Accepted:
+        """Take one step that does not pass ``stop``; raises StepError and leaves the old state."""
         t, position = simulation.t, self._position(simulation.t)
         whole, done = divmod(position, self._parts)
         level = self._level if done else max(0, self._level - 1)
@@ -218,11 +278,13 @@ class FixedStepper(Stepper):
             simulation.notify_rejection(Rejection(t, tau, reason, history))
 
     def state_dict(self) -> tuple[dict[str, float], dict[str, np.ndarray]]:
+        """Numbers and arrays that a restart needs."""
         return {"start": self._start, "first": float(self._first), "level": float(self._level)}, {}
 
     def load_state_dict(
         self, simulation: Simulation, numbers: dict[str, float], arrays: dict[str, np.ndarray]
     ) -> None:
+        """Take up what ``state_dict`` gave."""
         t = simulation.t
         self.begin(numbers.get("start", t), int(numbers.get("first", simulation.number)))
         if "first" not in numbers or self._time(self._position(t)) != t:  # steps of other lengths led here
@@ -230,19 +292,23 @@ class FixedStepper(Stepper):
         self._level = min(int(numbers.get("level", 0)), self.halvings)
 
 
-def step_under_way(simulation: Simulation) -> int:
-    """Number of the step that a run takes next, or is within."""
-    return simulation.step_number + simulation.is_due(1)
-
-
-class AdaptiveStepper(Stepper):
-    """Steps of lengths that follow the error and what can be solved; see the module's docstring."""
+class AdaptiveStepper:
+    """Steps of lengths that follow the error and what can be solved; methods as of ``FixedStepper``."""
 
     def __init__(self, dt: float, options: AdaptiveSteps) -> None:
         self.options = options
         self.dt, self.streak = dt, 0
         self._last_error: float | None = None
         self._estimate: ErrorEstimate | None = None
+
+    def begin(self, time: float, number: int) -> None:
+        return  # it counts rows
+
+    def check(self, name: str, time: float) -> None:
+        return  # it meets any time
+
+    def step_of(self, time: float, number: int) -> tuple[int, bool]:
+        return number, True
 
     def reached(self, simulation: Simulation, time: float) -> bool:
         return simulation.t >= time * (1 - 1e-14)
@@ -252,6 +318,8 @@ class AdaptiveStepper(Stepper):
         integrator, tolerance, t = simulation.integrator, self.options.tolerance, simulation.t
         scheme = integrator.scheme_of(simulation.number)
         estimate = self._estimate_of(simulation)
+        if estimate is not None:
+            estimate.begin(t)
         while True:
             tau, new_time = self._length(t, stop)
             try:
@@ -278,20 +346,18 @@ class AdaptiveStepper(Stepper):
             simulation.notify_rejection(rejections[-1])
             self.dt, self.streak = shorter, 0
             if self.dt < self.options.dt_min:
-                raise StepError(self._give_up(rejections), history)
+                tried = "; ".join(f"{r.tau:g} s: {r.reason}" for r in rejections)
+                shortest = f"dt_min = {self.options.dt_min:g} s from t = {t:g} s"
+                raise StepError(f"no step of at least {shortest} is accepted; tried {tried}", history)
         if estimate is not None:
             estimate.keep(new_time)
         self._choose(tau, error, scheme.order, bool(rejections))
         return Accepted(new_time, taken, len(rejections), error)
 
     def _estimate_of(self, simulation: Simulation) -> ErrorEstimate | None:
-        """The error estimate, which knows the present state; None without a tolerance."""
-        if self.options.tolerance is None:
-            return None
-        if self._estimate is None:
-            self._estimate = _estimate_for(simulation)
-        if not self._estimate.is_current(simulation.t):
-            self._estimate.restart(simulation.t)
+        if self._estimate is None and self.options.tolerance is not None:
+            order = simulation.scheme.order
+            self._estimate = ErrorEstimate(simulation.rothe_step, lambda: simulation.velocity_scale, order)
         return self._estimate
 
     def _length(self, t: float, stop: float) -> tuple[float, float]:
@@ -321,13 +387,6 @@ class AdaptiveStepper(Stepper):
             # a step that was shortened to meet a time does not say what the next one may be
             self.dt = min(max(factor * tau, self.options.dt_min), self.options.dt_max)
 
-    def _give_up(self, rejections: list[Rejection]) -> str:
-        tried = "; ".join(f"{r.tau:g} s: {r.reason}" for r in rejections)
-        return (
-            f"no step of at least dt_min = {self.options.dt_min:g} s from t = {rejections[0].time:g} s is "
-            f"accepted; tried {tried}"
-        )
-
     def state_dict(self) -> tuple[dict[str, float], dict[str, np.ndarray]]:
         numbers, arrays = ({}, {}) if self._estimate is None else self._estimate.state_dict()
         numbers |= {"dt": self.dt, "streak": float(self.streak)}
@@ -342,6 +401,5 @@ class AdaptiveStepper(Stepper):
             return
         self.dt, self.streak = numbers["dt"], int(numbers["streak"])
         self._last_error = numbers.get("last_error")
-        if arrays and self.options.tolerance is not None:
-            self._estimate = _estimate_for(simulation)
-            self._estimate.load_state_dict(numbers, arrays)
+        if arrays and (estimate := self._estimate_of(simulation)) is not None:
+            estimate.load_state_dict(numbers, arrays)

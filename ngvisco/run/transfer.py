@@ -14,8 +14,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -27,8 +26,8 @@ from ngvisco.forms.projections import project, project_velocity
 from ngvisco.forms.start.given import QuadraturePoints
 from ngvisco.forms.start.initial import complete
 from ngvisco.physics.bodies import AMOUNT, Amount
-from ngvisco.physics.variables import Variable
 from ngvisco.run import checkpoint
+from ngvisco.run.files import AnyPath
 from ngvisco.run.ledger import TRANSFER, energy_of
 
 if TYPE_CHECKING:
@@ -89,19 +88,26 @@ def transfer(source: Simulation, target: Simulation) -> Transfer:
     require_fit(source, target)
     points = QuadraturePoints(new.quadrature)
     at = _located(old.mesh, points)
-    had = source.ledger.balance
-    before = source.ledger.energy() if had is None else had.energy
+    before = source.ledger.energy() if source.ledger.balance is None else source.ledger.balance.energy
     scaled = _set_fields(source, target, points, at)
     if (defect := target.bounds.defect()) is not None:
         raise InitialDataError("transferred state", defect, "positive values: take a finer mesh")
     if target.bounds.limits:
         target.bounds.limit()
-    _set_velocity(source, target, points, at)
-    _carry_passive(source, target, points, at)
+    new.state.vec.FV().NumPy()[new.layout.ranges["v"]] = 0.0
+    target.set_time(source.t, 0)
+    new.moving_walls.set_present_values()
+    v = CF(tuple(points.function(column) for column in at.values(old.now.v).T))
+    project_velocity(new.layout, new.state, v, new.impenetrability, new.quadrature)
+    for name, part in target.passive.parts.items():
+        space = L2(target.mesh, order=new.discretisation.k)
+        single, columns = GridFunction(space), at.values(source.passive.parts[name]).T
+        for component, column in zip(part.vec.FV().NumPy().reshape(len(columns), -1), columns, strict=True):
+            points.project(column, space, single)
+            component[:] = single.vec.FV().NumPy()
     complete(new)
     new.state_old.vec.data = new.state.vec
     new.start_from_old()
-    target.set_time(source.t, 0)
     target.stepper.begin(source.t, 0)
     target.set_velocity_scale(source.velocity_scale)
     target.solver.reset()
@@ -129,7 +135,12 @@ def go_on(source: Simulation, target: Simulation) -> None:
 def require_fit(source: Simulation, target: Simulation) -> None:
     """Raise ParameterError or MeshError, by name, unless a state of ``source`` can be one of ``target``."""
     had, has = (run.model.material.variables for run in (source, target))
-    _require_densities(had, has)
+    densities = {v.name: v.density for v in had if isinstance(v, Amount)}
+    for v in has:
+        if isinstance(v, Amount) and densities.get(v.name, v.density) != v.density:
+            name = f"bodies[{v.name.removeprefix(AMOUNT)!r}].density"
+            expected = f"{densities[v.name]:.6g} kg/m^3, as in the run that it goes on"
+            raise ParameterError(name, v.density, expected)  # not both its mass and its volume would be kept
     if [(v.name, repr(v)) for v in had] != [(v.name, repr(v)) for v in has]:
         names = [", ".join(v.name for v in side) for side in (had, has)]
         expected = f"those of the source, {names[0]}: take its material, with the same elastic_state"
@@ -151,19 +162,7 @@ def require_fit(source: Simulation, target: Simulation) -> None:
         raise MeshError(f"the new mesh has the volume {volumes[1]:.6g}, the old one {volumes[0]:.6g}")
 
 
-def _require_densities(had: Sequence[Variable], has: Sequence[Variable]) -> None:
-    """Raise ParameterError for a body of another density: it would not keep both its mass and its volume."""
-    known = {v.name: v.density for v in had if isinstance(v, Amount)}
-    for v in has:
-        if isinstance(v, Amount) and known.get(v.name, v.density) != v.density:
-            name = f"bodies[{v.name.removeprefix(AMOUNT)!r}].density"
-            raise ParameterError(
-                name, v.density, f"{known[v.name]:.6g} kg/m^3, as in the run that it goes on"
-            )
-
-
 def _located(mesh: Mesh, points: QuadraturePoints) -> Located:
-    """Points of another mesh in this one, which has the same domain."""
     where = points.coordinates
     try:
         return Located(mesh, where, ["target"] * len(where))
@@ -172,7 +171,10 @@ def _located(mesh: Mesh, points: QuadraturePoints) -> Located:
 
 
 def _set_fields(source: Simulation, target: Simulation, points: QuadraturePoints, at: Located) -> float:
-    """Project density, variables and what else evolves; returns the factor of the density."""
+    """Project density, variables and what else evolves.
+
+    Returns the factor by which the mass is kept, of bodies the one farthest from 1.
+    """
     old, new = source.rothe_step, target.rothe_step
     parts = dict(zip(new.layout.names, new.state.components, strict=True))
     unions = _Unions(source, target, points)
@@ -188,12 +190,22 @@ def _set_fields(source: Simulation, target: Simulation, points: QuadraturePoints
             columns = _located(old.mesh, given).values(function).T
         value = CF(tuple(given.function(column) for column in columns))
         project(unknown, parts[name], new.quadrature, value)
-    before, after = (float(step.quadrature.integrate_cells(step.now.rho)) for step in (old, new))
-    factor = before / after
-    if not new.model.bodies:
-        parts["rho"].vec.FV().NumPy()[:] *= factor
-        return factor
-    return _kept_bodies(source, target, parts["z"].vec.FV().NumPy().reshape(new.layout.states.size, -1))
+    if new.model.bodies:
+        z, slices = parts["z"].vec.FV().NumPy().reshape(new.layout.states.size, -1), new.layout.states.slices
+        names = [v.name for v in target.model.material.variables if isinstance(v, Amount)]
+        of = (old.now.z_tensors, new.now.z_tensors)
+        kept = {name: (of[0][name], of[1][name], z[slices[name].start]) for name in names}
+    else:
+        kept = {"mass": (old.now.rho, new.now.rho, parts["rho"].vec.FV().NumPy())}
+    factors = []
+    for name, (had, has, coefficients) in kept.items():
+        before, after = float(old.quadrature.integrate_cells(had)), float(new.quadrature.integrate_cells(has))
+        if not after > 0:
+            what, found = name.removeprefix(AMOUNT), f"an integral of {after:.3g}"
+            raise InitialDataError(f"transferred amount of {what}", found, "> 0: take a finer mesh")
+        factors.append(before / after)
+        coefficients *= factors[-1]
+    return max(factors, key=lambda factor: abs(factor - 1))
 
 
 class _Unions:
@@ -254,52 +266,8 @@ class _Unions:
         return found
 
 
-def _kept_bodies(source: Simulation, target: Simulation, values: np.ndarray) -> float:
-    """Scale each body's amount, among the coefficients of the variables, so that it has its mass.
-
-    The factor that is farthest from one is returned.
-    """
-    old, new = source.rothe_step, target.rothe_step
-    farthest = 1.0
-    for v in target.model.material.variables:
-        if not isinstance(v, Amount):
-            continue
-        before, after = (
-            float(step.quadrature.integrate_cells(step.now.z_tensors[v.name])) for step in (old, new)
-        )
-        if not after > 0:
-            body = f"body {v.name.removeprefix(AMOUNT)}"
-            raise InitialDataError(
-                f"transferred {body}", f"a volume of {after:.3g}", "> 0: take a finer mesh"
-            )
-        values[new.layout.states.slices[v.name].start] *= before / after
-        farthest = max(farthest, before / after, key=lambda factor: abs(factor - 1))
-    return farthest
-
-
-def _set_velocity(source: Simulation, target: Simulation, points: QuadraturePoints, at: Located) -> None:
-    new = target.rothe_step
-    values = at.values(source.rothe_step.now.v)
-    v = CF(tuple(points.function(column) for column in values.T))
-    where = new.layout.ranges["v"]
-    new.state.vec.FV().NumPy()[where] = 0.0
-    target.set_time(source.t, 0)
-    new.moving_walls.set_present_values()
-    project_velocity(new.layout, new.state, v, new.impenetrability, new.quadrature)
-
-
-def _carry_passive(source: Simulation, target: Simulation, points: QuadraturePoints, at: Located) -> None:
-    for name, part in target.passive.parts.items():
-        values = at.values(source.passive.parts[name])
-        space = L2(target.mesh, order=target.rothe_step.discretisation.k)
-        single = GridFunction(space)
-        for i, column in enumerate(values.T):
-            points.project(column, space, single)
-            part.vec.FV().NumPy()[i * space.ndof : (i + 1) * space.ndof] = single.vec.FV().NumPy()
-
-
 def resume_changed(
-    simulation: Simulation, path: str | os.PathLike[str], attributes: Mapping[str, str] | None = None
+    simulation: Simulation, path: AnyPath, attributes: Mapping[str, str] | None = None
 ) -> float:
     """Go on from a run's last checkpoint with other parameters, on the same mesh and in the same spaces.
 
@@ -315,14 +283,14 @@ def resume_changed(
     one, rows = checkpoint.take_up(
         simulation, path, attributes=attributes, may_differ=("material", "energies", "scheme")
     )
-    numbers, step = one.numbers[""], simulation.rothe_step
+    (numbers, _), step = one.part(""), simulation.rothe_step
     complete(step)
     step.state_old.vec.data = step.state.vec
     step.start_from_old()
     number = int(numbers["step"])
     simulation.set_time(numbers["time"], number)
     simulation.stepper.begin(numbers["time"], number)
-    ledger, balance = simulation.ledger, checkpoint.balance_of(one)
+    ledger, balance = simulation.ledger, one.balance
     lost = balance.energy - ledger.energy()
     ledger.add_once(TRANSFER, lost)
     ledger.resume(balance, [{name: row.get(name, 0.0) for name in ledger.columns} for row in rows])

@@ -23,8 +23,8 @@ import numpy as np
 from ngvisco.case.build import Case, load_case
 from ngvisco.case.directory import RunDirectory
 from ngvisco.errors import CheckpointError, ParameterError, as_integer, require_path
-from ngvisco.run.closure import closure_limit
 from ngvisco.run.files import write_atomically
+from ngvisco.run.ledger import closure_limit
 from ngvisco.sweep.processes import connected, message_of, run_or_resume
 from ngvisco.sweep.variations import SweepError, Variation, combinations
 

@@ -28,12 +28,7 @@ from ngvisco.timestepping.scheme import TimeScheme
 class ErrorEstimate:
     """Estimates the error of the last step; keeps the states that it needs, as a restart has to.
 
-    Parameters
-    ----------
-    velocity_scale : callable
-        Gives v_s, m/s.
-    order : int
-        The highest order of a scheme that is asked for.
+    ``velocity_scale`` gives v_s, m/s; ``order`` is the highest one of a scheme that is asked for.
     """
 
     def __init__(self, step: Step, velocity_scale: Callable[[], float], order: int) -> None:
@@ -46,14 +41,11 @@ class ErrorEstimate:
         errors, now = self._difference.components, (step.now.parts[name] for name in names)
         self._squares = CF((*map(square, errors), *map(square, now), 1.0)).Compile()
 
-    def is_current(self, time: float) -> bool:
-        """Whether the last state that is kept is that of ``time``, s."""
-        return bool(self._times) and self._times[-1] == time
-
-    def restart(self, time: float) -> None:
-        """Know only the present state, which is that of ``time``, s."""
-        self._times, self._states = [], []
-        self.keep(time)
+    def begin(self, time: float) -> None:
+        """A step begins at ``time``, s: know only the present state, unless the last one kept is that."""
+        if not (self._times and self._times[-1] == time):
+            self._times, self._states = [], []
+            self.keep(time)
 
     def keep(self, time: float) -> None:
         """The present state is that of ``time``, s, and accepted."""

@@ -1,10 +1,10 @@
 """One step of a time scheme: its stages, each a Rothe step, and the state at the step's end.
 
-The same for both solvers.  What a stage dissipates is metered at its solution, so that the ledger closes to
-rounding for every scheme; see ``scheme`` for the identity.  Where the end is not the last stage's solution,
-the momentum functional and the other unknowns that evolve (rho, z, those of further terms) are combined, v
-follows from the momentum (``VelocityOfMomentum``) with moving walls at the end's time, and the unknowns
-without a time derivative (traces, multipliers, the creep rate field) stay those of the last stage.
+What a stage dissipates is metered at its solution, so that the ledger closes to rounding for every scheme;
+see ``scheme`` for the identity.  Where the end is not the last stage's solution, the momentum functional and
+the other unknowns that evolve (rho, z, those of further terms) are combined, v follows from the momentum
+(``VelocityOfMomentum``) with moving walls at the end's time, and the unknowns without a time derivative
+(traces, multipliers, the creep rate field) stay those of the last stage.
 
 Bounds.  A step's end that is negative at a point while its means are not is limited
 (``ngvisco.forms.bounds``).  Stages are left as they are solved: they only have to have positive means.
@@ -21,9 +21,9 @@ stages' momenta: the difference is an impulse of the wall, which works on the la
 added to the wall's power.
 """
 
-from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -38,19 +38,14 @@ from ngvisco.solver.problem import Attempt, Interval, iterations
 from ngvisco.solver.rothe import RotheSolver
 from ngvisco.timestepping.scheme import TimeScheme, backward_euler
 
-_RELAXED = (1.5, 2.5)
-"""Where the end of a relaxed midpoint step is looked for, in units of its Rothe step; 2 is unrelaxed."""
-
-_RELAXATION_TOLERANCE = 1e-12
-"""Of that number: R changes by this share of the distance B(u_0, U) itself, which is of order tau^2."""
-
+_RELAXED, _RELAXATION_TOLERANCE = (1.5, 2.5), 1e-12
+"""Where the end of a relaxed midpoint step is looked for, in units of its Rothe step (2 is unrelaxed), and
+how exactly: R changes by this share of the distance B(u_0, U) itself, which is of order tau^2."""
 _MEETINGS, _MEETING = 6, 1e-13
 """Rothe steps tried until a relaxed step ends at a given time, and what of it may be missed."""
-
 _NOISE_MARGIN, _NOISE_DRAWS = 5.0, 8
 """Rounding of R, in units of the distance of a state to itself with every number changed by rounding: the
-root mean square of so many draws, since the sum of a single one may vanish by chance.
-"""
+root mean square of so many draws, since the sum of a single one may vanish by chance."""
 
 
 class Carried(Protocol):
@@ -96,41 +91,14 @@ LIMITER_WALLS = "limiter_walls"
 """And of what it takes through walls that are held or moved: momentum there is not kept, J."""
 
 
-@dataclass(frozen=True)
-class _End:
-    """A step's end that is no stage's solution: its state, cells that were limited, and what that takes, J.
-
-    ``taken`` is -E'(U)[u - u_1], ``through_walls`` the work of the impulse on walls' rows of v that limiting
-    makes, negative.
-    """
-
-    state: Evolved
-    limited: int
-    taken: float
-    through_walls: float
-
-    @property
-    def by_limiter(self) -> dict[str, float]:
-        """By ledger columns."""
-        return {LIMITER: self.taken, LIMITER_WALLS: self.through_walls}
-
-
 class Integrator:
     """Takes steps of a scheme with a Rothe solver.
 
-    Parameters
-    ----------
-    meter : callable
-        Gives dissipations and powers at the present state, W, by ledger columns.
-    carried : sequence of Carried
-    startup : int
-        So many first steps of the run are of the backward Euler scheme, which damps rough initial data
-        (Rannacher).
-    relaxed : bool
-        Whether the midpoint rule's end is where the numerical remainder R is zero, to the rounding of the
-        energies; steps have other lengths than asked for then.
-    bounds : Bounds, optional
-        Limits the ends of steps; None for a run without a limiter.
+    ``meter`` gives dissipations and powers at the present state, W, by ledger columns; ``bounds`` limits the
+    ends of steps where it ``limits``.  The first ``startup`` steps of the run are of the backward Euler
+    scheme, which damps rough initial data (Rannacher).  Where ``relaxed``, the midpoint rule's end is where
+    the numerical remainder R is zero, to the rounding of the energies; steps then have other lengths than
+    asked for.
     """
 
     def __init__(
@@ -138,22 +106,27 @@ class Integrator:
         rothe: RotheSolver,
         scheme: TimeScheme,
         meter: Callable[[], dict[str, float]],
+        bounds: Bounds,
+        *,
         carried: Sequence[Carried] = (),
         startup: int = 0,
         relaxed: bool = False,
-        bounds: Bounds | None = None,
     ) -> None:
-        self.bounds = bounds
-        self.rothe, self.step, self.scheme = rothe, rothe.step, scheme
+        self.rothe, self.step, self.scheme, self.bounds = rothe, rothe.step, scheme, bounds
         self.meter, self.carried, self.startup, self.relaxed = meter, list(carried), startup, relaxed
         self.distance = BregmanDistance(self.step)
         self._before = self.step.state.vec.CreateVector()
         self._t = 0.0
         self.tried = 0.0
         """Length of the last step that was begun, s."""
-        self._velocity: VelocityOfMomentum | None = None
         self.impulse: np.ndarray | None = None
         """Walls' impulse on the rows of v at the last step's end over its length, N; None without."""
+
+    @cached_property
+    def _velocity(self) -> VelocityOfMomentum:
+        step, rho = self.step, self.step.now.rho
+        walls, rules = step.impenetrability, step.quadrature
+        return VelocityOfMomentum(step.layout, step.state, rho, step.momentum_old, walls, rules)
 
     def scheme_of(self, number: int) -> TimeScheme:
         """The scheme of the step after step ``number``."""
@@ -162,13 +135,10 @@ class Integrator:
     def advance(self, t: float, tau: float, number: int = 0, meets: bool = False) -> StepTaken:
         """Take the step after step ``number`` from ``t`` over ``tau``, s.
 
+        If it is relaxed, it ends at t + tau where it ``meets`` a time, and elsewhere otherwise.
+
         Raises StepError when a stage is not solved, or the end is not admissible; the state is then that
         before the step.
-
-        Parameters
-        ----------
-        meets : bool
-            Whether a relaxed step has to end at t + tau.
         """
         self._before.data = self.step.state.vec
         self._t, self.tried = t, tau
@@ -180,7 +150,11 @@ class Integrator:
                 taken = self._relaxed(scheme, t, tau, history, meets)
             else:
                 taken = self._taken(scheme, t, tau, history)
-            return taken if self.step.damage is None else self._damaged(taken)
+            if self.step.damage is not None:  # it grows after the step, over its whole length, z kept
+                rates, numerical = self.step.damage(taken.tau)
+                self._complete()
+                taken = replace(taken, rates=taken.rates | rates, numerical=taken.numerical | numerical)
+            return taken
         except BaseException as error:  # also an interrupt: never leave half a step behind
             self.undo()
             if isinstance(error, StepError):
@@ -204,26 +178,22 @@ class Integrator:
 
     def _taken(self, scheme: TimeScheme, t: float, tau: float, history: list[Attempt]) -> StepTaken:
         states, rates = self._stages(scheme, t, tau, history)
-        numerical = self._stage_distances(scheme, states)
+        numerical: dict[str, float] = {}
+        for (i, k), weight in np.ndenumerate(scheme.distances):
+            if weight != 0:
+                _add(numerical, weight, self.distance(states[k], states[i + 1]))
         self._end = scheme.end
         if not scheme.ends_at_last_stage:
-            end = self._combined(scheme.end, states, t + tau, tau, rates)
-            _add(numerical, -1.0, self.distance(end.state, states[-1]))
-        elif self.bounds is not None and self.bounds.is_exceeded():
+            end, limited, lost = self._combined(scheme.end, states, t + tau, tau, rates)
+            _add(numerical, -1.0, self.distance(end, states[-1]))
+        elif self.bounds.limits and self.bounds.is_exceeded():
             of_last = np.eye(len(states))[-1]
-            end = self._combined(of_last, states, t + tau, tau, rates, is_stage=True)
-            end = replace(end, taken=end.taken - sum(self.distance(end.state, states[-1]).values()))
+            end, limited, lost = self._combined(of_last, states, t + tau, tau, rates, is_stage=True)
+            lost[LIMITER] -= sum(self.distance(end, states[-1]).values())
         else:
             return StepTaken(tau, history, rates, numerical | {LIMITER: 0.0, LIMITER_WALLS: 0.0})
         self._complete()
-        return StepTaken(tau, history, rates, numerical | end.by_limiter, end.limited)
-
-    def _damaged(self, taken: StepTaken) -> StepTaken:
-        """The step with the growth of damage after it, over its whole length, z kept."""
-        assert self.step.damage is not None
-        rates, numerical = self.step.damage(taken.tau)
-        self._complete()
-        return replace(taken, rates=taken.rates | rates, numerical=taken.numerical | numerical)
+        return StepTaken(tau, history, rates, numerical | lost, limited)
 
     def _stages(
         self, scheme: TimeScheme, t: float, tau: float, history: list[Attempt]
@@ -231,7 +201,7 @@ class Integrator:
         """y_0 ... y_s and the weighted rates of the stages; the state is that of the last one."""
         states = [self.step.evolved()]
         self.impulse = None
-        rates: dict[str, float] = defaultdict(float)
+        rates: dict[str, float] = {}
         for one in self.carried:
             one.begin()
         begin = t
@@ -245,16 +215,7 @@ class Integrator:
             _add(rates, scheme.b[i], self.meter())
             for one in self.carried:
                 one.stage(scheme.starts[i], scheme.b[i])
-        return states, dict(rates)
-
-    def _stage_distances(self, scheme: TimeScheme, states: Sequence[Evolved]) -> dict[str, float]:
-        """The sum of c_ik B(y_k, U_i), by ledger columns."""
-        total: dict[str, float] = defaultdict(float)
-        for i, row in enumerate(scheme.distances):
-            for k, weight in enumerate(row):
-                if weight != 0:
-                    _add(total, weight, self.distance(states[k], states[i + 1]))
-        return dict(total)
+        return states, rates
 
     def _combined(
         self,
@@ -264,12 +225,13 @@ class Integrator:
         tau: float,
         rates: dict[str, float],
         is_stage: bool = False,
-    ) -> _End:
+    ) -> tuple[Evolved, int, dict[str, float]]:
         """Make the combination of states the present one, limited, at ``t``.
 
         Adds to the walls' power in ``rates``.  With ``is_stage`` it is the last stage, of which only the
         limiter makes another state: walls keep the velocity that they have in the step.  Raises StepError
-        when it is not admissible.
+        when it is not admissible.  Returns the state, how many cells were limited, and what that takes, J:
+        -E'(U)[u - u_1], and the work of the impulse on walls' rows of v that limiting makes, negative.
         """
         step, ranges = self.step, self.step.layout.ranges
         parts = list(zip(weights, states, strict=True))
@@ -280,20 +242,12 @@ class Integrator:
         time.Set(t)
         if not is_stage:
             step.moving_walls.set_present_values()
-        self._require_admissible()
-        if self._velocity is None:
-            self._velocity = VelocityOfMomentum(
-                step.layout,
-                step.state,
-                step.now.rho,
-                step.momentum_old,
-                step.impenetrability,
-                step.quadrature,
-            )
+        if (reason := self.rothe.defect()) is not None:
+            raise StepError(f"{reason} at the end of the step: take a smaller step or a finer mesh")
         before = np.zeros_like(self._velocity.v)
-        if self.bounds is not None and self.bounds.is_exceeded() and not is_stage:
+        if self.bounds.limits and self.bounds.is_exceeded() and not is_stage:
             before = self._impulse_before_limiting(before)
-        limited = 0 if self.bounds is None else self.bounds.limit()
+        limited = self.bounds.limit() if self.bounds.limits else 0
         taken = 0.0
         if limited:
             moved = [name for name in step.layout.evolving if name != "v"]  # v follows from the momentum
@@ -307,11 +261,10 @@ class Integrator:
             rates[f"power_wall_{name}"] += self.rothe.exchange.communicator.dot(own[mask], v) / tau
             if limited:
                 through_walls -= self.rothe.exchange.communicator.dot((impulse - own)[mask], v)
-        return _End(step.evolved(), limited, taken, through_walls)
+        return step.evolved(), limited, {LIMITER: taken, LIMITER_WALLS: through_walls}
 
     def _taken_of_momentum(self, stage: Evolved) -> float:
         """Limit the momentum density; gives -<change of m, V> with the velocity V of a stage, J."""
-        assert self.bounds is not None and self._velocity is not None
         before = self._velocity.functional()
         self.bounds.limit_momentum()
         change = self._velocity.functional() - before
@@ -322,7 +275,6 @@ class Integrator:
 
         Of a stage there is none: its rows are the step's.
         """
-        assert self._velocity is not None
         kept = self._velocity.v.copy()
         try:
             return self._velocity()
@@ -332,16 +284,9 @@ class Integrator:
             self._velocity.v[:] = kept
 
     def _complete(self) -> None:
-        """Make the local unknowns those of the combined state; raises StepError where it has no energy."""
         self.step.eliminate()
         if self.step.energy.failure is not None:
             raise StepError(self.step.energy.failure)
-
-    def _require_admissible(self) -> None:
-        """Raise StepError where the present state is not admissible."""
-        reason = self.rothe.defect()
-        if reason is not None:
-            raise StepError(f"{reason} at the end of the step: take a smaller step or a finer mesh")
 
     def _relaxed(
         self, scheme: TimeScheme, t: float, tau: float, history: list[Attempt], meets: bool
@@ -372,28 +317,25 @@ class Integrator:
         from_start = self.distance(*states)
         lost, noise = sum(from_start.values()), self._noise(states[0])
 
-        def end_at(omega: float) -> tuple[dict[str, float], dict[str, float], _End]:
-            of_end, length = dict(rates), omega * own
-            end = self._combined(np.array([1 - omega, omega]), states, t + length, length, of_end)
-            numerical = dict(from_start)
-            _add(numerical, -1.0, self.distance(end.state, states[-1]))
-            return numerical, of_end, end
+        def end_at(omega: float) -> tuple[dict[str, float], dict[str, float], dict[str, float], int]:
+            of_end, length, numerical = dict(rates), omega * own, dict(from_start)
+            weights = np.array([1 - omega, omega])
+            end, limited, by_limiter = self._combined(weights, states, t + length, length, of_end)
+            _add(numerical, -1.0, self.distance(end, states[-1]))
+            return numerical, by_limiter, of_end, limited
 
         omega = 2.0
-        if self.bounds is not None:
+        if self.bounds.limits:
             end_at(omega)
-        if self.bounds is not None and self.bounds.takes_energy:
+        if self.bounds.limits and self.bounds.takes_energy:
             # R jumps where cells begin to be limited, and such a step is not without dissipation anyway
             omega = 2.0 if wanted is None else wanted
         elif lost > noise:
-            from scipy.optimize import root_scalar  # a tenth of the package's time to be imported
+            from scipy.optimize import brentq  # a tenth of the package's time to be imported
 
             try:
-                found = root_scalar(
-                    lambda omega: sum(end_at(omega)[0].values()) / lost,
-                    bracket=_RELAXED,
-                    method="brentq",
-                    xtol=_RELAXATION_TOLERANCE,
+                omega = brentq(
+                    lambda o: sum(end_at(o)[0].values()) / lost, *_RELAXED, xtol=_RELAXATION_TOLERANCE
                 )
             except ValueError as error:
                 message = (
@@ -401,11 +343,10 @@ class Integrator:
                     "or a load has a kink: take smaller steps, or relaxation = False"
                 )
                 raise StepError(message) from error
-            omega = float(found.root)
             if wanted is not None and abs(omega - wanted) <= noise / lost:
                 omega = wanted
-        numerical, of_end, end = end_at(omega)
-        return omega, numerical | end.by_limiter, of_end, end.limited
+        numerical, by_limiter, of_end, limited = end_at(omega)
+        return omega, numerical | by_limiter, of_end, limited
 
     def _noise(self, state: Evolved) -> float:
         """Rounding of a distance at ``state``, J: that between states that differ by rounding."""
@@ -422,6 +363,5 @@ class Integrator:
 
 
 def _add(total: dict[str, float], weight: float, values: dict[str, float]) -> None:
-    """total += weight values."""
     for name, value in values.items():
         total[name] = total.get(name, 0.0) + weight * value

@@ -22,7 +22,7 @@ remainder).
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -61,12 +61,11 @@ class TimeScheme:
         if not isinstance(self.name, str):
             raise ParameterError("TimeScheme.name", self.name, "a text")
         b = tuple(as_numbers("TimeScheme.b", self.b))
-        expected = "rows of numbers, lower triangular with a positive diagonal, one for each weight of b"
         rows = require_collection("TimeScheme.A", self.A, "a sequence of rows, each a sequence of numbers")
         A, s = tuple(tuple(as_numbers("TimeScheme.A", row)) for row in rows), len(b)
-        if not s or [len(row) for row in A] != s * [s]:
-            raise ParameterError("TimeScheme.A", self.A, expected)
-        if np.triu(A, 1).any() or min(np.diag(A)) <= 0:
+        is_square = s > 0 and [len(row) for row in A] == s * [s]
+        if not is_square or np.triu(A, 1).any() or min(np.diag(A)) <= 0:
+            expected = "rows of numbers, lower triangular with a positive diagonal, one for each weight of b"
             raise ParameterError("TimeScheme.A", self.A, expected)
         # as a checkpoint knows them again
         object.__setattr__(self, "A", A)
@@ -91,7 +90,7 @@ class TimeScheme:
         """w_ik: what each stage starts from, (stages, stages + 1), weights of y_0 ... y_s."""
         rows: list[np.ndarray] = []
         for i in range(self.stages):
-            rows.append(self._affine([self.A[i][j] for j in range(i)], rows))
+            rows.append(self._affine(self.A[i][:i], rows))
         return np.array(rows)
 
     @cached_property
@@ -99,7 +98,7 @@ class TimeScheme:
         """omega_k: what u_1 is of y_0 ... y_s, (stages + 1,)."""
         return self._affine(self.b, list(self.starts))
 
-    def _affine(self, weights: list[float] | tuple[float, ...], starts: list[np.ndarray]) -> np.ndarray:
+    def _affine(self, weights: Sequence[float], starts: Sequence[np.ndarray]) -> np.ndarray:
         """e_0 + sum_j weights_j/a_jj (e_j - w_j)."""
         unit = np.eye(self.stages + 1)
         total = unit[0].copy()
@@ -189,18 +188,16 @@ def scheme_of(scheme: str | TimeScheme, theta: float | None = None) -> TimeSchem
     Raises UnknownNameError for any other name; ParameterError for a theta outside [1/2, 1], one that is
     missing, or one that the scheme does not have.
     """
-    if isinstance(scheme, TimeScheme):
-        if theta is not None:
-            raise ParameterError("theta", theta, f"nothing: the scheme {scheme.name!r} is given whole")
-        return scheme
-    if not isinstance(scheme, str):
+    if not isinstance(scheme, str | TimeScheme):
         raise ParameterError("scheme", scheme, f"one of {', '.join(SCHEMES)}, or a TimeScheme")
-    if scheme not in SCHEMES:
+    if isinstance(scheme, str) and scheme not in SCHEMES:
         raise UnknownNameError("time scheme", scheme, SCHEMES)
     if scheme == "theta":
         if theta is None:
             raise ParameterError("theta", theta, "a number in [1/2, 1] for the scheme 'theta'")
         return theta_scheme(theta)
     if theta is not None:
-        raise ParameterError("theta", theta, f"nothing with the scheme {scheme!r}: it belongs to 'theta'")
-    return SCHEMES[scheme]()
+        raise ParameterError(
+            "theta", theta, f"nothing with the scheme {str(scheme)!r}: it belongs to 'theta'"
+        )
+    return SCHEMES[scheme]() if isinstance(scheme, str) else scheme

@@ -198,7 +198,7 @@ def test_a_case_with_output_times_writes_them(tmp_path):
     path = tmp_path / "timed.toml"
     path.write_text(CASE + "[output.vtk]\ninterval = 0.03\n[time.adaptive]\ndt_min = 1e-4\ndt_max = 0.02\n")
     assert ended("run", path, "-o", tmp_path / "out", "--quiet") == 0
-    from ngvisco.run.vtu import read_pvd
+    from ngvisco.run.frames import read_pvd
 
     assert [time for time, _ in read_pvd(tmp_path / "out/vtk/fields.pvd")] == [0.0, 0.03, 0.06, 0.08]
     assert np.isin([0.03, 0.06, 0.08], nv.read_ledger(tmp_path / "out/run.h5")["time"]).all()

@@ -8,7 +8,7 @@ from ngsolve.meshes import MakeStructured2DMesh
 
 from ngvisco import ParameterError
 from ngvisco import geometries as g
-from ngvisco.geometries.corners import corner_cells
+from ngvisco.geometries.meshing import corner_cells
 
 
 def of_two_parts():

@@ -98,7 +98,7 @@ def test_what_may_crash_netgen_is_tried_apart():
 
     with pytest.raises(MeshError, match="Netgen cannot mesh it"):
         shape = Circle((0, 0), 1).Face() - Circle((0, 0), 2).Face()  # nothing is left
-        meshing._try_shape("shape", shape, 2, 0.5)
+        meshing.try_shape("shape", shape, 2, 0.5)
 
 
 @pytest.mark.parametrize("periodic", ["x", "y", "xy", "xyz"])

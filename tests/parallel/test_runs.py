@@ -13,7 +13,7 @@ import pytest
 from launch import needs_petsc, printed, run
 from support import A_BODY, A_SWIRL
 
-from ngvisco.run.vtu import read_frame
+from ngvisco.run.frames import read_frame
 
 HERE = Path(__file__).parent
 pytestmark = needs_petsc

@@ -35,7 +35,7 @@ def run_of(model: nv.Model, **options) -> nv.Simulation:
 def require_rest(run: nv.Simulation) -> None:
     """A warning is an error here, so that the run itself is the test; nothing moves but by rounding."""
     ledger = run.run(0.2)
-    assert run.closure_check.failures == 0
+    assert not run.ledger.unclosed
     assert np.abs(ledger.column("closure_relative")).max() <= 1e-8
     assert ledger.column("v_max").max() <= 1e-12
 

@@ -12,8 +12,8 @@ from ngsolve import Integrate
 import ngvisco as nv
 from ngvisco.geometries import box
 from ngvisco.physics.variables import Jacobian
-from ngvisco.run.outlines import averaged, outlined
-from ngvisco.run.plots import plot_fields
+from ngvisco.run.frames import averaged, outlined
+from ngvisco.run.pictures import plot_fields
 from ngvisco.run.scene import write_scene, write_scene_of_series
 
 pytestmark = pytest.mark.filterwarnings("ignore:bodies .* meet with different stresses")

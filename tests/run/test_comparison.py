@@ -6,10 +6,10 @@ from support import A_BODY, A_FALL, NO_VTK, TWO_STEPS
 
 import ngvisco as nv
 from ngvisco.cli.main import main
-from ngvisco.run import comparison
-from ngvisco.run.comparison import plot_comparison
-from ngvisco.run.outlines import outline
-from ngvisco.run.plots import LABELS, PAGE, figure
+from ngvisco.run import plots
+from ngvisco.run.frames import outline
+from ngvisco.run.pictures import LABELS, PAGE, figure
+from ngvisco.run.plots import plot_comparison
 from ngvisco.shapes.fractions import subdivision
 
 PROBE = '[[output.probes]]\nname = "p"\npoint = [0.5, 0.5]\n'
@@ -29,13 +29,13 @@ def runs(tmp_path_factory):
 @pytest.fixture
 def drawn(monkeypatch):
     """The pictures that are saved, by name."""
-    found, save = {}, comparison.save
+    found, save = {}, plots.save
 
     def noted(fig, path):
         found[path.stem] = fig
         save(fig, path)
 
-    monkeypatch.setattr(comparison, "save", noted)
+    monkeypatch.setattr(plots, "save", noted)
     return found
 
 

@@ -10,8 +10,8 @@ import ngvisco as nv
 from ngvisco.geometries import box
 from ngvisco.physics.tensors import inner, sym
 from ngvisco.run.fields import NAMES, eigenvalues, scalar_fields, usual
+from ngvisco.run.frames import read_frame
 from ngvisco.run.observers import VTKSeries
-from ngvisco.run.vtu import read_frame
 
 F_0 = np.array([[1.2, 0.3, 0], [-0.1, 0.9, 0], [0, 0, 1.1]])
 STRETCHES = np.linalg.svd(F_0)[1]

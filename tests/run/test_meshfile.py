@@ -4,7 +4,7 @@ import pytest
 
 from ngvisco.geometries import disc
 from ngvisco.parallel.mesh import volume_and_surface
-from ngvisco.run.meshfile import mesh_image, mesh_of
+from ngvisco.run.files import mesh_image, mesh_of
 
 ROUND = disc(1.0, maxh=0.4)
 

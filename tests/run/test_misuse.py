@@ -6,9 +6,9 @@ import pytest
 
 import ngvisco as nv
 from ngvisco.geometries import box
-from ngvisco.run.movie import write_movie
-from ngvisco.run.plots import Section, plot_energies, plot_fields, plot_history
-from ngvisco.run.vtu import read_pvd
+from ngvisco.run.frames import read_pvd
+from ngvisco.run.pictures import Section, plot_fields, write_movie
+from ngvisco.run.plots import plot_energies, plot_history
 
 DT = 0.02
 

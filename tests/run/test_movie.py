@@ -10,11 +10,10 @@ from test_scene import data_of, unpacked
 
 import ngvisco as nv
 from ngvisco.geometries import box, disc
-from ngvisco.run.movie import write_movie
-from ngvisco.run.plots import PlotError, Section, plot_fields
+from ngvisco.run.frames import cut, frame_of, read_frame, read_series_files
+from ngvisco.run.pictures import PlotError, Section, _Picture, plot_fields, write_movie
 from ngvisco.run.scales import rest_pressure
 from ngvisco.run.scene import write_scene_of_series
-from ngvisco.run.vtu import cut, frame_of, read_frame, read_series_files
 
 
 def series(place, size, **options):
@@ -41,7 +40,7 @@ def test_a_series_is_read_back(written):
     assert frame.scalar("velocity") ** 2 == pytest.approx(
         sum(frame.scalar(f"velocity_{i}") ** 2 for i in (1, 2, 3))
     )
-    assert frame.scalar("F_12").shape == (len(frame.points),) and "displacement" in frame.names
+    assert frame.scalar("F_12").shape == (len(frame.points),) and "displacement" in frame.fields
     with pytest.raises(nv.UnknownNameError, match="did you mean 'density'"):
         frame.scalar("densiti")
     with pytest.raises(nv.UnknownNameError):
@@ -131,6 +130,10 @@ def test_pictures_follow_a_mesh_that_changes(tmp_path):
     assert len(set(sizes)) > 1 and len(unpacked(data["fields"][0]["values"])) == sum(sizes)
     write_movie(place, tmp_path / "movie.gif", ["density"])
     assert (tmp_path / "movie.gif").exists()
+    first, *_, last = (read_frame(file) for _, file in read_series_files(place))
+    picture, alone = (_Picture(frame, ["density"], None) for frame in (first, last))
+    picture.show(last)
+    assert np.array_equal(picture._drawn[0].get_array(), alone._drawn[0].get_array())
 
 
 @pytest.mark.parametrize(

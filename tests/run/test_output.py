@@ -12,9 +12,10 @@ from support import swirling
 import ngvisco as nv
 from ngvisco.geometries import box
 from ngvisco.run.fields import usual
+from ngvisco.run.frames import read_pvd
 from ngvisco.run.ledger import unit
-from ngvisco.run.plots import plot_energies, plot_history, widened
-from ngvisco.run.vtu import read_pvd
+from ngvisco.run.pictures import widened
+from ngvisco.run.plots import plot_energies, plot_history
 
 
 def small_run(observers, material=None, steps=4):

@@ -150,7 +150,7 @@ def test_an_interrupt_leaves_the_state_before_the_step(where, monkeypatch, tmp_p
     before, carried, t = state(run), run.passive.arrays(), run.t
     owner, name = {
         "solution": (run.solver, "defect"),
-        "row": (run.ledger, "_extrema"),
+        "row": (run.ledger, "_measured"),
         "estimate": (run.stepper._estimate, "_values"),
     }[where]
 

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from ngvisco.run.files import write_atomically
-from ngvisco.run.plots import figure
+from ngvisco.run.pictures import figure
 from tests.verification.case import Case, Plot, Result, VerificationError, number
 from tests.verification.cases import all_cases
 from tests.verification.labels import label_table

@@ -12,7 +12,7 @@ from ngsolve import CF, GridFunction, Integrate, Mesh
 import ngvisco as nv
 from ngvisco.physics.tensors import IDENTITY, dev, square
 from ngvisco.physics.variables import SmallStrain
-from ngvisco.run.closure import ClosureWarning
+from ngvisco.run.ledger import ClosureWarning
 from tests.verification.case import Cases, Curve, Measured, Plot, Table
 from tests.verification.functionals import DeltaTerms
 from tests.verification.problems import distance

@@ -1,0 +1,263 @@
+"""What pictures, animations and scenes draw: states as arrays, of a VTK series or of fields as they are.
+
+Cells have their own points, so that fields may jump between them.  Surfaces of bodies are the lines where a
+volume fraction is one half.  Lines of the single cells would have gaps where a jump passes one half; so the
+fraction is averaged at points where cells meet, and between these the lines follow a smooth function through
+its values, not the edges of cells.
+"""
+
+import importlib
+import re
+import struct
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import takewhile
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+from ngsolve import CF, ET, VOL, CoefficientFunction, IntegrationRule, Mesh, x, y, z
+
+from ngvisco.errors import CheckpointError, ParameterError, UnknownNameError
+from ngvisco.run.files import AnyPath
+from ngvisco.shapes.fractions import subdivision
+
+COMPONENTS = {3: list("123"), 9: [f"{i}{j}" for i in "123" for j in "123"]}
+"""Of vectors and tensors in files, by how many there are."""
+_KINDS = {"Float64": "<f8", "Float32": "<f4", "Int32": "<i4", "UInt8": "u1"}
+_MARK = b'<AppendedData encoding="raw">'
+_TRIANGLE, _QUADRILATERAL, _TETRAHEDRON = 5, 9, 10
+_FACES = ((0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2))
+_CUTS = {
+    1: (((0, 1), (0, 2), (0, 3)), [(0, 1, 2)]),
+    2: (((0, 2), (0, 3), (1, 3), (1, 2)), [(0, 1, 2), (0, 2, 3)]),
+    3: (((0, 3), (1, 3), (2, 3)), [(0, 1, 2)]),
+}
+"""Of a tetrahedron with so many points, its first ones, above a plane: edges that are cut, triangles."""
+_SAME = 1e-9  # of the points' extent: those this close are one
+_FLAT = 1e-6  # of the largest triangle: what is smaller is a corner or an edge
+_HALVINGS = 2  # of the triangles in which a line is drawn
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One state: cells with points of their own, and fields at the points.
+
+    Attributes
+    ----------
+    points : array (points, 3), m
+    cells : array (cells, 3) of triangles' points in 2D, (cells, 4) of tetrahedra's in 3D
+    fields : arrays (points, components) by name
+    bodies : names of the fields that are fractions of bodies, whose surfaces are drawn
+    """
+
+    points: np.ndarray
+    cells: np.ndarray
+    fields: dict[str, np.ndarray]
+    bodies: Sequence[str] = ()
+
+    @property
+    def dim(self) -> int:
+        return self.cells.shape[1] - 1
+
+    def scalar(self, name: str) -> np.ndarray:
+        """A scalar at the points: of a vector or a tensor its norm, or a component ``NAME_i``, ``NAME_ij``.
+
+        Raises UnknownNameError.
+        """
+        if name in self.fields:
+            values = self.fields[name]
+            return values[:, 0] if values.shape[1] == 1 else np.linalg.norm(values, axis=1)
+        parts = {
+            f"{whole}_{label}": values[:, i]
+            for whole, values in self.fields.items()
+            for i, label in enumerate(COMPONENTS.get(values.shape[1], ()))
+        }
+        if name not in parts:
+            raise UnknownNameError("field", name, [*self.fields, *parts])
+        return parts[name]
+
+    def fractions(self) -> list[np.ndarray]:
+        """Of the bodies that are outlined, (points,), the same in all cells that meet at a point."""
+        return [averaged(self.points, self.scalar(name)) for name in self.bodies]
+
+    def boundary(self) -> np.ndarray:
+        """In 3D the faces that belong to one tetrahedron only, (faces, 3)."""
+        faces = np.concatenate([self.cells[:, face] for face in _FACES])
+        _, number = _places(self.points)
+        corners = np.sort(number[faces], axis=1)
+        _, first, count = np.unique(corners, axis=0, return_index=True, return_counts=True)
+        return faces[first[count == 1]]
+
+
+def frame_of(
+    mesh: Mesh,
+    fields: Mapping[str, CoefficientFunction],
+    outlines: Sequence[CoefficientFunction] = (),
+    pieces: int = 1,
+) -> Frame:
+    """Scalar fields as they are, by name, with the fractions of bodies whose surfaces are drawn.
+
+    Every cell is cut into ``pieces``^dim ones, quadrilaterals into twice as many triangles.  Raises
+    ParameterError for a field that is no scalar.
+    """
+    for name, value in fields.items():
+        if value.dim != 1:
+            raise ParameterError(f"field {name!r} of a picture", value.dim, "a scalar")
+    bodies = {f"outline {i}": value for i, value in enumerate(outlines)}
+    lattices = {ET.TRIG: subdivision(2, pieces), ET.QUAD: subdivision(2, pieces, True)}
+    if mesh.dim == 3:
+        lattices = {ET.TET: subdivision(3, pieces)}
+    rules = {
+        kind: IntegrationRule([tuple(map(float, corner)) for corner in corners], [0.0] * len(corners))
+        for kind, (corners, _) in lattices.items()
+    }
+    table = np.asarray(CF((x, y, z, *fields.values(), *bodies.values()))(mesh.MapToAllElements(rules, VOL)))
+    table = table.reshape(-1, 3 + len(fields) + len(bodies))
+    kinds = [cell.type for cell in mesh.Elements(VOL)]
+    starts = np.cumsum([0, *(len(lattices[kind][0]) for kind in kinds)])
+    cells = [lattices[kind][1] + start for kind, start in zip(kinds, starts, strict=False)]
+    columns = {name: table[:, [3 + i]] for i, name in enumerate((*fields, *bodies))}
+    return Frame(table[:, :3], np.concatenate(cells), columns, tuple(bodies))
+
+
+def read_series_files(directory: AnyPath) -> list[tuple[float, Path]]:
+    """Time and file of every state of a series, e.g. of ``results/swirl/vtk``.
+
+    Raises CheckpointError if there is none.
+    """
+    place = Path(directory)
+    found = [(time, place / name) for time, name in read_pvd(place / "fields.pvd")]
+    if not found:
+        raise CheckpointError(f"{place}: no VTK series (output.vtk.enabled = true writes one)")
+    return found
+
+
+def read_pvd(path: Path) -> list[tuple[float, str]]:
+    """(time, file) of every data set that a .pvd of ours lists; empty if there is no such file.
+
+    Raises CheckpointError if it is none of ours, or damaged.
+    """
+    if not path.exists():
+        return []
+    try:
+        found = re.findall(r'timestep="([^"]+)"[^>]*file="([^"]+)"', path.read_text(encoding="utf-8"))
+        series = [(float(time), name) for time, name in found]
+    except ValueError as error:
+        raise CheckpointError(f"{path}: not a readable file of a VTK series ({error})") from error
+    if not series:
+        raise CheckpointError(f"{path}: not a file of a VTK series, or one without states; move it away")
+    return series
+
+
+def read_frame(path: Path) -> Frame:
+    """One file of a series; raises CheckpointError if it is not one of ours, or damaged."""
+    try:
+        if path.suffix == ".pvtu":  # which names the files of the ranks
+            pieces = ElementTree.parse(path).getroot().iter("Piece")
+            return _joined([read_frame(path.parent / piece.attrib["Source"]) for piece in pieces])
+        head, mark, tail = path.read_bytes().partition(_MARK)
+        root = ElementTree.fromstring(head + b"</VTKFile>")
+        raw = tail[tail.index(b"_") + 1 :] if mark else b""
+        arrays = {node.attrib["Name"]: _array(node.attrib, raw) for node in root.iter("DataArray")}
+        types, where = arrays.pop("types")[:, 0], arrays.pop("connectivity")[:, 0]
+        del arrays["offsets"]
+        return Frame(arrays.pop("Points"), _cells(types, where), arrays, outlined(list(arrays)))
+    except (OSError, ValueError, KeyError, ElementTree.ParseError, struct.error) as error:
+        raise CheckpointError(f"{path}: not a readable file of a VTK series ({error})") from error
+
+
+def _joined(parts: Sequence[Frame]) -> Frame:
+    starts = np.cumsum([0, *(len(part.points) for part in parts)])
+    cells = [part.cells + start for part, start in zip(parts, starts, strict=False)]
+    fields = {name: np.concatenate([part.fields[name] for part in parts]) for name in parts[0].fields}
+    points = np.concatenate([part.points for part in parts])
+    return Frame(points, np.concatenate(cells), fields, parts[0].bodies)
+
+
+def _array(attributes: dict[str, str], raw: bytes) -> np.ndarray:
+    kind, offset = np.dtype(_KINDS[attributes["type"]]), int(attributes["offset"])
+    (length,) = struct.unpack_from("<I", raw, offset)
+    values = np.frombuffer(raw, kind, length // kind.itemsize, offset + 4)
+    return values.reshape(-1, int(attributes.get("NumberOfComponents", 1)))
+
+
+def _cells(types: np.ndarray, where: np.ndarray) -> np.ndarray:
+    """Triangles or tetrahedra; quadrilaterals are halved."""
+    if np.all(types == _TETRAHEDRON):
+        return where.reshape(-1, 4)
+    if not np.all(np.isin(types, (_TRIANGLE, _QUADRILATERAL))):
+        raise ValueError("cells of another shape than triangles, quadrilaterals and tetrahedra")
+    ends = np.cumsum(np.where(types == _TRIANGLE, 3, 4))
+    first = np.concatenate([[0], ends[:-1]])[:, None] + [0, 1, 2]
+    second = ends[types == _QUADRILATERAL][:, None] + [-4, -2, -1]
+    return where[np.concatenate([first, second])]
+
+
+def cut(frame: Frame, axis: int, position: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The section of tetrahedra by the plane x_axis = position.
+
+    Returns (corners, 2) numbers of the two points between which each corner lies, how far from the first to
+    the second, (corners,), and triangles of corners, (triangles, 3).
+    """
+    height = frame.points[:, axis] - position
+    above = height[frame.cells] > 0
+    if not above.any():  # at the body's end the plane is its face
+        above = height[frame.cells] >= 0
+    order = np.argsort(~above, axis=1, kind="stable")
+    cells = np.take_along_axis(frame.cells, order, axis=1)  # the points above first
+    ends, triangles, start = [np.empty((0, 2), dtype=int)], [np.empty((0, 3), dtype=int)], 0
+    for count, (edges, parts) in _CUTS.items():
+        corners = cells[above.sum(axis=1) == count][:, edges]
+        first = start + np.arange(len(corners))[:, None] * len(edges)
+        triangles += [first + part for part in parts]
+        ends.append(corners.reshape(-1, 2))
+        start += len(ends[-1])
+    both = np.concatenate(ends)
+    share = height[both[:, 0]] / (height[both[:, 0]] - height[both[:, 1]])
+    return both, share, np.concatenate(triangles)
+
+
+def averaged(points: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Values at points, (..., points), each the mean of those at the same place; points are (points, dim)."""
+    _, place = _places(points)
+    sums = np.apply_along_axis(lambda row: np.bincount(place, weights=row), -1, values)
+    return (sums / np.bincount(place))[..., place]
+
+
+def _places(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Of points the first at each place, and for each the number of its place, in a domain of any size."""
+    size = float(np.ptp(points, axis=0).max(initial=0.0)) or 1.0
+    rounded = np.round(points / (_SAME * size)).astype(np.int64)
+    _, first, number = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
+    return first, number.reshape(-1)
+
+
+def outline(axis: Any, X: np.ndarray, Y: np.ndarray, triangles: np.ndarray, fraction: np.ndarray) -> Any:
+    """Draw the line of a fraction at the corners of triangles, averaged; None where it has none."""
+    if not fraction.min() < 0.5 < fraction.max():  # matplotlib warns of lines that are not there
+        return None
+    tri = importlib.import_module("matplotlib.tri")
+    points = np.stack([X, Y], axis=1)
+    first, number = _places(points)
+    cells, points, values = number[triangles], points[first], fraction[first]
+    a, b, c = np.moveaxis(points[cells], 1, 0)
+    area = 0.5 * np.abs((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])
+    cells = cells[area > _FLAT * area.max()]  # a section has corners and edges of cells too
+    is_cut = (values[cells].min(axis=1) < 0.5) & (values[cells].max(axis=1) > 0.5)
+    near = cells[np.isin(cells, cells[is_cut]).any(axis=1)]
+    mesh = tri.Triangulation(*points.T, near)
+    finer, smooth = tri.UniformTriRefiner(mesh).refine_field(values, subdiv=_HALVINGS)
+    return axis.tricontour(finer, smooth, levels=[0.5], colors="white", linewidths=1.4)
+
+
+def outlined(names: Sequence[str]) -> list[str]:
+    """Of the names of a run's fields the fractions that outline its bodies.
+
+    They stand together before ``body``: a passive field may be named like them.  All but the last, whose
+    surface is that of the others.
+    """
+    before = list(names)[: list(names).index("body")] if "body" in names else []
+    backwards = takewhile(lambda name: name.endswith("_fraction"), reversed(before))
+    return list(backwards)[:0:-1]

@@ -1,0 +1,304 @@
+"""Fields over the body: pictures of a state, animations of a VTK series (gif by Pillow, mp4 by ffmpeg)."""
+
+from __future__ import annotations
+
+import importlib
+import io
+import shutil
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from ngsolve import CoefficientFunction, Mesh
+
+from ngvisco.errors import NgviscoError, ParameterError, _is_number
+from ngvisco.run.fields import title_of
+from ngvisco.run.files import AnyPath, write_atomically
+from ngvisco.run.frames import Frame, cut, frame_of, outline, read_frame, read_series_files
+from ngvisco.shapes.fractions import subdivision
+
+PAGE, LABELS = 7.2, 9
+"""Width of pictures, inches, that of a page; the size of the smallest labels, points."""
+FORMATS = ("png", "pdf", "svg")
+_LEVEL = 1e-10
+"""Of a quantity: by less it is drawn as varying by nothing."""
+_COLOURS, _SHRINK = "viridis", 0.75
+"""The scale of colours, and its length in heights of what it is beside."""
+_PIECES, _DRAWN = 6, 200_000  # of the sides of triangles, and triangles in all
+_GREYS = 32  # of the colours of a .gif: lines and letters have smooth edges by them
+
+
+class PlotError(NgviscoError, RuntimeError):
+    """A picture cannot be drawn (matplotlib missing)."""
+
+
+def figure(rows: int, columns: int, size: tuple[float, float]) -> tuple[Any, Any]:
+    """A matplotlib figure on the Agg canvas and its axes, (rows, columns); never opens a window."""
+    try:
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise PlotError('matplotlib is missing: pip install "ngvisco[plots]"') from error
+    result = Figure(figsize=size, layout="constrained")
+    FigureCanvasAgg(result)
+    return result, result.subplots(rows, columns, squeeze=False)
+
+
+def save(fig: Any, path: AnyPath) -> None:
+    target = Path(path)
+    kind = target.suffix.lstrip(".").lower() or "png"
+    if kind not in FORMATS:
+        raise ParameterError("path of a picture", str(target), "a name that ends in .png, .pdf or .svg")
+    image = io.BytesIO()
+    fig.savefig(image, dpi=150, format=kind)
+    write_atomically(target, image.getvalue())
+
+
+def widened(low: float, high: float) -> tuple[float, float]:
+    """The range of a quantity, a tenth of it where it varies by rounding."""
+    size = max(abs(low), abs(high))
+    more = 0.05 * size if high - low < _LEVEL * size else 0.0
+    return low - more, high + more
+
+
+@dataclass(frozen=True)
+class Section:
+    """A plane normal to an axis, "x", "y" or "z", in which three-dimensional fields are shown.
+
+    ``at`` is its coordinate along that axis, m; None (default) is the middle of the body.
+    """
+
+    normal: str = "z"
+    at: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.normal not in ("x", "y", "z"):
+            raise ParameterError("Section.normal", self.normal, "x, y or z")
+        if self.at is not None and not _is_number(self.at):
+            raise ParameterError("Section.at", self.at, "a finite number")
+
+    @classmethod
+    def parse(cls, text: str) -> Section:
+        """From ``"z"`` or ``"z=0.5"``."""
+        normal, equals, value = text.replace(" ", "").partition("=")
+        try:
+            at = float(value) if equals else None
+        except ValueError as error:
+            raise ParameterError("Section.at", value, "a number, as in z=0.5") from error
+        return cls(normal, at)
+
+    @property
+    def axis(self) -> int:
+        return "xyz".index(self.normal)
+
+    def place(self, points: np.ndarray) -> float:
+        """Its coordinate, m, in a body with these points; raises ParameterError when it misses the body."""
+        along = points[:, self.axis]
+        low, high = float(along.min()), float(along.max())
+        at = 0.5 * (low + high) if self.at is None else float(self.at)
+        if not low <= at <= high:
+            raise ParameterError(f"section {self.normal}", at, f"a coordinate from {low:g} to {high:g} m")
+        return at
+
+
+def require_space(section: Section | None, dim: int) -> None:
+    """Raise ParameterError for a section of what is flat."""
+    if section is not None and dim != 3:
+        raise ParameterError("section", section.normal, "none: the mesh has two dimensions")
+
+
+def titled(*parts: str | float) -> str:
+    """A title of what there is: texts as they are, a number as the time in s."""
+    return ", ".join(f"t = {part:.4g} s" if isinstance(part, float) else part for part in parts if part != "")
+
+
+def plot_fields(
+    mesh: Mesh,
+    fields: Sequence[tuple[str, CoefficientFunction]],
+    path: AnyPath,
+    section: Section | None = None,
+    subdivisions: int = 3,
+    title: str = "",
+    outlines: Sequence[CoefficientFunction] = (),
+) -> None:
+    """Scalar fields in two columns; in 3D in a plane normal to an axis.  Formats as ``plot_energies``.
+
+    Raises ParameterError if an argument is not what is said of it.
+
+    Parameters
+    ----------
+    mesh : ngsolve.Mesh
+    fields : sequence of (title, scalar coefficient function)
+    path : path of the picture
+    section : Section, optional
+        In 3D the plane; default through the middle, normal to z.
+    subdivisions : int
+        Every cell is drawn as subdivisions^dim pieces, so that jumps between cells show.
+    title : str
+        Above all fields; in 3D the plane is added to it.
+    outlines : sequence of scalar coefficient functions
+        Volume fractions of bodies: drawn over each field as the line where they are one half.
+    """
+    require_space(section, mesh.dim)
+    named = dict(fields)
+    if not 0 < len(named) == len(fields):
+        raise ParameterError(
+            "plot_fields.fields", [name for name, _ in fields], "one field or more, by titles"
+        )
+    picture = _Picture(frame_of(mesh, named, outlines, subdivisions), list(named), section)
+    for name, axis, scale in zip(named, picture.axes, picture.scales, strict=True):
+        axis.set_title(name)
+        scale.set_clim(*widened(scale.norm.vmin, scale.norm.vmax))
+    picture.suptitle(title)
+    save(picture.figure, path)
+
+
+class _Picture:
+    """Scalar fields of a frame in two columns, each with a scale of colours, and surfaces of bodies; in 3D in
+    a plane.  Another frame, in the same scales, is drawn by ``show``."""
+
+    def __init__(self, frame: Frame, names: Sequence[str], section: Section | None) -> None:
+        self._names, self._section, self._plane = names, section or Section(), ""
+        if frame.dim == 3:
+            self._plane = f"{self._section.normal} = {self._section.place(frame.points):.4g} m"
+        wide, rows = min(len(names), 2), -(-len(names) // 2)
+        extent = np.ptp(self._corners(frame)[0], axis=0)
+        ratio = float(np.clip(extent[1] / extent[0], 0.3, 2.0))
+        height = 0.75 + 0.62 * PAGE / wide * ratio  # a field's, with title, labels and the scale beside it
+        self.figure, axes = figure(rows, wide, (PAGE, rows * height + 0.4))
+        self.axes = axes.ravel()[: len(names)]
+        for axis in axes.ravel()[len(names) :]:
+            axis.set_axis_off()
+        scalar_mappable = importlib.import_module("matplotlib.cm").ScalarMappable
+        self.scales = [scalar_mappable(cmap=_COLOURS) for _ in names]
+        across = "xyz".replace(self._section.normal, "") if frame.dim == 3 else "xy"
+        for axis, scale in zip(self.axes, self.scales, strict=True):
+            axis.set(aspect="equal", xlabel=f"{across[0]}, m", ylabel=f"{across[1]}, m")
+            self.figure.colorbar(scale, ax=axis, shrink=_SHRINK)
+        self._drawn: list[Any] = []
+        self.show(frame)
+
+    def _corners(self, frame: Frame) -> tuple[np.ndarray, np.ndarray, Callable[[np.ndarray], np.ndarray]]:
+        """Places in the plane, (corners, 2), triangles of them, and what gives values there of a frame's."""
+        if frame.dim == 2:
+            return frame.points[:, :2], frame.cells, lambda values: values
+        axis = self._section.axis
+        ends, share, triangles = cut(frame, axis, self._section.place(frame.points))
+
+        def between(values: np.ndarray) -> np.ndarray:
+            return ((1 - share) * values[ends[:, 0]].T + share * values[ends[:, 1]].T).T
+
+        return np.delete(between(frame.points), axis, axis=1), triangles, between
+
+    def show(self, frame: Frame) -> None:
+        """Draw the fields of a frame, and the surfaces of its bodies, in place of the former one's."""
+        for one in self._drawn:
+            one.remove()
+        points, triangles, between = self._corners(frame)
+        # matplotlib mixes the colours of corners: between values that differ much these are not of the scale
+        finer = int(np.clip((_DRAWN / len(triangles)) ** 0.5, 1, _PIECES))
+        lattice, small = subdivision(2, finer)
+        weights = np.column_stack([1 - lattice.sum(axis=1), lattice])
+        pieces = np.add.outer(np.arange(len(triangles)) * len(weights), small).reshape(-1, 3)
+
+        def in_pieces(values: np.ndarray) -> np.ndarray:
+            return (values[triangles] @ weights.T).ravel()
+
+        (X, Y), (U, V) = map(in_pieces, points.T), points.T
+        bodies = [between(fraction) for fraction in frame.fractions()]
+        drawn = []
+        for axis, name, scale in zip(self.axes, self._names, self.scales, strict=True):
+            values = in_pieces(between(frame.scalar(name)))
+            style = {"shading": "gouraud", "cmap": _COLOURS, "norm": scale.norm, "rasterized": True}
+            drawn.append(axis.tripcolor(X, Y, pieces, values, **style))
+            drawn += [outline(axis, U, V, triangles, fraction) for fraction in bodies]
+        self._drawn = [one for one in drawn if one is not None]
+
+    def suptitle(self, *parts: str | float) -> None:
+        if text := titled(*parts, self._plane):
+            self.figure.suptitle(text)
+
+
+def write_movie(
+    series: AnyPath,
+    path: AnyPath,
+    fields: Sequence[str] | None = None,
+    *,
+    section: Section | None = None,
+    frames_per_second: float = 10.0,
+    title: str = "",
+) -> None:
+    """Animate scalar fields over the states of a VTK series, side by side, with one scale of colours each.
+
+    Raises CheckpointError if there is no series, or a file of it cannot be read; UnknownNameError for a
+    field that the series does not have; PlotError if matplotlib is missing, or for mp4 ffmpeg.
+
+    Parameters
+    ----------
+    series, path : path
+        Directory of the series, e.g. ``results/swirl/vtk``; what is written, ``.gif`` or ``.mp4``.
+    fields : sequence of str, optional
+        Of a vector its modulus or ``NAME_i``, of a tensor ``NAME_ij``; default density and modulus of the
+        velocity, as far as the series has them.
+    section : Section, optional
+        In 3D the plane that is shown; default through the middle, normal to z.
+    """
+    target = Path(path)
+    kind = target.suffix.lstrip(".").lower()
+    if kind not in ("gif", "mp4"):
+        raise ParameterError("write_movie.path", str(target), "a name that ends in .gif or .mp4")
+    if not (isinstance(frames_per_second, (int, float)) and 0 < frames_per_second <= 1000):
+        raise ParameterError("write_movie.frames_per_second", frames_per_second, "a number in (0, 1000]")
+    files = read_series_files(series)
+    first = read_frame(files[0][1])
+    require_space(section, first.dim)
+    names = list(fields) if fields is not None else [n for n in ("density", "velocity") if n in first.fields]
+    if not names:
+        raise ParameterError("write_movie.fields", fields, "at least one field of the series")
+    ranges = np.array(
+        [[(v.min(), v.max()) for v in map(read_frame(file).scalar, names)] for _, file in files]
+    )
+    picture = _Picture(first, names, section)
+    for i, name in enumerate(names):
+        low, high = float(ranges[:, i, 0].min()), float(ranges[:, i, 1].max())
+        picture.axes[i].set_title(title_of(name))
+        picture.scales[i].set_clim(*((low, high) if high > low else (low - 0.5, low + 0.5)))
+    draft = target.with_name(f"{target.stem}.part{target.suffix}")
+    target.parent.mkdir(parents=True, exist_ok=True)
+    writer = _writer(kind, frames_per_second)
+    try:
+        with writer.saving(picture.figure, str(draft), dpi=130):
+            for time, file in files:
+                picture.show(read_frame(file))
+                picture.suptitle(title, time)
+                writer.grab_frame()
+        draft.replace(target)
+    finally:
+        draft.unlink(missing_ok=True)
+
+
+def _writer(kind: str, rate: float) -> Any:
+    from matplotlib import colormaps, rcParams
+    from matplotlib.animation import FFMpegWriter, PillowWriter
+
+    if kind == "mp4":
+        if shutil.which(rcParams["animation.ffmpeg_path"]) is None:
+            raise PlotError("an mp4 needs ffmpeg, which is not on the path: install it, or ask for a .gif")
+        even = "pad=ceil(iw/2)*2:ceil(ih/2)*2"  # sizes that the codec wants
+        return FFMpegWriter(fps=rate, extra_args=["-vf", even, "-pix_fmt", "yuv420p"])  # type: ignore[arg-type]
+
+    class Gif(PillowWriter):
+        """In the colours of the scale and greys: of 256 that Pillow chooses a scale has steps."""
+
+        def finish(self) -> None:
+            frames = vars(self)["_frames"]
+            scale = colormaps[_COLOURS](np.linspace(0, 1, 256 - _GREYS))[:, :3]
+            greys = np.linspace(0, 1, _GREYS)[:, None] * np.ones(3)
+            palette = frames[0].convert("P")
+            palette.putpalette(np.round(255 * np.concatenate([scale, greys])).astype(np.uint8).tobytes())
+            frames[:] = [frame.convert("RGB").quantize(palette=palette, dither=0) for frame in frames]
+            super().finish()
+
+    return Gif(fps=rate)  # type: ignore[arg-type]
