@@ -7,6 +7,7 @@ its values, not the edges of cells.
 """
 
 import importlib
+import os
 import re
 import struct
 from collections.abc import Mapping, Sequence
@@ -20,7 +21,6 @@ import numpy as np
 from ngsolve import CF, ET, VOL, CoefficientFunction, IntegrationRule, Mesh, x, y, z
 
 from ngvisco.errors import CheckpointError, ParameterError, UnknownNameError
-from ngvisco.run.files import AnyPath
 from ngvisco.shapes.fractions import subdivision
 
 COMPONENTS = {3: list("123"), 9: [f"{i}{j}" for i in "123" for j in "123"]}
@@ -122,7 +122,7 @@ def frame_of(
     return Frame(table[:, :3], np.concatenate(cells), columns, tuple(bodies))
 
 
-def read_series_files(directory: AnyPath) -> list[tuple[float, Path]]:
+def read_series_files(directory: str | os.PathLike[str]) -> list[tuple[float, Path]]:
     """Time and file of every state of a series, e.g. of ``results/swirl/vtk``.
 
     Raises CheckpointError if there is none.
