@@ -129,9 +129,7 @@ def plot_fields(
 
     Parameters
     ----------
-    mesh : ngsolve.Mesh
     fields : sequence of (title, scalar coefficient function)
-    path : path of the picture
     section : Section, optional
         In 3D the plane; default through the middle, normal to z.
     subdivisions : int

@@ -36,8 +36,6 @@ def record(
 
     Parameters
     ----------
-    simulation : Simulation
-    directory : path
     until : float
         End of the run, s.
     every : int
@@ -47,10 +45,6 @@ def record(
     show : mapping of titles to expressions, optional
         What ``fields.png`` shows, by the names of ``simulation.fields`` and their components:
         ``{"speed, m/s": "sqrt(velocity_1**2 + velocity_2**2)"}``.  Without it there is no such picture.
-
-    Returns
-    -------
-    Ledger
     """
     out = require_path("record.directory", directory)
     if (end := as_number(until)) is None or end <= simulation.t:

@@ -119,26 +119,20 @@ class Refinement:
 def run_refined(
     simulation: Simulation, refinement: Refinement, until: float, checkpoint: AnyPath | None = None
 ) -> Simulation:
-    """Run on meshes that follow a field, refined from that of ``simulation``.
+    """Run on meshes that follow a field, refined from that of ``simulation``; the run on the last mesh.
 
-    Its observers are told of every mesh by ``start``, as of a run that is resumed, and the ledger goes on.
-    Raises ParameterError, UnknownNameError, MeshError or CheckpointError for what does not fit, before a step
-    is made; StepError as ``Simulation.run``.
+    It has the ledger of the whole.  Its observers are told of every mesh by ``start``, as of a run that is
+    resumed, and the ledger goes on. Raises ParameterError, UnknownNameError, MeshError or CheckpointError for
+    what does not fit, before a step is made; StepError as ``Simulation.run``.
 
     Parameters
     ----------
     simulation : Simulation
         At its own start, on the coarsest mesh, of triangles or tetrahedra.
-    refinement : Refinement
     until : float
         End of the run, s.
     checkpoint : path, optional
         The HDF5 file of such a run, which then goes on from its last state.
-
-    Returns
-    -------
-    Simulation
-        At ``until``, on the last mesh, with the ledger of the whole.
     """
     require_type("run_refined.simulation", simulation, Simulation)
     require_type("run_refined.refinement", refinement, Refinement)

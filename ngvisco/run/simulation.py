@@ -291,16 +291,11 @@ class Simulation:
         return output_fields(self.rothe_step)
 
     def advance(self, stop: float = math.inf) -> dict[str, float]:
-        """One accepted step of the scheme, which with adaptive lengths ends at ``stop`` (s) at the latest.
+        """One accepted step, which with adaptive lengths ends at ``stop`` (s) at the latest; its ledger row.
 
         Raises StepError when the step cannot be solved, or rho, J, ... are not positive (see ``limiter``);
         with adaptive lengths, when that is so at the smallest length.  The state is then that before the
         step, and the error's ``report`` says where and why.
-
-        Returns
-        -------
-        dict
-            Its ledger row.
         """
         if self.mesh.ne != self._cells_here:
             message = f"the mesh has {self.mesh.ne} cells, and {self._cells_here} when the run was made"

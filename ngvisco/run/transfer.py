@@ -65,7 +65,7 @@ class Transfer:
 
 
 def transfer(source: Simulation, target: Simulation) -> Transfer:
-    """Put a simulation into the state of another one, on another mesh or in other spaces.
+    """Put a simulation into the state of another one, on another mesh or in other spaces; what that did.
 
     Raises ParameterError if the materials' variables or the passive fields do not fit, or ``target`` has made
     steps; MeshError if the domains are not the same; InitialDataError if a projected density or Jacobian is
@@ -78,11 +78,6 @@ def transfer(source: Simulation, target: Simulation) -> Transfer:
     target : Simulation
         With the same transported variables, on a mesh of the same domain, before its first step.  Its time
         becomes the source's; its steps are counted from there, and its ledger begins with the new state.
-
-    Returns
-    -------
-    Transfer
-        What it did to mass and energy.
     """
     old, new = source.rothe_step, target.rothe_step
     require_fit(source, target)
