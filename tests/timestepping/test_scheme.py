@@ -128,7 +128,7 @@ def test_an_unknown_scheme_and_a_theta_without_use_are_refused():
         scheme_of("midpont")
     with pytest.raises(nv.ParameterError, match="it belongs to 'theta'"):
         scheme_of("midpoint", 0.5)
-    with pytest.raises(nv.ParameterError, match="given whole"):
+    with pytest.raises(nv.ParameterError, match="it belongs to"):
         scheme_of(THIRD, 0.5)
     with pytest.raises(nv.ParameterError, match="a TimeScheme"):
         scheme_of(2)
