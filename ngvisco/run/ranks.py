@@ -100,8 +100,8 @@ class Numbering:
         spaces: dict[str, tuple[FESpace, FESpace | None]] = {}
         for name, stress in step.stresses.functions.items():
             size = len(stress.components)
-            of_whole = None if mesh is None else replace(step.quadrature, mesh=mesh)
-            nodes = None if of_whole is None else of_whole.vectors(size, at_nodes=True).space
+            rules = None if mesh is None else replace(step.quadrature, mesh=mesh)
+            nodes = None if rules is None else rules.vectors(size, at_nodes=True).space
             spaces[f"solver/{name}"] = stress.space, nodes
         for name, field in simulation.passive.parts.items():
             cells = None if mesh is None else simulation.passive.space(name, mesh)
