@@ -16,44 +16,21 @@ from ngsolve import SetNumThreads
 SetNumThreads(1)
 
 HERE = Path(__file__).parent
-QUICK = [
-    "algebra",
-    "reduced",
-    "forms",
-    "physics",
-    "timestepping/test_scheme.py",
-    "case/test_energies.py",
-    "case/test_key_reference.py",
-    "run/test_meshfile.py",
-    "case/test_outputs.py",
-    "case/test_schema.py",
-    "case/test_units.py",
-    "run/test_output.py",
-    "run/test_record.py",
-    "run/test_refusals.py",
-    "run/test_rest_stresses.py",
-    "solver/test_newton.py",
-    "solver/test_split_derivative.py",
-    "verification/test_labels.py",
-    "test_documents.py",
-    "test_expressions.py",
-    "test_notices.py",
-    "test_readme.py",
-    "test_rooms.py",
-    "test_threads.py",
-]
+QUICK = {
+    *("algebra", "reduced", "forms", "physics", "timestepping/test_scheme.py", "verification/test_labels.py"),
+    *(f"case/test_{name}.py" for name in ("energies", "key_reference", "outputs", "schema", "units")),
+    *(f"run/test_{name}.py" for name in ("output", "record", "refusals")),
+    *(f"solver/test_{name}.py" for name in ("newton", "split_derivative")),
+    *(f"test_{name}.py" for name in ("documents", "expressions", "notices", "readme", "rooms", "threads")),
+}
 """Rooms and modules of the edit loop: one or more of each room, 75 s of processor time in all."""
-NOT_QUICK = [
-    "forms/test_bounds.py",
-    "forms/test_corners.py",
-    "forms/test_kinks.py",
-    "forms/test_regularisation.py",
-    "forms/test_field_diffusion.py",
-    "forms/test_wall_conditions.py",
-    "forms/test_wall_projection.py",
-    "physics/test_material_laws.py",
-    "physics/test_variables.py",
-]
+NOT_QUICK = {
+    *(
+        f"forms/test_{name}.py"
+        for name in ("bounds", "kinks", "regularisation", "field_diffusion", "wall_conditions")
+    ),
+    *(f"physics/test_{name}.py" for name in ("material_laws", "variables")),
+}
 """What takes longer in these rooms."""
 
 
@@ -63,7 +40,7 @@ def pytest_collection_modifyitems(items):
     for item in items:
         path = item.path.relative_to(HERE)
         names = {path.as_posix(), path.parts[0]}
-        if names & set(QUICK) and not names & set(NOT_QUICK) and item.get_closest_marker("long") is None:
+        if names & QUICK and not names & NOT_QUICK and item.get_closest_marker("long") is None:
             item.add_marker("quick")
 
 

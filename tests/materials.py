@@ -26,10 +26,7 @@ from ngvisco.physics.variables import (
 
 @dataclass(frozen=True)
 class Example:
-    """A row of the table: a material with sample parameters, its energy in words, and where it stands.
-
-    ``paper`` is None for what the paper does not have.
-    """
+    """A row of the table: a material, its energy in words, where it stands; what the paper lacks: None."""
 
     material: Material
     constructor: str

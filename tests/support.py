@@ -31,29 +31,7 @@ from ngsolve import (
 )
 from ngsolve.meshes import MakeStructured3DMesh
 
-from ngvisco import (
-    BodyForce,
-    CentralGravity,
-    Checkpoints,
-    Creep,
-    Discretisation,
-    Gravity,
-    HyperViscosity,
-    Initial,
-    IsotropicStrainEnergy,
-    LinearElastic,
-    Material,
-    Model,
-    NavierFriction,
-    NeoHookean,
-    NoSlip,
-    Observer,
-    PrescribedTangential,
-    Simulation,
-    StokesViscosity,
-    Traction,
-    time,
-)
+import ngvisco as nv
 from ngvisco.case import reference
 from ngvisco.forms.mesh.quadrature import Sampler
 from ngvisco.forms.start.initial import set_initial
@@ -157,12 +135,12 @@ def difference_times(
 
 # --- steps on the smallest meshes --------------------------------------------------------------------
 
-LINEAR = LinearElastic(K_e=3.0, G_e=1.3)
-HARDENING = IsotropicStrainEnergy(
+LINEAR = nv.LinearElastic(K_e=3.0, G_e=1.3)
+HARDENING = nv.IsotropicStrainEnergy(
     strain_energy=lambda E: 0.7 * Trace(E) * Trace(E) + square(dev(E)) + 2 * square(dev(E)) * square(E)
 )
-NEO_HOOKEAN = NeoHookean(K_e=3.0, G_e=1.3, epsilon=0.4, elastic_state="F")
-MATERIALS: dict[str, Material] = {"linear": LINEAR, "hardening": HARDENING, "neo_hookean": NEO_HOOKEAN}
+NEO_HOOKEAN = nv.NeoHookean(K_e=3.0, G_e=1.3, epsilon=0.4, elastic_state="F")
+MATERIALS: dict[str, nv.Material] = {"linear": LINEAR, "hardening": HARDENING, "neo_hookean": NEO_HOOKEAN}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -182,14 +160,14 @@ class Case:
         return f"{self.dim}d-{self.material}-k{self.k}-m{self.m}-p{self.p}-mu{self.mu_1}-{creep}"
 
     @property
-    def model(self) -> Model:
-        g = (0.3 + x, -1.0 + sin(2 * time)) if self.dim == 2 else (0.3 + x, y * time, -1.0)
-        return Model(
+    def model(self) -> nv.Model:
+        g = (0.3 + x, -1.0 + sin(2 * nv.time)) if self.dim == 2 else (0.3 + x, y * nv.time, -1.0)
+        return nv.Model(
             material=MATERIALS[self.material],
-            viscosity=StokesViscosity(K_v=0.3, G_v=0.2),
-            hyperviscosity=HyperViscosity(mu=0.05, p=self.p, mu_1=self.mu_1) if self.p else None,
-            creep=Creep(G_m=1.7) if self.creep else None,
-            loads=(Gravity(g), BodyForce((y,) * self.dim)),
+            viscosity=nv.StokesViscosity(K_v=0.3, G_v=0.2),
+            hyperviscosity=nv.HyperViscosity(mu=0.05, p=self.p, mu_1=self.mu_1) if self.p else None,
+            creep=nv.Creep(G_m=1.7) if self.creep else None,
+            loads=(nv.Gravity(g), nv.BodyForce((y,) * self.dim)),
         )
 
 
@@ -204,7 +182,7 @@ def small_box(dim: int) -> Mesh:
 @cache
 def step_of(case: Case) -> Step:
     """The case's step; tests share it, so that each must set all its fields by ``randomise``."""
-    step = Step(small_box(case.dim), case.model, Discretisation(k=case.k, m=case.m))
+    step = Step(small_box(case.dim), case.model, nv.Discretisation(k=case.k, m=case.m))
     step.context.tau.Set(0.3)
     step.context.set_loads(0.2, 0.3)
     step.context.eta.Set(0.3)  # wide smoothing: all shares between 0 and 1
@@ -233,7 +211,7 @@ def randomise(step: Step, seed: int = 0, size: float = 0.15) -> None:
 def smooth_state(step: Step) -> np.ndarray:
     """Coefficients of a deformed body with variable density, at rest, with |Hs|^2 = 4."""
     shear = OuterProduct(CF((y, x, 0)), CF((1, 1, 0)))
-    initial = Initial(density=1.3 + 0.3 * x * y, F=Id(3) + 0.1 * shear)
+    initial = nv.Initial(density=1.3 + 0.3 * x * y, F=Id(3) + 0.1 * shear)
     set_initial(step, initial, Sampler(step.mesh, step.quadrature))
     if "hess_square" in step.layout.names:
         parts_of(step)["hess_square"].Set(CF(4.0))
@@ -257,7 +235,7 @@ def block(step: Step, array: np.ndarray, name: str) -> np.ndarray:
 
 # --- runs --------------------------------------------------------------------------------------------
 
-EXAMPLES: dict[str, Material] = {example.constructor: example.material for example in examples()}
+EXAMPLES: dict[str, nv.Material] = {example.constructor: example.material for example in examples()}
 """One of every material of the catalogue, by its constructor."""
 OF_EACH_KIND = (
     "LinearElastic",
@@ -291,37 +269,49 @@ A_SWIRL = '[initial]\nvelocity = ["sin(pi*x)*cos(pi*y)", "-cos(pi*x)*sin(pi*y)"]
 TWO_STEPS = "[time]\ndt = 0.02\nuntil = 0.04\n"
 NO_VTK = "[output.vtk]\nenabled = false\n"
 """Further tables of one."""
-OF_MODELS = {field.name for field in fields(Model)}
+OF_MODELS, OF_STARTS = ({field.name for field in fields(given)} for given in (nv.Model, nv.Initial))
 
 
-def swirling(
-    mesh: Mesh | float = 0.5, dt: float = 0.02, initial: Initial | None = None, **options: Any
-) -> Simulation:
-    """A swirl of 1 m/s in the unit square, or on another mesh; six triangles if no ``maxh`` is given.
+def small_run(mesh: Mesh | float = 0.5, dt: float = 0.02, **options: Any) -> nv.Simulation:
+    """A run in the unit square, or on another mesh; six triangles if no ``maxh`` is given.
 
-    ``options`` are those of ``Model``, whose material is neo-Hookean by default, and of ``Simulation``.
+    ``options`` are those of ``Model``, whose material is neo-Hookean by default, ``Initial``, ``Simulation``.
     """
     mesh = mesh if isinstance(mesh, Mesh) else box((1, 1), mesh)
-    of_model = {name: options.pop(name) for name in OF_MODELS & options.keys()}
-    if "bodies" not in of_model:
-        of_model.setdefault("material", NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1))
-    initial = initial or Initial(velocity=(*SWIRL, CF(0))[: mesh.dim])
-    return Simulation(mesh, Model(**of_model), dt=dt, initial=initial, **options)
+    model, start = (
+        {name: options.pop(name) for name in of & options.keys()} for of in (OF_MODELS, OF_STARTS)
+    )
+    if "bodies" not in model:
+        model.setdefault("material", nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1))
+    if start:
+        options["initial"] = nv.Initial(**start)
+    if "time" not in options:
+        options["dt"] = dt
+    return nv.Simulation(mesh, nv.Model(**model), **options)
 
 
-def state(run: Simulation) -> np.ndarray:
+def swirling(mesh: Mesh | float = 0.5, dt: float = 0.02, **options: Any) -> nv.Simulation:
+    """The same from a swirl of 1 m/s, if no other start is given."""
+    if options.get("initial") is None:
+        dim = mesh.dim if isinstance(mesh, Mesh) else 2
+        options = {"velocity": (*SWIRL, CF(0))[:dim]} | options
+        options.pop("initial", None)
+    return small_run(mesh, dt, **options)
+
+
+def state(run: nv.Simulation) -> np.ndarray:
     """All coefficients, a copy."""
     found: np.ndarray = run.rothe_step.state.vec.FV().NumPy().copy()
     return found
 
 
-def evolved(run: Simulation) -> dict[str, np.ndarray]:
+def evolved(run: nv.Simulation) -> dict[str, np.ndarray]:
     """Coefficients of v, rho, which bodies have not, and z."""
     state, ranges = run.rothe_step.state.vec.FV().NumPy(), run.rothe_step.layout.ranges
     return {name: state[ranges[name]].copy() for name in ("v", "rho", "z") if name in ranges}
 
 
-def assert_same(run: Simulation, other: Simulation, of: float = 1e-9) -> None:
+def assert_same(run: nv.Simulation, other: nv.Simulation, of: float = 1e-9) -> None:
     """Coefficients of v, rho and z agree to ``of`` of the largest of each."""
     first, second = evolved(run), evolved(other)
     for name, values in first.items():
@@ -334,17 +324,19 @@ def assert_balanced(ledger: Ledger, bound: float = 1e-10, drift: float = 1e-12) 
     assert np.abs(ledger.column("mass_drift")).max() <= drift
 
 
-def assert_closed(run: Simulation, until: float, bound: float = 1e-12) -> Ledger:
+def assert_closed(run: nv.Simulation, until: float, bound: float = 1e-12) -> Ledger:
     """Run on to a time and return the ledger: it closes, and mass is kept."""
     ledger = run.run(until)
     assert_balanced(ledger, bound, min(bound, 1e-11))
     return ledger
 
 
-def assert_goes_on(make: Callable[..., Simulation], path: Path, until: float, *steps: int) -> Simulation:
+def assert_goes_on(
+    make: Callable[..., nv.Simulation], path: Path, until: float, *steps: int
+) -> nv.Simulation:
     """A run by ``make`` with observers that goes on from checkpoints of ``steps``, -1 that of the last but
     one, has the uninterrupted one's ledger and state, bit by bit; returns the latter."""
-    whole = make(observers=[Checkpoints(path, every=1, keep=99)])
+    whole = make(observers=[nv.Checkpoints(path, every=1, keep=99)])
     whole.run(until)
     for step in steps:
         again = make(observers=[])
@@ -359,25 +351,25 @@ def assert_goes_on(make: Callable[..., Simulation], path: Path, until: float, *s
 
 
 def by_both_solvers(
-    make: Callable[[str], Simulation], until: float, bound: float = 1e-12
-) -> list[Simulation]:
+    make: Callable[[str], nv.Simulation], until: float, bound: float = 1e-12
+) -> list[nv.Simulation]:
     """Runs of ``make(solver)`` to a time: their ledgers close, mass is kept, and they agree."""
     runs = []
     for solver in ("split", "coupled"):
-        time.Set(0.0)
+        nv.time.Set(0.0)
         runs.append(make(solver))
         assert_closed(runs[-1], until, bound)
     assert_same(*runs)
     return runs
 
 
-class Rejections(Observer):
+class Rejections(nv.Observer):
     """Keeps what steps were rejected for."""
 
     def __init__(self) -> None:
         self.seen: list[Rejection] = []
 
-    def rejected(self, simulation: Simulation, rejection: Rejection) -> None:
+    def rejected(self, simulation: nv.Simulation, rejection: Rejection) -> None:
         self.seen.append(rejection)
 
 
@@ -390,7 +382,7 @@ def demo(name: str) -> Any:
     return module
 
 
-def assert_sound(ledger: Ledger, material: Material) -> None:
+def assert_sound(ledger: Ledger, material: nv.Material) -> None:
     """What the paper proves of a run with gravity and creep."""
     assert_balanced(ledger)
     assert ledger.column("rho_min").min() > 0
@@ -405,38 +397,38 @@ ROTATION = (-y, x)
 WALLS = {
     "no slip and slip": (
         lambda: annulus(1, 2, 1),
-        {"inner": NoSlip()},
-        Initial(density=1 + 0.1 * x, velocity=ROTATION),
-        (CentralGravity(strength=1.0),),
+        {"inner": nv.NoSlip()},
+        nv.Initial(density=1 + 0.1 * x, velocity=ROTATION),
+        (nv.CentralGravity(strength=1.0),),
     ),
     "accelerated rotating wall": (
         lambda: disc(1, 0.7),
-        {"wall": PrescribedTangential((-y * (1 + 9 * time**2), x * (1 + 9 * time**2)))},
-        Initial(density=1 + 0.3 * x),
+        {"wall": nv.PrescribedTangential((-y * (1 + 9 * nv.time**2), x * (1 + 9 * nv.time**2)))},
+        nv.Initial(density=1 + 0.3 * x),
         (),
     ),
     "accelerated lid": (
         lambda: box((1, 1), 0.5),
-        {"top": PrescribedTangential((10 * time, 0.0)), ("left", "right"): NoSlip()},
-        Initial(density=1 + 0.3 * y),
-        (Gravity((0.0, -1.0 - time)),),
+        {"top": nv.PrescribedTangential((10 * nv.time, 0.0)), ("left", "right"): nv.NoSlip()},
+        nv.Initial(density=1 + 0.3 * y),
+        (nv.Gravity((0.0, -1.0 - nv.time)),),
     ),
     "two lids, periodic": (
         lambda: channel(1, 1, 0.5),
-        {"top": PrescribedTangential((1, 0)), "bottom": PrescribedTangential((-1, 0))},
-        Initial(),
-        (BodyForce((sin(2 * pi * x) * cos(9 * time), 0)),),
+        {"top": nv.PrescribedTangential((1, 0)), "bottom": nv.PrescribedTangential((-1, 0))},
+        nv.Initial(),
+        (nv.BodyForce((sin(2 * pi * x) * cos(9 * nv.time), 0)),),
     ),
     "traction with friction": (
         lambda: disc(1, 0.7),
-        {"wall": Traction(f=(-y * cos(9 * time), x), friction=0.1)},
-        Initial(),
+        {"wall": nv.Traction(f=(-y * cos(9 * nv.time), x), friction=0.1)},
+        nv.Initial(),
         (),
     ),
     "friction": (
         lambda: box((1, 1), 0.5),
-        {"bottom": NavierFriction(2.0), "top": Traction(f=(sin(9 * time), 5.0))},
-        Initial(velocity=(sin(pi * x), 0)),
+        {"bottom": nv.NavierFriction(2.0), "top": nv.Traction(f=(sin(9 * nv.time), 5.0))},
+        nv.Initial(velocity=(sin(pi * x), 0)),
         (),
     ),
 }

@@ -37,14 +37,6 @@ def apply(change: str, source: str) -> str:
     return source
 
 
-def test_changes_apply_at_one_place_only():
-    assert apply(" b\n+c\n", "a\nb\nd\n") == "a\nb\nc\nd\n"
-    assert apply("-b\n+c\n@@\n+e\n", "a\nb\nd\n") == "a\nc\nd\ne\n"
-    for source in ("a\nd\n", "a\nb\nb\n"):
-        with pytest.raises(AssertionError, match=r"fits [02] places"):
-            apply("-b\n+c\n", source + "b\n" * source.count("b\nb"))
-
-
 def copied(folder: Path) -> Path:
     """The sources that a program imports."""
     for name in ("ngvisco", "geometries", "tests/verification"):

@@ -4,10 +4,10 @@ import re
 
 from documents import ROOT, marked_blocks
 from materials import table
+from support import small_run
 
 import ngvisco as nv
 from ngvisco.case.catalogue import WALLS
-from ngvisco.geometries import box
 
 README = ROOT / "README.md"
 LEDGER = ROOT / "ngvisco" / "run" / "LEDGER.md"
@@ -57,8 +57,7 @@ def test_commands_install_and_run_in_one_line_each():
 
 
 def test_every_ledger_column_is_explained():
-    model = nv.Model(material=nv.NeoHookean(K_e=1.0, G_e=1.0, epsilon=1.0))
-    columns = nv.Simulation(box((1, 1), maxh=1), model, dt=1.0).ledger.columns
+    columns = small_run(1, 1.0, material=nv.NeoHookean(K_e=1.0, G_e=1.0, epsilon=1.0)).ledger.columns
     assert all(f"`{column}`" in LEDGER.read_text() for column in columns)
 
 

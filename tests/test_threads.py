@@ -1,22 +1,21 @@
 """A step has the same bits with any number of threads, and NGSolve's workers are out of the way of arrays."""
 
 from ngsolve import CF, SetNumThreads
+from support import small_run
 
 import ngvisco as nv
 from ngvisco import threads
-from ngvisco.geometries import box
 
 
 def test_a_split_step_has_the_same_bits_with_two_threads():
     def state():
-        model = nv.Model(
-            material=nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1),
+        run = small_run(
+            0.3,
             viscosity=nv.StokesViscosity(K_v=0.1, G_v=0.2),
             hyperviscosity=nv.HyperViscosity(mu=1e-4, p=4),
             loads=[nv.Gravity((0.0, -1.0))],
-        )
-        run = nv.Simulation(
-            box((1, 1), maxh=0.3), model, dt=0.02, initial=nv.Initial(velocity=CF((0.0, 0.0))), solver="split"
+            velocity=CF((0.0, 0.0)),
+            solver="split",
         )
         run.advance()
         return run.rothe_step.state.vec.FV().NumPy().copy()

@@ -1,6 +1,5 @@
 """Bodies and moduli that vary, in case files: what is admitted, what is refused and where, what is kept."""
 
-import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -116,36 +115,6 @@ def test_modulus_in_z_is_refused_in_two_dimensions():
         case(HEAD + material).model(2)
     with pytest.raises(CaseError, match=r"bodies.1.where: 'z < 1': there is no z"):
         case(HEAD + BODIES.replace("where = {", 'where = "z < 1" #')).model(2)
-
-
-def test_resolved_case_is_the_same_case():
-    loaded = case()
-    again = parse_case(loaded.resolved, "case.toml", Path("."))
-    assert again.resolved == loaded.resolved and again.hash == loaded.hash
-    bodies = tomllib.loads(loaded.resolved)["bodies"]
-    assert [body["name"] for body in bodies] == ["fluid", "disc"]
-    assert bodies[1]["where"]["centre"] == [0.6, 0.5]
-    assert case(HEAD + BODIES.replace("radius = 0.2", "radius = 0.3")).hash != loaded.hash
-
-
-def test_hash_is_that_of_a_shape_s_file_not_of_its_path(tmp_path):
-    from matplotlib.image import imsave
-
-    pixels = np.zeros((4, 4, 3))
-    for name in ("a.png", "b.png"):
-        imsave(tmp_path / name, pixels)
-    picture = 'where = { kind = "Image", path = "FILE", low = [0, 0], high = [1, 1] } #'
-    texts = [BODIES.replace("where = {", picture.replace("FILE", name)) for name in ("a.png", "b.png")]
-    first, second = (case(HEAD + text, tmp_path) for text in texts)
-    assert first.hash == second.hash
-    ((copy, file),) = first.shape_files.items()
-    assert file == (tmp_path / "a.png").resolve()
-    assert tomllib.loads(first.resolved)["bodies"][1]["where"]["path"] == copy
-    imsave(tmp_path / "b.png", 1 - pixels)
-    assert case(HEAD + texts[1], tmp_path).hash != first.hash
-    (tmp_path / "b.png").unlink()
-    with pytest.raises(CaseError, match="cannot be read"):
-        case(HEAD + texts[1], tmp_path).hash  # noqa: B018
 
 
 def test_run_directory_goes_on_without_the_shape_s_file(tmp_path):

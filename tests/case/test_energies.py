@@ -15,8 +15,7 @@ from ngvisco.case.build import parse_case
 from ngvisco.case.laws import custom_material, isotropic_strain_energy, parse_energy
 from ngvisco.expressions import ExpressionError
 from ngvisco.physics.arrays import Array, derivatives
-from ngvisco.physics.materials import NeoHookean
-from ngvisco.physics.pointwise import ExpressionResponse, array_slope
+from ngvisco.physics.pointwise import ExpressionResponse
 from ngvisco.physics.tensors import exp
 from ngvisco.physics.variables import Distortion, Jacobian
 
@@ -98,25 +97,6 @@ def test_energy_has_the_value_and_slope_of_its_formula(text, meant):
 
 
 @pytest.mark.parametrize(
-    "energy",
-    [
-        "3*norm2(F)/J**(2/3) + 4*(J + 1/J)",
-        "norm2(cof(F))**1.5/J**2 + det(F)**2 + exp(tr(F*trans(F))) + tr(inv(F)*cof(F))",
-        "cosh(J) + tanh(J - 1)**2 + (norm2(F) if J > 1 else max(norm2(F), 3*J)) + norm2(dev(F*trans(F)))",
-    ],
-)
-@pytest.mark.parametrize("dim", [2, 3])
-def test_coefficient_functions_and_arrays_have_the_same_slope(energy, dim):
-    material = custom_material(["F", "J"], energy)
-    z = 0.05 * RNG.standard_normal((material.states(dim).size, 8))
-    z[[0, 2 + dim, -1] if dim == 3 else [0, 3, 4, -1]] += 1
-    if dim == 3:
-        z[[4, 8]] += [[0.0], [1.0]] if z[4].mean() > 0.5 else [[1.0], [1.0]]
-    expected = ExpressionResponse(material, dim)(z.T).slope.T
-    assert np.abs(array_slope(material, dim)(z) - expected).max() <= 1e-13 * np.abs(expected).max()
-
-
-@pytest.mark.parametrize(
     ("text", "reason", "position"),
     [
         ("3*F", "an energy is a scalar", 1),
@@ -174,19 +154,6 @@ def test_any_text_is_an_energy_or_refused(text):
     else:
         with np.errstate(all="ignore"):
             assert energy(F=Array(F), J=Array(J)).is_scalar
-
-
-def test_the_material_by_text_is_the_material():
-    """The neo-Hookean energy, by its variables of the text and by the package's own class."""
-    by_text = custom_material(
-        ["F", "J"], "K/2*(J - 1 + e/K)**2 - e*log(J) + G*norm2(F)/J**(2/3)", {"K": 10.0, "G": 5.0, "e": 0.1}
-    )
-    own = NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, elastic_state="F")
-    states = np.array([[1.1, 0.1, -0.2, 0.9, 1.0, 1.05]])
-    found, expected = (ExpressionResponse(m, 2)(states) for m in (by_text, own))
-    assert found.energy == pytest.approx(expected.energy, rel=1e-14)
-    assert found.slope == pytest.approx(expected.slope, rel=1e-13)
-    assert found.hessian == pytest.approx(expected.hessian, rel=1e-12, abs=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -263,14 +230,6 @@ temperature = "300 + 100*x"
 dt = 0.02
 until = 0.02
 """
-
-
-def test_a_body_at_rest_with_a_temperature_closes_its_ledger():
-    text = WARM.replace("theta_R = 300", 'theta_R = "300 degC"').replace('temperature = "300 + 100*x"', "")
-    case = parse_case(text, "case", Path("."))
-    ledger = case.simulation(case.mesh()).run(case.until)
-    assert ledger.column("temperature_min") == pytest.approx(573.15, rel=1e-12)
-    assert abs(ledger.column("closure_relative")).max() < 1e-8
 
 
 @pytest.mark.parametrize("method", ["coupled", "split"])

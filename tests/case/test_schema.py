@@ -122,48 +122,6 @@ def test_all_faults_are_reported_at_once():
     }
 
 
-def test_a_case_gives_the_run_of_the_same_script():
-    from ngsolve import cos, pi, sin, x, y
-
-    from ngvisco.geometries import box
-
-    run = simulation(CASE)
-    model = nv.Model(
-        material=nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1),
-        creep=nv.Creep(G_m=5.0),
-        loads=[nv.Gravity((0.0, -1 + 0.1 * nv.time))],
-    )
-    initial = nv.Initial(
-        density=1 + 0.1 * x, velocity=(sin(pi * x) * cos(pi * y), -cos(pi * x) * sin(pi * y))
-    )
-    script = nv.Simulation(box((1, 1), maxh=0.5), model, dt=0.02, initial=initial)
-    a, b = run.run(0.1), script.run(0.1)
-    for name in ("kinetic", "stored", "power_gravity", "rho_max", "J_min"):
-        assert a.column(name) == pytest.approx(b.column(name), rel=1e-11, abs=1e-13)
-
-
-def test_walls_geometries_and_fields_of_a_case_reach_the_run():
-    """A ring turned by its outer wall, under central gravity, with a passive field."""
-    text = CASE.replace('"box"\nsize = [1, 1]\nmaxh = 0.5', '"annulus"\ninner = 0.5\nouter = 1\nmaxh = 0.6')
-    text = text.replace('velocity = ["sin(pi*x)*cos(pi*y)", "-cos(pi*x)*sin(pi*y)"]', "")
-    text = text.replace("[walls.left]", "[walls.inner]")
-    loaded = case(
-        text,
-        'walls.outer={kind="PrescribedTangential", velocity=["-y*t", "x*t"]}',
-        'loads=[{kind="CentralGravity", strength=1}]',
-        'output.passive=["creep_strain"]',
-        "rheology.regularisation.epsilon=0.01",
-    )
-    run = loaded.simulation(loaded.mesh())
-    ledger = run.run(0.04)
-    assert ledger.column("v_max")[-1] == pytest.approx(0.03, rel=0.05)  # its mean over the last step
-    assert abs(ledger.column("closure_relative")).max() <= 1e-10
-    assert {"dissipation_creep", "power_gravity"} <= set(ledger.columns) and "creep_strain" in run.fields
-    with pytest.raises(CaseError, match=r"walls\.outer\.coefficient .*-1.*expected a finite number >= 0"):
-        wrong = case(text, 'walls.outer={kind="NavierFriction", coefficient=-1}')
-        wrong.simulation(wrong.mesh())
-
-
 def test_resolved_case_is_complete_and_resolves_to_itself():
     loaded = case(CASE)
     again = case(loaded.resolved)

@@ -9,9 +9,7 @@ import tomllib
 from types import SimpleNamespace
 
 import h5py
-import numpy as np
 import pytest
-from command import CASE
 from ngsolve import GridFunction
 
 import ngvisco as nv
@@ -192,16 +190,6 @@ def test_wrong_input_is_explained_with_exit_code_2(words, message, case_file, fi
 def test_a_missing_checkpoint_is_explained_with_exit_code_3(finished, capsys):
     assert ended("plot", finished, "--step", 1) == 3
     assert "no checkpoint of step 1 (there are 3, 4)" in capsys.readouterr().err
-
-
-def test_a_case_with_output_times_writes_them(tmp_path):
-    path = tmp_path / "timed.toml"
-    path.write_text(CASE + "[output.vtk]\ninterval = 0.03\n[time.adaptive]\ndt_min = 1e-4\ndt_max = 0.02\n")
-    assert ended("run", path, "-o", tmp_path / "out", "--quiet") == 0
-    from ngvisco.run.frames import read_pvd
-
-    assert [time for time, _ in read_pvd(tmp_path / "out/vtk/fields.pvd")] == [0.0, 0.03, 0.06, 0.08]
-    assert np.isin([0.03, 0.06, 0.08], nv.read_ledger(tmp_path / "out/run.h5")["time"]).all()
 
 
 REFUSED = {

@@ -21,7 +21,6 @@ DONE, FAILED, BAD_INPUT, BAD_FILE = 0, 1, 2, 3
 LONG = ("--set", "time.until=200")
 REST = (pytest.mark.long, pytest.mark.ci)
 """Further processes that differ in little."""
-FILES = ("ledger.csv", "case.toml", "mesh.vol")
 
 
 @pytest.fixture(scope="session")

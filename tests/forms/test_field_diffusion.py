@@ -7,16 +7,14 @@ from ngsolve import CF, H1, VOL, ElementId, Integrate, cos, pi, x, y
 
 import ngvisco as nv
 from ngvisco.algebra.sparse import apply, inverse_of_blocks, mass_matrix
-from ngvisco.errors import ParameterError
 from ngvisco.forms.system import Step
 from ngvisco.forms.terms.regularisation import FieldDiffusion
 from ngvisco.geometries import box
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.exchange import Exchange
 from ngvisco.physics.energy_checks import StateSampling
-from ngvisco.physics.pointwise import respond, rest_state
-from ngvisco.physics.regularisation import Regularisation, curvature_of
-from ngvisco.physics.variables import Jacobian
+from ngvisco.physics.pointwise import rest_state
+from ngvisco.physics.regularisation import Regularisation
 from ngvisco.reduced.diffusion import FieldDiffusionRows
 from ngvisco.reduced.operators import FacetMass, Operators, SideOperators
 from ngvisco.reduced.slope import PointwiseSlope
@@ -156,37 +154,3 @@ def test_slope_is_the_gradient_of_z_and_the_power_the_paper_s(m):
         powers.append(abs(power - DELTA * Integrate(curvature * exact * exact, mesh, order=10)))
     assert np.log2(slopes[1] / slopes[2]) > m - 0.2
     assert np.log2(powers[1] / powers[2]) > 2 * m - 0.4
-
-
-def test_constant_states_have_no_diffusion_and_mass_of_z_is_kept(rng):
-    diffusion = Diffusion(CONVEX, MESH)
-    z = rough_states(diffusion, rng, 0.2)
-    at = diffusion.op.z(z)
-    parts = {"z": z, "zeta": diffusion.projected(diffusion.slope(at))}
-    rows = diffusion.rows.rows(parts | diffusion.rows.slopes(at, parts))
-    one = diffusion.projected(np.ones((1, diffusion.op.points.count)))[0]
-    assert np.abs(rows @ one).max() <= 1e-12 * np.abs(rows).max()
-    constant = diffusion.projected(np.repeat(z[:, :1], diffusion.op.points.count, axis=1))
-    power, entry = diffusion.power(constant)
-    assert abs(power) <= 1e-12 and entry <= 1e-12
-
-
-def test_directions_in_which_an_energy_is_linear_are_found():
-    material = nv.LogarithmicNeoHookean(K_e=10.0, G_e=5.0, epsilon=1.0)
-    curvature = curvature_of(material, 2)
-    slices = material.states(2).slices
-    expected = np.zeros_like(curvature.linear)
-    hessian = respond(material, 2)(rest_state(material, 2)[None]).hessian[0]
-    (flat,) = np.flatnonzero(np.abs(hessian).max(axis=0) == 0)
-    expected[flat, flat] = 1.0
-    assert flat in [where.start for where in slices.values()]
-    assert np.abs(curvature.linear - expected).max() <= 1e-12
-    assert np.linalg.eigvalsh(curvature.compliance)[0] > 0
-
-
-def test_energy_without_curvature_at_rest_is_refused_with_the_remedy():
-    flat = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: (J - 1) ** 4)
-    mesh = box((1, 1), maxh=1)
-    with pytest.raises(ParameterError, match="WithQuadratic"):
-        Diffusion(flat, mesh)
-    Diffusion(nv.WithQuadratic(material=flat, delta=1e-4), mesh)

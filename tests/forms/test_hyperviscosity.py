@@ -5,7 +5,6 @@ import pytest
 from ngsolve import CF, CoefficientFunction, x, y, z
 from support import (
     Case,
-    block,
     central_difference,
     parts_of,
     random_direction,
@@ -86,18 +85,6 @@ def test_hessian_of_a_polynomial_of_degree_k_is_exact(dim: int, k: int, fields: 
     assert step.quadrature.integrate_facets(square(step.now.jump)) < 1e-24
 
 
-@pytest.mark.parametrize("dim", [2, 3])
-def test_hessian_sees_the_facet_unknown(dim: int) -> None:
-    """Negative control: with a = 0 the Hessian is another one."""
-    step = step_of(Case(dim=dim, material="linear", creep=False))
-    set_smooth(step, QUADRATIC[dim])
-    for i in range(dim):
-        parts_of(step)[f"a_{i + 1}"].vec[:] = 0.0
-    _recover_hessian(step, hyperviscosity(step))
-    error = Sampler(step.mesh, step.quadrature).values(hessian(step) - exact_hessian(QUADRATIC[dim], dim))
-    assert np.abs(error).max() > 0.1
-
-
 def rows(step: Step) -> np.ndarray:
     trial, test = step.layout.space.TnT()
     parts = hyperviscosity(step).form(step.layout.fields(trial), step.layout.fields(test))
@@ -157,30 +144,3 @@ def test_dissipation_is_the_power_of_the_hyperstress(case: Case) -> None:
     assert (entry.name, entry.kind) == ("dissipation_hyper", "dissipation")
     assert entered == pytest.approx(power, rel=1e-12)
     assert entered > 0
-
-
-@by_case
-def test_potential_is_convex_in_velocity_and_trace(case: Case) -> None:
-    """The monotone map that Newton rests on: <Psi'(1) - Psi'(2), 1 - 2> > 0 for random pairs."""
-    step = step_of(case)
-    mask = of_velocity(step)
-    states, gradients = [], []
-    for seed in range(4):
-        randomise(step, seed)
-        step.state.vec.FV().NumPy()[mask] *= 4.0**seed
-        make_consistent(step)
-        states.append(step.state.vec.FV().NumPy()[mask].copy())
-        gradients.append(rows(step)[mask])
-    for i in range(4):
-        for j in range(i):
-            assert (gradients[i] - gradients[j]) @ (states[i] - states[j]) > 0
-
-
-@pytest.mark.parametrize("dim", [2, 3])
-def test_affine_velocity_feels_no_hyperstress(dim: int) -> None:
-    step = step_of(Case(dim=dim, material="linear", creep=False))
-    affine = (2 * x - y, x + 3 * y, x - y)[:dim]
-    set_smooth(step, affine)
-    step.eliminate()
-    assert np.abs(block(step, rows(step), "v")).max() < 1e-13
-    assert np.abs(rows(step)[of_velocity(step)]).max() < 1e-12

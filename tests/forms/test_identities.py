@@ -140,27 +140,6 @@ def test_creep_leaves_the_jacobian_alone(case: Case) -> None:
     assert np.abs(per_component[-1]).max() == 0  # J, the last component
 
 
-def test_both_sides_weigh_their_conjugates_to_one() -> None:
-    """Where no side is upstream the force of a jump is (w . n) [z] : (zeta_1 + zeta_2)/2, not half of it."""
-    step = step_of(Case(dim=2, m=0, p=None))
-    randomise(step, 4)
-    step.wind.vec[:] = 0.0
-    step.follow_wind()
-    inflow = step.context.upwinding.inflow
-    of_both = step.quadrature.integrate_facets(inflow) / step.quadrature.integrate_facets(step.context.inner)
-    assert of_both == pytest.approx(0.5, rel=1e-14)
-    u, c = step.now, step.context
-    z_hat = step.state.vec.CreateVector()
-    z_hat.data = step.state.vec
-    jumps = [c.inner * c.normal[0] * (u.z_hat - u.z) * u.zeta]
-    # a uniform z_hat and zeta: the sum over both sides is that of the jumps of z
-    parts_of(step)["zeta"].vec[:] = 1.0
-    mean = step.quadrature.integrate_facets(jumps[0])
-    jump = -step.quadrature.integrate_facets(c.inner * c.normal[0] * (u.z * u.zeta))
-    step.state.vec.data = z_hat
-    assert mean == pytest.approx(jump, rel=1e-12)
-
-
 def elastic_rows(case: Case, values: dict) -> tuple[Step, np.ndarray]:
     """The elastic force at smooth variables with exact traces and conjugates, and a random velocity."""
     step = step_of(case)

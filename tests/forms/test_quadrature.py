@@ -1,21 +1,24 @@
-"""The rule of forms and of the ledger's integrals, which are one: else no ledger would close."""
+"""The rule of forms and of the ledger's integrals, integrands as programs, the side of upwinding."""
 
-from collections.abc import Callable
+import shutil
+import sys
+from pathlib import Path
+from unittest.mock import patch
 
 import numpy as np
 import pytest
-from ngsolve import Mesh, specialcf, x, y, z
-from ngsolve.meshes import MakeStructured2DMesh
+from ngsolve import CF, BitArray, IfPos, Integrate, Mesh, sin, specialcf, unit_square, x, y, z
 
+import ngvisco as nv
+from ngvisco.errors import ParameterError
+from ngvisco.forms import system
 from ngvisco.forms.mesh.points import SidePoints
-from ngvisco.forms.mesh.quadrature import Quadrature, Sampler
+from ngvisco.forms.mesh.quadrature import SCRIPT, VARIABLE, Quadrature, Sampler, compiled
+from ngvisco.forms.start.initial import set_initial
+from ngvisco.forms.system import Step
 from ngvisco.geometries import box
+from tests.support import uncondensed
 
-MESHES: dict[str, Callable[[], Mesh]] = {
-    "triangles": lambda: box((1, 0.7), 0.5),
-    "tetrahedra": lambda: box((1, 0.7, 0.8), 1.0),
-    "quadrilaterals": lambda: MakeStructured2DMesh(quads=True, nx=2, ny=1),
-}
 DEGREES = [3, 6, 9]
 
 
@@ -28,34 +31,6 @@ def test_polynomials_of_the_degree_are_exact(degree: int) -> None:
     assert quadrature.integrate_facets(flux) == pytest.approx(1.0, rel=1e-12)
 
 
-@pytest.mark.parametrize("k, m", [(2, 0), (2, 1), (3, 1), (3, 2)])
-def test_degree_resolves_the_polynomial_terms(k: int, m: int) -> None:
-    """Momentum's 3k - 1 + m with v three times is left out on purpose; the others are exact."""
-    quadrature = Quadrature.for_orders(box((1, 1), 1.0), k, m)
-    assert quadrature.volume_degree == quadrature.facet_degree >= max(2 * k + m, k - 1 + 2 * m)
-    assert quadrature.volume_degree % 2 == 0  # NGSolve keeps values at the points of even degrees only
-    more = Quadrature.for_orders(box((1, 1), 1.0), k, m, bonus=4)
-    assert more.volume_degree == quadrature.volume_degree + 4
-
-
-def test_vector_integrands_are_integrated_by_component() -> None:
-    quadrature = Quadrature(box((1, 1), 0.5), 4, 4)
-    from ngsolve import CF
-
-    assert np.asarray(quadrature.integrate_cells(CF((1, x, y * y)))) == pytest.approx([1, 0.5, 1 / 3])
-
-
-@pytest.mark.parametrize("name", ["triangles", "tetrahedra", "quadrilaterals"])
-def test_sampler_sees_vertices_and_interior(name: str) -> None:
-    """An extremum at a corner or inside is found: the points hold all vertices of all cells."""
-    mesh = MESHES[name]()
-    sampler = Sampler(mesh, Quadrature(mesh, 4, 4))
-    assert sampler.extrema(x + y)[0] == pytest.approx(0.0, abs=1e-12)
-    top = max(v.point[0] + v.point[1] for v in mesh.vertices)
-    assert sampler.extrema(x + y)[1] == pytest.approx(top)
-    assert sampler.values(x).shape == sampler.values(y).shape
-
-
 @pytest.mark.parametrize(("k", "m"), [(2, 1), (2, 2), (3, 2)])
 def test_both_sides_of_a_face_see_the_same_points(k: int, m: int) -> None:
     """NGSolve's rules of triangles from degree 8 on have no symmetry, and cells number faces differently."""
@@ -65,3 +40,73 @@ def test_both_sides_of_a_face_see_the_same_points(k: int, m: int) -> None:
     order = [side[np.lexsort(np.round(side, 9).T)] for side in places]
     found = np.unique(np.round(np.stack(order).reshape(len(places), -1), 9), axis=0)
     assert len(found) == mesh.nface
+
+
+def test_interpreted_by_default(monkeypatch):
+    monkeypatch.delenv(VARIABLE, raising=False)
+    monkeypatch.setenv("PATH", "/nowhere")  # nothing is compiled
+    mesh = Mesh(unit_square.GenerateMesh(maxh=0.5))
+    assert Integrate(compiled(x * y), mesh) == pytest.approx(0.25)
+
+
+@pytest.mark.long
+@pytest.mark.ci
+@pytest.mark.skipif(
+    not (shutil.which("c++") and shutil.which(SCRIPT, path=str(Path(sys.executable).parent))),
+    reason="no compiler",
+)
+def test_machine_code_has_the_same_values(monkeypatch):
+    monkeypatch.setenv(VARIABLE, "1")
+    mesh = Mesh(unit_square.GenerateMesh(maxh=0.5))
+    f = CF((sin(3 * x) * y, IfPos(x - y, x, -y)))
+    machine, given = (np.array(Integrate(g, mesh, order=6)) for g in (compiled(f), f))
+    assert machine == pytest.approx(given, rel=1e-14)
+
+
+def test_another_word_is_refused(monkeypatch):
+    monkeypatch.setenv(VARIABLE, "yes")
+    with pytest.raises(ParameterError, match="NGVISCO_COMPILE = 'yes'"):
+        compiled(x)
+
+
+def test_without_a_compiler_it_is_refused(monkeypatch, tmp_path):
+    monkeypatch.setenv(VARIABLE, "1")
+    monkeypatch.setattr(sys, "executable", str(tmp_path / "python"))
+    monkeypatch.setenv("PATH", "/nowhere")
+    with pytest.raises(ParameterError, match=r"c\+\+"):
+        compiled(x)
+
+
+def density_of_a_long_step():
+    """Least density after a step in which a wild velocity carries matter through many cells."""
+    step = Step(
+        box((1, 1), 0.3), nv.Model(material=nv.BarotropicFluid(B=1.0, gamma=1.4)), nv.Discretisation(m=0)
+    )
+    set_initial(step, nv.Initial(), Sampler(step.mesh, step.quadrature))
+    rng, ranges = np.random.default_rng(2), step.layout.ranges
+    for state in (step.state, step.state_old):
+        state.vec.FV().NumPy()[ranges["v"]] = np.random.default_rng(3).uniform(-1, 1, step.wind.space.ndof)
+        state.vec.FV().NumPy()[ranges["v"]][~np.array(list(step.wind.space.FreeDofs()))] = 0.0
+    step.state_old.vec.FV().NumPy()[ranges["rho"]] = 10 ** rng.uniform(-3, 0, step.mesh.ne)
+    step.wind.vec.FV().NumPy()[:] = step.state.vec.FV().NumPy()[ranges["v"]]
+    step.follow_wind()
+    step.context.eta.Set(1e-9)
+    step.context.tau.Set(1.0)
+    (term,) = (term for term in step.terms if type(term).__name__ == "Continuity")
+    form = uncondensed(step, term.form(*map(step.layout.fields, step.layout.space.TnT())))
+    form.AssembleLinearization(step.state.vec)
+    free = BitArray(step.layout.space.ndof)
+    free.Clear()
+    for name in ("rho", "rho_hat"):
+        free[ranges[name]] = True
+    residual = step.state.vec.CreateVector()
+    form.Apply(step.state.vec, residual)
+    step.state.vec.data -= form.mat.Inverse(free, inverse="umfpack") * residual
+    return step.state.vec.FV().NumPy()[ranges["rho"]].min()
+
+
+def test_an_implicit_step_of_order_zero_keeps_densities_positive_however_long_it_is():
+    """Control: by sides that differ along a facet it does not."""
+    assert density_of_a_long_step() > 0
+    with patch.object(system, "FacetFlux", lambda mesh, velocity, order: None):
+        assert density_of_a_long_step() < 0

@@ -1,13 +1,13 @@
-"""Means over time: exact to their tolerance, whatever happens within the interval."""
+"""Means over time: exact to their tolerance, whatever happens within the interval; loads by them in runs."""
 
 import math
 
 import numpy as np
 import pytest
-from ngsolve import CF, IfPos, cos, exp, sin, sqrt, x, y
+from ngsolve import CF, IfPos, Integrate, cos, exp, sin, sqrt, x
 
 import ngvisco as nv
-from ngvisco.forms.time_means import TOLERANCE, mean_in_cells, rule
+from ngvisco.forms.time_means import TOLERANCE, mean_in_cells
 from ngvisco.geometries import box
 
 T = nv.time
@@ -43,68 +43,12 @@ def test_means_are_exact_to_the_tolerance(name):
     assert found == pytest.approx(exact, rel=10 * TOLERANCE)
 
 
-def test_a_mean_over_no_time_is_the_value():
-    value = nv.step(0.05) * x
-    assert mean(value, 0.06, 0.0)[0] == pytest.approx(0.3) and mean(value, 0.04, 0.0)[0] == 0
-
-
-def test_a_mean_is_projected_in_cells():
-    """Against polynomials of the forms' degree a load's mean is the load's, sines of place too."""
-    from ngvisco.forms.mesh.quadrature import Quadrature
-
-    value = CF((sin(9 * x) * T, exp(y) * T))
-    function, average = mean_in_cells(value, MESH, 6)
-    average.update(0.0, 0.2)
-    rule_of_forms = Quadrature(MESH, 6, 6)
-    present = T.Get()
-    T.Set(0.1)  # the mean of a linear function
-    for test in (CF((1, x)), CF((x * y, x**3)), CF((y**3, x * x * y))):
-        exact = rule_of_forms.integrate_cells(value * test)
-        assert rule_of_forms.integrate_cells(function * test) == pytest.approx(exact, rel=1e-12)
-    T.Set(present)
-
-
-def test_the_present_time_is_left_alone():
-    T.Set(0.7)
-    mean(nv.pulse(0.03, 0.01))
-    assert T.Get() == 0.7
-    T.Set(0.0)
-
-
 def test_a_front_that_moves_is_said_not_to_be_resolved():
     """At each place it breaks at another time: the error is that of 50 panels, and known."""
     front = IfPos(x - 10 * T, 1.0, 0.0)
     found, error = mean(front)
     assert TOLERANCE < error < 0.02
     assert abs(found - 0.3) <= 0.1  # a polynomial of third degree across jumps within a cell
-
-
-def test_the_error_is_not_less_than_it_is():
-    """Panels that are not halved enough: the rule's own error bounds the true one."""
-    for times in (40, 160, 640):
-
-        def values(t, times=times):
-            return np.array([math.sin(times * t) ** 2, math.sin(times * t + 1) ** 2])
-
-        found = rule(values, 0.0, 10.0)
-        exact = [0.5 - (math.sin(2 * (10 * times + c)) - math.sin(2 * c)) / (40 * times) for c in (0, 1)]
-        assert np.abs(found.mean(values) - exact).max() <= max(found.error, TOLERANCE)
-
-
-@pytest.mark.parametrize(
-    ("source", "values", "message"),
-    [
-        ([0, 1, 1], [1, 2, 3], "times that increase"),
-        ([0, 1], [1, 2, 3], "as many values"),
-        ([0], [1], "two rows"),
-        ([0, 1], [1, math.nan], "finite"),
-        (["a", 1], [1, 2], "times"),
-        ("missing.csv", (), "can be read"),
-    ],
-)
-def test_bad_tables_are_refused(source, values, message):
-    with pytest.raises(nv.ParameterError, match=message):
-        nv.table(source, values)
 
 
 def test_a_table_is_read_from_a_file(tmp_path):
@@ -131,8 +75,64 @@ def test_a_table_is_read_from_a_file(tmp_path):
         nv.table(path)
 
 
-@pytest.mark.parametrize("bad", [(nv.step, ("a",)), (nv.pulse, (0, -1)), (nv.pulse, (math.inf, 1))])
-def test_steps_and_pulses_are_of_numbers(bad):
-    make, arguments = bad
-    with pytest.raises(nv.ParameterError):
-        make(*arguments)
+MODEL = {"material": nv.BarotropicFluid(B=1.0, gamma=1.4)}
+DT = 0.1
+
+
+def momentum_of(load, scheme="backward-euler", solver="coupled", steps=1):
+    """Of a periodic strip of mass 1 kg along the load, after steps of 0.1 s."""
+    model = nv.Model(loads=[nv.Gravity((load, 0))], viscosity=nv.StokesViscosity(K_v=1, G_v=1), **MODEL)
+    mesh = box((1, 1), 0.5, periodic=("x",))
+    run = nv.Simulation(
+        mesh, model, time=nv.TimeSteps(dt=DT, scheme=scheme, velocity_scale=1.0), solver=solver
+    )
+    ledger = run.run(steps * DT)
+    assert np.abs(ledger.column("closure_relative")).max() <= 1e-8
+    return Integrate(run.rothe_step.now.rho * run.rothe_step.now.v, run.mesh)[0]
+
+
+@pytest.mark.parametrize(
+    ("load", "expected"),
+    [
+        (100 * nv.pulse(0.03, 0.01), 1.0),
+        (nv.step(0.0), 0.1),
+        (nv.step(0.05), 0.05),
+        (nv.table([0, 0.03, 0.05], [0, 10, 0]), 0.25),
+        (IfPos(nv.time - 0.033, 1, 0) * IfPos(0.034 - nv.time, 1000, 0), 1.0),
+    ],
+    ids=["pulse", "step", "step within", "table", "conditions"],
+)
+@pytest.mark.parametrize("scheme", ["backward-euler", "midpoint"])
+def test_the_momentum_is_the_loads_impulse(load, expected, scheme):
+    """With two Gauss points the pulse gave 0 and the step within 0.1."""
+    assert momentum_of(load, scheme) == pytest.approx(expected, rel=1e-8)
+
+
+def test_the_split_solver_has_the_same_loads():
+    assert momentum_of(100 * nv.pulse(0.03, 0.01), solver="split", steps=2) == pytest.approx(1.0, rel=1e-8)
+
+
+def test_a_traction_counts_by_its_mean():
+    """A pulse on one wall and a table on the other give the velocities that constant tractions give."""
+    top, bottom = 100 * nv.pulse(0.03, 0.01), nv.table([0, 0.1], [0, 1])
+    found = []
+    for f, g in ((top, bottom), (10.0, 0.5)):
+        model = nv.Model(viscosity=nv.StokesViscosity(K_v=1, G_v=1), **MODEL)
+        walls = {"top": nv.Traction(f=(f, 0)), "bottom": nv.Traction(f=(g, 0))}
+        mesh = box((1, 1), 0.5, periodic=("x",))
+        run = nv.Simulation(mesh, model, time=nv.TimeSteps(dt=DT, velocity_scale=1.0), walls=walls)
+        assert abs(run.advance()["closure_relative"]) <= 1e-8
+        found.append(run.rothe_step.now.v(mesh(0.3, 0.8)))
+    assert found[0] == pytest.approx(found[1], rel=1e-7) and found[1][0] > 1
+
+
+def test_a_load_that_is_not_resolved_is_said_once():
+    """A front that crosses the body breaks the load at other times at other places."""
+    front = CF((IfPos(x - 10 * nv.time, 1.0, 0.0), 0))
+    model = nv.Model(loads=[nv.Gravity(front)], **MODEL)
+    run = nv.Simulation(box((1, 1), 1.0), model, time=nv.TimeSteps(dt=0.04, velocity_scale=1.0))
+    with pytest.warns(
+        nv.InputWarning, match="mean of a load over the step from t = 0 s is known to"
+    ) as caught:
+        run.run(0.08)
+    assert len([w for w in caught if "known to" in str(w.message)]) == 1

@@ -1,6 +1,5 @@
 """Cells in corners: found, divided, and nothing else changed."""
 
-import numpy as np
 import pytest
 from netgen.occ import Circle, Glue, OCCGeometry, Rectangle
 from ngsolve import CF, VERTEX, Integrate, Mesh
@@ -85,14 +84,3 @@ def test_a_file_is_divided(tmp_path):
     g.box((1, 1), 0.3).ngmesh.Save(str(tmp_path / "box.vol"))
     assert corner_cells(g.load(tmp_path / "box.vol"))
     assert not corner_cells(g.load(tmp_path / "box.vol", split_corners=True))
-
-
-def test_divided_cells_keep_the_orientation_of_theirs():
-    for make in MESHES.values():
-        mesh = g.split_corner_cells(make())
-        raw = mesh.ngmesh
-        cells = raw.Elements2D() if mesh.dim == 2 else raw.Elements3D()
-        corners = cells.NumPy()["nodes"][:, : mesh.dim + 1].astype(int) - 1
-        edges = raw.Coordinates()[corners][:, 1:] - raw.Coordinates()[corners][:, :1]
-        volumes = np.linalg.det(edges)
-        assert (volumes > 0).all() or (volumes < 0).all()

@@ -13,6 +13,7 @@ import numpy as np
 import own
 import walls
 from ngsolve import CoefficientFunction, IfPos, cos, pi, sin, x, y
+from own import NEO_HOOKEAN, SWIRL
 from walls import TWO_LEVELS
 
 import ngvisco as nv
@@ -25,8 +26,6 @@ from ngvisco.run.passive import NAMES
 from ngvisco.solver.options import SplitOptions
 from ngvisco.solver.split.preconditioner import Preconditioner
 
-SWIRL = (sin(pi * x) * cos(pi * y), -cos(pi * x) * sin(pi * y))
-NEO_HOOKEAN = nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1)
 VISCOSITY = nv.StokesViscosity(K_v=0.05, G_v=0.05)
 KRYLOV = nv.NewtonOptions(split=SplitOptions(slow=4))
 REGULARISED = nv.Regularisation(delta_density=1e-3, delta_fields=1e-2, epsilon=0.1, rho_max=1.0)
@@ -156,17 +155,15 @@ def limited() -> nv.Simulation:
 
 STIFF = nv.ReferentialNeoHookean(K_e=10.0, G_e=1.0)
 FLUID = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: 4 * (J - 2 + 1 / J))
-WEAK = nv.StokesViscosity(K_v=0.05, G_v=0.05)
 
 
 def bodies(solver: str, maxh: float = 0.4) -> nv.Simulation:
     """A disc and a layer in a fluid: what overshoots of their amounts is limited in every step."""
+    disc = {"where": nv.Ball((0.6, 0.5), 0.25), "order": 1, "viscosity": VISCOSITY}
     parts = [
-        nv.Body(
-            name="disc", where=nv.Ball((0.6, 0.5), 0.25), order=1, material=STIFF, density=2.0, viscosity=WEAK
-        ),
+        nv.Body(name="disc", material=STIFF, density=2.0, **disc),
         nv.Body(name="layer", where=0.4 - y, material=STIFF, density=3.0, viscosity=VISCOSITY),
-        nv.Body(name="rest", material=FLUID, density=1.0, viscosity=WEAK),
+        nv.Body(name="rest", material=FLUID, density=1.0, viscosity=VISCOSITY),
     ]
     model = nv.Model(bodies=parts, hyperviscosity=nv.HyperViscosity(mu=1e-5))
     initial = nv.Initial(velocity=SWIRL)

@@ -1,4 +1,4 @@
-"""PETSc's multigrid for the velocities at vertices: what it needs to know, and what is done without it."""
+"""PETSc for us: what its multigrid needs to know, what is done without it, and memory that it gives back."""
 
 from functools import cache
 from pathlib import Path
@@ -26,3 +26,8 @@ def test_a_matrix_that_multigrid_does_not_take_is_factorised():
         "coarse = 'gamg': gamg did not take the matrix (it is not positive definite); the velocities of the "
         "vertices are factorised"
     )
+
+
+def test_memory_does_not_grow_with_factorisations():
+    growth, of_one = printed(Path(__file__).with_name("memory.py"))
+    assert growth < 0.3 * of_one

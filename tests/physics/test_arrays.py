@@ -1,34 +1,28 @@
-"""Energies by arrays: derivatives, and what is not supported; every material is in ``test_split_agrees``."""
+"""Arrays at points: derivatives of energies, forms that are linear in tests, what is not supported."""
 
 import ngsolve
 import numpy as np
 import pytest
+from ngsolve import CF
+from support import one_triangle
 
-from ngvisco.physics.arrays import Array, derivatives
+from ngvisco.physics.arrays import Array, Linear, derivatives, slots
 from ngvisco.physics.materials.custom import CustomMaterial
-from ngvisco.physics.materials.hyperelastic import NeoHookean
-from ngvisco.physics.pointwise import CHUNK, array_slope
-from ngvisco.physics.tensors import dev, if_positive, inner, log, sph, square, sym, tensor_space, tr
-from ngvisco.physics.variables import Distortion, Jacobian, SmallStrain
-
-
-def states(material, dim, count=7):
-    """Components near rest."""
-    rng = np.random.default_rng(1)
-    z = 0.1 * rng.standard_normal((material.states(dim).size, count))
-    for variable, where in zip(material.variables, material.states(dim).slices.values(), strict=True):
-        space = tensor_space(variable.kind, dim)
-        rest = np.ones(1) if space.is_scalar else space.columns.T @ np.eye(3).ravel()
-        z[where] += (0.0 if isinstance(variable, SmallStrain) else 1.0) * rest[:, None]
-    return z
-
-
-def test_many_points_are_taken_in_pieces():
-    material = NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1)
-    slope, z = array_slope(material, 2), states(material, 2, count=2 * CHUNK + 3)
-    whole = slope(z)
-    assert (whole[:, :5] == slope(z[:, :5])).all()
-    assert whole[:, -1] == pytest.approx(slope(z[:, -1:])[:, 0], rel=1e-14)
+from ngvisco.physics.pointwise import array_slope
+from ngvisco.physics.tensors import (
+    dev,
+    embed_gradient,
+    if_positive,
+    inner,
+    log,
+    power_of_square,
+    skw,
+    sph,
+    square,
+    sym,
+    tr,
+)
+from ngvisco.physics.variables import Distortion, Jacobian
 
 
 def test_every_operation_against_differences():
@@ -82,3 +76,74 @@ def test_powers_of_zero_are_numbers(exponent):
     """A law may have a value where it has no derivative: at rest."""
     with np.errstate(all="raise"):
         assert (Array(np.zeros(2)) ** exponent).value == pytest.approx(0.0**exponent, abs=0)
+
+
+POINTS = 4
+RNG = np.random.default_rng(5)
+s, u, A = (Array(RNG.standard_normal((*shape, POINTS)), None) for shape in ((), (2,), (2, 2)))
+SHAPES = {"q": (), "w": (2,), "G": (2, 2)}
+
+FORMS = {
+    "scalar times scalar": lambda t: s * t["q"] + t["q"] * s,
+    "inner product of vectors": lambda t: u * t["w"] - t["w"] * u * s,
+    "matrix times vector": lambda t: inner(A * t["w"], u) + inner(t["G"] * u, u) + inner(t["G"].trans * u, u),
+    "matrix times matrix": lambda t: inner(A * t["G"], A) + inner(t["G"] * A, A),
+    "scalar test times tensors": lambda t: inner(t["q"] * A, A) + inner(u * t["q"], u),
+    "quotients and numbers": lambda t: inner(t["w"] / s, u) / 3.0 - 2 * t["q"],
+    "parts": lambda t: inner(sym(t["G"]), A) + inner(skw(t["G"]), A) + s * tr(t["G"]),
+    "entries": lambda t: t["w"][1] * s + t["G"][0, 1] * s,
+    "embedding": lambda t: inner(embed_gradient(t["G"], 2), embed_gradient(A, 2)),
+    "zero": lambda t: 0 + t["q"] - 0 * t["q"],
+}
+
+
+@pytest.mark.parametrize("name", FORMS)
+def test_slots_are_the_derivatives_by_the_tests(name):
+    form = FORMS[name]
+    found = slots(form({test: Linear(shape, slot=test) for test, shape in SHAPES.items()}))
+    values = {test: RNG.standard_normal((*shape, POINTS)) for test, shape in SHAPES.items()}
+    expected = form({test: Array(value, None) for test, value in values.items()}).value
+    total = sum((slot * values[test]).reshape(-1, POINTS).sum(axis=0) for test, slot in found.items())
+    assert total == pytest.approx(expected, rel=1e-13)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        lambda t: t["q"] * t["q"],
+        lambda t: t["q"] + s,
+        lambda t: t["q"] + t["w"],
+        lambda t: s / t["q"],
+        lambda t: t["w"] / u,
+        lambda t: inner(t["w"], A),
+        lambda t: t["w"] * A,
+    ],
+)
+def test_what_is_not_linear_in_the_tests_is_refused(wrong):
+    with pytest.raises(TypeError):
+        wrong({test: Linear(shape, slot=test) for test, shape in SHAPES.items()})
+
+
+def test_an_integrand_is_a_scalar():
+    with pytest.raises(TypeError, match="scalar"):
+        slots(u * Linear((), slot="q"))
+
+
+def test_sums_do_not_change_the_values_that_they_are_made_of():
+    q = Linear((), slot="q")
+    before = s.value.copy()
+    found = slots(s * q + s * q + s * q + 1.0 * q)["q"]
+    assert found == pytest.approx(3 * before + 1)
+    assert (s.value == before).all()
+
+
+@pytest.mark.parametrize("exponent", [0.0, 1.0, 2.0, 0.75, -0.25, 2.5])
+def test_power_of_square_has_finite_derivatives_at_zero(exponent: float) -> None:
+    s = CF(0.0).MakeVariable()
+    f = power_of_square(s, exponent, 1e-5)
+    point = one_triangle()(0.3, 0.3)
+    assert np.isfinite(f(point)) and np.isfinite(f.Diff(s)(point))
+    s = CF(1.7).MakeVariable()
+    f = power_of_square(s, exponent, 1e-5)
+    assert f(point) == pytest.approx(1.7**exponent, rel=1e-9)
+    assert f.Diff(s)(point) == pytest.approx(exponent * 1.7 ** (exponent - 1), rel=1e-9)

@@ -112,22 +112,3 @@ def test_wrappers_around_it_know_its_density():
     inner = nv.PerMass(material=PSI["fluid"], rho_R=RHO_R)
     wrapped = nv.WithQuadratic(material=nv.Yosida(material=inner, eps=1e-3), delta=1e-4)
     assert wrapped.referential_density == RHO_R
-
-
-@pytest.mark.parametrize(
-    ("make", "words"),
-    [
-        (lambda: nv.PerReferentialVolume(material=nv.LinearElastic(K_e=1.0, G_e=1.0)), "not of 'E'"),
-        (
-            lambda: nv.PerReferentialVolume(material=nv.BarotropicFluid(B=1.0, gamma=2, form="A")),
-            "not of 'A'",
-        ),
-        (
-            lambda: nv.PerReferentialVolume(material=nv.Yosida(material=PSI["fluid"], eps=1.0)),
-            "around this one",
-        ),
-    ],
-)
-def test_what_has_no_perspective_is_refused(make, words):
-    with pytest.raises(nv.ParameterError, match=words):
-        make()

@@ -1,6 +1,7 @@
-"""The rules at a point: what they are, against the formulas of the literature, and what they refuse."""
+"""Flow rules at a point: the formulas of the literature, their resolvents, what a model refuses of them."""
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -9,6 +10,8 @@ from scipy.integrate import quad
 
 import ngvisco as nv
 from ngvisco.physics.arrays import TINY, Array
+from ngvisco.physics.flow_rules.resolvent import resolved, slope_of
+from ngvisco.physics.tensors import identity_like, square, trace_free_tensors
 from ngvisco.physics.variables import HARDENING, PRESSURE
 
 UNIAXIAL = np.diag([2.0, -1.0, -1.0]) / 3
@@ -92,3 +95,95 @@ def test_slopes_by_complex_increments_are_those_of_differences(name, size):
 @pytest.mark.parametrize("name", EXAMPLES)
 def test_a_model_takes_every_rule(name):
     nv.Model(material=nv.LinearElastic(K_e=10.0, G_e=5.0), creep=EXAMPLES[name])
+
+
+SPACE = trace_free_tensors(3)
+Y = np.random.default_rng(0).standard_normal((200, 5)) * 10.0 ** np.linspace(-3, 2, 200)[:, None]
+
+
+def at_points(rule, turned=False):
+    read = {PRESSURE: Array(np.full(len(Y), 0.2), None)}
+    axes = np.linspace(0.5, 2.0, 5) if turned else 1.0
+
+    def rate(M):
+        Pi = rule.rate(SPACE.tensor(Array((axes * M).T, None)), None, read)
+        return axes * SPACE.components(Pi).value.T
+
+    return rate
+
+
+RULES = {
+    name: rule for name, rule in EXAMPLES.items() if name not in ("linear hardening", "Voce", "activated")
+}
+RULES |= {f"yield, {G_m:g} Pa s": nv.Perzyna(sigma_Y=0.5, G_m=G_m) for G_m in (1e-3, 1e-8)}
+
+
+@pytest.mark.parametrize("name", RULES)
+def test_stress_and_rate_make_what_is_given(name):
+    rate = at_points(RULES[name])
+    for start in (None, np.zeros(len(Y)), np.full(len(Y), 10.0)):
+        M, Pi = resolved(rate, Y, 0.1, start)
+        assert np.allclose(Pi, rate(M), rtol=1e-12, atol=0)
+        steep = 1 + 0.1 * abs(slope_of(rate, M)).max(axis=(1, 2))
+        left = np.linalg.norm(M + 0.1 * rate(M) - Y, axis=1)
+        assert (left <= 1e-13 * steep * np.linalg.norm(Y, axis=1)).all()
+        assert (np.linalg.norm(M, axis=1) <= (1 + 1e-14) * np.linalg.norm(Y, axis=1)).all()
+
+
+@pytest.mark.parametrize("name", ["Norton, n = 3", "Bingham"])
+def test_a_rate_that_is_no_multiple_of_its_stress(name):
+    rate = at_points(RULES[name], turned=True)
+    M, _ = resolved(rate, Y, 0.1)
+    assert (np.linalg.norm(M + 0.1 * rate(M) - Y, axis=1) <= 1e-11 * np.linalg.norm(Y, axis=1)).all()
+
+
+def test_a_rate_that_gives_energy_has_its_stress_above():
+    M, _ = resolved(lambda M: -0.3 * M, Y, 1.0)
+    assert np.allclose(M, Y / 0.7, rtol=1e-13)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Odd(nv.FlowRule):
+    """A rule with something wrong, by its sign, its trace or a potential that is not its own."""
+
+    sign: float = 1.0
+    trace: float = 0.0
+    nu: float = 0.0
+    factor: float = 1.0
+
+    def rate(self, M, zeta, z):
+        return self.sign * M + self.trace * identity_like(M) * square(M)
+
+    def psi(self, Pi, z):
+        return (0.5 * self.factor) * square(Pi)
+
+
+class Powerless(nv.FlowRule):
+    nu = 1.0
+
+    def rate(self, M, zeta, z):
+        return 2.0 * M
+
+
+@pytest.mark.parametrize(
+    ("rule", "field"),
+    [
+        (Odd(sign=-1.0), "Odd.rate.*M : Pi >= 0"),
+        (Odd(trace=1.0), "Odd.rate.*tr Pi = 0"),
+        (Odd(nu=1.0, factor=2.0), "Odd.psi.*psi'"),
+        (Powerless(), "Powerless.nu.*no potential"),
+    ],
+)
+def test_a_rule_that_makes_no_sense_is_refused_by_name(rule, field):
+    with pytest.raises(nv.ParameterError, match=field):
+        nv.Model(material=nv.LinearElastic(K_e=10.0, G_e=5.0), creep=rule)
+
+
+@pytest.mark.parametrize("nu", [0.0, 1.0])
+def test_a_rule_that_makes_sense_is_taken(nu):
+    nv.Model(material=nv.LinearElastic(K_e=10.0, G_e=5.0), creep=Odd(nu=nu))
+
+
+def test_the_relaxation_time_of_the_linear_rule_is_that_of_maxwell():
+    assert nv.Creep(G_m=3.0).relaxation_time(5.0, {}) == pytest.approx(0.3, rel=1e-14)
+    assert nv.Creep(G_m=math.inf).relaxation_time(5.0, {}) == math.inf

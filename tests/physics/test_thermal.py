@@ -1,12 +1,15 @@
-"""Materials with a temperature: its laws against thermodynamics that was not written here."""
+"""Materials with a temperature, alone and as bodies: laws against thermodynamics written elsewhere."""
 
 import numpy as np
 import pytest
-from ngsolve import CF, Id
+from ngsolve import CF, Id, x
+from scipy.optimize import minimize
 
 import ngvisco as nv
+from ngvisco.physics.arrays import Array
 from ngvisco.physics.material import cauchy_stress, conjugates
 from ngvisco.physics.materials.thermal import entropy_in, rest_stress_and_modulus
+from ngvisco.physics.pointwise import respond
 from ngvisco.physics.signals import sampled
 
 COLD = {
@@ -66,19 +69,120 @@ def test_energy_is_jointly_convex(cold, heat, dim):
     assert nv.check_convexity(material, dim=dim).passed
 
 
-def test_convexity_check_sees_an_energy_that_is_not_convex_in_s():
-    good = nv.Thermal(material=COLD["E"], c=3.0, theta_R=1.0)
-    bad = nv.CustomMaterial(
-        transported=good.variables, stored_energy=lambda **z: good.energy(z) - 3.0 * z["s"] * z["s"]
-    )
-    with pytest.warns(nv.ConvexityWarning, match="s"):
-        assert not nv.check_convexity(bad, dim=2).passed
+ONE_COLD = nv.ReferentialNeoHookean(K_e=10.0, G_e=1.0)
+STIFF = nv.ReferentialNeoHookean(K_e=40.0, G_e=1.0)
+GAS = {"material": None, "c": 3.0, "gruneisen": 0.4}
+PAIRS = {
+    "no expansion": ({"c": 3.0}, {"c": 1.0, "theta_R": 2.0}),
+    "one thermal pressure": ({"c": 3.0, "expansion": 0.1}, {"c": 1.0, "expansion": 0.1}),
+    "two expansions": ({"c": 3.0, "expansion": 0.1}, {"c": 1.0, "expansion": 0.3}),
+    "other stiffness": ({"c": 3.0, "expansion": 0.1}, {"c": 1.0, "material": STIFF}),
+    "as of gases": ({"c": 3.0, "gruneisen": 0.4}, {"c": 1.0, "expansion": 0.1}),
+    "two gases": (GAS, GAS | {"c": 1.0, "p_infinity": 2.0}),
+    "gas and solid": (GAS, {"c": 1.0, "expansion": 0.1}),
+}
+LONG = (pytest.mark.long, pytest.mark.ci)
+HAVE_AN_EXPRESSION = ("no expansion", "one thermal pressure")
 
 
-def test_numbers_of_the_entropy_do_not_depend_on_what_it_counts_in():
-    slopes = []
-    for unit in (2.0, 3.0):
-        material = nv.Thermal(material=COLD["E"], c=3.0, theta_R=300.0, expansion=0.01, entropy_unit=unit)
-        z = state(material, 1.1, 310.0)
-        slopes.append([float(sampled(z["s"])[0]) * unit, temperature(material, 1.1, 310.0)])
-    assert np.allclose(*slopes, rtol=1e-13)
+def some(*always):
+    """All pairs, of which these are tried always."""
+    return [pytest.param(pair, marks=() if pair in always else LONG) for pair in PAIRS]
+
+
+def warm(**given):
+    return nv.Thermal(**({"material": ONE_COLD, "theta_R": 1.5} | given))
+
+
+def body(name, material, **given):
+    return nv.Body(name=name, where=0.5 - x if name == "a" else None, material=material, density=1.0, **given)
+
+
+def mixture(pair):
+    one, other = (warm(**given) for given in PAIRS[pair])
+    return nv.Model(bodies=[body("a", one), body("b", other)]).material
+
+
+@pytest.mark.parametrize("pair", some("one thermal pressure"))
+def test_energy_of_bodies_with_heat_is_jointly_convex(pair):
+    material = mixture(pair)
+    assert material.has_one_volume == (pair in HAVE_AN_EXPRESSION)
+    assert nv.check_convexity(material, dim=2).passed
+
+
+def internal(given, S, J):
+    """eps(S, J) of a body at B = I, J/m^3 of its reference volume."""
+    each = warm(**given)
+    g = each._Gamma * (np.log(J) if each.is_absolute else J - 1)
+    heat = each.c * each.theta_R * (np.exp(S / each.c - g) - 1 + (0 if each.is_absolute else g))
+    cold = each.material
+    if cold is None:
+        return heat + each.p_infinity * (J - 1)
+    return heat + cold.K_e / 2 * (J - 1) ** 2 + 3 * cold.G_e
+
+
+@pytest.mark.parametrize("pair", some("two expansions", "gas and solid"))
+def test_bodies_share_volume_and_entropy_so_that_the_energy_is_least(pair):
+    """Against a minimisation that knows of no pressure and no temperature, and these by its differences."""
+    material, (one, other) = mixture(pair), PAIRS[pair]
+    slices, respond_to = material.states(2).slices, respond(material, 2)
+
+    def least(n, s):
+        def total(unknown):
+            J, S = unknown
+            if not 0 < J < 1 / n[0]:
+                return np.inf
+            return n[0] * internal(one, S, J) + n[1] * internal(
+                other, (s - n[0] * S) / n[1], (1 - n[0] * J) / n[1]
+            )
+
+        options = {"xatol": 1e-10, "fatol": 1e-15, "maxiter": 2000}
+        return minimize(total, [1 / sum(n), s], method="Nelder-Mead", options=options).fun
+
+    n, s = np.array([0.3, 0.6]), 0.5
+    state = np.zeros((1, material.states(2).size))
+    state[0, slices["s"]] = s / material.heat.entropy.unit
+    for amount, name in zip(n, "ab", strict=True):
+        state[0, slices[f"n_{name}"]] = amount
+        if (tensor := slices.get(f"B_{name}")) is not None:
+            state[0, tensor] = [amount, 0, amount, amount]
+    found = respond_to(state)
+    assert found.energy[0] == pytest.approx(least(n, s), rel=1e-11)
+    theta = found.slope[0, slices["s"]][0] / material.heat.entropy.unit
+    assert theta == pytest.approx((least(n, s + 1e-3) - least(n, s - 1e-3)) / 2e-3, rel=1e-5)
+    step = 1e-5 * np.eye(len(state[0]))
+    slopes = np.array([(respond_to(state + d).slope - respond_to(state - d).slope)[0] / 2e-5 for d in step])
+    assert found.hessian[0] == pytest.approx(slopes, rel=1e-5, abs=1e-6 * abs(slopes).max())
+
+
+@pytest.mark.parametrize(
+    ("pair", "said"),
+    [
+        ((ONE_COLD, warm(c=1.0)), r"bodies\['a'\]\.material.*as 'b' has"),
+        ((warm(c=1.0, entropy_unit=1.0), warm(c=1.0, entropy_unit=2.0)), "one entropy_unit"),
+        ((warm(c=1.0), nv.WithQuadratic(material=warm(c=1.0), delta=0.1)), "Thermal.* itself"),
+    ],
+)
+def test_bodies_that_can_have_no_temperature_in_common_are_refused(pair, said):
+    with pytest.raises(nv.NgviscoError, match=said):
+        nv.Model(bodies=[body("a", pair[0]), body("b", pair[1])])
+
+
+def test_heat_of_a_body_is_refused_where_it_makes_no_sense():
+    with pytest.raises(nv.NgviscoError, match=r"bodies\['a'\]\.heat'? ?= .*None"):
+        nv.Model(bodies=[body("a", ONE_COLD, heat=nv.Heat(conductivity=1.0)), body("b", ONE_COLD)])
+    with pytest.raises(nv.NgviscoError, match=r"bodies\['a'\]\.heat\.numerical_heating"):
+        nv.Model(
+            bodies=[body("a", warm(c=1.0), heat=nv.Heat(numerical_heating=True)), body("b", warm(c=1.0))]
+        )
+    with pytest.raises(nv.NgviscoError, match=r"Heat\.numerical_heating.*pressures"):
+        pair = [body(name, warm(**given)) for name, given in zip("ab", PAIRS["two expansions"], strict=True)]
+        nv.Model(bodies=pair, heat=nv.Heat(numerical_heating=True))
+
+
+def test_what_bodies_conduct_and_produce_goes_by_their_fractions():
+    pair = [body(n, warm(c=1.0), heat=nv.Heat(conductivity=k, source=k)) for n, k in (("a", 2.0), ("b", 4.0))]
+    law = nv.Model(bodies=pair, heat=nv.Heat(conductivity=1.0)).heat_law
+    z = {"n_a": Array(np.array([0.5]), None), "n_b": Array(np.array([1.5]), None)}
+    assert law.size(1.0, z).value == pytest.approx([1 + 0.25 * 2 + 0.75 * 4])
+    assert sum(law.share(name, z) * value for name, value in law.sources).value == pytest.approx([3.5])

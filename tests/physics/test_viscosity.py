@@ -1,11 +1,17 @@
-"""General linear viscosity: one D in three notations, its checks, and its powers."""
+"""Viscosities: one D in three notations; of the state at a point, by the literature; what is refused."""
+
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
 from support import tensor, value
 
 import ngvisco as nv
+from ngvisco.physics.activation import GAS_CONSTANT
+from ngvisco.physics.arrays import TINY, Array
 from ngvisco.physics.rheology import PAIRS, full_tensor
+from ngvisco.physics.tensors import square
+from ngvisco.physics.variables import PRESSURE, TEMPERATURE
 
 RNG = np.random.default_rng(4)
 ROOT = RNG.standard_normal((6, 6))
@@ -60,14 +66,6 @@ def test_isotropic_D_is_the_stokes_viscosity():
     assert nv.LinearViscosity(D=voigt, notation="voigt").mandel == pytest.approx(law.mandel)
 
 
-def test_the_two_powers_add_up_to_the_dissipation():
-    for _ in range(5):
-        e = symmetric()
-        total = value(LAW.bulk_dissipation(tensor(e), {})) + value(LAW.shear_dissipation(tensor(e), {}))
-        assert total == pytest.approx(np.sum(value(LAW.stress(tensor(e), {})) * e), rel=1e-12)
-        assert total >= 0
-
-
 def changed(at, by):
     D = full_tensor(MANDEL).copy()
     D[at] += by
@@ -101,3 +99,90 @@ def test_semidefinite_D_passes():
     assert nv.LinearViscosity(D=np.eye(6), notation="mandel") == nv.LinearViscosity(
         D=np.eye(6).tolist(), notation="mandel"
     )
+
+
+SHEAR = np.array([[0.0, 0.5, 0.0], [0.5, 0.0, 0.0], [0.0, 0.0, 0.0]])
+"""The strain rate of a shear rate of 1/s."""
+PLAIN = nv.StokesViscosity(K_v=1.0, G_v=2.0)
+LAWS = {
+    "power law": nv.PowerLaw(K_v=1.0, consistency=2.0, n=0.4, floor=1e-12),
+    "Carreau": nv.Carreau(K_v=1.0, G_0=2.0, G_inf=0.5, relaxation=3.0, n=0.4),
+    "Cross": nv.Cross(K_v=1.0, G_0=2.0, G_inf=0.5, relaxation=3.0, m=0.7),
+    "activated": nv.ActivatedViscosity(viscosity=PLAIN, E=2e4, theta_R=300.0, V=1e-6),
+}
+
+
+def stress(law, eps, pressure=0.0, temperature=300.0):
+    read = {PRESSURE: pressure, TEMPERATURE: temperature}
+    z = {name: Array(np.array([value]), None) for name, value in read.items()}
+    return law.stress(Array(np.asarray(eps)[..., None], None), z).value[..., 0]
+
+
+@pytest.mark.parametrize(
+    ("name", "rate", "expected"),
+    [
+        ("power law", 3.0, 2.0 * 3.0**0.4),
+        ("Carreau", 4.0, (0.5 + 1.5 * 145.0**-0.3) * 4.0),
+        ("Cross", 4.0, (0.5 + 1.5 / (1 + 12.0**0.7)) * 4.0),
+        ("activated", 4.0, 8.0),
+    ],
+)
+def test_shear_stresses_are_those_of_the_literature(name, rate, expected):
+    assert stress(LAWS[name], rate * SHEAR)[0, 1] == pytest.approx(expected, rel=1e-8)
+    assert stress(LAWS[name], np.eye(3)) == pytest.approx(3.0 * np.eye(3), rel=1e-12)
+
+
+def test_activation_is_that_of_arrhenius_and_of_barus():
+    warm = stress(LAWS["activated"], SHEAR, pressure=1e6, temperature=350.0)[0, 1]
+    assert warm == pytest.approx(
+        2.0 * np.exp((2e4 + 1.0) / (GAS_CONSTANT * 350) - 2e4 / (GAS_CONSTANT * 300))
+    )
+    rule = nv.Activated(rule=nv.Norton(A=0.3, n=3), E=2e4, theta_R=300.0, V=1e-6)
+    M = Array(SHEAR[..., None], None)
+    z = {PRESSURE: Array(np.array([1e6]), None), TEMPERATURE: Array(np.array([350.0]), None)}
+    factor = 2.0 / warm
+    Pi = rule.rate(M, None, z)
+    assert Pi.value == pytest.approx(factor * rule.rule.rate(M, None, z).value, rel=1e-13)
+    assert rule.force(Pi, z).value == pytest.approx(M.value, rel=1e-9)  # psi follows the factor
+
+
+@pytest.mark.parametrize("name", LAWS)
+@pytest.mark.parametrize("rate", [1e-6, 1.0])
+def test_slopes_by_complex_increments_are_those_of_differences(name, rate):
+    law, along, h = LAWS[name], SHEAR + np.diag([0.5, 0.3, -0.2]), 1e-5 * rate
+    of_increment = stress(law, rate * SHEAR + 1j * TINY * along).imag / TINY
+    difference = (stress(law, rate * SHEAR + h * along) - stress(law, rate * SHEAR - h * along)) / (2 * h)
+    assert of_increment == pytest.approx(difference, rel=1e-6, abs=1e-7 * abs(difference).max())
+
+
+@dataclass(frozen=True, kw_only=True)
+class Odd(nv.StokesViscosity):
+    """One that gives energy, or whose stress falls with the strain rate."""
+
+    falls: bool = False
+
+    def stress(self, eps, z):
+        return 1 / (1 + square(eps)) * eps if self.falls else -1.0 * eps
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: model(LAWS["activated"]), "ActivatedViscosity.temperature.*nv.Thermal"),
+        (lambda: model(Odd(K_v=1, G_v=1)), r"Odd.stress.*D\(eps\) : eps >= 0"),
+        (lambda: model(Odd(K_v=1, G_v=1, falls=True)), "Odd.stress.*rises"),
+        (lambda: model(nv.Carreau(K_v=1, G_0=1, G_inf=20, relaxation=1, n=4)), "Carreau.stress"),
+    ],
+)
+def test_what_makes_no_sense_is_refused_by_name(make, words):
+    with pytest.raises(nv.ParameterError, match=words):
+        make()
+
+
+def model(viscosity):
+    return nv.Model(material=nv.LinearElastic(K_e=1.0, G_e=1.0), viscosity=viscosity)
+
+
+@pytest.mark.parametrize("name", ["power law", "Carreau", "Cross"])
+def test_a_model_takes_every_viscosity(name):
+    model(LAWS[name])

@@ -2,9 +2,9 @@
 
 import numpy as np
 from ngsolve import CoefficientFunction
+from support import small_run
 
 import ngvisco as nv
-from ngvisco.geometries import box
 from ngvisco.physics.tensors import square
 from ngvisco.physics.variables import Distortion, Jacobian
 
@@ -19,9 +19,7 @@ def energy(F, J):
 def test_an_energy_that_means_something_else_with_arrays_is_found_out_at_rest():
     material = nv.CustomMaterial(transported=(Distortion(), Jacobian()), stored_energy=energy)
     viscosity = nv.StokesViscosity(K_v=0.1, G_v=0.1)
-    run = nv.Simulation(
-        box((1, 1), maxh=0.5), nv.Model(material=material, viscosity=viscosity), dt=0.02, solver="split"
-    )
+    run = small_run(material=material, viscosity=viscosity, solver="split")
     slope = run.solver.newton.residual.slope
     states = run.rothe_step.layout.states
     rest = np.zeros((states.size, slope.points.count))
@@ -38,7 +36,7 @@ def test_rounding_at_rest_is_no_difference():
     both = {"material": fluid, "viscosity": nv.StokesViscosity(K_v=0.1, G_v=0.1)}
     disc = nv.Body(name="disc", where=nv.Ball((0.4, 0.5), 0.2), density=2.0, **both)
     bodies = [nv.Body(name="medium", density=1.0, **both), disc]
-    run = nv.Simulation(box((1, 1), maxh=0.2), nv.Model(bodies=bodies), dt=0.02, solver="split")
+    run = small_run(0.2, bodies=bodies, solver="split")
     slope = run.solver.newton.residual.slope
     run.advance()
     assert slope.is_checked and slope.arrays is not None

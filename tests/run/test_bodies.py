@@ -1,17 +1,17 @@
 """Bodies of different material in one domain: mass, fractions, the ledger, both solvers, refusals."""
 
 import warnings
+from functools import partial
 
 import numpy as np
 import pytest
 from ngsolve import CF, x, y
-from support import SWIRL, by_both_solvers
+from support import assert_same, by_both_solvers, small_run, swirling
 
 import ngvisco as nv
 from ngvisco.forms.term import PointTerm
 from ngvisco.geometries import box
-from ngvisco.physics.arrays import Array
-from ngvisco.physics.bodies import AMOUNT, Fractions
+from ngvisco.physics.bodies import AMOUNT
 from ngvisco.physics.mixture import Mixture
 from ngvisco.physics.variables import Jacobian
 from tests.verification.cases.discs import control
@@ -72,9 +72,9 @@ CASES = {
 
 
 def simulation(name, solver="auto", maxh=0.3, m=1, **options):
-    model = nv.Model(bodies=CASES[name](), hyperviscosity=nv.HyperViscosity(mu=1e-5))
-    settings = {"dt": 0.02, "initial": nv.Initial(velocity=SWIRL), "solver": solver} | options
-    return nv.Simulation(box((1, 1), maxh=maxh), model, discretisation=nv.Discretisation(m=m), **settings)
+    orders, hyper = nv.Discretisation(m=m), nv.HyperViscosity(mu=1e-5)
+    settings = {"hyperviscosity": hyper, "solver": solver, "discretisation": orders} | options
+    return swirling(maxh, bodies=CASES[name](), **settings)
 
 
 def masses(run):
@@ -86,11 +86,6 @@ def masses(run):
 def fractions(run):
     theta = run.model.material.fractions.at(run.rothe_step.now.z_tensors)
     return np.array([run.sampler.values(value) for value in theta.values()])
-
-
-def states(run):
-    state, ranges = run.rothe_step.state.vec.FV().NumPy(), run.rothe_step.layout.ranges
-    return {name: state[ranges[name]].copy() for name in run.rothe_step.layout.evolving}
 
 
 @pytest.mark.filterwarnings("ignore:bodies .* meet with different stresses")  # the gas presses
@@ -112,9 +107,8 @@ def test_ledger_mass_and_energy_hold_and_both_solvers_agree(name):
         assert np.abs(run.sampler.values(u.rho - rho)).max() < 1e-14 * np.abs(run.sampler.values(rho)).max()
         assert set(run.rothe_step.layout.evolving) == {"v", "z"}
         assert np.abs(fractions(run).sum(axis=0) - 1).max() <= 1e-14
-        found.append(states(run))
-    for part, values in found[0].items():
-        assert np.abs(values - found[1][part]).max() <= 1e-9 * np.abs(values).max()
+        found.append(run)
+    assert_same(*found)
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -145,42 +139,18 @@ def test_two_halves_of_one_material_are_one_body():
     whole = [nv.Body(name="whole", material=SOLID, density=2.0, viscosity=STOKES)]
     energies = []
     for bodies in (halves, whole):
-        model, initial = nv.Model(bodies=bodies), nv.Initial(velocity=SWIRL)
-        time = nv.TimeSteps(dt=0.02, velocity_scale=1.0)
-        ledger = nv.Simulation(box((1, 1), maxh=0.35), model, time=time, initial=initial).run(0.1)
+        ledger = swirling(0.35, bodies=bodies, velocity_scale=1.0).run(0.1)
         energies.append(ledger.column("kinetic") + ledger.column("stored"))
     assert abs(energies[0] - energies[1]).max() <= 1e-2 * energies[0][0]
 
 
-def test_matter_takes_part_as_far_as_it_is_there():
-    """Not at all where there is none or less, by half at a fifth, wholly in a body; in [0, 1] anywhere."""
-    fractions = Fractions(("one", "other"))
-
-    def chi(theta):
-        return fractions.taking_part({"n_one": Array(theta), "n_other": Array(1 - theta)})["one"].value
-
-    assert chi(np.array([-0.3, -0.01, 0.0])).max() == 0.0
-    few = chi(np.array([0.1, 0.2, 0.5, 0.9, 1.0]))
-    assert few[0] <= 0.05 and few[1] == pytest.approx(0.5)
-    assert few[2] >= 0.996 and few[3] >= 1 - 1e-6 and few[4] == 1.0
-    theta = np.linspace(-1, 2, 301)
-    assert chi(theta).min() >= 0.0 and chi(theta).max() <= 1.0
-    assert np.all(np.diff(chi(np.linspace(0.0, 1.0, 99))) > 0)
-
-
-def in_a_thin_fluid():
-    """A stiff disc in a fluid that is so thin that it bears nothing beside the disc's traces."""
+def test_traces_of_a_stiff_body_do_not_feed_on_a_thin_fluid():
+    """Which bears nothing beside them.  Energy falls, hardly: by the scheme alone."""
     stiff = nv.ReferentialNeoHookean(K_e=100.0, G_e=50.0)
     fluid = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: 50 * (J - 2 + 1 / J))
     thin = nv.StokesViscosity(K_v=0.0, G_v=1e-5)
     bodies = [disc(material=stiff, viscosity=None, density=1.0), rest(material=fluid, viscosity=thin)]
-    time, initial = nv.TimeSteps(dt=0.02, halvings=0, velocity_scale=1.0), nv.Initial(velocity=SWIRL)
-    return nv.Simulation(box((1, 1), maxh=0.25), nv.Model(bodies=bodies), time=time, initial=initial)
-
-
-def test_traces_of_a_stiff_body_do_not_feed_on_a_thin_fluid():
-    """Energy falls, hardly: by the scheme alone."""
-    ledger = in_a_thin_fluid().run(0.2)
+    ledger = swirling(0.25, bodies=bodies, halvings=0, velocity_scale=1.0).run(0.2)
     energy = ledger.column("kinetic") + ledger.column("stored")
     assert np.diff(energy).max() <= 0 <= ledger.column("bregman").min()
     assert energy[0] - energy[-1] <= 0.02 * ledger.column("kinetic")[0]
@@ -191,13 +161,15 @@ def test_no_point_is_much_lighter_than_the_lightest_body(bounded, monkeypatch):
     """Half of its density, where means have that; rho > 0 alone (the control) lets it fall further."""
     if not bounded:
         monkeypatch.setattr(Mixture, "bounds", lambda self, z: {"": {"N": self.fractions.total(z)}})
-    model = nv.Model(bodies=[disc(density=1.0), rest(density=0.2)])
-    initial, time = nv.Initial(velocity=SWIRL), nv.TimeSteps(dt=0.04, velocity_scale=1.0)
-    ledger = nv.Simulation(box((1, 1), maxh=0.3), model, time=time, initial=initial).run(0.2)
+    bodies = [disc(density=1.0), rest(density=0.2)]
+    ledger = swirling(0.3, 0.04, bodies=bodies, velocity_scale=1.0).run(0.2)
     assert (ledger.column("rho_min").min() >= 0.5 * 0.2 * 0.9) == bounded  # N >= 0.9
 
 
 BY_J_MIN = nv.ReferentialNeoHookean(K_e=20.0, G_e=0.05, J_min=0.1)
+DOUBLE_WELL = nv.CustomMaterial(
+    transported=(Jacobian(),), stored_energy=lambda J: (J - 1) ** 4 - 5 * (J - 1) * (J - 1) + 3 / J
+)
 
 
 class SharesOnly:
@@ -216,6 +188,7 @@ class SharesOnly:
         (lambda: [rest(), rest(name="other")], "one body at most without a place"),
         (lambda: [disc(where="here"), rest()], r"bodies\['disc'\].where"),
         (lambda: [disc(where=nv.Ball), rest()], r"bodies\['disc'\].where.*a shape"),
+        (lambda: [disc(where=SharesOnly()), rest()], r"bodies\['disc'\].where.*a shape"),
         (lambda: [disc(where=CF((x, y))), rest()], r"bodies\['disc'\].where"),
         (lambda: [disc(density=None), rest()], r"bodies\['disc'\].density.*a body has mass"),
         (lambda: [disc(density=-1.0), rest()], r"bodies\['disc'\].density"),
@@ -233,95 +206,55 @@ class SharesOnly:
         (lambda: [disc(material=nv.Yosida(material=SOLID, eps=0.01)), rest()], "Yosida approximation"),
         (lambda: [disc(material=BY_J_MIN), rest()], "J_min = None: continued below it"),
         (lambda: [disc(creep=nv.Creep(G_m=1.0, nu=0.1)), rest()], "nu = 0: the creep .* is local"),
+        (lambda: [disc(), rest(material=DOUBLE_WELL)], r"bodies\['rest'\].material.*per reference volume"),
+        (disc, r"Model\.bodies"),
     ],
 )  # fmt: skip
 def test_bad_bodies_are_refused_by_name(make, match):
     with pytest.raises(nv.NgviscoError, match=match):
-        nv.Simulation(box((1, 1), maxh=0.5), nv.Model(bodies=make()), dt=0.1)
-
-
-def test_a_place_that_no_run_would_take_is_refused_by_the_body():
-    """Before a mesh is known: shares of cells alone do not say what lies over what."""
-    with pytest.raises(nv.ParameterError, match=r"bodies\['disc'\].where.*a shape"):
-        disc(where=SharesOnly())
-
-
-def refined_at_the_origin():
-    """A square whose cells at one corner are smaller than 1 % of it."""
-    mesh = box((1, 1), maxh=0.5)
-    for _ in range(8):
-        for cell in mesh.Elements():
-            corners = [mesh[v].point for v in cell.vertices]
-            mesh.SetRefinementFlag(cell, min(abs(a) + abs(b) for a, b in corners) < 1e-9)
-        mesh.Refine()
-    return mesh
-
-
-def test_a_cell_in_no_body_is_refused_however_small_it_is():
-    """Less of the domain than touching surfaces may leave, but there are no shares to fill it by."""
-    mesh = refined_at_the_origin()
-    place = ~nv.Ball((0.0, 0.0), 0.03)
-    with pytest.raises(nv.ParameterError, match=r"Model.bodies.*a cell at \(.*\) is in no body"):
-        nv.Simulation(mesh, nv.Model(bodies=[disc(where=place)]), dt=0.1)
-
-
-def test_a_body_s_own_energy_that_is_not_convex_is_refused():
-    double_well = nv.CustomMaterial(
-        transported=(Jacobian(),), stored_energy=lambda J: (J - 1) ** 4 - 5 * (J - 1) * (J - 1) + 3 / J
-    )
-    with pytest.raises(nv.ParameterError, match=r"bodies\['rest'\].material.*per reference volume"):
-        nv.Model(bodies=[disc(), rest(material=double_well)])
-
-
-def test_what_bodies_say_is_not_said_twice():
-    with pytest.raises(nv.ParameterError, match=r"Model.viscosity.*None with bodies"):
-        nv.Model(bodies=[disc(), rest()], viscosity=STOKES)
-    with pytest.raises(nv.ParameterError, match=r"Initial.density.*None with bodies"):
-        model, initial = nv.Model(bodies=[disc(), rest()]), nv.Initial(density=1.0)
-        nv.Simulation(box((1, 1), 0.5), model, dt=0.1, initial=initial)
-    with pytest.raises(nv.ParameterError, match=r"Model\.bodies"):
-        nv.Model(bodies=disc())
-    with pytest.raises(nv.ParameterError, match=r"Model\.material"):
-        nv.Model()
-
-
-@pytest.mark.parametrize("options", [{"rho_max": 2.0}, {"delta_density": 1e-3}], ids=lambda o: next(iter(o)))
-def test_a_density_that_is_not_the_sum_of_the_bodies_is_refused(options):
-    """Cut off or diffused it would not be; their own fluxes know of neither."""
-    with pytest.raises(nv.ParameterError, match=f"{next(iter(options))}.* the density is the sum of theirs"):
-        nv.Model(bodies=[disc(), rest()], regularisation=nv.Regularisation(**options))
-
-
-def test_a_ball_in_three_dimensions():
-    """Two steps on a few tetrahedra."""
-    model = nv.Model(bodies=[disc(where=nv.Ball((0.5, 0.5, 0.5), 0.35)), rest()])
-    mesh, initial = box((1, 1, 1), maxh=0.8), nv.Initial(velocity=(*SWIRL, 0.0))
-    start = masses(nv.Simulation(mesh, model, dt=0.02, initial=initial))
-    by = lambda solver: nv.Simulation(mesh, model, dt=0.02, initial=initial, solver=solver)  # noqa: E731
-    for run in by_both_solvers(by, 0.04, 1e-10):
-        assert np.abs(masses(run) / start - 1).max() <= 1e-12
+        small_run(bodies=make())
 
 
 class Growth(PointTerm):
-    """A source of mass, 1 kg/(m^3 s)."""
+    """A source of mass, 1 kg/(m^3 s), which does not say of which of the bodies."""
 
     def cells(self, u, w):
         return [-1.0 * w.rho]
 
 
-def test_a_term_with_a_row_of_the_density_is_refused_by_name():
-    """Which of the bodies the matter is of it does not say."""
-    with pytest.raises(nv.ParameterError, match=r"Growth: it has a row of rho, .* the density is the sum"):
-        simulation("solid in a fluid", "coupled", maxh=0.5, terms=[Growth()])
+@pytest.mark.parametrize(
+    ("options", "match"),
+    [
+        ({"viscosity": STOKES}, r"Model.viscosity.*None with bodies"),
+        ({"density": 1.0}, r"Initial.density.*None with bodies"),
+        ({"regularisation": nv.Regularisation(rho_max=2.0)}, "rho_max.* the density is the sum of theirs"),
+        ({"regularisation": nv.Regularisation(delta_density=1e-3)}, "delta_density.* the sum of theirs"),
+        (
+            {"terms": [Growth()], "solver": "coupled"},
+            r"Growth: it has a row of rho, .* the density is the sum",
+        ),
+    ],
+)
+def test_what_the_bodies_say_is_not_said_of_all(options, match):
+    with pytest.raises(nv.ParameterError, match=match):
+        small_run(bodies=[disc(), rest()], **options)
+
+
+def test_a_ball_in_three_dimensions():
+    """Two steps on a few tetrahedra."""
+    parts = [disc(where=nv.Ball((0.5, 0.5, 0.5), 0.35)), rest()]
+    make = partial(swirling, box((1, 1, 1), maxh=0.8), bodies=parts)
+    start = masses(make())
+    for run in by_both_solvers(lambda solver: make(solver=solver), 0.04, 1e-10):
+        assert np.abs(masses(run) / start - 1).max() <= 1e-12
 
 
 @pytest.mark.parametrize(("K_e", "m", "warns"), [(0.4, 1, True), (0.4, 0, False), (2.0, 1, False)])
 def test_bulk_moduli_that_differ_much_are_warned_of_by_name(K_e, m, warns):
     soft = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: K_e / 2 * (J - 2 + 1 / J))
-    model = nv.Model(bodies=[disc(), rest(material=soft)])
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
-        nv.Simulation(box((1, 1), 0.5), model, dt=0.1, discretisation=nv.Discretisation(m=m))
+        small_run(bodies=[disc(), rest(material=soft)], discretisation=nv.Discretisation(m=m))
     found = [str(one.message) for one in said if "common pressure" in str(one.message)]
     assert len(found) == warns
     assert all("'disc' and 'rest' have bulk moduli of 10 and 0.4 Pa" in text for text in found), found

@@ -2,14 +2,11 @@
 
 import numpy as np
 import pytest
-from ngsolve import CF, IfPos, cos, pi, sin, x, y
-from scipy.optimize import brentq
-from support import SWIRL, by_both_solvers
+from ngsolve import CF, IfPos, Integrate, cos, pi, sin, x, y
+from support import SWIRL, by_both_solvers, small_run
 
 import ngvisco as nv
 from ngvisco.geometries import box
-from ngvisco.physics.tensors import square
-from ngvisco.physics.variables import Distortion, Jacobian
 
 theta = nv.Parameter("theta", start=0.5 + 0.4 * sin(3 * x) * cos(2 * y))
 
@@ -68,65 +65,6 @@ def test_parameters_do_not_diffuse():
         assert moved[-1] < 0.1 * moved[0]
 
 
-def test_three_dimensions():
-    """The same in space, one step."""
-    G_e = nv.Parameter("theta", start=1 + x * y)
-    material = nv.NeoHookean(K_e=10.0, G_e=G_e, epsilon=0.1)
-    model = nv.Model(material=material, viscosity=nv.StokesViscosity(K_v=0.1, G_v=0.1 * G_e))
-    mesh, start = box((1, 1, 1), maxh=1.0), nv.Initial(velocity=(*SWIRL, 0.0))
-    by_both_solvers(lambda solver: nv.Simulation(mesh, model, dt=0.02, solver=solver, initial=start), 0.02)
-
-
-def in_uniform_flow(speed):
-    """A body in uniaxial stress across layers of different stiffness, that flows across these.
-
-    All moduli are multiples of theta(y), and the stress has only T_11 = theta tau_11: div T = 0 wherever the
-    layers are.  Gives the largest |v - (0, speed)| over that by the force -d phi/dx alone, and the largest
-    error of T_11 over T_11.
-    """
-    theta = nv.Parameter("theta", start=1 + 0.5 * sin(2 * pi * y))
-    material = nv.CustomMaterial(
-        transported=(Distortion(), Jacobian(), theta),
-        stored_energy=lambda F, J, theta: theta * (square(F) / J + 10 * (J - 2 + 1 / J)),
-    )
-    a, c, until = 1.1, 1.0, 0.05
-    b = float(brentq(lambda b: _t22(a, b, c), 0.5, 1.5))
-    F = CF((a, 0, 0, 0, b, 0, 0, 0, c), dims=(3, 3))
-    model = nv.Model(material=material, viscosity=nv.StokesViscosity(K_v=0.1, G_v=0.1))
-    initial = nv.Initial(F=F, velocity=(0.0, speed))
-    mesh = box((1, 1), maxh=0.2, periodic="xy")
-    run = nv.Simulation(mesh, model, time=nv.TimeSteps(dt=0.01, velocity_scale=1.0), initial=initial)
-    run.run(until)
-    unbalanced = until * np.pi * _energy(a, b, c)
-    off = run.fields["velocity"] - CF((0.0, speed))
-    exact = _t11(a, b, c) * (1 + 0.5 * sin(2 * pi * (y - speed * until)))
-    wrong = run.fields["cauchy_stress"][0, 0] - exact
-    velocity, stress = (run.sampler.extrema(part)[1] ** 0.5 for part in (off * off, wrong * wrong))
-    return velocity / unbalanced, stress / abs(_t11(a, b, c))
-
-
-def _energy(a, b, c):
-    J = a * b * c
-    return (a * a + b * b + c * c) / J + 10 * (J - 2 + 1 / J)
-
-
-def _t11(a, b, c):
-    h = 1e-6
-    return a * (_energy(a + h, b, c) - _energy(a - h, b, c)) / (2 * h) + _energy(a, b, c)
-
-
-def _t22(a, b, c):
-    h = 1e-6
-    return b * (_energy(a, b + h, c) - _energy(a, b - h, c)) / (2 * h) + _energy(a, b, c)
-
-
-@pytest.mark.parametrize("speed", [-1.0, pytest.param(2.0, marks=pytest.mark.long)])
-def test_a_heterogeneous_body_in_uniform_flow_keeps_its_stress(speed):
-    """Galilean invariance: the stress of the layers is theirs where they have come to."""
-    velocity, stress = in_uniform_flow(speed)
-    assert velocity < 0.02 and stress < 0.2
-
-
 def test_a_parameter_stays_within_the_range_of_its_start():
     """A step of theta from 0 to 1 is turned round; without a limiter it overshoots by more than 5 %."""
     extremes = {}
@@ -144,16 +82,8 @@ def test_a_parameter_stays_within_the_range_of_its_start():
     assert extremes[False][0] < -0.05 and extremes[False][1] > 1.05
 
 
-def test_start_values_are_asked_for_and_checked():
+def test_start_values_may_be_given():
     mesh, material = box((1, 1), maxh=0.5), nv.NeoHookean(K_e=1.0, G_e=nv.Parameter("stiff"), epsilon=0.1)
-    with pytest.raises(nv.InitialDataError, match="parameter stiff: no start value"):
-        nv.Simulation(mesh, nv.Model(material=material), dt=0.1)
-    with pytest.raises(nv.InitialDataError, match=r"NeoHookean.G_e: minimum -1.*expected > 0"):
-        initial = nv.Initial(values={"stiff": 2 * x - 1})
-        nv.Simulation(mesh, nv.Model(material=material), dt=0.1, initial=initial)
-    with pytest.raises(nv.InitialDataError, match=r"StokesViscosity.G_v: minimum -0.5"):
-        law = nv.StokesViscosity(K_v=0.1, G_v=x - 0.5)
-        nv.Simulation(mesh, nv.Model(material=nv.LinearElastic(K_e=1.0, G_e=1.0), viscosity=law), dt=0.1)
     run = nv.Simulation(
         mesh, nv.Model(material=material), dt=0.1, initial=nv.Initial(values={"stiff": 2 + CF(x)})
     )
@@ -177,9 +107,15 @@ def test_a_parameter_is_not_warned_of_where_it_is_not_told_by_the_distortion():
     assert run.fields["K_e"](mesh(0.3, 0.4)) == pytest.approx(5.3)
 
 
-def test_a_parameter_named_like_a_field_is_refused():
-    """It would stand in the results in place of that field."""
-    for name in ("density", "pressure", "viscous_stress"):
-        material = nv.NeoHookean(K_e=1.0, G_e=nv.Parameter(name, start=2.0), epsilon=0.1)
-        with pytest.raises(nv.ParameterError, match=f"Variable.name = '{name}': expected another name"):
-            nv.Simulation(box((1, 1), maxh=1.0), nv.Model(material=material), dt=0.1)
+def test_a_heterogeneous_body_in_uniform_flow_keeps_its_stress():
+    """Galilean invariance: layers of 3 K_e = 2 G_e under T_11 alone flow across themselves."""
+    theta, speed, until = nv.Parameter("theta", start=1 + 0.5 * sin(2 * pi * y)), 2.0, 0.05
+    material, mesh = nv.LinearElastic(K_e=theta / 1.5, G_e=theta), box((1, 1), maxh=0.2, periodic="xy")
+    stretch = {"E": CF((1e-3, 0, 0, 0, 0, 0, 0, 0, 0), dims=(3, 3))}
+    run = small_run(mesh, 0.01, material=material, velocity=(0.0, speed), values=stretch, velocity_scale=1.0)
+    run.run(until)
+    moved = run.fields["velocity"] - CF((0.0, speed))
+    assert run.sampler.extrema(moved * moved)[1] ** 0.5 < 0.2 * until * pi * 2e-3
+    for way, is_gone in ((speed * until, True), (0.0, False)):
+        missed = run.fields["cauchy_stress"][0, 0] / 2e-3 - (1 + 0.5 * sin(2 * pi * (y - way)))
+        assert (Integrate(missed * missed, mesh, order=6) < 0.1**2) == is_gone

@@ -1,13 +1,14 @@
-"""A restarted run is the uninterrupted one, and a checkpoint that does not fit is refused."""
+"""A restarted run is the uninterrupted one; checkpoints that do not fit are refused; meshes in files."""
 
-import h5py
 import numpy as np
 import pytest
 from ngsolve import SetNumThreads, sin, x, y
 from support import assert_goes_on, swirling
 
 import ngvisco as nv
-from ngvisco.geometries import box
+from ngvisco.geometries import box, disc
+from ngvisco.parallel.mesh import volume_and_surface
+from ngvisco.run.files import mesh_image, mesh_of
 
 NEO_HOOKEAN = nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1)
 
@@ -32,27 +33,6 @@ def observers(directory):
 SOLID = nv.ReferentialNeoHookean(K_e=10.0, G_e=5.0)
 
 
-def test_files_of_a_restarted_run_are_those_of_the_uninterrupted_one(tmp_path):
-    """Of runs of every kind see ``timestepping/test_steps_of_schemes``."""
-    SetNumThreads(1)  # sums over threads have no fixed order
-    whole = simulation(observers(tmp_path / "whole"))
-    whole.run(0.16)
-    simulation(observers(tmp_path / "parts")).run(0.06)
-    rest = simulation(observers(tmp_path / "parts"))
-    rest.restore(tmp_path / "parts" / "run.h5")
-    assert (rest.t, rest.number) == (3 * 0.02, 3)
-    rest.run(0.16)
-    a, b = (run.rothe_step.state.vec.FV().NumPy() for run in (whole, rest))
-    assert np.array_equal(a, b)
-    assert (tmp_path / "whole/ledger.csv").read_bytes() == (tmp_path / "parts/ledger.csv").read_bytes()
-    first, second = (nv.read_ledger(tmp_path / name / "run.h5") for name in ("whole", "parts"))
-    assert all(np.array_equal(first[name], second[name], equal_nan=True) for name in first)
-    series = (tmp_path / "whole/vtk/fields.pvd").read_text()
-    assert [line.split('file="')[1] for line in series.splitlines() if "file=" in line] == [
-        f'fields_{n:06d}.vtu"/>' for n in (0, 2, 4, 6, 8)
-    ]
-
-
 @pytest.mark.parametrize("solver", ["split", "coupled"])
 def test_a_run_goes_on_with_another_flow_rule(tmp_path, solver):
     """Linear creep has no stresses at which it was linearised, yield has them."""
@@ -61,18 +41,6 @@ def test_a_run_goes_on_with_another_flow_rule(tmp_path, solver):
     rest.restore(tmp_path / "run.h5")
     ledger = rest.run(0.08)
     assert abs(ledger.column("closure_relative")).max() < 1e-12 and not ledger.column("rejections").any()
-
-
-def test_a_given_checkpoint_is_restored_and_the_last_ones_are_kept(tmp_path):
-    run = simulation([nv.Checkpoints(tmp_path / "run.h5", every=1, keep=2)])
-    run.run(0.08)
-    with h5py.File(tmp_path / "run.h5") as file:
-        assert list(file["checkpoints"]) == ["00000003", "00000004"]
-    again = simulation()
-    again.restore(tmp_path / "run.h5", step=3)
-    assert again.number == 3
-    with pytest.raises(nv.CheckpointError, match=r"no checkpoint of step 1 \(there are 3, 4\)"):
-        again.restore(tmp_path / "run.h5", step=1)
 
 
 def test_a_checkpoint_of_something_else_is_refused_with_the_reason(tmp_path):
@@ -87,20 +55,6 @@ def test_a_checkpoint_of_something_else_is_refused_with_the_reason(tmp_path):
         with pytest.raises(nv.CheckpointError, match=f"its {reason} is"):
             other.restore(tmp_path / "run.h5")
         assert np.array_equal(before, other.rothe_step.state.vec.FV().NumPy())
-
-
-@pytest.mark.parametrize("damage", ["missing", "truncated", "empty", "text"])
-def test_a_damaged_file_is_refused(tmp_path, damage):
-    path = tmp_path / "run.h5"
-    simulation([nv.Checkpoints(path)]).run(0.02)
-    if damage == "missing":
-        path.unlink()
-    elif damage == "truncated":
-        path.write_bytes(path.read_bytes()[:1000])
-    else:
-        path.write_bytes(b"" if damage == "empty" else b"not an HDF5 file")
-    with pytest.raises(nv.CheckpointError, match=r"run\.h5"):
-        simulation().restore(path)
 
 
 def test_a_changed_bit_is_refused_or_changes_nothing(tmp_path):
@@ -141,30 +95,6 @@ def test_an_energy_is_known_by_its_values_not_by_its_name(tmp_path):
         simulation(material=material(5.000001)).restore(tmp_path / "run.h5")
 
 
-def test_bodies_with_energies_of_their_own_go_on_from_a_checkpoint(tmp_path):
-    """A function is another object in every process; a body is known by its name, numbers and energies."""
-    from ngvisco.physics.variables import Jacobian
-
-    def bodies(shear_modulus, stiffness=5.0):
-        fluid = nv.CustomMaterial(
-            transported=(Jacobian(),), stored_energy=lambda J: stiffness * (J - 2 + 1 / J)
-        )
-        solid = nv.ReferentialNeoHookean(K_e=10.0, G_e=shear_modulus / 2)
-        disc = nv.Body(name="disc", where=nv.Ball((0.6, 0.5), 0.25), material=solid, density=2.0)
-        model = nv.Model(bodies=[disc, nv.Body(name="rest", material=fluid, density=1.0)])
-        return nv.Simulation(box((1, 1), maxh=0.5), model, time=nv.TimeSteps(dt=0.02, velocity_scale=1.0))
-
-    run = bodies(1.0)
-    run.observers = [nv.Checkpoints(tmp_path / "run.h5")]
-    run.run(0.02)
-    again = bodies(1.0)
-    again.restore(tmp_path / "run.h5")
-    assert np.array_equal(again.rothe_step.state.vec.FV().NumPy(), run.rothe_step.state.vec.FV().NumPy())
-    for other in (bodies(1.1), bodies(1.0, stiffness=6.0)):
-        with pytest.raises(nv.CheckpointError, match=r"its (material|energies) "):
-            other.restore(tmp_path / "run.h5")
-
-
 @pytest.mark.long
 @pytest.mark.ci
 @pytest.mark.parametrize("solver", ["coupled", "split"])
@@ -190,3 +120,20 @@ def test_bodies_with_heat_go_on_bitwise_and_are_known_by_it(tmp_path, solver):
     assert_goes_on(bodies, tmp_path / "run.h5", 0.08, -2)
     with pytest.raises(nv.CheckpointError, match="heat"):
         bodies(conductivity=0.2).restore(tmp_path / "run.h5")
+
+
+ROUND = disc(1.0, maxh=0.4)
+
+
+def test_a_curved_mesh_comes_back_with_the_shape_of_its_geometry():
+    """Netgen writes eight decimals of curved cells: 3e-10 of this area."""
+    found = mesh_of(mesh_image(ROUND))
+    assert found.GetCurveOrder() == ROUND.GetCurveOrder() > 1
+    assert volume_and_surface(found) == pytest.approx(volume_and_surface(ROUND), rel=1e-14)
+
+
+def test_curved_cells_without_a_geometry_stay_as_the_file_has_them():
+    image = mesh_image(ROUND)
+    found = mesh_of(image[: image.index(b"endmesh") + len(b"endmesh\n")])
+    assert found.GetCurveOrder() == ROUND.GetCurveOrder()
+    assert volume_and_surface(found) == pytest.approx(volume_and_surface(ROUND), rel=1e-8)

@@ -7,10 +7,8 @@ from support import A_BODY, A_FALL, NO_VTK, TWO_STEPS
 import ngvisco as nv
 from ngvisco.cli.main import main
 from ngvisco.run import plots
-from ngvisco.run.frames import outline
-from ngvisco.run.pictures import LABELS, PAGE, figure
+from ngvisco.run.pictures import LABELS, PAGE
 from ngvisco.run.plots import plot_comparison
-from ngvisco.shapes.fractions import subdivision
 
 PROBE = '[[output.probes]]\nname = "p"\npoint = [0.5, 0.5]\n'
 CASE = A_BODY.replace("0.6", "0.7") + A_FALL + TWO_STEPS + NO_VTK + PROBE
@@ -99,16 +97,3 @@ def test_a_study_is_compared_by_the_values_that_vary(runs, capsys):
         assert said == [str(runs / f"comparison-{name}.svg") for name in ("energies", "probes")]
     finally:
         (runs / "sweep.csv").unlink()
-
-
-def test_outlines_are_finer_than_the_cells():
-    """A circle's level at the corners of 72 triangles, whose linear line is off by a twentieth of a cell."""
-    n = 6
-    lattice, small = subdivision(2, n)
-    halves = np.concatenate([lattice, 1 - lattice])
-    triangles = np.concatenate([small, small + len(lattice)])
-    level = 0.5 + 2 * (0.3**2 - ((halves - 0.5) ** 2).sum(axis=1))
-    _, ((axis,),) = figure(1, 1, (4, 4))
-    (path,) = outline(axis, *halves.T, triangles, level).get_paths()
-    off = np.abs(np.linalg.norm(path.vertices - 0.5, axis=1) - 0.3)
-    assert len(path.vertices) > 60 and off.max() < 0.01 / n * 2

@@ -1,7 +1,5 @@
 """Creep: relaxation against an ODE, limits, the gradient term, stiff steps."""
 
-from dataclasses import dataclass
-
 import numpy as np
 import pytest
 from ngsolve import CF, Integrate, cos, pi, x, y
@@ -10,8 +8,7 @@ from support import swirling
 
 import ngvisco as nv
 from ngvisco.geometries import box
-from ngvisco.physics.tensors import cof, dev, square, sym, tr
-from ngvisco.physics.variables import Cofactor, Distortion, Jacobian
+from ngvisco.physics.tensors import square, tr
 
 MATERIAL = nv.ReferentialNeoHookean(K_e=10.0, G_e=5.0, elastic_state="F")
 BY_NAME = {
@@ -108,90 +105,13 @@ def mean_square(values):
 
 
 def test_gradient_creep_tends_to_that_without_a_gradient_like_nu():
-    """On one mesh the gradient term is a regular perturbation of a continuous Pi: the difference is O(nu).
-
-    Its limit is the continuous Pi of nu = 1e-12, not the cellwise one of nu = 0; see the next test.
-    """
+    """O(nu) on one mesh, from the continuous Pi of nu = 1e-12, not from the cellwise one of nu = 0."""
     limit = distortion(swirl(nv.Creep(G_m=2.0, nu=1e-12, q=2.0)))
     errors = [
         mean_square(distortion(swirl(nv.Creep(G_m=2.0, nu=nu, q=2.0))) - limit) for nu in (1e-3, 1e-4, 1e-5)
     ]
     assert errors[0] / errors[1] == pytest.approx(10, rel=0.05)
     assert errors[1] / errors[2] == pytest.approx(10, rel=0.01)
-
-
-def test_continuous_and_cellwise_creep_rates_agree_at_second_order():
-    """nu = 1e-12 and nu = 0 differ by the approximation of Pi: at least like h^2 (measured: like h^2.5)."""
-    gaps = []
-    for maxh in (0.4, 0.2):
-        local, continuous = (
-            distortion(swirl(nv.Creep(G_m=2.0, nu=nu, q=2.0), maxh=maxh)) for nu in (0.0, 1e-12)
-        )
-        gaps.append(mean_square(local - continuous))
-    assert np.log2(gaps[0] / gaps[1]) > 2
-    assert gaps[1] < 2e-4  # creep itself changes H by 6e-3
-
-
-def against_viscous_fluid(G_m, material, dt=0.02, in_cells=False):
-    """(T, G_m eps(v)) of the deviatoric parts after 0.04 s, as arrays weighted for an L2 product."""
-    run = swirl(nv.Creep(G_m=G_m), dt=dt, material=material)
-    run.run(0.04)
-    fields = dev(run.fields["cauchy_stress"]), G_m * dev(sym(run.rothe_step.now.L))
-    if not in_cells:
-        return [run.sampler.values(A).ravel() for A in fields]
-    volume = Integrate(CF(1), run.mesh, element_wise=True).NumPy()
-    return [
-        np.concatenate(
-            [
-                Integrate(A[i, j], run.mesh, element_wise=True).NumPy() / volume**0.5
-                for i in range(3)
-                for j in range(3)
-            ]
-        )
-        for A in fields
-    ]
-
-
-def test_small_creep_modulus_is_a_viscous_fluid():
-    """E_ZJ = eps(v) - dev S/G_m: dev T = G_m dev eps(v) + O(G_m^2/(2 G_e)), viscosity G_m/2, pointwise.
-
-    So the relative gap to the viscous stress is proportional to G_m.
-    """
-    gaps = []
-    for G_m in (1e-3, 1e-4, 1e-5):
-        T, viscous = against_viscous_fluid(G_m, BY_NAME["E"])
-        gaps.append(np.linalg.norm(T - viscous) / np.linalg.norm(viscous))
-    assert gaps[0] / gaps[1] == pytest.approx(10, rel=0.05)
-    assert gaps[1] / gaps[2] == pytest.approx(10, rel=0.05)
-    assert gaps[2] < 1e-5
-
-
-@pytest.mark.parametrize("name", ["F", "H"])
-def test_small_creep_modulus_is_a_viscous_fluid_in_the_mean_at_finite_strain(name):
-    """Means over cells: T = G_m eps(v) at first order in tau, from 1 % of |T| at tau = 0.02 s.
-
-    Only means: M = O(G_m) at every point would be F^T F a multiple of I in the cell, and of linear F none
-    but the constants times rotations are such, while rotations of the flow vary in the cell.
-    """
-    for G_m in (1e-3, 1e-4):
-        gaps = []
-        for dt in (0.02, 0.01):
-            T, viscous = against_viscous_fluid(G_m, BY_NAME[name], dt, in_cells=True)
-            assert T @ viscous == pytest.approx(viscous @ viscous, rel=1e-3)
-            gaps.append(np.linalg.norm(T - viscous) / np.linalg.norm(viscous))
-        assert gaps[0] < 0.015
-        assert gaps[0] / gaps[1] == pytest.approx(2, rel=0.15)
-
-
-@pytest.mark.parametrize("G_m", [1.0, 0.1])
-def test_stiff_relaxation_of_a_stretched_box_converges_in_one_step(G_m):
-    """tau = 1 s is 10 and 100 Maxwell times, from a stretch of 30 %; the root is the physical one."""
-    run = relaxing(nv.Creep(G_m=G_m), 1.0, F_0)
-    ledger = run.run(1.0)
-    assert np.abs(ledger.column("closure_relative")).max() <= 1e-10
-    H = np.diag(np.array(run.fields["H"](run.mesh(0.3, 0.4))).reshape(3, 3))
-    assert H.min() > 0
-    assert np.ptp(H * H) < 0.1 * G_m
 
 
 def uneven(creep, dt, material):
@@ -241,62 +161,3 @@ def test_stiff_relaxation_goes_on_while_the_body_moves(start, name, G_m, dt, ste
     if name != "E" and G_m <= 0.01 and not (start is swirl and dt == 1.0):
         low, high = relaxed_size(run)
         assert low > 0.9 and high < 1.1
-
-
-def with_F_tot(creep, m, maxh, dt, until):
-    options = {"passive": ("F_tot",), "discretisation": nv.Discretisation(m=m), "maxh": maxh}
-    run = swirl(creep, dt=dt, material=BY_NAME["F"], **options)
-    run.run(until)
-    return run
-
-
-def test_both_distortions_are_the_same_in_the_same_space():
-    """The step and the passive fields have the same scheme: in P_2 they differ by rounding."""
-    run = with_F_tot(None, 2, 0.4, 0.02, 0.1)
-    assert Integrate(square(run.fields["F"] - run.fields["F_tot"]), run.mesh) ** 0.5 < 1e-11
-
-
-def test_total_distortion_is_elastic_times_inelastic():
-    """F_p = F^-1 F_tot obeys F_p' = Pi F_p from I: it is I + int Pi dt up to O(t^3), as Pi = O(t) here.
-
-    Halving t divides the remainder by 6 to 7 (8 in the limit); it is 2 % of F_p - I at t = 0.01 s.
-    """
-    remainders = []
-    for until in (0.02, 0.01):
-        run = with_F_tot(nv.Creep(G_m=1.0), 2, 0.3, until / 4, 0.0)
-        Pi = run.rothe_step.context.rates.mean_creep(run.rothe_step.now)
-        integral = 0.0
-        for _ in range(4):
-            run.advance()
-            integral = integral + run.dt * run.sampler.values(Pi).reshape(-1, 3, 3)
-        F, F_tot = (run.sampler.values(run.fields[name]).reshape(-1, 3, 3) for name in ("F", "F_tot"))
-        inelastic = np.linalg.solve(F, F_tot) - np.eye(3)
-        remainders.append(mean_square(inelastic - integral))
-    assert remainders[0] / remainders[1] > 6
-    assert remainders[1] < 0.03 * mean_square(inelastic)
-
-
-@dataclass(frozen=True)
-class PrintedCofactor(Cofactor):
-    """Cof F by the row that the paper prints (H-flow-rule), quadratic in F."""
-
-    def rate(self, z, L, Pi):
-        change = L * z["F"] - z["F"] * Pi
-        return cof(z["F"] + change) - cof(z["F"]) - cof(change)
-
-
-@dataclass(frozen=True, kw_only=True)
-class PrintedMooneyRivlin(nv.MooneyRivlin):
-    @property
-    def variables(self):
-        return Distortion(), PrintedCofactor(), Jacobian()
-
-
-@pytest.mark.parametrize("creep", [nv.Creep(G_m=2.0), nv.Norton(A=0.3, n=3.0)], ids=["linear", "power"])
-def test_a_rate_that_is_not_affine_in_the_variables_creeps_in_the_balance(creep):
-    """It closed to 1e-4 when the stress of creep was made of tensors that are not the rate's."""
-    material = PrintedMooneyRivlin(K_e=10.0, G_e=3.0, G_mr=2.0, epsilon=0.1, elastic_state="F")
-    run = swirl(creep, material=material, solver="coupled")
-    run.run(0.04)
-    assert max(abs(row["closure_relative"]) for row in run.ledger.rows) < 1e-11
-    assert run.ledger.rows[-1]["dissipation_creep"] > 0

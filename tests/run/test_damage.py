@@ -5,10 +5,7 @@ import pytest
 from ngsolve import CF, GridFunction, IfPos, Integrate, cos, exp, pi, sin, sqrt, x, y
 
 import ngvisco as nv
-from ngvisco.errors import InitialDataError, InputWarning, ParameterError, UnknownNameError
-from ngvisco.forms.damage import DamageGrowth
-from ngvisco.forms.system import Step
-from ngvisco.geometries import box, channel, disc, structured_box
+from ngvisco.geometries import box, channel, structured_box
 from ngvisco.run.simulation import Simulation
 from tests.support import assert_same
 
@@ -97,32 +94,6 @@ def test_homogeneous_bar_follows_its_exact_curve(kind, part):
     assert abs(run.sampler.values(run.fields["grad_damage"])).max() < 1e-12
 
 
-def test_conjugates_that_do_not_see_the_growth_are_found_out(monkeypatch):
-    """Negative control: with those of an intact body for ever the stress is wrong."""
-    monkeypatch.setattr(Step, "freeze", lambda self: None)
-    run = sheared("AT2")
-    run.run(0.4)
-    found = run.sampler.values(run.fields["cauchy_stress"][0, 1])
-    assert abs(found / exact("AT2", RATE * 0.4, 0.1, 1.0)[1] - 1).min() > 0.5
-
-
-def test_slope_that_does_not_follow_opens_the_ledger(monkeypatch):
-    """Negative control: damage grows, its slope stays."""
-    add = DamageGrowth._add
-
-    def without_slope(self, delta):
-        z, rows = self._z(), self._rows[1:]
-        kept = z[rows].copy()
-        add(self, delta)
-        z[rows] = kept
-
-    run = swirl(damaged(), solver="split")
-    monkeypatch.setattr(DamageGrowth, "_add", without_slope)
-    with pytest.warns(nv.ClosureWarning):
-        run.run(0.02)
-    assert abs(run.ledger.column("closure_relative")[-1]) > 1e-6
-
-
 G, G_C, LENGTH = 5.0, 0.02, 0.1
 
 
@@ -188,46 +159,6 @@ def test_damage_stays_or_heals_at_its_rate():
         assert (run.ledger.column("dissipation_damage")[1:] > 0).all() == (healing is not None)
 
 
-def test_heat_of_growing_damage_arrives():
-    inner = damaged(material=nv.LogarithmicNeoHookean(K_e=20.0, G_e=5.0, epsilon=1.0))
-    material = nv.Thermal(material=inner, c=1.0, theta_R=300.0, expansion=1e-3)
-    ledger = assert_signs(swirl(material, solver="split"))
-    heat, damage = ledger.column("power_heat_damage"), ledger.column("dissipation_damage")
-    assert np.allclose(heat, damage, rtol=1e-12)
-    assert ledger.column("entropy_production_damage")[1:].min() > 0
-    entropy, tau = ledger.column("entropy"), ledger.column("dt")
-    made = sum(ledger.column(name) for name in ledger.columns if name.startswith("entropy_production"))
-    assert np.allclose(np.diff(entropy), (tau * made)[1:], rtol=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("parameters", "message"),
-    [
-        ({"material": nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1)}, "without stress at rest"),
-        ({"material": nv.Yosida(material=RUBBER, eps=0.01)}, "not that of a Yosida approximation"),
-        ({"material": damaged()}, "a material without damage"),
-        ({"material": nv.ReferentialNeoHookean(K_e=9.0, G_e=nv.Parameter("damage") + 1)}, "do not read the"),
-    ],
-)
-def test_wrong_parameters_are_refused_by_name(parameters, message):
-    with pytest.raises(ParameterError, match=message):
-        damaged(**parameters)
-
-
-def test_models_and_meshes_that_cannot_have_damage_are_refused_by_name():
-    body = nv.Body(name="a", material=damaged(), density=1.0)
-    with pytest.raises(ParameterError, match=r"bodies\['a'\]\.material.*without damage"):
-        nv.Model(bodies=[body])
-    with pytest.raises(ParameterError, match=r"Model\.material.*no other material knows of damage"):
-        nv.Model(material=nv.WithQuadratic(material=damaged(), delta=0.1))
-    with pytest.raises(ParameterError, match=r"Discretisation\.m = 2: expected 1 with damage"):
-        swirl(damaged(), discretisation=nv.Discretisation(m=2))
-    model = nv.Model(material=damaged())
-    with pytest.raises(ParameterError, match=r"Simulation\.mesh.*straight triangles"):
-        Simulation(disc(1.0, maxh=0.9), model, dt=0.1)
-    with pytest.raises(UnknownNameError, match="grad_damage"):
-        Simulation(box((1, 1), maxh=0.9), model, dt=0.1, initial=nv.Initial(values={"grad_damage": CF(0)}))
-    with pytest.raises(InitialDataError, match=r"parameter damage: from 1\.5 to 1\.5"):
-        Simulation(box((1, 1), maxh=0.9), model, dt=0.1, initial=nv.Initial(values={"damage": CF(1.5)}))
-    with pytest.warns(InputWarning, match="below the size of the smallest cell"):
+def test_a_length_below_the_cells_is_warned_of():
+    with pytest.warns(nv.InputWarning, match="below the size of the smallest cell"):
         Simulation(box((1, 1), maxh=0.9), nv.Model(material=damaged(length=0.1)), dt=0.1)

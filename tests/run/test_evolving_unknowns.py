@@ -9,8 +9,6 @@ from support import assert_goes_on
 
 import ngvisco as nv
 from ngvisco.errors import ParameterError, UnknownNameError
-from ngvisco.forms.distance import BregmanDistance
-from ngvisco.forms.system import Evolved
 from ngvisco.forms.term import Entry, Integrand, PointTerm, Unknown
 from ngvisco.geometries import box
 from ngvisco.physics.tensors import inner, square, tr
@@ -109,15 +107,6 @@ def test_a_scalar_relaxes_by_the_schemes_stability_function(name, place):
     assert ledger.column("dissipation_theta")[-1] > 0.1
 
 
-def test_a_vector_evolves_too():
-    term = Relaxation()
-    term.size = 2
-    run = simulation(term, theta=CF((1.0, -2.0)), solver="coupled")
-    run.run(0.05)
-    found = [Integrate(run.rothe_step.now.parts["theta"][i], run.mesh) for i in range(2)]
-    assert found == pytest.approx([1 / 1.1, -2 / 1.1], rel=1e-12)
-
-
 @pytest.mark.parametrize("scheme", ["backward-euler", "midpoint", "sdirk2"])
 @pytest.mark.parametrize("term", [Pores(), Swelling()], ids=["of the flow", "of the fields too"])
 def test_solvers_agree_and_the_ledger_closes_where_it_drives_the_flow(term, scheme):
@@ -132,25 +121,6 @@ def test_solvers_agree_and_the_ledger_closes_where_it_drives_the_flow(term, sche
     assert stored[0] == pytest.approx(stored[1], rel=1e-12)
 
 
-def test_energy_and_its_slope_belong_to_the_distance():
-    """B(a, b) = E(a) - E(b) - E'(b)[a - b] in theta and z, v and rho kept."""
-    run = simulation(Pores(), theta=exp(x) * y, solver="coupled")
-    step, distance = run.rothe_step, BregmanDistance(run.rothe_step)
-    a, energy_a = step.evolved(), run.ledger.energy()
-    run.run(0.1)
-    end = step.evolved()
-    b = Evolved({**end.values, "v": a.values["v"], "rho": a.values["rho"]}, a.momentum)
-    for name, values in b.values.items():
-        step.state.vec.FV().NumPy()[step.layout.ranges[name]] = values
-    energy_b = run.ledger.energy()
-    change = {name: a.values[name] - b.values[name] for name in ("theta", "z")}
-    expected = energy_a - energy_b - distance.slope(b, change)
-    found = distance(a, b)
-    assert found["bregman"] == pytest.approx(expected, rel=1e-8) and found["bregman"] > 1e-3
-    del change["theta"]
-    assert distance.slope(b, change) != pytest.approx(energy_a - energy_b - found["bregman"], rel=1e-3)
-
-
 def test_error_estimate_counts_it():
     """Of a body at rest nothing else changes: a third of theta_2 - 2 theta_1 + theta_0, over theta_2."""
     model = nv.Model(material=MODEL.material)
@@ -160,14 +130,6 @@ def test_error_estimate_counts_it():
     run = simulation(term, model, adaptive=steps, solver="coupled")
     estimates = [run.advance()["error_estimate"] for _ in range(3)]
     assert estimates[-1] == pytest.approx((RATE * 0.05) ** 2 / 3, rel=1e-8)
-
-
-def test_error_estimate_of_what_is_zero_is_zero():
-    steps = nv.AdaptiveSteps(dt_min=1e-6, dt_max=1.0, tolerance=0.5)
-    term = Relaxation()
-    term.scale = 0.0
-    run = simulation(term, nv.Model(material=MODEL.material), theta=None, adaptive=steps, solver="coupled")
-    assert [run.advance()["error_estimate"] for _ in range(3)][-1] == pytest.approx(0, abs=1e-12)
 
 
 def test_restart_is_bitwise(tmp_path):

@@ -13,7 +13,6 @@ import ngvisco as nv
 from ngvisco.geometries import box
 from ngvisco.run.fields import usual
 from ngvisco.run.frames import read_pvd
-from ngvisco.run.ledger import unit
 from ngvisco.run.pictures import widened
 from ngvisco.run.plots import plot_energies, plot_history
 
@@ -64,12 +63,6 @@ def test_vtk_series_holds_the_fields_with_labelled_components(tmp_path):
     assert arrays["von_mises"][0][:, 0] == pytest.approx(mises, rel=1e-9)
 
 
-def test_nothing_half_written_stays_behind(tmp_path):
-    series = nv.VTKSeries(tmp_path / "vtk")
-    small_run([series, nv.LedgerCSV(tmp_path / "l.csv"), nv.Checkpoints(tmp_path / "r.h5")], steps=2)
-    assert not [path for path in tmp_path.rglob("*") if ".part" in path.name]
-
-
 def test_csv_has_a_row_a_step_under_the_agreed_names(tmp_path):
     run = small_run([nv.LedgerCSV(tmp_path / "ledger.csv")])
     with (tmp_path / "ledger.csv").open(newline="") as file:
@@ -79,20 +72,6 @@ def test_csv_has_a_row_a_step_under_the_agreed_names(tmp_path):
     assert [float(row["step"]) for row in rows] == [0, 1, 2, 3, 4]
     for name in run.ledger.columns:
         np.testing.assert_array_equal([float(row[name]) for row in rows], run.ledger.column(name))
-
-
-def test_hdf5_ledger_equals_the_csv_and_has_units(tmp_path):
-    run = small_run([nv.Checkpoints(tmp_path / "run.h5", every=100)])
-    columns = nv.read_ledger(tmp_path / "run.h5")
-    assert list(columns["kinetic"]) == list(run.ledger.column("kinetic"))
-    import h5py
-
-    with h5py.File(tmp_path / "run.h5") as file:
-        assert {name: file["ledger"][name].attrs["unit"] for name in run.ledger.columns} == {
-            name: unit(name) for name in run.ledger.columns
-        }
-        assert file["ledger/power_gravity"].attrs["unit"] == "W"
-        assert file["ledger/mass"].attrs["unit"] == "kg"
 
 
 def test_progress_prints_every_nth_step_and_the_last(tmp_path, capsys):
@@ -132,15 +111,3 @@ def test_what_is_no_energy_is_not_drawn_as_one(tmp_path, monkeypatch):
     column = ledger.column("stored_surface")
     assert np.allclose(surface.get_ydata(), column - column[0])
     assert not any("surface" in label for label in labels["broken-history"])
-
-
-def test_pictures_are_drawn_without_a_display(tmp_path, monkeypatch):
-    monkeypatch.delenv("DISPLAY", raising=False)
-    run = small_run([], steps=2)
-    nv.plot_energies(run.ledger, tmp_path / "energies.png")
-    nv.plot_fields(run.mesh, [("J", run.fields["J"])], tmp_path / "fields.png")
-    for name in ("energies.png", "fields.png"):
-        assert (tmp_path / name).read_bytes().startswith(b"\x89PNG")
-    with pytest.raises(nv.ParameterError, match=r"'T'.*a scalar"):
-        nv.plot_fields(run.mesh, [("T", run.fields["cauchy_stress"])], tmp_path / "bad.png")
-    assert not (tmp_path / "bad.png").exists()

@@ -7,7 +7,6 @@ import pytest
 from ngsolve import CF, x, y
 
 import ngvisco as nv
-from ngvisco.expressions import ExpressionError
 from ngvisco.geometries import box, disc
 
 MATERIAL = nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1)
@@ -82,16 +81,6 @@ def test_forces_on_walls_balance_weight_and_momentum(walls, options, bound):
     assert forces.column("step").tolist() == [1, 2, 3]
 
 
-def test_forces_neither_change_a_run_nor_stay_with_it():
-    bare, observed = (small(seen, scheme="midpoint") for seen in ([], [nv.WallForces()]))
-    for run in (bare, observed):
-        run.run(0.02)
-    assert (
-        bare.rothe_step.state.vec.FV().NumPy().tolist() == observed.rothe_step.state.vec.FV().NumPy().tolist()
-    )
-    assert observed.integrator.carried == [observed.passive]
-
-
 def test_torque_on_a_curved_wall_takes_the_angular_momentum():
     """A spinning disc is braked by the friction of its wall, where v.n = 0 is held by a multiplier."""
     model = nv.Model(material=nv.LinearElastic(K_e=10.0, G_e=5.0), viscosity=VISCOSITY)
@@ -126,16 +115,6 @@ def test_each_wall_keeps_its_own_pressure_at_corners(size):
             expected = sign * tension if i == axis else 0.0
             assert forces.column(f"{wall}.force_{i + 1}")[0] == pytest.approx(expected, abs=1e-11)
     assert all(abs(forces.column(name)[0]) < 8 for name in forces.columns if name.startswith("left.torque"))
-
-
-def test_torque_about_another_point_is_shifted_by_the_force():
-    about = (0.7, -0.2)
-    here, there = nv.WallForces(["top"]), nv.WallForces(["top"], about=about)
-    small([here, there], walls={"top": nv.PrescribedTangential((0.1 * y, 0))}).run(0.01)
-    force = [here.column(f"top.force_{i}")[0] for i in "12"]
-    shift = about[0] * force[1] - about[1] * force[0]
-    assert there.column("top.torque")[0] == pytest.approx(here.column("top.torque")[0] - shift, abs=1e-12)
-    assert abs(shift) > 0.01
 
 
 def test_a_resumed_table_is_that_of_the_uninterrupted_run(tmp_path):
@@ -182,30 +161,3 @@ def test_a_foreign_or_damaged_table_is_refused(tmp_path, text):
     run.set_time(0.01, 1)
     with pytest.raises(nv.CheckpointError, match=r"p\.csv"):
         run.run(0.02)
-
-
-@pytest.mark.parametrize(
-    ("make", "error", "message"),
-    [
-        (lambda: nv.Probes({"a": (2, 2)}), nv.ParameterError, r"points\['a'\].*which lies in \[0, 1\] x"),
-        (lambda: nv.Probes([(1, 1, 1)]), nv.ParameterError, "points of 2 finite coordinates"),
-        (lambda: nv.Probes([(math.nan, 1)]), nv.ParameterError, "finite"),
-        (lambda: nv.Probes([("a", "b")]), nv.ParameterError, "finite coordinates"),
-        (lambda: nv.Probes(3), nv.ParameterError, "points, or a mapping"),
-        (lambda: nv.Probes([]), nv.ParameterError, "at least one"),
-        (lambda: nv.Probes([(0, 0)], ["velocty"]), nv.UnknownNameError, "did you mean 'velocity'"),
-        (lambda: nv.Probes([(0, 0)], every=0), nv.ParameterError, "Probes.every"),
-        (lambda: nv.LineSamples((0, 0), (0, 0)), nv.ParameterError, "another point than start"),
-        (lambda: nv.LineSamples((0, 0), (0, 3)), nv.ParameterError, "LineSamples.end"),
-        (lambda: nv.LineSamples((0, 0), (1, 0), 1), nv.ParameterError, "an integer >= 2"),
-        (lambda: nv.WallForces(["lef"]), nv.UnknownNameError, "did you mean 'left'"),
-        (lambda: nv.WallForces("left"), nv.ParameterError, "a sequence of names"),
-        (lambda: nv.WallForces(about=(1,)), nv.ParameterError, "WallForces.about"),
-        (lambda: nv.Integrals({}), nv.ParameterError, "not empty"),
-        (lambda: nv.Integrals({"a": CF((1, 2))}), nv.ParameterError, "scalar"),
-        (lambda: nv.Integrals({"a": "densty"}), ExpressionError, "did you mean 'density'"),
-    ],
-)
-def test_what_cannot_be_measured_is_refused_before_the_first_step(make, error, message):
-    with pytest.raises(error, match=message):
-        small([make()]).run(0.01)

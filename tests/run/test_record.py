@@ -1,11 +1,8 @@
 """``record``: the usual files of a run, and what it refuses before it computes anything."""
 
-import numpy as np
-import pytest
+from support import small_run
 
 import ngvisco as nv
-from ngvisco.expressions import ExpressionError
-from ngvisco.geometries import box
 
 
 class Counter:
@@ -23,8 +20,7 @@ class Counter:
 
 
 def simulation(observers=()):
-    model = nv.Model(material=nv.NeoHookean(K_e=10, G_e=5, epsilon=0.1), loads=[nv.Gravity((0, -1))])
-    return nv.Simulation(box((1, 1), maxh=1), model, dt=0.02, observers=observers)
+    return small_run(1, loads=[nv.Gravity((0, -1))], observers=observers)
 
 
 def test_record_leaves_files_and_pictures_and_the_observers_as_they_were(tmp_path, capsys):
@@ -47,21 +43,3 @@ def test_record_leaves_files_and_pictures_and_the_observers_as_they_were(tmp_pat
 def test_record_without_expressions_draws_energies_only(tmp_path):
     nv.record(simulation(), tmp_path, 0.02)
     assert (tmp_path / "energies.png").exists() and not (tmp_path / "fields.png").exists()
-
-
-@pytest.mark.parametrize(
-    ("arguments", "error", "words"),
-    [
-        ((5, 0.02), nv.ParameterError, "record.directory"),
-        (("out", 0.0), nv.ParameterError, "record.until"),
-        (("out", np.nan), nv.ParameterError, "record.until"),
-    ],
-)
-def test_record_refuses_before_anything_is_computed(arguments, error, words, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    run = simulation()
-    with pytest.raises(error, match=words):
-        nv.record(run, *arguments)
-    with pytest.raises(ExpressionError, match="velocity_3"):
-        nv.record(run, "out", 0.02, show={"none in 2D": "velocity_3"})
-    assert run.number == 0 and run.observers == [] and list(tmp_path.iterdir()) == []

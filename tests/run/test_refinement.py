@@ -68,25 +68,6 @@ def test_bodies_keep_their_masses_and_tables_have_no_seam(tmp_path):
     ]
 
 
-def test_a_union_of_cells_has_what_its_parts_had():
-    source = bodies()
-    coarse = source.mesh
-    finer = Mesh(coarse.ngmesh.Copy())
-    finer.Refine()
-    fine = source.on(finer)
-    fine.run(0.1)
-    target = source.on(coarse)
-    nv.transfer(fine, target)
-    parents = coarse(*np.array([[sum(c) / 3 for c in zip(*(finer[v].point for v in e.vertices), strict=True)]
-                                for e in finer.Elements()]).T)["nr"]  # fmt: skip
-    for name in ("disc_fraction", "medium_fraction"):
-        amount = "n_" + name.removesuffix("_fraction")
-        parts = np.array(Integrate(fine.rothe_step.now.z_tensors[amount], finer, element_wise=True))
-        found = np.array(Integrate(target.rothe_step.now.z_tensors[amount], coarse, element_wise=True))
-        wanted = np.bincount(np.asarray(parents, dtype=int), parts, coarse.ne)
-        assert abs(found - wanted).max() < 1e-13
-
-
 @pytest.mark.parametrize("interrupted", [0.04, 0.12])
 def test_a_run_goes_on_from_a_checkpoint_to_the_bit(tmp_path, interrupted):
     refinement = nv.Refinement(field="disc_fraction", every=0.06)
@@ -102,20 +83,6 @@ def test_a_run_goes_on_from_a_checkpoint_to_the_bit(tmp_path, interrupted):
     )
     for name in ("kinetic", "stored", "transfer", "closure", "step"):
         assert np.array_equal(later.ledger.column(name), whole.ledger.column(name)), name
-
-
-@pytest.mark.parametrize(
-    ("options", "named"),
-    [
-        ({"field": "vorticity"}, "vorticity"),
-        ({"field": "J", "above": 1.5}, "Refinement.above"),
-        ({"field": "J", "levels": 0}, "Refinement.levels"),
-        ({"field": "J", "every": 0.03}, "Refinement.every"),
-    ],
-)
-def test_what_does_not_fit_is_named(options, named):
-    with pytest.raises(nv.NgviscoError, match=named):
-        nv.run_refined(bodies(), nv.Refinement(**{"every": 0.04} | options), 0.08)
 
 
 def test_a_run_under_way_is_refused():
@@ -154,21 +121,6 @@ def test_the_displacement_of_a_wall_on_springs_is_carried_over(dim):
     assert energies[0] > 0.01 and abs(moved.lost) < 1e-8 * energies[0]
     nv.transfer(target, other)
     assert other.ledger.rows[0]["stored_springs_right"] == pytest.approx(energies[0], rel=1e-8)
-
-
-@pytest.mark.parametrize("solver", ["split", "coupled"])
-def test_a_wall_on_springs_swings_as_on_a_mesh_that_is_fine_everywhere(solver):
-    walls = {"right": nv.Open(density=1.0, stiffness=(9.0, 0.0))}
-    refinement = nv.Refinement(field="pressure", above=0.05, levels=1, every=0.2)
-    start = pulse(walls=walls, solver=solver)
-    run = nv.run_refined(start, refinement, 1.6)
-    fine, coarse = start.on(box((3, 0.5), 0.25)), pulse(walls=walls, solver=solver)
-    fine.run(1.6)
-    coarse.run(1.6)
-    springs, wanted, of_coarse = (one.ledger.column("stored_springs_right") for one in (run, fine, coarse))
-    assert abs(springs - wanted).max() < 0.1 * wanted.max() < 0.3 * abs(of_coarse - wanted).max()
-    assert wanted.max() > 0.1 * (fine.ledger.column("kinetic") + fine.ledger.column("stored"))[0]
-    assert abs(run.ledger.column("closure_relative")).max() < 1e-11
 
 
 @pytest.mark.parametrize(("size", "periodic"), [((1, 1), "x"), ((1, 1), "xy"), ((0.5, 0.5, 0.5), "x")])

@@ -131,7 +131,7 @@ box(_, 1.0) | (1, 0), (1,), (1, inf), (1, 1, 1, 1) | box.size | two or three
 box((1, 1), _) | 0, -1, inf | box.maxh | a finite number > 0
 simulation().run(until=_) | 0.25 | until | a multiple of dt = 0.1
 simulation().run(until=_) | -0.1, nan, inf, "1" | until | number >= 0
-simulation(scheme="theta", theta=_) | None, 0.4 | TimeSteps.theta | a number in [1/2, 1]
+simulation(scheme="theta", theta=_) | None, 0.49, 1.01, -1, nan, "half", True | TimeSteps.theta | in [1/2, 1]
 simulation(scheme="midpoint", theta=_) | 0.6 | TimeSteps.theta | nothing with the scheme 'midpoint'
 simulation(scheme="midpoint", relaxation=_) | True | TimeSteps.relaxation | 'midpoint' with adaptive
 simulation(scheme="midpoint", relaxation=_) | "yes" | TimeSteps.relaxation | True or False

@@ -1,12 +1,17 @@
-"""Adaptive steps: rejected, halved, grown again, exact at output times, reproduced by a restart."""
+"""Lengths of steps: given, adaptive, in halves; rejected, grown again, reproduced by a restart."""
+
+import io
 
 import numpy as np
 import pytest
 from ngsolve import sin
-from support import Rejections, swirling
+from support import Rejections, assert_goes_on, state, swirling
 from support import state as values
 
 import ngvisco as nv
+from ngvisco.geometries import box
+from ngvisco.solver.problem import Solution, Status
+from ngvisco.solver.split.solver import Split
 from ngvisco.timestepping.error import ErrorEstimate
 
 
@@ -94,6 +99,124 @@ def test_below_the_minimum_the_run_ends_with_what_was_tried(tmp_path, monkeypatc
     assert np.array_equal(values(again), values(run))
 
 
-def test_a_first_step_outside_the_bounds_raises():
-    with pytest.raises(nv.ParameterError, match=r"TimeSteps\.dt = 0\.02"):
-        simulation(nv.AdaptiveSteps(dt_min=0.03, dt_max=0.1))
+MODEL = nv.Model(material=nv.LinearElastic(K_e=1.0, G_e=1.0))
+ADAPTIVE = nv.AdaptiveSteps(dt_min=0.01, dt_max=0.2)
+
+
+def elastic(**options):
+    return nv.Simulation(box((1, 1), 1.0), MODEL, **options)
+
+
+def test_parameters_of_time_steps_stand_for_them():
+    steps = nv.TimeSteps(
+        dt=0.1, scheme="midpoint", startup=2, limiter=False, velocity_scale=3.0, adaptive=ADAPTIVE
+    )
+    new = elastic(time=steps)
+    short = elastic(dt=0.1, scheme="midpoint", startup=2, adaptive=ADAPTIVE, limiter=False, velocity_scale=3)
+    for run in (new, short):
+        assert (run.dt, run.velocity_scale, run.is_adaptive, run.scheme.name) == (0.1, 3.0, True, "midpoint")
+        assert run.integrator.startup == 2 and run.bounds.limits is False
+
+
+def test_an_unknown_argument_is_named_with_its_likely_one():
+    with pytest.raises(TypeError, match=r"Simulation\(\): .* argument 'shceme'; did you mean 'scheme'"):
+        elastic(dt=0.1, shceme="midpoint")
+
+
+DT = 0.04
+
+
+def halving(**options):
+    laws = {
+        "viscosity": nv.StokesViscosity(K_v=0.05, G_v=0.05),
+        "hyperviscosity": nv.HyperViscosity(mu=1e-5, p=4),
+    }
+    return swirling(dt=DT, **{"solver": "split", "passive": ("reference_map",)} | laws | options)
+
+
+def fails_above(monkeypatch, length, calls=None):
+    """Let the split solver fail for steps above a length, s."""
+    solve = Split.solve
+
+    def limited(split, problem, guess):
+        if calls is not None:
+            calls.append(problem.interval.tau)
+        if problem.interval.tau > length * (1 + 1e-9):
+            return Solution(Status.STALLED, (), "stalled")
+        return solve(split, problem, guess)
+
+    monkeypatch.setattr(Split, "solve", limited)
+
+
+def test_a_step_that_is_not_solved_is_taken_in_quarters_and_the_run_goes_on(monkeypatch):
+    fails_above(monkeypatch, DT / 4)
+    watch = Rejections()
+    run = halving(observers=[watch])
+    ledger = run.run(3 * DT)
+    # the second step begins with halves, as the first one ended with quarters; each then fails once
+    assert ledger.column("dt")[1:] == pytest.approx([DT / 4] * 12)
+    assert ledger.column("time")[[4, 8, 12]].tolist() == [DT, 2 * DT, 3 * DT]
+    assert [r.tau for r in watch.seen] == pytest.approx([DT, DT / 2, DT / 2, DT / 2])
+    assert ledger.column("rejections").sum() == 4
+    assert "stalled; taken in parts of 0.01 s" in watch.seen[1].reason
+    assert np.abs(ledger.column("closure_relative")).max() <= 1e-12
+
+
+def test_what_is_written_every_so_many_steps_counts_whole_steps(monkeypatch, tmp_path):
+    """Only the second step is taken in quarters; a run that goes on keeps what was written before."""
+
+    def fails_in_the_second(split, problem, guess):
+        begin, tau = problem.interval.begin, problem.interval.tau
+        if 0.99 * DT < begin < 1.99 * DT and tau > 1.01 * DT / 4:
+            return Solution(Status.STALLED, (), "stalled")
+        return solve(split, problem, guess)
+
+    solve = Split.solve
+    monkeypatch.setattr(Split, "solve", fails_in_the_second)
+    lines = io.StringIO()
+    probes = nv.Probes({"a": (0.4, 0.3)}, ["velocity"], tmp_path / "probes.csv", every=2)
+    vtk = nv.VTKSeries(tmp_path / "vtk", every=3)
+    checkpoints = nv.Checkpoints(tmp_path / "run.h5", every=2, keep=9)
+    observers = [nv.Progress(6 * DT, every=2, stream=lines), probes, vtk, checkpoints]
+    run = halving(observers=observers)
+    run.run(6 * DT)
+    assert run.ledger.column("dt")[1:] / DT == pytest.approx([1, *[0.25] * 4, 0.5, 0.5, 1, 1, 1])
+    assert run.number == 10 and run.step_number == 6
+    whole = [0, 2 * DT, 4 * DT, 6 * DT]
+    assert probes.column("time").tolist() == pytest.approx(whole)
+    assert [time for time, _ in vtk.written] == pytest.approx([0, 3 * DT, 6 * DT])
+    text = lines.getvalue()
+    assert "step     2/6  t 0.08 s" in text and "step     2/6  t 0.04 s  rejected" in text
+    assert "after 6 steps in 10 parts" in text and "step     3/6" not in text
+    for row, step, end in ((8, 4, 4.0), (4, 2, 1.75)):
+        probes = nv.Probes({"a": (0.4, 0.3)}, ["velocity"], tmp_path / "probes.csv", every=2)
+        again = halving(observers=[probes])
+        again.restore(tmp_path / "run.h5", step=row)
+        assert again.step_number == step and again.t == pytest.approx(end * DT)
+        again.run(6 * DT)
+        assert probes.column("time").tolist() == pytest.approx(whole)
+
+
+def test_halvings_are_an_option(monkeypatch):
+    fails_above(monkeypatch, DT / 2)
+    run = halving(halvings=0)
+    with pytest.raises(nv.StepError, match="stalled"):
+        run.advance()
+
+
+def test_restart_within_a_step_is_bitwise_identical(tmp_path, monkeypatch):
+    fails_above(monkeypatch, DT / 4)
+    whole = assert_goes_on(halving, tmp_path / "run.h5", 2 * DT, 3)  # three quarters of the first step
+    assert whole.ledger.column("time")[3] == pytest.approx(0.75 * DT) and whole.t == 2 * DT
+
+
+def test_a_part_that_is_not_solved_ends_the_run_there(monkeypatch):
+    calls, watch = [], Rejections()
+    fails_above(monkeypatch, 0.0, calls)
+    run = halving(observers=[watch])
+    before = state(run)
+    with pytest.raises(nv.StepError, match="stalled"):
+        run.advance()
+    assert (state(run) == before).all() and run.number == 0
+    assert min(calls) == pytest.approx(DT / 8)
+    assert [r.tau for r in watch.seen] == pytest.approx([DT, DT / 2, DT / 4])

@@ -63,24 +63,13 @@ def sphere(count, radius=0.3):
     return 0.5 + radius * triangles / np.linalg.norm(triangles, axis=2, keepdims=True)
 
 
-def bracket():
-    """A prism over the letter L."""
-    corners = [(0.15, 0.2), (0.85, 0.2), (0.85, 0.45), (0.45, 0.45), (0.45, 0.8), (0.15, 0.8)]
-    low, high = (np.array([(*c, height) for c in corners]) for height in (0.25, 0.7))
-    caps = [(0, i, i + 1) for i in range(1, 5)]
-    sides = [(i, (i + 1) % 6) for i in range(6)]
-    triangles = [high[list(t)] for t in caps] + [low[list(t[::-1])] for t in caps]
-    triangles += [np.array([low[i], low[j], high[j]]) for i, j in sides]
-    return np.array(triangles + [np.array([low[i], high[j], high[i]]) for i, j in sides])
-
-
 def enclosed(triangles):
     a, b, c = triangles.transpose(1, 0, 2)
     return float(np.sum(a * np.cross(b, c))) / 6
 
 
 @pytest.mark.parametrize("turned", [False, True])
-@pytest.mark.parametrize("part", [cube(), sphere(4), bracket()], ids=["cube", "sphere", "bracket"])
+@pytest.mark.parametrize("part", [cube(), sphere(4)], ids=["cube", "sphere"])
 def test_volume_of_a_surface_is_met_on_cells_as_large_as_itself(tmp_path, part, turned):
     """On 28 cells of 0.5 m, along their faces and across; by corners' sides alone it is up to 13 % off."""
     axes = np.linalg.qr([[1.0, 2, 3], [0, 1, -2], [1, 0, 1]])[0] if turned else np.eye(3)
@@ -102,25 +91,12 @@ def test_surface_cut_by_a_shape_has_the_rest_of_its_volume(tmp_path):
         assert volumes(mesh, [half])[0] == pytest.approx(0.6 * 0.43 * 0.6 * size**3, rel=0.01)
 
 
-def test_surface_outside_the_domain_is_empty(tmp_path):
-    path = tmp_path / "cube.stl"
-    path.write_bytes(binary_stl(cube() + 5.0))
-    assert volumes(box((1, 1, 1), maxh=0.5), [ClosedSurface(path)])[0] == 0
-
-
 def test_parts_that_overlap_hold_the_volume_once(tmp_path):
     """A level of two shells would move the surface outwards."""
     mesh, path = box((1, 1, 1), maxh=0.5), tmp_path / "two.stl"
     path.write_bytes(binary_stl(np.concatenate([cube(0.2, 0.7), cube(0.3, 0.8)])))
     volume = 2 * 0.5**3 - 0.4**3
     assert volumes(mesh, [ClosedSurface(path)])[0] == pytest.approx(volume, rel=0.02)
-
-
-def test_rays_count_shells_one_within_another():
-    """A shell that is turned inwards is a hole."""
-    both = np.concatenate([cube(), cube(0.4, 0.6)[:, ::-1]])
-    points = np.array([[0.5, 0.5, 0.5], [0.3, 0.3, 0.3], [0.1, 0.5, 0.5], [0.5, 0.5, 0.9], [0.21, 0.79, 0.5]])
-    assert crossings(both, points).tolist() == [0, 1, 0, 0, 1]
 
 
 @pytest.mark.parametrize("turned", [(), (0,), (1, 2), (0, 1, 2)])

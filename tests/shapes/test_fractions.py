@@ -5,7 +5,6 @@ import pytest
 from netgen.geom2d import unit_square
 from ngsolve import ET, VOL, IfPos, Integrate, IntegrationRule, Mesh, pi, x, y
 
-from ngvisco.errors import ParameterError
 from ngvisco.geometries import box, disc
 from ngvisco.shapes.fractions import fractions, volumes
 from ngvisco.shapes.shape import Ball, Block, HalfSpace, Polygon, Union, Where
@@ -82,18 +81,3 @@ def test_polygon_that_is_not_convex_has_its_area_in_either_sense():
 def test_half_space_takes_a_normal_of_any_length(length):
     normal = HalfSpace((0, 0), (length, length)).normal
     assert normal == pytest.approx((0.5**0.5, 0.5**0.5), rel=1e-14)
-
-
-@pytest.mark.parametrize(
-    "shape", [Ball((0, 0, 0), 1.0), Block((0, 0, 0), (1, 1, 1)), HalfSpace((0, 0, 0), (0, 0, 1))]
-)
-def test_shape_of_another_dimension_than_the_mesh_is_refused(shape):
-    with pytest.raises(ParameterError, match="as many as the mesh has"):
-        volumes(box((1, 1), maxh=0.5), [shape])
-
-
-def test_polygon_in_space_and_function_that_is_not_finite_are_refused():
-    with pytest.raises(ParameterError, match="mesh of the plane"):
-        volumes(box((1, 1, 1), maxh=1), [Polygon(((0, 0), (1, 0), (0, 1)))])
-    with pytest.raises(ParameterError, match="finite"):
-        volumes(box((1, 1), maxh=0.5), [Where(1 / (x - x))])

@@ -47,13 +47,6 @@ def test_what_the_largest_heap_does_not_hold_is_a_failed_step(sizes):
     assert sizes == list(HEAP_SIZES)
 
 
-def test_another_failure_is_not_tried_again(sizes):
-    form = Form("division by zero")
-    with pytest.raises(StepError, match="division by zero"):
-        jacobian(form).factorise(None)
-    assert sizes == []
-
-
 def test_a_cell_s_matrix_that_units_make_singular_is_said_with_the_remedy():
     """In SI a slab in a weak medium, 1e11 Pa and steps of 1 kyr, has such matrices; in km and kyr none."""
     form = Form("CalcLU: matrix singularin AssembleLinearization\n")

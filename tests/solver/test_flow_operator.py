@@ -1,4 +1,4 @@
-"""The flow's linear operator against differences of the rows, on fields that the coarse rule integrates."""
+"""The flow's and the transport's linear operators against differences of the rows."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,6 @@ from ngsolve import CF
 import ngvisco as nv
 from ngvisco.forms.terms.transport import ElasticForce
 from ngvisco.geometries import box
-from ngvisco.solver.split.flow_operator import _resolvents
 
 STEP = 1e-5
 
@@ -98,25 +97,6 @@ def test_inertia_convection_and_viscosity(run):
     assert np.abs(difference).max() <= 1e-8 * np.abs(expected).max()
 
 
-def test_what_the_fields_take(run):
-    """Where z is continuous the facets take nothing, and nothing is left out."""
-    v = linear(run, lambda x, y: (1 + 2 * y - x, x + 0.5 * y))
-    split, at, operator = prepared(run, v)
-    dv = linear(run, lambda x, y: (y - 0.3, 2 * x + y))
-    expected = derivative(split, at, dv, lambda at: at.residual[split.unknowns.slices["z"]])
-    op = operator.op
-    source = np.einsum(
-        "pnx,xp->np", operator.points.columns[:, :, :4], op.gradients(op.dv, dv).reshape(4, -1)
-    )
-    for j, values in enumerate(op.v(dv)):
-        source -= operator.points.dz[:, j] * values
-    found = -op.z.test(source).ravel()
-    assert np.abs(found - expected).max() <= 1e-7 * np.abs(expected).max()
-    # and the fields' rows take just this source
-    rows = operator.fields_rows(dv, None).T.ravel()
-    assert np.abs(rows - found).max() <= 1e-12 * np.abs(rows).max()
-
-
 @pytest.mark.parametrize("run", [None, "bodies"], indirect=True)
 def test_the_force_is_the_rows_derivative_by_fields_that_are_continuous(run):
     """At rest, of a linear change of a uniform state: no facet takes part; phi'' is by differences.
@@ -148,20 +128,6 @@ def test_the_force_is_the_rows_derivative_by_fields_that_are_continuous(run):
     assert np.abs(found - expected)[free].max() <= 1e-5 * np.abs(expected[free]).max()
 
 
-@pytest.mark.parametrize("run", [None, "bodies"], indirect=True)
-def test_the_fields_rows_are_the_derivative(run):
-    """Densities by their flux too, along walls: what flows through these would be another thing to them."""
-    v = linear(run, lambda x, y: (4 * x * (1 - x) * (1 + y), -3 * y * (1 - y) * (1 + x)))
-    split, at, _ = prepared(run, v)
-    z = split.unknowns.slices["z"]
-    direction = np.zeros(len(at.x))
-    direction[z] = np.random.default_rng(2).standard_normal(z.stop - z.start)
-    dz = direction[z].reshape(at.coefficients["z"].shape)
-    expected = split.residual.derivative(at)(direction)[z].reshape(dz.shape)
-    found = split.preconditioner.fields.rows(np.ascontiguousarray(dz.T)).T
-    assert np.abs(found - expected).max() <= 1e-9 * np.abs(expected).max()
-
-
 @pytest.mark.parametrize("run", ["heat"], indirect=True)
 def test_conduction_is_the_rows_derivative_at_a_uniform_temperature(run):
     """From cell to cell, by the lifting of the gradient and the penalty."""
@@ -175,16 +141,6 @@ def test_conduction_is_the_rows_derivative_at_a_uniform_temperature(run):
     storage = split.preconditioner.sweep.of_z(dz.T)[:, entropy]
     assert np.abs(expected - storage).max() > 0.1 * np.abs(expected).max()
     assert np.abs(found - expected).max() <= 1e-5 * np.abs(expected).max()
-
-
-def test_resolvents_by_products_and_by_factorisation():
-    """What products leave is below 1e-4 wherever they are taken."""
-    noise = np.random.default_rng(0).uniform(-1, 1, (7, 12, 12))
-    for size in (1e-3, 0.1, 0.49, 0.51, 3.0):
-        matrices = size / 12 * noise
-        exact = np.linalg.inv(np.eye(12) - matrices)
-        assert np.abs(_resolvents(matrices) - exact).max() <= 1e-4
-    assert np.abs(_resolvents(0.4 / 12 * noise) - np.eye(12) - 0.4 / 12 * noise).max() > 1e-3
 
 
 @pytest.mark.parametrize("run", [None, nv.Creep(G_m=4.0)], indirect=True)

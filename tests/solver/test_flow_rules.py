@@ -1,17 +1,16 @@
-"""Flow rules in both solvers, local and with a gradient, alone and of bodies, against a step at a point."""
+"""Flow rules and viscosities of the state in both solvers, alone and of bodies."""
 
 from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from ngsolve import CF, Integrate, x
+from ngsolve import CF, x
 from scipy.optimize import root
 
 import ngvisco as nv
-from ngvisco.forms.term import PointTerm, dissipations
 from ngvisco.geometries import box, structured_box
-from ngvisco.physics.tensors import power_of_square, square, tr
-from ngvisco.physics.variables import Variable
+from ngvisco.physics.parameters import Parameter
+from ngvisco.physics.tensors import power_of_square, square
 
 MATERIAL = nv.ReferentialNeoHookean(K_e=10.0, G_e=5.0, elastic_state="F")
 BY_B = nv.ReferentialNeoHookean(K_e=10.0, G_e=5.0, elastic_state="B")
@@ -82,79 +81,46 @@ def test_a_rule_of_one_s_own_gives_what_it_says(nu, bodies, solver):
     assert ledger.column("dissipation_creep")[1:].min() > 0
 
 
-@dataclass(frozen=True)
-class Heat(Variable):
-    """What has become of dissipated energy, per actual volume, J/m^3."""
-
-    name: str = "heat"
-    kind: str = "scalar"
-
-    def rate(self, z, L, Pi):
-        return -tr(L) * z[self.name]
-
-    def from_distortion(self, F):
-        return CF(0.0)
-
-    @property
-    def is_conserved(self):
-        return True
-
-    @property
-    def is_strain(self):
-        return False
-
-
-class Heating(PointTerm):
-    """int dissipation : q in the equation of the heat: what other terms dissipate is its source."""
-
-    def cells(self, u, w):
-        return [-xi * w.z_tensors["heat"] for xi in dissipations(u, self).values()]
-
-    def nodes(self, u, w):
-        return [-xi * w.z_tensors["heat"] for xi in dissipations(u, self, "nodes").values()]
+PLAIN = nv.StokesViscosity(K_v=0.1, G_v=0.1)
+LAWS = {
+    "power law": nv.PowerLaw(K_v=0.1, consistency=0.1, n=0.3, floor=1e-3),
+    "thickening": nv.PowerLaw(K_v=0.1, consistency=0.1, n=2.0),
+    "Carreau": nv.Carreau(K_v=0.1, G_0=0.5, relaxation=3.0, n=0.3),
+    "Cross": nv.Cross(K_v=0.1, G_0=0.5, relaxation=3.0, m=0.9),
+    "of the temperature": nv.ActivatedViscosity(viscosity=PLAIN, E=2e4, theta_R=300.0),
+    "of a carried temperature": nv.ActivatedViscosity(
+        viscosity=PLAIN, E=2e4, theta_R=300.0, temperature=300.0 + 50.0 * Parameter("hot", start=x)
+    ),
+    "of the pressure": nv.ActivatedViscosity(
+        viscosity=PLAIN, E=0.0, theta_R=300.0, V=500.0, temperature=300.0
+    ),
+}
+RULES = {
+    "Norton of the temperature": nv.Activated(rule=nv.Norton(A=0.3, n=3), E=2e4, theta_R=300.0),
+    "with a gradient": nv.Activated(rule=nv.Norton(A=0.3, n=3, nu=1e-3), E=2e4, theta_R=300.0),
+}
+DEFAULT = {"power law", "of the temperature"}
 
 
-@pytest.mark.parametrize("nu", [0.0, 0.01])
-@pytest.mark.parametrize("solver", ["split", "coupled"])
-def test_a_term_of_cells_reads_what_others_dissipate(nu, solver):
-    """In a flow, where all of it is carried on: none is lost, none made."""
-    elastic = nv.LinearElastic(K_e=10.0, G_e=5.0)
-    material = nv.CustomMaterial(
-        transported=(*elastic.variables, Heat()), stored_energy=lambda E, heat: elastic.energy({"E": E})
-    )
-    rule = nv.Creep(G_m=2.0, nu=nu) if nu else Cubic(A=0.5)
-    model = nv.Model(material=material, viscosity=nv.StokesViscosity(K_v=0.1, G_v=0.1), creep=rule)
-    lid = {"top": nv.PrescribedTangential(CF((16 * x**2 * (1 - x) ** 2, 0)))}
-    start = {"initial": nv.Initial(density=1.0), "walls": lid, "terms": [Heating()]}
-    run = nv.Simulation(box((1, 1), maxh=0.5), model, dt=0.05, solver=solver, **start)
-    ledger = run.run(0.1)
-    names = [name for name in ledger.columns if name.startswith("dissipation_")]
-    assert ("dissipation_creep_gradient" in names) == (nu > 0)
-    dissipated = sum((ledger.column(name) * ledger.column("dt")).sum() for name in names)
-    heat = Integrate(run.fields["heat"], run.mesh, order=4)
-    assert heat == pytest.approx(dissipated, rel=1e-9)
-    assert ledger.column("dissipation_creep")[-1] > 1e-3
-    assert abs(ledger.column("closure_relative")).max() <= 1e-10
-
-
-@pytest.mark.parametrize("creep", [nv.Perzyna(sigma_Y=0.5, G_m=0.5), nv.Eyring(A=0.1, sigma_0=1.0)])
-def test_cells_of_one_value_creep_by_rules_that_are_no_polynomials(creep):
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=() if n in DEFAULT else pytest.mark.long) for n in {**LAWS, **RULES}]
+)
+def test_both_solvers_agree_and_the_ledger_closes(name):
+    solid = nv.ReferentialNeoHookean(K_e=20.0, G_e=2.0)
+    has_heat = "of the temperature" in name or name in RULES
+    material = nv.Thermal(material=solid, c=0.01, gruneisen=0.1, theta_R=300.0) if has_heat else solid
+    model = nv.Model(material=material, viscosity=LAWS.get(name, PLAIN), creep=RULES.get(name))
+    lid = {"top": nv.PrescribedTangential(CF((4 * x * (1 - x), 0)))}
     found = {}
     for solver in ("split", "coupled"):
-        lid = {"top": nv.PrescribedTangential(CF((16 * x**2 * (1 - x) ** 2, 0)))}
-        model = nv.Model(
-            material=nv.ReferentialNeoHookean(K_e=50.0, G_e=5.0, elastic_state="B"),
-            viscosity=nv.StokesViscosity(K_v=0.1, G_v=0.1),
-            creep=creep,
-        )
-        run = nv.Simulation(
-            box((1, 1), maxh=0.3),
-            model,
-            dt=0.02,
-            walls=lid,
-            solver=solver,
-            discretisation=nv.Discretisation(m=0),
-        )
-        found[solver] = run.run(0.06).column("dissipation_creep")[-1]
-    assert found["split"] > 0
-    assert found["split"] == pytest.approx(found["coupled"], rel=1e-8)
+        start = nv.Initial(density=1.0)
+        run = nv.Simulation(box((1, 1), maxh=0.5), model, dt=0.05, initial=start, walls=lid, solver=solver)
+        ledger = run.run(0.15)
+        assert abs(ledger.column("closure_relative")).max() <= 1e-10
+        assert not ledger.column("rejections").any()
+        found[solver] = ledger
+        if has_heat:
+            assert (np.diff(ledger.column("entropy")) > 0).all()
+    for column in ("dissipation_stokes_shear", "stored", "kinetic"):
+        split, coupled = (found[solver].column(column) for solver in ("split", "coupled"))
+        assert np.allclose(split, coupled, rtol=1e-7), column

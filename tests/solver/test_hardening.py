@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from ngsolve import CF, Integrate, x, y
+from ngsolve import CF
 from scipy.optimize import brentq
 from test_rules_in_flows import MATERIALS, sheared
 
@@ -64,26 +64,6 @@ def test_the_yield_stress_grows_by_the_law_and_its_work_is_stored(name, solver):
         assert "plastic_strain" not in run.fields
 
 
-def test_the_plastic_strain_is_the_creep_strain_of_a_flow():
-    """Both are carried, the one as a variable of the step by as many points as it has values in a cell, the
-    other after it by those of the forms.
-    """
-    rule = nv.Perzyna(sigma_Y=0.5, G_m=0.5, H=1 + x)
-    model = nv.Model(material=MATERIALS["B"], viscosity=nv.StokesViscosity(K_v=0.1, G_v=0.1), creep=rule)
-    lid = {"top": nv.PrescribedTangential(CF((16 * x**2 * (1 - x) ** 2, 0)))}
-    run = nv.Simulation(
-        box((1, 1), maxh=0.5),
-        model,
-        dt=0.02,
-        walls=lid,
-        initial=nv.Initial(density=1.0),
-        passive=["creep_strain"],
-    )
-    run.run(0.1)
-    k, creep = (Integrate(run.fields[name], run.mesh) for name in ("plastic_strain", "creep_strain"))
-    assert k == pytest.approx(creep, rel=1e-2) and k > 0.01
-
-
 def test_heat_is_what_is_not_stored():
     material = nv.Thermal(material=MATERIALS["B"], c=1.0, theta_R=300.0, expansion=1e-3)
     run = sheared(nv.Perzyna(sigma_Y=0.5, G_m=0.5, H=20.0), material, "coupled")
@@ -118,22 +98,3 @@ def test_a_body_hardens_by_the_law(solver):
     )
     assert abs(ledger.column("closure_relative")).max() <= 1e-10
     assert ledger.column("creep_power_min").min() >= 0
-
-
-def test_a_body_of_a_hardening_material_is_that_material():
-    """At finite strains, of a stiff volume: phi_h is per actual volume of a material, and per n of a body."""
-    rule = nv.Perzyna(sigma_Y=0.2, G_m=0.2, H=2.0)
-    whole = body(material=nv.ReferentialNeoHookean(K_e=50.0, G_e=2.5, elastic_state="B"), creep=rule)
-    alone = nv.Model(material=whole.material, viscosity=whole.viscosity, creep=rule)
-    walls = {"top": nv.PrescribedTangential((1.0, 0.0)), "bottom": nv.NoSlip()}
-    found = []
-    for model in (alone, nv.Model(bodies=[whole])):
-        start = nv.Initial(density=1.0 if model is alone else None, velocity=(y, 0))
-        mesh = box((1, 1), maxh=1.0, periodic="x")
-        run = nv.Simulation(mesh, model, dt=0.05, walls=walls, initial=start, solver="split")
-        ledger = run.run(0.15)
-        assert abs(ledger.column("closure_relative")).max() <= 1e-10
-        (name,) = (name for name in run.fields if name.startswith("plastic_strain"))
-        found.append(Integrate(run.fields[name], run.mesh))
-    assert found[0] > 0.05
-    assert found[1] == pytest.approx(found[0], rel=1e-3)

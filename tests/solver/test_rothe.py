@@ -1,34 +1,33 @@
-"""A Rothe step: solved from a rough start, or the old state with a typed error."""
+"""A Rothe step: from a rough start, restored where it fails; when an iteration ends; sides of upwinding."""
+
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from ngsolve import CF, Id, IfPos, OuterProduct, x
-from support import MATERIALS, SWIRL, state
+from support import MATERIALS, SWIRL, small_run, state, swirling
 
-from ngvisco import (
-    HyperViscosity,
-    Initial,
-    Model,
-    NewtonOptions,
-    Simulation,
-    StepError,
-    StokesViscosity,
-    time,
-)
+import ngvisco as nv
+from ngvisco import HyperViscosity, NewtonOptions, StepError, StokesViscosity, time
 from ngvisco.geometries import box
-from ngvisco.solver.problem import iterations
+from ngvisco.solver.options import SplitOptions
+from ngvisco.solver.problem import Problem, Status, iterations
+from ngvisco.solver.split.solver import Split, iterate
 
 JUMP = Id(3) + IfPos(x - 0.4, 0.4, -0.2) * OuterProduct(CF((1, 0, 0)), CF((0.3, 1, 0)))
 
 
 def simulation(material: str = "neo_hookean", speed: float = 1.0, F=None, dt: float = 0.05, **options):
-    model = Model(
+    velocity = tuple(speed * component for component in SWIRL)
+    return small_run(
+        dt=dt,
         material=MATERIALS[material],
         viscosity=StokesViscosity(K_v=0.01, G_v=0.01),
         hyperviscosity=HyperViscosity(mu=1e-3, p=4),
+        velocity=velocity,
+        F=F,
+        **options,
     )
-    velocity = tuple(speed * component for component in SWIRL)
-    return Simulation(box((1, 1), 0.5), model, dt=dt, initial=Initial(velocity=velocity, F=F), **options)
 
 
 @pytest.mark.parametrize("material", ["linear", "neo_hookean"])
@@ -56,26 +55,138 @@ def test_failed_step_restores_the_state_bitwise() -> None:
     assert all(line.increment > 0 for line in lines)
 
 
-def test_step_after_a_failure_equals_one_without() -> None:
-    """Nothing of the failed attempt stays: not in the state, the time, the step length or the matrix."""
-    clean, failed = simulation(), simulation()
-    for run in (clean, failed):
-        run.advance()
-    sound = failed.solver.newton.options
-    failed.solver.newton.options = NewtonOptions(max_iterations=2, tolerance=1e-14)
-    with pytest.raises(StepError):
-        failed.advance()
-    assert (failed.t, time.Get()) == (0.05, 0.05)
-    failed.solver.newton.options = sound
-    clean.solver.reset()
-    rows = [run.advance() for run in (clean, failed)]
-    assert np.array_equal(state(clean), state(failed))
-    assert rows[0] == rows[1] or {k for k in rows[0] if rows[0][k] != rows[1][k]} <= {"J_min", "J_defect"}
-
-
 def test_change_of_the_step_length_assembles_anew() -> None:
     run = simulation()
     run.advance()
     assert run.solver.newton.is_factorised
     history = run.integrator.advance(run.t, 0.02).history
     assert history[0].solution.history[0].fresh_jacobian
+
+
+@pytest.mark.parametrize("m", [0, 1])
+def test_a_side_is_wrong_where_the_flow_has_turned(m):
+    """As all cells say; not where the velocity is that of the side, or next to it."""
+    run = swirling(box((1, 1), 0.25), dt=0.3, discretisation=nv.Discretisation(m=m), solver="coupled")
+    sides, step = run.solver.sides, run.rothe_step
+    step.context.set_step(0.3, 0.3, 0.0, 0.3)
+    v = step.state.vec.FV().NumPy()[step.layout.ranges["v"]].copy()
+    found = []
+    for share in (0.0, 0.3, 0.5, 0.7, 0.9, 0.95, 1.1):  # of the largest, above which coefficients are turned
+        sides.choose(np.where(abs(v) >= share * abs(v).max(), -v, 0.999 * v))
+        found.append(sides._is_wrong())
+        assert found[-1] == (step.quadrature.integrate_facets(sides._wrong) > 0)
+    assert found[0] and found[2] and not found[-1]
+
+
+class Posed(Problem):
+    """Equations without parameters."""
+
+    def pose(self):
+        pass
+
+
+class Increments:
+    """What ``iterate`` asks of a split solver: increments of given sizes, by their number."""
+
+    has_converged, wear = Split.has_converged, lambda self, f, size: None
+    is_steep, follow = False, lambda self, f: None
+
+    def __init__(self, sizes):
+        self.sizes, self.is_factorised, self.is_fresh = sizes, True, False
+        self.options = NewtonOptions(split=SplitOptions(slow=60))  # Newton-Krylov does not take over
+        self.at, self.starts, self.resets, self.solution = [], 0, 0, None
+        self.unknowns = SimpleNamespace(pack=lambda: np.zeros(1), unpack=lambda x: None)
+        self.residual = SimpleNamespace(put=self._put, start=self._start)
+
+    def _put(self, x):
+        self.solution = x
+
+    def _start(self):
+        self.starts += 1
+
+    def evaluated(self, x, last):
+        return None
+
+    def increment(self, problem, x, at, last):
+        self.at.append(float(x[0]))
+        size = self.sizes(len(self.at) - 1)
+        return np.array([float(len(self.at))]), size
+
+    def size(self, f, coarse=False):
+        return self.sizes(len(self.at) - 1)
+
+    def give_up(self):
+        self.resets += 1
+
+
+def test_a_plateau_below_the_tolerance_is_rounding():
+    tolerance = NewtonOptions().tolerance
+    found = Increments(lambda n: max(10.0 ** (-3 * n - 1), 0.5 * tolerance))
+    assert iterate(found, Posed(), []) is Status.CONVERGED
+
+
+def test_slow_convergence_is_not_taken_for_rounding():
+    """Increments that fall by 7 % each leave fourteen of them before the solution."""
+    tolerance = NewtonOptions().tolerance
+    found = Increments(lambda n: 10.0 ** (-3 * n - 1) if n < 3 else 2 * tolerance * 0.93**n)
+    iterate(found, Posed(), [])
+    assert found.solution is None or found.sizes(len(found.at)) * 14 <= tolerance
+
+
+@pytest.mark.parametrize("contraction", [0.1, 0.3, 0.45])
+def test_it_ends_where_little_is_left_and_not_later(contraction):
+    split, history = Increments(lambda number: 1e-9 * contraction**number), []
+    assert iterate(split, Posed(), history) is Status.CONVERGED
+    tolerance, margin = split.options.tolerance, split.options.split.margin
+    share = contraction / (1 - contraction)  # of all increments that follow
+    left = history[-1].increment * share
+    assert left <= margin * tolerance * (1 + 1e-9) and history[-1].increment <= tolerance
+    before = history[-2].increment
+    assert before > tolerance or before * share > margin * tolerance
+
+
+def test_a_first_increment_tells_no_contraction():
+    split, history = Increments(lambda number: 0.5e-10 if number == 0 else 1e-12), []
+    assert iterate(split, Posed(), history) is Status.CONVERGED
+    assert len(history) == 2
+
+
+@pytest.mark.parametrize("lost", [np.inf, np.nan, 50.0])
+def test_an_iterate_too_far_is_given_up_for_one_nearer_to_the_best(lost):
+    """The second increment leads away: half of it is taken, with a tangent of its own."""
+    sizes = (0.6, 0.3, lost, 0.1, 1e-3, 1e-6, 1e-12, 1e-14)
+    split = Increments(lambda n: sizes[n])
+    assert iterate(split, Posed(), []) is Status.CONVERGED
+    assert split.at[:4] == [0.0, -1.0, -3.0, -2.0] and split.resets == 1
+
+
+def test_what_no_part_of_an_increment_mends_has_failed():
+    split, history = Increments(lambda n: 0.5 if n == 0 else np.inf), []
+    assert iterate(split, Posed(), history) is Status.STALLED
+    assert len(history) == 2 + split.options.split.halvings
+    assert iterate(Increments(lambda n: np.nan), Posed(), []) is Status.NOT_FINITE
+
+
+@pytest.mark.parametrize(("smallest", "gives_up"), [(0.02, False), (1e-5, True)])
+def test_increments_may_grow_far_from_the_solution(smallest, gives_up):
+    """By three times there; and by no more than a hundredth near it."""
+    grown = 3 * smallest if not gives_up else 0.05
+    sizes = (0.3, smallest, grown, 1e-3, 1e-6, 1e-12, 1e-14, 1e-15)
+    split = Increments(lambda n: sizes[n])
+    assert iterate(split, Posed(), []) is Status.CONVERGED
+    assert split.resets == gives_up
+
+
+def test_equations_that_change_are_evaluated_anew_before_an_iterate_is_a_solution():
+    class Changing(Posed):
+        def __init__(self):
+            self.sizes = []
+
+        def changes(self, increment):
+            self.sizes.append(increment)
+            return len(self.sizes) == 4
+
+    sizes, problem = (0.1, 1e-3, 1e-6, 1e-13, 1e-5, 1e-9, 1e-14), Changing()
+    split = Increments(lambda n: sizes[n])
+    assert iterate(split, problem, []) is Status.CONVERGED
+    assert problem.sizes == list(sizes) and split.starts == 1

@@ -67,8 +67,6 @@ def by_tolerance(run, draws=1):
 def assert_both_agree(mesh, physics, steps=2, dt=0.02, **options):
     """Run both and return their ledgers, which agree; so do rho, v and z to 1e-9.
 
-    The split solver solves the coupled one's residual, and its ledger closes.
-
     Traces and normal derivatives are held to the residual: where diffusion or hyperviscosity hardly acts they
     are hardly determined (a trace of the delta-regularised rho to 1e-8, by what the coupled solver leaves).
     """

@@ -26,10 +26,7 @@ def simulation(mesh=None, discretisation=None, **parts):
 
 
 def assert_is_the_derivative(run, bound=1e-8):
-    """At a state away from a solution, of Richardson's differences, block of rows by block of rows.
-
-    Rounding leaves up to 1e-9 of these.
-    """
+    """Away from a solution, of Richardson's differences, block by block; rounding leaves 1e-9 of these."""
     split = run.solver.newton
     run.advance()
     run.rothe_step.context.set_step(0.02, 0.04, 0.02, 0.02)

@@ -13,9 +13,9 @@ import ngvisco as nv
 from ngvisco.algebra import precision
 from ngvisco.algebra.factorised import DirectSolver, TwoLevelSolver
 from ngvisco.forms.term import Integrand
-from ngvisco.geometries import box, disc, structured_box
+from ngvisco.geometries import box, disc
 from ngvisco.solver.options import SplitOptions
-from ngvisco.solver.problem import Solution, Status
+from ngvisco.solver.problem import Status
 from ngvisco.solver.rothe import Interval
 from ngvisco.solver.split.solver import Split
 from ngvisco.solver.split.transport import LEAST
@@ -53,61 +53,6 @@ def taken(run):
 def first_step(run):
     """The problem of a run's first step."""
     return run.solver.problem(Interval(run.dt, 0.0, run.dt, 0.0, run.dt))
-
-
-class EveryRow:
-    """A source in each equation that may have one, of the size of the equation's terms."""
-
-    def form(self, u, w):
-        s = sin(3 * x + nv.time) * cos(2 * y)
-        flux = [(0.02 + 0.01 * i) * s * w.z[i] for i in range(w.z.dim)]
-        return [
-            Integrand(s * w.rho),
-            Integrand(s * w.v[0] - 2 * s * w.v[1]),
-            Integrand(sum((i + 1) * s * w.z[i] for i in range(w.z.dim))),
-            Integrand(facets=1e-4 * s * w.normal_derivative[1]),
-            Integrand(facets=1e-2 * s * w.rho_delta_hat),
-            *(Integrand(facets=part) for part in flux),
-        ]
-
-    def entries(self, u):
-        return []
-
-
-DELTA = nv.Regularisation(delta_density=1e-3, delta_fields=1e-2, epsilon=0.1)
-
-
-AWAY = {
-    "all rows": lambda: {"sources": EveryRow(), "regularisation": DELTA},
-    "in space": lambda: {"mesh": box((1, 1, 1), maxh=1)},
-    "periodic": lambda: {"mesh": box((1, 1), maxh=0.4, periodic="x")},
-    "a curved wall": lambda: {"mesh": disc(1.0, maxh=0.7)},
-    **{f"m = {m}": lambda m=m: {"discretisation": nv.Discretisation(m=m)} for m in (0, 1, 2)},
-}
-
-
-@pytest.mark.parametrize("options", [pytest.param(make, id=name) for name, make in AWAY.items()])
-def test_residual_is_the_coupled_one_away_from_a_solution(options):
-    run = simulation(**options())
-    run.rothe_step.context.set_step(0.02, 0.02, 0.0, 0.02)
-    step, split = run.rothe_step, run.solver.newton
-    step.state_old.vec.data = step.state.vec
-    step.start_from_old()
-    noise = np.random.default_rng(0).standard_normal(split.unknowns.size)
-    free = np.array(list(step.layout.space.FreeDofs()), dtype=bool)
-    split.unknowns.unpack(split.unknowns.pack() + 1e-3 * noise)
-    step.state.vec.FV().NumPy()[~free] = 0.0
-    split.residual.start()
-    r = split.residual(split.unknowns.pack()).residual
-    rows = step.state.vec.CreateVector()
-    step.residual.Apply(step.state.vec, rows)
-    full, ranges = rows.FV().NumPy(), step.layout.ranges
-    size = np.abs(full[free]).max()
-    for name, where in split.unknowns.slices.items():
-        expected, mask = full[ranges[name]], free[ranges[name]]
-        assert np.abs(expected - r[where])[mask].max(initial=0.0) <= 1e-13 * size, name
-    for name in set(ranges) - set(split.unknowns.names):
-        assert np.abs(full[ranges[name]]).max() <= 1e-12 * size, name
 
 
 @pytest.mark.usefixtures("double_precision")
@@ -196,27 +141,6 @@ def test_single_precision_does_not_depend_on_the_units(units, levels):
     assert np.linalg.norm(here - there) <= 1e-8 * np.linalg.norm(here)
 
 
-def test_two_increments_take_away_a_perturbation():
-    """They are Newton's but for the coarse rule and the sweeps: the first mends z, the second v."""
-    run = simulation(maxh=0.15)
-    run.run(0.06)
-    split = run.solver.newton
-    split.residual.start()
-    x = split.unknowns.pack()
-    at = split.residual(x)
-    split.preconditioner.update(at)
-    scale = split.unknowns.scales(x, split.residual.exchange)
-    noise = np.random.default_rng(3).standard_normal(x.size) * scale * (x != 0)
-    rounding = split.preconditioner(at, 1e-8)
-    d = 1e-6 * noise
-    for _ in range(2):
-        d = d - (split.preconditioner(split.residual(x + d), 1e-8) - rounding)
-    assert np.linalg.norm(d / scale) <= 0.1 * np.linalg.norm(1e-6 * noise / scale)
-
-
-FAILED = Solution(Status.STALLED, (), "the split solver did not converge")
-
-
 def test_auto_chooses_by_dimension_and_size():
     small, large = simulation(solver="auto"), simulation(maxh=0.05, solver="auto")
     assert small.mesh.ne < SplitOptions().chosen_from[0] <= large.mesh.ne
@@ -229,25 +153,6 @@ def test_quadrilaterals_are_for_the_coupled_solver():
     assert not isinstance(simulation(mesh=mesh, solver="auto").solver.newton, Split)
     with pytest.raises(nv.ParameterError, match="triangles or tetrahedra"):
         simulation(mesh=mesh)
-
-
-def test_two_levels_solve_on_a_strip_that_is_one_cell_wide():
-    """A cell has a vertex twice there: the one that its images have."""
-    strip = structured_box((1, 0.2), (5, 1), periodic="y")
-    runs = [simulation(mesh=strip, newton=newton) for newton in (None, TWO_LEVELS)]
-    for run in runs:
-        assert isinstance(run.solver.newton, Split)
-        run.run(2 * run.dt)
-        assert len(run.ledger.rows) == 3
-    direct, two_levels = (state(run) for run in runs)
-    assert np.linalg.norm(two_levels - direct) <= 1e-9 * np.linalg.norm(direct)
-
-
-def test_unknown_method_is_refused():
-    with pytest.raises(
-        nv.ParameterError, match=r"method = 'iterative': expected one of auto, coupled, split"
-    ):
-        simulation(solver="iterative")
 
 
 class Source:
@@ -368,45 +273,6 @@ def test_walls_stresses_beside_two_levels_take_few_more_iterations():
     assert iterations(TWO_LEVELS) <= 1.4 * iterations(None)
 
 
-def test_a_third_step_starts_nearer_to_its_solution_than_the_old_state_is(monkeypatch):
-    run = simulation(maxh=0.2, dt=0.01)
-    run.run(0.02)
-    step, extrapolation = run.rothe_step, run.solver.extrapolation
-    old = state(run)
-    assert extrapolation.guess(0.02 + 3.1 * 0.01) is None  # too far from what is known
-    monkeypatch.setattr("ngvisco.solver.start.LARGEST_CHANGE", 1e-6)
-    assert extrapolation.guess(0.03) is None  # too large a change
-    monkeypatch.undo()
-    guess = extrapolation.guess(0.03).FV().NumPy().copy()
-    velocity = extrapolation.velocity(0.03)
-    assert (velocity == guess[step.layout.ranges["v"]]).all()
-    assert (state(run) == old).all()
-    run.advance()
-    where = step.layout.ranges["z"]
-    new = state(run)[where]
-    assert np.linalg.norm(guess[where] - new) <= 0.5 * np.linalg.norm(old[where] - new)
-
-
-def test_a_failure_from_extrapolated_values_is_retried_from_the_old_state(monkeypatch):
-    run, plain = simulation(), simulation()
-    solve, calls = Split.solve, []
-
-    def fail_once(self, problem, guess):
-        calls.append(guess.FV().NumPy().copy())
-        return FAILED if len(calls) == 1 else solve(self, problem, guess)
-
-    for each in (run, plain):
-        each.run(0.04)
-    old = state(run)
-    monkeypatch.setattr(Split, "solve", fail_once)
-    history = taken(run)
-    assert [a.start for a in history] == ["from extrapolated values", "from the last state"]
-    monkeypatch.setattr(Split, "solve", solve)
-    plain.advance()
-    assert len(calls) == 2 and (calls[0] != old).any() and (calls[1] == old).all()
-    assert np.linalg.norm(state(run) - state(plain)) <= 1e-9 * np.linalg.norm(state(plain))
-
-
 @pytest.mark.long
 @pytest.mark.ci
 def test_sweeps_follow_the_courant_number_and_no_step_is_retried():
@@ -429,26 +295,3 @@ def test_a_diverging_iterate_is_a_status_and_no_warning(speed):
     velocity += speed * np.random.default_rng(1).standard_normal(velocity.shape)
     solution = run.solver.newton.solve(first_step(run), guess)
     assert solution.status is not Status.CONVERGED
-
-
-def test_bodies_at_rest_stay_there_without_a_rejected_step():
-    """Increments of a velocity that is rounding shorten no more, far above what rounding is elsewhere."""
-    solid = {"density": 2.0}
-    a = nv.IsochoricNeoHookean(K_e=10.0, G_e=5.0, elastic_state="B")
-    b = nv.IsochoricNeoHookean(K_e=10.0, G_e=2.0, elastic_state="B")
-    eyring = nv.Eyring(A=0.1, sigma_0=0.5)
-    bodies = [
-        nv.Body(name="a", material=a, creep=eyring, **solid),
-        nv.Body(name="b", material=b, where=nv.HalfSpace((0.5, 0.5, 0.5), (0, 1, 0)), **solid),
-    ]
-    walls = {("front", "back"): nv.NoSlip()}
-    run = nv.Simulation(
-        structured_box((1, 1, 1), (2, 2, 2)),
-        nv.Model(bodies=bodies),
-        dt=0.02,
-        walls=walls,
-        discretisation=nv.Discretisation(m=2),
-        solver="split",
-    )
-    row = run.advance()
-    assert row["rejections"] == 0 and row["newton_iterations"] <= 5 and row["kinetic"] < 1e-20

@@ -1,13 +1,19 @@
-"""The smoother of the two-level solver, and the facets of which the flow's operator takes notice."""
+"""The two-level solver's smoother, factors in single precision, and ``NewtonOptions.coarse``."""
+
+import sys
 
 import numpy as np
 import pytest
 import scipy.sparse as sp
 
+import ngvisco as nv
 from ngvisco.algebra import factorised
-from ngvisco.algebra.factorised import DAMPING, MANY, DirectSolver, TwoLevelSolver, largest_eigenvalue
-from ngvisco.parallel.communicator import Communicator
-from ngvisco.parallel.exchange import Exchange
+from ngvisco.algebra.factorised import MANY, DirectSolver, largest_eigenvalue
+from ngvisco.errors import InputWarning, ParameterError
+from ngvisco.geometries import box, disc
+from ngvisco.parallel import petsc
+from ngvisco.solver import options
+from ngvisco.solver.options import SplitOptions
 
 
 @pytest.mark.parametrize("size", [MANY // 2, 5 * MANY])
@@ -24,38 +30,6 @@ def test_one_cell_s_eigenvalue_is_found_among_many(size):
     exact = np.linalg.eigvalsh(A.toarray() / np.outer(D, D)).max()
     assert exact > 3.7
     assert largest_eigenvalue(A) == pytest.approx(exact, rel=0.03)
-
-
-@pytest.mark.usefixtures("double_precision")
-def test_two_levels_are_sweeps_around_a_coarse_solution():
-    """The same by residuals of the whole matrix, where no entry is dropped."""
-    rng = np.random.default_rng(4)
-    n = 30
-    B = rng.standard_normal((n, n))
-    A = B @ B.T + n * np.eye(n)
-    free, vertices, others = np.ones(n, dtype=bool), np.arange(n) < 10, np.zeros(n, dtype=bool)
-    free[[3, 20]] = False
-
-    def coarse_solver(free, matrix, symmetric):
-        direct = DirectSolver(free, symmetric)
-        direct.factorise(matrix)
-        return direct
-
-    exchange = Exchange(n, {}, Communicator())
-    solver = TwoLevelSolver(free, vertices, others, coarse_solver, exchange, dropped=1e-300)
-    solver.factorise(sp.csr_matrix(A))
-    coarse, fine = np.flatnonzero(free & vertices), np.flatnonzero(free & ~vertices)
-    own, r = A[np.ix_(fine, fine)], rng.standard_normal(n)
-    scaled = own / np.sqrt(np.outer(np.diag(own), np.diag(own)))
-    damping = DAMPING / np.linalg.eigvalsh(scaled).max()
-    x = np.zeros(n)
-    for stage in ("fine", "fine", "coarse", "fine", "fine"):
-        left = r - A @ x
-        if stage == "coarse":
-            x[coarse] += np.linalg.solve(A[np.ix_(coarse, coarse)], left[coarse])
-        else:
-            x[fine] += damping * left[fine] / np.diag(own)
-    assert solver(r) == pytest.approx(x, abs=1e-12)
 
 
 @pytest.mark.parametrize(("shift", "sizes"), [(1e-2, [4]), (1e-7, [4, 8])], ids=["single", "double"])
@@ -77,3 +51,35 @@ def test_factors_of_a_preconditioner_are_in_single_precision_where_that_does(shi
     right = np.random.default_rng(1).standard_normal(count)
     assert np.linalg.norm(A @ solver(right) - right) < 1e-3 * np.linalg.norm(right)
     assert made == sizes
+
+
+def test_multigrid_without_petsc_is_refused_by_name(monkeypatch):
+    monkeypatch.setattr(petsc, "_loaded", [])
+    monkeypatch.setitem(sys.modules, "petsc4py", None)  # as where it is not installed
+    with pytest.raises(ParameterError, match="coarse = 'gamg': expected 'direct': petsc4py is missing"):
+        nv.NewtonOptions(coarse="gamg")
+    with pytest.raises(ParameterError, match="coarse = 'amg': expected one of direct, gamg, hypre"):
+        nv.NewtonOptions(coarse="amg")
+    with pytest.raises(ParameterError, match="coarse = 'gamg': expected 'direct' with the method 'coupled'"):
+        nv.NewtonOptions(coarse="gamg", method="coupled")
+
+
+@pytest.mark.parametrize(
+    ("domain", "solver", "reason"),
+    [
+        (lambda: box((1, 1), maxh=1.0), "auto", "the coupled solver, which takes the steps, factorises all"),
+        (lambda: box((1, 1), maxh=0.5), "split", "up to 10000 unknowns of v are factorised as a whole"),
+        (
+            lambda: disc(1.0, maxh=0.9),
+            "split",
+            "with stresses of oblique or curved walls beside v the matrix",
+        ),
+    ],
+)
+def test_multigrid_without_effect_is_warned_of(monkeypatch, domain, solver, reason):
+    monkeypatch.setattr(options, "obstacle", lambda method: None)  # also where there is no PETSc
+    limit = 0 if "walls" in reason else 10_000
+    newton = nv.NewtonOptions(coarse="gamg", split=SplitOptions(direct_up_to=(limit, limit)))
+    model = nv.Model(material=nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1))
+    with pytest.warns(InputWarning, match=f"coarse = 'gamg' of the solver has no effect: {reason}"):
+        assert nv.Simulation(domain(), model, dt=0.02, newton=newton, solver=solver).solver.newton

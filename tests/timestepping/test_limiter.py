@@ -5,7 +5,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from ngsolve import CF, pi, sin, x, y, z
+from ngsolve import CF, pi, sin, x
 from support import assert_balanced, assert_goes_on
 
 import ngvisco as nv
@@ -49,15 +49,6 @@ def test_without_a_limiter_the_run_ends_and_says_where(scheme):
     steps = nv.AdaptiveSteps(dt_min=0.9 * DT, dt_max=DT)  # no continuation
     with pytest.raises(nv.StepError, match=words):
         cavity(scheme=scheme, limiter=False, adaptive=steps, solver="split").run(LIMITED * DT)
-
-
-def test_what_the_limiter_takes_is_needed_for_closed_books(monkeypatch):
-    """Negative control."""
-    run = cavity(mesh=coarse())
-    thin_out(run)
-    monkeypatch.setattr(run.integrator.distance, "slope", lambda b, change: 0.0)
-    with pytest.warns(nv.ClosureWarning):
-        run.run(2 * DT)
 
 
 def coarse():
@@ -107,25 +98,6 @@ def test_what_the_limiter_takes_through_walls_is_its_own(scheme):
     assert limited["limiter_walls"] != 0 and abs(limited["closure_relative"]) <= 1e-10
     expected = pytest.approx(plain["power_wall_top"], rel=1e-9, abs=1e-9 * abs(limited["limiter_walls"]) / DT)
     assert limited["power_wall_top"] == expected
-
-
-def test_a_limited_step_in_3d_closes():
-    inside = 64 * x * (1 - x) * y * (1 - y) * z * (1 - z)
-    start = nv.Initial(velocity=(inside, -inside, inside))
-    run = cavity(lid=(1.0, 0.0, 0.0), mesh=box((1, 1, 1), 1.0), initial=start)
-    run.run(DT)
-    thin_out(run)
-    run.advance()
-    assert run.ledger.rows[-1]["limited_cells"] == 1 and abs(run.ledger.rows[-1]["limiter"]) > 1e-6
-    assert_balanced(run.ledger, drift=1e-11)
-
-
-def test_a_run_within_its_bounds_is_the_same_with_and_without():
-    runs = [cavity(limiter=on, mesh=coarse()) for on in (True, False)]
-    for run in runs:
-        run.run(2 * DT)
-    first, second = (run.rothe_step.state.vec.FV().NumPy() for run in runs)
-    assert (first == second).all()
 
 
 @pytest.mark.long
@@ -185,15 +157,6 @@ def test_J_of_a_fluid_passes_zero_by_its_motion_and_comes_back():
     with contextlib.suppress(nv.StepError):
         bounded.run(6 * 0.05)
     assert bounded.ledger.column("J_min").min() > 0
-
-
-def test_J_of_a_solid_with_a_yosida_approximation_passes_zero_by_its_motion():
-    run = squeezed(CONTINUED_SOLID, 5.0, 0.02)
-    ledger = run.run(4 * 0.02)
-    J = ledger.column("J_min")
-    assert J[0] == pytest.approx(1.0) and J[1] > 0.2 and J[3:].max() < -0.03
-    assert all(bound == "rho" for bound in run.bounds.names)
-    assert_balanced(ledger, drift=1e-11)
 
 
 def test_a_variable_that_the_energy_does_not_read_never_ends_a_run():

@@ -70,15 +70,6 @@ def test_backward_euler_is_of_first_order():
     assert max(found.values()) <= 1.2 and min(found.values()) >= 0.75, found
 
 
-def test_a_load_at_the_wrong_time_costs_an_order(monkeypatch):
-    """Negative control: loads of the stages' ends in place of means over the step."""
-    from ngvisco.forms.context import Context, time
-
-    late = lambda self, value: value.Replace({time: self.loads_from + self.loads_over})  # noqa: E731
-    monkeypatch.setattr(Context, "average", late)
-    assert min(in_time("midpoint", 0.08, (8, 16, 32)).values()) <= 1.3
-
-
 AT_REST = {"initial": nv.Initial(), "loads": []}
 LID = {"top": nv.PrescribedTangential((16 * x**2 * (1 - x) ** 2 * sin(10 * nv.time) ** 2, 0.0))}
 TURNED = {"wall": nv.Traction(f=(-y * sin(20 * nv.time), x * sin(20 * nv.time)), friction=0.1)}

@@ -8,10 +8,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from ngsolve import CF, IfPos, exp, pi, sin, x, y
-from support import SWIRL, assert_goes_on, state, swirling
+from support import SWIRL, assert_goes_on, small_run, state, swirling
 
 import ngvisco as nv
-from ngvisco.geometries import box
 from ngvisco.run.ledger import NUMERICAL
 from ngvisco.run.observers import dissipation_advice
 from ngvisco.timestepping.error import ErrorEstimate
@@ -119,28 +118,6 @@ def test_times_go_on_after_a_restart_with_other_steps(before, after, tmp_path):
     assert np.allclose(np.diff(ledger.column("time")), ledger.column("dt")[1:], rtol=0, atol=1e-15)
 
 
-def test_a_refused_second_stage_leaves_the_state_before_the_step(monkeypatch):
-    run = simulation(scheme="sdirk2", passive=("F_tot",), halvings=0)
-    run.advance()
-    before, carried = state(run), run.passive.arrays()
-    solve, calls = run.solver.solve, []
-
-    def refusing(interval):
-        calls.append(interval)
-        if len(calls) == 2:
-            raise nv.StepError("refused")
-        return solve(interval)
-
-    monkeypatch.setattr(run.solver, "solve", refusing)
-    with pytest.raises(nv.StepError, match=r"step of length 0.02 s from t = 0.02 s: refused"):
-        run.advance()
-    assert np.array_equal(state(run), before)
-    assert all(np.array_equal(carried[key], now) for key, now in run.passive.arrays().items())
-    assert nv.time.Get() == run.t == 0.02
-    again = run.advance()  # the third call and the fourth
-    assert abs(again["closure_relative"]) < 1e-12
-
-
 @pytest.mark.parametrize("where", ["solution", "row", "estimate"])
 def test_an_interrupt_leaves_the_state_before_the_step(where, monkeypatch, tmp_path):
     """Neither a state without its row of the ledger, nor a checkpoint that no run can go on from."""
@@ -212,20 +189,14 @@ def test_sdirk2_damps_a_viscosity_that_midpoint_reflects():
 
 def test_sdirk2_damps_a_creep_that_midpoint_reflects():
     """A stretch relaxes with a Maxwell time of dt/1000: the midpoint rule turns it round in each step."""
-    stretch = CF((1e-3, 0, 0, 0, -1e-3, 0, 0, 0, 0), dims=(3, 3))
-    left = {}
-    for scheme in ("midpoint", "sdirk2"):
-        run = simulation(
-            scheme=scheme,
-            material=nv.LinearElastic(K_e=10.0, G_e=5.0),
-            creep=nv.Creep(G_m=2e-4),
-            initial=nv.Initial(values={"E": stretch}),
-            loads=[],
-        )
-        left[scheme] = []
+    stretch = nv.Initial(values={"E": CF((1e-3, 0, 0, 0, -1e-3, 0, 0, 0, 0), dims=(3, 3))})
+    options = {"material": nv.LinearElastic(K_e=10.0, G_e=5.0), "creep": nv.Creep(G_m=2e-4), "loads": []}
+    left = {"midpoint": [], "sdirk2": []}
+    for scheme, values in left.items():
+        run = simulation(scheme=scheme, initial=stretch, **options)
         for _ in range(4):
             run.advance()
-            left[scheme].append(run.fields["E"](run.mesh(0.3, 0.4))[0] / 1e-3)
+            values.append(run.fields["E"](run.mesh(0.3, 0.4))[0] / 1e-3)
     assert np.sign(left["midpoint"]).tolist() == [-1, 1, -1, 1]
     assert abs(left["midpoint"][-1]) > 0.9
     assert abs(left["sdirk2"][0]) < 1e-2 and abs(left["sdirk2"][-1]) < 1e-6
@@ -283,24 +254,6 @@ def test_a_relaxed_run_is_of_second_order():
 
 # --- refusals ------------------------------------------------------------------------------------------
 
-BOUNDS = {"dt_min": 1e-4, "dt_max": 0.02}
-ADAPTIVE = nv.AdaptiveSteps(**BOUNDS)
-
-
-@pytest.mark.parametrize(
-    ("options", "what"),
-    [
-        ({"scheme": "sdirk2", "relaxation": True, "adaptive": ADAPTIVE}, "scheme .midpoint."),
-        (
-            {"scheme": "theta", "theta": 0.5001, "adaptive": nv.AdaptiveSteps(**BOUNDS, tolerance=1e-3)},
-            r"AdaptiveSteps\.tolerance.*error constant",
-        ),
-    ],
-)
-def test_options_that_do_not_fit_are_refused_by_name(options, what):
-    with pytest.raises(nv.ParameterError, match=what):
-        simulation(**options)
-
 
 # --- adaptive lengths ----------------------------------------------------------------------------------
 
@@ -354,11 +307,10 @@ def test_what_a_transfer_took_is_not_said_to_be_the_schemes():
 def test_relaxed_steps_meet_their_ends_under_a_wall_that_speeds_up():
     """omega is known no better than the Rothe step's solution: steps were halved until none was left."""
     stepping = nv.AdaptiveSteps(dt_min=1e-4, dt_max=0.04)
-    model = nv.Model(material=nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1), loads=[nv.Gravity((0.0, -1.0))])
     lid = nv.PrescribedTangential((sin(20 * nv.time) * x * (1 - x), 0))
-    run = nv.Simulation(
-        box((1, 1), maxh=0.4),
-        model,
+    run = small_run(
+        0.4,
+        loads=[nv.Gravity((0.0, -1.0))],
         time=nv.TimeSteps(dt=0.02, scheme="midpoint", relaxation=True, adaptive=stepping),
         walls={"top": lid},
     )
@@ -383,25 +335,3 @@ def test_the_estimate_is_the_local_error_of_the_scheme(scheme):
     value = 1 + last ** (p + 1) + missed
     step.state.vec.FV().NumPy()[where] = unit * value
     assert estimate(last, chosen) == pytest.approx(abs(missed) / value, rel=1e-10)
-
-
-def test_passive_fields_end_where_a_relaxed_step_does():
-    """They are combined with the step's own omega, which is 2 for no step."""
-    stepping = nv.AdaptiveSteps(dt_min=1e-4, dt_max=0.02)
-    run = simulation(adaptive=stepping, relaxation=True, passive=("F_tot",))
-    row = run.advance()
-    omega = row["dt"] / run.rothe_step.context.tau.Get()
-    start, middle = run.passive._stages
-    assert abs(omega - 2) > 1e-6
-    for key, end in run.passive.arrays().items():
-        np.testing.assert_allclose(end, (1 - omega) * start[key] + omega * middle[key], rtol=0, atol=1e-14)
-        assert np.abs(end - (2 * middle[key] - start[key])).max() > 1e-9
-
-
-def test_nothing_is_extrapolated_from_a_step_that_was_taken_back():
-    run = simulation(solver="split")
-    run.run(0.04)
-    assert not run.solver.extrapolation.is_empty
-    run.integrator.advance(run.t, 0.02, run.number)
-    run.integrator.undo()
-    assert run.solver.extrapolation.is_empty
