@@ -11,9 +11,8 @@ import ngvisco as nv
 from ngvisco.forms.mesh.mesh_arrays import mask_of
 from ngvisco.geometries import box, disc, structured_box
 from ngvisco.solver.options import SplitOptions
-from tests.verification.manufactured import Exact
-from tests.verification.models import model as manufactured_model
-from tests.verification.sources import Sources
+from tests.verification.convergence import model as manufactured_model
+from tests.verification.manufactured import Exact, Sources
 
 
 def model(material=None, dim=2, **parts):

@@ -2,5 +2,5 @@
 
 ``python -m tests.verification -o report/`` runs all cases.  Each states its bounds before it runs
 (``case.Case``), is run by ``runner`` and written by ``report``; the cases stand in ``verification.cases``,
-one module a theme, and ``manufactured``, ``sources``, ``problems`` are what they and the tests share.
+one module a theme, and ``manufactured``, ``convergence``, ``setups`` are what they and the tests share.
 """

@@ -16,6 +16,7 @@ import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 DONE, FAILED, BAD_INPUT, BAD_FILE, INTERRUPTED = 0, 1, 2, 3, 130
 
@@ -33,16 +34,10 @@ def parser() -> argparse.ArgumentParser:
     top.add_argument("--list", action="store_true", help="name the cases and what they claim, run nothing")
     top.add_argument("--reduced", action="store_true", help="only the reduced set, of a few minutes")
     top.add_argument("--resume", action="store_true", help="go on with the report in DIR")
-    top.add_argument("--jobs", type=_count, default=1, metavar="N", help="so many cases at once (default: 1)")
+    at_once: dict[str, Any] = {"type": int, "choices": range(1, 65), "default": 1, "metavar": "N"}
+    top.add_argument("--jobs", **at_once, help="so many cases at once (default: 1)")
     top.add_argument("--into", metavar="DIR", help="then put these cases into the kept report in DIR")
     return top
-
-
-def _count(text: str) -> int:
-    """A number of processes."""
-    if not (text.isdecimal() and int(text) > 0):
-        raise argparse.ArgumentTypeError(f"{text!r}: a whole number, at least 1")
-    return int(text)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -65,13 +60,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 print(f"{case.name}\n    {case.statement}")
             return DONE
         directory = ReportDirectory(Path(options.output), cases, resume=options.resume)
-        results = run_cases(
-            cases,
-            __version__,
-            directory.save,
-            lambda case: directory.saved(case, __version__),
-            jobs=options.jobs,
-        )
+        results = run_cases(cases, __version__, directory, jobs=options.jobs)
         path = write_report(directory.path, cases, results, __version__)
         if options.into:
             path = put_into(Path(options.into), directory.path, package.all_cases())

@@ -11,41 +11,19 @@ import json
 import math
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
 import numpy as np
 
 from ngvisco.errors import NgviscoError
 
-Relation = Literal["<=", ">="]
-Status = Literal["holds", "fails", "error"]
-
 
 class VerificationError(NgviscoError, RuntimeError):
     """A case measured something else than what it has bounds for, or a report cannot be written."""
 
 
-@dataclass(frozen=True)
-class Bound:
-    """A bound on a measured number: ``quantity relation limit``, and why it is this limit."""
-
-    quantity: str
-    relation: Relation
-    limit: float
-    reason: str = ""
-
-    def holds(self, value: float) -> bool:
-        """False for NaN too."""
-        return value <= self.limit if self.relation == "<=" else value >= self.limit
-
-    def __str__(self) -> str:
-        """A line of a case's text."""
-        return f"- {self.quantity} {self.relation} {self.limit!r}: {self.reason}"
-
-
-CLOSURE = Bound("largest |closure|", "<=", 1e-10, "the tolerance of Newton's iteration")
-DRIFT = Bound("drift of the mass", "<=", 1e-10, "conserved")
+# --- what a case gives -------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -54,7 +32,7 @@ class Table:
 
     title: str
     columns: Sequence[str]
-    rows: Sequence[Sequence[str | float]]
+    rows: Iterable[Iterable[Any]]
 
     def __post_init__(self) -> None:
         if isinstance(self.columns, str):
@@ -68,8 +46,8 @@ class Curve:
     """One line of a plot, of sequences or arrays; ``style`` is matplotlib's short form, e.g. ``"o-"``."""
 
     label: str
-    x: Sequence[float] | np.ndarray
-    y: Sequence[float] | np.ndarray
+    x: Iterable[float]
+    y: Iterable[float]
     style: str = "o-"
 
     def __post_init__(self) -> None:
@@ -88,32 +66,125 @@ class Plot:
     log: Literal["", "x", "y", "xy"] = ""
 
 
+def extrapolated(coarse: Any, middle: Any, fine: Any) -> Any:
+    """Of steps tau, tau/2 and tau/4 twice to none: errors of first and second order go."""
+    return (8 * fine - 6 * middle + coarse) / 3
+
+
+@dataclass
+class RateTable:
+    """Errors on a sequence of meshes or steps; the report has it as a table with rates and as a picture."""
+
+    title: str
+    size: str = "h, m"
+    sizes: list[float] = field(default_factory=list)
+    errors: dict[str, list[float]] = field(default_factory=dict)
+
+    def add(self, size: float, **errors: float) -> None:
+        self.sizes.append(size)
+        for name, error in errors.items():
+            self.errors.setdefault(name, []).append(error)
+
+    def rates(self, name: str) -> list[float]:
+        e, h = np.array(self.errors[name]), np.array(self.sizes)
+        return list(np.log(e[:-1] / e[1:]) / np.log(h[:-1] / h[1:]))
+
+    def last(self, name: str) -> float:
+        """The rate of the finest pair."""
+        return float(self.rates(name)[-1])
+
+    def lasts(self, quantity: str = "rate of {}") -> list[tuple[str, float]]:
+        """The rate of the finest pair of every column, by a quantity with the column's name in it."""
+        return [(quantity.format(name), self.last(name)) for name in self.errors]
+
+    def require(self, **least: float) -> None:
+        """Raises VerificationError, whose message is the table, if a column's last rate is smaller or NaN."""
+        print(self)
+        for name, rate in least.items():
+            if not self.last(name) >= rate:
+                raise VerificationError(f"rate of {name} < {rate}\n{self}")
+
+    def __str__(self) -> str:
+        table = self.table()
+        lines = ("  ".join(map(number, row)) for row in (table.columns, *table.rows))
+        return "\n".join([self.title, *lines])
+
+    def table(self) -> Table:
+        """Sizes, errors and rates, a row for each size."""
+        columns, cells = [self.size], [list[str | float]([size]) for size in self.sizes]
+        for name, errors in self.errors.items():
+            columns += [name, "rate"]
+            rates = ["", *(f"{rate:.2f}" for rate in self.rates(name))]
+            cells = [[*row, e, r] for row, e, r in zip(cells, errors, rates, strict=True)]
+        return Table(self.title, columns, cells)
+
+    def plot(self) -> Plot:
+        """Errors over sizes, doubly logarithmic."""
+        curves = [Curve(name, self.sizes, errors) for name, errors in self.errors.items()]
+        return Plot(self.title, self.size, "error", curves, log="xy")
+
+
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
     """What a case measured: a value for each of its bounds, with tables and plots that show more."""
 
-    values: Mapping[str, float]
+    values: Mapping[str, float] = field(default_factory=dict)
     tables: Sequence[Table] = ()
     plots: Sequence[Plot] = ()
     remarks: Sequence[str] = ()
 
 
-Measured = Iterable[tuple[str, Any] | Table | Plot | str]
+Measured = Iterable[tuple[str, Any] | Table | RateTable | Plot | str]
 """What a case's function gives: numbers with their quantities, tables, plots, and remarks, in any order."""
+Run = Callable[[], Measured]
 
 
 def collected(parts: Measured) -> Outcome:
     """The outcome of all that a case's function gives; raises VerificationError for a quantity twice."""
-    found = list(parts)
-    values = [one for one in found if isinstance(one, tuple)]
-    if len(dict(values)) < len(values):
-        raise VerificationError(f"two numbers for one quantity among {[name for name, _ in values]}")
-    return Outcome(
-        values={name: float(value) for name, value in values},
-        tables=[one for one in found if isinstance(one, Table)],
-        plots=[one for one in found if isinstance(one, Plot)],
-        remarks=[one for one in found if isinstance(one, str)],
-    )
+    values: dict[str, float] = {}
+    tables: list[Table] = []
+    plots: list[Plot] = []
+    remarks: list[str] = []
+    for one in parts:
+        if isinstance(one, tuple):
+            if one[0] in values:
+                raise VerificationError(f"two numbers for one quantity, {one[0]}")
+            values[one[0]] = float(one[1])
+        elif isinstance(one, str):
+            remarks.append(one)
+        elif isinstance(one, Plot):
+            plots.append(one)
+        elif isinstance(one, RateTable):
+            tables.append(one.table())
+            plots.append(one.plot())
+        else:
+            tables.append(one)
+    return Outcome(values=values, tables=tables, plots=plots, remarks=remarks)
+
+
+# --- what a case is ----------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Bound:
+    """A bound on a measured number: ``quantity relation limit``, and why it is this limit."""
+
+    quantity: str
+    relation: Literal["<=", ">="]
+    limit: float
+    reason: str = ""
+
+    def holds(self, value: float) -> bool:
+        """False for NaN too."""
+        return value <= self.limit if self.relation == "<=" else value >= self.limit
+
+    def __str__(self) -> str:
+        """A line of a case's text."""
+        return f"- {self.quantity} {self.relation} {self.limit!r}: {self.reason}"
+
+
+CLOSURE = Bound("largest |closure|", "<=", 1e-10, "the tolerance of Newton's iteration")
+DRIFT = Bound("drift of the mass", "<=", 1e-10, "conserved")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -128,7 +199,7 @@ class Case:
     label: str
     setting: str
     bounds: tuple[Bound, ...]
-    run: Callable[[], Outcome]
+    run: Run
     explanation: str = ""
     reduced: bool = False
     theme: str = ""
@@ -147,7 +218,6 @@ class Case:
         return hashlib.sha256(json.dumps(said).encode()).hexdigest()[:16]
 
 
-Run = Callable[[], Measured]
 _BOUND = re.compile(r"(.+?) (<=|>=) ([-+.\de]+): (.*)")
 
 
@@ -179,13 +249,13 @@ class Cases(list[Case]):
     def __call__(self, text: str) -> Callable[[Run], Run]:
         """What adds the case of a function.  Raises VerificationError for a text without one of the parts."""
         head, *lines = (line.strip() for line in text.splitlines() if line.strip())
-        parts, last = {"explanation": ""}, "statement"
+        parts, last = dict[str, str](), "statement"
         for line in lines:
             begins = re.match(r"(label|setting|explanation): |- ", line)
             if begins:
                 last = begins[1] or f"- {len(parts)}"
                 line = line[begins.end() :]
-            parts[last] = f"{parts[last]} {line}" if parts.get(last) else line
+            parts[last] = f"{parts[last]} {line}" if last in parts else line
         said = {name: of for name, of in parts.items() if not name.startswith("- ")}
         bounds = tuple(b for name, of in parts.items() if name.startswith("- ") for b in _bounds(head, of))
         if missing := {"statement", "label", "setting"} - said.keys():
@@ -193,8 +263,8 @@ class Cases(list[Case]):
         name, reduced = head.removesuffix(" (reduced)"), head.endswith(" (reduced)")
 
         def add(run: Run) -> Run:
-            case = Case(name=name, bounds=bounds, run=lambda: collected(run()), reduced=reduced, **said)
-            self.append(replace(case, theme=self.theme))
+            case = Case(name=name, bounds=bounds, run=run, reduced=reduced, theme=self.theme, **said)
+            self.append(case)
             return run
 
         return add
@@ -209,13 +279,15 @@ def _bounds(case: str, text: str) -> list[Bound]:
     quantity, relation, limit, reason = found.groups()
     several = re.fullmatch(r"(.*)\[(.*; .*)\](.*)", quantity)
     quantities = [several[1] + one + several[3] for one in several[2].split("; ")] if several else [quantity]
-    relations: dict[str, Relation] = {"<=": "<=", ">=": ">="}
-    return [Bound(one, relations[relation], float(limit), reason) for one in quantities]
+    return [Bound(one, "<=" if relation == "<=" else ">=", float(limit), reason) for one in quantities]
 
 
 def each(lines: Iterable[Bound | str]) -> str:
     """Lines of a case's text, one for each bound."""
     return "\n".join(map(str, lines))
+
+
+# --- the judgement -----------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -225,9 +297,9 @@ class Result:
     name: str
     fingerprint: str
     version: str
-    status: Status
+    status: Literal["holds", "fails", "error"]
     seconds: float
-    outcome: Outcome | None = None
+    outcome: Outcome = field(default_factory=Outcome)
     error: str = ""
     failed: Sequence[str] = field(default_factory=list)
 
@@ -237,10 +309,12 @@ class Result:
 
     @staticmethod
     def from_json(text: str) -> Result:
-        """The result that was written; raises ValueError or KeyError for anything else."""
+        """The result that was written; raises ValueError, KeyError or TypeError for anything else."""
         data = json.loads(text)
-        outcome = data.pop("outcome")
-        return Result(**data, outcome=None if outcome is None else _outcome(outcome))
+        found = data.pop("outcome")
+        plots = [Plot(**{**p, "curves": [Curve(**c) for c in p["curves"]]}) for p in found.pop("plots")]
+        tables = [Table(**table) for table in found.pop("tables")]
+        return Result(**data, outcome=Outcome(**found, tables=tables, plots=plots))
 
 
 def judge(case: Case, outcome: Outcome, seconds: float, version: str) -> Result:
@@ -263,12 +337,6 @@ def judge(case: Case, outcome: Outcome, seconds: float, version: str) -> Result:
         outcome=outcome,
         failed=failed,
     )
-
-
-def _outcome(data: dict[str, Any]) -> Outcome:
-    plots = [Plot(**{**p, "curves": [Curve(**c) for c in p["curves"]]}) for p in data["plots"]]
-    tables = [Table(**table) for table in data["tables"]]
-    return Outcome(values=data["values"], tables=tables, plots=plots, remarks=data["remarks"])
 
 
 def number(value: str | float) -> str:

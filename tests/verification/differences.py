@@ -5,24 +5,12 @@ An independent look at ``sources``: textbook formulas, no form and no derivative
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from ngsolve import CoefficientFunction, Mesh
 
 from ngvisco.forms.context import time
-from tests.verification.manufactured import (
-    NUMERIC,
-    creep_rate,
-    density,
-    distortion,
-    entropy,
-    jacobian,
-    reciprocal,
-    strain,
-    velocity,
-)
-from tests.verification.sources import Sources
+from tests.verification.manufactured import EXACT, Field, Sources
 
 _OFFSETS = np.array([-4, -3, -2, -1, 1, 2, 3, 4])
 _WEIGHTS = np.array([1 / 280, -4 / 105, 1 / 5, -4 / 5, 4 / 5, -1 / 5, 4 / 105, -1 / 280])
@@ -44,7 +32,12 @@ def difference(f: ArrayFunction, j: int) -> ArrayFunction:
 
 @dataclass(frozen=True, kw_only=True)
 class Coefficients:
-    """Material constants by name, for the formulas in numpy."""
+    """Material constants by name, for the formulas in numpy.
+
+    A, n and sigma are those of ``FORCES``, nu that of the creep rate's 4-Laplacian (where it is 0, Pi = R M),
+    g the second component of gravity, delta that of the density's 4-Laplacian, damping epsilon in epsilon
+    |v|^2 v, kappa that of a conductivity kappa theta^1.5; the entropy counts in units of c.
+    """
 
     K_e: float
     G_e: float
@@ -55,22 +48,15 @@ class Coefficients:
     p: float = 2.0
     R: float = 0.0
     rule: str = "linear"
-    """Whose |M| of |Pi| is: one of ``FORCES``, of A, n and sigma."""
     A: float = 0.0
     n: float = 1.0
     sigma: float = 0.0
     nu: float = 0.0
-    """Of the creep rate's 4-Laplacian; where it is 0, Pi = R M."""
     g: float = 0.0
-    """Second component of gravity."""
     delta: float = 0.0
-    """Of the density's 4-Laplacian."""
     delta_fields: float = 0.0
     damping: float = 0.0
-    """epsilon in epsilon |v|^2 v."""
     c: float = 0.0
-    """Heat capacity, in units of which the entropy counts; with it theta_R, Grueneisen's parameter, and
-    kappa of a conductivity kappa theta^1.5."""
     theta_R: float = 0.0
     Gamma: float = 0.0
     kappa: float = 0.0
@@ -85,17 +71,11 @@ FORCES: dict[str, Callable[[Coefficients, np.ndarray], np.ndarray]] = {
 """|M|, Pa, of |Pi|, 1/s, by the inverse of each flow rule; sigma of Perzyna's is |M| at yield."""
 
 
-FIELDS: dict[str, Callable[..., Any]] = {
-    **{"v": velocity, "rho": density, "Pi": creep_rate, "E": strain},
-    **{"F": distortion, "J": jacobian, "A": reciprocal, "s": entropy},
-}
-
-
-def field(of: Callable[..., Any], t: float) -> ArrayFunction:
+def field(of: Field, t: float) -> ArrayFunction:
     """An exact field of points (..., dim), its own indices last."""
 
     def value(X: np.ndarray) -> np.ndarray:
-        found = np.array(of(tuple(np.moveaxis(X, -1, 0)), t, NUMERIC))
+        found = np.array(of(tuple(np.moveaxis(X, -1, 0)), t, np))
         rank = found.ndim - X.ndim + 1
         return np.moveaxis(found, range(rank), range(-rank, 0))
 
@@ -112,7 +92,7 @@ class FiniteDifferences:
     def __init__(self, kind: str, c: Coefficients, dim: int, t: float, tau: float) -> None:
         """``kind`` is ``"linear"``, ``"neo-hookean"`` or, the same material, ``"with heat"``."""
         self.kind, self.c, self.dim, self.tau = kind, c, dim, tau
-        self.now, self.old = ({name: field(of, s) for name, of in FIELDS.items()} for s in (t, t - tau))
+        self.now, self.old = ({name: field(of, s) for name, of in EXACT.items()} for s in (t, t - tau))
 
     def grad(self, f: ArrayFunction) -> ArrayFunction:
         """d_j f, j last."""
@@ -251,28 +231,22 @@ class FiniteDifferences:
         return np.asarray(total + compensating[..., 0])
 
 
-def at_points(f: CoefficientFunction, mesh: Mesh, X: np.ndarray) -> np.ndarray:
-    """A coefficient function at points, shape (points, ...)."""
-    return np.array([f(mesh(*point)) for point in X])
-
-
 def mismatch(c: Coefficients, sources: Sources, kind: str, t: float, mesh: Mesh) -> dict[str, float]:
     """Largest difference of each equation's source at random points, relative to its largest value."""
     dim = sources.dim
     X = np.random.default_rng(7).uniform(0.1, 0.9, (8, dim))
     time.Set(t)
-    independent = FiniteDifferences(kind, c, dim, t, sources.tau)
-    expected = {
-        "continuity": independent.continuity(X),
-        "momentum": independent.momentum(X),
-        **independent.kinematics(X),
+    exact = FiniteDifferences(kind, c, dim, t, sources.tau)
+    expected = {"continuity": exact.continuity(X), "momentum": exact.momentum(X), **exact.kinematics(X)}
+    given: dict[str, CoefficientFunction] = {
+        "continuity": sources.continuity,
+        "momentum": sources.momentum,
+        **sources.model.material.states(dim).tensors(lambda: sources.kinematics),
     }
-    rates = sources.model.material.states(dim).tensors(lambda: sources.kinematics)
-    given = {"continuity": sources.continuity, "momentum": sources.momentum, **rates}
     if sources.creep is not None:
-        expected["Pi"], given["Pi"] = independent.flow_rule(X), sources.creep
+        expected["Pi"], given["Pi"] = exact.flow_rule(X), sources.creep
     result = {}
     for name, values in expected.items():
-        found = at_points(given[name], mesh, X).reshape(values.shape)
+        found = np.array([given[name](mesh(*point)) for point in X]).reshape(values.shape)
         result[name] = float(abs(found - values).max() / abs(values).max())
     return result

@@ -23,19 +23,11 @@ _SPACING = 0.6  # of the triangles' nodes, over the size of the grid's cells
 
 @dataclass(frozen=True, kw_only=True)
 class Problem:
-    """A unit box, 1 m, of density 1 kg/m^3 with a disc in it.
+    """A unit box, 1 m, of density 1 kg/m^3 with a disc in it: centre and radius, m, shear modulus G, Pa.
 
-    Attributes
-    ----------
-    centre, radius : m
-    shear_modulus : float
-        G of the disc, Pa.
-    viscosity : float
-        mu everywhere, Pa s.
-    lid : float or None
-        Speed of the wall y = 1 m, m/s, the others being at rest; None lets all walls slip.
-    vortex : float
-        psi_0, m^2/s, of the start velocity (d_y psi, -d_x psi), psi = psi_0 sin 2 pi x sin 2 pi y.
+    ``viscosity`` is mu everywhere, Pa s; ``lid`` the speed of the wall y = 1 m, m/s, the others being at
+    rest, or None, where all walls slip; ``vortex`` psi_0, m^2/s, of the start velocity (d_y psi, -d_x psi),
+    psi = psi_0 sin 2 pi x sin 2 pi y.
     """
 
     centre: tuple[float, float]
@@ -49,15 +41,10 @@ class Problem:
 CAVITY = Problem(centre=(0.6, 0.5), radius=0.2, shear_modulus=0.1, viscosity=0.01, lid=1.0)
 """K. Sugiyama et al., J. Comput. Phys. 230 (2011), arXiv:1009.3609."""
 
-TAYLOR_GREEN = Problem(centre=(0.5, 0.5), radius=0.2, shear_modulus=1.0, viscosity=1e-3, vortex=0.05)
-"""Zhao, Freund and Moser (2008); their box is periodic, of which its walls are planes of symmetry."""
-
-COLUMNS = ("time", "x", "y", "area", "kinetic", "stored")
-"""What ``computed`` gives: s, the disc's centroid, m, its area, m^2, kinetic and elastic energy, J/m."""
-
 
 def computed(problem: Problem, cells: int, times: np.ndarray) -> np.ndarray:
-    """The disc at the times, s, of which the first is 0, by N = ``cells``; an array (times, COLUMNS)."""
+    """The disc at the times, s, of which the first is 0, by N = ``cells``: rows of the time, its centroid's x
+    and y, m, its area, m^2, kinetic and elastic energy, J/m."""
     run = Immersed(problem, cells)
     rows = [run.row(0.0)]
     for start, end in pairwise(times):

@@ -21,39 +21,14 @@ _WORDS = ("cut-off", "J-min")
 
 @dataclass(frozen=True)
 class Label:
-    """A label of the paper.
-
-    Attributes
-    ----------
-    name : str
-    whole : str
-        The label that it is a part of, and is measured with; empty for none.
-    what : str
-    tests : tuple of str
-        ``FILE::TEST`` below ``tests/``.
-    reason : str
-        Why nothing measures it, where nothing does.
-    """
+    """A label of the paper: what it is, the label that it is a part of and measured with (or ""), tests as
+    ``FILE::TEST`` below ``tests/``, and why nothing measures it, where nothing does."""
 
     name: str
     whole: str
     what: str
     tests: tuple[str, ...]
     reason: str
-
-
-@dataclass(frozen=True)
-class Row:
-    """A label with the modules, below ``ngvisco/``, and the names of the cases that have it."""
-
-    label: Label
-    modules: tuple[str, ...]
-    cases: tuple[str, ...]
-
-    @property
-    def is_measured(self) -> bool:
-        """Whether a case or a test is its own."""
-        return bool(self.cases or self.label.tests)
 
 
 @cache
@@ -80,46 +55,36 @@ def labels() -> dict[str, Label]:
     return found
 
 
-def rows(cases: Iterable[Case]) -> list[Row]:
-    """Every label with the package's modules, and the cases that name it, be it in a bound's reason."""
-    modules, named = label_modules(), _named(cases)
-    return [Row(label, modules.get(name, ()), named.get(name, ())) for name, label in labels().items()]
-
-
 def label_table(cases: Iterable[Case]) -> Table:
-    """The table of the report."""
-    by_name = {row.label.name: row for row in rows(cases)}
-    count = {"own": 0, "whole": 0, "none": 0}
-    lines = []
-    for row in by_name.values():
-        kind, measured = _measured(row, by_name)
+    """The table of the report: every label with the package's modules, and the cases that name it."""
+    named, modules, count = cases_by_label(cases), label_modules(), dict.fromkeys(("own", "whole", "none"), 0)
+    rows = []
+    for name, label in labels().items():
+        kind, measured = _measured(label, named)
         count[kind] += 1
-        modules = ", ".join(row.modules)
-        if not modules and row.label.whole:
-            modules = f"with {row.label.whole}"
-        lines.append((row.label.name, row.label.what, modules or "–", measured))
+        where = ", ".join(modules.get(name, ())) or (f"with {label.whole}" if label.whole else "–")
+        rows.append((name, label.what, where, measured))
     title = (
-        f"{len(lines)} labels of the paper: {count['own']} with a case or a test of their own, "
+        f"{len(rows)} labels of the paper: {count['own']} with a case or a test of their own, "
         f"{count['whole']} measured with the whole that they are parts of, {count['none']} not measured"
     )
-    return Table(title, ("label", "what", "modules", "measured by"), lines)
+    return Table(title, ("label", "what", "modules", "measured by"), rows)
 
 
-def _measured(row: Row, by_name: Mapping[str, Row]) -> tuple[str, str]:
+def _measured(label: Label, cases: Mapping[str, Sequence[str]]) -> tuple[str, str]:
     """How a label is measured: by itself, with a whole, or not; and the words for it."""
-    if row.is_measured:
-        parts = (("cases", row.cases), ("tests", row.label.tests))
-        return "own", "; ".join(f"{kind}: {', '.join(names)}" for kind, names in parts if names)
-    if row.label.reason:
-        return "none", f"not measured: {row.label.reason}"
-    whole = row
-    while whole.label.whole:
-        whole = by_name[whole.label.whole]
-        if whole.is_measured:
-            return "whole", f"with {whole.label.name}"
-        if whole.label.reason:
-            return "none", f"not measured, as {whole.label.name}"
-    return "none", "not measured"
+    one = label
+    while True:
+        names, is_own = cases.get(one.name, ()), one is label
+        if names or one.tests:
+            parts = (("cases", names), ("tests", one.tests))
+            said = "; ".join(f"{kind}: {', '.join(of)}" for kind, of in parts if of)
+            return ("own", said) if is_own else ("whole", f"with {one.name}")
+        if one.reason:
+            return "none", f"not measured: {one.reason}" if is_own else f"not measured, as {one.name}"
+        if not one.whole:
+            return "none", "not measured"
+        one = labels()[one.whole]
 
 
 def labels_in(text: str, names: Sequence[str] | None = None) -> list[str]:
@@ -151,10 +116,11 @@ def label_modules() -> dict[str, tuple[str, ...]]:
     return {name: tuple(modules) for name, modules in found.items()}
 
 
-def _named(cases: Iterable[Case]) -> dict[str, tuple[str, ...]]:
+def cases_by_label(cases: Iterable[Case]) -> dict[str, list[str]]:
+    """The names of the cases that have each label, be it in a bound's reason."""
     found: dict[str, list[str]] = {}
     for case in cases:
         said = " ; ".join([case.label, *(bound.reason for bound in case.bounds)])
         for name in dict.fromkeys(labels_in(said)):
             found.setdefault(name, []).append(case.name)
-    return {name: tuple(names) for name, names in found.items()}
+    return found

@@ -1,39 +1,36 @@
-"""Exact fields of manufactured solutions.
+"""Manufactured solutions: their exact fields, and the sources that make them solutions.
 
 The fields are written once, for coefficient functions and for numpy arrays alike.  They meet the
 natural conditions of the walls of the unit box: v.n = 0, no tangential traction, hess v:(n x n) = 0 (not
-those of the delta-regularisation, whose fluxes through walls ``sources`` supplies), (n . grad) Pi = 0.
+those of the delta-regularisation, whose fluxes through walls ``Sources`` supplies), (n . grad) Pi = 0.
 With f = sin(pi x) and g = 1 - 2S, S the smooth step of degree 7 (g', g'', g''' vanish at 0 and 1),
 v_i = c_i(t) f(x_i) prod_{j != i} g(x_j), and shear components of E and F vanish where they must.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Any
+from unittest.mock import patch
 
+import ngsolve
 import numpy as np
-from ngsolve import CF, CoefficientFunction, cos, exp, sin, x, y, z
+from ngsolve import CF, CoefficientFunction, specialcf, x, y, z
 
-import ngvisco as nv
+from ngvisco.forms.context import inner_facets, time
+from ngvisco.forms.fields import Fields
+from ngvisco.forms.term import Entry, Integrand
 from ngvisco.physics.bodies import AMOUNT
-from ngvisco.physics.material import cauchy_stress, conjugates
-from ngvisco.physics.tensors import square
+from ngvisco.physics.loads import Gravity, as_vector
+from ngvisco.physics.material import Material, cauchy_stress, conjugates, mandel_stress
+from ngvisco.physics.materials import Yosida
+from ngvisco.physics.materials.thermal import entropy_in, temperature
+from ngvisco.physics.mixture import Mixture
+from ngvisco.physics.model import Flow, Model
+from ngvisco.physics.tensors import embed_gradient, inner, square, sym, tr
 
 PI = np.pi
 COORDINATES = (x, y, z)
-
-
-@dataclass(frozen=True)
-class Functions:
-    """The functions that the exact fields are made of, of one kind of argument."""
-
-    sin: Callable[[Any], Any]
-    cos: Callable[[Any], Any]
-    exp: Callable[[Any], Any]
-
-
-SYMBOLIC = Functions(sin, cos, exp)
-NUMERIC = Functions(np.sin, np.cos, np.exp)
+Field = Callable[[Sequence[Any], Any, Any], Any]
+"""Of coordinates, the time, and a module with sin, cos and exp: ``ngsolve`` or ``numpy``."""
 
 
 def plateau(s: Any) -> Any:
@@ -42,7 +39,7 @@ def plateau(s: Any) -> Any:
     return 1 - 2 * (s * cube) * (35 - 84 * s + 70 * s * s - 20 * cube)
 
 
-def velocity(X: Sequence[Any], t: Any, m: Functions) -> list[Any]:
+def velocity(X: Sequence[Any], t: Any, m: Any) -> list[Any]:
     amplitudes = (0.4 * (1 + t), -0.3 * m.cos(t), 0.2 * (1 - t))
     result = []
     for i in range(len(X)):
@@ -54,67 +51,52 @@ def velocity(X: Sequence[Any], t: Any, m: Functions) -> list[Any]:
     return result
 
 
-def density(X: Sequence[Any], t: Any, m: Functions) -> Any:
+def swirl(X: Sequence[Any], t: Any, m: Any) -> list[Any]:
+    """Tangential to the unit circle, about the axis in space; no other condition of the walls is met."""
+    x, y = X[:2]
+    inside = 1 - sum(s * s for s in X)
+    turning = 0.4 * (1 + t) * (1 + 0.3 * x)
+    v = [inside * 0.3 * m.cos(t + s) * m.sin(2 * s) for s in X]
+    return [v[0] - turning * y, v[1] + turning * x, *v[2:]]
+
+
+def density(X: Sequence[Any], t: Any, m: Any) -> Any:
     value = 0.3 * (1 - 0.5 * t)
     for i, s in enumerate(X):
         value = value * m.cos(PI * s + 0.2 * (i + 1))
     return 1.2 + value
 
 
-def wave(X: Sequence[Any], amplitude: Any, m: Functions) -> Any:
-    """Without a slope on the walls."""
+def wave(X: Sequence[Any], amplitude: Any, m: Any) -> Any:
+    """Without a slope on the walls, which are insulated by that."""
     for s in X:
         amplitude = amplitude * m.cos(PI * s)
     return amplitude
 
 
-def jacobian(X: Sequence[Any], t: Any, m: Functions) -> Any:
-    return 1.1 + wave(X, 0.2 * m.cos(t), m)
+def tensor(identity: float, symmetric: bool) -> Field:
+    """identity * I plus a field whose ij entry vanishes on the walls normal to e_i and to e_j.
 
+    Where it is symmetric and has the identity it is positive definite: a left Cauchy-Green tensor.
+    """
 
-def reciprocal(X: Sequence[Any], t: Any, m: Functions) -> Any:
-    return 0.9 + wave(X, 0.15 * m.sin(1 + t), m)
-
-
-def entropy(X: Sequence[Any], t: Any, m: Functions) -> Any:
-    """In units of the heat capacity; as J and A without a slope on the walls, which are insulated by that."""
-    return 0.1 + wave(X, 0.25 * m.cos(2 * t), m)
-
-
-def tensor(X: Sequence[Any], t: Any, m: Functions, identity: float) -> list[list[Any]]:
-    """identity * I plus a field whose ij entry vanishes on the walls normal to e_i and to e_j."""
-    dim = len(X)
-    zero = 0 * X[0]
-    A = [[zero for _ in range(3)] for _ in range(3)]
-    for i in range(3):
-        value = (0.10 + 0.05 * i) * (1 + 0.5 * t)
-        for s in X:
-            value = value * m.cos(PI * s + 0.3 * i)
-        A[i][i] = identity + value
-    for i in range(dim):
-        for j in range(dim):
-            if i != j:
+    def field(X: Sequence[Any], t: Any, m: Any) -> list[list[Any]]:
+        A = [[0 * X[0] for _ in range(3)] for _ in range(3)]
+        for i in range(3):
+            value = (0.10 + 0.05 * i) * (1 + 0.5 * t)
+            for s in X:
+                value = value * m.cos(PI * s + 0.3 * i)
+            A[i][i] = identity + value
+        for i in range(len(X)):
+            for j in set(range(len(X))) - {i}:
                 value = (0.15 + 0.05 * i - 0.02 * j) * m.cos(t + i)
                 A[i][j] = value * m.sin(PI * X[i]) * m.sin(PI * X[j])
-    return A
+        return [[0.5 * (A[i][j] + A[j][i]) for j in range(3)] for i in range(3)] if symmetric else A
+
+    return field
 
 
-def strain(X: Sequence[Any], t: Any, m: Functions) -> list[list[Any]]:
-    A = tensor(X, t, m, 0.0)
-    return [[0.5 * (A[i][j] + A[j][i]) for j in range(3)] for i in range(3)]
-
-
-def distortion(X: Sequence[Any], t: Any, m: Functions) -> list[list[Any]]:
-    return tensor(X, t, m, 1.0)
-
-
-def stretch(X: Sequence[Any], t: Any, m: Functions) -> list[list[Any]]:
-    """Symmetric and positive definite: a left Cauchy-Green tensor."""
-    A = tensor(X, t, m, 1.0)
-    return [[0.5 * (A[i][j] + A[j][i]) for j in range(3)] for i in range(3)]
-
-
-def creep_rate(X: Sequence[Any], t: Any, m: Functions) -> list[list[Any]]:
+def creep_rate(X: Sequence[Any], t: Any, m: Any) -> list[list[Any]]:
     """Symmetric and trace-free, with (n . grad) Pi = 0 on the walls."""
     dim, zero = len(X), 0 * X[0]
     waves = [m.cos(PI * s) for s in X]
@@ -127,114 +109,69 @@ def creep_rate(X: Sequence[Any], t: Any, m: Functions) -> list[list[Any]]:
     return A
 
 
-def body(of: Callable[..., Any], share: float) -> Callable[[Sequence[Any], Any, Functions], Any]:
-    """``share`` of a field, more of it near one wall: a density of a body."""
+def jacobian(X: Sequence[Any], t: Any, m: Any) -> Any:
+    return 1.1 + wave(X, 0.2 * m.cos(t), m)
 
-    def field(X: Sequence[Any], t: Any, m: Functions) -> Any:
-        value, factor = of(X, t, m), share * (1 + 0.5 * m.cos(PI * X[0]))
+
+def reciprocal(X: Sequence[Any], t: Any, m: Any) -> Any:
+    return 0.9 + wave(X, 0.15 * m.sin(1 + t), m)
+
+
+def part(of: Field) -> Field:
+    """A share of a field, more of it near one wall: a density of a body."""
+
+    def field(X: Sequence[Any], t: Any, m: Any) -> Any:
+        value, factor = of(X, t, m), 0.3 * (1 + 0.5 * m.cos(PI * X[0]))
         return [[factor * v for v in row] for row in value] if isinstance(value, list) else factor * value
 
     return field
 
 
-def swirl(X: Sequence[Any], t: Any, m: Functions) -> list[Any]:
-    """Tangential to the unit circle, about the axis in space; no other condition of the walls is met."""
-    x, y = X[:2]
-    inside = 1 - sum(s * s for s in X)
-    turning = 0.4 * (1 + t) * (1 + 0.3 * x)
-    v = [inside * 0.3 * m.cos(t + s) * m.sin(2 * s) for s in X]
-    return [v[0] - turning * y, v[1] + turning * x, *v[2:]]
-
-
-EXACT = {
-    **{"E": strain, "F": distortion, "H": distortion, "B": stretch},
-    **{"J": jacobian, "A": reciprocal, "s": entropy},
-    **{"n_one": body(jacobian, 0.3), "B_one": body(stretch, 0.3)},
-    **{"n_two": reciprocal, "B_two": stretch},
+STRETCH = tensor(1.0, symmetric=True)
+EXACT: dict[str, Field] = {
+    **{"v": velocity, "rho": density, "Pi": creep_rate},
+    **{"E": tensor(0.0, symmetric=True), "B": STRETCH},
+    **dict.fromkeys(("F", "H"), tensor(1.0, symmetric=False)),
+    **{"J": jacobian, "A": reciprocal},
+    # in units of the heat capacity
+    "s": lambda X, t, m: 0.1 + wave(X, 0.25 * m.cos(2 * t), m),
+    **{"n_one": part(jacobian), "B_one": part(STRETCH), "n_two": reciprocal, "B_two": STRETCH},
 }
+"""Fields by the names of variables."""
 
 
-@dataclass(frozen=True)
 class Exact:
     """The exact fields at a time, as coefficient functions; in the unit ball where ``curved``.
 
-    Of a Yosida approximation the exact fields are the minimisers y, and z = y + eps phi'(y).
+    v and (grad v)_ij = d_j v_i; rho, of bodies that of their amounts; ``values`` of the variables by name and
+    z, their components as they are stored; ``conjugates``, the energy's derivatives by them, and ``stress``,
+    Cauchy's, 3x3, Pa; Pi, the creep rate where it is a field of its own.  Of a Yosida approximation the exact
+    fields are the minimisers y: z = y + eps phi'(y), and the conjugates at z are phi'(y).
     """
 
-    model: nv.Model
-    dim: int
-    t: Any
-    curved: bool = False
+    def __init__(self, model: Model, dim: int, t: Any, curved: bool = False) -> None:
+        self.curved, material = curved, model.material
 
-    def _value(self, function: Callable[..., Any]) -> CoefficientFunction:
-        value = function(COORDINATES[: self.dim], self.t, SYMBOLIC)
-        if not isinstance(value, list):
-            return value
-        if isinstance(value[0], list):
-            return CF(tuple(entry for row in value for entry in row), dims=(3, 3))
-        return CF(tuple(value))
+        def value(field: Field) -> CoefficientFunction:
+            found = field(COORDINATES[:dim], t, ngsolve)
+            if not isinstance(found, list):
+                return found
+            if isinstance(found[0], list):
+                return CF(tuple(entry for row in found for entry in row), dims=(3, 3))
+            return CF(tuple(found))
 
-    @property
-    def rho(self) -> CoefficientFunction:
-        """Of bodies that of their amounts."""
-        if self.model.bodies:
-            values = self.values
-            return sum((b.density * values[AMOUNT + b.name] for b in self.model.bodies), CF(0.0))
-        return self._value(density)
-
-    @property
-    def v(self) -> CoefficientFunction:
-        return self._value(swirl if self.curved else velocity)
-
-    @property
-    def grad_v(self) -> CoefficientFunction:
-        """(grad v)_ij = d_j v_i."""
-        return CF(tuple(gradient(self.v, self.dim)), dims=(self.dim, self.dim)).trans
-
-    @property
-    def _material(self) -> nv.Material:
-        """That of which there is an expression."""
-        material = self.model.material
-        return material.material if isinstance(material, nv.Yosida) else material
-
-    @property
-    def _minimisers(self) -> dict[str, CoefficientFunction]:
-        return {v.name: self._value(EXACT[v.name]) for v in self.model.material.variables}
-
-    @property
-    def conjugates(self) -> dict[str, CoefficientFunction]:
-        """The energy's derivatives, Pa; those of a Yosida approximation at z are phi'(y)."""
-        return conjugates(self._material, self._minimisers)
-
-    @property
-    def values(self) -> dict[str, CoefficientFunction]:
-        y, material = self._minimisers, self.model.material
-        if not isinstance(material, nv.Yosida):
-            return y
-        return {name: y[name] + material.eps * slope for name, slope in self.conjugates.items()}
-
-    @property
-    def energy(self) -> CoefficientFunction:
-        """Stored energy per volume, J/m3."""
-        phi, material = self._material.energy(self._minimisers), self.model.material
-        if isinstance(material, nv.Yosida):
-            phi = phi + 0.5 * material.eps * sum((square(s) for s in self.conjugates.values()), CF(0.0))
-        return phi
-
-    @property
-    def stress(self) -> CoefficientFunction:
-        """Cauchy stress T, 3x3, Pa."""
-        return cauchy_stress(self.model.material, self.values, self.conjugates, self.energy)
-
-    @property
-    def Pi(self) -> CoefficientFunction:
-        """The creep rate, 3x3, where it is a field of its own."""
-        return self._value(creep_rate)
-
-    @property
-    def z(self) -> CoefficientFunction:
-        """All transported components, as they are stored."""
-        return self.model.material.states(self.dim).components(self.values)
+        self.v, self.Pi = value(swirl if curved else velocity), value(creep_rate)
+        self.grad_v = CF(tuple(gradient(self.v, dim)), dims=(dim, dim)).trans
+        eps, of = (material.eps, material.material) if isinstance(material, Yosida) else (0.0, material)
+        y = {v.name: value(EXACT[v.name]) for v in material.variables}
+        self.conjugates, phi = conjugates(of, y), of.energy(y)
+        self.values = {n: y[n] + eps * slope for n, slope in self.conjugates.items()} if eps else y
+        if eps:
+            phi = phi + 0.5 * eps * sum((square(s) for s in self.conjugates.values()), CF(0.0))
+        self.stress = cauchy_stress(material, self.values, self.conjugates, phi)
+        self.z = material.states(dim).components(self.values)
+        amounts = (b.density * self.values[AMOUNT + b.name] for b in model.bodies)
+        self.rho = sum(amounts, CF(0.0)) if model.bodies else value(density)
 
 
 def gradient(f: CoefficientFunction, dim: int) -> list[CoefficientFunction]:
@@ -246,3 +183,194 @@ def divergence(A: CoefficientFunction, dim: int) -> CoefficientFunction:
     """(div A)_i = d_j A_ij, of the first dim rows and columns."""
     columns = gradient(A, dim)
     return CF(tuple(sum(columns[j][i, j] for j in range(dim)) for i in range(dim)))
+
+
+# --- sources ---------------------------------------------------------------------------------------------
+
+
+class Sources:
+    """Strong residuals of the exact fields, and the term that puts them into the system.
+
+    With the *discrete* time derivative (z(t) - z(t - tau))/tau what remains is the error in space; with a
+    tau that is far shorter than the run's, the error in time is in it too.
+
+    The momentum form is that of the momentum equation minus v/2 times the continuity equation, and so
+    is its source.
+    """
+
+    def __init__(self, model: Model, dim: int, tau: float, curved: bool = False) -> None:
+        self.model, self.dim, self.tau, law = model, dim, tau, model.regularisation
+        new = self.new = Exact(model, dim, time, curved)
+        self.old = Exact(model, dim, time - tau, curved)
+        self._delta_fields = 0.0 if law is None else law.delta_fields
+        self.diffusive_flux: CoefficientFunction | None = None
+        """delta |grad rho|^{r-2} grad rho, None without it."""
+        if law is not None and law.delta_density:
+            slope = CF(tuple(gradient(new.rho, dim)))
+            self.diffusive_flux = law.diffusivity(slope * slope) * slope
+        self._viscous_stress: CoefficientFunction = CF(tuple([0.0] * 9), dims=(3, 3))
+        if model.viscosity is not None:
+            self._viscous_stress = model.viscosity.stress(sym(embed_gradient(new.grad_v, dim)), new.values)
+
+    @property
+    def _mandel(self) -> CoefficientFunction:
+        return mandel_stress(self.model.material, self.new.values, self.new.conjugates, self.dim)
+
+    @property
+    def continuity(self) -> CoefficientFunction:
+        """(rho - rho_old)/tau + div(rho v - delta |grad rho|^{r-2} grad rho)."""
+        new, old = self.new, self.old
+        flux = new.rho * new.v
+        if self.diffusive_flux is not None:
+            flux = flux - self.diffusive_flux
+        return (new.rho - old.rho) / self.tau + sum(d[i] for i, d in enumerate(gradient(flux, self.dim)))
+
+    @property
+    def kinematics(self) -> CoefficientFunction:
+        """(z - z_old)/tau + (v.grad) z - rate(z; L, Pi) - delta Laplace z, components; of the entropy less
+        what heats it."""
+        new, old, model = self.new, self.old, self.model
+        values, L = new.values, embed_gradient(new.grad_v, self.dim)
+        material = model.material
+        creep = {name: self._creep_rate(flow) for flow in model.flows for name in flow.names}
+        rates = {v.name: material.rate(v, values, L, creep.get(v.name, 0 * L)) for v in material.variables}
+        for v in material.variables:
+            if v.by_flux:
+                rates[v.name] = rates[v.name] - tr(L) * values[v.name]
+        if (entropy := entropy_in(material)) is not None:
+            heat = self.heating(self._creep_rate(model.flows[0]) if model.flows else 0 * L)
+            rates[entropy.name] = rates[entropy.name] + heat / new.conjugates[entropy.name]
+        total = (new.z - old.z) / self.tau - material.states(self.dim).components(rates)
+        for i, dz in enumerate(gradient(new.z, self.dim)):
+            total = total + new.v[i] * dz
+            if self._delta_fields:
+                total = total - self._delta_fields * dz.Diff(COORDINATES[i])
+        return total
+
+    def heating(self, Pi: CoefficientFunction) -> CoefficientFunction:
+        """xi + div(kappa grad theta), W/m^3, xi of all that dissipates but the delta-terms."""
+        model, new, dim, law = self.model, self.new, self.dim, self.model.regularisation
+        total = inner(self._viscous_stress, embed_gradient(new.grad_v, dim))
+        if model.hyperviscosity is not None:
+            _, square = self._hess()
+            total = total + model.hyperviscosity.coefficient(square, new.values) * square
+        if model.creep is not None:
+            total = total + inner(self._mandel, Pi)
+        if law is not None and law.epsilon:
+            speed = new.v * new.v
+            total = total + law.friction(speed) * speed
+        theta = temperature(model.material, new.conjugates)
+        if model.heat is not None and theta is not None:
+            flux = model.heat.flux(theta, CF(tuple(gradient(theta, dim))), dim)
+            total = total + sum((d[i] for i, d in enumerate(gradient(flux, dim))), CF(0.0))
+        return total
+
+    def _hess(self) -> tuple[list[list[list[CoefficientFunction]]], CoefficientFunction]:
+        """d_k d_j v_i, of i, j and k, and |hess v|^2."""
+        dim = self.dim
+        hess = [[gradient(d, dim) for d in gradient(self.new.v[i], dim)] for i in range(dim)]
+        return hess, sum(h * h for component in hess for row in component for h in row)
+
+    def _creep_rate(self, flow: Flow) -> CoefficientFunction:
+        """Pi, of a body by the Mandel stress per its own volume."""
+        if not flow.rule.is_local:
+            return self.new.Pi
+        values, conjugates = self.new.values, self.new.conjugates
+        mandel = mandel_stress(self.model.material, values, conjugates, self.dim, flow.names)
+        return flow.rule.rate((1 / flow.share(values)) * mandel, None, values)
+
+    @property
+    def creep(self) -> CoefficientFunction | None:
+        """psi'(Pi) - div(nu |grad Pi|^{q-2} grad Pi) - M, 3x3; None where Pi is no field of its own."""
+        creep = self.model.creep
+        if creep is None or creep.is_local:
+            return None
+        slopes = gradient(self.new.Pi, self.dim)
+        coefficient = creep.gradient_coefficient(sum((inner(d, d) for d in slopes), CF(0.0)))
+        total = creep.force(self.new.Pi, self.new.values) - self._mandel
+        for s, d in zip(COORDINATES, slopes, strict=False):
+            total = total - (coefficient * d).Diff(s)
+        return total
+
+    def inertia(self) -> CoefficientFunction:
+        """(rho v - rho_old v_old)/tau + div(rho v x v)."""
+        new, old, dim = self.new, self.old, self.dim
+        flux = new.rho * new.v
+        products = CF(tuple(flux[i] * new.v[j] for i in range(dim) for j in range(dim)), dims=(dim, dim))
+        return (flux - old.rho * old.v) / self.tau + divergence(products, dim)
+
+    def viscous(self) -> CoefficientFunction:
+        """-div(D eps(v)) + div div(c(|hess v|^2) hess v)."""
+        total, axes, law = (
+            -divergence(self._viscous_stress, self.dim),
+            range(self.dim),
+            self.model.hyperviscosity,
+        )
+        if law is None:
+            return total
+        hess, square = self._hess()
+        c, force = law.coefficient(square, self.new.values), []
+        for component in hess:
+            terms = (
+                (c * component[j][k]).Diff(COORDINATES[k]).Diff(COORDINATES[j]) for j in axes for k in axes
+            )
+            force.append(sum(terms, CF(0.0)))
+        return total + CF(tuple(force))
+
+    @property
+    def momentum(self) -> CoefficientFunction:
+        """Inertia - div T + ``viscous`` - rho g + epsilon |v|^{p-2} v + ``diffusive_flux`` . grad v."""
+        law, new = self.model.regularisation, self.new
+        total = self.inertia() - divergence(new.stress, self.dim) + self.viscous()
+        for load in self.model.loads:
+            assert isinstance(load, Gravity)
+            total = total - new.rho * as_vector(load.g, self.dim, "Gravity.g")
+        if law is not None and law.epsilon:
+            total = total + law.friction(new.v * new.v) * new.v
+        if self.diffusive_flux is not None:
+            total = total + new.grad_v * self.diffusive_flux
+        return total
+
+    def form(self, u: Fields, w: Fields) -> list[Integrand]:
+        force = self.momentum - 0.5 * self.continuity * self.new.v
+        creep = self.creep
+        return [
+            *([] if self.model.bodies else [Integrand(-self.continuity * w.rho)]),
+            Integrand(-inner(force, w.v)),
+            Integrand(-inner(self.kinematics, w.z)),
+            *([] if creep is None else [Integrand(-inner(creep, w.Pi))]),
+            *self._through_walls(u, w),
+        ]
+
+    def _through_walls(self, u: Fields, w: Fields) -> list[Integrand]:
+        """The delta-terms' fluxes through walls, which the exact fields do not meet as zero; nor do they
+        the traction on curved ones."""
+        law = self.model.regularisation
+        parts: list[Integrand] = []
+        on_wall, n = 1.0 - inner_facets(u.layout.mesh), specialcf.normal(self.dim)
+        if self.new.curved:
+            stress = self.new.stress + self._viscous_stress
+            traction = [sum(stress[i, j] * n[j] for j in range(self.dim)) for i in range(self.dim)]
+            parts.append(Integrand(facets=-on_wall * inner(CF(tuple(traction)), w.v)))
+        if law is not None and self.diffusive_flux is not None:
+            flux = on_wall * (self.diffusive_flux * n)
+            parts.append(Integrand(facets=-flux * w.rho_delta_hat))
+            parts.append(Integrand(facets=0.5 * flux * inner(self.new.v, w.v)))
+        if law is not None and law.delta_fields:
+            slopes = gradient(self.new.z, self.dim)
+            across = sum((d * n[i] for i, d in enumerate(slopes[1:], 1)), slopes[0] * n[0])
+            parts.append(Integrand(facets=-law.delta_fields * on_wall * inner(across, w.z)))
+        return parts
+
+    def entries(self, u: Fields) -> list[Entry]:
+        """None: these runs are compared with their exact solutions, not balanced."""
+        return []
+
+
+class TakingPartWholly(Sources):
+    """For negative controls: a trace of a body is stretched as a body is."""
+
+    @property
+    def kinematics(self) -> CoefficientFunction:
+        with patch.object(Mixture, "taking_part", Material.taking_part):
+            return super().kinematics

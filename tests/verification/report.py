@@ -9,9 +9,10 @@ import io
 import platform
 import re
 import subprocess
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from importlib.metadata import version as version_of
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -22,14 +23,13 @@ from tests.verification.cases import all_cases
 from tests.verification.labels import label_table
 
 _WORDS = {"holds": "holds", "fails": "DOES NOT HOLD", "error": "ERROR"}
-
-Entries = Sequence[tuple[Case, Result]]
+LABELS = "The labels of the paper"
 
 
 def write_report(directory: Path, cases: Sequence[Case], results: Sequence[Result], version: str) -> Path:
     """Write ``report.md`` and ``pictures/`` into the directory; returns the report's path."""
     for result in results:
-        for i, plot in enumerate(result.outcome.plots if result.outcome else ()):
+        for i, plot in enumerate(result.outcome.plots):
             write_atomically(directory / _picture(result.name, i), draw(plot))
     path = directory / "report.md"
     write_atomically(path, markdown(list(zip(cases, results, strict=True)), version).encode())
@@ -45,38 +45,15 @@ def headline(results: Sequence[Result]) -> str:
     )
 
 
-def machine(version: str) -> str:
-    """Versions that the results belong to."""
-    return (
-        f"ngvisco {version}, NGSolve {version_of('ngsolve')}, Python {platform.python_version()}, "
-        f"{platform.machine()}"
-    )
-
-
-def measured_rows(case: Case, result: Result) -> list[tuple[str, str, str, str, str]]:
-    """Quantity, bound, measured value, verdict and reason, one row for each bound."""
-    values = {} if result.outcome is None else result.outcome.values
-    rows = []
-    for bound in case.bounds:
-        has = bound.quantity in values
-        verdict = ("✗" if bound.quantity in result.failed else "✓") if has else "not measured"
-        measured = number(values[bound.quantity]) if has else "–"
-        sign = "≤" if bound.relation == "<=" else "≥"
-        rows.append((bound.quantity, f"{sign} {number(bound.limit)}", measured, verdict, bound.reason))
-    return rows
-
-
-MEASURED_HEAD = ("measured quantity", "bound stated before", "measured", "", "why this bound")
-
-
-def markdown(entries: Entries, version: str) -> str:
+def markdown(entries: Sequence[tuple[Case, Result]], version: str) -> str:
     """The report as Markdown."""
-    results = [result for _, result in entries]
-    lines = ["# Verification of ngvisco", "", headline(results) + ".", "", machine(version), ""]
+    machine = f"NGSolve {version_of('ngsolve')}, Python {platform.python_version()}, {platform.machine()}"
+    lines = ["# Verification of ngvisco", "", headline([result for _, result in entries]) + "."]
+    lines += ["", f"ngvisco {version}, {machine}", ""]
     overview = [
         (_WORDS[r.status], f"[{c.name}](#{c.name})", c.statement, f"{r.seconds:.0f} s") for c, r in entries
     ]
-    lines += [*_markdown_table(("", "case", "claim", "time"), overview), ""]
+    lines += _markdown_table(("", "case", "claim", "time"), overview)
     theme = ""
     for case, result in entries:
         if case.theme != theme:
@@ -84,31 +61,36 @@ def markdown(entries: Entries, version: str) -> str:
             lines += [f"## {theme}", ""]
         lines += [f"### {case.name}", "", f"**{_WORDS[result.status]}.** {case.statement}", ""]
         lines += [f"*Label:* {case.label}", "", f"*Setting:* {case.setting}", ""]
-        lines += [*_markdown_table(MEASURED_HEAD, measured_rows(case, result)), ""]
+        head = ("measured quantity", "bound stated before", "measured", "", "why this bound")
+        lines += _markdown_table(head, _measured_rows(case, result))
         if result.error:
             lines += ["```", result.error.strip(), "```", ""]
         if result.status != "holds" and case.explanation:
             lines += [f"*Why it does not hold:* {case.explanation}", ""]
-        if result.outcome is None:
-            continue
         for remark in result.outcome.remarks:
             lines += [remark, ""]
         for table in result.outcome.tables:
-            lines += [f"*{table.title}*", "", *_markdown_table(table.columns, table.rows), ""]
+            lines += [f"*{table.title}*", "", *_markdown_table(table.columns, table.rows)]
         for i, plot in enumerate(result.outcome.plots):
             lines += [f"![{plot.title}]({_picture(case.name, i)})", ""]
     # all cases: what a label is measured by does not depend on which ones a report has
     table = label_table(all_cases())
-    lines += [f"## {LABELS}", "", f"{table.title}.", "", *_markdown_table(table.columns, table.rows), ""]
+    lines += [f"## {LABELS}", "", f"{table.title}.", "", *_markdown_table(table.columns, table.rows)]
     return "\n".join(lines)
 
 
-LABELS = "The labels of the paper"
+def _measured_rows(case: Case, result: Result) -> Iterable[tuple[str, ...]]:
+    """Quantity, bound, measured value, verdict and reason, one row for each bound."""
+    for bound in case.bounds:
+        value = result.outcome.values.get(bound.quantity)
+        verdict = "not measured" if value is None else "✗" if bound.quantity in result.failed else "✓"
+        limit = f"{'≤' if bound.relation == '<=' else '≥'} {number(bound.limit)}"
+        yield bound.quantity, limit, "–" if value is None else number(value), verdict, bound.reason
 
 
-def _markdown_table(head: Sequence[str], rows: Sequence[Sequence[str | float]]) -> list[str]:
+def _markdown_table(head: Sequence[str], rows: Iterable[Iterable[Any]]) -> list[str]:
     cells = [[number(cell).replace("|", "\\|") for cell in row] for row in (head, *rows)]
-    return [f"| {' | '.join(row)} |" for row in (cells[0], ["---"] * len(head), *cells[1:])]
+    return [*(f"| {' | '.join(row)} |" for row in (cells[0], ["---"] * len(head), *cells[1:])), ""]
 
 
 def _picture(name: str, index: int) -> str:
@@ -119,18 +101,17 @@ def draw(plot: Plot) -> bytes:
     """The picture as PNG; raises PlotError without matplotlib."""
     fig, ((axis,),) = figure(1, 1, (6.4, 4.2))
     for curve in plot.curves:
-        x, y = np.asarray(curve.x, dtype=float), np.asarray(curve.y, dtype=float)
+        x, y = (np.array(values, dtype=float) for values in (curve.x, curve.y))
         if "y" in plot.log:
-            y = np.where(y > 0, y, np.nan)
+            y[y <= 0] = np.nan
         axis.plot(x, y, curve.style, label=curve.label, ms=4, lw=1.3)
     scales = {f"{name}scale": "log" for name in plot.log}
     axis.set(title=plot.title, xlabel=plot.xlabel, ylabel=plot.ylabel, **scales)
     axis.grid(alpha=0.3)
-    if any(curve.label for curve in plot.curves):
-        beside = {"fontsize": "x-small", "loc": "center left", "bbox_to_anchor": (1.0, 0.5)}
-        axis.legend(
-            **(beside if len(plot.curves) > 6 else {"fontsize": "small"})
-        )  # it would hide half of them
+    if len(plot.curves) > 6:  # a legend within would hide half of them
+        axis.legend(fontsize="x-small", loc="center left", bbox_to_anchor=(1.0, 0.5))
+    else:
+        axis.legend(fontsize="small")
     from PIL import Image  # matplotlib needs Pillow
 
     drawn, small = io.BytesIO(), io.BytesIO()

@@ -29,7 +29,16 @@ import numpy as np
 from ngvisco.forms.context import time
 from ngvisco.run.files import write_atomically
 from ngvisco.run.ledger import Ledger
-from tests.verification.case import CLOSURE, DRIFT, Case, Result, VerificationError, judge, number
+from tests.verification.case import (
+    CLOSURE,
+    DRIFT,
+    Case,
+    Result,
+    VerificationError,
+    collected,
+    judge,
+    number,
+)
 
 MARKER = "verification.json"
 _KIND = "ngvisco verification report"
@@ -38,23 +47,20 @@ _KIND = "ngvisco verification report"
 class ReportDirectory:
     """Opens a new directory, or an earlier report's with ``resume``.
 
-    Raises VerificationError if there is something else at the path, or a report and ``resume`` is not asked
-    for, or the other way round.
+    Raises VerificationError for anything else at the path, a report without ``resume``, or none with it.
     """
 
     def __init__(self, path: Path, cases: Sequence[Case], *, resume: bool = False) -> None:
         self.path = path
         is_report, occupied = _is_report(path / MARKER), path.is_dir() and any(path.iterdir())
         refused = {
-            "a file; choose another directory": path.exists() and not path.is_dir(),
+            "a file; choose another directory": path.is_file(),
             "holds something else than a report; choose another directory": occupied and not is_report,
-            "holds an earlier report; go on with it by --resume, or choose another directory": is_report
-            and not resume,
+            "holds an earlier report; go on with it by --resume, or choose another": is_report and not resume,
             "no report to go on with": resume and not is_report,
         }
-        for why, is_so in refused.items():
-            if is_so:
-                raise VerificationError(f"{path}: {why}")
+        if said := [why for why, is_so in refused.items() if is_so]:
+            raise VerificationError(f"{path}: {said[0]}")
         # what an earlier report said is not what this one will say
         (path / "report.md").unlink(missing_ok=True)
         content = {"kind": _KIND, "cases": [case.name for case in cases]}
@@ -109,60 +115,35 @@ def run_case(case: Case, version: str) -> Result:
     time.Set(0.0)  # the runs of earlier cases have moved it
     try:
         with watched() as seen:
-            outcome = case.run()
+            outcome = collected(case.run())
         asked = {quantity: seen[quantity] for b in case.bounds if (quantity := b.quantity) in seen}
         outcome = replace(outcome, values={**asked, **outcome.values})
         return judge(case, outcome, clock.process_time() - began, version)
     except Exception:
-        return Result(
-            name=case.name,
-            fingerprint=case.fingerprint,
-            version=version,
-            status="error",
-            seconds=clock.process_time() - began,
-            error=traceback.format_exc(limit=-6),
-        )
+        seconds, text = clock.process_time() - began, traceback.format_exc(limit=-6)
+        of: dict[str, Any] = {"name": case.name, "fingerprint": case.fingerprint, "version": version}
+        return Result(**of, status="error", seconds=seconds, error=text)
 
 
-def run_cases(
-    cases: Sequence[Case],
-    version: str,
-    keep: Callable[[Result], None] = lambda result: None,
-    known: Callable[[Case], Result | None] = lambda case: None,
-    jobs: int = 1,
-) -> list[Result]:
-    """Run the cases that are not known yet, with a line for each before and after it.
+def run_cases(cases: Sequence[Case], version: str, directory: ReportDirectory, jobs: int = 1) -> list[Result]:
+    """Run the cases whose results the directory has not yet, ``jobs`` at once, with a line for each.
 
-    Parameters
-    ----------
-    cases : sequence of Case
-    version : str
-        Written into the results.
-    keep : callable
-        Gets every new result at once, so that nothing is lost by an interruption.
-    known : callable
-        The earlier result of a case, or None.
-    jobs : int
-        How many cases of the registry run at once, each in a process of its own; 1 (default) in this one.
+    Every new result is kept at once, so that nothing is lost by an interruption.
     """
     results: dict[str, Result] = {}
-    heads = {
-        case.name: f"[{i:{len(str(len(cases)))}d}/{len(cases)}] {case.name}"
-        for i, case in enumerate(cases, 1)
-    }
 
     def say(case: Case, what: str) -> None:
-        print(f"{heads[case.name]}{what}", flush=True)
+        print(f"[{cases.index(case) + 1:{len(str(len(cases)))}d}/{len(cases)}] {case.name}{what}", flush=True)
 
     for case in cases:
-        if (earlier := known(case)) is not None:
+        if (earlier := directory.saved(case, version)) is not None:
             results[case.name] = earlier
             say(case, f": {describe(case, earlier)}; measured earlier")
     new = [case for case in cases if case.name not in results]
     began = clock.perf_counter()
     completed = _completed(new, version, jobs, lambda case: say(case, " ..."))
     for fresh, (case, result) in enumerate(completed, 1):
-        keep(result)
+        directory.save(result)
         results[case.name] = result
         left = (clock.perf_counter() - began) / fresh * (len(new) - fresh)
         say(case, f": {describe(case, result)}; about {left:.0f} s left")
@@ -196,7 +177,7 @@ def _run_named(name: str, version: str) -> str:
 
 def describe(case: Case, result: Result) -> str:
     """A line: status, what failed by how much, and the time it took."""
-    if result.status == "error" or result.outcome is None:
+    if result.status == "error":
         return f"ERROR {result.error.strip().splitlines()[-1]} ({result.seconds:.0f} s)"
     if result.status == "holds":
         return f"holds ({result.seconds:.0f} s)"

@@ -1,4 +1,4 @@
-"""Rates of convergence to manufactured solutions: equations alone, the whole system, and in time."""
+"""Rates of convergence to manufactured solutions, and what wrong sources make of them."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -7,87 +7,15 @@ from typing import Any
 import pytest
 from ngsolve import CoefficientFunction
 
-from ngvisco import Discretisation, Model, StokesViscosity, time
+from ngvisco import Model
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.mesh import quadrature
-from ngvisco.forms.term import Integrand, Term
-from ngvisco.forms.terms.hyperviscosity import Hyperviscosity
-from ngvisco.forms.terms.momentum import Convection, Inertia, Stokes
+from ngvisco.forms.term import Integrand
 from ngvisco.physics.model import Flow
-from ngvisco.physics.tensors import inner
-from tests.verification.convergence import coupled_rates, free_solution, separation, transport_rates
-from tests.verification.manufactured import Exact
-from tests.verification.models import FURTHER, KINDS, hyperviscosity, material
-from tests.verification.problems import Problem, Source, distance, refinements
-from tests.verification.rates import RateTable
-from tests.verification.sources import Sources, TakingPartWholly
+from tests.verification.convergence import FURTHER, KINDS, coupled_rates, free_solution
+from tests.verification.manufactured import Sources, TakingPartWholly
 
 LONG, CI = pytest.mark.long, (pytest.mark.long, pytest.mark.ci)
-
-
-@pytest.mark.parametrize(("kind", "m"), [("linear", 0), ("neo-hookean", 1)])
-def test_transport_rate_is_m_plus_1(kind: str, m: int) -> None:
-    """Density and E / F / J alone, with the exact velocity given, at Courant numbers up to 3.
-
-    Theory has m + 1/2 for upwind transport on general unstructured meshes.  The other m, and three
-    dimensions, are the cases ``manufactured-transport``."""
-    transport_rates(kind, 2, m, 0.4, 3).require(rho=m + 0.85, z=m + 0.85)
-
-
-# --- the momentum equation alone --------------------------------------------------------------------------
-
-TAU = 0.25
-VISCOSITY = StokesViscosity(K_v=0.3, G_v=0.2)
-HYPER = ("v", "a_1", "a_2", "a_3", "hess", "hyperstress", "hess_square", "hyper_coefficient")
-
-
-def velocity_rates(model: Model, k: int, names: tuple[str, ...], terms: list[Term], steps: int) -> RateTable:
-    """L2 and H1 errors of v after steps of ``TAU``, or, without any, of the stationary problem."""
-    sources = Sources(model, 2, TAU)
-    force = sources.viscous()
-    if steps:
-        force += sources.inertia() - 0.5 * sources.continuity * sources.new.v
-    table = RateTable(f"{', '.join(type(term).__name__ for term in terms)}, k = {k}")
-    for h, mesh in refinements(2, 0.4, 3):
-        load = Source(lambda w: [Integrand(-inner(force, w.v))])
-        problem, exact = (
-            Problem(mesh, model, Discretisation(k=k), names, [*terms, load], TAU),
-            Exact(model, 2, time),
-        )
-        if steps:
-            time.Set(0.0)
-            problem.set("v", exact.v)
-        else:
-            problem.context.curvature.Set(0.05)
-        for n in range(steps or 1):
-            problem.advance(n * TAU)
-        v, slope = problem.now.v, problem.now.grad_v
-        table.add(h, L2=distance(v, exact.v, mesh), H1=distance(slope, exact.grad_v, mesh))
-    return table
-
-
-@pytest.mark.parametrize("k", [2, 3])
-def test_velocity_rate_is_k_plus_1_without_hyperviscosity(k: int) -> None:
-    """Measured on the finest pair: 2.9 and 3.8 (L2), 2.0 and 2.8 (H1)."""
-    terms = [Inertia(), Convection(), Stokes(VISCOSITY)]
-    table = velocity_rates(Model(material=material("linear"), viscosity=VISCOSITY), k, ("v",), terms, 2)
-    table.require(L2=k + 0.7, H1=k - 0.25)
-
-
-@pytest.mark.parametrize(
-    ("k", "p", "L2", "H1"),
-    [
-        (2, 2.0, 1.75, 1.75),
-        (3, 2.0, 3.5, 2.75),
-        pytest.param(2, 4.0, 1.75, 1.75, marks=CI),
-        pytest.param(3, 4.0, 3.25, 2.5, marks=LONG),  # two minutes
-    ],
-)
-def test_hyperviscous_rates_are_those_of_the_lifted_penalty(k: int, p: float, L2: float, H1: float) -> None:
-    """FORMULATION.md, Section 5: order 2 for k = 2, and 3.6 or more (L2), 2.7 or more (H1) for k = 3."""
-    law = hyperviscosity(p)
-    model = Model(material=material("linear"), viscosity=VISCOSITY, hyperviscosity=law)
-    velocity_rates(model, k, HYPER, [Stokes(VISCOSITY), Hyperviscosity(law)], 0).require(L2=L2, H1=H1)
 
 
 # --- the whole system -------------------------------------------------------------------------------------
@@ -186,23 +114,7 @@ def test_wrong_sources_do_not_converge(
     assert table.last(name) <= (1.35 if dim == 2 else 1.75), table
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("kind", [pytest.param("linear", marks=pytest.mark.ci), "neo-hookean"])
-def test_creep_rate_with_a_gradient_converges_with_the_order_of_the_fields(kind: str) -> None:
-    coupled_rates(kind, 2, None, 2, 1, 0.4, 3, nu=0.1).require(Pi=1.75, z=1.75, v=2.5)
-
-
 # --- in time ----------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("kind", ["linear", pytest.param("neo-hookean", marks=CI)])
-def test_scheme_is_of_first_order_in_tau(kind: str) -> None:
-    """One mesh, steps tau, tau/2, tau/4 against tau/8 of the midpoint rule."""
-    table, duration = RateTable(f"order in tau, {kind}"), 0.1
-    reference = free_solution(kind, 32, duration, scheme="midpoint")
-    for steps in (4, 8, 16):
-        table.add(duration / steps, **separation(reference, free_solution(kind, steps, duration)))
-    assert all(0.85 <= rate <= 1.2 for name in table.errors for rate in table.rates(name)), table
 
 
 def test_short_steps_converge_where_the_flow_turns_round() -> None:

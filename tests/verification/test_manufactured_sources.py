@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from ngvisco.geometries import box
+from tests.verification.convergence import KINDS, coefficients, model
 from tests.verification.differences import FiniteDifferences, mismatch
-from tests.verification.models import KINDS, coefficients, model
-from tests.verification.sources import Sources
+from tests.verification.manufactured import Sources
 
 T, TAU, TOLERANCE = 0.3, 0.05, 1e-6
 CI = (pytest.mark.long, pytest.mark.ci)

@@ -1,10 +1,9 @@
-"""Reference solutions: relaxation of a Maxwell body, units, and formulas of cases by other ways."""
+"""Runs in other units, and the theory of a case in its known limits."""
 
 import numpy as np
 import pytest
 from ngsolve import x
-from numpy.polynomial import Legendre
-from scipy.linalg import eigh
+from scipy.special import jn_zeros, jv, spherical_jn
 
 from ngvisco import (
     Creep,
@@ -19,25 +18,9 @@ from ngvisco import (
 )
 from ngvisco.geometries import box
 from tests.verification.cases.bands import growth
-from tests.verification.cases.layers import DEPTH, GRAVITY, SHEARS, K, mode
-from tests.verification.cases.shear import MYR, ROCK, relaxed_stress
-from tests.verification.models import KINDS
-
-SCALED = {"G": 1.0, "eta": 1.0, "tau_0": 2e-3, "duration": 7.9, "size": 1.0, "rho": 1.0}
-UNITS = {"scaled": SCALED, "SI": ROCK}
-
-
-@pytest.mark.parametrize("units", UNITS.values(), ids=UNITS)
-def test_maxwell_relaxation_is_that_of_the_implicit_euler_formula(units: dict[str, float]) -> None:
-    steps = 10
-    stresses, run = relaxed_stress(**units, steps=steps)
-    assert abs(run.ledger.column("closure_relative")).max() <= 1e-10
-    E, size = run.fields["E"], units["size"]
-    here, there = (E(run.mesh(a * size, b * size))[0] for a, b in [(0.2, 0.3), (0.8, 0.6)])
-    assert here == pytest.approx(there, rel=1e-11)
-    decay = 1 / (1 + units["duration"] / steps * units["G"] / units["eta"])
-    exact = units["tau_0"] * decay ** np.arange(1, steps + 1)
-    assert np.allclose(stresses, exact, rtol=1e-10, atol=0)
+from tests.verification.cases.manufactured import radial_creep
+from tests.verification.cases.shear import MYR
+from tests.verification.convergence import KINDS
 
 
 def driven_run(kind: str, length: float, density: float, seconds: float) -> Simulation:
@@ -96,36 +79,6 @@ def test_creeping_rock_in_si_units_keeps_its_ledger_and_its_upwinding(kind: str)
     assert width <= 0.1 * ledger.column("v_max").max()
 
 
-@pytest.mark.parametrize("shear", SHEARS)
-def test_the_frequency_of_a_gel_s_layer_is_the_least_of_its_polynomials(shear: float) -> None:
-    """Rayleigh and Ritz: elastic energy and weight over the mass, of a gel that is hardly compressible."""
-    ratio, bulk, count = 1e-3, 1e5, 12
-    q, weights = np.polynomial.legendre.leggauss(2 * count)
-    y, weights = DEPTH * (q + 1) / 2, weights * DEPTH / 2
-    functions = [Legendre.basis(n, [0, DEPTH]) for n in range(count)]
-    of_v = [Legendre([DEPTH / 2, DEPTH / 2], [0, DEPTH]) * f for f in functions]  # 0 at the bed
-    zero = np.zeros((count, len(y)))
-    u, du, v, dv = (
-        np.concatenate(parts)
-        for parts in (
-            ([f(y) for f in functions], zero),
-            ([f.deriv()(y) for f in functions], zero),
-            (zero, [f(y) for f in of_v]),
-            (zero, [f.deriv()(y) for f in of_v]),
-        )
-    )
-    top = np.append(np.zeros(count), [f(DEPTH) for f in of_v])
-
-    def product(a: np.ndarray) -> np.ndarray:
-        return (a * weights) @ a.T
-
-    stiffness = (bulk - 2 * shear / 3) * product(K * u + dv) + shear * product(du - K * v)
-    stiffness += 2 * shear * (product(K * u) + product(dv)) + GRAVITY * (1 - ratio) * np.outer(top, top)
-    mass = product(u) + product(v) + ratio / (K * np.tanh(K * (1 - DEPTH))) * np.outer(top, top)
-    least = eigh(stiffness, mass, eigvals_only=True)[0] ** 0.5
-    assert mode(ratio, shear)[0] == pytest.approx(least, rel=1e-4)
-
-
 def test_the_theory_of_necks_has_the_limits_that_are_known() -> None:
     """A thin layer in nothing, of n = 1 too, which does not neck; Biot's folds, 1961, of a stiff layer."""
     for n in (1.0, 3.0, 10.0):
@@ -134,3 +87,15 @@ def test_the_theory_of_necks_has_the_limits_that_are_known() -> None:
     rates = [growth(1, ratio, k, 8 / k, -1.0, fold=True) - 1 for k in waves]
     assert waves[np.argmax(rates)] == pytest.approx((6 / ratio) ** (1 / 3), rel=0.03)
     assert max(rates) == pytest.approx((4 * ratio / 3) ** (2 / 3), rel=0.01)
+
+
+def test_radial_creep_has_the_closed_forms_of_the_linear_problem_and_the_flux_of_the_nonlinear_one():
+    """q = 2: an eigenfunction of the Laplacian with zero slope at the wall is divided by G_m + nu k^2."""
+    for dim, k, f in ((2, jn_zeros(1, 1)[0], jv), (3, 4.493409457909064, spherical_jn)):  # tan k = k
+        r, a = radial_creep(dim, 0.3, 2.0, lambda s, k=k, f=f: f(0, k * s), 2000)
+        assert a == pytest.approx(f(0, k * r) / (2.0 + 0.3 * k * k), abs=1e-6)
+    r, a = radial_creep(3, 1.0, 4.0, lambda s: 2 * np.cos(2 * s))
+    middle, slope = 0.5 * (r[1:] + r[:-1]), np.diff(a) / np.diff(r)
+    density = (a[1:] + a[:-1] - 2 * np.cos(2 * middle)) * middle**2  # what G_m a - m leaves inside of r
+    inside = np.cumsum(density * np.diff(r)) - 0.5 * density * np.diff(r)
+    assert middle**2 * slope**3 == pytest.approx(inside, abs=2e-6) and np.abs(inside).max() > 0.04

@@ -1,25 +1,24 @@
-"""Manufactured solutions: rates in space of transport, the whole system, creep with a gradient."""
+"""Manufactured solutions: rates in space of the whole system, of bodies, and of creep with a gradient."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
 import numpy as np
 from ngsolve import CF, VOL, CoefficientFunction, x, y, z
+from scipy.linalg import solve_banded
 
 import ngvisco as nv
 from ngvisco.forms.context import time
 from ngvisco.forms.mesh.points import CellPoints
 from ngvisco.geometries import box, disc, sphere
-from tests.verification.case import Cases, Curve, Measured, Plot, Table, each
-from tests.verification.convergence import coupled_rates, transport_rates
+from tests.verification.case import Cases, Curve, Measured, Plot, RateTable, Table, VerificationError, each
+from tests.verification.convergence import KINDS as MODELS
+from tests.verification.convergence import RULES, coefficients, coupled_rates, model, transport_rates
 from tests.verification.differences import mismatch
-from tests.verification.models import KINDS as MODELS
-from tests.verification.models import RULES, coefficients, model
-from tests.verification.radial_creep import RadialCreep
-from tests.verification.rates import RateTable
+from tests.verification.manufactured import Sources, TakingPartWholly
 from tests.verification.setups import KINDS
-from tests.verification.sources import Sources, TakingPartWholly
 
 CASES = Cases("Convergence: manufactured solutions")
 
@@ -30,18 +29,11 @@ LABELS = {"linear": "Euler-small-viscoelastodyn+disc", "neo-hookean": "Euler-lar
 TERMS = "creep, gravity, Stokes viscosity, hyperviscosity p = 4, delta (r = 4) and epsilon (p = 4)"
 
 
-def _transport(kind: str, dim: int, orders: tuple[int, ...], maxh: float, levels: int) -> Measured:
-    values, tables, curves = {}, [], []
-    for m in orders:
-        table = transport_rates(kind, dim, m, maxh, levels)
-        tables.append(table.table("h, m"))
-        for name in table.errors:
-            values[f"rate of {name}, m = {m}"] = table.last(name)
-            curves.append(Curve(f"{name}, m = {m}", table.sizes, table.errors[name]))
-    plot = Plot(f"Transport alone, {kind}, {dim}D", "h, m", "L2 error", curves, log="xy")
-    yield from values.items()
-    yield from tables
-    yield plot
+def _transport(kind: str) -> Measured:
+    for m in (0, 1, 2):
+        table = transport_rates(kind, m, 0.4, 3)
+        yield from table.lasts(f"rate of {{}}, m = {m}")
+        yield table
 
 
 for kind, name, label in (
@@ -53,18 +45,17 @@ for kind, name, label in (
         label: {label}
         setting: Unit square, 0.4 m refined twice, two steps of 0.25 s (CFL up to 3), m = 0, 1, 2.
         {each(f"- rate of [rho; z], m = {m} >= {m + 0.85}: order m + 1" for m in (0, 1, 2))}
-        """)(partial(_transport, kind, 2, (0, 1, 2), 0.4, 3))
-    CASES(f"""manufactured-transport-3d-{name}
-        Density and fields alone converge with at least order m + 1/2 in 3D.
-        label: {label}
-        setting: Unit cube, 12 tetrahedra refined twice (m = 0, 1) to 768, two steps of 0.25 s.
-        {each(f"- rate of [rho; z], m = {m} >= {m + 0.5}: the theory of upwind transport" for m in (0, 1))}
-        """)(partial(_transport, kind, 3, (0, 1), 1.0, 3))
+        """)(partial(_transport, kind))
 
 V_RATES = {(2, 0): 1.0, (2, 1): 1.7, (2, 2): 1.7, (3, 0): 1.0, (3, 1): 1.7, (3, 2): 2.3}
 """Asked of v with p = 4 in 2D: 2 for k = 2 (FORMULATION.md, Section 5), above 2 for k = 3, and no more than
 the fields it is coupled to."""
 MOMENTUM = {"linear": "Euler-small-viscoelastodyn+1disc", "neo-hookean": "Euler-large-viscoelastodyn+1disc"}
+CARRIED = {
+    "linear": "Euler-small-viscoelastodyn+0disc, Euler-small-viscoelastodyn+2disc",
+    "neo-hookean": "DT-det-extended, ED-Euler-large2",
+}
+"""Labels of the equations of v, and of rho and z."""
 _SHARP = 1.7
 """Asked for order 2, where theory has no more: v for k = 2, and what is carried by it."""
 
@@ -83,47 +74,32 @@ def _least(dim: int, k: int, m: int) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class Series:
-    """Meshes on which one order k is measured."""
+    """Meshes on which one order k is measured, for fields of ``degrees``, m."""
 
     dim: int
     k: int
-    maxh: float
-    levels: int
-    meshes: str
     degrees: tuple[int, ...] = (0, 1, 2)
-    """Of the fields, m."""
 
 
-SERIES = (
-    Series(2, 2, 0.4, 3, "unit square, 0.4 m refined twice"),
-    Series(2, 3, 0.4, 3, "unit square, 0.4 m refined twice"),
-    Series(3, 2, 1.0, 3, "unit cube, 12 tetrahedra refined twice to 768", (0, 1)),
-    Series(3, 2, 1.0, 3, "unit cube, 12 tetrahedra refined twice to 768", (2,)),
-    Series(3, 3, 1.0, 3, "unit cube, 12 tetrahedra refined twice to 768"),
-)
+SERIES = (Series(2, 2), Series(2, 3), Series(3, 2, (0, 1)), Series(3, 2, (2,)), Series(3, 3))
+MESHES = {
+    2: (0.4, 3, "unit square, 0.4 m refined twice"),
+    3: (1.0, 3, "unit cube, 12 tetrahedra refined twice to 768"),
+}
+"""Size of the first, m, how many, and what they are."""
 
 
 def _measure(kind: str, series: Series) -> Measured:
-    values: dict[str, float] = {}
-    tables, curves = [], []
-    summary: list[list[str | float]] = []
+    curves, k, (maxh, levels, _) = [], series.k, MESHES[series.dim]
     for m in series.degrees:
-        k = series.k
         # the delta-terms need gradients of the fields
-        table = coupled_rates(
-            kind, series.dim, 4.0, k, m, series.maxh, series.levels, regularised=True, delta=m > 0
-        )
-        tables.append(table.table("h, m"))
-        for name in table.errors:
-            values[f"rate of {name}, k = {k}, m = {m}"] = table.last(name)
-            curves.append(Curve(f"{name}, k = {k}, m = {m}", table.sizes, table.errors[name]))
-        summary.append([k, m, *(f"{table.last(name):.2f}" for name in ("v", "rho", "z"))])
-    title = "rates between the two finest meshes"
-    plot = Plot(f"All terms, {kind}, {series.dim}D, k = {series.k}", "h, m", "L2 error", curves, log="xy")
-    yield from values.items()
-    yield Table(title, "k | m | v | rho | z", summary)
-    yield from tables
-    yield plot
+        table = coupled_rates(kind, series.dim, 4.0, k, m, maxh, levels, regularised=True, delta=m > 0)
+        yield from table.lasts(f"rate of {{}}, k = {k}, m = {m}")
+        yield table.table()
+        of = f"k = {k}, m = {m}"
+        curves += [Curve(f"{name}, {of}", table.sizes, errors) for name, errors in table.errors.items()]
+    title = f"All terms, {kind}, {series.dim}D, k = {k}"
+    yield Plot(title, "h, m", "L2 error", curves, log="xy")
 
 
 for kind in NAMES:
@@ -141,16 +117,20 @@ for kind in NAMES:
             for what, least, reason in zip(
                 ("v", "[rho; z]"),
                 _least(series.dim, series.k, m),
-                (f"the lifted penalty with p = 4; {MOMENTUM[kind]}", f"order {fields}, but not above v's"),
+                (
+                    f"the lifted penalty with p = 4; {MOMENTUM[kind]}",
+                    f"order {fields}, but not above v's; {CARRIED[kind]}",
+                ),
                 strict=True,
             )
         ]
-        CASES(f"""manufactured-{series.dim}d{order}-{NAMES[kind]}
+        reduced = " (reduced)" * (series == SERIES[0] and kind == "linear")
+        CASES(f"""manufactured-{series.dim}d{order}-{NAMES[kind]}{reduced}
             With k = {series.k} the whole system with all its terms converges in space in {series.dim}D:
               {claim}, rho and z with order {fields}, but no more than they are given by v.
             label: {LABELS[kind]}
-            setting: {TERMS} (delta only for m >= 1); {series.meshes}; two steps of 0.05 s with the discrete
-              time derivative in the sources; the solver that is chosen by itself (3D: the split one).
+            setting: {TERMS} (delta only for m >= 1); {MESHES[series.dim][2]}; two steps of 0.05 s with the
+              discrete time derivative in the sources; the solver chosen by itself (3D: the split one).
             {each(rates)}
             """)(partial(_measure, kind, series))
 
@@ -159,7 +139,6 @@ _BODIES = {(2, 0): 1.0, (2, 1): 2.7, (3, 2): 3.3}
 """Asked of v for two bodies without hyperviscosity, by k and m."""
 
 _ABOVE_Z, _AS_ELSEWHERE = "order k + 1, but one above z at most", "order m + 1, less 0.3 as elsewhere"
-_FIRST = "For rho and z m + 0.8 was written first, of which rho with m = 2 had 2.793 after 2.55."
 
 
 @CASES(f"""manufactured-bodies
@@ -174,18 +153,14 @@ _FIRST = "For rho and z m + 0.8 was written first, of which rho with m = 2 had 2
     - rate of z, control <= 1.0: another equation
     """)
 def _bodies() -> Measured:
-    values: dict[str, float] = {}
-    tables = []
     for k, m in _BODIES:
         table = coupled_rates("two bodies", 2, None, k, m, 0.4, 3)
-        tables.append(table.table("h, m"))
-        values |= {f"rate of {name}, k = {k}, m = {m}": table.last(name) for name in table.errors}
+        yield from table.lasts(f"rate of {{}}, k = {k}, m = {m}")
+        yield table.table()
     wrong = coupled_rates("two bodies", 2, None, 2, 1, 0.4, 3, sources=TakingPartWholly)
-    values["rate of z, control"] = wrong.last("z")
-    yield from values.items()
-    yield from tables
-    yield wrong.table("h, m")
-    yield _FIRST
+    yield "rate of z, control", wrong.last("z")
+    yield wrong.table()
+    yield "For rho and z m + 0.8 was written first, of which rho with m = 2 had 2.793 after 2.55."
 
 
 # --- creep with a gradient term, nu > 0 ----------------------------------------------------------------
@@ -198,39 +173,32 @@ LABEL = {
     "neo-hookean": "ED-Euler-large3, Euler-large-viscoelastodyn+4disc",
 }
 
-# --- the whole system -----------------------------------------------------------------------------------
-
-MESHES = {
-    2: (0.4, 3, "unit square, 0.4 m refined twice"),
-    3: (1.0, 3, "unit cube, 12 tetrahedra refined twice"),
-}
 AGREES = 1e-6
 """Of differences of eighth order with the analytic sources, relative."""
 
 
-def manufactured(kind: str, dim: int) -> Measured:
+def _with_gradient(kind: str, dim: int) -> Measured:
     """Sources against finite differences, and rates in space."""
-    tau, t = 0.05, 0.3
-    sources = Sources(model(kind, dim, 4.0, True, nu=NU), dim, tau)
-    mesh, right = box((1,) * dim, 1.0), coefficients(kind, 4.0, True, NU)
-    wrong = coefficients(kind, 4.0, True, 1.01 * NU)
-    differences = mismatch(right, sources, kind, t, mesh)
-    control = mismatch(wrong, sources, kind, t, mesh)["Pi"]
+    sources = Sources(model(kind, dim, 4.0, True, nu=NU), dim, 0.05)
+    differences, control = (
+        mismatch(coefficients(kind, 4.0, True, nu), sources, kind, 0.3, box((1,) * dim, 1.0))
+        for nu in (NU, 1.01 * NU)
+    )
     maxh, levels, _ = MESHES[dim]
     table = coupled_rates(kind, dim, 4.0, 2, 1, maxh, levels, regularised=True, nu=NU)
-    rows: list[list[str | float]] = [[name, value] for name, value in differences.items()]
     yield "largest difference of a source and its independent residual", max(differences.values())
-    yield "difference of the flow rule with a nu that is 1 % off", control
-    for name in ("v", "rho", "z", "Pi"):
-        yield f"rate of {name}", table.last(name)
-    yield Table("relative differences at eight random points", "equation | difference", rows)
-    yield from table.shown("h, m", "L2 error")
+    yield "difference of the flow rule with a nu that is 1 % off", control["Pi"]
+    yield from table.lasts()
+    yield Table(
+        "relative differences at eight random points", "equation | difference", [*differences.items()]
+    )
+    yield table
 
 
 for kind in NAMES:
     for dim in (2, 3):
         name = NAMES[kind]
-        CASES(f"""creep-gradient-{dim}d-{name}
+        CASES(f"""creep-gradient-{dim}d-{name}{" (reduced)" * (dim == 2 and kind == "linear")}
             With nu > 0 the whole system of {KINDS[name]} with all its terms converges in space in {dim}D, the
               creep rate too; its source is the independent residual.
             label: {LABEL[kind]}, {LABELS[kind]}
@@ -239,7 +207,7 @@ for kind in NAMES:
             - largest difference of a source and its independent residual <= {AGREES}: differences
             - difference of the flow rule with a nu that is 1 % off >= {10 * AGREES}: the negative control
             - rate of [v; rho; z; Pi] >= 1.7: order 2 of the penalty with p = 4 and of m = 1
-            """)(partial(manufactured, kind, dim))
+            """)(partial(_with_gradient, kind, dim))
 
 
 # --- flow rules of a potential that is not quadratic ------------------------------------------------------
@@ -272,14 +240,13 @@ class Stiffer(Sources):
     - least rate of [rho; z; Pi] >= 1.75: k + 1 of v, but not above Pi's by half; m + 1
     - largest rate of Pi where psi' is a tenth off <= 1.0: the negative control
     """)
-def of_rules() -> Measured:
+def _of_rules() -> Measured:
     """Rates in space for every rule and material, and the rules against their formulas by differences."""
-    tau, t, mesh = 0.05, 0.3, box((1, 1), 1.0)
-    largest, least, controls, tables, plots = 0.0, np.inf, [], [], []
+    t, mesh, largest, least, controls = 0.3, box((1, 1), 1.0), 0.0, np.inf, []
     found: dict[str, list[float]] = {name: [] for name in ("v", "rho", "z", "Pi")}
     for rule in NONLINEAR:
         for kind in MODELS:
-            sources = Sources(model(kind, 2, None, nu=NU, rule=rule), 2, tau)
+            sources = Sources(model(kind, 2, None, nu=NU, rule=rule), 2, 0.05)
             right = coefficients(kind, None, nu=NU, rule=rule)
             largest = max(largest, *mismatch(right, sources, kind, t, mesh).values())
             for name in RULES[rule][1]:
@@ -287,20 +254,17 @@ def of_rules() -> Measured:
                 least = min(least, mismatch(wrong, sources, kind, t, mesh)["Pi"])
         for kind, tensor in FIELDS.items():
             table = coupled_rates(kind, 2, None, 2, 1, 0.4, 3, nu=NU, rule=rule)
+            table.title = f"{rule} by {tensor}"
             for name in found:
                 found[name].append(table.last(name))
-            tables.append(table.table("h, m"))
-            tables[-1] = replace(tables[-1], title=f"{rule} by {tensor}")
+            yield table.table()
         control = coupled_rates("neo-hookean", 2, None, 2, 1, 0.4, 3, nu=NU, rule=rule, sources=Stiffer)
         controls.append(control.last("Pi"))
-        plots.append(table.plot("h, m", "L2 error"))
     yield "largest difference of a source and its independent residual", largest
     yield "least difference of a flow rule with a constant that is 1 % off", least
     for name, rates in found.items():
         yield f"least rate of {name}", min(rates)
     yield "largest rate of Pi where psi' is a tenth off", max(controls)
-    yield from tables
-    yield from plots[:1]
 
 
 # --- an independent creep rate -----------------------------------------------------------------------------
@@ -308,7 +272,6 @@ def of_rules() -> Measured:
 G_E, G_M, Q = 1.0, 2.0, 4.0
 DIRECTION = np.array([[1.0, 0.5, 0.0], [0.5, -0.4, 0.0], [0.0, 0.0, -0.6]])
 DIRECTION /= np.linalg.norm(DIRECTION)
-CELLS = "(|Omega|/cells)^(1/d), m"
 STRENGTH = 0.3
 """nu, W/m^3 (m s)^4: it halves the creep rate at the centre."""
 
@@ -316,6 +279,50 @@ STRENGTH = 0.3
 def profile(square: Any) -> Any:
     """The strain's size for r^2, of an array or a coefficient function."""
     return 0.5 - 2.0 * square + 1.2 * square * square
+
+
+def radial_creep(
+    dim: int, nu: float, q: float, driving: Callable[[np.ndarray], np.ndarray], intervals: int = 4000
+) -> tuple[np.ndarray, np.ndarray]:
+    """Nodes r and values a(r) of Pi = a(r) D in the unit disc or ball for a driving stress M = m(r) D.
+
+    a minimises int (G_m a^2/2 + nu |a'|^q/q - m a) r^{d-1} dr: here by linear elements and a damped Newton
+    iteration, in NumPy, with nothing of the package's forms or spaces.
+    """
+    points, weights = np.polynomial.legendre.leggauss(4)
+    r, h, share = np.linspace(0.0, 1.0, intervals + 1), 1 / intervals, 0.5 * (points + 1)
+    at = r[:-1, None] + h * share
+    volume, shapes = 0.5 * h * weights * at ** (dim - 1), np.stack([1 - share, share])
+    mass, size = G_M * np.einsum("cp,ap,bp->abc", volume, shapes, shapes), volume.sum(axis=1)
+
+    def gathered(of_cells: np.ndarray) -> np.ndarray:
+        """Sums of (2, cells) over the nodes."""
+        return np.append(of_cells[0], 0.0) + np.append(0.0, of_cells[1])
+
+    load = gathered(np.stack([(volume * driving(at) * s).sum(axis=1) for s in shapes]))
+
+    def energy(a: np.ndarray) -> float:
+        ends, slope = np.stack([a[:-1], a[1:]]), np.diff(a) / h
+        squares = np.einsum("abc,ac,bc->", mass, ends, ends)
+        return float(0.5 * squares + nu / q * (size * abs(slope) ** q).sum() - load @ a)
+
+    a = driving(r) / G_M
+    for _ in range(200):
+        ends, slope = np.stack([a[:-1], a[1:]]), np.diff(a) / h
+        flux = nu * size * abs(slope) ** (q - 2) * slope / h
+        residual = gathered(np.einsum("abc,bc->ac", mass, ends) + np.stack([-flux, flux])) - load
+        stiff = nu * (q - 1) * size * abs(slope) ** (q - 2) / h**2
+        matrix = np.zeros((3, intervals + 1))
+        matrix[1] = gathered(np.stack([mass[0, 0], mass[1, 1]]) + stiff)
+        matrix[0, 1:] = matrix[2, :-1] = mass[0, 1] - stiff
+        step = solve_banded((1, 1), matrix, -residual, check_finite=False)
+        damping, before, along = 1.0, energy(a), residual @ step
+        if -along <= 1e-15 * abs(before):
+            return r, a
+        while energy(a + damping * step) > before + 1e-4 * damping * along and damping > 1e-10:
+            damping *= 0.5
+        a = a + damping * step
+    raise VerificationError("the radial creep rate has not converged")
 
 
 def solved(dim: int, maxh: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
@@ -338,9 +345,8 @@ def solved(dim: int, maxh: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, f
     run.advance()
     points = CellPoints(mesh, 4)
     at = mesh.MapToAllElements(points.rules, VOL)
-    r = np.sqrt(np.asarray(square(at)).ravel())
-    size = float((points.weights.sum() / mesh.ne) ** (1 / dim))
-    return np.asarray(run.rothe_step.now.Pi(at)).reshape(-1, 9), r, points.weights, size
+    Pi, r = np.asarray(run.rothe_step.now.Pi(at)).reshape(-1, 9), np.sqrt(np.asarray(square(at)).ravel())
+    return Pi, r, points.weights, float((points.weights.sum() / mesh.ne) ** (1 / dim))
 
 
 def independent(dim: int, sizes: tuple[float, ...]) -> Measured:
@@ -349,31 +355,24 @@ def independent(dim: int, sizes: tuple[float, ...]) -> Measured:
     def driving(r: np.ndarray) -> np.ndarray:
         return np.asarray(2 * G_E * profile(r * r))
 
-    nodes, a = RadialCreep(dim, 1.0, G_M, STRENGTH, Q, driving).solve()
-    table = RateTable(f"Pi against the radial reference, {dim}D, m = 2")
+    nodes, a = radial_creep(dim, STRENGTH, Q, driving)
+    table = RateTable(f"relative L2 error of Pi, {dim}D, m = 2", "(|Omega|/cells)^(1/d), m")
     for maxh in sizes:
         Pi, r, weights, h = solved(dim, maxh)
         exact = np.interp(r, nodes, a)
-        gap = Pi - exact[:, None] * DIRECTION.ravel()
-        size = float((weights * exact**2).sum())
-        table.add(h, Pi=float(((weights[:, None] * gap**2).sum() / size) ** 0.5))
-        without = driving(r) / G_M - exact
-        distance = float(((weights * without**2).sum() / size) ** 0.5)
-    at = np.linspace(0, 1, 51)
-    curves = [
-        Curve("reference", at, np.interp(at, nodes, a), "-"),
-        Curve("without the gradient, M/G_m", at, driving(at) / G_M, "--"),
-    ]
+        gap = ((Pi - exact[:, None] * DIRECTION.ravel()) ** 2).sum(axis=1)
+        without = (driving(r) / G_M - exact) ** 2
+        error, control = (((weights @ of) / (weights @ exact**2)) ** 0.5 for of in (gap, without))
+        table.add(h, Pi=float(error))
     yield "relative L2 error of Pi on the finest mesh", table.errors["Pi"][-1]
     yield "rate of Pi", table.last("Pi")
-    yield "relative L2 distance of M/G_m from the reference", distance
-    yield from table.shown(CELLS, "relative L2 error")
-    yield Plot("creep rate over the radius", "r, m", "1/s", curves)
+    yield "relative L2 distance of M/G_m from the reference", control
+    yield table
 
 
 for dim, sizes, largest, rate in ((2, (0.5, 0.25, 0.125), 2e-3, 1.7), (3, (0.8, 0.4, 0.3), 0.06, 1.5)):
     shape = "disc" if dim == 2 else "ball"
-    CASES(f"""creep-gradient-{shape}{" (reduced)" * (dim == 2)}
+    CASES(f"""creep-gradient-{shape}
         The creep rate of a driving stress that varies along the radius of a {shape} is the minimiser of its
           potential, found in one dimension without the package.
         label: ED-Euler-large3, Euler-large-viscoelastodyn+4disc

@@ -1,8 +1,8 @@
 """The whole scheme at once, as the paper's proof has it: estimates, limits in turn; also in space."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
-from itertools import pairwise
+from itertools import pairwise, product
 
 import numpy as np
 from ngsolve import L2, CoefficientFunction, GridFunction, Integrate, Mesh, OuterProduct
@@ -14,12 +14,31 @@ from ngvisco.forms.term import tested
 from ngvisco.physics.material import cauchy_stress
 from ngvisco.physics.tensors import dev, square, sym
 from ngvisco.run.simulation import Simulation
-from tests.verification.case import CLOSURE, Bound, Cases, Curve, Measured, Plot, Table, each
+from tests.verification.case import (
+    CLOSURE,
+    DRIFT,
+    Bound,
+    Cases,
+    Curve,
+    Measured,
+    Plot,
+    RateTable,
+    Table,
+    each,
+)
 from tests.verification.cases import limits as plane
 from tests.verification.cases.invariants import COFACTORS
-from tests.verification.problems import distance
-from tests.verification.rates import RateTable
-from tests.verification.setups import KINDS, LABELS, SETTING, block, cube_mesh, material, square_mesh, state
+from tests.verification.setups import (
+    KINDS,
+    LABELS,
+    SETTING,
+    block,
+    cube_mesh,
+    distance,
+    material,
+    square_mesh,
+    state,
+)
 
 CASES = Cases("The whole scheme")
 
@@ -92,22 +111,22 @@ class Norms:
 
     def _densities(self, u: Fields) -> None:
         old, tau, row = self._old, self.run.dt, self.run.ledger.rows[-1]
-        T = self.run.fields["cauchy_stress"]
+        T, p = square(self.run.fields["cauchy_stress"]), EXPONENT
+        grad_p = u.rho * u.grad_v + u.v.Reshape((self.run.mesh.dim, 1)) * u.grad_rho.Reshape((1, u.dim))
+        rho, z = (square((new - before) / tau) for new, before in ((u.rho, old.rho), (u.z, old.z)))
+        momentum = square((u.rho * u.v - old.rho * old.v) / tau)
         self._sup("sup ‖√rho v‖ L2", self._lp(u.rho * square(u.v), 2))
         self._sup("sup ‖p‖ L1", self._lp(u.rho * u.rho * square(u.v), 1))
-        self._sup("sup ‖T‖ L1", self._lp(square(T), 1))
+        self._sup("sup ‖T‖ L1", self._lp(T, 1))
         self._sup("sup ∫phi", row["stored"])
-        self._sup("sup ‖rho‖ W1,r", self._lp(u.rho * u.rho + square(u.grad_rho), EXPONENT))
-        grad_p = u.rho * u.grad_v + u.v.Reshape((self.run.mesh.dim, 1)) * u.grad_rho.Reshape((1, u.dim))
-        self._sum("‖∇p‖ Lp(Lr)", self._lp(square(grad_p), EXPONENT), EXPONENT)
-        rates = {"rho": square((u.rho - old.rho) / tau), "z": square((u.z - old.z) / tau)}
-        for name, rate in rates.items():
-            self._sum(f"‖∂t {name}‖ L2", self._lp(rate, 2), 2)
-        self._sum("‖∂t rho‖ Lp(Lr)", self._lp(rates["rho"], EXPONENT), EXPONENT)
-        self._sum("‖∂t z‖ Lp(L2)", self._lp(rates["z"], 2), EXPONENT)
-        self._sum("‖∂t p‖ Lp'(L2)", self._lp(square((u.rho * u.v - old.rho * old.v) / tau), 2), 4 / 3)
-        for name, part in self._parts(u).items():
-            value, slope = part
+        self._sup("sup ‖rho‖ W1,r", self._lp(u.rho * u.rho + square(u.grad_rho), p))
+        self._sum("‖∇p‖ Lp(Lr)", self._lp(square(grad_p), p), p)
+        self._sum("‖∂t rho‖ L2", self._lp(rho, 2), 2)
+        self._sum("‖∂t z‖ L2", self._lp(z, 2), 2)
+        self._sum("‖∂t rho‖ Lp(Lr)", self._lp(rho, p), p)
+        self._sum("‖∂t z‖ Lp(L2)", self._lp(z, 2), p)
+        self._sum("‖∂t p‖ Lp'(L2)", self._lp(momentum, 2), 4 / 3)
+        for name, (value, slope) in self._parts(u).items():
             self._sup(f"sup ‖{name}‖ L2", self._lp(value, 2))
             self._sum(f"‖{name}‖ L10/3", self._lp(value, 10 / 3), 10 / 3)
             self._sum(f"‖{name}‖ L4(L3)", self._lp(value, 3), 4)
@@ -115,12 +134,11 @@ class Norms:
         if "Pi" in u.parts:
             Pi, slope = square(u.Pi), square(u.grad_Pi)
             self._sum("‖Pi‖ L2", self._lp(Pi, 2), 2)
-            self._sum("‖∇Pi‖ Lq", self._lp(slope, EXPONENT), EXPONENT)
-            self._sup("sup ‖Pi‖ W1,q", self._lp(Pi + slope, EXPONENT))
-            M = u.context.rates.mandel(u)
-            self._sup("sup ‖M‖ L1", self._lp(square(M), 1))
+            self._sum("‖∇Pi‖ Lq", self._lp(slope, p), p)
+            self._sup("sup ‖Pi‖ W1,q", self._lp(Pi + slope, p))
+            self._sup("sup ‖M‖ L1", self._lp(square(u.context.rates.mandel(u)), 1))
         else:
-            self._sup("sup ‖dev T‖ L2", self._lp(square(dev(T)), 2))
+            self._sup("sup ‖dev T‖ L2", self._lp(square(dev(self.run.fields["cauchy_stress"])), 2))
         bound = row["mass"] * (1 + 2 * row["kinetic"]) * GRAVITY
         self.gronwall = max(self.gronwall, row["power_gravity"] / bound)
 
@@ -205,54 +223,39 @@ def estimates(
     meshes = meshes or {h: square_mesh(h) for h in MESHES}
     found: dict[tuple[float, float], dict[str, float]] = {}
     gronwall, densest = 0.0, 0.0
-    for h, mesh in meshes.items():
-        for size in sizes:
-            run = whole(kind, TAU, mesh, size, size)
-            norms = Norms(run)
-            for _ in range(steps):
-                norms.advance()
-            found[h, size] = norms.values()
-            gronwall = max(gronwall, norms.gronwall)
-            densest = max(densest, float(run.ledger.column("rho_max").max()))
+    for (h, mesh), size in product(meshes.items(), sizes):
+        norms = Norms(whole(kind, TAU, mesh, size, size))
+        for _ in range(steps):
+            norms.advance()
+        found[h, size], gronwall = norms.values(), max(gronwall, norms.gronwall)
+        densest = max(densest, float(norms.run.ledger.column("rho_max").max()))
     bounded, powers = COMMON | OWN[kind], POWERS[kind]
     (coarse, fine), (small, smaller) = [list(meshes)[i] for i in (-2, -1)], sizes[-2:]
-    values = {
-        "largest rho": densest,
-        "gravity's power over M (1 + ‖p/√rho‖²) |g|": gronwall,
-    }
-    rows: list[list[str | float]] = []
+    yield "largest rho", densest
+    yield "gravity's power over M (1 + ‖p/√rho‖²) |g|", gronwall
     for name in bounded:
-        in_size = found[fine, smaller][name] / found[fine, small][name]
-        in_mesh = found[fine, smaller][name] / found[coarse, smaller][name]
-        values[f"growth of {name}"] = max(in_size, in_mesh)
+        last = found[fine, smaller][name]
+        yield f"growth of {name}", max(last / found[fine, small][name], last / found[coarse, smaller][name])
     for name in powers:
         decades = [np.log10(found[fine, b][name] / found[fine, a][name]) for a, b in pairwise(sizes)]
-        values[f"power of 1/delta in {name}"] = float(max(decades))
-    for name in (*bounded, *powers):
-        rows += [[name, h, *(found[h, size][name] for size in sizes)] for h in meshes]
-    curves = [Curve(name, sizes, [found[fine, size][name] for size in sizes]) for name in (*bounded, *powers)]
-    yield from values.items()
+        yield f"power of 1/delta in {name}", max(decades)
+    names = [*bounded, *powers]
+    rows = [[name, h, *(found[h, size][name] for size in sizes)] for name in names for h in meshes]
     yield Table("norms", ["norm", "h, m", *(f"eps = delta = {size:g}" for size in sizes)], rows)
+    curves = [Curve(name, sizes, [found[fine, size][name] for size in sizes]) for name in names]
     yield Plot(f"Norms over eps = delta, h = {fine:g} m", "eps = delta", "norm", curves, log="xy")
 
 
-def bounds(kind: str) -> tuple[Bound, ...]:
+def bounds(kind: str) -> Iterator[Bound]:
     """Those of ``estimates``."""
-    growths = (
-        Bound(f"growth of {name}", "<=", 1.2, f"{label}: bounded as eps, delta and h decrease")
-        for name, label in (COMMON | OWN[kind]).items()
-    )
-    powers = (
-        Bound(f"power of 1/delta in {name}", "<=", power, f"{label}: C delta^(-{power:g})")
-        for name, (power, label) in POWERS[kind].items()
-    )
-    return (
-        *growths,
-        *powers,
-        Bound("largest rho", "<=", RHO_MAX + 1, "Euler-small-est3+++"),
-        Bound("gravity's power over M (1 + ‖p/√rho‖²) |g|", "<=", 1.0, "Euler-small-est-Gronwall"),
-        CLOSURE,
-    )
+    for name, label in (COMMON | OWN[kind]).items():
+        yield Bound(f"growth of {name}", "<=", 1.2, f"{label}: bounded as eps, delta and h decrease")
+    for name, (power, label) in POWERS[kind].items():
+        yield Bound(f"power of 1/delta in {name}", "<=", power, f"{label}: C delta^(-{power:g})")
+    yield Bound("largest rho", "<=", RHO_MAX + 1, "Euler-small-est3+++")
+    yield Bound("gravity's power over M (1 + ‖p/√rho‖²) |g|", "<=", 1.0, "Euler-small-est-Gronwall")
+    yield Bound(DRIFT.quantity, "<=", 1e-12, "Euler-small-est-1+: to rounding")
+    yield CLOSURE
 
 
 WHAT = {
@@ -310,13 +313,11 @@ def fields(run: Simulation) -> dict[str, CoefficientFunction]:
     step = run.rothe_step
     u, energy = step.now, GridFunction(L2(run.mesh, order=step.discretisation.m))
     LocalProjection(energy, step.quadrature, tested(step.energy.density(u)))()
-    found = state(run) | {"T": cauchy_stress(run.model.material, u.z_tensors, u.zeta_tensors, energy)}
     p = u.rho * u.v
+    found = state(run) | {"T": cauchy_stress(run.model.material, u.z_tensors, u.zeta_tensors, energy)}
     found |= {"p": p, "p x v": OuterProduct(p, u.v), "eps(v)": sym(u.L), "hess v": u.hess}
     found |= {"grad rho": u.grad_rho, "grad z": u.grad_z}
-    if "Pi" in u.parts:
-        found |= {"Pi": u.Pi, "M": u.context.rates.mandel(u)}
-    return found
+    return found | ({"Pi": u.Pi, "M": u.context.rates.mandel(u)} if "Pi" in u.parts else {})
 
 
 def separation(one: Simulation, other: Simulation) -> dict[str, float]:
@@ -324,13 +325,6 @@ def separation(one: Simulation, other: Simulation) -> dict[str, float]:
     a, b = fields(one), fields(other)
     found = {name: distance(a[name], b[name], one.mesh) for name in a}
     return found | {"rho in C": max(map(abs, one.sampler.extrema(a["rho"] - b["rho"])))}
-
-
-def _against(runs: Sequence[tuple[float, Simulation]], limit: Simulation, title: str) -> RateTable:
-    table = RateTable(title)
-    for size, run in runs:
-        table.add(size, **separation(run, limit))
-    return table
 
 
 def sequence(
@@ -341,42 +335,31 @@ def sequence(
 ) -> Measured:
     """Limits in tau, in delta, and without it in epsilon, on meshes by their h, m."""
     meshes, sizes = meshes or {h: square_mesh(h) for h in LIMIT_MESHES}, sizes or LIMIT_SIZES[kind]
-    values: dict[str, float] = {}
-    tables, plots, everything = [], [], []
+    densest: list[float] = []
     least: dict[str, dict[str, float]] = {}
     for h, mesh in meshes.items():
 
         def run_of(steps: int, delta: float, epsilon: float, mesh: Mesh = mesh) -> Simulation:
             run = whole(kind, DURATION / steps, mesh, delta, epsilon)
-            run.run(DURATION)
-            everything.append(run)
+            densest.append(float(run.run(DURATION).column("rho_max").max()))
             return run
 
-        at = f"h = {h:g} m, t = {DURATION:g} s"
-        in_tau = [(DURATION / n, run_of(n, DELTA, EPSILON)) for n in numbers]
-        tau = RateTable(f"tau: distance to the run with half the step, {at}")
-        for (size, coarse), (_, fine) in pairwise(in_tau):
-            tau.add(size, **separation(coarse, fine))
+        tables = {name: RateTable(f"{name} -> 0, h = {h:g} m, t = {DURATION:g} s", name) for name in RATES}
+        for (n, coarse), (_, fine) in pairwise([(n, run_of(n, DELTA, EPSILON)) for n in numbers]):
+            tables["tau"].add(DURATION / n, **separation(coarse, fine))
         steps = numbers[1]
-        in_delta = [(delta, run_of(steps, delta, EPSILON)) for delta in sizes]
-        without_delta = run_of(steps, 0.0, EPSILON)
-        delta = _against(in_delta, without_delta, f"delta: distance to delta = 0, {at}")
-        in_epsilon = [(epsilon, run_of(steps, 0.0, epsilon)) for epsilon in sizes]
-        limit = run_of(steps, 0.0, 0.0)
-        epsilon = _against(in_epsilon, limit, f"epsilon: distance to epsilon = 0, {at}")
-        for name, table in (("tau", tau), ("delta", delta), ("epsilon", epsilon)):
-            rates = {field: table.last(field) for field in table.errors}
-            known = least.setdefault(name, rates)
-            least[name] = {field: min(rates[field], known[field]) for field in rates}
-            tables.append(table.table(name))
-            if h == list(meshes)[-1]:
-                plots.append(table.plot(name, "distance in L2", RATES[name][0], "z"))
+        without_delta, limit = run_of(steps, 0.0, EPSILON), run_of(steps, 0.0, 0.0)
+        for size in sizes:
+            tables["delta"].add(size, **separation(run_of(steps, size, EPSILON), without_delta))
+        for size in sizes:
+            tables["epsilon"].add(size, **separation(run_of(steps, 0.0, size), limit))
+        for name, table in tables.items():
+            known = least.setdefault(name, {field: np.inf for field in table.errors})
+            least[name] = {field: min(table.last(field), known[field]) for field in known}
+            yield table if h == list(meshes)[-1] else table.table()
     for name, rates in least.items():
-        values |= {f"last rate of {field} in {name}": rate for field, rate in rates.items()}
-    values["largest rho"] = max(float(run.ledger.column("rho_max").max()) for run in everything)
-    yield from values.items()
-    yield from tables
-    yield from plots
+        yield from ((f"last rate of {field} in {name}", rate) for field, rate in rates.items())
+    yield "largest rho", max(densest)
 
 
 RATES = {
@@ -384,7 +367,6 @@ RATES = {
     "delta": (0.45, "sqrt(delta): the stress of sqrt(delta)/2 |z|^2 and the size of the delta-terms"),
     "epsilon": (0.9, "terms and an approximation of first order in epsilon"),
 }
-
 """On a fixed mesh all norms are equivalent: slopes have the rates of the functions."""
 
 LIMIT_LABELS: dict[str, dict[str, str]] = {
@@ -445,22 +427,15 @@ SOLVED: dict[str, dict[str, dict[str, str]]] = {
 """The equations that a limit solves, at the field that each is of."""
 
 
-def _labels(kind: str, name: str, field: str) -> str:
-    """The labels of a field's limit in tau, delta or epsilon."""
-    return ", ".join(filter(None, (LIMIT_LABELS[kind][field], SOLVED[kind].get(name, {}).get(field))))
-
-
-def limit_bounds(kind: str) -> tuple[Bound, ...]:
+def limit_bounds(kind: str) -> Iterator[Bound]:
     """Those of ``sequence``."""
-    return (
-        *(
-            Bound(f"last rate of {field} in {name}", ">=", rate, f"{reason}; {_labels(kind, name, field)}")
-            for name, (rate, reason) in RATES.items()
-            for field in LIMIT_LABELS[kind]
-        ),
-        Bound("largest rho", "<=", RHO_MAX, "the cut-off never acts; Euler-small-viscoelastodyn+0-reg"),
-        CLOSURE,
-    )
+    for name, (rate, reason) in RATES.items():
+        for field, labels in LIMIT_LABELS[kind].items():
+            solved = SOLVED[kind].get(name, {}).get(field)
+            said = ", ".join(filter(None, (labels, solved)))
+            yield Bound(f"last rate of {field} in {name}", ">=", rate, f"{reason}; {said}")
+    yield Bound("largest rho", "<=", RHO_MAX, "the cut-off never acts; Euler-small-viscoelastodyn+0-reg")
+    yield CLOSURE
 
 
 LIMITS = {
@@ -484,7 +459,7 @@ for kind in KINDS:
         """)(partial(sequence, kind))
 
 
-# --- in three dimensions, small: stability, estimates, limits ------------------------------------------
+# --- in three dimensions, small: the plane's measurements on other meshes ------------------------------
 
 CASES.theme = "Three dimensions"
 
@@ -494,36 +469,22 @@ CUBE = (
 )
 COARSE, FINE = 1.0, 0.5
 """Sizes of the cells, m: 12 and 28 tetrahedra."""
-
-# --- stability, estimates, limits: the plane's measurements on other meshes -----------------------------
-
 SPACE_TAUS = {"linearised": (1e-3, 1e-1, 10.0), "finite": (1e-3, 1e-2, 1e-1)}
 """s; at finite strain no longer ones, for the time that they take."""
-
 SPACE_SIZES = (1e-2, 1e-3)
 
 
-def stable(kind: str) -> Measured:
-    """``stability`` on a cube."""
+def _stable(kind: str) -> Measured:
     return plane.energies(kind, 0.0, cube_mesh(FINE), SPACE_TAUS[kind], 3)
 
 
-def estimated(kind: str) -> Measured:
-    """``whole_scheme`` on cubes."""
+def _estimated(kind: str) -> Measured:
     return estimates(kind, {h: cube_mesh(h) for h in (COARSE, FINE)}, SPACE_SIZES, 4)
 
 
-def limits(kind: str) -> Measured:
-    """``sequence`` on a cube."""
-    return sequence(
-        kind,
-        {FINE: cube_mesh(FINE)},
-        COUNTS,
-        LIMIT_SIZES[kind][-2:] if kind == "finite" else SPACE_SIZES,
-    )
-
-
-# --- the cases --------------------------------------------------------------------------------------------
+def _limits(kind: str) -> Measured:
+    sizes = LIMIT_SIZES[kind][-2:] if kind == "finite" else SPACE_SIZES
+    return sequence(kind, {FINE: cube_mesh(FINE)}, COUNTS, sizes)
 
 
 for kind in KINDS:
@@ -534,18 +495,18 @@ for kind in KINDS:
         setting: {CUBE}cells of {FINE} m, three steps each of tau = 1e-3,
           {"0.01 and 0.1" if finite else "0.1 and 10"} s.
         {plane.BOUNDS}
-        """)(partial(stable, kind))
+        """)(partial(_stable, kind))
     CASES(f"""space-estimates-{kind}
         In three dimensions too the estimates of {KINDS[kind]} hold with all its terms.
         label: {"Euler-large-est, Euler-large-est+" if finite else "Euler-small-est, Euler-small-est+"}
         setting: {CUBE}all terms of the scheme; cells of {COARSE} and {FINE} m, four steps of
           {TAU} s, epsilon = delta = 1e-2 and 1e-3.
         {each(bounds(kind))}
-        """)(partial(estimated, kind))
+        """)(partial(_estimated, kind))
     CASES(f"""space-limits-{kind}
         In three dimensions too {KINDS[kind]} converges as tau, delta and epsilon -> 0 in turn.
         label: {LABELS[kind]}, {"ED-Euler-large-polyconvex-eta" if finite else "Euler-small-converge+"}
         setting: {CUBE}all terms of the scheme; cells of {FINE} m, until {DURATION} s; 8 to 64 steps,
           then delta, then epsilon of {"1e-4 and 1e-5" if finite else "1e-2 and 1e-3"}.
         {each(limit_bounds(kind))}
-        """)(partial(limits, kind))
+        """)(partial(_limits, kind))
