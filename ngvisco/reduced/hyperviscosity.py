@@ -33,7 +33,6 @@ from ngvisco.algebra.local import LocalMatrix
 from ngvisco.algebra.sparse import apply, inverse_of_blocks, mass_matrix, pruned
 from ngvisco.forms.fields import Fields, hessian_basis
 from ngvisco.forms.mesh.points import CellPoints, SidePoints, csr
-from ngvisco.forms.spaces import Layout
 from ngvisco.forms.system import Step
 from ngvisco.forms.terms.hyperviscosity import Hyperviscosity
 from ngvisco.physics.arrays import Array, contracted
@@ -98,7 +97,9 @@ class MatrixHyperviscosity:
         self.step, self.term, self.law = step, term, term.law
         layout, self.dim = step.layout, step.mesh.dim
         k = layout.discretisation.k
-        self.is_uniform = self._has_numbers(layout)
+        ones = layout.states.tensors(lambda: Array(np.ones((layout.states.size, 1)), None))
+        self.is_uniform = all(isinstance(modulus, (int, float)) for modulus in self.law.moduli(ones))
+        """Whether the law's moduli are the same everywhere."""
         # Hs and all that is made of it are cellwise constant for k = 2: one point does
         constant = k == 2 and step.mesh.GetCurveOrder() <= 1 and self.is_uniform
         self.points = CellPoints(step.mesh, 0) if constant else points
@@ -115,11 +116,6 @@ class MatrixHyperviscosity:
             self.s_inverse = inverse_of_blocks(mass_matrix(self.s_values.matrix, self.points.weights))
         if not self.is_uniform:
             self._z = LocalMatrix(self.points.values(self.fields), step.mesh.ne)
-
-    def _has_numbers(self, layout: Layout) -> bool:
-        """Whether the law's moduli are the same everywhere."""
-        z = layout.states.tensors(lambda: Array(np.ones((layout.states.size, 1)), None))
-        return all(isinstance(modulus, (int, float)) for modulus in self.law.moduli(z))
 
     def tensors(self, z: np.ndarray) -> Values:
         """Values of the variables at the cells' points of this rule, of coefficients."""

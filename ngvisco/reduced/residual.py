@@ -169,6 +169,8 @@ class ReducedResidual:
         self.by_forms = RestrictedForm(step, u.flow, claims.by_forms) if claims.by_forms else None
         self.density = RestrictedForm(step, u.density, claims.density) if claims.density else None
         self._density_of_all: RestrictedForm | None = None
+        self._of_forms: list[tuple[slice, sp.csr_matrix, np.ndarray]] = []
+        """Rows, their derivative where ``derivative`` was last asked for, and its columns."""
         self.hyper: MatrixHyperviscosity | None = None
         if claims.hyperviscosity:
             points = self.op.points, self.side_op.points
@@ -254,13 +256,18 @@ class ReducedResidual:
 
         By complex increments of all arrays; of the terms that only forms have, their linearisations.
         """
+        u = self.unknowns
         self.step.stresses.linearise()
-        self._flow_rows = None if self.by_forms is None else self.by_forms.jacobian()
+        self._of_forms = []
+        if self.by_forms is not None:
+            self._of_forms.append((u.flow_slice, self.by_forms.jacobian(), np.arange(u.flow_slice.stop)))
         if self.density is not None:
             if self._density_of_all is None:
-                names = ["v", *self.unknowns.density]
+                names = ["v", *u.density]
                 self._density_of_all = RestrictedForm(self.step, names, self.claims.density)
-            self._density_rows = self._density_of_all.jacobian()[at.coefficients["v"].size :]
+            columns = np.r_[u.slices["v"], u.density_slice]
+            rows = self._density_of_all.jacobian()[at.coefficients["v"].size :]
+            self._of_forms.append((u.density_slice, rows, columns))
         return lambda d: self(at.x + (TINY * 1j) * d).residual.imag / TINY
 
     def _set_traces(self, c: dict[str, np.ndarray], s: Fields) -> None:
@@ -279,16 +286,13 @@ class ReducedResidual:
                 where = u.normal_slice if name == "a" else u.slices.get(name)
                 if where is not None:
                     result[where] += values.ravel()
-        if self.by_forms is not None:
-            of_forms = result[u.flow_slice]
-            of_forms += self.by_forms.residual() if is_real else 1j * (self._flow_rows @ x[u.flow_slice].imag)
-        if self.density is not None:
-            of_forms = result[u.density_slice]
-            if is_real:
-                of_forms += self.density.residual()
-            else:
-                direction = np.concatenate([x[u.slices["v"]].imag, x[u.density_slice].imag])
-                of_forms += 1j * (self._density_rows @ direction)
-        if self.right_hand_side is not None and is_real:
+        if not is_real:
+            for where, matrix, columns in self._of_forms:
+                result[where] += 1j * (matrix @ x.imag[columns])
+            return self.exchange.sum(result)
+        for form, where in ((self.by_forms, u.flow_slice), (self.density, u.density_slice)):
+            if form is not None:
+                result[where] += form.residual()
+        if self.right_hand_side is not None:
             result += self.right_hand_side.rows
         return self.exchange.sum(result)
