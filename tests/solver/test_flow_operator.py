@@ -84,7 +84,7 @@ def derivative(split, at, dv, rows):
 def test_inertia_convection_and_viscosity(run):
     v = linear(run, lambda x, y: (1 + 2 * y - x, x + 0.5 * y))
     split, at, operator = prepared(run, v)
-    operator.elements.from_fields[:] = 0.0  # what the fields answer is not asked here
+    operator.from_fields[:] = 0.0  # what the fields answer is not asked here
     operator.derivative = None
     dv = linear(run, lambda x, y: (y - 0.3, 2 * x))  # div dv would change the density too
     r = split.residual
@@ -117,7 +117,7 @@ def test_the_force_is_the_rows_derivative_by_fields_that_are_continuous(run):
     at = residual(u)
     operator.update(at)
     operator.points.resolvent[:] = np.eye(operator.points.resolvent.shape[1])
-    operator.elements.update(operator._base(), operator._inertia(at))
+    operator.form_elements(operator._base(), operator._inertia(at))
     direction = np.zeros(len(u))
     slope, densities = rng.standard_normal((len(mean), 2)), split.step.layout.states.densities
     slope -= np.outer(densities, densities @ slope) / max(densities @ densities, 1.0)

@@ -12,7 +12,7 @@ and with the elastic force zeta : rate(z; X) that makes the point's stiffness
 C = tau (zeta : T + (d rate/dX)^T phi'') (1 - tau K)^{-1} (d rate/dX), not symmetric where there is stress or
 creep.  What is integrated at the nodes (``Quadrature.nodes``), as nonlinear creep, has its part of K there.
 
-Element matrices (``FlowElements``) are of a coarse rule, but for inertia: a rule that does not see all of P_k
+Element matrices are of a coarse rule, but for inertia: a rule that does not see all of P_k
 makes it singular.  They are of v, from v to the fields' rows, and back from the fields to v: a product of the
 operator is three small dense products a cell, whatever the number of points.  In a cell, v's increment is
 ordered by components and functions, (dim, local), its rows by functions and components, (local, dim), the
@@ -206,8 +206,8 @@ def _resolvents(matrices: np.ndarray) -> np.ndarray:
     return result
 
 
-class FlowElements:
-    """The element matrices at the state of the last ``update``.
+class FlowSchurComplement:
+    """The operator at the evaluation of the last ``update``, in element matrices.
 
     Attributes
     ----------
@@ -215,75 +215,9 @@ class FlowElements:
         Rows of v from v.
     to_fields : array, (cells, q n, dim local)
         Rows of the fields from v.
-    of_velocity : array
-        Both, one after the other: what an increment of v makes is one product.
     from_fields : array, (cells, local dim, q n)
         Rows of v from what the transport makes of the fields' rows.
     """
-
-    def __init__(self, points: PointTangent, fine: Operators) -> None:
-        """``points`` has the rule of the matrices, ``fine`` that of inertia."""
-        self.tangent, self.fine = points, fine
-        op = points.op
-        self.cells, self.per, self.local, self.functions = op.v.cells, op.v.per_cell, op.v.local, op.z.local
-        self.dim, self.components = len(op.dv), points.components
-        # of a periodic strip of one cell, which has an unknown twice, by blocks that are filled up with zeros
-        self.dofs, count = op.v.unknowns, self.cells * self.per
-        shapes = np.stack([each.blocks.reshape(count, self.local) for each in (op.v, *op.dv)], axis=1)
-        self.shapes = shapes.astype(precision.SINGLE)  # (points, 1 + d, local)
-        tests = shapes * op.weights[:, None, None]
-        tests = tests.reshape(self.cells, self.per * (1 + self.dim), self.local)
-        self._tests = precision.single(tests.transpose(0, 2, 1))  # (cells, local, points (1 + d))
-        z_tests = op.z.blocks * op.weights.reshape(self.cells, self.per, 1)
-        self._z_tests = precision.single(z_tests.transpose(0, 2, 1))  # (cells, q, points)
-        self._scatter = op.v.scatter.astype(precision.SINGLE)
-        rows = self.local * self.dim
-        self.of_velocity = np.empty(
-            (self.cells, rows + self.functions * self.components, rows), precision.SINGLE
-        )
-        self.own, self.to_fields = self.of_velocity[:, :rows], self.of_velocity[:, rows:]
-
-    def update(self, base: np.ndarray, inertia: np.ndarray) -> None:
-        """``base`` is dR/d(v, grad v) without the fields, (points, 0 or 1 + j, i, k, 0 or 1 + l).
-
-        ``inertia`` are the coefficients of w . dv at the points of the fine rule, (points,).
-        """
-        cells, d, n, local, q = self.cells, self.dim, self.components, self.local, self.functions
-        p, count = self.tangent, len(base)
-        right = np.matmul(precision.single(base).reshape(count, (1 + d) * d**2, 1 + d), self.shapes)
-        own = np.matmul(self._tests, right.reshape(cells, self.per * (1 + d), d * d * local))
-        own = own.reshape(cells, local, d, d, local)
-        shapes, weights = self.fine.v.blocks, inertia * self.fine.weights
-        mass = np.matmul(shapes.transpose(0, 2, 1), weights.reshape(*shapes.shape[:2], 1) * shapes)
-        for i in range(d):
-            own[:, :, i, i] += mass
-        self.own[...] = own.reshape(cells, local * d, d * local)
-        # z's rows from (v, grad v): - rate(z; grad dv) + (dv . grad) z
-        to_z = np.empty((count, n, d, 1 + d), precision.SINGLE)
-        to_z[..., 0] = p.dz.transpose(2, 0, 1)
-        to_z[..., 1:] = -p.columns[:, :, : d * d].reshape(count, n, d, d)
-        right = np.matmul(to_z.reshape(count, n * d, 1 + d), self.shapes)
-        to_fields = np.matmul(self._z_tests, right.reshape(cells, self.per, n * d * local))
-        self.to_fields[...] = to_fields.reshape(cells, q * n, d * local)
-        # v's rows from z: the elastic force of (1 - tau P K)^{-1} dz
-        force = precision.single(p.force[:, : d * d]).reshape(count, d, d, n).swapaxes(1, 2)
-        left = np.matmul(self.shapes[:, 1:].transpose(0, 2, 1), force.reshape(count, d, d * n))
-        back = np.matmul(self._z_tests, left.reshape(cells, self.per, local * d * n))
-        back = back.reshape(cells, q, local * d, n).transpose(0, 2, 1, 3).reshape(cells, local * d, q * n)
-        self.from_fields = np.matmul(precision.single(back), precision.single(p.resolvent))
-
-    def gathered(self, dv: np.ndarray) -> np.ndarray:
-        """The cells' unknowns of dv (dim, .), (cells, dim local, 1)."""
-        local = np.take(precision.single(dv.T), self.dofs, axis=0)
-        return np.ascontiguousarray(local.swapaxes(1, 2)).reshape(self.cells, self.dim * self.local, 1)
-
-    def scattered(self, rows: np.ndarray) -> np.ndarray:
-        """Sums over the cells of their rows (cells, local dim, 1), (dim, .)."""
-        return (self._scatter @ rows.reshape(self.cells * self.local, self.dim)).T
-
-
-class FlowSchurComplement:
-    """The operator at the evaluation of the last ``update``."""
 
     def __init__(
         self,
@@ -293,15 +227,29 @@ class FlowSchurComplement:
         derivative: HyperDerivative | None,
     ) -> None:
         self.residual, self.points, self.sweep, self.derivative = residual, points, sweep, derivative
-        u, self.dim, self.op = residual.unknowns, residual.step.mesh.dim, points.op
-        self.elements = FlowElements(points, residual.op)
+        u, self.op = residual.unknowns, points.op
+        op, self.dim, self.components = self.op, residual.step.mesh.dim, points.components
         self.nv, self.size = u.slices["v"].stop, u.flow_slice.stop
         """How many unknowns v has, and the flow, without the normal derivatives."""
         self.others: RestrictedForm | None = None
         if others := residual.claims.beside_the_points():
             self.others = RestrictedForm(residual.step, u.flow, others)
         self.leading, self.inertial = residual.claims.of_gradients(), residual.claims.of_inertia()
-        self._assembled = ElementAssembly(self.elements.dofs, self.op.v.width)
+        self._assembled = ElementAssembly(op.v.unknowns, op.v.width)
+        self.cells, per, self.local, self.functions = op.v.cells, op.v.per_cell, op.v.local, op.z.local
+        # of a periodic strip of one cell, which has an unknown twice, by blocks that are filled up with zeros
+        shapes = np.stack([each.blocks.reshape(-1, self.local) for each in (op.v, *op.dv)], axis=1)
+        self._shapes = shapes.astype(precision.SINGLE)  # (points, 1 + d, local)
+        tests = shapes * op.weights[:, None, None]
+        tests = tests.reshape(self.cells, per * (1 + self.dim), self.local)
+        self._tests = precision.single(tests.transpose(0, 2, 1))  # (cells, local, points (1 + d))
+        z_tests = op.z.blocks * op.weights.reshape(self.cells, per, 1)
+        self._z_tests = precision.single(z_tests.transpose(0, 2, 1))  # (cells, q, points)
+        self._scatter = op.v.scatter.astype(precision.SINGLE)
+        rows, of_fields = self.local * self.dim, self.functions * self.components
+        self._of_velocity = np.empty((self.cells, rows + of_fields, rows), precision.SINGLE)
+        """Rows of both, one after the other: what an increment of v makes is one product."""
+        self.own, self.to_fields = self._of_velocity[:, :rows], self._of_velocity[:, rows:]
 
     def update(self, at: Evaluation, everything: bool = True) -> None:
         """Linearise at an evaluation.
@@ -317,8 +265,37 @@ class FlowSchurComplement:
         with self.residual.ranks.together(np.linalg.LinAlgError):
             self.sweep.update(at)
             self.points.update(at)
-        self.elements.update(self._base(), self._inertia(at))
+        self.form_elements(self._base(), self._inertia(at))
         self.rest = self._rest()
+
+    def form_elements(self, base: np.ndarray, inertia: np.ndarray) -> None:
+        """``base`` is dR/d(v, grad v) without the fields, (points, 0 or 1 + j, i, k, 0 or 1 + l).
+
+        ``inertia`` are the coefficients of w . dv at the points of the residual's rule, (points,).
+        """
+        cells, d, n, local, q = self.cells, self.dim, self.components, self.local, self.functions
+        p, count = self.points, len(base)
+        right = np.matmul(precision.single(base).reshape(count, (1 + d) * d**2, 1 + d), self._shapes)
+        own = np.matmul(self._tests, right.reshape(cells, self.op.v.per_cell * (1 + d), d * d * local))
+        own = own.reshape(cells, local, d, d, local)
+        shapes, weights = self.residual.op.v.blocks, inertia * self.residual.op.weights
+        mass = np.matmul(shapes.transpose(0, 2, 1), weights.reshape(*shapes.shape[:2], 1) * shapes)
+        for i in range(d):
+            own[:, :, i, i] += mass
+        self.own[...] = own.reshape(cells, local * d, d * local)
+        # z's rows from (v, grad v): - rate(z; grad dv) + (dv . grad) z
+        to_z = np.empty((count, n, d, 1 + d), precision.SINGLE)
+        to_z[..., 0] = p.dz.transpose(2, 0, 1)
+        to_z[..., 1:] = -p.columns[:, :, : d * d].reshape(count, n, d, d)
+        right = np.matmul(to_z.reshape(count, n * d, 1 + d), self._shapes)
+        to_fields = np.matmul(self._z_tests, right.reshape(cells, self.op.v.per_cell, n * d * local))
+        self.to_fields[...] = to_fields.reshape(cells, q * n, d * local)
+        # v's rows from z: the elastic force of (1 - tau P K)^{-1} dz
+        force = precision.single(p.force[:, : d * d]).reshape(count, d, d, n).swapaxes(1, 2)
+        left = np.matmul(self._shapes[:, 1:].transpose(0, 2, 1), force.reshape(count, d, d * n))
+        back = np.matmul(self._z_tests, left.reshape(cells, self.op.v.per_cell, local * d * n))
+        back = back.reshape(cells, q, local * d, n).transpose(0, 2, 1, 3).reshape(cells, local * d, q * n)
+        self.from_fields = np.matmul(precision.single(back), precision.single(p.resolvent))
 
     def _inertia(self, at: Evaluation) -> np.ndarray:
         """What multiplies w . dv by inertia, (points of the residual's rule,)."""
@@ -365,19 +342,27 @@ class FlowSchurComplement:
         result[self.size :] = of_x[:, dv.shape[1] :].ravel()
         return result
 
+    def _gathered(self, dv: np.ndarray) -> np.ndarray:
+        """The cells' unknowns of dv (dim, .), (cells, dim local, 1)."""
+        local = np.take(precision.single(dv.T), self.op.v.unknowns, axis=0)
+        return np.ascontiguousarray(local.swapaxes(1, 2)).reshape(self.cells, self.dim * self.local, 1)
+
+    def _scattered(self, rows: np.ndarray) -> np.ndarray:
+        """Sums over the cells of their rows (cells, local dim, 1), (dim, .)."""
+        return (self._scatter @ rows.reshape(self.cells * self.local, self.dim)).T
+
     def _with_fields(self, dv: np.ndarray) -> np.ndarray:
         """Rows of v, (dim, .), without hyperviscosity, with the fields carried along."""
-        e = self.elements
-        rows, own = np.matmul(e.of_velocity, e.gathered(dv)), self.dim * e.local
-        carried = self.sweep.fields(-rows[:, own:].reshape(e.cells * e.functions, e.components))
+        rows, own = np.matmul(self._of_velocity, self._gathered(dv)), self.dim * self.local
+        carried = self.sweep.fields(-rows[:, own:].reshape(-1, self.components))
         of_cells = np.ascontiguousarray(rows[:, :own])
-        of_cells += np.matmul(e.from_fields, carried.reshape(e.cells, e.functions * e.components, 1))
-        return e.scattered(of_cells)
+        of_cells += np.matmul(self.from_fields, carried.reshape(self.cells, self.from_fields.shape[2], 1))
+        return self._scattered(of_cells)
 
     def force(self, dz: np.ndarray) -> np.ndarray:
         """Rows of v in parts, (dim, .), of what sweeps make of the fields' rows, (cells' unknowns, n)."""
-        e = self.elements
-        return e.scattered(np.matmul(e.from_fields, dz.reshape(e.cells, e.functions * e.components, 1)))
+        fields = dz.reshape(self.cells, self.from_fields.shape[2], 1)
+        return self._scattered(np.matmul(self.from_fields, fields))
 
     def force_of(self, dz: np.ndarray) -> np.ndarray:
         """Rows of v in parts, (dim, .), of an increment of z, (cells' unknowns, n), in double precision."""
@@ -387,8 +372,7 @@ class FlowSchurComplement:
 
     def fields_rows(self, dv: np.ndarray, dPi: np.ndarray | None) -> np.ndarray:
         """What the rows of z, (cells' unknowns, n), take from an increment of v (dim, .) and Pi."""
-        e = self.elements
-        rows = np.matmul(e.to_fields, e.gathered(dv)).reshape(e.cells * e.functions, e.components)
+        rows = np.matmul(self.to_fields, self._gathered(dv)).reshape(-1, self.components)
         if dPi is not None:
             values = at_points(self.points.columns[:, :, self.dim**2 :], dPi)
             rows -= self.op.z.test(values).T
@@ -407,10 +391,10 @@ class FlowSchurComplement:
         that ``hyper`` keeps, last; the others are a = E v, with the mean of both sides' d_n v, weighted by
         the hyperviscosity's coefficient.  Over ranks in parts.
         """
-        d, e = self.dim, self.elements
-        rows = e.to_fields.reshape(e.cells * e.functions, e.components * e.dim * e.local)
-        fields = self.sweep.in_cells(rows).reshape(e.to_fields.shape)
-        cells = (e.own - e.from_fields @ fields).reshape(e.cells, e.local, d, d, e.local)
+        d, local = self.dim, self.local
+        rows = self.to_fields.reshape(self.cells * self.functions, self.components * d * local)
+        fields = self.sweep.in_cells(rows).reshape(self.to_fields.shape)
+        cells = (self.own - self.from_fields @ fields).reshape(self.cells, local, d, d, local)
         blocks = [[self._assembled(cells[:, :, i, k]) for k in range(d)] for i in range(d)]
         if hyper is not None:
             n = self.op.v.width
