@@ -66,8 +66,8 @@ class FieldsSystem:
             return sweep.density(rows)
         return self._solved(sweep.of_rho, sweep.density, rows[:, None], tolerance)[:, 0]
 
-    def _solved(self, apply: Map, approximate: Map, rows: np.ndarray, tolerance: float) -> np.ndarray:
-        """x with apply(x) = rows up to ``tolerance``, from what the approximate inverse gives.
+    def _solved(self, matrix: Map, approximate: Map, rows: np.ndarray, tolerance: float) -> np.ndarray:
+        """x with matrix(x) = rows up to ``tolerance``, from what the approximate inverse gives.
 
         Residuals are measured by what that makes of them, every column of the values, which may have other
         units, relative to the first one's.
@@ -81,12 +81,12 @@ class FieldsSystem:
             return products((columns * columns).T, np.ones(len(columns)))
 
         def mapped(x: np.ndarray) -> np.ndarray:
-            return (approximate(apply(scale * x.reshape(start.shape))) / scale).ravel()
+            return (approximate(matrix(scale * x.reshape(start.shape))) / scale).ravel()
 
         start = approximate(rows).astype(float)  # squares of single precision's numbers may leave it
         scale = np.sqrt(squares(start))
         scale[scale == 0] = 1.0
-        rest = approximate(rows - apply(start)).astype(float) / scale
+        rest = approximate(rows - matrix(start)).astype(float) / scale
         size = float(np.sqrt(squares(rest).sum()))
         if not max(tolerance, enough) < size < np.inf:  # good enough, or nothing that is a number
             self._swept_is_enough.add(approximate)
