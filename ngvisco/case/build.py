@@ -188,10 +188,11 @@ class Case:
         for path, part in tables_of(self.sections) if dim == 2 else ():
             for name, kind in values_of(type(part)).items():
                 parsed = parse_region if kind is RegionText else parse
-                for text in _texts_in(getattr(part, name)) if kind is not LawValue else ():
+                texts = _texts_in(getattr(part, name), (*path, name)) if kind is not LawValue else ()
+                for key, text in texts:
                     if "z" in parsed(text).names:
                         message = f"{text!r:.60}: there is no z in a mesh of two dimensions"
-                        raise self.blame.error((*path, name), message)
+                        raise self.blame.error(key, message)
 
     def _body(self, number: int, dim: int) -> Body:
         part, path = self.sections.bodies[number], ("bodies", str(number))
@@ -321,12 +322,13 @@ class Case:
             return value if isinstance(value, (int, float)) else as_function(value)
 
 
-def _texts_in(value: Any) -> Iterator[str]:
-    """The texts in arrays and tables of a value."""
+def _texts_in(value: Any, path: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], str]]:
+    """Key path and text of those in arrays and tables of a value."""
     if isinstance(value, str):
-        yield value
-    for part in value.values() if isinstance(value, dict) else value if isinstance(value, list) else ():
-        yield from _texts_in(part)
+        yield path, value
+    parts = value if isinstance(value, dict) else dict(enumerate(value)) if isinstance(value, list) else {}
+    for key, part in parts.items():
+        yield from _texts_in(part, (*path, str(key)))
 
 
 def _digest_of(file: Path) -> str:

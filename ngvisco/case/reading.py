@@ -45,16 +45,17 @@ def sections_of(
     overridden = []
     try:
         data = tomllib.loads(text)
-        for setting in settings:
-            path, value = toml.parse_override(setting)
-            toml.override(data, path, value)
-            overridden.append(path)
-    except tomllib.TOMLDecodeError as error:
+    except ValueError as error:  # a number of thousands of digits among them
         raise CaseError(source, [Fault("", f"not TOML: {error}")]) from error
-    except ValueError as error:
-        raise CaseError(source, [Fault("--set", str(error))]) from error
     except RecursionError as error:
         raise CaseError(source, [Fault("", "not TOML: too deeply nested")]) from error
+    for setting in settings:
+        try:
+            path, value = toml.parse_override(setting)
+            toml.override(data, path, value)
+        except ValueError as error:
+            raise CaseError(source, [Fault("--set", str(error))]) from error
+        overridden.append(path)
     locator = Locator(toml.key_lines(text), overridden)
     try:
         data, faults = _with_tables(data, directory)

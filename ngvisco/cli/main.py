@@ -136,11 +136,15 @@ def parser() -> argparse.ArgumentParser:
 
 
 def _threads(text: str) -> int:
-    if not text.isdecimal() or int(text) < 1:
+    try:
+        value = int(text)
+    except ValueError:  # thousands of digits among them
+        value = 0
+    if value < 1:
         raise argparse.ArgumentTypeError(f"{text}: expected a whole number >= 1")
-    if int(text) > (most := max(os.cpu_count() or 1, _FEW_THREADS)):
+    if value > (most := max(os.cpu_count() or 1, _FEW_THREADS)):
         raise argparse.ArgumentTypeError(f"{text}: expected at most {most}, for {os.cpu_count()} processors")
-    return int(text)
+    return value
 
 
 def _names(text: str) -> list[str]:

@@ -146,9 +146,10 @@ def plot_fields(
             "plot_fields.fields", [name for name, _ in fields], "one field or more, by titles"
         )
     picture = _Picture(frame_of(mesh, named, outlines, subdivisions), list(named), section)
-    for name, axis, scale in zip(named, picture.axes, picture.scales, strict=True):
+    for name, axis, scale, image in zip(named, picture.axes, picture.scales, picture.images, strict=True):
         axis.set_title(name)
-        scale.set_clim(*widened(scale.norm.vmin, scale.norm.vmax))
+        image.autoscale()  # a scale that is drawn before its field is from 0 to 1
+        scale.set_clim(*widened(*image.get_clim()))
     picture.suptitle(title)
     save(picture.figure, path)
 
@@ -175,7 +176,8 @@ class _Picture:
         for axis, scale in zip(self.axes, self.scales, strict=True):
             axis.set(aspect="equal", xlabel=f"{across[0]}, m", ylabel=f"{across[1]}, m")
             self.figure.colorbar(scale, ax=axis, shrink=_SHRINK)
-        self._drawn: list[Any] = []
+        self.images: list[Any] = []
+        self._lines: list[Any] = []
         self.show(frame)
 
     def _corners(self, frame: Frame) -> tuple[np.ndarray, np.ndarray, Callable[[np.ndarray], np.ndarray]]:
@@ -192,7 +194,7 @@ class _Picture:
 
     def show(self, frame: Frame) -> None:
         """Draw the fields of a frame, and the surfaces of its bodies, in place of the former one's."""
-        for one in self._drawn:
+        for one in [*self.images, *self._lines]:
             one.remove()
         points, triangles, between = self._corners(frame)
         # matplotlib mixes the colours of corners: between values that differ much these are not of the scale
@@ -206,13 +208,13 @@ class _Picture:
 
         (X, Y), (U, V) = map(in_pieces, points.T), points.T
         bodies = [between(fraction) for fraction in frame.fractions()]
-        drawn = []
+        self.images, lines = [], []
         for axis, name, scale in zip(self.axes, self._names, self.scales, strict=True):
             values = in_pieces(between(frame.scalar(name)))
             style = {"shading": "gouraud", "cmap": _COLOURS, "norm": scale.norm, "rasterized": True}
-            drawn.append(axis.tripcolor(X, Y, pieces, values, **style))
-            drawn += [outline(axis, U, V, triangles, fraction) for fraction in bodies]
-        self._drawn = [one for one in drawn if one is not None]
+            self.images.append(axis.tripcolor(X, Y, pieces, values, **style))
+            lines += [outline(axis, U, V, triangles, fraction) for fraction in bodies]
+        self._lines = [line for line in lines if line is not None]
 
     def suptitle(self, *parts: str | float) -> None:
         if text := titled(*parts, self._plane):

@@ -90,6 +90,7 @@ CASE | size = [1, 1] -> size = [1] | case.toml:4: domain.size: [1.0]: expected t
 CASE | 1 + 0.1*x -> x - 1 | case.toml:21: initial.density: initial density rho_0: minimum -1
 CASE | sin(pi*x)*cos -> log(x - 2)*cos | case.toml:22: initial.velocity
 CASE | 1 + 0.1*x -> z + 1 | initial.density: 'z + 1': there is no z in a mesh of two dimensions
+CASE | -1 + 0.1*t -> z | case.toml:18: loads.0.g.1: 'z': there is no z in a mesh of two dimensions
 CASE | -1 + 0.1*t -> log(x - 2) | case.toml:18: loads.0.g: [0, 'log(x - 2)']: expected finite
 CASE | -1 + 0.1*t -> sqrt(0.05 - t) | finite values; at t = 0.075 s it is not finite somewhere
 CASE | g = [0, -> g = [0, 0, | case.toml:18: loads.0.g: [0, 0, '-1 + 0.1*t']: expected an array of 2
@@ -106,6 +107,11 @@ def test_fault_is_named_with_line_key_value_and_remedy(text, message):
     with pytest.raises(CaseError) as caught:
         simulation(text)
     assert message in str(caught.value)
+
+
+def test_number_of_thousands_of_digits_is_a_fault_of_the_file():
+    with pytest.raises(CaseError, match=r"case\.toml: not TOML: Exceeds the limit"):
+        simulation(CASE.replace("until = 0.1", "until = " + "9" * 5000))
 
 
 def test_all_faults_are_reported_at_once():

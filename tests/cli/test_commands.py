@@ -165,6 +165,7 @@ def test_progress_bar_says_why_a_step_was_rejected_and_what_was_limited(capsys):
         (("run", "CASE", "--set", "nonsense"), "expected key.path=value"),
         (("run", "CASE", "--set", "time.until=-1"), "time.until (set on the command line): -1.0"),
         (("run", "CASE", "--threads", "0"), "expected a whole number >= 1"),
+        (("run", "CASE", "--threads", "9" * 5000), "expected a whole number >= 1"),
         (("run", "CASE", "--threads", "100000"), "100000: expected at most"),
         (("resume", "EMPTY"), "not a run directory"),
         (("resume", "RUN", "--until", "soon"), "invalid float"),

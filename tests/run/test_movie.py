@@ -125,7 +125,7 @@ def test_pictures_follow_a_mesh_that_changes(tmp_path):
     first, *_, last = (read_frame(file) for _, file in read_series_files(place))
     picture, alone = (_Picture(frame, ["density"], None) for frame in (first, last))
     picture.show(last)
-    assert np.array_equal(picture._drawn[0].get_array(), alone._drawn[0].get_array())
+    assert np.array_equal(picture.images[0].get_array(), alone.images[0].get_array())
 
 
 @pytest.mark.parametrize(
@@ -170,6 +170,19 @@ def test_a_picture_says_its_time_and_its_plane(tmp_path):
         plot_fields(mesh, [("f", x + z)], tmp_path / "a.svg", section=Section("y", 0.5), title="t = 2 s")
     text = (tmp_path / "a.svg").read_text()
     assert "t = 2 s, y = 0.5 m" in text and "z, m" in text and "x, m" in text and "y, m" not in text
+
+
+@pytest.mark.parametrize(
+    ("size", "field", "limits"),
+    [((1, 1), 5 + x, (5, 6)), ((1, 1, 1), 7 + x, (7, 8)), ((1, 1), 7 + 1e-12 * x, (6.65, 7.35))],
+)
+def test_colours_of_a_picture_are_of_its_fields_range(tmp_path, monkeypatch, size, field, limits):
+    """A tenth of it where it varies by rounding."""
+    figures = []
+    monkeypatch.setattr("ngvisco.run.pictures.save", lambda figure, path: figures.append(figure))
+    plot_fields(box(size, 0.7), [("f", field)], tmp_path / "a.png")
+    _, scale = figures[0].axes
+    assert scale.get_ylim() == pytest.approx(limits)
 
 
 @pytest.mark.parametrize("text", ["w", "x=", "x=a", "x=nan", "", "x=9"])
