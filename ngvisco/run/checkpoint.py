@@ -5,7 +5,8 @@ Layout::
     /                               attributes: format, ngvisco, mesh, spaces, material, bodies, energies (Pa,
                                     at fixed states, by which an energy is known again), scheme and any that
                                     the caller adds (``case``, the hash of a case file's physics)
-    /ledger/<column>                one value a step, attribute ``unit``
+    /ledger/<column>                one value a step, attribute ``unit``; the group's ``closed``: the first
+                                    steps of the run's parts, and up to which |closure_relative| each closes
     /<table>/<column>               of the observers that have a ``group``, as ``bodies``, one value a row
     /checkpoints/<step>/state       all coefficients of the step's space; attributes time (s), step,
                                     energy (J), mass (kg), initial_mass (kg), velocity_scale (m/s)
@@ -60,7 +61,7 @@ UNITS = (
 """Of the checkpoints' attributes, as the file says itself; those of the ledger stand at its columns."""
 _WHOLE = ("step", "newton_iterations", "rejections", "limited_cells")
 """Ledger columns of whole numbers."""
-_CHECKSUM = "checksum"
+_CHECKSUM, _CLOSED = "checksum", "closed"
 FORMAT = 5
 """Of the file of a run."""
 _PARTS = ("", "solver", "stepping", "passive")
@@ -160,6 +161,7 @@ class Checkpoints:
                 mesh.attrs["step"] = self.chosen.step
             group = file.create_group("ledger")
             _store_table(group, simulation.ledger, unit)
+            group.attrs[_CLOSED] = simulation.ledger.limits
             group.attrs[_CHECKSUM] = _digest({}, {name: np.array(data) for name, data in group.items()})
             for observer in simulation.observers:
                 if isinstance(observer, Series) and observer.group is not None and observer.group not in file:
@@ -265,8 +267,8 @@ def take_up(
     step: int | None = None,
     attributes: Mapping[str, str] | None = None,
     may_differ: Collection[str] = (),
-) -> tuple[Snapshot, list[dict[str, float]]]:
-    """Give a simulation the state and passive fields of a checkpoint; that, and the ledger's rows up to it.
+) -> tuple[Snapshot, list[dict[str, float]], list[tuple[int, float]]]:
+    """Give a simulation the state and passive fields of a checkpoint; that, the ledger's rows, their limits.
 
     Collective.  ``may_differ`` names parts of what a run is known by; where there are some, the rows have the
     file's columns, and the run's otherwise.  Raises CheckpointError as
@@ -276,7 +278,7 @@ def take_up(
     ledger, ranks, numbering = simulation.ledger, simulation.ranks, simulation.numbering
     read: list[Snapshot] = []
 
-    def read_all() -> tuple[dict[str, float], list[str], list[str], list[dict[str, float]]]:
+    def read_all() -> tuple[Any, ...]:
         own = {name: value for name, value in _identity(simulation).items() if name not in may_differ}
         one = _read_checkpoint(path, own | dict(attributes or {}), step)
         size, expected = one.arrays["/state"].size, simulation.unknowns
@@ -288,16 +290,18 @@ def take_up(
         rows = [row for row in _rows(path, found, names) if row["step"] <= number]
         if [row["step"] for row in rows] != list(range(number + 1)):
             raise CheckpointError(f"{path}: its ledger has not the rows of steps 0 to {number}")
-        return one.numbers, list(one.arrays), names, rows
+        with _opened(path) as file:  # one of before has no limits: they are this run's
+            limits = [(int(first), float(limit)) for first, limit in file["ledger"].attrs.get(_CLOSED, ())]
+        return one.numbers, list(one.arrays), names, rows, limits
 
-    numbers, arrays, names, rows = ranks.on_first(read_all)
+    numbers, arrays, names, rows, limits = ranks.on_first(read_all)
     whole = read[0].arrays if read else {}
     own = {name: numbering.own(whole.get(name), name) for name in arrays if numbering.knows(name)}
     one = Snapshot(numbers, own)
     simulation.passive.load(one.part("passive")[1])
     simulation.rothe_step.state.vec.FV().NumPy()[:] = one.arrays["/state"]
     ledger.keep(names)
-    return one, rows
+    return one, rows, limits
 
 
 def _read_checkpoint(path: Path, expected: dict[str, Any], step: int | None) -> Snapshot:

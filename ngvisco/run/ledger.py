@@ -110,6 +110,8 @@ class EntropyWarning(NgviscoWarning):
 class Ledger:
     """Evaluates a row after every step; a step with |closure_relative| above ``closed`` does not close.
 
+    Rows of an earlier part of the run are judged by the limit of that part, of another tolerance maybe.
+
     Attributes
     ----------
     columns : list of str
@@ -139,6 +141,13 @@ class Ledger:
         self._pending: dict[str, float] = {}
         self.rows: list[dict[str, float]] = []
         self.balance: Balance | None = None
+        self._earlier: list[tuple[int, float]] = []
+        self._first = 0
+
+    @property
+    def limits(self) -> list[tuple[int, float]]:
+        """First rows of the run's parts, and up to which |closure_relative| each closes."""
+        return [*self._earlier, (self._first, self.closed)]
 
     @property
     def columns(self) -> list[str]:
@@ -170,14 +179,18 @@ class Ledger:
         """What is wrong with a ledger that does not close, in words; nothing of one that closes."""
         if not self.rows or self.step.sources is not None:  # the power of manufactured sources has no entry
             return ""
-        closure = np.nan_to_num(np.abs(self.column("closure_relative")), nan=math.inf)
-        count, worst = int((closure > self.closed).sum()), self.rows[int(closure.argmax())]
+        first, limits = map(np.array, zip(*self.limits, strict=True))
+        limit = limits[np.searchsorted(first, np.arange(len(self.rows)), side="right") - 1]
+        closure = np.nan_to_num(np.abs(self.column("closure_relative")), nan=math.inf, posinf=math.inf)
+        closure[closure <= limit] = 0.0
+        count, at = int(np.count_nonzero(closure)), int(closure.argmax())
         if not count:
             return ""
+        worst = self.rows[at]
         return (
             f"THE LEDGER DOES NOT CLOSE in {count} step{'s' * (count > 1)}: |closure_relative| is "
-            f"{closure.max():.1e} in step {worst['step']}, t = {worst['time']:.4g} s, the limit "
-            f"{self.closed:.0e}; energy is gained or lost that no term accounts for, and the results "
+            f"{closure[at]:.1e} in step {worst['step']}, t = {worst['time']:.4g} s, the limit "
+            f"{limit[at]:.0e}; energy is gained or lost that no term accounts for, and the results "
             "are not to be trusted"
         )
 
@@ -205,9 +218,13 @@ class Ledger:
         """Entries of a step in which nothing is exchanged."""
         return dict.fromkeys((entry.name for entry in self.entries), 0.0)
 
-    def resume(self, balance: Balance, rows: list[dict[str, float]]) -> None:
-        """Go on from a checkpoint's balance and the rows up to its step."""
+    def resume(
+        self, balance: Balance, rows: list[dict[str, float]], limits: Iterable[tuple[int, float]]
+    ) -> None:
+        """Go on from a checkpoint's balance, the rows up to its step, and the ``limits`` of these."""
         self.balance, self.rows = balance, rows
+        self._earlier = [(first, limit) for first, limit in limits if first < len(rows)]
+        self._first = len(rows) if self._earlier else 0
 
     def rates(self) -> dict[str, float]:
         """Dissipations and powers at the present state, W, by columns."""

@@ -264,7 +264,7 @@ class Simulation:
         the file is missing or damaged, has no such checkpoint, or belongs to another mesh, discretisation or
         material; the message says which.
         """
-        one, rows = take_up(self, path, step, attributes)
+        one, rows, limits = take_up(self, path, step, attributes)
         self.rothe_step.state_old.vec.data = self.rothe_step.state.vec
         self.rothe_step.start_from_old()
         numbers, _ = one.part("")
@@ -272,7 +272,7 @@ class Simulation:
         self.set_velocity_scale(numbers["velocity_scale"])
         self.solver.load_state_dict(*one.part("solver"))
         self.stepper.load_state_dict(self, *one.part("stepping"))
-        self.ledger.resume(one.balance, rows)
+        self.ledger.resume(one.balance, rows, limits)
 
     @property
     def fields(self) -> dict[str, CoefficientFunction]:

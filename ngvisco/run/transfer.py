@@ -124,7 +124,7 @@ def go_on(source: Simulation, target: Simulation) -> None:
     assert had.balance is not None
     ledger.add_once(TRANSFER, ledger.rows[0][TRANSFER])
     rows = [{name: row.get(name, 0.0) for name in ledger.columns} for row in had.rows]
-    ledger.resume(had.balance, rows)
+    ledger.resume(had.balance, rows, had.limits)
 
 
 def require_fit(source: Simulation, target: Simulation) -> None:
@@ -275,7 +275,7 @@ def resume_changed(
     float
         Energy that the change of the stored energy takes, J: the column ``transfer`` of the next row.
     """
-    one, rows = checkpoint.take_up(
+    one, rows, limits = checkpoint.take_up(
         simulation, path, attributes=attributes, may_differ=("material", "energies", "scheme")
     )
     (numbers, _), step = one.part(""), simulation.rothe_step
@@ -288,5 +288,6 @@ def resume_changed(
     ledger, balance = simulation.ledger, one.balance
     lost = balance.energy - ledger.energy()
     ledger.add_once(TRANSFER, lost)
-    ledger.resume(balance, [{name: row.get(name, 0.0) for name in ledger.columns} for row in rows])
+    rows = [{name: row.get(name, 0.0) for name in ledger.columns} for row in rows]
+    ledger.resume(balance, rows, limits)
     return lost

@@ -1,6 +1,7 @@
 """The energy ledger: every entry is its form's power, and all together close to rounding."""
 
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -224,6 +225,28 @@ def test_an_open_ledger_is_said_once_and_counted(monkeypatch: pytest.MonkeyPatch
     assert not run.ledger.unclosed
     run.ledger.rows[-1]["closure_relative"] = float("nan")
     assert "is inf in step 3" in run.ledger.unclosed
+
+
+def test_parts_of_a_run_are_judged_by_the_limits_of_their_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An open step is said after a resume too, and not one that closes by its own, larger tolerance."""
+    monkeypatch.setattr(Inertia, "distance", scaled(Inertia.distance, "inertial", 1.01))
+    path = tmp_path / "run.h5"
+
+    def part(steps: int, closed: float = 1e-8) -> str:
+        run = run_of("linear")
+        if path.exists():
+            run.restore(path)
+        run.ledger.closed, run.observers = closed, [nv.Checkpoints(path)]
+        run.run(steps * run.dt)
+        return run.ledger.unclosed
+
+    assert not part(1, 1.0)
+    with pytest.warns(nv.ClosureWarning, match="in 1 step: .* in step 2, .*the limit 1e-08"):
+        part(2)
+    monkeypatch.undo()
+    assert "in 1 step: " in part(3) and "in 1 step: " in part(4, 1.0)
 
 
 # --- the other columns ---------------------------------------------------------------------------------
