@@ -209,6 +209,7 @@ def check_convexity(
         Components of a run's states, to say how far from them the energy fails; default rest.
     """
     sampling = _sampling("check_convexity", material, dim, spread, seed)
+    dim = sampling.dim
     strains, response = sampling.space.strains, respond(material, dim)
     fitting = sampling.fitting()
     if states is not None and not strains.all():
@@ -333,6 +334,7 @@ def check_isotropy(material: Material, *, dim: int = 3, spread: float = 0.4, see
         Of the random states and rotations.
     """
     sampling = _sampling("check_isotropy", material, dim, spread, seed)
+    dim = sampling.dim
     states = sampling.changed(sampling.fitting())
     energy = energies_at(material, states, dim)
     report, samples = IsotropyReport(0), 0

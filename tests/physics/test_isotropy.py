@@ -147,3 +147,9 @@ def test_the_time_is_left_as_it_was():
         assert nv.time.Get() == 0.7
     finally:
         nv.time.Set(0.0)
+
+
+@pytest.mark.parametrize("check", [nv.check_convexity, nv.check_isotropy])
+def test_a_dimension_may_be_an_integer_of_numpy(check):
+    material = nv.LinearElastic(K_e=2.0, G_e=1.0)
+    assert check(material, dim=np.array(2)) == check(material, dim=2)
