@@ -10,7 +10,7 @@ import hashlib
 import json
 import math
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
@@ -39,6 +39,29 @@ class Table:
             object.__setattr__(self, "columns", self.columns.split(" | "))
         rows = [[cell if isinstance(cell, str) else float(cell) for cell in row] for row in self.rows]
         object.__setattr__(self, "rows", rows)
+
+    def drawn(
+        self, x: int | None, *of: int, by: int | None = None, log: Literal["", "x", "y", "xy"] = ""
+    ) -> Iterator[Table | Plot]:
+        """The table, and a picture of some of its columns over the column ``x``, or over its rows.
+
+        With ``by`` rows that have the same in this column are curves of their own; what is exact is dashed.
+        """
+        yield self
+        groups: dict[str, list[list[Any]]] = {}
+        for row in ([i, *row] for i, row in enumerate(self.rows, 1)):
+            groups.setdefault("" if by is None else number(row[by + 1]), []).append(row)
+        curves = [
+            Curve(
+                f"{self.columns[i]} {group}".strip(),
+                [row[0 if x is None else x + 1] for row in of_group],
+                [row[i + 1] for row in of_group],
+                "--" if re.search("exact|theory|analytic|G_e", self.columns[i]) else "o-",
+            )
+            for group, of_group in groups.items()
+            for i in of
+        ]
+        yield Plot(self.title, "row" if x is None else self.columns[x], "", curves, log)
 
 
 @dataclass(frozen=True)

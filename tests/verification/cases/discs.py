@@ -281,7 +281,8 @@ def _balanced(euler: list[Balance], midpoint: list[Balance], controls: list[Bala
     yield "order of the largest remainder, midpoint", np.log2(coarse.remainder / fine.remainder)
     head = "run | tau, s | largest rise | bregman < 0 | > 0 | < 0 at points | limiter < 0"
     rows = [b.row for b in (*euler, *midpoint, *controls)]
-    yield Table("energies over the first; parts of either sign; controls last", head, rows)
+    title = "energies over the first; parts of either sign; controls last"
+    yield from Table(title, head, rows).drawn(None, 2, 3, 4, 5, 6)
 
 
 @CASES(f"""unloaded-translation (reduced)

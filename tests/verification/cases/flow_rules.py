@@ -124,7 +124,7 @@ def _point() -> Measured:
     yield "largest error, extrapolated", max(row[-1] for row in rows)
     yield "least distance to rates smaller by a fifth", mistaken
     head = "rule | model | exact, Pa | error, 20 steps | error, 40 steps | extrapolated"
-    yield Table("T_12 after a shear of one", head, rows)
+    yield from Table("T_12 after a shear of one", head, rows).drawn(None, 3, 4, 5, log="y")
 
 
 MIDPOINT = {"linear": True, "Norton, n = 3": True, "Bingham": False, "linear hardening": False}
@@ -197,7 +197,8 @@ def _flow_curve() -> Measured:
         exact = (s + s * (G_m * rate / math.sqrt(2) / s) ** (1 / n)) / math.sqrt(2)
         rows.append([n, rate, values[-1, 1], exact, abs(values[-1, 1] / exact - 1)])
     yield "largest relative error of T_12", max(row[-1] for row in rows)
-    yield Table("steady shear", "n | rate, 1/s | T_12, Pa | exact, Pa | error", rows)
+    head = "n | rate, 1/s | T_12, Pa | exact, Pa | error"
+    yield from Table("steady shear", head, rows).drawn(1, 2, 3, by=0, log="x")
 
 
 # --- steady flows between walls ------------------------------------------------------------------------
@@ -350,4 +351,5 @@ def _norton_creep() -> Measured:
     exponents = [abs(math.log(b[3] / a[3]) / math.log(4) - a[1]) for a, b in pairs]
     yield "largest relative error of the rate", max(row[-1] for row in rows)
     yield "largest error of the exponent", max(exponents)
-    yield Table("steady creep", "model | n | stress, Pa | rate, 1/s | exact, 1/s | error", rows)
+    head = "model | n | stress, Pa | rate, 1/s | exact, 1/s | error"
+    yield from Table("steady creep", head, rows).drawn(2, 3, 4, by=1, log="xy")

@@ -57,7 +57,7 @@ def _clamped() -> Measured:
     half = rows[-1][1] / rows[-2][1]
     yield "error of the temperature with half of the step, of that with the whole", half
     head = "dt, s | error of the temperature, K | error of the pressure, Pa"
-    yield Table("a clamped body that is heated by 1.5 K", head, rows)
+    yield from Table("a clamped body that is heated by 1.5 K", head, rows).drawn(0, 1, 2, log="xy")
 
 
 def _period(
@@ -135,7 +135,8 @@ def _sound() -> Measured:
     yield "largest relative error of a period", max(abs(found / exact - 1) for _, found, exact in rows)
     yield "isothermal over isentropic period", rows[0][1] / rows[1][1]
     yield "a wave of the stiffened gas off its isentrope, relative", off
-    yield Table("standing waves in a box of 1 m", "body | measured, s | theory, s", rows)
+    head = "body | measured, s | theory, s"
+    yield from Table("standing waves in a box of 1 m", head, rows).drawn(None, 1, 2)
 
 
 def _slab_error(h: float, solver: str) -> float:
@@ -240,7 +241,7 @@ def _damping() -> Measured:
         rows.append([kappa, s.real, s.imag, v, motion.real, theta, heat.real])
     yield "largest error of velocity and temperature, of their amplitudes", max(errors)
     head = "kappa, W/(m K) | decay, 1/s | frequency, 1/s | v | theory | theta - theta_R | theory"
-    yield Table(f"standing waves after {T} s", head, rows)
+    yield from Table(f"standing waves after {T} s", head, rows).drawn(0, 3, 4, 5, 6, log="x")
 
 
 # --- flows ---------------------------------------------------------------------------------------------
@@ -309,7 +310,7 @@ def _heated_stream() -> Measured:
     yield "what is left of the entropy's balance", abs(left).max() / column("entropy")[-1]
     yield "difference of the solvers over the rise", off(theta - other.fields["temperature"])
     head = "cells along | error over the rise | the same of an inlet that holds theta | closure"
-    yield Table("a stream that is heated on its way", head, rows)
+    yield from Table("a stream that is heated on its way", head, rows).drawn(0, 1, 2, log="xy")
     yield "Numbers of trials, until 8 s, were seen before the bounds were written."
 
 
@@ -394,4 +395,6 @@ def _shear_heating() -> Measured:
     yield "least order in time", min(np.log2(row[2] / row[3]) for row in rows)
     yield "difference of the solvers, of the warming", max(abs(row[4] - row[3]) for row in rows)
     head = "body | reference, K | error of the warming, 0.1 s | 0.05 s | 0.05 s, split solver"
-    yield Table(f"temperature after a shear of {RATE:g} in 1 s, adiabatic", head, rows)
+    yield from Table(f"temperature after a shear of {RATE:g} in 1 s, adiabatic", head, rows).drawn(
+        None, 2, 3, 4, log="y"
+    )

@@ -134,7 +134,7 @@ def _onset(plates: Plates) -> Measured:
     root = float(np.interp(0.0, [row[1] for row in rows], np.sqrt(plates.numbers)))
     yield "error of the growth, of k^2 + pi^2", max(row[3] for row in rows)
     yield "error of the critical Rayleigh number", abs(root**2 / plates.critical - 1)
-    yield Table("growth of a roll", "Ra | growth, 1/s | theory, 1/s | error", rows)
+    yield from Table("growth of a roll", "Ra | growth, 1/s | theory, 1/s | error", rows).drawn(0, 1, 2)
 
 
 _SETTING = (
@@ -182,7 +182,7 @@ def _in_space(p: float | None) -> Measured:
     wrong.title += ", sources without heat"
     yield from right.lasts()
     yield "rate of z where the sources have no heat", wrong.last("z")
-    yield from (right.table(), wrong.table())
+    yield from (right, wrong.table())
 
 
 HYPER = "viscosity, hyperviscosity with p = 4, epsilon |v|^(p-2) v and creep"

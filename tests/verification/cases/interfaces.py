@@ -205,7 +205,8 @@ def _smear(name: str) -> Measured:
     yield "change of the area, m = 1", abs(drift)
     yield "L1 error of the reference map, m = 1", found["reference map", 1][0]
     columns = "carried as | m | L1 error/area | width, cells | least | largest | change of area"
-    yield Table(f"{name}: what is left of the body", columns, [[*of, *row] for of, row in found.items()])
+    table = Table(f"{name}: what is left of the body", columns, [[*of, *row] for of, row in found.items()])
+    yield from table.drawn(1, 2, 3, by=0)
 
 
 for name, what, (of_amounts, width, of_map) in (

@@ -11,7 +11,7 @@ from ngsolve import CF, CoefficientFunction, Cof, Det, cos, log, pi, sin, x, y, 
 import ngvisco as nv
 from ngvisco.geometries import box
 from ngvisco.physics.variables import Cofactor, Distortion, Jacobian, Values, Variable
-from tests.verification.case import Cases, Measured, RateTable, Table
+from tests.verification.case import Cases, Curve, Measured, Plot, RateTable, Table
 from tests.verification.setups import (
     KINDS,
     LABELS,
@@ -200,14 +200,16 @@ REGULARISATIONS = {
 
 
 def mass(kind: str) -> Measured:
-    rows: list[list[Any]] = []
+    rows, curves = list[list[Any]](), []
     for (name, law), tau in product(REGULARISATIONS.items(), (0.02, 0.5)):
         hyper = nv.HyperViscosity(mu=1e-5, p=4)
         run = block(kind, tau, creep=2.0, gravity=2.0, hyperviscosity=hyper, regularisation=law)
         run.run(6 * tau)
         rows.append([name, tau, drift(run)])
+        curves.append(Curve(f"{name}, {tau:g} s", range(7), abs(run.ledger.column("mass_drift"))))
     yield "largest relative drift of the mass", max(row[2] for row in rows)
     yield Table("mass", "regularisation | tau, s | largest drift", rows)
+    yield Plot("|mass drift| after each step", "step", "relative", curves, log="y")
 
 
 RHO_MAX = 1.0
@@ -249,7 +251,7 @@ CUT_OFF_RUNS = (
 
 def cut_off(kind: str) -> Measured:
     """The tube with the cut-off, the delta-term resolved, too weak and absent; and without a cut-off."""
-    rows = []
+    rows, curves = [], []
     for name, delta, maxh, tau, m in CUT_OFF_RUNS:
         rho_max = None if name == "no cut-off" else RHO_MAX
         run, end = converging(kind, nv.Regularisation(delta_density=delta, rho_max=rho_max), maxh, tau, m)
@@ -257,6 +259,7 @@ def cut_off(kind: str) -> Measured:
         volume = column("cutoff_volume").max() / 0.125 if rho_max else 0.0
         limited, low, high = column("limited_cells").sum(), column("rho_min"), column("rho_max")
         rows.append([name, delta, tau, low.min(), high.max(), volume, limited, end])
+        curves.append(Curve(name, column("time"), high))
     *cut, without = rows
     yield "largest rho", max(row[4] for row in cut)
     yield "smallest rho", min(row[3] for row in cut)
@@ -265,6 +268,7 @@ def cut_off(kind: str) -> Measured:
     yield "largest rho without the cut-off", without[4]
     head = "run | delta | tau, s | min rho | max rho | volume cut | cells limited | end"
     yield Table("range of the density; cut-off from 1 to 0 over rho_max to rho_max + 1", head, rows)
+    yield Plot("Largest density", "t, s", "kg/m3", curves)
     yield (
         "The flux between cells is monotone in the densities of both sides: nothing flows into a full cell; "
         "with m = 1 the limiter keeps the bound at points. The delta-term is not needed."
@@ -273,18 +277,21 @@ def cut_off(kind: str) -> Measured:
 
 def positivity(kind: str) -> Measured:
     """Smallest rho and J of a strong compression and extension under refinement of h and tau together."""
-    rows = []
+    rows, curves = [], []
     for h, tau in ((0.5, 0.02), (0.25, 0.01), (0.125, 0.005)):
         initial = nv.Initial(density=1.0, velocity=CF((sin(pi * x) * cos(pi * x), 0.0)) * 4)
         hyper = nv.HyperViscosity(mu=1e-4)
         run = block(kind, tau, mesh=square_mesh(h), initial=initial, hyperviscosity=hyper)
         column = run.run(0.2).column
         rows.append([h, tau, column("rho_min").min(), column("J_min").min(), column("rho_max").max()])
+        lows = ("rho_min", "J_min") if kind == "finite" else ("rho_min",)
+        curves += [Curve(f"{low}, h = {h:g} m", column("time"), column(low)) for low in lows]
     for name, i in {"rho": 2, "J": 3}.items():
         if name == "rho" or kind == "finite":
             yield f"smallest {name}", min(row[i] for row in rows)
             yield f"fall of min {name} from the coarser to the finest mesh", rows[-2][i] - rows[-1][i]
     yield Table("extrema", "h, m | tau, s | min rho | min J | max rho", rows)
+    yield Plot("Smallest density and Jacobian", "t, s", "", curves)
 
 
 for kind in KINDS:

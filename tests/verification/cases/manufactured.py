@@ -156,7 +156,7 @@ def _bodies() -> Measured:
     for k, m in _BODIES:
         table = coupled_rates("two bodies", 2, None, k, m, 0.4, 3)
         yield from table.lasts(f"rate of {{}}, k = {k}, m = {m}")
-        yield table.table()
+        yield table
     wrong = coupled_rates("two bodies", 2, None, 2, 1, 0.4, 3, sources=TakingPartWholly)
     yield "rate of z, control", wrong.last("z")
     yield wrong.table()

@@ -104,6 +104,9 @@ def measure(kind: str) -> Measured:
     yield "largest CFL number", total[5]
     head = " | value | steps | first try | solved | its a step | closure | CFL"
     yield Table("shares of the steps, summed over the other parameters", head, [*rows, ["all", "", *total]])
+    of_tau = np.array([row[3:5] for row in rows[-len(TAUS) :]], dtype=float).T
+    curves = [Curve("first try", TAUS, of_tau[0]), Curve("solved", TAUS, of_tau[1], "s--")]
+    yield Plot("Steps solved, over tau", "tau, s", "share", curves, log="x")
     hard = [[*point, *of[1:3]] for point, of in zip(points, found, strict=True) if of[2] < STEPS]
     yield Table("what fails", [*AXES, "steps at first try", "solved"], hard)
 

@@ -169,7 +169,7 @@ def _bar(
     - closure
     """)
 def _foundation() -> Measured:
-    rows = []
+    rows, curves = [], []
     for share in STIFFNESSES:
         k = share * MODULUS
         q = float(brentq(lambda q, k=k: MODULUS * q * math.sin(q) - k * math.cos(q), 1e-9, math.pi / 2))
@@ -181,6 +181,7 @@ def _foundation() -> Measured:
         energy = run.ledger.column("kinetic") + run.ledger.column("stored")
         springs = run.ledger.column("stored_springs_right").max()
         rows.append([share, omega, error, springs / energy[0], energy[-1] / energy[0] - 1])
+        curves.append(Curve(f"k = {share:g} M", omega * t, v, "."))
     run, *_ = _bar(MODULUS, 0.0, q, omega, "backward-euler")
     least = run.ledger.column("bregman")[1:].min() / run.ledger.column("kinetic")[0]
     k = HEAVY * MODULUS
@@ -193,6 +194,8 @@ def _foundation() -> Measured:
     yield "least bregman by backward Euler, over the energy", least
     head = "k L/M | omega, 1/s | error | springs' largest share of the energy | change of it"
     yield Table("bars on springs", head, rows)
+    curves += [Curve("block with a dashpot", omega * t, v, "."), Curve("oscillator", omega * t, exact, "k-")]
+    yield Plot("A bar on springs", "omega t", "velocity over the start's", curves)
 
 
 # --- toroidal modes of a ball --------------------------------------------------------------------------
@@ -371,7 +374,8 @@ def _pulse() -> Measured:
     yield "energy that transfers take, over all", taken.sum()
     yield "energy that one transfer gives, over all", -taken.min()
     yield "largest |mass drift|", drift(run)
-    yield Table("meshes", "mesh | cells in the mean | relative error of v | by transfers", rows)
+    head = "mesh | cells in the mean | relative error of v | by transfers"
+    yield from Table("meshes", head, rows).drawn(1, 2, by=0, log="xy")
     yield (
         "Numbers of one trial (0.31, 0.87) were seen before the bounds were written; that the error is "
         "the same with a third of the cells was asked for before it."
