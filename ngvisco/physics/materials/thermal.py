@@ -124,6 +124,9 @@ class Thermal(Material):
             raise ParameterError("Thermal.gruneisen", self.gruneisen, expected)
         if material is not None and entropy_in(material) is not None:
             raise ParameterError("Thermal.material", material, "a material without heat")
+        if material is not None and material.response(3) is not None:
+            expected = "a material whose energy is an expression; a Yosida approximation goes around this one"
+            raise ParameterError("Thermal.material", material, expected)
         if material is not None and self.p_infinity:
             expected = "0 beside a material, which has a pressure of its own: it is a gas that is stiffened"
             raise ParameterError("Thermal.p_infinity", self.p_infinity, expected)
