@@ -167,7 +167,8 @@ class RunDirectory:
     def case(self) -> Case:
         """The resolved case; raises RunDirectoryError or CaseError."""
         if not self.case_file.exists():
-            raise RunDirectoryError(f"{self.path}: not a run directory (no case.toml)")
+            missing = "not a run directory (no case.toml)" if self.path.exists() else "no such directory"
+            raise RunDirectoryError(f"{self.path}: {missing}")
         return load_case(self.case_file)
 
     def mesh(self) -> Mesh:

@@ -84,7 +84,7 @@ def parser() -> argparse.ArgumentParser:
     sweep = commands.add_parser("sweep", help=text, description=_SWEEP, parents=parents)
     text = "values of a key, e.g. --vary material.G_e=1,2,5 (repeatable: all combinations are run)"
     sweep.add_argument("--vary", metavar="KEY=V1,V2,...", action="append", default=[], help=text)
-    text = "directory of the study (default results/<name of the case>-sweep)"
+    text = "directory of the sweep (default results/<name of the case>-sweep)"
     sweep.add_argument("-o", "--output", metavar="DIR", help=text)
     sweep.add_argument("--force", action="store_true", help="run all of them anew")
     text = "runs at once on this machine (default: its processors, by the threads of a run)"
@@ -105,11 +105,11 @@ def parser() -> argparse.ArgumentParser:
     drawn.add_argument("--step", type=int, metavar="N", help="checkpoint's step (default: the last)")
     text = "energies, dissipations, closure, extrema, iterations and fields as pictures; animations"
     plot = commands.add_parser("plot", help=text, description=text, parents=[drawn])
-    text = "run directory; several, or that of a study, are compared"
+    text = "run directory; several, or that of a sweep, are compared"
     plot.add_argument("directory", metavar="DIR", help=text, nargs="+")
     text = "of the pictures (default png)"
     plot.add_argument("--format", choices=("png", "pdf", "svg"), default="png", help=text)
-    text = "of the pictures of several runs (default: the study, or .)"
+    text = "of the pictures of several runs (default: that of the sweep, or .)"
     plot.add_argument("-o", "--output", metavar="DIR", help=text)
     plot.add_argument("--section", metavar="PLANE", help="in 3D, e.g. z=0.5 or x (default: z, the middle)")
     text = "animate the VTK series instead, as .gif or .mp4 (needs ffmpeg; default DIR/movie.gif)"

@@ -49,7 +49,7 @@ def check(options: argparse.Namespace) -> int:
         )
     print(f"unknowns   {layout.space.ndof}, of which {condensed} are solved for after condensation")
     print(
-        f"time       {steps} steps of {run.dt:g} s to t = {case.until:g} s"
+        f"time       {steps} {'step' if steps == 1 else 'steps'} of {run.dt:g} s to t = {case.until:g} s"
         + (" at first" if run.is_adaptive else "")
     )
     found = scales(run)
@@ -61,6 +61,7 @@ def check(options: argparse.Namespace) -> int:
         print(f"           {name:38s} {value:.3g}")
     for line in found.advice:
         print(f"advice     {line}")
+    sys.stdout.flush()  # a step that is hard to solve takes minutes: what is known is read before
     first, later, count = _measure(run, steps)
     print(f"memory     {_peak():.0f} MB, measured")
     total = _duration(first + (steps - 1) * later)

@@ -253,8 +253,8 @@ class ReferenceEnergy(Material):
         if not len(hessian) or not coupled <= _ROUNDING * abs(hessian).max():
             expected = (
                 "an energy f(B) + U(J) per reference volume: one per actual volume is not convex there; "
-                "ReferentialNeoHookean, ReferentialMooneyRivlin, PerReferentialVolume(material=...) by "
-                'elastic_state="B" have it'
+                "IsochoricNeoHookean, ReferentialNeoHookean, ReferentialMooneyRivlin, "
+                'PerReferentialVolume(material=...) by elastic_state="B" have it'
             )
             raise ParameterError(self.owner, self.material, expected)
         if not (hessian[:, volume, volume] > 0).all() and not self.is_gas:
