@@ -147,11 +147,12 @@ class Checkpoints:
 
     def _write(self, simulation: Simulation) -> None:
         kept = {**self._kept, simulation.number: snapshot(simulation)}
-        self._kept = {number: kept[number] for number in sorted(kept)[-self.keep :]}
+        kept = {number: kept[number] for number in sorted(kept)[-self.keep :]}
         if simulation.ranks.is_first:
-            write_atomically(self.path, self._image(simulation))
+            write_atomically(self.path, self._image(simulation, kept))
+        self._kept = kept  # not before it is written: else the end of the run would not try again
 
-    def _image(self, simulation: Simulation) -> bytes:
+    def _image(self, simulation: Simulation, kept: Mapping[int, Snapshot]) -> bytes:
         image = io.BytesIO()
         with h5py.File(image, "w") as file:
             file.attrs.update(_identity(simulation) | self.attributes | {"units": UNITS})
@@ -166,7 +167,7 @@ class Checkpoints:
             for observer in simulation.observers:
                 if isinstance(observer, Series) and observer.group is not None and observer.group not in file:
                     _store_table(file.create_group(observer.group), observer, observer.unit)
-            for number, one in self._kept.items():
+            for number, one in kept.items():
                 _store(file.create_group(f"checkpoints/{number:08d}"), one)
         return image.getvalue()
 

@@ -1,5 +1,6 @@
 """A restarted run is the uninterrupted one; checkpoints that do not fit are refused; meshes in files."""
 
+import h5py
 import numpy as np
 import pytest
 from ngsolve import SetNumThreads, sin, x, y
@@ -8,6 +9,7 @@ from support import assert_goes_on, swirling
 import ngvisco as nv
 from ngvisco.geometries import box, disc
 from ngvisco.parallel.mesh import volume_and_surface
+from ngvisco.run import checkpoint
 from ngvisco.run.files import mesh_image, mesh_of
 
 NEO_HOOKEAN = nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1)
@@ -137,3 +139,23 @@ def test_curved_cells_without_a_geometry_stay_as_the_file_has_them():
     found = mesh_of(image[: image.index(b"endmesh") + len(b"endmesh\n")])
     assert found.GetCurveOrder() == ROUND.GetCurveOrder()
     assert volume_and_surface(found) == pytest.approx(volume_and_surface(ROUND), rel=1e-8)
+
+
+def test_a_checkpoint_that_could_not_be_written_is_written_at_the_end(tmp_path, monkeypatch):
+    run, write, calls = (
+        swirling(observers=[nv.Checkpoints(tmp_path / "run.h5", every=1)]),
+        checkpoint.write_atomically,
+        [],
+    )
+
+    def written(path, content):
+        calls.append(path)
+        if len(calls) == 3:  # the first one is that of the start
+            raise OSError("no space left on device")
+        write(path, content)
+
+    monkeypatch.setattr(checkpoint, "write_atomically", written)
+    with pytest.raises(OSError, match="no space"):
+        run.run(until=3 * run.dt)
+    with h5py.File(tmp_path / "run.h5") as file:
+        assert "00000002" in file["checkpoints"]
