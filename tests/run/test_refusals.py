@@ -173,7 +173,7 @@ Thermal(material=LINEAR, c=3.0, theta_R=300.0, p_infinity=_) | 1.0 | Thermal.p_i
 Thermal(c=3.0, theta_R=300.0, gruneisen=_) | None | Thermal.gruneisen | by which a gas has its pressure
 Thermal(material=_, c=3.0, theta_R=300.0) | 3 | Thermal.material | a Material, or None for a gas
 Thermal(material=_, c=3.0, theta_R=300.0) | WARM | Thermal.material | a material without heat
-Thermal(material=_, c=3.0, theta_R=300.0) | Yosida(material=LINEAR, eps=1) | Thermal.material | goes around this
+Thermal(material=_, c=3.0, theta_R=300.0) | Yosida(material=LINEAR, eps=1) | Thermal.material | goes around
 Heat(conductivity=_) | -1.0, "much" | Heat.conductivity | number >= 0
 Heat(conductivity=_) | [[1, 1, 0], [0, 1, 0], [0, 0, 1]] | Heat.conductivity | a 3x3 matrix, symmetric
 Heat(source=_) | "hot" | Heat.source | a scalar function of the place and the time
