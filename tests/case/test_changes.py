@@ -105,7 +105,7 @@ def test_a_new_run_starts_from_an_earlier_one(run, tmp_path):
 @pytest.mark.parametrize(
     ("settings", "source", "message"),
     [
-        ([], "nowhere", "not a run directory"),
+        ([], "nowhere", "no such directory"),
         (["domain.size=[2, 1]", "time.until=0.06"], "run", "volume"),
         (["material.kind='LinearElastic'"], "run", "epsilon"),
         (["material.elastic_state='B'", "time.until=0.06"], "run", "the same elastic_state"),
