@@ -3,6 +3,7 @@
 Each is a class with a check of what a case file has, what may stand there in words, and its JSON Schema.
 """
 
+from abc import ABC, abstractmethod
 from functools import cache
 from typing import Any, ClassVar
 
@@ -16,15 +17,16 @@ from ngvisco.expressions import parse, parse_region
 from ngvisco.physics.signals import table
 
 
-class Value:
-    """What a key may have; ``check`` returns it, or raises ValueError."""
+class Value(ABC):
+    """What a key may have, and how it is checked."""
 
     words: ClassVar[str]
     json: ClassVar[dict[str, Any]]
 
     @staticmethod
+    @abstractmethod
     def check(value: Any) -> Any:
-        raise NotImplementedError
+        """The value; raises ValueError for one that may not stand there."""
 
     @classmethod
     def made(cls, value: Any) -> Any:

@@ -116,7 +116,7 @@ def plot_history(ledger: Ledger, path: AnyPath) -> None:
     for axis, (title, names) in zip(axes.ravel(), panels.items(), strict=True):
         for name in names:
             values, of_steps = ledger.column(name), name in _OF_STEPS
-            first = int(of_steps or name.startswith(PRODUCTION))
+            first = int(of_steps or name in kinds)  # no rate before the first step
             style = "--" if kinds.get(name) == "power" else "." if of_steps and len(t) < 200 else "-"
             axis.plot(t[first:], values[first:], style, label=name.removeprefix(PRODUCTION).replace("_", " "))
             if of_steps:
