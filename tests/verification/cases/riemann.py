@@ -356,10 +356,10 @@ def _warm_stars() -> Measured:
                 value = fields[name] if fields[name].dim == 1 else fields[name][0, 0]
                 parts = (Integrate(f, run.mesh, order=8) for f in (value * where, where))
                 errors.append(abs(np.divide(*parts) / exact - 1))
-            rows.append([cells, middle, *errors])
+            rows.append([cells, "impact" if middle else "parting", *errors])
     coarse, fine = (max(max(row[2:]) for row in rows[i : i + 2]) for i in (0, 2))
     yield "largest error of a star state, 200 cells", fine
     yield "that of 100 cells over it", coarse / fine
-    head = "cells | from, m | density | F_11 | temperature | stress"
+    head = "cells | wave | density | F_11 | temperature | stress"
     yield from Table("relative errors", head, rows).drawn(0, 2, 3, 4, 5, by=1, log="xy")
     yield "What entropy a shock makes, less than the start's on these meshes, is measured by heat-impact."
