@@ -70,11 +70,10 @@ class Context:
         self._momentum_old = momentum_old
         self.tau = Parameter(1.0)
         """Length of the Rothe step, s."""
-        self.loads_from, self.loads_over = Parameter(0.0), Parameter(1.0)
-        """Start and length of the interval over which loads are averaged, s."""
+        self._window = Parameter(0.0), Parameter(1.0), Parameter(0.0)
         self._degree = degree
-        self._means: dict[tuple[CoefficientFunction, str], tuple[GridFunction, TimeMean]] = {}
-        self._averaged: tuple[float, float] | None = None
+        self._means: dict[tuple[CoefficientFunction, str, bool], tuple[GridFunction, TimeMean]] = {}
+        self._averaged: tuple[float, float, float] | None = None
         self._has_warned = False
         self.eta = Parameter(1e-6)
         """Width of the smoothed sign of v* . n, m/s."""
@@ -91,7 +90,9 @@ class Context:
             parts = {}
             for name in ("z",) if model.bodies else ("rho", "z"):
                 of_walls = [
-                    wall.indicator * self.average(wall.values[name], wall.region) for wall in passages
+                    # a tilted average of a positive density may be negative
+                    wall.indicator * self.average(wall.values[name], wall.region, is_even=True)
+                    for wall in passages
                 ]
                 parts[name] = sum(of_walls[1:], of_walls[0])
             incoming = Incoming(where, parts)
@@ -110,24 +111,37 @@ class Context:
         """m_old, kg/(m^2 s), at the points of the forms' rule."""
         return self.old.rho * self.old.v if self._momentum_old is None else self._momentum_old
 
-    def set_step(self, tau: float, end: float, loads_from: float, loads_over: float) -> None:
+    def set_step(
+        self, tau: float, end: float, loads_from: float, loads_over: float, loads_tilt: float = 0.0
+    ) -> None:
         """A Rothe step of length ``tau`` (s) whose unknowns belong to the time ``end`` (s).
 
-        Loads are averaged over ``loads_over`` (s, 0 for a value at one time) from ``loads_from`` (s) on.
+        Loads are averaged over ``loads_over`` (s, 0 for a value at one time) from ``loads_from`` (s) on, by
+        the weight of ``ngvisco.forms.time_means.Rule``.
         """
         self.tau.Set(tau)
-        self.set_loads(loads_from, loads_over)
+        self.set_loads(loads_from, loads_over, loads_tilt)
         time.Set(end)
 
-    def set_loads(self, begin: float, over: float) -> None:
-        """Average loads over ``over`` (s, 0 for a value at one time) from ``begin`` (s) on."""
-        self.loads_from.Set(begin)
-        self.loads_over.Set(over)
-        if (begin, over) == self._averaged:
+    def set_loads(self, begin: float, over: float, tilt: float = 0.0) -> None:
+        """Average loads over ``over`` (s, 0 for a value at one time) from ``begin`` (s) on.
+
+        ``tilt`` is that of the weight in the average.
+        """
+        for parameter, value in zip(self._window, (begin, over, tilt), strict=True):
+            parameter.Set(value)
+        if self.loads_window == self._averaged:
             return
-        for (_, on_wall), (_, mean) in self._means.items():
-            self.require_mean("a traction" if on_wall else "a load", mean.update(begin, over))
-        self._averaged = begin, over
+        for (_, on_wall, is_even), (_, mean) in self._means.items():
+            error = mean.update(begin, over, 0.0 if is_even else tilt)
+            self.require_mean("a traction" if on_wall else "a load", error)
+        self._averaged = self.loads_window
+
+    @property
+    def loads_window(self) -> tuple[float, float, float]:
+        """Start and length of the interval over which loads are averaged, s, and the tilt of the weight."""
+        begin, over, tilt = (parameter.Get() for parameter in self._window)
+        return begin, over, tilt
 
     def require_mean(self, what: str, error: float) -> None:
         """Warn, once, of a mean over the step with an error that is more than the tolerance."""
@@ -135,7 +149,7 @@ class Context:
             return
         self._has_warned = True
         Communicator.of(self.mesh).warn(
-            f"the mean of {what} over the step from t = {self.loads_from.Get():g} s is known to {error:.0e} "
+            f"the mean of {what} over the step from t = {self.loads_window[0]:g} s is known to {error:.0e} "
             "of its largest value only: it changes too often in the step, or at other times at other places; "
             "shorter steps follow it",
             InputWarning,
@@ -157,32 +171,38 @@ class Context:
         """
         return value
 
-    def average(self, value: CoefficientFunction, walls: Region | None = None) -> CoefficientFunction:
+    def average(
+        self, value: CoefficientFunction, walls: Region | None = None, is_even: bool = False
+    ) -> CoefficientFunction:
         """The mean over ``loads_over`` to ``ngvisco.forms.time_means.TOLERANCE`` (paper: g^k_{delta tau}).
 
         What reads the time is made anew by every ``set_loads``; anything else is ``value`` itself.  It is for
-        cells, or for the facets of ``walls``.
+        cells, or for the facets of ``walls``.  Where it ``is_even``, all times of the step count the same
+        in every stage of a scheme, as is needed of values that have to stay positive.
         """
         if not may_read_time(value):
             return value
-        key = value, "" if walls is None else str(walls.Mask())
+        key = value, "" if walls is None else str(walls.Mask()), is_even
         if key not in self._means:
-            self._means[key] = self._mean(value, walls)
+            self._means[key] = self._mean(value, walls, is_even)
         return _shaped(self._means[key][0], value)
 
     def average_now(self, value: CoefficientFunction) -> CoefficientFunction:
         """The same in cells of a function that no form holds: it is not made anew."""
-        if (value, "") in self._means or not may_read_time(value):
+        if (value, "", False) in self._means or not may_read_time(value):
             return self.average(value)
         return _shaped(self._mean(value, None)[0], value)
 
-    def _mean(self, value: CoefficientFunction, walls: Region | None) -> tuple[GridFunction, TimeMean]:
+    def _mean(
+        self, value: CoefficientFunction, walls: Region | None, is_even: bool = False
+    ) -> tuple[GridFunction, TimeMean]:
         made = (
             mean_in_cells(value, self.mesh, self._degree)
             if walls is None
             else mean_on_walls(value, self.mesh, self._degree, walls)
         )
-        made[1].update(self.loads_from.Get(), self.loads_over.Get())
+        begin, over, tilt = self.loads_window
+        made[1].update(begin, over, 0.0 if is_even else tilt)
         return made
 
 

@@ -7,6 +7,8 @@ break that is known (``ngvisco.physics.signals``) is seen where it lasts for a t
 All ranks find the same rule.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from heapq import heapify, heappop, heappush
@@ -57,6 +59,16 @@ class Rule:
     times: np.ndarray
     weights: np.ndarray
     error: float = 0.0
+
+    def tilted(self, tilt: float, begin: float, length: float) -> Rule:
+        """The rule for the mean by the weight 1 + 12 tilt (s - 1/2), s from 0 to 1 over the interval.
+
+        A function that is linear in time has its value at s = 1/2 + tilt for mean.
+        """
+        if tilt == 0 or length == 0:
+            return self
+        factors = 1 + 12 * tilt * ((self.times - begin) / length - 0.5)
+        return Rule(self.times, self.weights * factors, self.error * (1 + 6 * abs(tilt)))
 
     def mean(self, values: Values) -> np.ndarray:
         """The weighted sum of the values."""
@@ -219,8 +231,11 @@ class TimeMean:
         self._points = points[:: -(-len(points) // _POINTS) or 1]
         self._conditions, self._knots = breaking(value)
 
-    def update(self, begin: float, length: float) -> float:
-        """Let the mean be that over ``length`` (s) from ``begin`` (s) on; its error, as that of a rule."""
+    def update(self, begin: float, length: float, tilt: float = 0.0) -> float:
+        """Let the mean be that over ``length`` (s) from ``begin`` (s) on; its error, as that of a rule.
+
+        ``tilt`` is that of the weight (``Rule.tilted``), 0 where all times count the same.
+        """
         present = time.Get()
 
         def at(t: float) -> np.ndarray:
@@ -230,7 +245,7 @@ class TimeMean:
         try:
             conditions = [self._at_points(c) for c in self._conditions]
             found = rule(self._at_points(self._value), begin, length, conditions, self._knots, self._ranks)
-            self._mean[:] = found.mean(at)
+            self._mean[:] = found.tilted(tilt, begin, length).mean(at)
         finally:
             time.Set(present)
         return found.error

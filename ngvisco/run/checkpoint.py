@@ -11,8 +11,9 @@ Layout::
     /checkpoints/<step>/state       all coefficients of the step's space; attributes time (s), step,
                                     energy (J), mass (kg), initial_mass (kg), velocity_scale (m/s)
     /checkpoints/<step>/solver      where the Jacobian was factorised (attributes tau, end, loads_from,
-                                    loads_over, last_tau; data sets state, state_old), and the last two
-                                    solutions, which start values are extrapolated from; empty for none
+                                    loads_over, loads_tilt, last_tau; data sets state, state_old), and the
+                                    last two solutions, which start values are extrapolated from; empty for
+                                    none
     /checkpoints/<step>/stepping    what the choice of the next step depends on: of fixed steps where they are
                                     counted from (attributes start, level), of adaptive ones the next length
                                     (dt), streak, last_error, and the states known_* of the error estimate
@@ -400,9 +401,7 @@ def _signature_of(value: object) -> str:
 def _scheme_signature(simulation: Simulation) -> str:
     integrator = simulation.integrator
     scheme = integrator.scheme
-    text = f"{scheme.name}, A = {scheme.A}, b = {scheme.b}"
-    if scheme.averages_loads:
-        text += ", loads averaged"
+    text = f"{scheme.name}, A = {scheme.A}, b = {scheme.b}, loads averaged"
     if integrator.startup:
         text += f", startup = {integrator.startup}"
     return text + (", relaxed" if integrator.relaxed else "")

@@ -178,6 +178,9 @@ class Problem(Protocol):
 class Interval:
     """A Rothe step in time, s: its length, where it begins and ends, and over what its loads are averaged.
 
+    In the average times count by the weight 1 + 12 ``loads_tilt`` (s - 1/2), s from 0 to 1 over that
+    interval.
+
     For the paper's scheme ``tau`` = end - begin, and loads are averaged over the same.  A stage of another
     scheme may start from a combination of states, which belongs to no time: ``begin`` is then that of the
     state which is its start value.
@@ -188,9 +191,10 @@ class Interval:
     end: float
     loads_from: float
     loads_over: float
+    loads_tilt: float = 0.0
 
     def shortened(self, fraction: float) -> Interval:
         """The step with a part of the length, as a start value of the whole one."""
         end = self.end if fraction == 1.0 else self.begin + fraction * (self.end - self.begin)
-        loads_from = self.loads_from if self.loads_over > 0 else end
-        return Interval(fraction * self.tau, self.begin, end, loads_from, fraction * self.loads_over)
+        over = fraction * self.loads_over
+        return Interval(fraction * self.tau, self.begin, end, self.loads_from, over, self.loads_tilt)

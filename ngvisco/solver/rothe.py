@@ -25,7 +25,7 @@ from ngvisco.solver.split.solver import Split
 from ngvisco.solver.start import Extrapolation, Sides
 from ngvisco.threads import on_arrays
 
-_PARAMETERS = ("tau", "end", "loads_from", "loads_over")
+_PARAMETERS = ("tau", "end", "loads_from", "loads_over", "loads_tilt")
 
 _FACTORISED_AT = {"state": None, "state_old": None, "wind": "v", "lagged": "z"}
 """What a factorisation depends on, and the unknown that it is of; a checkpoint numbers whole states."""
@@ -285,7 +285,7 @@ class RotheProblem(Problem):
     def pose(self) -> None:
         """Set the step's parameters, the time, velocities of walls and of v* there, and the norm's units."""
         solver, at = self.solver, self.interval
-        solver.step.context.set_step(at.tau, at.end, at.loads_from, at.loads_over)
+        solver.step.context.set_step(at.tau, at.end, at.loads_from, at.loads_over, at.loads_tilt)
         solver.step.moving_walls.set_values()
         solver.sides.take_walls()
         solver.norm.units["v"] = solver.h_min / at.tau

@@ -207,9 +207,8 @@ class Integrator:
         begin = t
         for i in range(scheme.stages):
             own, end = scheme.A[i][i] * tau, t + scheme.c[i] * tau
-            window = (t, tau) if scheme.averages_loads else (end, 0.0)
             self.step.start_from(list(zip(scheme.starts[i], states, strict=False)))
-            history += self.rothe.solve(Interval(own, begin, end, *window))
+            history += self.rothe.solve(Interval(own, begin, end, t, tau, scheme.tilts[i]))
             begin = end
             states.append(self.step.evolved())
             _add(rates, scheme.b[i], self.meter())

@@ -47,15 +47,11 @@ class TimeScheme:
         Lower triangular, with a positive diagonal.
     b : tuple, (s,)
         Weights, with the sum 1.
-    averages_loads : bool
-        Whether loads are averages over the step, as in the paper, and not values at the stages' times; for
-        schemes of one stage.
     """
 
     name: str
     A: tuple[tuple[float, ...], ...]
     b: tuple[float, ...]
-    averages_loads: bool = False
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str):
@@ -72,8 +68,6 @@ class TimeScheme:
         object.__setattr__(self, "b", b)
         if not math.isclose(sum(self.b), 1.0, rel_tol=_ROUNDING):
             raise ParameterError("TimeScheme.b", self.b, "weights whose sum is 1")
-        if self.averages_loads and s > 1:
-            raise ParameterError("TimeScheme.averages_loads", True, "False for a scheme of several stages")
 
     @property
     def stages(self) -> int:
@@ -84,6 +78,17 @@ class TimeScheme:
     def c(self) -> tuple[float, ...]:
         """The stages' times, in units of the step from its start."""
         return tuple(float(sum(row)) for row in self.A)
+
+    @cached_property
+    def tilts(self) -> tuple[float, ...]:
+        """c_i - sum_j b_j c_j: how much later loads count for more in a stage than earlier ones.
+
+        A stage's load is int_0^1 (1 + 12 tilt_i (s - 1/2)) g(s) ds over the step, s from 0 to 1.  The sum
+        with the weights b is the mean of g, for any g; a g that is linear in time gives g(c_i) where the
+        scheme is of order 2.
+        """
+        centre = sum(weight * c for weight, c in zip(self.b, self.c, strict=True))
+        return tuple(c - centre for c in self.c)
 
     @cached_property
     def starts(self) -> np.ndarray:
@@ -149,12 +154,12 @@ class TimeScheme:
 
 def backward_euler() -> TimeScheme:
     """The paper's scheme (Euler-small-viscoelastodyn+disc): order 1, L-stable; dissipates at every step."""
-    return TimeScheme("backward-euler", ((1.0,),), (1.0,), averages_loads=True)
+    return TimeScheme("backward-euler", ((1.0,),), (1.0,))
 
 
 def midpoint() -> TimeScheme:
     """The implicit midpoint rule: order 2, one solve a step, R = O(tau^3) of either sign; damps nothing."""
-    return TimeScheme("midpoint", ((0.5,),), (1.0,), averages_loads=True)
+    return TimeScheme("midpoint", ((0.5,),), (1.0,))
 
 
 def theta_scheme(theta: float) -> TimeScheme:
@@ -164,7 +169,7 @@ def theta_scheme(theta: float) -> TimeScheme:
     """
     if not (_is_number(theta) and 0.5 <= theta <= 1.0):
         raise ParameterError("theta", theta, "a number in [1/2, 1]: 1/2 is midpoint, 1 backward-euler")
-    return TimeScheme("theta", ((float(theta),),), (1.0,), averages_loads=True)
+    return TimeScheme("theta", ((float(theta),),), (1.0,))
 
 
 def sdirk2() -> TimeScheme:

@@ -22,6 +22,16 @@ def taken(scheme, f, u, tau, newton):
     return scheme.end @ np.array(states), states
 
 
+@pytest.mark.parametrize("scheme", [*ALL, THIRD], ids=str)
+def test_stages_take_the_whole_impulse_of_a_load(scheme):
+    """Of one stage all times count the same; of order 2 what is linear in time has its value there."""
+    tilts = np.array(scheme.tilts)
+    assert abs(tilts @ scheme.b) <= 1e-15
+    assert scheme.stages > 1 or tilts == 0
+    if scheme.order > 1:
+        assert tilts == pytest.approx(np.array(scheme.c) - 0.5, abs=1e-15)
+
+
 def solve(f, start, s):
     """U = start + s f(U) of scalars, by the secant's limit."""
     u = start

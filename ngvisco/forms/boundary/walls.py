@@ -200,7 +200,7 @@ class MovingWalls:
                 if may_read_time(velocity):
                     mean, make = np.zeros(np.count_nonzero(mask)), partial(self._on_wall, name)
                     self._means[name] = mean, TimeMean(velocity, walls.mesh, make, mean, region)
-        self._averaged: tuple[float, float] | None = None
+        self._averaged: tuple[float, float, float] | None = None
 
     @staticmethod
     def constrained(layout: Layout, regions: Sequence[Region | None]) -> np.ndarray:
@@ -212,7 +212,7 @@ class MovingWalls:
     def set_values(self) -> None:
         """Write the constrained coefficients of v of the Rothe step into the state."""
         context = self.layout.context
-        window = context.loads_from.Get(), context.loads_over.Get()
+        window = context.loads_window
         if window != self._averaged:
             for name, (_, mean) in self._means.items():
                 context.require_mean(f"the velocity of the wall {name!r}", mean.update(*window))
