@@ -114,10 +114,8 @@ class Rates:
             found[PRESSURE] = self.pressure(u)
         if TEMPERATURE in law.reads:  # by the projected conjugates, K
             found[TEMPERATURE] = temperature(self.material, u.zeta_tensors)
-        if HARDENING in law.reads and flow is not None:  # phi_h'(k), Pa, of a body per its own volume
-            slope = u.zeta_tensors[flow.plastic_strain]
-            of_body = flow.fractions
-            found[HARDENING] = slope if of_body is None else of_body.total(u.z_tensors) * slope
+        if HARDENING in law.reads and flow is not None:  # A phi_h'(k), Pa, of a body per its own volume
+            found[HARDENING] = flow.matter(u.z_tensors) * u.zeta_tensors[flow.plastic_content.name]
         return found
 
     def pressure(self, u: Fields) -> CoefficientFunction:
@@ -127,9 +125,8 @@ class Rates:
         return (-1 / 3) * power - self.stored(u)
 
     def hardening_rate(self, flow: Flow, Pi: CoefficientFunction, u: Fields) -> CoefficientFunction:
-        """What a flow's rate Pi makes of its plastic strain k, or of K_i, 1/s."""
-        rate = flow.rule.hardening_rate(Pi)
-        return rate if flow.fractions is None else flow.amount(u.z_tensors) * rate
+        """What a flow's rate Pi makes of its plastic content K, 1/s."""
+        return flow.amount(u.z_tensors) * flow.rule.hardening_rate(Pi)
 
     def stored(self, u: Fields) -> CoefficientFunction:
         """phi(z), Pa."""
@@ -150,7 +147,7 @@ class Rates:
             power = inner(Pi, self.mandel(u, flow))
         if flow.rule.hardening is None:
             return power
-        return power - u.zeta_tensors[flow.plastic_strain] * self.hardening_rate(flow, Pi, u)
+        return power - u.zeta_tensors[flow.plastic_content.name] * self.hardening_rate(flow, Pi, u)
 
 
 def _tensors(G: Fields, name: Conjugate) -> Values:

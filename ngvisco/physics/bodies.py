@@ -16,7 +16,6 @@ from ngsolve import CoefficientFunction, Det
 
 from ngvisco.errors import ParameterError, as_integer, as_number
 from ngvisco.physics.flow_rules import FlowRule
-from ngvisco.physics.flow_rules.rule import PLASTIC_STRAIN, PlasticStrain
 from ngvisco.physics.heat import Heat
 from ngvisco.physics.material import Material
 from ngvisco.physics.rheology import Viscosity
@@ -25,6 +24,10 @@ from ngvisco.physics.variables import Frame, Values, Variable
 
 TRACE = 1e-3
 """What is left of an absent body: a trace of matter at rest, by the amount of all matter."""
+
+HARDENING_TRACE = 0.1
+"""The trace of all matter in a body that hardens: K_i and n_i are polynomials each by itself, and K_i/n_i is
+none."""
 
 _HALF = 1 / 5
 """The fraction at which matter takes half a part."""
@@ -107,21 +110,6 @@ class Content(Variable):
 
 
 @dataclass(frozen=True)
-class PlasticContent(PlasticStrain):
-    """K_i = n_i k of body i, k its plastic strain: dt K_i + div(K_i v) = n_i dk/dt."""
-
-    @classmethod
-    def of(cls, body: str) -> PlasticContent:
-        """That of the body of this name."""
-        return cls(f"{PLASTIC_STRAIN.name}_{body}")
-
-    by_flux = True
-
-    def rate(self, z: Values, L: Tensor, Pi: Tensor) -> Tensor:
-        return -tr(L) * z[self.name]
-
-
-@dataclass(frozen=True)
 class Fractions:
     """theta_i of the amounts of bodies, by name."""
 
@@ -154,6 +142,10 @@ class Fractions:
         """theta_i of one body, smooth and > 0: of what is less than ``TRACE`` about that."""
         value = z[AMOUNT + body] / self.total(z)
         return 0.5 * (value + sqrt(value * value + 4 * TRACE**2))
+
+    def hardened(self, z: Values, body: str) -> Any:
+        """The amount that the plastic strain of a body is that of: n_i, and a trace of N."""
+        return (1 / (1 + HARDENING_TRACE)) * (z[AMOUNT + body] + HARDENING_TRACE * self.total(z))
 
 
 @dataclass(frozen=True, kw_only=True)

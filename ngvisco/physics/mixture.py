@@ -8,8 +8,8 @@ densities n_i and X_i = n_i B of its own.  With volume fractions alpha_i in equi
 n psi(X/n, alpha/n) is the perspective of a convex function, jointly convex, and a least value over alpha of
 such a sum is convex: phi is so in everything that is carried.  V = sum n_i U_i(1/N), N = sum n_j, where all
 U_i' are one function, else ``ngvisco.physics.equilibrium``.  N f(X/n) is linear, C : (X - n I), where f is.
-Any other f is that of (n + eta N, X + eta N I)/(1 + eta bodies), an affine map that leaves phi convex: a
-body that is absent is a trace of matter at rest.  Hardening adds w phi_h(K/w), w = (n + delta N)/(1 + delta),
+Any other f is that of n + eta (N - n), X + eta (N - n) I, an affine map that leaves phi convex: a body that
+is absent is a trace of matter at rest.  Hardening adds w phi_h(K/w), w = (n + delta N)/(1 + delta),
 which is n phi_h(k) where there is nothing but the body.  Bodies with heat have one temperature and one
 entropy s, and V(n) becomes W(n, s).
 
@@ -29,9 +29,9 @@ import numpy as np
 from ngsolve import Det
 
 from ngvisco.errors import NgviscoError, ParameterError
-from ngvisco.physics.bodies import AMOUNT, TRACE, Amount, Body, Content, Fractions, PlasticContent
+from ngvisco.physics.bodies import AMOUNT, HARDENING_TRACE, TRACE, Amount, Body, Content, Fractions
 from ngvisco.physics.equilibrium import MixedHeat, equilibrium
-from ngvisco.physics.flow_rules.rule import PLASTIC_STRAIN
+from ngvisco.physics.flow_rules.rule import PlasticContent
 from ngvisco.physics.material import ElasticState, Material
 from ngvisco.physics.materials.perspective import ReferenceEnergy
 from ngvisco.physics.materials.thermal import Entropy, Thermal
@@ -40,9 +40,6 @@ from ngvisco.physics.pointwise import Respond, Response, array_response
 from ngvisco.physics.rheology import ValueOfModulus, Viscosity
 from ngvisco.physics.tensors import IDENTITY, Tensor, identity_like
 from ngvisco.physics.variables import PRESSURE, Jacobian, Values, Variable
-
-HARDENING_TRACE = 0.1
-"""delta of the module's docstring: K_i and n_i are polynomials each by itself, and K_i/n_i is none."""
 
 _LIGHTEST = "the density, less half of that of the lightest body"
 """What is lighter than any of its parts is thrown by forces that these bear."""
@@ -241,17 +238,18 @@ class Mixture(Material):
             unit = {name: identity_like(value) for name, value in X.items()}
             size, weight = n, 1
             if not psi.is_linear:
-                size, weight = one, (1 / (1 + TRACE * len(self.bodies))) * (n + TRACE * total)
-                inverse = 1 / (n + TRACE * total)
-                X = {name: inverse * (value + TRACE * (total * unit[name])) for name, value in X.items()}
+                trace = TRACE * (total - n)
+                size, weight = one, n + trace
+                inverse = 1 / weight
+                X = {name: inverse * (value + trace * unit[name]) for name, value in X.items()}
             rest = {name: size * each for name, each in unit.items()}
             shear = psi.energy({**own, **X, "J": one}) - psi.energy({**own, **rest, "J": one})
             found[body.name] = weight * shear
             law = None if body.creep is None else body.creep.hardening
             if law is not None:
-                w = (1 / (1 + HARDENING_TRACE)) * (n + HARDENING_TRACE * total)
-                k = z[self.plastic_contents[body.name].name] / w
-                found[body.name] = found[body.name] + w * law.energy({**own, PLASTIC_STRAIN.name: k})
+                content = z[self.plastic_contents[body.name].name]
+                of_yield = law.energy(self.fractions.hardened(z, body.name), content, own)
+                found[body.name] = found[body.name] + of_yield
         return found
 
     def volumetric(self, body: str, z: Values) -> Any:

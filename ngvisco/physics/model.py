@@ -5,11 +5,11 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from ngvisco.errors import ParameterError
-from ngvisco.physics.bodies import Body, Fractions, PlasticContent, require_parts
+from ngvisco.physics.bodies import Body, Fractions, require_parts
 from ngvisco.physics.energy_checks import check_energy
 from ngvisco.physics.flow_rules import FlowRule
 from ngvisco.physics.flow_rules.check import check_rule, check_viscosity
-from ngvisco.physics.flow_rules.rule import PLASTIC_STRAIN
+from ngvisco.physics.flow_rules.rule import PLASTIC_CONTENT, PlasticContent
 from ngvisco.physics.heat import Heat, HeatLaw
 from ngvisco.physics.loads import BodyForce, CentralGravity, Gravity, Load, check_name
 from ngvisco.physics.material import ElasticState, Material, check_material, part_of
@@ -39,13 +39,24 @@ class Flow:
         return 1.0 if self.fractions is None or self.body is None else self.fractions.positive(z, self.body)
 
     @property
-    def plastic_strain(self) -> str:
-        """The variable that is made by its hardening: k, or K_i of a body."""
-        return PLASTIC_STRAIN.name if self.body is None else PlasticContent.of(self.body).name
+    def plastic_content(self) -> PlasticContent:
+        """The variable that is made by its hardening: K = A k, or K_i of a body."""
+        return PLASTIC_CONTENT if self.body is None else PlasticContent.of(self.body)
+
+    def plastic_strain(self, z: Values) -> tuple[str, Any]:
+        """The name of the field of the plastic strain k, and k at a point with the values ``z``."""
+        content, amount = self.plastic_content, self.matter(z)
+        if self.fractions is not None and self.body is not None:
+            amount = self.fractions.hardened(z, self.body)
+        return content.strain, z[content.name] / amount
+
+    def matter(self, z: Values) -> Any:
+        """A, or N of bodies: the reference volume of all matter per actual volume."""
+        return z["A"] if self.fractions is None else self.fractions.total(z)
 
     def amount(self, z: Values) -> Any:
-        """n_i of the body, > 0: what makes its dk/dt that of K_i."""
-        return 1.0 if self.fractions is None else self.share(z) * self.fractions.total(z)
+        """A, or n_i of the body, > 0: what makes its dk/dt that of K."""
+        return self.share(z) * self.matter(z)
 
 
 @dataclass(frozen=True, kw_only=True)

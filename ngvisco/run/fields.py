@@ -9,6 +9,7 @@
 | pressure_from_rest   | the same less that of F = I, which a body of fixed shape does not feel | Pa  |
 | von_mises            | sqrt(3/2) |dev T|                                                     | Pa   |
 | temperature          | theta, of materials with heat                                         | K    |
+| plastic_strain       | k of a flow rule that hardens; plastic_strain_NAME of a body          | 1    |
 | body                 | the number, from 1, of the body whose fraction is the largest         | 1    |
 
 Further stresses and rates are written only where they are asked for by name:
@@ -32,6 +33,7 @@ from ngsolve import CF, CoefficientFunction, acos, cos, sqrt
 from ngvisco.errors import ParameterError, UnknownNameError
 from ngvisco.forms.fields import Fields, hessian_basis
 from ngvisco.forms.system import Step
+from ngvisco.physics.flow_rules.rule import PlasticContent
 from ngvisco.physics.material import Material, cauchy_stress, mandel_stress, volume_ratio
 from ngvisco.physics.materials.thermal import entropy_in, temperature
 from ngvisco.physics.mixture import Mixture
@@ -56,6 +58,7 @@ def require_names_of_their_own(material: Material, further: Sequence[str], carri
     """
     bodies = material.bodies if isinstance(material, Mixture) else ()
     taken = (*_OWN, *NAMES, *(body.name + _FRACTION for body in bodies), *(["body"] if bodies else []))
+    taken = (*taken, *(v.strain for v in material.variables if isinstance(v, PlasticContent)))
     if entropy_in(material) is not None:  # else the one that laws were given
         taken = (*taken, TEMPERATURE)
     for variable in material.variables:
@@ -83,6 +86,7 @@ def output_fields(step: Step) -> dict[str, CoefficientFunction]:
         "von_mises": sqrt(1.5 * square(dev(T))),
         **({} if theta is None else {TEMPERATURE: theta}),
         **{name: u.parts[name] for name in step.layout.further},
+        **dict(f.plastic_strain(u.z_tensors) for f in step.model.flows if f.rule.hardening is not None),
         **_body_fields(step),
         **further_fields(step, T),
     }

@@ -210,9 +210,9 @@ class CreepRate(PointTerm):
 
 @dataclass(frozen=True)
 class PlasticStraining(PointTerm):
-    """- int dk/dt q in the equation of the plastic strain k, q its test, dk/dt = sqrt(2/3) |Pi|.
+    """- int A dk/dt q in the equation of the plastic content K = A k, q its test, dk/dt = sqrt(2/3) |Pi|.
 
-    Of a body that is - int n_i dk/dt q in that of K_i = n_i k.  q = zeta_k = phi_h'(k) gives the power that
+    Of a body that is - int n_i dk/dt q in that of K_i = n_i k.  q = zeta_K = phi_h'(k) gives the power that
     hardening stores: ``dissipation_creep`` is without it.
     """
 
@@ -227,4 +227,4 @@ class PlasticStraining(PointTerm):
     def _rows(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         rates = u.context.rates
         Pi = rates.creep(u)[rates.flows.index(self.flow)]
-        return [-rates.hardening_rate(self.flow, Pi, u) * w.z_tensors[self.flow.plastic_strain]]
+        return [-rates.hardening_rate(self.flow, Pi, u) * w.z_tensors[self.flow.plastic_content.name]]

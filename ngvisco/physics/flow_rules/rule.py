@@ -9,12 +9,15 @@ operations of ``ngvisco.physics.tensors``, for coefficient functions and arrays 
 written.
 
 A rule that hardens has a yield stress that grows with the plastic strain k that has been.  The matter carries
-k, and what yield stores of its work is an energy phi_h(k) beside the elastic one:
+k, and what yield stores of its work is an energy phi_h(k) per reference volume beside the elastic one.  Per
+actual volume, with A = 1/J, the matter carries the density K = A k and has the energy A phi_h(K/A), the
+perspective of phi_h, jointly convex in (A, K); k has no pressure of its own:
 
-    dk/dt + (v . grad) k = sqrt(2/3) |Pi|,    sigma_Y(k) = sigma_Y + phi_h'(k).
+    dk/dt + (v . grad) k = sqrt(2/3) |Pi|,    sigma_Y(k) = sigma_Y + A phi_h'(k).
 
-Of the power M : Pi the part phi_h'(k) dk/dt is stored.  At the yield stress the rest, which is dissipated, is
-sqrt(2/3) sigma_Y |Pi| with the yield stress of the virgin material, whatever k.
+M and sigma_Y are per actual area.  Of the power M : Pi the part A phi_h'(k) dk/dt is stored.  At the yield
+stress the rest, which is dissipated, is sqrt(2/3) sigma_Y |Pi| with the yield stress of the virgin material,
+whatever k.
 """
 
 from __future__ import annotations
@@ -41,42 +44,57 @@ SMALL_STRAIN = 1e-2
 
 
 @dataclass(frozen=True)
-class PlasticStrain(Variable):
-    """k >= 0, the length of the path of plastic strains, uniaxial: carried, and made by yield."""
+class PlasticContent(Variable):
+    """K = A k >= 0, carried by its flux: k is the length of the path of plastic strains, uniaxial.
 
-    name: str = "plastic_strain"
+    dK/dt + div(K v) = A dk/dt, A = 1/J; of body i that is n_i k with the amount n_i of the body.
+    """
+
+    name: str = "plastic_content"
     kind: str = "scalar"
 
+    by_flux = True
+
+    @classmethod
+    def of(cls, body: str) -> PlasticContent:
+        """That of the body of this name."""
+        return cls(f"plastic_content_{body}")
+
+    @property
+    def strain(self) -> str:
+        """The name of the field k."""
+        return self.name.replace("content", "strain", 1)
+
     def rate(self, z: Values, L: Tensor, Pi: Tensor) -> Tensor:
-        """Zero: what yield makes of it is not linear in Pi, and the part of a term."""
-        return 0 * tr(L)
+        """Of its flux alone: what yield makes of it is not linear in Pi, and the part of a term."""
+        return -tr(L) * z[self.name]
 
     def from_distortion(self, F: Tensor) -> Tensor:
         """Zero: whatever was before a start is in its yield stress."""
         return CF(0.0)
 
 
-PLASTIC_STRAIN = PlasticStrain()
+PLASTIC_CONTENT = PlasticContent()
 
 
 @dataclass(frozen=True, kw_only=True)
 class Hardening:
     """phi_h(k) = H k^2/2 + Q (k + (exp(-b k) - 1)/b): linear, and that of Voce (1948) which saturates.
 
-    Per actual volume and convex in k.  H and Q, Pa, may be expressions of parameters.
+    phi_h is an energy per reference volume, Pa, convex in k.  H and Q, Pa, may be expressions of parameters.
     """
 
     H: Modulus
     Q: Modulus
     b: float
 
-    def energy(self, z: Values) -> Tensor:
-        """phi_h, Pa."""
-        k = z[PLASTIC_STRAIN.name]
-        linear = (0.5 * value_at(self.H, z)) * (k * k)
-        if self.Q == 0:
-            return linear
-        return linear + value_at(self.Q, z) * (k + (1 / self.b) * (exp(-self.b * k) - 1))
+    def energy(self, amount: Tensor, content: Tensor, z: Values) -> Tensor:
+        """A phi_h(K/A), Pa per actual volume, of the amount A and the content K; ``z`` has the parameters."""
+        k = content / amount
+        phi = (0.5 * value_at(self.H, z)) * (k * k)
+        if self.Q != 0:
+            phi = phi + value_at(self.Q, z) * (k + (1 / self.b) * (exp(-self.b * k) - 1))
+        return amount * phi
 
 
 class FlowRule(ABC):

@@ -13,18 +13,18 @@ import numpy as np
 from ngsolve import CF
 
 from ngvisco.errors import NgviscoError, Quantity, UnknownNameError, require_names
-from ngvisco.physics.flow_rules.rule import PLASTIC_STRAIN, Hardening
+from ngvisco.physics.flow_rules.rule import PLASTIC_CONTENT, Hardening
 from ngvisco.physics.material import ElasticState, Material, Wrapper
 from ngvisco.physics.parameters import Parameter, distinct, substituted
 from ngvisco.physics.pointwise import Respond, Response, respond, rest_state
 from ngvisco.physics.tensors import Tensor, inner
-from ngvisco.physics.variables import Values, Variable
+from ngvisco.physics.variables import ReciprocalJacobian, Values, Variable
 
 
 @dataclass(frozen=True, kw_only=True)
 class Carrying(Wrapper):
-    """phi(z, theta) + phi_h(k): a material with its moduli at the parameters theta that it carries, and the
-    energy of a plastic strain k, where there is one.
+    """phi(z, theta) + A phi_h(K/A): a material with its moduli at the parameters theta that it carries, and
+    the energy of a plastic strain k = K/A, where there is one; A = 1/J is then carried too.
 
     A ``Model`` makes it where a modulus of one of its laws is no number, or its flow rule hardens.
     """
@@ -35,8 +35,11 @@ class Carrying(Wrapper):
 
     @property
     def variables(self) -> tuple[Variable, ...]:
-        plastic = () if self.hardening is None else (PLASTIC_STRAIN,)
-        return (*self.material.variables, *self.carried, *plastic)
+        own = self.material.variables
+        if self.hardening is None:
+            return (*own, *self.carried)
+        volume = () if ReciprocalJacobian() in own else (ReciprocalJacobian(),)
+        return (*own, *volume, *self.carried, PLASTIC_CONTENT)
 
     @property
     def lagged(self) -> frozenset[str]:
@@ -45,7 +48,9 @@ class Carrying(Wrapper):
     def energy(self, z: Values) -> Tensor:
         at_this_point = substituted(self.material, lambda expression: expression.at(z))
         phi = at_this_point.energy({v.name: z[v.name] for v in self.material.variables})
-        return phi if self.hardening is None else phi + self.hardening.energy(z)
+        if self.hardening is None:
+            return phi
+        return phi + self.hardening.energy(z["A"], z[PLASTIC_CONTENT.name], z)
 
 
 def carrying(
