@@ -40,8 +40,8 @@ Values = Mapping[str, Tensor]
 Frame: TypeAlias = Literal["relaxed", "actual"]
 
 PRESSURE, TEMPERATURE, HARDENING = "pressure", "temperature", "hardening"
-"""Under which names ``Values`` have -tr T/3, Pa, theta, K, and what hardening adds to the yield stress, Pa, for
-the laws that read them."""
+"""Under which names ``Values`` have, for the laws that read them, -tr T/3, Pa, theta, K, and what
+hardening adds to the yield stress, Pa."""
 
 
 @dataclass(frozen=True)

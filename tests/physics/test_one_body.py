@@ -84,7 +84,7 @@ def test_the_stress_is_one(name, rule, heat):
 
 @pytest.mark.parametrize("name", ["LinearElastic", "ReferentialNeoHookean"])
 def test_hardening_has_no_pressure(name):
-    """Of a plastic strain the mean stress is what it is without it: the energy is one per reference volume."""
+    """The mean stress is the same with a plastic strain and without."""
     material = getattr(nv, name)(K_e=10.0, G_e=5.0)
     found = []
     for rule in (None, nv.Perzyna(sigma_Y=0.5, G_m=0.5, H=3.0)):
@@ -101,7 +101,7 @@ DEFAULT = ("linear hardening", "Perzyna, n = 2.5", "Drucker-Prager", "composite"
 )
 @pytest.mark.parametrize("solver", ["split", "coupled"])
 def test_it_relaxes_alike(name, solver):
-    """A stretched body that cannot move, whatever rule it creeps by: stress, strain and heat after a while."""
+    """A stretched body that cannot move has the same stress, plastic strain and heat after three steps."""
     material = nv.ReferentialNeoHookean(K_e=10.0, G_e=5.0, elastic_state="B")
     rule = RULES[name]
     if name != "activated":
