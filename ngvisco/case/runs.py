@@ -121,7 +121,8 @@ def resume(
 ) -> Simulation:
     """Go on with the run in a directory, from its last checkpoint (or its start, if it has none).
 
-    ``until`` (s) replaces the case's end time.  ``settings`` change the case from here on, as far as
+    ``until`` (s) replaces the case's end time; steps of one length end at the nearest multiple of dt where
+    that is no farther than a thousandth of dt.  ``settings`` change the case from here on, as far as
     ``changed`` lets them; the directory keeps the case as it was too.
     """
     place, ranks = RunDirectory(directory), Communicator.world()
@@ -140,7 +141,9 @@ def resume(
             if ranks.on_first(place.run_file.exists):  # what it raises is raised before anything is written
                 before = ranks.on_first(lambda: _pending_change(place, case)) or case.hash
                 resume_changed(simulation, place.run_file, {"case": before})
-            _check_times(place, new, simulation, new.until if until is None else until)
+            _check_times(
+                place, new, simulation, new.until if until is None else simulation.stepper.met(until)
+            )
             ranks.on_first(lambda: _write_change(place, case, new, settings))
             case = place.case()
         notes = [f"resume: {case.sections.title or case.source}"]
@@ -168,6 +171,12 @@ def _go(
     elif not simulation.ledger.rows and (origin := place.read_versions().get("from")) is not None:
         state = load(origin["directory"], origin["step"]).simulation
         notes.append(_taken_over(state, origin, simulation))
+    if (met := simulation.stepper.met(end)) != end:
+        notes.append(f"until {end:.10g} s: {met:.10g} s, the nearest end of a step")
+        end = met
+    for one in observers:
+        if isinstance(one, Progress):
+            one.until = end
     _check_times(place, case, simulation, end)
     log = Log(place.log_file, end, case.sections.output.log_every)
     # an end time given to resume is an output time of its own

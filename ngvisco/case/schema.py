@@ -97,11 +97,13 @@ class Time(TimeSteps):  # type: ignore[misc]
     def _ends(self) -> Time:
         if not 0 < self.until < math.inf:
             raise ParameterError("Time.until", self.until, "a finite number > 0")
-        if self.until / self.dt > _MAX_STEPS:
+        # adaptive steps grow: dt is the first one's length, and dt_max says how many there are at least
+        longest = self.dt if self.adaptive is None else self.adaptive.dt_max
+        if self.until / longest > _MAX_STEPS:
             least = self.until / _MAX_STEPS
-            steps = f"{self.until / self.dt:.0e} steps until = {self.until:g}"
-            expected = f"at least {least:.2g}: this one makes {steps}"
-            raise ParameterError("Time.dt", self.dt, expected)
+            steps = f"{self.until / longest:.0e} steps until = {self.until:g}"
+            name = "Time.dt" if self.adaptive is None else "Time.adaptive.dt_max"
+            raise ParameterError(name, longest, f"at least {least:.2g}: this one makes {steps}")
         number = round(self.until / self.dt)
         if self.adaptive is None and not math.isclose(number * self.dt, self.until, rel_tol=1e-9):
             raise ParameterError("Time.until", self.until, f"a multiple of dt = {self.dt:g}")

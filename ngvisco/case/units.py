@@ -71,6 +71,19 @@ def converted(number: float, unit: str, wanted: str) -> float:
     return float(value)
 
 
+def seconds(text: str) -> float:
+    """A time in s of a text: a number of seconds, or a number with its unit, "140 kyr".
+
+    Raises UnitError for any other text.
+    """
+    if (match := _QUANTITY.fullmatch(text)) is not None and match[2].lower() not in ("inf", "nan"):
+        return converted(float(match[1]), match[2].strip(), SI["time"])
+    try:
+        return float(text)
+    except ValueError:
+        raise UnitError(f"{text!r:.60} is no time: a number of seconds, or one with its unit") from None
+
+
 def _require_small_powers(unit: str) -> None:
     """Raise UnitError for powers of numbers, powers of powers, and exponents that no unit has."""
     powers = [match[1] or match[2] for match in _POWER.finditer(unit)]

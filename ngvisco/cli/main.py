@@ -77,7 +77,8 @@ def parser() -> argparse.ArgumentParser:
     text = "go on from a directory's last checkpoint"
     resume = commands.add_parser("resume", help=text, description=_RESUME, parents=[settings, running])
     resume.add_argument("directory", metavar="DIR", help="run directory")
-    resume.add_argument("--until", metavar="T", type=float, help="end time in s (default: the case's)")
+    text = "end time in s, or with its unit, '140 kyr' (default: the case's)"
+    resume.add_argument("--until", metavar="T", help=text)
 
     text = "run a case with some of its keys varied"
     parents = [a_case, settings, running]

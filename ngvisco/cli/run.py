@@ -1,6 +1,7 @@
 """``ngvisco run``, ``resume`` and ``sweep``: progress on the terminal, signals."""
 
 import argparse
+import math
 import os
 import shutil
 import signal
@@ -13,6 +14,7 @@ from ngsolve import SetNumThreads
 from ngvisco import case as cases
 from ngvisco.case.directory import RunDirectory
 from ngvisco.case.runs import changed
+from ngvisco.case.units import UnitError, seconds
 from ngvisco.cli import streams
 from ngvisco.cli.streams import DONE, FAILED, NOT_CLOSED, Stopping
 from ngvisco.errors import ParameterError
@@ -88,16 +90,29 @@ def resume(options: argparse.Namespace) -> int:
     _end_with_stdin(options)
     SetNumThreads(options.threads)
     directory = Path(options.directory)
-    if options.until is not None and not 0 < options.until < float("inf"):
-        raise ParameterError("--until", options.until, "a finite number of seconds > 0")
-    until = options.until
-    if until is None:
+    if options.until is not None:
+        until = _end_time(options.until)
+    else:
         place = RunDirectory(directory)
         until = changed(place, place.case(), options.settings).until
     stop = StopOnSignal()
     observers = [*_terminal(options, until), stop]
-    result = cases.resume(directory, options.until, observers=observers, settings=options.settings)
+    end = None if options.until is None else until
+    result = cases.resume(directory, end, observers=observers, settings=options.settings)
     return _close(directory, result, stop)
+
+
+def _end_time(text: str) -> float:
+    """What ``--until`` says, s; raises ParameterError."""
+    try:
+        found = seconds(text)
+    except UnitError as error:
+        raise ParameterError(
+            "--until", text, f"a time > 0 in s, or with its unit, '140 kyr' ({error})"
+        ) from None
+    if not 0 < found < math.inf:
+        raise ParameterError("--until", text, "a finite time > 0, in s or with its unit, '140 kyr'")
+    return found
 
 
 def _end_with_stdin(options: argparse.Namespace) -> None:

@@ -71,8 +71,11 @@ class Progress:
         self._set_out(simulation)
         self._total, steps = "", "adaptive steps"
         if not simulation.is_adaptive:
-            count = round(self.until / simulation.dt)
-            self._total, steps = f"/{count}", f"{count} steps of {simulation.dt:g} s"
+            # of steps that may have had other lengths before
+            count = simulation.stepper.step_of(self.until, simulation.number)[0]
+            done = simulation.step_number
+            steps = f"{count - done if done else count} steps of {simulation.dt:g} s"
+            self._total = f"/{count}"
         line = f"{simulation.cells} cells, {simulation.unknowns} unknowns, {steps}, {simulation.scheme}"
         if line != self._last:  # a run on meshes that follow a field starts on each of them
             self._print(line)

@@ -316,6 +316,7 @@ class Simulation:
                 self.integrator.undo()
                 raise
             self.integrator.accept()
+            self.solver.accept()
             self.set_time(step.time, number)
             self.ledger.check_closure()
             return row

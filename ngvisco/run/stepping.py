@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from ngvisco.run.simulation import Simulation
     from ngvisco.solver.problem import Attempt
 
-_ROUNDING = 1e-9
+_ROUNDING, _NEAR = 1e-9, 1e-3
 
 SAFETY = 0.9
 """Share of the tolerance that the controller aims at."""
@@ -115,7 +115,8 @@ class TimeSteps:
         Whether cells in which rho, J, det F, ... are not positive at a point, though in the mean, are scaled
         towards their means after a step, whose energy the ledger has as limiter; false ends the run there.
     halvings : int
-        Of a step of fixed length that is not solved, before the coupled solver is asked; 0 asks at once.
+        Of a step of fixed length that is not solved, before solver.method = "auto" asks the other solver; 0
+        asks it at once.  It takes the next 16 steps, then the first one is asked again.
     velocity_scale : float, optional
         A typical velocity, which sets the width of the upwinding (1e-4 of it); default: of flow, walls, free
         fall or elastic release, at rest a tenth of the speed of sound.
@@ -211,6 +212,17 @@ class Accepted:
     error: float | None = None
 
 
+def _turn(simulation: Simulation, turned: bool) -> str:
+    """Let the other solver take a step that was not solved; what that means, in words.
+
+    Raises StepError with the reason where it is not asked, or has been (``turned``).
+    """
+    solver = simulation.solver
+    if turned:
+        raise StepError(f"the {solver.turns.other} solver has not solved it either")
+    return solver.turn()
+
+
 class FixedStepper:
     """Steps of one length, taken in parts where the solver at hand does not solve them.
 
@@ -233,6 +245,13 @@ class FixedStepper:
     def _time(self, position: int) -> float:
         # n dt, not a running sum: times are the same in a restarted run
         return self._start + position / self._parts * self.dt
+
+    def met(self, time: float) -> float:
+        """The end of a step, s, that is within a thousandth of dt of ``time``; else ``time`` itself."""
+        number = round((time - self._start) / self.dt)
+        end = self._time(number * self._parts)
+        is_near = abs(end - time) <= _NEAR * self.dt and not math.isclose(end, time, rel_tol=_ROUNDING)
+        return end if is_near else time
 
     def check(self, name: str, time: float) -> None:
         """Raise ParameterError when ``time`` cannot be met exactly."""
@@ -259,8 +278,8 @@ class FixedStepper:
         """Take one step that does not pass ``stop``; raises StepError and leaves the old state."""
         t, position = simulation.t, self._position(simulation.t)
         whole, done = divmod(position, self._parts)
-        level = self._level if done else max(0, self._level - 1)
-        rejections = 0
+        level = first = self._level if done else max(0, self._level - 1)
+        rejections, turned = 0, False
         while True:
             size = self._parts >> level
             tau = self.dt * size / self._parts
@@ -269,11 +288,17 @@ class FixedStepper:
                 self._level = level
                 return Accepted(self._time(position + size), taken, rejections)
             except StepError as failure:
-                if level == self.halvings:
-                    raise
                 reason, history = str(failure.__cause__ or failure), failure.history
-            level += 1
-            reason += f"; taken in parts of {self.dt / (1 << level):.4g} s"
+                if level == self.halvings:
+                    try:
+                        reason += f"; {_turn(simulation, turned)}"
+                    except StepError as refused:
+                        cause = failure.__cause__ or failure
+                        raise StepError(f"{failure}; {refused}", history) from cause
+                    level, turned = first, True
+                else:
+                    level += 1
+                    reason += f"; taken in parts of {self.dt / (1 << level):.4g} s"
             rejections += 1
             simulation.notify_rejection(Rejection(t, tau, reason, history))
 
@@ -304,6 +329,9 @@ class AdaptiveStepper:
     def begin(self, time: float, number: int) -> None:
         return  # it counts rows
 
+    def met(self, time: float) -> float:
+        return time
+
     def check(self, name: str, time: float) -> None:
         return  # it meets any time
 
@@ -315,6 +343,7 @@ class AdaptiveStepper:
 
     def advance(self, simulation: Simulation, stop: float) -> Accepted:
         rejections: list[Rejection] = []
+        first, turned = self.dt, False
         integrator, tolerance, t = simulation.integrator, self.options.tolerance, simulation.t
         scheme = integrator.scheme_of(simulation.number)
         estimate = self._estimate_of(simulation)
@@ -328,6 +357,12 @@ class AdaptiveStepper:
                 # the cause, which does not say again which step it was
                 reason = str(failure.__cause__ or failure)
                 history, shorter = failure.history, tau / 2
+                if shorter < self.options.dt_min:
+                    try:
+                        reason += f"; {_turn(simulation, turned)}"
+                        shorter, turned = first, True
+                    except StepError as refused:
+                        reason += f"; {refused}"
             else:
                 if new_time != stop:
                     new_time = t + taken.tau

@@ -105,7 +105,8 @@ class NewtonOptions:
         part in a run.
     method : str
         "coupled", all unknowns at once (small meshes), "split", the fields as functions of the velocity
-        (large ones), or "auto"; both solve the same equations.
+        (large ones), or "auto", which chooses one by the mesh and asks the other one where a step is not
+        solved; both solve the same equations.
 
     Raises
     ------

@@ -5,24 +5,21 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 from ngsolve import BaseVector
 
-from ngvisco.errors import InputWarning, ParameterError, StepError
+from ngvisco.errors import InputWarning, StepError
 from ngvisco.forms.context import time
-from ngvisco.forms.mesh.mesh_arrays import is_simplicial
 from ngvisco.forms.system import Step
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.exchange import Exchange
-from ngvisco.reduced.claims import term_obstacle
-from ngvisco.reduced.residual import source_obstacle
 from ngvisco.solver.newton import Newton
 from ngvisco.solver.options import NewtonOptions
 from ngvisco.solver.problem import Attempt, BlockNorm, Interval, Problem, Solution, Status
 from ngvisco.solver.split.solver import Split
 from ngvisco.solver.start import Extrapolation, Sides
+from ngvisco.solver.turns import Turns
 from ngvisco.threads import on_arrays
 
 _PARAMETERS = ("tau", "end", "loads_from", "loads_over", "loads_tilt")
@@ -69,8 +66,9 @@ class RotheSolver:
         self.exchange = Exchange.of(step.layout.space, self.ranks)
         self.h_min = self.ranks.least(step.context.h.vec.FV().NumPy())
         self.norm = _norm(step, self.exchange)
-        self.method = chosen_method(step, options)
-        """``"coupled"`` or ``"split"``."""
+        self.turns = Turns(step, options, self.ranks)
+        """Which of the two solvers takes the steps."""
+        self._made: dict[str, Newton | Split] = {}
         self._last_tau: float | None = None
         self._factorised = {name: np.zeros(len(step.state.vec)) for name in self._vectors()}
         self._factorised_at: Interval | None = None
@@ -80,6 +78,29 @@ class RotheSolver:
         self.extrapolation = Extrapolation(step)
         self.sides = Sides(step, self.h_min)
 
+    @property
+    def method(self) -> str:
+        """``"coupled"`` or ``"split"``, whichever takes the steps now."""
+        return self.turns.method
+
+    def turn(self) -> str:
+        """Let the other solver take the next steps; what that means, in words.
+
+        Raises StepError where the other solver is not to be asked, with the reason why.
+        """
+        if self.turns.obstacle is not None:
+            raise StepError(f"the {self.turns.other} solver is not asked: {self.turns.obstacle}")
+        said = self.turns.turn()
+        self.newton.reset()
+        return said
+
+    def accept(self) -> None:
+        """The step that was solved is accepted."""
+        before = self.method
+        self.turns.accept()
+        if self.method != before:
+            self.newton.reset()
+
     def workers(self) -> AbstractContextManager[None]:
         """Within: NGSolve's for the coupled solver; none for the other.
 
@@ -87,9 +108,14 @@ class RotheSolver:
         """
         return nullcontext() if self.method == "coupled" else on_arrays()
 
-    @cached_property
+    @property
     def newton(self) -> Newton | Split:
         """Made with the first step: what looks at a run without going on with it needs no matrices."""
+        if self.method not in self._made:
+            self._made[self.method] = self._new()
+        return self._made[self.method]
+
+    def _new(self) -> Newton | Split:
         step, norm, options, eliminate = self.step, self.norm, self.options, self.step.eliminate
         found: Newton | Split
         if self.method == "split":
@@ -219,6 +245,7 @@ class RotheSolver:
         A restart factorises there again, so that it goes on bit for bit as the run that wrote it.
         """
         numbers, arrays = self.extrapolation.state_dict()
+        numbers |= self.turns.state_dict()
         if self._last_tau is None or not self.newton.is_factorised:
             return numbers, arrays
         numbers |= {name: getattr(self._factorised_at, name) for name in _PARAMETERS}
@@ -228,6 +255,7 @@ class RotheSolver:
 
     def load_state_dict(self, numbers: dict[str, float], arrays: dict[str, np.ndarray]) -> None:
         """Take up what ``state_dict`` gave; state, old state and time are left as they are."""
+        self.turns.load_state_dict(numbers)
         self.newton.reset()
         self.extrapolation.load_state_dict(numbers, arrays)
         if "last_tau" not in numbers:
@@ -316,26 +344,3 @@ def _norm(step: Step, exchange: Exchange) -> BlockNorm:
             ranges[variable.name] = slice(begin, begin + count)
             units[variable.name] = variable.own_scale
     return BlockNorm(ranges, units, exchange, shared)
-
-
-def chosen_method(step: Step, options: NewtonOptions) -> str:
-    """``"coupled"`` or ``"split"``.
-
-    Raises
-    ------
-    ParameterError
-        If ``options.method`` is ``"split"`` for a step that the split solver cannot take.
-    """
-    ranks = Communicator.of(step.mesh)
-    if options.method == "coupled":
-        return "coupled"
-    is_chosen = options.method == "split"
-    if not is_chosen and ranks.total(step.mesh.ne) < options.split.chosen_from[step.mesh.dim - 2]:
-        return "coupled"
-    if not ranks.all(is_simplicial(step.mesh)):
-        obstacle: str | None = "the split solver needs a mesh of triangles or tetrahedra only"
-    else:
-        obstacle = source_obstacle(step) or term_obstacle(step)
-    if is_chosen and obstacle is not None:
-        raise ParameterError("NewtonOptions.method", options.method, f"'coupled': {obstacle}")
-    return "split" if obstacle is None else "coupled"

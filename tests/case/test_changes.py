@@ -46,10 +46,20 @@ def test_the_directory_holds_both_cases_and_the_change(run):
     assert (run / "case.until-step-2.toml").read_text() == before
     (change,) = json.loads((run / "versions.json").read_text())["changes"]
     assert change["step"] == 2 and change["settings"] == settings
-    assert "changed: time.dt=0.01" in (run / "log.txt").read_text()
+    log = (run / "log.txt").read_text()
+    assert "changed: time.dt=0.01" in log and "2 steps of 0.01 s" in log and "step     4/4  t 0.06 s" in log
     # what follows is a plain resume of the changed run, and loading it too
     assert nv.case.resume(run, 0.08).number == 6
     assert nv.load(run).case.sections.material.G_e == 6
+
+
+def test_an_end_time_is_the_nearest_end_of_a_step(run):
+    """Within a thousandth of dt: a time in other units is known to some digits."""
+    assert nv.case.resume(run, 0.06 + 1e-5).t == pytest.approx(0.06, rel=1e-15)
+    log = (run / "log.txt").read_text()
+    assert "until 0.06001 s: 0.06 s, the nearest end of a step" in log and "finished at t = 0.06 s" in log
+    with pytest.raises(nv.ParameterError, match=r"until = 0.08003: expected a multiple of dt"):
+        nv.case.resume(run, 0.08 + 3e-5)
 
 
 def test_a_change_that_was_interrupted_is_taken_up(run, monkeypatch):

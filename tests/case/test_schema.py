@@ -114,6 +114,16 @@ def test_number_of_thousands_of_digits_is_a_fault_of_the_file():
         simulation(CASE.replace("until = 0.1", "until = " + "9" * 5000))
 
 
+def test_adaptive_steps_are_counted_by_the_longest_one():
+    """From half a second to thirty years dt is only the first step's length."""
+    steps = ["time.dt=0.5", "time.until='30 yr'", "time.adaptive.dt_min=0.1"]
+    assert case(CASE, *steps, "time.adaptive.dt_max='1 yr'").until > 9e8
+    with pytest.raises(
+        CaseError, match=r"time.adaptive.dt_max.*: expected at least 9\.5: this one makes 9e\+08"
+    ):
+        case(CASE, *steps, "time.adaptive.dt_max=1")
+
+
 def test_all_faults_are_reported_at_once():
     broken = (
         CASE.replace("G_e = 5", "Ge = 5").replace("dt = 0.02", "dt = -1").replace("[initial]", "[intial]")

@@ -7,7 +7,7 @@ import pytest
 import ngvisco as nv
 from ngvisco.case.build import parse_case
 from ngvisco.case.reference import entries
-from ngvisco.case.units import SI, UnitError, converted, factor
+from ngvisco.case.units import SI, UnitError, converted, factor, seconds
 
 CASE = """\
 [units]
@@ -201,3 +201,11 @@ def test_expressions_with_signs_like_units_stay_expressions():
     assert parse(g).coefficient()(mesh(1000, 500)) == pytest.approx(2 + 0.5 * (1 + 2))
     nv.time.Set(0.0)
     assert math.isclose(factor("min", "s"), 60)
+
+
+def test_a_time_of_the_command_line_is_in_seconds_or_has_its_unit():
+    assert seconds("12.5") == 12.5 and seconds("2 min") == 120
+    assert seconds("140 kyr") == pytest.approx(140e3 * 365.25 * 86400)
+    for text in ("soon", "2 m", "1 kyr 3"):
+        with pytest.raises(UnitError):
+            seconds(text)

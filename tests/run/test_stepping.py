@@ -10,6 +10,8 @@ from support import state as values
 
 import ngvisco as nv
 from ngvisco.geometries import box
+from ngvisco.solver.newton import Newton
+from ngvisco.solver.options import SplitOptions
 from ngvisco.solver.problem import Solution, Status
 from ngvisco.solver.split.solver import Split
 from ngvisco.timestepping.error import ErrorEstimate
@@ -202,6 +204,55 @@ def test_halvings_are_an_option(monkeypatch):
     run = halving(halvings=0)
     with pytest.raises(nv.StepError, match="stalled"):
         run.advance()
+
+
+@pytest.mark.parametrize("halvings", [0, 1])
+def test_auto_asks_the_other_solver_where_no_part_is_solved(halvings, monkeypatch):
+    """For two steps; the split solver, which fails again, is then asked again, and after four more."""
+    calls = []
+    fails_above(monkeypatch, 0.0, calls)
+    monkeypatch.setattr("ngvisco.solver.turns.WAIT", 2)
+    newton = nv.NewtonOptions(split=SplitOptions(chosen_from=(1, 1)))
+    watch = Rejections()
+    run = halving(solver="auto", newton=newton, halvings=halvings, observers=[watch])
+    ledger = run.run(5 * DT)
+    assert ledger.column("dt")[1:] == pytest.approx([DT] * 5)
+    attempts = 2 * (halvings + 1)  # at the first step, and at the third one
+    assert len(watch.seen) == attempts and run.solver.method == "coupled"
+    assert "the coupled solver is asked, and takes the next 2 steps" in watch.seen[halvings].reason
+    assert "takes the next 4 steps" in watch.seen[-1].reason
+    assert np.abs(ledger.column("closure_relative")).max() <= 1e-12
+
+
+def test_adaptive_steps_ask_the_other_solver_too(monkeypatch):
+    fails_above(monkeypatch, 0.0)
+    newton = nv.NewtonOptions(split=SplitOptions(chosen_from=(1, 1)))
+    steps = nv.AdaptiveSteps(dt_min=DT / 2, dt_max=DT)
+    run = halving(solver="auto", newton=newton, adaptive=steps)
+    assert run.run(2 * DT).column("rejections").tolist() == [0, 2, 0]
+
+
+def test_where_no_solver_solves_a_step_both_are_named(monkeypatch):
+    fails_above(monkeypatch, 0.0)
+    monkeypatch.setattr(Newton, "solve", lambda *given: Solution(Status.STALLED, (), "no"))
+    newton = nv.NewtonOptions(split=SplitOptions(chosen_from=(1, 1)))
+    for solver, said in (
+        ("auto", "no; the split solver has not solved it either"),
+        ("split", "the coupled solver is not asked: solver.method is 'split'"),
+    ):
+        run = halving(solver=solver, newton=newton, halvings=0)
+        with pytest.raises(nv.StepError, match=said):
+            run.advance()
+
+
+def test_a_restart_knows_which_solver_is_at_hand(tmp_path, monkeypatch):
+    fails_above(monkeypatch, 0.0)
+    newton = nv.NewtonOptions(split=SplitOptions(chosen_from=(1, 1)))
+
+    def made(**options):
+        return halving(solver="auto", newton=newton, halvings=0, **options)
+
+    assert_goes_on(made, tmp_path / "run.h5", 4 * DT, 2)
 
 
 def test_restart_within_a_step_is_bitwise_identical(tmp_path, monkeypatch):

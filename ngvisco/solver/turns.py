@@ -1,0 +1,113 @@
+"""Which of the two solvers takes the steps: one is chosen at the start, and "auto" asks the other one too.
+
+Where a step is not solved by the one, however short it is made, the other one takes the next ``WAIT`` steps,
+and after each return twice as many.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+from ngvisco.errors import ParameterError
+from ngvisco.forms.mesh.mesh_arrays import is_simplicial
+from ngvisco.forms.system import Step
+from ngvisco.parallel.communicator import Communicator
+from ngvisco.reduced.claims import term_obstacle
+from ngvisco.reduced.residual import source_obstacle
+from ngvisco.solver.options import NewtonOptions
+
+WAIT = 16
+"""Steps that the other solver takes before the first one is asked again."""
+
+AT_MOST = (300_000, 60_000)
+"""Unknowns after condensation, in 2D and in 3D, that the coupled solver is asked to factorise in place of the
+split one: within some seconds and a few GB."""
+
+
+class Turns:
+    """The solver at hand, and when the first one is asked again.
+
+    Raises ParameterError where a solver is asked for that cannot take the step.
+    """
+
+    def __init__(self, step: Step, options: NewtonOptions, ranks: Communicator) -> None:
+        self.step, self.options, self.ranks = step, options, ranks
+        self.first = chosen_method(step, options)
+        self.method = self.first
+        """``"coupled"`` or ``"split"``."""
+        self._left, self._wait = 0, WAIT
+
+    @property
+    def other(self) -> str:
+        """The solver that is not at hand."""
+        return "coupled" if self.method == "split" else "split"
+
+    @cached_property
+    def obstacle(self) -> str | None:
+        """Why the other solver than the first one is not asked; None where it is."""
+        if self.options.method != "auto":
+            return f"solver.method is {self.options.method!r}"
+        if self.first == "coupled":
+            return split_obstacle(self.step, self.ranks)
+        free = int(self.ranks.total(sum(self.step.layout.space.FreeDofs(True))))
+        most = AT_MOST[self.step.mesh.dim - 2]
+        if free > most:
+            return f"the coupled solver would have {free} unknowns to factorise, more than {most}"
+        return None
+
+    def turn(self) -> str:
+        """Take the other solver; what that means, in words."""
+        self.method = self.other
+        self._left = self._wait
+        return (
+            f"the {self.method} solver is asked, and takes the next {self._left} steps if it solves this one"
+        )
+
+    def accept(self) -> None:
+        """A step was accepted: the first solver is asked again where it has waited for long enough."""
+        if self.method == self.first:
+            return
+        self._left -= 1
+        if self._left <= 0:
+            self.method, self._wait = self.first, 2 * self._wait
+
+    def state_dict(self) -> dict[str, float]:
+        """What a restart has to know, where the first solver has ever failed."""
+        if self.method == self.first and self._wait == WAIT:
+            return {}
+        is_other = float(self.method != self.first)
+        return {"turned": is_other, "turn_left": float(self._left), "turn_wait": float(self._wait)}
+
+    def load_state_dict(self, numbers: dict[str, float]) -> None:
+        """Take up what ``state_dict`` gave."""
+        self.method = self.first
+        if numbers.get("turned") and self.obstacle is None:
+            self.method = self.other
+        self._left, self._wait = int(numbers.get("turn_left", 0)), int(numbers.get("turn_wait", WAIT))
+
+
+def split_obstacle(step: Step, ranks: Communicator) -> str | None:
+    """Why the split solver cannot take a step; None where it can."""
+    if not ranks.all(is_simplicial(step.mesh)):
+        return "the split solver needs a mesh of triangles or tetrahedra only"
+    return source_obstacle(step) or term_obstacle(step)
+
+
+def chosen_method(step: Step, options: NewtonOptions) -> str:
+    """``"coupled"`` or ``"split"``.
+
+    Raises
+    ------
+    ParameterError
+        If ``options.method`` is ``"split"`` for a step that the split solver cannot take.
+    """
+    ranks = Communicator.of(step.mesh)
+    if options.method == "coupled":
+        return "coupled"
+    is_chosen = options.method == "split"
+    if not is_chosen and ranks.total(step.mesh.ne) < options.split.chosen_from[step.mesh.dim - 2]:
+        return "coupled"
+    obstacle = split_obstacle(step, ranks)
+    if is_chosen and obstacle is not None:
+        raise ParameterError("NewtonOptions.method", options.method, f"'coupled': {obstacle}")
+    return "split" if obstacle is None else "coupled"
