@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
+from functools import partial
 from typing import TYPE_CHECKING, TypeVar
 
 from ngsolve import (
@@ -87,15 +88,18 @@ class Context:
         if passages:
             where = sum((passage.indicator for passage in passages), CF(0.0))
             self.crossed = self.inner + where
-            parts = {}
-            for name in ("z",) if model.bodies else ("rho", "z"):
-                of_walls = [
-                    # a tilted average of a positive density may be negative
-                    wall.indicator * self.average(wall.values[name], wall.region, is_even=True)
-                    for wall in passages
-                ]
-                parts[name] = sum(of_walls[1:], of_walls[0])
-            incoming = Incoming(where, parts)
+            means = [  # a tilted average of a positive density may be negative
+                wall.given.mapped(partial(self.average, walls=wall.region, is_even=True)) for wall in passages
+            ]
+
+            def entering(u: Fields, name: str) -> CoefficientFunction:
+                own, of_walls = u.parts[name], []
+                for wall, given in zip(passages, means, strict=True):
+                    value = wall.entering(u, name, given)
+                    of_walls.append(u.context.given(wall.indicator) * (own if value is None else value))
+                return sum(of_walls[1:], of_walls[0])
+
+            incoming = Incoming(where, entering)
         self._through = wind * self.normal
         self.upwinding = Upwinding(self._through, self.crossed, self.eta, incoming)
         """On a cell's boundary only."""

@@ -6,7 +6,8 @@ With a = v* . n, zero on walls that nothing crosses, and the smooth modulus |a|_
 
 The shares of both sides of a facet are 1 - n^- in (0, 1) and sum up to one, so that a trace weighted by
 them is a convex combination. On a wall that matter crosses the other side's value is that of what flows in
-(``Incoming``), and n^- = max(-a, 0)/|a|_eta: where nothing flows the body alone says its stress. The
+(``Incoming``), given or the cell's own, and n^- = max(-a, 0)/|a|_eta: where nothing flows the body alone
+says its stress. The
 velocity v* is known before a step is solved: in the energy identity the two uses of B_h
 (``ngvisco.forms.terms.transport``) cancel for any weights, and with weights that do not depend on the
 step's own velocity the equations of the step are smooth. With those of the step's own velocity the elastic
@@ -14,7 +15,7 @@ force would jump by [z] : [zeta] where v . n changes its sign, and the step coul
 """
 
 from abc import abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from ngsolve import CoefficientFunction, GridFunction, HDiv, Mesh
@@ -32,11 +33,11 @@ def mean_share(inner: CoefficientFunction) -> CoefficientFunction:
 
 @dataclass(frozen=True)
 class Incoming:
-    """What flows in: ``where`` is 1 on the walls that matter crosses, ``parts`` are ``"rho"`` and ``"z"``
-    there; zero elsewhere."""
+    """What flows in: ``where`` is 1 on the walls that matter crosses, 0 elsewhere; ``value`` takes the fields
+    of a cell's side and the name ``"rho"`` or ``"z"`` to what flows in there."""
 
     where: CoefficientFunction
-    parts: Mapping[str, CoefficientFunction]
+    value: Callable[[Fields, str], CoefficientFunction]
 
 
 class Upwinding:
@@ -67,7 +68,7 @@ class Upwinding:
         difference = self.share * (hat - own)
         if self.incoming is None:
             return difference
-        return difference + (self.incoming.where * self.inflow) * (hat - self.incoming.parts[name])
+        return difference + (self.incoming.where * self.inflow) * (hat - self.incoming.value(u, name))
 
     @property
     def share(self) -> CoefficientFunction:

@@ -112,7 +112,11 @@ class NavierFriction(Wall):
 
 @dataclass(frozen=True, kw_only=True)
 class Passage(Wall):
-    """Base of the walls that matter crosses: what flows out has its own values, what flows in these."""
+    """Base of the walls that matter crosses: what flows out has its own values.
+
+    What flows in has the values that are given here by name.  Whatever is not named goes on beyond the wall
+    as it is inside, so that the wall does not push a body that is under stress.
+    """
 
     density: Annotated[Function | None, Quantity("kg/m^3", "> 0", 1.0)] = None
     values: Annotated[Mapping[str, CoefficientFunction], Quantity("1", example={"J": "1 + 0.1*sin(t)"})] = (
@@ -142,16 +146,18 @@ class Inflow(Passage):
         V, a function of x and of the run's time, of which each step has the mean; matter leaves where
         V.n > 0.
     density : number or coefficient function, optional
-        Density of what flows in, averaged over the step; needed but for a material with a referential density
-        rho_R, where it is rho_R/J.
+        Density of what flows in, averaged over the step; that inside where nothing is said.  Where J or A is
+        among the values the density is rho_R/J, of a material with a referential density rho_R; others need
+        one.
     values : mapping of names to coefficient functions, optional
-        The material's variables of what flows in, by name, averaged over the step; those of rest where
-        nothing is said, and of parameters their start values.
+        The material's variables of what flows in, by name, averaged over the step; those inside of variables
+        that are not named.  Variables of one distortion, as F and J, belong together.
     amounts : mapping of names to coefficient functions, optional
-        With bodies, which of them flow in: by their names n_i, the volumes that they have at rest in a unit
-        of volume, 0 where nothing is said. The density is sum rho_i n_i then.
+        With bodies, which of them flow in, at rest: by their names n_i, the volumes that they have at rest in
+        a unit of volume, 0 where nothing is said. The density is sum rho_i n_i.  Without amounts the bodies
+        that are inside go on beyond the wall.
     temperature : number or coefficient function, optional
-        Of what flows in, of a material that has one; its reference temperature where nothing is said.
+        Of what flows in, of a material that has one; where nothing is said its entropy is that inside.
     """
 
     velocity: Annotated[VectorLike, Quantity("m/s", example=["y*(1 - y)", 0.0])]

@@ -274,11 +274,7 @@ class SideContext:
         incoming = self._step.context.upwinding.incoming
         if incoming is None:
             return None
-        parts = {}
-        for name, value in incoming.parts.items():  # NGSolve has no vectors of one component, as z may be
-            values = self.given(value).value
-            parts[name] = Array(values.reshape(*self._step.layout.unknowns[name].shape, -1), None)
-        return Incoming(self.given(incoming.where), parts)
+        return Incoming(self.given(incoming.where), incoming.value)
 
     def given(self, value: CoefficientFunction) -> Array:
         """A scalar, a vector or a matrix at the end of the step, see ``Context.given``."""

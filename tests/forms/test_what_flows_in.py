@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from ngsolve import Integrate, cos, pi, sin, x, y
+from ngsolve import CF, Id, Integrate, cos, pi, sin, x, y
 from support import assert_balanced
 
 import ngvisco as nv
@@ -69,7 +69,6 @@ def test_heat_is_carried_through(solver):
 @pytest.mark.parametrize(
     ("wall", "message"),
     [
-        ({}, r"amounts = \{\}: expected which of the bodies flows in"),
         ({"amounts": {"medium": 1.0}, "density": 1.0}, "density = 1.0: expected none with bodies"),
         ({"amounts": {"medium": -1.0}}, r"amounts.*expected the sum of the amounts > 0|>= 0"),
         ({"amounts": {"medium": 1.0, "disc": -0.1}}, r"amounts\['disc'\] = .*>= 0"),
@@ -99,3 +98,53 @@ def test_backflow_is_a_dissipation_in_every_step_whatever_side_was_expected():
     assert abs(ledger.column("closure_relative")).max() < 1e-10
     taken = np.concatenate([ledger.column(f"dissipation_backflow_{wall}")[1:] for wall in walls])
     assert taken.min() >= 0 and taken.max() > 1e-5
+
+
+STRETCHED = CF((1.2, 0.1, 0, 0, 0.95, 0, 0, 0, 1.05), dims=(3, 3))
+STRESSED = {
+    "linear": nv.LinearElastic(K_e=10.0, G_e=5.0),
+    "by F": nv.ReferentialNeoHookean(K_e=10.0, G_e=5.0, elastic_state="F"),
+    "by B": nv.ReferentialNeoHookean(K_e=10.0, G_e=5.0, elastic_state="B"),
+}
+
+
+@pytest.mark.parametrize("solver", ["split", "coupled"])
+@pytest.mark.parametrize("state", STRESSED)
+def test_a_stressed_body_goes_on_through_windows_as_it_is(state, solver):
+    """Under its own stress all around, uniform and at 0.3 m/s, it stays so; values of rest pushed it."""
+    model, mesh = nv.Model(material=STRESSED[state]), box((1, 0.7), 0.5)
+    initial = nv.Initial(F=STRETCHED, density=1.3, velocity=(0.3, 0.1))
+    T = np.array(nv.Simulation(mesh, model, dt=1.0, initial=initial).fields["cauchy_stress"](mesh(0.4, 0.3)))
+    along, across = T.reshape(3, 3)[:2, :2]
+    pulls = {"right": along, "left": -along, "top": across, "bottom": -across}
+    run = nv.Simulation(
+        mesh,
+        model,
+        time=nv.TimeSteps(dt=0.1, scheme="midpoint"),
+        walls={name: nv.Open(traction=tuple(pull), backflow=False) for name, pull in pulls.items()},
+        initial=initial,
+        solver=solver,
+    )
+    ledger = run.run(0.3)
+    assert abs(ledger.column("closure_relative")).max() < 1e-12
+    change = run.fields["velocity"] - CF((0.3, 0.1))
+    assert Integrate(change * change, mesh) ** 0.5 < 1e-9
+    assert ledger.column("power_stored_left")[-1] > 0.01  # it carries its energy through
+    assert abs(ledger.column("mass") - 1.3 * 0.7).max() < 1e-10
+
+
+@pytest.mark.parametrize("solver", ["split", "coupled"])
+def test_a_temperature_that_is_given_has_the_entropy_of_the_volume_that_is_there(solver):
+    through = nv.Inflow(velocity=(1.0, 0.0), temperature=330.0)
+    initial = nv.Initial(density=1.0, F=1.1 * Id(3), velocity=(1.0, 0.0), temperature=330.0)
+    model, walls = nv.Model(material=WARM, viscosity=VISCOUS), {("left", "right"): through}
+    run = nv.Simulation(box((1, 1), 0.5), model, dt=0.2, walls=walls, initial=initial, solver=solver)
+    assert abs(run.run(0.4).column("closure_relative")).max() < 1e-11
+    error = run.fields["temperature"] - 330.0
+    assert Integrate(error * error, run.mesh) ** 0.5 < 1e-6
+
+
+def test_a_volume_that_flows_in_needs_its_density():
+    with pytest.raises(nv.ParameterError, match=r"density = None: .*beside its volume"):
+        walls = {"right": nv.Open(values={"J": 1.1})}
+        nv.Simulation(box((1, 1), 0.5), nv.Model(material=FLUID), dt=0.1, walls=walls)

@@ -207,7 +207,6 @@ top(PrescribedTangential((0, 1))) | walls\['top'\]\.velocity = .normal part 1 of
 top(PrescribedTangential((1.0, 0.1))).run(0.1) | nothing crosses such a wall; an inlet is nv\.Inflow
 top(PrescribedTangential((0.0, y))).run(0.1) | nothing crosses such a wall; an inlet is nv\.Inflow
 top(PrescribedTangential((x, y))).run(0.1) | nothing crosses such a wall; an inlet is nv\.Inflow
-right(Open()) | walls\['right'\]\.density = None: .*no referential density
 right(Open(density=1 - 2 * y)) | walls\['right'\]\.density = .*density = -\d.* expected density > 0
 right(Open(density=1, values={"J": -1.0})) | walls\['right'\]\.values\['J'\] = .* expected J > 0
 right(Inflow(velocity=(-1, 0), density=1, values={"H": 1.0})) | \['right'\]\.values\['H'\] = 1.0: .* a 3x3

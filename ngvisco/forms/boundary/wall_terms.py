@@ -31,7 +31,7 @@ from ngvisco.forms.boundary.boundaries import facet_indicator, walls_of
 from ngvisco.forms.boundary.walls import Walls
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.mesh.mesh_arrays import mask_of
-from ngvisco.forms.start.variables import as_shape, entering
+from ngvisco.forms.start.variables import Entering, as_shape, entering, entropy_at
 from ngvisco.forms.term import Entry, Integrand, PointTerm, Setting, Term, Unknown
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.exchange import Exchange
@@ -138,9 +138,25 @@ class Carried(OnWall):
         assert isinstance(wall, Passage)
         self.entropy = entropy_in(model.material)
         self.backflow = isinstance(wall, Open) and wall.backflow
-        z, rho, self.temperature = entering(wall, f"walls[{name!r}]", model)
-        self.values = {"rho": rho, "z": model.material.states(walls.mesh.dim).components(z)}
-        """Of what flows in, of the place and the time."""
+        self.material = model.material
+        self.given = entering(wall, f"walls[{name!r}]", model)
+        """What is given of what flows in, of the place and the time, see ``entering``."""
+
+    def entering(self, u: Fields, name: str, given: Entering) -> CoefficientFunction | None:
+        """What flows in of ``"rho"`` or ``"z"``, on a cell's side; None where that is all the cell's own.
+
+        ``given`` are the means of ``self.given`` over the step.
+        """
+        given = given.mapped(u.context.given)
+        if name == "rho":
+            return given.density
+        if not given.values and given.temperature is None:
+            return None
+        own = u.layout.states.tensors(lambda: u.z)
+        values = {variable: given.values.get(variable, own[variable]) for variable in own}
+        if given.temperature is not None:
+            values |= entropy_at(self.material, given.temperature, values)
+        return u.layout.states.components(values)
 
     def _through(self, u: Fields) -> CoefficientFunction:
         """v . n on this wall, else 0."""

@@ -127,21 +127,23 @@ def check_walls(step: Step, times: Iterable[float]) -> None:
 
 def _check_incoming(step: Step, term: Carried, t: float) -> None:
     """Raise ParameterError where what flows in is not finite, or its density, J, ... not positive."""
-    material, owner = step.model.material, f"walls[{term.name!r}]"
-    values = step.layout.states.tensors(lambda: term.values["z"])
-    if term.temperature is not None:  # before the entropy, which has its logarithm
-        _look(step, term.name, term.temperature, f"{owner}.temperature", t, "> 0", "temperature")
-    positive = {f"{owner}.density": {"density": term.values["rho"]}}
+    material, owner, given = step.model.material, f"walls[{term.name!r}]", term.given
+    positive = {}
+    if given.temperature is not None:
+        _look(step, term.name, given.temperature, f"{owner}.temperature", t, "> 0", "temperature")
+    if given.density is not None:
+        positive[f"{owner}.density"] = {"density": given.density}
     for variable in material.variables:
-        where, value = f"{owner}.values[{variable.name!r}]", values[variable.name]
-        _look(step, term.name, value, where, t)
-        if not step.model.bodies:  # whose variables vanish where they are not
-            positive[where] = dict(variable.positive(value))
-    if step.model.bodies:
-        positive[f"{owner}.amounts"] = dict(material.bounds(values)[""])
-    for body in step.model.bodies:
-        where = f"{owner}.amounts[{body.name!r}]"
-        _look(step, term.name, values[AMOUNT + body.name], where, t, ">= 0", "an amount")
+        if variable.name in given.values:
+            where, value = f"{owner}.values[{variable.name!r}]", given.values[variable.name]
+            _look(step, term.name, value, where, t)
+            if not step.model.bodies:  # whose variables vanish where they are not
+                positive[where] = dict(variable.positive(value))
+    amounts = {body.name: AMOUNT + body.name for body in step.model.bodies}
+    if amounts and set(amounts.values()) <= given.values.keys():
+        positive[f"{owner}.amounts"] = dict(material.bounds(given.values)[""])
+        for body, name in amounts.items():
+            _look(step, term.name, given.values[name], f"{owner}.amounts[{body!r}]", t, ">= 0", "an amount")
     for where, of_field in positive.items():
         for name, function in of_field.items():
             _look(step, term.name, function, where, t, "> 0", name)

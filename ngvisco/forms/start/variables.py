@@ -1,9 +1,10 @@
 """A material's variables by name from what is given of them, at the start or where matter flows in."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import reduce
 from operator import add
-from typing import TypeAlias
+from typing import Self, TypeAlias
 
 import numpy as np
 from ngsolve import CF, VOL, CoefficientFunction, ElementId, Id, Integrate, Mesh
@@ -29,6 +30,9 @@ Values: TypeAlias = dict[str, CoefficientFunction]
 
 _OVERLAP = 1e-3
 """Of the volume of the smaller of two bodies: less of it in both is what touching surfaces leave."""
+
+_VOLUMES = {"J", "A"}
+"""Names of variables that say the volume; a density belongs to it."""
 
 _COVERED = 1e-10
 """Of the volume of the domain or of a cell: what is left of it by rounding where all of it is taken."""
@@ -58,16 +62,31 @@ def starting_values(
 
     Raises UnknownNameError for a name that is neither a variable's nor among ``further``.
     """
-    # the slope follows from the damage
-    names = [v.name for v in material.variables if not isinstance(v, DamageSlope)]
-    for name in given:
-        if name not in (*names, *further):
-            raise UnknownNameError("material variable", name, [*names, *further])
     values = {v.name: v.from_distortion(F) for v in material.variables}
-    values |= parameter_values(material, given, owner)
-    for name in set(names) & set(given):
-        values[name] = as_shape(f"{owner}.values[{name!r}]", given[name], tuple(values[name].dims))
-    return values
+    return values | parameter_values(material, given, owner) | given_values(material, given, further, owner)
+
+
+def given_values(
+    material: Material, given: Given, further: Iterable[str] = (), owner: str = "Initial"
+) -> Values:
+    """Those of a material's variables that are given, by name.
+
+    Raises UnknownNameError for a name that is neither a variable's nor among ``further``.
+    """
+    # the slope follows from the damage
+    shapes = {
+        v.name: tuple(v.from_distortion(Id(3)).dims)
+        for v in material.variables
+        if not isinstance(v, DamageSlope)
+    }
+    for name in given:
+        if name not in (*shapes, *further):
+            raise UnknownNameError("material variable", name, [*shapes, *further])
+    return {
+        name: as_shape(f"{owner}.values[{name!r}]", given[name], shape)
+        for name, shape in shapes.items()
+        if name in given
+    }
 
 
 def temperature_for(
@@ -113,36 +132,60 @@ def entropy_at(material: Material, theta: CoefficientFunction, values: Given) ->
     return {entropy.name: thermal.start(theta, values["A"])}
 
 
-def entering(
-    wall: Passage, owner: str, model: Model
-) -> tuple[Values, CoefficientFunction, CoefficientFunction | None]:
-    """Variables, density, kg/m^3, and temperature, K, of what flows in through a wall.
+@dataclass(frozen=True)
+class Entering:
+    """What is given of what flows in through a wall: variables by name, density, kg/m^3, temperature, K.
 
-    Raises ParameterError for what is missing, or given and not used; UnknownNameError for unknown names.
+    All else has the values that are there.
+    """
+
+    values: Values
+    density: CoefficientFunction | None = None
+    temperature: CoefficientFunction | None = None
+
+    def mapped(self, function: Callable[[CoefficientFunction], CoefficientFunction]) -> Self:
+        """``function`` of everything that is given."""
+        density, theta = (f if f is None else function(f) for f in (self.density, self.temperature))
+        values = {name: function(value) for name, value in self.values.items()}
+        return replace(self, values=values, density=density, temperature=theta)
+
+
+def entering(wall: Passage, owner: str, model: Model) -> Entering:
+    """What is given of what flows in through a wall.  Bodies that flow in are at rest but for what is given.
+
+    Raises ParameterError for a volume without a density, and for what is given and not used;
+    UnknownNameError for unknown names.
     """
     material, given = model.material, dict(wall.values)
     if isinstance(material, Mixture):
-        amounts = _entering_amounts(wall, owner, [body.name for body in model.bodies])
         for name in given:
             if name.startswith(AMOUNT):
                 expected = f"{name.removeprefix(AMOUNT)!r} in {owner}.amounts"
                 raise ParameterError(f"{owner}.values", name, expected)
-        plastic = {K.name: CF(0.0) for K in material.plastic_contents.values()}
-        given = material.filled(amounts, Id(3)) | plastic | given
+        if wall.density is not None:
+            raise ParameterError(f"{owner}.density", wall.density, "none with bodies: it is sum rho_i n_i")
+        if wall.amounts:
+            amounts = _entering_amounts(wall, owner, [body.name for body in model.bodies])
+            plastic = {K.name: CF(0.0) for K in material.plastic_contents.values()}
+            given = material.filled(amounts, Id(3)) | plastic | given
     elif wall.amounts:
         raise ParameterError(f"{owner}.amounts", dict(wall.amounts), "none where there are no bodies")
-    z = starting_values(material, given, Id(3), owner=owner)
-    if model.bodies:
-        density = reduce(add, (body.density * amounts[body.name] for body in model.bodies))
-    elif wall.density is not None:
+    z = given_values(material, given, owner=owner)
+    density = None
+    if wall.density is not None:
         density = as_shape(f"{owner}.density", wall.density, ())
-    elif material.referential_density is not None:
-        density = CF(value_at(material.referential_density, z)) / volume_ratio(material, z)
-    else:
-        expected = "that of what flows in, kg/m^3: the material has no referential density that tells it"
-        raise ParameterError(f"{owner}.density", None, expected)
-    theta = temperature_for(material, wall.temperature, wall.values, owner)
-    return z if theta is None else z | entropy_at(material, theta, z), density, theta
+    elif _VOLUMES & z.keys():
+        if material.referential_density is None:
+            expected = (
+                "that of what flows in, kg/m^3, beside its volume among the values: the material has no "
+            )
+            raise ParameterError(f"{owner}.density", None, expected + "referential density that tells it")
+        known = starting_values(material, given, Id(3), owner=owner)
+        density = CF(value_at(material.referential_density, known)) / volume_ratio(material, known)
+    theta = None
+    if wall.temperature is not None:
+        theta = temperature_for(material, wall.temperature, wall.values, owner)
+    return Entering(z, density, theta)
 
 
 def _entering_amounts(wall: Passage, owner: str, names: Sequence[str]) -> Values:
@@ -150,11 +193,6 @@ def _entering_amounts(wall: Passage, owner: str, names: Sequence[str]) -> Values
     for name in wall.amounts:
         if name not in names:
             raise UnknownNameError(f"{owner}.amounts", name, names)
-    if not wall.amounts:
-        expected = f"which of the bodies flows in, as {{{names[0]!r}: 1.0}}"
-        raise ParameterError(f"{owner}.amounts", {}, expected)
-    if wall.density is not None:
-        raise ParameterError(f"{owner}.density", wall.density, "none with bodies: it is sum rho_i n_i")
     return {name: as_shape(f"{owner}.amounts[{name!r}]", wall.amounts.get(name, 0.0), ()) for name in names}
 
 
