@@ -86,6 +86,7 @@ from ngvisco.run.refinement import Refinement, run_refined
 from ngvisco.run.simulation import Observer, Simulation
 from ngvisco.run.stepping import AdaptiveSteps, Rejection, TimeSteps
 from ngvisco.run.transfer import Transfer, resume_changed, transfer
+from ngvisco.sensitivity.gradient import Gradient, gradient
 from ngvisco.shapes.files import ClosedSurface, Image
 from ngvisco.shapes.shape import Ball, Block, HalfSpace, Polygon, Shape, Subdomain
 from ngvisco.solver.options import NewtonOptions
@@ -139,6 +140,7 @@ __all__ = [
     "Entry",
     "Eyring",
     "FlowRule",
+    "Gradient",
     "Gravity",
     "HalfSpace",
     "HardeningElastic",
@@ -213,6 +215,7 @@ __all__ = [
     "check_convexity",
     "check_isotropy",
     "function_field",
+    "gradient",
     "grid_field",
     "load",
     "load_case",

@@ -130,7 +130,8 @@ class Ledger:
         integrands = {**energies(step, step.now), "mass": Integrand(step.now.rho)}
         of_state = {name: Entry(name, "monitor", value) for name, value in integrands.items()}
         of_state |= {e.name: e for e in self.entries if e.kind == "monitor"}
-        self._state = EntryIntegrals(step, of_state)
+        self.state = EntryIntegrals(step, of_state)
+        """Energies, mass and monitors at the present state, by columns."""
         self._rates = EntryIntegrals(step, {e.name: e for e in self.entries if e.kind in _RATES})
         theta = temperature(step.model.material, step.now.zeta_tensors)
         power = step.context.rates.dissipation(step.now)
@@ -207,7 +208,7 @@ class Ledger:
     def start(self, time: float) -> dict[str, float]:
         """Row 0: the initial state, with no exchange."""
         self.step.energy.require()
-        values = self._state()
+        values = self.state()
         energy = energy_of(values)
         self.balance = Balance(energy, values["mass"], values["mass"])
         row = self._idle() | values | dict.fromkeys(("dt", "closure", "closure_relative", "mass_drift"), 0.0)
@@ -234,7 +235,7 @@ class Ledger:
     def energy(self) -> float:
         """Kinetic plus stored energy at the present state, J."""
         self.step.energy.require()
-        return energy_of(self._state())
+        return energy_of(self.state())
 
     def foreign(self, names: Iterable[str]) -> list[str]:
         """Of an earlier part's columns those of the energy balance that this one does not have."""
@@ -266,7 +267,7 @@ class Ledger:
         assert self.balance is not None
         tau = taken.tau
         self.step.energy.require()
-        values = self._idle() | self._pending | self._state() | taken.rates | taken.numerical
+        values = self._idle() | self._pending | self.state() | taken.rates | taken.numerical
         energy = energy_of(values)
         dissipated, worked, remainder, inflow = (
             sum(values[entry.name] for entry in self.entries if entry.kind == kind)

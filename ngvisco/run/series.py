@@ -56,6 +56,10 @@ class Series(ABC):
     def _sample(self, simulation: Simulation) -> Any:
         """Rows of the columns at the present state."""
 
+    def sample(self, simulation: Simulation) -> np.ndarray:
+        """The columns after ``step`` and ``time`` at the present state, (rows, columns); noted nowhere."""
+        return np.atleast_2d(np.asarray(self._sample(simulation), dtype=float))
+
     def unit(self, column: str) -> str:
         """SI unit of a column, for that file."""
         return {"time": "s"}.get(column, "1")

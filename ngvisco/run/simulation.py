@@ -146,9 +146,10 @@ class Simulation:
         ranks = Communicator.world() if mesh.comm.size == 1 else Communicator.of(mesh)
         require_petsc(ranks)
         mesh = distributed(mesh, ranks) if mesh.comm.size == 1 else mesh
-        self._others: dict[str, Any] = dict(time=time, initial=initial, walls=walls, solver=solver)
-        self._others |= dict(discretisation=discretisation, newton=newton, passive=passive)
-        self._others |= dict(sources=sources, terms=terms)
+        self.arguments: dict[str, Any] = dict(time=time, initial=initial, walls=walls, solver=solver)
+        """What it was made of besides mesh, model and observers."""
+        self.arguments |= dict(discretisation=discretisation, newton=newton, passive=passive)
+        self.arguments |= dict(sources=sources, terms=terms)
         self.mesh, self.model = mesh, model
         self.dt = float(time.dt)
         self.stepper = time.stepper()
@@ -183,9 +184,13 @@ class Simulation:
         )
         self.stop_requested = False
 
-    def on(self, mesh: Mesh) -> Simulation:
-        """The same run on another mesh, at its start; ``nv.transfer`` takes the present state there."""
-        return Simulation(mesh, self.model, **self._others | {"observers": self.observers})
+    def on(self, mesh: Mesh, **others: Any) -> Simulation:
+        """The same run on another mesh, or with other arguments of the class, at its start.
+
+        ``nv.transfer`` takes the present state there.
+        """
+        given = {"model": self.model, **self.arguments, "observers": self.observers}
+        return Simulation(mesh, **given | others)
 
     def set_velocity_scale(self, scale: float) -> None:
         """Set the widths of the smoothed upwinding and of the penalty's weight, from m/s."""

@@ -104,6 +104,16 @@ class CondensedJacobian:
         increment.data += form.harmonic_extension * increment
         increment.data += form.inner_solve * rhs
 
+    def solve_transposed(self, load: BaseVector, solution: BaseVector) -> None:
+        """solution = Jacobian^{-T} load, all blocks; of one process."""
+        form, rhs = self.form, self._rhs
+        rhs.data = load
+        rhs.data += form.harmonic_extension.T * load
+        assert self.inverse is not None
+        solution.data = self.inverse.T * rhs
+        solution.data += form.harmonic_extension_trans.T * solution
+        solution.data += form.inner_solve.T * rhs
+
 
 class Newton:
     """Solves R(u; .) = 0 for ``state``; keeps its vectors and factorisation between solves.

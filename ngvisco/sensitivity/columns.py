@@ -1,0 +1,176 @@
+"""Numbers of a run over time, by the names of columns: of the ledger, and of its observers' tables."""
+
+from __future__ import annotations
+
+import copy
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ngvisco.errors import ParameterError, UnknownNameError, as_number
+from ngvisco.run.probes import Bodies, Integrals, Probes, WallForces
+from ngvisco.run.series import Series
+from ngvisco.run.simulation import Simulation
+
+_TABLES = (Probes, Integrals, WallForces, Bodies)
+_RATES = ("dissipation", "power", "production", "flux")
+_TEXT = re.compile(r"(?P<column>\S+)\s+(?P<kind>at|until)\s+(?P<time>\S+)")
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """A number of a run: a column at a time, or its integral over time until then.
+
+    Attributes
+    ----------
+    column : str
+        Of the ledger or of a table of the run's observers (``Probes``, ``Integrals``, ``WallForces``,
+        ``Bodies``), e.g. ``"kinetic"``, ``"tip.velocity_1"``, ``"top.force_2"``.
+    time : float
+        s; between the ends of two steps it is interpolated linearly.
+    is_integral : bool
+    """
+
+    column: str
+    time: float
+    is_integral: bool = False
+
+    @classmethod
+    def of(cls, text: str | Wanted) -> Wanted:
+        """Of a text ``"COLUMN at TIME"`` or ``"COLUMN until TIME"``, the time in s.
+
+        Raises ParameterError for another text.
+        """
+        if isinstance(text, Wanted):
+            return text
+        found = _TEXT.fullmatch(text.strip()) if isinstance(text, str) else None
+        number = None
+        if found is not None:
+            try:
+                number = as_number(float(found["time"]))
+            except ValueError:
+                number = None
+        if found is None or number is None:
+            expected = '"COLUMN at TIME", or "COLUMN until TIME" of its integral over time, TIME in s'
+            raise ParameterError("of", text, expected)
+        return cls(found["column"], number, found["kind"] == "until")
+
+    def __str__(self) -> str:
+        return f"{self.column} {'until' if self.is_integral else 'at'} {self.time:g}"
+
+
+def tables_of(simulation: Simulation) -> list[Series]:
+    """Copies of the tables among a run's observers, which have no files."""
+    found: list[Series] = []
+    for observer in simulation.observers:
+        if isinstance(observer, _TABLES):
+            one = copy.copy(observer)
+            one.path, one.rows = None, []
+            found.append(one)
+    return found
+
+
+class Columns:
+    """Values of columns at the present state of a simulation.
+
+    Raises UnknownNameError for a column that there is not, ParameterError for one without a derivative.
+    """
+
+    def __init__(self, simulation: Simulation, names: Sequence[str], tables: Sequence[Series]) -> None:
+        self.simulation, self.names = simulation, list(names)
+        ledger = simulation.ledger
+        self._tables = [copy.copy(table) for table in tables]
+        of_tables = [table.prepare(simulation) for table in self._tables]
+        rates = {entry.name for entry in ledger.entries if entry.kind in _RATES}
+        state = {"kinetic", "stored", "mass"} | {e.name for e in ledger.entries if e.kind == "monitor"}
+        known = rates | state | {name for columns in of_tables for name in columns}
+        for name in self.names:
+            if name in ledger.columns and name not in known:
+                expected = "a column that has a derivative: an energy, a rate, mass, or one of a table"
+                raise ParameterError("of", name, expected)
+            if name not in known:
+                raise UnknownNameError("column", name, known)
+        self._of_state = np.array([name in state for name in names])
+        self._of_rates = np.array([name in rates for name in names])
+        self._of_tables = [
+            (table, columns, [columns.index(n) if n in columns else -1 for n in names])
+            for table, columns in zip(self._tables, of_tables, strict=True)
+            if set(names) & set(columns)
+        ]
+
+    @property
+    def is_of_stages(self) -> np.ndarray:
+        """Which columns are means over a step's stages, as rates and forces, (columns,)."""
+        found = self._of_rates.copy()
+        for table, _, places in self._of_tables:
+            if isinstance(table, WallForces):
+                found |= np.array(places) >= 0
+        return found
+
+    def begin(self) -> None:
+        """A step begins."""
+        for table, *_ in self._of_tables:
+            if isinstance(table, WallForces):
+                table.begin()
+
+    def stage(self, share: float) -> np.ndarray:
+        """Of the present state, which is a stage's: shares of what is a mean over stages, (columns,).
+
+        Of other columns it is ``share`` times their value.
+        """
+        values = self._values(self._of_state, self._of_rates)
+        for table, _, places in self._of_tables:
+            if isinstance(table, WallForces):
+                table.begin()
+                table.stage(np.zeros(0), 1.0)
+            self._put(values, table, places)
+        return share * values
+
+    def impulse(self, rows: np.ndarray, v: np.ndarray | None) -> np.ndarray:
+        """What the walls' impulse over a step's length, on the rows of v, N, adds to the columns.
+
+        It has power on the velocity ``v`` of the last stage, where that is given.
+        """
+        values = np.zeros(len(self.names))
+        for name, (_, mask) in self.simulation.rothe_step.moving_walls.moving.items():
+            column = f"power_wall_{name}"
+            if v is not None and column in self.names:
+                values[self.names.index(column)] = rows[mask] @ v[mask]
+        for table, _, places in self._of_tables:
+            if isinstance(table, WallForces):
+                table.begin()
+                self.simulation.integrator.impulse = rows
+                table.end(np.zeros(0))
+                self._put(values, table, places)
+        return values
+
+    def state(self) -> np.ndarray:
+        """Of the present state, the end of a step, (columns,); zero of what is a mean over stages."""
+        values = self._values(self._of_state, np.zeros_like(self._of_rates))
+        for table, _, places in self._of_tables:
+            if not isinstance(table, WallForces):
+                self._put(values, table, places)
+        return values
+
+    def _values(self, of_state: np.ndarray, of_rates: np.ndarray) -> np.ndarray:
+        values, ledger = np.zeros(len(self.names)), self.simulation.ledger
+        for where, found in (
+            (of_state, ledger.state() if of_state.any() else {}),
+            (of_rates, ledger.rates() if of_rates.any() else {}),
+        ):
+            for i in np.flatnonzero(where):
+                values[i] = found[self.names[i]]
+        return values
+
+    def _put(self, values: np.ndarray, table: Series, places: Sequence[int]) -> None:
+        row = np.ravel(table.sample(self.simulation))
+        for i, place in enumerate(places):
+            if place >= 0:
+                values[i] = row[place]
+
+
+def columns_of(wanted: Mapping[str, Wanted]) -> list[str]:
+    """The columns that are read, each once."""
+    return list(dict.fromkeys(one.column for one in wanted.values()))

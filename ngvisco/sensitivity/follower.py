@@ -1,0 +1,142 @@
+"""A simulation that follows the recorded steps of another one, which may have another parameter."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+
+import numpy as np
+from ngsolve import BilinearForm, LinearForm
+
+from ngvisco.forms.context import time
+from ngvisco.forms.system import Evolved
+from ngvisco.physics.tensors import inner
+from ngvisco.run.simulation import Simulation
+from ngvisco.sensitivity.columns import Columns
+from ngvisco.sensitivity.trajectory import Stage, StepTaken
+
+
+class Follower:
+    """Evaluates the equations of recorded steps, and columns, at states that are given to it.
+
+    All vectors are coefficients of the step's space.
+    """
+
+    def __init__(self, simulation: Simulation, columns: Columns) -> None:
+        self.simulation, self.columns = simulation, columns
+        self.step = simulation.rothe_step
+        self._residual = self.step.state.vec.CreateVector()
+
+    @property
+    def state(self) -> np.ndarray:
+        """The present state, not a copy."""
+        values: np.ndarray = self.step.state.vec.FV().NumPy()
+        return values
+
+    def evolved(self, state: np.ndarray) -> Evolved:
+        """What a state evolves by."""
+        self.state[:] = state
+        return self.step.evolved()
+
+    def pose(self, stage: Stage, states: Sequence[Evolved]) -> None:
+        """Let the step be that of a stage, from states y_0, y_1, ..."""
+        step, at = self.step, stage.interval
+        step.wind.vec.FV().NumPy()[:] = stage.wind
+        step.follow_wind()
+        step.context.set_step(at.tau, at.end, at.loads_from, at.loads_over, at.loads_tilt)
+        step.start_from(list(zip(stage.starts, states, strict=False)))
+
+    def at(self, state: np.ndarray, stage: Stage | None = None) -> None:
+        """Make a state the present one; with the stresses that flow rules of a stage are linearised at.
+
+        Without a stage these are of the state itself.
+        """
+        self.state[:] = state
+        self.step.stresses.start()
+        if stage is not None:
+            self.step.stresses.give(stage.stresses)
+        self.step.eliminate.refresh()
+
+    def residual(self, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """R at a state with the velocities that walls prescribe here, and this state."""
+        self.state[:] = state
+        self.step.moving_walls.set_values()
+        self.at(self.state.copy())
+        self.step.residual.Apply(self.step.state.vec, self._residual)
+        return self._residual.FV().NumPy().copy(), self.state.copy()
+
+    @cached_property
+    def momentum(self) -> BilinearForm:
+        """int rho v . w, nonlinear, with the multipliers of oblique walls."""
+        layout = self.step.layout
+        trial, test = (layout.fields(parts) for parts in layout.space.TnT())
+        form = BilinearForm(layout.space)
+        form += inner(trial.rho * trial.v, test.v).Compile() * self.step.quadrature.cells
+        if (walls := self.step.impenetrability) is not None:
+            self.step.quadrature.add(form, walls.form(trial, test))
+        return form
+
+    @cached_property
+    def _functional(self) -> LinearForm:
+        layout = self.step.layout
+        form = LinearForm(layout.space)
+        test = layout.fields(layout.space.TestFunction())
+        form += inner(self.step.momentum_old, test.v) * self.step.quadrature.cells
+        return form
+
+    def end(
+        self, taken: StepTaken, states: Sequence[Evolved], last: np.ndarray, v: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """A combined end but for its velocity: the state, and the rows that v of it leaves.
+
+        ``states`` are y_0, y_1, ..., ``last`` is the last stage's solution, and ``v`` are the state's
+        coefficients of the velocity, which walls that move prescribe anew.
+        """
+        step, ranges = self.step, self.step.layout.ranges
+        step.start_from(list(zip(taken.weights, states, strict=False)))
+        self.state[:] = last
+        old, walls = step.state_old.vec.FV().NumPy(), self.state[ranges["v"]].copy()
+        for name in step.layout.evolving:
+            self.state[ranges[name]] = old[ranges[name]]
+        fixed = ~self.free_velocity
+        self.state[ranges["v"]] = np.where(fixed & taken.ends_at_stage, walls, v)
+        if not taken.ends_at_stage:
+            time.Set(taken.end)
+            step.moving_walls.set_present_values()
+        step.stresses.start()
+        step.eliminate()
+        return self.state.copy(), self._momentum_rows()
+
+    def completed(self, state: np.ndarray) -> np.ndarray:
+        """A state with the unknowns that are functions of others made anew; it is then the present one."""
+        self.state[:] = state
+        self.step.stresses.start()
+        self.step.eliminate()
+        return self.state.copy()
+
+    def impulse(
+        self, taken: StepTaken, states: Sequence[Evolved], end: np.ndarray, v: np.ndarray
+    ) -> np.ndarray:
+        """What the walls' impulse at a combined end adds to the columns, (columns,).
+
+        ``v`` is the velocity of the last stage, whose wall has power.
+        """
+        self.step.start_from(list(zip(taken.weights, states, strict=False)))
+        self.state[:] = end
+        if (multiplier := self.step.layout.ranges.get("wall_stress")) is not None:
+            self.state[multiplier] = 0.0
+        rows = self._momentum_rows()[self.step.layout.ranges["v"]] / taken.tau
+        return self.columns.impulse(rows, None if taken.ends_at_stage else v)
+
+    def _momentum_rows(self) -> np.ndarray:
+        self.momentum.Apply(self.step.state.vec, self._residual)
+        self._functional.Assemble()
+        rows: np.ndarray = self._residual.FV().NumPy() - self._functional.vec.FV().NumPy()
+        return rows
+
+    @cached_property
+    def free_velocity(self) -> np.ndarray:
+        """Which coefficients of v no wall prescribes."""
+        free = np.array(list(self.step.layout.space.FreeDofs()))
+        found: np.ndarray = free[self.step.layout.ranges["v"]]
+        return found

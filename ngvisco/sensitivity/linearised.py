@@ -1,0 +1,62 @@
+"""The linear systems of a run's derivatives: of a stage's equations, and of the velocity of a momentum."""
+
+from __future__ import annotations
+
+import numpy as np
+from ngsolve import BitArray
+
+from ngvisco.sensitivity.follower import Follower
+from ngvisco.sensitivity.trajectory import Stage, StepTaken
+from ngvisco.solver.newton import CondensedJacobian
+
+_INVERSE = "umfpack"
+
+
+class Linearised:
+    """Solves with R_u of a stage, and with the mass matrix of an end, and their transposes.
+
+    The equations are those of the coupled solver, whichever solved the run: the solutions satisfy the same
+    R(u) = 0.
+    """
+
+    def __init__(self, follower: Follower) -> None:
+        self.follower, step = follower, follower.step
+        self._jacobian = CondensedJacobian(step.residual, _INVERSE, follower.simulation.ranks)
+        self._rows, self._solution = (step.state.vec.CreateVector() for _ in range(2))
+        self.free = np.array(list(step.layout.space.FreeDofs()))
+        """Which coefficients no wall prescribes."""
+
+    def at_stage(self, stage: Stage) -> None:
+        """Factorise R_u at a stage's solution; its old state has to be posed."""
+        self.follower.at(stage.state, stage)
+        self._jacobian.factorise(self.follower.step.state.vec)
+
+    def stage(self, rows: np.ndarray, transposed: bool = False) -> np.ndarray:
+        """R_u^{-1} or R_u^{-T} of rows; zero where walls prescribe values."""
+        self._rows.FV().NumPy()[:] = np.where(self.free, rows, 0.0)
+        solve = self._jacobian.solve_transposed if transposed else self._jacobian.solve
+        solve(self._rows, self._solution)
+        return np.where(self.free, self._solution.FV().NumPy(), 0.0)
+
+    def at_end(self, taken: StepTaken) -> None:
+        """Factorise the mass matrix of a combined end, with the walls' multipliers."""
+        step = self.follower.step
+        step.state.vec.FV().NumPy()[:] = taken.after
+        form, layout = self.follower.momentum, step.layout
+        form.AssembleLinearization(step.state.vec)
+        kept = BitArray(layout.space.ndof)
+        kept.Clear()
+        for name in ("v", "wall_stress"):
+            if name in layout.ranges:
+                for dof in range(layout.ranges[name].start, layout.ranges[name].stop):
+                    kept[dof] = True
+        kept &= layout.space.FreeDofs()
+        self._mass = form.mat.Inverse(kept, inverse=_INVERSE)
+        self._velocity = np.zeros(layout.space.ndof, dtype=bool)
+        self._velocity[layout.ranges["v"]] = self.free[layout.ranges["v"]]
+
+    def end(self, rows: np.ndarray) -> np.ndarray:
+        """The change of v that rows of the momentum make, in all coefficients; the system is symmetric."""
+        self._rows.FV().NumPy()[:] = rows
+        self._solution.data = self._mass * self._rows
+        return np.where(self._velocity, self._solution.FV().NumPy(), 0.0)

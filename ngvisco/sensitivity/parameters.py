@@ -1,0 +1,175 @@
+"""Parameters of a run by name, and the same run with other values of them.
+
+A name is a path of attributes, keys and numbers, separated by dots, that begins at one of the run's parts:
+``material``, ``viscosity``, ``hyperviscosity``, ``creep``, ``heat``, ``regularisation``, ``loads`` and
+``bodies`` of the model, ``initial`` or ``walls``.  A member of ``loads`` or ``bodies`` is named by its name
+or its number: ``material.G_e``, ``loads.gravity.g.1``, ``bodies.disc.material.G_e``,
+``walls.top.velocity.0``.  The tables ``rheology`` and ``model`` may stand in front, as in case files.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ngvisco.errors import NgviscoError, ParameterError, UnknownNameError, as_number
+from ngvisco.run.simulation import Simulation
+
+_OF_MODEL = (
+    "material",
+    "viscosity",
+    "hyperviscosity",
+    "creep",
+    "heat",
+    "regularisation",
+    "loads",
+    "bodies",
+)
+_OF_RUN = ("initial", "walls")
+_IN_FRONT = ("rheology", "model")
+_START = "initial"
+
+STEP = 1e-3
+"""Spacing of the differences by a parameter, in units of the parameter."""
+OFFSETS = (-2.0, -1.0, 1.0, 2.0)
+"""Of the values p + o h."""
+
+
+def differenced(values: Sequence[np.ndarray], h: float) -> np.ndarray:
+    """A derivative, of the values at ``OFFSETS`` times h, to h^4/30 times the fifth one."""
+    far_below, below, above, far_above = values
+    result: np.ndarray = (8 * (above - below) - (far_above - far_below)) / (12 * h)
+    return result
+
+
+@dataclass(frozen=True)
+class Named:
+    """A parameter of a run, by its path; see the module's docstring.
+
+    Raises ParameterError for a path that leads to no number, UnknownNameError for a part that is not there.
+
+    Attributes
+    ----------
+    name : str
+        As it was given.
+    value : float
+        Its value in the run, in SI units.
+    spacing : float
+        h of the differences by it, > 0.
+    """
+
+    name: str
+    value: float
+    spacing: float
+    keys: tuple[str, ...]
+
+    @classmethod
+    def of(cls, name: str, simulation: Simulation) -> Named:
+        """The parameter of this name of a run."""
+        if not isinstance(name, str):
+            raise ParameterError("by", name, 'names of parameters, e.g. "material.G_e"')
+        keys = tuple(name.split("."))
+        keys = keys[1:] if keys[0] in _IN_FRONT else keys
+        if keys[0] not in (*_OF_MODEL, *_OF_RUN):
+            raise UnknownNameError("part of a run", keys[0], (*_OF_MODEL, *_OF_RUN))
+        found = _found(_root(simulation, keys[0]), keys[1:], name)
+        value = as_number(found)
+        if value is None:
+            raise ParameterError(f"by: {name}", found, "a name that leads to a number, as material.G_e may")
+        parent = _found(_root(simulation, keys[0]), keys[1:-1], name)
+        beside = parent if isinstance(parent, (tuple, list)) else ()
+        size = max([abs(value), *(abs(as_number(one) or 0.0) for one in beside)])
+        return cls(name, value, STEP * (size or 1.0), keys)
+
+    @property
+    def is_of_start(self) -> bool:
+        """Whether it is one of the start values, which no equation of a step reads."""
+        return self.keys[0] == _START
+
+    def varied(self, simulation: Simulation, value: float) -> Simulation:
+        """The same run at its start with another value of the parameter.
+
+        The widths of the upwinding stay those of the run.  Raises ParameterError for a value out of the
+        parameter's range.
+        """
+        root, rest = self.keys[0], self.keys[1:]
+        arguments = simulation.arguments
+        steps = dataclasses.replace(arguments["time"], velocity_scale=simulation.velocity_scale)
+        parts: dict[str, Any] = {"time": steps, "observers": ()}
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # the run itself has said what is doubtful
+            try:
+                changed = _changed(_root(simulation, root), rest, value)
+                if root not in _OF_RUN:
+                    changed = dataclasses.replace(simulation.model, **{root: changed})
+                parts[root if root in _OF_RUN else "model"] = changed
+                other = simulation.on(simulation.mesh, **parts)
+            except NgviscoError as error:
+                expected = f"a value with room of {2 * self.spacing:.2g} to both sides: {error}"
+                raise ParameterError(f"by: {self.name}", self.value, expected) from error
+        if len(other.rothe_step.state.vec) != len(simulation.rothe_step.state.vec):
+            expected = "a parameter that changes no number of unknowns"
+            raise ParameterError(f"by: {self.name}", self.value, expected)
+        return other
+
+
+def _root(simulation: Simulation, name: str) -> Any:
+    return simulation.arguments[name] if name in _OF_RUN else getattr(simulation.model, name)
+
+
+def _member(owner: Any, key: str) -> Any:
+    """What of an owner has this key: where it stands, None where there is no such."""
+    if isinstance(owner, Mapping):
+        names = [k for k in owner if key in ((k,) if isinstance(k, str) else k)]
+        return names[0] if names else None
+    if isinstance(owner, Sequence) and not isinstance(owner, str):
+        if key.lstrip("-").isdigit() and -len(owner) <= int(key) < len(owner):
+            return int(key)
+        named = [i for i, one in enumerate(owner) if getattr(one, "name", None) == key]
+        return named[0] if named else None
+    if dataclasses.is_dataclass(owner):
+        names = [field.name for field in dataclasses.fields(owner)]
+        return key if key in names else "material" if "material" in names else None
+    return None
+
+
+def _known(owner: Any) -> list[str]:
+    """The keys that an owner has."""
+    if isinstance(owner, Mapping):
+        return [str(key) for key in owner]
+    if isinstance(owner, Sequence) and not isinstance(owner, str):
+        return [getattr(one, "name", str(i)) for i, one in enumerate(owner)]
+    return [field.name for field in dataclasses.fields(owner)] if dataclasses.is_dataclass(owner) else []
+
+
+def _get(owner: Any, place: Any) -> Any:
+    return getattr(owner, place) if dataclasses.is_dataclass(owner) else owner[place]
+
+
+def _found(owner: Any, keys: Sequence[str], name: str) -> Any:
+    if not keys:
+        return owner
+    place = _member(owner, keys[0])
+    if place is None:
+        raise UnknownNameError(f"part of {name!r}", keys[0], _known(owner))
+    is_within = dataclasses.is_dataclass(owner) and place != keys[0]  # of a material that another one wraps
+    return _found(_get(owner, place), keys if is_within else keys[1:], name)
+
+
+def _changed(owner: Any, keys: Sequence[str], value: float) -> Any:
+    """The owner with another value at the end of the path."""
+    if not keys:
+        return value
+    place = _member(owner, keys[0])
+    is_within = dataclasses.is_dataclass(owner) and place != keys[0]
+    part = _changed(_get(owner, place), keys if is_within else keys[1:], value)
+    if dataclasses.is_dataclass(owner):
+        return dataclasses.replace(owner, **{place: part})  # type: ignore[type-var]
+    if isinstance(owner, Mapping):
+        return {**owner, place: part}
+    return tuple(part if i == place % len(owner) else one for i, one in enumerate(owner))

@@ -1,0 +1,201 @@
+"""Tangents of a run: how its states and columns change with parameters, forwards through its steps.
+
+A stage's solution U of R(U, y; p) = 0, y the states that it starts from, changes by
+
+    dU = -R_U^{-1} (R_y dy + R_p dp),
+
+R_U exact, and what is in brackets the derivative of R at fixed U along (dy, dp), by differences of fourth
+order: R is evaluated by runs with the parameter at p -+ h, p -+ 2 h, whose states are y + o h dy.  Columns
+are differenced in the same way.  At an end that is combined of the stages the same is done with the momentum,
+int rho v . w - <m, w> = 0 for v.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ngvisco.forms.system import Evolved
+from ngvisco.run.series import Series
+from ngvisco.run.simulation import Simulation
+from ngvisco.sensitivity.columns import Columns
+from ngvisco.sensitivity.follower import Follower
+from ngvisco.sensitivity.linearised import Linearised
+from ngvisco.sensitivity.parameters import OFFSETS, Named, differenced
+from ngvisco.sensitivity.trajectory import Stage, StepTaken, Trajectory
+
+
+@dataclass(frozen=True)
+class History:
+    """Columns at the ends of steps, and their integrals over time until then, (steps + 1, columns, ...).
+
+    What is a mean over a step's stages, as a rate, is zero in the row of the start.
+    """
+
+    times: np.ndarray
+    ends: np.ndarray
+    integrals: np.ndarray
+
+
+class Neighbours:
+    """The followers with a parameter at p + o h, and sums of their answers that are derivatives by it."""
+
+    def __init__(
+        self, parameter: Named, simulation: Simulation, names: Sequence[str], tables: Sequence[Series]
+    ) -> None:
+        self.parameter, self.steps = parameter, [o * parameter.spacing for o in OFFSETS]
+        runs = [parameter.varied(simulation, parameter.value + step) for step in self.steps]
+        self.followers = [Follower(run, Columns(run, names, tables)) for run in runs]
+
+    def derivative(self, values: Sequence[np.ndarray]) -> np.ndarray:
+        """The derivative of what the followers have found."""
+        return differenced(values, self.parameter.spacing)
+
+    def of_start(self) -> np.ndarray:
+        """The derivative of the start values."""
+        return self.derivative([follower.state.copy() for follower in self.followers])
+
+    def moved(self, state: np.ndarray, along: np.ndarray) -> list[np.ndarray]:
+        """A state at p + o h, to first order."""
+        return [state + step * along for step in self.steps]
+
+
+def tangents(
+    trajectory: Trajectory,
+    base: Follower,
+    neighbours: Sequence[Neighbours],
+    from_start: bool,
+    progress: Callable[[int], None] = lambda number: None,
+) -> History:
+    """The derivatives of the base's columns along a trajectory, (steps + 1, columns, parameters).
+
+    ``from_start`` says whether the start values depend on the parameters, as those of a run's start do.
+    """
+    runs = [_Tangent(one, base.state.copy(), from_start) for one in neighbours]
+    linearised, times = Linearised(base), [trajectory.steps[0].begin]
+    ends, integrals = [np.stack([run.begin(trajectory.steps[0]) for run in runs], axis=-1)], []
+    integrals.append(np.zeros_like(ends[0]))
+    for number, taken in enumerate(trajectory.steps):
+        found = _step(taken, base, linearised, runs)
+        ends.append(np.stack([end for end, _ in found], axis=-1))
+        integrals.append(integrals[-1] + taken.tau * np.stack([mean for _, mean in found], axis=-1))
+        times.append(taken.end)
+        progress(number + 1)
+    return History(np.array(times), np.array(ends), np.array(integrals))
+
+
+def history(trajectory: Trajectory, base: Follower) -> History:
+    """The base's columns along a trajectory, (steps + 1, columns)."""
+    steps, columns = trajectory.steps, base.columns
+    base.at(steps[0].state)
+    ends, integrals = [columns.state()], [np.zeros(len(columns.names))]
+    v = base.step.layout.ranges["v"]
+    for taken in steps:
+        states, mean = [base.evolved(taken.state)], np.zeros(len(columns.names))
+        for stage in taken.stages:
+            base.pose(stage, states)
+            base.at(stage.state, stage)
+            mean += columns.stage(stage.share)
+            states.append(base.evolved(stage.state))
+        if taken.is_combined and columns.is_of_stages.any():
+            mean += base.impulse(taken, states, taken.after, taken.stages[-1].state[v])
+        base.at(taken.after)
+        ends.append(np.where(columns.is_of_stages, mean, columns.state()))
+        integrals.append(integrals[-1] + taken.tau * mean)
+    times = [steps[0].begin, *(taken.end for taken in steps)]
+    return History(np.array(times), np.array(ends), np.array(integrals))
+
+
+def _step(
+    taken: StepTaken, base: Follower, linearised: Linearised, runs: Sequence[_Tangent]
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    states = [base.evolved(taken.state)]
+    for run in runs:
+        run.start(taken.state)
+    for stage in taken.stages:
+        base.pose(stage, states)
+        linearised.at_stage(stage)
+        for run in runs:
+            run.stage(stage, linearised)
+        states.append(base.evolved(stage.state))
+    if taken.is_combined:
+        linearised.at_end(taken)
+    return [run.end(taken, linearised) for run in runs]
+
+
+class _Tangent:
+    """The tangent by one parameter."""
+
+    def __init__(self, neighbours: Neighbours, start: np.ndarray, from_start: bool) -> None:
+        self.near = neighbours
+        self.along = neighbours.of_start() if from_start else np.zeros_like(start)
+        """Of the present state."""
+        self._states: list[list[Evolved]] = []
+
+    def _differenced(self, of: Callable[[int, Follower], np.ndarray]) -> np.ndarray:
+        return self.near.derivative([of(i, one) for i, one in enumerate(self.near.followers)])
+
+    def begin(self, first: StepTaken) -> np.ndarray:
+        """The columns' derivatives at the start of the first step."""
+        return self._columns_at(first.state)
+
+    def _columns_at(self, state: np.ndarray) -> np.ndarray:
+        moved = self.near.moved(state, self.along)
+
+        def columns(i: int, one: Follower) -> np.ndarray:
+            one.at(moved[i])
+            return one.columns.state()
+
+        return self._differenced(columns)
+
+    def start(self, state: np.ndarray) -> None:
+        """A step begins from a state."""
+        moved = self.near.moved(state, self.along)
+        self._states = [[one.evolved(u)] for one, u in zip(self.near.followers, moved, strict=True)]
+        self._mean = np.zeros(len(self.near.followers[0].columns.names))
+
+    def stage(self, stage: Stage, linearised: Linearised) -> None:
+        """Follow a stage, whose R_u is factorised."""
+        found = []
+        for one, states in zip(self.near.followers, self._states, strict=True):
+            one.pose(stage, states)
+            found.append(one.residual(stage.state))
+        rows, prescribed = (self.near.derivative(values) for values in zip(*found, strict=True))
+        self.along = prescribed - linearised.stage(rows)
+        moved = self.near.moved(stage.state, self.along)
+
+        def columns(i: int, one: Follower) -> np.ndarray:
+            one.at(moved[i])
+            return one.columns.stage(stage.share)
+
+        self._mean += self._differenced(columns)
+        for one, states, u in zip(self.near.followers, self._states, moved, strict=True):
+            states.append(one.evolved(u))
+        self._last = moved
+
+    def end(self, taken: StepTaken, linearised: Linearised) -> tuple[np.ndarray, np.ndarray]:
+        """The derivatives of the columns at the step's end, and of their means over its stages."""
+        if taken.is_combined:
+            self._combine(taken, linearised)
+        values = self._columns_at(taken.after)
+        of_stages = self.near.followers[0].columns.is_of_stages
+        return np.where(of_stages, self._mean, values), self._mean
+
+    def _combine(self, taken: StepTaken, linearised: Linearised) -> None:
+        v = self.near.followers[0].step.layout.ranges["v"]
+        found = [
+            one.end(taken, states, last, taken.after[v])
+            for one, states, last in zip(self.near.followers, self._states, self._last, strict=True)
+        ]
+        along, rows = (self.near.derivative(values) for values in zip(*found, strict=True))
+        moved = self.near.moved(taken.after, along - linearised.end(rows))
+        # what is a function of v follows it
+        self.along = self._differenced(lambda i, one: one.completed(moved[i]))
+        moved = self.near.moved(taken.after, self.along)
+        if self.near.followers[0].columns.is_of_stages.any():
+            last = self._last
+            self._mean += self._differenced(
+                lambda i, one: one.impulse(taken, self._states[i], moved[i], last[i][v])
+            )

@@ -1,0 +1,130 @@
+"""What a run went through: the solutions of all its Rothe steps, with what each of them started from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ngvisco.errors import ParameterError
+from ngvisco.forms.context import time
+from ngvisco.run.simulation import Simulation
+from ngvisco.solver.problem import Interval
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A Rothe step of a run, solved.
+
+    ``state`` are the coefficients of its solution, ``wind`` those of v*, ``starts`` the weights of the states
+    y_0, y_1, ... that it starts from, and ``share`` is the scheme's b_i; ``stresses`` are what flow rules are
+    linearised at.
+    """
+
+    state: np.ndarray
+    wind: np.ndarray
+    starts: np.ndarray
+    share: float
+    interval: Interval
+    stresses: dict[str, np.ndarray]
+
+
+@dataclass(frozen=True)
+class StepTaken:
+    """A step of the scheme: from ``state`` at ``begin`` to ``end``, s.
+
+    ``weights`` are those of the end in y_0, y_1, ..., the start and the stages' solutions.  ``is_combined``
+    says whether the end, ``after``, is another state than the last stage's, as the midpoint rule's.
+    """
+
+    begin: float
+    end: float
+    state: np.ndarray
+    stages: tuple[Stage, ...]
+    weights: np.ndarray
+    after: np.ndarray
+    is_combined: bool
+
+    @property
+    def tau(self) -> float:
+        """Its length, s."""
+        return self.end - self.begin
+
+    @property
+    def ends_at_stage(self) -> bool:
+        """Whether the end has the walls' velocities of the last stage, which only the limiter changed."""
+        return bool(np.count_nonzero(self.weights) == 1 and self.weights[-1] == 1.0)
+
+
+@dataclass
+class Trajectory:
+    """Records a run while it goes on; of the integrator's ``carried``.
+
+    Raises ParameterError for a run whose steps have no derivative: damage that grows, relaxed steps, several
+    ranks.
+    """
+
+    simulation: Simulation
+    steps: list[StepTaken] = field(default_factory=list)
+    limited: int = 0
+    """Cells that the limiter changed, over all steps."""
+
+    def __post_init__(self) -> None:
+        run = self.simulation
+        refused = {
+            "material": run.rothe_step.damage is not None and "a damage that grows is a minimum under bounds",
+            "relaxation": run.arguments["time"].relaxation
+            and "the length of a relaxed step is a function of its solution",
+            "mesh": run.ranks.is_distributed and "the transposed systems of several ranks are not known",
+            "solver": self._diffuses_pointwise()
+            and "with delta_fields the derivative of an energy without an expression is not exact",
+        }
+        for part, reason in refused.items():
+            if reason:
+                raise ParameterError(f"gradient: {part}", str(part), f"a run that has derivatives: {reason}")
+        self._begin()
+
+    def _diffuses_pointwise(self) -> bool:
+        law, step = self.simulation.model.regularisation, self.simulation.rothe_step
+        return law is not None and law.delta_fields > 0 and step.energy.projected is not None
+
+    def _begin(self) -> None:
+        run = self.simulation
+        self._start, self._t = run.rothe_step.state.vec.FV().NumPy().copy(), run.t
+        self._stages: list[Stage] = []
+
+    def run(self, until: float) -> None:
+        """Let the run go on, and record it."""
+        carried = self.simulation.integrator.carried
+        carried.append(self)
+        try:
+            self.simulation.run(until)
+        finally:
+            carried[:] = [one for one in carried if one is not self]
+
+    # of the integrator
+
+    def begin(self) -> None:
+        """A step begins, or begins anew."""
+        self._begin()
+
+    def stage(self, weights: np.ndarray, share: float) -> None:
+        """The present state is a stage's solution."""
+        step = self.simulation.rothe_step
+        c = step.context
+        lengths = (c.tau.Get(), self._t, time.Get(), *c.loads_window)
+        stresses = {name: f.vec.FV().NumPy().copy() for name, f in step.stresses.functions.items()}
+        state, wind = (function.vec.FV().NumPy().copy() for function in (step.state, step.wind))
+        stage = Stage(state, wind, np.array(weights), share, Interval(*lengths), stresses)
+        self._stages.append(stage)
+
+    def end(self, weights: np.ndarray) -> None:
+        """The step is accepted; the present state is its end."""
+        state = self.simulation.rothe_step.state.vec.FV().NumPy().copy()
+        is_combined = not np.array_equal(state, self._stages[-1].state)
+        row = self.simulation.ledger.rows[-1]
+        taken = StepTaken(
+            self._t, row["time"], self._start, tuple(self._stages), np.array(weights), state, is_combined
+        )
+        self.steps.append(taken)
+        self.limited += int(row["limited_cells"])

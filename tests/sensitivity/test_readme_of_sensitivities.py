@@ -1,0 +1,8 @@
+"""The room's README: its example is a program."""
+
+from documents import ROOT, marked_blocks
+
+
+def test_the_example_runs():
+    (program,) = marked_blocks(ROOT / "ngvisco/sensitivity/README.md")["sensitivity"]
+    exec(compile(program, "README.md", "exec"), {})

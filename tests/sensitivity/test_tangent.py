@@ -1,0 +1,163 @@
+"""Tangents of runs against central differences of whole runs."""
+
+import numpy as np
+import pytest
+from ngsolve import cos, pi, sin, x, y
+
+import ngvisco as nv
+from ngvisco.geometries import box
+from ngvisco.sensitivity.gradient import measure
+from ngvisco.sensitivity.parameters import Named
+from ngvisco.sensitivity.tangent import Neighbours
+
+UNTIL, CENTRAL = 0.06, 1e12
+"""End of the runs, s, and a velocity scale by which both sides count the same, whatever v* is."""
+OF = {
+    "motion": "kinetic at 0.06",
+    "elasticity": "stored at 0.06",
+    "creep": "dissipation_creep at 0.06",
+    "loss": "dissipation_creep until 0.06",
+    "speed": "p.velocity_1 at 0.05",
+    "stress": "p.cauchy_stress_12 at 0.06",
+    "way": "p.velocity_2 until 0.06",
+    "push": "bottom.force_2 at 0.06",
+}
+AT = {
+    "material.G_e": 5.0,
+    "creep.G_m": 2.0,
+    "viscosity.G_v": 0.05,
+    "loads.gravity.g.1": -1.0,
+    "initial.density": 1.0,
+}
+MESH = box((1, 1), maxh=0.8)
+
+
+def run(values=AT, scheme="midpoint", solver="coupled", mesh=MESH, **options):
+    stiffness, creep, viscosity, gravity, density = values.values()
+    model = nv.Model(
+        material=nv.NeoHookean(K_e=10, G_e=stiffness, epsilon=0.1),
+        viscosity=nv.StokesViscosity(K_v=0.1, G_v=viscosity),
+        creep=nv.Creep(G_m=creep),
+        loads=[nv.Gravity((0, gravity))],
+    )
+    v = (sin(pi * x) * cos(pi * y), -cos(pi * x) * sin(pi * y))
+    observers = [nv.Probes({"p": (0.3, 0.6)}, ["velocity", "cauchy_stress"]), nv.WallForces(["bottom"])]
+    given = {"dt": 0.02, "velocity_scale": CENTRAL, "observers": observers} | options
+    initial = nv.Initial(density=density, velocity=v)
+    newton = nv.NewtonOptions(tolerance=1e-12, method=solver)
+    return nv.Simulation(mesh, model, scheme=scheme, newton=newton, initial=initial, **given)
+
+
+def values_of(**options):
+    return measure(run(**options), UNTIL, OF)
+
+
+def differences(name, h, **options):
+    up, down = (values_of(values=AT | {name: AT[name] + s * h}, **options) for s in (1, -1))
+    return (up - down) / (2 * h)
+
+
+@pytest.mark.parametrize(
+    ("scheme", "name"),
+    [
+        ("backward-euler", "material.G_e"),
+        ("midpoint", "material.G_e"),
+        ("midpoint", "creep.G_m"),
+        ("sdirk2", "loads.gravity.g.1"),
+        ("midpoint", "initial.density"),
+    ],
+)
+def test_a_tangent_is_what_central_differences_tend_to(scheme, name):
+    found = nv.gradient(run(scheme=scheme), UNTIL, of=OF, by=[name]).jacobian[:, 0]
+    errors = [abs(differences(name, h, scheme=scheme) / found - 1).max() for h in (1e-3, 1e-4)]
+    assert errors[1] < 1e-6 and errors[1] < 0.02 * errors[0] + 1e-7
+
+
+def test_values_are_those_of_the_run():
+    simulation = run()
+    found = nv.gradient(simulation, UNTIL, of=OF, by=["creep.G_m"])
+    table = dict(zip(found.of, found.values, strict=True))
+    ledger = simulation.ledger
+    assert table["motion"] == pytest.approx(ledger.column("kinetic")[-1], rel=1e-12)
+    assert table["creep"] == pytest.approx(ledger.column("dissipation_creep")[-1], rel=1e-12)
+    lost = (ledger.column("dissipation_creep") * ledger.column("dt")).sum()
+    assert table["loss"] == pytest.approx(lost, rel=1e-12)
+    probes, forces = simulation.observers
+    assert table["stress"] == pytest.approx(probes.column("p.cauchy_stress_12")[-1], rel=1e-9)
+    assert table["speed"] == pytest.approx(probes.column("p.velocity_1")[2:].mean(), rel=1e-9)
+    assert table["push"] == pytest.approx(forces.column("bottom.force_2")[-1], rel=1e-9)
+
+
+def test_the_run_is_that_without_derivatives():
+    """Nothing of a gradient changes the simulation."""
+    alone, observed = run(), run()
+    alone.run(UNTIL)
+    nv.gradient(observed, UNTIL, of=["kinetic at 0.06"], by=["creep.G_m"])
+    states = [one.rothe_step.state.vec.FV().NumPy() for one in (alone, observed)]
+    assert np.array_equal(*states)
+
+
+def test_without_the_change_of_the_old_state_a_tangent_is_wrong(monkeypatch):
+    """A negative control: what a step starts from counts."""
+    found = nv.gradient(run(), UNTIL, of=["stored at 0.06"], by=["creep.G_m"]).jacobian
+    monkeypatch.setattr(Neighbours, "moved", lambda self, state, along: [state for _ in self.steps])
+    cut = nv.gradient(run(), UNTIL, of=["stored at 0.06"], by=["creep.G_m"]).jacobian
+    assert abs(cut / found - 1).max() > 0.1
+
+
+def test_walls_that_move_have_derivatives():
+    mesh, walls = box((1, 1), maxh=0.5), {"bottom": nv.NoSlip()}
+
+    def at(speed):
+        return run(mesh=mesh, walls=walls | {"top": nv.PrescribedTangential((speed, 0.0))})
+
+    of = ["kinetic at 0.06", "power_wall_top at 0.06", "bottom.force_1 at 0.06"]
+    found = nv.gradient(at(0.3), UNTIL, of=of, by=["walls.top.velocity.0"]).jacobian[:, 0]
+    up, down = (measure(at(speed), UNTIL, of) for speed in (0.301, 0.299))
+    difference = (up - down) / 0.002
+    assert abs(difference / found - 1).max() < 1e-5
+
+
+def test_parameters_have_paths():
+    simulation = run()
+    for name, value in AT.items():
+        assert Named.of(name, simulation).value == value
+    assert Named.of("rheology.creep.G_m", simulation).value == 2.0
+    assert Named.of("model.loads.0.g.1", simulation).value == -1.0
+
+
+@pytest.mark.parametrize(
+    ("of", "by", "said"),
+    [
+        (["kinetic"], ["creep.G_m"], "COLUMN at TIME"),
+        (["kinetic at x"], ["creep.G_m"], "COLUMN at TIME"),
+        (["kinetic at 0.08"], ["creep.G_m"], "a time from 0 to the end of the run"),
+        (["cinetic at 0.06"], ["creep.G_m"], "did you mean 'kinetic'"),
+        (["rho_min at 0.06"], ["creep.G_m"], "a column that has a derivative"),
+        ([], ["creep.G_m"], "at least one number"),
+        (["kinetic at 0.06"], [], "at least one parameter"),
+        (["kinetic at 0.06"], ["creep.G_q"], "unknown part of 'creep.G_q'"),
+        (["kinetic at 0.06"], ["creap.G_m"], "unknown part of a run 'creap'"),
+        (["kinetic at 0.06"], ["initial.velocity.0"], "a name that leads to a number"),
+        (["kinetic at 0.06"], ["creep.nu"], "a value with room"),
+    ],
+)
+def test_what_has_no_derivative_is_refused(of, by, said):
+    with pytest.raises(nv.NgviscoError, match=said):
+        nv.gradient(run(), UNTIL, of=of, by=by)
+
+
+def test_a_run_that_has_begun_keeps_its_state():
+    simulation = run()
+    simulation.run(0.02)
+    with pytest.raises(nv.ParameterError, match="no start values"):
+        nv.gradient(simulation, UNTIL, of=["kinetic at 0.06"], by=["initial.density"])
+    found = nv.gradient(simulation, UNTIL, of=["kinetic at 0.02", "kinetic at 0.06"], by=["creep.G_m"])
+    assert found.jacobian[0, 0] == 0 != found.jacobian[1, 0]
+
+
+def test_relaxed_steps_are_refused():
+    adaptive = nv.AdaptiveSteps(dt_min=1e-3, dt_max=0.1)
+    with pytest.raises(nv.ParameterError, match="relaxed step"):
+        simulation = run(adaptive=adaptive, relaxation=True)
+        nv.gradient(simulation, UNTIL, of=["kinetic at 0.06"], by=["creep.G_m"])
