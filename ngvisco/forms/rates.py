@@ -88,15 +88,18 @@ class Rates:
         """Pi of every flow, 3x3, 1/s: of a local rule, or the field of its own."""
         return [self.local_creep(flow, u) if flow.rule.is_local else u.Pi for flow in self.flows]
 
-    def mean_creep(self, u: Fields) -> CoefficientFunction | None:
-        """sum theta_i Pi_i over the bodies, 3x3, 1/s; Pi of a material; None without creep."""
-        parts = [f.share(u.z_tensors) * Pi for f, Pi in zip(self.flows, self.creep(u), strict=True)]
-        return sum(parts[1:], parts[0]) if parts else None
+    def mean_creep(self, u: Fields) -> dict[str, CoefficientFunction]:
+        """sum theta_i Pi_i over the bodies, 3x3, 1/s, or Pi, by what a name has of its branch; none without
+        creep."""
+        found: dict[str, CoefficientFunction] = {}
+        for flow, Pi in zip(self.flows, self.creep(u), strict=True):
+            part, known = flow.share(u.z_tensors) * Pi, found.get(flow.suffix)
+            found[flow.suffix] = part if known is None else known + part
+        return found
 
     def local_creep(self, flow: Flow, u: Fields) -> CoefficientFunction:
         """Pi of a flow at the values at the point, 3x3, 1/s."""
-        conformation = self.material.conformation
-        zeta = None if conformation is None else u.zeta_tensors[conformation]
+        zeta = None if flow.conformation is None else u.zeta_tensors[flow.conformation]
         return flow.rule.rate(self.driving(flow, u), zeta, self.read_values(flow.rule, u, flow))
 
     def driving(self, flow: Flow, u: Fields) -> CoefficientFunction:
@@ -132,17 +135,25 @@ class Rates:
         """phi(z), Pa."""
         return u.context.energy.density(u)
 
-    def dissipation(self, u: Fields) -> CoefficientFunction | None:
-        """The power of creep, W/m^3, without that of its gradient term; None without creep."""
-        parts = [self.power_of_creep(flow, Pi, u) for flow, Pi in zip(self.flows, self.creep(u), strict=True)]
-        return sum(parts[1:], parts[0]) if parts else None
+    def dissipation(self, u: Fields) -> dict[str, CoefficientFunction]:
+        """The power of creep, W/m^3, without that of its gradient term, by what a name has of its branch:
+        the sum over bodies; none without creep."""
+        found: dict[str, CoefficientFunction] = {}
+        for flow, power in zip(self.flows, self.powers_of_creep(u), strict=True):
+            known = found.get(flow.suffix)
+            found[flow.suffix] = power if known is None else known + power
+        return found
+
+    def powers_of_creep(self, u: Fields) -> list[CoefficientFunction]:
+        """The same of every flow."""
+        return [self.power_of_creep(flow, Pi, u) for flow, Pi in zip(self.flows, self.creep(u), strict=True)]
 
     def power_of_creep(self, flow: Flow, Pi: CoefficientFunction, u: Fields) -> CoefficientFunction:
         """That of one flow with the rate Pi, W/m^3, without what hardening stores of it."""
         if not flow.rule.is_local:
             power = inner(flow.rule.force(Pi, self.read_values(flow.rule, u, flow)), Pi)
         elif flow.rule.has_trace:
-            power = -rate_power(self.material, u.z_tensors, u.zeta_tensors, 0 * Pi, Pi)
+            power = -rate_power(self.material, u.z_tensors, u.zeta_tensors, 0 * Pi, Pi, flow.names)
         else:
             power = inner(Pi, self.mandel(u, flow))
         if flow.rule.hardening is None:
@@ -165,7 +176,8 @@ class TabulatedRates(Rates):
         self.creep_space = symmetric_tensors(dim) if self._has_trace else trace_free_tensors(dim)
         """The tensors among which each Pi is, and the forces that drive it."""
         self.tensors, variables = self.constants, tuple(model.material.variables)
-        if len(self.flows) > 1 or any(flow.body is not None for flow in self.flows):
+        creeping = tuple(v.name for v in variables if v.creeps)
+        if any(flow.names != creeping for flow in self.flows):
             names = (flow.names for flow in self.flows)
             self.tensors = self.tensors.by_groups(tuple(names), StateSpace.of(variables, dim))
         self._states = states = model.material.states(dim)
@@ -247,7 +259,7 @@ class TabulatedRates(Rates):
         first = self.tensors.gradients + size * (0 if flow is None else self.flows.index(flow))
         M = Array(self.stress(u, u.zeta.value, first, first + size), None)
         tensor = -self.creep_space.tensor(M)
-        return dev(tensor) if flow is not None and flow.rule.has_trace else tensor
+        return dev(tensor) if self._has_trace else tensor
 
     def stored(self, u: Fields) -> Array:
         """phi(z), Pa."""

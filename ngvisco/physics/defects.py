@@ -5,9 +5,10 @@ slowly in a solid and without end where F winds up (``materials.hyperelastic``).
 it: the scheme's energy identity takes them for independent variables.
 """
 
+from collections.abc import Collection
+
 from ngsolve import Cof, log, sqrt
 
-from ngvisco.physics.flow_rules import FlowRule
 from ngvisco.physics.material import Material
 from ngvisco.physics.tensors import Tensor, square
 from ngvisco.physics.variables import (
@@ -22,22 +23,21 @@ from ngvisco.physics.variables import (
 )
 
 
-def relative_defects(material: Material, z: Values, creep: FlowRule | None = None) -> dict[str, Tensor]:
+def relative_defects(material: Material, z: Values, traced: Collection[str] = ()) -> dict[str, Tensor]:
     """Relative defects of the variables' relations by what is compared; empty where there are none.
 
     * ``"det F and J"``: det z J^-n - 1 for every tensor, n by its exponent; ``"det B and 1"`` for n = 0,
     * ``"H and Cof F"``: |H - Cof F|/|Cof F|, with the factors of J, also for N and B,
     * ``"A and J"``: A J - 1, and ``"K and A"``: K/A + ln A.
 
-    A law of ``creep`` with a trace relaxes det B, which then is no function of J.
+    Of ``traced`` variables, whose creep rate has a trace, the determinant relaxes and is no function of J.
     """
     variables = {v.name: v for v in material.variables}
     found: dict[str, Tensor] = {}
     volume = next((v for v in material.variables if isinstance(v, (Jacobian, ReciprocalJacobian))), None)
-    free = creep is not None and creep.has_trace
     for variable in material.variables:
         ratio = variable.volume_ratio(z[variable.name])
-        if variable == volume or ratio is None or (free and variable.name == material.conformation):
+        if variable == volume or ratio is None or variable.name in traced:
             continue
         det, n = ratio
         if abs(n) < 1e-12:
@@ -51,8 +51,9 @@ def relative_defects(material: Material, z: Values, creep: FlowRule | None = Non
             A = z[variable.reciprocal]
             found[f"{name} and {variable.reciprocal}"] = z[name] / A + log(A)
     for kind, of in ((Cofactor, Distortion), (CofactorLeftCauchyGreen, LeftCauchyGreen)):
-        partner = next((name for name, v in variables.items() if isinstance(v, of)), None)
         for name in [name for name, v in variables.items() if isinstance(v, kind)]:
+            own = next(names for names in material.distortions.values() if name in names)
+            partner = next((one for one in own if isinstance(variables[one], of)), None)
             if partner is not None:
                 cofactor = Cof(z[partner])
                 # J^b Cof F of z = J^a F, as a multiple of Cof z; its size is free where J is not known

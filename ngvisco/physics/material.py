@@ -163,6 +163,18 @@ class Material(ABC):
         """The variable that is a conformation tensor: its conjugate vanishes at rest, z = I.  Or None."""
         return None
 
+    def conformation_of(self, branch: str) -> str | None:
+        """The same of a branch, by its name, of a material with branches (``Network``)."""
+        return self.conformation
+
+    @property
+    def distortions(self) -> dict[str, tuple[str, ...]]:
+        """Names of the tensors of each distortion that there is, by that of its branch; "" of one without.
+
+        The tensors of one distortion have one creep rate.
+        """
+        return {"": tuple(v.name for v in self.variables if v.creeps)}
+
     @property
     def referential_density(self) -> Modulus | None:
         """rho_R, kg/m^3, where the energy depends on rho = rho_R/J; None (the rule) where it does not.
@@ -237,13 +249,15 @@ def check_material(material: Material) -> None:
     for variable in material.variables:
         for other in set(variable.requires).difference(names):
             raise ParameterError(field, names, f"{other!r} too: the rate of {variable.name!r} reads it")
-    frames = {v.frame: v.name for v in material.variables if v.frame is not None}
-    if len(frames) > 1 and not hasattr(material, "bodies"):  # which creep each by itself
-        expected = (
-            f"tensors of one frame: the creep rate of {frames['relaxed']!r} is that of the relaxed "
-            f'configuration, that of {frames["actual"]!r} of the actual one (take elastic_state = "B")'
-        )
-        raise ParameterError(field, names, expected)
+    for own in material.distortions.values():
+        tensors = (v for v in material.variables if v.name in own)
+        frames = {v.frame: v.name for v in tensors if v.frame is not None}
+        if len(frames) > 1:
+            expected = (
+                f"tensors of one frame: the creep rate of {frames['relaxed']!r} is that of the relaxed "
+                f'configuration, that of {frames["actual"]!r} of the actual one (take elastic_state = "B")'
+            )
+            raise ParameterError(field, names, expected)
 
 
 M = TypeVar("M", bound=Material)
@@ -263,10 +277,15 @@ def conjugates(material: Material, z: Values) -> dict[str, Tensor]:
     return {name: phi.Diff(variable) for name, variable in variables.items()}
 
 
-def rate_power(material: Material, z: Values, zeta: Values, L: Tensor, Pi: Tensor) -> Tensor:
-    """sum_i zeta_i : rate_i(z; L, Pi): power per volume of the conjugates, Pa/s."""
+def rate_power(
+    material: Material, z: Values, zeta: Values, L: Tensor, Pi: Tensor, names: Sequence[str] | None = None
+) -> Tensor:
+    """sum_i zeta_i : rate_i(z; L, Pi): power per volume of the conjugates, where given of ``names`` alone,
+    Pa/s."""
     total = 0.0 * tr(L)
     for v in material.variables:
+        if names is not None and v.name not in names:
+            continue
         total = total + inner(zeta[v.name], material.rate(v, z, L, Pi))
         total = total - tr(L) * inner(zeta[v.name], z[v.name]) if v.by_flux else total
     return total
@@ -356,6 +375,13 @@ class Wrapper(Material):
     @property
     def conformation(self) -> str | None:
         return self.material.conformation
+
+    def conformation_of(self, branch: str) -> str | None:
+        return self.material.conformation_of(branch)
+
+    @property
+    def distortions(self) -> dict[str, tuple[str, ...]]:
+        return self.material.distortions
 
     @property
     def continued(self) -> frozenset[str]:

@@ -124,6 +124,10 @@ class Mixture(Material):
         laws = ((b.name, b.creep) for b in self.bodies)
         return {name: PlasticContent.of(name) for name, law in laws if law is not None and law.hardening}
 
+    @property
+    def distortions(self) -> dict[str, tuple[str, ...]]:
+        return {body.name: tuple(X.name for X in self.contents(body.name)) for body in self.bodies}
+
     def densities(self, body: str) -> tuple[Variable, ...]:
         """What a body carries: X_i, n_i, and K_i where it hardens."""
         own = {X.name for X in self.contents(body)} | {AMOUNT + body, PlasticContent.of(body).name}

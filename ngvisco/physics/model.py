@@ -9,11 +9,12 @@ from ngvisco.physics.bodies import Body, Fractions, require_parts
 from ngvisco.physics.energy_checks import check_energy
 from ngvisco.physics.flow_rules import FlowRule
 from ngvisco.physics.flow_rules.check import check_rule, check_viscosity
-from ngvisco.physics.flow_rules.rule import PLASTIC_CONTENT, PlasticContent
+from ngvisco.physics.flow_rules.rule import PLASTIC_CONTENT, Hardening, PlasticContent
 from ngvisco.physics.heat import Heat, HeatLaw
 from ngvisco.physics.loads import BodyForce, CentralGravity, Gravity, Load, check_name
 from ngvisco.physics.material import ElasticState, Material, check_material, part_of
 from ngvisco.physics.materials.damaged import Damaged
+from ngvisco.physics.materials.network import Network
 from ngvisco.physics.materials.thermal import Thermal, entropy_in, warming
 from ngvisco.physics.materials.wrapped import carrying
 from ngvisco.physics.mixture import MixedViscosity, Mixture, mixed_viscosity
@@ -25,11 +26,15 @@ from ngvisco.physics.variables import TEMPERATURE, Values
 
 @dataclass(frozen=True)
 class Flow:
-    """A flow rule, with a creep rate Pi of its own, of the material or of one of several bodies."""
+    """A flow rule, with a creep rate Pi of its own, of the material, a branch or one of several bodies."""
 
     rule: FlowRule
     names: tuple[str, ...]
     """Variables whose rates have its Pi."""
+    conformation: str | None = None
+    """The one among them that is a conformation tensor, if there is one."""
+    branch: str | None = None
+    """Of a network."""
     body: str | None = None
     fractions: Fractions | None = None
     """Those of the bodies."""
@@ -39,9 +44,15 @@ class Flow:
         return 1.0 if self.fractions is None or self.body is None else self.fractions.positive(z, self.body)
 
     @property
+    def suffix(self) -> str:
+        """What names of a branch's columns and fields end in; nothing of others."""
+        return "" if self.branch is None else f"_{self.branch}"
+
+    @property
     def plastic_content(self) -> PlasticContent:
-        """The variable that is made by its hardening: K = A k, or K_i of a body."""
-        return PLASTIC_CONTENT if self.body is None else PlasticContent.of(self.body)
+        """The variable that is made by its hardening: K = A k, of a branch its own, or K_i of a body."""
+        owner = self.branch if self.body is None else self.body
+        return PLASTIC_CONTENT if owner is None else PlasticContent.of(owner)
 
     def plastic_strain(self, z: Values) -> tuple[str, Any]:
         """The name of the field of the plastic strain k, and k at a point with the values ``z``."""
@@ -114,6 +125,8 @@ class Model:
         for name, law in zip(names, laws, strict=True):
             object.__setattr__(self, name, law)
         carried = parameters_in(laws)
+        if self.creep is not None and part_of(self.material, Network) is not None:
+            raise ParameterError("Model.creep", self.creep, "None with a Network, whose branches have theirs")
         if self.creep is not None and self.creep.reads_conjugate and self.material.conformation is None:
             raise ParameterError("Model.creep", self.creep, "a material with a conformation tensor")
         state = "B" if self.bodies else default_elastic_state(self.creep)
@@ -121,7 +134,7 @@ class Model:
         if isinstance(material, Mixture):
             material = material.with_carried(carried)
         else:
-            material = carrying(material, carried, None if self.creep is None else self.creep.hardening)
+            material = carrying(material, carried, self._hardening)
         check_material(material)
         object.__setattr__(self, "material", material)
         if isinstance(material, Mixture):
@@ -133,22 +146,47 @@ class Model:
         else:
             check_energy(material)
         self._check_heat_and_damage(material)
+        for part in (body.material for body in self.bodies) if self.bodies else (material,):
+            _require_bulk(part)
         for flow in self.flows:
+            if flow.rule.reads_conjugate and flow.conformation is None:
+                expected = (
+                    f"a rule that reads no conformation tensor: {type(self.material).__name__} has none"
+                )
+                raise ParameterError(f"branches[{flow.branch!r}].creep", flow.rule, expected)
             check_rule(flow.rule, material)
         if self.viscosity is not None:
             check_viscosity(self.viscosity, material)
 
     @property
     def flows(self) -> tuple[Flow, ...]:
-        """What creeps: the material, or each of the bodies by its own tensors."""
+        """What creeps: the material, or each branch of a network, or each body, by its own tensors."""
         of = self.material
+        if (network := part_of(of, Network)) is not None:
+            return tuple(
+                Flow(branch.creep, of.distortions[name], of.conformation_of(name), name)
+                for name, branch in network.parts.items()
+                if branch.creep is not None and branch.creep.flows and of.distortions[name]
+            )
         if not isinstance(of, Mixture):
             names = tuple(v.name for v in of.variables if v.creeps)
-            return (Flow(self.creep, names),) if self.creep is not None and self.creep.flows else ()
+            flow = Flow(self.creep, names, of.conformation) if self.creep is not None else None
+            return (flow,) if flow is not None and flow.rule.flows else ()
         return tuple(
-            Flow(body.creep, tuple(X.name for X in of.contents(body.name)), body.name, of.fractions)
+            Flow(body.creep, of.distortions[body.name], body=body.name, fractions=of.fractions)
             for body in self.bodies
             if body.creep is not None and body.creep.flows and of.contents(body.name)
+        )
+
+    @property
+    def _hardening(self) -> tuple[tuple[PlasticContent, Hardening], ...]:
+        """What the material, or branches, carry of plastic strains, and their energies."""
+        network = part_of(self.material, Network)
+        rules = {None: self.creep} if network is None else {n: b.creep for n, b in network.parts.items()}
+        return tuple(
+            (PLASTIC_CONTENT if name is None else PlasticContent.of(name), rule.hardening)
+            for name, rule in rules.items()
+            if rule is not None and rule.hardening is not None
         )
 
     @property
@@ -247,6 +285,8 @@ def _faults(body: Body, bodies: Sequence[Body]) -> Iterable[tuple[str, str]]:
     material, law, heat = body.material, body.creep, body.heat
     if part_of(material, Damaged) is not None:
         yield "material", "a material without damage: that of one body would be the damage of all"
+    if part_of(material, Network) is not None:
+        yield "material", "a material without branches: those of bodies are not offered"
     lightest = min(bodies, key=lambda each: each.density or 0.0)
     if (body.density or 0.0) > MOST_DENSER * (lightest.density or 0.0):
         most = f"at most {MOST_DENSER:g} times that of {lightest.name!r}, {lightest.density:g} kg/m^3"
@@ -278,6 +318,16 @@ def _value(body: Body, part: str) -> Any:
     for name in part.split("."):
         value = getattr(value, name)
     return value
+
+
+def _require_bulk(material: Material) -> None:
+    """Raise ParameterError for a material alone whose bulk modulus is 0, as only a branch's may be."""
+    part: object = material
+    while (inner := getattr(part, "material", None)) is not None:
+        part = inner
+    if isinstance(K_e := getattr(part, "K_e", None), float) and K_e == 0:
+        expected = "> 0: 0 is for a branch of a Network, whose other branches bear pressure"
+        raise ParameterError(f"{type(part).__name__}.K_e", K_e, expected)
 
 
 def _require_distinct(field_name: str, names: list[str]) -> None:

@@ -16,8 +16,8 @@ Further stresses and rates are written only where they are asked for by name:
 
 | name                 | what                                                                  | unit |
 |----------------------|-----------------------------------------------------------------------|------|
-| creep_rate           | Pi, 3x3, where there is creep                                         | 1/s  |
-| mandel_stress        | M, 3x3, of materials with tensors                                     | Pa   |
+| creep_rate           | Pi, 3x3, where there is creep; of a network ``creep_rate_BRANCH``     | 1/s  |
+| mandel_stress        | M, 3x3, of materials with tensors; ``mandel_stress_BRANCH``           | Pa   |
 | viscous_stress       | D eps(v), 3x3                                                         | Pa   |
 | hyperstress_i        | (mu_1 + mu |hess v|^{p-2}) d_j d_k v_i at jk, 3x3, for each i         | Pa m |
 | principal_stresses   | eigenvalues of the Cauchy stress, the largest first                   | Pa   |
@@ -34,7 +34,8 @@ from ngvisco.errors import ParameterError, UnknownNameError
 from ngvisco.forms.fields import Fields, hessian_basis
 from ngvisco.forms.system import Step
 from ngvisco.physics.flow_rules.rule import PlasticContent
-from ngvisco.physics.material import Material, cauchy_stress, mandel_stress, volume_ratio
+from ngvisco.physics.material import Material, cauchy_stress, mandel_stress, part_of, volume_ratio
+from ngvisco.physics.materials.network import Network
 from ngvisco.physics.materials.thermal import entropy_in, temperature
 from ngvisco.physics.mixture import Mixture
 from ngvisco.physics.tensors import IDENTITY, constant, det, dev, if_positive, square, sym, tr
@@ -191,17 +192,21 @@ NAMES = (
 
 def usual(names: Iterable[str]) -> list[str]:
     """Of the names of a run's fields those that are written where none are asked for."""
-    return [name for name in names if name not in NAMES]
+    of_branches = ("creep_rate_", "mandel_stress_")
+    return [name for name in names if name not in NAMES and not name.startswith(of_branches)]
 
 
 def further_fields(step: Step, cauchy: CoefficientFunction) -> dict[str, CoefficientFunction]:
     """The fields above, as far as the model has them, at the new state; ``cauchy`` is its Cauchy stress."""
     u, model, dim = step.now, step.model, step.mesh.dim
     found: dict[str, CoefficientFunction] = {}
-    Pi = step.context.rates.mean_creep(u)
-    if Pi is not None:
-        found["creep_rate"] = Pi
-    if any(variable.creeps for variable in model.material.variables):
+    rates = step.context.rates.mean_creep(u)
+    found |= {f"creep_rate{suffix}": Pi for suffix, Pi in rates.items()}
+    if part_of(model.material, Network) is not None:
+        for branch, names in model.material.distortions.items():
+            driving = mandel_stress(model.material, u.z_tensors, u.zeta_tensors, dim, names)
+            found[f"mandel_stress_{branch}"] = driving
+    elif any(variable.creeps for variable in model.material.variables):
         found["mandel_stress"] = mandel_stress(model.material, u.z_tensors, u.zeta_tensors, dim)
     if model.viscosity is not None:
         found["viscous_stress"] = model.viscosity.stress(

@@ -14,6 +14,7 @@ limiting the step's end takes (``ngvisco.forms.bounds``), ``limiter_walls`` that
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from functools import reduce
 from typing import Any
 
 import numpy as np
@@ -28,7 +29,7 @@ from ngvisco.physics.defects import relative_defects
 from ngvisco.physics.materials.hyperelastic import IsotropicElastic
 from ngvisco.physics.materials.thermal import entropy_in, temperature
 from ngvisco.physics.mixture import Mixture
-from ngvisco.physics.tensors import square
+from ngvisco.physics.tensors import if_positive, square
 from ngvisco.physics.variables import Distortion, Jacobian, ReciprocalJacobian
 from ngvisco.run.notebook import data_frame, ledger_html
 from ngvisco.timestepping.integrator import LIMITER, LIMITER_WALLS, StepTaken
@@ -76,7 +77,7 @@ class Balance:
 _NEGATIVE = 1e-9
 """Share of all entropy that is produced that may be missing of a mechanism: what an iteration leaves."""
 _CREEP_POWER = "creep_power_min"
-"""The column of the least M : Pi at a point."""
+"""The column of the least M : Pi at a point, of bodies and branches the least of each."""
 _ROUNDING = 1e-12
 """Share of the largest power at a point that rounding may leave of one that is zero."""
 _DEFECT = 0.01
@@ -134,7 +135,8 @@ class Ledger:
         """Energies, mass and monitors at the present state, by columns."""
         self._rates = EntryIntegrals(step, {e.name: e for e in self.entries if e.kind in _RATES})
         theta = temperature(step.model.material, step.now.zeta_tensors)
-        power = step.context.rates.dissipation(step.now)
+        powers = step.context.rates.powers_of_creep(step.now)
+        power = reduce(lambda a, b: if_positive(a - b, b, a), powers) if powers else None
         watched = {"temperature_min": theta, "temperature_max": theta, _CREEP_POWER: power}
         self._watched = {name: value for name, value in watched.items() if value is not None}
         self._prepare_monitors()
@@ -361,7 +363,8 @@ class Ledger:
         gap = J - Det(F) if self._has_both else CF(0.0)
         if J is None:
             J = CF(math.nan) if F is None else Det(F)
-        self._defects = relative_defects(material, u.z_tensors, self.step.model.creep)
+        traced = [name for flow in self.step.model.flows if flow.rule.has_trace for name in flow.names]
+        self._defects = relative_defects(material, u.z_tensors, traced)
         defects = self._defects.values()
         self._squares = CF((1.0, gap * gap, *(defect * defect for defect in defects))).Compile()
         speed = sqrt(square(u.v))

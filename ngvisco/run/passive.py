@@ -4,7 +4,7 @@
 |---------------|-------------------------------------------------------|-------|
 | F_tot         | dt F + (v . grad) F = (grad v) F, total deformation   | F_0   |
 | reference_map | dt xi + (v . grad) xi = 0, where a point came from, m | x     |
-| creep_strain  | dt kappa + (v . grad) kappa = sqrt(2/3) |Pi|          | 0     |
+| creep_strain  | dt kappa + (v . grad) kappa = sqrt(2/3) |Pi|, of a network one of each branch | 0 |
 
 F_0 is the initial elastic distortion: what was there of creep is not known, and F_tot is F as long as none
 follows.  On meshes of two dimensions its entry F_33 is carried as a scalar where it is not 1.
@@ -76,11 +76,12 @@ class PassiveFields:
             for i in range(dim):
                 self._sources[f"displacement_{i + 1}"] = step.now.v[i]
         if "creep_strain" in self.names:
-            self._add_group("creep_strain", 1, flow)
-            Pi = step.context.rates.mean_creep(step.now)
-            if Pi is None:
+            rates = step.context.rates.mean_creep(step.now)
+            if not rates:
                 raise ParameterError("passive", "creep_strain", "a model with creep, whose strain it is")
-            self._sources["creep_strain_1"] = sqrt(2 / 3 * square(Pi))
+            for suffix, Pi in rates.items():
+                self._add_group(f"creep_strain{suffix}", 1, flow)
+                self._sources[f"creep_strain{suffix}_1"] = sqrt(2 / 3 * square(Pi))
 
     def _add_group(self, name: str, count: int, carrier: _Carrier) -> None:
         for i in range(count):
@@ -104,8 +105,8 @@ class PassiveFields:
             moved = [parts[f"displacement_{i + 1}"] for i in range(dim)]
             result["reference_map"] = CF(tuple(c - u for c, u in zip((x, y, z), moved, strict=False)))
             result["displacement"] = CF(tuple(moved))
-        if "creep_strain" in self.names:
-            result["creep_strain"] = parts["creep_strain_1"]
+        strains = (key for key in parts if key.startswith("creep_strain"))
+        result |= {key.removesuffix("_1"): parts[key] for key in strains}
         return result
 
     def space(self, key: str, mesh: Mesh) -> FESpace:

@@ -19,7 +19,8 @@ from ngvisco.parallel.mesh import cell_numbers
 from ngvisco.physics.arrays import Array
 from ngvisco.physics.bodies import AMOUNT
 from ngvisco.physics.flow_rules.check import values_at_rest
-from ngvisco.physics.material import Material, cauchy_stress
+from ngvisco.physics.material import Material, cauchy_stress, part_of
+from ngvisco.physics.materials.network import Network
 from ngvisco.physics.mixture import Mixture
 from ngvisco.physics.model import Model
 from ngvisco.physics.parameters import Parameter, parameters_in
@@ -189,9 +190,13 @@ class Place:
         rest = values_at_rest(self.laws.material, z)
         thickness: Any = 0.0 if viscosity is None else viscosity.shear_viscosity(rest)
         longitudinal, shear = moduli(self.laws.material, dim, z)
-        maxwell = math.inf
+        maxwell, network = math.inf, part_of(self.laws.material, Network)
         if creep is not None and creep.flows and shear > 0:
             maxwell = creep.relaxation_time(shear, rest)
+        for branch in () if network is None else network.parts.values():
+            _, own = moduli(branch.material, dim, z)
+            if branch.creep is not None and branch.creep.flows and own > 0:
+                maxwell = min(maxwell, branch.creep.relaxation_time(own, rest))
         return (
             math.sqrt(max(longitudinal, 0.0) / self.density),
             math.sqrt(max(shear, 0.0) / self.density),

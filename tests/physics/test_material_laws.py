@@ -333,7 +333,7 @@ def test_simulation_warns_of_a_users_energy_that_is_not_convex():
         nv.Simulation(MESH, nv.Model(material=material), dt=0.1)
 
 
-WRAPPERS = {"Damaged", "PerMass", "PerReferentialVolume", "Thermal", "WithQuadratic", "Yosida"}
+WRAPPERS = {"Damaged", "Network", "PerMass", "PerReferentialVolume", "Thermal", "WithQuadratic", "Yosida"}
 """Materials of another one."""
 
 

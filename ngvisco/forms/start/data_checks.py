@@ -4,7 +4,8 @@ What cannot be right is refused.  What the model has no place for, or what is ha
 ``InputWarning``.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+import warnings
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import partial
 
 import numpy as np
@@ -37,13 +38,14 @@ from ngvisco.forms.start.variables import Given
 from ngvisco.forms.system import Step
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.mesh import cell_numbers
-from ngvisco.physics.energy_checks import check_convexity
+from ngvisco.physics.energy_checks import ConvexityWarning, check_convexity
 from ngvisco.physics.loads import BodyForce, CentralGravity, VectorLike, as_vector, force_of
-from ngvisco.physics.material import Material, rest_stress_and_modulus
+from ngvisco.physics.material import Material, part_of, rest_stress_and_modulus
 from ngvisco.physics.materials import (
     CustomMaterial,
     Damaged,
     IsotropicStrainEnergy,
+    Network,
     Thermal,
     WithQuadratic,
     Yosida,
@@ -184,14 +186,33 @@ def _at(times: Iterable[float]) -> Iterator[float]:
 
 
 def warn_of_own_energy(step: Step, states: np.ndarray | None) -> None:
-    """Warn where a user's own energy is not convex, and how far from these states, (points, .), that is."""
+    """Warn where a user's own energy is not convex, and how far from these states, (points, .), that is.
+
+    Of a network each of the user's own branches is looked at by itself, and then the sum.
+    """
     material, ranks = step.model.material, Communicator.of(step.mesh)
-    held: Material | None = material
-    while isinstance(held, (WithQuadratic, Yosida, Carrying, Damaged, Thermal)):
-        held = held.material
-    if isinstance(held, (CustomMaterial, IsotropicStrainEnergy)):
+    network = part_of(material, Network)
+    branches = {} if network is None else network.parts
+    own = {name: branch.material for name, branch in branches.items() if _is_own(branch.material)}
+    if own or _is_own(material):
         near = None if states is None else np.concatenate(ranks.gathered(states))
+        ranks.on_first(partial(_warn_of_branches, own, step.mesh.dim))
         ranks.on_first(partial(check_convexity, material, dim=step.mesh.dim, states=near))
+
+
+def _is_own(material: Material | None) -> bool:
+    """Whether a material is a user's own, or of such a one."""
+    while isinstance(material, (WithQuadratic, Yosida, Carrying, Damaged, Thermal)):
+        material = material.material
+    return isinstance(material, (CustomMaterial, IsotropicStrainEnergy))
+
+
+def _warn_of_branches(branches: Mapping[str, Material], dim: int) -> None:
+    for name, material in branches.items():
+        report = check_convexity(material, dim=dim, warn=False)
+        if not report.passed:
+            text = f"Network.branches[{name!r}]: the stored energy of this branch alone is {report}"
+            warnings.warn(text, ConvexityWarning, stacklevel=2)
 
 
 def warn_of_doubts(

@@ -96,11 +96,10 @@ class Kinematics(PointTerm):
         """Creep's, where it has no equation of its own."""
         rates = u.context.rates
         is_here = rates.flows and rates.is_local and not rates.creeps_at_nodes
-        return {"dissipation_creep": rates.dissipation(u)} if is_here else {}
+        return _dissipation(u) if is_here else {}
 
     def dissipated_at_nodes(self, u: Fields) -> dict[str, CoefficientFunction]:
-        rates = u.context.rates
-        return {"dissipation_creep": rates.dissipation(u)} if rates.creeps_at_nodes else {}
+        return _dissipation(u) if u.context.rates.creeps_at_nodes else {}
 
     def energy(self, u: Fields) -> Entry:
         """phi(z)."""
@@ -203,9 +202,14 @@ class CreepRate(PointTerm):
         size = square(u.grad_Pi)
         of_gradient = self.rule.gradient_coefficient(size) * size
         return {
-            "dissipation_creep": u.context.rates.dissipation(u),
+            **_dissipation(u),
             "dissipation_creep_gradient": of_gradient,
         }
+
+
+def _dissipation(u: Fields) -> dict[str, CoefficientFunction]:
+    """Entries of creep, of a network one of each branch."""
+    return {f"dissipation_creep{suffix}": of for suffix, of in u.context.rates.dissipation(u).items()}
 
 
 @dataclass(frozen=True)

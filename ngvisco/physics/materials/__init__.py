@@ -13,6 +13,7 @@ from ngvisco.physics.materials.hyperelastic import (
     ReferentialNeoHookean,
 )
 from ngvisco.physics.materials.linearised import HardeningElastic, IsotropicStrainEnergy, LinearElastic
+from ngvisco.physics.materials.network import Branch, Network
 from ngvisco.physics.materials.perspective import PerMass, PerReferentialVolume
 from ngvisco.physics.materials.thermal import Thermal
 from ngvisco.physics.materials.wrapped import WithQuadratic, Yosida
@@ -20,6 +21,7 @@ from ngvisco.physics.materials.wrapped import WithQuadratic, Yosida
 __all__ = [
     "FENEP",
     "BarotropicFluid",
+    "Branch",
     "CustomMaterial",
     "Damaged",
     "HardeningElastic",
@@ -30,6 +32,7 @@ __all__ = [
     "LogarithmicNeoHookean",
     "MooneyRivlin",
     "NeoHookean",
+    "Network",
     "OldroydB",
     "PerMass",
     "PerReferentialVolume",

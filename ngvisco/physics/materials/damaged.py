@@ -160,6 +160,9 @@ class Damaged(Wrapper):
     def conformation(self) -> str | None:
         return None
 
+    def conformation_of(self, branch: str) -> str | None:
+        return None
+
     def degradation(self, d: Any) -> Any:
         """g(d)."""
         return (1 - self.floor) * (1 - d) * (1 - d) + self.floor

@@ -131,14 +131,14 @@ class OldroydB(Material):
     Parameters
     ----------
     K_e : float
-        Bulk modulus, the usual one.
+        Bulk modulus, the usual one.  0 of a branch alone.
     G_e : float
         Elastic modulus of shear: half the usual shear modulus.
     J_min : float, optional
         The part that is singular at J = 0 is continued linearly below this J.
     """
 
-    K_e: Annotated[Modulus, Quantity("Pa", "> 0", 10.0)]
+    K_e: Annotated[Modulus, Quantity("Pa", ">= 0", 10.0)]
     G_e: Annotated[Modulus, Quantity("Pa", "> 0", 5.0)]
     J_min: Annotated[float | None, Quantity("1", "> 0", 0.1)] = None
 

@@ -20,7 +20,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, ClassVar, Self
 
-from ngvisco.errors import Quantity, require_choice
+from ngvisco.errors import ParameterError, Quantity, require_choice
 from ngvisco.physics.material import ElasticState, Material
 from ngvisco.physics.parameters import Modulus
 from ngvisco.physics.tensors import Tensor, if_positive, log, square, tr
@@ -65,9 +65,9 @@ def inverse_power(epsilon: Any, kappa: float, J: Tensor, J_min: float | None) ->
 
 def referential_volume(K_e: Any, epsilon: Any, kappa: float, J: Tensor, J_min: float | None) -> Tensor:
     """[K_e/2 (J - 1 + c)^2 + epsilon/J^kappa]/J with c = kappa epsilon/K_e."""
-    rest = 1 - kappa * epsilon / K_e
-    volume = 0.5 * K_e * (J - 2 * rest) + inverse_power(0.5 * K_e * rest * rest, 1.0, J, J_min)
     is_without = isinstance(epsilon, (int, float)) and epsilon == 0
+    rest = 1.0 if is_without else 1 - kappa * epsilon / K_e
+    volume = 0.5 * K_e * (J - 2 * rest) + inverse_power(0.5 * K_e * rest * rest, 1.0, J, J_min)
     return volume if is_without else volume + inverse_power(epsilon, kappa + 1, J, J_min)
 
 
@@ -222,7 +222,7 @@ class ReferentialNeoHookean(IsotropicElastic):
     Parameters
     ----------
     K_e : float
-        Bulk modulus; the usual one is K_e + kappa (kappa + 1) epsilon.
+        Bulk modulus; the usual one is K_e + kappa (kappa + 1) epsilon.  0 only of a branch without epsilon.
     epsilon : float
         Weight of the term epsilon/J^kappa per referential volume, which is singular at J = 0.
     kappa : float
@@ -231,9 +231,16 @@ class ReferentialNeoHookean(IsotropicElastic):
         All terms singular in J are continued linearly below it (paper: rem-neo-Hookean-ref).
     """
 
+    K_e: Annotated[Modulus, Quantity("Pa", ">= 0", 10.0)]
     epsilon: Annotated[Modulus, Quantity("Pa", ">= 0", 0.1)] = 0.0
     kappa: Annotated[float, Quantity("1", ">= 0", 2.0)] = 1.0
     J_min: Annotated[float | None, Quantity("1", "> 0", 0.1)] = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.K_e == 0 and self.epsilon != 0:
+            expected = "> 0 with epsilon, whose minimum it is that keeps J = 1"
+            raise ParameterError(f"{type(self).__name__}.K_e", self.K_e, expected)
 
     @property
     def continued(self) -> frozenset[str]:
@@ -332,6 +339,8 @@ class ReferentialMooneyRivlin(_WithCofactor, ReferentialNeoHookean):
     convex, strongly in (H, N); blows up as J -> 0+.  T(I) = 0.  Raises ParameterError if a parameter is out
     of its range.
     """
+
+    K_e: Annotated[Modulus, Quantity("Pa", ">= 0", 10.0)]
 
 
 @dataclass(frozen=True, kw_only=True)

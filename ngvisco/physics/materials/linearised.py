@@ -25,12 +25,12 @@ class LinearElastic(Material):
     Parameters
     ----------
     K_e : float
-        Elastic bulk modulus: the usual one.
+        Elastic bulk modulus: the usual one.  0 of a branch alone.
     G_e : float
         Elastic shear modulus: the usual one.
     """
 
-    K_e: Annotated[Modulus, Quantity("Pa", "> 0", 10.0)]
+    K_e: Annotated[Modulus, Quantity("Pa", ">= 0", 10.0)]
     G_e: Annotated[Modulus, Quantity("Pa", "> 0", 5.0)]
 
     @property

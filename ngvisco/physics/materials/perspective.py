@@ -21,7 +21,8 @@ import numpy as np
 
 from ngvisco.errors import ParameterError, Quantity
 from ngvisco.physics.energy_checks import StateSampling, check_convexity
-from ngvisco.physics.material import ElasticState, Material
+from ngvisco.physics.material import ElasticState, Material, part_of
+from ngvisco.physics.materials.network import Network
 from ngvisco.physics.materials.thermal import Thermal
 from ngvisco.physics.parameters import (
     Modulus,
@@ -81,6 +82,8 @@ class PerReferentialVolume(Material):
         if self.material.response(3) is not None:
             expected = "a material whose energy is an expression; a Yosida approximation goes around this one"
             raise ParameterError(field_name, self.material, expected)
+        if part_of(self.material, Network) is not None:
+            raise ParameterError(field_name, self.material, "a material without branches: wrap each of them")
         for v in self.material.variables:
             if v.is_strain and not isinstance(v, (Jacobian, DistortionTensor)):
                 known = "a material of J = det F and of F, Cof F, F F^T, Cof(F F^T) times powers of J"

@@ -161,6 +161,13 @@ class Thermal(Material):
     def conformation(self) -> str | None:
         return self.cold.conformation
 
+    def conformation_of(self, branch: str) -> str | None:
+        return self.cold.conformation_of(branch)
+
+    @property
+    def distortions(self) -> dict[str, tuple[str, ...]]:
+        return self.cold.distortions
+
     @property
     def continued(self) -> frozenset[str]:
         return self.cold.continued

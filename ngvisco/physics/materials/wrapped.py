@@ -13,7 +13,7 @@ import numpy as np
 from ngsolve import CF
 
 from ngvisco.errors import NgviscoError, Quantity, UnknownNameError, require_names
-from ngvisco.physics.flow_rules.rule import PLASTIC_CONTENT, Hardening
+from ngvisco.physics.flow_rules.rule import Hardening, PlasticContent
 from ngvisco.physics.material import ElasticState, Material, Wrapper
 from ngvisco.physics.parameters import Parameter, distinct, substituted
 from ngvisco.physics.pointwise import Respond, Response, respond, rest_state
@@ -31,15 +31,16 @@ class Carrying(Wrapper):
 
     carried: tuple[Parameter, ...] = ()
     """Parameters of the material's moduli and of the model's other laws that are no variables of its own."""
-    hardening: Hardening | None = None
+    hardening: tuple[tuple[PlasticContent, Hardening], ...] = ()
+    """What is carried of plastic strains, one of each branch that hardens, and their energies."""
 
     @property
     def variables(self) -> tuple[Variable, ...]:
         own = self.material.variables
-        if self.hardening is None:
+        if not self.hardening:
             return (*own, *self.carried)
         volume = () if ReciprocalJacobian() in own else (ReciprocalJacobian(),)
-        return (*own, *volume, *self.carried, PLASTIC_CONTENT)
+        return (*own, *volume, *self.carried, *(content for content, _ in self.hardening))
 
     @property
     def lagged(self) -> frozenset[str]:
@@ -48,13 +49,14 @@ class Carrying(Wrapper):
     def energy(self, z: Values) -> Tensor:
         at_this_point = substituted(self.material, lambda expression: expression.at(z))
         phi = at_this_point.energy({v.name: z[v.name] for v in self.material.variables})
-        if self.hardening is None:
-            return phi
-        return phi + self.hardening.energy(z["A"], z[PLASTIC_CONTENT.name], z)
+        of_yield = (law.energy(z["A"], z[content.name], z) for content, law in self.hardening)
+        return reduce(add, of_yield, phi)
 
 
 def carrying(
-    material: Material, parameters: Sequence[Parameter], hardening: Hardening | None = None
+    material: Material,
+    parameters: Sequence[Parameter],
+    hardening: tuple[tuple[PlasticContent, Hardening], ...] = (),
 ) -> Material:
     """The material with these among its variables, and this hardening in place of any other.
 
@@ -65,7 +67,7 @@ def carrying(
         return replace(material, material=carrying(material.material, parameters, hardening))
     if isinstance(material, Carrying):
         return carrying(material.material, (*material.carried, *parameters), hardening)
-    if not parameters and hardening is None:
+    if not (parameters or hardening):
         return material
     own = tuple(v for v in material.variables if isinstance(v, Parameter))
     carried = distinct((*own, *parameters))[len(own) :]
@@ -120,6 +122,9 @@ class WithQuadratic(Wrapper):
     @property
     def conformation(self) -> str | None:
         return None  # at rest there is a stress of the added energy
+
+    def conformation_of(self, branch: str) -> str | None:
+        return None
 
     def energy(self, z: Values) -> Tensor:
         return self.material.energy(z) + self.added_energy(z)

@@ -1,0 +1,236 @@
+"""Networks: several materials in parallel that share one volume, each branch with a flow rule of its own.
+
+A network of branches i with the energies phi_i(z_i, J), z_i the tensors of the branch's own distortion, has
+
+    phi = sum_i phi_i(z_i, J),   Pi_i = rate_i(M_i),   M_i the Mandel stress of phi_i alone.
+
+The stress is the sum of the branches' stresses, and so is the dissipation sum_i M_i : Pi_i, each term of
+which is >= 0.  phi is convex in all that is carried where every phi_i is.  J = det F, 1/J and other functions
+of the volume, which no creep changes, are carried once.  A branch without a flow rule is a spring: beside
+Maxwell branches it is the standard linear solid, several Maxwell branches are a Prony series (1795), and two
+of them a fluid of Burgers (1935).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property, reduce
+from operator import add
+
+from ngvisco.errors import ParameterError
+from ngvisco.physics.flow_rules.rule import FlowRule
+from ngvisco.physics.material import ElasticState, Material, check_material, part_of, rest_stress_and_modulus
+from ngvisco.physics.parameters import Parameter, distinct
+from ngvisco.physics.tensors import Tensor
+from ngvisco.physics.variables import SmallStrain, Values, Variable
+
+
+@dataclass(frozen=True, kw_only=True)
+class Branch:
+    """A branch of a ``Network``: a material, and how it creeps.
+
+    Raises ParameterError for a part of the wrong type.
+
+    Parameters
+    ----------
+    material : Material
+        Its energy is a part of the network's.  Tensors are those of the branch's own distortion; J and 1/J
+        are one for all branches.  Moduli of the branch alone may be zero: K_e = 0 of a branch that does not
+        resist changes of volume.
+    creep : FlowRule, optional
+        How fast the branch relaxes; None (default) is a spring.  It is local (nu = 0).
+    """
+
+    material: Material
+    creep: FlowRule | None = None
+
+    @property
+    def flows(self) -> bool:
+        """Whether the branch relaxes."""
+        return self.creep is not None and self.creep.flows
+
+
+@dataclass(frozen=True, kw_only=True)
+class Network(Material):
+    """Materials in parallel: one volume, and for each branch tensors and a flow rule of its own.
+
+    The branch ``slow`` of a material with the variable B carries ``B_slow``; its hardening carries
+    ``plastic_content_slow``.  Branches that leave ``elastic_state`` open are by B = F F^T where any branch
+    flows.  The bulk modulus is the sum of those of the branches; of the materials with ``K_e`` those of small
+    strain, ``Referential...``, ``IsochoricNeoHookean``, ``OldroydB`` and ``FENEP`` may have K_e = 0 here.
+    Raises ParameterError for a name that is none, no branches, a part of the wrong type, a flow rule with a
+    gradient term or that needs a conformation tensor which its branch does not have, materials with heat,
+    damage or branches of their own, materials without a common volume, and a network without a bulk modulus.
+
+    Example::
+
+        import ngvisco as nv
+        from ngvisco.geometries import box
+
+        spring = nv.Branch(material=nv.ReferentialNeoHookean(K_e=50.0, G_e=1.0))
+        slow = nv.Branch(material=nv.ReferentialNeoHookean(K_e=0.0, G_e=4.0), creep=nv.Creep(G_m=2.0))
+        material = nv.Network(branches={"spring": spring, "slow": slow})
+        run = nv.Simulation(box((1, 1), maxh=0.5), nv.Model(material=material), dt=0.05)
+        print([v.name for v in material.variables], run.advance()["dissipation_creep_slow"])
+
+    Parameters
+    ----------
+    branches : mapping of str to Branch
+        By names, identifiers.
+    """
+
+    branches: Mapping[str, Branch]
+
+    def __post_init__(self) -> None:
+        try:
+            parts = dict(self.branches)
+        except (TypeError, ValueError):
+            parts = {}
+        if not parts:
+            raise ParameterError("Network.branches", self.branches, "a mapping of names to nv.Branch objects")
+        for name, branch in parts.items():
+            field = f"Network.branches[{name!r}]"
+            if not (isinstance(name, str) and name.isidentifier()):
+                raise ParameterError("Network.branches", name, "names of letters, digits and _")
+            if not isinstance(branch, Branch):
+                raise ParameterError(field, branch, "an nv.Branch object")
+            for part, fault in _faults(branch):
+                raise ParameterError(f"{field}.{part}", _value(branch, part), fault)
+        object.__setattr__(self, "branches", tuple(parts.items()))  # laws are looked for in tuples
+        super().__post_init__()
+        _ = self.variables  # refused where they do not go together
+        self._check_names()
+        self._check_volume()
+
+    @property
+    def parts(self) -> dict[str, Branch]:
+        """The branches by their names."""
+        return dict(self.branches)
+
+    def with_elastic_state(self, state: ElasticState) -> Network:
+        state = "B" if any(branch.flows for branch in self.parts.values()) else state
+        parts = self.parts.items()
+        made = {n: replace(b, material=b.material.with_elastic_state(state)) for n, b in parts}
+        return replace(self, branches=made)
+
+    def own(self, name: str) -> dict[str, Variable]:
+        """What a branch carries for itself, by the names that its material has for it."""
+        found = (v for v in self.parts[name].material.variables if v.creeps)
+        return {v.name: replace(v, name=f"{v.name}_{name}") for v in found}
+
+    @property
+    def distortions(self) -> dict[str, tuple[str, ...]]:
+        return {name: tuple(v.name for v in self.own(name).values()) for name in self.parts}
+
+    def conformation_of(self, branch: str) -> str | None:
+        name = self.parts[branch].material.conformation
+        return None if name is None else f"{name}_{branch}"
+
+    @cached_property
+    def variables(self) -> tuple[Variable, ...]:
+        tensors = [v for name in self.parts for v in self.own(name).values()]
+        shared: dict[str, Variable] = {}
+        for name, branch in self.parts.items():
+            for v in branch.material.variables:
+                if v.creeps or isinstance(v, Parameter):
+                    continue
+                if shared.setdefault(v.name, v) != v:
+                    expected = f"the variable {v.name!r} of the branches before, or another name for another"
+                    raise ParameterError(f"Network.branches[{name!r}].material", branch.material, expected)
+        materials = (branch.material for branch in self.parts.values())
+        parameters = distinct(v for m in materials for v in m.variables if isinstance(v, Parameter))
+        return (*tensors, *shared.values(), *parameters)
+
+    @property
+    def continued(self) -> frozenset[str]:
+        found: set[str] = set()
+        for name, branch in self.parts.items():
+            own = {v.name: new.name for v, new in self._renamed(name)}
+            found |= {own[one] for one in branch.material.continued if one in own}
+        # the energy ends where that of one branch does
+        ends = {v.name for b in self.parts.values() for v in b.material.variables if not v.creeps}
+        for shared in ends:
+            with_it = [b.material for b in self.parts.values() if _carries(b.material, shared)]
+            if all(shared in material.continued for material in with_it):
+                found.add(shared)
+        return frozenset(found)
+
+    @property
+    def referential_density(self) -> float | Tensor | None:
+        given = (branch.material.referential_density for branch in self.parts.values())
+        return next((density for density in given if density is not None), None)
+
+    def values_of(self, name: str, z: Values) -> dict[str, Tensor]:
+        """Those of a branch's material by its own names."""
+        own = self.own(name)
+        material = self.parts[name].material
+        return {v.name: z[own[v.name].name if v.name in own else v.name] for v in material.variables}
+
+    def energy_of(self, name: str, z: Values) -> Tensor:
+        """phi_i of a branch, Pa."""
+        return self.parts[name].material.energy(self.values_of(name, z))
+
+    def energy(self, z: Values) -> Tensor:
+        return reduce(add, (self.energy_of(name, z) for name in self.parts))
+
+    def _renamed(self, name: str) -> Iterator[tuple[Variable, Variable]]:
+        own = self.own(name)
+        return ((v, own[v.name]) for v in self.parts[name].material.variables if v.name in own)
+
+    def _check_names(self) -> None:
+        """Raise ParameterError for names of variables that meet."""
+        names = [v.name for v in self.variables]
+        if twice := [name for name in names if names.count(name) > 1]:
+            expected = f"other names: two variables of the branches would be {twice[0]!r}"
+            raise ParameterError("Network.branches", list(self.parts), expected)
+
+    def _check_volume(self) -> None:
+        """Raise ParameterError for small strains beside large ones, and where nothing bears pressure."""
+        small = {
+            n: any(isinstance(v, SmallStrain) for v in b.material.variables) for n, b in self.parts.items()
+        }
+        if len(set(small.values())) > 1:
+            expected = "branches of small strain alone, or of large strains alone: they share one volume"
+            raise ParameterError("Network.branches", list(small), expected)
+        if not rest_stress_and_modulus(self)[1] > 0:
+            expected = "a bulk modulus > 0 of one branch at least: this network bears no pressure"
+            raise ParameterError("Network.branches", list(self.parts), expected)
+
+
+def _carries(material: Material, name: str) -> bool:
+    return any(v.name == name for v in material.variables)
+
+
+def _faults(branch: Branch) -> Iterator[tuple[str, str]]:
+    """What a branch cannot be, and what would be right."""
+    material, rule = branch.material, branch.creep
+    if not isinstance(material, Material):
+        yield "material", "a Material"
+        return
+    if rule is not None and not isinstance(rule, FlowRule):
+        yield "creep", "a Creep or another FlowRule, or None"
+        return
+    check_material(material)
+    if part_of(material, Network) is not None:
+        yield "material", "a material without branches: those of a branch are branches of the network"
+    if any(v.is_conserved for v in material.variables) or material.lagged:
+        yield "material", "a material without heat and damage, which wrap the network: Thermal(material=...)"
+    if material.response(3) is not None:
+        yield "material", "a material whose energy is an expression; Yosida goes around the network"
+    if rule is None:
+        return
+    if not rule.is_local:
+        yield "creep.nu", "0: the creep of a branch is local"
+    if rule.flows and rule.reads_conjugate and material.conformation is None:
+        yield (
+            "creep",
+            "a flow rule that reads no conformation tensor, or a material with one (OldroydB, FENEP)",
+        )
+
+
+def _value(branch: Branch, part: str) -> object:
+    value: object = branch
+    for name in part.split("."):
+        value = getattr(value, name)
+    return value

@@ -1,0 +1,213 @@
+"""Networks: branches in parallel, each with tensors, flow rule, hardening and power of its own."""
+
+from itertools import product
+
+import numpy as np
+import pytest
+from flow_rules import EXAMPLES as RULES
+from ngsolve import CF, Integrate, x
+from support import SWIRL, swirling
+
+import ngvisco as nv
+from ngvisco.geometries import box
+from ngvisco.physics.energy_checks import check_convexity
+from ngvisco.physics.materials import Branch, Network
+from ngvisco.physics.tensors import tr
+from ngvisco.physics.variables import Jacobian, LeftCauchyGreen
+
+SPRING = Branch(material=nv.ReferentialNeoHookean(K_e=20.0, G_e=1.0))
+SCHEMES = ("backward-euler", "midpoint", "sdirk2")
+
+
+def network(rule, branches=2):
+    """A branch with the rule; beside it a spring, and a fluid of Oldroyd's with its own law."""
+    others = {
+        "spring": SPRING,
+        "chains": Branch(material=nv.OldroydB(K_e=0.0, G_e=2.0), creep=nv.Creep(G_m=2.0, law="conformation")),
+    }
+    first = Branch(material=nv.ReferentialMooneyRivlin(K_e=20.0, G_e=1.5, G_mr=0.5), creep=rule)
+    return Network(branches={"slow": first} | dict(list(others.items())[: branches - 1]))
+
+
+def simulation(material, dim=2, **options):
+    settings = {"initial": nv.Initial(density=1, velocity=(*SWIRL, CF(0))[:dim]), "dt": 0.05}
+    return swirling(box((1,) * dim, maxh=0.5 if dim == 2 else 2), material=material, **settings | options)
+
+
+ALL = list(product([None, *RULES], (1, 2, 3), ("coupled", "split"), (2, 3), SCHEMES))
+BY_DEFAULT = {(*ALL[0][:1], 2, "split", 2, "midpoint")} | {
+    (rule, 1 + i % 3, ("coupled", "split")[i // 2 % 2], 2 + (i == 4), SCHEMES[i % 3])
+    for i, rule in enumerate(RULES)
+}
+
+
+@pytest.mark.filterwarnings("ignore::ngvisco.DefectWarning")
+@pytest.mark.parametrize(
+    ("rule", "branches", "solver", "dim", "scheme"),
+    [pytest.param(*case, marks=() if case in BY_DEFAULT else pytest.mark.long) for case in ALL],
+)
+def test_ledger_closes_and_every_branch_dissipates(rule, branches, solver, dim, scheme):
+    made = network(None if rule is None else RULES[rule], branches)
+    ledger = simulation(made, dim, solver=solver, scheme=scheme).run(0.1)
+    assert np.abs(ledger.column("closure_relative")).max() <= 1e-10
+    flowing = (["slow"] if rule else []) + (["chains"] if branches == 3 else [])
+    columns = [name for name in ledger.columns if name.startswith("dissipation_creep")]
+    assert columns == [f"dissipation_creep_{name}" for name in flowing]
+    for column in columns:
+        assert ledger.column(column)[1:].min() > 0
+    if flowing:
+        assert ledger.column("creep_power_min")[1:].min() >= -1e-12
+
+
+@pytest.mark.parametrize(
+    ("material", "creep"),
+    [
+        (nv.LinearElastic(K_e=10.0, G_e=5.0), nv.Creep(G_m=2.0)),
+        (nv.ReferentialMooneyRivlin(K_e=10.0, G_e=3.0, G_mr=2.0), RULES["Voce"]),
+        (nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, elastic_state="F"), nv.Norton(A=0.3, n=3)),
+        (nv.FENEP(K_e=10.0, G_e=5.0, b=30.0), nv.Creep(G_m=2.0, law="conformation")),
+        (nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1), None),
+    ],
+    ids=lambda value: type(value).__name__,
+)
+@pytest.mark.parametrize("solver", ["coupled", "split"])
+@pytest.mark.filterwarnings("ignore::ngvisco.DefectWarning")
+def test_one_branch_is_the_material_to_the_bit(material, creep, solver):
+    alone = simulation(material, creep=creep, solver=solver).run(0.1)
+    of_one = simulation(Network(branches={"one": Branch(material=material, creep=creep)}), solver=solver)
+    ledger = of_one.run(0.1)
+    for column in alone.columns:
+        name = column + "_one" if column == "dissipation_creep" else column
+        assert np.array_equal(alone.column(column), ledger.column(name), equal_nan=True), column
+
+
+def test_stresses_and_creep_rates_are_those_of_each_branch_alone():
+    """At the end of a run each branch has the Mandel stress of its own energy at its own tensors."""
+    made = network(nv.Norton(A=0.3, n=3), 3)
+    run = simulation(made, scheme="midpoint")
+    run.run(0.2)
+    mesh, places = run.mesh, [(0.2, 0.3), (0.7, 0.6), (0.4, 0.9)]
+
+    def at(f):
+        return np.array([f(mesh(*place)) for place in places])
+
+    B = at(run.fields["B_slow"]).reshape(-1, 3, 3)
+    N = at(run.fields["N_slow"]).reshape(-1, 3, 3)
+    zeta_B, zeta_N = 1.5 * np.eye(3), 0.5 * np.eye(3)  # of G_e tr B + G_mr tr N
+    M = 2 * (zeta_B @ B) - 2 * (zeta_N @ N)
+    M = M - np.trace(M, axis1=1, axis2=2)[:, None, None] * np.eye(3) / 3
+    found = at(run.fields["mandel_stress_slow"]).reshape(-1, 3, 3)
+    assert np.abs(M).max() > 0.1 and np.allclose(found, M, rtol=1e-9, atol=1e-9)
+    size = np.sqrt((M * M).sum(axis=(1, 2)))[:, None, None]
+    rate = at(run.fields["creep_rate_slow"]).reshape(-1, 3, 3)
+    assert np.allclose(rate, 0.3 * size**2 * M, rtol=1e-6, atol=1e-9)
+    spring = at(run.fields["B_spring"]).reshape(-1, 3, 3)
+    assert np.abs(spring - B).max() > 0.01  # one relaxes, the other does not
+    chains = at(run.fields["B_chains"]).reshape(-1, 3, 3)
+    shear = M + 2 * 1.0 * spring + 2 * 2.0 * chains  # of all branches but for a pressure
+    T = at(run.fields["cauchy_stress"]).reshape(-1, 3, 3)
+    gap = np.abs((T - shear)[:, ~np.eye(3, dtype=bool)]).max()
+    assert gap < 0.01 * np.abs(shear[:, 0, 1]).max()  # conjugates of the chains are projected
+
+
+def test_every_branch_hardens_by_itself():
+    hard = {
+        name: Branch(
+            material=nv.ReferentialNeoHookean(K_e=10.0, G_e=G_e),
+            creep=nv.Perzyna(sigma_Y=0.3, G_m=0.5, H=H),
+        )
+        for name, G_e, H in (("soft", 1.0, 1.0), ("stiff", 3.0, 4.0))
+    }
+    run = simulation(Network(branches=hard), passive=["creep_strain"])
+    ledger = run.run(0.2)
+    assert np.abs(ledger.column("closure_relative")).max() <= 1e-10
+    made = {name: Integrate(run.fields[f"plastic_strain_{name}"], run.mesh) for name in hard}
+    for name, total in made.items():  # in spaces of different orders
+        passive = Integrate(run.fields[f"creep_strain_{name}"], run.mesh)
+        assert total > 1e-2 and abs(passive / total - 1) < 0.05
+    assert abs(made["soft"] / made["stiff"] - 1) > 0.1
+
+
+HEATED = {
+    "heat": lambda made: nv.Thermal(material=made, c=100.0, theta_R=300.0, expansion=1e-3),
+    "damage": lambda made: nv.Damaged(material=made, G_c=0.05, length=0.3),
+    "Yosida": lambda made: nv.Yosida(material=made, eps=1e-3),
+    "a quadratic energy": lambda made: nv.WithQuadratic(material=made, delta=1e-4),
+}
+
+
+@pytest.mark.filterwarnings("ignore::ngvisco.DefectWarning", "ignore::ngvisco.InputWarning")
+@pytest.mark.parametrize("around", HEATED)
+def test_what_wraps_a_material_wraps_a_network(around):
+    made = HEATED[around](network(nv.Creep(G_m=2.0)))
+    run = simulation(made, solver="split")
+    ledger = run.run(0.1)
+    assert np.abs(ledger.column("closure_relative")).max() <= 1e-10
+    assert ledger.column("dissipation_creep_slow")[-1] > 0
+    if around == "heat":
+        assert ledger.column("temperature_min")[-1] > 299
+
+
+def test_moduli_of_branches_may_be_functions_of_the_place():
+    parts = {
+        name: Branch(
+            material=nv.ReferentialNeoHookean(K_e=10.0, G_e=1.0 + a * x), creep=nv.Creep(G_m=1.0 + a * x)
+        )
+        for name, a in (("one", 1.0), ("two", 2.0))
+    }
+    run = simulation(Network(branches=parts))
+    assert {v.name for v in run.model.material.variables} >= {"G_e", "G_e_2", "G_m", "G_m_2"}
+    assert np.abs(run.run(0.1).column("closure_relative")).max() <= 1e-10
+
+
+NEO = nv.ReferentialNeoHookean(K_e=10.0, G_e=5.0)
+WRONG = {
+    "no branches": ({}, "mapping of names"),
+    "a name": ({"a b": SPRING}, "letters, digits"),
+    "no branch": ({"a": NEO}, "nv.Branch object"),
+    "a gradient": (
+        {"a": Branch(material=NEO, creep=nv.Creep(G_m=1.0, nu=1.0))},
+        "creep of a branch is local",
+    ),
+    "no conformation": ({"a": Branch(material=NEO, creep=nv.Creep(G_m=1.0, law="leonov"))}, "conformation"),
+    "branches of branches": ({"a": Branch(material=Network(branches={"b": SPRING}))}, "without branches"),
+    "heat within": ({"a": Branch(material=HEATED["heat"](NEO))}, "without heat and damage"),
+    "no pressure": ({"a": Branch(material=nv.OldroydB(K_e=0.0, G_e=1.0))}, "bears no pressure"),
+    "small and large": ({"a": SPRING, "b": Branch(material=nv.LinearElastic(K_e=1, G_e=1))}, "small strain"),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_what_is_no_network_is_refused(name):
+    branches, said = WRONG[name]
+    with pytest.raises(nv.ParameterError, match=said):
+        Network(branches=branches)
+
+
+def test_a_model_refuses_what_does_not_go_with_a_network():
+    with pytest.raises(nv.ParameterError, match="whose branches have theirs"):
+        nv.Model(material=network(None), creep=nv.Creep(G_m=1.0))
+    with pytest.raises(nv.ParameterError, match=r"LinearElastic\.K_e = 0\.0: expected > 0"):
+        nv.Model(material=nv.LinearElastic(K_e=0.0, G_e=1.0))
+    with pytest.raises(nv.ParameterError, match="> 0 with epsilon"):
+        nv.ReferentialNeoHookean(K_e=0.0, G_e=1.0, epsilon=1.0)
+    with pytest.raises(nv.ParameterError, match="wrap each of them"):
+        nv.PerReferentialVolume(material=network(None))
+    fluid = {"chains": network(None, 3).parts["chains"], "spring": SPRING}
+    with pytest.raises(nv.ParameterError, match="reads no conformation tensor"):
+        nv.Model(material=nv.WithQuadratic(material=Network(branches=fluid), delta=1e-4))
+
+
+def test_a_branch_of_ones_own_that_is_not_convex_is_named():
+    own = nv.CustomMaterial(
+        transported=(LeftCauchyGreen(exponent=-2 / 3), Jacobian()),
+        stored_energy=lambda B, J: 2 * tr(B) - 0.1 * tr(B) * tr(B) + J + 1 / J,
+    )
+    made = Network(branches={"spring": SPRING, "own": Branch(material=own)})
+    assert not check_convexity(made, warn=False).passed
+    assert check_convexity(network(None, 3), warn=False).passed
+    with (
+        pytest.warns(nv.ConvexityWarning, match="^Network: the stored energy is not convex"),
+        pytest.warns(nv.ConvexityWarning, match=r"branches\['own'\].* alone is not convex"),
+    ):
+        simulation(made)
