@@ -29,8 +29,8 @@ MATERIALS["WithQuadratic"] = nv.WithQuadratic(material=CONVEX, delta=0.01)
 class Diffusion:
     """The term alone, of one material on one mesh."""
 
-    def __init__(self, material, mesh, m=1):
-        law = Regularisation(delta_fields=DELTA)
+    def __init__(self, material, mesh, m=1, penalty=4.0):
+        law = Regularisation(delta_fields=DELTA, penalty=penalty)
         model = nv.Model(material=material, regularisation=law)
         self.step = step = Step(mesh, model, nv.Discretisation(m=m))
         self.op = op = Operators(step, step.quadrature.volume_degree // 2)
