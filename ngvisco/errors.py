@@ -102,6 +102,13 @@ class StepError(NgviscoError, RuntimeError):
         super().__init__(message)
 
 
+class NotANumberError(StepError):
+    """A number that a run was to note is none, of a probe, a force or an integral.
+
+    The state is that of the step that has been taken.
+    """
+
+
 class CheckpointError(NgviscoError, RuntimeError):
     """A checkpoint cannot be read, or belongs to another mesh, discretisation or model."""
 

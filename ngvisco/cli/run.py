@@ -46,6 +46,10 @@ class ProgressBar(Progress):
         self._draw(simulation, simulation.ledger.rows[-1])
 
     def step(self, simulation: Simulation, row: dict[str, float]) -> None:
+        self._timed()
+        if self._dear:
+            streams.write(f"\r\x1b[Kstep {simulation.step_number} {self._dear.strip()}\n")
+            self._dear = ""
         self._draw(simulation, row)
 
     def rejected(self, simulation: Simulation, rejection: Rejection) -> None:

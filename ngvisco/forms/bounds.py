@@ -35,11 +35,13 @@ from typing import Any
 import numpy as np
 from ngsolve import CF, L2, CoefficientFunction, GridFunction
 
+from ngvisco.errors import UnknownNameError
 from ngvisco.forms.cell_means import SHARE, CellMeans, Ranges, Stretches, least_of
 from ngvisco.forms.mesh.locating import nearest_wall
 from ngvisco.forms.mesh.quadrature import Sampler
 from ngvisco.forms.system import Step
 from ngvisco.parallel.mesh import number_of
+from ngvisco.physics.material import Material
 from ngvisco.physics.materials.thermal import temperature
 from ngvisco.physics.variables import Values
 
@@ -115,6 +117,7 @@ class Bounds:
         if law is not None and law.rho_max is not None:
             densest = law.rho_max + law.width
             self._densest = densest if sampler.extrema(step.now.rho)[1] < densest else None
+        _check_names(step.model.material, step.now.z_tensors)
         found = self._bounds(step.now.rho, step.now.z_tensors)
         self.names = tuple(name for _, name, _ in found)
         self._variables = tuple(variable for variable, *_ in found)
@@ -133,7 +136,7 @@ class Bounds:
     ) -> list[tuple[str | None, str, CoefficientFunction]]:
         """What is to be positive: of which variable, by what name, and its value."""
         of_rho = {"rho": rho} if self._densest is None else {"rho": rho, OF_CUT_OFF: self._densest - rho}
-        groups = [(None, of_rho), *self.step.model.material.bounds(z).items()]
+        groups = [(None, of_rho), *self.step.model.material.positive(z).items()]
         return [(variable, name, value) for variable, of in groups for name, value in of.items()]
 
     @cached_property
@@ -173,18 +176,34 @@ class Bounds:
         some = self._ranks.any(broken.any())
         return self._worst(found, broken, found.means, is_mean=True) if some else None
 
-    def defect(self) -> str | None:
-        """Why the present state is not admissible, in words: what of rho, J, ... or the
-        temperature is not positive.  The state and what is out of its bounds are ``refused`` then.
+    def defect(self, is_solved: bool = True) -> str | None:
+        """Why the present state is not admissible, in words: what of rho, J, ... or the temperature is not
+        positive, or where there is no number.  The state and what is out of its bounds are ``refused`` then.
+
+        One that ``is_solved`` must have a stored energy.  An extrapolated end of a step may get its energy by
+        being limited: ``lack`` asks for it afterwards.
         """
         violation = self.violation()
         if violation is not None:
             self.refused = violation, self.step.state.vec.FV().NumPy().copy()
             return str(violation)
         theta = temperature(self.step.model.material, self.step.now.zeta_tensors)
-        if theta is None or (least := self.sampler.extrema(theta)[0]) > 0:
-            return None
-        return f"the temperature is {least:.4g} K somewhere, and not positive"
+        if theta is not None and not (least := self.sampler.extrema(theta)[0]) > 0:
+            return f"the temperature is {least:.4g} K somewhere, and not positive"
+        return self.lack() if is_solved else None
+
+    def lack(self) -> str | None:
+        """Where the present state, or its stored energy, is no number, in words; None where all are numbers.
+
+        The density and the variables are looked at as the energy is: what is no number has none.
+        """
+        where = self.step.without_energy()
+        if self._ranks.any(len(where) > 0):
+            return f"the stored energy is no number {self.sampler.place_of_cells(where)}"
+        state, ranges = self.step.state.vec.FV().NumPy(), self.step.layout.ranges
+        bad = [name for name, block in ranges.items() if not np.isfinite(state[block]).all()]
+        bad = [name for names in self._ranks.gathered(bad) for name in names]
+        return f"the unknown {bad[0]!r} of the state is no number somewhere" if bad else None
 
     def cells_outside(self) -> np.ndarray:
         """Numbers of the cells of the present state that are out of bounds at a point."""
@@ -326,6 +345,15 @@ class Bounds:
             cells=0,
         )
         return worst, float(self.step.context.h.vec[cell])
+
+
+def _check_names(material: Material, z: Values) -> None:
+    """Raise UnknownNameError where what must be positive is said of a variable that the material has not."""
+    known = [variable.name for variable in material.variables]
+    for name in material.positive(z):
+        if name and name not in known:
+            owner = type(material).__name__
+            raise UnknownNameError(f"variable of {owner}.positive ('' where it is of several)", name, known)
 
 
 def _or_least(values: Any) -> Any:

@@ -40,6 +40,12 @@ class StoredEnergy:
     def __init__(self, material: Material, dim: int) -> None:
         self.material, self.dim = material, dim
 
+    def lacked(self, u: Fields) -> None:
+        """Note as ``last_failure`` that an iterate had no energy, with the bounds of its domain."""
+        bounds = " and ".join(f"{name} > 0" for name in self.material.domain(u.z_tensors))
+        domain = f", which it has for {bounds} alone" if bounds else ""
+        self.last_failure = f"the stored energy of an iterate was no number{domain}"
+
     def density(self, u: Fields) -> CoefficientFunction:
         """phi(z), Pa, for integrals by the rule of the forms."""
         return self.material.energy(u.z_tensors)

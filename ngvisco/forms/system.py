@@ -27,7 +27,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -279,6 +279,19 @@ class Step:
         values = {name: state[ranges[name]].copy() for name in self.layout.evolving}
         return Evolved(values, self._momentum.vec.FV().NumPy().copy())
 
+    @cached_property
+    def _energy(self) -> CoefficientFunction:
+        return self.energy.density(self.now).Compile()
+
+    def without_energy(self) -> np.ndarray:
+        """Numbers of this rank's cells that have a point of the rule without a stored energy.
+
+        An energy that is kept at the quadrature points says so itself (``StoredEnergy.failure``).
+        """
+        if self.energy.projected is not None:
+            return np.zeros(0, dtype=int)
+        return np.flatnonzero(~np.isfinite(self.quadrature.each_cell(self._energy)))
+
     def freeze(self) -> None:
         """Let the other variables' conjugates see the lagged ones at the present state."""
         if self.lagged is not None:
@@ -351,3 +364,12 @@ class EntryIntegrals:
         for name, integrand in self._facets.items():
             values[name] = values.get(name, 0.0) + self.step.quadrature.integrate_facets(integrand)
         return values | {name: evaluate() for name, evaluate in self._evaluated.items()}
+
+    def cells_without(self, name: str) -> np.ndarray:
+        """Numbers of this rank's cells in which an entry's integrand is no number; none where all of its
+        integrals over cells are."""
+        for names, together, _ in self._in_cells:
+            if name in names:
+                part = together[names.index(name)]
+                return np.flatnonzero(~np.isfinite(self.step.quadrature.each_cell(part)))
+        return np.zeros(0, dtype=int)

@@ -10,6 +10,7 @@ from collections.abc import Collection
 from ngsolve import Cof, log, sqrt
 
 from ngvisco.physics.material import Material
+from ngvisco.physics.materials.hyperelastic import IsotropicElastic
 from ngvisco.physics.tensors import Tensor, square
 from ngvisco.physics.variables import (
     Cofactor,
@@ -61,3 +62,22 @@ def relative_defects(material: Material, z: Values, traced: Collection[str] = ()
                 gap = sqrt(square(z[name] - scale * cofactor) / square(z[name]))
                 found[f"{name} and Cof {partner}"] = gap
     return found
+
+
+def remedy(material: Material) -> str:
+    """What keeps the variables of a material together, in words."""
+    better = "shorter steps and a finer mesh"
+    if not any(v.frame == "relaxed" for v in material.variables):
+        return better
+    if isinstance(material, IsotropicElastic):
+        return f'elastic_state="B" where the body flows, in which nothing winds up, or {better}'
+    return f"variables by B = F F^T where the body flows and the energy is isotropic, or {better}"
+
+
+def parted(material: Material, pair: str, rms: float, largest: float) -> str:
+    """What a run says of a ``pair`` that differs by so much, relatively."""
+    return (
+        f"{pair} differ by {rms:.1%} in the mean square, {largest:.1%} at most: the variables no longer "
+        "belong to one distortion, and the stress is wrong by as much, though the ledger closes; the remedy "
+        f"is {remedy(material)}"
+    )

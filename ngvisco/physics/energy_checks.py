@@ -16,7 +16,7 @@ are cited first: a violation elsewhere matters only as far as the discrete varia
 """
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,6 +35,7 @@ from ngvisco.physics.materials.wrapped import Carrying
 from ngvisco.physics.pointwise import Respond, energies_at, evaluated, respond, rest_state, states_of
 from ngvisco.physics.signals import one_value, reads_time, sampled
 from ngvisco.physics.tensors import constant
+from ngvisco.physics.variables import Values
 
 _OTHERS = {
     ("coordinate",): "the position",
@@ -47,6 +48,8 @@ _OTHERS = {
     ("ProxyFunction",): "a trial or test function",
 }
 """What NGSolve calls the leaves of an expression, and what they are."""
+_PAIRINGS = 8
+"""Partners that each sampled state gets where a set of states is asked to be convex."""
 
 
 def check_energy(material: Material) -> None:
@@ -55,15 +58,76 @@ def check_energy(material: Material) -> None:
     if isinstance(inner, Material) and not isinstance(material, Carrying):
         check_energy(inner)  # a wrapper's energy is made of that of another material
         return
-    names = ", ".join(v.name for v in material.variables)
+    phi, slopes = _of_state(material, *_given(material), material.energy)
+    if max(slopes) <= 1e-14 * max(np.abs(sampled(phi))):  # but for what rounding leaves of sums that vanish
+        expected = (
+            f"an energy that changes with {_names(material)}: this one is a constant, without any stress"
+        )
+        raise ParameterError(*_given(material), expected)
+
+
+def check_bound(material: Material, field: str, function: Callable[..., CoefficientFunction]) -> None:
+    """Raise ParameterError unless a bound of an energy is what a bound is.
+
+    It is a scalar function of the variables' values alone, the same for all observers, positive at rest, and
+    positive on a convex set of states.
+
+    Parameters
+    ----------
+    field : str
+        What messages call the bound.
+    function : callable
+        Takes the variables' values by name; the energy has a value where it is > 0.
+    """
+    _of_state(material, field, function, lambda z: function(**z))
+    sampling = _sampling("check_bound", material, 3, 0.4, 0)
+
+    def at(states: np.ndarray) -> np.ndarray:
+        tensors = sampling.space.tensors
+        return evaluated(lambda c: function(**tensors(lambda: c)), states)[:, 0]
+
+    rest, states = rest_state(material, 3), sampling.changed(sampling.fitting())
+    if not (found := float(at(rest[None])[0])) > 0:
+        raise ParameterError(field, function, f"a function that is positive at rest, where it is {found:.4g}")
+    Q = np.linalg.qr(sampling._rng.standard_normal((3, 3)))[0]
+    Q[:, 0] *= np.linalg.det(Q)
+    if not np.allclose(at(_turned(material, 3, Q, states)), at(states), rtol=1e-8, equal_nan=True):
+        raise ParameterError(field, function, "a function that no rotation of the observer changes")
+    # near the rest too, where all bounds have states that keep them
+    states = np.concatenate([states, *(rest + share * (states - rest) for share in (0.3, 0.1, 0.03))])
+    inside = states[at(states) > 0]
+    for shift in range(1, _PAIRINGS + 1):
+        middle = 0.5 * (inside + np.roll(inside, shift, axis=0))
+        outside = np.flatnonzero(~(at(middle) > 0))
+        if len(outside):
+            point = _text(sampling.named(middle[outside[0]]), " = ")
+            expected = (
+                "a function whose positive states make a convex set, as of one that is concave: it is not "
+                f"positive at {point}, half way between two where it is"
+            )
+            raise ParameterError(field, function, expected)
+
+
+def _names(material: Material) -> str:
+    return ", ".join(v.name for v in material.variables)
+
+
+def _of_state(
+    material: Material, field: str, given: object, function: Callable[[Values], CoefficientFunction]
+) -> tuple[CoefficientFunction, list[float]]:
+    """A function at a state without symmetries, and the sizes of its derivatives there.
+
+    Raises ParameterError unless it is a real scalar of the variables' values alone.
+    """
+    names = _names(material)
 
     def refusal(what: str) -> ParameterError:
-        return ParameterError(*_given(material), what)
+        return ParameterError(field, given, what)
 
-    F = CF((1.2, 0.1, 0, -0.2, 0.9, 0, 0, 0, 1.05), dims=(3, 3))  # a state without symmetries
+    F = CF((1.2, 0.1, 0, -0.2, 0.9, 0, 0, 0, 1.05), dims=(3, 3))
     z = {v.name: v.from_distortion(F).MakeVariable() for v in material.variables}
     try:
-        phi = material.energy(z)
+        phi = function(z)
     except NgviscoError:
         raise
     except Exception as error:  # whatever a function of the user raises
@@ -79,11 +143,9 @@ def check_energy(material: Material) -> None:
         read.append("the time")
     if read:
         raise refusal(f"a function of {names} alone; it reads {read[0]}")
-    slopes = [abs(part) for value in z.values() for part in np.ravel(sampled(phi.Diff(value)))]
-    if max(slopes) <= 1e-14 * max(np.abs(sampled(phi))):  # but for what rounding leaves of sums that vanish
-        raise refusal(f"an energy that changes with {names}: this one is a constant, without any stress")
     if not one_value(sampled(phi)):
         raise refusal(f"a function of {names} alone; it differs from place to place at one state")
+    return phi, [abs(part) for value in z.values() for part in np.ravel(sampled(phi.Diff(value)))]
 
 
 def _given(material: Material) -> tuple[str, object]:

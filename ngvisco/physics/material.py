@@ -192,10 +192,23 @@ class Material(ABC):
         """
         return frozenset()
 
-    def bounds(self, z: Values) -> dict[str, Values]:
-        """What must be > 0 of a state: of each variable that is not ``continued``, by its name."""
+    def domain(self, z: Values) -> Values:
+        """Scalars that are > 0 where the energy has a value, by what they are; none (the rule) beyond those
+        of the variables.
+
+        The set where all are positive is convex, as where each is concave in z: between a state in it and the
+        mean of a cell, which is in it too, there are states of it alone.
+        """
+        return {}
+
+    def positive(self, z: Values) -> dict[str, Values]:
+        """What must be > 0 of a state: of each variable that is not ``continued``, by its name; of several
+        variables together, by "".
+        """
         kept = (v for v in self.variables if v.name not in self.continued)
-        return {v.name: v.positive(z[v.name]) for v in kept}
+        found = {v.name: v.positive(z[v.name]) for v in kept}
+        domain = self.domain(z)
+        return found | {"": domain} if domain else found
 
     @property
     def where_means_do(self) -> frozenset[str]:
@@ -386,3 +399,6 @@ class Wrapper(Material):
     @property
     def continued(self) -> frozenset[str]:
         return self.material.continued
+
+    def domain(self, z: Values) -> Values:
+        return self.material.domain({v.name: z[v.name] for v in self.material.variables})

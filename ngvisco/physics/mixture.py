@@ -169,7 +169,7 @@ class Mixture(Material):
         of_heat = {name: each.stiffness for name, each in parts.items()}
         return {name: psi.stiffness + of_heat.get(name, 0.0) for name, psi in self.energies.items()}
 
-    def bounds(self, z: Values) -> dict[str, Values]:
+    def positive(self, z: Values) -> dict[str, Values]:
         """What must be > 0: N; sum n_i/U_i'' at rest where these differ, or there is no common pressure; sum
         n_i c_i; and n_i, but for half of what f_i or phi_h adds to it, where one is not linear or hardens."""
         n, total = self.amounts(z), self.fractions.total(z)

@@ -154,7 +154,16 @@ Both: TypeAlias = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 def array_slope(material: Material, dim: int) -> Callable[[np.ndarray], np.ndarray] | None:
     """phi'(z) for components z (n, points), by arrays; None where the energy does not allow for them."""
     both = energy_and_slope(material, dim)
-    return None if both is None else lambda z: both(z)[1]
+    return None if both is None else lambda z: where_energy_is(*both(z))
+
+
+def where_energy_is(energy: np.ndarray, slope: np.ndarray) -> np.ndarray:
+    """The slope, (n, points), changed to NaN where the energy, (points,), is no number.
+
+    A logarithm's derivative goes on beyond its pole: an iterate that has passed one is told by this.
+    """
+    slope[:, ~np.isfinite(energy)] = np.nan
+    return slope
 
 
 def energy_and_slope(material: Material, dim: int) -> Both | None:

@@ -11,7 +11,7 @@ from ngvisco.forms.mesh.points import CellPoints
 from ngvisco.forms.system import Step
 from ngvisco.physics.arrays import slope_along
 from ngvisco.physics.material import conjugates
-from ngvisco.physics.pointwise import array_slope, respond
+from ngvisco.physics.pointwise import array_slope, respond, where_energy_is
 
 
 class PointwiseSlope:
@@ -31,11 +31,11 @@ class PointwiseSlope:
             self.arrays = None
             return
         self.arrays, self.is_checked = array_slope(material, dim), False
-        self.at, self.slope = points.function(self.components), points.function(self.components)
-        expression = states.components(conjugates(material, states.tensors(lambda: self.at)))
-        if self.components == 1:
-            expression = CF((expression[0], 0.0))
-        self.expression: CoefficientFunction = expression.Compile()
+        self.at, self.slope = points.function(self.components), points.function(self.components + 1)
+        z = states.tensors(lambda: self.at)
+        slope = states.components(conjugates(material, z))
+        both = CF((*(slope[i] for i in range(self.components)), material.energy(z)))
+        self.expression: CoefficientFunction = both.Compile()
 
     def __call__(self, z_values: np.ndarray) -> np.ndarray:
         """phi'(z), (n, points), for z at the points, (n, points), real or with a tiny imaginary part."""
@@ -108,4 +108,5 @@ class PointwiseSlope:
     def _by_expression(self, z_values: np.ndarray) -> np.ndarray:
         self.points.read(self.at, self.components)[:] = z_values
         self.slope.Interpolate(self.expression)
-        return self.points.read(self.slope, self.components).copy()
+        *slope, energy = self.points.read(self.slope, self.components + 1).copy()
+        return where_energy_is(energy, np.array(slope))

@@ -171,6 +171,9 @@ def _advice(simulation: Simulation, violation: Violation | None, courant: float,
         return [*lines, "more viscosity, or a start, walls and loads that change over several steps"]
     near = "there" if violation.wall is None else f"near {violation.wall!r}"
     lines.append(f"a finer mesh {near}, or data that are smooth there (walls that meet with one velocity)")
+    domain = model.material.domain(simulation.rothe_step.now.z_tensors)
+    if violation.quantity in domain:
+        return [*lines, f"an energy that has values further than {violation.quantity} > 0, or less load"]
     if violation.quantity != "rho":
         lines.append("an energy that rises faster as the volume goes to zero (material.epsilon, kappa)")
         lines.append("material.J_min or a Yosida approximation, with which a run may pass J = 0")

@@ -20,17 +20,16 @@ from typing import Any
 import numpy as np
 from ngsolve import CF, Det, sqrt
 
-from ngvisco.errors import NgviscoWarning, ParameterError, UnknownNameError
+from ngvisco.errors import InitialDataError, NgviscoWarning, ParameterError, StepError, UnknownNameError
 from ngvisco.forms.distance import ENERGIES, NUMERICAL, energies
 from ngvisco.forms.mesh.quadrature import Sampler
 from ngvisco.forms.system import EntryIntegrals, Step
 from ngvisco.forms.term import PRODUCTION, Entry, Integrand, Kind
-from ngvisco.physics.defects import relative_defects
-from ngvisco.physics.materials.hyperelastic import IsotropicElastic
+from ngvisco.physics.defects import parted, relative_defects
 from ngvisco.physics.materials.thermal import entropy_in, temperature
 from ngvisco.physics.mixture import Mixture
 from ngvisco.physics.tensors import if_positive, square
-from ngvisco.physics.variables import Distortion, Jacobian, ReciprocalJacobian
+from ngvisco.physics.variables import Distortion, Jacobian, ReciprocalJacobian, Values
 from ngvisco.run.notebook import data_frame, ledger_html
 from ngvisco.timestepping.integrator import LIMITER, LIMITER_WALLS, StepTaken
 
@@ -211,6 +210,9 @@ class Ledger:
         """Row 0: the initial state, with no exchange."""
         self.step.energy.require()
         values = self.state()
+        for name, value in values.items():
+            if not math.isfinite(value):
+                raise InitialDataError(name, value, "a number: the state has none there")
         energy = energy_of(values)
         self.balance = Balance(energy, values["mass"], values["mass"])
         row = self._idle() | values | dict.fromkeys(("dt", "closure", "closure_relative", "mass_drift"), 0.0)
@@ -230,9 +232,21 @@ class Ledger:
         self._first = len(rows) if self._earlier else 0
 
     def rates(self) -> dict[str, float]:
-        """Dissipations and powers at the present state, W, by columns."""
+        """Dissipations and powers at the present state, W, by columns.
+
+        Raises StepError for one that is no number, with its place.
+        """
         self.step.energy.require()
-        return self._rates()
+        return self._numbers(self._rates)
+
+    def _numbers(self, integrals: EntryIntegrals) -> dict[str, float]:
+        """Integrals at the present state; raises StepError for the first that is no number."""
+        values = integrals()
+        for name, value in values.items():
+            if not math.isfinite(value):
+                place = self.sampler.place_of_cells(integrals.cells_without(name))
+                raise StepError(f"{name} is {value}, {place}: take a smaller step or a finer mesh")
+        return values
 
     def energy(self) -> float:
         """Kinetic plus stored energy at the present state, J."""
@@ -264,12 +278,13 @@ class Ledger:
     ) -> dict[str, float]:
         """The row of the step ``taken`` to the present state, which is that of ``time``, s.
 
-        ``error`` is the estimate of the step's relative error, None where there is none.
+        ``error`` is the estimate of the step's relative error, None where there is none.  Raises StepError
+        for a column that is no number and has to be one; the row is not taken then.
         """
         assert self.balance is not None
         tau = taken.tau
         self.step.energy.require()
-        values = self._idle() | self._pending | self.state() | taken.rates | taken.numerical
+        values = self._idle() | self._pending | self._numbers(self.state) | taken.rates | taken.numerical
         energy = energy_of(values)
         dissipated, worked, remainder, inflow = (
             sum(values[entry.name] for entry in self.entries if entry.kind == kind)
@@ -290,6 +305,9 @@ class Ledger:
             **{"limited_cells": taken.limited, "error_estimate": math.nan if error is None else error},
             **self._measured(tau, time),
         }
+        for name in self.columns:
+            if name not in self._optional and not math.isfinite(row[name]):
+                raise StepError(f"the ledger's column {name} is {row[name]} at t = {time:g} s")
         self._check_entropy(row)
         self._pending = {}
         self.balance = Balance(energy, values["mass"], expected)
@@ -349,6 +367,7 @@ class Ledger:
         """What is looked at besides the integrals of entries: at points, and squares of defects in cells."""
         u, material = self.step.now, self.step.model.material
         J, F = None, None
+        self._shares: Values = {}
         for variable in material.variables:
             value = u.z_tensors[variable.name]
             if isinstance(variable, Jacobian):
@@ -358,13 +377,19 @@ class Ledger:
             elif isinstance(variable, Distortion) and variable.exponent == 0:
                 F = value
         if isinstance(material, Mixture):
-            J = 1 / material.fractions.total(u.z_tensors)
+            J, self._shares = 1 / material.fractions.total(u.z_tensors), material.fractions.at(u.z_tensors)
         self._has_both = F is not None and J is not None
+        self._optional = {"error_estimate"} | ({"J_defect"} if not self._has_both else set())
+        """Columns that are NaN where there is nothing to say."""
+        if J is None and F is None:
+            self._optional.add("J_min")
         gap = J - Det(F) if self._has_both else CF(0.0)
         if J is None:
             J = CF(math.nan) if F is None else Det(F)
         traced = [name for flow in self.step.model.flows if flow.rule.has_trace for name in flow.names]
         self._defects = relative_defects(material, u.z_tensors, traced)
+        if not self._defects:
+            self._optional |= {"defect_rms", "defect_max"}
         defects = self._defects.values()
         self._squares = CF((1.0, gap * gap, *(defect * defect for defect in defects))).Compile()
         speed = sqrt(square(u.v))
@@ -392,9 +417,10 @@ class Ledger:
         ranks = self.sampler.ranks
         least, largest = ranks.least(power), ranks.most(abs(power))
         if least < -_ROUNDING * largest and CreepPowerWarning not in self._warned:
+            where = self.sampler.largest_in_words(-power, self._shares)
             message = (
                 f"at t = {time:.4g} s creep gives energy, M : Pi = {least:.3g} W/m^3, most "
-                f"{self._place_of_largest(-power)}: its flow rule is none, though the ledger closes"
+                f"{where}: its flow rule is none, though the ledger closes"
             )
             self._warn_once(message, CreepPowerWarning)
 
@@ -409,41 +435,13 @@ class Ledger:
         rms = np.sqrt(squares)
         worst = int(np.argmax(rms))
         if rms[worst] >= _DEFECT and DefectWarning not in self._warned:
-            where, pair = self._place_of_largest(abs(values[worst])), list(self._defects)[worst]
-            message = _winding_message(pair, rms[worst], largest[worst], self.step)
+            where = self.sampler.largest_in_words(abs(values[worst]), self._shares)
+            pair = list(self._defects)[worst]
+            message = parted(self.step.model.material, pair, rms[worst], largest[worst])
             self._warn_once(f"at t = {time:.4g} s, most {where}: {message}", DefectWarning)
         return float(rms.max()), float(largest.max())
-
-    def _place_of_largest(self, sizes: np.ndarray) -> str:
-        """Where a number at this rank's points is largest over all ranks, and in which body, in words."""
-        material, mine = self.step.model.material, None
-        bodies: list[str] = []
-        if isinstance(material, Mixture):
-            shares = material.fractions.at(self.step.now.z_tensors)
-            theta = self.sampler.rows(CF(tuple(shares.values())))
-            bodies = [list(shares)[number] for number in theta.argmax(axis=1)]
-        if len(sizes):
-            at = int(np.argmax(sizes))
-            place = ", ".join(f"{c:.4g}" for c in self.sampler.coordinates(np.array([at]))[0])
-            mine = (float(sizes[at]), f"at ({place}) m" + (f" in body {bodies[at]!r}" if bodies else ""))
-        return max(one for one in self.sampler.ranks.gathered(mine) if one is not None)[1]
 
 
 def energy_of(values: Mapping[str, float]) -> float:
     """Kinetic plus stored energy of a row, J."""
     return sum(values[name] for name in ENERGIES)
-
-
-def _winding_message(pair: str, rms: float, largest: float, step: Step) -> str:
-    material = step.model.material
-    winds = any(v.frame == "relaxed" for v in material.variables)
-    remedy = "shorter steps and a finer mesh"
-    if winds and isinstance(material, IsotropicElastic):
-        remedy = f'elastic_state="B" where the body flows, in which nothing winds up, or {remedy}'
-    elif winds:
-        remedy = f"variables by B = F F^T where the body flows and the energy is isotropic, or {remedy}"
-    return (
-        f"{pair} differ by {rms:.1%} in the mean square, {largest:.1%} at most: the variables no longer "
-        "belong to one distortion, and the stress is wrong by as much, though the ledger closes; the remedy "
-        f"is {remedy}"
-    )

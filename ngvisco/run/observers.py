@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import re
+import statistics
 import sys
 import time as clock
 from collections.abc import Sequence
@@ -32,9 +34,16 @@ if TYPE_CHECKING:
     from ngvisco.run.stepping import Rejection
 
 
+DEAR = 10.0
+"""Seconds of a step over the median of those before it, from which on a progress line says them."""
+_STEPS_BEFORE, _NOTICED = 5, 0.1
+"""Steps that make a median, and seconds that are said at least."""
+
+
 class Progress:
     """A line a step: time, energy, closure, Newton iterations, time to go.
 
+    A step that took ten times as long as the median of those before it is said to have.
     Raises ParameterError if a parameter is out of its range.
 
     Parameters
@@ -57,6 +66,16 @@ class Progress:
 
     def _set_out(self, simulation: Simulation) -> None:
         self._began, self._from = clock.perf_counter(), simulation.t
+        self._lap, self._costs, self._dear = self._began, list[float](), ""
+
+    def _timed(self) -> None:
+        """Note the seconds since the last step's end, and say so where they are many."""
+        now = clock.perf_counter()
+        cost, self._lap = now - self._lap, now
+        usual = statistics.median(self._costs) if len(self._costs) >= _STEPS_BEFORE else math.inf
+        self._costs.append(cost)
+        if cost > DEAR * usual and cost > _NOTICED:
+            self._dear = f"took {cost:.3g} s, {cost / usual:.0f} times the median  "
 
     def _left(self, simulation: Simulation) -> str:
         """The time to go, "" before the first step."""
@@ -82,13 +101,15 @@ class Progress:
         self._last = line
 
     def step(self, simulation: Simulation, row: dict[str, float]) -> None:
+        self._timed()
         if not (simulation.is_due(self.every) or self._is_at_end(simulation)):
             return
+        dear, self._dear = self._dear, ""
         self._print(
             f"step {simulation.step_number:5d}{self._total}  t {row['time']:.4g} s  "
             f"kinetic {row['kinetic']:.4e}  stored {row['stored']:.6e} J  "
             f"closure {row['closure_relative']:+.0e}  Newton {row['newton_iterations']:2.0f}  "
-            f"{limited_in_words(row)}{self._left(simulation)}"
+            f"{limited_in_words(row)}{dear}{self._left(simulation)}"
         )
 
     def rejected(self, simulation: Simulation, rejection: Rejection) -> None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from ngsolve import CF, CoefficientFunction, x, y, z
 
-from ngvisco.errors import InputWarning, ParameterError, as_integer, require_collection, require_some_names
+from ngvisco.errors import ParameterError, as_integer, require_collection, require_some_names
 from ngvisco.expressions import parse
 from ngvisco.forms.boundary.reactions import WallReactions
 from ngvisco.forms.mesh.locating import Located, as_points
@@ -116,6 +116,9 @@ class LineSamples(Series):
         self._values, columns = _stacked(simulation, self.fields)
         return ["s", *"xyz"[: mesh.dim], *columns]
 
+    def _said(self, column: str, row: list[float]) -> str:
+        return f"{column!r} at s = {row[2]:.4g} m"
+
     def _sample(self, simulation: Simulation) -> Any:
         return np.hstack([self._place, self._at.values(self._values)])
 
@@ -200,7 +203,8 @@ class Integrals(Series):
 
     The quadrature is that of the forms and the ledger: the integral of ``"density"`` is the ledger's mass.
     In plane strain integrals are per metre of thickness.
-    A run raises ParameterError for one that is not finite at its start, and warns of one that is not later.
+    A run raises ParameterError for one that is not finite at its start, and NotANumberError for one that is
+    not finite later.
     """
 
     def __init__(
@@ -229,7 +233,6 @@ class Integrals(Series):
             if not np.isfinite(value):
                 expected = f"an integrand that is finite; at t = {simulation.t:g} s its integral is {value}"
                 raise ParameterError(f"Integrals.integrands[{name!r}]", self.integrands[name], expected)
-        self._said = set[str]()
         return list(self.integrands)
 
     def _totals(self, simulation: Simulation) -> np.ndarray:
@@ -237,15 +240,7 @@ class Integrals(Series):
         return np.asarray(total, dtype=float).reshape(-1)
 
     def _sample(self, simulation: Simulation) -> Any:
-        totals = self._totals(simulation)
-        for name, value in zip(self.integrands, totals, strict=True):
-            if not np.isfinite(value) and name not in self._said:
-                self._said.add(name)
-                message = (
-                    f"integral {name!r}: it is {value} at t = {simulation.t:g} s, and is written as such"
-                )
-                simulation.ranks.warn(message, InputWarning, stacklevel=6)
-        return [totals]
+        return [self._totals(simulation)]
 
 
 def _one_point(name: str, value: Any, dim: int) -> np.ndarray:
@@ -319,6 +314,9 @@ class Bodies(Series):
     def unit(self, column: str) -> str:
         """SI unit of a column (per metre of thickness in plane strain)."""
         return self._units.get(column) or super().unit(column)
+
+    def may_be_nan(self, column: str) -> bool:
+        return self.unit(column) == "m"
 
     def _sample(self, simulation: Simulation) -> Any:
         dim = simulation.mesh.dim

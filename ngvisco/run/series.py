@@ -7,6 +7,7 @@ when it stopped, so that the file is that of an uninterrupted run.
 from __future__ import annotations
 
 import csv
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ngvisco.errors import CheckpointError, UnknownNameError, require_count, require_file
+from ngvisco.errors import CheckpointError, NotANumberError, UnknownNameError, require_count, require_file
 from ngvisco.run.files import AnyPath, append, csv_text, write_atomically
 
 if TYPE_CHECKING:
@@ -27,6 +28,8 @@ class Series(ABC):
     A subclass gives ``prepare``, which checks its input against the simulation and returns the columns
     after ``step`` and ``time``, and ``_sample``, which returns rows of them at the present state.  Over ranks
     all call both together and get the same; the first one writes the file.
+
+    A number that is none ends the run with a NotANumberError, which has the column and the time.
 
     Attributes
     ----------
@@ -70,6 +73,10 @@ class Series(ABC):
             raise UnknownNameError("column", name, self.columns)
         return np.array([row[self.columns.index(name)] for row in self.rows])
 
+    def may_be_nan(self, column: str) -> bool:
+        """Whether a column has no value where there is nothing to measure; by default none is so."""
+        return False
+
     def start(self, simulation: Simulation) -> None:
         self.columns = ["step", "time", *self.prepare(simulation)]
         earlier, path, ranks = self.rows, self.path, simulation.ranks
@@ -106,7 +113,16 @@ class Series(ABC):
     def _note(self, simulation: Simulation) -> None:
         time = [simulation.number, simulation.t]
         rows = [[*time, *(float(value) + 0.0 for value in row)] for row in self._sample(simulation)]
+        for row in rows:
+            for column, value in zip(self.columns, row, strict=True):
+                if not math.isfinite(value) and not (math.isnan(value) and self.may_be_nan(column)):
+                    said = f"{type(self).__name__}: {self._said(column, row)} is {value}"
+                    raise NotANumberError(f"{said} at t = {simulation.t:g} s, and has to be a number")
         self._add(rows, simulation)
+
+    def _said(self, column: str, row: list[float]) -> str:
+        """What messages call a column of a row."""
+        return repr(column)
 
     def _add(self, rows: list[list[float]], simulation: Simulation) -> None:
         self.rows += rows

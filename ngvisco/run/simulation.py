@@ -317,8 +317,10 @@ class Simulation:
                 raise
             try:
                 row = self.ledger.record(number, step.time, step.taken, step.rejections, step.error)
-            except BaseException:  # an interrupt, or a warning that is an error: no step without its row
+            except BaseException as error:  # an interrupt, or a warning that is an error: no step without row
                 self.integrator.undo()
+                if isinstance(error, StepError):
+                    error.report = failure_report(self, error)
                 raise
             self.integrator.accept()
             self.solver.accept()

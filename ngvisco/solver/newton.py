@@ -129,6 +129,9 @@ class Newton:
         Of the form's space, where it may be distributed.
     stresses : Stresses, optional
         What flow rules are linearised at, unknowns beside those of the state.
+    has_energy : callable, optional
+        Says whether the state has a stored energy.  An iterate without one is as one without a residual: a
+        logarithm's derivative goes on beyond its pole.
     """
 
     def __init__(
@@ -141,7 +144,9 @@ class Newton:
         refresh: Callable[[], None] = lambda: None,
         exchange: Exchange | None = None,
         stresses: Stresses | None = None,
+        has_energy: Callable[[], bool] = lambda: True,
     ) -> None:
+        self.has_energy = has_energy
         self.form, self.state, self.norm, self.options = form, state, norm, options
         self.eliminate, self.refresh, self.stresses = eliminate, refresh, stresses
         self.exchange = exchange or Exchange.of(form.space, Communicator())
@@ -206,7 +211,7 @@ class Newton:
             size = self.norm(self._increment, self._base, u)
             next_size = contraction = np.inf
             renewed = False
-            if self._is_finite(self._trial_residual):
+            if self._is_finite(self._trial_residual) and self.has_energy():
                 next_size, contraction = self._following(size)
                 # where points have begun or ceased to yield the next increment is a matter of their slopes
                 renewed = bool(self.stresses) and not contraction <= 1 - damping / 4

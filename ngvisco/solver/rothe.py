@@ -51,8 +51,8 @@ class RotheSolver:
     step : Step
     options : NewtonOptions
     defect : callable, optional
-        Says what is wrong with a solution (rho <= 0, J <= 0), or None if nothing is.  The equations of a long
-        step have solutions of negative density too; they are not accepted.
+        Says what is wrong with a solution (rho <= 0, J <= 0, no number), or None if nothing is.  The
+        equations of a long step have solutions of negative density too; they are not accepted.
     """
 
     def __init__(
@@ -75,6 +75,8 @@ class RotheSolver:
         self._stresses: dict[str, np.ndarray] = {}
         """Those that flow rules are linearised at, at the last factorisation."""
         self._start = step.state.vec.CreateVector()
+        self._met: list[str] = []
+        """Why energies of a step's iterates were no numbers, of all attempts."""
         self.extrapolation = Extrapolation(step)
         self.sides = Sides(step, self.h_min)
 
@@ -122,13 +124,19 @@ class RotheSolver:
             found = Split(step, norm, options, self.exchange)
             reason = found.preconditioner.without_multigrid
         else:
-            more = eliminate.refresh, self.exchange, step.stresses
+            more = eliminate.refresh, self.exchange, step.stresses, self._has_energy
             found = Newton(step.residual, step.state.vec, norm, eliminate, options, *more)
             reason = "the coupled solver, which takes the steps, factorises all unknowns"
         if options.coarse != "direct" and reason is not None:
             message = f"coarse = {options.coarse!r} of the solver has no effect: {reason}"
             self.ranks.warn(message, InputWarning, stacklevel=5)
         return found
+
+    def _has_energy(self) -> bool:
+        if self.ranks.any(len(self.step.without_energy()) > 0):
+            self.step.energy.lacked(self.step.now)
+            return False
+        return True
 
     def problem(self, interval: Interval) -> RotheProblem:
         """The problem of a step over the interval."""
@@ -160,6 +168,7 @@ class RotheSolver:
         if self.extrapolation.is_empty:
             self.extrapolation.keep(interval.begin)
         attempts: list[Attempt] = []
+        self._met = []
         try:
             for name, guess in self._guesses(interval):
                 attempts.append(Attempt(name, self._attempt(interval, guess, name == _DAMPED)))
@@ -169,7 +178,9 @@ class RotheSolver:
             else:
                 if self.method == "split" or not self._grows(interval, attempts):
                     failed = [attempt.solution for attempt in attempts if not attempt.solution.converged]
-                    raise StepError(failed[-1].reason, attempts)  # shorter steps may have been solved
+                    reason = failed[-1].reason  # shorter steps may have been solved
+                    others = dict.fromkeys(note for note in self._met if note not in reason)
+                    raise StepError("; ".join([reason, *others]), attempts)
         except BaseException:  # also an interrupt: never leave an iterate behind
             self.return_to(self._start)
             raise
@@ -295,6 +306,7 @@ class RotheSolver:
         """The solution, which has failed too where its energy is no number or rho or J is not positive."""
         energy = self.step.energy
         if not solution.converged:
+            self._met += filter(None, [energy.last_failure])
             parts = solution.reason, energy.last_failure, *self.ranks.noted()
             return replace(solution, reason="; ".join(filter(None, parts)))
         reason = energy.failure  # of the last increment, which is added without a test

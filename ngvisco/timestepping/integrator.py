@@ -21,6 +21,7 @@ stages' momenta: the difference is an impulse of the wall, which works on the la
 added to the wall's power.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -154,6 +155,9 @@ class Integrator:
                 rates, numerical = self.step.damage(taken.tau)
                 self._complete()
                 taken = replace(taken, rates=taken.rates | rates, numerical=taken.numerical | numerical)
+            for name, value in (taken.rates | taken.numerical).items():
+                if not math.isfinite(value):
+                    raise StepError(f"{name} of the step is {value}: take a smaller step or a finer mesh")
             return taken
         except BaseException as error:  # also an interrupt: never leave half a step behind
             self.undo()
@@ -241,7 +245,7 @@ class Integrator:
         time.Set(t)
         if not is_stage:
             step.moving_walls.set_present_values()
-        if (reason := self.rothe.defect()) is not None:
+        if (reason := self.bounds.defect(is_solved=False)) is not None:
             raise StepError(f"{reason} at the end of the step: take a smaller step or a finer mesh")
         before = np.zeros_like(self._velocity.v)
         if self.bounds.limits and self.bounds.is_exceeded() and not is_stage:
@@ -283,9 +287,10 @@ class Integrator:
             self._velocity.v[:] = kept
 
     def _complete(self) -> None:
+        """Make what follows from an end that is no stage's solution; StepError where it has no energy."""
         self.step.eliminate()
-        if self.step.energy.failure is not None:
-            raise StepError(self.step.energy.failure)
+        if (reason := self.step.energy.failure or self.bounds.lack()) is not None:
+            raise StepError(f"{reason} at the end of the step: take a smaller step or a finer mesh")
 
     def _relaxed(
         self, scheme: TimeScheme, t: float, tau: float, history: list[Attempt], meets: bool

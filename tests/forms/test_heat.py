@@ -139,7 +139,9 @@ def test_conduction_at_rest_is_that_of_the_heat_equation(conductivity):
 
 def test_conduction_between_constants_is_refused_by_name():
     options = {"discretisation": nv.Discretisation(m=0), "laws": {"viscosity": VISCOSITY}}
-    with pytest.raises(nv.NgviscoError, match=r"Discretisation\.m = 0: expected 1 or 2 where heat is conducted"):
+    with pytest.raises(
+        nv.NgviscoError, match=r"Discretisation\.m = 0: expected 1 or 2 where heat is conducted"
+    ):
         run_of("coupled", nv.Heat(conductivity=0.1), steps=0, **options)
     ledger = run_of("coupled", nv.Heat(source=1.0), **options).ledger  # which is not conducted
     assert ledger.column("power_heat_source")[-1] == pytest.approx(1.0, rel=1e-12)

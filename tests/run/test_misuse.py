@@ -336,11 +336,3 @@ def test_no_state_out_of_turn_stays_in_a_series(mesh, tmp_path):
         "fields_000000.vtu",
         "fields_000002.vtu",
     ]
-
-
-def test_an_integral_that_is_none_any_more_is_said_once(mesh):
-    once = nv.Integrals({"pole": "sqrt(0.03 - t)"})
-    run = simulation(mesh, once)
-    with pytest.warns(nv.InputWarning, match=r"integral 'pole': it is nan at t = 0\.04 s") as said:
-        run.run(3 * DT)
-    assert len([one for one in said if "pole" in str(one.message)]) == 1

@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 import shutil
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -38,6 +38,7 @@ from ngsolve.comp import IntegrationRuleSpace
 from ngvisco.errors import InitialDataError, ParameterError
 from ngvisco.forms.mesh.mesh_arrays import VERTICES, rules
 from ngvisco.parallel.communicator import Communicator
+from ngvisco.parallel.mesh import number_of
 
 if TYPE_CHECKING:
     from ngvisco.forms.term import Integrand
@@ -128,6 +129,11 @@ class Quadrature:
     def integrate_cells(self, integrand: CoefficientFunction) -> Any:
         """Integral over the mesh, by the rule of ``cells``; a float, or a vector of them."""
         return Integrate(integrand, self.mesh, order=self.volume_degree)
+
+    def each_cell(self, integrand: CoefficientFunction) -> np.ndarray:
+        """Integrals of a scalar over the cells of this rank by the same rule, (cells,)."""
+        of_cells = Integrate(integrand, self.mesh, order=self.volume_degree, element_wise=True)
+        return np.array(of_cells.NumPy())
 
     def integrate_nodes(self, integrand: CoefficientFunction) -> Any:
         """The same by the rule of ``nodes``."""
@@ -229,6 +235,35 @@ class Sampler:
             at = int(np.argmax(values))
             mine = (float(values[at]), tuple(float(c) for c in self.coordinates(np.array([at]))[0]))
         return max(one for one in self.ranks.gathered(mine) if one is not None)[1]
+
+    def largest_in_words(self, sizes: np.ndarray, shares: Mapping[str, CoefficientFunction]) -> str:
+        """Where a number at this rank's points is largest over all ranks, and which share is so there."""
+        mine, names = None, list(shares)
+        if len(sizes):
+            at = int(np.argmax(sizes))
+            place = ", ".join(f"{c:.4g}" for c in self.coordinates(np.array([at]))[0])
+            body = ""
+            if names:
+                theta = self.rows(CF(tuple(shares.values())), np.array([at]))[0]
+                body = f" in body {names[int(theta.argmax())]!r}"
+            mine = (float(sizes[at]), f"at ({place}) m{body}")
+        return max(one for one in self.ranks.gathered(mine) if one is not None)[1]
+
+    def place_of_cells(self, cells: np.ndarray) -> str:
+        """Where the first of some cells is, and how many there are, in words; ``cells`` are this rank's."""
+        mine = None
+        if len(cells):
+            own = np.flatnonzero(self.cells == cells[0])
+            middle = tuple(float(c) for c in self.coordinates(own).mean(axis=0))
+            mine = number_of(self.mesh, int(cells[0])), middle
+        every = [one for one in self.ranks.gathered(mine) if one is not None]
+        if not every:
+            return "somewhere"
+        cell, place = every[0]
+        others = int(self.ranks.total(len(cells))) - 1
+        at = f"at ({', '.join(f'{c:.4g}' for c in place)}) m"
+        where = at if cell is None else f"in cell {cell} {at}"
+        return where + (f" and {others} other cell{'s' * (others > 1)}" if others else "")
 
     def require(self, f: CoefficientFunction, name: str, minimum: float | None = None) -> None:
         """Raise InitialDataError unless f is finite (and > ``minimum``) at all points."""

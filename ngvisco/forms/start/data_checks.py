@@ -141,9 +141,11 @@ def _check_incoming(step: Step, term: Carried, t: float) -> None:
             _look(step, term.name, value, where, t)
             if not step.model.bodies:  # whose variables vanish where they are not
                 positive[where] = dict(variable.positive(value))
+    if {variable.name for variable in material.variables} <= given.values.keys():
+        positive[f"{owner}.values"] = dict(material.domain(given.values))
     amounts = {body.name: AMOUNT + body.name for body in step.model.bodies}
     if amounts and set(amounts.values()) <= given.values.keys():
-        positive[f"{owner}.amounts"] = dict(material.bounds(given.values)[""])
+        positive[f"{owner}.amounts"] = dict(material.positive(given.values)[""])
         for body, name in amounts.items():
             _look(step, term.name, given.values[name], f"{owner}.amounts[{body!r}]", t, ">= 0", "an amount")
     for where, of_field in positive.items():
@@ -341,7 +343,7 @@ def _rest_stresses(step: Step) -> Iterator[str]:
 
 
 def _moduli(step: Step) -> Iterator[str]:
-    """Which bodies' bulk moduli are too different for amounts that overshoot (``Mixture.bounds``)."""
+    """Which bodies' bulk moduli are too different for amounts that overshoot (``Mixture.positive``)."""
     material, m = step.model.material, step.discretisation.m
     if isinstance(material, Mixture) and m and not material.has_one_volume:
         (soft, least), *_, (stiff, most) = sorted(material.stiffnesses.items(), key=lambda one: one[1])

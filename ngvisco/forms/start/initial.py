@@ -186,9 +186,9 @@ def _project(
         z = step.now.z_tensors
         sampler.require(inner(step.now.z, step.now.z), "material variables")
         sampler.require(step.now.rho, "projected density rho_0", minimum=0.0)
-        signs = [v.positive(z[v.name]) for v in material.variables]
+        signs = [*(v.positive(z[v.name]) for v in material.variables), material.domain(z)]
         if step.model.bodies:  # whose variables vanish where they are not
-            signs = list(material.bounds(z).values())
+            signs = list(material.positive(z).values())
         for name, value in ((name, value) for each in signs for name, value in each.items()):
             sampler.require(value, f"projected {name}_0", minimum=0.0)
         if not np.isfinite(step.energy.samples(z, sampler)).all():

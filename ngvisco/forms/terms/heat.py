@@ -196,7 +196,9 @@ class MeanTemperature(_OfEntropy, SideMean):
     def unknowns(self, setting: Setting) -> tuple[Unknown, ...]:
         """Raise ParameterError for constants in cells, whose fluxes by a penalty are not those of Fourier."""
         if setting.m == 0:
-            expected = "1 or 2 where heat is conducted: constants in cells have no gradient (or conductivity = 0)"
+            expected = (
+                "1 or 2 where heat is conducted: constants in cells have no gradient (or conductivity = 0)"
+            )
             raise ParameterError("Discretisation.m", 0, expected)
         return (Unknown(self.name, "facets", setting.m),)
 

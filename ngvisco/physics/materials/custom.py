@@ -1,13 +1,13 @@
 """A material of the user's own: variables and an energy given in a script."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from typing import Annotated
 
 from ngsolve import CoefficientFunction
 
 from ngvisco.errors import ParameterError, Quantity
-from ngvisco.physics.energy_checks import check_energy, require_isotropy
+from ngvisco.physics.energy_checks import check_bound, check_energy, require_isotropy
 from ngvisco.physics.material import Material, check_material
 from ngvisco.physics.parameters import Modulus
 from ngvisco.physics.tensors import IDENTITY
@@ -20,9 +20,10 @@ class CustomMaterial(Material):
 
     A run samples the energy and warns where it is not jointly convex, see ``check_convexity``.  Raises
     ParameterError if ``transported`` is no list of variables, or the energy raises, returns anything but a
-    real scalar, or reads anything but the variables (the position, the time, a grid function, ...); or if a
-    rotation Q of the observer changes the energy, which the message then has: phi(Q F) = phi(F); of a spatial
-    tensor, E or B = F F^T, this is isotropy.
+    real scalar, or reads anything but the variables (the position, the time, a grid function, ...); if a
+    bound is no such function, or not positive at rest and on a convex set; or if a rotation Q of the observer
+    changes the energy, which the message then has: phi(Q F) = phi(F); of a spatial tensor, E or B = F F^T,
+    this is isotropy.
 
     Example::
 
@@ -48,6 +49,10 @@ class CustomMaterial(Material):
         Takes the variables' values by name and returns the energy per actual volume, Pa, e.g.
         ``lambda F, J: 5 * square(F) / J ** (2/3) + 10 * (J - 1) ** 2``.  Convex jointly in all of
         them if the ledger's Bregman column is to be >= 0.
+    bounds : mapping of names to callables, optional
+        Where the energy has a value: functions of the variables' values by name that are > 0 there, e.g.
+        ``{"room to stretch": lambda B, J: 3.05 - tr(B)}``.  Each is concave, or positive on a convex set at
+        least.  The limiter and the refusal of steps keep them as they keep J > 0.
     rho_R : float, optional
         Referential density, kg/m^3, > 0.  Where given, the initial density has to be rho_R/J, and one of the
         two follows from the other.
@@ -57,6 +62,7 @@ class CustomMaterial(Material):
 
     transported: tuple[Variable, ...]
     stored_energy: Callable[..., CoefficientFunction]
+    bounds: Mapping[str, Callable[..., CoefficientFunction]] = field(default_factory=dict, hash=False)
     rho_R: Annotated[Modulus | None, Quantity("kg/m^3", "> 0", 1000.0)] = None
 
     def __post_init__(self) -> None:
@@ -68,6 +74,15 @@ class CustomMaterial(Material):
         if not callable(self.stored_energy):
             expected = "a function of the variables"
             raise ParameterError("CustomMaterial.stored_energy", self.stored_energy, expected)
+        names_and_functions = isinstance(self.bounds, Mapping) and all(
+            isinstance(name, str) and callable(bound) for name, bound in self.bounds.items()
+        )
+        if not names_and_functions:
+            expected = (
+                "a mapping of names to functions of the variables, positive where the energy has a value"
+            )
+            raise ParameterError("CustomMaterial.bounds", self.bounds, expected)
+        object.__setattr__(self, "bounds", dict(self.bounds))
         check_material(self)
         super().__post_init__()
         of_volume = (v.volume_ratio(v.from_distortion(IDENTITY)) for v in self.transported)
@@ -75,6 +90,8 @@ class CustomMaterial(Material):
             raise ParameterError("CustomMaterial.rho_R", self.rho_R, "a variable that J can be told from")
         check_energy(self)
         require_isotropy(self)
+        for name, bound in self.bounds.items():
+            check_bound(self, f"CustomMaterial.bounds[{name!r}]", bound)
 
     @property
     def variables(self) -> tuple[Variable, ...]:
@@ -83,6 +100,9 @@ class CustomMaterial(Material):
     @property
     def referential_density(self) -> Modulus | None:
         return self.rho_R
+
+    def domain(self, z: Values) -> Values:
+        return {name: bound(**z) for name, bound in self.bounds.items()}
 
     def energy(self, z: Values) -> CoefficientFunction:
         return self.stored_energy(**z)

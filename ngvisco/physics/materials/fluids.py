@@ -167,7 +167,8 @@ class FENEP(OldroydB):
 
     Dumbbells of a finite length (FENE-P, with Peterlin's closure): zeta_B = G_e (f I - B^-1) with
     f = (b - 3)/(b - tr B), which is 1 at rest, so that -(f B - I)/lambda is the relaxation by the law
-    ``conformation``.  Convex in (B, J), strictly; singular as tr B -> b, det B -> 0+ and J -> 0+.
+    ``conformation``.  Convex in (B, J), strictly; singular as tr B -> b, det B -> 0+ and J -> 0+:
+    b - tr B > 0 is kept as J > 0 is, by the limiter or by shorter steps.
     ``OldroydB`` is the limit b -> infinity.  Raises ParameterError if a parameter is out of its range.
 
     Parameters
@@ -177,6 +178,9 @@ class FENEP(OldroydB):
     """
 
     b: Annotated[float, Quantity("1", "> 3", 50.0)]
+
+    def domain(self, z: Values) -> Values:
+        return {"b - tr B": self.b - tr(z["B"])}
 
     def chains(self, B: Tensor) -> Tensor:
         slack = self.b - 3

@@ -105,14 +105,21 @@ class PerReferentialVolume(Material):
     def referential_density(self) -> Modulus | None:
         return self.rho_R
 
-    def energy(self, z: Values) -> Tensor:
-        A = z["A"]
-        J = 1 / A
+    def _own(self, z: Values) -> Values:
+        """Values of psi's variables."""
+        J = 1 / z["A"]
         own = {v.name: z[v.name] for v in self.material.variables if not v.is_strain}
         for v in self.material.variables:
             if v.is_strain:
                 own[v.name] = z[f"A{v.name}"] * J if isinstance(v, DistortionTensor) else J
-        return A * self.material.energy(own)
+        return own
+
+    def domain(self, z: Values) -> Values:
+        # a perspective too, which is concave where that of psi is
+        return {name: z["A"] * value for name, value in self.material.domain(self._own(z)).items()}
+
+    def energy(self, z: Values) -> Tensor:
+        return z["A"] * self.material.energy(self._own(z))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -179,6 +186,11 @@ class ReferenceEnergy(Material):
             raise ParameterError(self.owner, self.material, "a material with J or 1/J: bodies share a volume")
         if self.material.response(3) is not None:
             expected = "a material whose energy is an expression; a Yosida approximation has none"
+            raise ParameterError(self.owner, self.material, expected)
+        rest = {v.name: v.from_distortion(IDENTITY) for v in self.material.variables}
+        if domain := self.material.domain(rest):
+            bounds = ", ".join(f"{name} > 0" for name in domain)
+            expected = f"a material whose energy has a value for every strain, not for {bounds} alone"
             raise ParameterError(self.owner, self.material, expected)
 
     @property

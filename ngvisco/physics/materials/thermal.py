@@ -176,6 +176,9 @@ class Thermal(Material):
     def lagged(self) -> frozenset[str]:
         return self.cold.lagged
 
+    def domain(self, z: Values) -> Values:
+        return self.cold.domain({v.name: z[v.name] for v in self.cold.variables})
+
     def energy(self, z: Values) -> Tensor:
         return self.of_heat(z) + self.cold.energy({v.name: z[v.name] for v in self.cold.variables})
 

@@ -52,6 +52,10 @@ class Carrying(Wrapper):
         of_yield = (law.energy(z["A"], z[content.name], z) for content, law in self.hardening)
         return reduce(add, of_yield, phi)
 
+    def domain(self, z: Values) -> Values:
+        at_this_point = substituted(self.material, lambda expression: expression.at(z))
+        return at_this_point.domain({v.name: z[v.name] for v in self.material.variables})
+
 
 def carrying(
     material: Material,
@@ -177,6 +181,9 @@ class Yosida(Wrapper):
     @property
     def continued(self) -> frozenset[str]:
         return frozenset(variable.name for variable in self.variables if variable.is_strain)
+
+    def domain(self, z: Values) -> Values:
+        return {}
 
     def energy(self, z: Values) -> Tensor:
         raise NgviscoError(

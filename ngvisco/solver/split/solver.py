@@ -145,7 +145,13 @@ class Split:
 
     def is_finite(self, at: Evaluation) -> bool:
         """Whether all of R is numbers."""
-        return self.residual.ranks.all(np.isfinite(at.residual).all())
+        ranks, energy = self.residual.ranks, self.step.energy
+        if ranks.all(np.isfinite(at.residual).all()):
+            return True
+        slopes = at.coefficients["zeta"]  # no numbers where the energy is none
+        if energy.projected is None and ranks.any(np.isfinite(at.x).all() and not np.isfinite(slopes).all()):
+            energy.lacked(self.step.now)
+        return False
 
     def evaluated(self, x: np.ndarray, last: float) -> Evaluation:
         """R at the unknowns x, with flow rules' slopes there if the operator is to have them.

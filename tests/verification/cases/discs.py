@@ -361,7 +361,7 @@ def _unloaded_collision() -> Measured:
 
 
 # --- a jelly that drops --------------------------------------------------------------------------------
-"""To 5 s it comes by the bounds of the tensors (``Mixture.bounds``): without these X has an eigenvalue of
+"""To 5 s it comes by the bounds of the tensors (``Mixture.positive``): without these X has an eigenvalue of
 -136 at 4.84 s in four cells at the floor, where half is jelly, and velocities rise from 0.2 to 19 m/s."""
 
 K_JELLY, G_JELLY, VISCOSITY = 50.0, 1.0, 1e-3
