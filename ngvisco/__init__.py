@@ -90,6 +90,7 @@ from ngvisco.run.simulation import Observer, Simulation
 from ngvisco.run.stepping import AdaptiveSteps, Rejection, TimeSteps
 from ngvisco.run.transfer import Transfer, resume_changed, transfer
 from ngvisco.sensitivity.gradient import Gradient, gradient
+from ngvisco.sensitivity.numbers import Misfit
 from ngvisco.shapes.files import ClosedSurface, Image
 from ngvisco.shapes.shape import Ball, Block, HalfSpace, Polygon, Shape, Subdomain
 from ngvisco.solver.options import NewtonOptions
@@ -168,6 +169,7 @@ __all__ = [
     "LogarithmicNeoHookean",
     "Material",
     "MeshError",
+    "Misfit",
     "Model",
     "MooneyRivlin",
     "NavierFriction",

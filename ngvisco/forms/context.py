@@ -115,6 +115,10 @@ class Context:
         """m_old, kg/(m^2 s), at the points of the forms' rule."""
         return self.old.rho * self.old.v if self._momentum_old is None else self._momentum_old
 
+    @momentum_old.setter
+    def momentum_old(self, momentum: CoefficientFunction) -> None:
+        self._momentum_old = momentum
+
     def set_step(
         self, tau: float, end: float, loads_from: float, loads_over: float, loads_tilt: float = 0.0
     ) -> None:

@@ -244,22 +244,37 @@ class Step:
         kept, rates = KeptRates(self.tabulated_rates, self.stresses), self.tabulated_rates
         self._solved = self._fields(self.state.components, kept) if self.stresses else self.now
         """The present state, with rates of creep to its last digit."""
-        self.residual = self._residual(LinearisedRates(rates, self.stresses, self.now))
+        self._linearised = LinearisedRates(rates, self.stresses, self.now)
+        self.residual = self._residual()
         self.eliminate = Elimination(self.layout, self.state, self.quadrature, self.terms, self.stresses)
         law = part_of(model.material, Damaged)
         self.damage = None if law is None else DamageGrowth(self, law)
         """What lets the damage grow after a step; None where nothing breaks."""
 
-    def _residual(self, rates: Rates) -> BilinearForm:
+    def _residual(self) -> BilinearForm:
         """R(u; w) as one nonlinear form with element-local unknowns to be condensed."""
-        trial, test = self.layout.space.TnT()
-        u = self._fields(trial, rates) if self.stresses else self.layout.fields(trial)
-        w = Tests(self.layout, GivenParts(dict(zip(self.layout.names, test, strict=True)), _NO_EQUATION))
+        u, w = self.linearised_fields(self.layout.space.TrialFunction()), self.tests()
         form = BilinearForm(self.layout.space, condense=True)
         for term in self.terms:
             with refused_by_name(term):
                 self.quadrature.add(form, term.form(u, w))
         return form
+
+    def tests(self) -> Tests:
+        """The test functions of the equations."""
+        test = self.layout.space.TestFunction()
+        return Tests(self.layout, GivenParts(dict(zip(self.layout.names, test, strict=True)), _NO_EQUATION))
+
+    def linearised_fields(self, parts: Sequence[Any]) -> Fields:
+        """Fields of trial functions, with rates of creep along the slopes at the stresses that are kept."""
+        return self._fields(parts, self._linearised) if self.stresses else self.layout.fields(parts)
+
+    def fields_from(self, old: Fields, momentum: CoefficientFunction) -> Fields:
+        """The present state, in a step from other old fields and another old momentum, kg/(m^2 s)."""
+        u = self.linearised_fields(self.state.components)
+        context = copy.copy(u.context)
+        context.old, context.momentum_old = old, momentum
+        return Fields(self.layout, u.parts, context)
 
     def _fields(self, parts: Sequence[Any], rates: Rates) -> Fields:
         """Fields with other rates of creep."""

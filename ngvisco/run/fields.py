@@ -70,9 +70,12 @@ def require_names_of_their_own(material: Material, further: Sequence[str], carri
             raise ParameterError("Unknown.name", name, _TAKEN)
 
 
-def output_fields(step: Step) -> dict[str, CoefficientFunction]:
-    """Those of the module's docstring, the material's variables, and further unknowns that evolve."""
-    u, material = step.now, step.model.material
+def output_fields(step: Step, fields: Fields | None = None) -> dict[str, CoefficientFunction]:
+    """Those of the module's docstring, the material's variables, and further unknowns that evolve.
+
+    They are of ``fields``, by default the present state.
+    """
+    u, material = step.now if fields is None else fields, step.model.material
     T = cauchy_stress(material, u.z_tensors, u.zeta_tensors, step.energy.anywhere(u))
     theta = temperature(material, u.zeta_tensors)
     vectors = [v.name for v in material.variables if v.kind == "vector"]
@@ -88,8 +91,8 @@ def output_fields(step: Step) -> dict[str, CoefficientFunction]:
         **({} if theta is None else {TEMPERATURE: theta}),
         **{name: u.parts[name] for name in step.layout.further},
         **dict(f.plastic_strain(u.z_tensors) for f in step.model.flows if f.rule.hardening is not None),
-        **_body_fields(step),
-        **further_fields(step, T),
+        **_body_fields(step, u),
+        **further_fields(step, T, u),
     }
 
 
@@ -97,12 +100,12 @@ _FRACTION = "_fraction"
 """What the name of a body's volume fraction ends in."""
 
 
-def _body_fields(step: Step) -> dict[str, CoefficientFunction]:
+def _body_fields(step: Step, u: Fields) -> dict[str, CoefficientFunction]:
     """Volume fractions of the bodies, ``NAME_fraction``, and ``body``, the number, from 1, of the largest."""
     material = step.model.material
     if not isinstance(material, Mixture):
         return {}
-    theta = material.fractions.at(step.now.z_tensors)
+    theta = material.fractions.at(u.z_tensors)
     fields = {name + _FRACTION: CF(value) for name, value in theta.items()}
     number, largest = CF(1.0), next(iter(fields.values()))
     for i, value in enumerate(list(fields.values())[1:], start=2):
@@ -196,9 +199,9 @@ def usual(names: Iterable[str]) -> list[str]:
     return [name for name in names if name not in NAMES and not name.startswith(of_branches)]
 
 
-def further_fields(step: Step, cauchy: CoefficientFunction) -> dict[str, CoefficientFunction]:
-    """The fields above, as far as the model has them, at the new state; ``cauchy`` is its Cauchy stress."""
-    u, model, dim = step.now, step.model, step.mesh.dim
+def further_fields(step: Step, cauchy: CoefficientFunction, u: Fields) -> dict[str, CoefficientFunction]:
+    """The fields above at ``u``, as far as the model has them; ``cauchy`` is its Cauchy stress."""
+    model, dim = step.model, step.mesh.dim
     found: dict[str, CoefficientFunction] = {}
     rates = step.context.rates.mean_creep(u)
     found |= {f"creep_rate{suffix}": Pi for suffix, Pi in rates.items()}
@@ -215,7 +218,7 @@ def further_fields(step: Step, cauchy: CoefficientFunction) -> dict[str, Coeffic
     if model.hyperviscosity is not None:
         found |= {f"hyperstress_{i + 1}": _hyperstress(u, i) for i in range(dim)}
     found["principal_stresses"] = eigenvalues(cauchy)
-    stretches = principal_stretches(step)
+    stretches = principal_stretches(step, u)
     if stretches is not None:
         found["principal_stretches"] = stretches
     return found
@@ -236,9 +239,9 @@ def eigenvalues(A: CoefficientFunction) -> CoefficientFunction:
     return CF(tuple(q + 2 * p * cos(phi + 2 * math.pi * k / 3) for k in (0, 2, 1)))
 
 
-def principal_stretches(step: Step) -> CoefficientFunction | None:
+def principal_stretches(step: Step, u: Fields) -> CoefficientFunction | None:
     """Singular values of the elastic distortion; None for a material without a tensor that has them."""
-    values, variables = step.now.z_tensors, step.model.material.variables
+    values, variables = u.z_tensors, step.model.material.variables
     for variable in variables:
         value = values[variable.name]
         if isinstance(variable, SmallStrain):

@@ -3,62 +3,17 @@
 from __future__ import annotations
 
 import copy
-import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 import numpy as np
 
-from ngvisco.errors import ParameterError, UnknownNameError, as_number
+from ngvisco.errors import ParameterError, UnknownNameError
 from ngvisco.run.probes import Bodies, Integrals, Probes, WallForces
 from ngvisco.run.series import Series
 from ngvisco.run.simulation import Simulation
 
 _TABLES = (Probes, Integrals, WallForces, Bodies)
 _RATES = ("dissipation", "power", "production", "flux")
-_TEXT = re.compile(r"(?P<column>\S+)\s+(?P<kind>at|until)\s+(?P<time>\S+)")
-
-
-@dataclass(frozen=True)
-class Wanted:
-    """A number of a run: a column at a time, or its integral over time until then.
-
-    Attributes
-    ----------
-    column : str
-        Of the ledger or of a table of the run's observers (``Probes``, ``Integrals``, ``WallForces``,
-        ``Bodies``), e.g. ``"kinetic"``, ``"tip.velocity_1"``, ``"top.force_2"``.
-    time : float
-        s; between the ends of two steps it is interpolated linearly.
-    is_integral : bool
-    """
-
-    column: str
-    time: float
-    is_integral: bool = False
-
-    @classmethod
-    def of(cls, text: str | Wanted) -> Wanted:
-        """Of a text ``"COLUMN at TIME"`` or ``"COLUMN until TIME"``, the time in s.
-
-        Raises ParameterError for another text.
-        """
-        if isinstance(text, Wanted):
-            return text
-        found = _TEXT.fullmatch(text.strip()) if isinstance(text, str) else None
-        number = None
-        if found is not None:
-            try:
-                number = as_number(float(found["time"]))
-            except ValueError:
-                number = None
-        if found is None or number is None:
-            expected = '"COLUMN at TIME", or "COLUMN until TIME" of its integral over time, TIME in s'
-            raise ParameterError("of", text, expected)
-        return cls(found["column"], number, found["kind"] == "until")
-
-    def __str__(self) -> str:
-        return f"{self.column} {'until' if self.is_integral else 'at'} {self.time:g}"
 
 
 def tables_of(simulation: Simulation) -> list[Series]:
@@ -99,6 +54,11 @@ class Columns:
             for table, columns in zip(self._tables, of_tables, strict=True)
             if set(names) & set(columns)
         ]
+
+    @property
+    def tables(self) -> list[Series]:
+        """Those that have some of the columns."""
+        return [table for table, *_ in self._of_tables]
 
     @property
     def is_of_stages(self) -> np.ndarray:
@@ -169,8 +129,3 @@ class Columns:
         for i, place in enumerate(places):
             if place >= 0:
                 values[i] = row[place]
-
-
-def columns_of(wanted: Mapping[str, Wanted]) -> list[str]:
-    """The columns that are read, each once."""
-    return list(dict.fromkeys(one.column for one in wanted.values()))

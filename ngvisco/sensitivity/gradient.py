@@ -4,17 +4,24 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
+from ngsolve import GridFunction
 
-from ngvisco.errors import ParameterError, as_number, require_collection
+from ngvisco.errors import ParameterError, UnknownNameError, require_collection
+from ngvisco.forms.projections import inverse_mass
 from ngvisco.run.simulation import Simulation
-from ngvisco.sensitivity.columns import Columns, Wanted, columns_of, tables_of
+from ngvisco.sensitivity.adjoint import Adjoint
+from ngvisco.sensitivity.columns import Columns, tables_of
 from ngvisco.sensitivity.follower import Follower
+from ngvisco.sensitivity.numbers import Misfit, Numbers
 from ngvisco.sensitivity.parameters import Named
-from ngvisco.sensitivity.tangent import History, Neighbours, history, tangents
+from ngvisco.sensitivity.slopes import Slopes
+from ngvisco.sensitivity.tangent import Neighbours, history, tangents
 from ngvisco.sensitivity.trajectory import Trajectory
+
+METHODS = ("tangent", "adjoint")
 
 
 @dataclass(frozen=True)
@@ -41,11 +48,53 @@ class Gradient:
     jacobian: np.ndarray
     at: np.ndarray
     limited: int = 0
+    simulation: Simulation | None = field(default=None, repr=False, compare=False)
+    _of_start: np.ndarray | None = field(default=None, repr=False, compare=False)
 
     def __getitem__(self, key: tuple[str, str]) -> float:
         """The derivative of a number by a parameter, by their names."""
         of, by = key
-        return float(self.jacobian[self.of.index(of), self.by.index(by)])
+        return float(self.jacobian[self._row(of), self.by.index(by)])
+
+    def density(self, of: str, name: str) -> GridFunction:
+        """The derivative of a number by the start values of a scalar field, per volume of the start.
+
+        A small change d of the field's start values changes the number by the integral of this function
+        times d, the start values of other fields being kept.  Of a gradient by the adjoint only.
+
+        Parameters
+        ----------
+        of : str
+            A number's name.
+        name : str
+            ``"density"``, or a scalar variable of the material: ``"J"``, or a ``Parameter``, by which each
+            modulus may be a field.
+
+        Returns
+        -------
+        GridFunction
+            In the unit of the number over that of the field, per m^d; of the order of the field.
+        """
+        if self._of_start is None or self.simulation is None:
+            raise ParameterError("Gradient.density", of, "a gradient with method='adjoint'")
+        step = self.simulation.rothe_step
+        layout, slices = step.layout, step.layout.states.slices
+        scalars = {name: part for name, part in slices.items() if part.stop - part.start == 1}
+        known = {"density": "rho"} if "rho" in layout.ranges else {}
+        if name not in (*known, *scalars):
+            raise UnknownNameError("scalar field", name, (*known, *scalars))
+        block = known.get(name, "z")
+        result = GridFunction(layout.scalar_space(block))
+        begin = layout.ranges[block].start + (scalars[name].start * len(result.vec) if name in scalars else 0)
+        slope = result.vec.CreateVector()
+        slope.FV().NumPy()[:] = self._of_start[self._row(of)][begin : begin + len(result.vec)]
+        result.vec.data = inverse_mass(result.space, step.quadrature) * slope
+        return result
+
+    def _row(self, of: str) -> int:
+        if of not in self.of:
+            raise UnknownNameError("number", of, self.of)
+        return self.of.index(of)
 
     def __str__(self) -> str:
         """A table: a line for each number, a column for each parameter."""
@@ -63,8 +112,9 @@ def gradient(
     simulation: Simulation,
     until: float,
     *,
-    of: Sequence[str] | Mapping[str, str],
-    by: Sequence[str],
+    of: Sequence[str] | Mapping[str, str | Misfit],
+    by: Sequence[str] = (),
+    method: str = "tangent",
     progress: Callable[[int, int], None] | None = None,
 ) -> Gradient:
     """Run a simulation until a time, and differentiate what it gives by parameters.
@@ -83,12 +133,15 @@ def gradient(
         after ``restore``, the present state is kept.
     until : float
         s.
-    of : sequence of str, or mapping of names to such
+    of : sequence of str, or mapping of names to such or to Misfit
         ``"COLUMN at TIME"``, or ``"COLUMN until TIME"`` for the integral over time, of a column of the ledger
         or of a table among the run's observers (``Probes``, ``Integrals``, ``WallForces``, ``Bodies``).
     by : sequence of str
         Parameters by their paths, as ``"material.G_e"``, ``"creep.G_m"``, ``"loads.gravity.g.1"``,
-        ``"initial.density"``.
+        ``"initial.density"``; with the adjoint there may be none, for ``Gradient.density`` alone.
+    method : str
+        ``"tangent"``, whose cost grows with the parameters, or ``"adjoint"``, whose cost grows with the
+        numbers, and which knows no forces on walls and no tables of bodies.
     progress : callable, optional
         Called with the number of steps that are differentiated, and that of all.
 
@@ -96,34 +149,46 @@ def gradient(
     -------
     Gradient
     """
-    wanted, parameters = _wanted(of, until), _parameters(by, simulation)
-    names, tables = columns_of(wanted), tables_of(simulation)
-    base, is_start = _base(simulation, names), simulation.number == 0
+    if method not in METHODS:
+        raise ParameterError("method", method, " or ".join(map(repr, METHODS)))
+    numbers, parameters = Numbers.of(of, until), _parameters(by, simulation, method)
+    base, is_start = _base(simulation, numbers.columns), simulation.number == 0
     if not is_start and any(one.is_of_start for one in parameters):
         expected = "no start values: the run has begun, and goes on from its present state"
         raise ParameterError("by", by, expected)
-    trajectory = Trajectory(simulation)
-    near = [Neighbours(one, simulation, names, tables) for one in parameters]
+    slopes = Slopes(base) if method == "adjoint" else None
+    trajectory, tables = Trajectory(simulation), base.columns.tables
+    near = [Neighbours(one, simulation, numbers.columns, tables) for one in parameters]
     trajectory.run(until)
     total = len(trajectory.steps)
-    tell = None if progress is None else (lambda number: progress(number, total))
-    found = history(trajectory, base)
-    derivatives = tangents(trajectory, base, near, is_start, *([] if tell is None else [tell]))
-    values = np.array([_read(found, names, one) for one in wanted.values()])
-    jacobian = np.array([_read(derivatives, names, one) for one in wanted.values()])
+
+    def tell(number: int) -> None:
+        if progress is not None:
+            progress(number, total)
+
+    found, of_start = history(trajectory, base), None
+    parts = numbers.parts(found)
+    if slopes is None:
+        derivatives = tangents(trajectory, base, near, is_start, tell)
+        jacobian = numbers.coefficients(parts) @ numbers.parts(derivatives)
+    else:
+        adjoint = Adjoint(trajectory, base, slopes, near, *numbers.weights(found, base.columns.is_of_stages))
+        adjoint.run(is_start, tell)
+        jacobian, of_start = adjoint.jacobian, adjoint.of_start
     at = np.array([one.value for one in parameters])
-    by_names = tuple(one.name for one in parameters)
-    return Gradient(tuple(wanted), by_names, values, jacobian, at, trajectory.limited)
+    names = tuple(numbers.names), tuple(one.name for one in parameters)
+    values = numbers.values(parts)
+    return Gradient(*names, values, jacobian, at, trajectory.limited, simulation, of_start)
 
 
-def measure(simulation: Simulation, until: float, of: Sequence[str] | Mapping[str, str]) -> np.ndarray:
+def measure(
+    simulation: Simulation, until: float, of: Sequence[str] | Mapping[str, str | Misfit]
+) -> np.ndarray:
     """Run a simulation until a time; the numbers of ``gradient`` without derivatives, (numbers,)."""
-    wanted = _wanted(of, until)
-    names, trajectory = columns_of(wanted), Trajectory(simulation)
-    base = _base(simulation, names)
+    numbers, trajectory = Numbers.of(of, until), Trajectory(simulation)
+    base = _base(simulation, numbers.columns)
     trajectory.run(until)
-    found = history(trajectory, base)
-    return np.array([_read(found, names, one) for one in wanted.values()])
+    return numbers.values(numbers.parts(history(trajectory, base)))
 
 
 def _base(simulation: Simulation, names: Sequence[str]) -> Follower:
@@ -131,39 +196,13 @@ def _base(simulation: Simulation, names: Sequence[str]) -> Follower:
     tables = tables_of(simulation)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the run itself has said what is doubtful
-        worker = simulation.on(simulation.mesh, observers=())
+        worker = simulation.on(simulation.mesh, observers=(), passive=())
     worker.set_velocity_scale(simulation.velocity_scale)
     return Follower(worker, Columns(worker, names, tables))
 
 
-def _wanted(of: Sequence[str] | Mapping[str, str], until: float) -> dict[str, Wanted]:
-    if isinstance(of, Mapping):
-        found = {name: Wanted.of(text) for name, text in of.items()}
-    else:
-        texts = require_collection("of", of, 'texts as "kinetic at 0.5"')
-        found = {str(text): Wanted.of(text) for text in texts}
-    if not found:
-        raise ParameterError("of", of, "at least one number of the run")
-    end = as_number(until)
-    for name, one in found.items():
-        if end is None or not 0 <= one.time <= end * (1 + 1e-12):
-            raise ParameterError(f"of: {name}", one.time, f"a time from 0 to the end of the run, {until} s")
-    return found
-
-
-def _parameters(by: Sequence[str], simulation: Simulation) -> list[Named]:
+def _parameters(by: Sequence[str], simulation: Simulation, method: str) -> list[Named]:
     names = require_collection("by", by, 'names of parameters, e.g. ["material.G_e"]')
-    if not names or len(set(names)) < len(names):
+    if not (names or method == "adjoint") or len(set(names)) < len(names):
         raise ParameterError("by", by, "at least one parameter, and each once")
     return [Named.of(name, simulation) for name in names]
-
-
-def _read(history: History, names: Sequence[str], wanted: Wanted) -> np.ndarray:
-    """A number of a history, interpolated linearly between the ends of steps."""
-    column, times = names.index(wanted.column), history.times
-    values = (history.integrals if wanted.is_integral else history.ends)[:, column]
-    upper = int(np.clip(np.searchsorted(times, wanted.time * (1 - 1e-12)), 1, len(times) - 1))
-    share = (wanted.time - times[upper - 1]) / (times[upper] - times[upper - 1])
-    share = float(np.clip(share, 0.0, 1.0))
-    result: np.ndarray = (1 - share) * values[upper - 1] + share * values[upper]
-    return result

@@ -100,7 +100,7 @@ class Named:
         root, rest = self.keys[0], self.keys[1:]
         arguments = simulation.arguments
         steps = dataclasses.replace(arguments["time"], velocity_scale=simulation.velocity_scale)
-        parts: dict[str, Any] = {"time": steps, "observers": ()}
+        parts: dict[str, Any] = {"time": steps, "observers": (), "passive": ()}
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # the run itself has said what is doubtful
             try:

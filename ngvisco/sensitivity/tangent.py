@@ -13,7 +13,6 @@ int rho v . w - <m, w> = 0 for v.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -23,20 +22,9 @@ from ngvisco.run.simulation import Simulation
 from ngvisco.sensitivity.columns import Columns
 from ngvisco.sensitivity.follower import Follower
 from ngvisco.sensitivity.linearised import Linearised
+from ngvisco.sensitivity.numbers import History
 from ngvisco.sensitivity.parameters import OFFSETS, Named, differenced
 from ngvisco.sensitivity.trajectory import Stage, StepTaken, Trajectory
-
-
-@dataclass(frozen=True)
-class History:
-    """Columns at the ends of steps, and their integrals over time until then, (steps + 1, columns, ...).
-
-    What is a mean over a step's stages, as a rate, is zero in the row of the start.
-    """
-
-    times: np.ndarray
-    ends: np.ndarray
-    integrals: np.ndarray
 
 
 class Neighbours:
@@ -48,14 +36,18 @@ class Neighbours:
         self.parameter, self.steps = parameter, [o * parameter.spacing for o in OFFSETS]
         runs = [parameter.varied(simulation, parameter.value + step) for step in self.steps]
         self.followers = [Follower(run, Columns(run, names, tables)) for run in runs]
+        self.of_start = self.derivative([follower.state.copy() for follower in self.followers])
+        """The derivative of the start values, (unknowns,)."""
 
     def derivative(self, values: Sequence[np.ndarray]) -> np.ndarray:
         """The derivative of what the followers have found."""
         return differenced(values, self.parameter.spacing)
 
-    def of_start(self) -> np.ndarray:
-        """The derivative of the start values."""
-        return self.derivative([follower.state.copy() for follower in self.followers])
+    def at(self, state: np.ndarray) -> list[Follower]:
+        """The followers, with one state of all."""
+        for follower in self.followers:
+            follower.at(state)
+        return self.followers
 
     def moved(self, state: np.ndarray, along: np.ndarray) -> list[np.ndarray]:
         """A state at p + o h, to first order."""
@@ -130,7 +122,7 @@ class _Tangent:
 
     def __init__(self, neighbours: Neighbours, start: np.ndarray, from_start: bool) -> None:
         self.near = neighbours
-        self.along = neighbours.of_start() if from_start else np.zeros_like(start)
+        self.along = neighbours.of_start if from_start else np.zeros_like(start)
         """Of the present state."""
         self._states: list[list[Evolved]] = []
 

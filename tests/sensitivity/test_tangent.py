@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from ngsolve import cos, pi, sin, x, y
+from differentiated import AT, OF, UNTIL, differences, run
 
 import ngvisco as nv
 from ngvisco.geometries import box
@@ -10,51 +10,7 @@ from ngvisco.sensitivity.gradient import measure
 from ngvisco.sensitivity.parameters import Named
 from ngvisco.sensitivity.tangent import Neighbours
 
-UNTIL, CENTRAL = 0.06, 1e12
-"""End of the runs, s, and a velocity scale by which both sides count the same, whatever v* is."""
-OF = {
-    "motion": "kinetic at 0.06",
-    "elasticity": "stored at 0.06",
-    "creep": "dissipation_creep at 0.06",
-    "loss": "dissipation_creep until 0.06",
-    "speed": "p.velocity_1 at 0.05",
-    "stress": "p.cauchy_stress_12 at 0.06",
-    "way": "p.velocity_2 until 0.06",
-    "push": "bottom.force_2 at 0.06",
-}
-AT = {
-    "material.G_e": 5.0,
-    "creep.G_m": 2.0,
-    "viscosity.G_v": 0.05,
-    "loads.gravity.g.1": -1.0,
-    "initial.density": 1.0,
-}
-MESH = box((1, 1), maxh=0.8)
-
-
-def run(values=AT, scheme="midpoint", solver="coupled", mesh=MESH, **options):
-    stiffness, creep, viscosity, gravity, density = values.values()
-    model = nv.Model(
-        material=nv.NeoHookean(K_e=10, G_e=stiffness, epsilon=0.1),
-        viscosity=nv.StokesViscosity(K_v=0.1, G_v=viscosity),
-        creep=nv.Creep(G_m=creep),
-        loads=[nv.Gravity((0, gravity))],
-    )
-    v = (sin(pi * x) * cos(pi * y), -cos(pi * x) * sin(pi * y))
-    observers = [nv.Probes({"p": (0.3, 0.6)}, ["velocity", "cauchy_stress"]), nv.WallForces(["bottom"])]
-    given = {"dt": 0.02, "velocity_scale": CENTRAL, "observers": observers} | options
-    initial = nv.Initial(density=density, velocity=v)
-    newton = nv.NewtonOptions(tolerance=1e-12, method=solver)
-    return nv.Simulation(mesh, model, scheme=scheme, newton=newton, initial=initial, **given)
-
-
-def values_of(**options):
-    return measure(run(**options), UNTIL, OF)
-
-
-def differences(name, h, **options):
-    up, down = (values_of(values=AT | {name: AT[name] + s * h}, **options) for s in (1, -1))
-    return (up - down) / (2 * h)
+FORCE = {"push": "bottom.force_2 at 0.06"}
 
 
 @pytest.mark.parametrize(
@@ -68,23 +24,24 @@ def differences(name, h, **options):
     ],
 )
 def test_a_tangent_is_what_central_differences_tend_to(scheme, name):
-    found = nv.gradient(run(scheme=scheme), UNTIL, of=OF, by=[name]).jacobian[:, 0]
-    errors = [abs(differences(name, h, scheme=scheme) / found - 1).max() for h in (1e-3, 1e-4)]
+    found = nv.gradient(run(scheme=scheme), UNTIL, of=OF | FORCE, by=[name]).jacobian[:, 0]
+    errors = [abs(differences(name, h, OF | FORCE, scheme=scheme) / found - 1).max() for h in (1e-3, 1e-4)]
     assert errors[1] < 1e-6 and errors[1] < 0.02 * errors[0] + 1e-7
 
 
 def test_values_are_those_of_the_run():
     simulation = run()
-    found = nv.gradient(simulation, UNTIL, of=OF, by=["creep.G_m"])
+    found = nv.gradient(simulation, UNTIL, of=OF | FORCE, by=["creep.G_m"])
     table = dict(zip(found.of, found.values, strict=True))
     ledger = simulation.ledger
     assert table["motion"] == pytest.approx(ledger.column("kinetic")[-1], rel=1e-12)
     assert table["creep"] == pytest.approx(ledger.column("dissipation_creep")[-1], rel=1e-12)
     lost = (ledger.column("dissipation_creep") * ledger.column("dt")).sum()
     assert table["loss"] == pytest.approx(lost, rel=1e-12)
-    probes, forces = simulation.observers
+    probes, forces, shares = simulation.observers
     assert table["stress"] == pytest.approx(probes.column("p.cauchy_stress_12")[-1], rel=1e-9)
     assert table["speed"] == pytest.approx(probes.column("p.velocity_1")[2:].mean(), rel=1e-9)
+    assert table["share"] == pytest.approx(shares.column("share")[-1], rel=1e-9)
     assert table["push"] == pytest.approx(forces.column("bottom.force_2")[-1], rel=1e-9)
 
 

@@ -1,0 +1,185 @@
+"""Numbers of a run: columns at a time, their integrals, and sums of squares against data."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ngvisco.errors import ParameterError, as_number, require_collection
+
+_TEXT = re.compile(r"(?P<column>\S+)\s+(?P<kind>at|until)\s+(?P<time>\S+)")
+
+
+@dataclass(frozen=True)
+class History:
+    """Columns at the ends of steps, and their integrals over time until then, (steps + 1, columns, ...).
+
+    What is a mean over a step's stages, as a rate, is zero in the row of the start.
+    """
+
+    times: np.ndarray
+    ends: np.ndarray
+    integrals: np.ndarray
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """A column at a time, or its integral over time until then.
+
+    Attributes
+    ----------
+    column : str
+        Of the ledger or of a table of the run's observers (``Probes``, ``Integrals``, ``WallForces``,
+        ``Bodies``), e.g. ``"kinetic"``, ``"tip.velocity_1"``, ``"top.force_2"``.
+    time : float
+        s; between the ends of two steps it is interpolated linearly.
+    is_integral : bool
+    """
+
+    column: str
+    time: float
+    is_integral: bool = False
+
+    @classmethod
+    def of(cls, text: str) -> Wanted:
+        """Of a text ``"COLUMN at TIME"`` or ``"COLUMN until TIME"``, the time in s.
+
+        Raises ParameterError for another text.
+        """
+        found = _TEXT.fullmatch(text.strip()) if isinstance(text, str) else None
+        number = None
+        if found is not None:
+            try:
+                number = as_number(float(found["time"]))
+            except ValueError:
+                number = None
+        if found is None or number is None:
+            expected = '"COLUMN at TIME", or "COLUMN until TIME" of its integral over time, TIME in s'
+            raise ParameterError("of", text, expected)
+        return cls(found["column"], number, found["kind"] == "until")
+
+    def weights(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """What it is of its column at the ends of steps, at these times, and of its integrals until then."""
+        upper = int(np.clip(np.searchsorted(times, self.time * (1 - 1e-12)), 1, len(times) - 1))
+        share = (self.time - times[upper - 1]) / (times[upper] - times[upper - 1])
+        share = float(np.clip(share, 0.0, 1.0))
+        chosen = np.zeros(len(times))
+        chosen[upper - 1], chosen[upper] = 1 - share, share
+        nothing = np.zeros(len(times))
+        return (nothing, chosen) if self.is_integral else (chosen, nothing)
+
+
+@dataclass(frozen=True)
+class Misfit:
+    """Half the sum of squares of the differences from data, each in units of its standard deviation.
+
+    Raises ParameterError for data that are none.
+
+    Parameters
+    ----------
+    data : mapping of texts to numbers
+        ``"COLUMN at TIME"`` or ``"COLUMN until TIME"``, and what was measured, in SI units.
+    sigma : float or sequence of float
+        The standard deviation, > 0, of all data or of each.
+    """
+
+    data: Mapping[str, float]
+    sigma: float | Sequence[float] = 1.0
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.data, Mapping) or not self.data:
+            raise ParameterError("Misfit.data", self.data, 'a mapping as {"tip.velocity_1 at 0.5": 0.1}')
+        for name, value in self.data.items():
+            if as_number(value) is None:
+                raise ParameterError(f"Misfit.data[{name!r}]", value, "a finite number")
+        deviations = np.broadcast_to(np.asarray(self.sigma, dtype=float), (len(self.data),))
+        if not (np.isfinite(deviations) & (deviations > 0)).all():
+            raise ParameterError("Misfit.sigma", self.sigma, "numbers > 0, one or as many as there are data")
+
+    def residuals(self, values: np.ndarray) -> np.ndarray:
+        """The differences of values from the data, in units of the standard deviations."""
+        result: np.ndarray = (values - np.array(list(self.data.values()))) / np.asarray(self.sigma)
+        return result
+
+
+@dataclass(frozen=True)
+class Numbers:
+    """Numbers by name: each a part, a column at a time, or a misfit of several."""
+
+    wanted: tuple[Wanted, ...]
+    """The parts of all."""
+    columns: list[str]
+    of_names: dict[str, tuple[slice, Misfit | None]]
+
+    @classmethod
+    def of(cls, of: Sequence[str] | Mapping[str, str | Misfit], until: float) -> Numbers:
+        """Those that ``gradient`` was asked for; raises ParameterError for a text or a time that is none."""
+        given = (
+            of
+            if isinstance(of, Mapping)
+            else {str(text): text for text in require_collection("of", of, 'texts as "kinetic at 0.5"')}
+        )
+        wanted: list[Wanted] = []
+        named: dict[str, tuple[slice, Misfit | None]] = {}
+        for name, one in given.items():
+            misfit = one if isinstance(one, Misfit) else None
+            parts = [Wanted.of(text) for text in (one.data if isinstance(one, Misfit) else [one])]
+            named[name] = slice(len(wanted), len(wanted) + len(parts)), misfit
+            wanted += parts
+        if not named:
+            raise ParameterError("of", of, "at least one number of the run")
+        end = as_number(until)
+        for part in wanted:
+            if end is None or not 0 <= part.time <= end * (1 + 1e-12):
+                expected = f"a time from 0 to the end of the run, {until} s"
+                raise ParameterError(f"of: {part.column}", part.time, expected)
+        return cls(tuple(wanted), list(dict.fromkeys(part.column for part in wanted)), named)
+
+    @property
+    def names(self) -> list[str]:
+        return list(self.of_names)
+
+    def parts(self, history: History) -> np.ndarray:
+        """The parts of a history, (parts, ...)."""
+        found = []
+        for one in self.wanted:
+            ends, integrals = one.weights(history.times)
+            column = self.columns.index(one.column)
+            of_ends, of_integrals = history.ends[:, column], history.integrals[:, column]
+            found.append(np.tensordot(ends, of_ends, 1) + np.tensordot(integrals, of_integrals, 1))
+        return np.array(found)
+
+    def values(self, parts: np.ndarray) -> np.ndarray:
+        """The numbers, (numbers,)."""
+        return np.array(
+            [
+                parts[own][0] if misfit is None else 0.5 * np.sum(misfit.residuals(parts[own]) ** 2)
+                for own, misfit in self.of_names.values()
+            ]
+        )
+
+    def coefficients(self, parts: np.ndarray) -> np.ndarray:
+        """The derivatives of the numbers by the parts, (numbers, parts)."""
+        result = np.zeros((len(self.of_names), len(parts)))
+        for row, (own, misfit) in zip(result, self.of_names.values(), strict=True):
+            row[own] = 1.0 if misfit is None else misfit.residuals(parts[own]) / np.asarray(misfit.sigma)
+        return result
+
+    def weights(self, history: History, of_stages: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The derivatives of the numbers by the columns at the ends of steps, and by their means over stages.
+
+        Both are (numbers, steps + 1, columns); ``of_stages`` says which columns are such means.
+        """
+        times = history.times
+        ends, integrals = (np.zeros((len(self.wanted), len(times), len(self.columns))) for _ in range(2))
+        for i, one in enumerate(self.wanted):
+            column = self.columns.index(one.column)
+            ends[i, :, column], integrals[i, :, column] = one.weights(times)
+        means = np.flip(np.cumsum(np.flip(integrals, 1), 1), 1)  # an integral until later has the step in it
+        means *= np.diff(times, prepend=times[0])[:, None]
+        coefficients = self.coefficients(self.parts(history))
+        of_ends, of_means = np.where(of_stages, 0.0, ends), means + np.where(of_stages, ends, 0.0)
+        return np.tensordot(coefficients, of_ends, 1), np.tensordot(coefficients, of_means, 1)

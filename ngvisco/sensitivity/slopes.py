@@ -1,0 +1,113 @@
+"""Slopes of columns: their derivatives by all coefficients of a state."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from ngsolve import VOL, BilinearForm, CoefficientFunction, ElementId, Variation
+
+from ngvisco.errors import ParameterError
+from ngvisco.expressions import parse
+from ngvisco.forms.distance import energies
+from ngvisco.forms.mesh.locating import as_points, locate
+from ngvisco.forms.mesh.quadrature import compiled
+from ngvisco.forms.term import Integrand
+from ngvisco.run.fields import components, output_fields
+from ngvisco.run.probes import Integrals, Probes
+from ngvisco.sensitivity.follower import Follower
+from ngvisco.sensitivity.parameters import OFFSETS, differenced
+
+_SPACING = 1e-3
+"""Of the differences by coefficients of a cell, in units of the largest one of their unknown."""
+
+
+class Slopes:
+    """The slopes of a follower's columns at its present state.
+
+    Those of ledger columns and of integrals are forms; of a probe the coefficients of the probe's cell count
+    alone, by which its value is differenced.  Raises ParameterError for a column whose slope is not known: a
+    force on a wall, the power of one that moves, or one of a table of bodies.
+    """
+
+    def __init__(self, follower: Follower) -> None:
+        self.follower, self.step = follower, follower.step
+        names = follower.columns.names
+        self._of: dict[str, Callable[[], np.ndarray]] = {}
+        self._vector = self.step.state.vec.CreateVector()
+        trial = self.step.linearised_fields(self.step.layout.space.TrialFunction())
+        known = {**energies(self.step, trial), "mass": Integrand(trial.rho)}
+        known |= {entry.name: entry.integrand for entry in self.step.entries(trial) if entry.evaluate is None}
+        for table in follower.columns.tables:
+            columns = table.prepare(follower.simulation)
+            if isinstance(table, Integrals):
+                fields = components(output_fields(self.step, trial))
+                for name, value in table.integrands.items():
+                    if isinstance(value, str) and name in names:
+                        known[name] = Integrand(parse(value, tuple(fields)).coefficient(fields))
+            elif isinstance(table, Probes):
+                wanted = [name for name in names if name in columns]
+                self._of |= {name: self._probe(table, name) for name in wanted}
+        for name in names:
+            if name in known:
+                self._of[name] = self._form(known[name])
+        for name in names:
+            if name not in self._of:
+                expected = "a column with a slope, for the adjoint; take the tangent for forces and bodies"
+                raise ParameterError("of", name, expected)
+
+    def __call__(self, name: str) -> np.ndarray:
+        """The slope of a column at the present state, by all coefficients."""
+        return self._of[name]()
+
+    def _form(self, integrand: Integrand) -> Callable[[], np.ndarray]:
+        quadrature, form = self.step.quadrature, BilinearForm(self.step.layout.space)
+        for part, measure in (
+            (integrand.cells, quadrature.cells),
+            (integrand.facets, quadrature.facets),
+            (integrand.nodes, quadrature.nodes),
+        ):
+            if part is not None:
+                form += Variation(compiled(part) * measure)
+
+        def slope() -> np.ndarray:
+            form.Apply(self.step.state.vec, self._vector)
+            return self._vector.FV().NumPy().copy()
+
+        return slope
+
+    def _probe(self, table: Probes, column: str) -> Callable[[], np.ndarray]:
+        step, mesh = self.step, self.step.mesh
+        name, field = column.rsplit(".", 1)
+        at = locate(mesh, as_points(name, table.points[name], mesh.dim), [name])
+        value = components(output_fields(step))[field]
+        dofs = np.array(step.layout.space.GetDofNrs(ElementId(VOL, int(at["nr"][0]))))
+        dofs = dofs[dofs >= 0]
+        is_linear = self._is_linear(field)
+        kept: list[np.ndarray] = []
+
+        def slope() -> np.ndarray:
+            if not kept or not is_linear:
+                kept[:] = [self._differenced(value, at, dofs)]
+            return kept[0]
+
+        return slope
+
+    def _is_linear(self, field: str) -> bool:
+        """Whether a field is linear in the state, so that its slope is one for all."""
+        names = {"velocity", "density", *self.step.layout.states.slices}
+        return field in names or field.rpartition("_")[0] in names
+
+    def _differenced(self, value: CoefficientFunction, at: np.ndarray, dofs: np.ndarray) -> np.ndarray:
+        state, result = self.follower.state, np.zeros(len(self.follower.state))
+        for block in self.step.layout.ranges.values():
+            own = dofs[(block.start <= dofs) & (dofs < block.stop)]
+            h = _SPACING * (abs(state[own]).max(initial=0.0) or 1.0)
+            for dof in own:
+                kept, values = state[dof], []
+                for offset in OFFSETS:
+                    state[dof] = kept + offset * h
+                    values.append(np.ravel(value(at))[0])
+                state[dof] = kept
+                result[dof] = differenced(values, h)
+        return result

@@ -1,0 +1,112 @@
+"""How the equations of a stage, and a combined end, depend on the states that they start from."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+import scipy.sparse.linalg as spl
+from ngsolve import BilinearForm, GridFunction, Parameter
+
+from ngvisco.forms.fields import Fields
+from ngvisco.forms.mesh.points import csr
+from ngvisco.forms.term import GivenParts, Projecting
+from ngvisco.physics.tensors import inner
+from ngvisco.sensitivity.follower import Follower
+from ngvisco.sensitivity.trajectory import Stage
+
+
+class Starts:
+    """Products with the transposes of R_y, of a stage's equations by one of the states y that it starts from.
+
+    R reads sum w_k y_k, and sum w_k rho_k v_k at the points: as a form with y_k as trial function, the others
+    being kept, its linearisation at y_k is R_y.
+    """
+
+    def __init__(self, follower: Follower) -> None:
+        self.follower, self.step = follower, follower.step
+        layout, quadrature = self.step.layout, self.step.quadrature
+        self.evolving = np.zeros(layout.space.ndof, dtype=bool)
+        """Which coefficients of a state a step reads that starts from it."""
+        for name in layout.evolving:
+            self.evolving[layout.ranges[name]] = True
+        self._weight = Parameter(1.0)
+        self._others = GridFunction(layout.space)
+        self._other_momentum = quadrature.vectors(self.step.mesh.dim)
+        self._at = self.step.state.vec.CreateVector()
+        self._product = self.step.state.vec.CreateVector()
+
+    @cached_property
+    def _form(self) -> BilinearForm:
+        step, layout = self.step, self.step.layout
+        trial = dict(zip(layout.names, layout.space.TrialFunction(), strict=True))
+        others = dict(zip(layout.names, self._others.components, strict=True))
+        parts = {name: others[name] + self._weight * trial[name] for name in layout.evolving}
+        y = Fields(layout, trial)
+        old = Fields(layout, GivenParts(parts, "it reads the old value of {name}, which does not evolve"))
+        u = step.fields_from(old, self._other_momentum + self._weight * (y.rho * y.v))
+        form, w = BilinearForm(layout.space), step.tests()
+        for term in step.terms:
+            step.quadrature.add(form, term.form(u, w))
+        return form
+
+    def transposed(self, stage: Stage, states: list[np.ndarray], number: int, rows: np.ndarray) -> np.ndarray:
+        """R_y^T of rows, y the state of this number among those that the stage starts from.
+
+        The stage is posed, and its solution is the present state.
+        """
+        weights, step = stage.starts, self.step
+        others = [(w, y) for k, (w, y) in enumerate(zip(weights, states, strict=False)) if k != number]
+        self._others.vec.FV().NumPy()[:] = sum((w * y for w, y in others), np.zeros_like(rows))
+        self._weight.Set(float(weights[number]))
+        self._state.vec.FV().NumPy()[:] = states[number]
+        y = step.layout.fields(self._state.components)
+        self._momentum.Interpolate(y.rho * y.v)
+        rest = step.momentum_old.vec.FV().NumPy() - weights[number] * self._momentum.vec.FV().NumPy()
+        self._other_momentum.vec.FV().NumPy()[:] = rest
+        self._form.AssembleLinearization(self._state.vec)
+        self._at.FV().NumPy()[:] = rows
+        self._product.data = self._form.mat.T * self._at
+        return np.where(self.evolving, self._product.FV().NumPy(), 0.0)
+
+    @cached_property
+    def _state(self) -> GridFunction:
+        return GridFunction(self.step.layout.space)
+
+    @cached_property
+    def _momentum(self) -> GridFunction:
+        return self.step.quadrature.vectors(self.step.mesh.dim)
+
+    def momentum_transposed(self, state: np.ndarray, rows: np.ndarray) -> np.ndarray:
+        """The transpose of the derivative of int rho v . w by a state, of rows."""
+        form = self.follower.momentum
+        self._at.FV().NumPy()[:] = state
+        form.AssembleLinearization(self._at)
+        self._at.FV().NumPy()[:] = rows
+        self._product.data = form.mat.T * self._at
+        return np.where(self.evolving, self._product.FV().NumPy(), 0.0)
+
+    @cached_property
+    def _functions(self) -> tuple[BilinearForm, np.ndarray]:
+        """The equations of the unknowns that are functions of others, and which coefficients they have."""
+        step, layout = self.step, self.step.layout
+        u, w = step.linearised_fields(layout.space.TrialFunction()), step.tests()
+        form, own = BilinearForm(layout.space), np.zeros(layout.space.ndof, dtype=bool)
+        for term in step.terms:
+            for name, load in term.projections(u) if isinstance(term, Projecting) else ():
+                form += inner(u.parts[name], w.parts[name]).Compile() * step.quadrature.cells
+                step.quadrature.add(form, load(-1 * w.parts[name]))
+                own[layout.ranges[name]] = True
+        return form, own
+
+    def through_functions(self, slope: np.ndarray) -> np.ndarray:
+        """A slope at the present state by the other unknowns, those that are functions of them following."""
+        form, own = self._functions
+        if not slope[own].any():
+            return slope
+        form.AssembleLinearization(self.step.state.vec)
+        rows = csr(form.mat)[own]
+        multiplier = spl.splu(rows[:, own].T.tocsc()).solve(slope[own])
+        result = slope - rows.T @ multiplier
+        result[own] = 0.0
+        return np.asarray(result)

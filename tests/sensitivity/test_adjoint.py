@@ -1,0 +1,163 @@
+"""Adjoints of runs against tangents, and against differences by fields."""
+
+import numpy as np
+import pytest
+from differentiated import AT, OF, UNTIL, run, started
+from ngsolve import Integrate, x, y
+
+import ngvisco as nv
+from ngvisco.geometries import disc
+from ngvisco.sensitivity.adjoint import Adjoint
+from ngvisco.sensitivity.gradient import _base, measure
+from ngvisco.sensitivity.numbers import Numbers
+from ngvisco.sensitivity.slopes import Slopes
+from ngvisco.sensitivity.starts import Starts
+from ngvisco.sensitivity.tangent import Neighbours, history, tangents
+from ngvisco.sensitivity.trajectory import Trajectory
+
+
+@pytest.mark.parametrize("scheme", ["backward-euler", "midpoint", "sdirk2"])
+def test_adjoint_and_tangent_agree(scheme):
+    by = ["creep.G_m", "initial.density"]
+    tangent, adjoint = (
+        nv.gradient(run(scheme=scheme), UNTIL, of=OF, by=by, method=method)
+        for method in ("tangent", "adjoint")
+    )
+    assert np.array_equal(tangent.values, adjoint.values)
+    assert abs(adjoint.jacobian / tangent.jacobian - 1).max() < 1e-8
+
+
+def directional(make, scheme, of, monkeypatch):
+    """The derivative along a random change of the start, by the tangent and by the adjoint."""
+    simulation, numbers = make(scheme=scheme), Numbers.of(of, UNTIL)
+    base, trajectory = _base(simulation, numbers.columns), Trajectory(simulation)
+    slopes = Slopes(base)
+    (one,) = (Neighbours(p, make(scheme=scheme), numbers.columns, base.columns.tables) for p in [Still()])
+    trajectory.run(UNTIL)
+    found, starts = history(trajectory, base), Starts(base)
+    random = np.random.default_rng(0).standard_normal(len(base.state))
+    free = np.array(list(base.step.layout.space.FreeDofs()))
+    one.of_start = np.where(starts.evolving & free, random, 0.0)
+    by_tangent = numbers.parts(tangents(trajectory, base, [one], True))[:, 0]
+    adjoint = Adjoint(trajectory, base, slopes, [], *numbers.weights(found, base.columns.is_of_stages))
+    adjoint.run(True)
+    return by_tangent, adjoint.of_start @ one.of_start
+
+
+class Still:
+    """A parameter that nothing depends on."""
+
+    value, spacing, is_of_start = 1.0, 1e-4, False
+
+    def varied(self, simulation, value):
+        return simulation.on(simulation.mesh)
+
+
+@pytest.mark.parametrize("scheme", ["backward-euler", "midpoint", "sdirk2"])
+def test_products_of_tangent_and_adjoint_are_equal(scheme, monkeypatch):
+    """Of states that the parameters' differences do not enter."""
+    of = {name: text for name, text in OF.items() if name != "stress"}
+    by_tangent, by_adjoint = directional(run, scheme, of, monkeypatch)
+    assert abs(by_adjoint / by_tangent - 1).max() < 1e-9
+    # a negative control: without what a step starts from
+    monkeypatch.setattr(Starts, "transposed", lambda self, stage, states, number, rows: 0 * rows)
+    by_tangent, by_adjoint = directional(run, scheme, of, monkeypatch)
+    assert abs(by_adjoint / by_tangent - 1).max() > 0.1
+
+
+def soft(change=0.0, scheme="midpoint", **options):
+    """A block with a field of stiffness."""
+    tilt = x - 2 * y  # fields of start values that are no polynomials of their order are limited themselves
+    theta = nv.Parameter("theta", start=2 + x + change * tilt)
+    model = nv.Model(
+        material=nv.NeoHookean(K_e=10, G_e=theta, epsilon=0.1),
+        viscosity=nv.StokesViscosity(K_v=0.1, G_v=0.1),
+    )
+    return started(model, scheme=scheme, limiter=False, **options), tilt
+
+
+def test_a_field_has_a_density_of_derivatives():
+    of = {name: OF[name] for name in ("motion", "stress", "share")}
+    simulation, tilt = soft()
+    found = nv.gradient(simulation, UNTIL, of=of, method="adjoint")
+    density = [Integrate(found.density(name, "theta") * tilt, simulation.mesh) for name in of]
+    up, down = (measure(soft(change)[0], UNTIL, of) for change in (1e-3, -1e-3))
+    assert np.allclose(density, (up - down) / 2e-3, rtol=1e-5, atol=0)
+
+
+def test_the_density_of_the_density():
+    """All of it by the same share is the number's own derivative."""
+    simulation = run()
+    found = nv.gradient(simulation, UNTIL, of=OF, by=["initial.density"], method="adjoint")
+    whole = [Integrate(found.density(name, "density"), simulation.mesh) for name in OF]
+    assert np.allclose(whole, found.jacobian[:, 0], rtol=1e-8, atol=0)
+
+
+def test_a_curved_wall_has_an_adjoint():
+    """Its multipliers are in the solve of the velocity from the momentum."""
+    velocity = (-y * (1 - x * x - y * y) + 0.2 * y, x * (1 - x * x - y * y))
+    given = dict(
+        mesh=disc(radius=1, maxh=1.5),
+        observers=[nv.Probes({"p": (0.3, 0.2)}, ["velocity"])],
+        initial=nv.Initial(density=1.0, velocity=velocity),
+    )
+    of = {"motion": "kinetic at 0.06", "way": "p.velocity_1 until 0.06"}
+    tangent, adjoint = (
+        nv.gradient(
+            run(**given), UNTIL, of=of, by=["material.G_e", "initial.density"], method=method
+        ).jacobian
+        for method in ("tangent", "adjoint")
+    )
+    assert abs(adjoint / tangent - 1).max() < 1e-8
+
+
+def test_a_misfit_is_half_the_sum_of_squares():
+    data, sigma = {"kinetic at 0.04": 0.1, "p.velocity_1 at 0.06": 0.2}, (0.01, 0.02)
+    of = {"misfit": nv.Misfit(data, sigma), "motion": "kinetic at 0.04", "speed": "p.velocity_1 at 0.06"}
+    by = ["material.G_e", "creep.G_m"]
+    tangent, adjoint = (
+        nv.gradient(run(), UNTIL, of=of, by=by, method=method) for method in ("tangent", "adjoint")
+    )
+    off = (tangent.values[1:] - np.array([0.1, 0.2])) / sigma
+    assert tangent.values[0] == pytest.approx(0.5 * off @ off, rel=1e-14)
+    expected = (off / sigma) @ tangent.jacobian[1:]
+    assert np.allclose(tangent.jacobian[0], expected, rtol=1e-13)
+    assert np.allclose(adjoint.jacobian, tangent.jacobian, rtol=1e-8, atol=0)
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"of": ["bottom.force_2 at 0.06"]}, "take the tangent for forces"),
+        ({"method": "forward"}, "'tangent' or 'adjoint'"),
+        ({"of": {"m": "kinetic at 0.06"}, "method": "tangent", "by": []}, "at least one parameter"),
+    ],
+)
+def test_what_an_adjoint_does_not_know_is_refused(given, said):
+    with pytest.raises(nv.NgviscoError, match=said):
+        nv.gradient(run(), UNTIL, **{"of": ["kinetic at 0.06"], "by": list(AT), "method": "adjoint"} | given)
+
+
+def test_a_density_is_of_scalar_fields_and_adjoints():
+    simulation, _ = soft()
+    found = nv.gradient(simulation, UNTIL, of=["kinetic at 0.06"], by=["viscosity.G_v"])
+    with pytest.raises(nv.ParameterError, match="method='adjoint'"):
+        found.density("kinetic at 0.06", "theta")
+    found = nv.gradient(soft()[0], UNTIL, of=["kinetic at 0.06"], method="adjoint")
+    with pytest.raises(nv.UnknownNameError, match="unknown scalar field 'F'"):
+        found.density("kinetic at 0.06", "F")
+    with pytest.raises(nv.UnknownNameError, match="unknown number"):
+        found.density("kinetic", "theta")
+
+
+@pytest.mark.parametrize(
+    ("data", "sigma", "said"),
+    [
+        ({}, 1.0, "a mapping"),
+        ({"kinetic at 0": "x"}, 1.0, "a finite number"),
+        ({"kinetic at 0": 1}, 0, "> 0"),
+    ],
+)
+def test_bad_data_of_a_misfit_are_refused(data, sigma, said):
+    with pytest.raises(nv.ParameterError, match=said):
+        nv.Misfit(data, sigma)
