@@ -4,13 +4,18 @@ For smooth fields B_h(w; z, zeta) = int T : grad w - int phi (w . n) (``ngvisco.
 wall that matter crosses the natural condition of the momentum equation would be T n = phi n.  There stands
 besides
 
-    + int_Gamma phi_hat (w . n) + 1/2 int_Gamma rho_hat (v . n) v . w - int_Gamma t . w,
+    + int_Gamma (phi(z) + zeta : (z_hat - z)) (w . n) + 1/2 int_Gamma rho_hat (v . n) v . w - int_Gamma t . w,
 
-with phi_hat = phi(z_hat), the second of these from the skew form of convection.  rho_hat and z_hat are the
-upwind traces, on the other side of which is what flows in (``ngvisco.forms.upwinding``).  At w = v, B_h used
-twice cancels with these facets too:
+the second of these from the skew form of convection.  rho_hat and z_hat are the upwind traces, on the other
+side of which is what flows in (``ngvisco.forms.upwinding``).  The first one leaves nothing of the wall's
+facets in the elastic force: T n is t whatever flows in.  Where it is given, and not what is inside, z_hat
+and z meet in the cell and dissipate, for convex energies,
 
-    E - E_old + tau (D - P) + R = -tau int (phi_hat + 1/2 rho_hat |v|^2) (v . n) + tau int t . v,
+    d = (phi(z) + zeta : (z_hat - z) - phi(z_hat)) (v . n) >= 0        where v . n < 0.
+
+At w = v, B_h used twice cancels with these facets too:
+
+    E - E_old + tau (D + int d - P) + R = -tau int (phi(z_hat) + 1/2 rho_hat |v|^2) (v . n) + tau int t . v,
     int rho - int rho_old = -tau int rho_hat (v . n),
 
 exactly, whatever flows in; of a material with heat the entropy changes by -tau int s_hat (v . n) besides.
@@ -38,7 +43,7 @@ from ngvisco.parallel.exchange import Exchange
 from ngvisco.physics.loads import as_vector
 from ngvisco.physics.materials.thermal import entropy_in
 from ngvisco.physics.model import Model
-from ngvisco.physics.tensors import if_positive
+from ngvisco.physics.tensors import if_positive, inner
 from ngvisco.physics.walls import NavierFriction, Open, Passage, Traction
 
 
@@ -123,7 +128,8 @@ def _tangential(a: CoefficientFunction, n: CoefficientFunction) -> CoefficientFu
 
 
 class Carried(OnWall):
-    """+ int phi_hat (w . n) + 1/2 int rho_hat (v . n) v . w on one wall, see the module's docstring.
+    """+ int (phi(z) + zeta : (z_hat - z)) (w . n) + 1/2 int rho_hat (v . n) v . w on one wall, see the module's
+    docstring.
 
     With ``backflow`` (``Open``) the second one has what flows out only,
 
@@ -173,15 +179,26 @@ class Carried(OnWall):
         at_trace = Fields(u.layout, ChainMap({"z": u.z_hat}, u.parts), u.context)  # type: ignore[arg-type]
         return u.context.rates.stored(at_trace)
 
+    def _tangent(self, u: Fields) -> CoefficientFunction:
+        """phi(z) + zeta : (z_hat - z), Pa."""
+        return u.context.rates.stored(u) + inner(u.z_hat - u.z, u.zeta)
+
     def facets(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         c = u.context
         kinetic = 0.5 * u.rho_hat * (self._outward(u) if self.backflow else self._through(u))
-        return [(c.given(self.indicator) * self._stored(u)) * (w.v * c.normal), kinetic * (w.v * u.v)]
+        return [(c.given(self.indicator) * self._tangent(u)) * (w.v * c.normal), kinetic * (w.v * u.v)]
 
     def on_body(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         """What ``backflow`` adds, 1/2 rho_hat (v . n)^- v . w."""
         flux = u.rho_hat * (self._outward(u) - self._through(u))
         return [0.5 * flux * (u.v * w.v)] if self.backflow else []
+
+    def _mixing(self, u: Fields) -> list[Entry]:
+        """What z_hat and z dissipate, none where all that flows in is the cell's own."""
+        if not self.given.values and self.given.temperature is None:
+            return []
+        lost = (self._tangent(u) - self._stored(u)) * self._through(u)
+        return [_beyond(f"dissipation_inflow_{self.name}", lost)]
 
     def entries(self, u: Fields) -> list[Entry]:
         name, through = self.name, self._through(u)
@@ -190,6 +207,7 @@ class Carried(OnWall):
             Entry(f"power_kinetic_{name}", "power", Integrand(facets=-0.5 * flux * (u.v * u.v))),
             Entry(f"power_stored_{name}", "power", Integrand(facets=-self._stored(u) * through)),
             *(_beyond(f"dissipation_backflow_{name}", part) for part in self.on_body(u, u)),
+            *self._mixing(u),
             Entry(f"inflow_{name}", "flux", Integrand(facets=-flux)),
         ]
         if self.entropy is not None:
