@@ -16,7 +16,11 @@ from ngsolve import (
     Parameter,
     Region,
     TaskManager,
+    VectorL2,
     specialcf,
+    x,
+    y,
+    z,
 )
 
 from ngvisco.errors import InputWarning
@@ -92,14 +96,23 @@ class Context:
                 wall.given.mapped(partial(self.average, walls=wall.region, is_even=True)) for wall in passages
             ]
 
+            reach = from_middle(mesh) if old.layout.unknowns["z"].order else None
+
+            def continued(u: Fields, name: str) -> CoefficientFunction:
+                """The cell's own value without its slope, with which it would grow from step to step."""
+                own = u.parts[name]
+                return own if reach is None else own - u.gradient(name) * u.context.given(reach)
+
             def entering(u: Fields, name: str) -> CoefficientFunction:
-                own, of_walls = u.parts[name], []
+                own, of_walls = continued(u, name), []
                 for wall, given in zip(passages, means, strict=True):
-                    value = wall.entering(u, name, given)
-                    of_walls.append(u.context.given(wall.indicator) * (own if value is None else value))
+                    value = wall.entering(u, name, own, given)
+                    of_walls.append(u.context.given(wall.indicator) * value)
                 return sum(of_walls[1:], of_walls[0])
 
-            incoming = Incoming(where, entering)
+            kept = {name: [at for at in passages if at.continues(name)] for name in ("rho", "z")}
+            on = {name: sum((at.indicator for at in found), CF(0.0)) for name, found in kept.items()}
+            incoming = Incoming(where, on, reach, entering)
         self._through = wind * self.normal
         self.upwinding = Upwinding(self._through, self.crossed, self.eta, incoming)
         """On a cell's boundary only."""
@@ -227,3 +240,11 @@ def cell_size(mesh: Mesh) -> GridFunction:
     with TaskManager():
         size.Set(specialcf.mesh_size)
     return size
+
+
+def from_middle(mesh: Mesh) -> CoefficientFunction:
+    """x - x_K, x_K the middle of the cell, m."""
+    middle, place = GridFunction(VectorL2(mesh, order=0)), CF((x, y, z)[: mesh.dim])
+    with TaskManager():
+        middle.Set(place)
+    return place - middle

@@ -15,7 +15,7 @@ force would jump by [z] : [zeta] where v . n changes its sign, and the step coul
 """
 
 from abc import abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from ngsolve import CoefficientFunction, GridFunction, HDiv, Mesh
@@ -34,9 +34,15 @@ def mean_share(inner: CoefficientFunction) -> CoefficientFunction:
 @dataclass(frozen=True)
 class Incoming:
     """What flows in: ``where`` is 1 on the walls that matter crosses, 0 elsewhere; ``value`` takes the fields
-    of a cell's side and the name ``"rho"`` or ``"z"`` to what flows in there."""
+    of a cell's side and the name ``"rho"`` or ``"z"`` to what flows in there.
+
+    On walls where ``continued`` is 1, for each name, that is the cell's own value less the slope of it times
+    ``reach``, x less the middle of the cell; None with constants in cells.
+    """
 
     where: CoefficientFunction
+    continued: Mapping[str, CoefficientFunction]
+    reach: CoefficientFunction | None
     value: Callable[[Fields, str], CoefficientFunction]
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections import ChainMap
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -274,7 +275,7 @@ class SideContext:
         incoming = self._step.context.upwinding.incoming
         if incoming is None:
             return None
-        return Incoming(self.given(incoming.where), incoming.value)
+        return replace(incoming, where=self.given(incoming.where))
 
     def given(self, value: CoefficientFunction) -> Array:
         """A scalar, a vector or a matrix at the end of the step, see ``Context.given``."""
@@ -350,10 +351,11 @@ class FacetTerms:
             return Array(self.op.of(name)(c[name]), None)
 
         def gradient(name: str) -> Array:
-            return Array(np.stack([D(c[name]) for D in self.op.dz], axis=1), None)
+            return Array(np.stack([D(c[name]) for D in self.op.dz], axis=-2), None)
 
         names = [*self._names, *derived_in_cells(self.layout)]
-        return lazy_fields(Fields, self.layout, (value, names), (gradient, ["zeta"]), FACETS, self.context)
+        sloping = [name for name in ("rho", "z", "zeta") if name in names]
+        return lazy_fields(Fields, self.layout, (value, names), (gradient, sloping), FACETS, self.context)
 
     def slots(self, terms: Iterable[PointTerm], u: Fields) -> dict[str, np.ndarray]:
         """What multiplies each test, (..., points)."""

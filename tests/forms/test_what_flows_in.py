@@ -160,6 +160,24 @@ def test_a_temperature_that_is_given_has_the_entropy_of_the_volume_that_is_there
     assert Integrate(error * error, run.mesh) ** 0.5 < 1e-6
 
 
+@pytest.mark.parametrize(("m", "solver"), [(1, "split"), (1, "coupled"), (2, "split")])
+def test_a_slope_does_not_go_on_beyond_an_inlet(m, solver):
+    """A density of 1 to 1.3 kg/m^3, carried through twelve times over, stays in that range and comes to rest."""
+    walls = {("left", "right"): nv.Inflow(velocity=(1.0, 0.0))}
+    initial = nv.Initial(density=1 + 0.3 * x, velocity=(1.0, 0.0))
+    orders = nv.Discretisation(m=m)
+    mesh, model = structured_box((1, 1), (2, 1)), nv.Model(material=FLUID)
+    run = nv.Simulation(
+        mesh, model, dt=1.0, walls=walls, initial=initial, discretisation=orders, solver=solver
+    )
+    ledger = run.run(12.0)
+    assert abs(ledger.column("closure_relative")).max() < 1e-11
+    mass = ledger.column("mass")
+    assert 1.0 < mass[-1] < 1.3
+    away = run.fields["density"] - mass[-1]
+    assert Integrate(away * away, mesh) ** 0.5 < 1e-3
+
+
 def test_a_volume_that_flows_in_needs_its_density():
     with pytest.raises(nv.ParameterError, match=r"density = None: .*beside its volume"):
         walls = {"right": nv.Open(values={"J": 1.1})}

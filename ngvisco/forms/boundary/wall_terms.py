@@ -128,8 +128,9 @@ def _tangential(a: CoefficientFunction, n: CoefficientFunction) -> CoefficientFu
 
 
 class Carried(OnWall):
-    """+ int (phi(z) + zeta : (z_hat - z)) (w . n) + 1/2 int rho_hat (v . n) v . w on one wall, see the module's
-    docstring.
+    """+ int (phi(z) + zeta : (z_hat - z)) (w . n) + 1/2 int rho_hat (v . n) v . w on one wall.
+
+    See the module's docstring.
 
     With ``backflow`` (``Open``) the second one has what flows out only,
 
@@ -148,18 +149,24 @@ class Carried(OnWall):
         self.given = entering(wall, f"walls[{name!r}]", model)
         """What is given of what flows in, of the place and the time, see ``entering``."""
 
-    def entering(self, u: Fields, name: str, given: Entering) -> CoefficientFunction | None:
-        """What flows in of ``"rho"`` or ``"z"``, on a cell's side; None where that is all the cell's own.
+    def continues(self, name: str) -> bool:
+        """Whether nothing of ``"rho"`` or ``"z"`` is given."""
+        return self.given.density is None if name == "rho" else self.given.is_of_density_alone
+
+    def entering(
+        self, u: Fields, name: str, own: CoefficientFunction, given: Entering
+    ) -> CoefficientFunction:
+        """What flows in of ``"rho"`` or ``"z"``, on a cell's side: ``own`` where nothing is given.
 
         ``given`` are the means of ``self.given`` over the step.
         """
+        if self.continues(name):
+            return own
         given = given.mapped(u.context.given)
         if name == "rho":
             return given.density
-        if not given.values and given.temperature is None:
-            return None
-        own = u.layout.states.tensors(lambda: u.z)
-        values = {variable: given.values.get(variable, own[variable]) for variable in own}
+        inside = u.layout.states.tensors(lambda: own)
+        values = {variable: given.values.get(variable, inside[variable]) for variable in inside}
         if given.temperature is not None:
             values |= entropy_at(self.material, given.temperature, values)
         return u.layout.states.components(values)
@@ -194,9 +201,7 @@ class Carried(OnWall):
         return [0.5 * flux * (u.v * w.v)] if self.backflow else []
 
     def _mixing(self, u: Fields) -> list[Entry]:
-        """What z_hat and z dissipate, none where all that flows in is the cell's own."""
-        if not self.given.values and self.given.temperature is None:
-            return []
+        """What z_hat and z dissipate."""
         lost = (self._tangent(u) - self._stored(u)) * self._through(u)
         return [_beyond(f"dissipation_inflow_{self.name}", lost)]
 

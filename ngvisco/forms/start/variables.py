@@ -143,6 +143,11 @@ class Entering:
     density: CoefficientFunction | None = None
     temperature: CoefficientFunction | None = None
 
+    @property
+    def is_of_density_alone(self) -> bool:
+        """Whether no variable is given."""
+        return not self.values and self.temperature is None
+
     def mapped(self, function: Callable[[CoefficientFunction], CoefficientFunction]) -> Self:
         """``function`` of everything that is given."""
         density, theta = (f if f is None else function(f) for f in (self.density, self.temperature))

@@ -196,6 +196,8 @@ class TransportSweeps:
         self._shape = (self.coupling.cells, op.z.per_cell, 1)
         self._tests = np.ascontiguousarray((op.weights.reshape(self._shape) * op.z.blocks).transpose(0, 2, 1))
         self._mass = np.matmul(self._tests, op.z.blocks)
+        self._flat: np.ndarray | None = None
+        """Functions of a cell at its sides' points, without their slopes, as ``Incoming`` continues them."""
         self._whole: Direct | None = None
         """Of z where it diffuses."""
         if residual.diffusion is not None:
@@ -222,6 +224,7 @@ class TransportSweeps:
         share = at.facets.context.upwinding.share.value
         through = r.side_op.crossed * (r.side_op.points.normals * at.facets.v.value).sum(axis=0)
         own, across = coupling.blocks(-through, share, through)
+        own += self._continued("z", at, through)
         own += storage + convection
         if self._whole is not None:
             transport = of_blocks(own, across, coupling.neighbours, coupling.halo.count)
@@ -237,9 +240,26 @@ class TransportSweeps:
         self._count_sweeps()
         if self._density is None and r.unknowns.density:
             own, across = coupling.blocks(np.zeros_like(through), share, through)
+            own += self._continued("rho", at, through)
             own += storage - convection.transpose(0, 2, 1)
             with r.ranks.together(np.linalg.LinAlgError):
                 self.of_rho = SweptMatrix(own, across, coupling).invert()
+
+    def _continued(self, name: str, at: Evaluation, through: np.ndarray) -> np.ndarray | float:
+        """What flows in through walls with the cell's own value, less its slope, of ``"rho"`` or ``"z"``."""
+        upwinding, known = at.facets.context.upwinding, at.facets.context.given
+        if (incoming := upwinding.incoming) is None:
+            return 0.0
+        if self._flat is None:
+            self._flat = flat = self.residual.side_op.z.blocks.copy()
+            if incoming.reach is not None:
+                points = flat.reshape(-1, flat.shape[-1])
+                for reach, D in zip(known(incoming.reach).value, self.residual.side_op.dz, strict=True):
+                    entries = D.matrix.tocoo()
+                    slopes = reach[entries.row] * entries.data
+                    np.subtract.at(points, (entries.row, entries.col % flat.shape[-1]), slopes)
+        of_trace = known(incoming.continued[name]).value * upwinding.inflow.value
+        return self.coupling.blocks(np.zeros_like(through), of_trace, through, self._flat)[0]
 
     def _count_sweeps(self) -> None:
         """How many sweeps the present transport takes, by what they leave of a field drawn at random."""
