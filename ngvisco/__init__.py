@@ -78,6 +78,7 @@ from ngvisco.physics.rheology import (
 )
 from ngvisco.physics.signals import pulse, step, table
 from ngvisco.physics.walls import Inflow, NavierFriction, NoSlip, Open, PrescribedTangential, Slip, Traction
+from ngvisco.run.adaptive import AdaptiveSteps, DamageWarning
 from ngvisco.run.checkpoint import Checkpoints, read_ledger
 from ngvisco.run.ledger import ClosureWarning, CreepPowerWarning, DefectWarning, EntropyWarning
 from ngvisco.run.observers import LedgerCSV, NotebookProgress, Progress, VTKSeries
@@ -87,7 +88,7 @@ from ngvisco.run.probes import Bodies, Integrals, LineSamples, Probes, WallForce
 from ngvisco.run.record import record
 from ngvisco.run.refinement import Refinement, run_refined
 from ngvisco.run.simulation import Observer, Simulation
-from ngvisco.run.stepping import AdaptiveSteps, Rejection, TimeSteps
+from ngvisco.run.stepping import Rejection, TimeSteps
 from ngvisco.run.transfer import Transfer, resume_changed, transfer
 from ngvisco.sensitivity.gradient import Gradient, gradient
 from ngvisco.sensitivity.numbers import Misfit
@@ -137,6 +138,7 @@ __all__ = [
     "CreepPowerWarning",
     "Cross",
     "CustomMaterial",
+    "DamageWarning",
     "Damaged",
     "DefectWarning",
     "Discretisation",

@@ -41,7 +41,7 @@ from ngvisco.errors import Quantity, UnknownNameError
 from ngvisco.physics.heat import Conductivity, WallHeat
 from ngvisco.physics.material import Material as MaterialObject
 from ngvisco.physics.parameters import Modulus
-from ngvisco.run.stepping import AdaptiveSteps
+from ngvisco.run.adaptive import AdaptiveSteps
 
 TAGS = ("geometry", "kind")
 """Keys whose value chooses a section."""

@@ -22,6 +22,9 @@ In the step itself the conjugates of z are phi'_z(z; d_old, q_old), those of (d,
 
 both >= 0, although phi is not jointly convex.
 
+The growth at a point and the surface of cracks that a step makes are columns: a crack that runs in one step
+has the stress of the step's start, so that the load at which a body breaks depends on the step's length.
+
 With heat, what the viscosity of damage dissipates, xi, raises the entropy of each cell by c_K xi tau/theta
 with the c_K by which its energy rises by tau int_K xi, to rounding.
 """
@@ -63,6 +66,10 @@ if TYPE_CHECKING:
 DISSIPATION, BREGMAN = "dissipation_damage", "bregman_damage"
 """Ledger columns of what growing damage dissipates, W, and of what its half of the step does, J a step."""
 
+GROWTH, CRACKED = "damage_growth", "crack_growth"
+"""Ledger columns of the largest growth of d at a point in a step, and of the surface of cracks that the step
+makes, by their energy over G_c: m^2, in two dimensions m."""
+
 
 _POWER, _PRODUCTION = "power_heat_damage", PRODUCTION + "damage"
 """And of the heat that it makes, W, and the entropy, W/K."""
@@ -97,12 +104,15 @@ class DamageGrowth:
         masses += space.TestFunction() * step.quadrature.cells
         self._masses = masses.Assemble().vec.FV().NumPy().copy()
         self._part = GridFunction(step.layout.scalar_space("z"))
+        self._of_surface = law.surface_energy(z)
         entropy = entropy_in(step.model.material)
         self._heat = None if entropy is None else _Heat(step, entropy)
         self.entries = [
             Entry(DISSIPATION, "dissipation", Integrand()),
             Entry(BREGMAN, "numerical", Integrand()),
             Entry("stored_surface", "monitor", Integrand(law.surface_energy(z))),
+            Entry(GROWTH, "monitor", Integrand()),
+            Entry(CRACKED, "monitor", Integrand()),
         ]
         if self._heat is not None:
             self.entries.append(Entry(_POWER, "power", Integrand()))
@@ -164,7 +174,8 @@ class DamageGrowth:
         self._add(np.clip(sums / np.maximum(counts, 1), 0.0, 1.0))
 
     def __call__(self, tau: float) -> tuple[dict[str, float], dict[str, float]]:
-        """Let the damage grow over ``tau``, s; dissipations, W, and numerical ones, J, by columns.
+        """Let the damage grow over ``tau``, s; by columns dissipations, W, beside ``GROWTH`` and ``CRACKED``,
+        and numerical ones, J.
 
         Raises StepError where there is no minimum: the energy is not convex in the damage.
         """
@@ -177,16 +188,21 @@ class DamageGrowth:
             found = minimise_in_box(H, f, (rising, falling), low, high)
         except StepError as error:
             raise StepError(f"damage: {error}; the material's energy is negative somewhere") from error
-        delta = found.x
+        delta, before = found.x, self._surface()
         self._add(delta)
         dissipated = np.where(delta < 0, falling, rising) * delta * delta
         rates = {DISSIPATION: float(dissipated.sum()) / tau}
+        rates |= {GROWTH: float(delta.max()), CRACKED: (self._surface() - before) / law.G_c}
         if self._heat is not None:
             self._delta.vec.FV().NumPy()[:] = dissipated / np.where(self._masses > 0, self._masses, 1.0)
             rates |= self._heat(self._delta, tau)
         step.freeze()
         distance = float(0.5 * delta @ (H @ delta) - found.slope @ delta)
         return rates, {BREGMAN: distance}
+
+    def _surface(self) -> float:
+        """The energy of cracks, J."""
+        return float(self.step.quadrature.integrate_cells(self._of_surface))
 
     def _bounds(self) -> tuple[np.ndarray, np.ndarray]:
         """Between which delta is at every vertex."""

@@ -30,6 +30,7 @@ from ngvisco.physics.materials.thermal import entropy_in, temperature
 from ngvisco.physics.mixture import Mixture
 from ngvisco.physics.tensors import if_positive, square
 from ngvisco.physics.variables import Distortion, Jacobian, ReciprocalJacobian, Values
+from ngvisco.run.adaptive import CRACKED, GROWTH, DamageWarning, growth_message
 from ngvisco.run.notebook import data_frame, ledger_html
 from ngvisco.timestepping.integrator import LIMITER, LIMITER_WALLS, StepTaken
 
@@ -44,9 +45,9 @@ _COUNTS = ("newton_iterations", "rejections", "limited_cells")
 _UNITS = {
     **{"time": "s", "dt": "s", "mass": "kg", "rho_min": "kg/m^3", "rho_max": "kg/m^3", "v_max": "m/s"},
     **{"temperature_min": "K", "temperature_max": "K", "entropy": "J/K", "creep_power_min": "W/m^3"},
-    **{"cutoff_volume": "m^3", "J_defect": "m^(d/2)", "density_diffusion": "kg^2/m^3/s"},
+    **{"cutoff_volume": "m^3", "J_defect": "m^(d/2)", "density_diffusion": "kg^2/m^3/s", CRACKED: "m^(d-1)"},
     **dict.fromkeys(("step", "closure_relative", "mass_drift", "defect_rms", "defect_max", "J_min"), "1"),
-    **dict.fromkeys((*_COUNTS, "cfl", "error_estimate"), "1"),
+    **dict.fromkeys((*_COUNTS, "cfl", "error_estimate", GROWTH), "1"),
 }
 """Columns that are neither energies (J) nor rates, by units; the units of rates by how their names begin."""
 _UNITS_OF_RATES = {"dissipation_": "W", "power_": "W", "entropy_": "W/K", "inflow_": "kg/s"}
@@ -309,6 +310,8 @@ class Ledger:
             if name not in self._optional and not math.isfinite(row[name]):
                 raise StepError(f"the ledger's column {name} is {row[name]} at t = {time:g} s")
         self._check_entropy(row)
+        if message := growth_message(self.step, row):
+            self._warn_once(message, DamageWarning)
         self._pending = {}
         self.balance = Balance(energy, values["mass"], expected)
         return self._append(row)

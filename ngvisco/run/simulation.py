@@ -154,6 +154,7 @@ class Simulation:
         self.dt = float(time.dt)
         self.stepper = time.stepper()
         self.rothe_step = Step(mesh, model, discretisation, sources, walls, terms)
+        self.stepper.require(self.rothe_step)
         require_names_of_their_own(model.material, self.rothe_step.layout.further, CARRIED)
         self.sampler = Sampler(mesh, self.rothe_step.quadrature)
         self.ranks = self.sampler.ranks

@@ -3,7 +3,8 @@
 Fixed.  A step that is not solved is taken in halves, quarters, eighths (``FixedStepper``).
 
 Adaptive.  A step is rejected, and its length halved, when Newton fails, or when rho, J (or A) is not positive
-at a sampling point.  With a tolerance, the estimated relative error e of each step
+at a sampling point; where the damage's growth is bounded, also when it grows by more
+(``ngvisco.run.adaptive``).  With a tolerance, the estimated relative error e of each step
 (``ngvisco.timestepping.error``) is held below it: a step above it is rejected and tried again with the length
 
     tau (0.9 tolerance/e)^(1/(p+1)),
@@ -36,11 +37,13 @@ from ngvisco.errors import (
     require_ranges,
     require_type,
 )
+from ngvisco.run.adaptive import AdaptiveSteps, GrowthControl
 from ngvisco.timestepping.error import ErrorEstimate
 from ngvisco.timestepping.integrator import StepTaken
 from ngvisco.timestepping.scheme import TimeScheme, midpoint, scheme_of
 
 if TYPE_CHECKING:
+    from ngvisco.forms.system import Step
     from ngvisco.run.simulation import Simulation
     from ngvisco.solver.problem import Attempt
 
@@ -60,36 +63,6 @@ LEAST_CONSTANT = 1e-2
 
 HALVINGS, MOST_HALVINGS = 3, 20
 """Of a step of fixed length that is not solved: by default, and at most."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class AdaptiveSteps:
-    """Adaptive step lengths between two bounds; the first step has the simulation's ``dt``.
-
-    Raises ParameterError if a parameter is out of its range.
-
-    Parameters
-    ----------
-    dt_min : float
-        Shortest step; a shorter one ends the run, but for those that meet an output time.
-    dt_max : float
-        Longest step.
-    tolerance : float, optional
-        Of a step's relative error in velocity, density and elastic variables, as the scheme estimates it (the
-        ledger's error_estimate); without it only unsolvable steps are shortened.
-    patience : int
-        Accepted steps in a row before the length is doubled, without a tolerance.
-    """
-
-    dt_min: Annotated[float, Quantity("s", "> 0", 1e-3)]
-    dt_max: Annotated[float, Quantity("s", "> 0", 0.1)]
-    tolerance: Annotated[float | None, Quantity("1", "> 0", 1e-3)] = None
-    patience: Annotated[int, Quantity("1", ">= 1")] = 4
-
-    def __post_init__(self) -> None:
-        require_ranges(self)
-        if self.dt_max < self.dt_min:
-            raise ParameterError("AdaptiveSteps.dt_max", self.dt_max, f"at least dt_min = {self.dt_min:g}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -235,6 +208,9 @@ class FixedStepper:
         self.dt, self.halvings, self._parts = dt, halvings, 1 << halvings  # the shortest parts of a step
         self.begin(0.0, 0)
 
+    def require(self, step: Step) -> None:
+        return  # it asks for nothing
+
     def begin(self, time: float, number: int) -> None:
         """Count steps from the state of step ``number`` at ``time``, as in a run with another dt."""
         self._start, self._first, self._level = time, number, 0
@@ -323,8 +299,13 @@ class AdaptiveStepper:
     def __init__(self, dt: float, options: AdaptiveSteps) -> None:
         self.options = options
         self.dt, self.streak = dt, 0
+        self._growth = GrowthControl(options.damage_growth, options.dt_min)
         self._last_error: float | None = None
         self._estimate: ErrorEstimate | None = None
+
+    def require(self, step: Step) -> None:
+        """Raise ParameterError where damage is to say how long steps are, and nothing breaks."""
+        self._growth.require(step)
 
     def begin(self, time: float, number: int) -> None:
         return  # it counts rows
@@ -371,11 +352,15 @@ class AdaptiveStepper:
                 except BaseException:  # an interrupt: never leave a step that is not accepted behind
                     integrator.undo()
                     raise
-                if error is None or tolerance is None or error <= tolerance:
+                history, shorter = (), tau / LARGEST_CHANGE
+                if error is not None and tolerance is not None and error > tolerance:
+                    reason = f"estimated error {error:.2e} is above {tolerance:.2e}"
+                    fraction = (SAFETY * tolerance / error) ** (1 / (scheme.order + 1))
+                    shorter = max(shorter, tau * fraction)
+                elif reason := self._growth.refused(tau, taken.rates):
+                    shorter = max(shorter, self._growth.allowed(tau, taken.rates, SAFETY))
+                else:
                     break
-                reason, history = f"estimated error {error:.2e} is above {tolerance:.2e}", ()
-                fraction = (SAFETY * tolerance / error) ** (1 / (scheme.order + 1))
-                shorter = tau * max(1 / LARGEST_CHANGE, fraction)
                 integrator.undo()
             rejections.append(Rejection(t, tau, reason, history))
             simulation.notify_rejection(rejections[-1])
@@ -387,6 +372,7 @@ class AdaptiveStepper:
         if estimate is not None:
             estimate.keep(new_time)
         self._choose(tau, error, scheme.order, bool(rejections))
+        self.dt = min(self.dt, self._growth.allowed(tau, taken.rates, SAFETY))
         return Accepted(new_time, taken, len(rejections), error)
 
     def _estimate_of(self, simulation: Simulation) -> ErrorEstimate | None:

@@ -26,7 +26,7 @@ def left(run, field):
 
 
 def halves(model, start):
-    """A run until the time, by what starts as constants in cells: ``start`` of 1 on the right, 0 on the left."""
+    """A run that begins with ``start`` of a field that is 0 in the left half and 1 in the right one."""
     mesh = structured_box((LENGTH, 0.25), (6, 1))
     step = GridFunction(L2(mesh, order=0))
     step.Set(IfPos(x - 0.5 * LENGTH, 1.0, 0.0))
@@ -54,7 +54,7 @@ def test_diffusion_levels_a_step_of_the_density_as_fick_has_it():
 
 @pytest.mark.parametrize("m", [1, 2])
 def test_the_diffusion_of_fields_takes_a_jump_by_its_penalty(m):
-    """Two triangles with constant states: delta s/h C [zeta]^2/4 of each side, beside what its slope takes."""
+    """Two triangles with constants: each side takes delta s/h C [zeta]^2/4 beside what the slope takes."""
     B, gamma, found = 10.0, 1.4, {}
     slope = -B * gamma * np.array([1.1, 0.9]) ** (-gamma - 1)
     for penalty in (4.0, 8.0):

@@ -73,12 +73,12 @@ def exact(kind, gamma, G_c, length, G=5.0):
     return d, ((1 - FLOOR) * (1 - d) ** 2 + FLOOR) * 2 * G * gamma
 
 
-def sheared(kind, part="tensile", G_c=0.1):
+def sheared(kind, part="tensile", G_c=0.1, **options):
     law = damaged(law=kind, part=part, G_c=G_c, length=1.0, viscosity=0.0, floor=FLOOR)
     walls = {"top": nv.PrescribedTangential((RATE / 2, 0)), "bottom": nv.PrescribedTangential((-RATE / 2, 0))}
     initial = nv.Initial(velocity=(RATE * (y - 0.5), 0))
     mesh, model = channel(1, 1, maxh=0.9), nv.Model(material=law)
-    return Simulation(mesh, model, dt=0.1, walls=walls, initial=initial, solver="coupled")
+    return Simulation(mesh, model, dt=0.1, walls=walls, initial=initial, solver="coupled", **options)
 
 
 @pytest.mark.parametrize(("kind", "part"), [("AT1", "tensile"), ("AT2", "all")])
@@ -157,6 +157,34 @@ def test_damage_stays_or_heals_at_its_rate():
         expected = 0.5 if healing is None else 0.5 / (1 + 0.1 * 0.1 / healing) ** 3
         assert np.allclose(run.sampler.values(run.fields["damage"]), expected, rtol=1e-12)
         assert (run.ledger.column("dissipation_damage")[1:] > 0).all() == (healing is not None)
+
+
+def test_growth_in_a_step_is_a_column_and_much_of_it_is_warned_of():
+    """The surface that steps make is that which is stored, of a damage that is the same everywhere."""
+    run = sheared("AT2")
+    with pytest.warns(nv.DamageWarning, match=r"damage grew by 0\.\d+ at a point, and cracks by .* l: the"):
+        ledger = run.run(0.3)
+    d = [exact("AT2", RATE * t, 0.1, 1.0)[0] for t in ledger.column("time")]
+    assert ledger.column("damage_growth")[1:] == pytest.approx(np.diff(d), rel=1e-9)
+    made = 0.1 * np.cumsum(ledger.column("crack_growth"))  # G_c
+    assert ledger.column("stored_surface") == pytest.approx(made, rel=1e-9, abs=1e-15)
+    assert made[-1] > 0.01
+
+
+def test_steps_are_chosen_by_the_growth_of_the_damage():
+    most = 0.04
+    adaptive = nv.AdaptiveSteps(dt_min=1e-3, dt_max=0.1, damage_growth=most)
+    ledger = sheared("AT2", adaptive=adaptive).run(0.3)
+    grown, dt = ledger.column("damage_growth")[1:], ledger.column("dt")[1:]
+    assert grown.max() <= most and np.median(grown) > 0.5 * most
+    assert ledger.column("rejections").any() and dt.min() < 0.02 < dt.max()
+    # a crack that runs however short the step is: the shortest is accepted
+    shortest = nv.AdaptiveSteps(dt_min=0.1, dt_max=0.1, damage_growth=most)
+    with pytest.warns(nv.DamageWarning):
+        ledger = sheared("AT2", adaptive=shortest).run(0.3)
+    assert np.allclose(ledger.column("dt")[1:], 0.1) and ledger.column("damage_growth").max() > most
+    with pytest.raises(nv.NgviscoError, match=r"AdaptiveSteps\.damage_growth.*does not break"):
+        Simulation(box((1, 1), maxh=0.9), nv.Model(material=RUBBER), dt=0.1, adaptive=adaptive)
 
 
 def test_a_length_below_the_cells_is_warned_of():

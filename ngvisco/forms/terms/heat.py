@@ -229,8 +229,9 @@ class Conduction(_OfEntropy):
     f - f_hat is half of the difference of both sides' f, the mean flux less p times half of the jump,
     opposite on both sides, so that chi = 1 gives zero: heat is kept to rounding.  On walls f_hat = f: they
     are insulated.  Incomplete: the term by which it would be symmetric in theta and chi is left out: for
-    chi = 1 it is zero, and for chi = 1/theta it doubles the one without a sign.  It is consistent for m >= 1; with m = 0 there is the
-    penalty alone, whose flux is wrong by the cells' shapes however fine they are, and which is refused.
+    chi = 1 it is zero, and for chi = 1/theta it doubles the one without a sign.  Conduction is consistent for
+    m >= 1; with m = 0 there is the penalty alone, whose flux depends on the cells' shapes however fine they
+    are, and which is refused.
     """
 
     def __init__(self, law: HeatLaw, entropy: Entropy, flux: MeanHeatFlux) -> None:

@@ -66,9 +66,11 @@ class Damaged(Wrapper):
 
     The energy of the material without damage is counted from that at rest, where its stress has to vanish.  A
     crack that has fully formed costs G_c for its area, with d = exp(-|x|/l) (AT2) or (1 - |x|/2l)^2 (AT1)
-    across it.  Without a healing d never falls at the matter's point.  Raises ParameterError if a parameter
-    is out of its range, or the material has stress at rest, an energy without an expression, or no volume of
-    its own to tell compression by.
+    across it.  x and l are lengths of the actual place: at J = 1 G_c is per deformed area of the crack.  With
+    the stretch lambda across a crack that is G_c/lambda per area of the reference state.  Without a healing d
+    never falls at the matter's point.  Raises ParameterError if a parameter is out of its range, or the
+    material has stress at rest, an energy without an expression, or no volume of its own to tell compression
+    by.
 
     Example::
 
@@ -83,7 +85,7 @@ class Damaged(Wrapper):
     material : Material
         The material without damage; at finite strain A = 1/J is carried beside its variables.
     G_c : float
-        Energy of a crack for its area.
+        Energy of a crack for its area, the deformed one where J = 1.
     length : float
         The length l that a crack is smeared over; cells of half of it or less resolve it.
     law : str

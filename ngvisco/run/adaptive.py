@@ -1,0 +1,102 @@
+"""Adaptive steps, what is asked of them; and how much damage may grow in a step.
+
+The damage grows after a step by the strains of its end (``ngvisco.forms.damage``): a crack runs as far as
+these let it, and what it would unload it unloads in the next step.  The load at which a body breaks has an
+error in proportion to the growth in a step.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated
+
+from ngvisco.errors import NgviscoWarning, ParameterError, Quantity, require_ranges
+from ngvisco.forms.damage import CRACKED, GROWTH
+
+if TYPE_CHECKING:
+    from ngvisco.forms.system import Step
+
+MUCH = 0.1
+"""Growth of the damage at a point in a step from which on a run warns."""
+
+
+class DamageWarning(NgviscoWarning):
+    """Damage grew by much in one step: the load at which a body breaks depends on the step's length."""
+
+
+def growth_message(step: Step, row: Mapping[str, float]) -> str:
+    """What is said of the damage's growth in the step of a ledger's row; nothing of little."""
+    if step.damage is None or row[GROWTH] <= MUCH:
+        return ""
+    length = step.damage.law.length
+    unit, of, size = ("m", "l", length) if step.mesh.dim == 2 else ("m^2", "l^2", length**2)
+    return (
+        f"in the step of {row['dt']:.3g} s to t = {row['time']:.4g} s the damage grew by {row[GROWTH]:.2g} "
+        f"at a point, and cracks by {row[CRACKED]:.3g} {unit}, {row[CRACKED] / size:.2g} {of}: the load at "
+        "which the body breaks depends on the step's length; take shorter steps there, as "
+        "AdaptiveSteps(damage_growth=0.05) does"
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class AdaptiveSteps:
+    """Adaptive step lengths between two bounds; the first step has the simulation's ``dt``.
+
+    Raises ParameterError if a parameter is out of its range.
+
+    Parameters
+    ----------
+    dt_min : float
+        Shortest step; a shorter one ends the run, but for those that meet an output time.
+    dt_max : float
+        Longest step.
+    tolerance : float, optional
+        Of a step's relative error in velocity, density and elastic variables, as the scheme estimates it (the
+        ledger's error_estimate); without it only unsolvable steps are shortened.
+    patience : int
+        Accepted steps in a row before the length is doubled, without a tolerance.
+    damage_growth : float, optional
+        Largest growth of the damage at a point in a step, of a material that breaks: a step with more is
+        taken again, down to dt_min, where any growth is accepted. The load at which a body breaks has a
+        relative error of about this size.
+    """
+
+    dt_min: Annotated[float, Quantity("s", "> 0", 1e-3)]
+    dt_max: Annotated[float, Quantity("s", "> 0", 0.1)]
+    tolerance: Annotated[float | None, Quantity("1", "> 0", 1e-3)] = None
+    patience: Annotated[int, Quantity("1", ">= 1")] = 4
+    damage_growth: Annotated[float | None, Quantity("1", "in (0, 1]", 0.05)] = None
+
+    def __post_init__(self) -> None:
+        require_ranges(self)
+        if self.dt_max < self.dt_min:
+            raise ParameterError("AdaptiveSteps.dt_max", self.dt_max, f"at least dt_min = {self.dt_min:g}")
+
+
+class GrowthControl:
+    """Holds the growth of the damage at a point in a step below ``most``; None is any."""
+
+    def __init__(self, most: float | None, dt_min: float) -> None:
+        self.most, self.dt_min = most, dt_min
+
+    def require(self, step: Step) -> None:
+        """Raise ParameterError where nothing breaks."""
+        if self.most is not None and step.damage is None:
+            expected = "None for a material that does not break; nv.Damaged(material=...) does"
+            raise ParameterError("AdaptiveSteps.damage_growth", self.most, expected)
+
+    def allowed(self, tau: float, rates: Mapping[str, float], safety: float) -> float:
+        """The length, s, in which the damage would have grown by ``safety`` times what is admitted.
+
+        ``rates`` are those of a step of the length ``tau``.
+        """
+        if self.most is None or not rates[GROWTH] > 0:
+            return float("inf")
+        return max(self.dt_min, tau * safety * self.most / rates[GROWTH])
+
+    def refused(self, tau: float, rates: Mapping[str, float]) -> str:
+        """Why a step is not accepted; nothing where it is, as the shortest always is."""
+        if self.most is None or rates[GROWTH] <= self.most or tau <= self.dt_min:
+            return ""
+        return f"the damage grows by {rates[GROWTH]:.2g} at a point, more than {self.most:.2g}"
