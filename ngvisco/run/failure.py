@@ -220,5 +220,5 @@ def write_failure(text: Path, fields: Path, simulation: Simulation, report: Fail
         outside.vec.FV().NumPy()[simulation.bounds.cells_outside()] = 1.0
         shown = simulation.fields | {"out_of_bounds": outside}
         with ranks.together(OSError):
-            write_vtu(fields, simulation.mesh, shown, report.time)
+            write_vtu(fields, simulation.mesh, shown)
     return shown_in

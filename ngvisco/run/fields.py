@@ -26,6 +26,7 @@ Further stresses and rates are written only where they are asked for by name:
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from itertools import takewhile
 
 import numpy as np
 from ngsolve import CF, CoefficientFunction, acos, cos, sqrt
@@ -191,6 +192,23 @@ NAMES = (
     "principal_stresses",
     "principal_stretches",
 )
+
+
+CONTINUOUS = frozenset({"velocity"})
+"""Fields that are the same in all cells that meet at a point; all others may jump there."""
+
+
+def with_outlines(names: Sequence[str], available: Iterable[str]) -> list[str]:
+    """Names of fields, and what outlines the bodies of a run among those that are available.
+
+    The fractions stand together before ``body``, by which they are known again (``frames.outlined``).
+    """
+    known = list(available)
+    if "body" not in known:
+        return list(names)
+    before = reversed(known[: known.index("body")])
+    outlines = list(takewhile(lambda name: name.endswith(_FRACTION), before))[::-1]
+    return [*(name for name in names if name not in (*outlines, "body")), *outlines, "body"]
 
 
 def usual(names: Iterable[str]) -> list[str]:

@@ -85,7 +85,7 @@ class Frame:
     def boundary(self) -> np.ndarray:
         """In 3D the faces that belong to one tetrahedron only, (faces, 3)."""
         faces = np.concatenate([self.cells[:, face] for face in _FACES])
-        _, number = _places(self.points)
+        _, number = places(self.points)
         corners = np.sort(number[faces], axis=1)
         _, first, count = np.unique(corners, axis=0, return_index=True, return_counts=True)
         return faces[first[count == 1]]
@@ -106,6 +106,18 @@ def frame_of(
         if value.dim != 1:
             raise ParameterError(f"field {name!r} of a picture", value.dim, "a scalar")
     bodies = {f"outline {i}": value for i, value in enumerate(outlines)}
+    table, cells = sampled(mesh, CF((x, y, z, *fields.values(), *bodies.values())), pieces)
+    columns = {name: table[:, [3 + i]] for i, name in enumerate((*fields, *bodies))}
+    return Frame(table[:, :3], cells, columns, tuple(bodies))
+
+
+def sampled(mesh: Mesh, value: CoefficientFunction, pieces: int) -> tuple[np.ndarray, np.ndarray]:
+    """Values at the corners of cells that are cut, as a frame's, and the points of the parts.
+
+    Returns (points, components), each cell with points of its own, and (parts, 3) or (parts, 4).
+    """
+    if mesh.ne == 0:  # of a rank without cells
+        return np.zeros((0, value.dim)), np.zeros((0, mesh.dim + 1), dtype=int)
     lattices = {ET.TRIG: subdivision(2, pieces), ET.QUAD: subdivision(2, pieces, True)}
     if mesh.dim == 3:
         lattices = {ET.TET: subdivision(3, pieces)}
@@ -113,13 +125,12 @@ def frame_of(
         kind: IntegrationRule([tuple(map(float, corner)) for corner in corners], [0.0] * len(corners))
         for kind, (corners, _) in lattices.items()
     }
-    table = np.asarray(CF((x, y, z, *fields.values(), *bodies.values()))(mesh.MapToAllElements(rules, VOL)))
-    table = table.reshape(-1, 3 + len(fields) + len(bodies))
+    # compiled: what fields have in common, as the pressure of bodies, is evaluated once, not where it stands
+    table = np.asarray(value.Compile()(mesh.MapToAllElements(rules, VOL))).reshape(-1, value.dim)
     kinds = [cell.type for cell in mesh.Elements(VOL)]
     starts = np.cumsum([0, *(len(lattices[kind][0]) for kind in kinds)])
     cells = [lattices[kind][1] + start for kind, start in zip(kinds, starts, strict=False)]
-    columns = {name: table[:, [3 + i]] for i, name in enumerate((*fields, *bodies))}
-    return Frame(table[:, :3], np.concatenate(cells), columns, tuple(bodies))
+    return table, np.concatenate(cells)
 
 
 def read_series_files(directory: str | os.PathLike[str]) -> list[tuple[float, Path]]:
@@ -221,12 +232,12 @@ def cut(frame: Frame, axis: int, position: float) -> tuple[np.ndarray, np.ndarra
 
 def averaged(points: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Values at points, (..., points), each the mean of those at the same place; points are (points, dim)."""
-    _, place = _places(points)
+    _, place = places(points)
     sums = np.apply_along_axis(lambda row: np.bincount(place, weights=row), -1, values)
     return (sums / np.bincount(place))[..., place]
 
 
-def _places(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def places(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Of points the first at each place, and for each the number of its place, in a domain of any size."""
     size = float(np.ptp(points, axis=0).max(initial=0.0)) or 1.0
     rounded = np.round(points / (_SAME * size)).astype(np.int64)
@@ -240,7 +251,7 @@ def outline(axis: Any, X: np.ndarray, Y: np.ndarray, triangles: np.ndarray, frac
         return None
     tri = importlib.import_module("matplotlib.tri")
     points = np.stack([X, Y], axis=1)
-    first, number = _places(points)
+    first, number = places(points)
     cells, points, values = number[triangles], points[first], fraction[first]
     a, b, c = np.moveaxis(points[cells], 1, 0)
     area = 0.5 * np.abs((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])

@@ -23,7 +23,7 @@ from ngvisco.errors import (
     require_some_names,
 )
 from ngvisco.forms.distance import NUMERICAL
-from ngvisco.run.fields import usual
+from ngvisco.run.fields import CONTINUOUS, usual, with_outlines
 from ngvisco.run.files import AnyPath, append, csv_text, write_atomically
 from ngvisco.run.frames import read_pvd
 from ngvisco.run.notebook import NotebookError
@@ -223,7 +223,9 @@ class VTKSeries:
     """A series of .vtu files and the .pvd that ParaView opens.
 
     Velocity, density, the material's variables, Cauchy stress, pressure and von Mises stress, with
-    their components labelled; vectors are padded to three components.  A resumed run drops what the
+    their components labelled; vectors are padded to three components.  Fractions of bodies, which movies and
+    scenes outline them by, are written whatever ``fields`` are.  Cells have points of their own, where fields
+    jump; only ``velocity`` alone shares them.  A resumed run drops what the
     interrupted one wrote out of turn when it stopped.
     Raises ParameterError if a parameter is out of its range.
 
@@ -266,7 +268,8 @@ class VTKSeries:
         for name in self.names or ():
             if name not in available:
                 raise UnknownNameError("field", name, available)
-        self._fields = {name: available[name] for name in self.names or usual(available)}
+        names = with_outlines(self.names or list(usual(available)), available)
+        self._fields = {name: available[name] for name in names}
         self.directory.mkdir(parents=True, exist_ok=True)
         self.written = []
         if simulation.number > 0:
@@ -297,7 +300,7 @@ class VTKSeries:
 
     def _write(self, simulation: Simulation) -> None:
         path = self.directory / f"fields_{simulation.number:06d}.vtu"
-        write_vtu(path, simulation.mesh, self._fields, simulation.t, self.subdivision)
+        write_vtu(path, simulation.mesh, self._fields, self.subdivision, {*self._fields} <= CONTINUOUS)
         self.written.append((simulation.t, shown_by(path, simulation.ranks).name))
         if simulation.ranks.is_first:
             write_pvd(self.directory / "fields.pvd", self.written)

@@ -1,45 +1,78 @@
 """Fields as VTK files: .vtu, over ranks the .pvtu of their pieces, and the .pvd of a series."""
 
-import errno
+import struct
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from ngsolve import CF, CoefficientFunction, Mesh, VTKOutput
+import numpy as np
+from ngsolve import CF, CoefficientFunction, Mesh, x, y, z
 
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.run.files import write_atomically
-from ngvisco.run.frames import COMPONENTS
+from ngvisco.run.frames import COMPONENTS, places, sampled
 
 
 def write_vtu(
-    path: Path, mesh: Mesh, fields: Mapping[str, CoefficientFunction], time: float, subdivision: int = 0
+    path: Path,
+    mesh: Mesh,
+    fields: Mapping[str, CoefficientFunction],
+    subdivision: int = 0,
+    is_continuous: bool = False,
 ) -> None:
-    """Write fields by name, at ``time`` (s), into one .vtu file, which is complete or not there.
+    """Write fields by name into one .vtu file, which is complete or not there.
 
-    On several ranks each writes its piece, ``NAME_p<rank>.vtu``, and the first the .pvtu that names them.
+    Cells have points of their own, at which fields may jump; fields of which it is known that they are
+    continuous (``is_continuous``) share the points where cells meet.  On several ranks each writes its piece,
+    ``NAME_p<rank>.vtu``, and the first the .pvtu that names them.
     """
     ranks = Communicator.of(mesh)
-    draft = path.with_suffix(".part")
     # ParaView wants vectors of three components
     padded = {name: CF((f[0], f[1], 0.0)) if f.dim == 2 else f for name, f in fields.items()}
-    output = VTKOutput(
-        mesh,
-        coefs=list(padded.values()),
-        names=list(padded),
-        filename=str(draft),
-        subdivision=subdivision,
-        floatsize="double",
-    )
-    output.Do(time=time)
     if mesh.ne:
-        written = Path(f"{draft}_proc{ranks.rank}.vtu" if ranks.is_distributed else f"{draft}.vtu")
-        _label_components(written, padded)
-        written.replace(_piece(path, ranks.rank) if ranks.is_distributed else path)
-    if ranks.is_first:
-        Path(f"{draft}.pvd").unlink(missing_ok=True)
-        if ranks.is_distributed:  # the first rank has no cells
-            pieces = [_piece(path, rank).name for rank in range(1, ranks.size)]
-            _write_parallel_file(shown_by(path, ranks), padded, pieces)
+        table, cells = sampled(mesh, CF((x, y, z, *padded.values())), 1 << subdivision)
+        if is_continuous:
+            first, number = places(table[:, :3])
+            table, cells = table[first], number[cells]
+        write_atomically(
+            _piece(path, ranks.rank) if ranks.is_distributed else path, _content(table, cells, padded)
+        )
+    if ranks.is_first and ranks.is_distributed:  # the first rank has no cells
+        pieces = [_piece(path, rank).name for rank in range(1, ranks.size)]
+        _write_parallel_file(shown_by(path, ranks), padded, pieces)
+
+
+def _content(table: np.ndarray, cells: np.ndarray, fields: Mapping[str, CoefficientFunction]) -> bytes:
+    """A .vtu file of points with the values of fields, one after another, and of simplices."""
+    blocks: list[bytes] = []
+
+    def array(name: str, kind: str, values: np.ndarray, of: str = "") -> str:
+        offset = sum(map(len, blocks))
+        data = np.ascontiguousarray(values, dtype=_KINDS[kind]).tobytes()
+        blocks.append(struct.pack("<I", len(data)) + data)
+        return f'<DataArray type="{kind}" Name="{name}"{of} format="appended" offset="{offset}"/>\n'
+
+    count, corners = cells.shape
+    points = array("Points", "Float64", table[:, :3], ' NumberOfComponents="3"')
+    of_cells = array("connectivity", "Int32", cells)
+    of_cells += array("offsets", "Int32", corners * np.arange(1, count + 1))
+    of_cells += array("types", "UInt8", np.full(count, _TYPES[corners]))
+    data, start = "", 3
+    for name, value in fields.items():
+        said = f' NumberOfComponents="{value.dim}"{_labels(name, value)}'
+        data += array(name, "Float64", table[:, start : start + value.dim], said)
+        start += value.dim
+    head = (
+        f"{_head('UnstructuredGrid')}\n<UnstructuredGrid>\n"
+        f'<Piece NumberOfPoints="{len(table)}" NumberOfCells="{count}">\n<Points>\n{points}</Points>\n'
+        f"<Cells>\n{of_cells}</Cells>\n<PointData>\n{data}</PointData>\n</Piece>\n</UnstructuredGrid>\n"
+        '<AppendedData encoding="raw">\n_'
+    )
+    return b"".join([head.encode(), *blocks, b"\n</AppendedData>\n</VTKFile>\n"])
+
+
+_KINDS = {"Float64": "<f8", "Int32": "<i4", "UInt8": "u1"}
+_TYPES = {3: 5, 4: 10}
+"""VTK's numbers of triangles and tetrahedra, by how many corners they have."""
 
 
 def write_pvd(path: Path, series: Sequence[tuple[float, str]]) -> None:
@@ -76,24 +109,11 @@ def _write_parallel_file(
 
 
 def _write_xml(path: Path, kind: str, content: str) -> None:
-    head = f'<?xml version="1.0"?>\n<VTKFile type="{kind}" version="1.0" byte_order="LittleEndian">'
-    write_atomically(path, f"{head}\n{content}\n</VTKFile>\n".encode())
+    write_atomically(path, f"{_head(kind)}\n{content}\n</VTKFile>\n".encode())
 
 
-def _label_components(path: Path, fields: dict[str, CoefficientFunction]) -> None:
-    """Write the components' names into the file's header (the data blocks' offsets stay valid).
-
-    Raises OSError for a file that does not end as it should: VTKOutput is silent about a full disk.
-    """
-    content = path.read_bytes()
-    if b"</VTKFile>" not in content[-40:]:
-        path.unlink()
-        raise OSError(errno.ENOSPC, "the VTK file could not be written completely", str(path))
-    head, mark, tail = content.partition(b"<AppendedData")
-    text = head.decode()
-    for name, value in fields.items():
-        text = text.replace(f'Name="{name}" ', f'Name="{name}"{_labels(name, value)} ')
-    path.write_bytes(text.encode() + mark + tail)
+def _head(kind: str) -> str:
+    return f'<?xml version="1.0"?>\n<VTKFile type="{kind}" version="1.0" byte_order="LittleEndian">'
 
 
 def _labels(name: str, value: CoefficientFunction) -> str:

@@ -3,6 +3,7 @@
 import csv
 import re
 import struct
+import time
 import xml.dom.minidom
 
 import numpy as np
@@ -12,7 +13,7 @@ from support import swirling
 import ngvisco as nv
 from ngvisco.geometries import box
 from ngvisco.run.fields import usual
-from ngvisco.run.frames import read_pvd
+from ngvisco.run.frames import read_frame, read_pvd
 from ngvisco.run.pictures import widened
 from ngvisco.run.plots import plot_energies, plot_history
 
@@ -41,10 +42,55 @@ def read_vtu(path):
     return arrays
 
 
+def two_bodies():
+    rest = {"viscosity": nv.StokesViscosity(K_v=0.01, G_v=0.01), "density": 1}
+    disc = nv.Body(
+        name="disc",
+        where=nv.Ball((0.6, 0.5), 0.3),
+        material=nv.IsochoricNeoHookean(K_e=50, G_e=0.1),
+        order=1,
+        **rest,
+    )
+    fluid = nv.Body(name="fluid", material=nv.IsochoricNeoHookean(K_e=50, G_e=0.2), **rest)
+    return nv.Simulation(box((1, 1), 0.3), nv.Model(bodies=[fluid, disc]), dt=0.02)
+
+
+def test_stresses_of_bodies_are_written_in_less_time_than_a_step_takes_and_with_outlines(tmp_path):
+    """Term by term a stress took sixty steps: each part of the pressure was evaluated where it stands."""
+    run = two_bodies()
+    began = time.perf_counter()
+    run.advance()
+    taken = time.perf_counter() - began
+    series = nv.VTKSeries(tmp_path, fields=["von_mises"], subdivision=2)
+    began = time.perf_counter()
+    series.start(run)
+    series.finish(run)
+    assert time.perf_counter() - began < taken
+    frame = read_frame(tmp_path / series.written[-1][1])
+    assert frame.bodies == ["fluid_fraction"] and next(iter(frame.fields)) == "von_mises"
+    assert len(frame.cells) == 16 * run.mesh.ne
+    x, y, _ = frame.points[frame.cells[40]].mean(axis=0)
+    inside = frame.fields["von_mises"][frame.cells[40], 0].mean()
+    assert inside == pytest.approx(run.fields["von_mises"](run.mesh(x, y)), rel=0.1, abs=1e-12)
+
+
+def test_a_velocity_alone_shares_the_points_of_its_cells(tmp_path):
+    run = swirling()
+    for names, count in ((["velocity"], run.mesh.nv), (["velocity", "density"], 3 * run.mesh.ne)):
+        series = nv.VTKSeries(tmp_path / str(count), fields=names)
+        series.start(run)
+        frame = read_frame(series.directory / series.written[-1][1])
+        assert len(frame.points) == count and len(frame.cells) == run.mesh.ne
+        a = frame.points[frame.cells[2, 1]]
+        assert frame.fields["velocity"][frame.cells[2, 1], :2] == pytest.approx(
+            run.fields["velocity"](run.mesh(a[0], a[1])), abs=1e-12
+        )
+
+
 def test_vtk_series_holds_the_fields_with_labelled_components(tmp_path):
     run = small_run([nv.VTKSeries(tmp_path, every=2)])
     series = read_pvd(tmp_path / "fields.pvd")
-    assert [time for time, _ in series] == [0.0, 0.04, 0.08]
+    assert [t for t, _ in series] == [0.0, 0.04, 0.08]
     arrays = read_vtu(tmp_path / series[-1][1])
     assert set(arrays) - {"Points"} == set(usual(run.fields))
     assert arrays["velocity"][1] == ["x", "y", "z"]
