@@ -15,6 +15,10 @@ for that rule:
 Of bodies rho = sum rho_i n_i is a function of z, and its bound one of z's.  Parameters have bounds of their
 own (``ngvisco.forms.cell_means``) and are limited first.
 
+What stands for one distortion may part: a tensor's det F from J.  phi(F, J) at det F < J has values below
+those at rest, so that rest energy would become motion.  A state with |det F/J - 1| > ``DRIFT`` in the mean of
+a cell is not admitted.
+
 The momentum density rho v has the s of rho (``limit_momentum``): |p|^2/(2 rho) is jointly convex, so that
 the kinetic energy falls too, where rho >= 0 before.  What moves as a whole goes on to do so; where rho is
 limited under a momentum that is kept it does not.
@@ -41,12 +45,16 @@ from ngvisco.forms.mesh.locating import nearest_wall
 from ngvisco.forms.mesh.quadrature import Sampler
 from ngvisco.forms.system import Step
 from ngvisco.parallel.mesh import number_of
+from ngvisco.physics.defects import DRIFT, drifts, remedy
 from ngvisco.physics.material import Material
 from ngvisco.physics.materials.thermal import temperature
 from ngvisco.physics.variables import Values
 
 OF_CUT_OFF = "rho_max + width - rho"
 """The name of the bound of a cut-off."""
+
+SMALLER = "a smaller step or a finer mesh"
+"""What is to be taken where a state is out of its bounds."""
 
 _HALVINGS = 45
 """Of the interval of s, until it is a number to rounding: limited states depend continuously on theirs."""
@@ -128,6 +136,8 @@ class Bounds:
         self._share = GridFunction(L2(step.mesh, order=0))  # s of rho in the last limited state
         self.refused: tuple[Violation, np.ndarray] | None = None
         """The last solution that had a ``defect``: where, and its coefficients."""
+        self.parted: str | None = None
+        """The last ``drift`` that there was."""
         self.takes_energy = False
         """Whether more than tensors of linear energies was limited there."""
 
@@ -190,7 +200,14 @@ class Bounds:
         theta = temperature(self.step.model.material, self.step.now.zeta_tensors)
         if theta is not None and not (least := self.sampler.extrema(theta)[0]) > 0:
             return f"the temperature is {least:.4g} K somewhere, and not positive"
-        return self.lack() if is_solved else None
+        return self.lack() or self.drift() if is_solved else None
+
+    def refusal(self) -> str | None:
+        """The ``defect`` of a solved state with what to do about it."""
+        if (defect := self.defect()) is None:
+            return None
+        better = remedy(self.step.model.material) if defect == self.parted else SMALLER
+        return f"{defect}: take {better}"
 
     def lack(self) -> str | None:
         """Where the present state, or its stored energy, is no number, in words; None where all are numbers.
@@ -204,6 +221,34 @@ class Bounds:
         bad = [name for name, block in ranges.items() if not np.isfinite(state[block]).all()]
         bad = [name for names in self._ranks.gathered(bad) for name in names]
         return f"the unknown {bad[0]!r} of the state is no number somewhere" if bad else None
+
+    @cached_property
+    def _drifts(self) -> dict[str, CoefficientFunction]:
+        model = self.step.model
+        found = drifts(model.material, self.step.now.z_tensors, model.traced)
+        return {pair: drift.Compile() for pair, drift in found.items()}
+
+    @cached_property
+    def _volumes(self) -> np.ndarray:
+        return self.step.quadrature.each_cell(CF(1.0))
+
+    def drift(self) -> str | None:
+        """Which variables that stand for one distortion have parted by more than ``DRIFT`` in the mean of a
+        cell, and where, in words; None where none have.
+        """
+        for pair, drift in self._drifts.items():
+            means = self.step.quadrature.each_cell(drift) / self._volumes
+            far = np.flatnonzero(abs(means) > DRIFT)
+            if self._ranks.any(len(far) > 0):
+                worst = self._ranks.most(abs(means))
+                first = far[np.argsort(-abs(means[far]), kind="stable")]
+                where = self.sampler.place_of_cells(first)
+                self.parted = (
+                    f"{pair} have parted: det F is off J by {worst:.0%} in the mean {where}, and more than "
+                    f"{DRIFT:.0%} is refused, since the stress is wrong by as much"
+                )
+                return self.parted
+        return None
 
     def cells_outside(self) -> np.ndarray:
         """Numbers of the cells of the present state that are out of bounds at a point."""

@@ -7,7 +7,7 @@ it: the scheme's energy identity takes them for independent variables.
 
 from collections.abc import Collection
 
-from ngsolve import Cof, log, sqrt
+from ngsolve import Cof, Det, log, sqrt
 
 from ngvisco.physics.material import Material
 from ngvisco.physics.materials.hyperelastic import IsotropicElastic
@@ -16,6 +16,7 @@ from ngvisco.physics.variables import (
     Cofactor,
     CofactorLeftCauchyGreen,
     Distortion,
+    DistortionTensor,
     Jacobian,
     LeftCauchyGreen,
     LogJacobian,
@@ -64,6 +65,24 @@ def relative_defects(material: Material, z: Values, traced: Collection[str] = ()
     return found
 
 
+def drifts(material: Material, z: Values, traced: Collection[str] = ()) -> dict[str, Tensor]:
+    """det F/J - 1 by the tensors that are carried beside a volume, by what is compared.
+
+    F is the distortion that a tensor z stands for: det z J^-n is (det F/J)^d, d = 1 of F, 2 of F F^T and of
+    Cof F.  A variable for which the energy is continued has none: there J <= 0 is admitted.
+    """
+    volume = next((v for v in material.variables if isinstance(v, (Jacobian, ReciprocalJacobian))), None)
+    if volume is None or volume.name in material.continued:
+        return {}
+    J = z[volume.name] if isinstance(volume, Jacobian) else 1 / z[volume.name]
+    found = {}
+    for v in material.variables:
+        if isinstance(v, DistortionTensor) and not {v.name} & {*traced, *material.continued}:
+            n, d = 3 * v.exponent + v.degree, 1 / v.degree
+            found[f"det {v.name} and {volume.name}"] = (Det(z[v.name]) * J ** float(-n)) ** d - 1
+    return found
+
+
 def remedy(material: Material) -> str:
     """What keeps the variables of a material together, in words."""
     better = "shorter steps and a finer mesh"
@@ -72,6 +91,10 @@ def remedy(material: Material) -> str:
     if isinstance(material, IsotropicElastic):
         return f'elastic_state="B" where the body flows, in which nothing winds up, or {better}'
     return f"variables by B = F F^T where the body flows and the energy is isotropic, or {better}"
+
+
+DRIFT = 0.1
+"""|det F/J - 1| in the mean of a cell, above which a step is refused: the stress is wrong by as much."""
 
 
 def parted(material: Material, pair: str, rms: float, largest: float) -> str:

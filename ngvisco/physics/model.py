@@ -179,6 +179,11 @@ class Model:
         )
 
     @property
+    def traced(self) -> list[str]:
+        """Names of tensors whose creep rate has a trace: their determinants are no functions of J."""
+        return [name for flow in self.flows if flow.rule.has_trace for name in flow.names]
+
+    @property
     def _hardening(self) -> tuple[tuple[PlasticContent, Hardening], ...]:
         """What the material, or branches, carry of plastic strains, and their energies."""
         network = part_of(self.material, Network)

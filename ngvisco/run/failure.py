@@ -19,6 +19,7 @@ from ngvisco.errors import StepError
 from ngvisco.forms.bounds import Violation
 from ngvisco.forms.mesh.locating import nearest_wall
 from ngvisco.parallel.mesh import number_of
+from ngvisco.physics.defects import remedy
 from ngvisco.physics.flow_rules.laws import Creep
 from ngvisco.physics.variables import Distortion, LeftCauchyGreen
 from ngvisco.run.files import write_atomically
@@ -62,6 +63,8 @@ class FailureReport:
         What was tried, from which start values.
     advice : tuple of str
         What to change, the likeliest first, by the keys of a case file.
+    parted : str or None
+        Which variables that stand for one distortion have parted too far, where that is the reason.
     """
 
     time: float
@@ -76,6 +79,7 @@ class FailureReport:
     wall: str | None
     history: tuple[Attempt, ...]
     advice: tuple[str, ...]
+    parted: str | None = None
 
     def __str__(self) -> str:
         near = "" if self.wall is None else f", nearest wall {self.wall!r}"
@@ -83,7 +87,7 @@ class FailureReport:
         cell = "" if self.fastest is None else f"in cell {self.fastest} "
         first, *others = self.advice
         where = f"the flow is fastest {at}" if self.courant else "from rest"
-        what = self.violation or f"no solution was found; {where}"
+        what = self.violation or self.parted or f"no solution was found; {where}"
         fast = f"Courant number {self.courant:.3g} at most, {cell}{at}"
         lines = [
             f"what       step {self.number} over {self.tau:.4g} s was not taken: {what}",
@@ -134,6 +138,7 @@ def failure_report(simulation: Simulation, error: StepError) -> FailureReport:
         wall=nearest_wall(simulation.mesh, np.array(place))[0],
         history=tuple(error.history),
         advice=tuple(_advice(simulation, violation, tau * rate, rate)),
+        parted=simulation.bounds.parted,
     )
 
 
@@ -160,6 +165,8 @@ def _advice(simulation: Simulation, violation: Violation | None, courant: float,
         lines.append("time.limiter = true: the run then goes on where the cell's mean is positive")
     shorter = "shorter steps, time.dt, or lengths that the run chooses, [time.adaptive]"
     lines.append(shorter + (f"; the largest Courant number is {courant:.3g}" if courant > _FAST else ""))
+    if violation is None and simulation.bounds.parted is not None:
+        return [remedy(model.material), *lines]
     if violation is None:
         if (met := simulation.rothe_step.energy.last_failure) is not None:
             lines.insert(0, met)

@@ -389,8 +389,7 @@ class Ledger:
         gap = J - Det(F) if self._has_both else CF(0.0)
         if J is None:
             J = CF(math.nan) if F is None else Det(F)
-        traced = [name for flow in self.step.model.flows if flow.rule.has_trace for name in flow.names]
-        self._defects = relative_defects(material, u.z_tensors, traced)
+        self._defects = relative_defects(material, u.z_tensors, self.step.model.traced)
         if not self._defects:
             self._optional |= {"defect_rms", "defect_max"}
         defects = self._defects.values()

@@ -171,7 +171,7 @@ class Simulation:
         self.set_velocity_scale(float(typical))
         options = newton if solver is None else replace(newton, method=solver)
         self.bounds = Bounds(self.rothe_step, self.sampler, time.limiter)
-        self.solver = RotheSolver(self.rothe_step, options, self.bounds.defect)
+        self.solver = RotheSolver(self.rothe_step, options, self.bounds.refusal)
         self.ledger = Ledger(self.rothe_step, self.sampler, closure_limit(options.tolerance))
         self.passive = PassiveFields(self.rothe_step, passive, F_0)
         self.integrator = Integrator(
@@ -310,7 +310,7 @@ class Simulation:
             )
         with computing(), self.solver.workers(), ending_all_ranks():
             self._start_ledger()
-            self.bounds.refused = None
+            self.bounds.refused = self.bounds.parted = None
             try:
                 step, number = self.stepper.advance(self, stop), self.number + 1
             except StepError as error:

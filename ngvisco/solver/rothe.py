@@ -311,7 +311,7 @@ class RotheSolver:
             return replace(solution, reason="; ".join(filter(None, parts)))
         reason = energy.failure  # of the last increment, which is added without a test
         if reason is None and (defect := self.defect()) is not None:
-            reason = f"{defect}: take a smaller step or a finer mesh"
+            reason = defect
         return solution if reason is None else Solution(Status.INADMISSIBLE, solution.history, reason)
 
 

@@ -289,8 +289,8 @@ class Integrator:
     def _complete(self) -> None:
         """Make what follows from an end that is no stage's solution; StepError where it has no energy."""
         self.step.eliminate()
-        if (reason := self.step.energy.failure or self.bounds.lack()) is not None:
-            raise StepError(f"{reason} at the end of the step: take a smaller step or a finer mesh")
+        if (reason := self.step.energy.failure or self.bounds.refusal()) is not None:
+            raise StepError(f"at the end of the step {reason}")
 
     def _relaxed(
         self, scheme: TimeScheme, t: float, tau: float, history: list[Attempt], meets: bool

@@ -149,9 +149,12 @@ def test_an_interrupt_leaves_the_state_before_the_step(where, monkeypatch, tmp_p
 def test_an_end_of_negative_density_is_refused_where_the_stage_is_not(monkeypatch):
     """The midpoint's end is extrapolated: its positivity is asked for like a step's."""
     run = simulation(halvings=0)
-    sound, stage_end = run.solver.defect, 0.5 * run.dt
-    late = lambda: "rho is not positive" if nv.time.Get() > stage_end else sound()  # noqa: E731
-    monkeypatch.setattr(run.solver, "defect", late)
+    sound, stage_end = run.bounds.defect, 0.5 * run.dt
+
+    def late(is_solved=True):
+        return "rho is not positive" if nv.time.Get() > stage_end else sound(is_solved)
+
+    monkeypatch.setattr(run.bounds, "defect", late)
     before = state(run)
     with pytest.raises(nv.StepError, match="rho is not positive at the end of the step"):
         run.advance()

@@ -171,6 +171,10 @@ class Network(Material):
         """phi_i of a branch, Pa."""
         return self.parts[name].material.energy(self.values_of(name, z))
 
+    def domain(self, z: Values) -> Values:
+        of = {name: branch.material.domain(self.values_of(name, z)) for name, branch in self.parts.items()}
+        return {f"{what} of {name}": value for name, each in of.items() for what, value in each.items()}
+
     def energy(self, z: Values) -> Tensor:
         return reduce(add, (self.energy_of(name, z) for name in self.parts))
 
