@@ -9,9 +9,9 @@ from collections.abc import Collection
 
 from ngsolve import Cof, Det, log, sqrt
 
-from ngvisco.physics.material import Material
+from ngvisco.physics.material import Material, part_of
 from ngvisco.physics.materials.hyperelastic import IsotropicElastic
-from ngvisco.physics.tensors import Tensor, square
+from ngvisco.physics.tensors import Tensor, if_positive, square
 from ngvisco.physics.variables import (
     Cofactor,
     CofactorLeftCauchyGreen,
@@ -23,6 +23,18 @@ from ngvisco.physics.variables import (
     ReciprocalJacobian,
     Values,
 )
+
+DRIFT = 0.1
+"""|det F/J - 1| in the mean of a cell, above which a step is refused: the stress is wrong by as much."""
+
+
+def parted(material: Material, pair: str, rms: float, largest: float) -> str:
+    """What a run says of a ``pair`` that differs by so much, relatively."""
+    return (
+        f"{pair} differ by {rms:.1%} in the mean square, {largest:.1%} at most: the variables no longer "
+        "belong to one distortion, and the stress is wrong by as much, though the ledger closes; the remedy "
+        f"is {remedy(material)}"
+    )
 
 
 def relative_defects(material: Material, z: Values, traced: Collection[str] = ()) -> dict[str, Tensor]:
@@ -70,6 +82,10 @@ def drifts(material: Material, z: Values, traced: Collection[str] = ()) -> dict[
 
     F is the distortion that a tensor z stands for: det z J^-n is (det F/J)^d, d = 1 of F, 2 of F F^T and of
     Cof F.  A variable for which the energy is continued has none: there J <= 0 is admitted.
+
+    Of F F^T it is what det F has lost, at most zero: means of such tensors have larger determinants than these
+    (Minkowski), and their energy lies above that at rest.  Means of F have smaller ones where rotations differ,
+    and free rest energy.
     """
     volume = next((v for v in material.variables if isinstance(v, (Jacobian, ReciprocalJacobian))), None)
     if volume is None or volume.name in material.continued:
@@ -79,8 +95,25 @@ def drifts(material: Material, z: Values, traced: Collection[str] = ()) -> dict[
     for v in material.variables:
         if isinstance(v, DistortionTensor) and not {v.name} & {*traced, *material.continued}:
             n, d = 3 * v.exponent + v.degree, 1 / v.degree
-            found[f"det {v.name} and {volume.name}"] = (Det(z[v.name]) * J ** float(-n)) ** d - 1
+            drift = (Det(z[v.name]) * J ** float(-n)) ** d - 1
+            is_lost = v.frame == "actual"
+            found[f"det {v.name} and {volume.name}"] = if_positive(drift, 0.0, drift) if is_lost else drift
     return found
+
+
+def may_part(material: Material, moves: bool, m: int) -> str | None:
+    """What is to be known before a run of variables that may part, in words; None where they hardly do.
+
+    ``moves`` says whether walls move, ``m`` is the order of the variables.
+    """
+    law = part_of(material, IsotropicElastic)  # type: ignore[type-abstract]
+    if law is None or law.is_by_B or not (moves or m == 0):
+        return None
+    where = "with m = 0 there is motion that no variable feels" if m == 0 else "walls move, and F winds up"
+    return (
+        f"by F, det F and J are carried each by itself, and {where}: where they differ by {DRIFT:.0%} in the "
+        f'mean of a cell the run ends; elastic_state = "B" frees no rest energy'
+    )
 
 
 def remedy(material: Material) -> str:
@@ -91,16 +124,3 @@ def remedy(material: Material) -> str:
     if isinstance(material, IsotropicElastic):
         return f'elastic_state="B" where the body flows, in which nothing winds up, or {better}'
     return f"variables by B = F F^T where the body flows and the energy is isotropic, or {better}"
-
-
-DRIFT = 0.1
-"""|det F/J - 1| in the mean of a cell, above which a step is refused: the stress is wrong by as much."""
-
-
-def parted(material: Material, pair: str, rms: float, largest: float) -> str:
-    """What a run says of a ``pair`` that differs by so much, relatively."""
-    return (
-        f"{pair} differ by {rms:.1%} in the mean square, {largest:.1%} at most: the variables no longer "
-        "belong to one distortion, and the stress is wrong by as much, though the ledger closes; the remedy "
-        f"is {remedy(material)}"
-    )

@@ -4,12 +4,12 @@ import math
 
 import numpy as np
 import pytest
-from ngsolve import pi, sin, x
-from support import swirling
+from ngsolve import CF, pi, sin, x
+from support import swirling, value
 
 import ngvisco as nv
 from ngvisco.geometries import structured_box
-from ngvisco.physics.defects import DRIFT, drifts
+from ngvisco.physics.defects import DRIFT, drifts, may_part
 from ngvisco.physics.variables import Distortion, Jacobian
 from tests.verification.cases.winding import lid
 
@@ -90,6 +90,7 @@ def under_a_lid(state):
 def test_run_that_winds_up_warns_once_and_ends_by_name_with_the_remedy():
     """From 1 % in the mean square on it warns; a cell whose mean is off by more than 10 % ends it."""
     run = under_a_lid("F")
+    run.stepper.halvings = 0
     with pytest.warns(nv.DefectWarning) as caught, pytest.raises(nv.StepError) as ended:
         run.run(0.5)
     for said in (str(ended.value), str(ended.value.report)):
@@ -153,3 +154,35 @@ def test_a_volume_that_may_pass_zero_has_no_drift():
     z = {v.name: v.from_distortion(nv.physics.tensors.IDENTITY) for v in (Distortion(), Jacobian())}
     plain = nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, elastic_state="F")
     assert list(drifts(plain, z)) == ["det F and J"] and drifts(nv.Yosida(material=plain, eps=1e-3), z) == {}
+
+
+C, S = math.cos(0.4), math.sin(0.4)
+TWO = (
+    ([[C, S, 0], [-S, C, 0], [0, 0, 1]], [[C, -S, 0], [S, C, 0], [0, 0, 1]]),
+    ([[2, 0, 0], [0, 0.5, 0], [0, 0, 1]], [[0.5, 0, 0], [0, 2, 0], [0, 0, 1]]),
+)
+"""Pairs of distortions of determinant one: two that have turned, two that are stretched."""
+
+
+def test_means_of_B_lose_no_determinant_and_those_of_rotations_do():
+    """Of two rotations F frees rest energy, B never does, and only what it loses is a drift."""
+    for sign, (one, other) in zip((-1, 1), TWO, strict=True):
+        a, b = np.array(one), np.array(other)
+        F, B = 0.5 * (a + b), 0.5 * (a @ a.T + b @ b.T)
+        assert np.linalg.det(B) >= 1 - 1e-12
+        z = {"F": CF(tuple(F.ravel()), dims=(3, 3)), "B": CF(tuple(B.ravel()), dims=(3, 3)), "J": CF(1.0)}
+        found = {}
+        for state in "FB":
+            law = nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, elastic_state=state)
+            ((_, drift),) = drifts(law, z).items()
+            found[state] = float(value(drift))
+        assert found["F"] == pytest.approx(np.linalg.det(F) - 1, abs=1e-12) and found["B"] == 0.0
+        assert sign * found["F"] > 0.05
+    short = {"B": CF((0.8, 0, 0, 0, 1, 0, 0, 0, 1), dims=(3, 3)), "J": CF(1.0)}
+    assert float(value(drifts(law, short)["det B and J"])) == pytest.approx(0.8**0.5 - 1)
+
+
+def test_check_says_where_variables_may_part():
+    by = {s: nv.ReferentialNeoHookean(K_e=10.0, G_e=2.0, elastic_state=s) for s in "FB"}
+    assert 'elastic_state = "B"' in may_part(by["F"], False, 0) and "walls move" in may_part(by["F"], True, 1)
+    assert may_part(by["F"], False, 1) is None and may_part(by["B"], True, 0) is None

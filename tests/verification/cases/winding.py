@@ -62,40 +62,49 @@ TABLE: tuple[tuple[Literal["F", "B"], float, float, tuple[float, ...]], ...] = (
 
 
 @CASES(f"""winding-lid
-    A creeping body under a lid: det(J^(−2/3) F Fᵀ) is one by B over 80 Maxwell times; by F it is lost after
-      ten, whatever step and mesh, with a ledger that closes, and the run says so.
+    A creeping body under a lid: det(J^(−2/3) F Fᵀ) is one by B over 80 Maxwell times; by F it is lost within
+      twenty, whatever step and mesh, with a ledger that closes, and the run ends by that name.
     label: ED-Euler-large2, ED-Euler-large3
     setting: Unit box, K_e = {K_E:g} Pa, G_e = {G_E:g} Pa, G_m = {G_M:g} Pa s (Maxwell time 0.05 s), viscosity
       {VISCOSITY:g} Pa s, lid 16 x²(1 − x)² m/s ramped until 0.2 s.
     - largest |det B − 1| <= 0.03: first order in tau, 0.02 s, at the lid's corners
-    - smallest |det J^(−2/3) F Fᵀ − 1| by F at 1 s >= 0.1: the finding: F is wrong
-    - runs by F that warned >= 3: each of them
+    - runs by F that ended by name >= 3: each of them: det F is off J by 10 % in a cell
+    - the last of these ended at, s <= 1: twenty Maxwell times
+    - the first of these ended at, s >= 0.2: the lid has its speed at 0.2 s
+    - runs by F that warned before >= 3: each of them
     - closure
     """)
 def _side_by_side() -> Measured:
     rows = []
-    gaps, warned = {"F": list[float](), "B": list[float]()}, {"F": 0, "B": 0}
+    gaps, warned, ends = list[float](), {"F": 0, "B": 0}, list[float]()
     for state, maxh, dt, times in TABLE:
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always", nv.DefectWarning)
             run = lid(material(state), maxh, dt, nv.Creep(G_m=G_M))
             for until in times:
+                has_ended = False
                 try:
                     run.run(until)
                 except nv.StepError as error:
-                    yield f"By F with cells of {maxh:g} m the run ends at {run.t:.2f} s: {error}"
-                    break
+                    yield f"By {state} with cells of {maxh:g} m the run ends at {run.t:.2f} s: {error}"
+                    has_ended = True
+                    if state == "F" and "have parted" in str(error):
+                        ends.append(run.t)
                 fields, last = run.fields, run.ledger.rows[-1]
                 A = fields["B"] if state == "B" else fields["J"] ** (-2 / 3) * fields["F"] * fields["F"].trans
                 low, high = run.sampler.extrema(Det(A))
-                if until <= 1.0 or state == "B":
-                    gaps[state].append(max(1 - low, high - 1))
+                if state == "B":
+                    gaps.append(max(1 - low, high - 1))
                 trace, defect = run.sampler.extrema(tr(A))[1], last["defect_rms"]
-                rows.append([state, maxh, dt, until, low, high, trace, last["stored"], defect])
+                rows.append([state, maxh, dt, run.t, low, high, trace, last["stored"], defect])
+                if has_ended:
+                    break
         warned[state] += sum(issubclass(w.category, nv.DefectWarning) for w in caught)
-    yield "largest |det B − 1|", max(gaps["B"])
-    yield "smallest |det J^(−2/3) F Fᵀ − 1| by F at 1 s", min(gaps["F"])
-    yield "runs by F that warned", warned["F"]
+    yield "largest |det B − 1|", max(gaps)
+    yield "runs by F that ended by name", len(ends)
+    yield "the last of these ended at, s", max(ends)
+    yield "the first of these ended at, s", min(ends)
+    yield "runs by F that warned before", warned["F"]
     head = "form | h, m | tau, s | t, s | det A from | to | largest tr A | stored, J | defect"
     title = "a creeping neo-Hookean body under a lid; A = J^(−2/3) F Fᵀ, or B"
     yield from Table(title, head, rows).drawn(3, 4, 5, by=0)
