@@ -14,7 +14,6 @@ from ngvisco.case import catalogue, reference, schema, template
 from ngvisco.case.directory import RunDirectory
 from ngvisco.case.section import TAGS, Section, models_in
 from ngvisco.errors import ParameterError
-from ngvisco.physics.defects import may_part
 from ngvisco.run.fields import NAMES as FURTHER
 from ngvisco.run.passive import NAMES as PASSIVE
 from ngvisco.run.refinement import stretches
@@ -60,9 +59,7 @@ def check(options: argparse.Namespace) -> int:
     print(f"scales     L {found.length:.3g} m, h {found.cell:.3g} m, {moving}{times}")
     for name, value in found.numbers.items():
         print(f"           {name:38s} {value:.3g}")
-    step = run.rothe_step
-    parting = may_part(step.model.material, bool(step.moving_walls.moving), step.discretisation.m)
-    for line in [*found.advice, *filter(None, [parting])]:
+    for line in found.advice:
         print(f"advice     {line}")
     sys.stdout.flush()  # a step that is hard to solve takes minutes: what is known is read before
     first, later, count = _measure(run, steps)

@@ -18,6 +18,7 @@ from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.mesh import cell_numbers
 from ngvisco.physics.arrays import Array
 from ngvisco.physics.bodies import AMOUNT
+from ngvisco.physics.defects import may_part
 from ngvisco.physics.flow_rules.check import values_at_rest
 from ngvisco.physics.material import Material, cauchy_stress, part_of
 from ngvisco.physics.materials.network import Network
@@ -67,6 +68,8 @@ class Scales:
     """The largest over the least density at the start."""
     one_bulk_energy: bool = True
     """Whether all bodies have the same."""
+    parting: str | None = None
+    """Where variables that stand for one distortion may part, in words."""
 
     @property
     def numbers(self) -> dict[str, float]:
@@ -137,6 +140,8 @@ class Scales:
                 f"stress relaxes in {self.maxwell:.2g} s, {self.maxwell / self.dt:.2g} steps: only the end "
                 f"of its relaxation is seen; to follow it take dt <= {self.maxwell / _RELAXED:.2g} s"
             )
+        if self.parting is not None:
+            said.append(self.parting)
         layer = math.sqrt(self.kinematic_viscosity * self.length / self.velocity)
         if self.cell * _ACROSS > self.length:
             across, enough = self.length / self.cell, self.length / _ACROSS
@@ -170,6 +175,7 @@ def scales(simulation: Simulation) -> Scales:
         scheme=simulation.scheme,
         densities=most / least,
         one_bulk_energy=not isinstance(material, Mixture) or material.has_one_volume,
+        parting=may_part(material, bool(step.moving_walls.moving), step.discretisation.m),
     )
 
 
