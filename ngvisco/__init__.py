@@ -27,7 +27,7 @@ from ngvisco.forms.start.given import function_field, grid_field
 from ngvisco.forms.start.initial import Initial
 from ngvisco.forms.term import Entry, Integrand, PointTerm
 from ngvisco.notices import print_own
-from ngvisco.physics.activation import Activated, ActivatedViscosity
+from ngvisco.physics.activation import WLF, Activated, ActivatedViscosity
 from ngvisco.physics.bodies import Body
 from ngvisco.physics.energy_checks import (
     ConvexityReport,
@@ -63,6 +63,8 @@ from ngvisco.physics.materials import (
     Thermal,
     WithQuadratic,
     Yosida,
+    prony_network,
+    read_prony,
 )
 from ngvisco.physics.model import Model
 from ngvisco.physics.parameters import Parameter
@@ -113,6 +115,7 @@ from ngvisco.case import Case, CaseError, RunDirectoryError, load, load_case  # 
 __all__ = [
     "FENEP",
     "SCHEMES",
+    "WLF",
     "Activated",
     "ActivatedViscosity",
     "AdaptiveSteps",
@@ -232,8 +235,10 @@ __all__ = [
     "plot_energies",
     "plot_fields",
     "plot_schemes",
+    "prony_network",
     "pulse",
     "read_ledger",
+    "read_prony",
     "record",
     "resume_changed",
     "run_refined",

@@ -140,15 +140,11 @@ class Case:
             files += [(table, (self.directory / table["path"]).resolve()) for table in tables]
         if self.sections.material is None:
             return data, files
-        creep = self.sections.rheology.creep
-        part: Any = self.sections.material
-        values = data["material"]
-        if data["initial"]["density"] is None and made(part).referential_density is None:
+        creep, material = self.sections.rheology.creep, made(self.sections.material)
+        if data["initial"]["density"] is None and material.referential_density is None:
             data["initial"]["density"] = 1.0
-        while getattr(part, "material", None) is not None:  # a gas has none
-            part, values = part.material, values["material"]
-        if values.get("elastic_state", "") is None:
-            values["elastic_state"] = default_elastic_state(None if creep is None else made(creep))
+        state = default_elastic_state(None if creep is None else made(creep), material)
+        _settle_state(data["material"], state)
         return data, files
 
     @property
@@ -178,8 +174,9 @@ class Case:
             parts["bodies"] = tuple(self._body(i, dim) for i in range(len(sections.bodies)))
         else:
             with self.blame.located("material"):
-                state = default_elastic_state(parts.get("creep"))
-                parts["material"] = made(sections.material).with_elastic_state(state)
+                material = made(sections.material)
+                state = default_elastic_state(parts.get("creep"), material)
+                parts["material"] = material.with_elastic_state(state)
         with self.blame.located("bodies" if sections.bodies else "loads"):
             return Model(**parts)
 
@@ -329,6 +326,16 @@ def _texts_in(value: Any, path: tuple[str, ...]) -> Iterator[tuple[tuple[str, ..
     parts = value if isinstance(value, dict) else dict(enumerate(value)) if isinstance(value, list) else {}
     for key, part in parts.items():
         yield from _texts_in(part, (*path, str(key)))
+
+
+def _settle_state(values: dict[str, Any], state: str) -> None:
+    """Write the ``elastic_state`` into a material's table that leaves it open, and into those within."""
+    if values.get("elastic_state", "") is None:
+        values["elastic_state"] = state
+    if values.get("material") is not None:  # a gas has none
+        _settle_state(values["material"], state)
+    for branch in (values.get("branches") or {}).values():
+        _settle_state(branch["material"], state)
 
 
 def _digest_of(file: Path) -> str:

@@ -43,8 +43,14 @@ MATERIALS: Kinds = {
     **_of(materials, "LinearElastic LogarithmicMooneyRivlin LogarithmicNeoHookean MooneyRivlin NeoHookean"),
     **_of(materials, "OldroydB ReferentialMooneyRivlin ReferentialNeoHookean"),
 }
-WRAPPERS: Kinds = _of(materials, "PerReferentialVolume Damaged Yosida WithQuadratic")
-"""Materials of another one, [material.material]: of those above, and of wrappers before them here."""
+WRAPPERS: Kinds = {
+    "PerReferentialVolume": materials.PerReferentialVolume,
+    "Network": materials.Network,
+    "Prony": materials.prony_network,
+    **_of(materials, "Damaged Yosida WithQuadratic"),
+}
+"""Materials of another one, [material.material], or of several, [material.branches.NAME.material]: of those
+above, and of wrappers before them here."""
 MECHANISMS: Kinds = {
     "hyperviscosity": rheology.HyperViscosity,
     "heat": heat.Heat,
@@ -52,7 +58,10 @@ MECHANISMS: Kinds = {
 }
 FLOW_RULES: Kinds = {"Linear": flow_rules.Creep, **_of(flow_rules, "DruckerPrager Eyring Norton Perzyna")}
 """What [rheology.creep] can be; the first where its kind is not said."""
-FLOW_RULE_WRAPPERS: Kinds = {"Activated": activation.Activated, "Composite": flow_rules.Composite}
+FLOW_RULE_WRAPPERS: Kinds = {
+    **_of(activation, "Activated WLF"),
+    "Composite": flow_rules.Composite,
+}
 """Rules of other ones: of those above, and of wrappers before them here."""
 VISCOSITIES: Kinds = {
     "StokesViscosity": rheology.StokesViscosity,

@@ -12,6 +12,7 @@ from ngvisco.case.faults import CaseError, Fault, Locator, faults_of, numbers_ou
 from ngvisco.case.schema import CaseSections
 from ngvisco.case.units import SI, Converter
 from ngvisco.errors import ParameterError
+from ngvisco.physics.materials import read_prony
 from ngvisco.physics.signals import read_table
 
 MAX_FILE_SIZE = 1_000_000
@@ -96,7 +97,21 @@ def _with_tables(
             faults.append((path, message))
             return value
 
-    return data | {name: read(data[name], (name,)) for name in ("loads", "walls") if name in data}, faults
+    def read_series(value: Any, path: tuple[str, ...]) -> Any:
+        """The tables of a material with the rows of ``prony = { file = "table.csv" }``."""
+        if not isinstance(value, dict):
+            return value
+        if path[-1] != "prony" or set(value) != {"file"} or not isinstance(value["file"], str):
+            return {name: read_series(part, (*path, name)) for name, part in value.items()}
+        try:
+            return read_prony(directory / value["file"]).tolist()
+        except ParameterError as error:
+            faults.append((path, f"{error.value!r:.60}: expected {error.expected}"))
+            return value
+
+    found = {name: read(data[name], (name,)) for name in ("loads", "walls") if name in data}
+    found |= {name: read_series(data[name], (name,)) for name in ("material",) if name in data}
+    return data | found, faults
 
 
 def _numbers_of(directory: Path, file: Any, column: Any = None) -> dict[str, Any]:

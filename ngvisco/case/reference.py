@@ -80,6 +80,8 @@ def entries() -> list[Entry]:
 
 _SAME_KEYS = {
     ("material", "material"): ("material",),
+    ("material", "branches", "NAME", "material"): ("material",),
+    ("material", "branches", "NAME", "creep"): ("rheology", "creep"),
     ("bodies", "N", "material"): ("material",),
     ("bodies", "N", "viscosity"): ("rheology", "viscosity"),
     ("bodies", "N", "creep"): ("rheology", "creep"),

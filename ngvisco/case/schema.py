@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Annotated, Any
 
 from pydantic import AfterValidator, Discriminator, Field, Tag, create_model, model_validator
@@ -18,7 +18,7 @@ from ngvisco.case.values import RegionText
 from ngvisco.errors import ParameterError, Quantity
 from ngvisco.physics.flow_rules import FlowRule
 from ngvisco.physics.material import Material as MaterialObject
-from ngvisco.physics.materials import Thermal
+from ngvisco.physics.materials import Branch, Thermal
 from ngvisco.physics.rheology import Viscosity as ViscosityObject
 from ngvisco.run.refinement import Refinement
 
@@ -59,6 +59,7 @@ class Heated(Section):
             raise ParameterError(key, error.value, error.expected) from error
 
 
+Creep = laws(FlowRule, catalogue.FLOW_RULES, catalogue.FLOW_RULE_WRAPPERS)
 Domain = tagged("geometry", catalogue.GEOMETRIES, Meshed)
 Material = laws(
     MaterialObject,
@@ -66,12 +67,14 @@ Material = laws(
     catalogue.WRAPPERS,
     has_default=False,
     base=Heated,
+    of=lambda material: {
+        Mapping[str, Branch]: dict[str, section(Branch, types={MaterialObject: material, FlowRule: Creep})]
+    },
     without={"Gas": ("expansion",)},
 )
 Load = tagged("kind", catalogue.LOADS)
 Wall = tagged("kind", catalogue.WALLS)
 Shape = tagged("kind", catalogue.SHAPES)
-Creep = laws(FlowRule, catalogue.FLOW_RULES, catalogue.FLOW_RULE_WRAPPERS)
 Viscosity = laws(ViscosityObject, catalogue.VISCOSITIES, catalogue.VISCOSITY_WRAPPERS)
 _MECHANISMS: dict[str, Any] = {"viscosity": Viscosity}
 _MECHANISMS |= {name: section(target) for name, target in catalogue.MECHANISMS.items()} | {"creep": Creep}

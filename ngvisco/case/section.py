@@ -224,6 +224,8 @@ def parameters(part: Section) -> dict[str, Any]:
             value = made(value)
         elif isinstance(value, list) and value and isinstance(value[0], Section):
             value = [made(each) for each in value]
+        elif isinstance(value, dict) and any(isinstance(each, Section) for each in value.values()):
+            value = {key: made(each) for key, each in value.items()}
         elif name in values_of(model):
             value = values_of(model)[name].made(value)
         if value is not None:
@@ -250,10 +252,11 @@ def laws(
     wrappers: Mapping[str, Any],
     has_default: bool = True,
     base: type[Section] = Section,
+    of: Callable[[Any], Mapping[Any, Any]] = lambda choice: {},
     without: Mapping[str, Collection[str]] = MappingProxyType({}),
 ) -> Any:
     """One of the laws of a class, by ``kind``, or a wrapper of those before it; with ``base``'s keys, and
-    ``without`` these of some kinds.
+    ``without`` these of some kinds.  ``of`` gives the types of a wrapper's parameters that hold such a law.
 
     Where ``has_default`` it is the first one of the table where no kind is said.
     """
@@ -271,7 +274,8 @@ def laws(
         for name, target in table.items()
     ]
     for name, target in wrappers.items():
-        models.append(section(target, ("kind", name), {law: choice()}, base=base))
+        held = choice()
+        models.append(section(target, ("kind", name), {law: held, **of(held)}, base=base))
     return choice()
 
 

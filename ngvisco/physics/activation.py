@@ -1,6 +1,7 @@
 """Laws that temperature and pressure speed up: the factor of Arrhenius, of flow rules and of viscosities."""
 
 import math
+from abc import abstractmethod
 from dataclasses import dataclass
 from typing import Annotated, Any
 
@@ -8,7 +9,7 @@ from ngvisco.errors import ParameterError, Quantity
 from ngvisco.physics.flow_rules.rule import FlowRule, Hardening
 from ngvisco.physics.parameters import Modulus, require_ranges, value_at
 from ngvisco.physics.rheology import ValueOfModulus, Viscosity
-from ngvisco.physics.tensors import Tensor, exp
+from ngvisco.physics.tensors import Tensor, exp, if_positive
 from ngvisco.physics.variables import PRESSURE, TEMPERATURE, Values
 
 GAS_CONSTANT = 8.31446261815324
@@ -40,7 +41,59 @@ class _Activation:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Activated(_Activation, FlowRule):
+class _Faster(FlowRule):
+    """A flow rule whose rate is ``factor`` times that of another one.
+
+    Parameters
+    ----------
+    rule : FlowRule
+        The rule at theta_R and p = 0.
+    """
+
+    rule: FlowRule
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not isinstance(self.rule, FlowRule):
+            raise ParameterError(f"{type(self).__name__}.rule", self.rule, "a flow rule")
+        for name in ("nu", "q", "floor", "rate_floor", "reads_conjugate", "has_trace"):
+            object.__setattr__(self, name, getattr(self.rule, name))
+
+        # with a factor that is no polynomial; linear in M where the rule is
+        object.__setattr__(self, "degree", 1.0 if self.rule.degree == 1 else math.inf)
+
+    @property
+    @abstractmethod
+    def _reads(self) -> set[str]:
+        """What the factor reads."""
+
+    @abstractmethod
+    def factor(self, z: Values) -> Any:
+        """How many times faster the rule is at a point with the values ``z``."""
+
+    @property
+    def reads(self) -> frozenset[str]:  # type: ignore[override]
+        return self.rule.reads | self._reads
+
+    @property
+    def flows(self) -> bool:
+        return self.rule.flows
+
+    @property
+    def hardening(self) -> Hardening | None:
+        return self.rule.hardening
+
+    def rate(self, M: Tensor, zeta: Tensor | None, z: Values) -> Tensor:
+        return self.factor(z) * self.rule.rate(M, zeta, z)
+
+    def psi(self, Pi: Tensor, z: Values) -> Tensor:
+        """a psi_rule(Pi/a), W/m^3."""
+        a = self.factor(z)
+        return a * self.rule.psi((1 / a) * Pi, z)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Activated(_Activation, _Faster):
     """A flow rule whose rate is a = exp(E/(R theta_R) - (E + p V)/(R theta)) times as large (Arrhenius 1889).
 
     Example::
@@ -69,37 +122,51 @@ class Activated(_Activation, FlowRule):
         that of the material, which then has heat.
     """
 
-    rule: FlowRule
-
     def __post_init__(self) -> None:
-        super().__post_init__()
-        if not isinstance(self.rule, FlowRule):
-            raise ParameterError("Activated.rule", self.rule, "a flow rule")
-        for name in ("nu", "q", "floor", "rate_floor", "reads_conjugate", "has_trace"):
-            object.__setattr__(self, name, getattr(self.rule, name))
+        _Faster.__post_init__(self)
 
-        # with a factor that is no polynomial; linear in M where the rule is
-        object.__setattr__(self, "degree", 1.0 if self.rule.degree == 1 else math.inf)
+
+@dataclass(frozen=True, kw_only=True)
+class WLF(_Faster):
+    """A flow rule whose rate is 1/a_T = 10^{C_1 (theta - theta_R)/(C_2 + theta - theta_R)} times as large.
+
+    The shift of polymers about their glass transition (Williams, Landel, Ferry 1955), by which all relaxation
+    times are a_T times as long.  Towards theta_R - C_2 nothing flows any more, nor does it below.  Raises
+    ParameterError if a parameter is out of its range.
+
+    Parameters
+    ----------
+    rule : FlowRule
+        The rule at theta_R.
+    C_1 : float
+        How many decades the shift is far above theta_R.
+    C_2 : float
+        Distance from theta_R down to where nothing flows.
+    theta_R : float
+        Temperature at which the rule is as given.
+    temperature : float, optional
+        As for ``Activated``.
+    """
+
+    C_1: Annotated[float, Quantity("1", "> 0", 17.4)]
+    C_2: Annotated[float, Quantity("K", "> 0", 51.6)]
+    theta_R: Annotated[float, Quantity("K", "> 0", 293.0)]
+    temperature: Annotated[Modulus | None, Quantity("K", "> 0", 300.0)] = None
 
     @property
-    def reads(self) -> frozenset[str]:  # type: ignore[override]
-        return self.rule.reads | self._reads
+    def _reads(self) -> set[str]:
+        return {TEMPERATURE} if self.temperature is None else set()
 
-    @property
-    def flows(self) -> bool:
-        return self.rule.flows
-
-    @property
-    def hardening(self) -> Hardening | None:
-        return self.rule.hardening
-
-    def rate(self, M: Tensor, zeta: Tensor | None, z: Values) -> Tensor:
-        return self.factor(z) * self.rule.rate(M, zeta, z)
-
-    def psi(self, Pi: Tensor, z: Values) -> Tensor:
-        """a psi_rule(Pi/a), W/m^3."""
-        a = self.factor(z)
-        return a * self.rule.psi((1 / a) * Pi, z)
+    def factor(self, z: Values) -> Any:
+        """1/a_T."""
+        theta = z[TEMPERATURE] if self.temperature is None else value_at(self.temperature, z)
+        least = 1e-2 * self.C_2  # there the shift is a hundred times C_1 decades
+        above = theta + (self.C_2 - self.theta_R)
+        if isinstance(above, (int, float)):
+            above = max(above, least)
+        else:
+            above = least + if_positive(above - least, above - least, 0 * (above - least))
+        return exp(math.log(10) * self.C_1 * (1 - self.C_2 / above))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -129,7 +129,7 @@ class Model:
             raise ParameterError("Model.creep", self.creep, "None with a Network, whose branches have theirs")
         if self.creep is not None and self.creep.reads_conjugate and self.material.conformation is None:
             raise ParameterError("Model.creep", self.creep, "a material with a conformation tensor")
-        state = "B" if self.bodies else default_elastic_state(self.creep)
+        state = "B" if self.bodies else default_elastic_state(self.creep, self.material)
         material = self.material.with_elastic_state(state)
         if isinstance(material, Mixture):
             material = material.with_carried(carried)
@@ -340,6 +340,9 @@ def _require_distinct(field_name: str, names: list[str]) -> None:
         raise ParameterError(field_name, names, "distinct names")
 
 
-def default_elastic_state(creep: FlowRule | None) -> ElasticState:
-    """How a material that leaves it open knows of its elastic state: by B where there is creep, else by F."""
-    return "B" if creep is not None and creep.flows else "F"
+def default_elastic_state(creep: FlowRule | None, material: Material | None = None) -> ElasticState:
+    """How a material that leaves it open knows of its elastic state: by B where there is creep, also of a
+    branch of its own, else by F."""
+    network = part_of(material, Network)
+    branches = () if network is None else network.parts.values()
+    return "B" if (creep is not None and creep.flows) or any(one.flows for one in branches) else "F"

@@ -43,6 +43,10 @@ CREEPS = {
         'rule = { kind = "Norton", A = 0.5, n = 3 }',
         nv.Activated(rule=nv.Norton(A=0.5, n=3), E=2e5, theta_R=1300.0, V=1e-5, temperature=1500.0),
     ),
+    "WLF": (
+        "C_1 = 17.4, C_2 = 51.6, theta_R = 300, temperature = 320, rule = { G_m = 2 }",
+        nv.WLF(rule=nv.Creep(G_m=2), C_1=17.4, C_2=51.6, theta_R=300.0, temperature=320.0),
+    ),
     "Composite": (
         'rules = [{ G_m = "2 kPa s" }, { kind = "Activated", E = 1, theta_R = 2, temperature = 3, '
         'rule = { kind = "Eyring", A = 0.5, sigma_0 = 2 } }]',

@@ -15,6 +15,7 @@ from ngvisco.physics.materials.hyperelastic import (
 from ngvisco.physics.materials.linearised import HardeningElastic, IsotropicStrainEnergy, LinearElastic
 from ngvisco.physics.materials.network import Branch, Network
 from ngvisco.physics.materials.perspective import PerMass, PerReferentialVolume
+from ngvisco.physics.materials.prony import prony_network, read_prony
 from ngvisco.physics.materials.thermal import Thermal
 from ngvisco.physics.materials.wrapped import WithQuadratic, Yosida
 
@@ -41,4 +42,6 @@ __all__ = [
     "Thermal",
     "WithQuadratic",
     "Yosida",
+    "prony_network",
+    "read_prony",
 ]

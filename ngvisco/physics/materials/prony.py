@@ -1,0 +1,159 @@
+"""Prony series: networks that are given by shares of a modulus and relaxation times."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ngvisco.errors import ParameterError, Quantity
+from ngvisco.physics.activation import WLF, Activated
+from ngvisco.physics.flow_rules import Creep, FlowRule
+from ngvisco.physics.material import Material
+from ngvisco.physics.materials.fluids import OldroydB
+from ngvisco.physics.materials.hyperelastic import (
+    IsotropicElastic,
+    ReferentialMooneyRivlin,
+    ReferentialNeoHookean,
+)
+from ngvisco.physics.materials.linearised import LinearElastic
+from ngvisco.physics.materials.network import Branch, Network
+from ngvisco.physics.parameters import Modulus
+
+SPRING = "spring"
+"""The name of the branch that does not relax; the others are ``mode_1``, ``mode_2``, ..."""
+_SHEAR, _BULK = ("G_e", "G_mr", "G_h"), ("K_e", "K_h", "epsilon")
+"""Moduli that a share is taken of, and those of the volume, which are the spring's alone."""
+
+
+def prony_network(
+    material: Material,
+    prony: Annotated[ArrayLike, Quantity("1, s", example=[[0.3, 1.0], [0.2, 10.0]])],
+    of: Annotated[Literal["G_0", "G_inf"], Quantity(example="G_0")],
+    E: Annotated[float | None, Quantity("J/mol", example=1e5)] = None,
+    C_1: Annotated[float | None, Quantity("1", "> 0", 17.4)] = None,
+    C_2: Annotated[float | None, Quantity("K", "> 0", 51.6)] = None,
+    theta_R: Annotated[float, Quantity("K", "> 0", 293.0)] = 293.0,
+    temperature: Annotated[Modulus | None, Quantity("K", "> 0", 300.0)] = None,
+) -> Network:
+    """A network whose shear modulus relaxes as G(t) = G_inf + sum g_i G exp(-t/tau_i), G = G_0 or G_inf.
+
+    A spring ``spring`` with the whole bulk modulus, and Maxwell branches ``mode_1``, ``mode_2``, ... in the
+    order of the table.  Of ``OldroydB`` and ``FENEP`` the branches have the law ``conformation``, so that a
+    finite step of shear relaxes by the same series; of others the series is that of small strains.  With E,
+    or C_1 and C_2, all times are shorter by the factor of Arrhenius (``Activated``) or of Williams, Landel
+    and Ferry (``WLF``), which is 1 at theta_R.  Raises ParameterError for a table that is none, shares of G_0
+    whose sum is above 1, a material whose moduli are not known, and one that bears no pressure.
+
+    Example::
+
+        import ngvisco as nv
+
+        rubber = nv.ReferentialNeoHookean(K_e=100.0, G_e=5.0)  # G_0 = 10 Pa
+        material = nv.prony_network(rubber, prony=[[0.3, 1.0], [0.2, 10.0]], of="G_0")
+        print([(name, branch.material.G_e) for name, branch in material.parts.items()])
+
+    Parameters
+    ----------
+    material : Material
+        Its moduli are those of ``of``: ``LinearElastic``, ``HardeningElastic``, ``ReferentialNeoHookean``,
+        ``IsochoricNeoHookean``, ``ReferentialMooneyRivlin``, ``OldroydB`` or ``FENEP``.
+    prony : array
+        Rows of a share g_i > 0 and a relaxation time tau_i > 0 at theta_R; ``read_prony`` reads them from a
+        file, in a case file that is { file = "table.csv" }.
+    of : str
+        What the shares are of and the material is: "G_0", of the shortest times, which leaves
+        G_inf = (1 - sum g_i) G_0, or "G_inf", of the longest, with G_0 = (1 + sum g_i) G_inf.
+    E : float, optional
+        Activation energy of all relaxation times.
+    C_1, C_2 : float, optional
+        Of the shift log10 a_T = -C_1 (theta - theta_R)/(C_2 + theta - theta_R), in place of E.
+    theta_R : float
+        Temperature at which the times are as given.
+    temperature : float, optional
+        A number, a function of the initial place, or an expression of parameters; None is that of the
+        material, which then has heat around the network.
+    """
+    rows = _table(prony)
+    shear, law = _shear_modulus(material)
+    if of not in ("G_0", "G_inf"):
+        raise ParameterError("prony_network.of", of, '"G_0" or "G_inf"')
+    shifts = {"E": E, "C_1": C_1, "C_2": C_2}
+    if (C_1 is None) != (C_2 is None) or (E is not None and C_1 is not None):
+        raise ParameterError("prony_network.C_1", shifts, "E alone, C_1 and C_2 together, or none")
+    left = 1 - float(rows[:, 0].sum()) if of == "G_0" else 1.0
+    if left < -1e-12:
+        expected = f"shares of G_0 whose sum is at most 1, not {1 - left:.6g}; those of G_inf have no bound"
+        raise ParameterError("prony_network.prony", prony, expected)
+    parts = {}
+    if left > 1e-12:
+        parts[SPRING] = Branch(material=_scaled(material, left, keeps_bulk=True))
+    for i, (share, time) in enumerate(rows.tolist(), start=1):
+        rule: FlowRule = Creep(G_m=2 * share * time * shear, law=law)
+        if E is not None:
+            rule = Activated(rule=rule, E=E, theta_R=theta_R, temperature=temperature)
+        elif C_1 is not None and C_2 is not None:
+            rule = WLF(rule=rule, C_1=C_1, C_2=C_2, theta_R=theta_R, temperature=temperature)
+        parts[f"mode_{i}"] = Branch(material=_scaled(material, share, keeps_bulk=not parts), creep=rule)
+    return Network(branches=parts)
+
+
+def read_prony(path: str | os.PathLike[str]) -> np.ndarray:
+    """Rows (g_i, tau_i), (n, 2), of a CSV file; lines of words and those that begin with # are left out.
+
+    Raises ParameterError for a file that cannot be read, or whose rows are not two numbers.
+    """
+    rows = []
+    try:
+        with open(path, encoding="utf-8") as file:
+            for line in file:
+                cells = line.split("#")[0].replace(";", ",").split(",")
+                try:
+                    rows.append([float(cell) for cell in cells])
+                except ValueError:
+                    if any(character.isdigit() for character in cells[0][:1]):
+                        raise ParameterError("read_prony.path", line, "rows of two numbers") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise ParameterError("read_prony.path", str(path), f"a CSV file that can be read: {error}") from error
+    return _table(rows)
+
+
+def _table(prony: Any) -> np.ndarray:
+    try:
+        rows = np.array(prony, dtype=float)
+    except (TypeError, ValueError):
+        rows = np.zeros(0)
+    if rows.ndim != 2 or rows.shape[1] != 2 or not len(rows) or not (np.isfinite(rows) & (rows > 0)).all():
+        expected = "rows [g, tau] of two numbers > 0, a share of the modulus and a time in s"
+        raise ParameterError("prony_network.prony", prony, expected)
+    return rows
+
+
+def _shear_modulus(material: Any) -> tuple[Any, Literal["mandel", "conformation"]]:
+    """The usual shear modulus at rest, Pa, and the law of creep."""
+    if isinstance(material, LinearElastic):
+        return material.G_e, "mandel"
+    if isinstance(material, OldroydB):
+        return 2 * material.G_e, "conformation"
+    if isinstance(material, ReferentialMooneyRivlin):
+        return 2 * (material.G_e + material.G_mr), "mandel"
+    if isinstance(material, ReferentialNeoHookean):
+        return 2 * material.G_e, "mandel"
+    expected = "a material of small strain, a Referential one, IsochoricNeoHookean, OldroydB or FENEP"
+    if isinstance(material, IsotropicElastic):
+        expected += ": of others no part of shear alone is known"
+    raise ParameterError("prony_network.material", material, expected)
+
+
+def _scaled(material: Any, share: float, keeps_bulk: bool) -> Material:
+    """A material with a share of the moduli of shear, and all or nothing of those of the volume."""
+    changes = {name: share * getattr(material, name) for name in _SHEAR if hasattr(material, name)}
+    if not keeps_bulk:
+        changes |= {name: 0.0 for name in _BULK if hasattr(material, name)}
+        if hasattr(material, "J_min"):
+            changes["J_min"] = None
+    found: Material = replace(material, **changes)
+    return found
