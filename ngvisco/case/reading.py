@@ -109,8 +109,9 @@ def _with_tables(
             faults.append((path, f"{error.value!r:.60}: expected {error.expected}"))
             return value
 
-    found = {name: read(data[name], (name,)) for name in ("loads", "walls") if name in data}
-    found |= {name: read_series(data[name], (name,)) for name in ("material",) if name in data}
+    found: dict[str, Any] = {name: read(data[name], (name,)) for name in ("loads", "walls") if name in data}
+    if "material" in data:
+        found["material"] = read_series(data["material"], ("material",))
     return data | found, faults
 
 

@@ -60,6 +60,14 @@ class Heated(Section):
 
 
 Creep = laws(FlowRule, catalogue.FLOW_RULES, catalogue.FLOW_RULE_WRAPPERS)
+
+
+def _branches(material: Any) -> dict[Any, Any]:
+    """The type of a network's branches, each of which has a material."""
+    branch: Any = section(Branch, types={MaterialObject: material, FlowRule: Creep})
+    return {Mapping[str, Branch]: dict[str, branch]}
+
+
 Domain = tagged("geometry", catalogue.GEOMETRIES, Meshed)
 Material = laws(
     MaterialObject,
@@ -67,9 +75,7 @@ Material = laws(
     catalogue.WRAPPERS,
     has_default=False,
     base=Heated,
-    of=lambda material: {
-        Mapping[str, Branch]: dict[str, section(Branch, types={MaterialObject: material, FlowRule: Creep})]
-    },
+    of=_branches,
     without={"Gas": ("expansion",)},
 )
 Load = tagged("kind", catalogue.LOADS)

@@ -162,7 +162,7 @@ def test_a_temperature_that_is_given_has_the_entropy_of_the_volume_that_is_there
 
 @pytest.mark.parametrize(("m", "solver"), [(1, "split"), (1, "coupled"), (2, "split")])
 def test_a_slope_does_not_go_on_beyond_an_inlet(m, solver):
-    """A density of 1 to 1.3 kg/m^3, carried through twelve times over, stays in that range and comes to rest."""
+    """A density of 1 to 1.3 kg/m^3, carried through twelve times over, stays in that range."""
     walls = {("left", "right"): nv.Inflow(velocity=(1.0, 0.0))}
     initial = nv.Initial(density=1 + 0.3 * x, velocity=(1.0, 0.0))
     orders = nv.Discretisation(m=m)

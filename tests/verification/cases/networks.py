@@ -46,7 +46,7 @@ def solid(kind: str, modes: Modes = MODES, spring: float = SPRING) -> nv.Network
 
 def relaxation(t: np.ndarray, modes: Modes = MODES, spring: float = SPRING) -> np.ndarray:
     """G(t) = G_inf + sum g_i exp(-t/tau_i), Pa."""
-    return spring + sum(g * np.exp(-t / tau) for g, tau in modes.values())
+    return np.asarray(spring + sum(g * np.exp(-t / tau) for g, tau in modes.values()))
 
 
 def complex_modulus(omega: float, modes: Modes = MODES, spring: float = SPRING) -> complex:
@@ -137,16 +137,16 @@ def _oscillated(omega: float, steps: int, periods: int = 1, from_rest: bool = Fa
     - closure
     """)
 def _moduli() -> Measured:
-    rows, errors = [], []
+    rows, found = [], []
     for omega in (0.03, 0.3, 3.0, 30.0, 300.0):
         exact, both = complex_modulus(omega), [_oscillated(omega, steps) for steps in (32, 64)]
         off = [(abs(G.real / exact.real - 1), abs(G.imag / exact.imag - 1)) for G in both]
-        errors.append(off)
+        found.append(off)
         rows.append([omega, both[1].real, both[1].imag, exact.real, exact.imag, *off[1]])
-    off = np.array(errors)
-    yield "largest error of G'", off[:, 1, 0].max()
-    yield "largest error of G''", off[:, 1, 1].max()
-    yield "least rate in the step", np.log2(off[:, 0] / off[:, 1]).min()
+    errors = np.array(found)
+    yield "largest error of G'", errors[:, 1, 0].max()
+    yield "largest error of G''", errors[:, 1, 1].max()
+    yield "least rate in the step", np.log2(errors[:, 0] / errors[:, 1]).min()
     yield "error of G* from rest", abs(_oscillated(1.0, 64, 7, from_rest=True) / complex_modulus(1.0) - 1)
     head = "omega, rad/s | G', Pa | G'', Pa | exact G', Pa | exact G'', Pa | error of G' | error of G''"
     yield from Table("moduli", head, rows).drawn(0, 1, 2, 3, 4, log="xy")
@@ -204,7 +204,7 @@ def _crept(name: str, steps: int, until: float) -> tuple[np.ndarray, np.ndarray]
 
 
 def _creep(name: str) -> Measured:
-    until, modes, spring = 4.0, *CREEPING[name][:2]
+    until, (modes, spring, _) = 4.0, CREEPING[name]
     t = np.linspace(0, until, 41)
     runs = [_crept(name, steps, until)[1] for steps in (40, 80, 160)]
     found = extrapolated(*(values[:: 2**i] for i, values in enumerate(runs)))
