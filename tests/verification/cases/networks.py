@@ -152,7 +152,7 @@ def _moduli() -> Measured:
     yield from Table("moduli", head, rows).drawn(0, 1, 2, 3, 4, log="xy")
 
 
-CREEPING = {
+CREEPING: dict[str, tuple[Modes, float, str]] = {
     "zener": ({"slow": (3.0, 0.5)}, 1.0, "the standard linear solid"),
     "burgers": ({"fast": (2.0, 0.2), "slow": (1.0, 2.0)}, 0.0, "the fluid of Burgers"),
 }
@@ -218,9 +218,9 @@ def _creep(name: str) -> Measured:
     )
 
 
-for name, (_, _, what) in CREEPING.items():
+for name, of in CREEPING.items():
     CASES(f"""network-creep-{name}
-        Under a constant shear stress {what} creeps as its compliance says.
+        Under a constant shear stress {of[2]} creeps as its compliance says.
         label: Zener 1948; Burgers 1935
         setting: The linearised model, a channel under a traction of 0.001 Pa from the elastic strain on,
           until 4 s by 40, 80, 160 steps of backward Euler, extrapolated twice; no inertia to speak of.
