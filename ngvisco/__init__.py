@@ -92,6 +92,8 @@ from ngvisco.run.refinement import Refinement, run_refined
 from ngvisco.run.simulation import Observer, Simulation
 from ngvisco.run.stepping import Rejection, TimeSteps
 from ngvisco.run.transfer import Transfer, resume_changed, transfer
+from ngvisco.sensitivity.data import DataError
+from ngvisco.sensitivity.fit import Fit, fit
 from ngvisco.sensitivity.gradient import Gradient, gradient
 from ngvisco.sensitivity.numbers import Misfit
 from ngvisco.shapes.files import ClosedSurface, Image
@@ -143,12 +145,14 @@ __all__ = [
     "CustomMaterial",
     "DamageWarning",
     "Damaged",
+    "DataError",
     "DefectWarning",
     "Discretisation",
     "DruckerPrager",
     "EntropyWarning",
     "Entry",
     "Eyring",
+    "Fit",
     "FlowRule",
     "Gradient",
     "Gravity",
@@ -227,6 +231,7 @@ __all__ = [
     "Yosida",
     "check_convexity",
     "check_isotropy",
+    "fit",
     "function_field",
     "gradient",
     "grid_field",

@@ -9,6 +9,7 @@ import sys
 import traceback
 import warnings
 from collections.abc import Callable, Sequence
+from typing import Any
 
 from ngvisco.cli import streams
 from ngvisco.cli.streams import BAD_FILE, BAD_INPUT, FAILED, INTERRUPTED
@@ -26,6 +27,7 @@ examples:
   ngvisco resume results/swirl --set time.dt=0.01 --set 'loads=[]'
   ngvisco run finer.toml -o results/finer --from results/swirl
   ngvisco sweep demos/swirl/swirl.toml --vary material.G_e=1,2,5 --vary time.dt=0.02,0.01
+  ngvisco gradient demos/swirl/swirl.toml --of "kinetic at 1" --by material.G_e,material.K_e
   ngvisco plot results/swirl && ngvisco scene results/swirl
   ngvisco plot results/swirl results/finer   # or the directory of a sweep: compared in one picture each"""
 
@@ -36,6 +38,11 @@ mesh, other orders or unknowns see ngvisco run CASE -o NEW --from DIR."""
 _SWEEP = """Run a case for all combinations of the values of some keys: one run directory each in DIR, and the
 table DIR/sweep.csv.  All cases are checked before anything is written.  The same command goes on where it was
 stopped: finished runs are not run again.  Needs dask.distributed: pip install "ngvisco[sweep]"."""
+
+_FIT = """Find numbers of a case from measured data, by bounded least squares with exact derivatives.  The
+columns of DATA are those of the case's ledger, probes, forces, integrals and bodies, e.g. "kinetic [mJ]",
+"tip.velocity_1 [mm/s]", "integral of tip.velocity_1 [mm]" (a displacement), over "time [s]".  Written are a
+report, a table with the covariance, and a picture of data, fit and residuals."""
 
 _FEW_THREADS = 8
 """Threads that may be asked for on any machine; NGSolve's wait actively, and hundreds of them never end."""
@@ -93,6 +100,8 @@ def parser() -> argparse.ArgumentParser:
     text = "dask scheduler whose workers do the runs, e.g. tcp://host:8786; they must see the same files"
     sweep.add_argument("--scheduler", metavar="ADDRESS", help=text)
 
+    _add_sensitivities(commands, [a_case, settings, running])
+
     text = "validate and mesh a case; report sizes, scales and advice, memory and time; writes nothing"
     commands.add_parser("check", help=text, parents=[a_case, settings])
     text = "what a run directory holds, and how far the run got"
@@ -134,6 +143,31 @@ def parser() -> argparse.ArgumentParser:
     new = commands.add_parser("new", help="print an annotated case file to start from")
     new.add_argument("name", metavar="NAME", nargs="?", help="a demo, e.g. swirl; without it their names")
     return top
+
+
+def _add_sensitivities(commands: Any, parents: list[argparse.ArgumentParser]) -> None:
+    """``gradient`` and ``fit``."""
+    text = "derivatives of what a case gives by its numbers: exact ones, of the scheme"
+    gradient = commands.add_parser("gradient", help=text, description=text, parents=parents)
+    text = 'a number, e.g. --of "kinetic at 0.5" or "PROBE.velocity_1 until 0.5", its integral (repeatable)'
+    gradient.add_argument("--of", metavar="TEXT", action="append", required=True, help=text)
+    text = "tangent (default; cost by keys) or adjoint (cost by numbers)"
+    gradient.add_argument("--method", choices=("tangent", "adjoint"), default="tangent", help=text)
+    text = "find numbers of a case from measured data, by bounded least squares"
+    fit = commands.add_parser("fit", help=text, description=_FIT, parents=parents)
+    text = "CSV file: time and columns as of the case's tables or ledger, with units in brackets"
+    fit.add_argument("data", metavar="DATA", help=text)
+    text = "standard deviation of the data, or COLUMN=NUMBER,...; else it is estimated"
+    fit.add_argument("--sigma", metavar="NUMBER", help=text)
+    text = "bounds of a key, else a thousandth and a thousand times its start value (repeatable)"
+    fit.add_argument("--bounds", metavar="KEY=LOW,HIGH", action="append", default=[], help=text)
+    fit.add_argument("--format", choices=("png", "pdf", "svg"), default="png", help="of the picture")
+    for one, kind in ((gradient, "gradient"), (fit, "fit")):
+        text = "keys of the case, e.g. material.G_e,rheology.creep.G_m"
+        one.add_argument("--by", type=_names, metavar="KEYS", required=True, help=text)
+        text = f"directory of the results (default results/<name of the case>-{kind})"
+        one.add_argument("-o", "--output", metavar="DIR", help=text)
+        one.add_argument("--force", action="store_true", help="replace earlier results")
 
 
 def _threads(text: str) -> int:
@@ -220,10 +254,11 @@ def _ended(options: argparse.Namespace) -> int:
 
 def _command(name: str) -> Callable[[argparse.Namespace], int]:
     # imported late: NGSolve takes a second, and --help needs none of it
-    from ngvisco.cli import parallel, pictures, report, run
+    from ngvisco.cli import parallel, pictures, report, run, sensitivity
 
     table: dict[str, Callable[[argparse.Namespace], int]] = {
         **{"run": run.run, "resume": run.resume, "sweep": run.sweep},
+        **{"gradient": sensitivity.gradient, "fit": sensitivity.fit},
         **{"plot": pictures.plot, "scene": pictures.scene},
         **{"list": report.listing, "explain": report.explain, "new": report.new, "check": report.check},
         "info": lambda options: (parallel.info if options.parallel else report.info)(options),

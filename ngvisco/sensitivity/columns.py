@@ -8,6 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from ngvisco.errors import ParameterError, UnknownNameError
+from ngvisco.run.fields import field_unit
+from ngvisco.run.ledger import unit
 from ngvisco.run.probes import Bodies, Integrals, Probes, WallForces
 from ngvisco.run.series import Series
 from ngvisco.run.simulation import Simulation
@@ -54,6 +56,13 @@ class Columns:
             for table, columns in zip(self._tables, of_tables, strict=True)
             if set(names) & set(columns)
         ]
+
+    def unit(self, name: str) -> str | None:
+        """The SI unit of a column; None where it is not known, as of an integral of an expression."""
+        for table, columns, _ in self._of_tables:
+            if name in columns:
+                return _unit_of(table, name)
+        return unit(name)
 
     @property
     def tables(self) -> list[Series]:
@@ -129,3 +138,11 @@ class Columns:
         for i, place in enumerate(places):
             if place >= 0:
                 values[i] = row[place]
+
+
+def _unit_of(table: Series, name: str) -> str | None:
+    if isinstance(table, Bodies):
+        return table.unit(name)
+    if isinstance(table, WallForces):
+        return "N m" if "torque" in name.rpartition(".")[2] else "N"
+    return field_unit(name.rpartition(".")[2]) or "1" if isinstance(table, Probes) else None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time as clock
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -40,6 +41,8 @@ class Gradient:
         The parameters' values.
     limited : int
         Cells that the limiter changed, over all steps: what it adds to a state is kept in the derivatives.
+    seconds : float
+        Processor time of the run itself, s.
     """
 
     of: tuple[str, ...]
@@ -48,6 +51,7 @@ class Gradient:
     jacobian: np.ndarray
     at: np.ndarray
     limited: int = 0
+    seconds: float = 0.0
     simulation: Simulation | None = field(default=None, repr=False, compare=False)
     _of_start: np.ndarray | None = field(default=None, repr=False, compare=False)
 
@@ -159,7 +163,9 @@ def gradient(
     slopes = Slopes(base) if method == "adjoint" else None
     trajectory, tables = Trajectory(simulation), base.columns.tables
     near = [Neighbours(one, simulation, numbers.columns, tables) for one in parameters]
+    begin = clock.process_time()
     trajectory.run(until)
+    seconds = clock.process_time() - begin
     total = len(trajectory.steps)
 
     def tell(number: int) -> None:
@@ -178,7 +184,7 @@ def gradient(
     at = np.array([one.value for one in parameters])
     names = tuple(numbers.names), tuple(one.name for one in parameters)
     values = numbers.values(parts)
-    return Gradient(*names, values, jacobian, at, trajectory.limited, simulation, of_start)
+    return Gradient(*names, values, jacobian, at, trajectory.limited, seconds, simulation, of_start)
 
 
 def measure(

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from ngvisco.errors import NgviscoError, ParameterError, UnknownNameError, as_number
-from ngvisco.run.simulation import Simulation
+from ngvisco.run.simulation import Observer, Simulation
 
 _OF_MODEL = (
     "material",
@@ -92,30 +92,42 @@ class Named:
         return self.keys[0] == _START
 
     def varied(self, simulation: Simulation, value: float) -> Simulation:
-        """The same run at its start with another value of the parameter.
+        """The same run at its start with another value of the parameter, without observers.
 
-        The widths of the upwinding stay those of the run.  Raises ParameterError for a value out of the
-        parameter's range.
+        Raises ParameterError for a value out of the parameter's range.
         """
-        root, rest = self.keys[0], self.keys[1:]
-        arguments = simulation.arguments
-        steps = dataclasses.replace(arguments["time"], velocity_scale=simulation.velocity_scale)
-        parts: dict[str, Any] = {"time": steps, "observers": (), "passive": ()}
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # the run itself has said what is doubtful
-            try:
-                changed = _changed(_root(simulation, root), rest, value)
-                if root not in _OF_RUN:
-                    changed = dataclasses.replace(simulation.model, **{root: changed})
-                parts[root if root in _OF_RUN else "model"] = changed
-                other = simulation.on(simulation.mesh, **parts)
-            except NgviscoError as error:
-                expected = f"a value with room of {2 * self.spacing:.2g} to both sides: {error}"
-                raise ParameterError(f"by: {self.name}", self.value, expected) from error
-        if len(other.rothe_step.state.vec) != len(simulation.rothe_step.state.vec):
-            expected = "a parameter that changes no number of unknowns"
-            raise ParameterError(f"by: {self.name}", self.value, expected)
-        return other
+        try:
+            return varied(simulation, {self: value})
+        except NgviscoError as error:
+            expected = f"a value with room of {2 * self.spacing:.2g} to both sides: {error}"
+            raise ParameterError(f"by: {self.name}", self.value, expected) from error
+
+
+def varied(
+    simulation: Simulation, values: Mapping[Named, float], observers: Sequence[Observer] = ()
+) -> Simulation:
+    """The same run at its start with other values of parameters.
+
+    The widths of the upwinding stay those of the run.  Raises ParameterError for a value out of a parameter's
+    range.
+    """
+    steps = dataclasses.replace(simulation.arguments["time"], velocity_scale=simulation.velocity_scale)
+    model, parts = simulation.model, {name: simulation.arguments[name] for name in _OF_RUN}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # the run itself has said what is doubtful
+        for parameter, value in values.items():
+            root, rest = parameter.keys[0], parameter.keys[1:]
+            if root in _OF_RUN:
+                parts[root] = _changed(parts[root], rest, value)
+            else:
+                changed = {root: _changed(getattr(model, root), rest, value)}
+                model = dataclasses.replace(model, **changed)
+        given: dict[str, Any] = {"model": model, "time": steps, "passive": (), "observers": observers}
+        other = simulation.on(simulation.mesh, **parts, **given)
+    if len(other.rothe_step.state.vec) != len(simulation.rothe_step.state.vec):
+        names = ", ".join(one.name for one in values)
+        raise ParameterError("by", names, "parameters that change no number of unknowns")
+    return other
 
 
 def _root(simulation: Simulation, name: str) -> Any:

@@ -13,6 +13,7 @@ from ngvisco.forms.distance import energies
 from ngvisco.forms.mesh.locating import as_points, locate
 from ngvisco.forms.mesh.quadrature import compiled
 from ngvisco.forms.term import Integrand
+from ngvisco.physics.tensors import inner
 from ngvisco.run.fields import components, output_fields
 from ngvisco.run.probes import Integrals, Probes
 from ngvisco.sensitivity.follower import Follower
@@ -37,6 +38,8 @@ class Slopes:
         self._vector = self.step.state.vec.CreateVector()
         trial = self.step.linearised_fields(self.step.layout.space.TrialFunction())
         known = {**energies(self.step, trial), "mass": Integrand(trial.rho)}
+        if self.step.energy.projected is not None:  # known at the state alone, as is its slope
+            known["stored"] = Integrand(inner(self.step.energy.slope(self.step.now), trial.z))
         known |= {entry.name: entry.integrand for entry in self.step.entries(trial) if entry.evaluate is None}
         for table in follower.columns.tables:
             columns = table.prepare(follower.simulation)
@@ -107,6 +110,8 @@ class Slopes:
                 kept, values = state[dof], []
                 for offset in OFFSETS:
                     state[dof] = kept + offset * h
+                    if self.step.energy.projected is not None:
+                        self.step.eliminate.refresh()
                     values.append(np.ravel(value(at))[0])
                 state[dof] = kept
                 result[dof] = differenced(values, h)

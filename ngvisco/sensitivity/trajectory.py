@@ -8,6 +8,7 @@ import numpy as np
 
 from ngvisco.errors import ParameterError
 from ngvisco.forms.context import time
+from ngvisco.physics.variables import PRESSURE
 from ngvisco.run.simulation import Simulation
 from ngvisco.solver.problem import Interval
 
@@ -72,21 +73,27 @@ class Trajectory:
     def __post_init__(self) -> None:
         run = self.simulation
         refused = {
-            "material": run.rothe_step.damage is not None and "a damage that grows is a minimum under bounds",
+            "damage": run.rothe_step.damage is not None and "a damage that grows is a minimum under bounds",
             "relaxation": run.arguments["time"].relaxation
             and "the length of a relaxed step is a function of its solution",
             "mesh": run.ranks.is_distributed and "the transposed systems of several ranks are not known",
-            "solver": self._diffuses_pointwise()
-            and "with delta_fields the derivative of an energy without an expression is not exact",
+            "material": self._lacks_derivatives()
+            and "with an energy without an expression diffusion and laws of the pressure have none",
         }
         for part, reason in refused.items():
             if reason:
                 raise ParameterError(f"gradient: {part}", str(part), f"a run that has derivatives: {reason}")
         self._begin()
 
-    def _diffuses_pointwise(self) -> bool:
-        law, step = self.simulation.model.regularisation, self.simulation.rothe_step
-        return law is not None and law.delta_fields > 0 and step.energy.projected is not None
+    def _lacks_derivatives(self) -> bool:
+        """Whether the equations read more of an energy that is known at points than its slope."""
+        model, step = self.simulation.model, self.simulation.rothe_step
+        law = model.regularisation
+        if step.energy.projected is None:
+            return False
+        reads = [flow.rule.reads for flow in model.flows]
+        reads += [] if model.viscosity is None else [model.viscosity.reads]
+        return any(PRESSURE in names for names in reads) or (law is not None and law.delta_fields > 0)
 
     def _begin(self) -> None:
         run = self.simulation

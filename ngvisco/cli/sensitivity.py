@@ -1,0 +1,133 @@
+"""``ngvisco gradient`` and ``ngvisco fit``: derivatives of a case by its numbers, and numbers from data."""
+
+import argparse
+import csv
+from pathlib import Path
+
+from ngsolve import SetNumThreads
+
+from ngvisco import case as cases
+from ngvisco.case.build import Case, samples
+from ngvisco.case.units import factor
+from ngvisco.cli import streams
+from ngvisco.cli.streams import DONE
+from ngvisco.errors import ParameterError, as_number
+from ngvisco.run.simulation import Simulation
+from ngvisco.sensitivity.fit import Fit
+from ngvisco.sensitivity.fit import fit as fitted
+from ngvisco.sensitivity.gradient import Gradient
+from ngvisco.sensitivity.gradient import gradient as differentiated
+
+
+def gradient(options: argparse.Namespace) -> int:
+    """Differentiate what a case gives by some of its numbers."""
+    case, simulation = _simulation(options)
+    out = _directory(options, "gradient.csv", "gradient")
+
+    def tell(number: int, total: int) -> None:
+        if not options.quiet and (number == total or number % max(total // 10, 1) == 0):
+            streams.write(f"differentiated {number} of {total} steps\n")
+
+    found = differentiated(
+        simulation, case.until, of=options.of, by=options.by, method=options.method, progress=tell
+    )
+    out.mkdir(parents=True, exist_ok=True)
+    _write_gradient(found, out / "gradient.csv")
+    streams.write(f"{found}\n{_of_limiter(found)}{out / 'gradient.csv'}\n")
+    return DONE
+
+
+def fit(options: argparse.Namespace) -> int:
+    """Fit some of a case's numbers to data."""
+    case, simulation = _simulation(options)
+    out = _directory(options, "fit.txt", "fit")
+    found = fitted(
+        simulation,
+        options.data,
+        by=options.by,
+        sigma=_sigma(options.sigma),
+        bounds=dict(_bounds(text) for text in options.bounds),
+        until=case.until,
+        factor=factor,
+        progress=None if options.quiet else lambda line: streams.write(line + "\n"),
+    )
+    out.mkdir(parents=True, exist_ok=True)
+    settings = " ".join(f"--set {n}={v:.10g}" for n, v in zip(found.by, found.values, strict=True))
+    report = f"{found}\nngvisco run {options.case} {settings}\n"
+    (out / "fit.txt").write_text(report)
+    _write_fit(found, out / "fit.csv")
+    found.plot(out / f"fit.{options.format}")
+    streams.write(
+        report + "".join(f"{out / name}\n" for name in ("fit.txt", "fit.csv", f"fit.{options.format}"))
+    )
+    return DONE
+
+
+def _simulation(options: argparse.Namespace) -> tuple[Case, Simulation]:
+    """The case at its start, with its tables, which are not written."""
+    SetNumThreads(options.threads)
+    case = cases.load_case(options.case, options.settings)
+    if case.refinement is not None:
+        raise ParameterError("domain.adapt", case.refinement, "a mesh that stays: others have no derivatives")
+    tables = list(samples(case.sections, Path()).values())
+    return case, case.simulation(case.mesh(), tables)
+
+
+def _directory(options: argparse.Namespace, name: str, kind: str) -> Path:
+    out = Path(options.output or Path("results") / f"{Path(options.case).stem}-{kind}")
+    if (out / name).exists() and not options.force:
+        raise ParameterError("-o", str(out), f"a directory without {name}, or --force")
+    return out
+
+
+def _of_limiter(found: Gradient) -> str:
+    if not found.limited:
+        return ""
+    return (
+        f"the limiter changed {found.limited} cells in all steps: what it adds is kept in the derivatives\n"
+    )
+
+
+def _sigma(text: str | None) -> float | dict[str, float] | None:
+    """Of ``--sigma 0.1`` or ``--sigma kinetic=0.1,tip.velocity_1=0.02``."""
+    if text is None or (number := _number(text)) is not None:
+        return None if text is None else number
+    found = {}
+    for part in text.split(","):
+        name, equals, value = part.rpartition("=")
+        if not equals or (number := _number(value)) is None:
+            raise ParameterError("--sigma", text, "a number, or COLUMN=NUMBER, separated by commas")
+        found[name.strip()] = number
+    return found
+
+
+def _bounds(text: str) -> tuple[str, tuple[float, float]]:
+    name, equals, value = text.partition("=")
+    parts = [_number(part) for part in value.split(",")]
+    if not equals or len(parts) != 2 or parts[0] is None or parts[1] is None:
+        raise ParameterError("--bounds", text, "KEY=LOW,HIGH")
+    return name.strip(), (parts[0], parts[1])
+
+
+def _number(text: str) -> float | None:
+    try:
+        return as_number(float(text))
+    except ValueError:
+        return None
+
+
+def _write_gradient(found: Gradient, path: Path) -> None:
+    with path.open("w", newline="") as file:
+        table = csv.writer(file)
+        table.writerow(["number", "value", *found.by])
+        for name, value, row in zip(found.of, found.values, found.jacobian, strict=True):
+            table.writerow([name, repr(float(value)), *(repr(float(one)) for one in row)])
+
+
+def _write_fit(found: Fit, path: Path) -> None:
+    with path.open("w", newline="") as file:
+        table = csv.writer(file)
+        table.writerow(["parameter", "start", "value", "deviation", *(f"covariance {n}" for n in found.by)])
+        for i, name in enumerate(found.by):
+            numbers = [found.start[i], found.values[i], found.deviations[i], *found.covariance[i]]
+            table.writerow([name, *(repr(float(one)) for one in numbers)])

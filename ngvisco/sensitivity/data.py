@@ -1,0 +1,144 @@
+"""Measured data: columns of numbers over time, of a CSV file or of arrays."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ngvisco.errors import NgviscoError, as_number
+from ngvisco.run.files import AnyPath
+
+TIME, INTEGRAL = "time", "integral of "
+"""The column of times, and what stands before a column's name where its integral over time is given."""
+_HEAD = re.compile(r"\s*(?P<name>[^\[\]]*[^\[\]\s])\s*(?:\[(?P<unit>[^\[\]]*)\])?\s*")
+
+
+class DataError(NgviscoError, ValueError):
+    """A table of measured data that is none, or does not fit the run."""
+
+
+@dataclass(frozen=True)
+class Data:
+    """Measured columns over time.
+
+    Attributes
+    ----------
+    times : array, (rows,)
+        s.
+    columns : mapping of names to arrays, (rows,)
+        In the units that ``units`` has, SI where it has none; NaN where nothing was measured.
+    units : mapping of names to units
+    """
+
+    times: np.ndarray
+    columns: dict[str, np.ndarray]
+    units: dict[str, str]
+
+    @classmethod
+    def of(cls, data: AnyPath | Mapping[str, Any]) -> Data:
+        """The data of a CSV file, or of arrays by name, the times as ``"time"``.
+
+        A file's first line has the names of the columns, each with its unit in brackets or without:
+        ``time [s],tip.velocity_2 [mm/s]``.  An empty cell is a value that was not measured.  Raises DataError
+        for what is no such table, has no rows, no times or no values.
+        """
+        if isinstance(data, Mapping):
+            return _checked("data", {str(name): _column(name, one) for name, one in data.items()}, {})
+        path = Path(data)
+        try:
+            with path.open(newline="", encoding="utf-8-sig") as file:
+                rows = [row for row in csv.reader(file) if any(cell.strip() for cell in row)]
+        except (UnicodeDecodeError, csv.Error) as error:
+            raise DataError(f"{path}: not a CSV file ({error})") from error
+        if len(rows) < 2:
+            raise DataError(f"{path}: no rows of data below the line with the names of the columns")
+        names, units = _head(path, rows[0])
+        values = np.array([_numbers(path, i, row, names) for i, row in enumerate(rows[1:], 2)])
+        return _checked(str(path), dict(zip(names, values.T, strict=True)), units)
+
+
+def _head(path: Path, cells: Sequence[str]) -> tuple[list[str], dict[str, str]]:
+    names, units = [], {}
+    for cell in cells:
+        found = _HEAD.fullmatch(cell)
+        if found is None or as_number(_float(cell)) is not None:
+            raise DataError(
+                f"{path}: {cell!r:.60} is no name of a column, with its unit in brackets or without"
+            )
+        names.append(found["name"])
+        if found["unit"] is not None:
+            units[found["name"]] = found["unit"].strip()
+    return names, units
+
+
+def _float(cell: str) -> float | None:
+    try:
+        return float(cell)
+    except ValueError:
+        return None
+
+
+def _numbers(path: Path, line: int, row: Sequence[str], names: Sequence[str]) -> list[float]:
+    if len(row) != len(names):
+        raise DataError(f"{path}, row {line}: {len(row)} values, and {len(names)} names of columns")
+    found = []
+    for name, cell in zip(names, row, strict=True):
+        number = as_number(_float(cell))
+        if number is None and cell.strip():
+            raise DataError(f"{path}, row {line}: {name} = {cell!r:.40}, expected a finite number")
+        found.append(np.nan if number is None else number)
+    return found
+
+
+def _column(name: Any, values: Any) -> np.ndarray:
+    try:
+        found = np.array(values, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise DataError(f"data[{name!r}]: expected a sequence of numbers") from error
+    if found.ndim != 1 or np.isinf(found).any():
+        raise DataError(f"data[{name!r}]: expected a sequence of finite numbers, NaN where there is none")
+    return found
+
+
+def _checked(where: str, columns: dict[str, np.ndarray], units: dict[str, str]) -> Data:
+    times = columns.pop(TIME, None)
+    if times is None:
+        raise DataError(f"{where}: no column {TIME!r}, s")
+    columns.pop("step", None)  # of a table that a run has written
+    if not columns:
+        raise DataError(f"{where}: no column beside {TIME!r}")
+    if not len(times) or any(len(one) != len(times) for one in columns.values()):
+        raise DataError(f"{where}: expected as many values of each column as there are times, at least one")
+    if not (np.isfinite(times) & (times >= 0)).all():
+        raise DataError(f"{where}: expected times >= 0 in every row")
+    for name, values in columns.items():
+        if np.isnan(values).all():
+            raise DataError(f"{where}: {name} has no values")
+    return Data(times, columns, units)
+
+
+def converted(data: Data, wanted: Mapping[str, str | None], factor: Any = None) -> Data:
+    """The data in SI units, ``wanted`` by column, None where a unit is not known.
+
+    ``factor(unit, wanted)`` says how many of the one are in the other; without it a unit has to be the wanted
+    one.  Raises DataError for a unit that it is not.
+    """
+    scales = {}
+    for name, unit in data.units.items():
+        right = "s" if name == TIME else wanted.get(name)
+        if right is None or unit == right:
+            continue
+        try:
+            if factor is None:
+                raise ValueError(f"expected {right}; the command ngvisco fit converts units")
+            scales[name] = factor(unit, right)
+        except ValueError as error:
+            raise DataError(f"unit of the column {name}, {unit!r}: {error}") from error
+    columns = {name: values * scales.get(name, 1.0) for name, values in data.columns.items()}
+    return Data(data.times * scales.get(TIME, 1.0), columns, {})

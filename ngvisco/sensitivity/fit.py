@@ -1,0 +1,369 @@
+"""Parameters from data: bounded least squares with the exact derivatives of the runs."""
+
+from __future__ import annotations
+
+import time as clock
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ngvisco.errors import ParameterError, StepError, as_number, require_collection
+from ngvisco.run.files import AnyPath
+from ngvisco.run.pictures import LABELS, PAGE, figure, save
+from ngvisco.run.simulation import Simulation
+from ngvisco.run.stepping import FixedStepper
+from ngvisco.sensitivity.columns import Columns, tables_of
+from ngvisco.sensitivity.data import INTEGRAL, TIME, Data, DataError, converted
+from ngvisco.sensitivity.gradient import Gradient, gradient
+from ngvisco.sensitivity.parameters import Named, varied
+
+_RANGE = 1e3
+"""Without bounds a parameter is sought from its start value over this to that times this."""
+_TOLERANCE = 1e-8
+_UNDETERMINED = 1e-10
+"""Ratio of singular values of the scaled Jacobian from which on the data say nothing of a combination."""
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Parameters that were fitted to data.
+
+    Attributes
+    ----------
+    by : tuple of str
+        The parameters' names.
+    start, values, deviations : arrays, (parameters,)
+        Where the search began, what was found, and its standard deviations; these are infinite where the data
+        do not determine the parameter.
+    bounds : array, (parameters, 2)
+    covariance, correlation : arrays, (parameters, parameters)
+    columns : tuple of str
+        The data's columns.
+    times, data, found, sigma : mappings of columns to arrays
+        Of every datum its time (s), what was measured, what the run with the fitted parameters has, and the
+        standard deviation that it counted with.
+    misfit : float
+        Half the sum of squares of the residuals over their standard deviations.
+    reduced : float
+        Twice that over the number of data less that of the parameters: near one where the model and the
+        standard deviations are right; one by definition where these were estimated.
+    runs : int
+        How many runs were made, each with its derivatives.
+    cost : float
+        The time of all of it over that of the last run alone.
+    message : str
+        Why the search ended.
+    """
+
+    by: tuple[str, ...]
+    start: np.ndarray
+    values: np.ndarray
+    deviations: np.ndarray
+    bounds: np.ndarray
+    covariance: np.ndarray
+    correlation: np.ndarray
+    columns: tuple[str, ...]
+    times: dict[str, np.ndarray]
+    data: dict[str, np.ndarray]
+    found: dict[str, np.ndarray]
+    sigma: dict[str, np.ndarray]
+    misfit: float
+    reduced: float
+    runs: int
+    cost: float
+    message: str
+
+    def __getitem__(self, name: str) -> float:
+        """The value that was found of a parameter."""
+        return float(self.values[self.by.index(name)])
+
+    def __str__(self) -> str:
+        """A report of some lines."""
+        lines = []
+        for i, name in enumerate(self.by):
+            at_bound = np.isclose(self.values[i], self.bounds[i], rtol=1e-6, atol=0).any()
+            low, high = self.bounds[i]
+            lines.append(
+                f"{name} = {self.values[i]:.6g} +- {self.deviations[i]:.2g}, from {self.start[i]:.6g}, "
+                f"within {low:.3g} and {high:.3g}{': AT ITS BOUND' if at_bound else ''}"
+            )
+        for i, one in enumerate(self.by):
+            for j in range(i):
+                lines.append(f"correlation of {self.by[j]} and {one}: {self.correlation[i, j]:+.3f}")
+        count = sum(len(values) for values in self.data.values())
+        lines.append(f"{count} data, half the sum of squares {self.misfit:.5g}, reduced {self.reduced:.3g}")
+        for name in self.columns:
+            off = self.found[name] - self.data[name]
+            lines.append(f"{name}: root mean square of the residuals {np.sqrt(np.mean(off**2)):.3g}")
+        lines.append(
+            f"{self.runs} runs with derivatives, of the cost of {self.cost:.1f} runs; {self.message}"
+        )
+        return "\n".join(lines)
+
+    def plot(self, path: AnyPath) -> None:
+        """Data, fit and residuals of every column over time, as PNG, PDF or SVG; PlotError."""
+        fig, axes = figure(2, len(self.columns), (max(PAGE, 4.5 * len(self.columns)), 6.0))
+        for i, name in enumerate(self.columns):
+            order = np.argsort(self.times[name], kind="stable")
+            t, above, below = self.times[name][order], axes[0][i], axes[1][i]
+            above.errorbar(t, self.data[name][order], self.sigma[name][order], fmt="k.", label="data")
+            above.plot(t, self.found[name][order], "C1-", label="fit")
+            above.set(title=name)
+            above.legend(fontsize=LABELS)
+            below.plot(t, ((self.found[name] - self.data[name]) / self.sigma[name])[order], "C1.")
+            below.axhline(0.0, color="k", linewidth=0.5)
+            below.set(xlabel="time, s", ylabel="residual over its standard deviation")
+        save(fig, path)
+
+
+def fit(
+    simulation: Simulation,
+    data: AnyPath | Mapping[str, Sequence[float]],
+    *,
+    by: Sequence[str],
+    sigma: float | Mapping[str, float] | None = None,
+    bounds: Mapping[str, tuple[float, float]] | None = None,
+    until: float | None = None,
+    factor: Callable[[str, str], float] | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> Fit:
+    """Find the parameters with which a run has what was measured, in the least squares.
+
+    The search is SciPy's ``least_squares`` within bounds, with the derivatives of ``gradient``; a parameter
+    whose bounds are positive is sought by its logarithm.  A run that cannot be solved counts as a bad trial.
+
+    Raises DataError for data that are none, or whose times, columns or units are not those of the run;
+    ParameterError or UnknownNameError for a parameter that there is not, or whose bounds are none; StepError
+    where the run from the start values cannot be solved.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        At its start, which it stays at: other runs are made like it.
+    data : path of a CSV file, or mapping of names to sequences
+        Columns of the ledger or of tables among the simulation's observers (``Probes``, ``Integrals``,
+        ``WallForces``, ``Bodies``) over ``"time"``, in SI units; ``"integral of COLUMN"`` is that over time
+        since the start, as a displacement is of a velocity.  See ``Data``.
+    by : sequence of str
+        Parameters as of ``gradient``; their values in the simulation are where the search begins.
+    sigma : float, or mapping of columns to such, optional
+        The data's standard deviation.  Without it all columns count by their own root mean square, and the
+        standard deviation is estimated from the residuals.
+    bounds : mapping of parameters to pairs, optional
+        Within which they are sought; by default within a thousandth and a thousand times the start value.
+    until : float, optional
+        The end of the run, s, which no datum may be after; by default that of the last datum.
+    factor : callable, optional
+        ``factor(unit, wanted)`` says how many of one unit are in another; without it units have to be SI.
+    progress : callable, optional
+        Called with a line of text for every run.
+    """
+    if simulation.number != 0:
+        raise ParameterError(
+            "fit.simulation", simulation.number, "a simulation at its start, that made no step"
+        )
+    names = require_collection("by", by, 'names of parameters, e.g. ["material.G_e"]')
+    if not names or len(set(names)) < len(names):
+        raise ParameterError("by", by, "at least one parameter, and each once")
+    parameters = [Named.of(name, simulation) for name in names]
+    measured = _measured(simulation, Data.of(data), factor)
+    end = _end(simulation, measured, until)
+    search = _Search(simulation, parameters, measured, sigma, bounds or {}, end, progress)
+    return search.run()
+
+
+def _measured(simulation: Simulation, data: Data, factor: Callable[[str, str], float] | None) -> Data:
+    """The data in SI units, of columns that the run has."""
+    names = [name.removeprefix(INTEGRAL) for name in data.columns]
+    columns = Columns(simulation, list(dict.fromkeys(names)), tables_of(simulation))
+    units = {}
+    for name, of in zip(data.columns, names, strict=True):
+        unit = columns.unit(of)
+        units[name] = f"{unit} s" if unit is not None and name.startswith(INTEGRAL) else unit
+    return converted(data, units, factor)
+
+
+def _end(simulation: Simulation, data: Data, until: float | None) -> float:
+    last, dt = float(data.times.max()), simulation.dt
+    if until is None:
+        steps = np.ceil(last / dt - 1e-9) if isinstance(simulation.stepper, FixedStepper) else last / dt
+        return max(float(steps) * dt, dt)
+    end = as_number(until)
+    if end is None or last > end * (1 + 1e-9):
+        raise DataError(f"data at {TIME} = {last:g} s, after the end of the run, {until} s")
+    return end
+
+
+class _Search:
+    """The residuals and their Jacobian, each computed with the other and kept."""
+
+    def __init__(
+        self,
+        simulation: Simulation,
+        parameters: Sequence[Named],
+        data: Data,
+        sigma: float | Mapping[str, float] | None,
+        bounds: Mapping[str, tuple[float, float]],
+        until: float,
+        progress: Callable[[str], None] | None,
+    ) -> None:
+        self.simulation, self.parameters, self.until, self.progress = simulation, parameters, until, progress
+        self.where = {name: ~np.isnan(values) for name, values in data.columns.items()}
+        self.times = {name: data.times[there] for name, there in self.where.items()}
+        self.data = {name: values[self.where[name]] for name, values in data.columns.items()}
+        self.is_estimated = sigma is None
+        self.sigma = {name: np.full(len(v), _deviation(sigma, name, v)) for name, v in self.data.items()}
+        self.of: dict[str, str] = {}
+        for name, times in self.times.items():
+            kind = "until" if name.startswith(INTEGRAL) else "at"
+            column = name.removeprefix(INTEGRAL)
+            self.of |= {f"{name} {i}": f"{column} {kind} {t!r}" for i, t in enumerate(times.tolist())}
+        count = len(self.of)
+        if count < len(parameters) + self.is_estimated:
+            needed = f"at least {len(parameters) + self.is_estimated}"
+            raise DataError(f"{count} values for {len(parameters)} parameters: expected {needed}")
+        for name in bounds:
+            if name not in [one.name for one in parameters]:
+                raise ParameterError("bounds", name, f"one of {', '.join(one.name for one in parameters)}")
+        self.bounds = np.array([_bounds(one, bounds.get(one.name)) for one in parameters])
+        self.signs = np.where(self.bounds[:, 0] > 0, 1.0, np.where(self.bounds[:, 1] < 0, -1.0, 0.0))
+        self.scales = np.where(np.isfinite(np.ptp(self.bounds, axis=1)), np.ptp(self.bounds, axis=1), 1.0)
+        self.kept: dict[bytes, Gradient | None] = {}
+        self.runs, self.spent, self.alone = 0, 0.0, 0.0
+
+    def _inner(self, p: np.ndarray) -> np.ndarray:
+        """What is sought for the parameters: logarithms where they have one sign."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.where(self.signs != 0, np.log(self.signs * p), p / self.scales)
+
+    def _outer(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The parameters, and their derivatives."""
+        p = np.where(self.signs != 0, self.signs * np.exp(np.where(self.signs != 0, q, 0.0)), q * self.scales)
+        return p, np.where(self.signs != 0, p, self.scales)
+
+    def _at(self, q: np.ndarray) -> Gradient | None:
+        """The run with its derivatives; None where it cannot be solved."""
+        if q.tobytes() in self.kept:
+            return self.kept[q.tobytes()]
+        p, _ = self._outer(q)
+        begin, found = clock.process_time(), None
+        values = dict(zip(self.parameters, (float(one) for one in p), strict=True))
+        try:
+            run = varied(self.simulation, values, tables_of(self.simulation))
+            found = gradient(run, self.until, of=self.of, by=[one.name for one in self.parameters])
+            self.alone = found.seconds
+        except StepError:
+            if not self.kept:
+                raise
+        self.runs, self.spent = self.runs + 1, self.spent + clock.process_time() - begin
+        self.kept[q.tobytes()] = found
+        if self.progress is not None:
+            text = ", ".join(f"{one.name} = {value:.6g}" for one, value in values.items())
+            half = "not solved" if found is None else f"{0.5 * np.sum(self._residuals(found) ** 2):.6g}"
+            self.progress(f"run {self.runs}: {text}: half the sum of squares {half}")
+        return found
+
+    def _residuals(self, found: Gradient) -> np.ndarray:
+        data, sigma = (np.concatenate(list(of.values())) for of in (self.data, self.sigma))
+        result: np.ndarray = (found.values - data) / sigma
+        return result
+
+    def residuals(self, q: np.ndarray) -> np.ndarray:
+        """Over standard deviations; infinite where the run cannot be solved."""
+        found = self._at(q)
+        return np.full(len(self.of), np.inf) if found is None else self._residuals(found)
+
+    def jacobian(self, q: np.ndarray) -> np.ndarray:
+        """Of the residuals."""
+        found = self._at(q)
+        assert found is not None  # the search asks at points that it has accepted
+        _, slopes = self._outer(q)
+        result: np.ndarray = found.jacobian / np.concatenate(list(self.sigma.values()))[:, None] * slopes
+        return result
+
+    def run(self) -> Fit:
+        """Search."""
+        from scipy.optimize import least_squares  # a tenth of the package's time to be imported
+
+        start = np.array([one.value for one in self.parameters])
+        low, high = (self._inner(self.bounds[:, i]) for i in range(2))
+        low, high = np.minimum(low, high), np.maximum(low, high)
+        kinds = {"xtol": 1e-6, "ftol": _TOLERANCE, "gtol": _TOLERANCE}
+        first = np.clip(self._inner(start), low, high)
+        solved = least_squares(self.residuals, first, self.jacobian, (low, high), method="trf", **kinds)
+        p, _ = self._outer(solved.x)
+        found = self._at(solved.x)
+        assert found is not None
+        J = found.jacobian / np.concatenate(list(self.sigma.values()))[:, None]
+        free = max(len(self.of) - len(p), 1)
+        reduced = 2 * float(solved.cost) / free
+        if self.is_estimated:  # in units of the estimate
+            self.sigma = {name: values * np.sqrt(reduced) for name, values in self.sigma.items()}
+            J, scale = J / np.sqrt(reduced or 1.0), reduced or 1.0
+        else:
+            scale = 1.0
+        covariance = _covariance(J)
+        deviations = np.sqrt(np.diag(covariance))
+        with np.errstate(invalid="ignore"):
+            correlation = covariance / np.outer(deviations, deviations)
+        sizes = np.cumsum([len(values) for values in self.data.values()])[:-1]
+        of_columns = dict(zip(self.data, np.split(found.values, sizes), strict=True))
+        return Fit(
+            by=found.by,
+            start=start,
+            values=p,
+            deviations=deviations,
+            bounds=self.bounds,
+            covariance=covariance,
+            correlation=correlation,
+            columns=tuple(self.data),
+            times=self.times,
+            data=self.data,
+            found=of_columns,
+            sigma=self.sigma,
+            misfit=float(solved.cost) / scale,
+            reduced=reduced / scale,
+            runs=self.runs,
+            cost=self.spent / self.alone,
+            message=str(solved.message).strip("`"),
+        )
+
+
+def _covariance(J: np.ndarray) -> np.ndarray:
+    """(J^T J)^-1, infinite for what the data do not determine."""
+    lengths = np.linalg.norm(J, axis=0)
+    if not lengths.all():
+        return np.full((J.shape[1], J.shape[1]), np.inf)
+    _, sizes, V = np.linalg.svd(J / lengths, full_matrices=False)
+    if sizes[-1] < _UNDETERMINED * sizes[0]:
+        return np.full((J.shape[1], J.shape[1]), np.inf)
+    result: np.ndarray = (V.T / sizes**2) @ V / np.outer(lengths, lengths)
+    return result
+
+
+def _deviation(sigma: float | Mapping[str, float] | None, name: str, values: np.ndarray) -> float:
+    if sigma is None:
+        return float(np.sqrt(np.mean(values**2))) or 1.0
+    given = sigma.get(name) if isinstance(sigma, Mapping) else sigma
+    number = as_number(given)
+    if number is None or number <= 0:
+        raise ParameterError("fit.sigma", given, f"a standard deviation > 0 of the column {name}")
+    return number
+
+
+def _bounds(parameter: Named, given: tuple[float, float] | None) -> tuple[float, float]:
+    value = parameter.value
+    if given is None:
+        if value == 0:
+            raise ParameterError("fit.bounds", None, f"bounds of {parameter.name}, which begins at 0")
+        low, high = sorted((value / _RANGE, value * _RANGE))
+        return low, high
+    try:
+        low, high = (float(one) for one in given)
+    except (TypeError, ValueError):
+        low, high = np.nan, np.nan
+    if not low < high or not low <= value <= high:
+        expected = f"two numbers, the least first, with the start value {value:g} between them"
+        raise ParameterError(f"fit.bounds[{parameter.name!r}]", given, expected)
+    return low, high

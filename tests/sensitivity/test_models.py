@@ -1,0 +1,76 @@
+"""Tangents and adjoints of what the model has besides: bodies, heat, yield, energies without an expression.
+
+All of them by all schemes are the verification case ``sensitivities``.
+"""
+
+import numpy as np
+import pytest
+from differentiated import UNTIL, VELOCITY, started
+from ngsolve import x
+
+import ngvisco as nv
+from ngvisco.geometries import box
+from ngvisco.sensitivity.gradient import measure
+
+VISCOSITY = nv.StokesViscosity(K_v=0.1, G_v=0.1)
+ELASTIC = nv.NeoHookean(K_e=10, G_e=5, epsilon=0.1)
+OF = ["kinetic at 0.06", "stored at 0.06", "p.cauchy_stress_11 at 0.06"]
+
+
+def bodies(stiffness, **options):
+    disc = nv.Body(
+        name="disc",
+        where=nv.Ball((0.5, 0.5), 0.3),
+        material=nv.IsochoricNeoHookean(K_e=10, G_e=stiffness),
+        density=2.0,
+        viscosity=VISCOSITY,
+    )
+    rest = nv.Body(
+        name="rest", material=nv.IsochoricNeoHookean(K_e=10, G_e=0.5), density=1, viscosity=VISCOSITY
+    )
+    model = nv.Model(bodies=[disc, rest])
+    return started(model, mesh=box((1, 1), maxh=0.6), initial=nv.Initial(velocity=VELOCITY), **options)
+
+
+def heated(expansion, **options):
+    material = nv.Thermal(material=ELASTIC, c=2.0, theta_R=300.0, expansion=expansion)
+    initial = nv.Initial(density=1.0, velocity=VELOCITY, temperature=300 + 20 * x)
+    model = nv.Model(material=material, viscosity=VISCOSITY, heat=nv.Heat(conductivity=0.5))
+    return started(model, initial=initial, **options)
+
+
+def yielding(stress, **options):
+    creep = nv.Perzyna(G_m=1.0, sigma_Y=stress, H=0.5)
+    return started(nv.Model(material=ELASTIC, viscosity=VISCOSITY, creep=creep), **options)
+
+
+def smoothed(eps, **options):
+    return started(nv.Model(material=nv.Yosida(material=ELASTIC, eps=eps), viscosity=VISCOSITY), **options)
+
+
+@pytest.mark.parametrize(
+    ("make", "name", "value", "options"),
+    [
+        (bodies, "bodies.disc.material.G_e", 5.0, {}),
+        (heated, "material.expansion", 1e-3, {"solver": "split", "scheme": "backward-euler"}),
+        (yielding, "creep.sigma_Y", 0.3, {}),
+        (smoothed, "material.eps", 0.01, {"scheme": "sdirk2"}),
+    ],
+    ids=["bodies", "heat by split", "yield", "Yosida"],
+)
+def test_both_are_what_differences_tend_to(make, name, value, options):
+    tangent, adjoint = (
+        nv.gradient(make(value, **options), UNTIL, of=OF, by=[name], method=method).jacobian[:, 0]
+        for method in ("tangent", "adjoint")
+    )
+    h = 1e-3 * value
+    up, down = (measure(make(value + s * h, **options), UNTIL, OF) for s in (1, -1))
+    assert np.allclose(tangent, (up - down) / (2 * h), rtol=3e-6, atol=0)
+    assert np.allclose(adjoint, tangent, rtol=1e-6, atol=0)
+
+
+def test_damage_is_refused():
+    material = nv.Damaged(material=nv.LinearElastic(K_e=10, G_e=5), G_c=1.0, length=0.5)
+    with pytest.raises(nv.ParameterError, match="minimum under bounds"):
+        run = started(nv.Model(material=material, viscosity=VISCOSITY))
+        nv.gradient(run, UNTIL, of=OF, by=["viscosity.G_v"])
