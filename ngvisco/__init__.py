@@ -79,7 +79,16 @@ from ngvisco.physics.rheology import (
     Viscosity,
 )
 from ngvisco.physics.signals import pulse, step, table
-from ngvisco.physics.walls import Inflow, NavierFriction, NoSlip, Open, PrescribedTangential, Slip, Traction
+from ngvisco.physics.walls import (
+    Inflow,
+    NavierFriction,
+    NoSlip,
+    Open,
+    PrescribedNormal,
+    PrescribedTangential,
+    Slip,
+    Traction,
+)
 from ngvisco.run.adaptive import AdaptiveSteps, DamageWarning
 from ngvisco.run.checkpoint import Checkpoints, read_ledger
 from ngvisco.run.ledger import ClosureWarning, CreepPowerWarning, DefectWarning, EntropyWarning
@@ -202,6 +211,7 @@ __all__ = [
     "PointTerm",
     "Polygon",
     "PowerLaw",
+    "PrescribedNormal",
     "PrescribedTangential",
     "Probes",
     "Progress",

@@ -74,7 +74,9 @@ VISCOSITY_WRAPPERS: Kinds = _of(activation, "ActivatedViscosity")
 CREEPS: Kinds = {**FLOW_RULES, **FLOW_RULE_WRAPPERS}
 ALL_VISCOSITIES: Kinds = {**VISCOSITIES, **VISCOSITY_WRAPPERS}
 LOADS: Kinds = _of(model, "BodyForce CentralGravity Gravity")
-WALLS: Kinds = _of(walls, "Inflow NavierFriction NoSlip Open PrescribedTangential Slip Traction")
+WALLS: Kinds = _of(
+    walls, "Inflow NavierFriction NoSlip Open PrescribedNormal PrescribedTangential Slip Traction"
+)
 """Walls that a case does not name are Slip."""
 SHAPES: Kinds = {
     **_of(shape, "Ball Block"),

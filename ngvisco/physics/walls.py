@@ -164,6 +164,25 @@ class Inflow(Passage):
 
 
 @dataclass(frozen=True, kw_only=True)
+class PrescribedNormal(Passage):
+    """v.n = V on the wall, a piston: the tangential part of v is free and has no stress.
+
+    The mesh does not move: where V < 0 the piston presses, and what it moves comes in through the wall, where
+    V > 0 it pulls, and as much leaves.  Its power and the mass that it sweeps are in the ledger.  The wall
+    has to be parallel to an axis, where v.n is a component of v.
+
+    Parameters
+    ----------
+    velocity : number or coefficient function
+        V along the outward normal, a function of x and of the run's time, of which each step has the mean.
+    density, values, amounts, temperature
+        As for ``Inflow``.
+    """
+
+    velocity: Annotated[Function, Quantity("m/s", example="-0.1*sin(t)")]
+
+
+@dataclass(frozen=True, kw_only=True)
 class Open(Passage):
     """The stress is given and v is free: (T + D) n = f - p n - Z_p (v.n) n - Z_s v_t - k_p (w.n) n - k_s w_t.
 
@@ -206,7 +225,7 @@ class Open(Passage):
             object.__setattr__(self, name, tuple(numbers))
 
 
-MOVING = PrescribedTangential, Inflow
-"""Walls whose velocity is given."""
-HELD = NoSlip, *MOVING
+MOVING = PrescribedTangential, Inflow, PrescribedNormal
+"""Walls whose velocity is given, or its normal part."""
+HELD = NoSlip, PrescribedTangential, Inflow
 """Walls on which all of v is prescribed."""

@@ -62,6 +62,12 @@ CASES = {
         nv.Initial(density=1 + 0.1 * x),
         (nv.Gravity((0.0, -1.0)),),
     ),
+    "piston": (
+        lambda: box((1, 1), 0.5),
+        {"right": nv.PrescribedNormal(velocity=0.3 * y * sin(10 * nv.time))},
+        nv.Initial(density=1 + 0.1 * x),
+        (nv.Gravity((0.0, -1.0)),),
+    ),
     "open disc": (
         lambda: disc(1, 0.7),
         {"wall": nv.Open(pressure=-15.0 + x, density=1 + 0.1 * y, backflow=False, stiffness=(30, 5))},

@@ -6,7 +6,7 @@ from ngsolve import CF, Id, Integrate, cos, pi, sin, x, y
 from support import assert_balanced
 
 import ngvisco as nv
-from ngvisco.geometries import box, structured_box
+from ngvisco.geometries import box, disc, structured_box
 from ngvisco.physics.variables import Jacobian
 
 FLUID = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: 5 * (J + 1 / J - 2))
@@ -160,9 +160,31 @@ def test_a_temperature_that_is_given_has_the_entropy_of_the_volume_that_is_there
     assert Integrate(error * error, run.mesh) ** 0.5 < 1e-6
 
 
+@pytest.mark.parametrize("solver", ["split", "coupled"])
+def test_a_piston_has_the_power_of_uniaxial_strain_and_sweeps_its_mass(solver):
+    """Slowly pulled, E_11 = V t: the force is (K + 4/3 G) V t on 0.7 m, and rho = 1/(1 + V t) to V^2."""
+    V, model = 1e-3, nv.Model(material=nv.LinearElastic(K_e=10.0, G_e=5.0))
+    walls, initial = {"right": nv.PrescribedNormal(velocity=V)}, nv.Initial(velocity=(V * x, 0.0))
+    run = nv.Simulation(box((1, 0.7), 0.5), model, dt=0.25, walls=walls, initial=initial, solver=solver)
+    ledger = run.run(1.0)
+    force = ledger.column("power_wall_right")[1:] / V
+    assert force == pytest.approx((10 + 20 / 3) * 0.7 * V * ledger.column("time")[1:], rel=2e-3)
+    assert ledger.column("mass")[-1] == pytest.approx(0.7 * (1 - V), rel=1e-6)
+    swept = 0.25 * ledger.column("inflow_right")[1:].sum()
+    assert swept == pytest.approx(ledger.column("mass")[-1] - 0.7, abs=1e-13)
+    sides = run.fields["velocity"](run.mesh(1.0, 0.7))
+    assert sides[0] == pytest.approx(V, rel=1e-12) and abs(ledger.column("closure_relative")).max() < 1e-12
+
+
+def test_a_piston_on_a_curved_wall_is_refused_with_what_to_take():
+    walls = {"wall": nv.PrescribedNormal(velocity=0.1)}
+    with pytest.raises(nv.ParameterError, match=r"walls\['wall'\].*parallel to an axis.*Inflow"):
+        nv.Simulation(disc(1, 0.7), nv.Model(material=FLUID), dt=0.1, walls=walls)
+
+
 @pytest.mark.parametrize(("m", "solver"), [(1, "split"), (1, "coupled"), (2, "split")])
 def test_a_slope_does_not_go_on_beyond_an_inlet(m, solver):
-    """A density of 1 to 1.3 kg/m^3, carried through twelve times over, stays in that range."""
+    """Carried through twelve times over, a density of 1 to 1.3 stays in that range and comes to rest."""
     walls = {("left", "right"): nv.Inflow(velocity=(1.0, 0.0))}
     initial = nv.Initial(density=1 + 0.3 * x, velocity=(1.0, 0.0))
     orders = nv.Discretisation(m=m)

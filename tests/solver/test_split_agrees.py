@@ -200,6 +200,7 @@ WALLS = {
     "Navier friction": {"bottom": nv.NavierFriction(coefficient=0.5)},
     "a sliding lid": {"top": nv.PrescribedTangential(velocity=(0.5 * x * (1 - x), 0.0))},
     "no slip": {("left", "right"): nv.NoSlip()},
+    "a piston": {"right": nv.PrescribedNormal(velocity=0.5 * y)},
     "in and out": {
         "left": nv.Inflow(velocity=(0.5 * y * (1 - y), 0.0), density=1.2),
         "right": nv.Open(

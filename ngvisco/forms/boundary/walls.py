@@ -46,6 +46,7 @@ from ngvisco.forms.boundary.boundaries import (
 )
 from ngvisco.forms.mesh.mesh_arrays import mask_of
 from ngvisco.forms.spaces import Layout
+from ngvisco.forms.start.variables import as_shape
 from ngvisco.forms.time_means import TimeMean
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.exchange import Exchange, Interpolation
@@ -53,7 +54,7 @@ from ngvisco.physics.heat import WallHeat
 from ngvisco.physics.loads import as_vector
 from ngvisco.physics.signals import may_read_time
 from ngvisco.physics.tensors import inner
-from ngvisco.physics.walls import HELD, MOVING, Inflow, NoSlip, Passage, Slip, Traction, Wall
+from ngvisco.physics.walls import HELD, MOVING, NoSlip, Passage, PrescribedNormal, Slip, Traction, Wall
 
 OPEN = 1e-3  # |V.n|^2/|V|^2 that the geometry's approximation may leave of a tangential velocity
 
@@ -69,7 +70,8 @@ class Walls:
     where they have the name of one.
 
     Raises UnknownNameError for a name that the mesh does not have; ParameterError if a boundary is given two
-    conditions, is periodic or an interface, or the condition is no Wall; MeshError if a wall that has to be
+    conditions, is periodic or an interface, or the condition is no Wall, and for a piston on a wall that is
+    parallel to no axis; MeshError if a wall that has to be
     curved is not.
     """
 
@@ -92,7 +94,17 @@ class Walls:
         self.crossed = self._having(Passage)
         """Walls that matter crosses."""
         closed = [name for name in self.conditions if name not in self.crossed]
-        self.axis = [[name for name in group if name in closed] for group in self.axis]
+        self.pistons = self._having(PrescribedNormal)
+        """Walls that matter crosses by a given v.n."""
+        for name in self.pistons:
+            if name in self.oblique:
+                expected = (
+                    "on a wall that is parallel to an axis, where v.n is a component of v: on oblique and "
+                    "curved walls take nv.Inflow(velocity=...), with all of v"
+                )
+                raise ParameterError(f"walls[{name!r}]", self.conditions[name], expected)
+        by_components = [*closed, *self.pistons]
+        self.axis = [[name for name in group if name in by_components] for group in self.axis]
         fixed = self._having(*HELD)
         self.multiplied = [n for n in self.oblique if n in closed and n not in fixed]
         """Oblique or curved walls, where v.n = 0 is held by a multiplier."""
@@ -102,7 +114,7 @@ class Walls:
             if not (wall.heat is None or isinstance(wall.heat, WallHeat)):
                 raise ParameterError(f"walls[{name!r}].heat", wall.heat, "a WallHeat, or None")
             if isinstance(wall, MOVING):
-                as_vector(wall.velocity, mesh.dim, f"walls[{name!r}].velocity")
+                velocity_of(wall, mesh.dim, f"walls[{name!r}]")
             if isinstance(wall, Traction):
                 as_vector(wall.f, mesh.dim, f"walls[{name!r}].f")
 
@@ -118,7 +130,9 @@ class Walls:
     @property
     def homogeneous(self) -> tuple[Region, ...]:
         """Where v_i = 0: as ``dirichlet`` without what is prescribed and not zero."""
-        return tuple(self.region([*names, *self._having(NoSlip)]) for names in self.axis)
+        still = self._having(NoSlip)
+        slipping = ([name for name in names if name not in self.pistons] for names in self.axis)
+        return tuple(self.region([*names, *still]) for names in slipping)
 
     def region(self, names: Sequence[str]) -> Region:
         """The walls of these names, without interfaces of the same name."""
@@ -147,6 +161,15 @@ class Walls:
                 if ends[[v.nr for v in element.vertices]].any():
                     active[max(space.GetDofNrs(element))] = False
         return Compress(space, active)
+
+
+def velocity_of(wall: Wall, dim: int, owner: str) -> CoefficientFunction:
+    """The velocity that a wall prescribes, m/s, or its normal part; ParameterError for what is no such."""
+    assert isinstance(wall, MOVING)
+    field = f"{owner}.velocity"
+    if isinstance(wall, PrescribedNormal):
+        return as_shape(field, wall.velocity, ()) * specialcf.normal(dim)
+    return as_vector(wall.velocity, dim, field)
 
 
 def _vertices(region: Region) -> np.ndarray:
@@ -193,9 +216,11 @@ class MovingWalls:
         for name, wall in walls.conditions.items():
             if isinstance(wall, MOVING):
                 region = walls.region([name])
-                mask = self.constrained(layout, (region,) * dim) & ~taken
+                is_piston = name in walls.pistons
+                regions = [region if not is_piston or name in names else None for names in walls.axis]
+                mask = self.constrained(layout, regions) & ~taken
                 taken |= mask
-                velocity = as_vector(wall.velocity, dim, f"walls[{name!r}].velocity")
+                velocity = velocity_of(wall, dim, f"walls[{name!r}]")
                 self.moving[name] = velocity, mask
                 if may_read_time(velocity):
                     mean, make = np.zeros(np.count_nonzero(mask)), partial(self._on_wall, name)
@@ -242,7 +267,7 @@ class MovingWalls:
         Raises ParameterError if the velocity has a normal part there.
         """
         mesh, region = self.walls.mesh, self.walls.region([name])
-        if not isinstance(self.walls.conditions[name], Inflow):
+        if name not in self.walls.crossed:
             n = specialcf.normal(mesh.dim)
             normal = velocity * n
             size = Integrate(velocity * velocity, mesh, BND, definedon=region)

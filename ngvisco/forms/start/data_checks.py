@@ -31,7 +31,7 @@ from ngsolve import (
 
 from ngvisco.errors import InputWarning, ParameterError
 from ngvisco.forms.boundary.wall_terms import Carried
-from ngvisco.forms.boundary.walls import OPEN
+from ngvisco.forms.boundary.walls import OPEN, velocity_of
 from ngvisco.forms.mesh.mesh_arrays import VERTICES, mask_of, rules
 from ngvisco.forms.mesh.quadrature import Sampler
 from ngvisco.forms.start.variables import Given
@@ -55,7 +55,7 @@ from ngvisco.physics.mixture import AMOUNT, Mixture
 from ngvisco.physics.signals import time
 from ngvisco.physics.tensors import square, tr
 from ngvisco.physics.variables import Distortion
-from ngvisco.physics.walls import HELD, MOVING, Traction
+from ngvisco.physics.walls import HELD, MOVING, PrescribedNormal, Traction
 
 _FLAT = 1e-12  # |a.n|^2/|a|^2 on walls parallel to the axes, whose normals are exact
 _ROUNDING = 1e-20  # of the mean of |a|^2 in the domain: sin(pi x) at x = 1 is 1e-16
@@ -116,11 +116,12 @@ def check_walls(step: Step, times: Iterable[float]) -> None:
             value, field = getattr(part, key.removeprefix("heat."), None), f"walls[{name!r}].{key}"
             if value is None:
                 continue
-            function = as_vector(value, step.mesh.dim, field) if key in _VECTORS else CF(value)
+            is_vector = key in _VECTORS and not isinstance(wall, PrescribedNormal)
+            function = as_vector(value, step.mesh.dim, field) if is_vector else CF(value)
             for t in _at(times):
                 _look(step, name, function, field, t, sign, value=value)
                 if key == "velocity":
-                    step.moving_walls.interpolate(name, function)
+                    step.moving_walls.interpolate(name, velocity_of(wall, step.mesh.dim, f"walls[{name!r}]"))
     for term in step.terms:
         if isinstance(term, Carried):
             for t in _at(times):
@@ -397,7 +398,9 @@ def warn_of_corners(step: Step, times: Sequence[float]) -> None:
 def _corner_cells(step: Step) -> list[tuple[int, int]]:
     """Cells and their vertices on moving walls at which all their edges lie on walls that prescribe v."""
     mesh, conditions = step.mesh, step.walls.conditions
-    moving = [name for name, wall in conditions.items() if isinstance(wall, MOVING)]
+    moving = [
+        name for name, wall in conditions.items() if isinstance(wall, MOVING) and isinstance(wall, HELD)
+    ]
     if not moving:
         return []
     held = [name for name, wall in conditions.items() if isinstance(wall, HELD)]
