@@ -36,7 +36,17 @@ from ngvisco.physics.energy_checks import (
     check_convexity,
     check_isotropy,
 )
-from ngvisco.physics.flow_rules import Composite, Creep, DruckerPrager, Eyring, FlowRule, Norton, Perzyna
+from ngvisco.physics.flow_rules import (
+    PTT,
+    Composite,
+    Creep,
+    DruckerPrager,
+    Eyring,
+    FlowRule,
+    Giesekus,
+    Norton,
+    Perzyna,
+)
 from ngvisco.physics.heat import Heat, WallHeat
 from ngvisco.physics.loads import BodyForce, CentralGravity, Gravity
 from ngvisco.physics.material import Material
@@ -125,6 +135,7 @@ from ngvisco.case import Case, CaseError, RunDirectoryError, load, load_case  # 
 
 __all__ = [
     "FENEP",
+    "PTT",
     "SCHEMES",
     "WLF",
     "Activated",
@@ -163,6 +174,7 @@ __all__ = [
     "Eyring",
     "Fit",
     "FlowRule",
+    "Giesekus",
     "Gradient",
     "Gravity",
     "HalfSpace",

@@ -56,7 +56,10 @@ MECHANISMS: Kinds = {
     "heat": heat.Heat,
     "regularisation": Regularisation,
 }
-FLOW_RULES: Kinds = {"Linear": flow_rules.Creep, **_of(flow_rules, "DruckerPrager Eyring Norton Perzyna")}
+FLOW_RULES: Kinds = {
+    "Linear": flow_rules.Creep,
+    **_of(flow_rules, "DruckerPrager Eyring Giesekus Norton PTT Perzyna"),
+}
 """What [rheology.creep] can be; the first where its kind is not said."""
 FLOW_RULE_WRAPPERS: Kinds = {
     **_of(activation, "Activated WLF"),

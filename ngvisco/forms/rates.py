@@ -21,7 +21,7 @@ from ngvisco.physics.model import Flow, Model
 from ngvisco.physics.rate_tensors import RateTensors
 from ngvisco.physics.rheology import Viscosity
 from ngvisco.physics.tensors import dev, identity_like, inner, symmetric_tensors, trace_free_tensors
-from ngvisco.physics.variables import HARDENING, PRESSURE, TEMPERATURE, Values
+from ngvisco.physics.variables import CONFORMATION, HARDENING, PRESSURE, TEMPERATURE, Values
 
 Conjugate: TypeAlias = Literal["z", "zeta"]
 """Whether a rate is taken with tests of z or with conjugates."""
@@ -117,6 +117,8 @@ class Rates:
             found[PRESSURE] = self.pressure(u)
         if TEMPERATURE in law.reads:  # by the projected conjugates, K
             found[TEMPERATURE] = temperature(self.material, u.zeta_tensors)
+        if CONFORMATION in law.reads and flow is not None and flow.conformation is not None:
+            found[CONFORMATION] = u.z_tensors[flow.conformation]
         if HARDENING in law.reads and flow is not None:  # A phi_h'(k), Pa, of a body per its own volume
             found[HARDENING] = flow.matter(u.z_tensors) * u.zeta_tensors[flow.plastic_content.name]
         return found

@@ -39,9 +39,9 @@ Values = Mapping[str, Tensor]
 
 Frame: TypeAlias = Literal["relaxed", "actual"]
 
-PRESSURE, TEMPERATURE, HARDENING = "pressure", "temperature", "hardening"
-"""Under which names ``Values`` have, for the laws that read them, -tr T/3, Pa, theta, K, and what
-hardening adds to the yield stress, Pa."""
+PRESSURE, TEMPERATURE, HARDENING, CONFORMATION = "pressure", "temperature", "hardening", "conformation"
+"""Under which names ``Values`` have, for the laws that read them, -tr T/3, Pa, theta, K, what hardening adds
+to the yield stress, Pa, and the conformation tensor of what flows."""
 
 
 @dataclass(frozen=True)

@@ -43,6 +43,8 @@ CREEPS = {
         'rule = { kind = "Norton", A = 0.5, n = 3 }',
         nv.Activated(rule=nv.Norton(A=0.5, n=3), E=2e5, theta_R=1300.0, V=1e-5, temperature=1500.0),
     ),
+    "Giesekus": ("G_m = 2, alpha = 0.3", nv.Giesekus(G_m=2, alpha=0.3)),
+    "PTT": ('G_m = 2, epsilon = 0.5, form = "exponential"', nv.PTT(G_m=2, epsilon=0.5, form="exponential")),
     "WLF": (
         "C_1 = 17.4, C_2 = 51.6, theta_R = 300, temperature = 320, rule = { G_m = 2 }",
         nv.WLF(rule=nv.Creep(G_m=2), C_1=17.4, C_2=51.6, theta_R=300.0, temperature=320.0),
@@ -93,7 +95,13 @@ def test_every_kind_is_tried():
 @pytest.mark.parametrize("kind", CREEPS)
 def test_a_case_names_a_flow_rule(kind, tmp_path):
     keys, expected = CREEPS[kind]
-    assert case_of(ONE, f'kind = "{kind}", {keys}', tmp_path).model(2).creep == expected
+    of_conformation = expected.reads_conjugate
+    text = ONE.replace("LinearElastic", "OldroydB") if of_conformation else ONE
+    assert case_of(text, f'kind = "{kind}", {keys}', tmp_path).model(2).creep == expected
+    if of_conformation:
+        with pytest.raises(CaseError, match=r"creep.*no conformation tensor, which no body has"):
+            case_of(TWO, f'kind = "{kind}", {keys}', tmp_path).model(2)
+        return
     (body,) = case_of(TWO, f'kind = "{kind}", {keys}', tmp_path).model(2).bodies
     assert body.creep == expected
 

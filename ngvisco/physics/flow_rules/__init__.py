@@ -1,15 +1,18 @@
 """Flow rules: how fast a material creeps."""
 
+from ngvisco.physics.flow_rules.conformation import PTT, Giesekus
 from ngvisco.physics.flow_rules.laws import Composite, Creep, CreepLaw, DruckerPrager, Eyring, Norton, Perzyna
 from ngvisco.physics.flow_rules.rule import FlowRule
 
 __all__ = [
+    "PTT",
     "Composite",
     "Creep",
     "CreepLaw",
     "DruckerPrager",
     "Eyring",
     "FlowRule",
+    "Giesekus",
     "Norton",
     "Perzyna",
 ]

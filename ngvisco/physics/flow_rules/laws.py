@@ -15,6 +15,35 @@ from ngvisco.physics.tensors import Tensor, dev, exp, if_positive, log, power_of
 from ngvisco.physics.variables import HARDENING, PRESSURE, Values
 
 CreepLaw: TypeAlias = Literal["mandel", "conformation", "leonov"]
+DrivenBy: TypeAlias = Literal["mandel", "conformation"]
+"""Along what a rule flows: along M, or along 2 zeta of a conformation tensor, by the same size of M."""
+
+
+class _Driven(GradientRule):
+    """A rule whose rate is a number times M, or by ``law`` times 2 zeta, which has a trace."""
+
+    law: DrivenBy
+
+    def __post_init__(self) -> None:
+        require_choice(self, ("mandel", "conformation"), law=self.law)
+        if self.law != "mandel" and self.nu != 0:
+            expected = f"0 for law = {self.law!r}, which is local"
+            raise ParameterError(f"{type(self).__name__}.nu", self.nu, expected)
+        super().__post_init__()
+
+    @property
+    def reads_conjugate(self) -> bool:  # type: ignore[override]
+        return self.law != "mandel"
+
+    @property
+    def has_trace(self) -> bool:  # type: ignore[override]
+        return self.law == "conformation"
+
+    def along(self, M: Tensor, zeta: Tensor | None) -> Tensor:
+        """M, or 2 zeta, Pa."""
+        if zeta is None or self.law == "mandel":
+            return M
+        return 2 * zeta
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,11 +120,12 @@ class Creep(GradientRule):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Norton(GradientRule):
+class Norton(_Driven):
     """Power-law creep Pi = A |M|^{n-1} M, of the potential A |M|^{n+1}/(n+1) (Norton 1929, Glen 1955).
 
     A law of uniaxial tests, strain rate B sigma^n, has A = (3/2)^{(n+1)/2} B.  With n = 1 it is ``Creep``
-    with G_m = 1/A.  Raises ParameterError if a parameter is out of its range.
+    with G_m = 1/A.  By ``law`` = "conformation" Pi = A |M|^{n-1} 2 zeta: a fluid whose relaxation time falls
+    with its stress.  Raises ParameterError if a parameter is out of its range.
 
     Parameters
     ----------
@@ -105,18 +135,22 @@ class Norton(GradientRule):
         Exponent of the stress.
     rate_floor : float
         |Pi| below which psi is smoothed at zero, with nu > 0; far below the rates of interest.
+    law : str
+        "mandel", or "conformation" of a conformation tensor's fluid.
     """
 
     A: Annotated[Modulus, Quantity("1/s/Pa^n", "> 0", 0.1)]
     n: Annotated[float, Quantity("1", "from 1 to 10", 3.0)]
     rate_floor: Annotated[float, Quantity("1/s", "> 0")] = 1e-9
+    law: DrivenBy = "mandel"
 
     @property
     def degree(self) -> float:  # type: ignore[override]
         return float(self.n)
 
     def rate(self, M: Tensor, zeta: Tensor | None, z: Values) -> Tensor:
-        return value_at(self.A, z) * power_of_square(square(M), 0.5 * (self.n - 1), TINY_STRESS) * M
+        size = value_at(self.A, z) * power_of_square(square(M), 0.5 * (self.n - 1), TINY_STRESS)
+        return size * self.along(M, zeta)
 
     def psi(self, Pi: Tensor, z: Values) -> Tensor:
         """n/(n+1) A^{-1/n} |Pi|^{(n+1)/n}, W/m^3."""
@@ -175,7 +209,7 @@ def positive(a: Tensor) -> Tensor:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Perzyna(GradientRule):
+class Perzyna(_Driven):
     """Viscoplasticity with the yield condition of von Mises (Perzyna 1966; n = 1: Bingham 1916).
 
         Pi = 1/G_m (|M| - s)^+ ((|M| - s)^+/s)^{n-1} M/|M|,   s = sqrt(2/3) sigma_Y,
@@ -185,7 +219,12 @@ class Perzyna(GradientRule):
 
     With H or Q it hardens: sigma_Y grows by H k + Q (1 - exp(-b k)) with the plastic strain k, which the
     matter carries (the field ``plastic_strain``), and the work of it is stored
-    (``ngvisco.physics.flow_rules.rule``).  Raises ParameterError if a parameter is out of its range.
+    (``ngvisco.physics.flow_rules.rule``).
+
+    By ``law`` = "conformation" M/|M| is 2 zeta/|M|: with ``OldroydB`` the elastoviscoplastic fluid of
+    Saramito (2007), and with n that of Herschel and Bulkley (Saramito 2009), of the yield stress
+    sigma_Y/sqrt(3) in shear and the relaxation time G_m/(4 G_e).  Raises ParameterError if a parameter is out
+    of its range, or a rule of this law hardens.
 
     Parameters
     ----------
@@ -204,6 +243,8 @@ class Perzyna(GradientRule):
     rate_floor : float
         |Pi| below which psi is smoothed at zero, with nu > 0: what does not yield flows by less than it.  A
         thousandth of the rates of interest; one much smaller may need more iterations than there are.
+    law : str
+        "mandel", or "conformation" of a conformation tensor's fluid.
     """
 
     sigma_Y: Annotated[Modulus, Quantity("Pa", "> 0", 2.0)]
@@ -213,6 +254,14 @@ class Perzyna(GradientRule):
     Q: Annotated[Modulus, Quantity("Pa", ">= 0", 1.0)] = 0.0
     b: Annotated[float, Quantity("1", "> 0")] = 10.0
     rate_floor: Annotated[float, Quantity("1/s", "> 0")] = 1e-9
+    law: DrivenBy = "mandel"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in ("H", "Q") if self.law != "mandel" else ():
+            if (value := getattr(self, name)) != 0:
+                expected = f"0 for law = {self.law!r}, whose rate is not along M"
+                raise ParameterError(f"Perzyna.{name}", value, expected)
 
     @property
     def hardening(self) -> Hardening | None:
@@ -234,7 +283,7 @@ class Perzyna(GradientRule):
         over = positive(size - s)
         if self.n > 1:
             over = over * power_of_square(over * over / (s * s), 0.5 * (self.n - 1), TINY_STRESS)
-        return over / (value_at(self.G_m, z) * size) * M
+        return over / (value_at(self.G_m, z) * size) * self.along(M, zeta)
 
     def psi(self, Pi: Tensor, z: Values) -> Tensor:
         """s |Pi| + n/(n+1) (G_m s^{n-1})^{1/n} |Pi|^{(n+1)/n}, W/m^3."""

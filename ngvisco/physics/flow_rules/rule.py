@@ -116,7 +116,7 @@ class FlowRule(ABC):
     reads_conjugate: bool = False
     """Whether ``rate`` reads zeta: the material then needs a conformation tensor, and the rule is local."""
     reads: frozenset[str] = frozenset()
-    """Which of ``PRESSURE``, ``TEMPERATURE``, ``HARDENING`` (``physics.variables``) it reads in ``z``."""
+    """Which of ``PRESSURE``, ``TEMPERATURE``, ``HARDENING``, ``CONFORMATION`` of ``variables`` it reads."""
     has_trace: bool = False
     """Whether tr Pi is not zero: the determinant of B is then not that of a distortion."""
     degree: float = math.inf

@@ -1,0 +1,102 @@
+"""Flow rules of conformation tensors: polymers by Giesekus, and by Phan-Thien and Tanner.
+
+B is the conformation tensor of a material such as ``OldroydB``, zeta its conjugate.  With the energy of
+``OldroydB``, zeta = G_e (I - B^-1), lambda = G_m/(4 G_e), the relaxation of B is
+
+| rule                | Pi G_m/2                        | relaxation of B                              |
+|---------------------|---------------------------------|----------------------------------------------|
+| ``Creep``           | zeta                            | -(B - I)/lambda                              |
+| ``Giesekus``        | (1 - alpha) zeta + alpha B zeta | -(B - I + alpha (B - I)^2)/lambda            |
+| ``PTT``             | f(tr B) zeta                    | -f(tr B) (B - I)/lambda                      |
+
+The power 2 sym(zeta B) : Pi of each is >= 0 for every symmetric zeta and every positive definite B: it is a
+sum of tr(zeta B zeta), |B zeta|^2 and tr((B^{1/2} zeta B^{1/2})^2) with factors that are not negative.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+from ngvisco.errors import ParameterError, Quantity, require_choice
+from ngvisco.physics.flow_rules.rule import FlowRule
+from ngvisco.physics.parameters import Modulus, value_at
+from ngvisco.physics.tensors import Tensor, exp, sym, tr
+from ngvisco.physics.variables import CONFORMATION, Values
+
+
+@dataclass(frozen=True, kw_only=True)
+class _OfConformation(FlowRule):
+    """A local rule that reads a conformation tensor and its conjugate.
+
+    Parameters
+    ----------
+    G_m : float
+        Creep modulus: twice the viscosity of the polymer at vanishing rates.
+    """
+
+    G_m: Annotated[Modulus, Quantity("Pa s", "> 0", 5.0)]
+
+    reads = frozenset({CONFORMATION})
+    reads_conjugate = True
+    has_trace = True
+
+
+@dataclass(frozen=True, kw_only=True)
+class Giesekus(_OfConformation):
+    """Pi = 2/G_m ((1 - alpha) zeta + alpha sym(B zeta)), the fluid of Giesekus (1982).
+
+    Its drag depends on the direction: the viscosity falls with the shear rate, and there is a second normal
+    stress difference, N_2/N_1 -> -alpha/2 at vanishing rates.  alpha = 0 is ``Creep(law="conformation")``.
+    Raises ParameterError if a parameter is out of its range.
+
+    Parameters
+    ----------
+    G_m : float
+        Creep modulus: twice the viscosity of the polymer at vanishing rates.
+    alpha : float
+        Mobility factor; 0.1 to 0.4 in use, and thinning without a maximum of the stress up to 0.5.
+    """
+
+    alpha: Annotated[float, Quantity("1", "in [0, 1]", 0.2)]
+
+    def rate(self, M: Tensor, zeta: Tensor | None, z: Values) -> Tensor:
+        assert zeta is not None
+        driving = (1 - self.alpha) * zeta + self.alpha * sym(z[CONFORMATION] * zeta)
+        return 2 / value_at(self.G_m, z) * driving
+
+
+@dataclass(frozen=True, kw_only=True)
+class PTT(_OfConformation):
+    """Pi = 2/G_m f(tr B) zeta, the fluid of Phan-Thien and Tanner (1977) without slip of its network.
+
+    f = 1 + epsilon (tr B - 3), linear, or exp(epsilon (tr B - 3)): stretched chains are lost faster, so that
+    the viscosity falls with the shear rate and that in extension stays finite.  The slip parameter xi of
+    their law is 0: B is carried by the velocity as all tensors here are.  Raises ParameterError if a
+    parameter is out of its range.
+
+    Parameters
+    ----------
+    G_m : float
+        Creep modulus: twice the viscosity of the polymer at vanishing rates.
+    epsilon : float
+        How fast stretched chains are lost; below 1/3 of the linear form, whose f is then positive.
+    form : str
+        "linear" or "exponential".
+    """
+
+    epsilon: Annotated[float, Quantity("1", ">= 0", 0.25)]
+    form: Literal["linear", "exponential"] = "linear"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_choice(self, ("linear", "exponential"), form=self.form)
+        if self.form == "linear" and not self.epsilon < 1 / 3:
+            expected = "< 1/3 of the linear form, whose rate has the wrong sign where tr B < 3 - 1/epsilon"
+            raise ParameterError("PTT.epsilon", self.epsilon, expected)
+
+    def rate(self, M: Tensor, zeta: Tensor | None, z: Values) -> Tensor:
+        assert zeta is not None
+        stretch = self.epsilon * (tr(z[CONFORMATION]) - 3)
+        f = 1 + stretch if self.form == "linear" else exp(stretch)
+        return 2 / value_at(self.G_m, z) * f * zeta
