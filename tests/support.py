@@ -185,20 +185,19 @@ def step_of(case: Case) -> Step:
     step = Step(small_box(case.dim), case.model, nv.Discretisation(k=case.k, m=case.m))
     step.context.tau.Set(0.3)
     step.context.set_loads(0.2, 0.3)
-    step.context.eta.Set(0.3)  # wide smoothing: all shares between 0 and 1
     step.context.curvature.Set(0.2)
     return step
 
 
 def randomise(step: Step, seed: int = 0, size: float = 0.15) -> None:
-    """Random values of all unknowns, old and new, and of v*; rho, J and |Hs|^2 positive."""
+    """Random values of all unknowns, old and new; rho, J, |Hs|^2 and [z] : [zeta] positive."""
     rng = np.random.default_rng(seed)
     for target in (step.state_old, step.state):
         target.vec.FV().NumPy()[:] = smooth_state(step)
         target.vec.FV().NumPy()[:] += size * rng.uniform(-1, 1, step.layout.space.ndof)
+        if (jumps := step.layout.ranges.get("conjugate_jump")) is not None:
+            target.vec.FV().NumPy()[jumps] += 1.0
     step.start_from_old()
-    step.wind.vec.FV().NumPy()[:] = step.state_old.vec.FV().NumPy()[step.layout.ranges["v"]]
-    step.follow_wind()
     positive = {"rho": step.now.rho, "J": step.now.z_tensors.get("J")}
     if "hess_square" in step.layout.names:
         positive["|Hs|^2"] = step.now.hess_square

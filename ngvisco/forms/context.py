@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Sequence
 from functools import partial
 from typing import TYPE_CHECKING, TypeVar
@@ -30,7 +29,6 @@ from ngvisco.forms.mesh.mesh_arrays import inner_facets
 from ngvisco.forms.rates import Rates
 from ngvisco.forms.term import Term
 from ngvisco.forms.time_means import TOLERANCE, TimeMean, mean_in_cells, mean_on_walls
-from ngvisco.forms.upwinding import Incoming, Upwinding
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.physics.model import Model
 from ngvisco.physics.signals import may_read_time, time
@@ -55,13 +53,12 @@ class Context:
         mesh: Mesh,
         model: Model,
         old: Fields,
-        wind: CoefficientFunction,
         energy: StoredEnergy | None = None,
         momentum_old: CoefficientFunction | None = None,
         degree: int = 8,
         passages: Sequence[Carried] = (),
     ) -> None:
-        """``wind`` is the velocity v* of the upwinding, m/s; ``degree`` that of the forms' rule, at whose
+        """``degree`` is that of the forms' rule, at whose
         points ``momentum_old`` are the values of m_old, kg/(m^2 s), None for rho_old v_old; ``passages`` are
         the walls that matter crosses.  ``energy`` may be None where the material's energy has an expression.
         """
@@ -80,48 +77,21 @@ class Context:
         self._means: dict[tuple[CoefficientFunction, str, bool], tuple[GridFunction, TimeMean]] = {}
         self._averaged: tuple[float, float, float] | None = None
         self._has_warned = False
-        self.eta = Parameter(1e-6)
-        """Width of the smoothed sign of v* . n, m/s."""
         self.curvature = Parameter(1e-6)
         """Curvature of v below which the interior penalty stops following hess v, 1/(m s)."""
         self.normal = specialcf.normal(mesh.dim)
         self.inner = inner_facets(mesh)
         self.h = cell_size(mesh)
-        self.crossed, incoming = self.inner, None
+        self.crossed, self.passages = self.inner, tuple(passages)
         """1 on facets that matter crosses, on those between two cells and on such walls; 0 on all others."""
+        self.reach: CoefficientFunction | None = None
+        """x less the middle of the cell, m, where matter flows in with the value of the cell's middle."""
         if passages:
-            where = sum((passage.indicator for passage in passages), CF(0.0))
-            self.crossed = self.inner + where
-            means = [  # a tilted average of a positive density may be negative
-                wall.given.mapped(partial(self.average, walls=wall.region, is_even=True)) for wall in passages
-            ]
-
-            reach = from_middle(mesh) if old.layout.unknowns["z"].order else None
-
-            def continued(u: Fields, name: str) -> CoefficientFunction:
-                """The cell's own value without its slope, with which it would grow from step to step."""
-                own = u.parts[name]
-                return own if reach is None else own - u.gradient(name) * u.context.given(reach)
-
-            def entering(u: Fields, name: str) -> CoefficientFunction:
-                own, of_walls = continued(u, name), []
-                for wall, given in zip(passages, means, strict=True):
-                    value = wall.entering(u, name, own, given)
-                    of_walls.append(u.context.given(wall.indicator) * value)
-                return sum(of_walls[1:], of_walls[0])
-
-            kept = {name: [at for at in passages if at.continues(name)] for name in ("rho", "z")}
-            on = {name: sum((at.indicator for at in found), CF(0.0)) for name, found in kept.items()}
-            incoming = Incoming(where, on, reach, entering)
-        self._through = wind * self.normal
-        self.upwinding = Upwinding(self._through, self.crossed, self.eta, incoming)
-        """On a cell's boundary only."""
-
-    def closed(self) -> Context:
-        """The same where what comes in through walls has the values that are there."""
-        other = copy.copy(self)
-        other.crossed, other.upwinding = self.inner, Upwinding(self._through, self.inner, self.eta)
-        return other
+            self.crossed = self.inner + sum((passage.indicator for passage in passages), CF(0.0))
+            if old.layout.unknowns["z"].order:
+                self.reach = from_middle(mesh)
+            for wall in passages:  # a tilted average of a positive density may be negative
+                wall.means = wall.given.mapped(partial(self.average, walls=wall.region, is_even=True))
 
     @property
     def momentum_old(self) -> CoefficientFunction:

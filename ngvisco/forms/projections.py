@@ -63,6 +63,30 @@ class LocalProjection:
         self.target.vec.data = self.inverse_mass * self.load.vec
 
 
+class FacetProjection:
+    """target = the mean over every facet of both sides' values, weighted by their shares; of order 0."""
+
+    def __init__(
+        self,
+        target: GridFunction,
+        quadrature: Quadrature,
+        share: CoefficientFunction,
+        value: CoefficientFunction,
+    ) -> None:
+        self.target, space = target, target.space
+        self._exchange = Exchange.of(space, Communicator.of(space.mesh))
+        test = space.TestFunction()
+        mass, self.load = LinearForm(space), LinearForm(space)
+        mass += share * test * quadrature.facets
+        self.load += share * value * test * quadrature.facets
+        areas = self._exchange.sum(mass.Assemble().vec.FV().NumPy().copy())
+        self._areas = np.where(areas > 0, areas, 1.0)
+
+    def __call__(self) -> None:
+        loads = self._exchange.sum(self.load.Assemble().vec.FV().NumPy().copy())
+        self.target.vec.FV().NumPy()[:] = loads / self._areas
+
+
 def inverse_mass(space: FESpace, quadrature: Quadrature) -> BaseMatrix:
     """The inverse mass matrix of cells by the rule of the forms, which ``Mass`` has on straight simplices
     only."""

@@ -9,7 +9,7 @@ Euler-large-viscoelastodyn+disc for F, J, ...):
     hyperstress          S - (mu_1 + mu |hess v|^{p-2}) hess v                    = 0
     kinematics           (z - z_old)/tau + (v.grad) z - rate(z; grad v, Pi)       = 0
     conjugates           zeta - phi'(z)                                           = 0
-    upwind traces        z_hat - z on the outflow side                            = 0
+    traces               z_hat - (z_1 + z_2)/2 on facets                          = 0
 
 with Pi = R M the creep rate, or its own equation where nu > 0, and the regularising terms if asked for.
 The old momentum m_old is rho_old v_old for the paper's scheme; others start from combinations of states,
@@ -48,7 +48,7 @@ from ngvisco.forms.energy import PointwiseEnergy, StoredEnergy
 from ngvisco.forms.fields import Fields, Tests
 from ngvisco.forms.mesh.mesh_arrays import check_mesh
 from ngvisco.forms.mesh.quadrature import Quadrature
-from ngvisco.forms.projections import LocalProjection
+from ngvisco.forms.projections import FacetProjection, LocalProjection
 from ngvisco.forms.rates import Rates, TabulatedRates
 from ngvisco.forms.spaces import Discretisation, Layout
 from ngvisco.forms.term import (
@@ -62,19 +62,33 @@ from ngvisco.forms.term import (
 )
 from ngvisco.forms.terms.heat import heat_terms
 from ngvisco.forms.terms.hyperviscosity import Hyperviscosity
-from ngvisco.forms.terms.momentum import Continuity, Convection, Inertia, Loading, Stokes
+from ngvisco.forms.terms.momentum import (
+    CellVelocity,
+    Continuity,
+    Convection,
+    Inertia,
+    Loading,
+    MeanFlux,
+    MomentumBalance,
+    Stokes,
+    UnbalancedMomentum,
+)
 from ngvisco.forms.terms.regularisation import regularising_terms
+from ngvisco.forms.terms.tangents import ConjugateJump, OfFacet, TangentForce, TangentGap, tangents_of
 from ngvisco.forms.terms.transport import (
     Conjugates,
     CreepRate,
     ElasticForce,
     Kinematics,
+    MeanConjugates,
     PlasticStraining,
-    UpwindTrace,
+    Trace,
+    Upwinding,
 )
-from ngvisco.forms.upwinding import FacetFlux
+from ngvisco.forms.upwinding import mean_share
 from ngvisco.physics.material import part_of
 from ngvisco.physics.materials.damaged import Damaged
+from ngvisco.physics.materials.thermal import entropy_in
 from ngvisco.physics.model import Model
 
 
@@ -93,11 +107,15 @@ class Elimination:
         u = layout.fields(state.components)
         parts = dict(zip(layout.names, state.components, strict=True))
         self.projections: dict[str, LocalProjection] = {}
+        self._of_facets: list[FacetProjection] = []
         for term in terms:
             if isinstance(term, Projecting):
                 with refused_by_name(term):
                     for name, load in term.projections(u):
                         self.projections[name] = LocalProjection(parts[name], quadrature, load)
+            if isinstance(term, OfFacet):
+                value = mean_share(u.context.inner), term.value(u)
+                self._of_facets.append(FacetProjection(parts[term.name], quadrature, *value))
         self._of_energy: LocalProjection | None = None
         if self.energy.projected is not None:
             load = tested(self.energy.density(u))
@@ -108,6 +126,8 @@ class Elimination:
         self._refresh_energy()
         for projection in self.projections.values():
             projection()
+        for mean in self._of_facets:
+            mean()
         if self.stresses:
             self.stresses.refresh()
 
@@ -128,16 +148,32 @@ _NOT_EVOLVED = (
 _NO_EQUATION = "it has a row of {name}, which is no unknown (of bodies the density is the sum of theirs)"
 
 
-def equations(model: Model, dim: int) -> tuple[Term, ...]:
-    """The terms of a model's equations, without walls."""
+def density_diffuses_or_is_cut_off(model: Model) -> bool:
+    """Whether the continuity equation has another flux than (v . n) rho_hat."""
+    law = model.regularisation
+    return law is not None and (law.rho_max is not None or law.delta_density > 0)
+
+
+def equations(model: Model, dim: int, m: int = 1) -> tuple[Term, ...]:
+    """The terms of a model's equations for fields of order ``m``, without walls."""
     terms: list[Term] = [] if model.bodies else [Continuity(model.regularisation)]
+    if m == 0 and model.regularisation is not None and model.regularisation.rho_max is not None:
+        terms.append(MeanFlux())
     terms += [Inertia(), Convection(model.regularisation), ElasticForce()]
+    if not density_diffuses_or_is_cut_off(model):
+        terms += [CellVelocity(), UnbalancedMomentum(), MomentumBalance()]
     if model.viscosity is not None:
         terms.append(Stokes(model.viscosity))
     if model.hyperviscosity is not None:
         terms.append(Hyperviscosity(model.hyperviscosity))
     terms += [Loading(load, dim) for load in model.loads]
-    terms += [Kinematics(model), Conjugates(model), UpwindTrace()]
+    terms += [Kinematics(model), Conjugates(model), Trace()]
+    tangents = tangents_of(model.material, dim)
+    if tangents is not None:
+        terms += [TangentGap(), ConjugateJump(), tangents]
+    if entropy_in(model.material) is not None:
+        terms.append(MeanConjugates())
+    terms.append(Upwinding(tangents))
     if model.creep is not None and not model.creep.is_local:
         terms.append(CreepRate(model.creep))
     terms += [PlasticStraining(flow) for flow in model.flows if flow.rule.hardening is not None]
@@ -186,7 +222,7 @@ class Step:
         self.walls = Walls(mesh, conditions)
         known = () if sources is None else (sources,)
         self.terms = (
-            *equations(model, mesh.dim),
+            *equations(model, mesh.dim, self.discretisation.m),
             *wall_terms(self.walls, model),
             *heat_terms(model, self.walls),
             *terms,
@@ -215,15 +251,10 @@ class Step:
         if response is not None:
             self.energy = PointwiseEnergy(model.material, response, self.quadrature, self.now, m)
         self.momentum_old, self._momentum = (self.quadrature.vectors(mesh.dim) for _ in range(2))
-        self.wind = GridFunction(self.layout.blocks["v"], name="wind")
-        """v*, which says what side of a facet is upstream, m/s; known before a step is solved."""
-        self.through = FacetFlux(mesh, self.wind, k) if m == 0 else None
-        """Of it what goes through facets, where a trace has one value of each."""
         self.context = self.layout.context = Context(
             mesh,
             model,
             self.old,
-            self.wind if self.through is None else self.through.function,
             self.energy,
             self.momentum_old,
             self.quadrature.volume_degree,
@@ -255,9 +286,15 @@ class Step:
         """R(u; w) as one nonlinear form with element-local unknowns to be condensed."""
         u, w = self.linearised_fields(self.layout.space.TrialFunction()), self.tests()
         form = BilinearForm(self.layout.space, condense=True)
+        state = dict(zip(self.layout.names, self.state.components, strict=True))
         for term in self.terms:
+            at = u
+            if isinstance(term, TangentForce):
+                # Newton's method follows the weights, whose slope is steep where a jump is small
+                kept = {name: state[name] for name in (TangentGap.name, ConjugateJump.name)}
+                at = Fields(self.layout, {**u.parts, **kept}, u.context)
             with refused_by_name(term):
-                self.quadrature.add(form, term.form(u, w))
+                self.quadrature.add(form, term.form(at, w))
         return form
 
     def tests(self) -> Tests:
@@ -322,11 +359,6 @@ class Step:
         for name in self.layout.evolving:
             old[ranges[name]] = sum(weight * part.values[name] for weight, part in parts)
         self.momentum_old.vec.FV().NumPy()[:] = sum(weight * part.momentum for weight, part in parts)
-
-    def follow_wind(self) -> None:
-        """Let the sides of upwinding be those of the present ``wind``."""
-        if self.through is not None:
-            self.through()
 
     def start_from_old(self) -> None:
         """Let the step start from the state that ``state_old`` holds: m_old = rho_old v_old."""

@@ -15,6 +15,7 @@ What a term reads besides u, w and ``u.context`` has to stay as it is through th
 out of a Parameter by ``Get()`` is that of the moment when the form was made.
 """
 
+from abc import abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -61,6 +62,8 @@ class Unknown:
         states, errors and increments count it, a transfer carries it over, and ``Initial.values`` starts it.
     on : CoefficientFunction or None
         Of one of walls that evolves: 1 on their facets, 0 on all others.
+    is_mean : bool
+        Whether it is a ``CellMean``, a constant in each cell.
     scale : float
         A size of it, in its unit, that is not small, >= 0: errors and increments count relative to what the
         unknown is and to this; 0 for one that is never zero everywhere.  That of v is the run's.
@@ -76,6 +79,7 @@ class Unknown:
     evolves: bool = False
     scale: float = 0.0
     on: CoefficientFunction | None = None
+    is_mean: bool = False
 
     def __post_init__(self) -> None:
         if self.evolves and self.place not in _IN_CELLS and self.on is None:
@@ -168,7 +172,15 @@ class PointTerm:
     """A term that is a function of the values at a point; see the module's docstring.
 
     Derived classes override ``cells``, ``facets`` or ``nodes``, and ``entries`` where the term has a power.
+
+    Attributes
+    ----------
+    linearised : bool
+        Whether the split solver takes the term's derivative into its tangent.  Terms that transport and
+        elastic force have a tangent for, and small ones, say no.
     """
+
+    linearised = True
 
     def cells(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         """Summands to be integrated over the cells."""
@@ -181,6 +193,10 @@ class PointTerm:
     def nodes(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         """Summands to be integrated over the cells by as many points as a field has values in one."""
         return []
+
+    def entering_mass(self, u: Fields) -> CoefficientFunction | None:
+        """Mass that flows in through walls beyond (v . n)^- rho, kg/(m^2 s); None where there is none."""
+        return None
 
     def form(self, u: Fields, w: Fields) -> list[Integrand]:
         """``cells``, ``facets`` and ``nodes`` for NGSolve."""
@@ -207,6 +223,44 @@ class PointTerm:
         return [Entry(name, "dissipation", Integrand(*(part.get(name) for part in parts))) for name in names]
 
 
+Integrands: TypeAlias = Callable[[CoefficientFunction], Sequence[Integrand]]
+"""Integrands by the test function of a space."""
+
+
+class CellMean(PointTerm):
+    """int_K (a_K - a) q - int_{dK} b q = 0 for constant q: a_K, an unknown of cells, is a mean.
+
+    a_K is an explicit function of other unknowns, which no solver iterates on.
+    """
+
+    name: str
+
+    @abstractmethod
+    def value(self, u: Fields) -> CoefficientFunction:
+        """a, in a cell."""
+
+    def value_on_sides(self, u: Fields) -> CoefficientFunction | None:
+        """b, on a cell's side."""
+        return None
+
+    def cells(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
+        q = w.parts[self.name]
+        return [inner(u.parts[self.name], q), -inner(self.value(u), q)]
+
+    def facets(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
+        b = self.value_on_sides(u)
+        return [] if b is None else [-inner(b, w.parts[self.name])]
+
+    def projections(self, u: Fields) -> list[tuple[str, Integrands]]:
+        b = self.value_on_sides(u)
+
+        def load(q: CoefficientFunction) -> list[Integrand]:
+            sides = [] if b is None else [Integrand(facets=inner(b, q))]
+            return [Integrand(inner(self.value(u), q)), *sides]
+
+        return [(self.name, load)]
+
+
 Where: TypeAlias = Literal["cells", "facets", "nodes"]
 PLACES: tuple[Where, ...] = ("cells", "facets", "nodes")
 """What is integrated over, as ``Integrand`` names it."""
@@ -226,10 +280,6 @@ def dissipations(u: Fields, reader: Term, where: Where = "cells") -> dict[str, C
     points = (term for term in u.context.terms if term is not reader and isinstance(term, PointTerm))
     parts = (DISSIPATED[where](term, u) for term in points)
     return {name: value for part in parts for name, value in part.items()}
-
-
-Integrands: TypeAlias = Callable[[CoefficientFunction], Sequence[Integrand]]
-"""Integrands by the test function of a space."""
 
 
 def tested(value: CoefficientFunction) -> Integrands:

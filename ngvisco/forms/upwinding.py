@@ -1,85 +1,46 @@
-"""Upwinding across facets: the one place where a cell's outflow is told from its inflow.
+"""Traces on facets: means of both sides, and the speed by which upwinding dissipates.
 
-With a = v* . n, zero on walls that nothing crosses, and the smooth modulus |a|_eta = sqrt(a^2 + eta^2),
+A trace is the mean of the values on both sides of a facet, and the value itself on a wall.  Transport and
+elastic force use the same trace, whichever side is upstream: with one-sided weights the force of a jump would
+be a thrust on the body, of the size of the Bregman distance between both sides
+(``ngvisco.forms.terms.transport``).  Upwinding is a term of its own, in the transport alone,
 
-    n^- = (1 - a/|a|_eta)/2     near 1 where v* enters a cell, near 0 where it leaves; 0 on such walls.
+    sum_K int_{dK} |v . n| (a - a_hat) t = 1/2 int |v . n| [a] [t]    over the facets between two cells,
 
-The shares of both sides of a facet are 1 - n^- in (0, 1) and sum up to one, so that a trace weighted by
-them is a convex combination. On a wall that matter crosses the other side's value is that of what flows in
-(``Incoming``), given or the cell's own, and n^- = max(-a, 0)/|a|_eta: where nothing flows the body alone
-says its stress. The
-velocity v* is known before a step is solved: in the energy identity the two uses of B_h
-(``ngvisco.forms.terms.transport``) cancel for any weights, and with weights that do not depend on the
-step's own velocity the equations of the step are smooth. With those of the step's own velocity the elastic
-force would jump by [z] : [zeta] where v . n changes its sign, and the step could fold.
+by which the whole flux is that of the upstream side.
 """
 
 from abc import abstractmethod
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 
-from ngsolve import CoefficientFunction, GridFunction, HDiv, Mesh
+from ngsolve import CoefficientFunction
 
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.term import PointTerm
-from ngvisco.physics.tensors import if_positive, inner, sqrt
+from ngvisco.physics.tensors import if_positive, inner
 
 
 def mean_share(inner: CoefficientFunction) -> CoefficientFunction:
-    """1 - n^- for v* = 0.  Both sides' shares sum up to the same whatever v*, so that a trace's mass matrix
-    is that of these: 1/2 between two cells, 1 on walls."""
+    """The share of a side's value in the trace: 1/2 between two cells, 1 on walls."""
     return 1.0 - 0.5 * inner
 
 
-@dataclass(frozen=True)
-class Incoming:
-    """What flows in: ``where`` is 1 on the walls that matter crosses, 0 elsewhere; ``value`` takes the fields
-    of a cell's side and the name ``"rho"`` or ``"z"`` to what flows in there.
-
-    On walls where ``continued`` is 1, for each name, that is the cell's own value less the slope of it times
-    ``reach``, x less the middle of the cell; None with constants in cells.
-    """
-
-    where: CoefficientFunction
-    continued: Mapping[str, CoefficientFunction]
-    reach: CoefficientFunction | None
-    value: Callable[[Fields, str], CoefficientFunction]
+def speed(u: Fields) -> CoefficientFunction:
+    """|v . n| on facets that matter crosses, 0 on all others, m/s."""
+    through = u.context.crossed * (u.v * u.context.normal)
+    return if_positive(through, through, -through)
 
 
-class Upwinding:
-    """n^- and 1 - n^- of coefficient functions or of arrays, and the values that a trace is a mean of."""
+_ACROSS = (0.8125, 0.4875, 0.3195)
+"""A direction to which no facet of a regular mesh is parallel; it tells both sides of a facet apart."""
 
-    def __init__(
-        self,
-        through: CoefficientFunction,
-        crossed: CoefficientFunction,
-        eta: CoefficientFunction | float,
-        incoming: Incoming | None = None,
-    ) -> None:
-        """``through`` is v* . n (m/s) also on walls, ``crossed`` 0 on facets that nothing crosses, else 1.
 
-        ``eta`` is the width of the smoothed sign, m/s.
-        """
-        a = crossed * through
-        sign = a / sqrt(a * a + eta * eta)
-        self.inflow = 0.5 * (crossed - sign)
-        if incoming is not None:
-            self.inflow = self.inflow + incoming.where * (if_positive(a, 0.0 * sign, -sign) - self.inflow)
-        self.incoming = incoming
-
-    def trace(self, u: Fields, name: str) -> CoefficientFunction:
-        """What an upwind trace of ``"rho"`` or ``"z"`` is zero for, of a cell's side: share (a_hat - a), and
-        n^- (a_hat - a_in) where a wall is crossed."""
-        hat, own = u.parts[f"{name}_hat"], u.parts[name]
-        difference = self.share * (hat - own)
-        if self.incoming is None:
-            return difference
-        return difference + (self.incoming.where * self.inflow) * (hat - self.incoming.value(u, name))
-
-    @property
-    def share(self) -> CoefficientFunction:
-        """1 - n^-: what the cell's own value counts in the upwind trace."""
-        return 1.0 - self.inflow
+def side(u: Fields) -> CoefficientFunction:
+    """1 on the first side of a facet, -1 on the second, 0 on walls."""
+    n = u.context.normal
+    along = sum((_ACROSS[i] * n[i] for i in range(1, u.dim)), _ACROSS[0] * n[0])
+    one = 1.0 + 0.0 * along
+    return u.context.inner * if_positive(along, one, -one)
 
 
 class SideMean(PointTerm):
@@ -101,22 +62,3 @@ class SideMean(PointTerm):
 
     def facets(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         return [inner(self.difference(u), w.parts[self.name])]
-
-
-class FacetFlux:
-    """The Raviart-Thomas field of lowest order with the mean normal components of a velocity of some order,
-    m/s.
-
-    With fields of order 0 a trace has one value a facet.  By sides that differ from point to point it is a
-    mean of both cells' values where v . n changes its sign along the facet, and what leaves a cell is taken
-    from its neighbour too: a density may become negative.  By the side of the mean it is the value of one
-    cell, and the implicit step has an M-matrix.
-    """
-
-    def __init__(self, mesh: Mesh, velocity: CoefficientFunction, order: int) -> None:
-        self.function = GridFunction(HDiv(mesh, order=0, RT=True))
-        self._velocity, self._order = velocity, order
-
-    def __call__(self) -> None:
-        """Follow the present velocity."""
-        self.function.Set(self._velocity, dual=True, bonus_intorder=self._order)

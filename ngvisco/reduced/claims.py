@@ -23,7 +23,7 @@ from ngvisco.forms.context import Context
 from ngvisco.forms.fields import Fields, Tests
 from ngvisco.forms.rates import TabulatedRates
 from ngvisco.forms.system import Step
-from ngvisco.forms.term import GivenParts, PointTerm, Term, refused_by_name
+from ngvisco.forms.term import CellMean, GivenParts, PointTerm, Term, refused_by_name
 from ngvisco.forms.terms.heat import Heating
 from ngvisco.forms.terms.hyperviscosity import Hyperviscosity
 from ngvisco.forms.terms.momentum import Continuity, Inertia, Loading
@@ -62,6 +62,8 @@ class Claims:
 
     traces: list[SideMean] = field(default_factory=list)
     """Equations of means of both sides, as the upwind trace of z, solved for these."""
+    means: list[CellMean] = field(default_factory=list)
+    """Means over cells, solved for these."""
     conjugates: list[Term] = field(default_factory=list)
     """The projection of phi'(z)."""
     at_points: list[PointTerm] = field(default_factory=list)
@@ -114,7 +116,10 @@ class Claims:
         others = [
             term
             for term in self.at_points
-            if type(term) not in own and id(term) not in at_coarse_points and self._of_flow(term)
+            if type(term) not in own
+            and term.linearised
+            and id(term) not in at_coarse_points
+            and self._of_flow(term)
         ]
         return [*self.by_forms, *others]
 
@@ -123,7 +128,7 @@ class Claims:
         force, which changes with the fields, nor what couples v with another unknown of the flow."""
         alone = ({"grad v"}, {"v", "grad v"})
         terms = (term for term in self.at_points if self._of_flow(term) in alone)
-        return [term for term in terms if not isinstance(term, ElasticForce)]
+        return [term for term in terms if term.linearised and not isinstance(term, ElasticForce)]
 
     def _of_flow(self, term: Term) -> set[str]:
         """Tests of the flow that a term at points has rows of."""
@@ -144,7 +149,7 @@ class Claims:
         for term in self.at_points:
             reads = self.rows[id(term)]
             is_stress = id(term) in stresses and any(reads.values())
-            if type(term) is not Kinematics and (reads.get("z") or is_stress):
+            if type(term) is not Kinematics and term.linearised and (reads.get("z") or is_stress):
                 found.append(term)
         return found
 
@@ -164,6 +169,8 @@ class Claims:
             part = _PARTS[kind]
         elif isinstance(term, SideMean) and type(term).facets is SideMean.facets:
             part = "traces"
+        elif isinstance(term, CellMean) and type(term).cells is CellMean.cells:
+            part = "means"
         else:
             obstacle = self._obstacle_at_points(step, term)
             part = "at_points" if obstacle is None else "by_forms"
@@ -289,9 +296,8 @@ def asked_slots(step: Step, term: PointTerm, rates: TabulatedRates) -> tuple[dic
         normal=ones(d),
         inner=ones(),
         crossed=ones(),
-        upwinding=SimpleNamespace(share=ones(), inflow=ones()),
-        eta=1.0,
         curvature=1.0,
+        reach=step.context.reach,
         **known,
     )
     try:
@@ -299,7 +305,8 @@ def asked_slots(step: Step, term: PointTerm, rates: TabulatedRates) -> tuple[dic
             u, w = fields(inside, (*cells, *derived), cells, CELLS), tests_of(step, True, inside)
             inside_cells, at_nodes = list(term.cells(u, w)), list(term.nodes(u, w))
             names = (*on_sides(step), "zeta", *derived)
-            u, w = fields(side, names, ["zeta"], FACETS), tests_of(step, False, side)
+            sloping = [name for name in ("rho", "z", "zeta") if name in names]
+            u, w = fields(side, names, sloping, FACETS), tests_of(step, False, side)
             u.__dict__["jump"] = ones(d)
             found = slots_of(list(term.facets(u, w))) | slots_of(inside_cells + at_nodes)
             return {name: np.iscomplexobj(g) for name, g in found.items()}, bool(slots_of(at_nodes))

@@ -10,14 +10,11 @@ from __future__ import annotations
 
 from collections import ChainMap
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
-from functools import cached_property
 from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
-import scipy.sparse as sp
-from ngsolve import CF, CoefficientFunction, GridFunction, specialcf
+from ngsolve import CF, CoefficientFunction, GridFunction
 
 from ngvisco.errors import NgviscoError
 from ngvisco.forms.fields import Fields, Tests
@@ -25,7 +22,7 @@ from ngvisco.forms.rates import TabulatedRates
 from ngvisco.forms.spaces import Layout
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import PointTerm, Where
-from ngvisco.forms.upwinding import Incoming, SideMean, Upwinding
+from ngvisco.forms.upwinding import SideMean
 from ngvisco.physics.arrays import TINY, Array, Linear, slots
 from ngvisco.reduced.operators import Operators, SideOperators
 from ngvisco.reduced.unknowns import derived_in_cells, in_cells
@@ -245,6 +242,7 @@ class SideContext:
         self._given = WeakKeyDictionary[CoefficientFunction, Array]()
         self.normal, self.h = Array(operators.points.normals, None), Array(operators.h, None)
         self.inner, self.crossed = Array(operators.inner, None), Array(operators.crossed, None)
+        self.reach = step.context.reach
         self.rates, self.terms = step.tabulated_rates, step.terms
 
     def rate(self, difference: Any) -> Any:
@@ -252,30 +250,8 @@ class SideContext:
         return _rate(self._step, difference)
 
     def start(self) -> None:
-        """Let what is given, and the side of upwinding, be that of the step."""
+        """Let what is given be that of the step."""
         self._given.clear()
-        flux, wind = self._step.through, self._step.wind.vec.FV().NumPy()
-        if flux is None:
-            v = self._op.v(wind.reshape(self._step.mesh.dim, -1))
-            through = (self._points.normals * v).sum(axis=0)
-        else:
-            through = self._through @ flux.function.vec.FV().NumPy()
-        eta = self._step.context.eta.Get()
-        self.upwinding = Upwinding(Array(through, None), self.crossed, eta, self._incoming())
-
-    @cached_property
-    def _through(self) -> sp.csr_matrix:
-        """Takes what goes through facets to v* . n at the points."""
-        assert self._step.through is not None
-        space, n = self._step.through.function.space, specialcf.normal(self._step.mesh.dim)
-        return self._points.operator(space, lambda v: v * n)
-
-    def _incoming(self) -> Incoming | None:
-        """What flows in through walls; None where nothing crosses them."""
-        incoming = self._step.context.upwinding.incoming
-        if incoming is None:
-            return None
-        return replace(incoming, where=self.given(incoming.where))
 
     def given(self, value: CoefficientFunction) -> Array:
         """A scalar, a vector or a matrix at the end of the step, see ``Context.given``."""

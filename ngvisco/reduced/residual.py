@@ -27,7 +27,7 @@ from ngvisco.forms.fields import Fields, Tests
 from ngvisco.forms.mesh.mesh_arrays import mask_of
 from ngvisco.forms.mesh.points import csr
 from ngvisco.forms.system import Step
-from ngvisco.forms.term import GivenParts, Integrand, PointTerm, Term, WithheldError
+from ngvisco.forms.term import CellMean, GivenParts, Integrand, PointTerm, Term, WithheldError
 from ngvisco.forms.upwinding import mean_share
 from ngvisco.parallel.exchange import Exchange
 from ngvisco.physics.arrays import TINY, Array
@@ -179,9 +179,7 @@ class ReducedResidual:
         self.ranks, self.exchange = exchange.communicator, exchange.part(u.places(u.names))
         """Of the packed unknowns."""
         # of one component: those of rho, which bodies have not, lie alike
-        self._traces = exchange.part(u.places(["z_hat"])[: self.side_op.hat.width])
-        self.trace_mass = FacetMass(self.side_op.hat, self._traces)
-        self.trace_mass.update(self.side_op.points.weights * mean_share(self.side_op.inner))
+        self.trace_mass = self._mass_of_traces(exchange, "z_hat")
         self.diffusion: FieldDiffusionRows | None = None
         if claims.diffusion:
             term = claims.diffusion[0]
@@ -189,6 +187,16 @@ class ReducedResidual:
         self._at_points = [*claims.at_points, *claims.continuity]
         self._of_traces: list[tuple[PointTerm, str]] = [(term, term.name) for term in claims.traces]
         self._of_traces += [(term, "rho_hat") for term in claims.continuity]
+        orders = {step.layout.unknowns[name].order: name for _, name in self._of_traces}
+        self._masses = {order: self._mass_of_traces(exchange, name) for order, name in orders.items()}
+        self._masses[step.layout.unknowns["z_hat"].order] = self.trace_mass
+
+    def _mass_of_traces(self, exchange: Exchange, name: str) -> FacetMass:
+        """The mass of the means of both sides that have the order of ``name``."""
+        values = self.side_op.of(name)
+        mass = FacetMass(values, exchange.part(self.unknowns.places([name])[: values.width]))
+        mass.update(self.side_op.points.weights * mean_share(self.side_op.inner))
+        return mass
 
     def start(self) -> None:
         """Evaluate what is known through the step."""
@@ -241,6 +249,8 @@ class ReducedResidual:
         u, s = self.cell_terms.fields(c), self.facet_terms.fields(c)
         c["zeta"] = apply(self.inverse_mass, op.z.test(self.slope(u.z.value)))
         self._set_traces(c, s)
+        for mean in self.claims.means:
+            c[mean.name] = self._mean(mean, u, s)
         if self.diffusion is not None:
             c |= self.diffusion.slopes(u.z.value, c)
         if self.hyper is not None:
@@ -270,13 +280,21 @@ class ReducedResidual:
             self._of_forms.append((u.density_slice, rows, columns))
         return lambda d: self(at.x + (TINY * 1j) * d).residual.imag / TINY
 
+    def _mean(self, term: CellMean, u: Fields, s: Fields) -> np.ndarray:
+        """A mean over the cells, (components, cells)."""
+        cells, sides = self.op.z.cells, term.value_on_sides(s)
+        parts = [(term.value(u), self.op.weights)]
+        parts += [] if sides is None else [(sides, self.side_op.points.weights)]
+        totals = ((a.value * weights).reshape(len(a.value), cells, -1).sum(axis=2) for a, weights in parts)
+        return sum(totals) / self.op.weights.reshape(cells, -1).sum(axis=1)
+
     def _set_traces(self, c: dict[str, np.ndarray], s: Fields) -> None:
         """Solve for the upwind traces and other means of both sides, which may read those before them."""
         for term, name in self._of_traces:
             zeros = np.zeros((*self.step.layout.unknowns[name].shape, 1))
             loads = self.facet_terms.slots([term], with_values(s, **{name: zeros}))
-            tested = self._traces.sum(self.side_op.hat.test(loads[name]))
-            c[name] = -self.trace_mass.solve(tested)
+            mass = self._masses[self.step.layout.unknowns[name].order]
+            c[name] = -mass.solve(mass.exchange.sum(self.side_op.of(name).test(loads[name])))
 
     def _packed(self, x: np.ndarray, rows: list[dict[str, np.ndarray]]) -> np.ndarray:
         """The sum of rows by unknowns, of what forms have and of the source, also of other ranks' cells."""

@@ -19,8 +19,9 @@ def in_cells(layout: Layout) -> list[str]:
 
 
 def derived_in_cells(layout: Layout) -> list[str]:
-    """Those of the hyperviscosity, which have values there too, and neither tests nor gradients."""
-    return [name for name in ("hess", "hess_square") if name in layout.unknowns]
+    """Those of the hyperviscosity and means over cells, which have values there too, and no gradients."""
+    constants = [name for name in layout.names_of("cells") if layout.unknowns[name].is_mean]
+    return [*(name for name in ("hess", "hess_square") if name in layout.unknowns), *constants]
 
 
 class Unknowns:

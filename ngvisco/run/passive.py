@@ -32,7 +32,7 @@ from ngvisco.errors import CheckpointError, ParameterError, StepError, UnknownNa
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.rates import Conjugate, Rates
 from ngvisco.forms.system import Step
-from ngvisco.forms.terms.transport import UpwindTrace, transport_in_cells, transport_through_facets
+from ngvisco.forms.terms.transport import Trace, Upwinding, transport_in_cells, transport_through_facets
 from ngvisco.physics.material import StateSpace
 from ngvisco.physics.parameters import Parameter
 from ngvisco.physics.tensors import IDENTITY, inner, square
@@ -185,13 +185,14 @@ class _Carrier:
         traces = ngs.VectorValued(traces, mesh.dim) if vector else traces
         self.space = FESpace([self.cells, ngs.Periodic(traces) if step.layout.periodic else traces])
         (f, f_hat), (g, g_hat) = self.space.TnT()
-        c, layout, rules = step.context.closed(), copy.copy(step.layout), step.quadrature
+        c, layout, rules = copy.copy(step.context), copy.copy(step.layout), step.quadrature
         c.rates = _Growth(step, rate)
         layout.states = StateSpace.of((Parameter("f"),), mesh.dim)
         u = Fields(layout, {"v": step.now.v, "z": f, "z_hat": f_hat}, c)
         w = Fields(layout, {"z": g, "z_hat": g_hat}, c)
         cells = c.rate(inner(f, g)) - sum(transport_in_cells(u, u, w, "z"))
-        facets = sum(UpwindTrace().facets(u, w)) - transport_through_facets(u, u, w, "z")
+        facets = sum(Trace().facets(u, w)) + sum(Upwinding().facets(u, w))
+        facets -= transport_through_facets(u, u, w, "z")
         self.form = ngs.BilinearForm(self.space, condense=True)
         self.form += cells.Compile() * rules.cells
         self.form += facets.Compile() * rules.facets

@@ -194,9 +194,8 @@ class Simulation:
         return Simulation(mesh, **given | others)
 
     def set_velocity_scale(self, scale: float) -> None:
-        """Set the widths of the smoothed upwinding and of the penalty's weight, from m/s."""
+        """Set the width of the penalty's weight, from m/s."""
         self.velocity_scale = scale
-        self.rothe_step.context.eta.Set(1e-4 * scale)
         self.rothe_step.context.curvature.Set(0.1 * scale / diameter(self.rothe_step.mesh, self.ranks) ** 2)
 
     def set_time(self, t: float, number: int) -> None:

@@ -220,12 +220,6 @@ class Newton:
                     next_size, contraction = self._following(size)
             history.append(NewtonIteration(size, contraction, damping, fresh))
             is_shorter = contraction <= 1 - damping / 4
-            if is_shorter and problem.changes(next_size):
-                self.eliminate()
-                self.form.Apply(u, self._residual)
-                fresh, damping = True, 1.0
-                self._set_increment(problem, fresh)
-                continue
             # not where the residual is no number: the next increment is then an old one
             stalled = fresh and options.refresh < contraction < np.inf
             if damping == 1.0 and (next_size <= options.tolerance or (stalled and self._is_rounding())):

@@ -164,11 +164,6 @@ class Problem(Protocol):
     def pose(self) -> None:
         """Give the equations these parameters, and the state the values that they prescribe."""
 
-    def changes(self, increment: float) -> bool:
-        """Whether the equations change with the iterate, which is in the state and was reached by an
-        increment of this size; they do no more where the increments are small.  By default never."""
-        return False
-
     def factorised(self) -> None:
         """Called when the derivative has been factorised at the present state; nothing by default."""
         return

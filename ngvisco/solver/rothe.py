@@ -18,13 +18,13 @@ from ngvisco.solver.newton import Newton
 from ngvisco.solver.options import NewtonOptions
 from ngvisco.solver.problem import Attempt, BlockNorm, Interval, Problem, Solution, Status
 from ngvisco.solver.split.solver import Split
-from ngvisco.solver.start import Extrapolation, Sides
+from ngvisco.solver.start import Extrapolation
 from ngvisco.solver.turns import Turns
 from ngvisco.threads import on_arrays
 
 _PARAMETERS = ("tau", "end", "loads_from", "loads_over", "loads_tilt")
 
-_FACTORISED_AT = {"state": None, "state_old": None, "wind": "v", "lagged": "z"}
+_FACTORISED_AT = {"state": None, "state_old": None, "lagged": "z"}
 """What a factorisation depends on, and the unknown that it is of; a checkpoint numbers whole states."""
 
 _TOO_FAST = 0.8
@@ -78,7 +78,6 @@ class RotheSolver:
         self._met: list[str] = []
         """Why energies of a step's iterates were no numbers, of all attempts."""
         self.extrapolation = Extrapolation(step)
-        self.sides = Sides(step, self.h_min)
 
     @property
     def method(self) -> str:
@@ -236,8 +235,6 @@ class RotheSolver:
             self.newton.damps = damps
         self.step.energy.last_failure = None
         self.ranks.forget_notes()
-        velocity = self.extrapolation.velocity(interval.end)
-        self.sides.choose(self._velocity(self._start) if velocity is None else velocity)
         return self._judged(self.newton.solve(self.problem(interval), guess))
 
     def return_to(self, values: BaseVector) -> None:
@@ -288,7 +285,6 @@ class RotheSolver:
     def _set(self, values: dict[str, np.ndarray]) -> None:
         for name, vector in self._vectors().items():
             vector[:] = values[name]
-        self.step.follow_wind()
         self.step.start_from_old()  # by numerical heating, of backward Euler, the derivative has m_old too
 
     def _part(self, name: str) -> slice:
@@ -323,17 +319,12 @@ class RotheProblem(Problem):
     interval: Interval
 
     def pose(self) -> None:
-        """Set the step's parameters, the time, velocities of walls and of v* there, and the norm's units."""
+        """Set the step's parameters, the time, velocities of walls there, and the norm's units."""
         solver, at = self.solver, self.interval
         solver.step.context.set_step(at.tau, at.end, at.loads_from, at.loads_over, at.loads_tilt)
         solver.step.moving_walls.set_values()
-        solver.sides.take_walls()
         solver.norm.units["v"] = solver.h_min / at.tau
         solver.norm.units |= dict.fromkeys(solver.norm.shared, 1 / at.tau)
-
-    def changes(self, increment: float) -> bool:
-        """Whether v* becomes the iterate's velocity."""
-        return self.solver.sides.change(increment)
 
     def factorised(self) -> None:
         """Keep what a restart has to know."""

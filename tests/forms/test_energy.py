@@ -29,7 +29,6 @@ def step_with(dim: int, material: nv.Material, k: int = 2, m: int = 1) -> Step:
     step = Step(small_box(dim), replace(Case(dim=dim).model, material=material), nv.Discretisation(k=k, m=m))
     step.context.tau.Set(0.3)
     step.context.set_loads(0.2, 0.3)
-    step.context.eta.Set(0.3)
     step.context.curvature.Set(0.2)
     return step
 

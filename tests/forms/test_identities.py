@@ -6,6 +6,7 @@ from ngsolve import CF, Id, OuterProduct, x, y
 from support import Case, block, parts_of, randomise, residual, step_of, uncondensed
 
 from ngvisco import StokesViscosity
+from ngvisco.forms.projections import set_traces
 from ngvisco.forms.start.initial import complete
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import Integrand, Term
@@ -58,9 +59,10 @@ def unit_test(step: Step) -> np.ndarray:
 
 @by_case
 def test_continuity_conserves_mass_for_any_state(case: Case) -> None:
-    """With q = 1 only the storage is left, whatever v, rho and rho_hat are."""
+    """With q = 1 only the storage is left, whatever v and rho are; rho_hat is the mean of both sides."""
     step = step_of(case)
     randomise(step, 1)
+    set_traces(step.layout, step.state, step.context, step.quadrature)
     rate = rows(step, "Continuity") @ unit_test(step)
     old, now = (step.quadrature.integrate_cells(f.rho) for f in (step.old, step.now))
     tau = step.context.tau.Get()

@@ -116,7 +116,6 @@ def test_closure_is_the_residual_tested_by_the_solution(case: Case) -> None:
         small_box(case.dim), case.model, dt=0.3, discretisation=Discretisation(k=case.k, m=case.m)
     )
     step = run.rothe_step
-    step.context.eta.Set(0.3)
     step.context.curvature.Set(0.2)
     step.context.tau.Set(0.3)
     step.context.set_loads(0.2, 0.3)

@@ -63,8 +63,6 @@ def prepared(run, v, z_noise=0.0):
     x, slices = split.unknowns.pack(), split.unknowns.slices
     x[slices["v"]] = v.ravel()
     x[slices["z"]] += z_noise * np.random.default_rng(0).standard_normal(x[slices["z"]].shape)
-    run.rothe_step.wind.vec.FV().NumPy()[:] = v.ravel()
-    run.rothe_step.follow_wind()
     split.residual.start()
     at = split.residual(x)
     split.preconditioner.operator.update(at)

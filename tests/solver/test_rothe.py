@@ -1,15 +1,13 @@
-"""A Rothe step: from a rough start, restored where it fails; when an iteration ends; sides of upwinding."""
+"""A Rothe step: from a rough start, restored where it fails; when an iteration ends."""
 
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from ngsolve import CF, Id, IfPos, OuterProduct, x
-from support import MATERIALS, SWIRL, small_run, state, swirling
+from support import MATERIALS, SWIRL, small_run, state
 
-import ngvisco as nv
 from ngvisco import HyperViscosity, NewtonOptions, StepError, StokesViscosity, time
-from ngvisco.geometries import box
 from ngvisco.solver.options import SplitOptions
 from ngvisco.solver.problem import Problem, Status, iterations
 from ngvisco.solver.split.solver import Split, iterate
@@ -61,21 +59,6 @@ def test_change_of_the_step_length_assembles_anew() -> None:
     assert run.solver.newton.is_factorised
     history = run.integrator.advance(run.t, 0.02).history
     assert history[0].solution.history[0].fresh_jacobian
-
-
-@pytest.mark.parametrize("m", [0, 1])
-def test_a_side_is_wrong_where_the_flow_has_turned(m):
-    """As all cells say; not where the velocity is that of the side, or next to it."""
-    run = swirling(box((1, 1), 0.25), dt=0.3, discretisation=nv.Discretisation(m=m), solver="coupled")
-    sides, step = run.solver.sides, run.rothe_step
-    step.context.set_step(0.3, 0.3, 0.0, 0.3)
-    v = step.state.vec.FV().NumPy()[step.layout.ranges["v"]].copy()
-    found = []
-    for share in (0.0, 0.3, 0.5, 0.7, 0.9, 0.95, 1.1):  # of the largest, above which coefficients are turned
-        sides.choose(np.where(abs(v) >= share * abs(v).max(), -v, 0.999 * v))
-        found.append(sides._is_wrong())
-        assert found[-1] == (step.quadrature.integrate_facets(sides._wrong) > 0)
-    assert found[0] and found[2] and not found[-1]
 
 
 class Posed(Problem):
@@ -175,18 +158,3 @@ def test_increments_may_grow_far_from_the_solution(smallest, gives_up):
     split = Increments(lambda n: sizes[n])
     assert iterate(split, Posed(), []) is Status.CONVERGED
     assert split.resets == gives_up
-
-
-def test_equations_that_change_are_evaluated_anew_before_an_iterate_is_a_solution():
-    class Changing(Posed):
-        def __init__(self):
-            self.sizes = []
-
-        def changes(self, increment):
-            self.sizes.append(increment)
-            return len(self.sizes) == 4
-
-    sizes, problem = (0.1, 1e-3, 1e-6, 1e-13, 1e-5, 1e-9, 1e-14), Changing()
-    split = Increments(lambda n: sizes[n])
-    assert iterate(split, problem, []) is Status.CONVERGED
-    assert problem.sizes == list(sizes) and split.starts == 1

@@ -27,7 +27,6 @@ def run_to(until, steps, scheme, mesh=0.5, **options):
         "solver": "coupled",
     }
     run = swirling(mesh, dt=until / steps, scheme=scheme, **(settings | options))
-    run.rothe_step.context.eta.Set(0.3)
     run.run(until)
     return run
 

@@ -248,7 +248,6 @@ def test_a_relaxed_run_is_of_second_order():
         dt = 0.08 / n
         stepping = nv.AdaptiveSteps(dt_min=dt / 9, dt_max=dt)
         run = simulation(dt, adaptive=stepping, relaxation=True, solver="coupled")
-        run.rothe_step.context.eta.Set(0.3)
         run.run(0.08)
         ends.append(state(run)[run.rothe_step.layout.ranges["v"]])
     first, second = (np.linalg.norm(a - b) for a, b in pairwise(ends))

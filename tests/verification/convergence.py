@@ -18,7 +18,7 @@ from ngvisco.forms.start.initial import complete
 from ngvisco.forms.system import Elimination, equations
 from ngvisco.forms.term import Entry, Integrand, Term
 from ngvisco.forms.terms.momentum import Continuity
-from ngvisco.forms.terms.transport import Kinematics, UpwindTrace
+from ngvisco.forms.terms.transport import Kinematics, Trace, Upwinding
 from ngvisco.physics.tensors import inner, sqrt, square
 from ngvisco.physics.variables import SmallStrain
 from ngvisco.solver.newton import Newton
@@ -245,7 +245,7 @@ class PartialLayout(Layout):
     def __init__(
         self, mesh: Mesh, model: nv.Model, discretisation: nv.Discretisation, names: Sequence[str]
     ) -> None:
-        terms = equations(model, mesh.dim)
+        terms = equations(model, mesh.dim, discretisation.m)
         super().__init__(mesh, model.material, discretisation, terms, Walls(mesh).dirichlet)
         self._make([name for name in self.names if name in names])
 
@@ -290,9 +290,8 @@ class Problem:
         new, old = Exact(model, mesh.dim, time), Exact(model, mesh.dim, time - tau)
         self.now = layout.with_given(self.state.components, new)
         before = layout.with_given(self.state_old.components, old)
-        self.context = layout.context = Context(mesh, model, before, new.v)
+        self.context = layout.context = Context(mesh, model, before)
         self.context.tau.Set(tau)
-        self.context.eta.Set(1e-4)
         self.quadrature = Quadrature.for_orders(mesh, discretisation.k, discretisation.m)
         self.terms = tuple(terms)
         trial, test = layout.space.TnT()
@@ -335,7 +334,7 @@ def transport_rates(kind: str, m: int, maxh: float, levels: int) -> RateTable:
     load = Source(
         lambda w: [nv.Integrand(-sources.continuity * w.rho), nv.Integrand(-inner(sources.kinematics, w.z))]
     )
-    terms: list[Any] = [Continuity(), Kinematics(system), UpwindTrace(), load]
+    terms: list[Any] = [Continuity(), Kinematics(system), Trace(), Upwinding(), load]
     names, exact = ("rho", "rho_hat", "z", "z_hat"), Exact(system, 2, time)
     for h, mesh in refinements(2, maxh, levels):
         problem = Problem(mesh, system, nv.Discretisation(m=m), names, terms, tau)

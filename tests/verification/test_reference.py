@@ -58,7 +58,7 @@ def test_runs_do_not_depend_on_the_units(kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_creeping_rock_in_si_units_keeps_its_ledger_and_its_upwinding(kind: str) -> None:
+def test_creeping_rock_in_si_units_keeps_its_ledger(kind: str) -> None:
     """100 km of rock, 1e22 Pa s, 1,000 years a step: 1e-8 m/s, 1e-11 of what free fall would be."""
     linear = LinearElastic(K_e=2e10, G_e=1e10)
     model = Model(
@@ -73,10 +73,6 @@ def test_creeping_rock_in_si_units_keeps_its_ledger_and_its_upwinding(kind: str)
     ledger = simulation.ledger
     assert abs(ledger.column("closure_relative")).max() <= 1e-10
     assert abs(ledger.column("mass_drift")).max() <= 1e-12
-    # with the width of free fall, 0.1 m/s, jumps of density would be spread over the whole block
-    width = simulation.rothe_step.context.eta.Get()
-    assert width * simulation.dt <= 2e-4 * 1e5
-    assert width <= 0.1 * ledger.column("v_max").max()
 
 
 def test_the_theory_of_necks_has_the_limits_that_are_known() -> None:

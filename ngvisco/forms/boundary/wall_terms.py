@@ -4,22 +4,27 @@ For smooth fields B_h(w; z, zeta) = int T : grad w - int phi (w . n) (``ngvisco.
 wall that matter crosses the natural condition of the momentum equation would be T n = phi n.  There stands
 besides
 
-    + int_Gamma (phi(z) + zeta : (z_hat - z)) (w . n) + 1/2 int_Gamma rho_hat (v . n) v . w - int_Gamma t . w,
+    + int_Gamma phi (w . n) + 1/2 int_Gamma j v . w - int_Gamma t . w,
 
-the second of these from the skew form of convection.  rho_hat and z_hat are the upwind traces, on the other
-side of which is what flows in (``ngvisco.forms.upwinding``).  The first one leaves nothing of the wall's
-facets in the elastic force: T n is t whatever flows in.  Where it is given, and not what is inside, z_hat
-and z meet in the cell and dissipate, for convex energies,
+with phi = phi(z), the second of these from the skew form of convection.  The trace on a wall is the body's
+own value: T n is t whatever flows in.  What flows in has the values z_in and rho_in, given or those of the
+middle of the cell, and enters by the transport alone: with a^- = max(-a, 0)
 
-    d = (phi(z) + zeta : (z_hat - z) - phi(z_hat)) (v . n) >= 0        where v . n < 0.
+    - int (v . n)^- (z_in - z) : G        in the kinematic equations,
+    j = (v . n) rho - (v . n)^- (rho_in - rho)        the flux of mass.
 
-At w = v, B_h used twice cancels with these facets too:
+Where z_in is not z, both meet in the cell and dissipate, for convex energies,
 
-    E - E_old + tau (D + int d - P) + R = -tau int (phi(z_hat) + 1/2 rho_hat |v|^2) (v . n) + tau int t . v,
-    int rho - int rho_old = -tau int rho_hat (v . n),
+    d = (v . n)^- (phi(z_in) - phi(z) - zeta : (z_in - z)) >= 0.
 
-exactly, whatever flows in; of a material with heat the entropy changes by -tau int s_hat (v . n) besides.
-What enters brings energy: at an inlet no sign is promised.  Of bodies each density n_i is carried so.
+At w = v the two uses of B_h cancel on these facets too:
+
+    E - E_old + tau (D + int d - P) + R = -tau int (phi(z) (v . n)^+ - phi(z_in) (v . n)^- + 1/2 j |v|^2)
+                                          + tau int t . v,
+    int rho - int rho_old = -tau int j,
+
+exactly, whatever flows in; of a material with heat the entropy changes by its flux besides.  What enters
+brings energy: at an inlet no sign is promised.  Of bodies each density n_i is carried so.
 """
 
 from __future__ import annotations
@@ -36,7 +41,7 @@ from ngvisco.forms.boundary.boundaries import facet_indicator, walls_of
 from ngvisco.forms.boundary.walls import Walls
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.mesh.mesh_arrays import mask_of
-from ngvisco.forms.start.variables import Entering, as_shape, entering, entropy_at
+from ngvisco.forms.start.variables import as_shape, entering, entropy_at
 from ngvisco.forms.term import Entry, Integrand, PointTerm, Setting, Term, Unknown
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.exchange import Exchange
@@ -128,15 +133,10 @@ def _tangential(a: CoefficientFunction, n: CoefficientFunction) -> CoefficientFu
 
 
 class Carried(OnWall):
-    """+ int (phi(z) + zeta : (z_hat - z)) (w . n) + 1/2 int rho_hat (v . n) v . w on one wall.
+    """+ int phi (w . n) + 1/2 int j v . w on one wall and what flows in, see the module's docstring.
 
-    See the module's docstring.
-
-    With ``backflow`` (``Open``) the second one has what flows out only,
-
-        1/2 int rho_hat (v . n)^+ v . w,
-
-    so that 1/2 int rho_hat (v . n)^- |v|^2 >= 0 is a dissipation, of v itself: v* may miss the side.
+    With ``backflow`` (``Open``) the second one has what flows out only, 1/2 int rho (v . n)^+ v . w, so that
+    1/2 int rho_in (v . n)^- |v|^2 >= 0 is a dissipation.
     """
 
     def __init__(self, walls: Walls, name: str, model: Model) -> None:
@@ -148,21 +148,25 @@ class Carried(OnWall):
         self.material = model.material
         self.given = entering(wall, f"walls[{name!r}]", model)
         """What is given of what flows in, of the place and the time, see ``entering``."""
+        self.means = self.given
+        """The means of ``given`` over the step."""
 
     def continues(self, name: str) -> bool:
         """Whether nothing of ``"rho"`` or ``"z"`` is given."""
         return self.given.density is None if name == "rho" else self.given.is_of_density_alone
 
-    def entering(
-        self, u: Fields, name: str, own: CoefficientFunction, given: Entering
-    ) -> CoefficientFunction:
-        """What flows in of ``"rho"`` or ``"z"``, on a cell's side: ``own`` where nothing is given.
+    def entering(self, u: Fields, name: str) -> CoefficientFunction:
+        """What flows in of ``"rho"`` or ``"z"``, on a cell's side.
 
-        ``given`` are the means of ``self.given`` over the step.
+        Where nothing is given that is the cell's own value without its slope, with which it would grow from
+        step to step.
         """
+        own, reach = u.parts[name], u.context.reach
+        if reach is not None:
+            own = own - u.gradient(name) * u.context.given(reach)
         if self.continues(name):
             return own
-        given = given.mapped(u.context.given)
+        given = self.means.mapped(u.context.given)
         if name == "rho":
             return given.density
         inside = u.layout.states.tensors(lambda: own)
@@ -176,49 +180,66 @@ class Carried(OnWall):
         c = u.context
         return c.given(self.indicator) * (u.v * c.normal)
 
-    def _outward(self, u: Fields) -> CoefficientFunction:
-        """(v . n)^+."""
+    def _inward(self, u: Fields) -> CoefficientFunction:
+        """(v . n)^- on this wall, else 0."""
         through = self._through(u)
-        return if_positive(through, through, 0.0 * through)
+        return if_positive(through, 0.0 * through, -through)
+
+    def _added(self, u: Fields, name: str) -> CoefficientFunction:
+        """(v . n)^- times what flows in less what is there, of ``"rho"`` or ``"z"``."""
+        return self._inward(u) * (self.entering(u, name) - u.parts[name])
+
+    def entering_mass(self, u: Fields) -> CoefficientFunction:
+        if "rho" in u.layout.unknowns:
+            return self._added(u, "rho")
+        return u.layout.states.density(self._added(u, "z"))[0]
+
+    def _mass_flux(self, u: Fields) -> CoefficientFunction:
+        """j, kg/(m^2 s)."""
+        return self._through(u) * u.rho - self.entering_mass(u)
+
+    def _carried_momentum(self, u: Fields) -> CoefficientFunction:
+        """j, or with ``backflow`` its outward part."""
+        flux = self._mass_flux(u)
+        return if_positive(self._through(u), flux, 0.0 * flux) if self.backflow else flux
 
     def _stored(self, u: Fields) -> CoefficientFunction:
-        """phi(z_hat), Pa."""
-        at_trace = Fields(u.layout, ChainMap({"z": u.z_hat}, u.parts), u.context)  # type: ignore[arg-type]
-        return u.context.rates.stored(at_trace)
+        """phi(z), Pa."""
+        return u.context.rates.stored(u)
 
-    def _tangent(self, u: Fields) -> CoefficientFunction:
-        """phi(z) + zeta : (z_hat - z), Pa."""
-        return u.context.rates.stored(u) + inner(u.z_hat - u.z, u.zeta)
+    def _stored_outside(self, u: Fields) -> CoefficientFunction:
+        """phi(z_in), Pa."""
+        outside = {"z": self.entering(u, "z")}
+        return self._stored(Fields(u.layout, ChainMap(outside, u.parts), u.context))  # type: ignore[arg-type]
 
     def facets(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         c = u.context
-        kinetic = 0.5 * u.rho_hat * (self._outward(u) if self.backflow else self._through(u))
-        return [(c.given(self.indicator) * self._tangent(u)) * (w.v * c.normal), kinetic * (w.v * u.v)]
+        return [
+            (c.given(self.indicator) * self._stored(u)) * (w.v * c.normal),
+            (0.5 * self._carried_momentum(u)) * (w.v * u.v),
+            -inner(self._added(u, "z"), w.z),
+        ]
 
     def on_body(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
-        """What ``backflow`` adds, 1/2 rho_hat (v . n)^- v . w."""
-        flux = u.rho_hat * (self._outward(u) - self._through(u))
+        """What ``backflow`` adds, -1/2 j v . w where matter flows in."""
+        flux = self._carried_momentum(u) - self._mass_flux(u)
         return [0.5 * flux * (u.v * w.v)] if self.backflow else []
 
-    def _mixing(self, u: Fields) -> list[Entry]:
-        """What z_hat and z dissipate."""
-        lost = (self._tangent(u) - self._stored(u)) * self._through(u)
-        return [_beyond(f"dissipation_inflow_{self.name}", lost)]
-
     def entries(self, u: Fields) -> list[Entry]:
-        name, through = self.name, self._through(u)
-        flux = u.rho_hat * through
+        name, through, inward, flux = self.name, self._through(u), self._inward(u), self._mass_flux(u)
+        stored = inward * self._stored_outside(u) - (through + inward) * self._stored(u)
+        mixing = inward * (self._stored_outside(u) - self._stored(u)) - inner(self._added(u, "z"), u.zeta)
         found = [
             Entry(f"power_kinetic_{name}", "power", Integrand(facets=-0.5 * flux * (u.v * u.v))),
-            Entry(f"power_stored_{name}", "power", Integrand(facets=-self._stored(u) * through)),
+            Entry(f"power_stored_{name}", "power", Integrand(facets=stored)),
             *(_beyond(f"dissipation_backflow_{name}", part) for part in self.on_body(u, u)),
-            *self._mixing(u),
+            _beyond(f"dissipation_inflow_{name}", mixing),
             Entry(f"inflow_{name}", "flux", Integrand(facets=-flux)),
         ]
         if self.entropy is not None:
-            s = self.entropy.unit * u.layout.states.tensors(lambda: u.z_hat)[self.entropy.name]
-            carried = Integrand(facets=-s * through)
-            found.append(Entry(f"entropy_supply_{name}_carried", "production", carried))
+            carried = through * u.z - self._added(u, "z")
+            s = self.entropy.unit * u.layout.states.tensors(lambda: carried)[self.entropy.name]
+            found.append(Entry(f"entropy_supply_{name}_carried", "production", Integrand(facets=-s)))
         return found
 
 

@@ -19,27 +19,28 @@ from functools import cached_property
 from ngsolve import CoefficientFunction
 
 from ngvisco.forms.fields import Fields
-from ngvisco.forms.term import Entry, Integrand, PointTerm, Setting, Unknown
+from ngvisco.forms.term import CellMean, Entry, Integrand, PointTerm, Setting, Unknown
+from ngvisco.forms.upwinding import SideMean, mean_share, side, speed
 from ngvisco.physics.loads import CentralGravity, Gravity, Load, force_of
 from ngvisco.physics.regularisation import Regularisation
 from ngvisco.physics.rheology import Viscosity
-from ngvisco.physics.tensors import inner, square, sym
+from ngvisco.physics.tensors import if_positive, inner, square, sym
 from ngvisco.physics.variables import Values
 
 
 @dataclass(frozen=True)
 class Continuity(PointTerm):
-    """int (rho - rho_old)/tau q - rho v . grad q + sum_K int_{dK} (v . n) rho_hat q = 0
+    """int (rho - rho_old)/tau q - rho v . grad q + sum_K int_{dK} j q = 0
     (paper: Euler-small-viscoelastodyn+0disc; its delta-term is ``DensityDiffusion``).
 
-    rho_hat is the upwind trace, sum_K int_{dK} (1 - n^-) (rho_hat - rho) q_hat = 0 with the weights of the
-    step (``ngvisco.forms.upwinding``), a convex combination of both sides' densities.  The flux through a
-    facet is single-valued and zero on walls that nothing crosses: q = 1 conserves mass to rounding (paper:
-    Euler-small-est-1+).
+    j = (v . n) rho_hat + |v . n| (rho - rho_hat), with the mean rho_hat of both sides' densities, is v . n
+    times the upstream density.  The flux is the same on both sides of a facet, and zero on walls that nothing
+    crosses: q = 1 conserves mass to rounding (paper: Euler-small-est-1+).
 
     With a cut-off, rho is f(rho) = K(rho) rho in the fluxes, which falls where rho > rho_max: an upwind flux
-    would go on filling full cells.  The trace is then that of Engquist and Osher (Math. Comp. 36, 1981), the
-    rising part f^+ of f upstream and the falling part f^- downstream,
+    would go on filling full cells.  The flux is then that of Engquist and Osher (Math. Comp. 36, 1981), the
+    rising part f^+ of f upstream and the falling part f^- downstream: with n^- = 1 on the side that the flow
+    enters and 0 on the other, j = (v . n) rho_hat and
 
         sum_K int_{dK} [(1 - n^-) (rho_hat - f^+(rho)) - n^- f^-(rho)] q_hat = 0,
 
@@ -62,11 +63,34 @@ class Continuity(PointTerm):
     def facets(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         c, law = u.context, self.regularisation
         if law is None or law.rho_max is None:
-            trace = c.upwinding.trace(u, "rho")
-        else:
-            share, inflow = c.upwinding.share, c.upwinding.inflow
-            trace = share * (u.rho_hat - law.rising(u.rho)) - inflow * law.falling(u.rho)
+            return [mass_flux(u) * w.rho, mean_share(c.inner) * (u.rho_hat - u.rho) * w.rho_hat]
+        inflow = self._inflow(u)
+        trace = (1.0 - inflow) * (u.rho_hat - law.rising(u.rho)) - inflow * law.falling(u.rho)
         return [c.crossed * (u.v * c.normal) * u.rho_hat * w.rho, trace * w.rho_hat]
+
+    def _inflow(self, u: Fields) -> CoefficientFunction:
+        """1 on the side that the flow through a facet enters, 0 on the other, 1/2 where nothing flows."""
+        through = u.v * u.context.normal
+        if MeanFlux.name in u.layout.unknowns:
+            through = side(u) * u.parts[MeanFlux.name]
+        zero = 0.0 * through
+        return u.context.inner * if_positive(through, zero, if_positive(-through, zero + 1.0, zero + 0.5))
+
+
+class MeanFlux(SideMean):
+    """The mean of v . n over a facet, m/s, with the sign of its first side; where a trace is one number.
+
+    The side of upwinding is then one for the whole facet: by sides that differ along it a trace is a mean of
+    both cells, and what leaves a cell would be taken from its neighbour too.
+    """
+
+    name = "mean_flux"
+
+    def unknowns(self, setting: Setting) -> tuple[Unknown, ...]:
+        return (Unknown(self.name, "facets", 0),)
+
+    def value(self, u: Fields) -> CoefficientFunction:
+        return side(u) * (u.v * u.context.normal)
 
 
 @dataclass(frozen=True)
@@ -110,6 +134,74 @@ class Convection(PointTerm):
         if self.regularisation is not None and self.regularisation.delta_density > 0:
             flux = flux + self.regularisation.diffusivity(square(u.grad_rho)) * u.grad_rho
         return [0.5 * inner(u.grad_v * flux, w.v), -0.5 * inner(w.grad_v * flux, u.v)]
+
+
+class CellVelocity(CellMean):
+    """The mean of v over a cell, m/s."""
+
+    name = "cell_velocity"
+
+    def unknowns(self, setting: Setting) -> tuple[Unknown, ...]:
+        return (Unknown(self.name, "cells", 0, setting.dim, is_mean=True),)
+
+    def value(self, u: Fields) -> CoefficientFunction:
+        return u.v
+
+
+class UnbalancedMomentum(CellMean):
+    """The mean over a cell of what the continuity equation leaves when v tests it, N/m^3:
+
+        int (rho - rho_old)/tau v - rho (v . grad) v + int_{dK} j v,    j the flux of mass through a facet.
+
+    The products of v with constants are no tests of the equation, which rho in P_m does not satisfy for them.
+    """
+
+    name = "unbalanced_momentum"
+
+    def unknowns(self, setting: Setting) -> tuple[Unknown, ...]:
+        return (Unknown(self.name, "cells", 0, setting.dim, is_mean=True),)
+
+    def value(self, u: Fields) -> CoefficientFunction:
+        c = u.context
+        return c.rate(u.rho - c.old.rho) * u.v - u.rho * (u.grad_v * u.v)
+
+    def value_on_sides(self, u: Fields) -> CoefficientFunction:
+        return mass_flux(u) * u.v
+
+
+class MomentumBalance(PointTerm):
+    """1/2 R(v . w_K) - 1/2 R(v_K . w), R(q) the continuity equation tested by q, v_K a mean over a cell.
+
+    The skew form of ``Inertia`` and ``Convection`` tested by a constant w is the rate of the momentum less
+    1/2 R(v . w), which is not zero: rho in P_m satisfies the equation for tests in P_m only.  This term is
+    skew too, so that it has no power; for a constant w it is 1/2 R(v . w) - 1/2 R(v_K . w), of which the
+    second part is zero.  Kinetic energy and momentum then both hold for rho in a discontinuous space and v in
+    a continuous one.  R(q) = 0 for the exact solution: the term is consistent.
+    """
+
+    linearised = False
+
+    def cells(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
+        c, v_K = u.context, u.parts[CellVelocity.name]
+        return [
+            0.5 * inner(u.parts[UnbalancedMomentum.name], w.v),
+            -0.5 * c.rate(u.rho - c.old.rho) * inner(v_K, w.v),
+            0.5 * u.rho * inner(w.grad_v * u.v, v_K),
+        ]
+
+    def facets(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
+        return [-0.5 * mass_flux(u) * inner(u.parts[CellVelocity.name], w.v)]
+
+
+def mass_flux(u: Fields) -> CoefficientFunction:
+    """(v . n) rho_hat + |v . n| (rho - rho_hat): the flux of mass through a facet, upwind, kg/(m^2 s).
+
+    Less what flows in through walls beyond that.
+    """
+    c = u.context
+    flux = c.crossed * (u.v * c.normal) * u.rho_hat + speed(u) * (u.rho - u.rho_hat)
+    entering = (term.entering_mass(u) for term in c.terms if isinstance(term, PointTerm))
+    return sum((-mass for mass in entering if mass is not None), flux)
 
 
 def carried_density(u: Fields, regularisation: Regularisation | None) -> CoefficientFunction:

@@ -29,7 +29,8 @@ from ngsolve import CoefficientFunction
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.rates import Conjugate
 from ngvisco.forms.term import Entry, Integrand, Integrands, PointTerm, Setting, Unknown, tested
-from ngvisco.forms.upwinding import SideMean
+from ngvisco.forms.terms.tangents import TangentForce, excess
+from ngvisco.forms.upwinding import SideMean, speed
 from ngvisco.physics.flow_rules import FlowRule
 from ngvisco.physics.materials.wrapped import WithQuadratic
 from ngvisco.physics.model import Flow, Model
@@ -116,8 +117,8 @@ class Kinematics(PointTerm):
         return Entry("bregman", "numerical", Integrand(bregman))
 
 
-class UpwindTrace(SideMean):
-    """sum_K int_{dK} (1 - n^-)(z_hat - z) : G_hat = 0: the trace is the upwind value, by v* of the step."""
+class Trace(SideMean):
+    """sum_K int_{dK} share (z_hat - z) : G_hat = 0: the trace is the mean of both sides."""
 
     name = "z_hat"
 
@@ -127,8 +128,40 @@ class UpwindTrace(SideMean):
     def value(self, u: Fields) -> CoefficientFunction:
         return u.z
 
-    def difference(self, u: Fields) -> CoefficientFunction:
-        return u.context.upwinding.trace(u, "z")
+
+@dataclass(frozen=True)
+class Upwinding(PointTerm):
+    """sum_K int_{dK} |v . n| (z - z_hat) : G, that is 1/2 int |v . n| [z] : [G] over the facets.
+
+    With the mean trace in B_h the whole transport is upwind.  Tested by zeta it dissipates
+    1/2 int |v . n| [z] : [zeta]; with the power of ``TangentForce`` 1/2 int (|v . n| + b v . n) [z] : [zeta].
+    """
+
+    tangents: TangentForce | None = None
+    linearised = False
+
+    def facets(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
+        return [speed(u) * inner(u.z - u.z_hat, w.z)]
+
+    def dissipated_on_facets(self, u: Fields) -> dict[str, CoefficientFunction]:
+        a, zeta = speed(u), u.zeta
+        if self.tangents is not None:
+            a = a + (u.v * u.context.normal) * excess(u, self.tangents.scale)
+        if MeanConjugates.name in u.layout.unknowns:  # both sides have the same share
+            zeta = zeta - u.parts[MeanConjugates.name]
+        return {"dissipation_upwinding": a * inner(u.z - u.z_hat, zeta)}
+
+
+class MeanConjugates(SideMean):
+    """zeta_hat, the mean of both sides' conjugates: heat of a jump is shared by both sides."""
+
+    name = "zeta_hat"
+
+    def unknowns(self, setting: Setting) -> tuple[Unknown, ...]:
+        return (Unknown(self.name, "facets", setting.m, setting.states.size, trace_of="zeta"),)
+
+    def value(self, u: Fields) -> CoefficientFunction:
+        return u.zeta
 
 
 @dataclass(frozen=True)

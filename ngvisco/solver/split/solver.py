@@ -250,10 +250,7 @@ def damped(split: Split, problem: Problem, history: list[NewtonIteration]) -> St
         left = min(by_old, by_new) / split.size(f, base) if size > 0 else 0.0
         history.append(NewtonIteration(size, left, damping, True))
         if left <= 1 - damping / 4:
-            if problem.changes(new_size):
-                split.residual.start()
-                new_f, new_size = increment(new)
-            elif split.has_converged(new_f, new_size, size):
+            if split.has_converged(new_f, new_size, size):
                 split.follow(new_f)
                 split.residual.put(new - new_f)
                 return Status.CONVERGED
@@ -309,10 +306,7 @@ def newton_krylov(split: Split, problem: Problem, x: np.ndarray, history: list[N
                 return ends_at(x, size <= tolerance)
         history.append(NewtonIteration(new_size, new_size / size, damping, True))
         at, x, f, size = new, new_x, new_f, new_size
-        if problem.changes(size):
-            split.residual.start()
-            at = split.residual(x)
-        elif size <= options.margin * tolerance:
+        if size <= options.margin * tolerance:
             split.follow(f)
             return ends_at(x - f, True)
         sizes.append(size)
@@ -339,9 +333,7 @@ def iterate(split: Split, problem: Problem, history: list[NewtonIteration]) -> S
             new = x - f
             split.follow(f)
             split.unknowns.unpack(new)
-            if problem.changes(size):
-                split.residual.start()
-            elif split.has_converged(f, size, min(last, best[0])):
+            if split.has_converged(f, size, min(last, best[0])):
                 split.residual.put(new)
                 return Status.CONVERGED
             split.wear(f, size)

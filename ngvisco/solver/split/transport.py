@@ -197,7 +197,7 @@ class TransportSweeps:
         self._tests = np.ascontiguousarray((op.weights.reshape(self._shape) * op.z.blocks).transpose(0, 2, 1))
         self._mass = np.matmul(self._tests, op.z.blocks)
         self._flat: np.ndarray | None = None
-        """Functions of a cell at its sides' points, without their slopes, as ``Incoming`` continues them."""
+        """Functions of a cell at its sides' points, without their slopes, as they flow in through walls."""
         self._whole: Direct | None = None
         """Of z where it diffuses."""
         if residual.diffusion is not None:
@@ -221,10 +221,11 @@ class TransportSweeps:
         """Form the matrices and invert at an evaluation."""
         r, coupling = self.residual, self.coupling
         storage, convection = r.step.context.rate(self._mass), self._convection(at)
-        share = at.facets.context.upwinding.share.value
+        share = mean_share(r.side_op.inner)
         through = r.side_op.crossed * (r.side_op.points.normals * at.facets.v.value).sum(axis=0)
-        own, across = coupling.blocks(-through, share, through)
-        own += self._continued("z", at, through)
+        inward = through - abs(through)
+        own, across = coupling.blocks(-inward, share, inward)
+        own += self._entering("z", at, inward)
         own += storage + convection
         if self._whole is not None:
             transport = of_blocks(own, across, coupling.neighbours, coupling.halo.count)
@@ -239,27 +240,38 @@ class TransportSweeps:
             self.of_z = SweptMatrix(own, across, coupling).invert()
         self._count_sweeps()
         if self._density is None and r.unknowns.density:
-            own, across = coupling.blocks(np.zeros_like(through), share, through)
-            own += self._continued("rho", at, through)
+            own, across = coupling.blocks(abs(through), share, inward)
+            own += self._entering("rho", at, inward)
             own += storage - convection.transpose(0, 2, 1)
             with r.ranks.together(np.linalg.LinAlgError):
                 self.of_rho = SweptMatrix(own, across, coupling).invert()
 
-    def _continued(self, name: str, at: Evaluation, through: np.ndarray) -> np.ndarray | float:
-        """What flows in through walls with the cell's own value, less its slope, of ``"rho"`` or ``"z"``."""
-        upwinding, known = at.facets.context.upwinding, at.facets.context.given
-        if (incoming := upwinding.incoming) is None:
+    def _entering(self, name: str, at: Evaluation, inward: np.ndarray) -> np.ndarray | float:
+        """What the rows of ``"rho"`` or ``"z"`` take from what flows in through walls."""
+        known, passages = at.facets.context.given, self.residual.step.context.passages
+        if not passages:
             return 0.0
+        none = np.zeros_like(inward)
+        result = 0.0
+        for wall in passages:
+            flow = -0.5 * inward * known(wall.indicator).value
+            result = result + self.coupling.blocks(flow, none, none)[0]
+            if wall.continues(name):
+                result = result - self.coupling.blocks(flow, none, none, self._without_slopes(at))[0]
+        return result
+
+    def _without_slopes(self, at: Evaluation) -> np.ndarray:
+        """Functions of a cell at its sides' points, those of its middle."""
+        reach = at.facets.context.reach
         if self._flat is None:
             self._flat = flat = self.residual.side_op.z.blocks.copy()
-            if incoming.reach is not None:
-                points = flat.reshape(-1, flat.shape[-1])
-                for reach, D in zip(known(incoming.reach).value, self.residual.side_op.dz, strict=True):
+            if reach is not None:
+                points, lengths = flat.reshape(-1, flat.shape[-1]), at.facets.context.given(reach).value
+                for length, D in zip(lengths, self.residual.side_op.dz, strict=True):
                     entries = D.matrix.tocoo()
-                    slopes = reach[entries.row] * entries.data
+                    slopes = length[entries.row] * entries.data
                     np.subtract.at(points, (entries.row, entries.col % flat.shape[-1]), slopes)
-        of_trace = known(incoming.continued[name]).value * upwinding.inflow.value
-        return self.coupling.blocks(np.zeros_like(through), of_trace, through, self._flat)[0]
+        return self._flat
 
     def _count_sweeps(self) -> None:
         """How many sweeps the present transport takes, by what they leave of a field drawn at random."""

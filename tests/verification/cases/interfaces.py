@@ -24,7 +24,7 @@ from ngvisco.forms.mesh.points import csr
 from ngvisco.forms.mesh.quadrature import Sampler
 from ngvisco.forms.start.initial import set_initial
 from ngvisco.forms.system import Step
-from ngvisco.forms.terms.transport import Kinematics, UpwindTrace
+from ngvisco.forms.terms.transport import Kinematics, Trace, Upwinding
 from ngvisco.geometries import box, disc
 from ngvisco.physics.materials.wrapped import Carrying
 from ngvisco.physics.mixture import AMOUNT
@@ -114,15 +114,12 @@ class _Transport:
         space = ngsolve.FESpace([layout.blocks["z"], layout.blocks["z_hat"]])
         v = ngsolve.GridFunction(layout.blocks["v"])
         v.Set(CF(flow))
-        step.wind.Set(CF(flow))
-        step.follow_wind()
         (z, z_hat), (G, G_hat) = space.TnT()
         step.context.set_step(tau, 0.0, 0.0, tau)
-        step.context.eta.Set(1e-4)
         u = Fields(layout, {"v": v, "z": z, "z_hat": z_hat})
         w = Fields(layout, {"z": G, "z_hat": G_hat})
         form = ngsolve.BilinearForm(space)
-        for term in (Kinematics(step.model), UpwindTrace()):
+        for term in (Kinematics(step.model), Trace(), Upwinding()):
             step.quadrature.add(form, term.form(u, w))
         with ngsolve.TaskManager():
             form.AssembleLinearization(ngsolve.GridFunction(space).vec)
