@@ -8,7 +8,10 @@
 | a_1 ... a_d      | normal derivatives of v, P_{k-1} on facets        | global         | Hyperviscosity |
 | z                | transported components, P_m                       | local          | Kinematics |
 | zeta             | their conjugates, P_m                             | local          | Conjugates |
-| z_hat            | the trace of z                                    | global         | UpwindTrace |
+| z_hat            | the trace of z                                    | global         | Trace |
+| zeta_hat         | mean of both sides' conjugates, with heat         | global         | MeanConjugates |
+| tangent_gap, conjugate_jump | of both sides' energies, P_0           | global         | TangentGap, ConjugateJump |
+| cell_velocity, unbalanced_momentum | means over cells, P_0           | local          | CellVelocity, UnbalancedMomentum |
 | Pi               | creep rate where nu > 0, continuous P_max(1, m)   | global         | CreepRate |
 | rho_delta_hat    | the trace of rho in its diffusion                 | global         | DensityDiffusion |
 | z_slope          | slope of z in its diffusion, P_m                  | local          | FieldDiffusion |

@@ -252,7 +252,7 @@ class TransportSweeps:
         if not passages:
             return 0.0
         none = np.zeros_like(inward)
-        result = 0.0
+        result = np.zeros_like(self._mass)
         for wall in passages:
             flow = -0.5 * inward * known(wall.indicator).value
             result = result + self.coupling.blocks(flow, none, none)[0]
