@@ -282,14 +282,19 @@ class Step:
         self.damage = None if law is None else DamageGrowth(self, law)
         """What lets the damage grow after a step; None where nothing breaks."""
 
-    def _residual(self) -> BilinearForm:
+    @cached_property
+    def whole_residual(self) -> BilinearForm:
+        """The same as ``residual`` with the whole derivative, that of the tangents' weights too."""
+        return self._residual(keeps_weights=False)
+
+    def _residual(self, keeps_weights: bool = True) -> BilinearForm:
         """R(u; w) as one nonlinear form with element-local unknowns to be condensed."""
         u, w = self.linearised_fields(self.layout.space.TrialFunction()), self.tests()
         form = BilinearForm(self.layout.space, condense=True)
         state = dict(zip(self.layout.names, self.state.components, strict=True))
         for term in self.terms:
             at = u
-            if isinstance(term, TangentForce):
+            if keeps_weights and isinstance(term, TangentForce):
                 # Newton's method follows the weights, whose slope is steep where a jump is small
                 kept = {name: state[name] for name in (TangentGap.name, ConjugateJump.name)}
                 at = Fields(self.layout, {**u.parts, **kept}, u.context)

@@ -41,8 +41,6 @@ class Follower:
     def pose(self, stage: Stage, states: Sequence[Evolved]) -> None:
         """Let the step be that of a stage, from states y_0, y_1, ..."""
         step, at = self.step, stage.interval
-        step.wind.vec.FV().NumPy()[:] = stage.wind
-        step.follow_wind()
         step.context.set_step(at.tau, at.end, at.loads_from, at.loads_over, at.loads_tilt)
         step.start_from(list(zip(stage.starts, states, strict=False)))
 

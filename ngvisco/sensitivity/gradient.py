@@ -124,8 +124,8 @@ def gradient(
     """Run a simulation until a time, and differentiate what it gives by parameters.
 
     The derivatives are those of the discrete scheme: of the numbers that this run computes, with its mesh and
-    its steps, and not approximations of those of the equations.  Frozen are the lengths of adaptive steps,
-    what the limiter adds to a state, the widths of the upwinding and the velocity v* that says its sides.
+    its steps, and not approximations of those of the equations.  Frozen are the lengths of adaptive steps
+    and what the limiter adds to a state.
 
     Raises ParameterError or UnknownNameError for a number or a parameter that there is not, for damage,
     relaxed steps and several ranks, whose derivatives are not known; StepError as ``Simulation.run``.

@@ -21,7 +21,7 @@ class Linearised:
 
     def __init__(self, follower: Follower) -> None:
         self.follower, step = follower, follower.step
-        self._jacobian = CondensedJacobian(step.residual, _INVERSE, follower.simulation.ranks)
+        self._jacobian = CondensedJacobian(step.whole_residual, _INVERSE, follower.simulation.ranks)
         self._rows, self._solution = (step.state.vec.CreateVector() for _ in range(2))
         self.free = np.array(list(step.layout.space.FreeDofs()))
         """Which coefficients no wall prescribes."""

@@ -108,7 +108,7 @@ def varied(
 ) -> Simulation:
     """The same run at its start with other values of parameters.
 
-    The widths of the upwinding stay those of the run.  Raises ParameterError for a value out of a parameter's
+    The velocity scale stays that of the run.  Raises ParameterError for a value out of a parameter's
     range.
     """
     steps = dataclasses.replace(simulation.arguments["time"], velocity_scale=simulation.velocity_scale)

@@ -17,13 +17,12 @@ from ngvisco.solver.problem import Interval
 class Stage:
     """A Rothe step of a run, solved.
 
-    ``state`` are the coefficients of its solution, ``wind`` those of v*, ``starts`` the weights of the states
+    ``state`` are the coefficients of its solution, ``starts`` the weights of the states
     y_0, y_1, ... that it starts from, and ``share`` is the scheme's b_i; ``stresses`` are what flow rules are
     linearised at.
     """
 
     state: np.ndarray
-    wind: np.ndarray
     starts: np.ndarray
     share: float
     interval: Interval
@@ -121,8 +120,8 @@ class Trajectory:
         c = step.context
         lengths = (c.tau.Get(), self._t, time.Get(), *c.loads_window)
         stresses = {name: f.vec.FV().NumPy().copy() for name, f in step.stresses.functions.items()}
-        state, wind = (function.vec.FV().NumPy().copy() for function in (step.state, step.wind))
-        stage = Stage(state, wind, np.array(weights), share, Interval(*lengths), stresses)
+        state = step.state.vec.FV().NumPy().copy()
+        stage = Stage(state, np.array(weights), share, Interval(*lengths), stresses)
         self._stages.append(stage)
 
     def end(self, weights: np.ndarray) -> None:
