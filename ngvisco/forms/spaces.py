@@ -10,8 +10,10 @@
 | zeta             | their conjugates, P_m                             | local          | Conjugates |
 | z_hat            | the trace of z                                    | global         | Trace |
 | zeta_hat         | mean of both sides' conjugates, with heat         | global         | MeanConjugates |
-| tangent_gap, conjugate_jump | of both sides' energies, P_0           | global         | TangentGap, ConjugateJump |
-| cell_velocity, unbalanced_momentum | means over cells, P_0           | local          | CellVelocity, UnbalancedMomentum |
+| tangent_gap      | gap of both sides' tangents, P_0 on facets        | global         | TangentGap |
+| conjugate_jump   | [z] : [zeta], P_0 on facets                       | global         | ConjugateJump |
+| cell_velocity    | mean of v over a cell                             | local          | CellVelocity |
+| unbalanced_momentum | mean of what v leaves of the continuity equation | local        | UnbalancedMomentum |
 | Pi               | creep rate where nu > 0, continuous P_max(1, m)   | global         | CreepRate |
 | rho_delta_hat    | the trace of rho in its diffusion                 | global         | DensityDiffusion |
 | z_slope          | slope of z in its diffusion, P_m                  | local          | FieldDiffusion |
