@@ -83,9 +83,9 @@ def drifts(material: Material, z: Values, traced: Collection[str] = ()) -> dict[
     F is the distortion that a tensor z stands for: det z J^-n is (det F/J)^d, d = 1 of F, 2 of F F^T and of
     Cof F.  A variable for which the energy is continued has none: there J <= 0 is admitted.
 
-    Of F F^T it is what det F has lost, at most zero: means of such tensors have larger determinants than these
-    (Minkowski), and their energy lies above that at rest.  Means of F have smaller ones where rotations differ,
-    and free rest energy.
+    Of F F^T it is what det F has lost, at most zero: means of such tensors have larger determinants than
+    these (Minkowski), and their energy lies above that at rest.  Means of F have smaller ones where rotations
+    differ, and free rest energy.
     """
     volume = next((v for v in material.variables if isinstance(v, (Jacobian, ReciprocalJacobian))), None)
     if volume is None or volume.name in material.continued:
