@@ -217,11 +217,13 @@ class Mixture(Material):
         shares = self.fractions.taking_part(z)
         return {X.name: share for name, share in shares.items() for X in self.contents(name)}
 
-    def filled(self, shares: Mapping[str, Any], F: Tensor) -> dict[str, Any]:
-        """n_i and X_i where bodies take up these shares of the volume, by name, with the distortion F."""
-        found = {AMOUNT + name: share / Det(F) for name, share in shares.items()}
+    def filled(self, shares: Mapping[str, Any], F: Tensor | Mapping[str, Tensor]) -> dict[str, Any]:
+        """n_i and X_i where bodies take up these shares of the volume, by name, with the distortion F of all,
+        or with those by their names."""
+        of = F if isinstance(F, Mapping) else dict.fromkeys(shares, F)
+        found = {AMOUNT + name: share / Det(of[name]) for name, share in shares.items()}
         for name, share in shares.items():
-            found |= {X.name: share * X.tensor.from_distortion(F) for X in self.contents(name)}
+            found |= {X.name: share * X.tensor.from_distortion(of[name]) for X in self.contents(name)}
         return found
 
     def at_rest(self, z: Values) -> Values:

@@ -27,6 +27,7 @@ from ngvisco.physics.model import Model
 from ngvisco.physics.parameters import Parameter, parameters_in
 from ngvisco.physics.pointwise import evaluated, rest_state, squares
 from ngvisco.physics.tensors import constant, square
+from ngvisco.run.tension import unborne_weight
 from ngvisco.timestepping.scheme import TimeScheme, backward_euler, midpoint
 
 if TYPE_CHECKING:
@@ -70,6 +71,8 @@ class Scales:
     """Whether all bodies have the same."""
     parting: str | None = None
     """Where variables that stand for one distortion may part, in words."""
+    unborne: str | None = None
+    """What the pressure of the start does not bear, where a law reads it, in words."""
 
     @property
     def numbers(self) -> dict[str, float]:
@@ -140,8 +143,7 @@ class Scales:
                 f"stress relaxes in {self.maxwell:.2g} s, {self.maxwell / self.dt:.2g} steps: only the end "
                 f"of its relaxation is seen; to follow it take dt <= {self.maxwell / _RELAXED:.2g} s"
             )
-        if self.parting is not None:
-            said.append(self.parting)
+        said += filter(None, (self.parting, self.unborne))
         layer = math.sqrt(self.kinematic_viscosity * self.length / self.velocity)
         if self.cell * _ACROSS > self.length:
             across, enough = self.length / self.cell, self.length / _ACROSS
@@ -175,6 +177,7 @@ def scales(simulation: Simulation) -> Scales:
         scheme=simulation.scheme,
         densities=most / least,
         one_bulk_energy=not isinstance(material, Mixture) or material.has_one_volume,
+        unborne=unborne_weight(step, simulation.sampler),
         parting=may_part(material, bool(step.moving_walls.moving), step.discretisation.m),
     )
 

@@ -47,13 +47,14 @@ from ngvisco.run.passive import CARRIED, PassiveFields
 from ngvisco.run.ranks import Numbering, ending_all_ranks, tell
 from ngvisco.run.scales import diameter, typical_velocity
 from ngvisco.run.stepping import AdaptiveStepper, Rejection, TimeSteps, time_steps
+from ngvisco.run.tension import Tension
 from ngvisco.solver.options import NewtonOptions
 from ngvisco.solver.rothe import RotheSolver
 from ngvisco.threads import computing
 from ngvisco.timestepping.integrator import Integrator
 from ngvisco.timestepping.scheme import TimeScheme
 
-_LOOKED_AT = 4
+_LOOKED_AT, _OBSERVER = 4, ("start", "step", "finish")
 
 
 class Observer(Protocol):
@@ -173,6 +174,7 @@ class Simulation:
         self.bounds = Bounds(self.rothe_step, self.sampler, time.limiter)
         self.solver = RotheSolver(self.rothe_step, options, self.bounds.refusal)
         self.ledger = Ledger(self.rothe_step, self.sampler, closure_limit(options.tolerance))
+        self.tension = Tension(self.rothe_step, self.sampler)
         self.passive = PassiveFields(self.rothe_step, passive, F_0)
         self.integrator = Integrator(
             self.solver,
@@ -213,9 +215,8 @@ class Simulation:
 
     @t.setter
     def t(self, value: float) -> None:
-        raise ParameterError(
-            "Simulation.t", value, "not to be set: advance() and run() move it, restore() does"
-        )
+        expected = "not to be set: advance() and run() move it, restore() does"
+        raise ParameterError("Simulation.t", value, expected)
 
     @property
     def number(self) -> int:
@@ -326,6 +327,7 @@ class Simulation:
             self.solver.accept()
             self.set_time(step.time, number)
             self.ledger.check_closure()
+            self.tension(self.t)
             return row
 
     @ending_all_ranks()
@@ -346,7 +348,7 @@ class Simulation:
             raise ParameterError("until", until, f"a finite number >= {self.t:g}")
         until, stops = end, as_numbers("stops", stops, "a sequence of finite numbers, s")
         for observer in self.observers:
-            _check_observer(observer)
+            _require_methods("observers", observer, _OBSERVER)
         self.check_data(until)
         warn_of_corners(self.rothe_step, self._looked_at(until))
         for name, value in [("until", until), *(("stops", stop) for stop in stops)]:
@@ -413,7 +415,7 @@ class Simulation:
 
 def _check_arguments(observers: Any, walls: Any, passive: Any, sources: Any, terms: Any) -> None:
     for observer in require_collection("Simulation.observers", observers, "a sequence of observers"):
-        _check_observer(observer)
+        _require_methods("observers", observer, _OBSERVER)
     require_names("Simulation.passive", passive)
     if walls is not None:
         _check_walls(walls)
@@ -421,10 +423,6 @@ def _check_arguments(observers: Any, walls: Any, passive: Any, sources: Any, ter
         _require_methods("sources", sources, ("form", "entries"), "a Term, with")
     for term in require_collection("Simulation.terms", terms, "a sequence of Terms"):
         _require_methods("terms", term, ("form", "entries"))
-
-
-def _check_observer(observer: object) -> None:
-    _require_methods("observers", observer, ("start", "step", "finish"))
 
 
 def _require_methods(name: str, value: object, methods: Sequence[str], kind: str = "objects with") -> None:

@@ -4,18 +4,19 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import reduce
 from operator import add
-from typing import Annotated, TypeAlias
+from typing import Annotated, Literal, TypeAlias
 
 import numpy as np
 from ngsolve import CF, CoefficientFunction, Det, Id, TaskManager, specialcf
 
-from ngvisco.errors import InitialDataError, ParameterError, Quantity
+from ngvisco.errors import InitialDataError, ParameterError, Quantity, as_number
 from ngvisco.forms.bounds import Bounds
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.mesh.mesh_arrays import mask_of
 from ngvisco.forms.mesh.quadrature import Sampler
 from ngvisco.forms.projections import LocalProjection, project, project_velocity, set_traces
 from ngvisco.forms.start.data_checks import distortion_of, warn_of_doubts, warn_of_own_energy
+from ngvisco.forms.start.equilibrium import WITHIN, Column, require_open
 from ngvisco.forms.start.variables import (
     Given,
     Values,
@@ -67,6 +68,19 @@ class Initial:
         Initial temperature of a material that has one; its reference temperature where nothing is said.  Of
         bodies whose thermal pressures differ it is that of each by itself: in cells that they share they
         come to one pressure, and to a temperature a little beside it.
+    equilibrium : str, optional
+        "hydrostatic": the volume J_0, of each body its own, bears the loads at the start (F_0 = J_0^{1/3} I).
+        It is the inverse of the bulk law at the pressure of the weight above, with the temperature there.
+        The density is rho_R/J_0 of a material with a referential density, and of bodies; else as it is given.
+        Not with m = 0, and not over ranks.
+    datum : str, optional
+        With an equilibrium: the wall at which the mean pressure is ``datum_pressure``; where neither this nor
+        a point is given it is the place of the least pressure.
+    datum_point : sequence of numbers, optional
+        The same for a point of the domain.
+    datum_pressure : float
+        Pressure at the datum, over that at J = 1 and the reference temperature, which is zero but for gases
+        and materials with stress at rest.
     values : mapping of names to coefficient functions, optional
         Initial values of single variables of the material, by name, in place of the derived ones, and of
         further terms' unknowns that evolve, else zero.
@@ -80,6 +94,10 @@ class Initial:
         None
     )
     temperature: Annotated[ScalarLike | None, Quantity("K", "> 0", 300.0)] = None
+    equilibrium: Annotated[Literal["hydrostatic"] | None, Quantity(example="hydrostatic")] = None
+    datum: Annotated[str | None, Quantity(example="top")] = None
+    datum_point: Annotated[Sequence[float] | None, Quantity("m", example=[0.5, 1.0])] = None
+    datum_pressure: Annotated[float, Quantity("Pa", example=1e5)] = 0.0
     values: Annotated[Mapping[str, CoefficientFunction], Quantity("1", example={"J": "1 + 0.1*x"})] = field(
         default_factory=dict
     )
@@ -87,6 +105,19 @@ class Initial:
     def __post_init__(self) -> None:
         if not isinstance(self.values, Mapping):
             raise ParameterError("Initial.values", self.values, "a mapping of variable names to functions")
+        if self.equilibrium not in (None, "hydrostatic"):
+            raise ParameterError("Initial.equilibrium", self.equilibrium, '"hydrostatic", or None')
+        if self.datum is not None and not isinstance(self.datum, str):
+            raise ParameterError("Initial.datum", self.datum, "the name of a wall; a point is datum_point")
+        if self.datum is not None and self.datum_point is not None:
+            raise ParameterError("Initial.datum_point", self.datum_point, "None beside a wall as datum")
+        if as_number(self.datum_pressure) is None:
+            raise ParameterError("Initial.datum_pressure", self.datum_pressure, "a finite number, Pa")
+        without = {"datum": None, "datum_point": None, "datum_pressure": 0.0}
+        for name, value in without.items() if self.equilibrium is None else ():
+            if getattr(self, name) != value:
+                expected = 'nothing without equilibrium = "hydrostatic", to which it belongs'
+                raise ParameterError(f"Initial.{name}", getattr(self, name), expected)
 
 
 def set_initial(step: Step, initial: Initial, sampler: Sampler) -> CoefficientFunction:
@@ -113,7 +144,9 @@ def set_initial(step: Step, initial: Initial, sampler: Sampler) -> CoefficientFu
         raise
     warn_of_own_energy(step, sampler.rows(step.now.z))
     strains = {v.name for v in step.model.material.variables if v.is_strain}
-    is_at_rest = initial.F is None and not strains.intersection(initial.values)
+    is_at_rest = (
+        initial.F is None and initial.equilibrium is None and not strains.intersection(initial.values)
+    )
     warn_of_doubts(step, sampler, values, initial.velocity, is_at_rest)
     known = distortion_of(step.model.material, values)
     return F if known is None else known
@@ -127,7 +160,14 @@ def _data(
     F = Id(3) if initial.F is None else as_shape("Initial.F", initial.F, (3, 3))
     sampler.require(Det(F), "det F_0", minimum=0.0)
     parameters = parameter_values(material, initial.values)
-    of_bodies = _of_bodies(step, initial, F)
+    shares: Values = {}
+    if isinstance(material, Mixture):
+        shares = starting_fractions(step.mesh, material.bodies, step.discretisation.m)
+    distortions: Mapping[str, CoefficientFunction] = dict.fromkeys(shares, F)
+    if initial.equilibrium is not None:
+        distortions = _at_rest(step, initial, sampler, parameters, shares)
+        F = distortions.get("", F)
+    of_bodies = _of_bodies(step, initial, shares, distortions)
     rho_R = material.referential_density
     rho_R = None if rho_R is None else CF(value_at(rho_R, parameters))
     _check_moduli(step, parameters, sampler)
@@ -135,7 +175,8 @@ def _data(
     if not of_bodies and initial.density is not None:
         density = as_shape("Initial.density", initial.density, ())
         sampler.require(density, "density rho_0", minimum=0.0)
-        if rho_R is not None and initial.F is None and set(initial.values) <= set(parameters):
+        is_open = initial.F is None and initial.equilibrium is None
+        if rho_R is not None and is_open and set(initial.values) <= set(parameters):
             F = (rho_R / density) ** (1 / 3) * Id(3)
     values = starting_values(material, initial.values, F, step.layout.further) | of_bodies
     if of_bodies:
@@ -169,7 +210,8 @@ def _project(
     with TaskManager():
         step.state.vec[:] = 0.0
         if not step.model.bodies:
-            parts["rho"].Set(density)
+            # points within cells: a rule of degree 2 has those of edges, where layers meet
+            parts["rho"].Set(density, bonus_intorder=0 if initial.equilibrium is None else WITHIN)
         parts["z"].Set(material.states(dim).components(values))
         for name, value in further.items():
             project(step.layout.unknowns[name], parts[name], step.quadrature, value)
@@ -217,17 +259,39 @@ def _ranges(step: Step, parameters: Given, sampler: Sampler) -> dict[str, tuple[
     return ranges
 
 
-def _of_bodies(step: Step, initial: Initial, F: CoefficientFunction) -> Values:
+def _at_rest(
+    step: Step, initial: Initial, sampler: Sampler, parameters: Values, shares: Values
+) -> dict[str, CoefficientFunction]:
+    """Distortions with which the body bears its loads, by bodies' names, "" of a material alone."""
+    material = step.model.material
+    require_open(step, initial.F, initial.values)
+    if initial.density is not None and material.referential_density is not None:
+        expected = "None beside an equilibrium: it is rho_R/J"
+        raise ParameterError("Initial.density", initial.density, expected)
+    density = None
+    if initial.density is not None:
+        density = as_shape("Initial.density", initial.density, ())
+        sampler.require(density, "density rho_0", minimum=0.0)
+    others = {v.name: initial.values[v.name] for v in material.variables if v.name in initial.values}
+    theta = temperature_for(material, initial.temperature, initial.values, "Initial")
+    column = Column(step, sampler, {**others, **parameters}, theta, shares, density)
+    with TaskManager():
+        J = column.solve(initial.datum or initial.datum_point, initial.datum_pressure)
+    return {name: volume ** (1 / 3) * Id(3) for name, volume in J.items()}
+
+
+def _of_bodies(
+    step: Step, initial: Initial, shares: Values, distortions: Mapping[str, CoefficientFunction]
+) -> Values:
     """Amounts and tensors of the model's bodies at the start, but for what ``initial.values`` has."""
     material = step.model.material
     if not isinstance(material, Mixture):
         return {}
     if initial.density is not None:
         raise ParameterError("Initial.density", initial.density, "None with bodies, which have theirs")
-    shares = starting_fractions(step.mesh, material.bodies, step.discretisation.m)
     for name in sorted(set(initial.values) & {AMOUNT + name for name in shares}):
         raise ParameterError("Initial.values", name, "places of the bodies, not amounts")
-    return {name: v for name, v in material.filled(shares, F).items() if name not in initial.values}
+    return {name: v for name, v in material.filled(shares, distortions).items() if name not in initial.values}
 
 
 def _check_moduli(step: Step, parameters: Given, sampler: Sampler) -> None:

@@ -1,0 +1,249 @@
+"""A body at rest under its weight: the pressure that bears the loads, and the volume that has it.
+
+    grad p = f(rho),      p(J) = -tr T/3 of F = J^{1/3} I,      rho = rho_R/J, or as it is given
+
+p is continuous, of one order more than the variables, by int (grad p - f) . grad q = 0 for all q: where the
+density varies with the height alone that is the weight above, of any domain and layers.  Where it also varies
+along a level no pressure bears it, and the rest is said.  p is known up to a constant, which the datum says.
+J is the projection of the inverse of the bulk law, by Newton's method; of bodies each has its own J at one p.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from ngsolve import (
+    CF,
+    H1,
+    L2,
+    BilinearForm,
+    CoefficientFunction,
+    GridFunction,
+    Id,
+    Integrate,
+    LinearForm,
+    Norm,
+    Parameter,
+    Periodic,
+    dx,
+    grad,
+)
+
+from ngvisco.errors import InitialDataError, InputWarning, ParameterError, UnknownNameError
+from ngvisco.forms.mesh.locating import Located, as_points
+from ngvisco.forms.mesh.quadrature import Sampler
+from ngvisco.forms.system import Step
+from ngvisco.physics.loads import CentralGravity, Gravity, force_of
+from ngvisco.physics.material import conjugates, part_of, rate_power
+from ngvisco.physics.materials.thermal import Thermal, entropy_in
+from ngvisco.physics.materials.wrapped import carrying
+from ngvisco.physics.parameters import parameters_in, value_at
+from ngvisco.physics.tensors import if_positive
+
+_ROUNDS, _STEPS = 100, 60
+"""Densities by the pressure, and Newton steps for the volume, at most."""
+_CONVERGED = 1e-12
+"""Relative change of the pressure, and of J, that ends them."""
+_DIFFERENCE = 1e-5
+"""Relative change of J for the slope of the bulk law."""
+WITHIN = 2
+"""Degrees by which the rule for a density is raised."""
+_UNBORNE = 0.05
+"""Share of the loads that no pressure bears, from which on it is said."""
+
+
+class Column:
+    """The equilibrium of a step's loads.
+
+    Parameters
+    ----------
+    given : mapping of names to functions
+        Values of the material's parameters, and of what is no strain.
+    theta : coefficient function or None
+        The temperature, K.
+    shares : mapping of bodies' names to functions
+        Volume fractions; none of a material alone.
+    density : coefficient function or None
+        kg/m^3, where it is given; else it follows from rho_R, the bodies', or is 1.
+    """
+
+    def __init__(
+        self,
+        step: Step,
+        sampler: Sampler,
+        given: Mapping[str, CoefficientFunction],
+        theta: CoefficientFunction | None,
+        shares: Mapping[str, CoefficientFunction],
+        density: CoefficientFunction | None,
+    ) -> None:
+        self.step, self.sampler, self.given, self.theta = step, sampler, given, theta
+        self.shares, self.mesh = shares, step.mesh
+        self.density: CoefficientFunction | None = None
+        if density is not None:  # as the loads of a step see it
+            self.density = GridFunction(L2(self.mesh, order=step.discretisation.m))
+            self.density.Set(density, bonus_intorder=WITHIN)
+        laws = {body.name: body.material for body in step.model.bodies} or {"": step.model.material}
+        self.laws = {name: carrying(law, parameters_in((law,))) for name, law in laws.items()}
+        self.referential = {body.name: body.density or 0.0 for body in step.model.bodies}
+        if not shares and (rho_R := step.model.material.referential_density) is not None:
+            self.referential = {"": CF(value_at(rho_R, given))}
+        if sampler.ranks.is_distributed:
+            expected = "None over ranks: start on one process, and go on over ranks from its checkpoint"
+            raise ParameterError("Initial.equilibrium", "hydrostatic", expected)
+        if step.discretisation.m == 0:
+            expected = "None with m = 0: no pressures that are constant in cells bear a weight; m = 1 or 2"
+            raise ParameterError("Initial.equilibrium", "hydrostatic", expected)
+        self.J = {name: GridFunction(L2(self.mesh, order=step.discretisation.m)) for name in self.laws}
+        for J in self.J.values():
+            J.vec[:] = 0.0
+            J.Set(CF(1.0))
+        of = H1(self.mesh, order=step.discretisation.m + 1)
+        self.space = Periodic(of) if step.walls.periodic else of
+        self.p, self.constant = GridFunction(self.space), Parameter(0.0)
+        self.pressure = self.p + self.constant
+        q, t = self.space.TnT()
+        self._form = BilinearForm(grad(q) * grad(t) * dx).Assemble()
+
+    def weight(self) -> CoefficientFunction:
+        """f, N/m^3, at t = 0."""
+        dim, rho = self.mesh.dim, self._rho()
+        force = CF((0.0,) * dim)
+        for load in self.step.model.loads:
+            one = force_of(load, dim)
+            force = force + (rho * one if isinstance(load, (Gravity, CentralGravity)) else one)
+        return force
+
+    def _rho(self) -> CoefficientFunction:
+        if self.shares:
+            return sum((self.referential[n] * self.shares[n] / self.J[n] for n in self.shares), CF(0.0))
+        if self.density is not None:
+            return self.density
+        return self.referential[""] / self.J[""] if self.referential else CF(1.0)
+
+    def pressure_of(self, name: str, J: CoefficientFunction, at_rest: bool = False) -> CoefficientFunction:
+        """-tr T/3, Pa, of a body, or of the material, "", at F = J^{1/3} I, and ``at_rest`` at theta_R."""
+        material = self.laws[name]
+        z: dict[str, Any] = {}
+        for v in material.variables:
+            own = not v.is_strain and v.name in self.given
+            # an F of its own: the derivative by one variable must not see it within another
+            z[v.name] = self.given[v.name] if own else v.from_distortion(J ** (1 / 3) * Id(3))
+        entropy, thermal = entropy_in(material), part_of(material, Thermal)
+        if entropy is not None and self.theta is not None and thermal is not None:
+            theta = CF(thermal.theta_R) if at_rest else self.theta
+            z[entropy.name] = thermal.start(theta, 1 / J)
+        zero = CF((0.0,) * 9, dims=(3, 3))
+        power = rate_power(material, z, conjugates(material, z), Id(3) / 3, zero)
+        return -(power + material.energy(z))
+
+    def solve(self, datum: object, above_rest: float) -> dict[str, GridFunction]:
+        """J by the names of bodies, "" of a material alone.
+
+        At the datum the pressure is ``above_rest``, Pa, over that at J = 1 and the reference temperature.
+
+        Raises InitialDataError where no volume has the pressure, ParameterError or UnknownNameError for a
+        datum that is no wall and no point of the domain.
+        """
+        at, rest = self._at(datum), self._mean(lambda name: self.pressure_of(name, CF(1.0), True))
+        last = np.zeros(0)
+        for _ in range(_ROUNDS):
+            self._bear(self.weight())
+            self.constant.Set(above_rest + at(rest) - at(self.p))
+            for name in self.laws:
+                self._invert(name)
+            values = self.p.vec.FV().NumPy().copy()
+            size = self.sampler.ranks.most(abs(values))
+            if len(last) and self.sampler.ranks.most(abs(values - last)) <= _CONVERGED * size:
+                break
+            last = values
+        else:
+            raise InitialDataError(
+                "equilibrium", "not found", "loads that the body bears: it gives way to them"
+            )
+        self._say_what_is_left()
+        return self.J
+
+    def _mean(self, of: Callable[[str], CoefficientFunction]) -> CoefficientFunction:
+        """By the bodies' shares."""
+        return sum((share * of(n) for n, share in self.shares.items()), CF(0.0)) if self.shares else of("")
+
+    def _bear(self, force: CoefficientFunction) -> None:
+        """Make p the pressure that bears a force, with any constant."""
+        load = LinearForm(force * grad(self.space.TestFunction()) * dx).Assemble()
+        free = self.space.FreeDofs()
+        pinned = type(free)(free)
+        pinned.Clear(int(np.flatnonzero(list(free))[0]))
+        self.p.vec.data = self._form.mat.Inverse(pinned, inverse="sparsecholesky") * load.vec
+
+    def _invert(self, name: str) -> None:
+        """Make J the projected inverse of the bulk law at p."""
+        J, before = self.J[name], np.zeros(0)
+        law, ahead, behind = (self.pressure_of(name, s * J) for s in (1.0, 1 + _DIFFERENCE, 1 - _DIFFERENCE))
+        share = (law - self.pressure) * (2 * _DIFFERENCE) / (behind - ahead)  # of J, by which it grows
+        share = if_positive(share - 1, CF(1.0), if_positive(share + 0.5, share, CF(-0.5)))
+        better = (J * (1 + share)).Compile()
+        trial = GridFunction(J.space)
+        for _ in range(_STEPS):
+            trial.Set(better)
+            before, values = J.vec.FV().NumPy().copy(), trial.vec.FV().NumPy()
+            ranks = self.sampler.ranks
+            if not ranks.all(np.isfinite(values).all()):
+                break
+            J.vec.data = trial.vec
+            if ranks.most(abs(values - before)) <= _CONVERGED:
+                return
+        low, high = self.sampler.extrema(self.pressure)
+        of = f" of body {name!r}" if name else ""
+        expected = f"pressures that a volume{of} has, which those from {low:.4g} to {high:.4g} Pa are not"
+        raise InitialDataError("equilibrium", "no volume found", expected)
+
+    def _at(self, datum: object) -> Callable[[CoefficientFunction], float]:
+        """What gives a function's value at the datum."""
+        ranks, sampler = self.sampler.ranks, self.sampler
+        if isinstance(datum, str):
+            walls = self.step.walls
+            if datum not in walls.conditions:
+                raise UnknownNameError("wall of Initial.datum", datum, walls.conditions)
+            region = walls.region([datum])
+            area = float(Integrate(CF(1.0), self.mesh, definedon=region))
+            return lambda f: float(Integrate(f, self.mesh, definedon=region)) / area
+        if datum is not None:
+            where = as_points("Initial.datum", datum, self.mesh.dim)
+            if len(where) != 1:
+                raise ParameterError("Initial.datum", datum, "the name of a wall, or one point, m")
+            point = Located(self.mesh, where, ["Initial.datum"])
+            return lambda f: float(np.asarray(point.values(CF((f, 0.0))))[0, 0])
+
+        def highest(f: CoefficientFunction) -> float:
+            pressures, mine = sampler.values(self.p), None
+            if len(pressures):
+                i = int(np.argmin(pressures))
+                mine = float(pressures[i]), float(sampler.rows(f, np.array([i]))[0, 0])
+            return min(one for one in ranks.gathered(mine) if one is not None)[1]
+
+        return highest
+
+    def _say_what_is_left(self) -> None:
+        """Warn where the loads are no gradient."""
+        force = self.weight()
+        left, size = (float(Integrate(Norm(f), self.mesh)) for f in (grad(self.p) - force, force))
+        if left > _UNBORNE * size:
+            message = (
+                f"equilibrium: {left / size:.0%} of the loads are borne by no pressure, since the density "
+                "varies along levels, or within cells: the body will move"
+            )
+            self.sampler.ranks.warn(message, InputWarning, stacklevel=4)
+
+
+def require_open(step: Step, F: object, given: Mapping[str, object]) -> None:
+    """Raise ParameterError for an equilibrium without loads, or where strains are given that it tells."""
+    if not step.model.loads:
+        raise ParameterError("Initial.equilibrium", "hydrostatic", "loads to be borne, such as Gravity")
+    if F is not None:
+        raise ParameterError("Initial.F", F, "None beside an equilibrium, from which it follows")
+    for v in step.model.material.variables:
+        if v.is_strain and v.name in given:
+            expected = "no value beside an equilibrium, from which it follows"
+            raise ParameterError(f"Initial.values[{v.name!r}]", given[v.name], expected)

@@ -1,0 +1,77 @@
+"""Where a law reads a pressure that is negative: strengths and viscosities are not made for tension."""
+
+from __future__ import annotations
+
+import numpy as np
+from ngsolve import CF
+
+from ngvisco.errors import InputWarning
+from ngvisco.forms.mesh.quadrature import Sampler
+from ngvisco.forms.system import Step
+from ngvisco.physics.loads import CentralGravity, Gravity, force_of
+from ngvisco.physics.model import Model
+from ngvisco.physics.variables import PRESSURE
+
+_SHARE = 0.02
+"""Of the largest pressure: what is less below zero is that of a surface, and of its cells."""
+_BORNE = 0.5
+"""Share of the weight that differences of the pressure have to bear at the start."""
+
+
+def readers(model: Model) -> list[str]:
+    """Names of a model's laws that read the pressure."""
+    laws = [model.creep, model.viscosity, *(flow.rule for flow in model.flows)]
+    laws += [law for body in model.bodies for law in (body.creep, body.viscosity)]
+    return sorted({type(law).__name__ for law in laws if law is not None and PRESSURE in law.reads})
+
+
+class Tension:
+    """Says once in a run that a law reads a negative pressure."""
+
+    def __init__(self, step: Step, sampler: Sampler) -> None:
+        self.step, self.sampler = step, sampler
+        self.laws, self.is_said = readers(step.model), False
+        self._pressure = step.context.rates.pressure(step.now).Compile() if self.laws else None
+
+    def __call__(self, t: float) -> None:
+        """Look at the present state, that of ``t``, s."""
+        if self._pressure is None or self.is_said:
+            return
+        ranks, p = self.sampler.ranks, self.sampler.values(self._pressure)
+        least, largest = ranks.least(p), ranks.most(abs(p))
+        if least >= -_SHARE * largest:
+            return
+        self.is_said = True
+        place = self.sampler.largest_in_words(-p, {})
+        weighs = any(isinstance(load, (Gravity, CentralGravity)) for load in self.step.model.loads)
+        remedy = '; a start that bears its weight is [initial] equilibrium = "hydrostatic"' if weighs else ""
+        message = (
+            f"at t = {t:.4g} s {_subject(self.laws)} a negative pressure, "
+            f"{least:.4g} Pa {place}: matter in tension has no more than its cohesion{remedy}"
+        )
+        ranks.warn(message, InputWarning, stacklevel=4)
+
+
+def unborne_weight(step: Step, sampler: Sampler) -> str | None:
+    """Where the pressure of a start, which a law reads, does not bear the weight, in words."""
+    laws, ranks, dim = readers(step.model), sampler.ranks, step.mesh.dim
+    loads = (load for load in step.model.loads if isinstance(load, (Gravity, CentralGravity)))
+    weight = sum((step.now.rho * force_of(load, dim) for load in loads), CF((0.0,) * dim))
+    heaviest = ranks.most(np.linalg.norm(sampler.rows(weight), axis=1))
+    if not laws or not heaviest > 0:
+        return None
+    p = sampler.values(step.context.rates.pressure(step.now))
+    places = sampler.coordinates(np.arange(len(sampler.points)))
+    ends = ranks.largest(np.concatenate([places.max(axis=0), -places.min(axis=0)]))
+    size = float(np.min(ends[:dim] + ends[dim:]))
+    if ranks.most(p) - ranks.least(p) > _BORNE * heaviest * size:
+        return None
+    return (
+        f"{_subject(laws)} the pressure, and that of the start does not bear the weight, "
+        f"{heaviest * size:.3g} Pa over {size:.3g} m: matter sags until it does, and is in tension above; "
+        'take [initial] equilibrium = "hydrostatic"'
+    )
+
+
+def _subject(laws: list[str]) -> str:
+    return f"{' and '.join(laws)} read{'s' * (len(laws) == 1)}"

@@ -1,0 +1,184 @@
+"""Starts at rest under a weight: the pressure of what lies above, of materials, layers, bodies, with heat."""
+
+import warnings
+
+import numpy as np
+import pytest
+from ngsolve import CF, IfPos, x, y
+
+import ngvisco as nv
+from ngvisco.forms.start.data_checks import InputWarning
+from ngvisco.geometries import structured_box
+from ngvisco.run.scales import scales
+from ngvisco.run.tension import readers
+
+K, G, RHO, WEIGHT = 50.0, 30.0, 2.0, 1.0
+ROCK = nv.ReferentialNeoHookean(K_e=K, G_e=G / 2)
+DOWN = nv.Gravity((0.0, -WEIGHT))
+VISCOUS = nv.StokesViscosity(K_v=0.1, G_v=0.1)
+
+
+def at_rest(
+    material=ROCK, *, cells=(2, 4), size=(1, 1), loads=(DOWN,), model=None, solver="split", dt=0.05, **given
+):
+    of = nv.Model(material=material, viscosity=VISCOUS, loads=loads) if model is None else model
+    given = {"equilibrium": "hydrostatic"} | given
+    return nv.Simulation(structured_box(size, cells), of, dt=dt, initial=nv.Initial(**given), solver=solver)
+
+
+def pressures(run, *heights):
+    p = run.fields["pressure"]
+    return [p(run.mesh(0.3, height)) for height in heights]
+
+
+def speed(run, steps=3):
+    return max(run.advance()["v_max"] for _ in range(steps))
+
+
+@pytest.mark.parametrize("solver", ["coupled", "split"])
+def test_a_body_starts_with_the_weight_above_and_stays_at_rest(solver):
+    """Exact in cells where the density is constant; without it the body falls by 0.03 m/s."""
+    run = at_rest(density=RHO, solver=solver)
+    assert pressures(run, 0.0, 0.5, 1.0) == pytest.approx([RHO, RHO / 2, 0.0], abs=1e-3 * RHO)
+    assert run.sampler.extrema(run.fields["J"]) == pytest.approx((1 - RHO / K, 1.0), abs=1e-6)
+    assert speed(run) < 1e-5
+    assert speed(at_rest(density=RHO, solver=solver, equilibrium=None)) > 0.02
+
+
+@pytest.mark.parametrize("state", ["F", "B"])
+@pytest.mark.parametrize(
+    "law", [nv.NeoHookean(K_e=K, G_e=G / 2, epsilon=1.0), nv.LinearElastic(K_e=K, G_e=G / 2), ROCK], ids=str
+)
+def test_any_material_bears_its_weight(law, state):
+    run = at_rest(law.with_elastic_state(state), density=RHO)
+    rest = pressures(at_rest(law, density=RHO, equilibrium=None), 0.5)[0]
+    assert np.array(pressures(run, 0.0, 0.5, 1.0)) - rest == pytest.approx(
+        [RHO, RHO / 2, 0.0], abs=2e-3 * RHO
+    )
+    assert speed(run) < 1e-4
+
+
+def test_in_space_too():
+    mesh = {"cells": (1, 1, 2), "size": (1, 1, 1), "loads": (nv.Gravity((0, 0, -WEIGHT)),)}
+    run = at_rest(density=RHO, **mesh)
+    p = run.fields["pressure"]
+    assert p(run.mesh(0.5, 0.5, 0.0)) == pytest.approx(RHO, rel=3e-3) and speed(run, 1) < 1e-4
+
+
+def test_the_density_follows_from_a_referential_one():
+    """K (1 - J) = p and rho = rho_R/J: J = sqrt(1 - 2 rho_R g s/K)."""
+    soft = nv.PerReferentialVolume(
+        material=nv.CustomMaterial(
+            transported=(nv.physics.variables.Jacobian(),), stored_energy=lambda J: 3.0 * (J - 1) * (J - 1)
+        ),
+        rho_R=RHO,
+    )
+    run = at_rest(soft, cells=(2, 8))
+    for height in (0.0, 0.5, 1.0):
+        exact = np.sqrt(1 - 2 * RHO * WEIGHT * (1 - height) / 6.0)
+        assert 1 / run.fields["A"](run.mesh(0.3, height)) == pytest.approx(exact, rel=3e-3)
+        assert run.fields["density"](run.mesh(0.3, height)) == pytest.approx(RHO / exact, rel=3e-3)
+    assert speed(run) < 2e-3 < 0.02 < speed(at_rest(soft, cells=(2, 8), equilibrium=None))
+
+
+def test_layers_bodies_and_heat():
+    layered = at_rest(density=IfPos(y - 0.5, 1.0, 3.0))
+    assert pressures(layered, 0.0, 0.5) == pytest.approx([2.0, 0.5], rel=1e-3) and speed(layered) < 1e-5
+    water = nv.ReferentialNeoHookean(K_e=20.0, G_e=0.1)
+    bodies = [
+        nv.Body(
+            name="water", where=y - 0.5, material=nv.ReferentialNeoHookean(K_e=20.0, G_e=0.1), density=1.0
+        ),
+        nv.Body(name="rock", material=ROCK, density=3.0),
+    ]
+    both = at_rest(model=nv.Model(bodies=bodies, loads=(DOWN,)))
+    low, middle = pressures(both, 0.0, 0.5)
+    assert low == pytest.approx(2.0, rel=0.04) and middle == pytest.approx(0.5, rel=0.04)
+    assert speed(both) < 1e-3
+    warm = nv.Thermal(material=ROCK, c=1.0, theta_R=300.0, expansion=1e-3, rho_R=RHO)
+    hot = at_rest(warm, temperature=300 + 50 * y)
+    top, base = pressures(hot, 1.0, 0.0)
+    assert abs(top) < 0.1 and 0.93 * RHO < base < 1.05 * RHO  # less where it has expanded
+    assert speed(hot) < 1e-4
+
+
+def test_the_datum_is_a_wall_a_point_or_the_top():
+    for given, base in (
+        ({}, RHO),
+        ({"datum_pressure": 0.5}, RHO + 0.5),
+        ({"datum": "bottom", "datum_pressure": 0.5}, 0.5),
+        ({"datum": "left"}, RHO / 2),
+        ({"datum_point": (0.5, 0.75)}, 0.75 * RHO),
+    ):
+        assert pressures(at_rest(density=RHO, **given), 0.0)[0] == pytest.approx(base, abs=2e-3 * RHO)
+
+
+@pytest.mark.parametrize(
+    ("given", "error", "said"),
+    [
+        ({"equilibrium": "isostatic"}, nv.ParameterError, "hydrostatic"),
+        ({"datum": "roof"}, nv.UnknownNameError, "roof"),
+        ({"datum": (0, 1)}, nv.ParameterError, "datum_point"),
+        ({"datum": "top", "datum_point": (0, 1)}, nv.ParameterError, "None beside a wall"),
+        ({"datum_point": (0.5, 2.0)}, nv.ParameterError, "datum"),
+        ({"datum_pressure": np.nan}, nv.ParameterError, "finite number"),
+        ({"datum": "top", "equilibrium": None}, nv.ParameterError, "nothing without equilibrium"),
+        ({"F": np.eye(3)}, nv.ParameterError, "from which it follows"),
+        ({"values": {"J": CF(1.0)}}, nv.ParameterError, "from which it follows"),
+        ({"loads": ()}, nv.ParameterError, "loads to be borne"),
+        ({"density": 100.0}, nv.InitialDataError, "pressures that a volume has"),
+    ],
+)
+def test_what_is_no_equilibrium_is_refused(given, error, said):
+    with pytest.raises(error, match=said):
+        at_rest(**{"density": RHO} | given)
+
+
+def test_a_density_that_varies_along_levels_is_said():
+    with pytest.warns(InputWarning, match="borne by no pressure.* along levels"):
+        at_rest(density=1 + x)
+
+
+# --- laws that read a pressure -----------------------------------------------------------------------
+
+FRICTION = nv.DruckerPrager(cohesion=0.05, friction_angle=30.0, G_m=1.0)
+
+
+def frictional(**given):
+    model = nv.Model(material=ROCK, viscosity=VISCOUS, creep=FRICTION, loads=(DOWN,))
+    return at_rest(model=model, density=RHO, **given)
+
+
+def test_a_negative_pressure_that_a_law_reads_is_said_once_with_the_remedy():
+    assert readers(frictional().model) == ["DruckerPrager"] and readers(at_rest(density=RHO).model) == []
+    run = frictional(equilibrium=None)
+    assert any(
+        "DruckerPrager reads the pressure" in line and "hydrostatic" in line for line in scales(run).advice
+    )
+    with pytest.warns(InputWarning, match='DruckerPrager reads a negative pressure.*"hydrostatic"') as said:
+        run.run(0.2)
+    assert len([one for one in said if "negative pressure" in str(one.message)]) == 1
+
+
+def test_who_starts_in_equilibrium_reads_none():
+    run = frictional()
+    assert not any("pressure" in line for line in scales(run).advice)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        ledger = run.run(0.2)
+    assert ledger.column("v_max").max() < 1e-5 and run.sampler.extrema(run.fields["pressure"])[0] > -5e-3
+
+
+def test_a_case_file_has_the_keys(tmp_path):
+    (tmp_path / "rock.toml").write_text("""
+domain = { geometry = "box", size = ["10 km", "10 km"], maxh = "5 km" }
+material = { kind = "ReferentialNeoHookean", K_e = "50 GPa", G_e = "15 GPa" }
+initial = { density = 2700, equilibrium = "hydrostatic", datum = "top", datum_pressure = "1 bar" }
+loads = [{ kind = "Gravity", g = [0, -9.81] }]
+time = { dt = 1, until = 2 }
+""")
+    case = nv.load_case(tmp_path / "rock.toml")
+    run = case.simulation(case.mesh())
+    p = run.fields["pressure"]
+    assert p(run.mesh(5e3, 0)) == pytest.approx(2700 * 9.81e4 + 1e5, rel=1e-3)
+    assert p(run.mesh(5e3, 1e4)) == pytest.approx(1e5, abs=3e5)
