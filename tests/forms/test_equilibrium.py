@@ -84,7 +84,6 @@ def test_the_density_follows_from_a_referential_one():
 def test_layers_bodies_and_heat():
     layered = at_rest(density=IfPos(y - 0.5, 1.0, 3.0))
     assert pressures(layered, 0.0, 0.5) == pytest.approx([2.0, 0.5], rel=1e-3) and speed(layered) < 1e-5
-    water = nv.ReferentialNeoHookean(K_e=20.0, G_e=0.1)
     bodies = [
         nv.Body(
             name="water", where=y - 0.5, material=nv.ReferentialNeoHookean(K_e=20.0, G_e=0.1), density=1.0
