@@ -211,9 +211,8 @@ class Ledger:
         """Row 0: the initial state, with no exchange."""
         self.step.energy.require()
         values = self.state()
-        for name, value in values.items():
-            if not math.isfinite(value):
-                raise InitialDataError(name, value, "a number: the state has none there")
+        if bad := [name for name, value in values.items() if not math.isfinite(value)]:
+            raise InitialDataError(bad[0], values[bad[0]], "a number: the state has none there")
         energy = energy_of(values)
         self.balance = Balance(energy, values["mass"], values["mass"])
         row = self._idle() | values | dict.fromkeys(("dt", "closure", "closure_relative", "mass_drift"), 0.0)

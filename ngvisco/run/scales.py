@@ -13,6 +13,7 @@ from ngsolve import CF, CoefficientFunction, Integrate, Mesh
 from ngvisco.forms.mesh.mesh_arrays import coordinates
 from ngvisco.forms.mesh.quadrature import Sampler
 from ngvisco.forms.system import Step
+from ngvisco.forms.tension import unborne_weight
 from ngvisco.forms.terms.momentum import Loading
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.mesh import cell_numbers
@@ -27,7 +28,6 @@ from ngvisco.physics.model import Model
 from ngvisco.physics.parameters import Parameter, parameters_in
 from ngvisco.physics.pointwise import evaluated, rest_state, squares
 from ngvisco.physics.tensors import constant, square
-from ngvisco.run.tension import unborne_weight
 from ngvisco.timestepping.scheme import TimeScheme, backward_euler, midpoint
 
 if TYPE_CHECKING:

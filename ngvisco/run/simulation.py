@@ -31,6 +31,7 @@ from ngvisco.forms.spaces import Discretisation
 from ngvisco.forms.start.data_checks import check_loads, check_walls, warn_of_corners
 from ngvisco.forms.start.initial import Initial, set_initial
 from ngvisco.forms.system import Step
+from ngvisco.forms.tension import Tension
 from ngvisco.forms.term import Term
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.mesh import distributed
@@ -47,7 +48,6 @@ from ngvisco.run.passive import CARRIED, PassiveFields
 from ngvisco.run.ranks import Numbering, ending_all_ranks, tell
 from ngvisco.run.scales import diameter, typical_velocity
 from ngvisco.run.stepping import AdaptiveStepper, Rejection, TimeSteps, time_steps
-from ngvisco.run.tension import Tension
 from ngvisco.solver.options import NewtonOptions
 from ngvisco.solver.rothe import RotheSolver
 from ngvisco.threads import computing

@@ -8,9 +8,9 @@ from ngsolve import CF, IfPos, x, y
 
 import ngvisco as nv
 from ngvisco.forms.start.data_checks import InputWarning
+from ngvisco.forms.tension import readers
 from ngvisco.geometries import structured_box
 from ngvisco.run.scales import scales
-from ngvisco.run.tension import readers
 
 K, G, RHO, WEIGHT = 50.0, 30.0, 2.0, 1.0
 ROCK = nv.ReferentialNeoHookean(K_e=K, G_e=G / 2)

@@ -49,7 +49,7 @@ _CONVERGED = 1e-12
 _DIFFERENCE = 1e-5
 """Relative change of J for the slope of the bulk law."""
 WITHIN = 2
-"""Degrees by which the rule for a density is raised."""
+"""Degrees by which the rule for a density is raised: that of degree 2 has points on edges, as layers do."""
 _UNBORNE = 0.05
 """Share of the loads that no pressure bears, from which on it is said."""
 

@@ -210,7 +210,6 @@ def _project(
     with TaskManager():
         step.state.vec[:] = 0.0
         if not step.model.bodies:
-            # points within cells: a rule of degree 2 has those of edges, where layers meet
             parts["rho"].Set(density, bonus_intorder=0 if initial.equilibrium is None else WITHIN)
         parts["z"].Set(material.states(dim).components(values))
         for name, value in further.items():
