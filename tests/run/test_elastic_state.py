@@ -109,10 +109,10 @@ def test_run_that_winds_up_warns_once_and_ends_by_name_with_the_remedy():
 # --- what has parted ends a run ----------------------------------------------------------------------
 
 
-def in_a_closed_box(state, m=0, **options):
+def in_a_closed_box(state, m=0, speed=0.1, **options):
     """A longitudinal wave in a box without viscosity, where m = 0 leaves motion that no variable feels."""
     material = nv.ReferentialNeoHookean(K_e=10.0, G_e=2.0, elastic_state=state)
-    start = nv.Initial(density=1.0, velocity=(0.1 * sin(pi * x / 4), 0))
+    start = nv.Initial(density=1.0, velocity=(speed * sin(pi * x / 4), 0))
     mesh, options = structured_box((4, 1), (8, 2)), {"dt": 0.04, "scheme": "midpoint"} | options
     space = nv.Discretisation(m=m)
     return nv.Simulation(mesh, nv.Model(material=material), initial=start, discretisation=space, **options)
@@ -127,17 +127,18 @@ def drift(run):
 def test_rest_energy_that_drift_frees_does_not_become_motion():
     """F and J carried apart by no shear modulus but their own part, and phi(F, J) falls below rest.
 
-    The wave has 0.01 J.  By F the run had gone on to 500 times that, with a ledger that closed.
+    Of a wave of 0.01 J the run had gone on to 500 times that, with a ledger that closed.
     """
-    run = in_a_closed_box("F", halvings=0)
+    run = in_a_closed_box("F", speed=0.5, halvings=0)
     with (
         pytest.warns(nv.DefectWarning),
         pytest.raises(nv.StepError, match="det H and J have parted") as ended,
     ):
-        run.run(4.0)
-    assert drift(run) <= DRIFT and 'elastic_state="B"' in str(ended.value.report)
+        run.run(2.0)
+    assert 0.05 < drift(run) <= DRIFT and 'elastic_state="B"' in str(ended.value.report)
     assert np.abs(run.ledger.column("closure_relative")).max() < 1e-10
-    assert 0.009 < run.ledger.rows[0]["kinetic"] < 0.011
+    kinetic = run.ledger.column("kinetic")
+    assert kinetic.max() == kinetic[0] == pytest.approx(0.25, rel=0.01)
 
 
 @pytest.mark.parametrize("m", [0, 1])
