@@ -112,6 +112,9 @@ def _with_tables(
     found: dict[str, Any] = {name: read(data[name], (name,)) for name in ("loads", "walls") if name in data}
     if "material" in data:
         found["material"] = read_series(data["material"], ("material",))
+    if isinstance(data.get("bodies"), list):
+        bodies = enumerate(data["bodies"])
+        found["bodies"] = [read_series(body, ("bodies", str(i))) for i, body in bodies]
     return data | found, faults
 
 

@@ -17,7 +17,8 @@ from ngsolve import CoefficientFunction, Det
 from ngvisco.errors import ParameterError, as_integer, as_number
 from ngvisco.physics.flow_rules import FlowRule
 from ngvisco.physics.heat import Heat
-from ngvisco.physics.material import Material
+from ngvisco.physics.material import Material, part_of
+from ngvisco.physics.materials.network import Network
 from ngvisco.physics.rheology import Viscosity
 from ngvisco.physics.tensors import Tensor, if_positive, sqrt, tr
 from ngvisco.physics.variables import Frame, Values, Variable
@@ -180,6 +181,7 @@ class Body:
         ``level`` that is positive inside.  None (default) is the rest, what no other body of the model
         covers; one body at most is the rest.
     material : Material
+        Also a ``Network``, whose branches have their creep.
     viscosity : StokesViscosity or LinearViscosity, optional
     creep : Creep, optional
     heat : Heat, optional
@@ -201,6 +203,13 @@ class Body:
     heat: Heat | None = None
     density: float | None = None
     order: int = 0
+
+    @property
+    def rules(self) -> dict[str | None, FlowRule]:
+        """What of the body flows: rules by the branches of its network, None of a body without."""
+        network = part_of(self.material, Network)
+        rules = {None: self.creep} if network is None else {n: b.creep for n, b in network.parts.items()}
+        return {name: rule for name, rule in rules.items() if rule is not None and rule.flows}
 
     def __post_init__(self) -> None:
         if not (isinstance(self.name, str) and self.name.isidentifier()):

@@ -95,8 +95,10 @@ class Mixture(Material):
             if psi.reads_parameters_in_volume and not self.has_one_volume:
                 expected = "a bulk modulus that is a number, or bodies with one volumetric energy"
                 raise ParameterError(f"bodies[{body.name!r}].material", body.material, expected)
-            for name in ("creep", "viscosity"):
-                law = getattr(body, name)
+            laws = {
+                "creep" if n is None else f"material.branches.{n}.creep": r for n, r in body.rules.items()
+            }
+            for name, law in (laws | {"viscosity": body.viscosity}).items():
                 if law is not None and PRESSURE in law.reads and not self.has_one_volume:
                     expected = "a law that reads no pressure, or bodies with one volumetric energy"
                     raise ParameterError(f"bodies[{body.name!r}].{name}", law, expected)
@@ -119,18 +121,30 @@ class Mixture(Material):
         return tuple(Content(v.name, v.kind, v, 1 / len(self.bodies)) for v in own)
 
     @cached_property
-    def plastic_contents(self) -> dict[str, PlasticContent]:
-        """K_i of the bodies that harden, by their names."""
-        laws = ((b.name, b.creep) for b in self.bodies)
-        return {name: PlasticContent.of(name) for name, law in laws if law is not None and law.hardening}
+    def plastic_contents(self) -> dict[tuple[str, str | None], PlasticContent]:
+        """K_i of what hardens, by the names of its body and of its branch there, None without branches."""
+        rules = ((body.name, branch, rule) for body in self.bodies for branch, rule in body.rules.items())
+        return {
+            (name, branch): PlasticContent.of(name if branch is None else f"{branch}_{name}")
+            for name, branch, rule in rules
+            if rule.hardening is not None
+        }
+
+    def contents_of(self, body: str, branch: str | None) -> tuple[str, ...]:
+        """Names of X_i of a branch of a body, None of a body without branches."""
+        material = next(each.material for each in self.bodies if each.name == body)
+        names = material.distortions[branch or ""]
+        return tuple(X.name for X in self.contents(body) if X.tensor.name in {f"{n}_{body}" for n in names})
 
     @property
     def distortions(self) -> dict[str, tuple[str, ...]]:
-        return {body.name: tuple(X.name for X in self.contents(body.name)) for body in self.bodies}
+        owners = ((body.name, branch) for body in self.bodies for branch in body.material.distortions)
+        return {f"{branch} {body}".strip(): self.contents_of(body, branch) for body, branch in owners}
 
     def densities(self, body: str) -> tuple[Variable, ...]:
         """What a body carries: X_i, n_i, and K_i where it hardens."""
-        own = {X.name for X in self.contents(body)} | {AMOUNT + body, PlasticContent.of(body).name}
+        hardened = {K.name for (owner, _), K in self.plastic_contents.items() if owner == body}
+        own = {X.name for X in self.contents(body)} | {AMOUNT + body} | hardened
         return tuple(v for v in self.variables if v.name in own)
 
     @cached_property
@@ -251,10 +265,11 @@ class Mixture(Material):
             rest = {name: size * each for name, each in unit.items()}
             shear = psi.energy({**own, **X, "J": one}) - psi.energy({**own, **rest, "J": one})
             found[body.name] = weight * shear
-            law = None if body.creep is None else body.creep.hardening
-            if law is not None:
-                content = z[self.plastic_contents[body.name].name]
-                of_yield = law.energy(self.fractions.hardened(z, body.name), content, own)
+            for branch, rule in body.rules.items():
+                if rule.hardening is None:
+                    continue
+                content = z[self.plastic_contents[body.name, branch].name]
+                of_yield = rule.hardening.energy(self.fractions.hardened(z, body.name), content, own)
                 found[body.name] = found[body.name] + of_yield
         return found
 

@@ -51,8 +51,8 @@ class Flow:
     @property
     def plastic_content(self) -> PlasticContent:
         """The variable that is made by its hardening: K = A k, of a branch its own, or K_i of a body."""
-        owner = self.branch if self.body is None else self.body
-        return PLASTIC_CONTENT if owner is None else PlasticContent.of(owner)
+        owner = "_".join(name for name in (self.branch, self.body) if name is not None)
+        return PlasticContent.of(owner) if owner else PLASTIC_CONTENT
 
     def plastic_strain(self, z: Values) -> tuple[str, Any]:
         """The name of the field of the plastic strain k, and k at a point with the values ``z``."""
@@ -173,9 +173,10 @@ class Model:
             flow = Flow(self.creep, names, of.conformation) if self.creep is not None else None
             return (flow,) if flow is not None and flow.rule.flows else ()
         return tuple(
-            Flow(body.creep, of.distortions[body.name], body=body.name, fractions=of.fractions)
+            Flow(rule, names, branch=branch, body=body.name, fractions=of.fractions)
             for body in self.bodies
-            if body.creep is not None and body.creep.flows and of.contents(body.name)
+            for branch, rule in body.rules.items()
+            if (names := of.contents_of(body.name, branch))
         )
 
     @property
@@ -290,8 +291,8 @@ def _faults(body: Body, bodies: Sequence[Body]) -> Iterable[tuple[str, str]]:
     material, law, heat = body.material, body.creep, body.heat
     if part_of(material, Damaged) is not None:
         yield "material", "a material without damage: that of one body would be the damage of all"
-    if part_of(material, Network) is not None:
-        yield "material", "a material without branches: those of bodies are not offered"
+    if law is not None and part_of(material, Network) is not None:
+        yield "creep", "None with a Network, whose branches have theirs"
     lightest = min(bodies, key=lambda each: each.density or 0.0)
     if (body.density or 0.0) > MOST_DENSER * (lightest.density or 0.0):
         most = f"at most {MOST_DENSER:g} times that of {lightest.name!r}, {lightest.density:g} kg/m^3"
@@ -311,11 +312,12 @@ def _faults(body: Body, bodies: Sequence[Body]) -> Iterable[tuple[str, str]]:
         yield "heat.numerical_heating", "False: what the scheme dissipates is of all bodies, Model(heat=...)"
     if getattr(material, "J_min", None) is not None:
         yield "material", "J_min = None: continued below it, the energy is not convex per reference volume"
-    if law is not None and law.flows:
-        if law.nu:
-            yield "creep", "nu = 0: the creep of several bodies is local"
-        if law.reads_conjugate or law.has_trace:
-            yield "creep", "a flow rule that reads no conformation tensor, which no body has"
+    for branch, rule in body.rules.items():
+        key = "creep" if branch is None else "material"
+        if rule.nu:
+            yield key, "nu = 0: the creep of several bodies is local"
+        if rule.reads_conjugate or rule.has_trace:
+            yield key, "a flow rule that reads no conformation tensor, which no body has"
 
 
 def _value(body: Body, part: str) -> Any:

@@ -159,3 +159,16 @@ def test_shifts_by_temperature_are_those_of_their_formulas():
         (branch,) = nv.prony_network(chains, prony=[[1.0, 2.0]], of="G_0", **options).parts.values()
         assert branch.creep.rule.law == "conformation"
         assert float(branch.creep.factor({})) == pytest.approx(factor, rel=1e-12, abs=1e-100)
+
+
+def test_a_body_is_a_network_from_a_table(tmp_path):
+    (tmp_path / "rows.csv").write_text("0.3, 0.1\n0.2, 1\n")
+    material = PRONY[PRONY.index("[material]") :].replace("[material]", "[bodies.material]")
+    rows = 'prony = [[0.3, 0.1], [0.2, "1000 ms"]]'
+    body = '[[bodies]]\nname = "all"\ndensity = 1\n' + material.replace(rows, 'prony = { file = "rows.csv" }')
+    case = load_case(written(tmp_path, PRONY[: PRONY.index("[material]")] + body))
+    flows = case.model(2).flows
+    assert [(flow.body, flow.branch, flow.names) for flow in flows] == [
+        ("all", "mode_1", ("B_mode_1_all",)),
+        ("all", "mode_2", ("B_mode_2_all",)),
+    ]

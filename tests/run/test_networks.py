@@ -211,3 +211,41 @@ def test_a_branch_of_ones_own_that_is_not_convex_is_named():
         pytest.warns(nv.ConvexityWarning, match=r"branches\['own'\].* alone is not convex"),
     ):
         simulation(made)
+
+
+def of_bodies(material, solver="coupled"):
+    """A disc of the material in a body that creeps."""
+    viscosity = nv.StokesViscosity(K_v=0.05, G_v=0.05)
+    place = nv.Ball((0.5, 0.5), 0.3)
+    disc = nv.Body(name="disc", where=place, material=material, viscosity=viscosity, density=1.0)
+    creep = nv.Creep(G_m=0.5)
+    rest = nv.Body(name="rest", material=SPRING.material, creep=creep, viscosity=viscosity, density=1.0)
+    initial = nv.Initial(velocity=SWIRL)
+    return nv.Simulation(
+        box((1, 1), maxh=0.5), nv.Model(bodies=[disc, rest]), dt=0.05, initial=initial, solver=solver
+    )
+
+
+@pytest.mark.parametrize("solver", ["coupled", "split"])
+def test_a_body_may_be_a_network(solver):
+    run = of_bodies(network(nv.Perzyna(sigma_Y=0.05, G_m=0.5, H=1.0)), solver)
+    assert [flow.names for flow in run.model.flows] == [("B_slow_disc", "N_slow_disc"), ("B_rest",)]
+    ledger = run.run(0.1)
+    assert np.abs(ledger.column("closure_relative")).max() <= 1e-10
+    assert ledger.column("dissipation_creep_slow")[-1] > 0 and ledger.column("dissipation_creep")[-1] > 0
+    assert "plastic_strain_slow_disc" in run.fields
+    with pytest.raises(nv.ParameterError, match="None with a Network"):
+        nv.Model(bodies=[nv.Body(name="one", material=network(None), creep=nv.Creep(G_m=1.0), density=1.0)])
+
+
+def test_a_network_is_that_of_a_body_alone():
+    made, viscosity = network(RULES["Norton, n = 3"]), nv.StokesViscosity(K_v=0.05, G_v=0.05)
+    initial = nv.Initial(velocity=SWIRL)
+    bodies = [nv.Body(name="all", material=made, viscosity=viscosity, density=1.0)]
+    runs = (
+        nv.Simulation(box((1, 1), maxh=0.5), model, dt=0.01, initial=initial)
+        for model in (nv.Model(material=made, viscosity=viscosity), nv.Model(bodies=bodies))
+    )
+    alone, of_body = (run.run(0.05) for run in runs)
+    for column in ("kinetic", "dissipation_creep_slow"):  # by J, and by n = 1/J: to the scheme's order
+        assert np.allclose(alone.column(column), of_body.column(column), rtol=1e-3), column
