@@ -132,11 +132,15 @@ class Quantity(NamedTuple):
         The numbers that are admitted, as ``"> 0"``, ``"in (0, 1]"`` or ``"from 1 to 8"``; "" for all.
     example : value, optional
         As a case file may have it, for what has no default.
+    mean : str
+        Which mean of a modulus a cell has where it jumps (``ngvisco.physics.parameters``); "" is geometric
+        for what is > 0, and that of a root for what may be 0.
     """
 
     unit: str = ""
     range: str = ""
     example: Any = None
+    mean: str = ""
 
 
 def as_number(value: object) -> float | None:
@@ -170,6 +174,7 @@ class Declared(NamedTuple):
 
     range: str
     kinds: tuple[Any, ...]
+    mean: str = ""
 
     @property
     def is_plain(self) -> bool:
@@ -209,17 +214,18 @@ def declared(kind: type) -> dict[str, Declared]:
 
     A class that annotates a parameter of its base anew, without a quantity, keeps the base's range.
     """
-    ranges: dict[str, str] = {}
+    said: dict[str, Quantity] = {}
     for each in reversed(inspect.getmro(kind)):
         for name, hint in get_type_hints(each, include_extras=True).items():
             for part in getattr(hint, "__metadata__", ()):
                 if isinstance(part, Quantity):
-                    ranges[name] = part.range
+                    said[name] = part
     kinds = {
         name: get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
         for name, hint in get_type_hints(kind).items()
     }
-    return {n: Declared(r, kinds[n]) for n, r in ranges.items() if {int, float} & set(kinds[n])}
+    numbers_of = {n: q for n, q in said.items() if {int, float} & set(kinds[n])}
+    return {n: Declared(q.range, kinds[n], q.mean) for n, q in numbers_of.items()}
 
 
 def require_ranges(owner: Any) -> None:

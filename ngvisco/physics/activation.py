@@ -23,7 +23,7 @@ class _Activation:
     E: Annotated[float, Quantity("J/mol", example=2e5)]
     theta_R: Annotated[float, Quantity("K", "> 0", 300.0)]
     V: Annotated[float, Quantity("m^3/mol")] = 0.0
-    temperature: Annotated[Modulus | None, Quantity("K", "> 0", 300.0)] = None
+    temperature: Annotated[Modulus | None, Quantity("K", "> 0", 300.0, "arithmetic")] = None
 
     def __post_init__(self) -> None:
         require_ranges(self)

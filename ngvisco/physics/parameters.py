@@ -5,6 +5,13 @@ with a conjugate zeta = d phi/d theta, so that the elastic force has the part th
 Cauchy stress is right and the ledger closes.  An energy that reads the place x instead has a force that
 nothing balances, and is refused (``ngvisco.physics.energy_checks``).
 
+Where a parameter jumps, a cell that the jump has moved into has a mean of both values: of the number that is
+carried.  The mean of theta itself (arithmetic) is wrong by far for a modulus that jumps by orders of
+magnitude: a share of 1e-5 of 1e6 is ten times 1.  ``Parameter.mean`` says what is carried.  Moduli that are
+functions of the place have the mean that their law says: creep moduli G_m, of dashpots in series with
+springs, carry the fluidity 1/G_m; other moduli > 0 their logarithm, and those that may be 0 their eighth
+root, whose share of 1e-5 of 1e6 adds 4e-4; temperatures, densities and fluidities are carried themselves.
+
 A parameter is no strain.  phi need not be convex in it, and the ledger's ``bregman`` may have either sign
 where parameters are transported.  Quadratic regularisation, Yosida approximation and the diffusion of the
 fields leave it alone.  It stays within the range of its start values, in a run with a limiter
@@ -21,17 +28,27 @@ from copy import copy
 from dataclasses import dataclass, field, replace
 from itertools import count
 from operator import add, mul, neg, sub, truediv
-from typing import Any, ClassVar, TypeAlias, TypeVar
+from typing import Any, ClassVar, Literal, TypeAlias, TypeVar
 
+import numpy as np
 from ngsolve import CF, CoefficientFunction
 
 from ngvisco import errors
-from ngvisco.errors import Declared, ParameterError, as_number, declared
+from ngvisco.errors import Declared, ParameterError, as_number, declared, require_choice
 from ngvisco.physics.signals import reads_time
-from ngvisco.physics.tensors import Tensor
+from ngvisco.physics.tensors import Tensor, exp, if_positive, log
 from ngvisco.physics.variables import Values, Variable
 
 T = TypeVar("T")
+
+Mean: TypeAlias = Literal["arithmetic", "geometric", "harmonic", "root"]
+"""Of which number of a parameter's values a cell has the mean: theta, ln theta, 1/theta or theta^(1/8)."""
+
+_SQUARINGS = 3
+"""What makes the eighth root the number again."""
+
+_LEAST = 1e-100
+"""1/theta where it is not positive: polynomials beside a jump overshoot."""
 
 
 class Expression(ABC):
@@ -51,7 +68,7 @@ class Expression(ABC):
     @property
     def typical(self) -> float:
         """Its value for the parameters' typical ones."""
-        with_numbers: Any = {p.name: p.typical for p in self.parameters}
+        with_numbers: Any = {p.name: np.float64(p.carried(p.typical)) for p in self.parameters}
         return float(self.at(with_numbers))
 
     def __add__(self, other: object) -> Expression:
@@ -164,13 +181,19 @@ class Parameter(Variable, Expression):
         Its value at the start, a function of the place; None where ``Initial.values`` has it.
     typical : float
         A value at which an energy is looked at before a run is known; default that of a ``start`` that is a
-        number, else 0.5.
+        number, else 0.5; 1 with another mean than the arithmetic one.
+    mean : str
+        What a cell has where it jumps: the mean of the parameter itself, ``"arithmetic"``; of its logarithm,
+        ``"geometric"``, neutral between what stands in series and side by side; of its inverse,
+        ``"harmonic"``, for what stands in series; or of its eighth root, ``"root"``, which is nearly the
+        geometric one and admits 0.  The geometric and the harmonic one ask for values > 0.
     """
 
     name: str
     kind: str = "scalar"
     start: float | Tensor | None = field(default=None, compare=False, repr=False)
     typical: float = math.nan
+    mean: Mean = "arithmetic"
     is_strain = False
     limits: ClassVar[tuple[float, float] | None] = None
     """Within which it stays; None for the range of its start values."""
@@ -185,13 +208,37 @@ class Parameter(Variable, Expression):
         if number is None and self.start is not None and reads_time(self.start):
             expected = "a function of the initial place; it reads the time, and is carried from the start on"
             raise ParameterError("Parameter.start", self.start, expected)
+        require_choice(self, ("arithmetic", "geometric", "harmonic", "root"), mean=self.mean)
+        positive = self.mean in ("geometric", "harmonic")
         if math.isnan(self.typical):
-            object.__setattr__(self, "typical", 0.5 if number is None else number)
+            usual = 1.0 if positive else 0.5
+            object.__setattr__(self, "typical", usual if number is None else number)
         elif as_number(self.typical) is None:
             raise ParameterError("Parameter.typical", self.typical, "a finite number")
+        for name, value in (("start", number), ("typical", self.typical)):
+            if positive and value is not None and not value > 0:
+                raise ParameterError(f"Parameter.{name}", value, f"a number > 0, with mean = {self.mean!r}")
 
     def at(self, z: Values) -> Tensor:
-        return z[self.name]
+        """The parameter by what is carried of it."""
+        carried = z[self.name]
+        if self.mean == "geometric":
+            return exp(carried)
+        if self.mean == "harmonic":  # 0 at points that overshoot it: 1/theta is no mobility of the wrong sign
+            least = 0 * carried + _LEAST
+            return 1 / (carried if isinstance(carried, float) else if_positive(carried, carried, least))
+        if self.mean == "root":
+            for _ in range(_SQUARINGS):
+                carried = carried * carried
+        return carried
+
+    def carried(self, value: Any) -> Any:
+        """What is carried of a value: theta, ln theta, 1/theta or theta^(1/8)."""
+        if self.mean == "geometric":
+            return log(value)
+        if self.mean == "root":
+            return value ** (0.5**_SQUARINGS)
+        return value if self.mean == "arithmetic" else 1 / value
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -202,7 +249,7 @@ class Parameter(Variable, Expression):
 
     def from_distortion(self, F: Tensor) -> Tensor:
         """The typical value: no distortion tells a parameter."""
-        return CF(self.typical)
+        return CF(float(self.carried(np.float64(self.typical))))
 
 
 Modulus: TypeAlias = float | Tensor | Expression
@@ -254,7 +301,8 @@ def _as_modulus(full: str, value: object, said: Declared) -> Modulus:
     if reads_time(value):
         expected = "a function of the initial place; it reads the time, as loads and walls may"
         raise ParameterError(full, value, expected)
-    own = Parameter(full.rpartition(".")[2], start=value, typical=1.0)
+    mean: Any = said.mean or ("geometric" if is_positive else "root")
+    own = Parameter(full.rpartition(".")[2], start=value, typical=1.0, mean=mean)
     return _Modulus(full, own, is_positive, is_own=True)
 
 

@@ -39,6 +39,7 @@ from ngvisco.physics.material import Material, cauchy_stress, mandel_stress, par
 from ngvisco.physics.materials.network import Network
 from ngvisco.physics.materials.thermal import entropy_in, temperature
 from ngvisco.physics.mixture import Mixture
+from ngvisco.physics.parameters import Parameter
 from ngvisco.physics.tensors import IDENTITY, constant, det, dev, if_positive, square, sym, tr
 from ngvisco.physics.variables import TEMPERATURE, Distortion, LeftCauchyGreen, SmallStrain
 from ngvisco.run.scales import rest_pressure
@@ -84,6 +85,7 @@ def output_fields(step: Step, fields: Fields | None = None) -> dict[str, Coeffic
         "velocity": u.v,
         "density": u.rho,
         **u.z_tensors,
+        **{v.name: v.at(u.z_tensors) for v in material.variables if isinstance(v, Parameter)},
         **{name: CF(tuple(u.z_tensors[name][i, 0] for i in range(step.mesh.dim))) for name in vectors},
         "cauchy_stress": T,
         "pressure": (-1 / 3) * tr(T),

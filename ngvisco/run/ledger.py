@@ -31,6 +31,7 @@ from ngvisco.physics.mixture import Mixture
 from ngvisco.physics.tensors import if_positive, square
 from ngvisco.physics.variables import Distortion, Jacobian, ReciprocalJacobian, Values
 from ngvisco.run.adaptive import CRACKED, GROWTH, DamageWarning, growth_message
+from ngvisco.run.failure import cause_of_negative_power
 from ngvisco.run.notebook import data_frame, ledger_html
 from ngvisco.timestepping.integrator import LIMITER, LIMITER_WALLS, StepTaken
 
@@ -423,7 +424,7 @@ class Ledger:
             where = self.sampler.largest_in_words(-power, self._shares)
             message = (
                 f"at t = {time:.4g} s creep gives energy, M : Pi = {least:.3g} W/m^3, most "
-                f"{where}: its flow rule is none, though the ledger closes"
+                f"{where}: {cause_of_negative_power(self.step, self.sampler)}, though the ledger closes"
             )
             self._warn_once(message, CreepPowerWarning)
 

@@ -12,6 +12,7 @@ from ngsolve import GridFunction
 
 from ngvisco.errors import ParameterError, UnknownNameError, require_collection
 from ngvisco.forms.projections import inverse_mass
+from ngvisco.physics.parameters import Parameter
 from ngvisco.run.simulation import Simulation
 from ngvisco.sensitivity.adjoint import Adjoint
 from ngvisco.sensitivity.columns import Columns, tables_of
@@ -88,6 +89,10 @@ class Gradient:
         if name not in (*known, *scalars):
             raise UnknownNameError("scalar field", name, (*known, *scalars))
         block = known.get(name, "z")
+        variable = next((v for v in self.simulation.model.material.variables if v.name == name), None)
+        if isinstance(variable, Parameter) and variable.mean != "arithmetic":
+            expected = "a parameter that is carried itself; nv.Parameter(..., mean='arithmetic') is"
+            raise ParameterError("Gradient.density", name, expected)
         result = GridFunction(layout.scalar_space(block))
         begin = layout.ranges[block].start + (scalars[name].start * len(result.vec) if name in scalars else 0)
         slope = result.vec.CreateVector()

@@ -10,6 +10,7 @@ from ngsolve import CF, L2, GridFunction, x, y
 
 import ngvisco as nv
 from ngvisco.geometries import box, structured_box
+from ngvisco.physics.arrays import Array
 from ngvisco.physics.tensors import square
 from ngvisco.physics.variables import Distortion, Jacobian
 
@@ -137,3 +138,33 @@ def test_a_temperature_that_laws_are_given_is_the_run_s_where_the_material_has_n
     assert names(nv.Model(material=warm, **arrhenius(start)))[-1] == "temperature_2"
     with pytest.raises(nv.ParameterError, match=r"Activated\.temperature.*the material has no temperature"):
         nv.Model(material=solid, **arrhenius(start))
+
+
+@pytest.mark.parametrize("mean", ["arithmetic", "geometric", "harmonic", "root"])
+def test_what_is_carried_gives_the_value_again_and_the_mean_that_it_says(mean):
+    parameter, share = nv.Parameter("eta", start=2.0, mean=mean), 1e-5
+    low, high = (parameter.carried(np.array([value])) for value in (1.0, 1e6))
+    assert parameter.at({"eta": Array(high)}).value == pytest.approx(1e6, rel=1e-12)
+    mixed = float(parameter.at({"eta": Array((1 - share) * low + share * high)}).value[0])
+    expected = {"arithmetic": 11.0, "geometric": 1e6**share, "harmonic": 1 + share}
+    assert mixed == pytest.approx(expected.get(mean, 1 + 8 * share * (1e6**0.125 - 1)), rel=1e-6)
+    assert parameter.typical == 2.0
+
+
+def test_moduli_of_a_place_have_the_mean_that_their_law_says():
+    solid = nv.LinearElastic(K_e=1 + x, G_e=2 + x)
+    model = nv.Model(
+        material=solid,
+        viscosity=nv.StokesViscosity(K_v=1 + y, G_v=2 + y),
+        creep=nv.Composite(rules=(nv.Creep(G_m=1 + x), nv.Norton(A=1 + x, n=3))),
+    )
+    found = {v.name: v.mean for v in model.material.variables if isinstance(v, nv.Parameter)}
+    expected = {"G_e": "geometric", "G_m": "harmonic", "A": "arithmetic"}
+    assert found == expected | dict.fromkeys(("K_e", "K_v", "G_v"), "root")
+
+
+def test_a_mean_asks_for_positive_values():
+    with pytest.raises(nv.ParameterError, match=r"Parameter\.start = -1.*> 0, with mean = 'geometric'"):
+        nv.Parameter("eta", start=-1.0, mean="geometric")
+    with pytest.raises(nv.ParameterError, match=r"Parameter\.mean = 'median'"):
+        nv.Parameter("eta", mean="median")

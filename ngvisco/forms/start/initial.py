@@ -21,6 +21,7 @@ from ngvisco.forms.start.variables import (
     Given,
     Values,
     as_shape,
+    carried_of,
     entropy_at,
     parameter_values,
     starting_fractions,
@@ -41,6 +42,13 @@ from ngvisco.physics.signals import reads_time
 from ngvisco.physics.tensors import inner, square, tensor_space, trace_free_tensors
 
 ScalarLike: TypeAlias = float | CoefficientFunction
+
+_INSIDE = 1
+"""Degrees by which the projection's rule is more exact than the fields.
+
+The points of degree 2 in triangles are the middles of edges, where a function that jumps from cell to cell
+has the value of one of them.
+"""
 
 _LEAST_DENSITY = 1e-30  # kg/m^3; the largest is one over it, as the sizes of domains are from 1e-30 to 1e30 m
 _CONTRADICTION = 1e-6  # of rho_0 J_0/rho_R from 1: what is left where one of them is rounded to seven digits
@@ -159,7 +167,8 @@ def _data(
     material = step.model.material
     F = Id(3) if initial.F is None else as_shape("Initial.F", initial.F, (3, 3))
     sampler.require(Det(F), "det F_0", minimum=0.0)
-    parameters = parameter_values(material, initial.values)
+    told = parameter_values(material, initial.values)
+    parameters = carried_of(material, told)
     shares: Values = {}
     if isinstance(material, Mixture):
         shares = starting_fractions(step.mesh, material.bodies, step.discretisation.m)
@@ -170,7 +179,7 @@ def _data(
     of_bodies = _of_bodies(step, initial, shares, distortions)
     rho_R = material.referential_density
     rho_R = None if rho_R is None else CF(value_at(rho_R, parameters))
-    _check_moduli(step, parameters, sampler)
+    _check_moduli(step, told, parameters, sampler)
     density: CoefficientFunction | None = None
     if not of_bodies and initial.density is not None:
         density = as_shape("Initial.density", initial.density, ())
@@ -210,8 +219,9 @@ def _project(
     with TaskManager():
         step.state.vec[:] = 0.0
         if not step.model.bodies:
-            parts["rho"].Set(density, bonus_intorder=0 if initial.equilibrium is None else WITHIN)
-        parts["z"].Set(material.states(dim).components(values))
+            inside = _INSIDE if initial.equilibrium is None else WITHIN
+            parts["rho"].Set(density, bonus_intorder=inside)
+        parts["z"].Set(material.states(dim).components(values), bonus_intorder=_INSIDE)
         for name, value in further.items():
             project(step.layout.unknowns[name], parts[name], step.quadrature, value)
         bounds = Bounds(step, sampler)
@@ -293,8 +303,11 @@ def _of_bodies(
     return {name: v for name, v in material.filled(shares, distortions).items() if name not in initial.values}
 
 
-def _check_moduli(step: Step, parameters: Given, sampler: Sampler) -> None:
-    """Raise InitialDataError where a modulus of a law is not of its sign somewhere at the start."""
+def _check_moduli(step: Step, told: Values, parameters: Given, sampler: Sampler) -> None:
+    """Raise InitialDataError where a modulus of a law is not of its sign somewhere at the start.
+
+    ``parameters`` are what is carried of the values that are ``told``.
+    """
     model = step.model
     laws: list[tuple[str, object]] = [
         (f"bodies[{body.name!r}].", (body.material, body.viscosity, body.creep)) for body in model.bodies
@@ -302,7 +315,7 @@ def _check_moduli(step: Step, parameters: Given, sampler: Sampler) -> None:
     laws.append(("", (() if laws else (model.material, model.viscosity, model.creep), model.hyperviscosity)))
     of_laws = [(owner + name, value, sign) for owner, law in laws for name, value, sign in moduli_in(law)]
     for name, expression, is_positive in of_laws:
-        value = expression.at(parameters)
+        value = told[expression.name] if isinstance(expression, Parameter) else expression.at(parameters)
         sampler.require(value, name, minimum=0.0 if is_positive else None)
         if (least := sampler.extrema(value)[0]) < 0:
             raise InitialDataError(name, f"minimum {least:.6g}", ">= 0")

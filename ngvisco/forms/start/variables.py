@@ -63,7 +63,14 @@ def starting_values(
     Raises UnknownNameError for a name that is neither a variable's nor among ``further``.
     """
     values = {v.name: v.from_distortion(F) for v in material.variables}
-    return values | parameter_values(material, given, owner) | given_values(material, given, further, owner)
+    told = parameter_values(material, given, owner) | given_values(material, given, further, owner)
+    return values | carried_of(material, told)
+
+
+def carried_of(material: Material, values: Values) -> Values:
+    """The same with what is carried of parameters in place of their values."""
+    known = (v for v in material.variables if isinstance(v, Parameter) and v.name in values)
+    return values | {v.name: v.carried(values[v.name]) for v in known}
 
 
 def given_values(

@@ -75,7 +75,7 @@ class Creep(GradientRule):
         "mandel" (the paper), or "conformation" or "leonov" of a conformation tensor's fluid.
     """
 
-    G_m: Annotated[Modulus, Quantity("Pa s", "> 0", 5.0)]
+    G_m: Annotated[Modulus, Quantity("Pa s", "> 0", 5.0, "harmonic")]
     floor: Annotated[float, Quantity("1/(m s)", "> 0")] = 1e-10
     law: CreepLaw = "mandel"
 
@@ -139,7 +139,7 @@ class Norton(_Driven):
         "mandel", or "conformation" of a conformation tensor's fluid.
     """
 
-    A: Annotated[Modulus, Quantity("1/s/Pa^n", "> 0", 0.1)]
+    A: Annotated[Modulus, Quantity("1/s/Pa^n", "> 0", 0.1, "arithmetic")]
     n: Annotated[float, Quantity("1", "from 1 to 10", 3.0)]
     rate_floor: Annotated[float, Quantity("1/s", "> 0")] = 1e-9
     law: DrivenBy = "mandel"
@@ -180,7 +180,7 @@ class Eyring(GradientRule):
         |Pi| below which psi is smoothed at zero, with nu > 0; far below A.
     """
 
-    A: Annotated[Modulus, Quantity("1/s", "> 0", 0.1)]
+    A: Annotated[Modulus, Quantity("1/s", "> 0", 0.1, "arithmetic")]
     sigma_0: Annotated[Modulus, Quantity("Pa", "> 0", 1.0)]
     rate_floor: Annotated[float, Quantity("1/s", "> 0")] = 1e-9
 
@@ -248,7 +248,7 @@ class Perzyna(_Driven):
     """
 
     sigma_Y: Annotated[Modulus, Quantity("Pa", "> 0", 2.0)]
-    G_m: Annotated[Modulus, Quantity("Pa s", "> 0", 0.1)]
+    G_m: Annotated[Modulus, Quantity("Pa s", "> 0", 0.1, "harmonic")]
     n: Annotated[float, Quantity("1", "from 1 to 10")] = 1.0
     H: Annotated[Modulus, Quantity("Pa", ">= 0", 5.0)] = 0.0
     Q: Annotated[Modulus, Quantity("Pa", ">= 0", 1.0)] = 0.0
@@ -315,7 +315,7 @@ class DruckerPrager(FlowRule):
 
     cohesion: Annotated[Modulus, Quantity("Pa", ">= 0", 1.0)]
     friction_angle: Annotated[float, Quantity("1", "in [0, 90) degrees", 30.0)]
-    G_m: Annotated[Modulus, Quantity("Pa s", "> 0", 0.1)]
+    G_m: Annotated[Modulus, Quantity("Pa s", "> 0", 0.1, "harmonic")]
 
     reads = frozenset({PRESSURE})
 

@@ -9,7 +9,7 @@ from ngsolve import CoefficientFunction
 from ngvisco.errors import ParameterError, Quantity
 from ngvisco.physics.energy_checks import check_bound, check_energy, require_isotropy
 from ngvisco.physics.material import Material, check_material
-from ngvisco.physics.parameters import Modulus
+from ngvisco.physics.parameters import Modulus, Parameter
 from ngvisco.physics.tensors import IDENTITY
 from ngvisco.physics.variables import Values, Variable
 
@@ -63,7 +63,7 @@ class CustomMaterial(Material):
     transported: tuple[Variable, ...]
     stored_energy: Callable[..., CoefficientFunction]
     bounds: Mapping[str, Callable[..., CoefficientFunction]] = field(default_factory=dict, hash=False)
-    rho_R: Annotated[Modulus | None, Quantity("kg/m^3", "> 0", 1000.0)] = None
+    rho_R: Annotated[Modulus | None, Quantity("kg/m^3", "> 0", 1000.0, "arithmetic")] = None
 
     def __post_init__(self) -> None:
         try:
@@ -102,7 +102,13 @@ class CustomMaterial(Material):
         return self.rho_R
 
     def domain(self, z: Values) -> Values:
-        return {name: bound(**z) for name, bound in self.bounds.items()}
+        told = self._told(z)
+        return {name: bound(**told) for name, bound in self.bounds.items()}
 
     def energy(self, z: Values) -> CoefficientFunction:
-        return self.stored_energy(**z)
+        return self.stored_energy(**self._told(z))
+
+    def _told(self, z: Values) -> Values:
+        """The values as the functions know them, parameters in place of what is carried of them."""
+        means = (v for v in self.transported if isinstance(v, Parameter) and v.mean != "arithmetic")
+        return {**z, **{v.name: v.at(z) for v in means}}

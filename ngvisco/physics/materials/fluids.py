@@ -62,7 +62,7 @@ class BarotropicFluid(Material):
     gamma: Annotated[float, Quantity("1", "> 1", 1.4)]
     form: str = "J"
     J_min: Annotated[float | None, Quantity("1", "> 0", 0.1)] = None
-    rho_R: Annotated[Modulus | None, Quantity("kg/m^3", "> 0", 1000.0)] = None
+    rho_R: Annotated[Modulus | None, Quantity("kg/m^3", "> 0", 1000.0, "arithmetic")] = None
 
     def __post_init__(self) -> None:
         super().__post_init__()

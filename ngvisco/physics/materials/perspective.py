@@ -72,7 +72,7 @@ class PerReferentialVolume(Material):
     """
 
     material: Material
-    rho_R: Annotated[Modulus | None, Quantity("kg/m^3", "> 0", 1000.0)] = None
+    rho_R: Annotated[Modulus | None, Quantity("kg/m^3", "> 0", 1000.0, "arithmetic")] = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -138,7 +138,7 @@ class PerMass(PerReferentialVolume):
         Density where J = 1; with it the initial density and J follow from one another.
     """
 
-    rho_R: Annotated[Modulus, Quantity("kg/m^3", "> 0", 1000.0)]
+    rho_R: Annotated[Modulus, Quantity("kg/m^3", "> 0", 1000.0, "arithmetic")]
 
     def energy(self, z: Values) -> Tensor:
         return self.rho_R * super().energy(z)

@@ -104,7 +104,7 @@ class Thermal(Material):
     expansion: Annotated[float | None, Quantity("1/K", ">= 0", 3.6e-5)] = None
     gruneisen: Annotated[float | None, Quantity("1", ">= 0", 0.4)] = None
     p_infinity: Annotated[float, Quantity("Pa", ">= 0", 7.1e8)] = 0.0
-    rho_R: Annotated[Modulus | None, Quantity("kg/m^3", "> 0", 1000.0)] = None
+    rho_R: Annotated[Modulus | None, Quantity("kg/m^3", "> 0", 1000.0, "arithmetic")] = None
     entropy_unit: Annotated[float | None, Quantity("J/(m^3 K)", "> 0", 3.6e6)] = None
     _Gamma: float = field(init=False, repr=False, default=0.0)
     """Of the module's docstring."""
