@@ -160,7 +160,7 @@ def test_traces_of_a_stiff_body_do_not_feed_on_a_thin_fluid():
 def test_no_point_is_much_lighter_than_the_lightest_body(bounded, monkeypatch):
     """Half of its density, where means have that; rho > 0 alone (the control) lets it fall further."""
     if not bounded:
-        monkeypatch.setattr(Mixture, "bounds", lambda self, z: {"": {"N": self.fractions.total(z)}})
+        monkeypatch.setattr(Mixture, "positive", lambda self, z: {"": {"N": self.fractions.total(z)}})
     bodies = [disc(density=1.0), rest(density=0.2)]
     ledger = swirling(0.3, 0.04, bodies=bodies, velocity_scale=1.0).run(0.2)
     assert (ledger.column("rho_min").min() >= 0.5 * 0.2 * 0.9) == bounded  # N >= 0.9
