@@ -21,7 +21,6 @@ from ngvisco.forms.mesh.locating import nearest_wall
 from ngvisco.parallel.mesh import number_of
 from ngvisco.physics.defects import remedy
 from ngvisco.physics.flow_rules.laws import Creep
-from ngvisco.physics.parameters import moduli_in
 from ngvisco.physics.variables import Distortion, LeftCauchyGreen
 from ngvisco.run.files import write_atomically
 from ngvisco.run.scales import diameter
@@ -29,8 +28,6 @@ from ngvisco.run.vtu import shown_by, write_vtu
 from ngvisco.solver.problem import Attempt, iterations
 
 if TYPE_CHECKING:
-    from ngvisco.forms.mesh.quadrature import Sampler
-    from ngvisco.forms.system import Step
     from ngvisco.run.simulation import Simulation
 
 _SHOWN = 4
@@ -44,22 +41,6 @@ _FAST = 1.0
 
 _SHARP = 1e-5
 """Floor of a rate of creep over the flow's largest |v|/h, below which Newton's iteration may end at it."""
-
-
-def cause_of_negative_power(step: Step, sampler: Sampler) -> str:
-    """Why creep gives energy at a point, in words: a modulus of the wrong sign, or the rule.
-
-    Collective; all ranks say the same.
-    """
-    for flow in step.model.flows:
-        for name, expression, _ in moduli_in(flow.rule):
-            least = sampler.extrema(expression.at(step.now.z_tensors))[0]
-            if least < 0:
-                return (
-                    f"{name} is {least:.3g} at a point: a parameter that is carried as its arithmetic mean "
-                    'overshoots where it jumps; nv.Parameter(mean="geometric") does not change its sign'
-                )
-    return "its flow rule is none"
 
 
 @dataclass(frozen=True)

@@ -31,8 +31,8 @@ from ngvisco.physics.mixture import Mixture
 from ngvisco.physics.tensors import if_positive, square
 from ngvisco.physics.variables import Distortion, Jacobian, ReciprocalJacobian, Values
 from ngvisco.run.adaptive import CRACKED, GROWTH, DamageWarning, growth_message
-from ngvisco.run.failure import cause_of_negative_power
 from ngvisco.run.notebook import data_frame, ledger_html
+from ngvisco.run.scales import cause_of_negative_power
 from ngvisco.timestepping.integrator import LIMITER, LIMITER_WALLS, StepTaken
 
 _STRETCH, _OPERATIONS = 1e-4, 30

@@ -25,7 +25,7 @@ from ngvisco.physics.material import Material, cauchy_stress, part_of
 from ngvisco.physics.materials.network import Network
 from ngvisco.physics.mixture import Mixture
 from ngvisco.physics.model import Model
-from ngvisco.physics.parameters import Parameter, parameters_in
+from ngvisco.physics.parameters import Parameter, moduli_in, parameters_in
 from ngvisco.physics.pointwise import evaluated, rest_state, squares
 from ngvisco.physics.tensors import constant, square
 from ngvisco.timestepping.scheme import TimeScheme, backward_euler, midpoint
@@ -382,3 +382,19 @@ def diameter(mesh: Mesh, ranks: Communicator) -> float:
     """Diagonal of a mesh's bounding box, m, of all ranks' parts."""
     sides = [ranks.most(along) - ranks.least(along) for along in coordinates(mesh).T]
     return float(np.linalg.norm(sides))
+
+
+def cause_of_negative_power(step: Step, sampler: Sampler) -> str:
+    """Why creep gives energy at a point, in words: a modulus of the wrong sign, or the rule.
+
+    Collective; all ranks say the same.
+    """
+    for flow in step.model.flows:
+        for name, expression, _ in moduli_in(flow.rule):
+            least = sampler.extrema(expression.at(step.now.z_tensors))[0]
+            if least < 0:
+                return (
+                    f"{name} is {least:.3g} at a point: a parameter that is carried as its arithmetic mean "
+                    'overshoots where it jumps; nv.Parameter(mean="geometric") does not change its sign'
+                )
+    return "its flow rule is none"
