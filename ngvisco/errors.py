@@ -239,6 +239,26 @@ def require_ranges(owner: Any) -> None:
             _require(owner, said, {name: value})
 
 
+def require_effect(owner: Any, has_effect: bool, where: str, *names: str) -> None:
+    """Raise ParameterError for a parameter of a dataclass that is set to no effect.
+
+    Parameters
+    ----------
+    has_effect : bool
+        Whether the parameters have an effect, beside the others.
+    where : str
+        Where they have none, in words: "with nu = 0".
+    names : str
+        The parameters; those that the dataclass does not have are left out.
+    """
+    if has_effect:
+        return
+    for field in dataclasses.fields(owner):
+        if field.name in names and (value := getattr(owner, field.name)) != field.default:
+            expected = f"{field.default}, the default: it has no effect {where}"
+            raise ParameterError(f"{type(owner).__name__}.{field.name}", value, expected)
+
+
 def require_positive(owner: object, **values: float) -> None:
     """Raise ParameterError unless every value is a finite number > 0."""
     _require(owner, Declared("> 0", (float,)), values)

@@ -204,6 +204,8 @@ def _energy(
             raise ParameterError(f"{owner}.parameters", name, expected)
         if not abs(value) < float("inf"):
             raise ParameterError(f"{owner}.parameters.{name}", value, "a finite number")
+        if not re.search(rf"\b{name}\b", text):
+            raise ParameterError(f"{owner}.parameters.{name}", value, "a parameter that the energy reads")
     try:
         return parse_energy(text, variables, parameters)
     except ExpressionError as error:

@@ -1,6 +1,7 @@
 """Case files as sections: read, overridden, with the numbers of files, in SI units, and checked."""
 
 import tomllib
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -10,8 +11,8 @@ from pydantic import ValidationError
 from ngvisco.case import toml
 from ngvisco.case.faults import CaseError, Fault, Locator, faults_of, numbers_out_of_range
 from ngvisco.case.schema import CaseSections
-from ngvisco.case.units import SI, Converter
-from ngvisco.errors import ParameterError
+from ngvisco.case.units import SI, Converter, has_unit
+from ngvisco.errors import InputWarning, ParameterError
 from ngvisco.physics.materials import read_prony
 from ngvisco.physics.signals import read_table
 
@@ -74,7 +75,29 @@ def sections_of(
         raise CaseError(source, [Fault("", "too deeply nested")]) from error
     if out := numbers_out_of_range(sections, locator):
         raise CaseError(source, out)
+    own = [name for name in ("length", "time") if name in converter.scales]
+    if own and "velocity" not in converter.scales and (keys := plain_velocities(locator.data)):
+        said = " and ".join(f"{name} in {locator.data['units'][name]}" for name in own)
+        message = f"[units] has {said}, and plain velocities are in m/s: {', '.join(keys)}; units.velocity"
+        warnings.warn(f"{message} is the unit of these", InputWarning, stacklevel=3)
     return sections, locator
+
+
+def plain_velocities(data: Any, path: tuple[str, ...] = ()) -> list[str]:
+    """Keys of a case whose values are velocities without a unit of their own, and not zero."""
+    if isinstance(data, list):
+        return [key for i, part in enumerate(data) for key in plain_velocities(part, (*path, str(i)))]
+    if not isinstance(data, dict):
+        return []
+    found = []
+    for name, value in data.items():
+        if name in ("velocity", "velocity_scale") and path[:1] != ("units",):
+            parts = value if isinstance(value, list) else [value]
+            if any(part != 0 and not has_unit(part) for part in parts):
+                found.append(".".join((*path, name)))
+        else:
+            found += plain_velocities(value, (*path, name))
+    return found
 
 
 def _with_tables(

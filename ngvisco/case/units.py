@@ -71,6 +71,11 @@ def converted(number: float, unit: str, wanted: str) -> float:
     return float(value)
 
 
+def has_unit(value: object) -> bool:
+    """Whether a value of a case file is a number with a unit of its own."""
+    return isinstance(value, str) and not _is(parse, value) and _QUANTITY.fullmatch(value) is not None
+
+
 def seconds(text: str) -> float:
     """A time in s of a text: a number of seconds, or a number with its unit, "140 kyr".
 

@@ -2,9 +2,12 @@
 
 import argparse
 import json
+import math
 import sys
+import tempfile
 import time as clock
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 from ngsolve import SetNumThreads
@@ -14,7 +17,9 @@ from ngvisco.case import catalogue, reference, schema, template
 from ngvisco.case.directory import RunDirectory
 from ngvisco.case.section import TAGS, Section, models_in
 from ngvisco.errors import ParameterError
+from ngvisco.run.advice import Scales
 from ngvisco.run.fields import NAMES as FURTHER
+from ngvisco.run.observers import VTKSeries
 from ngvisco.run.passive import NAMES as PASSIVE
 from ngvisco.run.refinement import stretches
 from ngvisco.run.scales import scales
@@ -48,25 +53,69 @@ def check(options: argparse.Namespace) -> int:
             f"{most}; all sizes and times here are those of the start"
         )
     print(f"unknowns   {layout.space.ndof}, of which {condensed} are solved for after condensation")
-    print(
-        f"time       {steps} {'step' if steps == 1 else 'steps'} of {run.dt:g} s to t = {case.until:g} s"
-        + (" at first" if run.is_adaptive else "")
-    )
-    found = scales(run)
+    adaptive = case.sections.time.adaptive
+    if adaptive is None:
+        print(f"time       {steps} step{'s' * (steps != 1)} of {run.dt:g} s to t = {case.until:g} s")
+    else:
+        least = max(1, math.ceil(case.until / adaptive.dt_max))
+        steps = min(steps, least)
+        print(
+            f"time       adaptive steps from {run.dt:g} s on to t = {case.until:g} s, {least} at least, of "
+            f"dt_max = {adaptive.dt_max:g} s"
+        )
+    sys.stdout.flush()  # a step that is hard to solve takes minutes: what is known is read before
+    writing = _output(case, run)
+    try:
+        first, later, count = _measure(run, steps)
+    finally:
+        _say_scales(scales(run))
+    print(f"memory     {_peak():.0f} MB, measured")
+    total = first + (steps - 1) * later
+    said = f"{later:.2g} s a step, {_duration(total)} in all"
+    if writing is not None:
+        each, files = writing
+        if adaptive is None:
+            said += f", and {_duration(each * files)} for {files} files of fields"
+        else:
+            said += f", and {each:.2g} s for each file of fields"
+    if adaptive is not None:
+        said += f", if all steps were of dt_max; those taken are {run.stepper.dt:.3g} s long by now"
+    print(f"estimate   {said} (by its first {count})")
+    return 0
+
+
+def _say_scales(found: Scales) -> None:
+    """Scales, numbers and advice, by the steps that have been taken."""
     fast, slow = found.speeds
-    moving = f"v {found.velocity:.3g} m/s, waves {fast:.3g} and {slow:.3g} m/s"
+    speed = f"v {found.velocity:.3g} m/s so far" if found.velocity > 0 else "v not known before it moves"
+    edges = f"L {found.length:.3g} m"
+    if found.extent > found.length * (1 + 1e-6):
+        edges = f"domain {found.length:.3g} to {found.extent:.3g} m"
     times = f", Maxwell time {found.maxwell:.3g} s" if np.isfinite(found.maxwell) else ""
-    print(f"scales     L {found.length:.3g} m, h {found.cell:.3g} m, {moving}{times}")
+    print(f"scales     {edges}, h {found.cell:.3g} m, {speed}, waves {fast:.3g} and {slow:.3g} m/s{times}")
+    if found.is_slow:
+        print(
+            f"           waves cross the domain in {found.passage:.2g} s, "
+            f"dt is {found.dt / found.passage:.1g} times that: inertia has no part in the motion"
+        )
     for name, value in found.numbers.items():
-        print(f"           {name:38s} {value:.3g}")
+        if not (found.is_slow and ("waves" in name or name.startswith("Reynolds"))):
+            print(f"           {name:38s} {value:.3g}")
     for line in found.advice:
         print(f"advice     {line}")
-    sys.stdout.flush()  # a step that is hard to solve takes minutes: what is known is read before
-    first, later, count = _measure(run, steps)
-    print(f"memory     {_peak():.0f} MB, measured")
-    total = _duration(first + (steps - 1) * later)
-    print(f"estimate   {later:.2g} s a step, {total} in all without output (by its first {count})")
-    return 0
+
+
+def _output(case: cases.Case, run: Simulation) -> tuple[float, int] | None:
+    """Seconds for a file of the VTK series, by writing one, and how many the run writes; None without one."""
+    with tempfile.TemporaryDirectory() as place:
+        series = [one for one in case.observers(Path(place), case.until) if isinstance(one, VTKSeries)]
+        if not series:
+            return None
+        began = clock.perf_counter()
+        series[0].start(run)
+        each = clock.perf_counter() - began
+    count = len(series[0].times) or round(case.until / run.dt) // (series[0].every or 1)
+    return each, count + 1
 
 
 def _measure(run: Simulation, steps: int) -> tuple[float, float, int]:

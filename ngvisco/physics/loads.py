@@ -8,7 +8,15 @@ from typing import Annotated, Any, TypeAlias
 import numpy as np
 from ngsolve import CF, CoefficientFunction, sqrt, x, y, z
 
-from ngvisco.errors import ParameterError, Quantity, _is_number, as_number, as_place, require_ranges
+from ngvisco.errors import (
+    ParameterError,
+    Quantity,
+    _is_number,
+    as_number,
+    as_place,
+    require_effect,
+    require_ranges,
+)
 
 VectorLike: TypeAlias = CoefficientFunction | Sequence[float | CoefficientFunction]
 
@@ -75,6 +83,9 @@ class CentralGravity:
     def __post_init__(self) -> None:
         object.__setattr__(self, "centre", as_place("CentralGravity.centre", self.centre))
         require_ranges(self)
+        require_effect(
+            self, self.exponent != 0, "with exponent = 0, which is the same at every radius", "radius"
+        )
 
     @property
     def g(self) -> CoefficientFunction:

@@ -17,12 +17,12 @@ from typing import Annotated
 import numpy as np
 from ngsolve import CF
 
-from ngvisco.errors import ParameterError, Quantity
+from ngvisco.errors import ParameterError, Quantity, require_effect
 from ngvisco.physics.energy_checks import StateSampling
 from ngvisco.physics.material import Material
 from ngvisco.physics.parameters import require_ranges
 from ngvisco.physics.pointwise import respond, rest_state
-from ngvisco.physics.tensors import Scalar, Tensor, if_positive, power_of_square
+from ngvisco.physics.tensors import Scalar, Tensor, if_positive, is_even, power_of_square
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,6 +71,13 @@ class Regularisation:
 
     def __post_init__(self) -> None:
         require_ranges(self)
+        diffuses, rubs = self.delta_density > 0, self.epsilon > 0
+        require_effect(self, diffuses, "with delta_density = 0", "r", "gradient_floor")
+        require_effect(self, rubs, "with epsilon = 0", "p")
+        require_effect(self, self.rho_max is not None, "without rho_max", "width")
+        require_effect(self, diffuses or self.delta_fields > 0, "without a diffusion", "penalty")
+        smooths = (diffuses and not is_even(self.r)) or (rubs and not is_even(self.p))
+        require_effect(self, smooths, "where no power is other than an even integer", "floor")
 
     def require_gradients(self, name: str, m: int) -> None:
         """Raise ParameterError for a diffusion, ``name``, of fields of order m = 0."""

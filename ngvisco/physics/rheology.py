@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ngvisco.errors import ParameterError, Quantity, require_choice
+from ngvisco.errors import ParameterError, Quantity, require_choice, require_effect
 from ngvisco.physics.parameters import Modulus, require_ranges, value_at
 from ngvisco.physics.tensors import (
     Scalar,
@@ -20,6 +20,7 @@ from ngvisco.physics.tensors import (
     dev,
     identity_like,
     inner,
+    is_even,
     linear_map,
     power_of_square,
     sph,
@@ -370,6 +371,7 @@ class HyperViscosity:
 
     def __post_init__(self) -> None:
         require_ranges(self)
+        require_effect(self, not is_even(self.p), "with p an even integer", "floor")
 
     @property
     def is_linear(self) -> bool:

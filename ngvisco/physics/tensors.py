@@ -150,6 +150,12 @@ _EMBEDDING[(0, 1, 3, 4), (0, 1, 2, 3)] = 1.0
 """Of the entries of a 2x2 matrix in a 3x3 one."""
 
 
+def is_even(power: float) -> bool:
+    """Whether |.|^(power - 2) is a polynomial, which ``power_of_square`` does not smooth."""
+    half = 0.5 * power - 1
+    return abs(half - round(half)) < 1e-14 and 0 <= round(half) <= 8
+
+
 def power_of_square(s: Scalar, exponent: float, floor: float) -> Scalar:
     """s^exponent for s = |.|^2 >= 0, a coefficient function or an array; differentiable at s = 0.
 

@@ -42,7 +42,7 @@ from ngvisco.physics.mixture import Mixture
 from ngvisco.physics.parameters import Parameter
 from ngvisco.physics.tensors import IDENTITY, constant, det, dev, if_positive, square, sym, tr
 from ngvisco.physics.variables import TEMPERATURE, Distortion, LeftCauchyGreen, SmallStrain
-from ngvisco.run.scales import rest_pressure
+from ngvisco.run.waves import rest_pressure
 
 USUAL = ("density", "J", "velocity", "pressure", "von_mises", "temperature")
 """What is drawn where nothing is said, as far as a run has it."""

@@ -27,6 +27,11 @@ _LEVEL = 1e-10
 _COLOURS, _SHRINK = "viridis", 0.75
 """The scale of colours, and its length in heights of what it is beside."""
 _PIECES, _DRAWN = 6, 200_000  # of the sides of triangles, and triangles in all
+_USUAL, _SPIKE = (0.5, 99.5), 0.3  # percentiles, and their share of a range that a spike has set
+_ORDERS, _DECADES = 1e-2, 1e-6  # of the largest rate: a median below is shown by logarithms, down to this
+_UNITS = (("km", 1e3, 2e3), ("m", 1.0, 0.1), ("mm", 1e-3, 1e-4), ("µm", 1e-6, 1e-7), ("nm", 1e-9, 0.0))
+"""Units of length, m, and from which length on each is taken."""
+_MARKS, _MARGIN = 5, 0.02  # numbers along the longer side, and space around the body, in its sides
 _GREYS = 32  # of the colours of a .gif: lines and letters have smooth edges by them
 
 
@@ -61,6 +66,42 @@ def widened(low: float, high: float) -> tuple[float, float]:
     size = max(abs(low), abs(high))
     more = 0.05 * size if high - low < _LEVEL * size else 0.0
     return low - more, high + more
+
+
+@dataclass(frozen=True)
+class Colours:
+    """A scale of colours: matplotlib's norm, and at which ends values lie beyond it, as it names them."""
+
+    norm: Any
+    extend: str
+
+    @classmethod
+    def of(cls, name: str, values: np.ndarray) -> Colours:
+        """For the values of a field: from the least to the largest one, if no spike sets these.
+
+        Where the range of most of them is a small part of the whole one, it is theirs.  Rates that are
+        positive and differ by orders of magnitude have a logarithmic scale.
+        """
+        norms = importlib.import_module("matplotlib.colors")
+        low, high = float(values.min()), float(values.max())
+        if is_rate(name) and high > 0 and low >= 0 and np.median(values) < _ORDERS * high:
+            least = max(float(np.percentile(values, _USUAL[0])), _DECADES * high)
+            return cls(norms.LogNorm(least, high), "min" if low < least else "neither")
+        usual = np.percentile(values, _USUAL)
+        if 0 < usual[1] - usual[0] < _SPIKE * (high - low):
+            ends = {(True, True): "both", (True, False): "min", (False, True): "max"}
+            return cls(norms.Normalize(*usual), ends[bool(low < usual[0]), bool(high > usual[1])])
+        return cls(norms.Normalize(*widened(low, high)), "neither")
+
+
+def is_rate(name: str) -> bool:
+    """Whether a field of this name or title is a rate of strain."""
+    return "rate" in name or name.endswith("1/s")
+
+
+def unit_of_length(size: float) -> tuple[str, float]:
+    """The unit in which a length of ``size`` (m) is shown, and how many m it has."""
+    return next((name, metres) for name, metres, least in _UNITS if size >= least)
 
 
 @dataclass(frozen=True)
@@ -146,10 +187,8 @@ def plot_fields(
             "plot_fields.fields", [name for name, _ in fields], "one field or more, by titles"
         )
     picture = _Picture(frame_of(mesh, named, outlines, subdivisions), list(named), section)
-    for name, axis, scale, image in zip(named, picture.axes, picture.scales, picture.images, strict=True):
+    for name, axis in zip(named, picture.axes, strict=True):
         axis.set_title(name)
-        image.autoscale()  # a scale that is drawn before its field is from 0 to 1
-        scale.set_clim(*widened(*image.get_clim()))
     picture.suptitle(title)
     save(picture.figure, path)
 
@@ -160,37 +199,60 @@ class _Picture:
 
     def __init__(self, frame: Frame, names: Sequence[str], section: Section | None) -> None:
         self._names, self._section, self._plane = names, section or Section(), ""
+        self._unit, self._metres = unit_of_length(float(np.ptp(frame.points, axis=0).max()))
         if frame.dim == 3:
             self._plane = f"{self._section.normal} = {self._section.place(frame.points):.4g} m"
         wide, rows = min(len(names), 2), -(-len(names) // 2)
-        extent = np.ptp(self._corners(frame)[0], axis=0)
+        corners = self._corners(frame)[0]
+        extent = np.ptp(corners, axis=0)
         ratio = float(np.clip(extent[1] / extent[0], 0.3, 2.0))
         height = 0.75 + 0.62 * PAGE / wide * ratio  # a field's, with title, labels and the scale beside it
         self.figure, axes = figure(rows, wide, (PAGE, rows * height + 0.4))
         self.axes = axes.ravel()[: len(names)]
+        _, _, between = self._corners(frame)
+        colours = [Colours.of(name, between(frame.scalar(name))) for name in names]
         for axis in axes.ravel()[len(names) :]:
             axis.set_axis_off()
         scalar_mappable = importlib.import_module("matplotlib.cm").ScalarMappable
-        self.scales = [scalar_mappable(cmap=_COLOURS) for _ in names]
+        self.scales = [scalar_mappable(cmap=_COLOURS, norm=one.norm) for one in colours]
         across = "xyz".replace(self._section.normal, "") if frame.dim == 3 else "xy"
-        for axis, scale in zip(self.axes, self.scales, strict=True):
-            axis.set(aspect="equal", xlabel=f"{across[0]}, m", ylabel=f"{across[1]}, m")
-            self.figure.colorbar(scale, ax=axis, shrink=_SHRINK)
+        for axis, scale, one in zip(self.axes, self.scales, colours, strict=True):
+            axis.set(aspect="equal")
+            axis.margins(_MARGIN)
+            for letter, along, side in zip(across, (axis.xaxis, axis.yaxis), corners.T, strict=True):
+                self._mark(letter, along, side, extent.max())
+            self.figure.colorbar(scale, ax=axis, shrink=_SHRINK, extend=one.extend)
         self.images: list[Any] = []
         self._lines: list[Any] = []
         self.show(frame)
 
+    def _mark(self, letter: str, along: Any, side: np.ndarray, longest: float) -> None:
+        """Numbers and name of an axis: as many as there is room for beside the longest side."""
+        ends, share = (float(side.min()), float(side.max())), float(np.ptp(side)) / longest
+        label = f"{letter}, {self._unit}"
+        if share > 0.45:
+            along.set_major_locator(importlib.import_module("matplotlib.ticker").MaxNLocator(_MARKS))
+        elif share > 0.12:
+            along.set_ticks(ends, [f"{end:.4g}" for end in ends])
+        else:
+            along.set_ticks([])
+            label = f"{letter}: {ends[0]:.4g}\nto {ends[1]:.4g} {self._unit}"
+        if share <= 0.12 and along.axis_name == "y":
+            along.set_label_text(label, rotation=0, ha="right", va="center")
+        else:
+            along.set_label_text(label)
+
     def _corners(self, frame: Frame) -> tuple[np.ndarray, np.ndarray, Callable[[np.ndarray], np.ndarray]]:
         """Places in the plane, (corners, 2), triangles of them, and what gives values there of a frame's."""
         if frame.dim == 2:
-            return frame.points[:, :2], frame.cells, lambda values: values
+            return frame.points[:, :2] / self._metres, frame.cells, lambda values: values
         axis = self._section.axis
         ends, share, triangles = cut(frame, axis, self._section.place(frame.points))
 
         def between(values: np.ndarray) -> np.ndarray:
             return ((1 - share) * values[ends[:, 0]].T + share * values[ends[:, 1]].T).T
 
-        return np.delete(between(frame.points), axis, axis=1), triangles, between
+        return np.delete(between(frame.points), axis, axis=1) / self._metres, triangles, between
 
     def show(self, frame: Frame) -> None:
         """Draw the fields of a frame, and the surfaces of its bodies, in place of the former one's."""
@@ -257,13 +319,13 @@ def write_movie(
     names = list(fields) if fields is not None else [n for n in ("density", "velocity") if n in first.fields]
     if not names:
         raise ParameterError("write_movie.fields", fields, "at least one field of the series")
-    ranges = np.array(
-        [[(v.min(), v.max()) for v in map(read_frame(file).scalar, names)] for _, file in files]
-    )
+    ranges = np.array([[_usual_range(v) for v in map(read_frame(file).scalar, names)] for _, file in files])
     picture = _Picture(first, names, section)
     for i, name in enumerate(names):
         low, high = float(ranges[:, i, 0].min()), float(ranges[:, i, 1].max())
         picture.axes[i].set_title(title_of(name))
+        if picture.scales[i].norm.vmin > 0 and is_rate(name):
+            low = max(low, _DECADES * high)
         picture.scales[i].set_clim(*((low, high) if high > low else (low - 0.5, low + 0.5)))
     draft = target.with_name(f"{target.stem}.part{target.suffix}")
     target.parent.mkdir(parents=True, exist_ok=True)
@@ -277,6 +339,11 @@ def write_movie(
         draft.replace(target)
     finally:
         draft.unlink(missing_ok=True)
+
+
+def _usual_range(values: np.ndarray) -> tuple[float, float]:
+    norm = Colours.of("", values).norm
+    return float(norm.vmin), float(norm.vmax)
 
 
 def _writer(kind: str, rate: float) -> Any:

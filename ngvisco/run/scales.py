@@ -1,15 +1,16 @@
-"""Typical scales of a run, its dimensionless numbers, and what they say about dt and maxh."""
+"""Scales of a run by its laws at the points where these ask most of dt and maxh."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from ngsolve import CF, CoefficientFunction, Integrate, Mesh
 
+from ngvisco.forms.boundary.boundaries import axis_parallel_walls, periodic_boundaries
 from ngvisco.forms.mesh.mesh_arrays import coordinates
 from ngvisco.forms.mesh.quadrature import Sampler
 from ngvisco.forms.system import Step
@@ -21,139 +22,20 @@ from ngvisco.physics.arrays import Array
 from ngvisco.physics.bodies import AMOUNT
 from ngvisco.physics.defects import may_part
 from ngvisco.physics.flow_rules.check import values_at_rest
-from ngvisco.physics.material import Material, cauchy_stress, part_of
+from ngvisco.physics.material import part_of
 from ngvisco.physics.materials.network import Network
 from ngvisco.physics.mixture import Mixture
 from ngvisco.physics.model import Model
 from ngvisco.physics.parameters import Parameter, moduli_in, parameters_in
-from ngvisco.physics.pointwise import evaluated, rest_state, squares
-from ngvisco.physics.tensors import constant, square
-from ngvisco.timestepping.scheme import TimeScheme, backward_euler, midpoint
+from ngvisco.physics.tensors import square
+from ngvisco.run.advice import Scales
+from ngvisco.run.waves import moduli, wave_speed
 
 if TYPE_CHECKING:
     from ngvisco.run.simulation import Simulation
 
-_STEP = 1e-5
-"""Strain of the differences from which moduli are taken."""
 _AT_REST = 1e-12
 """Components of the variables that differ by less from those at rest do so by rounding."""
-_FOLLOWED, _RELAXED, _ACROSS = 20, 5, 4
-"""Steps in a wave's passage or in a relaxation time, and cells across the body, that are enough."""
-_RINGING, _STIFF, _DENSER = 10.0, 1e4, 1e2
-"""Cells that waves cross in a step, ratios of moduli and of densities, above which a step is hard."""
-
-
-@dataclass(frozen=True)
-class Scales:
-    """Scales in SI units; what does not exist is inf (times) or 0 (speeds, viscosities).
-
-    Of moduli that differ from place to place and from body to body, each by itself, those are taken that ask
-    most of dt and maxh.
-    """
-
-    length: float
-    """Shortest edge of the body's bounding box, m."""
-    cell: float
-    """Median size of a cell, m."""
-    velocity: float
-    """The run's typical velocity, m/s."""
-    speeds: tuple[float, float]
-    """Of the fastest longitudinal and the fastest shear waves at rest, m/s."""
-    kinematic_viscosity: float
-    """The least G_v/rho that is not zero, m^2/s."""
-    maxwell: float
-    """The shortest relaxation time of shear by creep, G_m/(2 G), s."""
-    dt: float
-    scheme: TimeScheme = field(default_factory=backward_euler)
-    densities: float = 1.0
-    """The largest over the least density at the start."""
-    one_bulk_energy: bool = True
-    """Whether all bodies have the same."""
-    parting: str | None = None
-    """Where variables that stand for one distortion may part, in words."""
-    unborne: str | None = None
-    """What the pressure of the start does not bear, where a law reads it, in words."""
-
-    @property
-    def numbers(self) -> dict[str, float]:
-        """Dimensionless numbers by name; those that do not exist are left out."""
-        fast, slow = self.speeds
-        found = {"Courant, v dt/h": self.velocity * self.dt / self.cell}
-        if fast > 0:
-            found["Mach, v/c of longitudinal waves"] = self.velocity / fast
-            found["Courant of longitudinal waves, c dt/h"] = fast * self.dt / self.cell
-        if slow > 0:
-            found["Mach of shear waves"] = self.velocity / slow
-        if self.kinematic_viscosity > 0:
-            found["Reynolds, rho v L/G_v"] = self.velocity * self.length / self.kinematic_viscosity
-        if math.isfinite(self.maxwell):
-            found["Deborah, Maxwell time v/L"] = self.maxwell * self.velocity / self.length
-            found["Maxwell time/dt"] = self.maxwell / self.dt
-        if fast > 0 and slow > 0:
-            found["longitudinal over shear modulus, about K_e/G_e"] = (fast / slow) ** 2
-        if self.densities > 1 + 1e-6:
-            found["largest over least density"] = self.densities
-        return found
-
-    @property
-    def advice(self) -> list[str]:
-        """What to think of about dt and maxh; empty where nothing stands out."""
-        fast, slow = self.speeds
-        said = []
-        wave, name = (slow, "shear") if slow > 0 else (fast, "longitudinal")
-        if wave > 0 and self.dt * wave * _FOLLOWED > self.length:
-            passage = self.length / wave
-            does = "damps them" if self.scheme.order == 1 else "does not resolve them"
-            said.append(
-                f"{name} waves cross the body in {passage:.2g} s, {passage / self.dt:.2g} steps: the scheme "
-                f"{self.scheme.name} {does}; to follow them take dt <= {passage / _FOLLOWED:.2g} s"
-            )
-        hard = fast * self.dt / self.cell
-        if self.scheme.A == midpoint().A and hard > _RINGING:
-            said.append(
-                f"longitudinal waves cross {hard:.3g} cells a step, which {self.scheme.name} does not damp: "
-                "they ring from step to step; take another scheme, the first steps by backward Euler "
-                f"(time.startup = 2), or dt <= {_RINGING * self.cell / fast:.2g} s"
-            )
-        if slow > 0 and (fast / slow) ** 2 > _STIFF:
-            said.append(
-                f"the modulus of compression is {(fast / slow) ** 2:.2g} times that of shear: cells lock "
-                "with k = 2 (take discretisation.k = 3), and steps are hard to solve; or take a smaller K_e"
-            )
-        is_denser = self.densities > _DENSER * (1 + 1e-6)
-        if is_denser:
-            said.append(
-                f"densities differ {self.densities:.2g} times: where their boundary moves through cells what "
-                "is light is thrown about, and steps are hard to solve; take a ratio up to "
-                f"{_DENSER:g}, and what is light as viscous as the other"
-            )
-        if is_denser and not self.one_bulk_energy:
-            said.append(
-                "bodies of such densities have different bulk energies: few steps are solved; where it does "
-                "not matter give all of them one, e.g. a medium beside ReferentialNeoHookean "
-                'kind = "Custom" with energy = "K_e/2*(J + 1/J - 2)"'
-            )
-        if self.velocity * self.dt > self.cell:
-            said.append(
-                f"the body moves by {self.velocity * self.dt / self.cell:.2g} cells a step: steps are hard "
-                f"to solve and upwinding smears; take dt <= {self.cell / self.velocity:.2g} s"
-            )
-        if self.maxwell < _RELAXED * self.dt * (1 - 1e-6):  # moduli are differences
-            said.append(
-                f"stress relaxes in {self.maxwell:.2g} s, {self.maxwell / self.dt:.2g} steps: only the end "
-                f"of its relaxation is seen; to follow it take dt <= {self.maxwell / _RELAXED:.2g} s"
-            )
-        said += filter(None, (self.parting, self.unborne))
-        layer = math.sqrt(self.kinematic_viscosity * self.length / self.velocity)
-        if self.cell * _ACROSS > self.length:
-            across, enough = self.length / self.cell, self.length / _ACROSS
-            said.append(f"{across:.1f} cells across the body: take maxh <= {enough:.2g} m")
-        elif 0 < layer < self.cell:
-            said.append(
-                f"viscous layers are {layer:.2g} m thick, thinner than a cell: where they matter take maxh "
-                f"or refine <= {layer / 2:.2g} m"
-            )
-        return said
 
 
 def scales(simulation: Simulation) -> Scales:
@@ -165,21 +47,85 @@ def scales(simulation: Simulation) -> Scales:
         places = [Place(step.model, {}, mass / Integrate(CF(1.0), mesh), np.empty(0))]
     fast, slow, viscosities, maxwell = zip(*(place.scales(mesh.dim) for place in places), strict=True)
     least, most = simulation.sampler.extrema(step.now.rho)
-    material = step.model.material
+    material, edges = step.model.material, edges_of(step, simulation.ranks)
+    velocity, length = largest_velocity(simulation), min(edges)
     return Scales(
-        length=float(np.ptp(coordinates(mesh), axis=0).min()),
+        length=length,
+        extent=max(edges),
         cell=float(np.median(step.context.h.vec.FV().NumPy())),
-        velocity=simulation.velocity_scale,
+        velocity=velocity,
         speeds=(max(fast), max(slow)),
         kinematic_viscosity=min((value for value in viscosities if value > 0), default=0.0),
         maxwell=min(maxwell),
-        dt=simulation.dt,
+        dt=float(simulation.stepper.dt),
         scheme=simulation.scheme,
         densities=most / least,
         one_bulk_energy=not isinstance(material, Mixture) or material.has_one_volume,
+        weight=_acceleration(step, simulation.sampler) * max(edges) / max(min(fast) ** 2, 1e-300),
+        overstress=max(place.overstress(velocity / length) for place in places),
+        bodies=_thickness(simulation),
+        k=step.discretisation.k,
+        startup=simulation.integrator.startup,
         unborne=unborne_weight(step, simulation.sampler),
         parting=may_part(material, bool(step.moving_walls.moving), step.discretisation.m),
     )
+
+
+def largest_velocity(simulation: Simulation) -> float:
+    """The largest velocity of a run so far, m/s; 0 where nothing is known yet.
+
+    It is that of the steps taken; before any step that which the user has said, of the start or of walls.
+    """
+    ranks, said = simulation.ranks, simulation.given_velocity_scale
+    taken = [row["v_max"] for row in simulation.ledger.rows]
+    walls = simulation.rothe_step.moving_walls.velocities().values()
+    moving = ranks.most(np.concatenate([np.zeros(1), *(abs(v).ravel() for v in walls)]))
+    if len(taken) > 1:
+        return max(*taken, moving)
+    start = math.sqrt(simulation.sampler.extrema(square(simulation.rothe_step.now.v))[1])
+    return said or max(start, moving)
+
+
+def edges_of(step: Step, ranks: Communicator) -> list[float]:
+    """Edges of the domain's bounding box, m, but for the directions in which it is periodic."""
+    sides = [ranks.most(along) - ranks.least(along) for along in coordinates(step.mesh).T]
+    if not step.layout.periodic:
+        return sides
+    normals, _ = axis_parallel_walls(step.mesh)
+    periodic = periodic_boundaries(step.mesh)
+    between_walls = [
+        side
+        for side, names in zip(sides, normals, strict=True)
+        if not names or not periodic.issuperset(names)
+    ]
+    return between_walls or sides
+
+
+def _acceleration(step: Step, sampler: Sampler) -> float:
+    """The largest acceleration by a load at the start, m/s^2."""
+    u, largest = step.now, 0.0
+    for load in step.model.loads:
+        square_of = square(Loading(load, step.mesh.dim).force(u) / u.rho)
+        largest = max(largest, math.sqrt(sampler.extrema(square_of)[1]))
+    return largest
+
+
+def _thickness(simulation: Simulation) -> dict[str, float]:
+    """The least extent of each body where it fills half of the space or more, in cells."""
+    step, sampler, ranks = simulation.rothe_step, simulation.sampler, simulation.ranks
+    material, found = step.model.material, {}
+    if not isinstance(material, Mixture):
+        return {}
+    places = sampler.coordinates(np.arange(len(sampler.points)))
+    sizes = sampler.rows(step.context.h)[:, 0]
+    for name, fraction in material.fractions.at(step.now.z_tensors).items():
+        inside = sampler.rows(CF(fraction))[:, 0] >= 0.5
+        if not ranks.any(bool(inside.any())):
+            continue
+        spans = [ranks.most(along[inside]) - ranks.least(along[inside]) for along in places.T]
+        cell = float(np.median(np.concatenate(ranks.gathered(sizes[inside]))))
+        found[name] = min(spans) / cell
+    return found
 
 
 @dataclass(frozen=True)
@@ -192,6 +138,13 @@ class Place:
     """kg/m^3."""
     state: np.ndarray
     """Components of the material's variables, (n,)."""
+
+    def overstress(self, rate: float) -> float:
+        """By how much the stress of yield exceeds it at a rate of shear, 1/s, over it; 0 without yield."""
+        creep = self.laws.creep
+        if creep is None:
+            return 0.0
+        return creep.overstress(rate, values_at_rest(self.laws.material, self.parameters))
 
     def scales(self, dim: int) -> tuple[float, float, float, float]:
         """Speeds of longitudinal and shear waves, m/s, G_v/rho, m^2/s, and the Maxwell time, s, at F = I."""
@@ -271,75 +224,6 @@ def extreme_places(step: Step, sampler: Sampler) -> list[Place]:
     return places
 
 
-def moduli(
-    material: Material, dim: int, parameters: Mapping[str, float] | None = None
-) -> tuple[float, float]:
-    """dT_11/dF_11 and dT_12/dF_12 at F = I, Pa: moduli of longitudinal and of shear waves.
-
-    Carried parameters have the values in ``parameters``, by default their typical ones.
-    """
-    state = _rest(material, dim, parameters or {})
-    longitudinal, shear = (acoustic_tensor(material, state, dim, j)[0, 0] for j in (0, 1))
-    return float(longitudinal), float(shear)
-
-
-def _rest(material: Material, dim: int, parameters: Mapping[str, float]) -> np.ndarray:
-    state, slices = rest_state(material, dim), material.states(dim).slices
-    for name in slices.keys() & parameters.keys():
-        state[slices[name]] = parameters[name]
-    return state
-
-
-def stress_of(material: Material, state: np.ndarray, dim: int) -> np.ndarray:
-    """The Cauchy stress of a state's components, (n,): 3x3, Pa."""
-    # constants of their own: derivatives by one variable must not see it within another
-    at, state = squares(1)[1], state.reshape(1, -1)
-    z = material.states(dim).tensors(lambda: CF(tuple(float(c) for c in state[0])))
-    respond, phi, zeta = material.response(dim), None, None
-    if respond is not None:
-        answer = respond(state)
-        phi = CF(float(answer.energy[0]))
-        zeta = material.states(dim).tensors(lambda: CF(tuple(float(c) for c in answer.slope[0])))
-    return np.asarray(cauchy_stress(material, z, zeta, phi)(at)).reshape(3, 3)
-
-
-def acoustic_tensor(material: Material, state: np.ndarray, dim: int, j: int) -> np.ndarray:
-    """Q, Pa, of a state's components, (n,), and the direction n = e_j: Q a = (dT/dz : rate(a x n; z)) n,
-    whatever the variables are."""
-    states, zero, Q = material.states(dim), constant(np.zeros((3, 3))), np.empty((dim, dim))
-    for i in range(dim):
-        unit = np.zeros((3, 3))
-        unit[i, j] = 1.0
-        a_n = constant(unit)
-
-        def rates(c: CoefficientFunction, L: CoefficientFunction = a_n) -> CoefficientFunction:
-            z = states.tensors(lambda: c)
-            return states.components({v.name: v.rate(z, L, zero) for v in material.variables})
-
-        change = _STEP * evaluated(rates, state[None])[0]
-        ends = [stress_of(material, state + sign * change, dim)[:dim, j] for sign in (1, -1)]
-        Q[:, i] = (ends[0] - ends[1]) / (2 * _STEP)
-    return Q
-
-
-def wave_speed(step: Step, state: np.ndarray, density: float) -> float:
-    """The speed of the fastest plane wave along an axis of small amplitude about a state, m/s; 0 without any.
-
-    ``state`` are the components of the material's variables, (n,); ``density`` is in kg/m^3.
-    """
-    dim, fastest = step.mesh.dim, 0.0
-    for j in range(dim):
-        Q = acoustic_tensor(step.model.material, state, dim, j)
-        if np.isfinite(Q).all():
-            fastest = max(fastest, float(np.linalg.eigvals(Q).real.max()))
-    return math.sqrt(fastest / density)
-
-
-def rest_pressure(material: Material, dim: int) -> float:
-    """-tr T/3 of the material at F = I, Pa."""
-    return -float(np.trace(stress_of(material, _rest(material, dim, {}), dim))) / 3
-
-
 def typical_velocity(step: Step, sampler: Sampler, dt: float) -> float:
     """How fast a run will be, m/s, by its state at the start and its step length ``dt``, s.
 
@@ -348,11 +232,8 @@ def typical_velocity(step: Step, sampler: Sampler, dt: float) -> float:
     """
     u, model, ranks = step.now, step.model, sampler.ranks
     speed = math.sqrt(sampler.extrema(square(u.v))[1])
-    length, fall = diameter(step.mesh, ranks), 0.0
-    for load in model.loads:
-        acceleration = square(Loading(load, step.mesh.dim).force(u) / u.rho)
-        largest = math.sqrt(sampler.extrema(acceleration)[1])
-        fall = max(fall, math.sqrt(largest * length))
+    length = diameter(step.mesh, ranks)
+    fall = math.sqrt(_acceleration(step, sampler) * length)
     rest = model.material.at_rest(u.z_tensors)
     least = sampler.extrema(u.rho)[0]
     places = extreme_places(step, sampler)

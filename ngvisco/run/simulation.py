@@ -152,7 +152,7 @@ class Simulation:
         self.arguments |= dict(discretisation=discretisation, newton=newton, passive=passive)
         self.arguments |= dict(sources=sources, terms=terms)
         self.mesh, self.model = mesh, model
-        self.dt = float(time.dt)
+        self.dt, self.given_velocity_scale = float(time.dt), time.velocity_scale
         self.stepper = time.stepper()
         self.rothe_step = Step(mesh, model, discretisation, sources, walls, terms)
         self.stepper.require(self.rothe_step)

@@ -34,6 +34,7 @@ from ngvisco.errors import (
     Quantity,
     StepError,
     UnknownNameError,
+    require_effect,
     require_ranges,
     require_type,
 )
@@ -117,6 +118,8 @@ class TimeSteps:
             if not least <= self.dt <= most:
                 expected = f"a number from {least:g} to {most:g}, dt_min to dt_max"
                 raise ParameterError("TimeSteps.dt", self.dt, expected)
+            require_effect(self, False, "beside adaptive steps, which are halved down to dt_min", "halvings")
+        require_effect(self, self.made.A != ((1.0,),), "with backward Euler itself", "startup")
         made, tolerance = self.made, None if self.adaptive is None else self.adaptive.tolerance
         constant = abs(made.error_constant) * math.factorial(made.order + 1)
         if tolerance is not None and constant < LEAST_CONSTANT:

@@ -16,6 +16,7 @@ from ngvisco.errors import (
     Quantity,
     as_integer,
     require_choice,
+    require_effect,
     require_ranges,
     require_type,
 )
@@ -137,6 +138,9 @@ class NewtonOptions:
             raise ParameterError("NewtonOptions.inverse", self.inverse, expected)
         require_choice(self, METHODS, method=self.method)
         require_choice(self, COARSE, coarse=self.coarse)
+        is_split, where = self.method == "split", "with the method 'split'"
+        require_effect(self, not is_split, where, "refresh", "min_damping", "inverse")
+        require_effect(self, self.method != "coupled", "with the method 'coupled'", "split")
         if self.coarse != "direct":
             if self.method == "coupled":
                 expected = "'direct' with the method 'coupled', which factorises one system of all unknowns"

@@ -1,6 +1,8 @@
 """Units are converted at the door: the same case in other units is the same case."""
 
 import math
+import warnings
+from pathlib import Path
 
 import pytest
 
@@ -209,3 +211,13 @@ def test_a_time_of_the_command_line_is_in_seconds_or_has_its_unit():
     for text in ("soon", "2 m", "1 kyr 3"):
         with pytest.raises(UnitError):
             seconds(text)
+
+
+def test_velocities_without_a_unit_beside_lengths_and_times_with_one_are_said():
+    """Nothing is derived: with km and kyr a plain velocity is in m/s."""
+    text = CASE.replace('velocity = "cm/s"\n', "", 1)
+    with pytest.warns(nv.InputWarning, match="length in km and time in min, and plain velocities are in m/s"):
+        parse_case(text, "case.toml", Path("."))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        parse_case(CASE, "case.toml", Path("."))

@@ -100,9 +100,9 @@ def test_check_reports_and_writes_nothing(case_file, capsys, monkeypatch):
         r"\d+ cells",
         r"unknowns +\d+",
         r"4 steps of 0.02 s",
-        r"scales +L 1 m, h 0\.\d+ m, v [\d.]+ m/s, waves 4.84 and 3.16 m/s",
+        r"scales +L 1 m, h 0\.\d+ m, v [\d.]+ m/s so far, waves 4.84 and 3.16 m/s",
         r"Reynolds, rho v L/G_v +\d+",
-        r"advice +shear waves cross the body in 0.32 s, 16 steps",
+        r"advice +shear waves cross the domain in 0.32 s, 16 steps",
         r"memory +\d+ MB",
         r"s a step, .* \(by its first 4\)",
     ):
@@ -147,7 +147,7 @@ def test_progress_bar_says_why_a_step_was_rejected_and_what_was_limited(capsys):
     simulation = SimpleNamespace(t=0.02, step_number=1, ledger=ledger)
     row = {"kinetic": 1.0, "stored": 2.0, "closure_relative": 1e-15, "limited_cells": 3.0}
     bar = ProgressBar(0.04)
-    bar._began, bar._from = 0.0, 0.0
+    bar._set_out(simulation)
     bar.step(simulation, row)
     bar.rejected(simulation, Rejection(0.02, 0.02, "stalled; taken in parts of 0.01 s"))
     out = capsys.readouterr().out

@@ -507,7 +507,7 @@ def failed(fault, regularised):
     model = nv.Model(material=material, loads=[nv.Gravity((0, -1))], regularisation=law)
     fails = Fails()
     fails.fault = fault
-    options = {"adaptive": steps, "observers": [fails], "halvings": 0}
+    options = {"adaptive": steps, "observers": [fails]}
     options["initial"] = nv.Initial(velocity=(1e-3, 0.0))  # through walls: that is warned of
     if fault in ("singular", "unsolved", "petsc", "density"):
         options["solver"] = "split"

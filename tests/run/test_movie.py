@@ -16,9 +16,17 @@ import ngvisco as nv
 from ngvisco.geometries import box
 from ngvisco.run.fields import scalar_fields
 from ngvisco.run.frames import cut, frame_of, read_frame, read_series_files
-from ngvisco.run.pictures import PlotError, Section, _Picture, plot_fields, write_movie
-from ngvisco.run.scales import rest_pressure
+from ngvisco.run.pictures import (
+    Colours,
+    PlotError,
+    Section,
+    _Picture,
+    plot_fields,
+    unit_of_length,
+    write_movie,
+)
 from ngvisco.run.scene import write_scene, write_scene_of_series
+from ngvisco.run.waves import rest_pressure
 
 
 def series(place, size, **options):
@@ -292,3 +300,27 @@ def test_unknown_fields_and_tensors(tmp_path):
         write_scene(mesh, {"F": tensor}, tmp_path / "scene.html")
     with pytest.raises(nv.ParameterError, match="at least one field"):
         write_scene(mesh, {}, tmp_path / "scene.html")
+
+
+def test_colours_are_not_set_by_a_spike_and_those_of_rates_are_logarithmic():
+    even = np.linspace(1.0, 2.0, 1000)
+    plain = Colours.of("pressure", even)
+    assert (plain.norm.vmin, plain.norm.vmax, plain.extend) == (1.0, 2.0, "neither")
+    spiked = Colours.of("pressure", np.append(even, 1e4))
+    assert 1.9 < spiked.norm.vmax < 2.01 and 1.0 < spiked.norm.vmin < 1.01
+    assert spiked.extend == "both"
+    rates = Colours.of("creep rate", np.geomspace(1e-22, 1e-14, 1000))
+    assert type(rates.norm).__name__ == "LogNorm" and rates.norm.vmax == pytest.approx(1e-14)
+    assert rates.norm.vmin == pytest.approx(1e-20) and rates.extend == "min"
+    assert type(Colours.of("creep rate", even).norm).__name__ == "Normalize"
+    assert Colours.of("J", np.ones(9)).norm.vmin < 1 < Colours.of("J", np.ones(9)).norm.vmax
+
+
+def test_lengths_are_shown_in_a_unit_of_their_size_and_short_sides_by_their_ends(tmp_path):
+    sizes = {4e4: "km", 1e3: "m", 1.0: "m", 5e-3: "mm", 3e-5: "µm", 1e-12: "nm"}
+    assert {size: unit_of_length(size)[0] for size in sizes} == sizes
+    mesh = box((1e4, 4e4), 2e4)
+    picture = _Picture(frame_of(mesh, {"x": x}), ["x"], None)
+    axis = picture.axes[0]
+    assert axis.get_xlabel() == "x, km" and axis.get_xticks() == pytest.approx([0.0, 10.0], abs=1e-9)
+    assert axis.get_ylim()[1] < 45

@@ -12,9 +12,10 @@ from support import small_run
 
 import ngvisco as nv
 from ngvisco.forms.terms.momentum import Stokes
-from ngvisco.geometries import box
+from ngvisco.geometries import box, structured_box
 from ngvisco.physics.variables import Jacobian
-from ngvisco.run.scales import moduli, scales
+from ngvisco.run.scales import scales
+from ngvisco.run.waves import moduli
 
 NEO_HOOKEAN = nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1)
 
@@ -51,9 +52,9 @@ def test_numbers_are_those_of_their_definitions():
 
 def test_advice_is_given_where_a_scale_is_missed():
     assert found().advice == []
-    (slow,) = found(dt=0.1).advice
-    assert "shear waves cross the body in 0.63 s, 6.3 steps" in slow and "dt <= 0.032 s" in slow
-    assert any("cells across the body" in line and "maxh" in line for line in found(maxh=0.5).advice)
+    (slow,) = found(dt=0.1).advice  # along the longer edge
+    assert "shear waves cross the domain in 1.3 s, 13 steps" in slow and "dt <= 0.063 s" in slow
+    assert any("cells across the domain" in line and "maxh" in line for line in found(maxh=0.5).advice)
     (relaxing,) = found(G_m=0.2).advice
     assert "stress relaxes in 0.01 s, 1 steps" in relaxing and "dt <= 0.002 s" in relaxing
     assert any("cells a step" in line for line in found(velocity_scale=50.0).advice)
@@ -63,7 +64,7 @@ def test_advice_is_given_where_a_scale_is_missed():
 
 
 def test_advice_names_the_scheme_and_is_not_given_for_the_step_that_it_advises():
-    from ngvisco.run.scales import Scales
+    from ngvisco.run.advice import Scales
     from ngvisco.timestepping.scheme import midpoint
 
     values = {"length": 1.0, "cell": 0.1, "velocity": 0.1, "speeds": (math.sqrt(20.0), math.sqrt(10.0))}
@@ -76,7 +77,7 @@ def test_advice_names_the_scheme_and_is_not_given_for_the_step_that_it_advises()
 
 def test_advice_foresees_steps_that_are_hard_to_solve():
     """By the moduli's ratio, by the densities', by waves that the midpoint rule leaves ringing."""
-    from ngvisco.run.scales import Scales
+    from ngvisco.run.advice import Scales
     from ngvisco.timestepping.scheme import midpoint
 
     sound = {"length": 1.0, "cell": 0.1, "velocity": 0.1, "speeds": (10.0, 1.0), "kinematic_viscosity": 0.0}
@@ -84,14 +85,81 @@ def test_advice_foresees_steps_that_are_hard_to_solve():
     assert Scales(**sound, scheme=midpoint()).advice == []
     (stiff,) = Scales(**sound | {"speeds": (200.0, 1.0)}).advice
     assert "4e+04 times that of shear" in stiff and "discretisation.k = 3" in stiff
+    assert "a K_e of 0.2 of this one is still stiff enough" in stiff
+    (set_already,) = Scales(**sound | {"speeds": (200.0, 1.0)}, k=3, weight=0.02).advice
+    assert "k = 3" not in set_already and "K_e" not in set_already
     (ringing,) = Scales(**sound | {"speeds": (80.0, 1.0)}, scheme=midpoint()).advice
     assert "cross 16 cells a step, which midpoint does not damp" in ringing and "dt <= 0.013 s" in ringing
+    (begun,) = Scales(**sound | {"speeds": (80.0, 1.0)}, scheme=midpoint(), startup=2).advice
+    assert "time.startup" in ringing and "time.startup" not in begun
     assert Scales(**sound | {"speeds": (80.0, 1.0)}).advice == []  # backward Euler damps them
     (uneven,) = Scales(**sound, densities=1e5).advice
     assert "densities differ 1e+05 times" in uneven and "a ratio up to 100," in uneven
     assert Scales(**sound, one_bulk_energy=False).advice == []
     *_, unlike = Scales(**sound, densities=1e5, one_bulk_energy=False).advice
     assert "different bulk energies" in unlike and "K_e/2*(J + 1/J - 2)" in unlike
+
+
+def column(steps=0, K_e=1e5, height=1.0, **options):
+    """A column of 1000 kg/m^3 under its weight, two cells wide and periodic across."""
+    model = nv.Model(
+        material=nv.NeoHookean(K_e=K_e, G_e=0.5 * K_e, epsilon=1.0),
+        viscosity=nv.StokesViscosity(K_v=100.0, G_v=100.0),
+        loads=[nv.Gravity((0.0, -9.81))],
+        **options,
+    )
+    mesh = structured_box((0.02, height), (1, 6), periodic="x")
+    run = nv.Simulation(mesh, model, dt=20.0, initial=nv.Initial(density=1000.0), solver="coupled")
+    for _ in range(steps):
+        run.advance()
+    return scales(run)
+
+
+def test_the_velocity_is_that_of_the_steps_taken_and_not_known_before():
+    """Free fall from rest would be 4.4 m/s; under a static load the matter creeps into its place."""
+    before, after = column(), column(steps=1)
+    assert before.velocity == 0 and not any("v" in name.split(",")[0] for name in ["Courant"])
+    assert {"Courant, v dt/h", "Mach of shear waves"}.isdisjoint(before.numbers)
+    # the column sinks by rho g H/2 over the modulus in the first step, at most
+    assert 0 < after.velocity <= 1000 * 9.81 / 1e5 / 20
+    assert not any("cells a step" in line for line in after.advice)
+
+
+def test_a_strip_is_as_long_as_it_is_between_walls_and_slow_where_inertia_has_no_part():
+    found = column()
+    assert found.length == found.extent == pytest.approx(1.0) and found.is_slow
+    assert found.advice == []
+    assert replace(found, dt=0.1 * found.passage).advice  # waves could be followed there
+
+
+def test_the_weight_is_compared_with_the_modulus():
+    soft = column(K_e=1e4)
+    assert soft.weight == pytest.approx(1000 * 9.81 / (1e4 + 4 / 3 * 2 * 0.5e4), rel=1e-3)
+    assert any("shorter by about 21 %" in line for line in soft.advice)
+    assert not any("weight" in line for line in column(K_e=1e6).advice)
+
+
+def test_the_overstress_is_compared_with_the_yield_stress():
+    rule = nv.Perzyna(sigma_Y=1.0, G_m=2.0)
+    assert rule.overstress(0.1, {}) == pytest.approx(0.2 / math.sqrt(2 / 3))
+    assert nv.Perzyna(sigma_Y=1.0, G_m=2.0, n=2.0).overstress(0.1, {}) == pytest.approx(
+        math.sqrt(0.2 / math.sqrt(2 / 3))
+    )
+    frictional = nv.DruckerPrager(cohesion=1.0, friction_angle=60.0, G_m=2.0)
+    assert frictional.overstress(0.1, {}) == pytest.approx(0.2 / (math.sqrt(2) * 0.5))
+    assert nv.Composite(rules=(rule, nv.Creep(G_m=1.0))).overstress(0.1, {}) == rule.overstress(0.1, {})
+    yields = replace(column(), overstress=rule.overstress(0.1, {}))
+    assert any("take a G_m 2.4 times smaller" in line for line in yields.advice)
+
+
+def test_bodies_are_measured_each_by_itself():
+    place = nv.Ball((0.5, 0.5), 0.15)
+    run = of_bodies(nv.Body(name="disc", where=place, **STIFF), nv.Body(name="rest", **SOFT))
+    cells = scales(run).bodies
+    assert set(cells) <= {"disc", "rest"} and cells["rest"] > 2
+    assert cells.get("disc", 0.0) < 1.5  # 0.3 m of cells of 0.4 m
+    named = replace(scales(run), bodies={"disc": 1.3}).advice
+    assert any("1.3 cells across the body 'disc'" in line for line in named)
 
 
 def test_at_rest_the_velocity_scale_is_that_of_walls_or_of_waves():

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -43,7 +43,7 @@ RULES: dict[str, tuple[Callable[..., nv.FlowRule], dict[str, float]]] = {
     "Norton": (partial(nv.Norton, A=0.3, n=3.0, q=4.0), {"A": 0.3, "n": 3.0}),
     "Eyring": (partial(nv.Eyring, A=0.1, sigma_0=0.5, q=4.0), {"A": 0.1, "sigma": 0.5}),
     "Perzyna": (
-        partial(nv.Perzyna, sigma_Y=0.5, G_m=2.0, n=2.0, q=4.0, rate_floor=1e-4),
+        partial(nv.Perzyna, sigma_Y=0.5, G_m=2.0, n=2.0, q=4.0),
         {"R": 0.5, "n": 2.0, "sigma": math.sqrt(2 / 3) * 0.5},
     ),
 }
@@ -120,6 +120,8 @@ def model(
     own: dict[str, Any] = {"bodies": bodies()}
     if kind != "two bodies":
         viscosity, creep = nv.StokesViscosity(K_v=0.3, G_v=0.2), RULES[rule][0](nu=nu)
+        if rule == "Perzyna" and nu > 0:
+            creep = replace(creep, rate_floor=1e-4)  # type: ignore[type-var]
         own = {"material": material(kind), "viscosity": viscosity, "creep": creep}
     return nv.Model(
         **own,

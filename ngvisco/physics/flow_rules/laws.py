@@ -8,7 +8,7 @@ from functools import reduce
 from operator import add
 from typing import Annotated, Literal, TypeAlias
 
-from ngvisco.errors import ParameterError, Quantity, require_choice
+from ngvisco.errors import ParameterError, Quantity, require_choice, require_effect
 from ngvisco.physics.flow_rules.rule import TINY_STRESS, FlowRule, GradientRule, Hardening
 from ngvisco.physics.parameters import Modulus, typical_value, value_at
 from ngvisco.physics.tensors import Tensor, dev, exp, if_positive, log, power_of_square, sqrt, square
@@ -144,6 +144,10 @@ class Norton(_Driven):
     rate_floor: Annotated[float, Quantity("1/s", "> 0")] = 1e-9
     law: DrivenBy = "mandel"
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_effect(self, self.n > 1, "with n = 1", "rate_floor")
+
     @property
     def degree(self) -> float:  # type: ignore[override]
         return float(self.n)
@@ -262,6 +266,7 @@ class Perzyna(_Driven):
             if (value := getattr(self, name)) != 0:
                 expected = f"0 for law = {self.law!r}, whose rate is not along M"
                 raise ParameterError(f"Perzyna.{name}", value, expected)
+        require_effect(self, self.Q != 0, "with Q = 0", "b")
 
     @property
     def hardening(self) -> Hardening | None:
@@ -284,6 +289,10 @@ class Perzyna(_Driven):
         if self.n > 1:
             over = over * power_of_square(over * over / (s * s), 0.5 * (self.n - 1), TINY_STRESS)
         return over / (value_at(self.G_m, z) * size) * self.along(M, zeta)
+
+    def overstress(self, rate: float, z: Values) -> float:
+        ratio = typical_value(self.G_m) * rate / (math.sqrt(2 / 3) * typical_value(self.sigma_Y))
+        return float(ratio ** (1 / self.n))
 
     def psi(self, Pi: Tensor, z: Values) -> Tensor:
         """s |Pi| + n/(n+1) (G_m s^{n-1})^{1/n} |Pi|^{(n+1)/n}, W/m^3."""
@@ -318,6 +327,10 @@ class DruckerPrager(FlowRule):
     G_m: Annotated[Modulus, Quantity("Pa s", "> 0", 0.1, "harmonic")]
 
     reads = frozenset({PRESSURE})
+
+    def overstress(self, rate: float, z: Values) -> float:
+        strength = math.sqrt(2) * math.cos(math.radians(self.friction_angle)) * typical_value(self.cohesion)
+        return typical_value(self.G_m) * rate / strength if strength > 0 else 0.0
 
     def rate(self, M: Tensor, zeta: Tensor | None, z: Values) -> Tensor:
         phi = math.radians(self.friction_angle)
@@ -359,6 +372,9 @@ class Composite(FlowRule):
 
     def rate(self, M: Tensor, zeta: Tensor | None, z: Values) -> Tensor:
         return reduce(add, (rule.rate(M, zeta, z) for rule in self.rules if rule.flows))
+
+    def overstress(self, rate: float, z: Values) -> float:
+        return max(rule.overstress(rate, z) for rule in self.rules)
 
     @property
     def flows(self) -> bool:

@@ -30,10 +30,10 @@ from typing import Annotated
 import numpy as np
 from ngsolve import CF
 
-from ngvisco.errors import ParameterError, Quantity
+from ngvisco.errors import ParameterError, Quantity, require_effect
 from ngvisco.physics.arrays import Array, derivatives
 from ngvisco.physics.parameters import Modulus, require_ranges, value_at
-from ngvisco.physics.tensors import Tensor, exp, power_of_square, square, tr
+from ngvisco.physics.tensors import Tensor, exp, is_even, power_of_square, square, tr
 from ngvisco.physics.variables import Values, Variable
 
 TINY_STRESS = 1e-100
@@ -171,6 +171,13 @@ class FlowRule(ABC):
         """nu s^{(q-2)/2} for s = |grad Pi|^2."""
         return self.nu * power_of_square(s, 0.5 * (self.q - 2), self.floor)
 
+    def overstress(self, rate: float, z: Values) -> float:
+        """By how much |M| exceeds the yield stress at |Pi| = ``rate``, 1/s, over it; 0 of a rule without one.
+
+        ``z`` are arrays of one point; a strength by pressure counts as that without any.
+        """
+        return 0.0
+
     def relaxation_time(self, shear: float, z: Values) -> float:
         """Elastic strain over its rate, s, in shear by ``SMALL_STRAIN``; ``inf`` where it does not flow.
 
@@ -197,3 +204,8 @@ class GradientRule(FlowRule):
 
     nu: Annotated[float, Quantity("W/m^3 (m s)^q", ">= 0", 1e-4)] = 0.0
     q: Annotated[float, Quantity("1", "> 1")] = 4.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_effect(self, self.nu > 0, "with nu = 0", "q", "floor", "rate_floor")
+        require_effect(self, not is_even(self.q), "with q an even integer", "floor")

@@ -20,7 +20,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, ClassVar, Self
 
-from ngvisco.errors import ParameterError, Quantity, require_choice
+from ngvisco.errors import ParameterError, Quantity, require_choice, require_effect
 from ngvisco.physics.material import ElasticState, Material
 from ngvisco.physics.parameters import Modulus
 from ngvisco.physics.tensors import Tensor, if_positive, log, square, tr
@@ -241,6 +241,7 @@ class ReferentialNeoHookean(IsotropicElastic):
         if self.K_e == 0 and self.epsilon != 0:
             expected = "> 0 with epsilon, whose minimum it is that keeps J = 1"
             raise ParameterError(f"{type(self).__name__}.K_e", self.K_e, expected)
+        require_effect(self, self.epsilon != 0, "with epsilon = 0", "kappa")
 
     @property
     def continued(self) -> frozenset[str]:

@@ -6,11 +6,11 @@ from typing import Annotated
 
 from ngsolve import CoefficientFunction
 
-from ngvisco.errors import ParameterError, Quantity
+from ngvisco.errors import ParameterError, Quantity, require_effect
 from ngvisco.physics.energy_checks import check_energy, require_isotropy
 from ngvisco.physics.material import Material
 from ngvisco.physics.parameters import Modulus
-from ngvisco.physics.tensors import dev, power_of_square, sph, square, tr
+from ngvisco.physics.tensors import dev, is_even, power_of_square, sph, square, tr
 from ngvisco.physics.variables import SmallStrain, Values, Variable
 
 
@@ -105,6 +105,10 @@ class HardeningElastic(LinearElastic):
     G_h: Annotated[Modulus, Quantity("Pa", ">= 0", 5.0)]
     s: Annotated[float, Quantity("1", "> 2")] = 4.0
     floor: Annotated[float, Quantity("1", "> 0")] = 1e-8
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_effect(self, not is_even(self.s + 2), "with s an even integer", "floor")
 
     def energy(self, z: Values) -> CoefficientFunction:
         E, half = z["E"], 0.5 * self.s

@@ -1,0 +1,206 @@
+"""Scales of a run and its dimensionless numbers, and what they say about dt, maxh and the material."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from ngvisco.timestepping.scheme import TimeScheme, backward_euler, midpoint
+
+_FOLLOWED, _RELAXED, _ACROSS = 20, 5, 4
+"""Steps in a wave's passage or in a relaxation time, and cells across a body, that are enough."""
+_RINGING, _STIFF, _DENSER = 10.0, 1e4, 1e2
+"""Cells that waves cross in a step, ratios of moduli and of densities, above which a step is hard."""
+_SLOW = 100.0
+"""Steps of so many passages of the waves are those of a motion without inertia."""
+_SINKS, _SMALL = 0.05, 0.01
+"""Share of its height by which a body's own weight compresses it, that is said, and that is little."""
+_ABOVE_YIELD = 0.1
+"""Viscous overstress over the yield stress, above which the stress is not held to it."""
+
+
+@dataclass(frozen=True)
+class Scales:
+    """Scales in SI units; what does not exist is inf (times) or 0 (speeds, viscosities).
+
+    Of moduli that differ from place to place and from body to body, each by itself, those are taken that ask
+    most of dt and maxh.  A periodic direction is no length of the domain.
+    """
+
+    length: float
+    """Shortest edge of the domain's bounding box, m."""
+    cell: float
+    """Median size of a cell, m."""
+    velocity: float
+    """The largest velocity in the run so far, of walls or of the start, m/s; 0 where it is not known yet."""
+    speeds: tuple[float, float]
+    """Of the fastest longitudinal and the fastest shear waves at rest, m/s."""
+    kinematic_viscosity: float
+    """The least G_v/rho that is not zero, m^2/s."""
+    maxwell: float
+    """The shortest relaxation time of shear by creep, G_m/(2 G), s."""
+    dt: float
+    scheme: TimeScheme = field(default_factory=backward_euler)
+    densities: float = 1.0
+    """The largest over the least density at the start."""
+    one_bulk_energy: bool = True
+    """Whether all bodies have the same."""
+    extent: float = 0.0
+    """Longest edge of the bounding box, m, which waves have to cross; 0 is ``length``."""
+    weight: float = 0.0
+    """What the largest load is over the modulus of longitudinal waves, rho g L/(rho c^2)."""
+    overstress: float = 0.0
+    """Viscous part of the stress over the yield stress at the rate velocity/length."""
+    bodies: Mapping[str, float] = field(default_factory=dict)
+    """Least extent of each body, in cells."""
+    parting: str | None = None
+    """Where variables that stand for one distortion may part, in words."""
+    unborne: str | None = None
+    """What the pressure of the start does not bear, where a law reads it, in words."""
+    k: int = 2
+    """Order of the velocity."""
+    startup: int = 0
+    """First steps of backward Euler."""
+
+    @property
+    def passage(self) -> float:
+        """Time in which shear waves, or those of pressure where there are none, cross the domain, s."""
+        fast, slow = self.speeds
+        wave = slow if slow > 0 else fast
+        return (self.extent or self.length) / wave if wave > 0 else math.inf
+
+    @property
+    def is_slow(self) -> bool:
+        """Whether inertia has no part: waves cross the domain many times in a step."""
+        return self.passage * _SLOW < self.dt
+
+    @property
+    def numbers(self) -> dict[str, float]:
+        """Dimensionless numbers by name; those that do not exist, or are not known, are left out."""
+        fast, slow = self.speeds
+        found: dict[str, float] = {}
+        if self.velocity > 0:
+            found["Courant, v dt/h"] = self.velocity * self.dt / self.cell
+            if fast > 0:
+                found["Mach, v/c of longitudinal waves"] = self.velocity / fast
+        if fast > 0:
+            found["Courant of longitudinal waves, c dt/h"] = fast * self.dt / self.cell
+        if slow > 0 and self.velocity > 0:
+            found["Mach of shear waves"] = self.velocity / slow
+        if self.kinematic_viscosity > 0 and self.velocity > 0:
+            found["Reynolds, rho v L/G_v"] = self.velocity * self.length / self.kinematic_viscosity
+        if math.isfinite(self.maxwell):
+            if self.velocity > 0:
+                found["Deborah, Maxwell time v/L"] = self.maxwell * self.velocity / self.length
+            found["Maxwell time/dt"] = self.maxwell / self.dt
+        if fast > 0 and slow > 0:
+            found["longitudinal over shear modulus, about K_e/G_e"] = (fast / slow) ** 2
+        if self.weight > 0:
+            found["weight over longitudinal modulus"] = self.weight
+        if self.overstress > 0:
+            found["overstress over yield, G_m v/(L sigma_Y)"] = self.overstress
+        if self.densities > 1 + 1e-6:
+            found["largest over least density"] = self.densities
+        return found
+
+    @property
+    def advice(self) -> list[str]:
+        """What to think of about dt and maxh; empty where nothing stands out."""
+        return [*self._of_waves(), *self._of_matter(), *self._of_motion(), *self._of_cells()]
+
+    def _of_waves(self) -> list[str]:
+        (fast, slow), said = self.speeds, []
+        name = "shear" if slow > 0 else "longitudinal"
+        if math.isfinite(self.passage) and self.dt * _FOLLOWED > self.passage and not self.is_slow:
+            does = "damps them" if self.scheme.order == 1 else "does not resolve them"
+            said.append(
+                f"{name} waves cross the domain in {self.passage:.2g} s, {self.passage / self.dt:.2g} "
+                f"steps: the scheme {self.scheme.name} {does}; to follow them take "
+                f"dt <= {self.passage / _FOLLOWED:.2g} s"
+            )
+        hard = fast * self.dt / self.cell
+        if self.scheme.A == midpoint().A and hard > _RINGING:
+            euler = "" if self.startup else "the first steps by backward Euler (time.startup = 2), "
+            shorter = "" if self.is_slow else f", or dt <= {_RINGING * self.cell / fast:.2g} s"
+            said.append(
+                f"longitudinal waves cross {hard:.3g} cells a step, which {self.scheme.name} does not damp: "
+                f"they ring from step to step; take {euler}another scheme ('sdirk2' damps them){shorter}"
+            )
+        return said
+
+    def _of_matter(self) -> list[str]:
+        (fast, slow), said = self.speeds, []
+        if slow > 0 and (fast / slow) ** 2 > _STIFF:
+            ratio, remedies = (fast / slow) ** 2, []
+            if self.k < 3:
+                remedies.append("take discretisation.k = 3, since cells lock with k = 2")
+            spare = _SMALL / self.weight if self.weight > 0 else ratio / _STIFF
+            if spare >= 2:
+                least = max(1 / spare, _STIFF / ratio)
+                less = f"a K_e of {least:.1g} of this one is still stiff enough"
+                remedies.append(less + (" for the weight" if self.weight > 0 else ""))
+            said.append(
+                f"the modulus of compression is {ratio:.2g} times that of shear: steps are hard to solve"
+                + "".join(f"; {one}" for one in remedies)
+            )
+        if self.weight > _SINKS:
+            said.append(
+                f"the weight is {self.weight:.2g} of the modulus of compression: it makes a column shorter "
+                f"by about {50 * self.weight:.2g} %; where matter hardly yields take a larger K_e"
+            )
+        is_denser = self.densities > _DENSER * (1 + 1e-6)
+        if is_denser:
+            said.append(
+                f"densities differ {self.densities:.2g} times: where their boundary moves through cells what "
+                "is light is thrown about, and steps are hard to solve; take a ratio up to "
+                f"{_DENSER:g}, and what is light as viscous as the other"
+            )
+        if is_denser and not self.one_bulk_energy:
+            said.append(
+                "bodies of such densities have different bulk energies: few steps are solved; where it does "
+                "not matter give all of them one, e.g. a medium beside ReferentialNeoHookean "
+                'kind = "Custom" with energy = "K_e/2*(J + 1/J - 2)"'
+            )
+        if self.overstress > _ABOVE_YIELD:
+            said.append(
+                f"at the rate v/L the stress is {self.overstress:.2g} of the yield stress above it: to hold "
+                f"it there take a G_m {self.overstress / _ABOVE_YIELD:.2g} times smaller"
+            )
+        return said
+
+    def _of_motion(self) -> list[str]:
+        said = []
+        if self.velocity * self.dt > self.cell:
+            said.append(
+                f"matter moves by {self.velocity * self.dt / self.cell:.2g} cells a step: steps are hard "
+                f"to solve and upwinding smears; take dt <= {self.cell / self.velocity:.2g} s"
+            )
+        if self.maxwell < _RELAXED * self.dt * (1 - 1e-6):  # moduli are differences
+            said.append(
+                f"stress relaxes in {self.maxwell:.2g} s, {self.maxwell / self.dt:.2g} steps: only the end "
+                f"of its relaxation is seen; to follow it take dt <= {self.maxwell / _RELAXED:.2g} s"
+            )
+        said += filter(None, (self.parting, self.unborne))
+        return said
+
+    def _of_cells(self) -> list[str]:
+        said = []
+        layer = (
+            math.sqrt(self.kinematic_viscosity * self.length / self.velocity) if self.velocity > 0 else 0.0
+        )
+        if self.cell * _ACROSS > self.length:
+            across, enough = self.length / self.cell, self.length / _ACROSS
+            said.append(f"{across:.1f} cells across the domain: take maxh <= {enough:.2g} m")
+        elif 0 < layer < self.cell:
+            said.append(
+                f"viscous layers are {layer:.2g} m thick, thinner than a cell: where they matter take maxh "
+                f"or refine <= {layer / 2:.2g} m"
+            )
+        said += [
+            f"{cells:.1f} cells across the body {name!r} where it is thinnest: take cells "
+            f"{_ACROSS / cells:.2g} times smaller there"
+            for name, cells in self.bodies.items()
+            if 0 < cells < _ACROSS
+        ]
+        return said
