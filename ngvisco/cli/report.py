@@ -7,6 +7,7 @@ import sys
 import tempfile
 import time as clock
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -64,11 +65,11 @@ def check(options: argparse.Namespace) -> int:
             f"dt_max = {adaptive.dt_max:g} s"
         )
     sys.stdout.flush()  # a step that is hard to solve takes minutes: what is known is read before
-    writing = _output(case, run)
+    writing, start = _output(case, run), scales(run)
     try:
         first, later, count = _measure(run, steps)
     finally:
-        _say_scales(scales(run))
+        _say_scales(replace(scales(run), unborne=start.unborne))
     print(f"memory     {_peak():.0f} MB, measured")
     total = first + (steps - 1) * later
     said = f"{later:.2g} s a step, {_duration(total)} in all"
