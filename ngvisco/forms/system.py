@@ -85,6 +85,7 @@ from ngvisco.forms.terms.transport import (
     Trace,
     Upwinding,
 )
+from ngvisco.forms.unfelt import UNFELT, Unfelt
 from ngvisco.forms.upwinding import mean_share
 from ngvisco.physics.material import part_of
 from ngvisco.physics.materials.damaged import Damaged
@@ -376,6 +377,9 @@ class Step:
         for term in self.terms:
             with refused_by_name(term):
                 found += term.entries(u)
+        k, m = self.discretisation.k, self.discretisation.m
+        if m < k - 1:
+            found.append(Entry(UNFELT, "monitor", Integrand(), Unfelt(u, self.quadrature, m)))
         # of moving walls the power of their reactions
         return found + [
             Entry(f"power_wall_{name}", "power", Integrand(), partial(self._reaction_power, name))

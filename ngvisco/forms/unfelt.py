@@ -1,0 +1,54 @@
+"""Motion that no variable feels: what a velocity of order k has within cells beyond the order m + 1.
+
+grad P_{m+1} = P_m: a variable of order m in cells feels the strains of velocities up to the order m + 1.
+For m < k - 1 there are velocities beyond, of which inertia and viscosity alone know.  A wave in a box without
+viscosity, m = 0, has 63 % of its kinetic energy there after 2 s.  With the cellwise L2 projection Pi on P_{m+1}
+
+    unfelt = 1/2 int rho |v - Pi v|^2 >= 0,
+
+small of order h^{2m + 4} for smooth motion.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from ngsolve import CF, CoefficientFunction, GridFunction, VectorL2
+
+from ngvisco.errors import InputWarning
+from ngvisco.forms.fields import Fields
+from ngvisco.forms.mesh.quadrature import Quadrature
+from ngvisco.forms.projections import LocalProjection
+from ngvisco.forms.term import tested
+from ngvisco.parallel.communicator import Communicator
+from ngvisco.physics.tensors import square
+
+UNFELT = "unfelt"
+"""Ledger column of it, J; of runs with m < k - 1."""
+_SHARE = 0.1
+"""Of the kinetic energy, from which on it is said."""
+
+
+class Unfelt:
+    """Measures it at the fields of a state, and says once where it is much of the motion."""
+
+    def __init__(self, u: Fields, quadrature: Quadrature, m: int) -> None:
+        self.quadrature, self.is_said, mesh = quadrature, False, quadrature.mesh
+        self._ranks = Communicator.of(mesh)
+        within = GridFunction(VectorL2(mesh, order=m + 1))
+        self._project = LocalProjection(within, quadrature, tested(u.v))
+        self._densities: CoefficientFunction = CF(
+            (0.5 * u.rho * square(u.v - within), 0.5 * u.rho * square(u.v))
+        ).Compile()
+
+    def __call__(self) -> float:
+        """J, at the present state."""
+        self._project()
+        unfelt, kinetic = (float(one) for one in np.asarray(self.quadrature.integrate_cells(self._densities)))
+        if unfelt > _SHARE * kinetic and not self.is_said:
+            self.is_said = True
+            message = (
+                f"{unfelt / kinetic:.0%} of the kinetic energy is motion within cells that no variable feels: "
+                "take discretisation.m = k - 1, or a viscosity or hyperviscosity that holds it"
+            )
+            self._ranks.warn(message, InputWarning, stacklevel=4)
+        return unfelt
