@@ -2,7 +2,7 @@
 
 grad P_{m+1} = P_m: a variable of order m in cells feels the strains of velocities up to the order m + 1.
 For m < k - 1 there are velocities beyond, of which inertia and viscosity alone know.  A wave in a box without
-viscosity, m = 0, has 63 % of its kinetic energy there after 2 s.  With the cellwise L2 projection Pi on P_{m+1}
+viscosity, m = 0, has 63 % of its kinetic energy there after 2 s.  With Pi the cellwise projection on P_{m+1}
 
     unfelt = 1/2 int rho |v - Pi v|^2 >= 0,
 
@@ -47,7 +47,7 @@ class Unfelt:
         if unfelt > _SHARE * kinetic and not self.is_said:
             self.is_said = True
             message = (
-                f"{unfelt / kinetic:.0%} of the kinetic energy is motion within cells that no variable feels: "
+                f"{unfelt / kinetic:.0%} of the kinetic energy is motion within cells that nothing feels: "
                 "take discretisation.m = k - 1, or a viscosity or hyperviscosity that holds it"
             )
             self._ranks.warn(message, InputWarning, stacklevel=4)

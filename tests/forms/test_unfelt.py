@@ -47,7 +47,9 @@ def test_motion_within_cells_is_measured_and_said_once():
     values[:] += np.random.default_rng(0).uniform(-1, 1, len(values)) * (
         np.arange(len(values)) % count >= vertices
     )
-    with pytest.warns(nv.InputWarning, match="of the kinetic energy is motion within cells") as said:
+    with pytest.warns(
+        nv.InputWarning, match="of the kinetic energy is motion within cells that nothing feels"
+    ) as said:
         row = run.ledger.start(0.0)
         run.ledger.state()
     assert len(said) == 1 and 0.1 * row["kinetic"] < row[UNFELT] < row["kinetic"]
