@@ -74,7 +74,7 @@ from ngvisco.forms.terms.momentum import (
     UnbalancedMomentum,
 )
 from ngvisco.forms.terms.regularisation import regularising_terms
-from ngvisco.forms.terms.tangents import ConjugateJump, OfFacet, TangentForce, TangentGap, tangents_of
+from ngvisco.forms.terms.tangents import OfFacet, TangentForce, TangentGap, tangents_of
 from ngvisco.forms.terms.transport import (
     Conjugates,
     CreepRate,
@@ -171,7 +171,7 @@ def equations(model: Model, dim: int, m: int = 1) -> tuple[Term, ...]:
     terms += [Kinematics(model), Conjugates(model), Trace()]
     tangents = tangents_of(model.material, dim)
     if tangents is not None:
-        terms += [TangentGap(), ConjugateJump(), tangents]
+        terms += [TangentGap(), *tangents.jumps, tangents]
     if entropy_in(model.material) is not None:
         terms.append(MeanConjugates())
     terms.append(Upwinding(tangents))
@@ -297,7 +297,7 @@ class Step:
             at = u
             if keeps_weights and isinstance(term, TangentForce):
                 # Newton's method follows the weights, whose slope is steep where a jump is small
-                kept = {name: state[name] for name in (TangentGap.name, ConjugateJump.name)}
+                kept = {name: state[name] for name in term.weights}
                 at = Fields(self.layout, {**u.parts, **kept}, u.context)
             with refused_by_name(term):
                 self.quadrature.add(form, term.form(at, w))

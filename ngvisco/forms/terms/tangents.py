@@ -2,24 +2,31 @@
 
 For a constant w the elastic force B_h(w; z, zeta) leaves on a facet between two cells
 
-    (w . n) ([phi] - [z] : {zeta}),        [a] = a_2 - a_1, {a} = (a_1 + a_2)/2, n from cell 1 to cell 2,
+    (w . n) N,    N = [phi] - [z] : {zeta},    [a] = a_2 - a_1, {a} = (a_1 + a_2)/2, n from cell 1 to 2,
 
 since the cells give the integrals of phi over their boundaries.  The thrust is zero for a quadratic energy.
 For any other energy the trace of the force is z_hat + b/2 (z_1 - z_2) with
 
-    b = int [phi] - [z] : {zeta} / (1/2 int [z] : [zeta]),        integrals over the facet,
+    b = int N / (1/2 int [z] : [zeta]),        integrals over the facet,
 
-by which nothing is left: the point of the segment from z_1 to z_2 at which the tangents of phi meet.  With
+by which nothing is left: the point of the line through z_1 and z_2 at which the tangents of phi meet.  With
 zeta = phi'(z) and the Bregman distances D_21 and D_12 between both sides, both >= 0 for a convex energy,
-b = (D_21 - D_12)/(D_21 + D_12) lies in [-1, 1].  Projected conjugates may ask for more; b is bounded by one,
-and what is left then is seen in the ledger's momentum defect.
+b = (D_21 - D_12)/(D_21 + D_12) lies in [-1, 1].  Projected conjugates may ask for more; b is bounded, and
+what is left then is seen in the ledger's momentum defect.
+
+An energy is not convex in its parameters, and [z] : [zeta] may be zero where a modulus and a strain jump.
+Strains and parameters then have a weight each, b_i = int N D_i / (D_1^2 + D_2^2), D_i half of their share of
+int [z] : [zeta].
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import reduce
+from operator import add
 
+import numpy as np
 from ngsolve import CoefficientFunction
 
 from ngvisco.forms.fields import Fields
@@ -27,10 +34,13 @@ from ngvisco.forms.term import PointTerm, Setting, Unknown
 from ngvisco.forms.upwinding import SideMean, side
 from ngvisco.physics.material import Material
 from ngvisco.physics.pointwise import is_quadratic, modulus_scale
-from ngvisco.physics.tensors import if_positive, inner
+from ngvisco.physics.tensors import if_positive, inner, masked, sqrt
 
 _ROUNDING = 1e-14
 """Jumps whose energy is less than this share of the moduli are rounding."""
+
+_FARTHEST = 3.0
+"""The largest b."""
 
 
 class OfFacet(SideMean):
@@ -41,34 +51,28 @@ class OfFacet(SideMean):
 
 
 class TangentGap(OfFacet):
-    """The mean over a facet of side (phi + (z_hat - z) : zeta), half of [phi] - [z] : {zeta} with a sign."""
+    """The mean over a facet of side (phi + (z_hat - z) : zeta), half of N with a sign."""
 
     name = "tangent_gap"
 
     def value(self, u: Fields) -> CoefficientFunction:
-        return side(u) * (u.context.rates.stored(u) - _jump(u))
+        return side(u) * (u.context.rates.stored(u) - inner(u.z - u.z_hat, u.zeta))
 
 
 class ConjugateJump(OfFacet):
-    """The mean over a facet of (z - z_hat) : zeta, a quarter of [z] : [zeta]."""
+    """The mean over a facet of (z - z_hat) : zeta, a quarter of [z] : [zeta], of some components of z."""
 
-    name = "conjugate_jump"
+    def __init__(self, name: str, components: np.ndarray | None = None) -> None:
+        """``components`` are of bool, all where it is None."""
+        self.name, self._components = name, components
+
+    def jump(self, u: Fields) -> CoefficientFunction:
+        """(z - z_hat) : zeta."""
+        jump = u.z - u.z_hat
+        return inner(jump if self._components is None else masked(jump, self._components), u.zeta)
 
     def value(self, u: Fields) -> CoefficientFunction:
-        return u.context.inner * _jump(u)
-
-
-def _jump(u: Fields) -> CoefficientFunction:
-    """(z - z_hat) : zeta."""
-    return inner(u.z - u.z_hat, u.zeta)
-
-
-def excess(u: Fields, scale: float) -> CoefficientFunction:
-    """b of the module's docstring, times the side's sign; ``scale`` is a size of the moduli, Pa."""
-    gap, jump = u.parts[TangentGap.name], u.parts[ConjugateJump.name]
-    size = if_positive(gap, gap, -gap)
-    largest = if_positive(jump - size, jump, size)
-    return side(u) * gap / (largest + _ROUNDING * scale)
+        return u.context.inner * self.jump(u)
 
 
 @dataclass(frozen=True)
@@ -79,20 +83,40 @@ class TangentForce(PointTerm):
 
     Attributes
     ----------
+    jumps : tuple of ConjugateJump
+        Of the variables that have a weight each.
     scale : float
         A size of the moduli, Pa.
     """
 
+    jumps: tuple[ConjugateJump, ...]
     scale: float
     linearised = False
 
+    @property
+    def weights(self) -> tuple[str, ...]:
+        """Names of the unknowns that the weights are made of."""
+        return (TangentGap.name, *(of.name for of in self.jumps))
+
+    def excess(self, u: Fields) -> CoefficientFunction:
+        """side b (z - z_hat) : zeta."""
+        gap, means = u.parts[TangentGap.name], [u.parts[of.name] for of in self.jumps]
+        squares = reduce(add, (mean * mean for mean in means)) + (_ROUNDING * self.scale) ** 2
+        least = if_positive(gap, gap, -gap) * sqrt(squares) / _FARTHEST
+        factor = gap / if_positive(squares - least, squares, least)
+        jumps = (mean * of.jump(u) for mean, of in zip(means, self.jumps, strict=True))
+        return side(u) * factor * reduce(add, jumps)
+
     def facets(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
-        c = u.context
-        return [((w.v * c.normal) * excess(u, self.scale)) * _jump(u)]
+        return [(w.v * u.context.normal) * self.excess(u)]
 
 
 def tangents_of(material: Material, dim: int) -> TangentForce | None:
     """The force's correction, None for a quadratic energy and for one without an expression."""
     if material.response(dim) is not None or is_quadratic(material, dim):
         return None
-    return TangentForce(modulus_scale(material, dim))
+    strains = material.states(dim).strains
+    jumps = (ConjugateJump("conjugate_jump", None if strains.all() else strains),)
+    if not strains.all():
+        jumps += (ConjugateJump("parameter_jump", ~strains),)
+    return TangentForce(jumps, modulus_scale(material, dim))

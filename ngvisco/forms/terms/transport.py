@@ -21,6 +21,7 @@ the momentum equation *is* the rate of the stored energy (paper: ED-Euler-large-
 For smooth fields B_h(w; z, zeta) = int T : grad w with T of the paper.
 """
 
+from collections import ChainMap
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -29,7 +30,7 @@ from ngsolve import CoefficientFunction
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.rates import Conjugate
 from ngvisco.forms.term import Entry, Integrand, Integrands, PointTerm, Setting, Unknown, tested
-from ngvisco.forms.terms.tangents import TangentForce, excess
+from ngvisco.forms.terms.tangents import TangentForce
 from ngvisco.forms.upwinding import SideMean, speed
 from ngvisco.physics.flow_rules import FlowRule
 from ngvisco.physics.materials.wrapped import WithQuadratic
@@ -144,12 +145,13 @@ class Upwinding(PointTerm):
         return [speed(u) * inner(u.z - u.z_hat, w.z)]
 
     def dissipated_on_facets(self, u: Fields) -> dict[str, CoefficientFunction]:
-        a, zeta = speed(u), u.zeta
-        if self.tangents is not None:
-            a = a + (u.v * u.context.normal) * excess(u, self.tangents.scale)
         if MeanConjugates.name in u.layout.unknowns:  # both sides have the same share
-            zeta = zeta - u.parts[MeanConjugates.name]
-        return {"dissipation_upwinding": a * inner(u.z - u.z_hat, zeta)}
+            parts = {"zeta": u.zeta - u.parts[MeanConjugates.name]}
+            u = Fields(u.layout, ChainMap(parts, u.parts), u.context)  # type: ignore[arg-type]
+        lost = speed(u) * inner(u.z - u.z_hat, u.zeta)
+        if self.tangents is not None:
+            lost = lost + (u.v * u.context.normal) * self.tangents.excess(u)
+        return {"dissipation_upwinding": lost}
 
 
 class MeanConjugates(SideMean):

@@ -1,0 +1,123 @@
+"""An unloaded body in a periodic box keeps its momentum, whatever jumps it carries."""
+
+from itertools import product
+
+import numpy as np
+import pytest
+from ngsolve import CF, IfPos, Integrate, Norm, exp, pi, sin, sqrt, x, y
+
+import ngvisco as nv
+from ngvisco.forms.terms.momentum import MomentumBalance
+from ngvisco.forms.terms.tangents import TangentForce
+from ngvisco.geometries import structured_box
+
+VISCOUS = nv.StokesViscosity(K_v=0.05, G_v=0.05)
+K_E = 10.0
+"""Pa; with the density 1 kg/m^3 a wave has about 5 m/s."""
+SCHEMES = ("backward-euler", "midpoint", "sdirk2")
+
+
+def band(f):
+    """1 in the middle of [0, 1], else 0."""
+    return IfPos(f - 0.25, IfPos(0.75 - f, 1.0, 0.0), 0.0)
+
+
+def tensor(first, rest=0.0):
+    return CF((first, 0, 0, 0, rest, 0, 0, 0, rest), dims=(3, 3))
+
+
+LINEAR = nv.LinearElastic(K_e=K_E, G_e=K_E)
+STRAIN = {"values": {"E": tensor(0.2 * band(x) * band(y))}}
+STRETCH = {"F": tensor(1 + 0.3 * band(x) * band(y), 1.0)}
+CRACK = {"values": {"damage": exp(-sqrt((x - 0.5) ** 2) / 0.1)}}
+BROKEN = nv.Damaged(material=LINEAR, G_c=0.1, length=0.1)
+STATES = {
+    "quadratic": (LINEAR, STRAIN, 1e-13),
+    "neo-Hookean, B": (nv.ReferentialNeoHookean(K_e=K_E, G_e=K_E), STRETCH, 1e-9),
+    "neo-Hookean, F": (nv.NeoHookean(K_e=K_E, G_e=K_E, epsilon=0.1, elastic_state="F"), STRETCH, 1e-9),
+    "stiffness 2 : 100": (nv.LinearElastic(K_e=2 + 98 * band(x), G_e=2 + 98 * band(x)), STRAIN, 1e-4),
+    "cracked": (BROKEN, CRACK, 2e-5),
+    "hot": (nv.Thermal(material=nv.ReferentialNeoHookean(K_e=K_E, G_e=5.0), c=1.0, theta_R=300.0), {}, 1e-6),
+}
+"""Material, start, and what of the momentum may change, over that of all and the sound impulse."""
+
+
+def thrown(name, m=1, v=(0.05, 0.02), dim=2, **options):
+    """A run of a body that is thrown with a jump, and its relative change of momentum."""
+    material, start, _ = STATES[name]
+    start = dict(start)
+    if name == "hot":
+        start["temperature"] = 300 + 30 * band(x)
+        options["model"] = {"heat": nv.Heat(conductivity=0.0)}
+    cells = (4, 4) if dim == 2 else (3, 2, 2)
+    mesh = structured_box((1.0,) * dim, cells, periodic="xyz"[:dim])
+    model = nv.Model(material=material, viscosity=VISCOUS, **options.pop("model", {}))
+    velocity = CF((*v, 0.0)[:dim]) + CF((0.1 * sin(2 * pi * x), 0.0, 0.0)[:dim])
+    initial = nv.Initial(density=1.0, velocity=velocity, **start)
+    run = nv.Simulation(
+        mesh, model, dt=0.02, initial=initial, discretisation=nv.Discretisation(m=m), **options
+    )
+    now, before = run.rothe_step.now, momentum(run)
+    scale = Integrate(now.rho * (Norm(now.v) + sqrt(2 * K_E)), mesh, order=6)
+    run.run(0.06)
+    return run, abs(momentum(run) - before).max() / scale
+
+
+def momentum(run):
+    now = run.rothe_step.now
+    return np.array(Integrate(now.rho * now.v, run.mesh, order=8))
+
+
+@pytest.mark.parametrize(("name", "solver"), list(product(STATES, ("split", "coupled"))))
+def test_a_jump_does_not_push_the_body(name, solver):
+    run, change = thrown(name, solver=solver)
+    assert change <= STATES[name][2]
+    assert abs(run.ledger.column("closure_relative")).max() <= 1e-10
+
+
+@pytest.mark.parametrize(("name", "scheme"), list(product(["quadratic", "neo-Hookean, B"], SCHEMES)))
+def test_every_scheme_keeps_momentum(name, scheme):
+    assert thrown(name, scheme=scheme, solver="split")[1] <= STATES[name][2]
+
+
+@pytest.mark.parametrize("name", ["quadratic", "neo-Hookean, B", "neo-Hookean, F", "stiffness 2 : 100"])
+def test_constants_in_cells_keep_momentum_to_rounding(name):
+    """zeta is phi'(z) there, and the weight is that of the Bregman distances."""
+    run, change = thrown(name, m=0, solver="split")
+    assert change <= 1e-12
+    if "stiffness" not in name:  # an energy that is convex
+        assert run.ledger.column("dissipation_upwinding")[1:].min() > 0
+
+
+@pytest.mark.parametrize("name", ["quadratic", "neo-Hookean, B"])
+def test_momentum_is_kept_in_space(name):
+    assert thrown(name, dim=3, solver="split")[1] <= STATES[name][2]
+
+
+@pytest.mark.parametrize("solver", ["split", "coupled"])
+def test_a_cracked_body_at_rest_stays_where_it_is(solver):
+    """It flew off at 0.2 m/s in half a second, with an exact ledger."""
+    _, start, _ = STATES["cracked"]
+    mesh = structured_box((1, 0.25), (4, 1), periodic="xy")
+    model = nv.Model(material=BROKEN, viscosity=VISCOUS)
+    run = nv.Simulation(mesh, model, dt=0.02, initial=nv.Initial(density=1.0, **start), solver=solver)
+    run.run(0.06)
+    assert abs(momentum(run)).max() <= 1e-12
+    assert 0.1 < run.ledger.column("stored_surface")[-1] / run.ledger.column("stored_surface")[0] < 1
+
+
+def nothing(self, u, w):
+    return []
+
+
+def test_without_the_balance_of_inertia_momentum_is_lost(monkeypatch):
+    """Negative control."""
+    monkeypatch.setattr(MomentumBalance, "cells", nothing)
+    monkeypatch.setattr(MomentumBalance, "facets", nothing)
+    assert thrown("quadratic", solver="coupled")[1] > 1e-9
+
+
+def test_by_the_mean_of_both_sides_another_energy_than_a_quadratic_one_loses_momentum(monkeypatch):
+    """Negative control, with a ledger that closes."""
+    monkeypatch.setattr(TangentForce, "excess", lambda self, u: 0.0 * self.jumps[0].jump(u))
+    assert thrown("neo-Hookean, B", solver="coupled")[1] > 1e-7
