@@ -246,7 +246,7 @@ def typical_velocity(step: Step, sampler: Sampler, dt: float) -> float:
         elastic = math.sqrt(2 * ranks.most(abs(excess) / inertia))
     walls = step.moving_walls.velocities().values()
     moving = ranks.most(np.concatenate([np.zeros(1), *(abs(v).ravel() for v in walls)]))
-    # the smoothed upwinding spreads jumps at its width: by 1e-4 of the domain a step, at most
+    # no faster than through the domain in a step
     farthest = length / dt
     known = max(speed, moving, min(max(fall, elastic), farthest))
     if known > 0:

@@ -92,8 +92,9 @@ class TimeSteps:
         Of a step of fixed length that is not solved, before solver.method = "auto" asks the other solver; 0
         asks it at once.  It takes the next 16 steps, then the first one is asked again.
     velocity_scale : float, optional
-        A typical velocity, which sets the width of the upwinding (1e-4 of it); default: of flow, walls, free
-        fall or elastic release, at rest a tenth of the speed of sound.
+        A typical velocity, which sets the curvature of v below which the penalty of the hyperviscosity stops
+        following it; default: of flow, walls, free fall or elastic release, at rest a tenth of the speed of
+        sound.
     adaptive : AdaptiveSteps, optional
         Step lengths chosen by the run; of one length without this table.
     """
