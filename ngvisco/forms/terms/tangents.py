@@ -116,7 +116,7 @@ def tangents_of(material: Material, dim: int) -> TangentForce | None:
     if material.response(dim) is not None or is_quadratic(material, dim):
         return None
     strains = material.states(dim).strains
-    jumps = (ConjugateJump("conjugate_jump", None if strains.all() else strains),)
+    jumps = [ConjugateJump("conjugate_jump", None if strains.all() else strains)]
     if not strains.all():
-        jumps += (ConjugateJump("parameter_jump", ~strains),)
-    return TangentForce(jumps, modulus_scale(material, dim))
+        jumps.append(ConjugateJump("parameter_jump", ~strains))
+    return TangentForce(tuple(jumps), modulus_scale(material, dim))
