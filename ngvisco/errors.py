@@ -84,6 +84,10 @@ class InitialDataError(NgviscoError, ValueError):
         super().__init__(f"initial {field}: {value}; expected {expected}")
 
 
+class StopRequested(NgviscoError):
+    """A step was given up because the run was asked to stop; the state is that before it."""
+
+
 class StepError(NgviscoError, RuntimeError):
     """A Rothe step could not be solved; the state is that before the step.
 

@@ -25,7 +25,7 @@ from ngvisco.sweep import Outcome, Study, Variation
 
 
 class StopOnSignal(Stopping, Observer):
-    """Signals let the step of a run end."""
+    """Signals end a run between two iterations of a step."""
 
     def __init__(self) -> None:
         super().__init__(lambda: None)

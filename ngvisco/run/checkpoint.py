@@ -252,8 +252,7 @@ def snapshot(simulation: Simulation) -> Snapshot:
             numbers | dataclasses.asdict(balance),
             {"state": simulation.rothe_step.state.vec.FV().NumPy().copy()},
         ),
-        "solver": simulation.solver.state_dict(),
-        "stepping": simulation.stepper.state_dict(),
+        **simulation.interruption.parts(),
         "passive": ({}, simulation.passive.arrays()),
     }
     arrays = {f"{part}/{name}": array for part, (_, own) in parts.items() for name, array in own.items()}

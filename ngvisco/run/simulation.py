@@ -42,6 +42,7 @@ from ngvisco.run.checkpoint import take_up
 from ngvisco.run.failure import failure_report
 from ngvisco.run.fields import output_fields, require_names_of_their_own
 from ngvisco.run.files import AnyPath
+from ngvisco.run.interruption import Interruption
 from ngvisco.run.ledger import Ledger, closure_limit
 from ngvisco.run.notebook import simulation_html
 from ngvisco.run.passive import CARRIED, PassiveFields
@@ -186,6 +187,7 @@ class Simulation:
             relaxed=time.relaxation,
         )
         self.stop_requested = False
+        self.interruption = Interruption(self)
 
     def on(self, mesh: Mesh, **others: Any) -> Simulation:
         """The same run on another mesh, or with other arguments of the class, at its start.
@@ -310,6 +312,7 @@ class Simulation:
             )
         with computing(), self.solver.workers(), ending_all_ranks():
             self._start_ledger()
+            self.interruption.begin()
             self.bounds.refused = self.bounds.parted = None
             try:
                 step, number = self.stepper.advance(self, stop), self.number + 1
@@ -381,7 +384,7 @@ class Simulation:
         return sorted({self.t + i / _LOOKED_AT * (until - self.t) for i in range(_LOOKED_AT + 1)})
 
     def request_stop(self) -> None:
-        """Let ``run`` end after the present step, with its observers finished."""
+        """Let ``run`` give up the step that it is within, and end, with its observers finished."""
         self.stop_requested = True
 
     def notify_rejection(self, rejection: Rejection) -> None:
@@ -400,7 +403,7 @@ class Simulation:
                     for observer in self.observers:
                         tell(self, observer, observer.step, row)
         except BaseException as error:
-            return error
+            return self.interruption.ended(error)
         return None
 
     def _is_to_stop(self) -> bool:

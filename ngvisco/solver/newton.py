@@ -205,6 +205,7 @@ class Newton:
         fresh, damping = not self.is_factorised, 1.0
         self._set_increment(problem, fresh)
         while len(history) < options.max_iterations:
+            problem.poll()
             self._base.data = u
             self._follow(self._increment, damping)
             self.form.Apply(u, self._trial_residual)

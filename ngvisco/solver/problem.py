@@ -164,6 +164,10 @@ class Problem(Protocol):
     def pose(self) -> None:
         """Give the equations these parameters, and the state the values that they prescribe."""
 
+    def poll(self) -> None:
+        """Called before each iteration, by all ranks; raises StopRequested to give the step up."""
+        return
+
     def factorised(self) -> None:
         """Called when the derivative has been factorised at the present state; nothing by default."""
         return

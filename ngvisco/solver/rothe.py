@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from ngsolve import BaseVector
 
-from ngvisco.errors import InputWarning, StepError
+from ngvisco.errors import InputWarning, StepError, StopRequested
 from ngvisco.forms.context import time
 from ngvisco.forms.system import Step
 from ngvisco.parallel.communicator import Communicator
@@ -69,6 +69,8 @@ class RotheSolver:
         self.turns = Turns(step, options, self.ranks)
         """Which of the two solvers takes the steps."""
         self._made: dict[str, Newton | Split] = {}
+        self.interrupted: Callable[[], bool] = lambda: False
+        """Whether the step is to be given up; asked before each iteration."""
         self._last_tau: float | None = None
         self._factorised = {name: np.zeros(len(step.state.vec)) for name in self._vectors()}
         self._factorised_at: Interval | None = None
@@ -325,6 +327,11 @@ class RotheProblem(Problem):
         solver.step.moving_walls.set_values()
         solver.norm.units["v"] = solver.h_min / at.tau
         solver.norm.units |= dict.fromkeys(solver.norm.shared, 1 / at.tau)
+
+    def poll(self) -> None:
+        """Give the step up where the run is asked to stop."""
+        if self.solver.ranks.any(self.solver.interrupted()):
+            raise StopRequested("the run was asked to stop")
 
     def factorised(self) -> None:
         """Keep what a restart has to know."""

@@ -255,6 +255,30 @@ def test_a_restart_knows_which_solver_is_at_hand(tmp_path, monkeypatch):
     assert_goes_on(made, tmp_path / "run.h5", 4 * DT, 2)
 
 
+@pytest.mark.parametrize("solver", ["split", "coupled"])
+def test_a_run_stops_within_a_step_and_goes_on_as_if_it_had_not(solver, tmp_path):
+    """In the third iteration of the second step: what is written then is the first one's end."""
+    whole = halving(solver=solver)
+    whole.run(3 * DT)
+    files = [nv.Checkpoints(tmp_path / "run.h5", every=100)]
+    run, polls = halving(solver=solver, observers=files), []
+
+    def asked():
+        polls.append(run.number)
+        if polls.count(1) == 3:
+            run.request_stop()
+        return wanted()
+
+    wanted, run.solver.interrupted = run.solver.interrupted, asked
+    run.run(3 * DT)
+    assert (run.number, run.t, polls.count(1)) == (1, DT, 3) and run.stop_requested
+    again = halving(solver=solver)
+    again.restore(tmp_path / "run.h5")
+    for one in (again, run):  # also the run itself
+        one.run(3 * DT)
+        assert (one.number, state(one).tobytes()) == (3, state(whole).tobytes())
+
+
 def test_restart_within_a_step_is_bitwise_identical(tmp_path, monkeypatch):
     fails_above(monkeypatch, DT / 4)
     whole = assert_goes_on(halving, tmp_path / "run.h5", 2 * DT, 3)  # three quarters of the first step

@@ -126,6 +126,7 @@ class Split:
 
         ``last`` is the size of the one before.
         """
+        problem.poll()
         options, fresh = self.options.split, not self.is_factorised
         self.is_fresh = fresh
         if not self.is_finite(at):
@@ -279,7 +280,12 @@ def newton_krylov(split: Split, problem: Problem, x: np.ndarray, history: list[N
 
     def along(at: Evaluation) -> Callable[[np.ndarray], np.ndarray]:
         derivative = split.residual.derivative(at)
-        return lambda d: solved(replace(at, residual=derivative(scale * d))) / scale
+
+        def image(d: np.ndarray) -> np.ndarray:
+            problem.poll()
+            return solved(replace(at, residual=derivative(scale * d))) / scale
+
+        return image
 
     def ends_at(x: np.ndarray, converged: bool) -> Status:
         """Make x, with the unknowns that it determines, the state."""
