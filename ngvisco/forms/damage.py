@@ -55,9 +55,9 @@ from ngvisco.forms.mesh.mesh_arrays import is_simplicial
 from ngvisco.forms.mesh.points import csr
 from ngvisco.forms.term import PRODUCTION, Entry, Integrand
 from ngvisco.parallel.communicator import Communicator
-from ngvisco.physics.material import conjugates
+from ngvisco.physics.material import conjugates, part_of
 from ngvisco.physics.materials.damaged import DAMAGE, SLOPE, Damaged
-from ngvisco.physics.materials.thermal import Entropy, entropy_in
+from ngvisco.physics.materials.thermal import Entropy, Thermal, entropy_in
 from ngvisco.physics.parameters import substituted
 
 if TYPE_CHECKING:
@@ -146,6 +146,9 @@ class DamageGrowth:
         law, step = self.law, self.step
         z = step.now.z_tensors
         taken, _ = substituted(law, lambda expression: expression.at(z)).parts(z)
+        thermal = part_of(step.model.material, Thermal)
+        if thermal is not None and thermal.coupling:
+            taken = taken + thermal.taken(z)[0]
         (d, test), weight = space.TnT(), law.weight(z)
         of_damage, of_slope = law.surface
         is_quadratic = law.law == "AT2"

@@ -53,7 +53,7 @@ CLOSED = {
 """Conductivity, options of the steps, numerical heating: schemes that keep the energy of a closed box."""
 
 
-BREAKING = nv.Damaged(material=SOLID.material, G_c=0.4, length=1.0, viscosity=0.02)
+BREAKING = nv.Damaged(material=SOLID.material, G_c=0.4, length=1.0, viscosity=0.02, part="all")
 YIELDING = nv.Perzyna(sigma_Y=0.1, G_m=1.0)
 
 

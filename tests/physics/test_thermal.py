@@ -1,11 +1,16 @@
 """Materials with a temperature, alone and as bodies: laws against thermodynamics written elsewhere."""
 
+import math
+
+import ngsolve
 import numpy as np
 import pytest
 from ngsolve import CF, Id, x
 from scipy.optimize import minimize
+from support import tensor, tensors, value, values
 
 import ngvisco as nv
+from ngvisco.geometries import box
 from ngvisco.physics.arrays import Array
 from ngvisco.physics.material import cauchy_stress, conjugates
 from ngvisco.physics.materials.thermal import entropy_in, rest_stress_and_modulus
@@ -186,3 +191,64 @@ def test_what_bodies_conduct_and_produce_goes_by_their_fractions():
     z = {"n_a": Array(np.array([0.5]), None), "n_b": Array(np.array([1.5]), None)}
     assert law.size(1.0, z).value == pytest.approx([1 + 0.25 * 2 + 0.75 * 4])
     assert sum(law.share(name, z) * value for name, value in law.sources).value == pytest.approx([3.5])
+
+
+RUBBER = nv.ReferentialNeoHookean(K_e=20.0, G_e=5.0, elastic_state="B")
+BETA, C_V, WARM = 0.01, 3.0, 300.0
+"""Expansion, 1/K, heat capacity, J/(m^3 K), and reference temperature, K."""
+
+
+def breaking(**options):
+    given = {"material": RUBBER, "G_c": 0.1, "length": 0.5, "part": "all", "floor": 1e-6} | options
+    return nv.Thermal(material=nv.Damaged(**given), c=C_V, theta_R=WARM, expansion=BETA)
+
+
+def at(material, d, change, J=1.0):
+    """Values of a body of the volume J and the entropy of a temperature at J = 1, ``change`` above WARM."""
+    F = np.eye(3) * J ** (1 / 3)
+    z = values({v.name: v.from_distortion(tensor(F)) for v in material.variables})
+    s = math.log((WARM + change) / WARM) / J
+    return tensors(z) | {"damage": ngsolve.Parameter(d), "s": ngsolve.Parameter(s)}
+
+
+def test_a_broken_body_has_no_thermal_stress_and_an_intact_one_the_whole():
+    material = breaking()
+    pressures = [-np.trace(value(cauchy_stress(material, at(material, d, 0.5)))) / 3 for d in (0.0, 1.0)]
+    assert pressures[0] == pytest.approx(20.0 * BETA * 0.5, rel=1e-9)  # K beta dtheta
+    assert pressures[1] == pytest.approx(1e-6 * pressures[0], rel=1e-6)
+
+
+def test_thermal_stress_drives_damage_and_free_expansion_does_not():
+    """-d phi/dd at d = 0 is twice the elastic energy, K (beta dtheta)^2/2 of what is clamped."""
+    material, change = breaking(), -0.5
+    energy = 0.5 * 20.0 * (BETA * change) ** 2
+    stiffer = 1 + 20.0 * BETA**2 * WARM / C_V  # adiabatic over isothermal
+    clamped = -value(conjugates(material, at(material, 0.0, change))["damage"])
+    assert clamped == pytest.approx(2 * energy / stiffer, rel=1e-2)
+    free = 1 + BETA * change / stiffer
+    assert abs(value(conjugates(material, at(material, 0.0, change, free))["damage"])) < 0.02 * clamped
+
+
+def test_a_body_that_is_clamped_and_cooled_breaks_as_a_point_does():
+    """AT2: d = 2 e/(2 e + G_c/l) with the elastic energy e, in one step at rest."""
+    change, material = -8.0, breaking(floor=1e-3)
+    start = nv.Initial(density=1.0, temperature=WARM + change)
+    model = nv.Model(material=material)
+    run = nv.Simulation(box((1, 1), maxh=1.0), model, dt=0.1, initial=start, solver="coupled")
+    run.run(0.1)
+    bulk = 20.0 + (20.0 * BETA) ** 2 / C_V * (WARM + change)
+    twice = (1 - 1e-3) * (20.0 * BETA * change) ** 2 / bulk
+    assert run.fields["damage"](run.mesh(0.3, 0.4)) == pytest.approx(twice / (twice + 0.1 / 0.5), rel=1e-9)
+    assert run.fields["damage"](run.mesh(0.3, 0.4)) > 0.3
+
+
+def test_heat_goes_around_damage_and_the_other_orders_are_refused():
+    warm = nv.Thermal(material=RUBBER, c=C_V, theta_R=WARM, expansion=BETA)
+    with pytest.raises(nv.ParameterError, match=r"Damaged\.material.*nv\.Thermal\(material=nv\.Damaged"):
+        nv.Damaged(material=warm, G_c=0.1, length=0.5)
+    with pytest.raises(nv.ParameterError, match=r"Thermal\.expansion = 0\.01.*part=.all"):
+        breaking(part="tensile")
+    broken = nv.Damaged(material=RUBBER, G_c=0.1, length=0.5)
+    with pytest.raises(nv.ParameterError, match=r"Thermal\.gruneisen = 0\.4.*by its expansion"):
+        nv.Thermal(material=broken, c=C_V, theta_R=WARM, gruneisen=0.4)
+    assert nv.Thermal(material=broken, c=C_V, theta_R=WARM).material is broken  # no thermal stress

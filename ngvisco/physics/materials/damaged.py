@@ -21,6 +21,7 @@ from ngsolve import CF
 
 from ngvisco.errors import ParameterError, Quantity, require_choice
 from ngvisco.physics.material import Wrapper, part_of, rest_stress_and_modulus
+from ngvisco.physics.materials.thermal import entropy_in
 from ngvisco.physics.parameters import Parameter, expressions_in, parameters_in
 from ngvisco.physics.pointwise import energies_at, rest_state
 from ngvisco.physics.tensors import IDENTITY, Tensor, identity_like, if_positive, log, sph, square, tr
@@ -117,6 +118,8 @@ class Damaged(Wrapper):
         expected = ""
         if part_of(self.material, Damaged) is not None:
             expected = "a material without damage"
+        elif entropy_in(self.material) is not None:
+            expected = "a material without heat; nv.Thermal(material=nv.Damaged(...)) has both"
         elif self.material.response(3) is not None:
             expected = "a material whose energy is an expression, not that of a Yosida approximation"
         elif any(parameter.name == DAMAGE.name for parameter in parameters_in((self.material,))):

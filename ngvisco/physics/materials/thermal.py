@@ -8,6 +8,17 @@ volume and a heat capacity c at constant volume
 
 where g is Gamma (J - 1) with the term in brackets (``expansion``), or Gamma ln J without it (``gruneisen``).
 Both are perspectives of convex functions of (S, J): jointly convex with phi_m, the energy without heat.
+
+Of a material that breaks, ``Thermal(material=Damaged(part="all"))``, damage takes the thermal stress too.
+With the degradation g(d), the energy a that damage takes, T = theta_R exp(S/c) and the bulk modulus K at rest
+
+    phi = g (a + A h + A e) + A (c (T - theta_R) - e) + ...,
+    h = c T (exp(-g_J) - 1) + c theta_R g_J,   g_J = Gamma (J - 1),
+    e = (Gamma c)^2 (T - theta_R)^2/(2 (K + Gamma^2 c T)),
+
+the same where d = 0, and a function of S alone where d = 1: a broken body has no thermal stress.  e is the
+elastic energy of what is clamped at J = 1 and heated.  So a + A h + A e, which drives the damage, is zero
+where a body expands freely, to second order in the thermal strain, and positive elsewhere.
 """
 
 import math
@@ -127,6 +138,8 @@ class Thermal(Material):
         if material is not None and material.response(3) is not None:
             expected = "a material whose energy is an expression; a Yosida approximation goes around this one"
             raise ParameterError("Thermal.material", material, expected)
+        if material is not None and material.lagged and (self.expansion or self.gruneisen):
+            self._check_damage(material)
         if material is not None and self.p_infinity:
             expected = "0 beside a material, which has a pressure of its own: it is a gas that is stiffened"
             raise ParameterError("Thermal.p_infinity", self.p_infinity, expected)
@@ -136,6 +149,18 @@ class Thermal(Material):
                 expected = "None, or a material whose bulk modulus at rest is > 0"
                 raise ParameterError("Thermal.expansion", self.expansion, expected)
         object.__setattr__(self, "_Gamma", Gamma)
+
+    def _check_damage(self, material: Material) -> None:
+        """Raise ParameterError for a thermal stress that would stay where a material has broken."""
+        if self.gruneisen:
+            expected = "None for a material that breaks, whose thermal stress is by its expansion"
+            raise ParameterError("Thermal.gruneisen", self.gruneisen, expected)
+        if getattr(material, "part", None) != "all":
+            expected = (
+                "None for a material of which damage takes the tensile part: its thermal stress would stay; "
+                'nv.Damaged(part="all") takes it'
+            )
+            raise ParameterError("Thermal.expansion", self.expansion, expected)
 
     def with_elastic_state(self, state: ElasticState) -> Self:
         if self.material is None:
@@ -186,10 +211,28 @@ class Thermal(Material):
         """What the energy without heat leaves of it, Pa."""
         A, heat, J = z["A"], self.c * self.theta_R, 1 / z["A"]
         unit = self.entropy.unit / self.c
+        if self.coupling and self.cold.lagged:
+            taken, clamped = self.taken(z)
+            return heat * (A * exp(unit * z["s"] * J) - A) - clamped + self._degradation(z) * taken
         phi = heat * (A * exp(unit * z["s"] * J - self.g(J)) - A)
         if self.coupling and not self.is_absolute:
             phi = phi + heat * self._Gamma * (1 - A)
         return phi
+
+    def taken(self, z: Values) -> tuple[Tensor, Tensor]:
+        """What damage takes of the heat's energy, A (h + e), and A e of the module's docstring, Pa."""
+        A, heat, J = z["A"], self.c * self.theta_R, 1 / z["A"]
+        ratio = exp(self.entropy.unit / self.c * z["s"] * J)
+        bulk = self.coupling / self.expansion if self.expansion else 1.0
+        warm = self.coupling * self.theta_R * (ratio - 1)
+        clamped = 0.5 * A * warm * warm / (bulk + self._Gamma * self.coupling * self.theta_R * ratio)
+        h = heat * (ratio * (exp(-self.g(J)) - 1) + self.g(J))
+        return A * h + clamped, clamped
+
+    def _degradation(self, z: Values) -> Any:
+        """g(d) of a material that breaks."""
+        cold: Any = self.cold
+        return cold.degradation(z["damage"])
 
     @property
     def cold(self) -> Material:
