@@ -1,0 +1,192 @@
+"""Bodies under stress between windows: what goes through an open wall does not push them."""
+
+from typing import Any
+
+import numpy as np
+from netgen.occ import Circle, OCCGeometry, WorkPlane
+from ngsolve import BND, CF, Integrate, Mesh, x, y, z
+
+import ngvisco as nv
+from ngvisco.geometries import box
+from ngvisco.physics.walls import Wall
+from tests.verification.case import Cases, Measured, Table
+from tests.verification.setups import followed, stokes
+
+CASES = Cases("Bodies and their interfaces")
+
+BULK, SHEAR = 10.0, 5.0
+
+
+def _solid(kind: str) -> nv.Material:
+    if kind == "E":
+        return nv.LinearElastic(K_e=BULK, G_e=SHEAR)
+    return nv.ReferentialNeoHookean(K_e=BULK, G_e=SHEAR, elastic_state="F" if kind == "F" else "B")
+
+
+def _momentum(run: nv.Simulation) -> np.ndarray:
+    return np.array(Integrate(run.fields["density"] * run.fields["velocity"], run.mesh))
+
+
+RUNS = (
+    [("E", scheme, "split", 2) for scheme in ("backward-euler", "midpoint", "sdirk2")]
+    + [(kind, scheme, "split", 2) for kind in ("F", "B") for scheme in ("backward-euler", "midpoint")]
+    + [(kind, "backward-euler", "coupled", 2) for kind in "EFB"]
+    + [("E", "backward-euler", "split", 3), ("B", "midpoint", "split", 3)]
+)
+
+
+@CASES("""bar-pulled-at-both-ends
+    A bar that is pulled at both ends by one traction stays where it is, whatever comes in there.
+    label: none, Newton's third law
+    setting: A bar of 1 x 0.55 m (3D: x 0.5 m) between slip and Open walls with a traction of 0.5 Pa, K_e =
+      10, G_e = 5 Pa, K_v = G_v = 0.3 Pa s, density 1; an unstructured mesh that is no mirror image of
+      itself, cells of 0.23 m (3D: 0.6 m), steps of 0.05 s until 5 s. The impulse of sound is traction x
+      area x length/c.
+    - momentum along the bar, of the impulse of sound <= 1e-4: jumps at facets inside, while it is set in
+      motion; with values of rest at the ends it was 5e-2 and grew as exp(t/2)
+    - what it changes by from 3 s to 5 s, of the same <= 1e-8: nothing pushes
+    - closure
+    """)
+def _bar() -> Measured:
+    c, pull, rows = (BULK + 4 / 3 * SHEAR) ** 0.5, 0.5, []
+    for kind, scheme, solver, dim in RUNS:
+        size = (1.0, 0.55, 0.5)[:dim]
+        run = nv.Simulation(
+            box(size, 0.23 if dim == 2 else 0.6),
+            nv.Model(material=_solid(kind), viscosity=stokes(0.3)),
+            time=nv.TimeSteps(dt=0.05, scheme=scheme),
+            walls={("left", "right"): nv.Open(pressure=-pull)},
+            initial=nv.Initial(density=1.0),
+            solver=solver,
+        )
+        impulse, found = pull * np.prod(size[1:]) / c, []
+        for until in (3.0, 5.0):
+            run.run(until)
+            found.append(_momentum(run)[0] / impulse)
+        rows.append([kind, scheme, solver, f"{dim}D", found[1], found[1] - found[0]])
+    yield "momentum along the bar, of the impulse of sound", max(abs(row[4]) for row in rows)
+    yield "what it changes by from 3 s to 5 s, of the same", max(abs(row[5]) for row in rows)
+    yield Table("momentum, of the impulse of sound", "by | scheme | solver | | at 5 s | from 3 s", rows)
+
+
+INNER, OUTER, PRESSED = 1.0, 2.0, 0.02
+
+
+def _ring(is_whole: bool, maxh: float) -> Mesh:
+    """A ring, or a quarter of it between the axes, with curved cells."""
+    ring = Circle((0, 0), OUTER).Face() - Circle((0, 0), INNER).Face()
+    if not is_whole:
+        ring = ring * WorkPlane().Rectangle(2 * OUTER, 2 * OUTER).Face()
+    for edge in ring.edges:
+        ends = [(p.x, p.y) for p in (edge.start, edge.end)]
+        edge.name = "outer" if np.hypot(*ends[0]) > (INNER + OUTER) / 2 else "inner"
+        if not is_whole and any(max(abs(end[i]) for end in ends) < 1e-9 for i in (0, 1)):
+            edge.name = "axis"
+    mesh = Mesh(OCCGeometry(ring, dim=2).GenerateMesh(maxh=maxh))
+    return mesh.Curve(2)
+
+
+@CASES("""ring-under-pressure
+    A quarter of a ring under internal pressure widens as Lame says, and a whole one does so where it is.
+    label: Lame 1852
+    setting: Radii 1 and 2 m, pressure 0.02 Pa inside, linear elastic, K_e = 10, G_e = 5 Pa, K_v = G_v = 1
+      Pa s, plane strain; Open walls inside and outside, slip on the axes; cells of 0.4 m (whole: 0.5 m),
+      steps of 0.5 s until 40 s.
+    - widening of the inner wall over Lame's, off by [quarter; whole] <= 0.01: cells of a third of the
+      radius
+    - largest velocity at the end of the quarter, m/s <= 1e-9: at rest
+    - distance that the whole ring goes in 20 s, of its widening <= 1e-3: it stays
+    - closure
+    """)
+def _ring_under_pressure() -> Measured:
+    share = PRESSED * INNER**2 / (OUTER**2 - INNER**2)
+    wanted, rows = share * (INNER / (2 * (BULK + SHEAR / 3)) + OUTER**2 / (2 * SHEAR * INNER)), []
+    for name, maxh in (("quarter", 0.4), ("whole", 0.5)):
+        mesh = _ring(name == "whole", maxh)
+        run = nv.Simulation(
+            mesh,
+            nv.Model(material=_solid("E"), viscosity=stokes(1.0)),
+            dt=0.5,
+            walls={"inner": nv.Open(pressure=PRESSED, stiffness=(1e-12, 0.0)), "outer": nv.Open()},
+            initial=nv.Initial(density=1.0),
+        )
+        run.run(20.0)
+        _, velocities = followed(run, 40, lambda run: _momentum(run) / run.ledger.column("mass")[-1])
+        gone = 0.5 * float(np.linalg.norm(velocities[1:].sum(axis=0))) / wanted
+        outward, inner = run.fields["displacement_inner"] * CF((x, y)) / INNER, mesh.Boundaries("inner")
+        length, total = Integrate(CF((1.0, outward)), mesh, BND, definedon=inner)
+        rows.append([name, total / length, wanted, run.ledger.column("v_max")[-1], gone])
+    for name, widening, *_ in rows:
+        yield f"widening of the inner wall over Lame's, off by {name}", abs(widening / wanted - 1)
+    yield "largest velocity at the end of the quarter, m/s", rows[0][3]
+    yield "distance that the whole ring goes in 20 s, of its widening", rows[1][4]
+    yield Table("the inner wall, m", "ring | widening | exact | v_max, m/s | way over widening", rows)
+
+
+@CASES("""stretched-between-windows
+    A block that a piston stretches to twice its length, its sides open, has the stress of uniaxial tension.
+    label: none, neo-Hookean uniaxial tension
+    setting: A cube of 1 m, held by slip on three sides, pulled by PrescribedNormal at 0.1 m/s on the
+      fourth, the other two Open: the matter goes out through the piston's window and comes in through the
+      sides'. Shear modulus 1 Pa, K_e = 400 Pa, by F and by B, density 1e-3; 12 tetrahedra, 40 steps of the
+      midpoint rule until the stretch is 2.
+    - stress along the pull, Pa, off 3.5 by [F; B] <= 0.07: lambda^2 - 1/lambda of the incompressible one;
+      0.39 was found with values of rest at the sides
+    - largest stress across it, Pa <= 0.035: the sides are free
+    - closure
+    """)
+def _stretched() -> Measured:
+    rate, rows = 0.1, []
+    until = float(np.log(2)) / rate
+    for kind in "FB":
+        material = nv.ReferentialNeoHookean(K_e=400.0, G_e=0.5, elastic_state="F" if kind == "F" else "B")
+        walls: dict[str, Wall] = {"right": nv.PrescribedNormal(velocity=rate), "back": nv.Open()}
+        walls["top"] = nv.Open()
+        run = nv.Simulation(
+            box((1, 1, 1), 0.9),
+            nv.Model(material=material, viscosity=stokes(0.01)),
+            time=nv.TimeSteps(dt=until / 40, scheme="midpoint"),
+            walls=walls,
+            initial=nv.Initial(density=1e-3, velocity=(rate * x, -rate / 2 * y, -rate / 2 * z)),
+        )
+        run.run(until)
+        for place in ((0.5, 0.5, 0.5), (0.9, 0.95, 0.5), (0.5, 0.1, 0.95)):
+            T = run.fields["cauchy_stress"](run.mesh(*place))
+            rows.append([kind, *map(str, place), T[0], max(abs(T[4]), abs(T[8]))])
+    for kind in "FB":
+        yield (
+            f"stress along the pull, Pa, off 3.5 by {kind}",
+            max(abs(row[4] - 3.5) for row in rows if row[0] == kind),
+        )
+    yield "largest stress across it, Pa", max(row[5] for row in rows)
+    yield Table("stress at the end, Pa", "by | x | y | z | along | across", rows)
+
+
+@CASES("""maxwell-body-that-comes-in (reduced)
+    Pure shear of a Maxwell body is uniform also where it comes in.
+    label: none, Maxwell 1867
+    setting: A square of 1 m whose walls are Inflow by (x, -y)/s: matter comes in above and below. K_e = 200
+      MPa, G_m = 2 G_e = 200 MPa, a Maxwell time of 1 s; cells of 0.5 m, 80 steps of midpoint until 8 s.
+      Half the difference of the normal stresses is 2 eta x rate (1 - exp(-t/lambda)) = 199.93 MPa.
+    - half the difference of the normal stresses at [the middle; the inlet; the outlet], of 199.93 MPa, off
+      by <= 1e-4: the midpoint rule; 0.051 at an inlet of values of rest
+    - closure
+    """)
+def _maxwell() -> Measured:
+    model = nv.Model(material=nv.LinearElastic(K_e=2e8, G_e=1e8), creep=nv.Creep(G_m=2e8))
+    flow: Any = (x, -y)
+    run = nv.Simulation(
+        box((1, 1), 0.5),
+        model,
+        time=nv.TimeSteps(dt=0.1, scheme="midpoint"),
+        walls={("left", "right", "bottom", "top"): nv.Inflow(velocity=flow)},
+        initial=nv.Initial(density=1.0, velocity=flow),
+    )
+    run.run(8.0)
+    exact, rows = 200.0 * (1 - np.exp(-8.0)), []
+    for name, place in (("the middle", (0.5, 0.5)), ("the inlet", (0.5, 0.98)), ("the outlet", (0.98, 0.3))):
+        T = np.array(run.fields["cauchy_stress"](run.mesh(*place))) / 1e6
+        rows.append([name, (T[0] - T[4]) / 2, exact])
+        found = abs(rows[-1][1] / exact - 1)
+        yield f"half the difference of the normal stresses at {name}, of 199.93 MPa, off by", found
+    yield Table("after 8 Maxwell times", "place | MPa | exact", rows)
