@@ -170,9 +170,11 @@ class Carried(OnWall):
         if name == "rho":
             return given.density
         inside = u.layout.states.tensors(lambda: own)
-        values = {variable: given.values.get(variable, inside[variable]) for variable in inside}
+        here = u.context.given(self.indicator)  # elsewhere means are zero, of which an energy may be no number
+        values = {name: inside[name] for name in inside}
+        values |= {name: inside[name] + here * (value - inside[name]) for name, value in given.values.items()}
         if given.temperature is not None:
-            values |= entropy_at(self.material, given.temperature, values)
+            values |= entropy_at(self.material, 1.0 + here * (given.temperature - 1.0), values)
         return u.layout.states.components(values)
 
     def _through(self, u: Fields) -> CoefficientFunction:
