@@ -170,7 +170,7 @@ class Carried(OnWall):
         if name == "rho":
             return given.density
         inside = u.layout.states.tensors(lambda: own)
-        here = u.context.given(self.indicator)  # elsewhere means are zero, of which an energy may be no number
+        here = u.context.given(self.indicator)  # means are zero elsewhere, where an energy may be no number
         values = {name: inside[name] for name in inside}
         values |= {name: inside[name] + here * (value - inside[name]) for name, value in given.values.items()}
         if given.temperature is not None:
