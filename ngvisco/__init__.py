@@ -101,13 +101,15 @@ from ngvisco.physics.walls import (
 )
 from ngvisco.run.adaptive import AdaptiveSteps, DamageWarning
 from ngvisco.run.checkpoint import Checkpoints, read_ledger
-from ngvisco.run.ledger import ClosureWarning, CreepPowerWarning, DefectWarning, EntropyWarning
+from ngvisco.run.ledger import ClosureWarning, DefectWarning
+from ngvisco.run.momentum import MomentumWarning
 from ngvisco.run.observers import LedgerCSV, NotebookProgress, Progress, VTKSeries
 from ngvisco.run.pictures import plot_fields
 from ngvisco.run.plots import plot_energies, plot_schemes
 from ngvisco.run.probes import Bodies, Integrals, LineSamples, Probes, WallForces
 from ngvisco.run.record import record
 from ngvisco.run.refinement import Refinement, run_refined
+from ngvisco.run.signs import CreepPowerWarning, DissipationWarning, EntropyWarning
 from ngvisco.run.simulation import Observer, Simulation
 from ngvisco.run.stepping import Rejection, TimeSteps
 from ngvisco.run.transfer import Transfer, resume_changed, transfer
@@ -168,6 +170,7 @@ __all__ = [
     "DataError",
     "DefectWarning",
     "Discretisation",
+    "DissipationWarning",
     "DruckerPrager",
     "EntropyWarning",
     "Entry",
@@ -201,6 +204,7 @@ __all__ = [
     "MeshError",
     "Misfit",
     "Model",
+    "MomentumWarning",
     "MooneyRivlin",
     "NavierFriction",
     "NeoHookean",

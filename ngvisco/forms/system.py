@@ -124,7 +124,7 @@ class Elimination:
 
     def __call__(self) -> None:
         """Make the local unknowns of the state consistent with its v, a and z."""
-        self._refresh_energy()
+        self.refresh_energy()
         for projection in self.projections.values():
             projection()
         for mean in self._of_facets:
@@ -134,11 +134,12 @@ class Elimination:
 
     def refresh(self) -> None:
         """Make an energy and stresses that are kept at the quadrature points those of the present state."""
-        self._refresh_energy()
+        self.refresh_energy()
         if self.stresses:
             self.stresses.refresh()
 
-    def _refresh_energy(self) -> None:
+    def refresh_energy(self) -> None:
+        """Make an energy that is kept at the quadrature points, and its projection, that of the state."""
         if self.energy.refresh() and self._of_energy is not None:
             self._of_energy()
 

@@ -151,6 +151,9 @@ class Entry:
     """Gives the value where it is no integral: the reaction of a wall."""
     is_outside: bool = False
     """Whether what is dissipated is so beyond a wall, as by a dashpot: no heat of the material."""
+    has_sign: bool = True
+    """Of a dissipation whether its integrand is nowhere negative, which every step is asked for; not where
+    that holds up to the projection of conjugates."""
 
 
 @runtime_checkable
@@ -181,6 +184,11 @@ class PointTerm:
     """
 
     linearised = True
+
+    @property
+    def impulse(self) -> str:
+        """By which name the ledger has the momentum that it gives to the body, if its rows of v give some."""
+        return type(self).__name__
 
     def cells(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         """Summands to be integrated over the cells."""

@@ -25,7 +25,7 @@ from ngvisco.algebra.sparse import apply, inverse_of_blocks, mass_matrix
 from ngvisco.forms.driving_stress import LinearisedTabulatedRates
 from ngvisco.forms.fields import Fields, Tests
 from ngvisco.forms.mesh.mesh_arrays import mask_of
-from ngvisco.forms.mesh.points import csr
+from ngvisco.forms.mesh.points import SidePoints, csr
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import CellMean, GivenParts, Integrand, PointTerm, Term, WithheldError
 from ngvisco.forms.upwinding import mean_share
@@ -228,6 +228,13 @@ class ReducedResidual:
         if not np.iscomplexobj(x) and "energy" in self.claims.forms_ask_for:
             self.step.eliminate.refresh()
         return Evaluation(x, c, u, s, hyper, self._packed(x, rows))
+
+    def on_sides(self) -> tuple[Fields, SidePoints]:
+        """z, its trace and its conjugates of the step's state at the points of the cells' sides."""
+        state, layout = self.unknowns.state, self.step.layout
+        names = ("z", "z_hat", "zeta")
+        c = {name: state[layout.ranges[name]].reshape(layout.states.size, -1) for name in names}
+        return self.facet_terms.fields(c), self.side_op.points
 
     def put(self, x: np.ndarray) -> None:
         """Make ``x``, real, and what is derived from it, the step's state."""

@@ -12,9 +12,9 @@ limiting the step's end takes (``ngvisco.forms.bounds``), ``limiter_walls`` that
 """
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from functools import reduce
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -24,15 +24,18 @@ from ngvisco.errors import InitialDataError, NgviscoWarning, ParameterError, Ste
 from ngvisco.forms.distance import ENERGIES, NUMERICAL, energies
 from ngvisco.forms.mesh.quadrature import Sampler
 from ngvisco.forms.system import EntryIntegrals, Step
-from ngvisco.forms.term import PRODUCTION, Entry, Integrand, Kind
+from ngvisco.forms.term import Entry, Integrand, Kind
 from ngvisco.physics.defects import parted, relative_defects
 from ngvisco.physics.materials.thermal import entropy_in, temperature
 from ngvisco.physics.mixture import Mixture
-from ngvisco.physics.tensors import if_positive, square
+from ngvisco.physics.tensors import square
 from ngvisco.physics.variables import Distortion, Jacobian, ReciprocalJacobian, Values
 from ngvisco.run.adaptive import CRACKED, GROWTH, DamageWarning, growth_message
+from ngvisco.run.momentum import Momentum
+from ngvisco.run.momentum import unit as unit_of_momentum
 from ngvisco.run.notebook import data_frame, ledger_html
 from ngvisco.run.scales import cause_of_negative_power
+from ngvisco.run.signs import CREEP_POWER, Signs
 from ngvisco.timestepping.integrator import LIMITER, LIMITER_WALLS, StepTaken
 
 _STRETCH, _OPERATIONS = 1e-4, 30
@@ -62,7 +65,7 @@ def unit(column: str) -> str:
     for prefix, unit in _UNITS_OF_RATES.items():
         if column.startswith(prefix):
             return unit
-    return _UNITS.get(column, "J")
+    return unit_of_momentum(column) or _UNITS.get(column, "J")
 
 
 @dataclass(frozen=True)
@@ -75,12 +78,6 @@ class Balance:
     """With what has come in through walls since."""
 
 
-_NEGATIVE = 1e-9
-"""Share of all entropy that is produced that may be missing of a mechanism: what an iteration leaves."""
-_CREEP_POWER = "creep_power_min"
-"""The column of the least M : Pi at a point, of bodies and branches the least of each."""
-_ROUNDING = 1e-12
-"""Share of the largest power at a point that rounding may leave of one that is zero."""
 _DEFECT = 0.01
 """Relative root mean square of a defect from which on a run warns."""
 CLOSED = 1e-8
@@ -101,14 +98,6 @@ class DefectWarning(NgviscoWarning):
     """Variables that stand for one thing have parted: the solution is wrong though the ledger closes."""
 
 
-class CreepPowerWarning(NgviscoWarning):
-    """Creep gives energy at a point: the flow rule has a rate of the wrong sign there."""
-
-
-class EntropyWarning(NgviscoWarning):
-    """A mechanism takes entropy away: the mesh does not resolve the temperature, or a law is none."""
-
-
 class Ledger:
     """Evaluates a row after every step; a step with |closure_relative| above ``closed`` does not close.
 
@@ -121,27 +110,36 @@ class Ledger:
         One for every step so far, and row 0 for the initial state.
     """
 
-    def __init__(self, step: Step, sampler: Sampler, closed: float = CLOSED) -> None:
+    def __init__(
+        self,
+        step: Step,
+        sampler: Sampler,
+        closed: float = CLOSED,
+        velocity: Callable[[], float] = lambda: 0.0,
+    ) -> None:
+        """``velocity`` gives a velocity of the run's size, m/s, beside which a momentum is small or not."""
         self.step, self.sampler, self.closed = step, sampler, closed
+        self.momentum = Momentum(step, sampler, velocity)
         own = (Entry(name, "numerical", Integrand()) for name in (*NUMERICAL, LIMITER, LIMITER_WALLS))
         of_damage = () if step.damage is None else step.damage.entries
         self.entries = [*step.entries(), *own, *of_damage]
         names = [entry.name for entry in self.entries]
         if twice := [name for name in names if names.count(name) > 1]:
             raise ParameterError("Entry.name", twice[0], "names that no other term's columns have")
-        integrands = {**energies(step, step.now), "mass": Integrand(step.now.rho)}
+        integrands = {**energies(step, step.now), "mass": Integrand(step.now.rho)} | self.momentum.densities()
         of_state = {name: Entry(name, "monitor", value) for name, value in integrands.items()}
         of_state |= {e.name: e for e in self.entries if e.kind == "monitor"}
         self.state = EntryIntegrals(step, of_state)
         """Energies, mass and monitors at the present state, by columns."""
         self._rates = EntryIntegrals(step, {e.name: e for e in self.entries if e.kind in _RATES})
         theta = temperature(step.model.material, step.now.zeta_tensors)
-        powers = step.context.rates.powers_of_creep(step.now)
-        power = reduce(lambda a, b: if_positive(a - b, b, a), powers) if powers else None
-        watched = {"temperature_min": theta, "temperature_max": theta, _CREEP_POWER: power}
+        self._warned: set[type[NgviscoWarning]] = set()
+        cause = partial(cause_of_negative_power, step, sampler)
+        self._signs = Signs(step, sampler, self.entries, self._warn_once, cause)
+        power = self._signs.at_points.get(CREEP_POWER)
+        watched = {"temperature_min": theta, "temperature_max": theta, CREEP_POWER: power}
         self._watched = {name: value for name, value in watched.items() if value is not None}
         self._prepare_monitors()
-        self._warned: set[type[NgviscoWarning]] = set()
         self._pending: dict[str, float] = {}
         self.rows: list[dict[str, float]] = []
         self.balance: Balance | None = None
@@ -159,7 +157,7 @@ class Ledger:
         return [
             *("step", "time", "dt", *ENERGIES),
             *(entry.name for entry in self.entries),
-            *("closure", "closure_relative", "mass", "mass_drift"),
+            *("closure", "closure_relative", "mass", "mass_drift", *self.momentum.columns),
             *("rho_min", "rho_max", "J_min", *self._watched, "J_defect", "defect_rms", "defect_max"),
             *("v_max", *_COUNTS, "cfl", "error_estimate"),
         ]
@@ -217,6 +215,7 @@ class Ledger:
         energy = energy_of(values)
         self.balance = Balance(energy, values["mass"], values["mass"])
         row = self._idle() | values | dict.fromkeys(("dt", "closure", "closure_relative", "mass_drift"), 0.0)
+        row |= self.momentum.start(values)
         row |= {"time": time, "error_estimate": math.nan, **dict.fromkeys(("step", *_COUNTS), 0)}
         return self._append(row | self._measured(0.0, time))
 
@@ -229,16 +228,18 @@ class Ledger:
     ) -> None:
         """Go on from a checkpoint's balance, the rows up to its step, and the ``limits`` of these."""
         self.balance, self.rows = balance, rows
+        self.momentum.resume(rows)
         self._earlier = [(first, limit) for first, limit in limits if first < len(rows)]
         self._first = len(rows) if self._earlier else 0
 
     def rates(self) -> dict[str, float]:
-        """Dissipations and powers at the present state, W, by columns.
+        """Dissipations and powers, W, and forces, N, at the present state, by columns.
 
         Raises StepError for one that is no number, with its place.
         """
+        self.step.eliminate.refresh_energy()
         self.step.energy.require()
-        return self._numbers(self._rates)
+        return self._numbers(self._rates) | self.momentum.forces()
 
     def _numbers(self, integrals: EntryIntegrals) -> dict[str, float]:
         """Integrals at the present state; raises StepError for the first that is no number."""
@@ -256,15 +257,16 @@ class Ledger:
 
     def foreign(self, names: Iterable[str]) -> list[str]:
         """Of an earlier part's columns those of the energy balance that this one does not have."""
-        return [
-            name
-            for name in names
-            if name not in self.columns and name.startswith(("dissipation_", "power_", TRANSFER))
-        ]
+        return [*self._foreign_energies(names), *self.momentum.foreign(names)]
+
+    def _foreign_energies(self, names: Iterable[str]) -> list[str]:
+        prefixes, own = ("dissipation_", "power_", TRANSFER), self.columns
+        return [name for name in names if name not in own and name.startswith(prefixes)]
 
     def keep(self, names: Iterable[str]) -> None:
         """Have entries of value 0 for what an earlier part of the run exchanged and this one does not."""
-        for name in self.foreign(names):
+        self.momentum.keep(names := list(names))
+        for name in self._foreign_energies(names):
             kind: Kind = "numerical" if name == TRANSFER else "dissipation"
             kind = "power" if name.startswith("power_") else kind
             self.entries.append(Entry(name, kind, Integrand()))
@@ -304,12 +306,13 @@ class Ledger:
             **{"mass_drift": (values["mass"] - expected) / expected},
             **{"newton_iterations": taken.iterations, "rejections": rejections},
             **{"limited_cells": taken.limited, "error_estimate": math.nan if error is None else error},
+            **self.momentum.row(values, tau, taken.impulse),
             **self._measured(tau, time),
         }
         for name in self.columns:
             if name not in self._optional and not math.isfinite(row[name]):
                 raise StepError(f"the ledger's column {name} is {row[name]} at t = {time:g} s")
-        self._check_entropy(row)
+        self._signs.check(row)
         if message := growth_message(self.step, row):
             self._warn_once(message, DamageWarning)
         self._pending = {}
@@ -317,21 +320,10 @@ class Ledger:
         return self._append(row)
 
     def check_closure(self) -> None:
-        """Warn of the last row if it is the first one that does not close."""
+        """Warn of the last row if it is the first one that does not close, in energy or in momentum."""
+        self.momentum.check(self.rows[-1])
         if not abs(self.rows[-1]["closure_relative"]) <= self.closed and (message := self.unclosed):
             self._warn_once(message, ClosureWarning)
-
-    def _check_entropy(self, row: Mapping[str, float]) -> None:
-        made = {name: row[name] for name in self.columns if name.startswith(PRODUCTION)}
-        least = min(made, key=lambda name: made[name], default="")
-        # at rest all of them are rounding of what there is
-        rounding = 1e-15 * abs(row.get("entropy", 0.0)) / row["dt"]
-        if made and made[least] < -_NEGATIVE * sum(map(abs, made.values())) - rounding:
-            message = (
-                f"at t = {row['time']:.4g} s {least} is {made[least]:.3g} W/K: where that is conduction, "
-                "the cells are too large for the slopes of the temperature; else a law gives energy"
-            )
-            self._warn_once(message, EntropyWarning)
 
     def _warn_once(self, message: str, kind: type[NgviscoWarning]) -> None:
         if kind not in self._warned:
@@ -366,6 +358,7 @@ class Ledger:
 
     def _append(self, row: dict[str, float]) -> dict[str, float]:
         self.rows.append({name: row[name] for name in self.columns})
+        self.momentum.count(row)
         return self.rows[-1]
 
     def _prepare_monitors(self) -> None:
@@ -398,17 +391,17 @@ class Ledger:
         self._squares = CF((1.0, gap * gap, *(defect * defect for defect in defects))).Compile()
         speed = sqrt(square(u.v))
         at_points = (u.rho, J, speed, speed / self.step.context.h, *self._watched.values(), *defects)
-        self._at_points = CF(at_points).Compile()
+        self._at_points = CF((*at_points, *self._signs.at_points.values())).Compile()
 
     def _measured(self, tau: float, time: float) -> dict[str, float]:
         ranks, values = self.sampler.ranks, self.sampler.rows(self._at_points).T
         least, most = ranks.least, ranks.most
         (rho, J, speed, rate), values = values[:4], values[4:]
-        watched = dict(zip(self._watched, values, strict=False))
-        if _CREEP_POWER in watched:
-            self._check_power(watched[_CREEP_POWER], time)
+        watched, values = dict(zip(self._watched, values, strict=False)), values[len(self._watched) :]
+        defects, powers = values[: len(self._defects)], values[len(self._defects) :]
+        self._signs.check_points(dict(zip(self._signs.at_points, powers, strict=True)), self._shares, time)
         volume, gap, *squares = self.step.quadrature.integrate_cells(self._squares)
-        rms, largest = self._relative_defects(values[len(watched) :], np.array(squares) / volume, time)
+        rms, largest = self._relative_defects(defects, np.array(squares) / volume, time)
         return {
             **{"rho_min": least(rho), "rho_max": most(rho), "J_min": least(J)},
             **{name: (most if name.endswith("_max") else least)(v) for name, v in watched.items()},
@@ -416,17 +409,6 @@ class Ledger:
             "J_defect": math.sqrt(gap) if self._has_both else math.nan,
             **{"defect_rms": rms, "defect_max": largest},
         }
-
-    def _check_power(self, power: np.ndarray, time: float) -> None:
-        ranks = self.sampler.ranks
-        least, largest = ranks.least(power), ranks.most(abs(power))
-        if least < -_ROUNDING * largest and CreepPowerWarning not in self._warned:
-            where = self.sampler.largest_in_words(-power, self._shares)
-            message = (
-                f"at t = {time:.4g} s creep gives energy, M : Pi = {least:.3g} W/m^3, most "
-                f"{where}: {cause_of_negative_power(self.step, self.sampler)}, though the ledger closes"
-            )
-            self._warn_once(message, CreepPowerWarning)
 
     def _relative_defects(self, values: np.ndarray, squares: np.ndarray, time: float) -> tuple[float, float]:
         """Largest root mean square and largest value of the relative defects; warns once from 1 % on.

@@ -174,7 +174,9 @@ class Simulation:
         options = newton if solver is None else replace(newton, method=solver)
         self.bounds = Bounds(self.rothe_step, self.sampler, time.limiter)
         self.solver = RotheSolver(self.rothe_step, options, self.bounds.refusal)
-        self.ledger = Ledger(self.rothe_step, self.sampler, closure_limit(options.tolerance))
+        closed = closure_limit(options.tolerance)
+        self.ledger = Ledger(self.rothe_step, self.sampler, closed, lambda: self.velocity_scale)
+        self.ledger.momentum.impulses.on_sides = self.solver.on_sides
         self.tension = Tension(self.rothe_step, self.sampler)
         self.passive = PassiveFields(self.rothe_step, passive, F_0)
         self.integrator = Integrator(

@@ -123,6 +123,8 @@ def go_on(source: Simulation, target: Simulation) -> None:
     had, ledger = source.ledger, target.ledger
     assert had.balance is not None
     ledger.add_once(TRANSFER, ledger.rows[0][TRANSFER])
+    for name, impulse in ledger.momentum.transferred(had.rows[-1], ledger.rows[0]).items():
+        ledger.add_once(name, impulse)
     rows = [{name: row.get(name, 0.0) for name in ledger.columns} for row in had.rows]
     ledger.resume(had.balance, rows, had.limits)
 

@@ -11,6 +11,8 @@ from ngsolve import BaseVector
 
 from ngvisco.errors import InputWarning, StepError, StopRequested
 from ngvisco.forms.context import time
+from ngvisco.forms.fields import Fields
+from ngvisco.forms.mesh.points import SidePoints
 from ngvisco.forms.system import Step
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.exchange import Exchange
@@ -138,6 +140,10 @@ class RotheSolver:
             self.step.energy.lacked(self.step.now)
             return False
         return True
+
+    def on_sides(self) -> tuple[Fields, SidePoints] | None:
+        """Arrays of the state at the points of the cells' sides, where the solver has such; else None."""
+        return self.newton.residual.on_sides() if isinstance(self.newton, Split) else None
 
     def problem(self, interval: Interval) -> RotheProblem:
         """The problem of a step over the interval."""

@@ -71,7 +71,8 @@ class StepTaken:
 
     ``tau`` is its length, s; ``history`` what was tried, from which start values; ``rates`` are dissipations
     and powers, W, weighted as the scheme does; ``numerical`` is R by ledger columns, J, and what the limiter
-    took in ``limited`` cells.
+    took in ``limited`` cells.  ``impulse`` is what walls do to the rows of v at the step's end over its
+    length, N, None without.
     """
 
     tau: float
@@ -79,6 +80,7 @@ class StepTaken:
     rates: dict[str, float]
     numerical: dict[str, float]
     limited: int = 0
+    impulse: np.ndarray | None = None
 
     @property
     def iterations(self) -> int:
@@ -197,7 +199,7 @@ class Integrator:
         else:
             return StepTaken(tau, history, rates, numerical | {LIMITER: 0.0, LIMITER_WALLS: 0.0})
         self._complete()
-        return StepTaken(tau, history, rates, numerical | lost, limited)
+        return StepTaken(tau, history, rates, numerical | lost, limited, self.impulse)
 
     def _stages(
         self, scheme: TimeScheme, t: float, tau: float, history: list[Attempt]
@@ -305,7 +307,7 @@ class Integrator:
             if not meets or abs(omega * own - tau) <= _MEETING * tau:
                 self._complete()
                 self._end = np.array([1 - omega, omega])
-                return StepTaken(omega * own, history, rates, numerical, limited)
+                return StepTaken(omega * own, history, rates, numerical, limited, self.impulse)
             own = tau / omega
             self.rothe.return_to(self._before)
         raise StepError("the relaxed step does not meet its end: take a smaller step")

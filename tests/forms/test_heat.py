@@ -11,7 +11,7 @@ import ngvisco as nv
 from ngvisco.forms.term import PRODUCTION, Entry, Integrand, PointTerm
 from ngvisco.geometries import box
 from ngvisco.physics.tensors import inner, square
-from ngvisco.run.ledger import EntropyWarning
+from ngvisco.run.signs import EntropyWarning
 
 SOLID = nv.Thermal(
     material=nv.IsochoricNeoHookean(K_e=20.0, G_e=1.0, elastic_state="B"), c=3.0, expansion=0.1, theta_R=1.0
@@ -189,7 +189,8 @@ class Feeding(Drag):
 
 
 def test_a_mechanism_that_takes_entropy_away_is_warned_of_by_name():
-    with pytest.warns(EntropyWarning, match=r"entropy_production_feeding is -.* a law gives energy"):
+    feeding = pytest.warns(nv.DissipationWarning, match=r"dissipation_feeding gives energy")
+    with feeding, pytest.warns(EntropyWarning, match=r"entropy_production_feeding is -.* a law gives energy"):
         ledger = run_of("coupled", laws={"viscosity": VISCOSITY}, terms=[Feeding()]).ledger
     assert abs(ledger.column("closure_relative")).max() <= 1e-10  # it closes: nothing else would tell
 

@@ -140,6 +140,17 @@ def facet_indicator(mesh: Mesh, names: Iterable[str]) -> GridFunction:
     return indicator
 
 
+def cells_at(mesh: Mesh, walls: Region) -> BitArray:
+    """The cells that have a facet on a part of the boundary."""
+    cells = BitArray(mesh.ne)
+    cells.Clear()
+    for element in walls.Elements():
+        for facet in element.facets:
+            for cell in mesh[facet].elements:
+                cells[cell.nr] = True
+    return cells
+
+
 def require_curved_cells(mesh: Mesh, walls: Mapping[str, Region]) -> None:
     """Raise MeshError if a wall is bent by small angles between straight facets.
 

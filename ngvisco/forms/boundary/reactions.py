@@ -3,12 +3,12 @@
 With R(u; w) the residual of a step, whose rows of the constrained coefficients of v are not zero but the
 walls' reaction, and with the walls' own terms in it, the force of wall Gamma on the body in direction e is
 
-    F_Gamma . e = R(u; w_Gamma) - (terms of Gamma)(u; e) + int phi (w_Gamma . n),
+    F_Gamma . e = R(u; w_Gamma) - (terms of Gamma)(u; e) + int (phi - z_f : zeta_f) (w_Gamma . n),
 
 w_Gamma = e at the coefficients that Gamma constrains; the torque is the same with the rotation e x (x - c).
-The last integral is there because the elastic force of the scheme, B_h(w; z, zeta), is
-int T : grad w - int phi (w . n), T having phi I in it: the same where w.n = 0 on walls.  This is the
-consistent reaction, of the elastic, viscous and hyperviscous stress alike; it converges faster than an
+The last integral, z_f what goes by its flux, is there because the elastic force of the scheme is
+B_h(w; z, zeta) = int T : grad w - int (phi - z_f : zeta_f) (w . n): the same where w.n = 0 on walls.  This is
+the consistent reaction, of the elastic, viscous and hyperviscous stress alike; it converges faster than an
 integral of T n.
 
 At a corner where several walls constrain a component of v, it counts for them in the shares of their n_i^2,
@@ -31,7 +31,7 @@ from ngvisco.forms.system import Step
 from ngvisco.forms.term import Integrand
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.exchange import Exchange, Interpolation
-from ngvisco.physics.tensors import inner
+from ngvisco.physics.tensors import inner, masked
 from ngvisco.physics.walls import HELD
 
 
@@ -62,12 +62,12 @@ class WallReactions:
             interpolate(interpolated, motion)
             self._tests.append(interpolated.vec.FV().NumPy().copy())
         self._weights = self._shares()
-        # int phi (w . n) over the walls that nothing crosses: of others it is in the residual
+        # over the walls that nothing crosses: of others it is in the residual
         free = step.layout.velocity_space((None,) * step.mesh.dim)
         closed = facet_indicator(step.mesh, [name for name in walls if name not in step.walls.crossed])
         through = free.TestFunction() * step.context.normal
         self._energy = LinearForm(free)
-        flux = closed * step.energy.anywhere(step.now) * through
+        flux = closed * beside_the_stress(step.now, step.energy.anywhere(step.now)) * through
         step.quadrature.add(self._energy, [Integrand(facets=flux)])
         self._terms = {name: self._own_terms(name) for name in self.names}
 
@@ -103,7 +103,7 @@ class WallReactions:
             own = [term for term in step.terms if isinstance(term, OnWall) and term.name == name]
             parts = [part for term in own for part in term.on_body(u, w)]
             if name in step.walls.multiplied:
-                excess = u.wall_stress - step.energy.anywhere(u)
+                excess = u.wall_stress - beside_the_stress(u, step.energy.anywhere(u))
                 parts.append(facet_indicator(step.mesh, [name]) * excess * (motion * step.context.normal))
             found.append(parts)
         return found
@@ -133,6 +133,12 @@ class WallReactions:
             own = [sum(integrate(part) for part in parts) for parts in self._terms[name]]
             result[name] = [float(value) for value in of_rows + np.array(own)]
         return result
+
+
+def beside_the_stress(u: Fields, phi: CoefficientFunction) -> CoefficientFunction:
+    """phi - z_f : zeta_f, Pa, z_f what goes by its flux: what B_h(w; z, zeta) takes of T on a closed wall."""
+    by_flux = u.layout.states.by_flux
+    return phi - inner(masked(u.z, by_flux), u.zeta) if by_flux.any() else phi
 
 
 def rigid_motions(dim: int, about: Sequence[float]) -> dict[str, CoefficientFunction]:

@@ -31,6 +31,7 @@ from __future__ import annotations
 
 from collections import ChainMap
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -51,6 +52,9 @@ from ngvisco.physics.model import Model
 from ngvisco.physics.tensors import if_positive, inner
 from ngvisco.physics.walls import NavierFriction, Open, Passage, Traction
 
+HELD_BY_WALLS = "walls"
+"""By which name the ledger has the impulse of all walls that hold v or its normal part."""
+
 
 class Impenetrability(PointTerm):
     """Multiplier form of v.n = 0 on oblique and curved walls: int_Gamma lambda (w.n) + mu (v.n) = 0.
@@ -68,6 +72,11 @@ class Impenetrability(PointTerm):
         space = partial(self._walls.multiplier_space, k=setting.k)
         return (Unknown("wall_stress", "walls", space=space),)
 
+    @property
+    def impulse(self) -> str:
+        """That of all walls that hold the body."""
+        return HELD_BY_WALLS
+
     def facets(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         n = u.context.normal
         return [
@@ -78,6 +87,14 @@ class Impenetrability(PointTerm):
 
 class OnWall(PointTerm):
     """A term by which one wall acts on the body, beside what it constrains."""
+
+    acts_by: str = "stress"
+    """What the impulse that it gives is called, beside the wall's name."""
+
+    @property
+    def impulse(self) -> str:
+        """By what it acts and on which wall."""
+        return f"{self.acts_by}_{self.name}"
 
     def __init__(self, walls: Walls, name: str) -> None:
         self.name, self.region = name, walls.region([name])
@@ -102,6 +119,7 @@ class TangentialStress(OnWall):
                 self.friction = CF(wall.friction)
         elif isinstance(wall, NavierFriction):
             self.friction = CF(wall.coefficient)
+        self.acts_by = "friction" if self.f is None else "traction"
 
     def _traction(self, u: Fields) -> CoefficientFunction:
         return _tangential(u.context.average(self.f, self.region), u.context.normal)
@@ -138,6 +156,8 @@ class Carried(OnWall):
     With ``backflow`` (``Open``) the second one has what flows out only, 1/2 int rho (v . n)^+ v . w, so that
     1/2 int rho_in (v . n)^- |v|^2 >= 0 is a dissipation.
     """
+
+    acts_by = "carried"
 
     def __init__(self, walls: Walls, name: str, model: Model) -> None:
         super().__init__(walls, name)
@@ -222,6 +242,10 @@ class Carried(OnWall):
             -inner(self._added(u, "z"), w.z),
         ]
 
+    def half_carried(self, u: Fields, w: Fields) -> CoefficientFunction:
+        """1/2 j v . w: half of the momentum that goes out, all of which it is with inertia's."""
+        return 0.5 * self._mass_flux(u) * (w.v * u.v)
+
     def on_body(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         """What ``backflow`` adds, -1/2 j v . w where matter flows in."""
         flux = self._carried_momentum(u) - self._mass_flux(u)
@@ -235,7 +259,7 @@ class Carried(OnWall):
             Entry(f"power_kinetic_{name}", "power", Integrand(facets=-0.5 * flux * (u.v * u.v))),
             Entry(f"power_stored_{name}", "power", Integrand(facets=stored)),
             *(_beyond(f"dissipation_backflow_{name}", part) for part in self.on_body(u, u)),
-            _beyond(f"dissipation_inflow_{name}", mixing),
+            replace(_beyond(f"dissipation_inflow_{name}", mixing), has_sign=False),
             Entry(f"inflow_{name}", "flux", Integrand(facets=-flux)),
         ]
         if self.entropy is not None:
@@ -247,6 +271,8 @@ class Carried(OnWall):
 
 class GivenStress(OnWall):
     """-int t . w, t = f - p n - Z_p (v . n) n - Z_s v_t, on one wall that is ``Open``."""
+
+    acts_by = "traction"
 
     def __init__(self, walls: Walls, name: str) -> None:
         super().__init__(walls, name)
@@ -307,6 +333,8 @@ class Springs(OnWall):
     what is stored, and what the implicit step dissipates of it.  The mesh does not move: the wall is where
     the body is at rest, and w is small beside a cell.
     """
+
+    acts_by = "springs"
 
     def __init__(self, walls: Walls, name: str) -> None:
         super().__init__(walls, name)

@@ -116,13 +116,17 @@ class Quadrature:
         order = self.field_order if at_nodes else self.volume_degree // 2
         return GridFunction(VectorValued(IntegrationRuleSpace(self.mesh, order=order), size))
 
-    def add(self, form: Any, integrands: Iterable[Integrand]) -> None:
-        """Add the integrands to an NGSolve form, by the rules of ``cells``, ``facets`` and ``nodes``."""
+    def add(self, form: Any, integrands: Iterable[Integrand], cells: BitArray | None = None) -> None:
+        """Add the integrands to an NGSolve form, by the rules of ``cells``, ``facets`` and ``nodes``.
+
+        Those on facets are of all cells, or of ``cells``.
+        """
+        facets = dx(element_boundary=True, intrules=self._facet_rules, definedonelements=cells)
         for integrand in integrands:
             if integrand.cells is not None:
                 form += compiled(integrand.cells) * self.cells
             if integrand.facets is not None:
-                form += compiled(integrand.facets) * self.facets
+                form += compiled(integrand.facets) * facets
             if integrand.nodes is not None:
                 form += compiled(integrand.nodes) * self.nodes
 

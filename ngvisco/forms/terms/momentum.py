@@ -105,6 +105,10 @@ class Inertia(PointTerm):
         change = (u.rho * u.v - c.momentum_old) - 0.5 * (u.rho - c.old.rho) * u.v
         return [c.rate(inner(change, w.v))]
 
+    def compensation(self, u: Fields, w: Fields) -> CoefficientFunction:
+        """-1/2 (rho - rho_old)/tau v . w, what the skew form adds."""
+        return u.context.rate(-0.5 * (u.rho - u.context.old.rho) * inner(u.v, w.v))
+
     def energy(self, u: Fields) -> Entry:
         """1/2 rho |v|^2."""
         return Entry("kinetic", "energy", Integrand(0.5 * u.rho * square(u.v)))
@@ -236,6 +240,11 @@ class Loading(PointTerm):
 
     load: Load
     dim: int
+
+    @property
+    def impulse(self) -> str:
+        """That of its load."""
+        return self.load.name
 
     @cached_property
     def vector(self) -> CoefficientFunction:

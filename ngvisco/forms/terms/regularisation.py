@@ -120,18 +120,18 @@ class FieldDiffusion(PointTerm):
         """The form at G = zeta; where there are strains only, as the square that it is."""
         delta = self.law.delta_fields
         if not self.curvature.strains.all():
-            return {_COLUMN: delta * inner(self._of_strains(u.z_slope), u.grad_zeta)}
+            return {DELTA_FIELDS: delta * inner(self._of_strains(u.z_slope), u.grad_zeta)}
         curved = u.context.energy.curved(u, u.z_slope)
         parts = (inner(part, column(u.z_slope, j)) for j, part in enumerate(curved))
-        return {_COLUMN: delta * reduce(add, parts)}
+        return {DELTA_FIELDS: delta * reduce(add, parts)}
 
     def dissipated_on_facets(self, u: Fields) -> dict[str, CoefficientFunction]:
         jump = self._jump(u)
         if not self.curvature.strains.all():
-            return {_COLUMN: reduce(add, self._through_facets(u, self._across(u), jump, u.zeta))}
+            return {DELTA_FIELDS: reduce(add, self._through_facets(u, self._across(u), jump, u.zeta))}
         curved = self.curvature.compliance - self.curvature.compliance @ self.curvature.linear
         size = inner(constant(curved) * jump, jump)
-        return {_COLUMN: self.law.delta_fields * self._weight(u) * size}
+        return {DELTA_FIELDS: self.law.delta_fields * self._weight(u) * size}
 
     def _curved(self, u: Fields, test: CoefficientFunction) -> list[CoefficientFunction]:
         """phi''(z) q : Y, of parameters and linear directions q : Y, in summands."""
@@ -154,7 +154,8 @@ class FieldDiffusion(PointTerm):
         return self.law.penalty_weight(u.layout.discretisation.m) / u.context.h
 
 
-_COLUMN = "dissipation_delta_fields"
+DELTA_FIELDS = "dissipation_delta_fields"
+"""The column of what the diffusion of fields dissipates; only its integral has a sign."""
 
 
 @dataclass(frozen=True)
@@ -199,6 +200,11 @@ class VelocityDamping(PointTerm):
     delta |v|^p in two of the discrete balances)."""
 
     law: Regularisation
+
+    @property
+    def impulse(self) -> str:
+        """As its dissipation is called."""
+        return "epsilon"
 
     def cells(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         return [self.law.friction(square(u.v)) * inner(u.v, w.v)]

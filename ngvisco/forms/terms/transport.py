@@ -23,7 +23,7 @@ For smooth fields B_h(w; z, zeta) = int T : grad w with T of the paper.
 
 from collections import ChainMap
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from ngsolve import CoefficientFunction
 
@@ -152,6 +152,10 @@ class Upwinding(PointTerm):
         if self.tangents is not None:
             lost = lost + (u.v * u.context.normal) * self.tangents.excess(u)
         return {"dissipation_upwinding": lost}
+
+    def entries(self, u: Fields) -> list[Entry]:
+        """Of projected conjugates >= 0 up to what the projection misses."""
+        return [replace(entry, has_sign=False) for entry in super().entries(u)]
 
 
 class MeanConjugates(SideMean):

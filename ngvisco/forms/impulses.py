@@ -1,0 +1,291 @@
+"""What changes a body's momentum in a step: impulses by name, and what the discretisation leaves.
+
+The equations of a step are tested with rigid motions e, the constants and the rotations about the origin, on
+straight cells functions of the velocity's space.  With m the momentum functional <m, w> = int rho v . w
+
+    <m - m_old, e>/tau = sum of forces + thrust of jumps + rest of cells + rest of inertia,
+
+forces -form(u; e) of each load and wall.  The rows of R at coefficients of v that walls hold are not solved,
+and R(u; e), which they alone have, is what these walls do; with it goes what B_h takes of the stress on a
+closed wall (``ngvisco.forms.boundary.reactions``).  Viscous and hyperviscous stresses have no power at e.
+The others are zero for the exact solution, and are the momentum that the scheme makes of nothing:
+
+- **inertia**: the skew form has half the continuity equation tested with v . e, which is not in the space of
+  rho; ``MomentumBalance`` gives it back for constants e, and not for rotations;
+- **facets**: the elastic force B_h(e; z, zeta) has the facets' share
+
+      sum_K int_{dK} (e . n) ((z_hat - z) : zeta + phi(z)),
+
+  less what ``TangentForce`` and walls that matter crosses take of it: the thrust of a jump, zero where the
+  trace is where both sides' tangents of phi meet;
+- **cells**: what of B_h(e; z, zeta) is left beside these and the walls' share: the quadrature of phi in
+  cells and on facets, on curved cells the projection of (e . grad) z, and conjugates that are those of
+  another state (``Material.lagged``).
+
+Periodic meshes have no rotations: these are no functions on them, and angular momentum is not conserved.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from functools import cached_property, reduce
+from operator import add
+
+import numpy as np
+from ngsolve import (
+    CF,
+    CoefficientFunction,
+    FESpace,
+    Grad,
+    GridFunction,
+    LinearForm,
+    VectorH1,
+    ZeroCF,
+    x,
+    y,
+    z,
+)
+
+from ngvisco.forms.boundary.boundaries import cells_at, facet_indicator
+from ngvisco.forms.boundary.reactions import beside_the_stress, rigid_motions
+from ngvisco.forms.boundary.wall_terms import HELD_BY_WALLS, Carried, OnWall
+from ngvisco.forms.fields import Fields, Tests
+from ngvisco.forms.mesh.mesh_arrays import mask_of
+from ngvisco.forms.mesh.points import SidePoints
+from ngvisco.forms.system import EntryIntegrals, Step
+from ngvisco.forms.term import Entry, Integrand, PointTerm, Term, refused_by_name
+from ngvisco.forms.terms.hyperviscosity import Hyperviscosity
+from ngvisco.forms.terms.momentum import Continuity, Convection, Inertia, MomentumBalance, Stokes
+from ngvisco.forms.terms.tangents import TangentForce
+from ngvisco.forms.terms.transport import Conjugates, ElasticForce, Kinematics, Trace, Upwinding
+from ngvisco.parallel.communicator import Communicator
+from ngvisco.parallel.exchange import Interpolation
+from ngvisco.physics.tensors import inner, sqrt, square
+
+DEFECTS = ("facets", "cells", "inertia")
+"""What the scheme makes of nothing, by where."""
+
+
+class Impulses:
+    """Forces on the body at the solution of a step, by what exerts them and by rigid motion.
+
+    Attributes
+    ----------
+    motions : dict of coefficient functions
+        As of ``rigid_motions``, about the origin.
+    names : list of str
+        What exerts a force: loads, walls, further terms.
+    """
+
+    def __init__(self, step: Step) -> None:
+        self.step, dim, self._ranks = step, step.mesh.dim, Communicator.of(step.mesh)
+        given, is_whole = rigid_motions(dim, [0.0] * dim), not step.layout.periodic
+        self.motions = {name: e for name, e in given.items() if is_whole or name.startswith("force")}
+        mesh = step.mesh
+        self._space: FESpace = VectorH1(mesh, order=1 if mesh.GetCurveOrder() < 2 else step.discretisation.k)
+        """Of the motions, without what walls hold."""
+        self.on_sides: Callable[[], tuple[Fields, SidePoints] | None] = lambda: None
+        """Gives arrays of z, its trace and conjugates at the points of the cells' sides, by which the elastic
+        force is some times faster than by forms; None where there are none."""
+        self._levers: np.ndarray | None = None
+        """e . n times the weights at these points, (motions, points)."""
+        self._groups = self._by_groups()
+        internal = (_ELASTIC, _ENTERING, _SKEW, _CHANGE)
+        self.names = [name for name in self._groups if name not in internal]
+        """Those of the loads first."""
+        if self._is_held.any() and HELD_BY_WALLS not in self.names:
+            self.names.append(HELD_BY_WALLS)
+
+    def _by_groups(self) -> dict[str, _Rows]:
+        """Rows of v by what they are of."""
+        found: dict[str, _Rows] = {}
+        test, dim = self._space.TestFunction(), self.step.mesh.dim
+        for term in self.step.terms:
+            on = [term.name] if isinstance(term, OnWall) else None
+            with refused_by_name(term):
+                for name, parts in _groups(term, self.step.now, self._tests(test, Grad(test))).items():
+                    if facets := [part.facets for part in parts if not _is_zero(part.facets)]:
+                        found.setdefault(name, _Rows()).facets.append((reduce(add, facets), on))
+                for motion, e in self.motions.items():
+                    spin = CF(tuple(e[i].Diff(place) for i in range(dim) for place in (x, y, z)[:dim]))
+                    tests = self._tests(e, spin.Reshape((dim, dim)) if motion.startswith("torque") else None)
+                    for name, parts in _groups(term, self.step.now, tests).items():
+                        if rows := [p for p in parts if not (_is_zero(p.cells) and _is_zero(p.nodes))]:
+                            found.setdefault(name, _Rows()).cells.setdefault(motion, []).extend(rows)
+        return found
+
+    def _tests(self, v: CoefficientFunction, gradient: CoefficientFunction | None) -> Tests:
+        """Tests of v, and zero for all other unknowns; without a gradient that of v is zero."""
+        layout, dim = self.step.layout, self.step.mesh.dim
+        zeros = {name: tuple(space.TrialFunction().dims) for name, space in layout.blocks.items()}
+        parts = {name: ZeroCF(dims) for name, dims in zeros.items()} | {"v": v}
+
+        def gradient_of(name: str) -> CoefficientFunction:
+            return gradient if name == "v" and gradient is not None else ZeroCF((*zeros[name], dim))
+
+        return Tests(layout, parts, gradient=gradient_of)
+
+    @cached_property
+    def _is_held(self) -> np.ndarray:
+        """Which motions have coefficients that walls hold, (motions,)."""
+        layout = self.step.layout
+        every = mask_of(layout.velocity_space((None,) * self.step.mesh.dim).FreeDofs())
+        held = every & ~mask_of(layout.blocks["v"].FreeDofs())
+        moved = abs(self._velocities[:, held]) > _ROUNDING
+        return self._ranks.totals(moved.sum(axis=1).astype(float)) > 0
+
+    @cached_property
+    def _velocities(self) -> np.ndarray:
+        """Coefficients of the motions in the velocity's space, (motions, unknowns of v)."""
+        return _coefficients(self.step.layout.blocks["v"], self.motions.values())
+
+    @cached_property
+    def _in_cells(self) -> EntryIntegrals:
+        """Of all groups with all motions, by both names."""
+        entries = {}
+        for name, rows in self._groups.items():
+            for motion, parts in rows.cells.items():
+                cells, nodes = (
+                    [value for part in parts if (value := getattr(part, place)) is not None]
+                    for place in ("cells", "nodes")
+                )
+                sums = (reduce(add, each) if each else None for each in (cells, nodes))
+                entries[f"{name}.{motion}"] = Entry(name, "monitor", Integrand(next(sums), nodes=next(sums)))
+        return EntryIntegrals(self.step, entries)
+
+    @cached_property
+    def _on_facets(self) -> dict[str, LinearForm]:
+        step, walls = self.step, self.step.walls
+        u, through = step.now, self._space.TestFunction() * step.context.normal
+        facets = {name: rows.facets for name, rows in self._groups.items() if rows.facets}
+        phi = step.energy.anywhere(u)
+        facets[_THRUST] = [(_thrust(u, phi) * through, None)]
+        if closed := [name for name in walls.conditions if name not in walls.crossed]:
+            at_walls = facet_indicator(step.mesh, closed) * beside_the_stress(u, phi)
+            facets[_PRESSED] = [(at_walls * through, closed)]
+        forms = {}
+        for name, integrands in facets.items():
+            forms[name] = LinearForm(self._space)
+            for integrand, on in integrands:
+                cells = None if on is None else cells_at(step.mesh, walls.region(on))
+                step.quadrature.add(forms[name], [Integrand(facets=integrand)], cells)
+        return forms
+
+    @cached_property
+    def _coefficients(self) -> np.ndarray:
+        """Coefficients of the motions in their space, (motions, unknowns)."""
+        return _coefficients(self._space, self.motions.values())
+
+    def __call__(self) -> dict[str, np.ndarray]:
+        """At the present state: by ``names`` and ``DEFECTS`` the forces, N, and torques, N m, of the motions.
+
+        The state is the solution of the Rothe step that was solved last, with its old state, length and loads
+        in place.
+        """
+        self.step.eliminate.refresh_energy()
+        none, of_cells = np.zeros(len(self.motions)), self._in_cells()
+        by_arrays = self._by_arrays()
+        forms = {name: form for name, form in self._on_facets.items() if name not in by_arrays}
+        rows = [form.Assemble().vec.FV().NumPy() @ self._coefficients.T for form in forms.values()]
+        totals = self._ranks.totals(np.array([*rows, *by_arrays.values()]))
+        left = dict(zip([*forms, *by_arrays], totals, strict=True))
+        thrust, pressed = left.pop(_THRUST), left.pop(_PRESSED, none)
+        for name in self._groups:
+            values = [of_cells.get(f"{name}.{motion}", 0.0) for motion in self.motions]
+            left[name] = left.get(name, none) + np.array(values)
+        found = {name: -left.get(name, none) for name in self.names}
+        if HELD_BY_WALLS in found:
+            found[HELD_BY_WALLS] += np.where(self._is_held, sum(left.values()), 0.0) + pressed
+        of_cells_ = -left[_ELASTIC] - pressed - thrust
+        defects = thrust - left.get(_ENTERING, none), of_cells_, -left[_SKEW]
+        return found | dict(zip(DEFECTS, defects, strict=True))
+
+    def _by_arrays(self) -> dict[str, np.ndarray]:
+        """What the elastic force has on facets, where there are arrays: the same formulas, with w = n."""
+        sides = None if self.step.energy.projected is not None else self.on_sides()
+        if sides is None:
+            return {}
+        (u, points), n = sides, sides[0].context.normal
+        if self._levers is None:
+            along = [inner(e, self.step.context.normal) for e in self.motions.values()]
+            self._levers = np.array([points.weights * points.sample(each) for each in along])
+        w, phi = Fields(u.layout, {"v": n}, u.context), u.context.rates.stored(u)
+        elastic = [
+            part for term in self.step.terms if isinstance(term, ElasticForce) for part in term.facets(u, w)
+        ]
+        pressed = (1.0 - u.context.crossed) * beside_the_stress(u, phi)
+        values = {_ELASTIC: reduce(add, elastic), _THRUST: _thrust(u, phi), _PRESSED: pressed}
+        return {name: self._levers @ np.broadcast_to(g.value, points.count) for name, g in values.items()}
+
+    def of_rows(self, rows: np.ndarray) -> np.ndarray:
+        """Forces, N, and torques of what walls do to the rows of v, (motions,).
+
+        Over ranks rows are in parts.
+        """
+        return self._ranks.totals(self._velocities @ rows)
+
+    def momentum(self) -> list[CoefficientFunction]:
+        """Densities of momentum, kg/(m^2 s), and angular momentum, kg/(m s), by motions, and |rho v|."""
+        u = self.step.now
+        along = [u.rho * inner(u.v, motion) for motion in self.motions.values()]
+        return [*along, sqrt(square(u.rho * u.v))]
+
+
+def _thrust(u: Fields, phi: CoefficientFunction) -> CoefficientFunction:
+    """(z_hat - z) : zeta + phi on facets that are crossed, Pa."""
+    return u.context.crossed * (inner(u.z_hat - u.z, u.zeta) + phi)
+
+
+_ROUNDING = 1e-12
+_ELASTIC, _ENTERING, _SKEW, _CHANGE = "elastic force", "entering", "skew form", "change of momentum"
+_THRUST, _PRESSED = "thrust of jumps", "pressed walls"
+"""Groups of rows of v that are no columns by themselves."""
+
+
+@dataclass
+class _Rows:
+    """Integrands in cells by motion, and on facets of all cells or of those at some walls."""
+
+    cells: dict[str, list[Integrand]] = field(default_factory=dict)
+    facets: list[tuple[CoefficientFunction, list[str] | None]] = field(default_factory=list)
+
+
+def _groups(term: Term, u: Fields, w: Tests) -> dict[str, list[Integrand]]:
+    """The summands of a term's rows of v, left-hand sides, by group or impulse."""
+    if isinstance(term, Inertia):
+        (whole,), skew = term.cells(u, w), term.compensation(u, w)
+        return {_CHANGE: [Integrand(whole - skew)], _SKEW: [Integrand(skew)]}
+    if isinstance(term, (Convection, MomentumBalance)):
+        return {_SKEW: term.form(u, w)}
+    if isinstance(term, ElasticForce):
+        return {_ELASTIC: term.form(u, w)}
+    if isinstance(term, TangentForce):
+        return {_ENTERING: term.form(u, w)}
+    if isinstance(term, Carried):
+        (stored, kinetic, _), half = term.facets(u, w), term.half_carried(u, w)
+        impulse = [Integrand(facets=kinetic), Integrand(facets=half)]
+        return {
+            _ENTERING: [Integrand(facets=stored)],
+            _SKEW: [Integrand(facets=-half)],
+            term.impulse: impulse,
+        }
+    if type(term) in _WITHOUT_FORCE:
+        return {}
+    return {term.impulse if isinstance(term, PointTerm) else type(term).__name__: term.form(u, w)}
+
+
+_WITHOUT_FORCE = (Stokes, Hyperviscosity, Continuity, Kinematics, Conjugates, Trace, Upwinding)
+"""Terms without rows of v, or power at rigid motions; of others it is seen in their forms."""
+
+
+def _is_zero(value: CoefficientFunction | None) -> bool:
+    return value is None or str(value).strip() == "ZeroCoefficientFunction"
+
+
+def _coefficients(space: FESpace, functions: Iterable[CoefficientFunction]) -> np.ndarray:
+    interpolated, interpolate, found = GridFunction(space), Interpolation(space), []
+    for function in functions:
+        interpolate(interpolated, function)
+        found.append(interpolated.vec.FV().NumPy().copy())
+    return np.array(found)

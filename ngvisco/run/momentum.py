@@ -1,0 +1,194 @@
+"""The ledger's columns of momentum: what it is, what changes it by name, and what is left.
+
+    momentum - momentum_old = sum of impulse_* + momentum_defect
+
+at every step of every scheme, and the same of angular momentum about the origin.  ``momentum_defect`` is what
+the scheme makes of nothing (``ngvisco.forms.impulses``); the columns ``defect_*`` are its parts, and what is
+not in one of these is what an iteration or the limiter leaves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from ngvisco.errors import NgviscoWarning
+from ngvisco.forms.boundary.wall_terms import HELD_BY_WALLS
+from ngvisco.forms.impulses import DEFECTS, Impulses
+from ngvisco.forms.mesh.mesh_arrays import coordinates
+from ngvisco.forms.mesh.quadrature import Sampler
+from ngvisco.forms.system import Step
+from ngvisco.forms.term import Integrand
+
+SIZE, DEFECT, RELATIVE = "momentum_size", "momentum_defect", "momentum_defect_relative"
+"""Columns of int |rho v|, of what a step leaves, and of what it has left since the start over what moves."""
+IMPULSE, ANGULAR = "impulse_", "angular_"
+"""What names of columns of impulses begin with, and of rotations."""
+TRANSFERRED = "impulse_transfer"
+"""Of the momentum that is lost where a state is carried over to another mesh or other parameters."""
+LOST = 0.05
+"""Share of what moves and is exchanged from which on a momentum of nothing is warned of."""
+
+
+class MomentumWarning(NgviscoWarning):
+    """The scheme makes momentum of nothing: jumps push the body, though the energy's ledger closes."""
+
+
+def column(quantity: str, motion: str) -> str:
+    """The name of a column: quantity_1 of ``"force_1"``, angular_quantity_1 of ``"torque_1"``."""
+    kind, _, axis = motion.partition("_")
+    return (ANGULAR if kind == "torque" else "") + quantity + (f"_{axis}" if axis else "")
+
+
+def unit(name: str) -> str | None:
+    """The SI unit of a column of momentum (per metre of thickness in plane strain); None of others."""
+    if name == RELATIVE:
+        return "1"
+    quantity = name.removeprefix(ANGULAR)
+    if quantity.startswith(("momentum", IMPULSE, *(f"defect_{where}" for where in DEFECTS))):
+        return "kg m/s" if quantity == name else "kg m^2/s"
+    return None
+
+
+@dataclass(frozen=True)
+class _Totals:
+    """Of all rows so far, by motions: what was lost and exchanged, most that moved, and the last momentum."""
+
+    lost: np.ndarray
+    exchanged: np.ndarray
+    moving: float
+    last: np.ndarray
+
+
+class Momentum:
+    """Columns of momentum of a run's ledger; ``velocity`` gives a velocity of its size, m/s."""
+
+    def __init__(self, step: Step, sampler: Sampler, velocity: Callable[[], float]) -> None:
+        self.impulses, self._ranks, self._velocity = Impulses(step), sampler.ranks, velocity
+        self.motions = list(self.impulses.motions)
+        reach = self._ranks.most(np.linalg.norm(coordinates(step.mesh), axis=1))
+        self._reach = np.array([reach if motion.startswith("torque") else 1.0 for motion in self.motions])
+        """Lengths that make angular momentum of momentum, m."""
+        self._given = [IMPULSE + name for name in self.impulses.names]
+        self._at_once: list[str] = []
+        """Impulses of earlier parts of the run, and of transfers between them."""
+        self._has_warned = False
+        self.resume([])
+
+    @property
+    def columns(self) -> list[str]:
+        """Names, in the order of the CSV file."""
+        quantities = ["momentum", *self._given, *self._at_once, DEFECT, *_PARTS]
+        return [*(name for quantity in quantities for name in self._names(quantity)), SIZE, RELATIVE]
+
+    def _names(self, quantity: str) -> list[str]:
+        return [column(quantity, motion) for motion in self.motions]
+
+    def _array(self, row: Mapping[str, float], quantity: str) -> np.ndarray:
+        return np.array([row[name] for name in self._names(quantity)])
+
+    def densities(self) -> dict[str, Integrand]:
+        """What of a state is integrated over the cells, by columns."""
+        parts = map(Integrand, self.impulses.momentum())
+        return dict(zip([*self._names("momentum"), SIZE], parts, strict=True))
+
+    def foreign(self, names: Iterable[str]) -> list[str]:
+        """Columns of an earlier part of the run with impulses that this one does not have."""
+        names = set(names)
+        return [name for quantity in self._others(names) for name in self._names(quantity) if name in names]
+
+    def _others(self, names: Iterable[str]) -> list[str]:
+        first = column("", self.motions[0])
+        found = [n.removesuffix(first) for n in names if n.startswith(IMPULSE) and n.endswith(first)]
+        return sorted(set(found) - {*self._given, *self._at_once})
+
+    def keep(self, names: Iterable[str]) -> None:
+        """Have columns of the impulses among ``names`` that this part of the run does not have."""
+        self._at_once += self._others(names)
+
+    def forces(self) -> dict[str, float]:
+        """Forces, N, and torques, N m, at the present stage, by the columns of their impulses."""
+        found: dict[str, float] = {}
+        for name, values in self.impulses().items():
+            quantity = f"defect_{name}" if name in DEFECTS else IMPULSE + name
+            found |= dict(zip(self._names(quantity), map(float, values), strict=True))
+        return found
+
+    def transferred(self, before: Mapping[str, float], after: Mapping[str, float]) -> dict[str, float]:
+        """The impulse of a transfer, by columns, from the rows of the states before and after it."""
+        change = self._array(after, "momentum") - self._array(before, "momentum")
+        return dict(zip(self._names(TRANSFERRED), map(float, change), strict=True))
+
+    def start(self, values: Mapping[str, float]) -> dict[str, float]:
+        """The columns of a run's start, with no exchange."""
+        return dict.fromkeys(self.columns, 0.0) | {name: values[name] for name in self.densities()}
+
+    def row(self, values: Mapping[str, float], tau: float, at_end: np.ndarray | None) -> dict[str, float]:
+        """The columns of a step over ``tau``, s.
+
+        ``values`` are integrals of the state, forces as means over the step's stages, and impulses of a
+        transfer before it; ``at_end`` is what walls do to the rows of v at the step's end, N.
+        """
+        row = {name: values[name] for name in (*self._names("momentum"), SIZE)}
+        for quantity in (*self._given, *_PARTS):
+            row |= {name: tau * values.get(name, 0.0) for name in self._names(quantity)}
+        for quantity in self._at_once:
+            row |= {name: values.get(name, 0.0) for name in self._names(quantity)}
+        if at_end is not None and IMPULSE + HELD_BY_WALLS in self._given:
+            names = self._names(IMPULSE + HELD_BY_WALLS)
+            for name, force in zip(names, self.impulses.of_rows(at_end), strict=True):
+                row[name] += tau * float(force)
+        impulses = [self._array(row, quantity) for quantity in (*self._given, *self._at_once)]
+        lost = self._array(row, "momentum") - self._totals.last - sum(impulses, np.zeros(len(self.motions)))
+        row |= dict(zip(self._names(DEFECT), map(float, lost), strict=True))
+        totals = self._added(row)
+        scale = self._reach * (totals.moving + values["mass"] * self._velocity()) + totals.exchanged
+        row[RELATIVE] = float((abs(totals.lost) / np.where(scale > 0, scale, 1.0)).max())
+        return row
+
+    def _added(self, row: Mapping[str, float]) -> _Totals:
+        """The totals with one more row."""
+        before, exchanged = self._totals, self._totals.exchanged
+        for quantity in self._given:
+            exchanged = exchanged + abs(self._array(row, quantity))
+        lost, moving = before.lost + self._array(row, DEFECT), max(before.moving, row[SIZE])
+        return _Totals(lost, exchanged, moving, self._array(row, "momentum"))
+
+    def count(self, row: Mapping[str, float]) -> None:
+        """Take a row, the next one, into the totals."""
+        self._totals = self._added(row)
+
+    def resume(self, rows: Iterable[Mapping[str, float]]) -> None:
+        """Go on from these rows."""
+        zero = np.zeros(len(self.motions))
+        self._totals = _Totals(zero, zero, 0.0, zero)
+        for row in rows:
+            self.count(row)
+
+    def check(self, row: Mapping[str, float]) -> None:
+        """Warn, once, of a run that has lost more than a share of its momentum."""
+        if self._has_warned or not row[RELATIVE] > LOST:
+            return
+        self._has_warned = True
+        self._ranks.warn(self.said(row), MomentumWarning, stacklevel=4)
+
+    def said(self, row: Mapping[str, float]) -> str:
+        """What a row says of momentum that is lost, in words."""
+        parts = {where: float(np.abs(self._array(row, f"defect_{where}")).max()) for where in DEFECTS}
+        where = max(parts, key=lambda name: parts[name])
+        return (
+            f"at t = {row['time']:.4g} s the scheme has made {row[RELATIVE]:.1%} of the momentum that there "
+            f"is of nothing, in the last step most by {_CAUSES[where]}: the body is moved by forces that no "
+            "load, wall or stress accounts for, though the energy's ledger closes; take a finer mesh where "
+            "what is carried jumps, and shorter steps"
+        )
+
+
+_PARTS = [f"defect_{where}" for where in DEFECTS]
+_CAUSES = {
+    "facets": "the thrust of jumps between cells (defect_facets)",
+    "cells": "the quadrature in cells (defect_cells)",
+    "inertia": "the skew form of inertia (defect_inertia)",
+}

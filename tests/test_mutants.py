@@ -1,0 +1,19 @@
+"""A wrong sign or factor of any term is seen by a test of the default suite (``mutants.py`` has the list)."""
+
+import pytest
+from mutants import MUTANTS, ROOT, copy_with, seen
+
+
+@pytest.mark.parametrize("mutant", MUTANTS, ids=[mutant.name for mutant in MUTANTS])
+def test_each_change_fits_one_place_and_has_a_test(mutant):
+    text = (ROOT / mutant.file).read_text(encoding="utf-8")
+    assert text.count(mutant.old) == 1
+    path, _, name = mutant.seen_by.partition("::")
+    assert f"def {name}" in (ROOT / path).read_text(encoding="utf-8")
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("mutant", MUTANTS, ids=[mutant.name for mutant in MUTANTS])
+def test_each_change_is_seen(mutant, tmp_path):
+    copy_with(mutant, tmp_path)
+    assert seen(mutant, tmp_path)
