@@ -60,7 +60,7 @@ UNITS = (
     "velocity_scale: m/s (per metre in plane strain)"
 )
 """Of the checkpoints' attributes, as the file says itself; those of the ledger stand at its columns."""
-_WHOLE = ("step", "newton_iterations", "rejections", "limited_cells")
+_WHOLE = ("step", "newton_iterations", "rejections", "limited_cells", "passive_unsolved")
 """Ledger columns of whole numbers."""
 _CHECKSUM, _CLOSED = "checksum", "closed"
 FORMAT = 5

@@ -44,8 +44,7 @@ the roundings of one, in units of that size."""
 
 _RATES = ("dissipation", "power", "production", "flux")
 """Kinds of entries that are rates, of the scheme's stages."""
-
-_COUNTS = ("newton_iterations", "rejections", "limited_cells")
+_COUNTS = ("newton_iterations", "rejections", "limited_cells", "passive_unsolved")
 _UNITS = {
     **{"time": "s", "dt": "s", "mass": "kg", "rho_min": "kg/m^3", "rho_max": "kg/m^3", "v_max": "m/s"},
     **{"temperature_min": "K", "temperature_max": "K", "entropy": "J/K", "creep_power_min": "W/m^3"},
@@ -304,8 +303,8 @@ class Ledger:
             **{"step": number, "time": time, "dt": tau, "closure": closure},
             **{"closure_relative": closure / scale if scale else closure},
             **{"mass_drift": (values["mass"] - expected) / expected},
-            **{"newton_iterations": taken.iterations, "rejections": rejections},
-            **{"limited_cells": taken.limited, "error_estimate": math.nan if error is None else error},
+            **dict(zip(_COUNTS, (taken.iterations, rejections, taken.limited, taken.unsolved), strict=True)),
+            "error_estimate": math.nan if error is None else error,
             **self.momentum.row(values, tau, taken.impulse),
             **self._measured(tau, time),
         }

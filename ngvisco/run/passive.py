@@ -28,11 +28,12 @@ import numpy as np
 from ngsolve import CF, L2, CoefficientFunction, FESpace, GridFunction, Mesh, sqrt, x, y, z
 from ngsolve.krylovspace import GMRESSolver
 
-from ngvisco.errors import CheckpointError, ParameterError, StepError, UnknownNameError
+from ngvisco.errors import CheckpointError, InputWarning, ParameterError, UnknownNameError
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.rates import Conjugate, Rates
 from ngvisco.forms.system import Step
 from ngvisco.forms.terms.transport import Trace, Upwinding, transport_in_cells, transport_through_facets
+from ngvisco.parallel.communicator import Communicator
 from ngvisco.physics.material import StateSpace
 from ngvisco.physics.parameters import Parameter
 from ngvisco.physics.tensors import IDENTITY, inner, square
@@ -58,6 +59,8 @@ class PassiveFields:
         self.step, self.names = step, tuple(dict.fromkeys(names))
         dim = step.mesh.dim
         self._stages: list[dict[str, np.ndarray]] = []
+        self._unsolved: set[str] = set()
+        self._has_warned = False
         self.parts: dict[str, GridFunction] = {}
         """The grid functions that are carried, by their own names."""
         self._sources: dict[str, CoefficientFunction] = {}
@@ -114,9 +117,14 @@ class PassiveFields:
         carrier = self._solvers[key]
         return _cells(mesh, self.step.discretisation.k, carrier.vector)
 
+    @property
+    def unsolved(self) -> int:
+        """How many of the parts are not solved in the present step: nothing of the step depends on them."""
+        return len(self._unsolved)
+
     def begin(self) -> None:
         """A step begins: forget the stages since the last accepted one."""
-        self._stages = [self.arrays()]
+        self._stages, self._unsolved = [self.arrays()], set()
 
     def stage(self, weights: np.ndarray, share: float = 1.0) -> None:
         """Carry all fields over a stage that starts from these weights of the stages so far.
@@ -127,8 +135,21 @@ class PassiveFields:
             carrier.form.Assemble()  # for the present velocity and step length
         carried = {}
         for key, solver in self._solvers.items():
-            carried[key] = solver.carry(key, _combined(weights, self._stages, key), self._sources.get(key))
+            old = _combined(weights, self._stages, key)
+            carried[key], is_solved = solver.carry(old, self._sources.get(key))
+            if not is_solved:
+                self._unsolved.add(key)
         self._stages.append(carried)
+        if self._unsolved and not self._has_warned:
+            self._has_warned = True
+            names = ", ".join(sorted(self._unsolved))
+            message = (
+                f"passive fields were not solved in {ITERATIONS} iterations: {names}; the step is what it"
+            )
+            message += (
+                " is without them, and the ledger's column passive_unsolved counts them: take smaller steps"
+            )
+            Communicator.of(self.step.mesh).warn(message, InputWarning, stacklevel=2)
 
     def end(self, weights: np.ndarray) -> None:
         """The step is accepted: take these weights of its stages."""
@@ -205,11 +226,13 @@ class _Carrier:
         self._traces = ngs.Projector(self.space.FreeDofs(True), True)
         self._solution = GridFunction(self.space)
 
-    def carry(self, name: str, old: np.ndarray, source: CoefficientFunction | None) -> np.ndarray:
+    def carry(self, old: np.ndarray, source: CoefficientFunction | None) -> tuple[np.ndarray, bool]:
         """What the field with coefficients ``old`` on ``cells`` becomes by the form's present matrix.
 
-        Raises StepError if the linear system is not solved.
+        Returns the coefficients, and whether the linear system is solved; where it is not they are what the
+        iteration came to, or ``old`` itself where that is no number.
         """
+        is_solved = True
         form, solution = self.form, self._solution
         self._old.vec.FV().NumPy()[:] = old
         rhs = self._load.Assemble().vec
@@ -227,10 +250,10 @@ class _Carrier:
                 printrates=False,
             )
             solution.vec.data = solver * reduced
-            if not solver.residuals[-1] <= ENOUGH * solver.residuals[0]:
-                raise StepError(
-                    f"{name}: its transport was not solved in {ITERATIONS} iterations: take a smaller step"
-                )
+            is_solved = bool(solver.residuals[-1] <= ENOUGH * solver.residuals[0])
         solution.vec.data += form.harmonic_extension * solution.vec
         solution.vec.data += form.inner_solve * rhs
-        return solution.components[0].vec.FV().NumPy().copy()
+        found: np.ndarray = solution.components[0].vec.FV().NumPy().copy()
+        if not np.isfinite(found).all():
+            return old.copy(), False
+        return found, is_solved

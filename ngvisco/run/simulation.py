@@ -309,9 +309,7 @@ class Simulation:
         """
         if self.mesh.ne != self._cells_here:
             message = f"the mesh has {self.mesh.ne} cells, and {self._cells_here} when the run was made"
-            raise MeshError(
-                f"{message}: take the refined one for a run of its own, and nv.transfer the state"
-            )
+            raise MeshError(f"{message}: take the refined one for another run, and nv.transfer the state")
         with computing(), self.solver.workers(), ending_all_ranks():
             self._start_ledger()
             self.interruption.begin()

@@ -72,7 +72,7 @@ class StepTaken:
     ``tau`` is its length, s; ``history`` what was tried, from which start values; ``rates`` are dissipations
     and powers, W, weighted as the scheme does; ``numerical`` is R by ledger columns, J, and what the limiter
     took in ``limited`` cells.  ``impulse`` is what walls do to the rows of v at the step's end over its
-    length, N, None without.
+    length, N, None without; ``unsolved`` fields were carried along without a solution.
     """
 
     tau: float
@@ -81,6 +81,7 @@ class StepTaken:
     numerical: dict[str, float]
     limited: int = 0
     impulse: np.ndarray | None = None
+    unsolved: int = 0
 
     @property
     def iterations(self) -> int:
@@ -160,7 +161,7 @@ class Integrator:
             for name, value in (taken.rates | taken.numerical).items():
                 if not math.isfinite(value):
                     raise StepError(f"{name} of the step is {value}: take a smaller step or a finer mesh")
-            return taken
+            return replace(taken, unsolved=sum(getattr(one, "unsolved", 0) for one in self.carried))
         except BaseException as error:  # also an interrupt: never leave half a step behind
             self.undo()
             if isinstance(error, StepError):

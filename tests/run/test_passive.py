@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from ngsolve import CF, Grad, Id, InnerProduct, Integrate, pi, sin, x
-from support import small_run, swirling
+from support import small_run, state, swirling
 
 import ngvisco as nv
 from ngvisco.geometries import box, disc
@@ -78,3 +78,16 @@ def test_checkpoint_without_the_passive_fields_is_refused(tmp_path):
     simulation(passive=(), observers=[nv.Checkpoints(path, every=1)]).run(0.02)
     with pytest.raises(nv.CheckpointError, match="passive field"):
         simulation().restore(path)
+
+
+def test_a_passive_field_that_is_not_solved_leaves_the_step_alone(monkeypatch):
+    """The same states and steps as without it, and a column that counts what was not solved."""
+    monkeypatch.setattr("ngvisco.run.passive.ITERATIONS", 1)
+    run, without = simulation(), simulation(passive=())
+    with pytest.warns(nv.InputWarning, match="passive fields were not solved in 1 iterations: "):
+        ledger = run.run(0.04)
+    without.run(0.04)
+    assert ledger.column("passive_unsolved")[1:].min() > 0
+    assert not without.ledger.column("passive_unsolved").any()
+    assert ledger.column("rejections").sum() == 0
+    assert state(run).tobytes() == state(without).tobytes()
