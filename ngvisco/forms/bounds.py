@@ -234,8 +234,10 @@ class Bounds:
 
     def drift(self) -> str | None:
         """Which variables that stand for one distortion have parted by more than ``DRIFT`` in the mean of a
-        cell, and where, in words; None where none have.
+        cell, and where, in words; None where none have, and with sources, whose fields may be apart.
         """
+        if self.step.sources is not None:
+            return None
         for pair, drift in self._drifts.items():
             means = self.step.quadrature.each_cell(drift) / self._volumes
             far = np.flatnonzero(abs(means) > DRIFT)

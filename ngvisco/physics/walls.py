@@ -169,7 +169,8 @@ class PrescribedNormal(Passage):
 
     The mesh does not move: where V < 0 the piston presses, and what it moves comes in through the wall, where
     V > 0 it pulls, and as much leaves.  Its power and the mass that it sweeps are in the ledger.  The wall
-    has to be parallel to an axis, where v.n is a component of v.
+    has to be parallel to an axis, where v.n is a component of v.  Raises ParameterError if a parameter is out
+    of its range.
 
     Parameters
     ----------

@@ -1,7 +1,6 @@
 """[domain.adapt]: cases on meshes that follow a field."""
 
 import re
-from itertools import pairwise
 
 import pytest
 
@@ -55,7 +54,7 @@ def test_a_run_that_ended_early_goes_on_to_the_bit(tmp_path, until):
     assert taken > 0 and loaded[0].ledger["transfer"].sum() == pytest.approx(taken)
     log = (tmp_path / "whole" / "log.txt").read_text()
     meshes = re.findall(r"\d+ cells, \d+ unknowns", log)
-    assert len(meshes) > 1 and all(one != other for one, other in pairwise(meshes))
+    assert len(set(meshes)) > 2
     assert log.count("step ") == 16 and "reached" not in log
 
 

@@ -146,7 +146,7 @@ def test_what_is_no_energy_is_not_drawn_as_one(tmp_path, monkeypatch):
     assert not any("entropy" in label for of in labels.values() for label in of)
     *others, production, warmth = drawn["warm-history"].axes
     assert len(others) == len(drawn["broken-history"].axes)
-    assert {line.get_label() for line in production.lines} == {"stokes bulk", "stokes shear"}
+    assert {line.get_label() for line in production.lines} == {"stokes bulk", "stokes shear", "upwinding"}
     assert warmth.get_title() == "least and largest temperature, K"
     assert [line.get_ydata()[0] for line in warmth.lines] == [1.0, 1.0]
     for low, high, wide in ((1, 1 + 1e-12, True), (1, 1 + 1e-8, False), (-15, -15, True), (0, 1e-15, False)):
