@@ -29,6 +29,7 @@ THEMES = (
     "Robustness of the scheme",
     "Three dimensions",
     "The models against each other",
+    "Sensitivities",
 )
 """Headings of the report, in its order; within one cases stand module by module."""
 
