@@ -46,14 +46,14 @@ def solid(stiffness: float = 5.0) -> nv.Material:
 
 def simulation(model: nv.Model, scheme: str, solver: str, **options: Any) -> nv.Simulation:
     """A swirl in the box."""
-    given = {"initial": nv.Initial(density=1.0, velocity=SWIRL), "dt": DT, "velocity_scale": SCALE} | options
+    given: dict[str, Any] = {
+        "initial": nv.Initial(density=1.0, velocity=SWIRL),
+        "dt": DT,
+        "velocity_scale": 1.0,
+    } | options
     newton = nv.NewtonOptions(tolerance=1e-12, method=solver)
     probes = nv.Probes({"p": (0.3, 0.6)}, ["velocity", "cauchy_stress"])
     return nv.Simulation(mesh(), model, scheme=scheme, newton=newton, observers=[probes], **given)
-
-
-SCALE = 1e12
-"""A velocity scale by which both sides of a facet count the same, so that no frozen v* is read."""
 
 
 def swirl(**parts: Any) -> Callable[[float, str, str], nv.Simulation]:
@@ -61,7 +61,7 @@ def swirl(**parts: Any) -> Callable[[float, str, str], nv.Simulation]:
 
     def make(p: float, scheme: str, solver: str) -> nv.Simulation:
         made = {name: part(p) if callable(part) else part for name, part in parts.items()}
-        others = {name: made.pop(name) for name in ("walls", "initial", "velocity_scale") if name in made}
+        others = {name: made.pop(name) for name in ("walls", "initial") if name in made}
         return simulation(
             nv.Model(**{"material": solid(), "viscosity": STOKES} | made), scheme, solver, **others
         )
@@ -71,10 +71,11 @@ def swirl(**parts: Any) -> Callable[[float, str, str], nv.Simulation]:
 
 def discs(p: float, scheme: str, solver: str) -> nv.Simulation:
     """A stiff heavy disc in a softer body."""
-    parts = {"density": 2.0, "viscosity": STOKES, "material": nv.IsochoricNeoHookean(K_e=10, G_e=p)}
-    disc = nv.Body(name="disc", where=nv.Ball((0.5, 0.5), 0.3), **parts)
-    rest = nv.Body(name="rest", **parts | {"density": 1.0, "material": nv.IsochoricNeoHookean(K_e=10, G_e=1)})
-    return simulation(nv.Model(bodies=[disc, rest]), scheme, solver, initial=nv.Initial(velocity=SWIRL))
+    stiff, soft = (nv.IsochoricNeoHookean(K_e=10, G_e=modulus) for modulus in (p, 1.0))
+    place = nv.Ball((0.5, 0.5), 0.3)
+    disc = nv.Body(name="disc", where=place, material=stiff, density=2.0, viscosity=STOKES)
+    rest = nv.Body(name="rest", material=soft, density=1.0, viscosity=STOKES)
+    return simulation(nv.Model(bodies=(disc, rest)), scheme, solver, initial=nv.Initial(velocity=SWIRL))
 
 
 def heated(expansion: float) -> nv.Material:
@@ -87,7 +88,7 @@ KINDS: dict[str, tuple[Make, str, float]] = {
     "elastic modulus": (swirl(material=solid), "material.G_e", 5.0),
     "viscosity": (swirl(viscosity=lambda p: nv.StokesViscosity(K_v=0.1, G_v=p)), "viscosity.G_v", 0.1),
     "hyperviscosity": (
-        swirl(hyperviscosity=lambda p: nv.HyperViscosity(mu=p, p=4), velocity_scale=1.0),
+        swirl(hyperviscosity=lambda p: nv.HyperViscosity(mu=p, p=4)),
         "hyperviscosity.mu",
         1e-3,
     ),
