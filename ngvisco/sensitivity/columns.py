@@ -35,6 +35,9 @@ class Columns:
     Raises UnknownNameError for a column that there is not, ParameterError for one without a derivative.
     """
 
+    has_ends = has_means = True
+    """Whether ends of steps are asked for, and means over their stages."""
+
     def __init__(self, simulation: Simulation, names: Sequence[str], tables: Sequence[Series]) -> None:
         self.simulation, self.names = simulation, list(names)
         ledger = simulation.ledger
@@ -68,6 +71,12 @@ class Columns:
     def tables(self) -> list[Series]:
         """Those that have some of the columns."""
         return [table for table, *_ in self._of_tables]
+
+    def of(self, simulation: Simulation) -> Columns:
+        """The same of another run of the same mesh and model."""
+        other = Columns(simulation, self.names, self.tables)
+        other.has_ends, other.has_means = self.has_ends, self.has_means
+        return other
 
     @property
     def is_of_stages(self) -> np.ndarray:

@@ -20,7 +20,8 @@ from ngvisco.sensitivity.parameters import Named, varied
 
 _RANGE = 1e3
 """Without bounds a parameter is sought from its start value over this to that times this."""
-_TOLERANCE = 1e-8
+_TOLERANCE = 1e-4
+"""Change of the sum of squares, relatively, at which the search ends."""
 _UNDETERMINED = 1e-10
 """Ratio of singular values of the scaled Jacobian from which on the data say nothing of a combination."""
 
@@ -251,7 +252,7 @@ class _Search:
         values = dict(zip(self.parameters, (float(one) for one in p), strict=True))
         try:
             run = varied(self.simulation, values, tables_of(self.simulation))
-            found = gradient(run, self.until, of=self.of, by=[one.name for one in self.parameters])
+            found = gradient(run, self.until, of=self.of, by=[one.name for one in self.parameters], order=2)
             self.alone = found.seconds
         except StepError:
             if not self.kept:
@@ -289,15 +290,15 @@ class _Search:
         start = np.array([one.value for one in self.parameters])
         low, high = (self._inner(self.bounds[:, i]) for i in range(2))
         low, high = np.minimum(low, high), np.maximum(low, high)
-        kinds = {"xtol": 1e-6, "ftol": _TOLERANCE, "gtol": _TOLERANCE}
+        kinds = {"xtol": 1e-6, "ftol": _TOLERANCE, "gtol": 1e-8}
         first = np.clip(self._inner(start), low, high)
         solved = least_squares(self.residuals, first, self.jacobian, (low, high), method="trf", **kinds)
-        p, _ = self._outer(solved.x)
-        found = self._at(solved.x)
-        assert found is not None
+        tried = [one for one in self.kept.values() if one is not None]
+        found = min(tried, key=lambda one: float(np.sum(self._residuals(one) ** 2)))
+        p, cost = found.at, 0.5 * float(np.sum(self._residuals(found) ** 2))
         J = found.jacobian / np.concatenate(list(self.sigma.values()))[:, None]
         free = max(len(self.of) - len(p), 1)
-        reduced = 2 * float(solved.cost) / free
+        reduced = 2 * cost / free
         if self.is_estimated:  # in units of the estimate
             self.sigma = {name: values * np.sqrt(reduced) for name, values in self.sigma.items()}
             J, scale = J / np.sqrt(reduced or 1.0), reduced or 1.0
@@ -322,7 +323,7 @@ class _Search:
             data=self.data,
             found=of_columns,
             sigma=self.sigma,
-            misfit=float(solved.cost) / scale,
+            misfit=cost / scale,
             reduced=reduced / scale,
             runs=self.runs,
             cost=self.spent / self.alone,

@@ -36,14 +36,18 @@ _START = "initial"
 
 STEP = 1e-3
 """Spacing of the differences by a parameter, in units of the parameter."""
-OFFSETS = (-2.0, -1.0, 1.0, 2.0)
-"""Of the values p + o h."""
+OFFSETS = {4: (-2.0, -1.0, 1.0, 2.0), 2: (-0.1, 0.1)}
+"""Of the values p + o h, by the order of the differences."""
 
 
 def differenced(values: Sequence[np.ndarray], h: float) -> np.ndarray:
-    """A derivative, of the values at ``OFFSETS`` times h, to h^4/30 times the fifth one."""
+    """A derivative, of the values at four or two ``OFFSETS`` times h."""
+    result: np.ndarray
+    if len(values) == 2:
+        result = (values[1] - values[0]) / ((OFFSETS[2][1] - OFFSETS[2][0]) * h)
+        return result
     far_below, below, above, far_above = values
-    result: np.ndarray = (8 * (above - below) - (far_above - far_below)) / (12 * h)
+    result = (8 * (above - below) - (far_above - far_below)) / (12 * h)
     return result
 
 

@@ -108,7 +108,7 @@ class Slopes:
             h = _SPACING * (abs(state[own]).max(initial=0.0) or 1.0)
             for dof in own:
                 kept, values = state[dof], []
-                for offset in OFFSETS:
+                for offset in OFFSETS[4]:
                     state[dof] = kept + offset * h
                     if self.step.energy.projected is not None:
                         self.step.eliminate.refresh()

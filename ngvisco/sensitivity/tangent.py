@@ -17,7 +17,6 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from ngvisco.forms.system import Evolved
-from ngvisco.run.series import Series
 from ngvisco.run.simulation import Simulation
 from ngvisco.sensitivity.columns import Columns
 from ngvisco.sensitivity.follower import Follower
@@ -28,14 +27,15 @@ from ngvisco.sensitivity.trajectory import Stage, StepTaken, Trajectory
 
 
 class Neighbours:
-    """The followers with a parameter at p + o h, and sums of their answers that are derivatives by it."""
+    """The followers with a parameter at p + o h, and sums of their answers that are derivatives by it.
 
-    def __init__(
-        self, parameter: Named, simulation: Simulation, names: Sequence[str], tables: Sequence[Series]
-    ) -> None:
-        self.parameter, self.steps = parameter, [o * parameter.spacing for o in OFFSETS]
+    ``base`` has the columns, and ``order`` is that of the differences, 4 or 2.
+    """
+
+    def __init__(self, parameter: Named, simulation: Simulation, base: Columns, order: int = 4) -> None:
+        self.parameter, self.steps = parameter, [o * parameter.spacing for o in OFFSETS[order]]
         runs = [parameter.varied(simulation, parameter.value + step) for step in self.steps]
-        self.followers = [Follower(run, Columns(run, names, tables)) for run in runs]
+        self.followers = [Follower(run, base.of(run)) for run in runs]
         self.of_start = self.derivative([follower.state.copy() for follower in self.followers])
         """The derivative of the start values, (unknowns,)."""
 
@@ -110,7 +110,7 @@ def _step(
         base.pose(stage, states)
         linearised.at_stage(stage)
         for run in runs:
-            run.stage(stage, linearised)
+            run.stage(stage, linearised, taken.is_combined or stage is not taken.stages[-1])
         states.append(base.evolved(stage.state))
     if taken.is_combined:
         linearised.at_end(taken)
@@ -134,6 +134,8 @@ class _Tangent:
         return self._columns_at(first.state)
 
     def _columns_at(self, state: np.ndarray) -> np.ndarray:
+        if not self.near.followers[0].columns.has_ends:
+            return np.zeros(len(self.near.followers[0].columns.names))
         moved = self.near.moved(state, self.along)
 
         def columns(i: int, one: Follower) -> np.ndarray:
@@ -148,24 +150,24 @@ class _Tangent:
         self._states = [[one.evolved(u)] for one, u in zip(self.near.followers, moved, strict=True)]
         self._mean = np.zeros(len(self.near.followers[0].columns.names))
 
-    def stage(self, stage: Stage, linearised: Linearised) -> None:
-        """Follow a stage, whose R_u is factorised."""
+    def stage(self, stage: Stage, linearised: Linearised, is_read: bool) -> None:
+        """Follow a stage, whose R_u is factorised; ``is_read`` says whether something starts from it."""
         found = []
         for one, states in zip(self.near.followers, self._states, strict=True):
             one.pose(stage, states)
             found.append(one.residual(stage.state))
         rows, prescribed = (self.near.derivative(values) for values in zip(*found, strict=True))
         self.along = prescribed - linearised.stage(rows)
-        moved = self.near.moved(stage.state, self.along)
+        self._last = moved = self.near.moved(stage.state, self.along)
 
         def columns(i: int, one: Follower) -> np.ndarray:
             one.at(moved[i])
             return one.columns.stage(stage.share)
 
-        self._mean += self._differenced(columns)
-        for one, states, u in zip(self.near.followers, self._states, moved, strict=True):
+        if self.near.followers[0].columns.has_means:
+            self._mean += self._differenced(columns)
+        for one, states, u in zip(self.near.followers, self._states, moved if is_read else [], strict=False):
             states.append(one.evolved(u))
-        self._last = moved
 
     def end(self, taken: StepTaken, linearised: Linearised) -> tuple[np.ndarray, np.ndarray]:
         """The derivatives of the columns at the step's end, and of their means over its stages."""

@@ -32,7 +32,7 @@ def directional(make, scheme, of, monkeypatch):
     simulation, numbers = make(scheme=scheme), Numbers.of(of, UNTIL)
     base, trajectory = _base(simulation, numbers.columns), Trajectory(simulation)
     slopes = Slopes(base)
-    (one,) = (Neighbours(p, make(scheme=scheme), numbers.columns, base.columns.tables) for p in [Still()])
+    one = Neighbours(Still(), make(scheme=scheme), base.columns)
     trajectory.run(UNTIL)
     found, starts = history(trajectory, base), Starts(base)
     random = np.random.default_rng(0).standard_normal(len(base.state))

@@ -54,6 +54,13 @@ def test_the_run_is_that_without_derivatives():
     assert np.array_equal(*states)
 
 
+def test_differences_of_second_order_are_nearly_as_good():
+    fine, coarse = (nv.gradient(run(), UNTIL, of=OF, by=["creep.G_m"], order=order) for order in (4, 2))
+    assert 0 < abs(coarse.jacobian / fine.jacobian - 1).max() < 1e-7
+    with pytest.raises(nv.ParameterError, match="4 or 2"):
+        nv.gradient(run(), UNTIL, of=OF, by=["creep.G_m"], order=3)
+
+
 def test_without_the_change_of_the_old_state_a_tangent_is_wrong(monkeypatch):
     """A negative control: what a step starts from counts."""
     found = nv.gradient(run(), UNTIL, of=["stored at 0.06"], by=["creep.G_m"]).jacobian
