@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from ngsolve import Integrate
 from support import demo as load
 
 import ngvisco as nv
@@ -87,6 +88,39 @@ def test_swirl_recoils_elastically():
 
 @pytest.mark.long
 @pytest.mark.ci
+def test_the_numbers_of_a_creep_test_are_found_within_two_deviations(tmp_path):
+    """At the cost of ten runs."""
+    demo = load("creep_test")
+    found = demo.main(str(tmp_path))
+    assert (abs(found.values - list(demo.TRUE.values())) < 2 * found.deviations).all()
+    assert found.cost <= 10 and 0.2 < found.reduced < 2
+    written(tmp_path, "fit.png")
+
+
+@pytest.mark.long
+@pytest.mark.ci
+def test_a_soft_spot_is_found_below_its_stations(tmp_path):
+    demo = load("soft_spot")
+    stiffness = 3 * np.exp(demo.main(str(tmp_path))).reshape(demo.ROWS, demo.COLUMNS)
+    assert stiffness[-1].argmin() == 6  # 2.4 m to 2.8 m
+    assert stiffness[-1, 6] < 2.3 and stiffness[-1, :3].min() > 2.6
+    written(tmp_path, "soft_spot.png")
+
+
+def test_the_energy_of_a_swirl_has_densities_of_derivatives(tmp_path):
+    demo = load("swirl_sensitivity")
+    found = demo.main(str(tmp_path), until=0.04, maxh=0.6)
+    number = "kinetic at 0.04"
+    whole = Integrate(found.density(number, "density"), found.simulation.mesh)
+    assert whole == pytest.approx(found[number, "initial.density"], rel=1e-8)
+    of_number = nv.gradient(demo.simulation(0.6), 0.04, of=[number], by=["material.G_e"])
+    stiffness = Integrate(found.density(number, "stiffness"), found.simulation.mesh)
+    assert stiffness == pytest.approx(of_number[number, "material.G_e"], rel=1e-6)
+    written(tmp_path, "sensitivity.png")
+
+
+@pytest.mark.long
+@pytest.mark.ci
 @pytest.mark.filterwarnings("ignore::ngvisco.run.ledger.DefectWarning")
 def test_cavity_goes_on_where_the_body_is_torn(tmp_path):
     """Under a lid of full speed cells are limited; under a smooth one none is."""
@@ -104,7 +138,7 @@ MAXH = {
     **{"barotropic": 0.25, "cylinder": 2.0, "shear": 1.0, "swirl3d": 0.9, "wave": 0.4},
 }
 """Of meshes that are soon computed; 0.5 m of other demos."""
-CELLS = {"collision": [7, 4], "slab": [3, 4], "soft_disc": [3, 4]}
+CELLS = {"soft_spot": [4, 2], "collision": [7, 4], "slab": [3, 4], "soft_disc": [3, 4]}
 """The same of boxes of rows of cells."""
 SCRIPTS = {"shear": lambda demo: demo.simulation(), "wave": lambda demo: demo.amplitudes(0.02, 2)[0]}
 """The run that the case file describes, where its mesh has no size to choose."""

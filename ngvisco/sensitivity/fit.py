@@ -20,8 +20,6 @@ from ngvisco.sensitivity.parameters import Named, varied
 
 _RANGE = 1e3
 """Without bounds a parameter is sought from its start value over this to that times this."""
-_TOLERANCE = 1e-4
-"""Change of the sum of squares, relatively, at which the search ends."""
 _UNDETERMINED = 1e-10
 """Ratio of singular values of the scaled Jacobian from which on the data say nothing of a combination."""
 
@@ -126,6 +124,7 @@ def fit(
     sigma: float | Mapping[str, float] | None = None,
     bounds: Mapping[str, tuple[float, float]] | None = None,
     until: float | None = None,
+    tolerance: float = 1e-3,
     factor: Callable[[str, str], float] | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> Fit:
@@ -155,6 +154,8 @@ def fit(
         Within which they are sought; by default within a thousandth and a thousand times the start value.
     until : float, optional
         The end of the run, s, which no datum may be after; by default that of the last datum.
+    tolerance : float
+        > 0; the search ends at a step, or a change of the sum of squares, that is as small, relatively.
     factor : callable, optional
         ``factor(unit, wanted)`` says how many of one unit are in another; without it units have to be SI.
     progress : callable, optional
@@ -170,8 +171,10 @@ def fit(
     parameters = [Named.of(name, simulation) for name in names]
     measured = _measured(simulation, Data.of(data), factor)
     end = _end(simulation, measured, until)
+    if (ends := as_number(tolerance)) is None or ends <= 0:
+        raise ParameterError("fit.tolerance", tolerance, "a number > 0")
     search = _Search(simulation, parameters, measured, sigma, bounds or {}, end, progress)
-    return search.run()
+    return search.run(ends)
 
 
 def _measured(simulation: Simulation, data: Data, factor: Callable[[str, str], float] | None) -> Data:
@@ -283,14 +286,14 @@ class _Search:
         result: np.ndarray = found.jacobian / np.concatenate(list(self.sigma.values()))[:, None] * slopes
         return result
 
-    def run(self) -> Fit:
+    def run(self, tolerance: float) -> Fit:
         """Search."""
         from scipy.optimize import least_squares  # a tenth of the package's time to be imported
 
         start = np.array([one.value for one in self.parameters])
         low, high = (self._inner(self.bounds[:, i]) for i in range(2))
         low, high = np.minimum(low, high), np.maximum(low, high)
-        kinds = {"xtol": 1e-6, "ftol": _TOLERANCE, "gtol": 1e-8}
+        kinds = {"xtol": tolerance, "ftol": tolerance, "gtol": 1e-8}
         first = np.clip(self._inner(start), low, high)
         solved = least_squares(self.residuals, first, self.jacobian, (low, high), method="trf", **kinds)
         tried = [one for one in self.kept.values() if one is not None]

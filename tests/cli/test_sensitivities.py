@@ -48,7 +48,7 @@ def test_a_fit_finds_the_case_s_numbers(case, tmp_path):
     assert code == 0 and "ngvisco run" in out, err
     with (tmp_path / "fit/fit.csv").open() as file:
         _, row = csv.reader(file)
-    assert float(row[2]) == pytest.approx(5.0, rel=1e-5) and (tmp_path / "fit/fit.png").exists()
+    assert float(row[2]) == pytest.approx(5.0, rel=1e-4) and (tmp_path / "fit/fit.png").exists()
 
 
 @pytest.mark.parametrize(

@@ -37,7 +37,9 @@ def data_of(noise=0.0, **true):
 def test_parameters_are_found_again():
     data, seen = data_of(G_e=1.3, G_m=1.7), []
     simulation = creep()
-    found = nv.fit(simulation, data, by=["material.G_e", "creep.G_m"], sigma=1e-5, progress=seen.append)
+    found = nv.fit(
+        simulation, data, by=["material.G_e", "creep.G_m"], sigma=1e-5, tolerance=1e-7, progress=seen.append
+    )
     assert found["material.G_e"] == pytest.approx(1.3, rel=1e-6)
     assert found["creep.G_m"] == pytest.approx(1.7, rel=1e-6)
     assert found.runs == len(seen) <= 8 and simulation.number == 0
@@ -83,7 +85,7 @@ def test_a_file_has_units(tmp_path):
     lines = [f"time [ms],{COLUMN} [mm]", *(f"{float(t)!r},{float(d)!r}" for t, d in rows)]
     path.write_text("\n".join(lines) + "\n")
     found = nv.fit(creep(), path, by=["material.G_e"], factor=factor)
-    assert found["material.G_e"] == pytest.approx(1.3, rel=1e-5)
+    assert found["material.G_e"] == pytest.approx(1.3, rel=1e-4)
     with pytest.raises(nv.DataError, match="ngvisco fit converts units"):
         nv.fit(creep(), path, by=["material.G_e"])
     path.write_text("\n".join([f"time [m],{COLUMN}", *lines[1:]]))
@@ -116,6 +118,7 @@ def test_tables_that_are_none_are_refused(tmp_path, text, said):
 @pytest.mark.parametrize(
     ("options", "said"),
     [
+        ({"tolerance": 0}, "a number > 0"),
         ({"until": 0.5}, "after the end of the run"),
         ({"sigma": -1.0}, "a standard deviation > 0"),
         ({"by": []}, "at least one parameter"),
