@@ -204,6 +204,20 @@ def test_the_disc_in_a_vortex_is_a_quarter_of_the_problem():
     assert np.abs(ledger.column("closure_relative")).max() <= 1e-10
 
 
+def test_gel_rings_down_by_its_loss_factor():
+    """Over two periods by longer steps; without its Maxwell branch the layer would not be damped."""
+    demo = load("gel")
+    run, top = demo.simulation(dt=0.4), [1.0]
+    while run.t < 24.0 - 1e-9:
+        run.advance()
+        top.append(run.fields["velocity"](run.mesh(0.1, 1.0))[0] / demo.A)
+    s, theory = demo.exact(1.7, 0.4 * np.arange(len(top)))
+    assert np.abs(top - theory).max() <= 0.02 < 0.5 < 1 - np.abs(theory[-25:]).max()
+    at = demo.modulus(1j * s.imag, 1.7)
+    assert -2 * s.real / s.imag == pytest.approx(at.imag / at.real, rel=0.1)  # of small damping
+    assert balanced(run).column("dissipation_creep_mode_1")[1:].min() >= 0
+
+
 def test_glacier_flows_by_its_closed_form():
     """On cells of 0.2 m; half of the linear law's profile, which has the same velocity above, is not it."""
     demo, at = load("glacier"), np.linspace(0, 1, 21)
