@@ -148,6 +148,46 @@ def test_what_wraps_a_material_wraps_a_network(around):
         assert ledger.column("temperature_min")[-1] > 299
 
 
+def stretched(material):
+    """A strip that is held stretched until its damage stays: von Mises' stress, and the damage."""
+    F = CF((1.2, 0, 0, 0, 1, 0, 0, 0, 1), dims=(3, 3))
+    run = nv.Simulation(
+        box((1, 1), maxh=1.0), nv.Model(material=material), dt=0.5, initial=nv.Initial(F=F, density=1.0)
+    )
+    ledger = run.run(10.0)
+    assert np.abs(ledger.column("closure_relative")).max() <= 1e-10
+    at = run.mesh(0.4, 0.4)
+    damage = run.fields["damage"](at) if "damage" in run.fields else 0.0
+    return run.fields["von_mises"](at), damage
+
+
+@pytest.mark.parametrize("small", [False, True], ids=["by B", "small strain"])
+def test_named_branches_break_and_the_others_bear_on(small):
+    def solid(G):
+        if small:
+            return nv.LinearElastic(K_e=20.0 * G, G_e=2 * G)
+        return nv.ReferentialNeoHookean(K_e=20.0 * G, G_e=G)
+
+    strong = {"spring": Branch(material=solid(1.0)), "brittle": Branch(material=solid(2.0))}
+    broken = nv.Damaged(
+        material=Network(branches=strong), G_c=0.02, length=0.5, viscosity=1e-3, branches=["brittle"]
+    )
+    whole = nv.Damaged(material=Network(branches=strong), G_c=0.02, length=0.5, viscosity=1e-3)
+    (spring, _), (both, _) = stretched(solid(1.0)), stretched(solid(3.0))
+    (left, damage), (nothing, _) = stretched(broken), stretched(whole)
+    share = (1 - damage) ** 2
+    assert 0.8 < damage < 1 and both > 2.5 * spring
+    assert left == pytest.approx(spring + share * (both - spring), rel=1e-3)
+    assert abs(nothing) < 0.1 * spring
+
+
+def test_damage_of_branches_that_there_are_not_is_refused():
+    with pytest.raises(nv.UnknownNameError, match="unknown branch 'slaw'; did you mean 'slow'"):
+        nv.Damaged(material=network(None), G_c=1.0, length=0.1, branches=["slaw"])
+    with pytest.raises(nv.ParameterError, match="the material has no branches"):
+        nv.Damaged(material=NEO, G_c=1.0, length=0.1, branches=["slow"])
+
+
 def test_moduli_of_branches_may_be_functions_of_the_place():
     parts = {
         name: Branch(

@@ -19,8 +19,9 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from ngsolve import CF
 
-from ngvisco.errors import ParameterError, Quantity, require_choice
-from ngvisco.physics.material import Wrapper, part_of, rest_stress_and_modulus
+from ngvisco.errors import ParameterError, Quantity, UnknownNameError, require_choice, require_some_names
+from ngvisco.physics.material import Material, Wrapper, part_of, rest_stress_and_modulus
+from ngvisco.physics.materials.network import Branches, Network
 from ngvisco.physics.materials.thermal import entropy_in
 from ngvisco.physics.parameters import Parameter, expressions_in, parameters_in
 from ngvisco.physics.pointwise import energies_at, rest_state
@@ -99,6 +100,8 @@ class Damaged(Wrapper):
         That of falling damage; None (default) where nothing heals.
     floor : float
         k, the share of the degraded energy that a broken material keeps.
+    branches : sequence of str, optional
+        Those of a ``Network`` that break, by name; None (default) for all of the material.
     """
 
     G_c: Annotated[float, Quantity("J/m^2", "> 0", 0.1)]
@@ -108,6 +111,7 @@ class Damaged(Wrapper):
     viscosity: Annotated[float, Quantity("Pa s", ">= 0", 0.01)] = 0.0
     healing_viscosity: Annotated[float | None, Quantity("Pa s", "> 0", 1.0)] = None
     floor: Annotated[float, Quantity("1", "in (0, 1)", 1e-6)] = 1e-6
+    branches: Annotated[tuple[str, ...] | None, Quantity(example=["slow"])] = None
     _rest: float | None = field(init=False, repr=False, default=None)
     """phi at rest without damage, Pa; None where moduli differ from place to place."""
 
@@ -126,7 +130,26 @@ class Damaged(Wrapper):
             expected = "moduli that do not read the damage, which degrades the energy by g(d)"
         if expected:
             raise ParameterError("Damaged.material", self.material, expected)
+        self._check_branches()
         self._check_rest()
+
+    def _check_branches(self) -> None:
+        """Raise ParameterError or UnknownNameError for names that are none of the material's branches."""
+        if self.branches is None:
+            return
+        if not isinstance(self.material, Network):
+            raise ParameterError("Damaged.branches", self.branches, "None: the material has no branches")
+        object.__setattr__(self, "branches", tuple(require_some_names("Damaged.branches", self.branches)))
+        for name in self.branches:
+            if name not in self.material.parts:
+                raise UnknownNameError("branch", name, self.material.parts)
+
+    @property
+    def _breaking(self) -> Material:
+        """What of the material breaks."""
+        if self.branches is None or not isinstance(self.material, Network):
+            return self.material
+        return Branches(network=self.material, names=self.branches)
 
     def _check_rest(self) -> None:
         """Raise ParameterError where the material's variables have no spherical states, or stress at rest."""
@@ -137,8 +160,8 @@ class Damaged(Wrapper):
                 raise ParameterError("Damaged.material", self.material, expected)
         if any(True for _ in expressions_in(self.material)):
             return
-        rest = float(energies_at(self.material, rest_state(self.material, 3)[None], 3)[0])
-        slope, stiffness = rest_stress_and_modulus(self.material)
+        rest = float(energies_at(self._breaking, rest_state(self.material, 3)[None], 3)[0])
+        slope, stiffness = rest_stress_and_modulus(self._breaking)
         if not abs(slope) <= 1e-9 * max(abs(stiffness), abs(rest)):
             expected = (
                 f"one without stress at rest, where d phi/dJ is {slope:.4g} Pa; a Referential one has none"
@@ -185,21 +208,22 @@ class Damaged(Wrapper):
     def parts(self, z: Values) -> tuple[Tensor, Tensor | None]:
         """a(z), what damage takes of the energy, and c(z), what it leaves (None: nothing), Pa."""
         own = {v.name: z[v.name] for v in self.material.variables}
-        whole = self.material.energy(own)
+        whole = self._breaking.energy(own)
+        left = None if self.branches is None else self.material.energy(own) - whole
         if self.is_linearised:
             if self.part == "all":
-                return whole, None
-            ((name, E),) = own.items()
-            compressed, compression = self.material.energy({name: sph(E)}), -tr(E)
+                return whole, left
+            compressed = self._breaking.energy({name: sph(E) for name, E in own.items()})
+            compression = -tr(next(iter(own.values())))  # of all branches the same
         else:
             rest = self._spherical_energy(own, 1 + 0 * z["A"]) if self._rest is None else self._rest
             whole = whole - rest * z["A"]
             if self.part == "all":
-                return whole, None
+                return whole, left
             J = own["J"] if "J" in own else 1 / z["A"]
             compressed, compression = self._spherical_energy(own, J) - rest / J, 1 - J
         kept = if_positive(compression, compressed, 0 * compressed)
-        return whole - kept, kept
+        return whole - kept, kept if left is None else kept + left
 
     def _spherical_energy(self, z: Values, J: Any) -> Any:
         """phi without damage at F = J^{1/3} I; ``z`` tells arrays from coefficient functions."""
@@ -215,7 +239,7 @@ class Damaged(Wrapper):
                 power = ratio[1] if v.kind == "scalar" else ratio[1] / 3
                 size = J if power == 1 else J ** float(power)
                 found[v.name] = size if v.kind == "scalar" else size * identity_like(z[v.name])
-        return self.material.energy(found)
+        return self._breaking.energy(found)
 
     def surface_energy(self, z: Values) -> Tensor:
         """That of cracks, per actual volume, Pa."""

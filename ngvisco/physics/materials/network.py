@@ -202,6 +202,21 @@ class Network(Material):
             raise ParameterError("Network.branches", list(self.parts), expected)
 
 
+@dataclass(frozen=True, kw_only=True)
+class Branches(Material):
+    """The energy of some branches of a network, as a function of all its variables."""
+
+    network: Network
+    names: tuple[str, ...]
+
+    @property
+    def variables(self) -> tuple[Variable, ...]:
+        return self.network.variables
+
+    def energy(self, z: Values) -> Tensor:
+        return reduce(add, (self.network.energy_of(name, z) for name in self.names))
+
+
 def _carries(material: Material, name: str) -> bool:
     return any(v.name == name for v in material.variables)
 
