@@ -23,7 +23,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from copy import copy
 from dataclasses import dataclass, field, replace
 from itertools import count
@@ -341,8 +341,8 @@ def expressions_in(value: object) -> Iterator[Expression]:
     elif dataclasses.is_dataclass(value) and not isinstance(value, type):
         for each in dataclasses.fields(value):
             yield from expressions_in(getattr(value, each.name))
-    elif isinstance(value, tuple):
-        for part in value:
+    elif isinstance(value, (tuple, Mapping)):
+        for part in value.values() if isinstance(value, Mapping) else value:
             yield from expressions_in(part)
 
 
@@ -357,6 +357,8 @@ def substituted(law: T, value_of: Callable[[Expression], Any]) -> T:
             return value_of(part)
         if isinstance(part, tuple) and any(True for _ in expressions_in(part)):
             return tuple(within(one) for one in part)
+        if isinstance(part, dict) and any(True for _ in expressions_in(part)):
+            return type(part)((name, within(one)) for name, one in part.items())
         return substituted(part, value_of)
 
     if not _is_law(law):

@@ -119,6 +119,9 @@ def test_every_example_is_admitted(entry, kind, schema):
     if entry.name == "time.adaptive.dt_max":
         data["time"]["adaptive"]["dt_min"] = 0.001
     data["time"] |= COMPANIONS.get(entry.name.removeprefix("time."), {})
+    if entry.name == "material.breaking":
+        branches = {"slow": {"material": WITHIN["Prony"]["material"]}}
+        data["material"]["material"] = {"kind": "Network", "branches": branches}
     if kind == "Prony":
         data["material"] |= {"C_1": {"C_2": 51.6}, "C_2": {"C_1": 17.4}}.get(entry.path[-1], {})
     loaded = CaseSections.model_validate(data)

@@ -170,7 +170,7 @@ def test_named_branches_break_and_the_others_bear_on(small):
 
     strong = {"spring": Branch(material=solid(1.0)), "brittle": Branch(material=solid(2.0))}
     broken = nv.Damaged(
-        material=Network(branches=strong), G_c=0.02, length=0.5, viscosity=1e-3, branches=["brittle"]
+        material=Network(branches=strong), G_c=0.02, length=0.5, viscosity=1e-3, breaking=["brittle"]
     )
     whole = nv.Damaged(material=Network(branches=strong), G_c=0.02, length=0.5, viscosity=1e-3)
     (spring, _), (both, _) = stretched(solid(1.0)), stretched(solid(3.0))
@@ -183,9 +183,9 @@ def test_named_branches_break_and_the_others_bear_on(small):
 
 def test_damage_of_branches_that_there_are_not_is_refused():
     with pytest.raises(nv.UnknownNameError, match="unknown branch 'slaw'; did you mean 'slow'"):
-        nv.Damaged(material=network(None), G_c=1.0, length=0.1, branches=["slaw"])
+        nv.Damaged(material=network(None), G_c=1.0, length=0.1, breaking=["slaw"])
     with pytest.raises(nv.ParameterError, match="the material has no branches"):
-        nv.Damaged(material=NEO, G_c=1.0, length=0.1, branches=["slow"])
+        nv.Damaged(material=NEO, G_c=1.0, length=0.1, breaking=["slow"])
 
 
 def test_moduli_of_branches_may_be_functions_of_the_place():
@@ -289,3 +289,22 @@ def test_a_network_is_that_of_a_body_alone():
     alone, of_body = (run.run(0.05) for run in runs)
     for column in ("kinetic", "dissipation_creep_slow"):  # by J, and by n = 1/J: to the scheme's order
         assert np.allclose(alone.column(column), of_body.column(column), rtol=1e-3), column
+
+
+def test_gradients_know_the_parameters_of_branches():
+    """Exact derivatives by a branch's moduli are those of central differences."""
+    parts = {
+        "spring": SPRING,
+        "slow": Branch(material=nv.ReferentialNeoHookean(K_e=0.0, G_e=2.0), creep=nv.Creep(G_m=1.0)),
+    }
+
+    def run(G_e=2.0, G_m=1.0):
+        slow = Branch(material=nv.ReferentialNeoHookean(K_e=0.0, G_e=G_e), creep=nv.Creep(G_m=G_m))
+        return simulation(Network(branches=parts | {"slow": slow}), solver="coupled")
+
+    names = ["material.branches.slow.material.G_e", "material.branches.slow.creep.G_m"]
+    found = nv.gradient(run(), until=0.15, of=["stored at 0.15"], by=names)
+    for name, key, value in zip(names, ("G_e", "G_m"), (2.0, 1.0), strict=True):
+        ends = [run(**{key: value * (1 + s)}).run(0.15).column("stored")[-1] for s in (1e-4, -1e-4)]
+        difference = (ends[0] - ends[1]) / (2e-4 * value)
+        assert found["stored at 0.15", name] == pytest.approx(difference, rel=1e-5)

@@ -100,7 +100,7 @@ class Damaged(Wrapper):
         That of falling damage; None (default) where nothing heals.
     floor : float
         k, the share of the degraded energy that a broken material keeps.
-    branches : sequence of str, optional
+    breaking : sequence of str, optional
         Those of a ``Network`` that break, by name; None (default) for all of the material.
     """
 
@@ -111,7 +111,7 @@ class Damaged(Wrapper):
     viscosity: Annotated[float, Quantity("Pa s", ">= 0", 0.01)] = 0.0
     healing_viscosity: Annotated[float | None, Quantity("Pa s", "> 0", 1.0)] = None
     floor: Annotated[float, Quantity("1", "in (0, 1)", 1e-6)] = 1e-6
-    branches: Annotated[tuple[str, ...] | None, Quantity(example=["slow"])] = None
+    breaking: Annotated[tuple[str, ...] | None, Quantity(example=["slow"])] = None
     _rest: float | None = field(init=False, repr=False, default=None)
     """phi at rest without damage, Pa; None where moduli differ from place to place."""
 
@@ -135,21 +135,21 @@ class Damaged(Wrapper):
 
     def _check_branches(self) -> None:
         """Raise ParameterError or UnknownNameError for names that are none of the material's branches."""
-        if self.branches is None:
+        if self.breaking is None:
             return
         if not isinstance(self.material, Network):
-            raise ParameterError("Damaged.branches", self.branches, "None: the material has no branches")
-        object.__setattr__(self, "branches", tuple(require_some_names("Damaged.branches", self.branches)))
-        for name in self.branches:
+            raise ParameterError("Damaged.breaking", self.breaking, "None: the material has no branches")
+        object.__setattr__(self, "breaking", tuple(require_some_names("Damaged.breaking", self.breaking)))
+        for name in self.breaking:
             if name not in self.material.parts:
                 raise UnknownNameError("branch", name, self.material.parts)
 
     @property
     def _breaking(self) -> Material:
         """What of the material breaks."""
-        if self.branches is None or not isinstance(self.material, Network):
+        if self.breaking is None or not isinstance(self.material, Network):
             return self.material
-        return Branches(network=self.material, names=self.branches)
+        return Branches(network=self.material, names=self.breaking)
 
     def _check_rest(self) -> None:
         """Raise ParameterError where the material's variables have no spherical states, or stress at rest."""
@@ -209,7 +209,7 @@ class Damaged(Wrapper):
         """a(z), what damage takes of the energy, and c(z), what it leaves (None: nothing), Pa."""
         own = {v.name: z[v.name] for v in self.material.variables}
         whole = self._breaking.energy(own)
-        left = None if self.branches is None else self.material.energy(own) - whole
+        left = None if self.breaking is None else self.material.energy(own) - whole
         if self.is_linearised:
             if self.part == "all":
                 return whole, left

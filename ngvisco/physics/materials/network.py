@@ -51,6 +51,16 @@ class Branch:
         return self.creep is not None and self.creep.flows
 
 
+class _Parts(dict[str, Branch]):
+    """Branches by name, for good: a material can be a key."""
+
+    def __hash__(self) -> int:  # type: ignore[override]
+        return hash(tuple(self.items()))
+
+    def __setitem__(self, name: str, branch: Branch) -> None:
+        raise TypeError("the branches of a network stay: make another one by dataclasses.replace")
+
+
 @dataclass(frozen=True, kw_only=True)
 class Network(Material):
     """Materials in parallel: one volume, and for each branch tensors and a flow rule of its own.
@@ -97,7 +107,7 @@ class Network(Material):
                 raise ParameterError(field, branch, "an nv.Branch object")
             for part, fault in _faults(branch):
                 raise ParameterError(f"{field}.{part}", _value(branch, part), fault)
-        object.__setattr__(self, "branches", tuple(parts.items()))  # laws are looked for in tuples
+        object.__setattr__(self, "branches", _Parts(parts))
         super().__post_init__()
         _ = self.variables  # refused where they do not go together
         self._check_names()
@@ -105,7 +115,7 @@ class Network(Material):
 
     @property
     def parts(self) -> dict[str, Branch]:
-        """The branches by their names."""
+        """The branches by their names, a copy."""
         return dict(self.branches)
 
     def with_elastic_state(self, state: ElasticState) -> Network:
