@@ -70,7 +70,7 @@ TABLE: tuple[tuple[Literal["F", "B"], float, float, tuple[float, ...]], ...] = (
     - largest |det B − 1| <= 0.03: first order in tau, 0.02 s, at the lid's corners
     - runs by F that ended by name >= 3: each of them: det F is off J by 10 % in a cell
     - the last of these ended at, s <= 1: twenty Maxwell times
-    - the first of these ended at, s >= 0.2: the lid has its speed at 0.2 s
+    - the first of these ended at, s >= 0.1: two Maxwell times, what the lid needs to turn anything
     - runs by F that warned before >= 3: each of them
     - closure
     """)
