@@ -16,8 +16,8 @@ Of bodies rho = sum rho_i n_i is a function of z, and its bound one of z's.  Par
 own (``ngvisco.forms.cell_means``) and are limited first.
 
 What stands for one distortion may part: a tensor's det F from J.  phi(F, J) at det F < J has values below
-those at rest, so that rest energy would become motion.  A state with |det F/J - 1| > ``DRIFT`` in the mean of
-a cell is not admitted.
+those at rest, so that rest energy would become motion.  A state with |det F/J - 1| above that of
+``TimeSteps.drift`` in the mean of a cell is not admitted.
 
 The momentum density rho v has the s of rho (``limit_momentum``): |p|^2/(2 rho) is jointly convex, so that
 the kinetic energy falls too, where rho >= 0 before.  What moves as a whole goes on to do so; where rho is
@@ -117,8 +117,8 @@ class Bounds:
     With ``limits`` only means out of bounds are a ``violation``; without, as of a run without a limiter, all.
     """
 
-    def __init__(self, step: Step, sampler: Sampler, limits: bool = True) -> None:
-        self.step, self.sampler, self.limits = step, sampler, limits
+    def __init__(self, step: Step, sampler: Sampler, limits: bool = True, most: float = DRIFT) -> None:
+        self.step, self.sampler, self.limits, self.most = step, sampler, limits, most
         self._ranks = sampler.ranks
         law = step.model.regularisation
         self._densest: float | None = None  # the density that a cut-off bounds it by, kg/m^3
@@ -233,21 +233,21 @@ class Bounds:
         return self.step.quadrature.each_cell(CF(1.0))
 
     def drift(self) -> str | None:
-        """Which variables that stand for one distortion have parted by more than ``DRIFT`` in the mean of a
+        """Which variables that stand for one distortion have parted by more than ``most`` in the mean of a
         cell, and where, in words; None where none have, and with sources, whose fields may be apart.
         """
         if self.step.sources is not None:
             return None
         for pair, drift in self._drifts.items():
             means = self.step.quadrature.each_cell(drift) / self._volumes
-            far = np.flatnonzero(abs(means) > DRIFT)
+            far = np.flatnonzero(abs(means) > self.most)
             if self._ranks.any(len(far) > 0):
                 worst = self._ranks.most(abs(means))
                 first = far[np.argsort(-abs(means[far]), kind="stable")]
                 where = self.sampler.place_of_cells(first)
                 self.parted = (
                     f"{pair} have parted: det F is off J by {worst:.0%} in the mean {where}, and more than "
-                    f"{DRIFT:.0%} is refused, since the stress is wrong by as much"
+                    f"{self.most:.0%} is refused, since the stress is wrong by as much"
                 )
                 return self.parted
         return None

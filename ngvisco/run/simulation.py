@@ -172,7 +172,7 @@ class Simulation:
         typical = time.velocity_scale or typical_velocity(self.rothe_step, self.sampler, self.dt)
         self.set_velocity_scale(float(typical))
         options = newton if solver is None else replace(newton, method=solver)
-        self.bounds = Bounds(self.rothe_step, self.sampler, time.limiter)
+        self.bounds = Bounds(self.rothe_step, self.sampler, time.limiter, time.drift)
         self.solver = RotheSolver(self.rothe_step, options, self.bounds.refusal)
         closed = closure_limit(options.tolerance)
         self.ledger = Ledger(self.rothe_step, self.sampler, closed, lambda: self.velocity_scale)

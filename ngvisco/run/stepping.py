@@ -38,6 +38,7 @@ from ngvisco.errors import (
     require_ranges,
     require_type,
 )
+from ngvisco.physics.defects import DRIFT
 from ngvisco.run.adaptive import AdaptiveSteps, GrowthControl
 from ngvisco.timestepping.error import ErrorEstimate
 from ngvisco.timestepping.integrator import StepTaken
@@ -88,6 +89,9 @@ class TimeSteps:
     limiter : bool
         Whether cells in which rho, J, det F, ... are not positive at a point, though in the mean, are scaled
         towards their means after a step, whose energy the ledger has as limiter; false ends the run there.
+    drift : float
+        Largest |det F/J - 1| in the mean of a cell, by a tensor and a volume that are carried each by itself;
+        a step with more is refused.  Larger where a body is torn at a corner, and is to be seen so.
     halvings : int
         Of a step of fixed length that is not solved, before solver.method = "auto" asks the other solver; 0
         asks it at once.  It takes the next 16 steps, then the first one is asked again.
@@ -105,6 +109,7 @@ class TimeSteps:
     startup: Annotated[int, Quantity("1", ">= 0")] = 0
     relaxation: bool = False
     limiter: bool = True
+    drift: Annotated[float, Quantity("1", "> 0")] = DRIFT
     halvings: Annotated[int, Quantity("1", f"from 0 to {MOST_HALVINGS}")] = HALVINGS
     velocity_scale: Annotated[float | None, Quantity("m/s", "> 0", 1.0)] = None
     adaptive: AdaptiveSteps | None = None

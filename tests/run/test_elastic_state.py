@@ -141,6 +141,18 @@ def test_rest_energy_that_drift_frees_does_not_become_motion():
     assert kinetic.max() == kinetic[0] == pytest.approx(0.25, rel=0.01)
 
 
+@pytest.mark.filterwarnings("ignore::ngvisco.run.ledger.DefectWarning")
+def test_who_asks_for_more_drift_gets_it():
+    """As where a body is torn at a corner; and who asks for less gets less."""
+    assert in_a_closed_box("F", speed=0.5, drift=0.3, halvings=0).run(0.8).rows[-1]["time"] == pytest.approx(
+        0.8
+    )
+    strict = in_a_closed_box("F", speed=0.5, drift=0.01, halvings=0)
+    with pytest.raises(nv.StepError, match="more than 1% is refused"):
+        strict.run(0.8)
+    assert drift(strict) <= 0.01 and strict.t < 0.6
+
+
 @pytest.mark.parametrize("m", [0, 1])
 def test_by_B_the_wave_in_a_box_stays_below_its_start(m):
     run = in_a_closed_box("B", m)

@@ -137,7 +137,7 @@ def cavity(scheme: str, limiter: bool) -> nv.Simulation:
     """The body of demos/cavity at its end, or where it ends; without a limiter steps are not tried in other
     ways."""
     steps = None if limiter else nv.AdaptiveSteps(dt_min=DT, dt_max=DT)
-    time = nv.TimeSteps(dt=DT, scheme=scheme, limiter=limiter, adaptive=steps)  # type: ignore[arg-type]
+    time = nv.TimeSteps(dt=DT, scheme=scheme, limiter=limiter, adaptive=steps, drift=1.0)  # type: ignore[arg-type]
     of = nv.NeoHookean(K_e=20.0, G_e=0.05, epsilon=0.1, elastic_state="F")
     run = lid_driven(box((1, 1), 0.1), of, time=time)
     with suppress(nv.StepError):
