@@ -28,7 +28,9 @@ LIMITED = {"backward-euler": 7, "midpoint": 8, "sdirk2": 8}
 
 def cavity(material=None, scheme="backward-euler", lid=(1.0, 0.0), mesh=None, **options):
     """A body under a lid of full speed up to the corners: 34 triangles."""
-    return lid_driven(mesh or box((1, 1), 0.25), material, lid=lid, dt=DT, scheme=scheme, **options)
+    return lid_driven(
+        mesh or box((1, 1), 0.25), material, lid=lid, dt=DT, scheme=scheme, drift=1.0, **options
+    )
 
 
 @pytest.mark.parametrize(("scheme", "solver"), WITH_BOTH_SOLVERS)
