@@ -75,7 +75,7 @@ MUTANTS = [
             "flux of the density",
             "return [c.rate(u.rho - c.old.rho) * w.rho, -carried * (u.v * w.grad_rho)]",
             "return [c.rate(u.rho - c.old.rho) * w.rho, carried * (u.v * w.grad_rho)]",
-            MOMENTUM + "test_inertia_keeps_momentum_and_what_it_loses_of_rotations_is_seen",
+            SIGNS + "test_the_density_is_carried_along_by_the_flow",
         ),
     ),
     *_of(

@@ -5,7 +5,7 @@ A body that moves as a whole is pushed for one short step: its momentum changes 
 
 import numpy as np
 import pytest
-from ngsolve import CF, IfPos, cos, pi, sin, x, y
+from ngsolve import CF, IfPos, Integrate, cos, pi, sin, x, y
 
 import ngvisco as nv
 from ngvisco.forms.boundary import wall_terms
@@ -77,6 +77,18 @@ def test_loads_pull_where_they_point(load):
         assert force[0] < -1.0
     else:
         np.testing.assert_allclose(force, expected, rtol=1e-3)
+
+
+def test_the_density_is_carried_along_by_the_flow():
+    """Of a soft body that moves as a whole: the ledger's mass knows no place."""
+    model = nv.Model(material=nv.LinearElastic(K_e=1e-3, G_e=1e-3))
+    start = nv.Initial(density=1 + 0.3 * sin(2 * pi * x), velocity=(1.0, 0.0))
+    mesh = box((1, 1), maxh=0.2, periodic="xy")
+    run = nv.Simulation(mesh, model, dt=0.02, initial=start, scheme="midpoint", solver="split")
+    run.run(until=0.1)
+    rho, exact = run.fields["density"], 1 + 0.3 * sin(2 * pi * (x - 0.1))
+    error, moved = (Integrate((f - exact) ** 2, mesh) for f in (rho, 1 + 0.3 * sin(2 * pi * x)))
+    assert error < 0.1**2 * moved
 
 
 def test_damping_of_the_velocity_brakes():
