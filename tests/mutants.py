@@ -228,7 +228,7 @@ MUTANTS = [
             "heat through walls",
             "heat = flux + coefficient * (temperature - self.theta(u))",
             "heat = flux - coefficient * (temperature - self.theta(u))",
-            "tests/forms/test_heat.py",
+            "tests/forms/test_heat.py::test_heat_from_sources_and_through_walls_is_in_the_energy",
         ),
     ),
     *_of(
