@@ -31,6 +31,10 @@ ELSEWHERE = {
     "domain.path": "geometries/test_geometries.py",
     "domain.maxh file": "geometries/test_geometries.py",
     "domain.order file": "geometries/test_corner_cells.py",
+    **dict.fromkeys(
+        ("initial.equilibrium", "initial.datum", "initial.datum_point", "initial.datum_pressure"),
+        "forms/test_equilibrium.py",
+    ),
     "walls.NAME.amounts": "forms/test_what_flows_in.py",
     "bodies.N.where.names": "case/test_body_cases.py",
     "domain.refine sphere": "geometries/test_geometries.py",
