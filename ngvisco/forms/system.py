@@ -52,6 +52,7 @@ from ngvisco.forms.projections import FacetProjection, LocalProjection
 from ngvisco.forms.rates import Rates, TabulatedRates
 from ngvisco.forms.spaces import Discretisation, Layout
 from ngvisco.forms.term import (
+    CellMean,
     Entry,
     GivenParts,
     Integrand,
@@ -108,15 +109,20 @@ class Elimination:
         u = layout.fields(state.components)
         parts = dict(zip(layout.names, state.components, strict=True))
         self.projections: dict[str, LocalProjection] = {}
-        self._of_facets: list[FacetProjection] = []
+        self._means: list[LocalProjection | FacetProjection] = []
+        """Means over cells and facets, which nothing but a step's equations reads."""
         for term in terms:
             if isinstance(term, Projecting):
                 with refused_by_name(term):
                     for name, load in term.projections(u):
-                        self.projections[name] = LocalProjection(parts[name], quadrature, load)
+                        made = LocalProjection(parts[name], quadrature, load)
+                        if isinstance(term, CellMean):
+                            self._means.append(made)
+                        else:
+                            self.projections[name] = made
             if isinstance(term, OfFacet):
                 value = mean_share(u.context.inner), term.value(u)
-                self._of_facets.append(FacetProjection(parts[term.name], quadrature, *value))
+                self._means.append(FacetProjection(parts[term.name], quadrature, *value))
         self._of_energy: LocalProjection | None = None
         if self.energy.projected is not None:
             load = tested(self.energy.density(u))
@@ -124,11 +130,15 @@ class Elimination:
 
     def __call__(self) -> None:
         """Make the local unknowns of the state consistent with its v, a and z."""
+        self.follow()
+        for mean in self._means:
+            mean()
+
+    def follow(self) -> None:
+        """The same without means that nothing but a step's equations reads."""
         self.refresh_energy()
         for projection in self.projections.values():
             projection()
-        for mean in self._of_facets:
-            mean()
         if self.stresses:
             self.stresses.refresh()
 

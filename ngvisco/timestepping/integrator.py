@@ -291,7 +291,7 @@ class Integrator:
 
     def _complete(self) -> None:
         """Make what follows from an end that is no stage's solution; StepError where it has no energy."""
-        self.step.eliminate()
+        self.step.eliminate.follow()
         if (reason := self.step.energy.failure or self.bounds.refusal()) is not None:
             raise StepError(f"at the end of the step {reason}")
 
