@@ -19,6 +19,7 @@ from ngvisco.forms.mesh.quadrature import Sampler
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import PRODUCTION, Entry, Integrand
 from ngvisco.forms.terms.regularisation import DELTA_FIELDS
+from ngvisco.forms.terms.transport import UPWINDING
 from ngvisco.physics.tensors import if_positive
 from ngvisco.physics.variables import Values
 
@@ -136,10 +137,12 @@ class Signs:
                 self._say(name, f"{least:.3g} W on the facet of a cell", time)
 
     def _say(self, name: str, what: str, time: float) -> None:
-        message = (
-            f"at t = {time:.4g} s {name} gives energy, {what}: a law has the wrong sign there, though the "
-            "ledger closes"
-        )
+        cause = "a law has the wrong sign there"
+        if name == UPWINDING and self._step.layout.states.strains.all():
+            cause = "the cells are too large for what jumps, or the energy is not convex"
+        elif name == UPWINDING:
+            cause = "a carried modulus that jumps is smeared, in which the energy is not convex"
+        message = f"at t = {time:.4g} s {name} gives energy, {what}: {cause}, though the ledger closes"
         self._warn(message, DissipationWarning)
 
     def _check_entropy(self, row: Mapping[str, float]) -> None:

@@ -37,6 +37,9 @@ from ngvisco.physics.materials.wrapped import WithQuadratic
 from ngvisco.physics.model import Flow, Model
 from ngvisco.physics.tensors import inner, masked, square, trace_free_tensors
 
+UPWINDING = "dissipation_upwinding"
+"""The ledger's column of what upwinding dissipates."""
+
 
 def transport_in_cells(along: Fields, u: Fields, G: Fields, name: Conjugate) -> list[CoefficientFunction]:
     """The cells' part of B_h(w; z, G), w the velocity of ``along``, G the part ``name`` of ``G``."""
@@ -151,7 +154,7 @@ class Upwinding(PointTerm):
         lost = speed(u) * inner(u.z - u.z_hat, u.zeta)
         if self.tangents is not None:
             lost = lost + (u.v * u.context.normal) * self.tangents.excess(u)
-        return {"dissipation_upwinding": lost}
+        return {UPWINDING: lost}
 
     def entries(self, u: Fields) -> list[Entry]:
         """Of projected conjugates >= 0 up to what the projection misses."""
