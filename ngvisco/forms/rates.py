@@ -4,9 +4,11 @@
 tensors that the rates are made of: a term asks ``u.context.rates`` and need not know which of them it is.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, reduce
+from operator import add
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -14,14 +16,24 @@ from ngsolve import CoefficientFunction
 
 from ngvisco.forms.fields import Fields
 from ngvisco.physics.arrays import TINY, Array, Linear
+from ngvisco.physics.bodies import AMOUNT
 from ngvisco.physics.flow_rules.rule import FlowRule
 from ngvisco.physics.material import StateSpace, mandel_stress, rate_power
 from ngvisco.physics.materials.thermal import temperature
+from ngvisco.physics.mixture import MixedViscosity
 from ngvisco.physics.model import Flow, Model
 from ngvisco.physics.rate_tensors import RateTensors
 from ngvisco.physics.rheology import Viscosity
-from ngvisco.physics.tensors import dev, identity_like, inner, symmetric_tensors, trace_free_tensors
-from ngvisco.physics.variables import CONFORMATION, HARDENING, PRESSURE, TEMPERATURE, Values
+from ngvisco.physics.tensors import (
+    dev,
+    identity_like,
+    inner,
+    linear_map,
+    square,
+    symmetric_tensors,
+    trace_free_tensors,
+)
+from ngvisco.physics.variables import CONFORMATION, HARDENING, INTERFACE, PRESSURE, TEMPERATURE, Values
 
 Conjugate: TypeAlias = Literal["z", "zeta"]
 """Whether a rate is taken with tests of z or with conjugates."""
@@ -115,6 +127,8 @@ class Rates:
         found = {**u.z_tensors}
         if PRESSURE in law.reads:
             found[PRESSURE] = self.pressure(u)
+        if isinstance(law, MixedViscosity) and law.in_series:
+            found[INTERFACE] = self._interface(law, u.context.old)
         if TEMPERATURE in law.reads:  # by the projected conjugates, K
             found[TEMPERATURE] = temperature(self.material, u.zeta_tensors)
         if CONFORMATION in law.reads and flow is not None and flow.conformation is not None:
@@ -122,6 +136,20 @@ class Rates:
         if HARDENING in law.reads and flow is not None:  # A phi_h'(k), Pa, of a body per its own volume
             found[HARDENING] = flow.matter(u.z_tensors) * u.zeta_tensors[flow.plastic_content.name]
         return found
+
+    def _interface(self, law: MixedViscosity, old: Fields) -> CoefficientFunction:
+        """n x n, 3x3: along n the viscosities' mean logarithm changes most, at the step's start."""
+        states, dim = old.layout.states, old.dim
+        theta, weights = law.fractions.at(old.z_tensors), {n: math.log(G) for n, G in law.in_series.items()}
+        mean = reduce(add, (weight * theta[name] for name, weight in weights.items()))
+        parts = []
+        for name, weight in weights.items():
+            row = np.zeros((1, states.size))
+            row[0, states.slices[AMOUNT + name]] = 1.0
+            parts.append((weight - mean) * linear_map(np.kron(row, np.eye(dim)), old.grad_z, (dim,)))
+        slope = reduce(add, parts)
+        column = linear_map(np.kron(np.eye(3, dim), np.eye(3)[:, :1]), slope, (3, 3))
+        return (1 / (square(column) + _NO_SLOPE)) * (column * column.trans)
 
     def pressure(self, u: Fields) -> CoefficientFunction:
         """-tr T/3 by the projected conjugates, Pa."""
@@ -168,6 +196,9 @@ def _tensors(G: Fields, name: Conjugate) -> Values:
 
 
 _ROUNDING = 1e-12
+
+_NO_SLOPE = 1e-100
+"""1/m^8: of what has no slope there is no normal."""
 
 
 class TabulatedRates(Rates):

@@ -35,11 +35,19 @@ from ngvisco.physics.flow_rules.rule import PlasticContent
 from ngvisco.physics.material import ElasticState, Material
 from ngvisco.physics.materials.perspective import ReferenceEnergy
 from ngvisco.physics.materials.thermal import Entropy, Thermal
-from ngvisco.physics.parameters import Parameter, distinct, parameters_in, renamed, told_apart
+from ngvisco.physics.parameters import (
+    Parameter,
+    distinct,
+    parameters_in,
+    renamed,
+    told_apart,
+    typical_value,
+    value_at,
+)
 from ngvisco.physics.pointwise import Respond, Response, array_response
-from ngvisco.physics.rheology import ValueOfModulus, Viscosity
-from ngvisco.physics.tensors import IDENTITY, Tensor, identity_like
-from ngvisco.physics.variables import PRESSURE, Jacobian, Values, Variable
+from ngvisco.physics.rheology import StokesViscosity, ValueOfModulus, Viscosity
+from ngvisco.physics.tensors import IDENTITY, Tensor, dev, identity_like
+from ngvisco.physics.variables import INTERFACE, PRESSURE, Jacobian, Values, Variable
 
 _LIGHTEST = "the density, less half of that of the lightest body"
 """What is lighter than any of its parts is thrown by forces that these bear."""
@@ -374,7 +382,17 @@ class _InEquilibrium:
 
 @dataclass(frozen=True, kw_only=True)
 class MixedViscosity(Viscosity):
-    """sum theta_i D_i eps."""
+    """sum theta_i D_i eps, and across an interface of Stokes fluids their fluidities' mean.
+
+    In a cell with an interface of the normal n a shear rate across it is that of layers in series: of the
+    part
+
+        S(eps) = P eps + P eps^T - 2 P eps P,   P = n x n,
+
+    of dev eps the viscosity is H, 1/H = sum theta_i/G_i; of the rest, which both sides share, it is
+    A = sum theta_i G_i.  D = 2 A dev eps - 2 (A - H) S(dev eps) is symmetric, and D : eps >= 0.  n is that of
+    the step's start.  Where a body has no shear viscosity, or one that is not linear, it is A for all.
+    """
 
     parts: tuple[tuple[str, Viscosity], ...]
     """Names of the bodies that have a viscosity, and these."""
@@ -382,7 +400,16 @@ class MixedViscosity(Viscosity):
 
     @property
     def reads(self) -> frozenset[str]:  # type: ignore[override]
-        return frozenset[str]().union(*(part.reads for _, part in self.parts))
+        own = {INTERFACE} if self.in_series else set()
+        return frozenset[str](own).union(*(part.reads for _, part in self.parts))
+
+    @cached_property
+    def in_series(self) -> dict[str, float]:
+        """Shear viscosities, Pa s, typical ones, by the bodies' names where layers of them are in series."""
+        stokes = {name: part for name, part in self.parts if isinstance(part, StokesViscosity)}
+        found = {name: typical_value(part.G_v) for name, part in stokes.items()}
+        all_are = len(found) == len(self.fractions.bodies) > 1 and min(found.values()) > 0
+        return found if all_are and max(found.values()) > min(found.values()) else {}
 
     @property
     def is_linear(self) -> bool:  # type: ignore[override]
@@ -393,7 +420,19 @@ class MixedViscosity(Viscosity):
         return reduce(add, (theta[name] * of(part) for name, part in self.parts))
 
     def stress(self, eps: Tensor, z: Values) -> Tensor:
-        return self._mean(z, lambda part: part.stress(eps, z))
+        found = self._mean(z, lambda part: part.stress(eps, z))
+        if not self.in_series:
+            return found
+        theta, P, shear = self.fractions.not_negative(z), z[INTERFACE], dev(eps)
+        values = {
+            name: value_at(part.G_v, z) for name, part in self.parts if isinstance(part, StokesViscosity)
+        }
+        along = reduce(add, (theta[name] * G_v for name, G_v in values.items()))
+        total = reduce(add, theta.values())
+        across = total * total / reduce(add, (theta[name] / G_v for name, G_v in values.items()))
+        through = P * shear
+        turned = dev(through + through.trans - 2 * (through * P))
+        return found - (2 * (along - across)) * turned
 
     def shear_viscosity(self, z: Values) -> ValueOfModulus:
         return self._mean(z, lambda part: part.shear_viscosity(z))

@@ -43,6 +43,10 @@ PRESSURE, TEMPERATURE, HARDENING, CONFORMATION = "pressure", "temperature", "har
 """Under which names ``Values`` have, for the laws that read them, -tr T/3, Pa, theta, K, what hardening adds
 to the yield stress, Pa, and the conformation tensor of what flows."""
 
+INTERFACE = "interface"
+"""Under which name the viscosity of several bodies finds n x n, 3x3, n the normal of their interface at the
+start of a step; zero where there is none."""
+
 
 @dataclass(frozen=True)
 class Variable(ABC):

@@ -5,12 +5,12 @@ from functools import partial
 
 import numpy as np
 import pytest
-from ngsolve import CF, x, y
+from ngsolve import CF, IfPos, x, y
 from support import assert_same, by_both_solvers, small_run, swirling
 
 import ngvisco as nv
 from ngvisco.forms.term import PointTerm
-from ngvisco.geometries import box
+from ngvisco.geometries import box, structured_box
 from ngvisco.physics.bodies import AMOUNT
 from ngvisco.physics.mixture import Mixture
 from ngvisco.physics.variables import Jacobian
@@ -258,3 +258,33 @@ def test_bulk_moduli_that_differ_much_are_warned_of_by_name(K_e, m, warns):
     found = [str(one.message) for one in said if "common pressure" in str(one.message)]
     assert len(found) == warns
     assert all("'disc' and 'rest' have bulk moduli of 10 and 0.4 Pa" in text for text in found), found
+
+
+@pytest.mark.parametrize(("solver", "viscosities"), [("split", (1.0, 10.0)), ("coupled", (10.0, 1.0))])
+def test_layers_with_a_face_inside_a_cell_are_in_series(solver, viscosities):
+    """Couette flow of two layers, the face in the middle of a cell; with the arithmetic mean
+    there the force is 7 per cent too large."""
+    face, (low, high) = 0.5625, viscosities
+    stress = 1 / (face / low + (1 - face) / high)
+    exact = IfPos(face - y, stress / low * y, 1 - stress / high * (1 - y))
+    matter = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: 50 * (J - 2 + 1 / J))
+
+    def layer(name, G_v, where=None):
+        viscosity = nv.StokesViscosity(K_v=G_v, G_v=G_v)
+        return nv.Body(name=name, where=where, material=matter, viscosity=viscosity, density=1.0)
+
+    run = nv.Simulation(
+        structured_box((0.25, 1.0), (2, 8), periodic="x"),
+        nv.Model(bodies=[layer("low", low, face - y), layer("high", high)]),
+        dt=2.0,
+        initial=nv.Initial(velocity=CF((exact, 0))),
+        walls={"top": nv.PrescribedTangential((1.0, 0)), "bottom": nv.NoSlip()},
+        solver=solver,
+    )
+    ledger = run.run(8.0)
+    assert ledger.column("power_wall_top")[-1] == pytest.approx(0.25 * stress, rel=0.01)
+    assert abs(ledger.column("closure_relative")).max() <= 1e-11
+    at = [place for place in np.linspace(0.05, 0.95, 19) if not 0.5 < place < 0.625]
+    found = [run.fields["velocity"](run.mesh(0.06, place))[0] for place in at]
+    expected = [exact(run.mesh(0.06, place)) for place in at]
+    assert found == pytest.approx(expected, abs=0.005)

@@ -17,7 +17,7 @@ from ngvisco.physics.mixture import Mixture
 from ngvisco.physics.pointwise import rest_state
 from ngvisco.physics.rheology import Viscosity
 from ngvisco.physics.tensors import trace_free_tensors
-from ngvisco.physics.variables import CONFORMATION, HARDENING, PRESSURE, TEMPERATURE, Values
+from ngvisco.physics.variables import CONFORMATION, HARDENING, INTERFACE, PRESSURE, TEMPERATURE, Values
 
 _SIZES = 10.0 ** np.arange(-9, 13)
 """|M|, Pa, of the samples; rules do not tell their scale."""
@@ -36,6 +36,7 @@ def values_at_rest(material: Material, parameters: Mapping[str, float] | None = 
         components[states.slices[name]] = (parameters or {})[name]
     found = {name: states.tensor(name, Array(components, None)) for name in states.slices}
     found[PRESSURE] = found[HARDENING] = Array(np.zeros(1), None)
+    found[INTERFACE] = Array(np.zeros((3, 3, 1)), None)
     found[CONFORMATION] = Array(np.eye(3)[:, :, None], None)
     thermal = part_of(material.bodies[0].material if isinstance(material, Mixture) else material, Thermal)
     if thermal is not None:
