@@ -70,6 +70,8 @@ def _simulation(options: argparse.Namespace) -> tuple[Case, Simulation]:
     if case.refinement is not None:
         raise ParameterError("domain.adapt", case.refinement, "a mesh that stays: others have no derivatives")
     tables = list(samples(case.sections, Path()).values())
+    for table in tables:
+        table.path = None
     return case, case.simulation(case.mesh(), tables)
 
 

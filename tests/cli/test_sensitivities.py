@@ -14,7 +14,8 @@ fields = ["velocity"]
 
 
 @pytest.fixture
-def case(tmp_path):
+def case(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     (tmp_path / "case.toml").write_text(CASE + PROBE)
     return tmp_path / "case.toml"
 
@@ -36,6 +37,7 @@ def test_a_gradient_is_printed_and_written(case, tmp_path):
     assert [row[0] for row in rows[1:]] == ["kinetic at 0.08", "p.velocity_1 until 0.06"]
     code, _, err = command("gradient", case, *asked, "-o", tmp_path / "out")
     assert code == 2 and "--force" in err
+    assert not (tmp_path / "samples").exists()  # nothing else is written
 
 
 def test_a_fit_finds_the_case_s_numbers(case, tmp_path):
