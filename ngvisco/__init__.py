@@ -101,6 +101,7 @@ from ngvisco.physics.walls import (
 )
 from ngvisco.run.adaptive import AdaptiveSteps, DamageWarning
 from ngvisco.run.checkpoint import Checkpoints, read_ledger
+from ngvisco.run.inlets import InflowWarning
 from ngvisco.run.ledger import ClosureWarning, DefectWarning
 from ngvisco.run.momentum import MomentumWarning
 from ngvisco.run.observers import LedgerCSV, NotebookProgress, Progress, VTKSeries
@@ -186,6 +187,7 @@ __all__ = [
     "HyperViscosity",
     "Image",
     "Inflow",
+    "InflowWarning",
     "Initial",
     "InitialDataError",
     "InputWarning",

@@ -85,6 +85,10 @@ class StoredEnergy:
             parts.append(states.components(curved))
         return parts
 
+    def near(self, u: Fields) -> CoefficientFunction:
+        """phi(z), Pa, for the same, with its derivative by z."""
+        return self.density(u)
+
     def anywhere(self, u: Fields) -> CoefficientFunction:
         """phi(z), Pa, to be evaluated at any point."""
         return self.density(u)
@@ -142,6 +146,10 @@ class PointwiseEnergy(StoredEnergy):
         # phi'' is that at the state: of its change with z Newton's matrix knows nothing
         hessian = self._hessian.Reshape((self._size, self._size))
         return [hessian * column(slope, j) for j in range(self.dim)]
+
+    def near(self, u: Fields) -> CoefficientFunction:
+        now = self._values[self.fields]
+        return now.energy.components[0] + inner(now.slope, u.z - now.state)
 
     def anywhere(self, u: Fields) -> CoefficientFunction:
         return self.projected

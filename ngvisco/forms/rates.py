@@ -165,6 +165,10 @@ class Rates:
         """phi(z), Pa."""
         return u.context.energy.density(u)
 
+    def stored_near(self, u: Fields) -> CoefficientFunction:
+        """phi(z), Pa, in cells, with its derivative by z where it is known at one state alone, too."""
+        return u.context.energy.near(u)
+
     def dissipation(self, u: Fields) -> dict[str, CoefficientFunction]:
         """The power of creep, W/m^3, without that of its gradient term, by what a name has of its branch:
         the sum over bodies; none without creep."""
@@ -214,6 +218,7 @@ class TabulatedRates(Rates):
             names = (flow.names for flow in self.flows)
             self.tensors = self.tensors.by_groups(tuple(names), StateSpace.of(variables, dim))
         self._states = states = model.material.states(dim)
+        self._response = model.material.response(dim)
         flux = np.zeros_like(self.tensors.linear)
         for i in range(dim):
             flux[i * (dim + 1)][np.diag_indices(states.size)] = -1.0 * states.by_flux
@@ -296,7 +301,14 @@ class TabulatedRates(Rates):
 
     def stored(self, u: Fields) -> Array:
         """phi(z), Pa."""
-        return self.material.energy(u.z_tensors)
+        if (respond := self._response) is None:
+            return self.material.energy(u.z_tensors)
+        z = u.z.value
+        found = respond(np.ascontiguousarray(z.real.T))
+        along = 1j * (found.slope.T * z.imag).sum(axis=0) if np.iscomplexobj(z) else 0.0
+        return Array(found.energy + along, None)
+
+    stored_near = stored
 
     def creep_components(self, u: Fields) -> np.ndarray:
         """Pi of all local rules in components, (flows p, points)."""

@@ -14,6 +14,7 @@
 | conjugate_jump   | [z] : [zeta], P_0 on facets                       | global         | ConjugateJump |
 | cell_velocity    | mean of v over a cell                             | local          | CellVelocity |
 | unbalanced_momentum | mean of what v leaves of the continuity equation | local        | UnbalancedMomentum |
+| stored_mean      | mean of an energy without values on walls         | local          | StoredMean |
 | Pi               | creep rate where nu > 0, continuous P_max(1, m)   | global         | CreepRate |
 | rho_delta_hat    | the trace of rho in its diffusion                 | global         | DensityDiffusion |
 | z_slope          | slope of z in its diffusion, P_m                  | local          | FieldDiffusion |

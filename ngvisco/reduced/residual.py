@@ -288,11 +288,13 @@ class ReducedResidual:
         return lambda d: self(at.x + (TINY * 1j) * d).residual.imag / TINY
 
     def _mean(self, term: CellMean, u: Fields, s: Fields) -> np.ndarray:
-        """A mean over the cells, (components, cells)."""
+        """A mean over the cells, (components, cells), of a scalar (cells,)."""
         cells, sides = self.op.z.cells, term.value_on_sides(s)
         parts = [(term.value(u), self.op.weights)]
         parts += [] if sides is None else [(sides, self.side_op.points.weights)]
-        totals = ((a.value * weights).reshape(len(a.value), cells, -1).sum(axis=2) for a, weights in parts)
+        totals = (
+            (a.value * weights).reshape(*a.value.shape[:-1], cells, -1).sum(axis=-1) for a, weights in parts
+        )
         return sum(totals) / self.op.weights.reshape(cells, -1).sum(axis=1)
 
     def _set_traces(self, c: dict[str, np.ndarray], s: Fields) -> None:

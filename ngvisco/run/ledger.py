@@ -31,6 +31,7 @@ from ngvisco.physics.mixture import Mixture
 from ngvisco.physics.tensors import square
 from ngvisco.physics.variables import Distortion, Jacobian, ReciprocalJacobian, Values
 from ngvisco.run.adaptive import CRACKED, GROWTH, DamageWarning, growth_message
+from ngvisco.run.inlets import InflowWarning, inflow_message
 from ngvisco.run.momentum import Momentum
 from ngvisco.run.momentum import unit as unit_of_momentum
 from ngvisco.run.notebook import data_frame, ledger_html
@@ -314,6 +315,8 @@ class Ledger:
         self._signs.check(row)
         if message := growth_message(self.step, row):
             self._warn_once(message, DamageWarning)
+        if InflowWarning not in self._warned and (message := inflow_message(self.step, row)):
+            self._warn_once(message, InflowWarning)
         self._pending = {}
         self.balance = Balance(energy, values["mass"], expected)
         return self._append(row)

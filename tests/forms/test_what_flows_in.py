@@ -160,6 +160,78 @@ def test_a_temperature_that_is_given_has_the_entropy_of_the_volume_that_is_there
     assert Integrate(error * error, run.mesh) ** 0.5 < 1e-6
 
 
+def light_and_stiff(walls, viscosity, **options):
+    """A disc in a medium of a twentieth of its bulk modulus, 0.5 Pa, that has no expression for both."""
+    what = {"viscosity": nv.StokesViscosity(K_v=viscosity, G_v=viscosity)}
+    medium = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: 0.25 * (J + 1 / J - 2))
+    disc = nv.Body(name="disc", where=nv.Ball((0.7, 0.5), 0.25), material=ELASTIC, density=2.0, **what)
+    model = nv.Model(bodies=[disc, nv.Body(name="medium", material=medium, density=0.5, **what)])
+    orders = nv.Discretisation(m=0)
+    return nv.Simulation(box((1, 1), 0.4), model, walls=walls, discretisation=orders, **options)
+
+
+@pytest.mark.parametrize("solver", ["split", "coupled"])
+def test_bodies_of_different_bulk_moduli_fly_out_through_a_window(solver):
+    walls = {("left", "right"): nv.Open(backflow=False)}
+    initial, table = nv.Initial(velocity=(0.5, 0.0)), nv.Bodies()
+    run = light_and_stiff(walls, 0.05, dt=0.2, initial=initial, solver=solver, observers=[table])
+    ledger = run.run(0.6)
+    assert_balanced(ledger, 1e-11, 1e-12)
+    error = run.fields["velocity"] - CF((0.5, 0.0))
+    assert Integrate(error * error, run.mesh) ** 0.5 < 1e-9
+    mass = table.column("disc_mass")
+    assert mass[-1] < 0.75 * mass[0]  # a part of it has left
+
+
+@pytest.mark.parametrize("solver", ["split", "coupled"])
+def test_bodies_of_different_bulk_moduli_have_the_pressure_of_the_window(solver):
+    """0.05 Pa; the energy of the medium there, which would be missing, is 0.0025 Pa."""
+    walls = {("left", "right"): nv.Open(pressure=0.05)}
+    run = light_and_stiff(walls, 0.1, dt=0.5, solver=solver)
+    assert abs(run.run(8.0).column("closure_relative")).max() < 1e-10
+    pressure = run.fields["pressure"](
+        run.mesh(np.array([0.02, 0.02, 0.1, 0.98]), np.array([0.5, 0.1, 0.9, 0.02]))
+    )
+    assert pressure == pytest.approx(0.05, rel=0.01)
+
+
+def let_in(until, **given):
+    """A fluid of 1 kg/m^3 that is pressed by 1.25^2 Pa from the left."""
+    walls = {
+        "left": nv.Open(pressure=1.25**2, backflow=False, **given),
+        "right": nv.Open(pressure=1.0, impedance=(2**0.5, 0.0)),
+    }
+    model = nv.Model(
+        material=nv.BarotropicFluid(B=1.0, gamma=2.0), viscosity=nv.StokesViscosity(K_v=0.02, G_v=0.02)
+    )
+    initial, mesh = nv.Initial(density=1.0), structured_box((2, 0.25), (12, 1))
+    run = nv.Simulation(mesh, model, dt=0.1, walls=walls, initial=initial, solver="coupled")
+    run.run(until)
+    return run
+
+
+def test_a_fluid_let_in_at_a_pressure_has_its_density_and_the_velocity_behind_the_shock():
+    """By Rankine and Hugoniot rho = 1.25 and v^2 = (p_2 - p_1)(1/rho_1 - 1/rho_2)."""
+    run = let_in(1.0)
+    v = ((1.25**2 - 1) * (1 - 1 / 1.25)) ** 0.5
+    for place in (0.05, 0.3, 0.6):
+        point = run.mesh(place, 0.1)
+        assert run.fields["velocity"](point)[0] == pytest.approx(v, rel=0.05)
+        assert run.fields["density"](point) == pytest.approx(1.25, rel=0.05)
+
+
+def test_values_of_rest_let_in_under_a_pressure_are_warned_of():
+    with pytest.warns(
+        nv.InflowWarning, match="through 'left' by the values of J that are given has another stress"
+    ):
+        let_in(0.3, density=1.0, values={"J": CF(1.0)})
+
+
+def test_values_that_belong_to_the_pressure_are_not_warned_of(recwarn):
+    let_in(0.3, density=1.25, values={"J": CF(0.8)})
+    assert not [w for w in recwarn if issubclass(w.category, nv.InflowWarning)]
+
+
 @pytest.mark.parametrize("solver", ["split", "coupled"])
 def test_a_piston_has_the_power_of_uniaxial_strain_and_sweeps_its_mass(solver):
     """Slowly pulled, E_11 = V t: the force is (K + 4/3 G) V t on 0.7 m, and rho = 1/(1 + V t) to V^2."""

@@ -213,7 +213,6 @@ right(Inflow(velocity=(-1, 0), density=1, values={"H": 1.0})) | \['right'\]\.val
 right(Open(density=1, pressure=sqrt(-1 - x))) | walls\['right'\]\.pressure = .*finite
 right(Open(density=1), regularisation=Regularisation(rho_max=2.0)) | a wall that nothing crosses: .*a cut-off
 right(Open(density=1), regularisation=Regularisation(delta_density=1.0)) | that nothing crosses: .*diffuses
-right(Open(density=1), material=Yosida(material=ELASTIC, eps=0.1)) | that nothing crosses: .*no expression
 right(Open(density=1, amounts={"a": 1})) | walls\['right'\]\.amounts = .*no bodies
 right(Open(density=1.0, temperature=-3.0), material=WARM) | \['right'\]\.temperature = .*-3.*temperature > 0
 Open(amounts=1.0) | Open\.amounts = 1\.0: expected a mapping of body names

@@ -43,7 +43,7 @@ from ngvisco.forms.boundary.walls import Walls
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.mesh.mesh_arrays import mask_of
 from ngvisco.forms.start.variables import as_shape, entering, entropy_at
-from ngvisco.forms.term import Entry, Integrand, PointTerm, Setting, Term, Unknown
+from ngvisco.forms.term import CellMean, Entry, Integrand, PointTerm, Setting, Term, Unknown
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.exchange import Exchange
 from ngvisco.physics.loads import as_vector
@@ -181,9 +181,7 @@ class Carried(OnWall):
         Where nothing is given that is the cell's own value without its slope, with which it would grow from
         step to step.
         """
-        own, reach = u.parts[name], u.context.reach
-        if reach is not None:
-            own = own - u.gradient(name) * u.context.given(reach)
+        own = self._middle(u, name)
         if self.continues(name):
             return own
         given = self.means.mapped(u.context.given)
@@ -196,6 +194,11 @@ class Carried(OnWall):
         if given.temperature is not None:
             values |= entropy_at(self.material, 1.0 + here * (given.temperature - 1.0), values)
         return u.layout.states.components(values)
+
+    def _middle(self, u: Fields, name: str) -> CoefficientFunction:
+        """The value without its slope, that of the middle of the cell."""
+        own, reach = u.parts[name], u.context.reach
+        return own if reach is None else own - u.gradient(name) * u.context.given(reach)
 
     def _through(self, u: Fields) -> CoefficientFunction:
         """v . n on this wall, else 0."""
@@ -226,11 +229,15 @@ class Carried(OnWall):
         return if_positive(self._through(u), flux, 0.0 * flux) if self.backflow else flux
 
     def _stored(self, u: Fields) -> CoefficientFunction:
-        """phi(z), Pa."""
+        """phi(z), Pa; see ``StoredMean`` where it has no values here."""
+        if StoredMean.name in u.layout.unknowns:
+            return u.parts[StoredMean.name] + inner(u.zeta, u.z - self._middle(u, "z"))
         return u.context.rates.stored(u)
 
     def _stored_outside(self, u: Fields) -> CoefficientFunction:
-        """phi(z_in), Pa."""
+        """phi(z_in), Pa; its tangent at z where the energy has no values here."""
+        if StoredMean.name in u.layout.unknowns:
+            return self._stored(u) + inner(u.zeta, self.entering(u, "z") - u.z)
         outside = {"z": self.entering(u, "z")}
         return self._stored(Fields(u.layout, ChainMap(outside, u.parts), u.context))  # type: ignore[arg-type]
 
@@ -267,6 +274,23 @@ class Carried(OnWall):
             s = self.entropy.unit * u.layout.states.tensors(lambda: carried)[self.entropy.name]
             found.append(Entry(f"entropy_supply_{name}_carried", "production", Integrand(facets=-s)))
         return found
+
+
+class StoredMean(CellMean):
+    """The mean over a cell of a phi that has values at the points of the cells' rule alone, Pa.
+
+    That is so of bodies of different volumetric energies and of Yosida's approximation.  On a wall phi is
+    then the mean and zeta : (z - z_K), z_K the value at the middle of the cell: off by the second power of
+    the cell's size, by which T n is off t.
+    """
+
+    name = "stored_mean"
+
+    def unknowns(self, setting: Setting) -> tuple[Unknown, ...]:
+        return (Unknown(self.name, "cells", 0, is_mean=True),)
+
+    def value(self, u: Fields) -> CoefficientFunction:
+        return u.context.rates.stored_near(u)
 
 
 class GivenStress(OnWall):
@@ -401,7 +425,7 @@ def wall_terms(walls: Walls, model: Model) -> tuple[Term, ...]:
     Raises ParameterError for a model of which it is not known what crosses a wall, and for a missing density
     of what flows in.
     """
-    if walls.crossed and (reason := _not_known(model, walls.mesh.dim)) is not None:
+    if walls.crossed and (reason := _not_known(model)) is not None:
         name = walls.crossed[0]
         expected = f"a wall that nothing crosses: {reason}"
         raise ParameterError(f"walls[{name!r}]", walls.conditions[name], expected)
@@ -409,17 +433,16 @@ def wall_terms(walls: Walls, model: Model) -> tuple[Term, ...]:
     return (
         *([Impenetrability(walls)] if walls.multiplied else []),
         *(TangentialStress(walls, name) for name, at in of if isinstance(at, (Traction, NavierFriction))),
+        *([StoredMean()] if walls.crossed and model.material.response(walls.mesh.dim) is not None else []),
         *(Carried(walls, name, model) for name in walls.crossed),
         *(GivenStress(walls, name) for name, at in of if isinstance(at, Open)),
         *(Springs(walls, name) for name, at in of if isinstance(at, Open) and any(at.stiffness)),
     )
 
 
-def _not_known(model: Model, dim: int) -> str | None:
+def _not_known(model: Model) -> str | None:
     """Why nothing can cross a wall with this model, or None."""
     law = model.regularisation
-    if model.material.response(dim) is not None:
-        return "its energy has no expression, and is not known of what is carried through"
     if law is not None and law.rho_max is not None:
         return "a cut-off density has fluxes of its own (Regularisation.rho_max)"
     if law is not None and (law.delta_density or law.delta_fields):

@@ -1,0 +1,47 @@
+"""What is said of given values of matter that flows in and has another stress than the body inside."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+from ngvisco.errors import NgviscoWarning
+from ngvisco.forms.boundary.wall_terms import Carried
+
+if TYPE_CHECKING:
+    from ngvisco.forms.system import Step
+
+_MATTERS = 0.01
+"""Share of all powers that matter may lose where it flows in; more is said."""
+
+
+class InflowWarning(NgviscoWarning):
+    """Given values of what flows in have another stress than the body inside: a jump stays at the inlet."""
+
+
+def inflow_message(step: Step, row: Mapping[str, float]) -> str:
+    """What is said of the walls in a ledger's row by whose given strains much is lost; nothing of little.
+
+    Not of bodies and of temperatures, which mix by their nature.
+    """
+    if step.model.bodies:
+        return ""
+    strains = {v.name for v in step.model.material.variables if v.is_strain}
+    worked = sum(
+        abs(value)
+        for name, value in row.items()
+        if name.startswith(("power_", "dissipation_")) and not name.startswith("power_stored_")
+    )
+    for wall in (term for term in step.terms if isinstance(term, Carried)):
+        given = sorted(strains & wall.given.values.keys())
+        lost = row[f"dissipation_inflow_{wall.name}"]
+        if given and lost > _MATTERS * worked:
+            names = ", ".join(given)
+            return (
+                f"at t = {row['time']:.4g} s what flows in through {wall.name!r} by the values of {names} "
+                "that are given has another stress than the body inside: where both meet "
+                f"{lost:.3g} W are lost, {lost / worked:.0%} of all powers, and a jump stays there; give "
+                "values (and a density) that belong to the stress at the wall, or none: then matter comes "
+                "in as it is inside"
+            )
+    return ""
