@@ -9,6 +9,7 @@ from tests.verification.case import Case, VerificationError
 
 THEMES = (
     "Stability for every step length",
+    "Momentum",
     "Limits",
     "The whole scheme",
     "Dependent variables",
