@@ -28,6 +28,8 @@ IMPULSE, ANGULAR = "impulse_", "angular_"
 """What names of columns of impulses begin with, and of rotations."""
 TRANSFERRED = "impulse_transfer"
 """Of the momentum that is lost where a state is carried over to another mesh or other parameters."""
+_ROUNDING = 1e-9
+"""Share of the largest impulse that is counted in every direction."""
 LOST = 0.05
 """Share of what moves and is exchanged from which on a momentum of nothing is warned of."""
 
@@ -144,7 +146,10 @@ class Momentum:
         lost = self._array(row, "momentum") - self._totals.last - sum(impulses, np.zeros(len(self.motions)))
         row |= dict(zip(self._names(DEFECT), map(float, lost), strict=True))
         totals = self._added(row)
-        scale = self._reach * (totals.moving + values["mass"] * self._velocity()) + totals.exchanged
+        # a direction without a load has the rounding of what the others exchange
+        rounding = _ROUNDING * (totals.exchanged / self._reach).max(initial=0.0)
+        moving = totals.moving + values["mass"] * self._velocity() + rounding
+        scale = self._reach * moving + totals.exchanged
         row[RELATIVE] = float((abs(totals.lost) / np.where(scale > 0, scale, 1.0)).max())
         return row
 

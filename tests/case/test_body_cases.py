@@ -104,7 +104,9 @@ def test_modulus_of_the_initial_place_is_carried_and_the_ledger_closes():
     mesh = loaded.mesh()
     run = loaded.simulation(mesh)
     (carried,) = [v for v in run.model.material.variables if v.name == "K_e"]
-    assert Integrate(run.fields[carried.name], mesh) == pytest.approx(12_500)
+    assert Integrate(run.fields[carried.name], mesh) == pytest.approx(
+        12_500, rel=1e-5
+    )  # by the mean of its logarithm
     ledger = run.run(0.04)
     assert abs(ledger.column("closure_relative")).max() < 1e-12
 
@@ -144,15 +146,13 @@ def test_run_directory_goes_on_without_the_shape_s_file(tmp_path):
 
 
 @pytest.mark.parametrize("fields", [["density"], ["density", "fluid_fraction", "disc_fraction", "body"]])
-def test_a_scene_without_outlines_of_bodies_says_what_the_series_leaves_out(tmp_path, capsys, fields):
+def test_a_scene_has_outlines_of_bodies_whatever_fields_are_written(tmp_path, capsys, fields):
     output = f"[output.vtk]\nfields = {fields}\nsubdivision = 0\n"
     text = HEAD.replace("until = 0.04", "until = 0.02").replace("maxh = 0.3", "maxh = 0.5")
     runs.run(case(text + BODIES + output), tmp_path / "run")
     assert main(["scene", str(tmp_path / "run")]) == 0
-    said = "no outlines of bodies: output.vtk.fields leaves out fluid_fraction, disc_fraction, body"
-    assert (said in capsys.readouterr().err) == ("body" not in fields)
-    drawn = '"outlines": []' not in (tmp_path / "run" / "scene.html").read_text()
-    assert drawn == ("body" in fields)
+    assert "no outlines of bodies" not in capsys.readouterr().err
+    assert '"outlines": []' not in (tmp_path / "run" / "scene.html").read_text()
 
 
 @pytest.mark.parametrize(

@@ -266,7 +266,7 @@ def test_a_conductivity_of_a_case_names_what_is_wrong(value, words):
 @pytest.mark.parametrize(
     ("setting", "words"),
     [
-        ('material.energy="3*norm2(F) + q"', ["material.energy", "unknown name 'q'", "at character 14"]),
+        ('material.energy="G*norm2(F) + q"', ["material.energy", "unknown name 'q'", "at character 14"]),
         ('material.variables=["F", "Z"]', ["material.variables", "one of F, H, B, N, J, A, K, E"]),
         ("material.parameters={J=1}", ["material.parameters", "none of F, J, pi, I"]),
         ('material.parameters.G="5 kPa"', ["material.parameters.G", "expected a number"]),

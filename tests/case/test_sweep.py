@@ -70,6 +70,10 @@ NEEDED = {
     "structured_box": {"size": [1.0, 1.0], "cells": [1, 1]},
     "Damaged": {"G_c": 0.1, "length": 0.5, "material": {"kind": "LinearElastic", "K_e": 10.0, "G_e": 5.0}},
     "PerReferentialVolume": {"material": {"kind": "NeoHookean", "K_e": 10.0, "G_e": 5.0, "epsilon": 0.1}},
+    "Network": {
+        "branches": {"slow": {"material": {"kind": "ReferentialNeoHookean", "K_e": 10.0, "G_e": 5.0}}}
+    },
+    "Prony": {"material": {"kind": "ReferentialNeoHookean", "K_e": 10.0, "G_e": 5.0}},
     "Gas": {"c": 1.0, "theta_R": 300.0, "gruneisen": 0.4},
     "Yosida": {"eps": 1e-3, "material": {"kind": "LinearElastic", "K_e": 10.0, "G_e": 5.0}},
     "WithQuadratic": {"delta": 1e-3, "material": {"kind": "LinearElastic", "K_e": 10.0, "G_e": 5.0}},

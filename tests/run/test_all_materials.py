@@ -55,7 +55,7 @@ def test_energy_decays_without_loads(name, dt):
 
 FORMS = {
     "fluid by J and by A": (EXAMPLES["BarotropicFluid"], EXAMPLES['BarotropicFluid(form="A")'], 0.3),
-    "neo-Hookean by two H": (EXAMPLES["ReferentialNeoHookean"], EXAMPLES["IsochoricNeoHookean"], 0.3),
+    "neo-Hookean by two H": (EXAMPLES["ReferentialNeoHookean"], EXAMPLES["IsochoricNeoHookean"], 0.4),
     "by F and by B": (*(nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, elastic_state=s) for s in "FB"), 0.6),
 }
 """Two materials, and what halving h and tau leaves of their difference."""

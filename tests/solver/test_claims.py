@@ -229,6 +229,7 @@ def test_a_term_of_the_users_acts_in_both_solvers(term, scheme):
         assert ledger.column("kinetic")[-1] < 0.8 * free.column("kinetic")[-1]
 
 
+@pytest.mark.filterwarnings("ignore::ngvisco.run.signs.DissipationWarning")  # the net moves
 @pytest.mark.parametrize("term", [Leak(0.5), GrowthOfPlaceAndTime(0.5)], ids=lambda term: type(term).__name__)
 def test_rows_of_the_density_and_on_facets_act_in_both_solvers(term):
     for ledger in solved(term):
@@ -236,6 +237,7 @@ def test_rows_of_the_density_and_on_facets_act_in_both_solvers(term):
         assert abs(mass[-1] / mass[0] - 1) > 1e-2
 
 
+@pytest.mark.filterwarnings("ignore::ngvisco.run.signs.DissipationWarning")  # healing gives energy
 def test_the_tangent_has_what_a_term_makes_of_the_fields():
     split, _ = solved(Healing(2e3), maxh=0.25)
     assert split.column("newton_iterations").max() <= 12

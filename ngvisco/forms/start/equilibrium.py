@@ -34,7 +34,9 @@ from ngsolve import (
 from ngvisco.errors import InitialDataError, InputWarning, ParameterError, UnknownNameError
 from ngvisco.forms.mesh.locating import Located, as_points
 from ngvisco.forms.mesh.quadrature import Sampler
+from ngvisco.forms.projections import LocalProjection
 from ngvisco.forms.system import Step
+from ngvisco.forms.term import tested
 from ngvisco.physics.loads import CentralGravity, Gravity, force_of
 from ngvisco.physics.material import conjugates, part_of, rate_power
 from ngvisco.physics.materials.thermal import Thermal, entropy_in
@@ -48,8 +50,6 @@ _CONVERGED = 1e-12
 """Relative change of the pressure, and of J, that ends them."""
 _DIFFERENCE = 1e-5
 """Relative change of J for the slope of the bulk law."""
-WITHIN = 2
-"""Degrees by which the rule for a density is raised: that of degree 2 has points on edges, as layers do."""
 _UNBORNE = 0.05
 """Share of the loads that no pressure bears, from which on it is said."""
 
@@ -83,7 +83,7 @@ class Column:
         self.density: CoefficientFunction | None = None
         if density is not None:  # as the loads of a step see it
             self.density = GridFunction(L2(self.mesh, order=step.discretisation.m))
-            self.density.Set(density, bonus_intorder=WITHIN)
+            LocalProjection(self.density, step.quadrature, tested(density))()
         laws = {body.name: body.material for body in step.model.bodies} or {"": step.model.material}
         self.laws = {name: carrying(law, parameters_in((law,))) for name, law in laws.items()}
         self.referential = {body.name: body.density or 0.0 for body in step.model.bodies}

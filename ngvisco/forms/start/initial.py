@@ -16,7 +16,7 @@ from ngvisco.forms.mesh.mesh_arrays import mask_of
 from ngvisco.forms.mesh.quadrature import Sampler
 from ngvisco.forms.projections import LocalProjection, project, project_velocity, set_traces
 from ngvisco.forms.start.data_checks import distortion_of, warn_of_doubts, warn_of_own_energy
-from ngvisco.forms.start.equilibrium import WITHIN, Column, require_open
+from ngvisco.forms.start.equilibrium import Column, require_open
 from ngvisco.forms.start.variables import (
     Given,
     Values,
@@ -29,7 +29,7 @@ from ngvisco.forms.start.variables import (
     temperature_for,
 )
 from ngvisco.forms.system import Step
-from ngvisco.forms.term import Integrand
+from ngvisco.forms.term import Integrand, tested
 from ngvisco.forms.terms.hyperviscosity import Hyperviscosity
 from ngvisco.parallel.exchange import Interpolation
 from ngvisco.physics.bodies import Body
@@ -42,13 +42,6 @@ from ngvisco.physics.signals import reads_time
 from ngvisco.physics.tensors import inner, square, tensor_space, trace_free_tensors
 
 ScalarLike: TypeAlias = float | CoefficientFunction
-
-_INSIDE = 1
-"""Degrees by which the projection's rule is more exact than the fields.
-
-The points of degree 2 in triangles are the middles of edges, where a function that jumps from cell to cell
-has the value of one of them.
-"""
 
 _LEAST_DENSITY = 1e-30  # kg/m^3; the largest is one over it, as the sizes of domains are from 1e-30 to 1e30 m
 _CONTRADICTION = 1e-6  # of rho_0 J_0/rho_R from 1: what is left where one of them is rounded to seven digits
@@ -219,9 +212,8 @@ def _project(
     with TaskManager():
         step.state.vec[:] = 0.0
         if not step.model.bodies:
-            inside = _INSIDE if initial.equilibrium is None else WITHIN
-            parts["rho"].Set(density, bonus_intorder=inside)
-        parts["z"].Set(material.states(dim).components(values), bonus_intorder=_INSIDE)
+            LocalProjection(parts["rho"], step.quadrature, tested(density))()
+        LocalProjection(parts["z"], step.quadrature, tested(material.states(dim).components(values)))()
         for name, value in further.items():
             project(step.layout.unknowns[name], parts[name], step.quadrature, value)
         bounds = Bounds(step, sampler)
