@@ -1,7 +1,6 @@
 """``ngvisco plot`` and ``ngvisco scene``: what a run looks like."""
 
 import argparse
-import sys
 from pathlib import Path
 
 from ngsolve import CoefficientFunction, SetNumThreads
@@ -31,7 +30,6 @@ def plot(options: argparse.Namespace) -> int:
         write_movie(
             place.vtk, path, options.fields, section=section, frames_per_second=options.fps, title=title
         )
-        _say_without_outlines(place)
         print(path)
         return 0
     results, chosen, lines = _load(out, options)
@@ -77,7 +75,6 @@ def scene(options: argparse.Namespace) -> int:
     path, title = place.path / "scene.html", place.case().sections.title or "ngvisco"
     if options.step is None and read_pvd(place.vtk / "fields.pvd"):
         write_scene_of_series(place.vtk, path, options.fields, title)
-        _say_without_outlines(place)
     else:
         results, chosen, lines = _load(place.path, options)
         write_scene(results.mesh, chosen, path, titled(title, results.time), outlines=lines)
@@ -93,12 +90,3 @@ def _load(
     results = cases.load(directory, options.step)
     fields = results.fields
     return results, scalar_fields(fields, options.fields), [fields[name] for name in outlined(list(fields))]
-
-
-def _say_without_outlines(place: RunDirectory) -> None:
-    """Say why the pictures of a series have no outlines of bodies, where its fields leave them out."""
-    sections = place.case().sections
-    written, bodies = sections.output.vtk.fields, [body.name for body in sections.bodies]
-    if len(bodies) > 1 and written is not None and not outlined(written):
-        wanted = ", ".join([*(f"{name}_fraction" for name in bodies), "body"])
-        print(f"no outlines of bodies: output.vtk.fields leaves out {wanted}", file=sys.stderr)
