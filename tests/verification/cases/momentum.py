@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from ngsolve import CF, CoefficientFunction, IfPos, Integrate, Norm, exp, sqrt, x, y
@@ -49,7 +49,7 @@ def _linear(modulus: Any = MODULUS) -> nv.LinearElastic:
     return nv.LinearElastic(K_e=modulus, G_e=modulus)
 
 
-def _broken(material: nv.Material, law: str = "AT2") -> dict[str, Any]:
+def _broken(material: nv.Material, law: Literal["AT1", "AT2"] = "AT2") -> dict[str, Any]:
     return {"material": nv.Damaged(material=material, G_c=0.1, length=0.1, law=law)}
 
 
