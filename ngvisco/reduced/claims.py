@@ -61,7 +61,7 @@ class Claims:
     """Terms by the part of the solver that takes them."""
 
     traces: list[SideMean] = field(default_factory=list)
-    """Equations of means of both sides, as the upwind trace of z, solved for these."""
+    """Equations of means of both sides, as the trace of z, solved for these."""
     means: list[CellMean] = field(default_factory=list)
     """Means over cells, solved for these."""
     conjugates: list[Term] = field(default_factory=list)
@@ -69,7 +69,7 @@ class Claims:
     at_points: list[PointTerm] = field(default_factory=list)
     """By arrays."""
     continuity: list[Continuity] = field(default_factory=list)
-    """The continuity equation where it is linear in rho, by arrays; solved for the upwind trace of rho."""
+    """The continuity equation where it is linear in rho, by arrays; solved for the trace of rho."""
     density: list[Term] = field(default_factory=list)
     """The continuity equation where it is not linear in rho, by forms."""
     by_forms: list[Term] = field(default_factory=list)

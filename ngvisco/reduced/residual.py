@@ -1,6 +1,6 @@
 """The residual with everything derived put in: a function of (v, wall stress, Pi, a, rho, z) alone.
 
-For a given v the kinematic equations are linear but for creep.  The upwind traces, the conjugates zeta, the
+For a given v the kinematic equations are linear but for creep.  The traces, the conjugates zeta, the
 local creep rate, the hyperviscosity's local unknowns and those of the delta-regularised z are functions
 of the iterated unknowns: they are evaluated, never iterated.  All rows follow from the terms themselves
 (``ngvisco.reduced.evaluation``); with an infinitesimal imaginary part in the unknowns they are Newton's whole
@@ -298,7 +298,7 @@ class ReducedResidual:
         return sum(totals) / self.op.weights.reshape(cells, -1).sum(axis=1)
 
     def _set_traces(self, c: dict[str, np.ndarray], s: Fields) -> None:
-        """Solve for the upwind traces and other means of both sides, which may read those before them."""
+        """Solve for the traces and other means of both sides, which may read those before them."""
         for term, name in self._of_traces:
             zeros = np.zeros((*self.step.layout.unknowns[name].shape, 1))
             loads = self.facet_terms.slots([term], with_values(s, **{name: zeros}))

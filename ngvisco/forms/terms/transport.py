@@ -3,17 +3,14 @@
     B_h(w; z, G) = sum_K int_K (rate(grad w; z) - (w . grad) z) : G
                  - sum_K int_{dK} (w . n) (z_hat - z) : G
 
-with the upwind trace z_hat = (1 - n^-_1) z_1 + (1 - n^-_2) z_2 of both sides' values, n^- by a velocity v*
-that is known before the step is solved (``ngvisco.forms.upwinding``).  The two sides weigh their conjugates
-by n^-_1 and n^-_2, which sum up to one whatever v*: the force of a jump is whole.  For a density,
+with the mean z_hat of both sides' values; on a wall z_hat = z (``ngvisco.forms.upwinding``).  For a density,
 rate = -(div w) z + production, it is
 
     B_h(w; z, G) = sum_K int_K z : (w . grad) G + production(grad w; z) : G
                  - sum_K int_{dK} (w . n) z_hat : G,
 
 (w . n) zero on walls that nothing crosses: the flux through a facet is single-valued, so that G = 1 keeps
-int z to rounding where there is no production, and constant conjugates make no force at a jump, whatever its
-side is.
+int z to rounding where there is no production, and constant conjugates make no force at a jump.
 
 The kinematic equations use B_h(v; z, G), the momentum equation the adjoint B_h(w; z, zeta), zeta the
 projected conjugates.  At w = v, G = zeta the two cancel identically, facets included: the elastic power of

@@ -1,7 +1,7 @@
 """The split solver: a Rothe step by Newton's method on what the fields and the flow leave of each other.
 
 (FORMULATION.md, Section 7.)  The coupled residual R(u) = 0 is evaluated with everything that is an
-explicit function of (v, a, rho, z) - upwind traces, conjugates, local creep, the hyperviscosity's local
+explicit function of (v, a, rho, z) - traces, conjugates, local creep, the hyperviscosity's local
 unknowns - put in exactly, at the points of cells and sides (``ReducedResidual``).  An increment takes sweeps
 of the transport and one linear system of the flow, into which the change of the fields is carried
 (``FlowSchurComplement``), solved by GMRES (``Preconditioner``): Newton's method but for a coarser rule, a
