@@ -289,13 +289,16 @@ class ReducedResidual:
 
     def _mean(self, term: CellMean, u: Fields, s: Fields) -> np.ndarray:
         """A mean over the cells, (components, cells), of a scalar (cells,)."""
-        cells, sides = self.op.z.cells, term.value_on_sides(s)
-        parts = [(term.value(u), self.op.weights)]
-        parts += [] if sides is None else [(sides, self.side_op.points.weights)]
-        totals = (
-            (a.value * weights).reshape(*a.value.shape[:-1], cells, -1).sum(axis=-1) for a, weights in parts
+        op, sides = self.op, self.side_op
+        parts = [(term.value(u), op.weights, op.z.per_cell)]
+        if (on_sides := term.value_on_sides(s)) is not None:
+            parts.append((on_sides, sides.points.weights, sides.z.per_cell))
+        total = sum(
+            (a.value * weights).reshape(*a.value.shape[:-1], op.z.cells, per).sum(axis=-1)
+            for a, weights, per in parts
         )
-        return sum(totals) / self.op.weights.reshape(cells, -1).sum(axis=1)
+        volumes: np.ndarray = op.weights.reshape(op.z.cells, op.z.per_cell).sum(axis=1)
+        return total / volumes
 
     def _set_traces(self, c: dict[str, np.ndarray], s: Fields) -> None:
         """Solve for the traces and other means of both sides, which may read those before them."""
