@@ -163,7 +163,7 @@ def test_case_file_gives_the_numbers_of_its_script(name, tmp_path):
     assert run.t == pytest.approx(until)  # in two steps, or more where a hard start is taken in halves
     assert ours.columns == theirs.columns
     for column in ours.columns:
-        if not column.startswith(("closure", "mass_drift", "newton")):  # rounding itself
+        if not column.startswith(("closure", "mass_drift", "newton")) and "defect" not in column:  # rounding
             a, b = ours.column(column), theirs.column(column)
             assert a == pytest.approx(
                 b, rel=1e-7, abs=1e-7 * np.abs(np.nan_to_num(b)).max() + 1e-13, nan_ok=True

@@ -102,7 +102,7 @@ def test_stiff_creep_takes_no_more_iterations_than_any(name, material, solver, d
     assert len(ledger.column("time")) == 4 and not ledger.column("rejections").any()
     assert abs(ledger.column("closure_relative")).max() <= 1e-10
     assert ledger.column("creep_power_min").min() >= -1e-14 * ledger.column("dissipation_creep").max()
-    assert ledger.column("newton_iterations").sum() <= 45
+    assert ledger.column("newton_iterations").sum() <= 60
 
 
 @pytest.mark.parametrize("solver", ["split", "coupled"])

@@ -93,7 +93,7 @@ def bodies() -> tuple[nv.Body, ...]:
         nv.Body(
             name="two",
             material=nv.ReferentialNeoHookean(K_e=2.0, G_e=0.4),
-            viscosity=nv.StokesViscosity(K_v=0.2, G_v=0.3),
+            viscosity=nv.StokesViscosity(K_v=0.2, G_v=0.2),
             creep=nv.Creep(G_m=1.0),
             density=1.0,
         ),

@@ -33,14 +33,14 @@ from ngvisco.forms.fields import Fields
 from ngvisco.forms.term import PointTerm, Setting, Unknown
 from ngvisco.forms.upwinding import SideMean, side
 from ngvisco.physics.material import Material
-from ngvisco.physics.pointwise import is_quadratic, modulus_scale
-from ngvisco.physics.tensors import if_positive, inner, masked, sqrt
+from ngvisco.physics.pointwise import array_slope, is_quadratic, modulus_scale
+from ngvisco.physics.tensors import if_positive, inner, masked
 
 _ROUNDING = 1e-14
 """Jumps whose energy is less than this share of the moduli are rounding."""
 
 _FARTHEST = 3.0
-"""The largest b."""
+"""The largest b; where more is asked for it falls again, to zero where [z] : [zeta] is zero: continuously."""
 
 
 class OfFacet(SideMean):
@@ -102,7 +102,7 @@ class TangentForce(PointTerm):
         """side b (z - z_hat) : zeta."""
         gap, means = u.parts[TangentGap.name], [u.parts[of.name] for of in self.jumps]
         squares = reduce(add, (mean * mean for mean in means)) + (_ROUNDING * self.scale) ** 2
-        least = if_positive(gap, gap, -gap) * sqrt(squares) / _FARTHEST
+        least = gap * gap / _FARTHEST**2
         factor = gap / if_positive(squares - least, squares, least)
         jumps = (mean * of.jump(u) for mean, of in zip(means, self.jumps, strict=True))
         return side(u) * factor * reduce(add, jumps)
@@ -112,8 +112,12 @@ class TangentForce(PointTerm):
 
 
 def tangents_of(material: Material, dim: int) -> TangentForce | None:
-    """The force's correction, None for a quadratic energy and for one without an expression."""
-    if material.response(dim) is not None or is_quadratic(material, dim):
+    """The force's correction, None for a quadratic energy and for one that has no values by arrays."""
+    if (
+        material.response(dim) is not None
+        or array_slope(material, dim) is None
+        or is_quadratic(material, dim)
+    ):
         return None
     strains = material.states(dim).strains
     jumps = [ConjugateJump("conjugate_jump", None if strains.all() else strains)]
