@@ -61,6 +61,7 @@ from ngvisco.forms.terms.tangents import TangentForce
 from ngvisco.forms.terms.transport import Conjugates, ElasticForce, Kinematics, Trace, Upwinding
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.exchange import Interpolation
+from ngvisco.physics.pointwise import array_slope
 from ngvisco.physics.tensors import inner, sqrt, square
 
 DEFECTS = ("facets", "cells", "inertia")
@@ -201,9 +202,15 @@ class Impulses:
         defects = thrust - left.get(_ENTERING, none), of_cells_, -left[_SKEW]
         return found | dict(zip(DEFECTS, defects, strict=True))
 
+    @cached_property
+    def _has_arrays(self) -> bool:
+        """Whether the energy has values by arrays."""
+        step = self.step
+        return step.energy.projected is None and array_slope(step.model.material, step.mesh.dim) is not None
+
     def _by_arrays(self) -> dict[str, np.ndarray]:
         """What the elastic force has on facets, where there are arrays: the same formulas, with w = n."""
-        sides = None if self.step.energy.projected is not None else self.on_sides()
+        sides = self.on_sides() if self._has_arrays else None
         if sides is None:
             return {}
         (u, points), n = sides, sides[0].context.normal
