@@ -551,7 +551,7 @@ for word in sys.argv[1:]:
 FAULTS = {
     "observer": r"at step 1: \[Errno 28\] No space left on device: 'somewhere'",
     "singular": "at step 0: step of length 0.0025 s from t = 0 s: the split solver met a singular block",
-    "unsolved": "at step 0: step of length 0.02 s from t = 0 s: the split solver did not converge",
+    "unsolved": "at step 0: step of length 0.0025 s from t = 0 s: the split solver did not converge",
     "petsc": r"at step 0: .* the split solver did not converge .*; mumps: PETSc .* \(DIVERGED_PC_FAILED\)",
     "petsc regularised": r"at step 0: .* did not converge .*; mumps: PETSc .* \(DIVERGED_PC_FAILED\)",
     "density regularised": r"at step 0: .* mumps did not take the matrix \(PETSc did not solve a .*DIVERGED",
