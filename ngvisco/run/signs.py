@@ -149,8 +149,11 @@ class Signs:
         made = {name: row[name] for name in self._productions}
         least = min(made, key=lambda name: made[name], default="")
         # near rest all of them are what an iteration leaves of what there is
-        rounding = 1e-12 * abs(row.get("entropy", 0.0)) / row["dt"]
-        if made and made[least] < -_NEGATIVE * sum(map(abs, made.values())) - rounding:
+        rate = abs(row.get("entropy", 0.0)) / row["dt"]
+        share, rounding = _NEGATIVE, _ROUNDING * rate
+        if least == PRODUCTION + UPWINDING.removeprefix("dissipation_"):  # has a sign up to projections
+            share, rounding = _MISSED, _NEGATIVE * rate
+        if made and made[least] < -share * sum(map(abs, made.values())) - rounding:
             message = (
                 f"at t = {row['time']:.4g} s {least} is {made[least]:.3g} W/K: where that is conduction, "
                 "the cells are too large for the slopes of the temperature; else a law gives energy"
