@@ -75,7 +75,7 @@ from ngvisco.forms.terms.momentum import (
     UnbalancedMomentum,
 )
 from ngvisco.forms.terms.regularisation import regularising_terms
-from ngvisco.forms.terms.tangents import OfFacet, TangentForce, TangentGap, tangents_of
+from ngvisco.forms.terms.tangents import TangentGap, tangents_of
 from ngvisco.forms.terms.transport import (
     Conjugates,
     CreepRate,
@@ -87,7 +87,7 @@ from ngvisco.forms.terms.transport import (
     Upwinding,
 )
 from ngvisco.forms.unfelt import UNFELT, Unfelt
-from ngvisco.forms.upwinding import mean_share
+from ngvisco.forms.upwinding import SideMean, mean_share
 from ngvisco.physics.material import part_of
 from ngvisco.physics.materials.damaged import Damaged
 from ngvisco.physics.materials.thermal import entropy_in
@@ -120,7 +120,7 @@ class Elimination:
                             self._means.append(made)
                         else:
                             self.projections[name] = made
-            if isinstance(term, OfFacet):
+            if isinstance(term, SideMean) and not term.is_linear:
                 value = mean_share(u.context.inner), term.value(u)
                 self._means.append(FacetProjection(parts[term.name], quadrature, *value))
         self._of_energy: LocalProjection | None = None
@@ -160,19 +160,14 @@ _NOT_EVOLVED = (
 _NO_EQUATION = "it has a row of {name}, which is no unknown (of bodies the density is the sum of theirs)"
 
 
-def density_diffuses_or_is_cut_off(model: Model) -> bool:
-    """Whether the continuity equation has another flux than (v . n) rho_hat."""
-    law = model.regularisation
-    return law is not None and (law.rho_max is not None or law.delta_density > 0)
-
-
 def equations(model: Model, dim: int, m: int = 1) -> tuple[Term, ...]:
     """The terms of a model's equations for fields of order ``m``, without walls."""
     terms: list[Term] = [] if model.bodies else [Continuity(model.regularisation)]
-    if m == 0 and model.regularisation is not None and model.regularisation.rho_max is not None:
+    law = model.regularisation
+    if m == 0 and law is not None and law.rho_max is not None:
         terms.append(MeanFlux())
     terms += [Inertia(), Convection(model.regularisation), ElasticForce()]
-    if not density_diffuses_or_is_cut_off(model):
+    if law is None or not law.bends_the_flux:
         terms += [CellVelocity(), UnbalancedMomentum(), MomentumBalance()]
     if model.viscosity is not None:
         terms.append(Stokes(model.viscosity))
@@ -296,20 +291,17 @@ class Step:
 
     @cached_property
     def whole_residual(self) -> BilinearForm:
-        """The same as ``residual`` with the whole derivative, that of the tangents' weights too."""
-        return self._residual(keeps_weights=False)
+        """The same as ``residual`` with the derivative by what terms keep, too (``PointTerm.kept``)."""
+        return self._residual(keeps=False)
 
-    def _residual(self, keeps_weights: bool = True) -> BilinearForm:
+    def _residual(self, keeps: bool = True) -> BilinearForm:
         """R(u; w) as one nonlinear form with element-local unknowns to be condensed."""
         u, w = self.linearised_fields(self.layout.space.TrialFunction()), self.tests()
         form = BilinearForm(self.layout.space, condense=True)
         state = dict(zip(self.layout.names, self.state.components, strict=True))
         for term in self.terms:
-            at = u
-            if keeps_weights and isinstance(term, TangentForce):
-                # Newton's method follows the weights, whose slope is steep where a jump is small
-                kept = {name: state[name] for name in term.weights}
-                at = Fields(self.layout, {**u.parts, **kept}, u.context)
+            kept = {name: state[name] for name in getattr(term, "kept", ()) if keeps}
+            at = Fields(self.layout, {**u.parts, **kept}, u.context) if kept else u
             with refused_by_name(term):
                 self.quadrature.add(form, term.form(at, w))
         return form

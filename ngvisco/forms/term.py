@@ -181,9 +181,13 @@ class PointTerm:
     linearised : bool
         Whether the split solver takes the term's derivative into its tangent.  Terms that transport and
         elastic force have a tangent for, and small ones, say no.
+    kept : tuple of str
+        Unknowns, explicit functions of others, whose change the matrix of Newton's method leaves out of the
+        term: it follows them from iterate to iterate.
     """
 
     linearised = True
+    kept: tuple[str, ...] = ()
 
     @property
     def impulse(self) -> str:

@@ -46,11 +46,18 @@ def side(u: Fields) -> CoefficientFunction:
 class SideMean(PointTerm):
     """sum_K int_{dK} share (a_hat - a) t = 0: a_hat, an unknown of facets, is a mean of both sides' values.
 
-    An explicit function of the cells' unknowns, which no solver iterates on; where it reads other means,
-    those of terms before it.
+    a_hat is an explicit function of the cells' unknowns, and of means that stand before it, which no solver
+    iterates on.
+
+    Attributes
+    ----------
+    is_linear : bool
+        Whether a is linear in these: Newton's method then has a_hat to rounding.  Otherwise a_hat is one
+        number a facet, and made anew after each increment.
     """
 
     name: str
+    is_linear = True
 
     @abstractmethod
     def value(self, u: Fields) -> CoefficientFunction:

@@ -18,7 +18,7 @@ import numpy as np
 from ngsolve import CF, ET, L2, VOL, GridFunction, IntegrationRule, VectorValued
 from ngsolve.meshes import MakeStructured2DMesh
 
-from ngvisco.physics.arrays import TINY, Array, derivatives
+from ngvisco.physics.arrays import TINY, Array, Map, derivatives, slope_along
 from ngvisco.physics.material import Material
 from ngvisco.physics.tensors import Tensor
 
@@ -197,27 +197,20 @@ def energy_and_slope(material: Material, dim: int) -> Both | None:
     return both
 
 
-def is_quadratic(material: Material, dim: int) -> bool:
-    """Whether phi' is affine in z, by what it is at some states; not where it has no value by arrays."""
-    slope = array_slope(material, dim)
-    if slope is None:
-        return False
-    rest, rng = rest_state(material, dim)[:, None], np.random.default_rng(0)
-    base, step = (rest + 0.1 * rng.uniform(-1, 1, (len(rest), 8)) for _ in range(2))
-    step -= rest
-    middle, ends = slope(base), (slope(base + step), slope(base - step))
-    size = abs(ends[0]).max() + abs(middle).max()
-    return bool(abs(ends[0] + ends[1] - 2 * middle).max() <= 1e-12 * size)
+def is_affine(slope: Map, rest: np.ndarray) -> bool:
+    """Whether phi'(z), by arrays, is affine in z, by its values at some states about ``rest``, (N,)."""
+    rng = np.random.default_rng(0)
+    base, step = (0.1 * rng.uniform(-1, 1, (len(rest), 8)) for _ in range(2))
+    base += rest[:, None]
+    middle, ends = slope(base), slope(base + step) + slope(base - step)
+    return bool(abs(ends - 2 * middle).max() <= 1e-12 * abs(ends).max())
 
 
-def modulus_scale(material: Material, dim: int) -> float:
-    """The largest change of a conjugate, Pa, by a variable at rest: a size of the moduli."""
-    rest = rest_state(material, dim)[:, None]
-    slope = array_slope(material, dim)
-    if slope is None:
-        return float(abs(respond(material, dim)(rest.T).hessian).max())
-    step = 1e-4 * np.eye(len(rest))
-    return float(abs(slope(rest + step) - slope(rest - step)).max() / 2e-4)
+def largest_modulus(slope: Map, rest: np.ndarray) -> float:
+    """The largest derivative of a conjugate by a variable at rest, Pa: a size of the moduli."""
+    units = np.eye(len(rest))
+    at = np.broadcast_to(rest[:, None], units.shape).copy()
+    return float(abs(slope_along(slope, at, units)).max())
 
 
 def array_response(material: Material, dim: int, linear: Iterable[str] = ()) -> Respond:

@@ -79,6 +79,11 @@ class Regularisation:
         smooths = (diffuses and not is_even(self.r)) or (rubs and not is_even(self.p))
         require_effect(self, smooths, "where no power is other than an even integer", "floor")
 
+    @property
+    def bends_the_flux(self) -> bool:
+        """Whether the flux of mass is not rho v: it is cut off, or the density diffuses."""
+        return self.rho_max is not None or self.delta_density > 0
+
     def require_gradients(self, name: str, m: int) -> None:
         """Raise ParameterError for a diffusion, ``name``, of fields of order m = 0."""
         if m == 0:

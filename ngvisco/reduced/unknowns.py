@@ -101,4 +101,4 @@ class Unknowns:
 def density_by_forms(step: Step) -> bool:
     """Whether the continuity equation is not linear in rho: with a cut-off or delta-regularisation."""
     law = step.model.regularisation
-    return law is not None and (law.rho_max is not None or law.delta_density > 0)
+    return law is not None and law.bends_the_flux

@@ -33,7 +33,7 @@ from ngvisco.forms.fields import Fields
 from ngvisco.forms.term import PointTerm, Setting, Unknown
 from ngvisco.forms.upwinding import SideMean, side
 from ngvisco.physics.material import Material
-from ngvisco.physics.pointwise import array_slope, is_quadratic, modulus_scale
+from ngvisco.physics.pointwise import array_slope, is_affine, largest_modulus, rest_state
 from ngvisco.physics.tensors import if_positive, inner, masked
 
 _ROUNDING = 1e-14
@@ -44,7 +44,9 @@ _FARTHEST = 3.0
 
 
 class OfFacet(SideMean):
-    """One number a facet, Pa."""
+    """The mean of a function over a facet, Pa."""
+
+    is_linear = False
 
     def unknowns(self, setting: Setting) -> tuple[Unknown, ...]:
         return (Unknown(self.name, "facets", 0),)
@@ -94,8 +96,8 @@ class TangentForce(PointTerm):
     linearised = False
 
     @property
-    def weights(self) -> tuple[str, ...]:
-        """Names of the unknowns that the weights are made of."""
+    def kept(self) -> tuple[str, ...]:  # type: ignore[override]
+        """The unknowns that the weights are made of, whose slope is steep where a jump is small."""
         return (TangentGap.name, *(of.name for of in self.jumps))
 
     def excess(self, u: Fields) -> CoefficientFunction:
@@ -113,14 +115,12 @@ class TangentForce(PointTerm):
 
 def tangents_of(material: Material, dim: int) -> TangentForce | None:
     """The force's correction, None for a quadratic energy and for one that has no values by arrays."""
-    if (
-        material.response(dim) is not None
-        or array_slope(material, dim) is None
-        or is_quadratic(material, dim)
-    ):
+    slope = None if material.response(dim) is not None else array_slope(material, dim)
+    rest = rest_state(material, dim)
+    if slope is None or is_affine(slope, rest):
         return None
     strains = material.states(dim).strains
     jumps = [ConjugateJump("conjugate_jump", None if strains.all() else strains)]
     if not strains.all():
         jumps.append(ConjugateJump("parameter_jump", ~strains))
-    return TangentForce(tuple(jumps), modulus_scale(material, dim))
+    return TangentForce(tuple(jumps), largest_modulus(slope, rest))
