@@ -64,7 +64,7 @@ class Context:
         """
         self.mesh, self.old = mesh, old
         self.energy = energy or StoredEnergy(model.material, mesh.dim)
-        self.rates = Rates(model, mesh.dim)
+        self.rates = Rates(model, mesh.dim, old.layout.symmetry.is_axisymmetric)
         self.lagged: Fields = old
         """z at the step's start, for what the material says is lagged."""
         self.terms: Sequence[Term] = ()

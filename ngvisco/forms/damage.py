@@ -40,9 +40,7 @@ from ngsolve import (
     L2,
     VOL,
     BilinearForm,
-    CoefficientFunction,
     GridFunction,
-    Integrate,
     IntegrationRule,
     LinearForm,
     Periodic,
@@ -101,7 +99,7 @@ class DamageGrowth:
         self.damage = z[DAMAGE.name]
         self._hessian, self._slope = self._forms(space)
         masses = LinearForm(space)
-        masses += space.TestFunction() * step.quadrature.cells
+        masses += step.quadrature.cells(space.TestFunction())
         self._masses = masses.Assemble().vec.FV().NumPy().copy()
         self._part = GridFunction(step.layout.scalar_space("z"))
         self._of_surface = law.surface_energy(z)
@@ -156,13 +154,12 @@ class DamageGrowth:
         q = step.now.z_tensors[SLOPE.name][:, 0]
         hessian, slope = BilinearForm(space, symmetric=True), LinearForm(space)
         curvature = 2 * stiff * taken + (2 * of_damage if is_quadratic else 0.0) * weight
-        hessian += (
-            curvature * d * test + 2 * of_slope * weight * (grad(d) * grad(test))
-        ) * step.quadrature.cells
+        bent = curvature * d * test + 2 * of_slope * weight * (grad(d) * grad(test))
+        hessian += step.quadrature.cells(bent)
         force = -2 * stiff * (1 - self.damage) * taken
         force += of_damage * weight * (2 * self.damage if is_quadratic else 1.0)
         along = sum(q[i] * grad(test)[i] for i in range(step.mesh.dim))
-        slope += (force * test + 2 * of_slope * weight * along) * step.quadrature.cells
+        slope += step.quadrature.cells(force * test + 2 * of_slope * weight * along)
         return hessian, slope
 
     def _at_vertices(self, function: Any) -> np.ndarray:
@@ -255,7 +252,11 @@ class _Heat:
         """Add the heat ``xi``, J/m^3, to the present state; by columns, W and W/K."""
         state, ranges, unit = self.step.state.vec.FV().NumPy(), self.step.layout.ranges, self.entropy.unit
         s = state[ranges["z"]].reshape(self.step.layout.states.size, -1)[self._place]
-        before, wanted, energy = s.copy(), self._integrals(xi), self._integrals(self._heat)
+        before, wanted, energy = (
+            s.copy(),
+            self.step.quadrature.each_cell(xi),
+            self.step.quadrature.each_cell(self._heat),
+        )
         self._added.Set((1 / unit) * xi / self._theta)
         direction = GridFunction(self._added.space)
         direction.vec.data = self._added.vec
@@ -264,15 +265,10 @@ class _Heat:
         for _ in range(_NEWTON):
             self._added.Set(self._share * direction)
             s[:] = before + self._added.vec.FV().NumPy()
-            missing = wanted - (self._integrals(self._heat) - energy)
-            slope = unit * self._integrals(self._theta * direction)
+            missing = wanted - (self.step.quadrature.each_cell(self._heat) - energy)
+            slope = unit * self.step.quadrature.each_cell(self._theta * direction)
             share += np.where(wanted > 0, missing / np.where(slope > 0, slope, 1.0), 0.0)
             if abs(missing).sum() <= _ROUNDING * abs(energy).sum():
                 break
-        made = unit * self._integrals(self._added).sum()
+        made = unit * self.step.quadrature.each_cell(self._added).sum()
         return {_POWER: float(wanted.sum()) / tau, _PRODUCTION: float(made) / tau}
-
-    def _integrals(self, f: CoefficientFunction) -> np.ndarray:
-        """Over each cell, by the rule of the forms."""
-        degree = self.step.quadrature.volume_degree
-        return np.asarray(Integrate(f, self.step.mesh, order=degree, element_wise=True).NumPy()).copy()

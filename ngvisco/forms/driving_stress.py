@@ -256,7 +256,7 @@ class KeptRates(Rates):
     """
 
     def __init__(self, rates: Rates, stresses: Stresses) -> None:
-        super().__init__(rates.model, rates.dim)
+        super().__init__(rates.model, rates.dim, rates.hoop)
         self.stresses = stresses
 
     def local_creep(self, flow: Flow, u: Fields) -> CoefficientFunction:

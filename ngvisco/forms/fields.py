@@ -107,9 +107,15 @@ class Fields:
         return gradient if self.rows == self.dim else gradient.Reshape((self.rows, self.dim))
 
     @cached_property
+    def hoop(self) -> CoefficientFunction | None:
+        """v_r/r, the strain rate about the axis of a body of revolution, 1/s; None of other bodies."""
+        radius = self.layout.symmetry.radius
+        return None if radius is None else (1 / self.context.given(radius)) * self.v[0]
+
+    @cached_property
     def L(self) -> CoefficientFunction:
         """grad v as a 3x3 tensor."""
-        return embed_gradient(self.grad_v, self.dim)
+        return embed_gradient(self.grad_v, self.dim, self.hoop)
 
     @cached_property
     def grad_rho(self) -> CoefficientFunction:

@@ -23,6 +23,7 @@ The others are zero for the exact solution, and are the momentum that the scheme
   another state (``Material.lagged``).
 
 Periodic meshes have no rotations: these are no functions on them, and angular momentum is not conserved.
+Bodies of revolution have the translation along their axis alone.
 """
 
 from __future__ import annotations
@@ -81,7 +82,8 @@ class Impulses:
 
     def __init__(self, step: Step) -> None:
         self.step, dim, self._ranks = step, step.mesh.dim, Communicator.of(step.mesh)
-        given, is_whole = rigid_motions(dim, [0.0] * dim), not step.layout.periodic
+        given = rigid_motions(step.layout.symmetry, dim, [0.0] * dim)
+        is_whole = not step.layout.periodic
         self.motions = {name: e for name, e in given.items() if is_whole or name.startswith("force")}
         mesh = step.mesh
         self._space: FESpace = VectorH1(mesh, order=1 if mesh.GetCurveOrder() < 2 else step.discretisation.k)

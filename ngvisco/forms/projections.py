@@ -77,8 +77,8 @@ class FacetProjection:
         self._exchange = Exchange.of(space, Communicator.of(space.mesh))
         test = space.TestFunction()
         mass, self.load = LinearForm(space), LinearForm(space)
-        mass += share * test * quadrature.facets
-        self.load += share * value * test * quadrature.facets
+        mass += quadrature.facets(share * test)
+        self.load += quadrature.facets(share * value * test)
         areas = self._exchange.sum(mass.Assemble().vec.FV().NumPy().copy())
         self._areas = np.where(areas > 0, areas, 1.0)
 
@@ -89,14 +89,14 @@ class FacetProjection:
 
 def inverse_mass(space: FESpace, quadrature: Quadrature) -> BaseMatrix:
     """The inverse mass matrix of cells by the rule of the forms, which ``Mass`` has on straight simplices
-    only."""
-    mesh = quadrature.mesh
+    only, without a weight."""
+    mesh, is_plain = quadrature.mesh, quadrature.symmetry.radius is None
     # the same on all ranks, also on those without cells
-    if mesh.comm.Max(mesh.GetCurveOrder()) <= 1 and mesh.comm.Min(is_simplicial(mesh)):
+    if is_plain and mesh.comm.Max(mesh.GetCurveOrder()) <= 1 and mesh.comm.Min(is_simplicial(mesh)):
         return space.Mass(1).Inverse()
     trial, test = space.TnT()
     mass = BilinearForm(space, symmetric=True, condense=True)
-    mass += inner(trial, test) * quadrature.cells
+    mass += quadrature.cells(inner(trial, test))
     mass.Assemble()
     return mass.inner_solve  # all unknowns belong to cells: the inverse, cell by cell
 
@@ -114,9 +114,9 @@ def project(
     space = target.space
     trial, test = space.TnT()
     mass, load = BilinearForm(space, symmetric=True), LinearForm(space)
-    weight, measure = (1.0, quadrature.cells) if unknown.on is None else (unknown.on, quadrature.walls)
-    mass += weight * inner(trial, test) * measure
-    load += weight * inner(value - target, test) * measure
+    weight, integral = (1.0, quadrature.cells) if unknown.on is None else (unknown.on, quadrature.walls)
+    mass += integral(weight * inner(trial, test))
+    load += integral(weight * inner(value - target, test))
     inverse = inverse_of(mass.Assemble().mat, space.FreeDofs(), Communicator.of(space.mesh))
     target.vec.data += inverse * load.Assemble().vec
     _release(inverse)
@@ -135,7 +135,7 @@ def set_traces(layout: Layout, state: GridFunction, context: Context, quadrature
         # on ``normals`` an unknown is a multiple of the cells' outward normal
         trial, test = (f * n if place == "normals" else f for f in space.TnT())
         mass = BilinearForm(space)
-        mass += trial * test * quadrature.facets
+        mass += quadrature.facets(trial * test)
         # free are neither facets of coarser meshes nor identified copies
         inverse = inverse_of(mass.Assemble().mat, space.FreeDofs(), Communicator.of(layout.mesh))
         for unknown in unknowns:
@@ -143,7 +143,7 @@ def set_traces(layout: Layout, state: GridFunction, context: Context, quadrature
             value = (now.grad_v * n)[unknown.component] if place == "normals" else now.parts[of]
             for i in range(value.dim):
                 component = value[i] if value.dim > 1 else value
-                load = LinearForm(component * test * quadrature.facets).Assemble()
+                load = LinearForm(quadrature.facets(component * test)).Assemble()
                 row = (inverse * load.vec).Evaluate()
                 target[i * len(row) : (i + 1) * len(row)] = row
         _release(inverse)
@@ -171,7 +171,7 @@ class WallProjection:
         u, w = (Fields(layout, dict(zip(names, parts, strict=True))) for parts in (trial, test))
         form = BilinearForm(space)
         for part in term.form(u, w):
-            form += part.facets * quadrature.facets
+            form += quadrature.facets(part.facets)
         of_v, multipliers = (np.arange(r.start, r.stop) for r in (space.Range(0), space.Range(1)))
         constraint = csr(form.Assemble().mat)[multipliers][:, of_v].tocsc()
         self.free = free
@@ -249,9 +249,9 @@ class VelocityOfMomentum:
         scalar, space = layout.scalar_space("v"), layout.blocks["v"]
         trial, test = scalar.TnT()
         self._mass = BilinearForm(scalar, symmetric=True)
-        self._mass += (density * trial * test).Compile() * quadrature.cells
+        self._mass += quadrature.cells((density * trial * test).Compile())
         self._load = LinearForm(space)
-        self._load += inner(momentum, space.TestFunction()) * quadrature.cells
+        self._load += quadrature.cells(inner(momentum, space.TestFunction()))
         self.free = mask_of(space.FreeDofs())
         self._exchange = Exchange.of(space, Communicator.of(layout.mesh))
         # what ranks share counts once in products

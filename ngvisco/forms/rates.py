@@ -26,6 +26,7 @@ from ngvisco.physics.rate_tensors import RateTensors
 from ngvisco.physics.rheology import Viscosity
 from ngvisco.physics.tensors import (
     dev,
+    embed_gradient,
     identity_like,
     inner,
     linear_map,
@@ -42,8 +43,9 @@ Conjugate: TypeAlias = Literal["z", "zeta"]
 class Rates:
     """rate(z; L, Pi) : G for one model."""
 
-    def __init__(self, model: Model, dim: int) -> None:
-        self.model, self.material, self.dim = model, model.material, dim
+    def __init__(self, model: Model, dim: int, hoop: bool = False) -> None:
+        """With ``hoop`` L has an entry 33 in two dimensions, about an axis."""
+        self.model, self.material, self.dim, self.hoop = model, model.material, dim, hoop
         self.flows = model.flows
         """What creeps."""
         self.is_local = all(flow.rule.is_local for flow in self.flows)
@@ -77,7 +79,7 @@ class Rates:
     @cached_property
     def constants(self) -> RateTensors:
         """The constant tensors of the variables' rates, one Pi for all."""
-        return RateTensors.of(tuple(self.material.variables), self.dim, self._has_trace)
+        return RateTensors.of(tuple(self.material.variables), self.dim, self._has_trace, self.hoop)
 
     def creep_power(
         self, z: Fields, Pi: Sequence[CoefficientFunction], G: Fields, name: Conjugate
@@ -153,8 +155,9 @@ class Rates:
 
     def pressure(self, u: Fields) -> CoefficientFunction:
         """-tr T/3 by the projected conjugates, Pa."""
-        identity = identity_like(u.L) + 0 * u.L
-        power = rate_power(self.material, u.z_tensors, u.zeta_tensors, identity, 0 * u.L)
+        zero = 0 * embed_gradient(u.grad_v, u.dim)
+        identity = identity_like(zero) + zero
+        power = rate_power(self.material, u.z_tensors, u.zeta_tensors, identity, zero)
         return (-1 / 3) * power - self.stored(u)
 
     def hardening_rate(self, flow: Flow, Pi: CoefficientFunction, u: Fields) -> CoefficientFunction:
@@ -208,8 +211,8 @@ _NO_SLOPE = 1e-100
 class TabulatedRates(Rates):
     """What ``Rates`` is for coefficient functions, for arrays of values and tests of them."""
 
-    def __init__(self, model: Model, dim: int) -> None:
-        super().__init__(model, dim)
+    def __init__(self, model: Model, dim: int, hoop: bool = False) -> None:
+        super().__init__(model, dim, hoop)
         self.creep_space = symmetric_tensors(dim) if self._has_trace else trace_free_tensors(dim)
         """The tensors among which each Pi is, and the forces that drive it."""
         self.tensors, variables = self.constants, tuple(model.material.variables)
@@ -220,8 +223,8 @@ class TabulatedRates(Rates):
         self._states = states = model.material.states(dim)
         self._response = model.material.response(dim)
         flux = np.zeros_like(self.tensors.linear)
-        for i in range(dim):
-            flux[i * (dim + 1)][np.diag_indices(states.size)] = -1.0 * states.by_flux
+        for i in self.tensors.trace:
+            flux[i][np.diag_indices(states.size)] = -1.0 * states.by_flux
         production = self.tensors.linear - flux
         production[abs(production) < _ROUNDING] = 0.0
         self.production = replace(self.tensors, linear=production)
@@ -278,13 +281,18 @@ class TabulatedRates(Rates):
 
     def power(self, z: Fields, along: Fields, G: Fields, name: Conjugate) -> Sequence[Linear]:
         """rate(z; grad w, 0) : G with either w or G a test."""
-        gradients, tests = self.tensors.gradients, G.parts[name]
+        tests = G.parts[name]
         if isinstance(tests, Linear):
-            rate = self.rate(z, along.grad_v.value.reshape(gradients, -1))
-            return [tests.InnerProduct(Array(rate, None))]
-        stress = self.stress(z, tests.value, 0, gradients)
-        shape = (*along.grad_v.shape, -1)
-        return [along.grad_v.InnerProduct(Array(stress.reshape(shape), None))]
+            return [tests.InnerProduct(Array(self.rate(z, self.entries_of_L(along)), None))]
+        stress, plane = self.stress(z, tests.value, 0, self.tensors.gradients), self.dim**2
+        of_plane = stress[:plane].reshape(*along.grad_v.shape, -1)
+        parts = [along.grad_v.InnerProduct(Array(of_plane, None))]
+        return parts if along.hoop is None else [*parts, along.hoop * Array(stress[plane], None)]
+
+    def entries_of_L(self, along: Fields) -> np.ndarray:
+        """Those X that are entries of L, (gradients, points)."""
+        entries = along.grad_v.value.reshape(self.dim**2, -1)
+        return entries if along.hoop is None else np.concatenate([entries, along.hoop.value[None]])
 
     def creep_power(self, z: Fields, Pi: Sequence[Array], G: Fields, name: Conjugate) -> Sequence[Linear]:
         """rate(z; 0, Pi) : G, with G a test, Pi one a flow."""

@@ -48,6 +48,7 @@ from ngsolve import (
 
 from ngvisco.errors import ParameterError, require_choice
 from ngvisco.forms.fields import Fields
+from ngvisco.forms.mesh.symmetry import NO_SYMMETRY, Symmetry
 from ngvisco.forms.term import Introducing, Place, Setting, Unknown
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.mesh import Part
@@ -98,6 +99,7 @@ class Layout:
         dirichlet: Sequence[Region | None],
         *,
         periodic: bool = False,
+        symmetry: Symmetry = NO_SYMMETRY,
     ) -> None:
         """``terms`` introduce the unknowns; v_i is prescribed on the boundaries ``dirichlet[i]``.
 
@@ -106,6 +108,7 @@ class Layout:
         of an order that does not exist.
         """
         self.mesh, self.discretisation, self.periodic = mesh, discretisation, periodic
+        self.symmetry = symmetry
         self.states = StateSpace.of(material.variables, mesh.dim)
         self._dirichlet: tuple[Region | None, ...] = tuple(dirichlet)
         setting = Setting(mesh.dim, self.states, discretisation.k, discretisation.m)

@@ -39,6 +39,7 @@ from ngsolve import (
     Mesh,
 )
 
+from ngvisco.forms.boundary.axis import require_symmetry
 from ngvisco.forms.boundary.wall_terms import Carried, Impenetrability, wall_terms
 from ngvisco.forms.boundary.walls import Conditions, MovingWalls, Walls
 from ngvisco.forms.context import Context
@@ -48,6 +49,7 @@ from ngvisco.forms.energy import PointwiseEnergy, StoredEnergy
 from ngvisco.forms.fields import Fields, Tests
 from ngvisco.forms.mesh.mesh_arrays import check_mesh
 from ngvisco.forms.mesh.quadrature import Quadrature
+from ngvisco.forms.mesh.symmetry import Symmetry
 from ngvisco.forms.projections import FacetProjection, LocalProjection
 from ngvisco.forms.rates import Rates, TabulatedRates
 from ngvisco.forms.spaces import Discretisation, Layout
@@ -210,6 +212,8 @@ class Step:
         What holds on walls; slip where nothing is said.
     terms : sequence of Term, optional
         Further terms of the system.
+    symmetry : str
+        "none", or "axisymmetric" (``ngvisco.forms.mesh.symmetry``).
     """
 
     def __init__(
@@ -220,6 +224,7 @@ class Step:
         sources: Term | None = None,
         conditions: Conditions | None = None,
         terms: Sequence[Term] = (),
+        symmetry: str = "none",
     ) -> None:
         check_mesh(mesh)
         if model.viscosity is not None:
@@ -243,7 +248,9 @@ class Step:
             self.terms,
             self.walls.dirichlet,
             periodic=bool(self.walls.periodic),
+            symmetry=Symmetry.of(mesh, symmetry),
         )
+        require_symmetry(self.layout.symmetry, self.walls, model, self.terms)
         self.state = GridFunction(self.layout.space, name="state")
         self.state_old = GridFunction(self.layout.space, name="state_old")
         self.now = self.layout.fields(self.state.components)
@@ -253,7 +260,7 @@ class Step:
         self.moving_walls = MovingWalls(self.walls, self.layout, self.state)
         k, m, bonus = self.discretisation.k, self.discretisation.m, self.discretisation.quadrature_bonus
         response = model.material.response(mesh.dim)
-        self.quadrature = Quadrature.for_orders(mesh, k, m, bonus)
+        self.quadrature = Quadrature.for_orders(mesh, k, m, bonus, self.layout.symmetry)
         self.energy = StoredEnergy(model.material, mesh.dim)
         if response is not None:
             self.energy = PointwiseEnergy(model.material, response, self.quadrature, self.now, m)
@@ -273,7 +280,7 @@ class Step:
         if model.material.lagged:
             self.lagged = GridFunction(self.layout.blocks["z"], name="lagged")
             self.context.lagged = Fields(self.layout, {"z": self.lagged})
-        self.tabulated_rates = TabulatedRates(model, mesh.dim)
+        self.tabulated_rates = TabulatedRates(model, mesh.dim, self.layout.symmetry.is_axisymmetric)
         """The rates of the variables for arrays of values."""
         self.ranges: dict[str, tuple[float, float]] = {}
         """Least and largest start values of the material's parameters, by name."""

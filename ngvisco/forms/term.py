@@ -19,7 +19,7 @@ from abc import abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any, Literal, NoReturn, Protocol, TypeAlias, runtime_checkable
+from typing import Any, ClassVar, Literal, NoReturn, Protocol, TypeAlias, runtime_checkable
 
 from ngsolve import CoefficientFunction, FESpace, Mesh
 
@@ -184,10 +184,13 @@ class PointTerm:
     kept : tuple of str
         Unknowns, explicit functions of others, whose change the matrix of Newton's method leaves out of the
         term: it follows them from iterate to iterate.
+    plane_only : str or None
+        Why there is no such term in a body of revolution; None where ``L`` has all that it asks for.
     """
 
     linearised = True
     kept: tuple[str, ...] = ()
+    plane_only: ClassVar[str | None] = None
 
     @property
     def impulse(self) -> str:

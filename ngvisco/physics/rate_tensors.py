@@ -5,8 +5,8 @@ Rates are affine in z and linear in L and Pi (ngvisco.physics.variables), so tha
     rate(z; X)_n = sum_x X_x (C_xn + sum_m T_xnm z_m)
 
 in components, with constants that are read off here by evaluating the rates at unit arguments.  L has the
-dim^2 entries L_ij, row by row, and Pi the components of the trace-free tensors (of the symmetric ones by a
-law of creep with a trace).
+dim^2 entries L_ij, row by row, about an axis L_33 besides, and Pi the components of the trace-free tensors
+(of the symmetric ones by a law of creep with a trace).
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from functools import cache, cached_property
 
 import numpy as np
 import scipy.sparse as sp
+from ngsolve import CF
 
 from ngvisco.errors import ParameterError
 from ngvisco.physics.material import StateSpace
@@ -42,19 +43,24 @@ class RateTensors:
     linear: np.ndarray
     gradients: int
     """How many of the X are entries of L; the others are components of Pi."""
+    dim: int
     bent: tuple[str, ...] = ()
     """Variables whose rates are not affine in z: the tensors are not theirs."""
 
     @staticmethod
     @cache
-    def of(variables: tuple[Variable, ...], dim: int, has_trace: bool = False) -> RateTensors:
-        """Read off at z = 0 and at unit vectors of the components; ``has_trace`` is that of Pi.
+    def of(
+        variables: tuple[Variable, ...], dim: int, has_trace: bool = False, hoop: bool = False
+    ) -> RateTensors:
+        """Read off at z = 0 and at unit vectors of the components; ``has_trace`` is that of Pi, with ``hoop``
+        L_33 is not zero in two dimensions.
 
         Raises ParameterError for a variable whose rate is not linear in L and Pi, by its name: stresses
         would not belong to it.
         """
         states, space = StateSpace.of(variables, dim), (trace_free_tensors, symmetric_tensors)[has_trace](dim)
-        n, g = states.size, dim * dim
+        n, plane = states.size, dim * dim
+        g = plane + hoop
         random = np.random.default_rng(0)
         mixed = random.standard_normal(g + space.size)
         at_rest = states.components({v.name: v.from_distortion(IDENTITY) for v in variables})
@@ -64,7 +70,8 @@ class RateTensors:
         values[:, : n + 1] = np.eye(n, n + 1, 1)
 
         def rates_by(X: np.ndarray) -> np.ndarray:
-            L = embed_gradient(constant(X[:g].reshape(dim, dim)), dim)
+            about = CF(float(X[plane])) if hoop else None
+            L = embed_gradient(constant(X[:plane].reshape(dim, dim)), dim, about)
             Pi = constant(np.tensordot(X[g:], np.array(space.basis), 1))
 
             def components(z: Tensor) -> Tensor:
@@ -74,7 +81,7 @@ class RateTensors:
             return evaluated(components, values.T).T
 
         rates, of_mixed = np.array([rates_by(X) for X in np.eye(len(mixed))]), rates_by(mixed)
-        result = RateTensors(rates[:, :, 0], rates[:, :, 1 : n + 1] - rates[:, :, :1], g)
+        result = RateTensors(rates[:, :, 0], rates[:, :, 1 : n + 1] - rates[:, :, :1], g, dim)
         others, bent = slice(n + 1, None), []
         for v in variables:
             own = states.slices[v.name]
@@ -84,7 +91,7 @@ class RateTensors:
             affine = result.rate(values[:, others], mixed[:, None])
             if _differ(affine[own], of_mixed[own, others]):
                 bent.append(v.name)
-        return RateTensors(result.constant, result.linear, g, tuple(bent))
+        return replace(result, bent=tuple(bent))
 
     def by_groups(self, groups: Sequence[Sequence[str]], states: StateSpace) -> RateTensors:
         """The same with a Pi for each group of variables, which are named, in which these alone creep."""
@@ -97,10 +104,15 @@ class RateTensors:
         linear = [self.linear[:g], *(self.linear[g : g + size] * mask[:, None] for mask in masks)]
         return replace(self, constant=np.concatenate(constant), linear=np.concatenate(linear))
 
+    @property
+    def trace(self) -> tuple[int, ...]:
+        """Which of the X are on the diagonal of L."""
+        return (*range(0, self.dim**2, self.dim + 1), *range(self.dim**2, self.gradients))
+
     def turning(self) -> RateTensors:
         """The part of the antisymmetric L alone."""
-        g = self.gradients
-        dim = int(np.sqrt(g))
+        dim = self.dim
+        g = dim * dim
         constant, linear = np.zeros_like(self.constant), np.zeros_like(self.linear)
         for whole, part in ((self.constant, constant), (self.linear, linear)):
             of_L = whole[:g].reshape(dim, dim, *whole.shape[1:])

@@ -1,8 +1,9 @@
 """Tensor algebra on 3x3 coefficient functions, and the spaces of tensors that fields live in.
 
-All tensors are 3x3.  A two-dimensional mesh means plane strain: a tensor keeps its 33 entry and has zero 13,
-23, 31, 32 entries.  That subspace is closed under every operation used here; its fields are stored by their
-components in an orthonormal basis.  What energies are written with also takes ``ngvisco.physics.arrays``.
+All tensors are 3x3.  On a mesh of two dimensions, in plane strain and about an axis, a tensor keeps its 33
+entry and has zero 13, 23, 31, 32 entries.  That subspace is closed under every operation used here; its
+fields are stored by their components in an orthonormal basis.  What energies are written with also takes
+``ngvisco.physics.arrays``.
 """
 
 import math
@@ -134,17 +135,20 @@ def if_positive(a: Tensor, then: Tensor | float, otherwise: Tensor | float) -> T
     return a.where_positive(then, otherwise) if hasattr(a, "where_positive") else IfPos(a, then, otherwise)
 
 
-def embed_gradient(grad: Tensor, dim: int) -> Tensor:
-    """The 3x3 velocity gradient (grad v)_ij = d_j v_i from the dim x dim one (plane strain in 2D)."""
+def embed_gradient(grad: Tensor, dim: int, hoop: Tensor | None = None) -> Tensor:
+    """The 3x3 velocity gradient (grad v)_ij = d_j v_i from the dim x dim one, in 2D with ``hoop`` as entry
+    33, zero in plane strain."""
     if dim == 3:
         return grad
     if hasattr(grad, "mapped"):
-        return grad.mapped(_EMBEDDING, (3, 3))
+        plane = grad.mapped(_EMBEDDING, (3, 3))
+        return plane if hoop is None else plane + hoop.mapped(_HOOP, (3, 3))
     columns = constant(_COLUMNS)
-    return columns * grad * columns.trans
+    plane = columns * grad * columns.trans
+    return plane if hoop is None else plane + hoop * constant(_HOOP.reshape(3, 3))
 
 
-_COLUMNS = np.eye(3, 2)
+_COLUMNS, _HOOP = np.eye(3, 2), np.eye(9)[:, 8:]
 _EMBEDDING = np.zeros((9, 4))
 _EMBEDDING[(0, 1, 3, 4), (0, 1, 2, 3)] = 1.0
 """Of the entries of a 2x2 matrix in a 3x3 one."""

@@ -274,9 +274,8 @@ class CellTerms:
         self, step: Step, operators: Operators, rates: TabulatedRates, place: Where = "cells"
     ) -> None:
         """``place`` is "cells" or "nodes": which of the terms' integrals over cells."""
-        self.layout, self.op, self.place = step.layout, operators, place
+        self.layout, self.op, self.place, self._step = step.layout, operators, place, step
         self.context = CellContext(step, operators, rates)
-        self._tests = tests_of(step, True, self.context)
 
     def fields(self, c: Coefficients) -> Fields:
         """The unknowns with these coefficients at the points."""
@@ -285,7 +284,8 @@ class CellTerms:
 
     def slots(self, terms: Iterable[PointTerm], u: Fields) -> dict[str, np.ndarray]:
         """What multiplies each test and its gradient, (..., points)."""
-        return slots_of([part for term in terms for part in getattr(term, self.place)(u, self._tests)])
+        tests = tests_of(self._step, True, u.context)  # at the points of u, as often as these stand there
+        return slots_of([part for term in terms for part in getattr(term, self.place)(u, tests)])
 
     def derivatives(
         self, terms: Sequence[PointTerm], u: Fields, **along: np.ndarray

@@ -102,7 +102,7 @@ class MatrixHyperviscosity:
         """Whether the law's moduli are the same everywhere."""
         # Hs and all that is made of it are cellwise constant for k = 2: one point does
         constant = k == 2 and step.mesh.GetCurveOrder() <= 1 and self.is_uniform
-        self.points = CellPoints(step.mesh, 0) if constant else points
+        self.points = CellPoints(step.mesh, 0, step.layout.symmetry) if constant else points
         self.fields = L2(step.mesh, order=layout.discretisation.m)
         velocity, normal = layout.scalar_space("v"), NormalFacetFESpace(step.mesh, order=k - 1)
         self.velocities = velocity.ndof

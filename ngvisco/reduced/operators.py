@@ -23,7 +23,7 @@ class Operators:
     """Fields at the points of one rule, and tests there."""
 
     def __init__(self, step: Step, order: int) -> None:
-        self.layout, self.points = step.layout, CellPoints(step.mesh, order)
+        self.layout, self.points = step.layout, CellPoints(step.mesh, order, step.layout.symmetry)
         self.weights = self.points.weights
         self._made: dict[tuple[str, int], tuple[LocalMatrix, list[LocalMatrix]]] = {}
         self.z, self.dz = self.of("z")
@@ -52,7 +52,7 @@ class SideOperators:
 
     def __init__(self, step: Step) -> None:
         context, self.layout = step.context, step.layout
-        self.points = points = SidePoints(step.mesh, step.quadrature.facet_degree)
+        self.points = points = SidePoints(step.mesh, step.quadrature.facet_degree, step.layout.symmetry)
         self._made: dict[tuple[str, int], LocalMatrix] = {}
         self.z, self.hat, self.v = map(self.of, ("z", "z_hat", "v"))
         self.inner = np.round(points.sample(context.inner))

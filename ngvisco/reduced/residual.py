@@ -164,7 +164,7 @@ class ReducedResidual:
         """Of what is integrated by as many points as a field has values in a cell."""
         if claims.of_nodes():
             rates = LinearisedTabulatedRates(self.rates, step.stresses)
-            self.node_terms = CellTerms(step, Operators(step, step.quadrature.field_order), rates, "nodes")
+            self.node_terms = CellTerms(step, Operators(step, step.quadrature.node_order), rates, "nodes")
         self.inverse_mass = inverse_of_blocks(mass_matrix(self.op.z.matrix, self.op.weights))
         self.by_forms = RestrictedForm(step, u.flow, claims.by_forms) if claims.by_forms else None
         self.density = RestrictedForm(step, u.density, claims.density) if claims.density else None

@@ -7,7 +7,8 @@
 | creep_strain  | dt kappa + (v . grad) kappa = sqrt(2/3) |Pi|, of a network one of each branch | 0 |
 
 F_0 is the initial elastic distortion: what was there of creep is not known, and F_tot is F as long as none
-follows.  On meshes of two dimensions its entry F_33 is carried as a scalar where it is not 1.
+follows.  On meshes of two dimensions its entry F_33 is carried as a scalar where it is not 1, about an
+axis at the rate v_r/r.
 
 Each stage of the scheme is a linear problem with the stage's velocity, implicit Euler from the combination of
 earlier stages that the scheme prescribes, by the transport of the scheme's own variables, with their upwind
@@ -71,8 +72,10 @@ class PassiveFields:
                 self.parts[f"F_tot_{j + 1}"].Set(CF(tuple(F_0[i, j] for i in range(dim))))
         flow = _Carrier(step, False, None)
         gap = F_0[2, 2] - 1
-        if "F_tot" in self.names and dim == 2 and step.quadrature.integrate_cells(gap * gap) > 0:
-            self._add_group("F_tot_33", 1, flow)
+        hoop = step.now.hoop
+        is_stretched = hoop is not None or (dim == 2 and step.quadrature.integrate_cells(gap * gap) > 0)
+        if "F_tot" in self.names and is_stretched:
+            self._add_group("F_tot_33", 1, flow if hoop is None else _Carrier(step, False, hoop))
             self.parts["F_tot_33_1"].Set(F_0[2, 2])
         if "reference_map" in self.names:
             self._add_group("displacement", dim, flow)
@@ -184,7 +187,7 @@ class _Growth(Rates):
     """The rate A f of a passive field, in place of those of the material's variables."""
 
     def __init__(self, step: Step, A: CoefficientFunction | None) -> None:
-        super().__init__(step.model, step.mesh.dim)
+        super().__init__(step.model, step.mesh.dim, step.layout.symmetry.is_axisymmetric)
         self._A = A
 
     def power(self, z: Fields, along: Fields, G: Fields, name: Conjugate) -> Sequence[CoefficientFunction]:
@@ -199,7 +202,7 @@ class _Carrier:
     """
 
     def __init__(self, step: Step, vector: bool, rate: CoefficientFunction | None) -> None:
-        """``rate`` is A, (dim, dim), or None for none; ``vector`` fields have dim components."""
+        """``rate`` is A, a scalar or (dim, dim), or None for none; ``vector`` fields have dim components."""
         mesh, order = step.mesh, step.discretisation.k
         self.vector, self.cells = vector, _cells(mesh, order, vector)
         traces = ngs.FacetFESpace(mesh, order=order)
@@ -215,13 +218,13 @@ class _Carrier:
         facets = sum(Trace().facets(u, w)) + sum(Upwinding().facets(u, w))
         facets -= transport_through_facets(u, u, w, "z")
         self.form = ngs.BilinearForm(self.space, condense=True)
-        self.form += cells.Compile() * rules.cells
-        self.form += facets.Compile() * rules.facets
+        self.form += rules.cells(cells.Compile())
+        self.form += rules.facets(facets.Compile())
         self._preconditioner = ngs.Preconditioner(self.form, "local")
         # the old value by the rule of the matrix: another one lets errors grow at rest
         self._old = GridFunction(self.cells)
         self._load = ngs.LinearForm(self.space)
-        self._load += c.rate(inner(self._old, g)) * rules.cells
+        self._load += rules.cells(c.rate(inner(self._old, g)))
         self._tests, self._rules = g, rules
         self._traces = ngs.Projector(self.space.FreeDofs(True), True)
         self._solution = GridFunction(self.space)
@@ -237,7 +240,7 @@ class _Carrier:
         self._old.vec.FV().NumPy()[:] = old
         rhs = self._load.Assemble().vec
         if source is not None:
-            rhs += ngs.LinearForm(source * self._tests * self._rules.cells).Assemble().vec
+            rhs += ngs.LinearForm(self._rules.cells(source * self._tests)).Assemble().vec
         reduced = (rhs + form.harmonic_extension_trans * rhs).Evaluate()
         self._traces.Project(reduced)
         solution.vec[:] = 0.0

@@ -138,10 +138,11 @@ class WallForces(Series):
         As for ``Probes``.
 
     The columns are ``WALL.force_1`` ... (N) and ``WALL.torque`` (2D) or ``WALL.torque_1`` ... (N m), per
-    metre of thickness in plane strain.  They are the reactions of the equations as solved, of the elastic,
-    viscous and hyperviscous stress (``ngvisco.forms.boundary.reactions``); each row is of the step that ends
-    at its time, so that the first one is of the first step: the mean over the step's stages with the scheme's
-    weights.  Backward Euler has them at the step's end, the midpoint rule at its middle.
+    metre of thickness in plane strain; of a body of revolution ``WALL.force_2``, N over 2 pi.  They are the
+    reactions of the equations as solved, of the elastic, viscous and hyperviscous stress
+    (``ngvisco.forms.boundary.reactions``); each row is of the step that ends at its time, so that the first
+    one is of the first step: the mean over the step's stages with the scheme's weights.  Backward Euler has
+    them at the step's end, the midpoint rule at its middle.
     """
 
     initial = False

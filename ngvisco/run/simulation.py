@@ -19,8 +19,6 @@ from ngvisco.errors import (
     StepError,
     as_number,
     as_numbers,
-    require_collection,
-    require_names,
     require_type,
 )
 from ngvisco.forms.boundary.walls import Conditions
@@ -37,7 +35,7 @@ from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.mesh import distributed
 from ngvisco.parallel.petsc import require_petsc
 from ngvisco.physics.model import Model
-from ngvisco.physics.walls import Wall
+from ngvisco.run.arguments import METHODS_OF_OBSERVERS, check_arguments, require_methods
 from ngvisco.run.checkpoint import take_up
 from ngvisco.run.failure import failure_report
 from ngvisco.run.fields import output_fields, require_names_of_their_own
@@ -55,7 +53,7 @@ from ngvisco.threads import computing
 from ngvisco.timestepping.integrator import Integrator
 from ngvisco.timestepping.scheme import TimeScheme
 
-_LOOKED_AT, _OBSERVER = 4, ("start", "step", "finish")
+_LOOKED_AT = 4
 
 
 class Observer(Protocol):
@@ -89,8 +87,9 @@ class Simulation:
     Parameters
     ----------
     mesh : ngsolve.Mesh
-        2D (plane strain) or 3D; every boundary that is not periodic is an impenetrable wall.  Where mpirun
-        started several processes, that of the first one is distributed over them (``simulation.mesh``).
+        2D (plane strain, or see ``symmetry``) or 3D; every boundary that is not periodic is an impenetrable
+        wall.  Where mpirun started several processes, that of the first one is distributed over them
+        (``simulation.mesh``).
     model : Model
     initial : Initial, optional
     walls : mapping of boundary names (or tuples of them) to Wall objects, optional
@@ -111,6 +110,10 @@ class Simulation:
         both solvers; of a term that states its ``form(u, w)`` alone split takes rows of the flow only.
     passive : sequence of str
         Fields carried by the flow: ``"F_tot"``, ``"reference_map"``, ``"creep_strain"``.
+    symmetry : str
+        ``"axisymmetric"``: a mesh of two dimensions is the half plane r = x >= 0 of a body of revolution
+        about x = 0 that does not swirl; integrals, as energies, masses and forces, are its own over 2 pi.
+        ``"none"``: in two dimensions plane strain.
     """
 
     @computing()
@@ -130,6 +133,7 @@ class Simulation:
         sources: Term | None = None,
         terms: Sequence[Term] = (),
         passive: Sequence[str] = (),
+        symmetry: str = "none",
         **steps: Any,
     ) -> None:
         initial = Initial() if initial is None else initial
@@ -141,7 +145,7 @@ class Simulation:
         ):
             require_type(f"Simulation.{name}", value, kind)
         time = time_steps(time, steps)
-        _check_arguments(observers, walls, passive, sources, terms)
+        check_arguments(observers, walls, passive, sources, terms)
         if model.heat is not None and model.heat.numerical_heating and time.made.A != ((1.0,),):
             expected = f"False for {time.made.name!r}: at a point only that of backward Euler is known"
             raise ParameterError("Heat.numerical_heating", True, expected)
@@ -151,11 +155,11 @@ class Simulation:
         self.arguments: dict[str, Any] = dict(time=time, initial=initial, walls=walls, solver=solver)
         """What it was made of besides mesh, model and observers."""
         self.arguments |= dict(discretisation=discretisation, newton=newton, passive=passive)
-        self.arguments |= dict(sources=sources, terms=terms)
+        self.arguments |= dict(sources=sources, terms=terms, symmetry=symmetry)
         self.mesh, self.model = mesh, model
         self.dt, self.given_velocity_scale = float(time.dt), time.velocity_scale
         self.stepper = time.stepper()
-        self.rothe_step = Step(mesh, model, discretisation, sources, walls, terms)
+        self.rothe_step = Step(mesh, model, discretisation, sources, walls, terms, symmetry)
         self.stepper.require(self.rothe_step)
         require_names_of_their_own(model.material, self.rothe_step.layout.further, CARRIED)
         self.sampler = Sampler(mesh, self.rothe_step.quadrature)
@@ -351,7 +355,7 @@ class Simulation:
             raise ParameterError("until", until, f"a finite number >= {self.t:g}")
         until, stops = end, as_numbers("stops", stops, "a sequence of finite numbers, s")
         for observer in self.observers:
-            _require_methods("observers", observer, _OBSERVER)
+            require_methods("observers", observer, METHODS_OF_OBSERVERS)
         self.check_data(until)
         warn_of_corners(self.rothe_step, self._looked_at(until))
         for name, value in [("until", until), *(("stops", stop) for stop in stops)]:
@@ -414,37 +418,3 @@ class Simulation:
     def _start_ledger(self) -> None:
         if not self.ledger.rows and self.ledger.balance is None:
             self.ledger.start(self.t)
-
-
-def _check_arguments(observers: Any, walls: Any, passive: Any, sources: Any, terms: Any) -> None:
-    for observer in require_collection("Simulation.observers", observers, "a sequence of observers"):
-        _require_methods("observers", observer, _OBSERVER)
-    require_names("Simulation.passive", passive)
-    if walls is not None:
-        _check_walls(walls)
-    if sources is not None:
-        _require_methods("sources", sources, ("form", "entries"), "a Term, with")
-    for term in require_collection("Simulation.terms", terms, "a sequence of Terms"):
-        _require_methods("terms", term, ("form", "entries"))
-
-
-def _require_methods(name: str, value: object, methods: Sequence[str], kind: str = "objects with") -> None:
-    if isinstance(value, type) or not all(callable(getattr(value, method, None)) for method in methods):
-        *others, last = methods
-        expected = f"{kind} the methods {', '.join(others)} and {last}"
-        raise ParameterError(f"Simulation.{name}", value, expected)
-
-
-def _check_walls(walls: Any) -> None:
-    expected = "a mapping of boundary names to Wall objects, e.g. {'top': NoSlip()}"
-    pairs = walls.items() if isinstance(walls, Mapping) else walls
-    if isinstance(pairs, (str, Wall)):
-        raise ParameterError("Simulation.walls", walls, expected)
-    try:
-        keys = [key for key, _ in pairs]
-    except (TypeError, ValueError):
-        raise ParameterError("Simulation.walls", walls, expected) from None
-    for key in keys:
-        names = (key,) if isinstance(key, str) else key
-        if not isinstance(names, (tuple, list)) or not all(isinstance(name, str) for name in names):
-            raise ParameterError("Simulation.walls", key, "the name of a boundary, or a tuple of names")

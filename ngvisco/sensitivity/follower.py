@@ -69,7 +69,7 @@ class Follower:
         layout = self.step.layout
         trial, test = (layout.fields(parts) for parts in layout.space.TnT())
         form = BilinearForm(layout.space)
-        form += inner(trial.rho * trial.v, test.v).Compile() * self.step.quadrature.cells
+        form += self.step.quadrature.cells(inner(trial.rho * trial.v, test.v).Compile())
         if (walls := self.step.impenetrability) is not None:
             self.step.quadrature.add(form, walls.form(trial, test))
         return form
@@ -79,7 +79,7 @@ class Follower:
         layout = self.step.layout
         form = LinearForm(layout.space)
         test = layout.fields(layout.space.TestFunction())
-        form += inner(self.step.momentum_old, test.v) * self.step.quadrature.cells
+        form += self.step.quadrature.cells(inner(self.step.momentum_old, test.v))
         return form
 
     def end(

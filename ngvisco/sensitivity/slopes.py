@@ -65,13 +65,13 @@ class Slopes:
 
     def _form(self, integrand: Integrand) -> Callable[[], np.ndarray]:
         quadrature, form = self.step.quadrature, BilinearForm(self.step.layout.space)
-        for part, measure in (
+        for part, integral in (
             (integrand.cells, quadrature.cells),
             (integrand.facets, quadrature.facets),
             (integrand.nodes, quadrature.nodes),
         ):
             if part is not None:
-                form += Variation(compiled(part) * measure)
+                form += Variation(integral(compiled(part)))
 
         def slope() -> np.ndarray:
             form.Apply(self.step.state.vec, self._vector)

@@ -94,7 +94,7 @@ class Starts:
         form, own = BilinearForm(layout.space), np.zeros(layout.space.ndof, dtype=bool)
         for term in step.terms:
             for name, load in term.projections(u) if isinstance(term, Projecting) else ():
-                form += inner(u.parts[name], w.parts[name]).Compile() * step.quadrature.cells
+                form += step.quadrature.cells(inner(u.parts[name], w.parts[name]).Compile())
                 step.quadrature.add(form, load(-1 * w.parts[name]))
                 own[layout.ranges[name]] = True
         return form, own

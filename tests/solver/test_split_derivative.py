@@ -18,9 +18,9 @@ LAWS = REGULARISED | {
 MECHANISMS = {"creep at points": {}, **PARTS, **{name: {"regularisation": law} for name, law in LAWS.items()}}
 
 
-def simulation(mesh=None, discretisation=None, **parts):
+def simulation(mesh=None, discretisation=None, symmetry="none", **parts):
     mesh, walls = mesh or box((1, 1), maxh=0.5), WALLS if mesh is None else {}
-    options = {"walls": walls, "discretisation": discretisation, "solver": "split"}
+    options = {"walls": walls, "discretisation": discretisation, "solver": "split", "symmetry": symmetry}
     initial = nv.Initial(velocity=(*SWIRL, CF(0))[: mesh.dim])
     return nv.Simulation(mesh, model(dim=mesh.dim, **parts), dt=0.02, initial=initial, **options)
 
@@ -89,3 +89,7 @@ def test_on_a_periodic_cell():
 
 def test_on_a_curved_wall():
     assert_is_the_derivative(simulation(disc(1.0, maxh=0.7)))
+
+
+def test_about_an_axis():
+    assert_is_the_derivative(simulation(symmetry="axisymmetric", hyperviscosity=None))

@@ -27,6 +27,7 @@ from ngvisco.forms.boundary.boundaries import facet_indicator
 from ngvisco.forms.boundary.wall_terms import OnWall
 from ngvisco.forms.boundary.walls import MovingWalls
 from ngvisco.forms.fields import Fields
+from ngvisco.forms.mesh.symmetry import Symmetry
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import Integrand
 from ngvisco.parallel.communicator import Communicator
@@ -54,7 +55,7 @@ class WallReactions:
         for name in self.names:
             if name not in walls:
                 raise UnknownNameError("wall", name, walls)
-        self.motions = rigid_motions(step.mesh.dim, about)
+        self.motions = rigid_motions(step.layout.symmetry, step.mesh.dim, about)
         space = step.layout.blocks["v"]
         interpolated, interpolate = GridFunction(space), Interpolation(space)
         self._tests: list[np.ndarray] = []
@@ -117,7 +118,8 @@ class WallReactions:
         return self._ranks.totals(own)
 
     def __call__(self) -> dict[str, list[float]]:
-        """Of each wall the components of force, N, and of torque, N m, on it (per metre in plane strain).
+        """Of each wall the components of force, N, and of torque, N m, on it (per metre in plane strain, of a
+        body of revolution the axial force over 2 pi).
 
         They are those of the Rothe step that was solved last, and belong to its solution: the state has to
         be that, with the step's old state, length and loads in place.  Of a scheme with stages or an
@@ -141,11 +143,14 @@ def beside_the_stress(u: Fields, phi: CoefficientFunction) -> CoefficientFunctio
     return phi - inner(masked(u.z, by_flux), u.zeta) if by_flux.any() else phi
 
 
-def rigid_motions(dim: int, about: Sequence[float]) -> dict[str, CoefficientFunction]:
-    """The translations and rotations about a point, by the names of force and torque components."""
+def rigid_motions(symmetry: Symmetry, dim: int, about: Sequence[float]) -> dict[str, CoefficientFunction]:
+    """The translations and rotations about a point, by the names of force and torque components; of a body of
+    revolution the translation along its axis alone."""
     r = [coordinate - c for coordinate, c in zip((x, y, z), about, strict=False)]
     units = [CF(tuple(float(i == j) for i in range(dim))) for j in range(dim)]
     motions = {f"force_{i + 1}": unit for i, unit in enumerate(units)}
+    if symmetry.is_axisymmetric:
+        return {"force_2": units[1]}
     if dim == 2:
         return motions | {"torque": CF((-r[1], r[0]))}
     spins = (CF((0.0, -r[2], r[1])), CF((r[2], 0.0, -r[0])), CF((-r[1], r[0], 0.0)))

@@ -35,6 +35,7 @@ from ngsolve import (
 from ngsolve.comp import IntegrationRuleSpace
 
 from ngvisco.errors import MeshError
+from ngvisco.forms.mesh.symmetry import Symmetry
 
 NEGLIGIBLE = 1e-14
 """Entries smaller than this, relative to the largest, are rounding: a side sees its own facet alone."""
@@ -52,8 +53,8 @@ def csr(matrix: BaseMatrix) -> sp.csr_matrix:
 class CellPoints:
     """The points of the rule of even degree 2 ``order`` on a mesh of simplices."""
 
-    def __init__(self, mesh: Mesh, order: int) -> None:
-        self.mesh = mesh
+    def __init__(self, mesh: Mesh, order: int, symmetry: Symmetry) -> None:
+        self.mesh, self.symmetry = mesh, symmetry
         self.shape = ET.TRIG if mesh.dim == 2 else ET.TET
         self.rules = {self.shape: IntegrationRule(self.shape, 2 * order)}
         self.per_cell = len(self.rules[self.shape])
@@ -64,8 +65,16 @@ class CellPoints:
 
     @cached_property
     def weights(self) -> np.ndarray:
-        """Weight times Jacobian at every point, (points,), m^dim."""
-        form = LinearForm(self.space.TestFunction() * self.dx)
+        """Weight times Jacobian at every point, (points,), m^dim; times r of a body of revolution."""
+        weight = self.symmetry.radius
+        return self._measure if weight is None else self._loads(weight)
+
+    @cached_property
+    def _measure(self) -> np.ndarray:
+        return self._loads(CF(1.0))
+
+    def _loads(self, value: CoefficientFunction) -> np.ndarray:
+        form = LinearForm(value * self.space.TestFunction() * self.dx)
         return form.Assemble().vec.FV().NumPy().copy()
 
     def values(self, space: FESpace) -> sp.csr_matrix:
@@ -80,7 +89,7 @@ class CellPoints:
         form = BilinearForm(trialspace=space, testspace=self.space)
         form += value * self.space.TestFunction() * self.dx
         matrix = csr(form.Assemble().mat)
-        matrix.data /= np.repeat(self.weights, np.diff(matrix.indptr))
+        matrix.data /= np.repeat(self._measure, np.diff(matrix.indptr))
         return matrix
 
     def function(self, components: int) -> GridFunction:
@@ -102,7 +111,7 @@ class SidePoints:
     of the rule, with a rule of that point alone and one constant test on each side.
     """
 
-    def __init__(self, mesh: Mesh, degree: int) -> None:
+    def __init__(self, mesh: Mesh, degree: int, symmetry: Symmetry) -> None:
         self.mesh = mesh
         self.shape = ET.SEGM if mesh.dim == 2 else ET.TRIG
         rule = IntegrationRule(self.shape, degree)
@@ -114,6 +123,9 @@ class SidePoints:
         self.sides = self._tests.ndof
         self._measure = self._loads(CF(1.0))
         self.weights = (np.array(rule.weights)[None] * self._measure).ravel()
+        """Weight times Jacobian, (points,), m^(dim - 1); times r of a body of revolution."""
+        if symmetry.on_facets is not None:
+            self.weights = self.weights * self.sample(symmetry.on_facets)
         self.count = self.weights.size
 
     def _dx(self, rule: IntegrationRule) -> object:

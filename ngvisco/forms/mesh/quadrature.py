@@ -37,6 +37,7 @@ from ngsolve.comp import IntegrationRuleSpace
 
 from ngvisco.errors import InitialDataError, ParameterError
 from ngvisco.forms.mesh.mesh_arrays import VERTICES, rules
+from ngvisco.forms.mesh.symmetry import NO_SYMMETRY, Symmetry, weighted
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.mesh import number_of
 
@@ -61,15 +62,20 @@ class Quadrature:
     field_order : int
         Of products of two fields of this order ``nodes`` is exact: on triangles and tetrahedra it has for
         orders up to one, on triangles for two, as many points as a field has values in a cell.
+    symmetry : Symmetry
+        Of a body of revolution all integrals have the weight r.
     """
 
     mesh: Mesh
     volume_degree: int
     facet_degree: int
     field_order: int = 1
+    symmetry: Symmetry = NO_SYMMETRY
 
     @classmethod
-    def for_orders(cls, mesh: Mesh, k: int, m: int, bonus: int = 0) -> Quadrature:
+    def for_orders(
+        cls, mesh: Mesh, k: int, m: int, bonus: int = 0, symmetry: Symmetry = NO_SYMMETRY
+    ) -> Quadrature:
         """Degrees for velocity order k and field order m.
 
         The terms with the highest degree among the polynomial ones are m~ . (L^T w) and
@@ -80,7 +86,14 @@ class Quadrature:
         degree = max(2 * k + m + 1, 2 * m + k) + bonus
         degree += degree % 2
         # a transport's facets want 2m + 1 for its order; see SYMMETRIC_DEGREE
-        return cls(mesh, degree, degree if mesh.dim == 2 else min(degree, SYMMETRIC_DEGREE), m)
+        of_facets = degree if mesh.dim == 2 else min(degree, SYMMETRIC_DEGREE)
+        return cls(mesh, degree, of_facets, m, symmetry)
+
+    @property
+    def node_order(self) -> int:
+        """Half of the degree of ``nodes``: of degree 2 the points are middles of sides, which may lie on the
+        axis of a body of revolution, where they would have no weight."""
+        return 2 if self.symmetry.is_axisymmetric and self.field_order == 1 else self.field_order
 
     @cached_property
     def cell_rules(self) -> dict[Any, IntegrationRule]:
@@ -91,29 +104,36 @@ class Quadrature:
     def _facet_rules(self) -> dict[Any, IntegrationRule]:
         return rules(self.mesh.dim - 1, self.facet_degree)
 
-    @property
-    def cells(self) -> Any:
-        """dx over the cells with the common rule."""
-        return dx(intrules=self.cell_rules)
+    def cells(self, integrand: CoefficientFunction) -> Any:
+        """The integral over the cells with the common rule, for a form."""
+        return self._in_cells(integrand) * dx(intrules=self.cell_rules)
+
+    def nodes(self, integrand: CoefficientFunction) -> Any:
+        """The same by the rule of the fields' products."""
+        return self._in_cells(integrand) * dx(intrules=self._node_rules)
 
     @cached_property
-    def nodes(self) -> Any:
-        """dx over the cells by the rule of the fields' products."""
-        return dx(intrules=rules(self.mesh.dim, 2 * self.field_order))
+    def _node_rules(self) -> dict[Any, IntegrationRule]:
+        return rules(self.mesh.dim, 2 * self.node_order)
 
-    @property
-    def facets(self) -> Any:
-        """dx over the boundary of every cell (both sides of each inner facet)."""
-        return dx(element_boundary=True, intrules=self._facet_rules)
+    def facets(self, integrand: CoefficientFunction, cells: BitArray | None = None) -> Any:
+        """The integral over the boundary of every cell (both sides of each inner facet), or of ``cells``."""
+        over = dx(element_boundary=True, intrules=self._facet_rules, definedonelements=cells)
+        return self._on_facets(integrand) * over
 
-    @property
-    def walls(self) -> Any:
-        """ds by the rule of ``facets``."""
-        return ds(intrules=self._facet_rules)
+    def walls(self, integrand: CoefficientFunction) -> Any:
+        """The integral over the boundary of the mesh by the rule of ``facets``."""
+        return self._on_facets(integrand) * ds(intrules=self._facet_rules)
+
+    def _in_cells(self, integrand: CoefficientFunction) -> CoefficientFunction:
+        return weighted(integrand, self.symmetry.radius)
+
+    def _on_facets(self, integrand: CoefficientFunction) -> CoefficientFunction:
+        return weighted(integrand, self.symmetry.on_facets)
 
     def vectors(self, size: int, at_nodes: bool = False) -> GridFunction:
         """A function of vectors at the points of ``cells``, or of ``nodes``; ``values_of`` has its values."""
-        order = self.field_order if at_nodes else self.volume_degree // 2
+        order = self.node_order if at_nodes else self.volume_degree // 2
         return GridFunction(VectorValued(IntegrationRuleSpace(self.mesh, order=order), size))
 
     def add(self, form: Any, integrands: Iterable[Integrand], cells: BitArray | None = None) -> None:
@@ -121,32 +141,33 @@ class Quadrature:
 
         Those on facets are of all cells, or of ``cells``.
         """
-        facets = dx(element_boundary=True, intrules=self._facet_rules, definedonelements=cells)
         for integrand in integrands:
             if integrand.cells is not None:
-                form += compiled(integrand.cells) * self.cells
+                form += self.cells(compiled(integrand.cells))
             if integrand.facets is not None:
-                form += compiled(integrand.facets) * facets
+                form += self.facets(compiled(integrand.facets), cells)
             if integrand.nodes is not None:
-                form += compiled(integrand.nodes) * self.nodes
+                form += self.nodes(compiled(integrand.nodes))
 
     def integrate_cells(self, integrand: CoefficientFunction) -> Any:
         """Integral over the mesh, by the rule of ``cells``; a float, or a vector of them."""
-        return Integrate(integrand, self.mesh, order=self.volume_degree)
+        return Integrate(self._in_cells(integrand), self.mesh, order=self.volume_degree)
 
     def each_cell(self, integrand: CoefficientFunction) -> np.ndarray:
         """Integrals of a scalar over the cells of this rank by the same rule, (cells,)."""
-        of_cells = Integrate(integrand, self.mesh, order=self.volume_degree, element_wise=True)
+        weighed = self._in_cells(integrand)
+        of_cells = Integrate(weighed, self.mesh, order=self.volume_degree, element_wise=True)
         return np.array(of_cells.NumPy())
 
     def integrate_nodes(self, integrand: CoefficientFunction) -> Any:
         """The same by the rule of ``nodes``."""
-        return Integrate(integrand, self.mesh, order=2 * self.field_order)
+        return Integrate(self._in_cells(integrand), self.mesh, order=2 * self.node_order)
 
     def integrate_facets(self, integrand: CoefficientFunction, cells: BitArray | None = None) -> float:
         """Integral over all cell boundaries, or those of ``cells``, by the rule of ``facets``."""
         order = self.facet_degree - _FACET_BASE_ORDER
-        total = integrand * dx(element_boundary=True, bonus_intorder=order, definedonelements=cells)
+        over = dx(element_boundary=True, bonus_intorder=order, definedonelements=cells)
+        total = self._on_facets(integrand) * over
         # NGSolve sums up integrals of coefficient functions over the ranks, but not these
         return float(self.mesh.comm.Sum(Integrate(total, self.mesh)))
 
@@ -223,7 +244,7 @@ class Sampler:
 
     def integral(self, values: np.ndarray) -> float:
         """Of values at this rank's points over the whole mesh: of each cell the mean of its points counts."""
-        volumes = Integrate(CF(1.0), self.mesh, element_wise=True).NumPy()
+        volumes = self.quadrature.each_cell(CF(1.0))
         sums, counts = (np.bincount(self.cells, weights, len(volumes)) for weights in (values, None))
         return self.ranks.total(float(volumes @ (sums / np.maximum(counts, 1))))
 

@@ -34,6 +34,7 @@ from ngsolve import (
 from ngvisco.errors import InitialDataError, InputWarning, ParameterError, UnknownNameError
 from ngvisco.forms.mesh.locating import Located, as_points
 from ngvisco.forms.mesh.quadrature import Sampler
+from ngvisco.forms.mesh.symmetry import weighted
 from ngvisco.forms.projections import LocalProjection
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import tested
@@ -104,7 +105,10 @@ class Column:
         self.p, self.constant = GridFunction(self.space), Parameter(0.0)
         self.pressure = self.p + self.constant
         q, t = self.space.TnT()
-        self._form = BilinearForm(grad(q) * grad(t) * dx).Assemble()
+        self._form = BilinearForm(self._weighed(grad(q) * grad(t)) * dx).Assemble()
+
+    def _weighed(self, integrand: CoefficientFunction) -> CoefficientFunction:
+        return weighted(integrand, self.step.layout.symmetry.radius)
 
     def weight(self) -> CoefficientFunction:
         """f, N/m^3, at t = 0."""
@@ -171,7 +175,7 @@ class Column:
 
     def _bear(self, force: CoefficientFunction) -> None:
         """Make p the pressure that bears a force, with any constant."""
-        load = LinearForm(force * grad(self.space.TestFunction()) * dx).Assemble()
+        load = LinearForm(self._weighed(force * grad(self.space.TestFunction())) * dx).Assemble()
         free = self.space.FreeDofs()
         pinned = type(free)(free)
         pinned.Clear(int(np.flatnonzero(list(free))[0]))
@@ -207,8 +211,8 @@ class Column:
             if datum not in walls.conditions:
                 raise UnknownNameError("wall of Initial.datum", datum, walls.conditions)
             region = walls.region([datum])
-            area = float(Integrate(CF(1.0), self.mesh, definedon=region))
-            return lambda f: float(Integrate(f, self.mesh, definedon=region)) / area
+            area = float(Integrate(self._weighed(CF(1.0)), self.mesh, definedon=region))
+            return lambda f: float(Integrate(self._weighed(f), self.mesh, definedon=region)) / area
         if datum is not None:
             where = as_points("Initial.datum", datum, self.mesh.dim)
             if len(where) != 1:
@@ -228,7 +232,9 @@ class Column:
     def _say_what_is_left(self) -> None:
         """Warn where the loads are no gradient."""
         force = self.weight()
-        left, size = (float(Integrate(Norm(f), self.mesh)) for f in (grad(self.p) - force, force))
+        left, size = (
+            float(Integrate(self._weighed(Norm(f)), self.mesh)) for f in (grad(self.p) - force, force)
+        )
         if left > _UNBORNE * size:
             message = (
                 f"equilibrium: {left / size:.0%} of the loads are borne by no pressure, since the density "

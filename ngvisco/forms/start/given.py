@@ -23,17 +23,17 @@ class QuadraturePoints:
         self.quadrature, self.mesh = quadrature, quadrature.mesh
         if on is None:
             self._space = IntegrationRuleSpace(self.mesh, order=quadrature.volume_degree // 2)
-            self._measure = quadrature.cells
+            self._integral = quadrature.cells
         else:
             self._space = IntegrationRuleSpaceSurface(self.mesh, order=quadrature.facet_degree // 2)
-            self._measure = quadrature.walls
+            self._integral = quadrature.walls
         self._here = np.ones(self._space.ndof, dtype=bool)
         self._here = self._loaded(CoefficientFunction(1.0) if on is None else on) != 0
         self.weights = self._loaded(CoefficientFunction(1.0))
 
     def _loaded(self, value: CoefficientFunction) -> np.ndarray:
         load = LinearForm(self._space)
-        load += value * self._space.TestFunction() * self._measure
+        load += self._integral(value * self._space.TestFunction())
         loaded: np.ndarray = load.Assemble().vec.FV().NumPy()[self._here]
         return loaded
 
@@ -62,7 +62,7 @@ class QuadraturePoints:
     def project(self, values: np.ndarray, space: L2, into: GridFunction) -> None:
         """The cellwise L2 projection of ``values``, (points,), on a discontinuous scalar space."""
         load = LinearForm(space)
-        load += self.function(values) * space.TestFunction() * self.quadrature.cells
+        load += self.quadrature.cells(self.function(values) * space.TestFunction())
         into.vec.data = inverse_mass(space, self.quadrature) * load.Assemble().vec
 
 

@@ -54,6 +54,7 @@ class FieldDiffusion(PointTerm):
     law: Regularisation
     material: Material
     dim: int
+    plane_only = "about an axis the Laplacian of a tensor is not that of its entries; take delta_fields = 0"
 
     @cached_property
     def curvature(self) -> Curvature:

@@ -125,7 +125,9 @@ class PointTangent(_AtPoints):
     def update(self, at: Evaluation) -> None:
         """Form K's resolvent, d rate/dX and the force's derivative."""
         self._take(at)
-        self.dz = self.values.grad_z.value
+        self.dz, radius = self.values.grad_z.value, self.values.layout.symmetry.radius
+        self.radius = None if radius is None else self.values.context.given(radius).value
+        """r of a body of revolution, (points,)."""
         self.columns = self.residual.rates.columns(self.z)  # (points, n, X)
         self.rate_slope, self.force = self._by_fields(self.values)
         if self.nodes is not None:
@@ -140,14 +142,14 @@ class PointTangent(_AtPoints):
         so is what densities have in their flux.
         """
         rates = self.residual.rates
-        g = rates.tensors.gradients
+        g, plane = rates.tensors.gradients, rates.dim**2
         X = np.zeros((self.columns.shape[2], self.z.shape[1]))
-        X[:g] = u.grad_v.value.reshape(g, -1)
+        X[:g] = rates.entries_of_L(u)
         if rates.flows and not rates.creeps_at_nodes:
             X[g:] = rates.creep_components(u)
         K, force = (each.transpose(2, 0, 1) for each in rates.slopes(self.z, X, self.zeta))
         force = force + np.matmul(self.columns.swapaxes(1, 2), self.curvature)
-        force[:, : g : self.residual.step.mesh.dim + 1] += self.zeta.T[:, None]
+        force[:, rates.tensors.trace] += self.zeta.T[:, None]
         if not (self._asked or self._creeps):
             return np.ascontiguousarray(K), force
         K, of_creep = K.copy(), self.columns[:, :, g:]
@@ -158,7 +160,9 @@ class PointTangent(_AtPoints):
                 K[:, :, some] -= found["z"].transpose(2, 0, 1)
             if "grad v" in found:
                 stress = found["grad v"]
-                force[:, :g, some] += stress.reshape(g, *stress.shape[2:]).transpose(2, 0, 1)
+                force[:, :plane, some] += stress.reshape(plane, *stress.shape[2:]).transpose(2, 0, 1)
+            if self.radius is not None and "v" in found:
+                force[:, plane, some] += (self.radius * found["v"][0]).T
         return K, force
 
     def fields_rows(self, dz: np.ndarray) -> np.ndarray:
@@ -229,6 +233,8 @@ class FlowSchurComplement:
         self.residual, self.points, self.sweep, self.derivative = residual, points, sweep, derivative
         u, self.op = residual.unknowns, points.op
         op, self.dim, self.components = self.op, residual.step.mesh.dim, points.components
+        self.gradients = residual.rates.tensors.gradients
+        """How many entries of grad v the fields follow."""
         self.nv, self.size = u.slices["v"].stop, u.flow_slice.stop
         """How many unknowns v has, and the flow, without the normal derivatives."""
         self.others: RestrictedForm | None = None
@@ -287,12 +293,19 @@ class FlowSchurComplement:
         to_z = np.empty((count, n, d, 1 + d), precision.SINGLE)
         to_z[..., 0] = p.dz.transpose(2, 0, 1)
         to_z[..., 1:] = -p.columns[:, :, : d * d].reshape(count, n, d, d)
+        if p.radius is not None:
+            to_z[:, :, 0, 0] -= p.columns[:, :, d * d] / p.radius[:, None]
         right = np.matmul(to_z.reshape(count, n * d, 1 + d), self._shapes)
         to_fields = np.matmul(self._z_tests, right.reshape(cells, self.op.v.per_cell, n * d * local))
         self.to_fields[...] = to_fields.reshape(cells, q * n, d * local)
         # v's rows from z: the elastic force of (1 - tau P K)^{-1} dz
         force = precision.single(p.force[:, : d * d]).reshape(count, d, d, n).swapaxes(1, 2)
-        left = np.matmul(self._shapes[:, 1:].transpose(0, 2, 1), force.reshape(count, d, d * n))
+        shapes = self._shapes[:, 1:]
+        if p.radius is not None:
+            of_values = np.zeros((count, 1, d, n), precision.SINGLE)
+            of_values[:, 0, 0] = p.force[:, d * d] / p.radius[:, None]
+            force, shapes = np.concatenate([of_values, force], axis=1), self._shapes
+        left = np.matmul(shapes.transpose(0, 2, 1), force.reshape(count, shapes.shape[1], d * n))
         back = np.matmul(self._z_tests, left.reshape(cells, self.op.v.per_cell, local * d * n))
         back = back.reshape(cells, q, local * d, n).transpose(0, 2, 1, 3).reshape(cells, local * d, q * n)
         self.from_fields = np.matmul(precision.single(back), precision.single(p.resolvent))
@@ -318,7 +331,7 @@ class FlowSchurComplement:
         if "Pi" not in self.residual.unknowns.flow:
             return rest
         # what M takes from a creep rate field Pi within the step, coupling to v left out
-        first, values = self.residual.rates.tensors.gradients, self.op.of("Pi")[0].matrix
+        first, values = self.gradients, self.op.of("Pi")[0].matrix
         C = self.points.stiffness()[:, first:, first:] * self.op.weights[:, None, None]
         size = C.shape[1]
         blocks = [[values.T @ sp.diags(C[:, i, k]) @ values for k in range(size)] for i in range(size)]
@@ -367,14 +380,18 @@ class FlowSchurComplement:
     def force_of(self, dz: np.ndarray) -> np.ndarray:
         """Rows of v in parts, (dim, .), of an increment of z, (cells' unknowns, n), in double precision."""
         op, p, d = self.op, self.points, self.dim
-        values = at_points(p.force[:, : d * d], op.z(np.ascontiguousarray(dz.T)))
-        return np.sum([D.test(values[j::d]) for j, D in enumerate(op.dv)], axis=0)
+        plane = d * d
+        values = at_points(p.force[:, : self.gradients], op.z(np.ascontiguousarray(dz.T)))
+        rows = np.sum([D.test(values[:plane][j::d]) for j, D in enumerate(op.dv)], axis=0)
+        if p.radius is not None:
+            rows[:1] += op.v.test(values[plane:] / p.radius)
+        return rows
 
     def fields_rows(self, dv: np.ndarray, dPi: np.ndarray | None) -> np.ndarray:
         """What the rows of z, (cells' unknowns, n), take from an increment of v (dim, .) and Pi."""
         rows = np.matmul(self.to_fields, self._gathered(dv)).reshape(-1, self.components)
         if dPi is not None:
-            values = at_points(self.points.columns[:, :, self.dim**2 :], dPi)
+            values = at_points(self.points.columns[:, :, self.gradients :], dPi)
             rows -= self.op.z.test(values).T
         return rows
 

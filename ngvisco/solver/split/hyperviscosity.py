@@ -29,7 +29,11 @@ class HyperDerivative:
         step = hyper.step
         self.hyper, self.cells, self.dtype = hyper, step.mesh.ne, precision.SINGLE
         coarse = step.discretisation.k == 2 and step.mesh.GetCurveOrder() <= 1
-        self.sides = SideJumps(hyper, SidePoints(step.mesh, penalty_degree)) if coarse else hyper.sides
+        self.sides = (
+            SideJumps(hyper, SidePoints(step.mesh, penalty_degree, step.layout.symmetry))
+            if coarse
+            else hyper.sides
+        )
         self.weights = hyper.points.weights.reshape(self.cells, hyper.h_values.per_cell)
         self.side_weights = self.sides.weights.reshape(self.cells, self.sides.jump.per_cell)
         self._volume = self.weights.max(initial=0.0) or 1.0

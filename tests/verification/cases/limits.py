@@ -200,7 +200,7 @@ def delta_terms(run: nv.Simulation) -> Callable[[], np.ndarray]:
     parts = []
     for name, term in terms.items():
         mass, load, only = BilinearForm(space, check_unused=False), LinearForm(space), BitArray(space.ndof)
-        mass += inner(getattr(trial, name), getattr(test, name)) * step.quadrature.cells
+        mass += step.quadrature.cells(inner(getattr(trial, name), getattr(test, name)))
         only.Clear()
         only[step.layout.ranges[name]] = True
         step.quadrature.add(load, term.form(u, test))

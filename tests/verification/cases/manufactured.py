@@ -12,6 +12,7 @@ from scipy.linalg import solve_banded
 import ngvisco as nv
 from ngvisco.forms.context import time
 from ngvisco.forms.mesh.points import CellPoints
+from ngvisco.forms.mesh.symmetry import NO_SYMMETRY
 from ngvisco.geometries import box, disc, sphere
 from tests.verification.case import Cases, Curve, Measured, Plot, RateTable, Table, VerificationError, each
 from tests.verification.convergence import KINDS as MODELS
@@ -343,7 +344,7 @@ def solved(dim: int, maxh: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, f
         discretisation=nv.Discretisation(k=2, m=2),
     )
     run.advance()
-    points = CellPoints(mesh, 4)
+    points = CellPoints(mesh, 4, NO_SYMMETRY)
     at = mesh.MapToAllElements(points.rules, VOL)
     Pi, r = np.asarray(run.rothe_step.now.Pi(at)).reshape(-1, 9), np.sqrt(np.asarray(square(at)).ravel())
     return Pi, r, points.weights, float((points.weights.sum() / mesh.ne) ** (1 / dim))

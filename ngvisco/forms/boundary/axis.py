@@ -1,0 +1,61 @@
+"""What a body of revolution asks of walls, loads and terms: its axis slips, nothing pulls matter off it."""
+
+from collections.abc import Iterable
+
+from ngsolve import BND
+
+from ngvisco.errors import MeshError, ParameterError, _is_number
+from ngvisco.forms.boundary.boundaries import axis_parallel_walls
+from ngvisco.forms.boundary.walls import Walls
+from ngvisco.forms.mesh.mesh_arrays import coordinates
+from ngvisco.forms.mesh.symmetry import AXISYMMETRIC, ON_AXIS, Symmetry
+from ngvisco.forms.term import PointTerm, Term
+from ngvisco.parallel.communicator import Communicator
+from ngvisco.physics.loads import CentralGravity, Gravity
+from ngvisco.physics.model import Model
+from ngvisco.physics.walls import Slip
+
+
+def require_symmetry(symmetry: Symmetry, walls: Walls, model: Model, terms: Iterable[Term]) -> None:
+    """Raise ParameterError for what no body of revolution has: a term without such a form, a wall at the axis
+    that is not ``Slip``, gravity across it, and cells that go on across r; MeshError where the axis and
+    another wall have one name.
+    """
+    if symmetry.largest_radius is None:
+        return
+    for term in terms:
+        if isinstance(term, PointTerm) and term.plane_only is not None:
+            expected = f"'none' with {type(term).__name__}: {term.plane_only}"
+            raise ParameterError("Simulation.symmetry", AXISYMMETRIC, expected)
+    for load in model.loads:
+        across = load.centre[0] if isinstance(load, CentralGravity) else 0.0
+        if isinstance(load, Gravity) and isinstance(load.g, (tuple, list)):
+            across = load.g[0] if _is_number(load.g[0]) else 0.0
+        if across != 0:
+            expected = "0 across the axis of an axisymmetric body"
+            raise ParameterError(f"loads[{load.name!r}]", across, expected)
+    across_r, _ = axis_parallel_walls(walls.mesh)
+    if names := walls.periodic.intersection(across_r[0]):
+        expected = f"'none' with {min(names)!r}, across which r would go on periodically"
+        raise ParameterError("Simulation.symmetry", AXISYMMETRIC, expected)
+    for name in axis_of(walls, ON_AXIS * symmetry.largest_radius):
+        wall = walls.conditions[name]
+        if not isinstance(wall, Slip) or wall.heat is not None:
+            expected = "Slip() without heat: the wall is the axis of an axisymmetric body"
+            raise ParameterError(f"walls[{name!r}]", wall, expected)
+
+
+def axis_of(walls: Walls, near: float) -> list[str]:
+    """Names of the walls that lie on the axis, up to ``near``, m; collective."""
+    ranks, r, found = Communicator.of(walls.mesh), coordinates(walls.mesh)[:, 0], []
+    for name in walls.conditions:
+        on = [
+            bool((r[[v.nr for v in element.vertices]] <= near).all())
+            for element in walls.region([name]).Elements()
+            if element.VB() == BND
+        ]
+        if ranks.any(any(on)):
+            if not ranks.all(all(on)):
+                raise MeshError(f"wall {name!r} is the axis in a part only: give the axis a name of its own")
+            found.append(name)
+    return found

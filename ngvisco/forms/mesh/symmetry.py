@@ -1,0 +1,85 @@
+"""What a mesh of two dimensions stands for: a slab in plane strain, or a body of revolution.
+
+A body of revolution about the line x = 0 that does not swirl is a field of (r, y), r = x, with
+
+    L = grad v + (v_r/r) e x e,    e around the axis: the tensors' third direction,
+
+and its integrals are those of three dimensions over 2 pi, int f r dr dy in cells and int f r ds on facets.
+With both the scheme is that of three dimensions restricted to such fields: tests w have the strain w_r/r too,
+and what cancels there cancels here.  Quadrature points lie inside of cells and facets, where r > 0.
+
+A facet on the axis has no area.  All that is integrated there is zero, v . n = 0 and a trace being the cell's
+own value, but for the equations of the traces themselves: these have a weight there all the same.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ngsolve import CF, CoefficientFunction, IfPos, Mesh, x
+
+from ngvisco.errors import MeshError, ParameterError
+from ngvisco.forms.mesh.mesh_arrays import coordinates
+from ngvisco.parallel.communicator import Communicator
+
+AXISYMMETRIC = "axisymmetric"
+SYMMETRIES = ("none", AXISYMMETRIC)
+"""What ``Simulation(symmetry=...)`` may be; without one a mesh of two dimensions is plane strain."""
+
+ON_AXIS = 1e-10
+"""Of the largest radius, below which a point is on the axis."""
+
+
+@dataclass(frozen=True)
+class Symmetry:
+    """Weights of integrals over cells and facets, and whether v_r/r is a strain rate.
+
+    Attributes
+    ----------
+    largest_radius : float or None
+        Of a body of revolution, m; None of other bodies.
+    """
+
+    largest_radius: float | None = None
+
+    @classmethod
+    def of(cls, mesh: Mesh, kind: str) -> Symmetry:
+        """That of ``kind``; ParameterError for another kind, or in three dimensions, MeshError for r < 0."""
+        if kind not in SYMMETRIES:
+            raise ParameterError("Simulation.symmetry", kind, f"one of {', '.join(map(repr, SYMMETRIES))}")
+        if kind != AXISYMMETRIC:
+            return cls()
+        if mesh.dim != 2:
+            raise ParameterError("Simulation.symmetry", kind, "'none' in three dimensions")
+        ranks, r = Communicator.of(mesh), coordinates(mesh)[:, 0]
+        least, largest = ranks.least(r), ranks.most(r)
+        if least < -ON_AXIS * largest:
+            raise MeshError(
+                f"the mesh has x = {least:.4g} m, and x is the distance from the axis of an axisymmetric "
+                "body: expected x >= 0"
+            )
+        return cls(largest)
+
+    @property
+    def is_axisymmetric(self) -> bool:
+        return self.largest_radius is not None
+
+    @property
+    def radius(self) -> CoefficientFunction | None:
+        """The distance from the axis, m, the weight of integrals over cells; None of other bodies."""
+        return x if self.is_axisymmetric else None
+
+    @property
+    def on_facets(self) -> CoefficientFunction | None:
+        """The weight of integrals over facets, positive on the axis too."""
+        if self.largest_radius is None:
+            return None
+        return IfPos(x - ON_AXIS * self.largest_radius, x, CF(self.largest_radius))
+
+
+NO_SYMMETRY = Symmetry()
+
+
+def weighted(integrand: CoefficientFunction, weight: CoefficientFunction | None) -> CoefficientFunction:
+    """The integrand of an integral with a weight."""
+    return integrand if weight is None else weight * integrand

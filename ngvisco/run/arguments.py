@@ -1,0 +1,43 @@
+"""Checks of what a ``Simulation`` is made of."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from ngvisco.errors import ParameterError, require_collection, require_names
+from ngvisco.physics.walls import Wall
+
+METHODS_OF_OBSERVERS = ("start", "step", "finish")
+
+
+def check_arguments(observers: Any, walls: Any, passive: Any, sources: Any, terms: Any) -> None:
+    for observer in require_collection("Simulation.observers", observers, "a sequence of observers"):
+        require_methods("observers", observer, METHODS_OF_OBSERVERS)
+    require_names("Simulation.passive", passive)
+    if walls is not None:
+        _check_walls(walls)
+    if sources is not None:
+        require_methods("sources", sources, ("form", "entries"), "a Term, with")
+    for term in require_collection("Simulation.terms", terms, "a sequence of Terms"):
+        require_methods("terms", term, ("form", "entries"))
+
+
+def require_methods(name: str, value: object, methods: Sequence[str], kind: str = "objects with") -> None:
+    if isinstance(value, type) or not all(callable(getattr(value, method, None)) for method in methods):
+        *others, last = methods
+        expected = f"{kind} the methods {', '.join(others)} and {last}"
+        raise ParameterError(f"Simulation.{name}", value, expected)
+
+
+def _check_walls(walls: Any) -> None:
+    expected = "a mapping of boundary names to Wall objects, e.g. {'top': NoSlip()}"
+    pairs = walls.items() if isinstance(walls, Mapping) else walls
+    if isinstance(pairs, (str, Wall)):
+        raise ParameterError("Simulation.walls", walls, expected)
+    try:
+        keys = [key for key, _ in pairs]
+    except (TypeError, ValueError):
+        raise ParameterError("Simulation.walls", walls, expected) from None
+    for key in keys:
+        names = (key,) if isinstance(key, str) else key
+        if not isinstance(names, (tuple, list)) or not all(isinstance(name, str) for name in names):
+            raise ParameterError("Simulation.walls", key, "the name of a boundary, or a tuple of names")
