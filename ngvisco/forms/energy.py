@@ -7,18 +7,21 @@ approximation) they are computed at the quadrature points and kept there: with t
 
 which at z = z_k is the slope and has its exact derivative, all that a residual and its Jacobian need.
 ``refresh`` makes them those of the present state, and is asked for before every use.  They depend on z
-alone, so that checkpoints need not have them.  Further states (``follow``) have values of their own.
+alone, so that checkpoints need not have them.  Further states (``follow``) have values of their own, and
+sides of cells the means of phi over each.
 """
 
 from dataclasses import dataclass
-from functools import partial, reduce
+from functools import cached_property, partial, reduce
 from operator import add
 
 import numpy as np
-from ngsolve import CF, L2, CoefficientFunction, GridFunction
+import scipy.sparse as sp
+from ngsolve import CF, L2, CoefficientFunction, Discontinuous, FacetFESpace, GridFunction
 
-from ngvisco.errors import InitialDataError, StepError
+from ngvisco.errors import StepError
 from ngvisco.forms.fields import Fields
+from ngvisco.forms.mesh.points import SidePoints
 from ngvisco.forms.mesh.quadrature import Quadrature, Sampler, values_of
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.physics.material import Material, conjugates
@@ -93,8 +96,15 @@ class StoredEnergy:
         """phi(z), Pa, to be evaluated at any point."""
         return self.density(u)
 
+    def on_sides(self, u: Fields) -> CoefficientFunction:
+        """phi(z), Pa, or its mean over a side of a cell, for integrals over sides; see ``refresh_sides``."""
+        return self.density(u)
+
+    def refresh_sides(self) -> None:
+        """Make ``on_sides`` that of the present state."""
+
     def samples(self, z: Values, sampler: Sampler) -> np.ndarray:
-        """phi(z), Pa, of initial values at the sampler's points; may raise InitialDataError."""
+        """phi(z), Pa, at the sampler's points; no finite number where it has none (``last_failure``)."""
         return sampler.values(self.material.energy(z))
 
     def follow(self, u: Fields) -> None:
@@ -124,6 +134,7 @@ class PointwiseEnergy(StoredEnergy):
         self.follow(now)
         self._hessian = quadrature.vectors(self._size * self._size)
         self.projected = GridFunction(L2(quadrature.mesh, order=order))
+        self._means_of_sides: GridFunction | None = None
 
     def follow(self, u: Fields) -> None:
         self._values[u] = _Values(*(self._quadrature.vectors(size) for size in (1, self._size, self._size)))
@@ -154,13 +165,32 @@ class PointwiseEnergy(StoredEnergy):
     def anywhere(self, u: Fields) -> CoefficientFunction:
         return self.projected
 
+    def on_sides(self, u: Fields) -> CoefficientFunction:
+        if self._means_of_sides is None:
+            self._means_of_sides = GridFunction(Discontinuous(FacetFESpace(self._quadrature.mesh, order=0)))
+        return self._means_of_sides
+
+    @cached_property
+    def _sides(self) -> tuple[SidePoints, sp.csr_matrix]:
+        """Points of the cells' sides, and the matrix that takes a component of z to them."""
+        points = SidePoints(self._quadrature.mesh, self._quadrature.facet_degree)
+        return points, points.values(self.fields.layout.scalar_space("z"))
+
+    def refresh_sides(self) -> None:
+        if self._means_of_sides is None:
+            return
+        points, values = self._sides
+        states = values @ self.fields.z.vec.FV().NumPy().reshape(self._size, -1).T
+        weights = points.weights.reshape(-1, points.per_side)
+        energy = self.response(states).energy.reshape(weights.shape)
+        means = (weights * energy).sum(axis=1) / weights.sum(axis=1)
+        self._means_of_sides.vec.FV().NumPy()[:] = means
+
     def samples(self, z: Values, sampler: Sampler) -> np.ndarray:
         components = self.material.states(self.dim).components(z)
         states = sampler.rows(components)
         response = self.response(states)
-        with self._ranks.together(InitialDataError):
-            if response.failure is not None:
-                raise InitialDataError("stored energy", response.failure, "finite values")
+        self.last_failure = response.failure or self.last_failure
         return response.energy
 
     def refresh(self, u: Fields | None = None) -> bool:

@@ -62,7 +62,6 @@ from ngvisco.forms.terms.tangents import TangentForce
 from ngvisco.forms.terms.transport import Conjugates, ElasticForce, Kinematics, Trace, Upwinding
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.exchange import Interpolation
-from ngvisco.physics.pointwise import array_slope
 from ngvisco.physics.tensors import inner, sqrt, square
 
 DEFECTS = ("facets", "cells", "inertia")
@@ -207,8 +206,7 @@ class Impulses:
     @cached_property
     def _has_arrays(self) -> bool:
         """Whether the energy has values by arrays."""
-        step = self.step
-        return step.energy.projected is None and array_slope(step.model.material, step.mesh.dim) is not None
+        return self.step.energy.projected is None
 
     def _by_arrays(self) -> dict[str, np.ndarray]:
         """What the elastic force has on facets, where there are arrays: the same formulas, with w = n."""

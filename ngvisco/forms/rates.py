@@ -22,6 +22,7 @@ from ngvisco.physics.material import StateSpace, mandel_stress, rate_power
 from ngvisco.physics.materials.thermal import temperature
 from ngvisco.physics.mixture import MixedViscosity
 from ngvisco.physics.model import Flow, Model
+from ngvisco.physics.pointwise import array_slope, respond
 from ngvisco.physics.rate_tensors import RateTensors
 from ngvisco.physics.rheology import Viscosity
 from ngvisco.physics.tensors import (
@@ -168,6 +169,10 @@ class Rates:
         """phi(z), Pa."""
         return u.context.energy.density(u)
 
+    def stored_on_sides(self, u: Fields) -> CoefficientFunction:
+        """phi(z), Pa, or its mean over a side of a cell, for integrals over sides."""
+        return u.context.energy.on_sides(u)
+
     def stored_near(self, u: Fields) -> CoefficientFunction:
         """phi(z), Pa, in cells, with its derivative by z where it is known at one state alone, too."""
         return u.context.energy.near(u)
@@ -221,7 +226,8 @@ class TabulatedRates(Rates):
             names = (flow.names for flow in self.flows)
             self.tensors = self.tensors.by_groups(tuple(names), StateSpace.of(variables, dim))
         self._states = states = model.material.states(dim)
-        self._response = model.material.response(dim)
+        by_arrays = model.material.response(dim) is None and array_slope(model.material, dim) is not None
+        self._response = None if by_arrays else respond(model.material, dim)
         flux = np.zeros_like(self.tensors.linear)
         for i in self.tensors.trace:
             flux[i][np.diag_indices(states.size)] = -1.0 * states.by_flux
@@ -316,7 +322,7 @@ class TabulatedRates(Rates):
         along = 1j * (found.slope.T * z.imag).sum(axis=0) if np.iscomplexobj(z) else 0.0
         return Array(found.energy + along, None)
 
-    stored_near = stored
+    stored_near = stored_on_sides = stored
 
     def creep_components(self, u: Fields) -> np.ndarray:
         """Pi of all local rules in components, (flows p, points)."""

@@ -133,6 +133,7 @@ class Elimination:
     def __call__(self) -> None:
         """Make the local unknowns of the state consistent with its v, a and z."""
         self.follow()
+        self.energy.refresh_sides()
         for mean in self._means:
             mean()
 
@@ -177,7 +178,7 @@ def equations(model: Model, dim: int, m: int = 1) -> tuple[Term, ...]:
         terms.append(Hyperviscosity(model.hyperviscosity))
     terms += [Loading(load, dim) for load in model.loads]
     terms += [Kinematics(model), Conjugates(model), Trace()]
-    tangents = tangents_of(model.material, dim)
+    tangents = tangents_of(model.material, dim, m)
     if tangents is not None:
         terms += [TangentGap(), *tangents.jumps, tangents]
     if entropy_in(model.material) is not None:

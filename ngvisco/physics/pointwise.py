@@ -18,7 +18,7 @@ import numpy as np
 from ngsolve import CF, ET, L2, VOL, GridFunction, IntegrationRule, VectorValued
 from ngsolve.meshes import MakeStructured2DMesh
 
-from ngvisco.physics.arrays import TINY, Array, Map, derivatives, slope_along
+from ngvisco.physics.arrays import TINY, Array, Map, derivatives
 from ngvisco.physics.material import Material
 from ngvisco.physics.tensors import Tensor
 
@@ -204,13 +204,6 @@ def is_affine(slope: Map, rest: np.ndarray) -> bool:
     base += rest[:, None]
     middle, ends = slope(base), slope(base + step) + slope(base - step)
     return bool(abs(ends - 2 * middle).max() <= 1e-12 * abs(ends).max())
-
-
-def largest_modulus(slope: Map, rest: np.ndarray) -> float:
-    """The largest derivative of a conjugate by a variable at rest, Pa: a size of the moduli."""
-    units = np.eye(len(rest))
-    at = np.broadcast_to(rest[:, None], units.shape).copy()
-    return float(abs(slope_along(slope, at, units)).max())
 
 
 def array_response(material: Material, dim: int, linear: Iterable[str] = ()) -> Respond:

@@ -32,12 +32,12 @@ STRETCH = {"F": tensor(1 + 0.3 * band(x) * band(y), 1.0)}
 CRACK = {"values": {"damage": exp(-sqrt((x - 0.5) ** 2) / 0.1)}}
 BROKEN = nv.Damaged(material=LINEAR, G_c=0.1, length=0.1)
 STATES = {
-    "quadratic": (LINEAR, STRAIN, 1e-13),
-    "neo-Hookean, B": (nv.ReferentialNeoHookean(K_e=K_E, G_e=K_E), STRETCH, 1e-9),
-    "neo-Hookean, F": (nv.NeoHookean(K_e=K_E, G_e=K_E, epsilon=0.1, elastic_state="F"), STRETCH, 1e-9),
-    "stiffness 2 : 100": (nv.LinearElastic(K_e=2 + 98 * band(x), G_e=2 + 98 * band(x)), STRAIN, 1e-4),
-    "cracked": (BROKEN, CRACK, 2e-5),
-    "hot": (nv.Thermal(material=nv.ReferentialNeoHookean(K_e=K_E, G_e=5.0), c=1.0, theta_R=300.0), {}, 1e-6),
+    "quadratic": (LINEAR, STRAIN, 2e-13),
+    "neo-Hookean, B": (nv.ReferentialNeoHookean(K_e=K_E, G_e=K_E), STRETCH, 2e-12),
+    "neo-Hookean, F": (nv.NeoHookean(K_e=K_E, G_e=K_E, epsilon=0.1, elastic_state="F"), STRETCH, 2e-12),
+    "stiffness 2 : 100": (nv.LinearElastic(K_e=2 + 98 * band(x), G_e=2 + 98 * band(x)), STRAIN, 1e-6),
+    "cracked": (BROKEN, CRACK, 1e-6),
+    "hot": (nv.Thermal(material=nv.ReferentialNeoHookean(K_e=K_E, G_e=5.0), c=1.0, theta_R=300.0), {}, 1e-13),
 }
 """Material, start, and what of the momentum may change, over that of all and the sound impulse."""
 
@@ -93,7 +93,7 @@ def test_constants_in_cells_keep_momentum_to_rounding(name):
 
 @pytest.mark.parametrize("name", ["quadratic", "neo-Hookean, B"])
 def test_momentum_is_kept_in_space(name):
-    assert thrown(name, dim=3, solver="split")[1] <= STATES[name][2]
+    assert thrown(name, dim=3, solver="split")[1] <= 1e-10  # what GMRES leaves
 
 
 @pytest.mark.parametrize("solver", ["split", "coupled"])

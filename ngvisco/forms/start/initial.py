@@ -235,7 +235,8 @@ def _project(
         for name, value in ((name, value) for each in signs for name, value in each.items()):
             sampler.require(value, f"projected {name}_0", minimum=0.0)
         if not np.isfinite(step.energy.samples(z, sampler)).all():
-            raise InitialDataError("stored energy", "not finite somewhere", "finite values")
+            found = step.energy.last_failure or "not finite somewhere"
+            raise InitialDataError("stored energy", found, "finite values")
         complete(step)
     theta = temperature(material, step.now.zeta_tensors)
     if theta is not None:

@@ -33,7 +33,7 @@ from ngvisco.forms.fields import Fields
 from ngvisco.forms.term import PointTerm, Setting, Unknown
 from ngvisco.forms.upwinding import SideMean, side
 from ngvisco.physics.material import Material
-from ngvisco.physics.pointwise import array_slope, is_affine, largest_modulus, rest_state
+from ngvisco.physics.pointwise import is_affine, respond, rest_state
 from ngvisco.physics.tensors import if_positive, inner, masked
 
 _ROUNDING = 1e-14
@@ -58,7 +58,7 @@ class TangentGap(OfFacet):
     name = "tangent_gap"
 
     def value(self, u: Fields) -> CoefficientFunction:
-        return side(u) * (u.context.rates.stored(u) - inner(u.z - u.z_hat, u.zeta))
+        return side(u) * (u.context.rates.stored_on_sides(u) - inner(u.z - u.z_hat, u.zeta))
 
 
 class ConjugateJump(OfFacet):
@@ -113,14 +113,19 @@ class TangentForce(PointTerm):
         return [(w.v * u.context.normal) * self.excess(u)]
 
 
-def tangents_of(material: Material, dim: int) -> TangentForce | None:
-    """The force's correction, None for a quadratic energy and for one that has no values by arrays."""
-    slope = None if material.response(dim) is not None else array_slope(material, dim)
-    rest = rest_state(material, dim)
-    if slope is None or is_affine(slope, rest):
+def tangents_of(material: Material, dim: int, m: int) -> TangentForce | None:
+    """The force's correction for fields of order ``m``, None for a quadratic energy.
+
+    It is also None for bodies of different U with m >= 1: amounts of a body are then below zero on sides of
+    cells, where this energy has no value.
+    """
+    if m > 0 and material.response(dim) is not None and not material.continued:
+        return None
+    response, rest = respond(material, dim), rest_state(material, dim)
+    if is_affine(lambda z: response(z.T).slope.T, rest):
         return None
     strains = material.states(dim).strains
     jumps = [ConjugateJump("conjugate_jump", None if strains.all() else strains)]
     if not strains.all():
         jumps.append(ConjugateJump("parameter_jump", ~strains))
-    return TangentForce(tuple(jumps), largest_modulus(slope, rest))
+    return TangentForce(tuple(jumps), float(abs(response(rest[None]).hessian).max()))
