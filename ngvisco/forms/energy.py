@@ -173,7 +173,7 @@ class PointwiseEnergy(StoredEnergy):
     @cached_property
     def _sides(self) -> tuple[SidePoints, sp.csr_matrix]:
         """Points of the cells' sides, and the matrix that takes a component of z to them."""
-        points = SidePoints(self._quadrature.mesh, self._quadrature.facet_degree)
+        points = SidePoints(self._quadrature.mesh, self._quadrature.facet_degree, self._quadrature.symmetry)
         return points, points.values(self.fields.layout.scalar_space("z"))
 
     def refresh_sides(self) -> None:
