@@ -1,4 +1,5 @@
-"""What all geometries share: checks of sizes, units of length, local refinement, meshing with curved cells.
+"""Functions that all geometries share: checks of sizes, units of length, local refinement, meshing with
+curved cells.
 
 OpenCASCADE and Netgen compare lengths with absolute tolerances of 1e-7 to 1e-6.  Squares of 6e5 m ended
 the process, a box of 1e-6 m lost names of walls, one of 1e-12 m ended the process.  So a domain that is

@@ -126,7 +126,7 @@ class InputWarning(NgviscoWarning):
 
 
 class Quantity(NamedTuple):
-    """What an annotation says of a parameter beside its type: ``Annotated[float, Quantity("Pa", "> 0")]``.
+    """An annotation of a parameter beside its type: ``Annotated[float, Quantity("Pa", "> 0")]``.
 
     Attributes
     ----------
@@ -174,7 +174,7 @@ def as_integer(value: object) -> int | None:
 
 
 class Declared(NamedTuple):
-    """What is said of a number that is a parameter: its range, and the types that are admitted."""
+    """The declaration of a number that is a parameter: its range, and the types that are admitted."""
 
     range: str
     kinds: tuple[Any, ...]
@@ -214,7 +214,7 @@ def _is_within(number: float, text: str) -> bool:
 
 @cache
 def declared(kind: type) -> dict[str, Declared]:
-    """What a dataclass says by ``Quantity`` of those of its parameters that are numbers.
+    """The declarations by ``Quantity`` of a dataclass's parameters that are numbers.
 
     A class that annotates a parameter of its base anew, without a quantity, keeps the base's range.
     """

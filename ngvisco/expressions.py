@@ -39,7 +39,8 @@ MAX_LENGTH = 2000
 MAX_DEPTH = 80
 MAX_NODES = 1000
 MAX_OPERATIONS = 5000
-"""Of a text when all is written out that is used several times, as the base of a whole power."""
+"""The largest number of operations of a text after expanding what is used several times, as the base of a
+whole power."""
 _LARGEST_WHOLE_POWER = 16
 
 COORDINATES = ("x", "y", "z")
@@ -336,7 +337,8 @@ class Evaluator:
         return reduce(operator.mul, (_COMPARE[kind](a, b) for kind, a, b in self._compared(node)))
 
     def level(self, node: ast.expr) -> Any:
-        """Of a condition a value that is positive where it holds; raises ExpressionError for what is none."""
+        """Convert a condition to a value that is positive where the condition holds; raises ExpressionError
+        for any other node."""
         match node:
             case ast.BoolOp(op=ast.And()):
                 return reduce(_smaller, map(self.level, node.values))
@@ -429,7 +431,7 @@ FUNCTIONS_OF_TENSORS: dict[str, tuple[int, Callable[..., float] | None, Callable
     "sph": (1, None, sph),
     **{name: FUNCTIONS[name] for name in ["exp", "log", "sqrt", "abs", "sinh", "cosh", "tanh", "min", "max"]},
 }
-"""As ``FUNCTIONS``; those of tensors have none of numbers."""
+"""Functions of tensors, described as in ``FUNCTIONS``; they have no version for numbers."""
 
 
 def _smaller(a: Any, b: Any) -> Any:

@@ -11,7 +11,7 @@ import ngvisco as nv
 from ngvisco.geometries import channel
 
 TRUE, NOISE = {"material.G_e": 1.3, "creep.G_m": 2.5}, 3e-4
-"""What the layer is made of (Pa, Pa s), and the standard deviation of the record, m."""
+"""The layer's true parameters (Pa, Pa s), and the standard deviation of the record, m."""
 SURFACE = "integral of top.velocity_1"
 
 

@@ -51,7 +51,7 @@ def field(numbers) -> object:
 
 
 def displacements() -> dict[str, float]:
-    """What the stations measure of a ground with a spot of a third of the stiffness, with noise."""
+    """Measurements at the stations, with noise, of a ground with a spot of a third of the stiffness."""
     run, of = simulation(TRUE), [f"s{i}.velocity_1 until {UNTIL}" for i in range(STATIONS)]
     values = nv.gradient(run, UNTIL, of=of, by=["viscosity.G_v"]).values
     return dict(zip(of, values + NOISE * np.random.default_rng(1).standard_normal(STATIONS), strict=True))
@@ -68,7 +68,7 @@ def linearised(numbers: np.ndarray, data: dict[str, float]) -> tuple[np.ndarray,
 
 
 def differences() -> np.ndarray:
-    """What Tikhonov's term squares: differences of neighbours, (pairs, blocks)."""
+    """The matrix of Tikhonov's term: differences of neighbouring blocks, (pairs, blocks)."""
     unit = np.eye(COLUMNS * ROWS).reshape(ROWS, COLUMNS, -1)
     pairs = [np.diff(unit, axis=axis).reshape(-1, COLUMNS * ROWS) for axis in (0, 1)]
     return SMOOTH * np.concatenate(pairs)

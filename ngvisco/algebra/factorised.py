@@ -23,15 +23,16 @@ _NEAR_SYMMETRIC: dict[str, Any] = {
 """For matrices with entries in symmetric places."""
 
 _ENOUGH = 1e-3
-"""What factors in single precision may leave of a right side drawn at random."""
+"""Largest residual, relative to a right side drawn at random, with which factors in single precision are
+accepted."""
 
 SWEEPS, DAMPING = 2, 1.65
-"""Of Jacobi before and after the coarse problem, and their damping in units of 1/(largest eigenvalue of
+"""Jacobi sweeps before and after the coarse problem, and their damping in units of 1/(largest eigenvalue of
 D^{-1} A), below 2; the eigenvalue depends on the mesh."""
 
 
 class Direct(Protocol):
-    """What solves with a matrix on some of its unknowns, and gives others 0."""
+    """A solver of a matrix on some of its unknowns, which sets the others to 0."""
 
     def factorise(self, matrix: sp.csr_matrix) -> None:
         """Raises StepError if the matrix is singular."""
@@ -88,7 +89,8 @@ class DirectSolver:
 
 
 def _in_single(matrix: sp.csr_matrix) -> Callable[[np.ndarray], np.ndarray] | None:
-    """What solves with factors in single precision, in units of the diagonal; None where that does not."""
+    """A solver by factors in single precision, in units of the diagonal; None where these are not accurate
+    enough."""
     diagonal = abs(matrix.diagonal())
     unit = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
     scaled = (sp.diags(unit) @ matrix @ sp.diags(unit)).tocsc()
@@ -108,7 +110,7 @@ def _in_single(matrix: sp.csr_matrix) -> Callable[[np.ndarray], np.ndarray] | No
 
 
 def direct_solver(free: np.ndarray, exchange: Owned, symmetric: bool = False) -> DirectSolver | SumInverse:
-    """By SuperLU on one process; over ranks by PETSc, of matrices in parts.
+    """A direct solver: SuperLU on one process, PETSc over ranks, for matrices in parts.
 
     With ``symmetric`` what solves is a preconditioner, on one process in single precision where that does.
     """
@@ -208,7 +210,8 @@ def _without_small(matrix: sp.csr_matrix, diagonal: np.ndarray, share: float) ->
 
 
 def largest_eigenvalue(matrix: sp.csr_matrix) -> float:
-    """Of D^{-1} (A + A^T)/2, D the diagonal of A, to a few per cent and not far below it."""
+    """The largest eigenvalue of D^{-1} (A + A^T)/2, D the diagonal of A, to a few per cent and not far below
+    it."""
     scale = sp.diags(1 / np.sqrt(abs(matrix.diagonal())))
     scaled = scale @ (0.5 * (matrix + matrix.T)) @ scale
     if scaled.shape[0] < MANY:

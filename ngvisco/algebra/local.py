@@ -65,7 +65,7 @@ class LocalMatrix:
 
     @cached_property
     def scatter(self) -> sp.csr_matrix:
-        """What sums up values of the cells' unknowns, (width, cells times unknowns of a cell)."""
+        """The matrix that sums up values of the cells' unknowns, (width, cells times unknowns of a cell)."""
         places = np.arange(self.unknowns.size)
         ones = np.ones(self.unknowns.size, self._blocks.dtype)
         return sp.csr_matrix((ones, (self.unknowns.ravel(), places)), shape=(self.width, places.size))

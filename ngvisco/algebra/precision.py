@@ -11,5 +11,5 @@ SINGLE = np.float32
 
 
 def single(array: np.ndarray) -> np.ndarray:
-    """The same numbers in it, contiguous."""
+    """A contiguous copy of an array in single precision."""
     return np.ascontiguousarray(array, dtype=SINGLE)

@@ -58,7 +58,8 @@ def load_case(path: str | os.PathLike[str], settings: Sequence[str] = ()) -> Cas
 
 
 def parse_case(text: str, source: str, directory: Path, settings: Sequence[str] = ()) -> Case:
-    """As ``load_case``, of a text; relative paths in it are those from ``directory``."""
+    """Read a case from a text, as ``load_case`` does from a file; relative paths in the text start at
+    ``directory``."""
     sections, locator = sections_of(text, source, directory, settings)
     return Case(sections, source, directory, locator)
 
@@ -292,12 +293,12 @@ class Case:
     def _all_made(
         self, table: Section, names: Iterable[str], path: tuple[str, ...], dim: int
     ) -> dict[str, Any]:
-        """What the named sections of a table describe, as far as they are there."""
+        """Make the objects that the named sections of a table describe, as far as the sections are there."""
         parts = {name: getattr(table, name) for name in names}
         return {n: self._made(part, (*path, n), dim) for n, part in parts.items() if part is not None}
 
     def _made(self, part: Section, path: tuple[str, ...], dim: int) -> Any:
-        """What a section describes, of coefficient functions for its expressions."""
+        """Make the object that a section describes, with coefficient functions for its expressions."""
         with self.blame.located(*path):
             values, fields = parameters(part), field_names(type(part))
             for name, value in values.items():

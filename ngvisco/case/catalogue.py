@@ -1,4 +1,4 @@
-"""What a case file can name.  A new material, mechanism, load, wall or geometry is one name here.
+"""The names that a case file may use.  A new material, mechanism, load, wall or geometry is one name here.
 
 Keys of a section are the parameters of the dataclass or function, read from its annotations.
 """
@@ -60,7 +60,7 @@ FLOW_RULES: Kinds = {
     "Linear": flow_rules.Creep,
     **_of(flow_rules, "DruckerPrager Eyring Giesekus Norton PTT Perzyna"),
 }
-"""What [rheology.creep] can be; the first where its kind is not said."""
+"""Kinds of [rheology.creep]; the first is the default."""
 FLOW_RULE_WRAPPERS: Kinds = {
     **_of(activation, "Activated WLF"),
     "Composite": flow_rules.Composite,
@@ -72,7 +72,7 @@ VISCOSITIES: Kinds = {
     "LinearViscosity": rheology.LinearViscosity,
     "PowerLaw": rheology.PowerLaw,
 }
-"""What [rheology.viscosity] can be; the first where its kind is not said."""
+"""Kinds of [rheology.viscosity]; the first is the default."""
 VISCOSITY_WRAPPERS: Kinds = _of(activation, "ActivatedViscosity")
 CREEPS: Kinds = {**FLOW_RULES, **FLOW_RULE_WRAPPERS}
 ALL_VISCOSITIES: Kinds = {**VISCOSITIES, **VISCOSITY_WRAPPERS}

@@ -80,7 +80,7 @@ class RunDirectory:
 
     @property
     def failures(self) -> list[Path]:
-        """What an attempt that failed has left."""
+        """Files that a failed attempt has left."""
         return [path for pattern in _FAILURES for path in self.path.glob(pattern)]
 
     @contextlib.contextmanager

@@ -69,7 +69,7 @@ _WORDS = {
     "less_than_equal": "expected a number <= {le:g}",
     "literal_error": "expected {expected}",
 }
-"""What is said of pydantic's errors."""
+"""Messages in place of pydantic's, by the type of its error."""
 
 
 class Locator:
@@ -78,9 +78,9 @@ class Locator:
     def __init__(self, lines: dict[tuple[str, ...], int], overridden: Iterable[tuple[str, ...]] = ()) -> None:
         self.lines, self.overridden = lines, list(overridden)
         self.data: Any = {}
-        """What the user wrote."""
+        """The values that the user wrote."""
         self.converted: list[tuple[str, Any]] = []
-        """Of that, by their last keys, the values that were converted to SI units."""
+        """The values that were converted to SI units, by their last keys."""
 
     def fault(self, path: tuple[str, ...], message: str) -> Fault:
         """A fault at a key path."""
@@ -153,7 +153,7 @@ def shown(value: object) -> str:
 
 
 def refused(value: object, error: ParameterError) -> str:
-    """What a key has, nothing or a value, and what would be right."""
+    """The message of a refused value: the value found, or that it is missing, and the one expected."""
     return f"{'is missing' if value is None else shown(value)}: expected {in_case(error.expected)}"
 
 
@@ -231,7 +231,7 @@ def numbers_out_of_range(sections: Section, locator: Locator) -> list[Fault]:
 
 
 LEAST = 1e-60
-"""Of numbers in a case file: products of five of them are numbers."""
+"""The smallest magnitude of a number in a case file; products of five such numbers do not underflow."""
 
 
 def tables_of(part: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Section]]:
@@ -254,7 +254,7 @@ def has_key(sections: Any, key: tuple[str, ...]) -> bool:
 
 
 def given(sections: Any, key: tuple[str, ...]) -> Any:
-    """What a case has under a key; None where it has nothing."""
+    """The value of a key in a case; None where the case does not have the key."""
     value = sections
     for part in key:
         if isinstance(value, list):
@@ -325,7 +325,7 @@ class Blame:
         return ("initial", *next(chain(named, known), ()))
 
     def _written(self, key: tuple[str, ...], value: object) -> object:
-        """What the file has under a key, or what was made of it."""
+        """The value that the file has under a key, or the one that was made of it."""
         there = given(self.sections, key)
         is_whole = there is None or (isinstance(there, list) and any(isinstance(p, Section) for p in there))
         return value if is_whole else there

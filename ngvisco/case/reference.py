@@ -156,7 +156,7 @@ def type_text(annotation: Any) -> str:
 
 
 def explain(path: str) -> str:
-    """What a key, a section with its keys, a kind or a field of the output means, or where a word is said.
+    """Explain a key, a section with its keys, a kind or a field of the output, or say where a word occurs.
 
     Raises ParameterError with the nearest known paths.
 
@@ -338,7 +338,7 @@ def _with_quantities(node: Any) -> Any:
 
 
 def meaning(model: type[Section], name: str) -> str:
-    """What a key means; a table that its section does not describe is what it holds."""
+    """The description of a key; it falls back to the description of the nested section."""
     field = model.model_fields[name]
     said = field.description or meanings(owner_of(model)).get(name)
     return said or summary(owner_of(models_in(field.annotation)[0]))
@@ -349,7 +349,7 @@ _SAME = re.compile(r"As for (\w+)")
 
 @cache
 def meanings(owner: Any) -> Mapping[str, str]:
-    """What the docstring of a class or function says of its parameters, without the final stop."""
+    """Descriptions of parameters in the docstring of a class or function, by name, without the final stop."""
     from docstring_parser import DocstringStyle, parse  # no run needs it
 
     found = {}

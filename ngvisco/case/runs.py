@@ -38,7 +38,7 @@ from ngvisco.run.simulation import Observer, Simulation
 from ngvisco.run.transfer import resume_changed, transfer
 
 _CHANGEABLE = "title, time, loads, walls, numbers of material and rheology, solver, output but for passive"
-"""What ``--set`` may change of a run that goes on."""
+"""Keys that ``--set`` may change in a resumed run."""
 _FIXED = (
     "domain",
     "initial",
@@ -48,8 +48,8 @@ _FIXED = (
     "bodies",
     "output.passive",
 )
-"""What it may not, of bodies all but the numbers of their materials and mechanisms: another mesh or other
-unknowns are a new run, which takes over the fields of this one."""
+"""Keys that a resumed run cannot change.  Of bodies only numbers of materials and mechanisms can change;
+another mesh or other unknowns need a new run, which takes over the fields of this one."""
 
 
 def run(
@@ -307,7 +307,7 @@ def _pending_change(place: RunDirectory, case: Case) -> str | None:
 
 @dataclass(frozen=True)
 class Results:
-    """What a run directory holds.
+    """The contents of a run directory.
 
     Attributes
     ----------

@@ -31,7 +31,7 @@ HeatCapacity = section(Thermal, is_whole=False, without=("p_infinity",))
 
 
 class Meshed(Section):
-    """What every geometry has besides its own keys."""
+    """The keys that every geometry has besides its own."""
 
     adapt: Adapt | None = Field(
         None, description="Divide the cells where a field is steep, and choose them anew as it moves"
@@ -39,7 +39,7 @@ class Meshed(Section):
 
 
 class Heated(Section):
-    """What every material has besides its own keys."""
+    """The keys that every material has besides its own."""
 
     thermal: HeatCapacity | None = Field(
         None,
@@ -276,7 +276,7 @@ class DomainIntegral(NamedTable):
 
 
 class Output(Section):
-    """What is written into the run directory."""
+    """The files that are written into the run directory."""
 
     vtk: VTK = Field(VTK(), description="The VTK series, for ParaView")
     checkpoint: Checkpoint = Field(Checkpoint(), description="Checkpoints in run.h5")

@@ -74,7 +74,7 @@ class Section(BaseModel):
         return self
 
     def completed(self, made: Any) -> Any:
-        """What the keys that are no parameters make of the object that the others describe."""
+        """Complete the object by the keys that are no constructor parameters."""
         return made
 
 
@@ -169,7 +169,7 @@ def models_in(annotation: Any) -> list[type[Section]]:
 
 
 def place_in(annotation: Any) -> tuple[str, ...]:
-    """What stands between a table's name and its keys: nothing, a name, or an index."""
+    """The part of a path between a table's name and its keys: nothing, a name, or an index."""
     origin = get_origin(annotation)
     return ("NAME",) if origin is dict else ("N",) if origin is list else ()
 
@@ -234,7 +234,7 @@ def parameters(part: Section) -> dict[str, Any]:
 
 
 def made(part: Section) -> Any:
-    """What a section without functions of time describes."""
+    """Make the object that a section without functions of time describes."""
     return part.completed(type(part).target(**parameters(part)))
 
 

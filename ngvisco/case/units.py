@@ -22,13 +22,13 @@ from ngvisco.case.values import NumberValues, Wrong, is_table
 from ngvisco.expressions import ExpressionError, parse, parse_region
 
 SI: dict[str, str] = {name: field.default for name, field in Units.model_fields.items()}
-"""What ``[units]`` may name, and the SI unit of each."""
+"""Quantities that ``[units]`` may name, with the SI unit of each."""
 
 _NUMBER = r"([+-]?\d{1,2}(?:\.\d{1,9})?)"
 _POWER = re.compile(rf"(?:\*\*|\^)\s*(?:{_NUMBER}|\(\s*{_NUMBER}\s*(?:/\s*\d{{1,2}}\s*)?\))(?![\w.])")
 _CHAIN = re.compile(r"(?:\*\*|\^)[^*^/()A-Za-z]*(?:\*\*|\^)|\d\s*(?:\*\*|\^)")
 _LARGEST_POWER = 100.0
-"""Of a unit, all its exponents multiplied: pint computes with whole numbers of any length."""
+"""The largest product of all exponents of a unit: pint computes with whole numbers of any length."""
 
 _QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*([A-Za-zµμ°Å].{0,80})\s*")
 
@@ -153,7 +153,7 @@ class Converter:
         return self._value(value, _with_exponents(unit, model, data), is_function)
 
     def _in_si_places(self, text: str) -> str:
-        """The same function of x, y, z in m and t in s."""
+        """Rewrite a function so that it takes x, y, z in m and t in s."""
         length, time = self.scales.get("length", 1.0), self.scales.get("time", 1.0)
         if length == time == 1.0:
             return text

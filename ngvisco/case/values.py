@@ -18,7 +18,7 @@ from ngvisco.physics.signals import table
 
 
 class Value(ABC):
-    """What a key may have, and how it is checked."""
+    """A kind of value that a key may have, with its check."""
 
     words: ClassVar[str]
     json: ClassVar[dict[str, Any]]
@@ -30,7 +30,7 @@ class Value(ABC):
 
     @classmethod
     def made(cls, value: Any) -> Any:
-        """What the value stands for, which needs no more than itself."""
+        """Make the object that a value stands for, where that needs nothing but the value."""
         return value
 
     @classmethod

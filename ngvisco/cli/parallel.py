@@ -35,7 +35,7 @@ def info(options: argparse.Namespace) -> int:
 
 
 def _started(starter: str) -> int:
-    """The same command on ranks of its own."""
+    """Start this command again on ranks; returns its exit code."""
     command = [starter, "-n", str(_RANKS), sys.executable, "-m", "ngvisco", "info", "--parallel"]
     # more ranks than processors, and root, are no reason to refuse a test
     allowed = dict.fromkeys(

@@ -107,7 +107,7 @@ def resume(options: argparse.Namespace) -> int:
 
 
 def _end_time(text: str) -> float:
-    """What ``--until`` says, s; raises ParameterError."""
+    """Convert the argument of ``--until`` to s; raises ParameterError."""
     try:
         found = seconds(text)
     except UnitError as error:

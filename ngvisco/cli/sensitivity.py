@@ -91,7 +91,8 @@ def _of_limiter(found: Gradient) -> str:
 
 
 def _sigma(text: str | None) -> float | dict[str, float] | None:
-    """Of ``--sigma 0.1`` or ``--sigma kinetic=0.1,tip.velocity_1=0.02``."""
+    """Convert the argument of ``--sigma``, as in ``--sigma 0.1`` or ``--sigma
+    kinetic=0.1,tip.velocity_1=0.02``."""
     if text is None or (number := _number(text)) is not None:
         return None if text is None else number
     found = {}

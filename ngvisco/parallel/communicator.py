@@ -46,7 +46,8 @@ class MPIError(NgviscoError, RuntimeError):
 
 @dataclass
 class Traffic:
-    """What this process sent: messages to neighbours, their bytes, and reductions of a few numbers each."""
+    """Counts of what this process has sent: messages to neighbours, their bytes, and reductions of a few
+    numbers each."""
 
     messages: int = 0
     bytes: int = 0
@@ -54,7 +55,7 @@ class Traffic:
 
 
 TRAFFIC = Traffic()
-"""Of this process so far."""
+"""The counts of this process so far."""
 
 
 class Working:
@@ -67,11 +68,11 @@ class Working:
         self._first = mpi.Dup()
         self._sent: list[Any] = []
         self.notes: list[str] = []
-        """Of this rank, for ``Communicator.noted``."""
+        """Notes of this rank, for ``Communicator.noted``."""
 
     @classmethod
     def of(cls, mpi: Any) -> Working:
-        """Those of a communicator of mpi4py; collective at the first call."""
+        """The ranks that work in a communicator of mpi4py; collective at the first call."""
         number = mpi.py2f()
         if number not in _kept:
             _kept[number] = mpi, cls(mpi)
@@ -100,8 +101,9 @@ def asleep(request: Any) -> None:
 
 
 _kept: dict[int, tuple[Any, Working]] = {}
-"""By MPI's number of a communicator, which is kept too, so that no other gets its number.  (With MPI's own
-attributes of communicators a process does not end: mpi4py asks for an interpreter that has gone.)"""
+"""Working ranks by MPI's number of a communicator, which is kept too, so that no other gets its number.
+(With MPI's own attributes of communicators a process does not end: mpi4py asks for an interpreter that has
+gone.)"""
 
 
 class Communicator:
@@ -244,7 +246,7 @@ class Communicator:
             raise together
 
     def agree(self, error: BaseException | None) -> BaseException | None:
-        """What all ranks fail with where some do: the error of the lowest rank that has one."""
+        """The error that all ranks fail with where some do: that of the lowest rank that has one."""
         if self.size == 1 or not self.any(error is not None):
             return error
         found = [one for one in self.gathered(_packed(error)) if one is not None]
@@ -257,17 +259,17 @@ class Communicator:
         Working.of(self.mpi).notes.append(text)
 
     def forget_notes(self) -> None:
-        """Of this rank."""
+        """Forget the notes of this rank."""
         if self.mpi is not None:
             Working.of(self.mpi).notes.clear()
 
     def noted(self) -> list[str]:
-        """What any ranks have kept, each text once."""
+        """The notes of all ranks, each text once."""
         notes = [] if self.mpi is None else self.gathered(Working.of(self.mpi).notes)
         return list(dict.fromkeys(text for of_rank in notes for text in of_rank))
 
     def on_first(self, work: Callable[[], Result]) -> Result:
-        """What the first rank's ``work`` returns, on every rank; its error is raised on every rank."""
+        """Return the result of the first rank's ``work`` on every rank; its error is raised on every rank."""
         if self.size == 1:
             return work()
         result, error = None, None

@@ -43,7 +43,7 @@ class Owned(ABC):
 
     @abstractmethod
     def of_owners(self, values: np.ndarray) -> np.ndarray:
-        """Of every unknown the value of the rank that owns it; collective between neighbours."""
+        """For every unknown the value of the rank that owns it; collective between neighbours."""
 
     def numbers(self, chosen: np.ndarray) -> tuple[np.ndarray, int]:
         """Numbers of the unknowns that are ``chosen`` among these of all ranks, and how many they are.
@@ -74,20 +74,20 @@ class Exchange(Owned):
 
     @classmethod
     def of(cls, space: FESpace, communicator: Communicator) -> Exchange:
-        """Of a space's unknowns; the communicator is that of its mesh."""
+        """The exchange of a space's unknowns; ``communicator`` is that of its mesh."""
         if not communicator.is_distributed:
             return cls(space.ndof, {}, communicator)
         return cls.of_dofs(space.ParallelDofs(), space.ndof, communicator)
 
     @classmethod
     def of_dofs(cls, dofs: Any, count: int, communicator: Communicator) -> Exchange:
-        """Of NGSolve's ``ParallelDofs``."""
+        """The exchange of NGSolve's ``ParallelDofs``."""
         others = [rank for rank in range(communicator.size) if rank != communicator.rank]
         shared = {rank: np.array(dofs.Proc2Dof(rank), dtype=np.int64) for rank in others}
         return cls(count, shared, communicator)
 
     def part(self, numbers: np.ndarray) -> Exchange:
-        """Of some of the unknowns, as a vector of these alone.
+        """The exchange of some of the unknowns, as a vector of these alone.
 
         What is shared of them has to be chosen, in the same order, on all ranks that share it.
         """
@@ -131,7 +131,7 @@ class Exchange(Owned):
         return result
 
     def others(self, values: np.ndarray) -> np.ndarray:
-        """What the other ranks have of the shared unknowns in place of ``values``, (..., shared unknowns).
+        """The other ranks' values of the shared unknowns in place of ``values``, (..., shared unknowns).
 
         For unknowns that two ranks share, as those of facets.
         """
@@ -142,7 +142,7 @@ class Exchange(Owned):
         return result
 
     def _got(self, values: dict[int, np.ndarray]) -> dict[int, np.ndarray]:
-        """What neighbours sent for what was sent to them."""
+        """Send arrays to the neighbours, and return those that they sent."""
         mpi = self.communicator.mpi
         sent = {rank: np.ascontiguousarray(part) for rank, part in values.items()}
         got = {rank: np.empty_like(part) for rank, part in sent.items()}
@@ -192,7 +192,7 @@ class Halo:
         """Cells of this rank and those beyond."""
 
     def swapped(self, values: np.ndarray) -> np.ndarray:
-        """What the other rank has for each shared facet in place of ``values``, (shared facets, ...)."""
+        """The other rank's values for each shared facet in place of ``values``, (shared facets, ...)."""
         return np.moveaxis(self.facets.others(np.moveaxis(values, 0, -1)), -1, 0)
 
     def with_others(self, values: np.ndarray) -> np.ndarray:

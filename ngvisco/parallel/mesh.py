@@ -34,8 +34,8 @@ class Part(Mesh):
     order = 1
 
     def GetCurveOrder(self) -> int:
-        """That of the whole: to NGSolve a part without cells at curved walls has straight ones, and what
-        depends on it would differ from rank to rank."""
+        """The order of the whole mesh: to NGSolve a part without cells at curved walls has straight ones, so
+        that results that depend on the order would differ from rank to rank."""
         return self.order
 
 
@@ -98,7 +98,8 @@ def _curve(part: Part, whole: Mesh | None, ranks: Communicator) -> None:
 
 
 def volume_and_surface(mesh: Mesh) -> list[float]:
-    """Of a mesh's cells, m^dim and m^(dim - 1); of a part those of the whole, collective.
+    """The volume and surface of a mesh's cells, m^dim and m^(dim - 1); for a part of a mesh those of the
+    whole, collective.
 
     The surface of all cells, inner facets twice: a part has identified boundaries without its cells too.
     """
@@ -124,8 +125,8 @@ def whole_of(mesh: Mesh) -> Mesh | None:
 
 
 def of_whole(mesh: Mesh, values: np.ndarray) -> np.ndarray:
-    """What ranks know of their cells, (cells,), in the order of the whole mesh on the first one, which alone
-    has all of it; collective."""
+    """Collect the ranks' values of their cells, (cells,), in the order of the whole mesh, on the first rank
+    alone; collective."""
     if not isinstance(mesh, Part):
         return values
     numbers, parts = mesh.ranks.mpi.gather(mesh.cells), mesh.ranks.mpi.gather(values)

@@ -143,7 +143,7 @@ class SumInverse:
             self._held += [self._right, self._solution, self._scatter]
 
     def factorise(self, own: sp.csr_matrix) -> None:
-        """Of the sum of the ranks' matrices; raises SingularError on every rank if it is singular."""
+        """Factorise the sum of the ranks' matrices; raises SingularError on every rank if it is singular."""
         with self.communicator.together(SingularError):
             if self.communicator.is_idle:
                 return
@@ -245,8 +245,8 @@ class SumInverse:
         return self.of_parts(np.where(self.exchange.owned, r, 0.0))
 
     def of_parts(self, rows: np.ndarray) -> np.ndarray:
-        """The same for a right-hand side in parts; over ranks NaN where the solver does not give one, and why
-        is noted (``Communicator.noted``)."""
+        """Solve for a right-hand side in parts; over ranks the result is NaN where the solver gives none, and
+        the reason is noted (``Communicator.noted``)."""
         if self.communicator.is_idle:
             return np.zeros_like(rows)
         try:
@@ -258,7 +258,7 @@ class SumInverse:
             return np.full_like(rows, np.nan)
 
     def solve(self, rows: np.ndarray) -> np.ndarray:
-        """The same on ranks with cells; raises PETScError where there is no solution."""
+        """Solve for ``rows`` on ranks with cells; raises PETScError where there is no solution."""
         module = petsc()
         self._values[:] = rows[self._free]
         self._right.set(0.0)
@@ -332,7 +332,7 @@ class Direct(BaseMatrix):
         self._inverse.factorise(sp.csr_matrix(csr, shape=(own.height, own.width)))
 
     def release(self) -> None:
-        """As of ``SumInverse``."""
+        """Release PETSc's objects, as ``SumInverse`` does."""
         self._inverse.release()
 
     def Mult(self, rows: BaseVector, unknowns: BaseVector) -> None:

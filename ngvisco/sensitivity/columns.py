@@ -69,11 +69,11 @@ class Columns:
 
     @property
     def tables(self) -> list[Series]:
-        """Those that have some of the columns."""
+        """The tables that have some of the columns."""
         return [table for table, *_ in self._of_tables]
 
     def of(self, simulation: Simulation) -> Columns:
-        """The same of another run of the same mesh and model."""
+        """The same columns of another run, with the same mesh and model."""
         other = Columns(simulation, self.names, self.tables)
         other.has_ends, other.has_means = self.has_ends, self.has_means
         return other
@@ -94,7 +94,7 @@ class Columns:
                 table.begin()
 
     def stage(self, share: float) -> np.ndarray:
-        """Of the present state, which is a stage's: shares of what is a mean over stages, (columns,).
+        """Values of the columns at a stage, the present state: shares of means over stages, (columns,).
 
         Of other columns it is ``share`` times their value.
         """
@@ -107,7 +107,7 @@ class Columns:
         return share * values
 
     def impulse(self, rows: np.ndarray, v: np.ndarray | None) -> np.ndarray:
-        """What the walls' impulse over a step's length, on the rows of v, N, adds to the columns.
+        """The contribution of the walls' impulse over a step, on the rows of v, N, to the columns.
 
         It has power on the velocity ``v`` of the last stage, where that is given.
         """
@@ -125,7 +125,8 @@ class Columns:
         return values
 
     def state(self) -> np.ndarray:
-        """Of the present state, the end of a step, (columns,); zero of what is a mean over stages."""
+        """Values of the columns at the end of a step, the present state, (columns,); zero for means over
+        stages."""
         values = self._values(self._of_state, np.zeros_like(self._of_rates))
         for table, _, places in self._of_tables:
             if not isinstance(table, WallForces):

@@ -237,7 +237,7 @@ class _Search:
         self.runs, self.spent, self.alone = 0, 0.0, 0.0
 
     def _inner(self, p: np.ndarray) -> np.ndarray:
-        """What is sought for the parameters: logarithms where they have one sign."""
+        """The unknowns of the search for the parameters ``p``: logarithms where a parameter has one sign."""
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.where(self.signs != 0, np.log(self.signs * p), p / self.scales)
 
@@ -279,7 +279,7 @@ class _Search:
         return np.full(len(self.of), np.inf) if found is None else self._residuals(found)
 
     def jacobian(self, q: np.ndarray) -> np.ndarray:
-        """Of the residuals."""
+        """The Jacobian of the residuals."""
         found = self._at(q)
         assert found is not None  # the search asks at points that it has accepted
         _, slopes = self._outer(q)

@@ -34,7 +34,7 @@ class Follower:
         return values
 
     def evolved(self, state: np.ndarray) -> Evolved:
-        """What a state evolves by."""
+        """The quantities of a state that have a time derivative."""
         self.state[:] = state
         return self.step.evolved()
 
@@ -115,7 +115,7 @@ class Follower:
     def impulse(
         self, taken: StepTaken, states: Sequence[Evolved], end: np.ndarray, v: np.ndarray
     ) -> np.ndarray:
-        """What the walls' impulse at a combined end adds to the columns, (columns,).
+        """The contribution of the walls' impulse at a combined end to the columns, (columns,).
 
         ``v`` is the velocity of the last stage, whose wall has power.
         """

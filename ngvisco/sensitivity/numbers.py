@@ -45,7 +45,7 @@ class Wanted:
 
     @classmethod
     def of(cls, text: str) -> Wanted:
-        """Of a text ``"COLUMN at TIME"`` or ``"COLUMN until TIME"``, the time in s.
+        """Read a text ``"COLUMN at TIME"`` or ``"COLUMN until TIME"``, the time in s.
 
         Raises ParameterError for another text.
         """
@@ -62,7 +62,8 @@ class Wanted:
         return cls(found["column"], number, found["kind"] == "until")
 
     def weights(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """What it is of its column at the ends of steps, at these times, and of its integrals until then."""
+        """Weights of its column's values at the ends of steps, at these times, and of the column's integrals
+        until then."""
         upper = int(np.clip(np.searchsorted(times, self.time * (1 - 1e-12)), 1, len(times) - 1))
         share = (self.time - times[upper - 1]) / (times[upper] - times[upper - 1])
         share = float(np.clip(share, 0.0, 1.0))
@@ -116,7 +117,8 @@ class Numbers:
 
     @classmethod
     def of(cls, of: Sequence[str] | Mapping[str, str | Misfit], until: float) -> Numbers:
-        """Those that ``gradient`` was asked for; raises ParameterError for a text or a time that is none."""
+        """The numbers that ``gradient`` was asked for; raises ParameterError for a text or a time that is
+        none."""
         given = (
             of
             if isinstance(of, Mapping)

@@ -37,7 +37,7 @@ _START = "initial"
 STEP = 1e-3
 """Spacing of the differences by a parameter, in units of the parameter."""
 OFFSETS = {4: (-2.0, -1.0, 1.0, 2.0), 2: (-0.1, 0.1)}
-"""Of the values p + o h, by the order of the differences."""
+"""Offsets o of the values p + o h, by the order of the differences."""
 
 
 def differenced(values: Sequence[np.ndarray], h: float) -> np.ndarray:
@@ -96,7 +96,7 @@ class Named:
         return self.keys[0] == _START
 
     def varied(self, simulation: Simulation, value: float) -> Simulation:
-        """The same run at its start with another value of the parameter, without observers.
+        """A new run at its start, without observers, with another value of the parameter.
 
         Raises ParameterError for a value out of the parameter's range.
         """
@@ -110,7 +110,7 @@ class Named:
 def varied(
     simulation: Simulation, values: Mapping[Named, float], observers: Sequence[Observer] = ()
 ) -> Simulation:
-    """The same run at its start with other values of parameters.
+    """A new run at its start with other values of parameters.
 
     The velocity scale stays that of the run.  Raises ParameterError for a value out of a parameter's
     range.
@@ -139,7 +139,7 @@ def _root(simulation: Simulation, name: str) -> Any:
 
 
 def _member(owner: Any, key: str) -> Any:
-    """What of an owner has this key: where it stands, None where there is no such."""
+    """The value of a key in its owner; None where the owner does not have the key."""
     if isinstance(owner, Mapping):
         names = [k for k in owner if key in ((k,) if isinstance(k, str) else k)]
         return names[0] if names else None

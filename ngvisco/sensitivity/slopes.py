@@ -20,7 +20,7 @@ from ngvisco.sensitivity.follower import Follower
 from ngvisco.sensitivity.parameters import OFFSETS, differenced
 
 _SPACING = 1e-3
-"""Of the differences by coefficients of a cell, in units of the largest one of their unknown."""
+"""The step of differences by a cell's coefficients, in units of the largest coefficient of their unknown."""
 
 
 class Slopes:

@@ -123,7 +123,7 @@ class _Tangent:
     def __init__(self, neighbours: Neighbours, start: np.ndarray, from_start: bool) -> None:
         self.near = neighbours
         self.along = neighbours.of_start if from_start else np.zeros_like(start)
-        """Of the present state."""
+        """The tangent of the present state."""
         self._states: list[list[Evolved]] = []
 
     def _differenced(self, of: Callable[[int, Follower], np.ndarray]) -> np.ndarray:

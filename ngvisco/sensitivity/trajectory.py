@@ -1,4 +1,5 @@
-"""What a run went through: the solutions of all its Rothe steps, with what each of them started from."""
+"""The trajectory of a run: the solutions of all its Rothe steps, and the states that each step started
+from."""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ MISSED = (
     f"a place within the domain, no thinner than 1/{_LOOKED_AT} of the cells there (a finer mesh, by maxh or "
     "refine, sees a smaller one): no cell has a part of it"
 )
-"""What is expected of a shape that fills nothing."""
+"""The message's expectation of a shape that fills nothing."""
 _PIECES = {2: 32, 3: 12}  # of the edges of cells that a surface cuts, even numbers
 _INSET = 1e-9
 """How far, of their distance to the cell's middle, levels are taken inside the cell: a surface that is a side
@@ -43,7 +43,7 @@ _QUADRILATERALS = (11, 13, 14)  # Netgen's numbers
 
 
 def fractions(mesh: Mesh, shapes: Sequence[Shape], order: int = 1) -> list[GridFunction]:
-    """What shapes, the later ones over the earlier, leave each other of every cell.
+    """Fractions of every cell that shapes fill, where later shapes lie over earlier ones.
 
     A part of a shape that is thinner than a quarter of a cell may be missed.  Raises ParameterError,
     UnknownNameError for a shape that does not fit the mesh.
@@ -72,7 +72,7 @@ def fractions(mesh: Mesh, shapes: Sequence[Shape], order: int = 1) -> list[GridF
 
 
 def volumes(mesh: Mesh, shapes: Sequence[Shape]) -> list[float]:
-    """Of each shape where no later one lies over it, within the mesh, and last of the rest, m^dim."""
+    """Volumes within the mesh of each shape where no later one lies over it, and last of the rest, m^dim."""
     cells = np.array(Integrate(CoefficientFunction(1.0), mesh, VOL, element_wise=True))
     own = np.array([cells @ part.vec.FV().NumPy() for part in fractions(mesh, shapes, 0)])
     return [float(volume) for volume in Communicator.of(mesh).totals(own)]
@@ -133,7 +133,8 @@ def _levels(
 
 
 def _layered(shares: np.ndarray) -> np.ndarray:
-    """What is seen from above of shapes that lie over each other, the last on top, and of what is below."""
+    """Shares that are seen from above of shapes that lie over each other, the last on top, and of the
+    ground."""
     seen, left = [], np.ones(shares.shape[1:])
     for share in shares[::-1]:
         seen.append(left * share)

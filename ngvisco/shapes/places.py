@@ -36,7 +36,7 @@ class Places:
         return mesh_points(self.mesh, cells, np.tile(self.reference, (len(self.cells), 1)))
 
     def values(self, function: CoefficientFunction) -> np.ndarray:
-        """Of a function, (cells * points, components)."""
+        """Values of a function, (cells * points, components)."""
         return np.asarray(function(self.points)).reshape(len(self.points), -1)
 
     @cached_property

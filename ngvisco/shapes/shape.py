@@ -56,7 +56,7 @@ class Shape(ABC):
 
 @dataclass(frozen=True)
 class Union(Shape):
-    """What is in one of the shapes at least."""
+    """The points that lie in at least one of the shapes."""
 
     shapes: Sequence[Shape]
 
@@ -72,7 +72,7 @@ class Union(Shape):
 
 @dataclass(frozen=True)
 class Complement(Shape):
-    """What is not in a shape."""
+    """The points that do not lie in a shape."""
 
     shape: Shape
 
@@ -251,7 +251,7 @@ class Polygon(Shape):
 
 
 def _expected_of_edges(a: np.ndarray, b: np.ndarray) -> str | None:
-    """What edges a_i b_i should be, two of which cross or have a piece of a line in common."""
+    """The message's expectation of edges a_i b_i, two of which cross or have a piece of a line in common."""
     along = b - a
     length = np.linalg.norm(along, axis=1)[:, None]
     ends = np.stack([a, b])[:, None] - a[None, :, None]  # (end, i, j): of edge j, from the start of edge i

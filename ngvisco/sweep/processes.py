@@ -143,7 +143,7 @@ def _waited(process: subprocess.Popen[str], event: Any) -> tuple[int, str]:
 
 
 def message_of(said: str) -> str:
-    """What a process wrote to standard error as one line, without its warnings, which are in its log.txt."""
+    """The standard error of a process as one line, without its warnings, which are in its log.txt."""
     lines = [line.removeprefix("ngvisco: ") for line in said.splitlines()]
     if any(line.startswith("Traceback") for line in lines):
         lines = lines[-1:]

@@ -38,7 +38,7 @@ STOPPED, WAITING = "stopped", "not started"
 
 @dataclass
 class Outcome:
-    """What became of one run.
+    """The result of one run.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""What is varied: keys of a case file with their values, all combinations of them, and the runs' names."""
+"""Variations: keys of a case file with their values, all combinations of them, and the runs' names."""
 
 from __future__ import annotations
 

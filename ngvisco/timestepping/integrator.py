@@ -50,7 +50,7 @@ root mean square of so many draws, since the sum of a single one may vanish by c
 
 
 class Carried(Protocol):
-    """What is carried along by the same scheme, with the stages' velocities."""
+    """A field that is carried along by the same scheme, with the stages' velocities."""
 
     def begin(self) -> None:
         """A step begins, or begins anew: forget the stages."""
@@ -67,7 +67,7 @@ class Carried(Protocol):
 
 @dataclass(frozen=True)
 class StepTaken:
-    """What a step exchanged, besides the state that it left.
+    """The exchange of a step with its surroundings, besides the state that it left.
 
     ``tau`` is its length, s; ``history`` what was tried, from which start values; ``rates`` are dissipations
     and powers, W, weighted as the scheme does; ``numerical`` is R by ledger columns, J, and what the limiter
@@ -92,7 +92,8 @@ class StepTaken:
 LIMITER = "limiter"
 """Ledger column of the energy that limiting a step's end takes, J."""
 LIMITER_WALLS = "limiter_walls"
-"""And of what it takes through walls that are held or moved: momentum there is not kept, J."""
+"""The part of the limiter's energy that goes through walls that are held or moved, where momentum is not
+kept, J."""
 
 
 class Integrator:
