@@ -65,7 +65,7 @@ class _Faster(FlowRule):
     @property
     @abstractmethod
     def _reads(self) -> set[str]:
-        """What the factor reads."""
+        """The names of the variables that the factor reads."""
 
     @abstractmethod
     def factor(self, z: Values) -> Any:

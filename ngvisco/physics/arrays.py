@@ -33,7 +33,7 @@ _number = count(1)
 
 
 class _Node(ABC):
-    """What arrays and linear forms have in common: maps of entries, which carry derivatives back."""
+    """The common base of arrays and linear forms: maps of entries, which carry derivatives back."""
 
     __slots__ = ()
     __array_ufunc__ = None  # numpy's numbers leave the operation to these classes
@@ -239,7 +239,7 @@ class Array(_Node):
 
 
 class Linear(_Node):
-    """What is linear in test functions: it has a shape and no value, only maps back to these.
+    """A linear form in test functions: it has a shape and no value, only maps back to the test functions.
 
     With a test function in its place, ``Term.cells`` and ``Term.facets`` give an integrand that is linear in
     the tests; ``slots`` reads off what multiplies each of them.
@@ -337,7 +337,7 @@ def _entries(numbers: bytes, width: int) -> list[tuple[int, int, float]]:
 
 
 def slots(form: Linear) -> dict[str, np.ndarray]:
-    """What multiplies each test function in a scalar linear form, by its name."""
+    """The factors of the test functions in a scalar linear form, by the functions' names."""
     if form.shape:
         raise TypeError("an integrand is a scalar")
     return {node.slot: g for node, g in _backwards(form, np.ones(1)) if node.slot is not None}
@@ -353,7 +353,8 @@ def derivatives(result: Array, arguments: Sequence[Array]) -> list[np.ndarray]:
 
 
 def _backwards(root: Any, seed: np.ndarray) -> Iterator[tuple[Any, np.ndarray]]:
-    """What a value was made of, itself first, and the derivative by each, from that by the value."""
+    """The nodes that a value was made of, itself first, each with the derivative by it, from that by the
+    value."""
     found, nodes = {root.number: seed}, {root.number: root}
     while nodes:
         number = max(nodes)  # whatever is made of it has a larger number

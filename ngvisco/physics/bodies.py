@@ -24,7 +24,7 @@ from ngvisco.physics.tensors import Tensor, if_positive, sqrt, tr
 from ngvisco.physics.variables import Frame, Values, Variable
 
 TRACE = 1e-3
-"""What is left of an absent body: a trace of matter at rest, by the amount of all matter."""
+"""The amount of an absent body that is left as a trace of matter at rest, over the amount of all matter."""
 
 HARDENING_TRACE = 0.1
 """The trace of all matter in a body that hardens: K_i and n_i are polynomials each by itself, and K_i/n_i is
@@ -34,12 +34,12 @@ _HALF = 1 / 5
 """The fraction at which matter takes half a part."""
 
 AMOUNT = "n_"
-"""What the name of a body's amount begins with."""
+"""The beginning of the name of a body's amount."""
 
 
 @runtime_checkable
 class Region(Protocol):
-    """What the run knows as a shape (``ngvisco.shapes``); physics knows no mesh."""
+    """A region of space.  The run has shapes for it (``ngvisco.shapes``); physics knows no mesh."""
 
     def level(self, at: Any) -> Any:
         """A number at each place, > 0 inside."""
@@ -64,7 +64,7 @@ class Amount(Variable):
     density: float = 1.0
     """rho_i of the reference state, kg/m^3."""
     share: float = field(default=0.5, compare=False)
-    """Of the body at a point that stands for all states, where there is as much of each."""
+    """The body's share at a point that stands for all states, where there is as much of each body."""
 
     is_conserved = True
 
@@ -126,7 +126,7 @@ class Fractions:
         return {name: z[AMOUNT + name] * inverse for name in self.bodies}
 
     def not_negative(self, z: Values) -> dict[str, Any]:
-        """The same with zero where theta_i < 0, as polynomials beside a jump are."""
+        """Volume fractions, with zero where theta_i < 0, as polynomials beside a jump are."""
         return {name: if_positive(value, value, 0.0 * value) for name, value in self.at(z).items()}
 
     def taking_part(self, z: Values) -> dict[str, Any]:
@@ -206,7 +206,8 @@ class Body:
 
     @property
     def rules(self) -> dict[str | None, FlowRule]:
-        """What of the body flows: rules by the branches of its network, None of a body without."""
+        """Flow rules of the body by the branches of its network; the key is None for a body without a
+        network."""
         network = part_of(self.material, Network)
         rules = {None: self.creep} if network is None else {n: b.creep for n, b in network.parts.items()}
         return {name: rule for name, rule in rules.items() if rule is not None and rule.flows}

@@ -1,4 +1,4 @@
-"""What is left of the relations between variables that stand for one thing.
+"""Defects of the relations between variables that stand for one thing.
 
 J is det F and H is Cof F for exact solutions; the discrete ones are transported each by itself and part,
 slowly in a solid and without end where F winds up (``materials.hyperelastic``).  The ledger does not see
@@ -29,7 +29,7 @@ DRIFT = 0.1
 
 
 def parted(material: Material, pair: str, rms: float, largest: float) -> str:
-    """What a run says of a ``pair`` that differs by so much, relatively."""
+    """The message of a run about a ``pair`` that differs by so much, relatively."""
     return (
         f"{pair} differ by {rms:.1%} in the mean square, {largest:.1%} at most: the variables no longer "
         "belong to one distortion, and the stress is wrong by as much, though the ledger closes; the remedy "
@@ -102,7 +102,7 @@ def drifts(material: Material, z: Values, traced: Collection[str] = ()) -> dict[
 
 
 def may_part(material: Material, moves: bool, m: int) -> str | None:
-    """What is to be known before a run of variables that may part, in words; None where they hardly do.
+    """The message before a run of variables that may part; None where they hardly do.
 
     ``moves`` says whether walls move, ``m`` is the order of the variables.
     """
@@ -117,7 +117,7 @@ def may_part(material: Material, moves: bool, m: int) -> str | None:
 
 
 def remedy(material: Material) -> str:
-    """What keeps the variables of a material together, in words."""
+    """The message that says how the variables of a material are kept together."""
     better = "shorter steps and a finer mesh"
     if not any(v.frame == "relaxed" for v in material.variables):
         return better

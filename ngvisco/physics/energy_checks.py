@@ -1,4 +1,4 @@
-"""What is asked of an energy: to be a function of the state alone, the same for all observers, and convex.
+"""Checks of an energy: that it is a function of the state alone, the same for all observers, and convex.
 
 **The state alone.**  The ledger's conjugates are derivatives by the state.  An energy that also depends on
 place, time, a grid function or the mesh has a rate that no term of the equations holds: it is refused.
@@ -47,7 +47,7 @@ _OTHERS = {
     ("ReferenceCoordinate", "Jacobian"): "the map of the cells",
     ("ProxyFunction",): "a trial or test function",
 }
-"""What NGSolve calls the leaves of an expression, and what they are."""
+"""NGSolve's names of the leaves of an expression, and what they are."""
 _PAIRINGS = 8
 """Partners that each sampled state gets where a set of states is asked to be convex."""
 
@@ -195,7 +195,7 @@ _STATES = 256
 
 
 def _sampling(owner: str, material: Material, dim: int, spread: float, seed: int) -> StateSampling:
-    """That of checked arguments."""
+    """The sampling of states for arguments that have been checked."""
     require_type(f"{owner}.material", material, Material)
     require_positive(owner, spread=spread)
     dimension, number = as_integer(dim), as_integer(seed)
@@ -212,7 +212,7 @@ class ConvexityWarning(NgviscoWarning):
 
 @dataclass(frozen=True)
 class ConvexityReport:
-    """What the sampling of pairs of states a, b found."""
+    """The result of sampling pairs of states a, b."""
 
     samples: int
     """Pairs with finite energies that were compared."""
@@ -225,7 +225,8 @@ class ConvexityReport:
     reachable: bool = False
     """Whether a motion can reach a."""
     distance: float = 0.0
-    """Of a from the nearest of the ``states`` that were given, else from rest, in the Frobenius norm."""
+    """The distance of a from the nearest of the ``states`` that were given, else from rest, in the Frobenius
+    norm."""
     from_run: bool = False
     """Whether ``states`` were given."""
 
@@ -333,8 +334,8 @@ def _worst_bregman(
     at_a, material = response(a), sampling.material
 
     def bounds(components: CoefficientFunction) -> CoefficientFunction:
-        """What is > 0 where the energy is asked to be convex: J, the minors of B, ..., but not det F, whose
-        domain is not convex."""
+        """Functions that are > 0 where the energy has to be convex: J, the minors of B, ..., but not det F,
+        whose domain is not convex."""
         z = sampling.space.tensors(lambda: components)
         asked = (v for v in material.variables if v.kind != "full" and v.name not in material.continued)
         return CF((1.0, *(value for v in asked for value in v.positive(z[v.name]).values())))
@@ -358,7 +359,7 @@ def _worst_bregman(
 
 @dataclass(frozen=True)
 class IsotropyReport:
-    """What the sampling of states z and turned ones z* found."""
+    """The result of sampling states z and turned ones z*."""
 
     samples: int
     """Pairs with finite energies."""

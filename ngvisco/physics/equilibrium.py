@@ -35,7 +35,7 @@ _ITERATIONS = 100
 _CONVERGED = 1e-7
 """Increment, over J_i and psi_S/psi_SS, at which one more step of Newton's, with its square, is the last."""
 _LEAST = 0.2
-"""What a step leaves of J_i, at least."""
+"""The least share of J_i that a step leaves."""
 
 _FLAT = 1e-3
 """The least J_i: a body whose energy is finite at J = 0 gives way to the pressure of another no further."""
@@ -98,7 +98,7 @@ def _compliance(y: np.ndarray, excess: np.ndarray, second: np.ndarray) -> np.nda
 
 
 def _inverse(A: np.ndarray) -> np.ndarray:
-    """Of symmetric matrices of one row or two, (..., size, size)."""
+    """Inverses of symmetric matrices of one row or two, (..., size, size)."""
     if A.shape[-1] == 1:
         return 1 / A
     adjoint = A[..., ::-1, ::-1] * np.array([[1, -1], [-1, 1]])

@@ -65,7 +65,7 @@ class WallHeat:
 
 @dataclass(frozen=True, kw_only=True)
 class Heat:
-    """What heats and cools a body besides its own dissipation.
+    """Sources of a body's heat besides its own dissipation, and its conduction.
 
     Raises ParameterError if a parameter is out of its range.
 
@@ -146,10 +146,11 @@ _TEMPERATURES = 10.0 ** np.arange(-3, 5)
 
 @dataclass(frozen=True)
 class HeatLaw:
-    """What a model says of heat and, by its fraction, each body: kappa = kappa_0 + sum theta_i kappa_i."""
+    """The law of heat of a model and, by its fraction, of each body: kappa = kappa_0 + sum theta_i
+    kappa_i."""
 
     parts: Mapping[str | None, Heat]
-    """By the bodies' names; None for all matter."""
+    """Laws by the bodies' names; the key is None for all matter."""
     fractions: Any = None
     """``ngvisco.physics.bodies.Fractions`` of bodies."""
 

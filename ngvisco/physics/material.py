@@ -134,7 +134,7 @@ ElasticState: TypeAlias = Literal["F", "B"]
 
 
 class Material(ABC):
-    """What a constitutive law supplies: ``variables`` and ``energy``.
+    """A constitutive law: its ``variables`` and its ``energy``.
 
     A material that is a dataclass raises ParameterError for a parameter outside the range of its annotation.
     """
@@ -155,7 +155,7 @@ class Material(ABC):
         """Stored energy per actual volume, Pa, from the variables' values by name."""
 
     def with_elastic_state(self, state: ElasticState) -> Material:
-        """The same material by F or by B = F F^T where it has the choice and left it open; else itself."""
+        """This material by F or by B = F F^T where it has the choice and left it open; else itself."""
         return self
 
     @property
@@ -164,7 +164,8 @@ class Material(ABC):
         return None
 
     def conformation_of(self, branch: str) -> str | None:
-        """The same of a branch, by its name, of a material with branches (``Network``)."""
+        """The conformation tensor's name in a branch, by the branch's name, of a material with branches
+        (``Network``)."""
         return self.conformation
 
     @property
@@ -202,8 +203,8 @@ class Material(ABC):
         return {}
 
     def positive(self, z: Values) -> dict[str, Values]:
-        """What must be > 0 of a state: of each variable that is not ``continued``, by its name; of several
-        variables together, by "".
+        """Functions of a state that must be > 0: of each variable that is not ``continued``, by its name; of
+        several variables together, by "".
         """
         kept = (v for v in self.variables if v.name not in self.continued)
         found = {v.name: v.positive(z[v.name]) for v in kept}

@@ -50,7 +50,7 @@ from ngvisco.physics.tensors import IDENTITY, Tensor, dev, identity_like
 from ngvisco.physics.variables import INTERFACE, PRESSURE, Jacobian, Values, Variable
 
 _LIGHTEST = "the density, less half of that of the lightest body"
-"""What is lighter than any of its parts is thrown by forces that these bear."""
+"""Matter that is lighter than any of its parts is thrown by forces that its parts bear."""
 
 _SAME = 1e-9
 """Relative difference of volumetric energies that are one function."""
@@ -113,7 +113,7 @@ class Mixture(Material):
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Those of moduli, of the bodies' own variables and of the model's other laws."""
+        """Parameters of moduli, of the bodies' own variables and of the model's other laws."""
         own = (v for body in self.bodies for v in body.material.variables if isinstance(v, Parameter))
         return distinct((*parameters_in(self.bodies), *self.carried, *own))
 
@@ -150,7 +150,7 @@ class Mixture(Material):
         return {f"{branch} {body}".strip(): self.contents_of(body, branch) for body, branch in owners}
 
     def densities(self, body: str) -> tuple[Variable, ...]:
-        """What a body carries: X_i, n_i, and K_i where it hardens."""
+        """Densities that a body carries: X_i, n_i, and K_i where it hardens."""
         hardened = {K.name for (owner, _), K in self.plastic_contents.items() if owner == body}
         own = {X.name for X in self.contents(body)} | {AMOUNT + body} | hardened
         return tuple(v for v in self.variables if v.name in own)
@@ -168,7 +168,7 @@ class Mixture(Material):
         return replace(self, bodies=tuple(bodies))
 
     def with_carried(self, parameters: Sequence[Parameter]) -> Mixture:
-        """The same with parameters of the model's other laws, those that it does not have yet."""
+        """A mixture with parameters of the model's other laws, as far as it does not have them yet."""
         more = distinct((*self.parameters, *parameters))[len(self.parameters) :]
         return replace(self, carried=(*self.carried, *more)) if more else self
 
@@ -192,8 +192,9 @@ class Mixture(Material):
         return {name: psi.stiffness + of_heat.get(name, 0.0) for name, psi in self.energies.items()}
 
     def positive(self, z: Values) -> dict[str, Values]:
-        """What must be > 0: N; sum n_i/U_i'' at rest where these differ, or there is no common pressure; sum
-        n_i c_i; and n_i, but for half of what f_i or phi_h adds to it, where one is not linear or hardens."""
+        """Functions of a state that must be > 0: N; sum n_i/U_i'' at rest where these differ, or there is no
+        common pressure; sum n_i c_i; and n_i, but for half of the amount that f_i or phi_h adds to it, where
+        one is not linear or hardens."""
         n, total = self.amounts(z), self.fractions.total(z)
 
         def above(share: float, sizes: Sequence[float]) -> Any:
@@ -369,7 +370,7 @@ class _InEquilibrium:
             return np.stack([np.stack([J, S[name]], axis=1) for name in amounts], axis=1)
 
     def _failure(self, n: np.ndarray) -> str | None:
-        """What is said of amounts without a common pressure, where there are such."""
+        """The message about amounts without a common pressure; None where there are none."""
         if not len(n):
             return None
         common = "pressure" if self.heat is None else "pressure and temperature"
@@ -443,7 +444,7 @@ class MixedViscosity(Viscosity):
 
 
 def mixed_viscosity(bodies: Sequence[Body]) -> Viscosity | None:
-    """That of the bodies; None without any."""
+    """The bodies' viscosity in common; None where no body has one."""
     parts = tuple((b.name, b.viscosity) for b in bodies if b.viscosity is not None)
     return MixedViscosity(parts=parts, fractions=Fractions(tuple(b.name for b in bodies))) if parts else None
 

@@ -34,10 +34,10 @@ class Flow:
     conformation: str | None = None
     """The one among them that is a conformation tensor, if there is one."""
     branch: str | None = None
-    """Of a network."""
+    """The branch of a network that flows."""
     body: str | None = None
     fractions: Fractions | None = None
-    """Those of the bodies."""
+    """Volume fractions of the bodies."""
 
     def share(self, z: Values) -> Any:
         """The body's fraction of the point, > 0: its power per volume is that times its own."""
@@ -45,7 +45,7 @@ class Flow:
 
     @property
     def suffix(self) -> str:
-        """What names of a branch's columns and fields end in; nothing of others."""
+        """The end of the names of a branch's columns and fields; empty for other flows."""
         return "" if self.branch is None else f"_{self.branch}"
 
     @property
@@ -160,7 +160,7 @@ class Model:
 
     @property
     def flows(self) -> tuple[Flow, ...]:
-        """What creeps: the material, or each branch of a network, or each body, by its own tensors."""
+        """The flows: of the material, of each branch of a network, or of each body, by their own tensors."""
         of = self.material
         if (network := part_of(of, Network)) is not None:
             return tuple(
@@ -186,7 +186,7 @@ class Model:
 
     @property
     def _hardening(self) -> tuple[tuple[PlasticContent, Hardening], ...]:
-        """What the material, or branches, carry of plastic strains, and their energies."""
+        """Plastic contents of the material or its branches, with their energies."""
         network = part_of(self.material, Network)
         rules = {None: self.creep} if network is None else {n: b.creep for n, b in network.parts.items()}
         return tuple(
@@ -197,7 +197,7 @@ class Model:
 
     @property
     def heat_law(self) -> HeatLaw:
-        """What the model and its bodies say of heat."""
+        """The heat of the model and its bodies."""
         parts: dict[str | None, Heat] = {None: self.heat or Heat()}
         parts |= {body.name: body.heat for body in self.bodies if body.heat is not None}
         return HeatLaw(parts, self.material.fractions if isinstance(self.material, Mixture) else None)
@@ -287,7 +287,7 @@ _NO_TEMPERATURE = "None for a material without a temperature; nv.Thermal(materia
 
 
 def _faults(body: Body, bodies: Sequence[Body]) -> Iterable[tuple[str, str]]:
-    """What a body cannot have beside others, and what would be right."""
+    """Faults of a body beside others: the key, and what would be right."""
     material, law, heat = body.material, body.creep, body.heat
     if part_of(material, Damaged) is not None:
         yield "material", "a material without damage: that of one body would be the damage of all"

@@ -42,10 +42,10 @@ from ngvisco.physics.variables import Values, Variable
 T = TypeVar("T")
 
 Mean: TypeAlias = Literal["arithmetic", "geometric", "harmonic", "root"]
-"""Of which number of a parameter's values a cell has the mean: theta, ln theta, 1/theta or theta^(1/8)."""
+"""The function of a parameter's values whose mean a cell has: theta, ln theta, 1/theta or theta^(1/8)."""
 
 _SQUARINGS = 3
-"""What makes the eighth root the number again."""
+"""The number of squarings that undo the eighth root."""
 
 _LEAST = 1e-100
 """1/theta where it is not positive: polynomials beside a jump overshoot."""
@@ -137,7 +137,7 @@ class _Modulus(Expression):
     """An expression in the place of a number, with what that number has to be."""
 
     name: str
-    """Of law and parameter, e.g. ``"NeoHookean.G_e"``."""
+    """The name of law and parameter, e.g. ``"NeoHookean.G_e"``."""
     expression: Expression
     is_positive: bool
     """Whether it must be > 0; otherwise >= 0."""
@@ -233,7 +233,7 @@ class Parameter(Variable, Expression):
         return carried
 
     def carried(self, value: Any) -> Any:
-        """What is carried of a value: theta, ln theta, 1/theta or theta^(1/8)."""
+        """The number that is carried for a value: theta, ln theta, 1/theta or theta^(1/8)."""
         if self.mean == "geometric":
             return log(value)
         if self.mean == "root":

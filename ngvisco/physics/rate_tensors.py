@@ -94,7 +94,7 @@ class RateTensors:
         return replace(result, bent=tuple(bent))
 
     def by_groups(self, groups: Sequence[Sequence[str]], states: StateSpace) -> RateTensors:
-        """The same with a Pi for each group of variables, which are named, in which these alone creep."""
+        """Rates with a Pi for each group of variables, which are named, in which these alone creep."""
         g, size = self.gradients, len(self.constant) - self.gradients
         masks = np.zeros((len(groups), states.size))
         for mask, names in zip(masks, groups, strict=True):

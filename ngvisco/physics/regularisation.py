@@ -137,22 +137,22 @@ class Regularisation:
 
 
 _SPREAD = 0.2
-"""Of the states at which an energy is asked whether it is linear."""
+"""The spread of the states at which an energy is tested for being linear."""
 
 _ZERO = 1e-10
-"""What counts as zero of phi'', over its largest entry."""
+"""The size of an entry of phi'' that counts as zero, over its largest entry."""
 
 
 @dataclass(frozen=True)
 class Curvature:
-    """What of phi'' does not depend on the state."""
+    """The part of phi'' that does not depend on the state."""
 
     linear: np.ndarray
     """The orthogonal projection on the directions n of strains with phi''(z) n = 0 for all z, (N, N)."""
     strains: np.ndarray
     """Which components are those of strains, (N,)."""
     compliance: np.ndarray
-    """Of the strains, the inverse of phi''(rest) + ``linear`` (in Pa), positive definite, (N, N)."""
+    """For the strains the inverse of phi''(rest) + ``linear`` (in Pa), positive definite, (N, N)."""
 
     @property
     def of_itself(self) -> np.ndarray:
@@ -161,7 +161,7 @@ class Curvature:
 
 
 def curvature_of(material: Material, dim: int) -> Curvature:
-    """That of a material on meshes of dimension ``dim``.
+    """The curvature of a material's energy on meshes of dimension ``dim``.
 
     Raises ParameterError where phi'' at rest is not positive definite in the directions that it has at all.
     """

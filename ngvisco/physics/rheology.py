@@ -173,7 +173,7 @@ class _BetweenPlateaus(IsotropicViscosity):
 
     @abstractmethod
     def share(self, s: Any) -> Any:
-        """What is left of G_0 - G_inf at the squared shear rate s."""
+        """The share of G_0 - G_inf that is left at the squared shear rate s."""
 
     def moduli(self, s: Any, z: Values) -> tuple[ValueOfModulus, ValueOfModulus]:
         least = value_at(self.G_inf, z)
@@ -316,13 +316,13 @@ PAIRS = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
 """Entries in the order of the 6x6 notations: 11, 22, 33, 23, 13, 12."""
 
 _WEIGHTS = np.array([1.0, 1.0, 1.0, *(3 * [2**0.5])])
-"""Of a strain's entries in Mandel's notation."""
+"""Weights of a strain's entries in Mandel's notation."""
 
 _BASIS = symmetric_tensors(3).columns[:, [0, 3, 5, 4, 2, 1]]
 """Mandel's orthonormal basis of symmetric tensors, (9, 6): 11, 22, 33, 23, 13, 12."""
 
 _TOLERANCE = 1e-12
-"""Of symmetry and of eigenvalues, over the largest entry: what rounding in the input leaves."""
+"""The tolerance of symmetry and of eigenvalues, over the largest entry: it covers rounding in the input."""
 
 
 def full_tensor(mandel: np.ndarray) -> np.ndarray:

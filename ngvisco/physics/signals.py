@@ -122,7 +122,7 @@ def read_table(path: str | PathLike[str]) -> np.ndarray:
 
 
 def breaking(function: CoefficientFunction) -> tuple[list[CoefficientFunction], list[np.ndarray]]:
-    """What a function of time breaks by: what its choices by sign decide by, and times of tables, s.
+    """Discontinuities of a function of time: the functions by whose sign it chooses, and times of tables, s.
 
     The times are those of all tables that were made: a rule with more breaks than it needs is right, too.
     """

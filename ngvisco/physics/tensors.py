@@ -151,7 +151,7 @@ def embed_gradient(grad: Tensor, dim: int, hoop: Tensor | None = None) -> Tensor
 _COLUMNS, _HOOP = np.eye(3, 2), np.eye(9)[:, 8:]
 _EMBEDDING = np.zeros((9, 4))
 _EMBEDDING[(0, 1, 3, 4), (0, 1, 2, 3)] = 1.0
-"""Of the entries of a 2x2 matrix in a 3x3 one."""
+"""The embedding of the entries of a 2x2 matrix in a 3x3 one."""
 
 
 def is_even(power: float) -> bool:
@@ -190,7 +190,7 @@ class TensorSpace:
 
     name: str
     basis: tuple[tuple[tuple[float, ...], ...], ...]
-    """Of 3x3 tensors; empty for scalars."""
+    """A basis of 3x3 tensors; empty for scalars."""
 
     @property
     def size(self) -> int:

@@ -62,7 +62,7 @@ class Variable(ABC):
     is_conserved = False
     """Whether rate(z; L, Pi) = -(tr L) z, without a production, so that int z is kept."""
     density = 0.0
-    """What one unit of it has of the density, kg/m^3; 0 of what is no amount of matter."""
+    """The density of one unit of the variable, kg/m^3; 0 for a variable that is no amount of matter."""
     own_scale: ClassVar[float | None] = None
     """Its size beside which small increments count by themselves; None: by those of all variables."""
 

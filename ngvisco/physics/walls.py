@@ -1,5 +1,5 @@
-"""What holds on a wall.  A wall is impenetrable, v.n = 0, and says what v's tangential part does; matter
-crosses those that are a ``Passage``.
+"""Conditions on a wall.  A wall is impenetrable, v.n = 0, and has a condition for v's tangential part; matter
+crosses the walls that are a ``Passage``.
 
 The tangential part of a vector is a_t = a - (a.n) n.  Names of walls are the mesh's boundary names.
 """

@@ -23,7 +23,7 @@ _SIZES = 10.0 ** np.arange(-9, 13)
 """|M|, Pa, of the samples; rules do not tell their scale."""
 _ROUNDING = 1e-10
 _INVERSE = 1e-3
-"""By how much psi'(rate(M)) may miss M, relatively: both are smoothed near zero."""
+"""The relative difference of psi'(rate(M)) and M that is accepted: both are smoothed near zero."""
 
 
 def values_at_rest(material: Material, parameters: Mapping[str, float] | None = None) -> Values:

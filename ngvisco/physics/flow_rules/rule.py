@@ -57,7 +57,7 @@ class PlasticContent(Variable):
 
     @classmethod
     def of(cls, body: str) -> PlasticContent:
-        """That of the body of this name."""
+        """The plastic content of the body of this name."""
         return cls(f"plastic_content_{body}")
 
     @property
@@ -66,7 +66,8 @@ class PlasticContent(Variable):
         return self.name.replace("content", "strain", 1)
 
     def rate(self, z: Values, L: Tensor, Pi: Tensor) -> Tensor:
-        """Of its flux alone: what yield makes of it is not linear in Pi, and the part of a term."""
+        """The rate by the content's flux alone: the growth by yield is not linear in Pi, and is a part of a
+        term."""
         return -tr(L) * z[self.name]
 
     def from_distortion(self, F: Tensor) -> Tensor:
@@ -98,7 +99,7 @@ class Hardening:
 
 
 class FlowRule(ABC):
-    """What a material's creep rate Pi is; derived classes are frozen dataclasses that give ``rate``.
+    """A law of a material's creep rate Pi; derived classes are frozen dataclasses that give ``rate``.
 
     A rule with a gradient term declares ``nu`` and gives ``psi`` as well; ``Model`` refuses a rule whose
     power M : Pi is negative, whose Pi is not symmetric and trace-free, or whose psi' is not the inverse of
@@ -159,7 +160,7 @@ class FlowRule(ABC):
 
     @property
     def hardening(self) -> Hardening | None:
-        """What is stored of the power of a rule that reads ``HARDENING``; None of others."""
+        """The energy that a rule that reads ``HARDENING`` stores of its power; None for other rules."""
         return None
 
     def hardening_rate(self, Pi: Tensor) -> Tensor:
@@ -172,7 +173,8 @@ class FlowRule(ABC):
         return self.nu * power_of_square(s, 0.5 * (self.q - 2), self.floor)
 
     def overstress(self, rate: float, z: Values) -> float:
-        """By how much |M| exceeds the yield stress at |Pi| = ``rate``, 1/s, over it; 0 of a rule without one.
+        """The excess of |M| over the yield stress at |Pi| = ``rate``, 1/s, over the yield stress; 0 for a
+        rule without one.
 
         ``z`` are arrays of one point; a strength by pressure counts as that without any.
         """

@@ -146,7 +146,7 @@ class Damaged(Wrapper):
 
     @property
     def _breaking(self) -> Material:
-        """What of the material breaks."""
+        """The part of the material that breaks."""
         if self.breaking is None or not isinstance(self.material, Network):
             return self.material
         return Branches(network=self.material, names=self.breaking)
@@ -242,7 +242,7 @@ class Damaged(Wrapper):
         return self._breaking.energy(found)
 
     def surface_energy(self, z: Values) -> Tensor:
-        """That of cracks, per actual volume, Pa."""
+        """The surface energy of cracks, per actual volume, Pa."""
         d, q = z[DAMAGE.name], z[SLOPE.name]
         of_damage, of_slope = self.surface
         w = d * d if self.law == "AT2" else d

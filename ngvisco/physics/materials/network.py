@@ -125,7 +125,7 @@ class Network(Material):
         return replace(self, branches=made)
 
     def own(self, name: str) -> dict[str, Variable]:
-        """What a branch carries for itself, by the names that its material has for it."""
+        """The variables that a branch alone carries, by the names that its material has for them."""
         found = (v for v in self.parts[name].material.variables if v.creeps)
         return {v.name: replace(v, name=f"{v.name}_{name}") for v in found}
 
@@ -172,7 +172,7 @@ class Network(Material):
         return next((density for density in given if density is not None), None)
 
     def values_of(self, name: str, z: Values) -> dict[str, Tensor]:
-        """Those of a branch's material by its own names."""
+        """The values of a branch's variables by the names of its material."""
         own = self.own(name)
         material = self.parts[name].material
         return {v.name: z[own[v.name].name if v.name in own else v.name] for v in material.variables}
@@ -232,7 +232,7 @@ def _carries(material: Material, name: str) -> bool:
 
 
 def _faults(branch: Branch) -> Iterator[tuple[str, str]]:
-    """What a branch cannot be, and what would be right."""
+    """Faults of a branch: the key, and what would be right."""
     material, rule = branch.material, branch.creep
     if not isinstance(material, Material):
         yield "material", "a Material"

@@ -145,7 +145,7 @@ class PerMass(PerReferentialVolume):
 
 
 _ROUNDING = 1e-9
-"""Of a second derivative, over the largest one."""
+"""The size of rounding in a second derivative, over the largest one."""
 _VOLUMES = np.linspace(0.5, 2.0, 31)
 """J at which volumetric energies are compared."""
 
@@ -162,13 +162,13 @@ class ReferenceEnergy(Material):
 
     material: Material
     owner: str = field(compare=False)
-    """What messages call it."""
+    """The name of the energy in messages."""
     is_gas: bool = False
     """Whether it is heat that makes it strictly convex in J, as of a gas and a stiffened one."""
 
     @classmethod
     def of(cls, material: Material, owner: str) -> ReferenceEnergy:
-        """That of a body's material, without what heat adds to it."""
+        """The energy of a body's material, without the part that heat adds to it."""
         if not isinstance(material, Thermal):
             return cls(material=material, owner=owner)
         return cls(material=material.cold, owner=owner, is_gas=material.material is None)
@@ -195,7 +195,7 @@ class ReferenceEnergy(Material):
 
     @property
     def tensors(self) -> tuple[DistortionTensor, ...]:
-        """Those of psi, by the names that the material has for them."""
+        """The variables of psi, by the names that the material has for them."""
         found = (v for v in self.material.variables if isinstance(v, DistortionTensor))
         return tuple(replace(v, exponent=v.exponent + 1) if _is_density(v) else v for v in found)
 

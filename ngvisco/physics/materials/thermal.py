@@ -118,7 +118,7 @@ class Thermal(Material):
     rho_R: Annotated[Modulus | None, Quantity("kg/m^3", "> 0", 1000.0, "arithmetic")] = None
     entropy_unit: Annotated[float | None, Quantity("J/(m^3 K)", "> 0", 3.6e6)] = None
     _Gamma: float = field(init=False, repr=False, default=0.0)
-    """Of the module's docstring."""
+    """Grueneisen's parameter, Gamma in the module's docstring."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -208,7 +208,7 @@ class Thermal(Material):
         return self.of_heat(z) + self.cold.energy({v.name: z[v.name] for v in self.cold.variables})
 
     def of_heat(self, z: Values) -> Tensor:
-        """What the energy without heat leaves of it, Pa."""
+        """The energy less that of the material without heat, Pa."""
         A, heat, J = z["A"], self.c * self.theta_R, 1 / z["A"]
         unit = self.entropy.unit / self.c
         if self.coupling and self.cold.lagged:
@@ -220,7 +220,7 @@ class Thermal(Material):
         return phi
 
     def taken(self, z: Values) -> tuple[Tensor, Tensor]:
-        """What damage takes of the heat's energy, A (h + e), and A e of the module's docstring, Pa."""
+        """The heat's energy that damage takes, A (h + e), and A e of the module's docstring, Pa."""
         A, heat, J = z["A"], self.c * self.theta_R, 1 / z["A"]
         ratio = exp(self.entropy.unit / self.c * z["s"] * J)
         bulk = self.coupling / self.expansion if self.expansion else 1.0
@@ -275,7 +275,7 @@ class Thermal(Material):
 
 @dataclass(frozen=True)
 class _Stiffening(Material):
-    """What a stiffened gas is without its heat: p_infinity (J - 1) per reference volume."""
+    """A stiffened gas without its heat: p_infinity (J - 1) per reference volume."""
 
     p_infinity: float
 

@@ -32,7 +32,7 @@ class Carrying(Wrapper):
     carried: tuple[Parameter, ...] = ()
     """Parameters of the material's moduli and of the model's other laws that are no variables of its own."""
     hardening: tuple[tuple[PlasticContent, Hardening], ...] = ()
-    """What is carried of plastic strains, one of each branch that hardens, and their energies."""
+    """Plastic contents that are carried, one of each branch that hardens, with their energies."""
 
     @property
     def variables(self) -> tuple[Variable, ...]:
@@ -202,7 +202,7 @@ _CONVERGED = 1e-8
 _ROUNDING = 1e-12
 """Relative size of a residual that is rounding, where no step makes it smaller."""
 _SHARE = 0.1
-"""What a step leaves of a variable that must stay positive, at least; and its smallest start value."""
+"""The least share that a step leaves of a variable that must stay positive; and its smallest start value."""
 
 
 class _Approximation:
