@@ -54,10 +54,11 @@ OF_CUT_OFF = "rho_max + width - rho"
 """The name of the bound of a cut-off."""
 
 SMALLER = "a smaller step or a finer mesh"
-"""What is to be taken where a state is out of its bounds."""
+"""The remedy for a state that is out of its bounds."""
 
 _HALVINGS = 45
-"""Of the interval of s, until it is a number to rounding: limited states depend continuously on theirs."""
+"""The number of halvings of the interval of s, until s is a number to rounding: limited states depend
+continuously on theirs."""
 
 _ON_WALL = 1e-9  # distance below which a point is said to be on a wall, over the size of its cell
 _UNREAD = 1e-14  # size of phi' by a variable, over the median size of phi' in the mesh, which counts as zero
@@ -144,7 +145,7 @@ class Bounds:
     def _bounds(
         self, rho: CoefficientFunction, z: Values
     ) -> list[tuple[str | None, str, CoefficientFunction]]:
-        """What is to be positive: of which variable, by what name, and its value."""
+        """Functions that have to be positive: variable, name, and value."""
         of_rho = {"rho": rho} if self._densest is None else {"rho": rho, OF_CUT_OFF: self._densest - rho}
         groups = [(None, of_rho), *self.step.model.material.positive(z).items()]
         return [(variable, name, value) for variable, of in groups for name, value in of.items()]
@@ -155,7 +156,7 @@ class Bounds:
 
     @cached_property
     def ranges(self) -> Ranges:
-        """Those of the parameters."""
+        """The ranges of the parameters."""
         return Ranges(self.step, self.sampler, self._means)
 
     @cached_property
@@ -173,7 +174,7 @@ class Bounds:
         return self.step.energy.slope(self.step.now).Compile()
 
     def violation(self, everywhere: bool = False) -> Violation | None:
-        """What of the present state cannot be admitted, or None.
+        """The first violation of a bound by the present state, or None.
 
         With ``everywhere`` also what is out of bounds at points only, and would be limited.
         """
@@ -353,7 +354,7 @@ class Bounds:
         return required
 
     def _worst(self, found: _Outside, broken: np.ndarray, values: np.ndarray, is_mean: bool) -> Violation:
-        """Of the first bound that is broken the least value, and where that is, of all ranks."""
+        """The violation of the first bound that is broken, with its least value and place, over all ranks."""
         mine = self._worst_here(found, broken, values, is_mean) if broken.any() else None
         named = [one for one in self._ranks.gathered(mine) if one is not None]
 
@@ -370,7 +371,8 @@ class Bounds:
     def _worst_here(
         self, found: _Outside, broken: np.ndarray, values: np.ndarray, is_mean: bool
     ) -> tuple[Violation, float]:
-        """The same of this rank, but for walls and other ranks' cells, and the size of the cell, m."""
+        """The worst violation of this rank, without walls and other ranks' cells, and the size of the cell,
+        m."""
         bound = int(np.flatnonzero(broken.any(axis=0))[0])
         where = np.flatnonzero(broken[:, bound])
         i = int(where[np.argmin(_or_least(values[where, bound]))])
@@ -404,5 +406,5 @@ def _check_names(material: Material, z: Values) -> None:
 
 
 def _or_least(values: Any) -> Any:
-    """What is not a number as the least of all."""
+    """The values, with the least of all in place of those that are no numbers."""
     return np.where(np.isnan(values), -np.inf, values)

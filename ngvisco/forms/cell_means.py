@@ -34,7 +34,7 @@ from ngvisco.physics.mixture import Mixture
 from ngvisco.physics.parameters import Parameter
 
 SHARE = 1e-2
-"""What a limited cell keeps at every point, at least, of the bounded quantities of its mean.
+"""The least share of the mean's bounded quantities that a limited cell keeps at every point.
 
 Cells are limited where something is <= 0, not where it is below its share of the mean: a density that falls
 to zero along a line is no reason to change it.
@@ -69,7 +69,7 @@ class CellMeans:
         return LocalProjection(target, self.step.quadrature, tested(self.step.momentum_old))
 
     def momentum(self) -> GridFunction:
-        """Of the momentum density that the step starts from, kg/(m^2 s)."""
+        """The momentum density that the step starts from, kg/(m^2 s)."""
         self._of_momentum()
         return self._of_momentum.target
 
@@ -79,7 +79,7 @@ class CellMeans:
         return function.vec.FV().NumPy().reshape(function.dim, -1)
 
     def coefficients(self, name: str) -> np.ndarray:
-        """Of the present state's ``"rho"`` or ``"z"``, (components, functions), not a copy."""
+        """Coefficients of the present state's ``"rho"`` or ``"z"``, (components, functions), not a copy."""
         state = self.step.state.vec.FV().NumPy()[self.step.layout.ranges[name]]
         return state.reshape(1 if name == "rho" else self.step.layout.states.size, -1)  # without cells, too
 
@@ -105,7 +105,7 @@ def least_of(values: np.ndarray, owner: np.ndarray, count: int) -> np.ndarray:
 
 
 SLACK = 1e-9
-"""Of a range's width, by which values may be out of it: what an iteration leaves open."""
+"""The share of a range's width by which values may be out of the range: an iteration leaves so much open."""
 
 
 class Ranges:

@@ -1,4 +1,4 @@
-"""What is known at a point of a Rothe step: old fields, step length, upwinding, loads."""
+"""The data of a Rothe step at a point: old fields, step length, upwinding, loads."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ class Context:
         self.lagged: Fields = old
         """z at the step's start, for what the material says is lagged."""
         self.terms: Sequence[Term] = ()
-        """Those of the step."""
+        """The terms of the step."""
         self._momentum_old = momentum_old
         self.tau = Parameter(1.0)
         """Length of the Rothe step, s."""
@@ -179,7 +179,7 @@ class Context:
         return _shaped(self._means[key][0], value)
 
     def average_now(self, value: CoefficientFunction) -> CoefficientFunction:
-        """The same in cells of a function that no form holds: it is not made anew."""
+        """The present mean in cells of a function that no form holds: the function is not made anew."""
         if (value, "", False) in self._means or not may_read_time(value):
             return self.average(value)
         return _shaped(self._mean(value, None)[0], value)

@@ -70,7 +70,7 @@ makes, by their energy over G_c: m^2, in two dimensions m."""
 
 
 _POWER, _PRODUCTION = "power_heat_damage", PRODUCTION + "damage"
-"""And of the heat that it makes, W, and the entropy, W/K."""
+"""Columns of the heat that damage makes, W, and of the entropy, W/K."""
 
 _NEWTON, _ROUNDING = 10, 1e-15
 """Steps for the share of entropy in each cell, and what of the energy it may leave open."""

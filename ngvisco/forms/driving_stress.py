@@ -39,7 +39,7 @@ from ngvisco.physics.pointwise import respond, rest_state
 _OfRate: TypeAlias = Callable[[Flow, CoefficientFunction, Fields], CoefficientFunction]
 _Sampled: TypeAlias = tuple[np.ndarray, np.ndarray]
 STRESS = "stress_"
-"""What names of the stresses begin with in a checkpoint."""
+"""The beginning of the stresses' names in a checkpoint."""
 
 
 @dataclass(frozen=True)
@@ -158,7 +158,7 @@ class Stresses:
             self.follow_fields(*self._values(self._along), length)
 
     def follow_fields(self, dz: np.ndarray, dzeta: np.ndarray, length: float) -> None:
-        """The same by what is added to z and zeta at the nodes."""
+        """Follow the increments ``dz`` and ``dzeta`` at the nodes, as far as ``length``."""
         if self:
             at, old, c = self._at, self._frozen, self._softness
             assert at is not None and old is not None
@@ -271,7 +271,7 @@ class KeptRates(Rates):
 
 
 class LinearisedRates(KeptRates):
-    """The same with what it takes to M(z), along the slopes: that of an iteration for (z, Y)."""
+    """Rates with the linearised correction S (M(z) - M*), used in the Newton iteration for (z, Y)."""
 
     def __init__(self, rates: Rates, stresses: Stresses, now: Fields | None = None) -> None:
         """``now`` are the fields of the iterate; None for those of arrays."""
@@ -306,27 +306,27 @@ class LinearisedRates(KeptRates):
         return self._iterate
 
     def _off(self, flow: Flow, u: Fields) -> CoefficientFunction:
-        """What the rate changes by from the stress to M(z)."""
+        """The change of the rate from the stress to M(z)."""
         kept, p = self.stresses, self.stresses.space.size
         off = kept.components(flow, u, self) - kept.stress[flow]
         return kept.space.tensor(kept.slope[flow].Reshape((p, p)) * off)
 
     @staticmethod
     def _derivative(of: Callable[[Any], Any], Pi: Any, off: Any) -> Any:
-        """That of a function of Pi in the direction ``off``."""
+        """The derivative of a function of Pi in the direction ``off``."""
         variable = Pi.MakeVariable()
         return of(variable).Diff(variable, off)
 
 
 class LinearisedTabulatedRates(LinearisedRates, TabulatedRates):
-    """The same by arrays, in one or several directions of an increment at each node."""
+    """Linearised rates by arrays, in one or several directions of an increment at each node."""
 
     def _stress(self, flow: Flow, u: Fields) -> Array:
         stress, _ = self.stresses.of(flow)
         return Array(np.tile(stress, u.z.value.shape[-1] // max(stress.shape[1], 1)), None)
 
     def _now(self, u: Fields) -> Fields:
-        """The same values without the imaginary parts of an increment."""
+        """The values without the imaginary parts of an increment."""
         parts = {name: Array(u.parts[name].value.real, None) for name in ("z", "zeta")}
         return Fields(u.layout, parts, u.context, lambda name: Array(u.gradient(name).value.real, None))
 

@@ -36,7 +36,7 @@ class StoredEnergy:
     failure: str | None = None
     """Why the energy is not a number somewhere at the state of the last ``refresh``."""
     last_failure: str | None = None
-    """The same of any state since it was set to None."""
+    """The last such failure of any state since it was set to None."""
     projected: GridFunction | None = None
     """The cellwise projection of the energy, where it has no values but at the quadrature points."""
 
@@ -204,7 +204,7 @@ class PointwiseEnergy(StoredEnergy):
         return changed
 
     def _refreshed(self, u: Fields) -> bool:
-        """The same on this rank."""
+        """``refresh`` on this rank."""
         mine = self._values[u]
         mine.state.Interpolate(u.z)
         states = values_of(mine.state)

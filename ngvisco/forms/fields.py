@@ -97,7 +97,7 @@ class Fields:
 
     @property
     def context(self) -> Context:
-        """What is known where these values are: old fields, step length, normal, upwinding."""
+        """The data of the step where these values are: old fields, step length, normal, upwinding."""
         return self.layout.context if self._context is None else self._context
 
     @cached_property

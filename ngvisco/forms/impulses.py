@@ -1,4 +1,4 @@
-"""What changes a body's momentum in a step: impulses by name, and what the discretisation leaves.
+"""Changes of a body's momentum in a step: impulses by name, and the defects of the discretisation.
 
 The equations of a step are tested with rigid motions e, the constants and the rotations about the origin, on
 straight cells functions of the velocity's space.  With m the momentum functional <m, w> = int rho v . w
@@ -65,7 +65,7 @@ from ngvisco.parallel.exchange import Interpolation
 from ngvisco.physics.tensors import inner, sqrt, square
 
 DEFECTS = ("facets", "cells", "inertia")
-"""What the scheme makes of nothing, by where."""
+"""Names of the momentum defects of the scheme, by their place."""
 
 
 class Impulses:
@@ -86,7 +86,7 @@ class Impulses:
         self.motions = {name: e for name, e in given.items() if is_whole or name.startswith("force")}
         mesh = step.mesh
         self._space: FESpace = VectorH1(mesh, order=1 if mesh.GetCurveOrder() < 2 else step.discretisation.k)
-        """Of the motions, without what walls hold."""
+        """The space of the motions, in which walls hold nothing."""
         self.on_sides: Callable[[], tuple[Fields, SidePoints] | None] = lambda: None
         """Gives arrays of z, its trace and conjugates at the points of the cells' sides, by which the elastic
         force is some times faster than by forms; None where there are none."""
@@ -95,7 +95,7 @@ class Impulses:
         self._groups = self._by_groups()
         internal = (_ELASTIC, _ENTERING, _SKEW, _CHANGE)
         self.names = [name for name in self._groups if name not in internal]
-        """Those of the loads first."""
+        """Names of what exerts a force; loads come first."""
         if self._is_held.any() and HELD_BY_WALLS not in self.names:
             self.names.append(HELD_BY_WALLS)
 
@@ -144,7 +144,7 @@ class Impulses:
 
     @cached_property
     def _in_cells(self) -> EntryIntegrals:
-        """Of all groups with all motions, by both names."""
+        """Integrals over cells for all groups and motions, by the names of both."""
         entries = {}
         for name, rows in self._groups.items():
             for motion, parts in rows.cells.items():
@@ -209,7 +209,7 @@ class Impulses:
         return self.step.energy.projected is None
 
     def _by_arrays(self) -> dict[str, np.ndarray]:
-        """What the elastic force has on facets, where there are arrays: the same formulas, with w = n."""
+        """The elastic force on facets, where there are arrays: the same formulas, with w = n."""
         sides = self.on_sides() if self._has_arrays else None
         if sides is None:
             return {}

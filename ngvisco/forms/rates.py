@@ -48,7 +48,7 @@ class Rates:
         """With ``hoop`` L has an entry 33 in two dimensions, about an axis."""
         self.model, self.material, self.dim, self.hoop = model, model.material, dim, hoop
         self.flows = model.flows
-        """What creeps."""
+        """The flows that creep."""
         self.is_local = all(flow.rule.is_local for flow in self.flows)
         """Whether all that creeps has its rate at the point."""
         self._has_trace = any(flow.rule.has_trace for flow in self.flows)
@@ -162,7 +162,7 @@ class Rates:
         return (-1 / 3) * power - self.stored(u)
 
     def hardening_rate(self, flow: Flow, Pi: CoefficientFunction, u: Fields) -> CoefficientFunction:
-        """What a flow's rate Pi makes of its plastic content K, 1/s."""
+        """The growth of the flow's plastic content K by the rate Pi, 1/s."""
         return flow.amount(u.z_tensors) * flow.rule.hardening_rate(Pi)
 
     def stored(self, u: Fields) -> CoefficientFunction:
@@ -187,11 +187,11 @@ class Rates:
         return found
 
     def powers_of_creep(self, u: Fields) -> list[CoefficientFunction]:
-        """The same of every flow."""
+        """The power of creep of every flow, W/m^3."""
         return [self.power_of_creep(flow, Pi, u) for flow, Pi in zip(self.flows, self.creep(u), strict=True)]
 
     def power_of_creep(self, flow: Flow, Pi: CoefficientFunction, u: Fields) -> CoefficientFunction:
-        """That of one flow with the rate Pi, W/m^3, without what hardening stores of it."""
+        """The power of one flow with the rate Pi, W/m^3, without the part that hardening stores."""
         if not flow.rule.is_local:
             power = inner(flow.rule.force(Pi, self.read_values(flow.rule, u, flow)), Pi)
         elif flow.rule.has_trace:
@@ -214,7 +214,8 @@ _NO_SLOPE = 1e-100
 
 
 class TabulatedRates(Rates):
-    """What ``Rates`` is for coefficient functions, for arrays of values and tests of them."""
+    """Rates for arrays of values and tests of them, the counterpart of ``Rates`` for coefficient
+    functions."""
 
     def __init__(self, model: Model, dim: int, hoop: bool = False) -> None:
         super().__init__(model, dim, hoop)
@@ -234,11 +235,11 @@ class TabulatedRates(Rates):
         production = self.tensors.linear - flux
         production[abs(production) < _ROUNDING] = 0.0
         self.production = replace(self.tensors, linear=production)
-        """Of densities without what is within their flux."""
+        """Production of densities, without the part that is within their flux."""
         shared = model.material.taking_part(states.tensors(lambda: Array(np.ones((states.size, 1)), None)))
         self._shared = {name: states.slices[name] for name in shared}
         self.weighed: RateTensors | None = None
-        """What of the rates is times how far a variable takes part (``Material.taking_part``)."""
+        """The part of the rates that is multiplied by a variable's weight (``Material.taking_part``)."""
         if shared:
             self.weighed = self.production - self.production.turning()
             self.tensors, self.production = self.tensors - self.weighed, self.production.turning()
@@ -296,7 +297,7 @@ class TabulatedRates(Rates):
         return parts if along.hoop is None else [*parts, along.hoop * Array(stress[plane], None)]
 
     def entries_of_L(self, along: Fields) -> np.ndarray:
-        """Those X that are entries of L, (gradients, points)."""
+        """The X that are entries of L, (gradients, points)."""
         entries = along.grad_v.value.reshape(self.dim**2, -1)
         return entries if along.hoop is None else np.concatenate([entries, along.hoop.value[None]])
 

@@ -88,7 +88,7 @@ class Layout:
     """The compound space of a Rothe step, its blocks by name, and views of them as fields."""
 
     context: Context
-    """What is known through the step, set by its owner (``ngvisco.forms.system.Step``)."""
+    """The data of the step, set by the layout's owner (``ngvisco.forms.system.Step``)."""
 
     def __init__(
         self,
@@ -125,7 +125,7 @@ class Layout:
         self._make(list(self.unknowns))
 
     def on(self, mesh: Mesh) -> Layout:
-        """The same unknowns on another mesh, none of them prescribed."""
+        """A layout of the same unknowns on another mesh, none of them prescribed."""
         other = copy.copy(self)
         other.mesh, other._dirichlet = mesh, (None,) * mesh.dim  # regions are those of one mesh
         other._make(self.names)
@@ -156,7 +156,7 @@ class Layout:
 
     @property
     def further(self) -> tuple[str, ...]:
-        """What evolves beside the paper's v, rho and z, by further terms."""
+        """Names of the unknowns that evolve beside the paper's v, rho and z, by further terms."""
         return tuple(name for name in self.evolving if name not in ("v", "rho", "z"))
 
     def names_of(self, *places: Place) -> list[str]:
@@ -208,7 +208,7 @@ _SPACES = {
     "normals": NormalFacetFESpace,
     "continuous": H1,
 }
-"""Of scalars, by the place."""
+"""Spaces of scalars by the place."""
 
 _DIRICHLET = ("dirichletx", "dirichlety", "dirichletz")
 

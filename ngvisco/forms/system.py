@@ -138,7 +138,7 @@ class Elimination:
             mean()
 
     def follow(self) -> None:
-        """The same without means that nothing but a step's equations reads."""
+        """Update the local unknowns without the means that nothing but a step's equations reads."""
         self.refresh_energy()
         for projection in self.projections.values():
             projection()
@@ -192,7 +192,7 @@ def equations(model: Model, dim: int, m: int = 1) -> tuple[Term, ...]:
 
 @dataclass(frozen=True)
 class Evolved:
-    """What of a state has a time derivative: copies of coefficients, by the unknowns' names.
+    """The quantities of a state that have a time derivative: copies of coefficients, by the unknowns' names.
 
     ``momentum`` is rho v at the points of the forms' rule, (dim, points), kg/(m^2 s): for tests w of the
     velocity its integral against w is the momentum functional.
@@ -286,7 +286,7 @@ class Step:
         self.ranges: dict[str, tuple[float, float]] = {}
         """Least and largest start values of the material's parameters, by name."""
         self.stresses = Stresses(self.tabulated_rates, self.layout, self.quadrature, self.state)
-        """What flow rules are linearised at."""
+        """The stresses that flow rules are linearised at."""
         kept, rates = KeptRates(self.tabulated_rates, self.stresses), self.tabulated_rates
         self._solved = self._fields(self.state.components, kept) if self.stresses else self.now
         """The present state, with rates of creep to its last digit."""
@@ -295,11 +295,11 @@ class Step:
         self.eliminate = Elimination(self.layout, self.state, self.quadrature, self.terms, self.stresses)
         law = part_of(model.material, Damaged)
         self.damage = None if law is None else DamageGrowth(self, law)
-        """What lets the damage grow after a step; None where nothing breaks."""
+        """The growth of damage after a step; None where nothing breaks."""
 
     @cached_property
     def whole_residual(self) -> BilinearForm:
-        """The same as ``residual`` with the derivative by what terms keep, too (``PointTerm.kept``)."""
+        """``residual`` with the derivative by the unknowns that terms keep, too (``PointTerm.kept``)."""
         return self._residual(keeps=False)
 
     def _residual(self, keeps: bool = True) -> BilinearForm:

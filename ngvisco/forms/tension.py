@@ -13,7 +13,7 @@ from ngvisco.physics.model import Model
 from ngvisco.physics.variables import PRESSURE
 
 _SHARE = 0.02
-"""Of the largest pressure: what is less below zero is that of a surface, and of its cells."""
+"""The share of the largest pressure below which tension is that of a surface, and of its cells."""
 _BORNE = 0.5
 """Share of the weight that differences of the pressure have to bear at the start."""
 

@@ -1,4 +1,4 @@
-"""What a term of the system is: an integrand in cells and on facets, linear in the test functions.
+"""Terms of the system: integrands in cells and on facets, linear in the test functions.
 
 ``cells(u, w)`` and ``facets(u, w)`` are functions of the values at a point: of the unknowns u, of what is
 known there (``u.context``) and of the tests w, in which they are linear.  They are written once, with
@@ -90,7 +90,7 @@ class Unknown:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Of its values: () of a scalar."""
+        """Shape of one value; () for a scalar."""
         return () if self.size is None else (self.size,)
 
     @property
@@ -101,7 +101,8 @@ class Unknown:
 
 @dataclass(frozen=True)
 class Setting:
-    """What unknowns depend on besides the term: dimension, states of the material, orders k and m."""
+    """The setting that unknowns depend on besides the term: dimension, states of the material, orders k and
+    m."""
 
     dim: int
     states: StateSpace
@@ -119,13 +120,13 @@ class Introducing(Protocol):
 
 
 PRODUCTION = "entropy_production_"
-"""What the ledger's columns of entropy produced by a mechanism, never negative, begin with."""
+"""The beginning of the names of the ledger's columns of entropy that a mechanism produces, never negative."""
 
 
 @dataclass(frozen=True)
 class Integrand:
-    """What is to be integrated over the cells, over the cells' boundaries, and over the cells by as many
-    points as a field has values in one (``Quadrature.nodes``)."""
+    """An integrand over the cells, one over the cells' boundaries, and one over the cells by a collocated
+    rule, with one point per coefficient of a field (``Quadrature.nodes``)."""
 
     cells: CoefficientFunction | None = None
     facets: CoefficientFunction | None = None
@@ -152,8 +153,8 @@ class Entry:
     is_outside: bool = False
     """Whether what is dissipated is so beyond a wall, as by a dashpot: no heat of the material."""
     has_sign: bool = True
-    """Of a dissipation whether its integrand is nowhere negative, which every step is asked for; not where
-    that holds up to the projection of conjugates."""
+    """For a dissipation whether its integrand is nowhere negative, which is checked in every step; False
+    where the sign holds up to the projection of conjugates."""
 
 
 @runtime_checkable
@@ -194,7 +195,7 @@ class PointTerm:
 
     @property
     def impulse(self) -> str:
-        """By which name the ledger has the momentum that it gives to the body, if its rows of v give some."""
+        """The ledger's name of the momentum that the term gives to the body, if its rows of v give some."""
         return type(self).__name__
 
     def cells(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
@@ -220,15 +221,15 @@ class PointTerm:
         return cells + [Integrand(facets=part) for part in self.facets(u, w)] + nodes
 
     def dissipated(self, u: Fields) -> dict[str, CoefficientFunction]:
-        """What it dissipates in cells, W/m^3, by the ledger's names."""
+        """Dissipation in cells, W/m^3, by the ledger's names."""
         return {}
 
     def dissipated_on_facets(self, u: Fields) -> dict[str, CoefficientFunction]:
-        """And on the boundaries of all cells, W/m^2."""
+        """Dissipation on the boundaries of all cells, W/m^2, by the ledger's names."""
         return {}
 
     def dissipated_at_nodes(self, u: Fields) -> dict[str, CoefficientFunction]:
-        """And by the points of ``nodes``, W/m^3."""
+        """Dissipation integrated at the nodal points, W/m^3, by the ledger's names."""
         return {}
 
     def entries(self, u: Fields) -> list[Entry]:
@@ -278,7 +279,7 @@ class CellMean(PointTerm):
 
 Where: TypeAlias = Literal["cells", "facets", "nodes"]
 PLACES: tuple[Where, ...] = ("cells", "facets", "nodes")
-"""What is integrated over, as ``Integrand`` names it."""
+"""The places of integration, as ``Integrand`` names them."""
 DISSIPATED: dict[Where, Callable[[PointTerm, Fields], dict[str, CoefficientFunction]]] = {
     "cells": lambda term, u: term.dissipated(u),
     "facets": lambda term, u: term.dissipated_on_facets(u),
@@ -287,7 +288,7 @@ DISSIPATED: dict[Where, Callable[[PointTerm, Fields], dict[str, CoefficientFunct
 
 
 def dissipations(u: Fields, reader: Term, where: Where = "cells") -> dict[str, CoefficientFunction]:
-    """What all terms but ``reader`` dissipate in cells or at nodes, W/m^3, or on facets, W/m^2, by the
+    """The dissipation of all terms but ``reader`` in cells or at nodes, W/m^3, or on facets, W/m^2, by the
     ledger's names.
 
     For a term that turns them into something else, as heat.

@@ -37,7 +37,7 @@ from ngvisco.parallel.communicator import Communicator
 from ngvisco.physics.signals import breaking, time
 
 TOLERANCE = 1e-10
-"""Of a mean, relative to the largest value in the interval."""
+"""The tolerance of a mean, relative to the largest value in the interval."""
 
 _NODES, _WEIGHTS = (0.5 * values for values in np.polynomial.legendre.leggauss(5))
 _PANELS, _SCANS = 8, 32
@@ -105,7 +105,7 @@ and how far their sum is from that over the whole."""
 
 
 class _Search:
-    """Of a rule, in s = (t - begin)/length."""
+    """A search for a rule, in s = (t - begin)/length."""
 
     def __init__(self, values: Values, begin: float, length: float, ranks: Communicator) -> None:
         self.values, self.begin, self.length, self.ranks = values, begin, length, ranks
@@ -278,7 +278,7 @@ def mean_in_cells(value: CoefficientFunction, mesh: Mesh, degree: int) -> tuple[
 def mean_on_walls(
     value: CoefficientFunction, mesh: Mesh, degree: int, walls: Region
 ) -> tuple[GridFunction, TimeMean]:
-    """The same on facets of walls, zero elsewhere."""
+    """Means of a function on facets of walls, zero elsewhere."""
     scalar = FacetFESpace(mesh, order=degree // 2)
     space = FESpace([scalar] * value.dim)
     function = GridFunction(space)

@@ -25,7 +25,7 @@ from ngvisco.physics.tensors import square
 UNFELT = "unfelt"
 """Ledger column of it, J; of runs with m < k - 1."""
 _SHARE = 0.1
-"""Of the kinetic energy, from which on it is said."""
+"""The share of the kinetic energy from which on a warning is given."""
 
 
 class Unfelt:

@@ -1,4 +1,5 @@
-"""What a body of revolution asks of walls, loads and terms: its axis slips, nothing pulls matter off it."""
+"""Conditions on walls, loads and terms of a body of revolution: its axis slips, and nothing pulls matter off
+it."""
 
 from collections.abc import Iterable
 

@@ -118,8 +118,8 @@ class WallReactions:
         return self._ranks.totals(own)
 
     def __call__(self) -> dict[str, list[float]]:
-        """Of each wall the components of force, N, and of torque, N m, on it (per metre in plane strain, of a
-        body of revolution the axial force over 2 pi).
+        """The components of force, N, and of torque, N m, on each wall (per metre in plane strain, for a body
+        of revolution the axial force over 2 pi).
 
         They are those of the Rothe step that was solved last, and belong to its solution: the state has to
         be that, with the step's old state, length and loads in place.  Of a scheme with stages or an

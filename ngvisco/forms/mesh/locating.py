@@ -94,7 +94,7 @@ class Located:
         self._at = mesh_points(mesh, *(np.concatenate(parts) for parts in zip(*mine, strict=True)))
 
     def values(self, function: CoefficientFunction) -> np.ndarray:
-        """Of a function, (count, components)."""
+        """Values of a function, (count, components)."""
         own = np.asarray(function(self._at)).reshape(len(self._at), function.dim)
         if not self.ranks.is_distributed:
             return own
@@ -134,7 +134,7 @@ def nearest_wall(mesh: Mesh, point: np.ndarray) -> tuple[str | None, float]:
 
 
 def _nearest_wall(mesh: Mesh, point: np.ndarray) -> tuple[str | None, float]:
-    """Of the walls that this rank has."""
+    """The nearest of the walls that this rank has."""
     vertices = coordinates(mesh)
     facets = list(mesh.Elements(BND))
     if not facets:

@@ -1,4 +1,4 @@
-"""What NGSolve's meshes and spaces know one by one, as arrays: no loop of Python's over cells or unknowns."""
+"""Arrays of NGSolve's meshes and spaces, without loops of Python's over cells or unknowns."""
 
 from itertools import combinations
 
@@ -34,7 +34,7 @@ VERTICES: dict[ET, list[tuple[float, ...]]] = {
     ET.QUAD: [(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)],
     ET.TET: [*((*point, 0.0) for point in _TRIANGLE), (0.0, 0.0, 1.0)],
 }
-"""Of NGSolve's reference facets and cells."""
+"""Vertices of NGSolve's reference facets and cells."""
 
 _KINDS = {1: (ET.SEGM,), 2: (ET.TRIG, ET.QUAD), 3: (ET.TET, ET.PRISM, ET.PYRAMID, ET.HEX)}
 
@@ -74,7 +74,7 @@ def vertices(mesh: Mesh) -> np.ndarray:
 
 
 def coordinates(mesh: Mesh) -> np.ndarray:
-    """Of the vertices, (vertices, dim), m."""
+    """Coordinates of the vertices, (vertices, dim), m."""
     return mesh.ngmesh.Coordinates()[: mesh.nv]
 
 

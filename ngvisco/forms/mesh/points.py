@@ -82,7 +82,8 @@ class CellPoints:
         return self._operator(space, space.TrialFunction())
 
     def gradients(self, space: FESpace) -> list[sp.csr_matrix]:
-        """The same for the partial derivatives d_1 ... d_dim."""
+        """Matrices that take coefficients of a scalar space to the partial derivatives d_1 ... d_dim at the
+        points."""
         return [self._operator(space, grad(space.TrialFunction())[j]) for j in range(self.mesh.dim)]
 
     def _operator(self, space: FESpace, value: CoefficientFunction) -> sp.csr_matrix:

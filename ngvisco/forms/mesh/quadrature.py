@@ -109,7 +109,7 @@ class Quadrature:
         return self._in_cells(integrand) * dx(intrules=self.cell_rules)
 
     def nodes(self, integrand: CoefficientFunction) -> Any:
-        """The same by the rule of the fields' products."""
+        """An integral by the rule of the fields' products."""
         return self._in_cells(integrand) * dx(intrules=self._node_rules)
 
     @cached_property
@@ -160,7 +160,7 @@ class Quadrature:
         return np.array(of_cells.NumPy())
 
     def integrate_nodes(self, integrand: CoefficientFunction) -> Any:
-        """The same by the rule of ``nodes``."""
+        """Integral over the mesh, by the rule of ``nodes``."""
         return Integrate(self._in_cells(integrand), self.mesh, order=2 * self.node_order)
 
     def integrate_facets(self, integrand: CoefficientFunction, cells: BitArray | None = None) -> float:
@@ -233,8 +233,8 @@ class Sampler:
         return result[:, 0] if result.ndim == 2 and result.shape[1] == 1 else result
 
     def rows(self, f: CoefficientFunction, some: np.ndarray | None = None) -> np.ndarray:
-        """The same as (points, components), also of a scalar and without points; of all or ``some`` by
-        number."""
+        """Values at the points as (points, components), also of a scalar and without points; of all points or
+        of ``some`` by number."""
         points = self.points if some is None else self.points[some]
         return np.asarray(f(points)).reshape(len(points), f.dim)
 
@@ -243,7 +243,8 @@ class Sampler:
         return self.rows(CF((x, y, z)[: self.mesh.dim]), indices)
 
     def integral(self, values: np.ndarray) -> float:
-        """Of values at this rank's points over the whole mesh: of each cell the mean of its points counts."""
+        """The integral over the whole mesh of values at this rank's points: of each cell the mean of its
+        points counts."""
         volumes = self.quadrature.each_cell(CF(1.0))
         sums, counts = (np.bincount(self.cells, weights, len(volumes)) for weights in (values, None))
         return self.ranks.total(float(volumes @ (sums / np.maximum(counts, 1))))

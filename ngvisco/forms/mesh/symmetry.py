@@ -1,4 +1,4 @@
-"""What a mesh of two dimensions stands for: a slab in plane strain, or a body of revolution.
+"""Symmetry of a mesh of two dimensions: a slab in plane strain, or a body of revolution.
 
 A body of revolution about the line x = 0 that does not swirl is a field of (r, y), r = x, with
 
@@ -24,10 +24,10 @@ from ngvisco.parallel.communicator import Communicator
 
 AXISYMMETRIC = "axisymmetric"
 SYMMETRIES = ("none", AXISYMMETRIC)
-"""What ``Simulation(symmetry=...)`` may be; without one a mesh of two dimensions is plane strain."""
+"""Values of ``Simulation(symmetry=...)``; without a symmetry a mesh of two dimensions is plane strain."""
 
 ON_AXIS = 1e-10
-"""Of the largest radius, below which a point is on the axis."""
+"""The share of the largest radius below which a point is on the axis."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,8 @@ class Symmetry:
 
     @classmethod
     def of(cls, mesh: Mesh, kind: str) -> Symmetry:
-        """That of ``kind``; ParameterError for another kind, or in three dimensions, MeshError for r < 0."""
+        """The symmetry of this ``kind``; ParameterError for another kind, or in three dimensions, MeshError
+        for r < 0."""
         if kind not in SYMMETRIES:
             raise ParameterError("Simulation.symmetry", kind, f"one of {', '.join(map(repr, SYMMETRIES))}")
         if kind != AXISYMMETRIC:

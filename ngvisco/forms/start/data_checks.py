@@ -1,4 +1,4 @@
-"""What loads, walls and initial data must be, looked at where the forms look: at points and at times.
+"""Checks of loads, walls and initial data where the forms look: at points and at times.
 
 What cannot be right is refused.  What the model has no place for, or what is hardly meant, is said by an
 ``InputWarning``.
@@ -76,7 +76,7 @@ _SIGNS = {
     "heat.coefficient": ">= 0",
     "heat.flux": "",
 }
-"""What is looked at of the conditions on walls, and what it must be beside finite."""
+"""Values of the conditions on walls that are checked, and their range beside finite."""
 _VECTORS = ("velocity", "f", "traction")
 
 

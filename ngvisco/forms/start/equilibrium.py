@@ -170,7 +170,7 @@ class Column:
         return self.J
 
     def _mean(self, of: Callable[[str], CoefficientFunction]) -> CoefficientFunction:
-        """By the bodies' shares."""
+        """The mean over the bodies by their shares."""
         return sum((share * of(n) for n, share in self.shares.items()), CF(0.0)) if self.shares else of("")
 
     def _bear(self, force: CoefficientFunction) -> None:
@@ -204,7 +204,7 @@ class Column:
         raise InitialDataError("equilibrium", "no volume found", expected)
 
     def _at(self, datum: object) -> Callable[[CoefficientFunction], float]:
-        """What gives a function's value at the datum."""
+        """A function that evaluates functions at the datum."""
         ranks, sampler = self.sampler.ranks, self.sampler
         if isinstance(datum, str):
             walls = self.step.walls

@@ -19,7 +19,7 @@ class QuadraturePoints:
     """The quadrature points of a mesh, and functions that have given values there."""
 
     def __init__(self, quadrature: Quadrature, on: CoefficientFunction | None = None) -> None:
-        """Of the cells, or with ``on`` of the walls where that is not 0."""
+        """Project in the cells, or with ``on`` on the walls where that is not 0."""
         self.quadrature, self.mesh = quadrature, quadrature.mesh
         if on is None:
             self._space = IntegrationRuleSpace(self.mesh, order=quadrature.volume_degree // 2)

@@ -29,13 +29,13 @@ Given: TypeAlias = Mapping[str, CoefficientFunction]
 Values: TypeAlias = dict[str, CoefficientFunction]
 
 _OVERLAP = 1e-3
-"""Of the volume of the smaller of two bodies: less of it in both is what touching surfaces leave."""
+"""The overlap, over the volume of the smaller of two bodies, below which the bodies only touch."""
 
 _VOLUMES = {"J", "A"}
 """Names of variables that say the volume; a density belongs to it."""
 
 _COVERED = 1e-10
-"""Of the volume of the domain or of a cell: what is left of it by rounding where all of it is taken."""
+"""The share of the volume of the domain or of a cell below which uncovered volume is rounding."""
 
 
 def parameter_values(material: Material, given: Given, owner: str = "Initial") -> Values:
@@ -68,7 +68,7 @@ def starting_values(
 
 
 def carried_of(material: Material, values: Values) -> Values:
-    """The same with what is carried of parameters in place of their values."""
+    """Values of a material's variables, with the carried numbers of parameters in place of their values."""
     known = (v for v in material.variables if isinstance(v, Parameter) and v.name in values)
     return values | {v.name: v.carried(values[v.name]) for v in known}
 
@@ -76,7 +76,7 @@ def carried_of(material: Material, values: Values) -> Values:
 def given_values(
     material: Material, given: Given, further: Iterable[str] = (), owner: str = "Initial"
 ) -> Values:
-    """Those of a material's variables that are given, by name.
+    """The given values of a material's variables, by name.
 
     Raises UnknownNameError for a name that is neither a variable's nor among ``further``.
     """
@@ -141,7 +141,8 @@ def entropy_at(material: Material, theta: CoefficientFunction, values: Given) ->
 
 @dataclass(frozen=True)
 class Entering:
-    """What is given of what flows in through a wall: variables by name, density, kg/m^3, temperature, K.
+    """The given state of matter that flows in through a wall: variables by name, density, kg/m^3,
+    temperature, K.
 
     All else has the values that are there.
     """
@@ -163,7 +164,8 @@ class Entering:
 
 
 def entering(wall: Passage, owner: str, model: Model) -> Entering:
-    """What is given of what flows in through a wall.  Bodies that flow in are at rest but for what is given.
+    """The given state of matter that flows in through a wall.  Bodies that flow in are at rest but for given
+    values.
 
     Raises ParameterError for a volume without a density, and for what is given and not used;
     UnknownNameError for unknown names.

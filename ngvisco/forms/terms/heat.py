@@ -142,7 +142,7 @@ class Heating(_OfEntropy):
     def _rows(
         self, u: Fields, w: Fields, where: Where, others: Mapping[str, CoefficientFunction]
     ) -> Sequence[CoefficientFunction]:
-        """Of what is dissipated there and of other heat."""
+        """Rows of the entropy for dissipation and other heat at these places."""
         heat = [*dissipations(u, self, where).values(), *others.values()]
         return [-(reduce(add, heat) * self.chi(u, w))] if heat else []
 
@@ -259,7 +259,7 @@ class Conduction(_OfEntropy):
 
 
 def heat_terms(model: Model, walls: Walls) -> list[Term]:
-    """Those of a model whose material has a temperature."""
+    """The terms of heat, for a model whose material has a temperature."""
     entropy = entropy_in(model.material)
     if entropy is None:
         for name, wall in walls.conditions.items():

@@ -243,7 +243,7 @@ class Loading(PointTerm):
 
     @property
     def impulse(self) -> str:
-        """That of its load."""
+        """The name of the load."""
         return self.load.name
 
     @cached_property

@@ -58,7 +58,7 @@ class FieldDiffusion(PointTerm):
 
     @cached_property
     def curvature(self) -> Curvature:
-        """What of the material's phi'' does not depend on the state."""
+        """The part of the material's phi'' that does not depend on the state."""
         return curvature_of(self.material, self.dim)
 
     @cached_property
@@ -103,7 +103,7 @@ class FieldDiffusion(PointTerm):
         return [delta * inner(self._of_strains(across), G), -delta * self._weight(u) * inner(C * jump, G)]
 
     def of_one_component(self, u: Fields, w: Fields) -> list[Integrand]:
-        """What of the form has constant matrices, the same for all components, without delta and C.
+        """The part of the form with constant matrices, the same for all components, without delta and C.
 
         The rows of zeta are those of the penalty in the equations of z; that of the slope is without phi''.
         """
@@ -143,7 +143,7 @@ class FieldDiffusion(PointTerm):
         return summands
 
     def _across(self, u: Fields) -> CoefficientFunction:
-        """What the slope's normal part lacks to the mean of both sides, with the weights."""
+        """The difference of the weighted mean of both sides' slopes and the slope's normal part."""
         return self._weight(u) * u.z_slope_hat - u.z_slope * u.context.normal
 
     def _jump(self, u: Fields) -> CoefficientFunction:
@@ -204,7 +204,7 @@ class VelocityDamping(PointTerm):
 
     @property
     def impulse(self) -> str:
-        """As its dissipation is called."""
+        """The name of the impulse, that of the term's dissipation."""
         return "epsilon"
 
     def cells(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:

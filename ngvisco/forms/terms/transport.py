@@ -154,7 +154,8 @@ class Upwinding(PointTerm):
         return {UPWINDING: lost}
 
     def entries(self, u: Fields) -> list[Entry]:
-        """Of projected conjugates >= 0 up to what the projection misses."""
+        """The dissipation's entries; with projected conjugates they are >= 0 up to the error of the
+        projection."""
         return [replace(entry, has_sign=False) for entry in super().entries(u)]
 
 
