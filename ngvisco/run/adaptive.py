@@ -26,7 +26,7 @@ class DamageWarning(NgviscoWarning):
 
 
 def growth_message(step: Step, row: Mapping[str, float]) -> str:
-    """What is said of the damage's growth in the step of a ledger's row; nothing of little."""
+    """The message about the damage's growth in the step of a ledger's row; empty for little growth."""
     if step.damage is None or row[GROWTH] <= MUCH:
         return ""
     length = step.damage.law.length

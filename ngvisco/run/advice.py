@@ -35,7 +35,7 @@ class Scales:
     velocity: float
     """The largest velocity in the run so far, of walls or of the start, m/s; 0 where it is not known yet."""
     speeds: tuple[float, float]
-    """Of the fastest longitudinal and the fastest shear waves at rest, m/s."""
+    """Speeds of the fastest longitudinal and the fastest shear waves at rest, m/s."""
     kinematic_viscosity: float
     """The least G_v/rho that is not zero, m^2/s."""
     maxwell: float
@@ -49,7 +49,7 @@ class Scales:
     extent: float = 0.0
     """Longest edge of the bounding box, m, which waves have to cross; 0 is ``length``."""
     weight: float = 0.0
-    """What the largest load is over the modulus of longitudinal waves, rho g L/(rho c^2)."""
+    """The largest load over the modulus of longitudinal waves, rho g L/(rho c^2)."""
     overstress: float = 0.0
     """Viscous part of the stress over the yield stress at the rate velocity/length."""
     bodies: Mapping[str, float] = field(default_factory=dict)
@@ -57,7 +57,7 @@ class Scales:
     parting: str | None = None
     """Where variables that stand for one distortion may part, in words."""
     unborne: str | None = None
-    """What the pressure of the start does not bear, where a law reads it, in words."""
+    """The pressure of the start that a law which reads it does not bear, in words."""
     k: int = 2
     """Order of the velocity."""
     startup: int = 0
@@ -106,7 +106,7 @@ class Scales:
 
     @property
     def advice(self) -> list[str]:
-        """What to think of about dt and maxh; empty where nothing stands out."""
+        """Advice about dt and maxh; empty where nothing stands out."""
         return [*self._of_waves(), *self._of_matter(), *self._of_motion(), *self._of_cells()]
 
     def _of_waves(self) -> list[str]:

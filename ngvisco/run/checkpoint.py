@@ -59,12 +59,12 @@ UNITS = (
     "time, tau, dt, end, loads_from, loads_over, *_time, known_*: s; energy: J; mass: kg; "
     "velocity_scale: m/s (per metre in plane strain)"
 )
-"""Of the checkpoints' attributes, as the file says itself; those of the ledger stand at its columns."""
+"""Units of the checkpoints' attributes, as the file names them; units of the ledger stand at its columns."""
 _WHOLE = ("step", "newton_iterations", "rejections", "limited_cells", "passive_unsolved")
 """Ledger columns of whole numbers."""
 _CHECKSUM, _CLOSED = "checksum", "closed"
 FORMAT = 5
-"""Of the file of a run."""
+"""The version of the format of a run's file."""
 _PARTS = ("", "solver", "stepping", "passive")
 
 
@@ -243,7 +243,7 @@ def mesh_of_checkpoints(path: AnyPath) -> ChosenMesh | None:
 
 
 def snapshot(simulation: Simulation) -> Snapshot:
-    """What a restart needs, copied, in the numbering of one process; on the first rank, collective."""
+    """A copy of all that a restart needs, in the numbering of one process; on the first rank, collective."""
     balance = simulation.ledger.balance
     assert balance is not None
     numbers = {"time": simulation.t, "step": simulation.number, "velocity_scale": simulation.velocity_scale}
@@ -348,7 +348,8 @@ def _rows(path: Path, found: Mapping[str, np.ndarray], columns: Sequence[str]) -
 
 
 def _identity(simulation: Simulation) -> dict[str, Any]:
-    """What must be equal for a checkpoint to fit, on the first rank: format, mesh, spaces and material.
+    """The data that must be equal for a checkpoint to fit, on the first rank: format, mesh, spaces and
+    material.
 
     A material is its parameters and energies at some states: functions of one name are different energies.
     """
@@ -407,7 +408,7 @@ def _scheme_signature(simulation: Simulation) -> str:
 
 
 def version(package: str = "ngvisco") -> str | None:
-    """Of an installed package, None of another."""
+    """The version of an installed package; None for one that is not installed."""
     try:
         return importlib.metadata.version(package)
     except importlib.metadata.PackageNotFoundError:

@@ -1,4 +1,4 @@
-"""What is known of a step that could not be taken: three lines to act on, and below a rule the rest.
+"""Reports of a step that could not be taken: three lines to act on, and below a rule the rest.
 
 ``Simulation.advance`` attaches a ``FailureReport`` to the StepError that it raises.
 """
@@ -35,7 +35,7 @@ _SHOWN = 4
 _RULE = 80 * "-"
 
 _ROUNDING = 1e-12
-"""Of the usual |v|/h, up to which the flow is at rest."""
+"""The share of the usual |v|/h up to which the flow is at rest."""
 _FAST = 1.0
 """Courant number above which a report speaks of it."""
 

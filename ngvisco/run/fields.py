@@ -45,7 +45,7 @@ from ngvisco.physics.variables import TEMPERATURE, Distortion, LeftCauchyGreen, 
 from ngvisco.run.waves import rest_pressure
 
 USUAL = ("density", "J", "velocity", "pressure", "von_mises", "temperature")
-"""What is drawn where nothing is said, as far as a run has it."""
+"""Fields that are drawn by default, as far as a run has them."""
 
 
 _OWN = ("velocity", "density", "cauchy_stress", "pressure", "pressure_from_rest", "von_mises")
@@ -73,7 +73,7 @@ def require_names_of_their_own(material: Material, further: Sequence[str], carri
 
 
 def output_fields(step: Step, fields: Fields | None = None) -> dict[str, CoefficientFunction]:
-    """Those of the module's docstring, the material's variables, and further unknowns that evolve.
+    """The fields of the module's docstring, the material's variables, and further unknowns that evolve.
 
     They are of ``fields``, by default the present state.
     """
@@ -100,7 +100,7 @@ def output_fields(step: Step, fields: Fields | None = None) -> dict[str, Coeffic
 
 
 _FRACTION = "_fraction"
-"""What the name of a body's volume fraction ends in."""
+"""The end of the name of a body's volume fraction."""
 
 
 def _body_fields(step: Step, u: Fields) -> dict[str, CoefficientFunction]:
@@ -214,7 +214,7 @@ def with_outlines(names: Sequence[str], available: Iterable[str]) -> list[str]:
 
 
 def usual(names: Iterable[str]) -> list[str]:
-    """Of the names of a run's fields those that are written where none are asked for."""
+    """The fields among ``names`` that are written by default."""
     of_branches = ("creep_rate_", "mandel_stress_")
     return [name for name in names if name not in NAMES and not name.startswith(of_branches)]
 

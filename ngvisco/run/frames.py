@@ -1,4 +1,4 @@
-"""What pictures, animations and scenes draw: states as arrays, of a VTK series or of fields as they are.
+"""Frames of pictures, animations and scenes: states as arrays, of a VTK series or of fields as they are.
 
 Cells have their own points, so that fields may jump between them.  Surfaces of bodies are the lines where a
 volume fraction is one half.  Lines of the single cells would have gaps where a jump passes one half; so the
@@ -24,7 +24,7 @@ from ngvisco.errors import CheckpointError, ParameterError, UnknownNameError
 from ngvisco.shapes.fractions import subdivision
 
 COMPONENTS = {3: list("123"), 9: [f"{i}{j}" for i in "123" for j in "123"]}
-"""Of vectors and tensors in files, by how many there are."""
+"""Names of the components of vectors and tensors in files, by their number."""
 _KINDS = {"Float64": "<f8", "Float32": "<f4", "Int32": "<i4", "UInt8": "u1"}
 _MARK = b'<AppendedData encoding="raw">'
 _TRIANGLE, _QUADRILATERAL, _TETRAHEDRON = 5, 9, 10
@@ -34,7 +34,7 @@ _CUTS = {
     2: (((0, 2), (0, 3), (1, 3), (1, 2)), [(0, 1, 2), (0, 2, 3)]),
     3: (((0, 3), (1, 3), (2, 3)), [(0, 1, 2)]),
 }
-"""Of a tetrahedron with so many points, its first ones, above a plane: edges that are cut, triangles."""
+"""Cuts of a tetrahedron with so many points, its first ones, above a plane: edges that are cut, triangles."""
 _SAME = 1e-9  # of the points' extent: those this close are one
 _FLAT = 1e-6  # of the largest triangle: what is smaller is a corner or an edge
 _HALVINGS = 2  # of the triangles in which a line is drawn
@@ -79,7 +79,8 @@ class Frame:
         return parts[name]
 
     def fractions(self) -> list[np.ndarray]:
-        """Of the bodies that are outlined, (points,), the same in all cells that meet at a point."""
+        """Fractions of the bodies that are outlined, (points,), the same in all cells that meet at a
+        point."""
         return [averaged(self.points, self.scalar(name)) for name in self.bodies]
 
     def boundary(self) -> np.ndarray:
@@ -238,7 +239,7 @@ def averaged(points: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 
 def places(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Of points the first at each place, and for each the number of its place, in a domain of any size."""
+    """The first point at each place, and for each point the number of its place, in a domain of any size."""
     size = float(np.ptp(points, axis=0).max(initial=0.0)) or 1.0
     rounded = np.round(points / (_SAME * size)).astype(np.int64)
     _, first, number = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
@@ -264,7 +265,7 @@ def outline(axis: Any, X: np.ndarray, Y: np.ndarray, triangles: np.ndarray, frac
 
 
 def outlined(names: Sequence[str]) -> list[str]:
-    """Of the names of a run's fields the fractions that outline its bodies.
+    """The fractions among ``names`` that outline a run's bodies.
 
     They stand together before ``body``: a passive field may be named like them.  All but the last, whose
     surface is that of the others.

@@ -1,4 +1,4 @@
-"""What is said of given values of matter that flows in and has another stress than the body inside."""
+"""Warnings of given values of matter that flows in and has another stress than the body inside."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class InflowWarning(NgviscoWarning):
 
 
 def inflow_message(step: Step, row: Mapping[str, float]) -> str:
-    """What is said of the walls in a ledger's row by whose given strains much is lost; nothing of little.
+    """The message about walls in a ledger's row whose given strains lose much; empty for little.
 
     Not of bodies and of temperatures, which mix by their nature.
     """

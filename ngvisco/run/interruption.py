@@ -19,7 +19,7 @@ Part: TypeAlias = tuple[dict[str, float], dict[str, np.ndarray]]
 
 
 class Interruption:
-    """What a simulation needs to give up a step, and to take it up again."""
+    """The means of a simulation to give up a step, and to take it up again."""
 
     def __init__(self, simulation: Simulation) -> None:
         self._simulation, self._is_armed, self._has_stopped = simulation, False, False
@@ -41,7 +41,7 @@ class Interruption:
         return {"solver": simulation.solver.state_dict(), "stepping": simulation.stepper.state_dict()}
 
     def ended(self, error: BaseException) -> BaseException | None:
-        """What a run ends with for this error: nothing where it was asked to stop."""
+        """The error that a run ends with for this error: None where the run was asked to stop."""
         if not isinstance(error, StopRequested):
             return error
         self._simulation.stepper.load_state_dict(self._simulation, *self._kept["stepping"])

@@ -169,7 +169,7 @@ class Ledger:
         return np.array([row[name] for row in self.rows])
 
     def exchanged(self, *names: str) -> np.ndarray:
-        """What dissipations, powers and numerical entries together stand for since the start, J, (rows,)."""
+        """The sum of dissipations, powers and numerical entries since the start, J, (rows,)."""
         lengths, total = self.column("dt"), np.zeros(len(self.rows))
         numerical = {entry.name for entry in self.entries if entry.kind == "numerical"}
         for name in names:
@@ -178,7 +178,7 @@ class Ledger:
 
     @property
     def unclosed(self) -> str:
-        """What is wrong with a ledger that does not close, in words; nothing of one that closes."""
+        """The message about a ledger that does not close; empty for one that closes."""
         if not self.rows or self.step.sources is not None:  # the power of manufactured sources has no entry
             return ""
         first, limits = map(np.array, zip(*self.limits, strict=True))
@@ -256,7 +256,7 @@ class Ledger:
         return energy_of(self.state())
 
     def foreign(self, names: Iterable[str]) -> list[str]:
-        """Of an earlier part's columns those of the energy balance that this one does not have."""
+        """Columns of the energy balance in an earlier part of the run that this ledger does not have."""
         return [*self._foreign_energies(names), *self.momentum.foreign(names)]
 
     def _foreign_energies(self, names: Iterable[str]) -> list[str]:
@@ -333,7 +333,7 @@ class Ledger:
             self.sampler.ranks.warn(message, kind, stacklevel=3)
 
     def rounding(self) -> float:
-        """What rounding may leave of the stored energy at the present state, J.
+        """The size of rounding in the stored energy at the present state, J.
 
         An energy that is zero at rest, such as tr B - ln det B - 3, is a difference of terms that are not.
         Their size is int |phi''(z)[z, z]|, and that of the heat above theta_R is int c theta.
@@ -364,7 +364,8 @@ class Ledger:
         return self.rows[-1]
 
     def _prepare_monitors(self) -> None:
-        """What is looked at besides the integrals of entries: at points, and squares of defects in cells."""
+        """Prepare the quantities that are watched besides the integrals of entries: at points, and squares of
+        defects in cells."""
         u, material = self.step.now, self.step.model.material
         J, F = None, None
         self._shares: Values = {}

@@ -25,9 +25,10 @@ from ngvisco.forms.term import Integrand
 SIZE, DEFECT, RELATIVE = "momentum_size", "momentum_defect", "momentum_defect_relative"
 """Columns of int |rho v|, of what a step leaves, and of what it has left since the start over what moves."""
 IMPULSE, ANGULAR = "impulse_", "angular_"
-"""What names of columns of impulses begin with, and of rotations."""
+"""The beginnings of the names of columns of impulses, and of angular impulses."""
 TRANSFERRED = "impulse_transfer"
-"""Of the momentum that is lost where a state is carried over to another mesh or other parameters."""
+"""The column of the momentum that is lost where a state is carried over to another mesh or other
+parameters."""
 _ROUNDING = 1e-9
 """Share of the largest impulse that is counted in every direction."""
 LOST = 0.05
@@ -56,7 +57,7 @@ def unit(name: str) -> str | None:
 
 @dataclass(frozen=True)
 class _Totals:
-    """Of all rows so far, by motions: what was lost and exchanged, most that moved, and the last momentum."""
+    """Totals of all rows so far, by motions: losses, exchange, the largest momentum, and the last one."""
 
     lost: np.ndarray
     exchanged: np.ndarray
@@ -92,7 +93,7 @@ class Momentum:
         return np.array([row[name] for name in self._names(quantity)])
 
     def densities(self) -> dict[str, Integrand]:
-        """What of a state is integrated over the cells, by columns."""
+        """Densities that are integrated over the cells, by columns."""
         parts = map(Integrand, self.impulses.momentum())
         return dict(zip([*self._names("momentum"), SIZE], parts, strict=True))
 
@@ -180,7 +181,7 @@ class Momentum:
         self._ranks.warn(self.said(row), MomentumWarning, stacklevel=4)
 
     def said(self, row: Mapping[str, float]) -> str:
-        """What a row says of momentum that is lost, in words."""
+        """The message about the momentum that is lost in a row."""
         parts = {where: float(np.abs(self._array(row, f"defect_{where}")).max()) for where in DEFECTS}
         where = max(parts, key=lambda name: parts[name])
         return (

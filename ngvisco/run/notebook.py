@@ -1,4 +1,4 @@
-"""What a simulation, a ledger and results show of themselves in a notebook."""
+"""Displays of a simulation, a ledger and results in a notebook."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class NotebookError(NgviscoError, RuntimeError):
 
 
 def simulation_html(simulation: Simulation) -> str:
-    """What a simulation is and how far it got."""
+    """The description of a simulation and how far it got."""
     layout, model = simulation.rothe_step.layout, simulation.model
     mechanisms = [
         f"{name} {html.escape(_short(part))}"
@@ -45,7 +45,7 @@ def simulation_html(simulation: Simulation) -> str:
 
 
 def results_html(title: str, time: float, ledger: Mapping[str, np.ndarray]) -> str:
-    """What a run directory holds."""
+    """The contents of a run directory."""
     return _table({"run": html.escape(title), "state": f"t = {time:g} s"}) + ledger_html(ledger)
 
 

@@ -40,7 +40,8 @@ from ngvisco.physics.parameters import Parameter
 from ngvisco.physics.tensors import IDENTITY, inner, square
 
 TOLERANCE, ENOUGH, ITERATIONS = 1e-12, 1e-9, 200
-"""Of the linear systems: what is asked for, what is accepted where rounding is in the way, and how long."""
+"""The linear systems' tolerance, the residual that is accepted where rounding is in the way, and the largest
+number of iterations."""
 
 NAMES = ("F_tot", "reference_map", "creep_strain")
 CARRIED = (*NAMES, "displacement")
@@ -116,7 +117,7 @@ class PassiveFields:
         return result
 
     def space(self, key: str, mesh: Mesh) -> FESpace:
-        """That of a part, by its name, on another mesh."""
+        """The space of a part, by its name, on another mesh."""
         carrier = self._solvers[key]
         return _cells(mesh, self.step.discretisation.k, carrier.vector)
 
@@ -160,7 +161,7 @@ class PassiveFields:
             field.vec.FV().NumPy()[:] = _combined(weights, self._stages, key)
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """What a checkpoint has to keep: copies of all coefficients by name."""
+        """Copies of all coefficients by name, for a checkpoint."""
         return {key: field.vec.FV().NumPy().copy() for key, field in self.parts.items()}
 
     def load(self, arrays: Mapping[str, np.ndarray]) -> None:
@@ -230,7 +231,7 @@ class _Carrier:
         self._solution = GridFunction(self.space)
 
     def carry(self, old: np.ndarray, source: CoefficientFunction | None) -> tuple[np.ndarray, bool]:
-        """What the field with coefficients ``old`` on ``cells`` becomes by the form's present matrix.
+        """The coefficients of the field after a step from ``old`` on ``cells``, by the form's present matrix.
 
         Returns the coefficients, and whether the linear system is solved; where it is not they are what the
         iteration came to, or ``old`` itself where that is no number.

@@ -23,7 +23,7 @@ PAGE, LABELS = 7.2, 9
 """Width of pictures, inches, that of a page; the size of the smallest labels, points."""
 FORMATS = ("png", "pdf", "svg")
 _LEVEL = 1e-10
-"""Of a quantity: by less it is drawn as varying by nothing."""
+"""The relative variation below which a quantity is drawn as constant."""
 _COLOURS, _SHRINK = "viridis", 0.75
 """The scale of colours, and its length in heights of what it is beside."""
 _PIECES, _DRAWN = 6, 200_000  # of the sides of triangles, and triangles in all

@@ -1,4 +1,4 @@
-"""What runs measure over time, and compared, drawn without a display (extra ``plots``: matplotlib).
+"""Plots of runs over time, and of runs compared, without a display (extra ``plots``: matplotlib).
 
 Pictures are PNG, PDF or SVG by the end of their path.
 """

@@ -335,7 +335,7 @@ class Bodies(Series):
 
 
 def _integrands(step: Step, name: str) -> list[CoefficientFunction]:
-    """Of a body: densities of mass, volume, first moments, momentum, energies and dissipation."""
+    """Densities of a body's mass, volume, first moments, momentum, energies and dissipation."""
     u, material = step.now, step.model.material
     assert isinstance(material, Mixture)
     body = next(body for body in material.bodies if body.name == name)

@@ -41,10 +41,10 @@ from ngvisco.run.transfer import go_on, require_fit, transfer
 _TOO_LARGE = 1.5
 """Volume of a cell over that asked for from which it is divided: bisection gives powers of two."""
 _SAME_TIME = 1e-9
-"""Of ``every``, up to which a time is one at which the mesh is chosen."""
+"""The share of ``every`` within which a time is one at which the mesh is chosen."""
 _FLAT, _ROUNDING = 1e-9, 1e-12
-"""Of its largest value, and of what is usual in the run; a field that varies by less over the domain is steep
-nowhere."""
+"""The variation below which a field is steep nowhere, over its largest value and over the usual one of the
+run."""
 _LEVELS = 8
 
 

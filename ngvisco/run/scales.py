@@ -140,7 +140,8 @@ class Place:
     """Components of the material's variables, (n,)."""
 
     def overstress(self, rate: float) -> float:
-        """By how much the stress of yield exceeds it at a rate of shear, 1/s, over it; 0 without yield."""
+        """The excess of the stress over the yield stress at a rate of shear, 1/s, over the yield stress; 0
+        without yield."""
         creep = self.laws.creep
         if creep is None:
             return 0.0

@@ -121,7 +121,7 @@ class Series(ABC):
         self._add(rows, simulation)
 
     def _said(self, column: str, row: list[float]) -> str:
-        """What messages call a column of a row."""
+        """The name of a row's column in messages."""
         return repr(column)
 
     def _add(self, rows: list[list[float]], simulation: Simulation) -> None:

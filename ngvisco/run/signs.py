@@ -45,7 +45,7 @@ class CreepPowerWarning(NgviscoWarning):
 
 
 class DissipationWarning(NgviscoWarning):
-    """What is to dissipate gives energy: a law has the wrong sign, though the ledger closes."""
+    """A mechanism that is to dissipate gives energy: a law has the wrong sign, though the ledger closes."""
 
 
 class EntropyWarning(NgviscoWarning):
@@ -83,11 +83,11 @@ class Signs:
             if value is not None and everywhere and name != DELTA_FIELDS:
                 found[together] = found[together] + value if together in found else value
         self.at_points: dict[str, CoefficientFunction] = found
-        """What is not negative at any point, W/m^3."""
+        """Dissipations that are not negative at any point, W/m^3."""
         self._on_walls = self._wall_forms()
 
     def _wall_forms(self) -> dict[str, LinearForm]:
-        """What walls dissipate, on the facets of each cell."""
+        """Dissipation on walls, on the facets of each cell."""
         step, forms = self._step, {}
         space = L2(step.mesh, order=0)
         for term in step.terms:

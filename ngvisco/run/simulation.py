@@ -57,7 +57,7 @@ _LOOKED_AT = 4
 
 
 class Observer(Protocol):
-    """What wants to know of a run.  Every method may be called with the simulation at rest.
+    """An observer of a run.  Every method may be called with the simulation at rest.
 
     A class that derives from it needs only those of them that it has a use for.
 
@@ -153,7 +153,7 @@ class Simulation:
         require_petsc(ranks)
         mesh = distributed(mesh, ranks) if mesh.comm.size == 1 else mesh
         self.arguments: dict[str, Any] = dict(time=time, initial=initial, walls=walls, solver=solver)
-        """What it was made of besides mesh, model and observers."""
+        """The arguments of the simulation besides mesh, model and observers."""
         self.arguments |= dict(discretisation=discretisation, newton=newton, passive=passive)
         self.arguments |= dict(sources=sources, terms=terms, symmetry=symmetry)
         self.mesh, self.model = mesh, model
@@ -165,7 +165,7 @@ class Simulation:
         self.sampler = Sampler(mesh, self.rothe_step.quadrature)
         self.ranks = self.sampler.ranks
         self.unknowns = self.rothe_step.layout.count()
-        """Of the whole mesh, as are ``cells``."""
+        """The number of unknowns of the whole mesh, as ``cells`` is."""
         self.cells = int(self.ranks.total(mesh.ne))
         self._cells_here = mesh.ne
         self._t, self._number = 0.0, 0
@@ -196,7 +196,7 @@ class Simulation:
         self.interruption = Interruption(self)
 
     def on(self, mesh: Mesh, **others: Any) -> Simulation:
-        """The same run on another mesh, or with other arguments of the class, at its start.
+        """A new simulation at its start, on another mesh or with other arguments of the class.
 
         ``nv.transfer`` takes the present state there.
         """
@@ -228,7 +228,7 @@ class Simulation:
 
     @property
     def number(self) -> int:
-        """Of the present state among the accepted ones, 0 at the start."""
+        """The number of the present state among the accepted ones, 0 at the start."""
         return self._number
 
     @number.setter
@@ -240,7 +240,7 @@ class Simulation:
 
     @cached_property
     def numbering(self) -> Numbering:
-        """Of the unknowns on one process, for checkpoints; made by all ranks together."""
+        """The numbering of the unknowns on one process, for checkpoints; made by all ranks together."""
         return Numbering(self)
 
     @property

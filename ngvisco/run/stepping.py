@@ -64,7 +64,7 @@ LEAST_CONSTANT = 1e-2
 """Error constant of a scheme, times (p + 1)!, below which its local error cannot be estimated by it."""
 
 HALVINGS, MOST_HALVINGS = 3, 20
-"""Of a step of fixed length that is not solved: by default, and at most."""
+"""Halvings of a step of fixed length that is not solved: by default, and at most."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -139,7 +139,7 @@ class TimeSteps:
             raise ParameterError("TimeSteps.relaxation", self.relaxation, expected)
 
     def stepper(self) -> FixedStepper | AdaptiveStepper:
-        """What takes these steps."""
+        """The object that takes these steps."""
         if self.adaptive is None:
             return FixedStepper(float(self.dt), self.halvings)
         return AdaptiveStepper(float(self.dt), self.adaptive)
@@ -155,7 +155,7 @@ class TimeSteps:
 
 
 def time_steps(time: TimeSteps | None, given: Mapping[str, Any]) -> TimeSteps:
-    """What ``Simulation`` was given of time: ``time``, or parameters of it.
+    """The steps in time from the arguments of ``Simulation``: ``time``, or parameters of it.
 
     Raises ParameterError if it was given twice, or not at all; TypeError for what is no argument.
     """
@@ -186,7 +186,7 @@ class Rejection:
 
 @dataclass(frozen=True)
 class Accepted:
-    """What the ledger records of an accepted step, besides the state; ``time`` is its end, s."""
+    """The record of an accepted step for the ledger, besides the state; ``time`` is its end, s."""
 
     time: float
     taken: StepTaken
@@ -251,7 +251,7 @@ class FixedStepper:
         return self._position(simulation.t) >= self._position(time)
 
     def step_of(self, time: float, number: int) -> tuple[int, bool]:
-        """Of the state at ``time`` (s), in row ``number`` of the ledger: the number of its step, and whether
+        """The number of the step of the state at ``time`` (s), in row ``number`` of the ledger, and whether
         it is that step's end, not that of a part."""
         position = self._position(time)
         if position < 0:  # of steps of another length

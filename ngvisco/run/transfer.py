@@ -36,12 +36,12 @@ if TYPE_CHECKING:
 _VOLUME = 0.02
 """Relative difference of volumes that two meshes of one curved domain may have."""
 _WHOLE = 1e-9
-"""The same of a cell and the old cells that it is the union of."""
+"""The tolerance of a cell's volume against that of the old cells that it is the union of."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Transfer:
-    """What carrying over a state did.
+    """The result of carrying over a state.
 
     Attributes
     ----------
