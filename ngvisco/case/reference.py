@@ -29,7 +29,7 @@ from ngvisco.run import passive
 
 
 @dataclass(frozen=True)
-class Entry:
+class KeyEntry:
     """One key as a user sees it, with the kinds of its section that have it; none for all.
 
     A table of keys has no example.
@@ -67,9 +67,9 @@ class Entry:
         return f"{self.path[-1]} = {toml.value_text(self.example)}"
 
 
-def entries() -> list[Entry]:
+def entries() -> list[KeyEntry]:
     """Every key of a case file, in the order of the schema; kinds that agree on a key share its entry."""
-    grouped: dict[tuple[Any, ...], Entry] = {}
+    grouped: dict[tuple[Any, ...], KeyEntry] = {}
     for entry in _walk(CaseSections, (), ()):
         words = (entry.type, entry.unit, entry.meaning)
         same = (entry.path, *words, entry.required, repr(entry.default), repr(entry.example))
@@ -93,13 +93,13 @@ _SAME_KEYS = {
 """Tables that have the keys of another one, which are listed there."""
 
 
-def _walk(model: type[Section], path: tuple[str, ...], kinds: tuple[str, ...]) -> Iterator[Entry]:
+def _walk(model: type[Section], path: tuple[str, ...], kinds: tuple[str, ...]) -> Iterator[KeyEntry]:
     keys = [(name, field) for name, field in model.model_fields.items() if name not in TAGS]
     for name, field in sorted(keys, key=lambda key: bool(models_in(key[1].annotation))):  # tables come last
         inner, said = models_in(field.annotation), quantity(model, name)
         default = None if inner or field.is_required() else field.default
         is_empty = default in (None, "", [], {}, False) and said.example is not None
-        yield Entry(
+        yield KeyEntry(
             (*path, name),
             kinds,
             ", ".join(filter(None, (type_text(field.annotation), said.range))),
@@ -114,14 +114,14 @@ def _walk(model: type[Section], path: tuple[str, ...], kinds: tuple[str, ...]) -
             yield from _walk_kinds(inner, below)
 
 
-def _walk_kinds(models: list[type[Section]], path: tuple[str, ...]) -> Iterator[Entry]:
+def _walk_kinds(models: list[type[Section]], path: tuple[str, ...]) -> Iterator[KeyEntry]:
     tag = next((tag for tag in TAGS if tag in models[0].model_fields), None)
     if tag is not None:
         names = [model.__name__ for model in models]
         required = all(model.model_fields[tag].is_required() for model in models)
         kinds = f"one of {', '.join(names)}"
         default = None if required else names[0]
-        yield Entry((*path, tag), (), kinds, "", required, default, "Which one", names[0])
+        yield KeyEntry((*path, tag), (), kinds, "", required, default, "Which one", names[0])
     for model in models:
         yield from _walk(model, path, () if tag is None else (model.__name__,))
 
@@ -209,7 +209,7 @@ def _fields(name: str) -> list[tuple[str, str]]:
     return [(name, what) for named, what in rows if named == re.sub(r"_\d$", "_i", name)]
 
 
-def _mentions(every: Sequence[Entry], kinds: Sequence[str], wanted: tuple[str, ...]) -> list[str]:
+def _mentions(every: Sequence[KeyEntry], kinds: Sequence[str], wanted: tuple[str, ...]) -> list[str]:
     """Kinds and keys of which a word is said; none where it is said of many."""
     if len(wanted) != 1:
         return []
@@ -235,7 +235,7 @@ def matches(path: tuple[str, ...], wanted: tuple[str, ...]) -> bool:
     )
 
 
-def line(entry: Entry) -> str:
+def line(entry: KeyEntry) -> str:
     """A key in one line; of a table its name and what it is."""
     if entry.is_table:
         return f"[{entry.name}]  {entry.meaning}"
@@ -244,15 +244,15 @@ def line(entry: Entry) -> str:
     return f"  {entry.name}{kinds}: {entry.type}{unit}; {entry.default_text}; {entry.meaning}"
 
 
-def cards(every: Sequence[Entry]) -> list[str]:
+def cards(every: Sequence[KeyEntry]) -> list[str]:
     """Keys with all that is known of them, on lines of their own; kinds that differ by words share a card."""
-    groups: dict[tuple[str, ...], list[Entry]] = {}
+    groups: dict[tuple[str, ...], list[KeyEntry]] = {}
     for entry in every:
         groups.setdefault((entry.name, entry.type, entry.unit, entry.default_text), []).append(entry)
     return [_card(group) for group in groups.values()]
 
 
-def _card(group: list[Entry]) -> str:
+def _card(group: list[KeyEntry]) -> str:
     entry, is_one = group[0], len(group) == 1
     rows = [("type", entry.type)]
     if entry.unit:
@@ -280,7 +280,7 @@ def markdown() -> str:
     return "\n".join(parts)
 
 
-def _row(entry: Entry) -> str:
+def _row(entry: KeyEntry) -> str:
     of = f"<br>*{', '.join(entry.kinds)}*" if entry.kinds else ""
     example = "" if entry.example is None else f"`{entry.example_text}`"
     default = entry.default_text if entry.required or entry.default is None else f"`{entry.default_text}`"

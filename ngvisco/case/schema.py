@@ -132,7 +132,7 @@ Where = Annotated[
 """A condition on x, y, z, a shape, or several of them, of which it is the union."""
 
 
-class Body(Section):
+class BodySection(Section):
     """A body of one material, and where it is at the start."""
 
     name: Annotated[str, Quantity(example="disc")] = Field(
@@ -162,7 +162,7 @@ class Body(Section):
     )
 
     @model_validator(mode="after")
-    def _admitted(self) -> Body:
+    def _admitted(self) -> BodySection:
         if not re.fullmatch(r"[A-Za-z]\w{0,59}", self.name, re.ASCII):
             raise ParameterError("Body.name", self.name, "a letter, and then letters, digits and _")
         if self.density is not None and not 0 < self.density < math.inf:
@@ -334,7 +334,7 @@ class CaseSections(Section):
     units: Units = Field(Units(), description="Units of plain numbers; SI where nothing is said")
     domain: Domain = Field(description="The domain and its mesh")
     material: Material | None = Field(None, description="The material: its variables and its stored energy")
-    bodies: list[Body] = Field(
+    bodies: list[BodySection] = Field(
         [], description="Bodies of different material, each an element of the array, in place of [material]"
     )
     time: Time = Field(description="Step length and end")

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from ngvisco.case import toml
-from ngvisco.case.reference import Entry, entries, matches
+from ngvisco.case.reference import KeyEntry, entries, matches
 from ngvisco.case.section import TAGS
 from ngvisco.errors import UnknownNameError
 
@@ -49,7 +49,7 @@ def template(name: str) -> str:
     return "\n".join(lines).rstrip() + "\n"
 
 
-def _annotated(block: str, every: list[Entry]) -> Iterator[str]:
+def _annotated(block: str, every: list[KeyEntry]) -> Iterator[str]:
     """The lines of a table, with what is said of their keys, and its other keys as comments."""
     header, kind = _TABLE.match(block), _KIND.search(block)
     path = tuple(header[1].split(".")) if header else ()
@@ -71,7 +71,7 @@ def _annotated(block: str, every: list[Entry]) -> Iterator[str]:
     yield ""
 
 
-def _absent(path: tuple[str, ...], own: list[Entry]) -> Iterator[str]:
+def _absent(path: tuple[str, ...], own: list[KeyEntry]) -> Iterator[str]:
     """A table that the demo has not, as comments with examples."""
     kind = next((entry.example for entry in own if entry.path[-1] == "kind"), None)
     title = ".".join(_shape(path))
@@ -87,7 +87,7 @@ def _shape(path: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(part for part in path if part != "N")
 
 
-def _note(entry: Entry) -> str:
+def _note(entry: KeyEntry) -> str:
     unit = f"{entry.unit}: " if entry.unit not in ("", "1") else ""
     return f"{unit}{entry.type if entry.path[-1] in TAGS else entry.meaning}"
 
@@ -98,7 +98,7 @@ def _beside(line: str, note: str) -> str:
     return f"{code.rstrip():{_COLUMN}s} # {note}" + (f"; here {comment}" if mark else "")
 
 
-def _commented(entry: Entry) -> str:
+def _commented(entry: KeyEntry) -> str:
     """A key as a comment, with its default, or with the example where that is nothing."""
     value = entry.example if entry.default in (None, [], {}) else entry.default
     return _beside(f"# {entry.path[-1]} = {toml.value_text(value)}", _note(entry))

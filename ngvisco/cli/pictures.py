@@ -11,7 +11,7 @@ from ngvisco.case.runs import Results
 from ngvisco.errors import ParameterError
 from ngvisco.run.fields import scalar_fields, title_of
 from ngvisco.run.frames import outlined, read_pvd
-from ngvisco.run.pictures import Section, plot_fields, require_space, titled, write_movie
+from ngvisco.run.pictures import CrossSection, plot_fields, require_space, titled, write_movie
 from ngvisco.run.plots import plot_comparison, plot_energies, plot_history
 from ngvisco.run.scene import write_scene, write_scene_of_series
 from ngvisco.sweep.study import read_table
@@ -23,7 +23,7 @@ def plot(options: argparse.Namespace) -> int:
     if len(runs) > 1:
         return _compare(options, runs)
     (out,) = runs.values()
-    section = None if options.section is None else Section.parse(options.section)
+    section = None if options.section is None else CrossSection.parse(options.section)
     if options.movie is not None:
         place = RunDirectory(out)
         path, title = Path(options.movie or out / "movie.gif"), place.case().sections.title

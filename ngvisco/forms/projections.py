@@ -41,7 +41,7 @@ from ngvisco.forms.spaces import Layout
 from ngvisco.forms.term import Integrands, Unknown, tested
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.exchange import Exchange
-from ngvisco.parallel.petsc import Direct, SumInverse, inverse_of
+from ngvisco.parallel.petsc import PETScInverse, SumInverse, inverse_of
 from ngvisco.physics.tensors import inner
 
 if TYPE_CHECKING:
@@ -151,7 +151,7 @@ def set_traces(layout: Layout, state: GridFunction, context: Context, quadrature
 
 def _release(inverse: BaseMatrix) -> None:
     """Give a factorisation's memory back; collective."""
-    if isinstance(inverse, Direct):
+    if isinstance(inverse, PETScInverse):
         inverse.release()
 
 

@@ -51,7 +51,7 @@ from ngvisco.forms.fields import Fields
 from ngvisco.forms.mesh.symmetry import NO_SYMMETRY, Symmetry
 from ngvisco.forms.term import Introducing, Place, Setting, Unknown
 from ngvisco.parallel.communicator import Communicator
-from ngvisco.parallel.mesh import Part
+from ngvisco.parallel.mesh import MeshPart
 from ngvisco.physics.material import Material, StateSpace
 
 if TYPE_CHECKING:
@@ -144,7 +144,7 @@ class Layout:
         mesh, ranks = self.mesh, Communicator.of(self.mesh)
         if not ranks.is_distributed:
             return int(self.space.ndof)
-        if self.periodic and isinstance(mesh, Part):  # of identified unknowns parts count more images
+        if self.periodic and isinstance(mesh, MeshPart):  # of identified unknowns parts count more images
             return ranks.on_first(lambda: int(self.on(mesh.whole).space.ndof))
         return int(self.space.ndofglobal)
 

@@ -90,7 +90,7 @@ def rule(
     """
     if length == 0:
         return Rule(np.array([begin]), np.ones(1))
-    return _Search(values, begin, length, ranks or Communicator()).found(conditions, knots)
+    return _RuleSearch(values, begin, length, ranks or Communicator()).found(conditions, knots)
 
 
 def _gauss(*intervals: tuple[float, float]) -> np.ndarray:
@@ -104,7 +104,7 @@ _Panel: TypeAlias = tuple[float, float, float, tuple[np.ndarray, np.ndarray], np
 and how far their sum is from that over the whole."""
 
 
-class _Search:
+class _RuleSearch:
     """A search for a rule, in s = (t - begin)/length."""
 
     def __init__(self, values: Values, begin: float, length: float, ranks: Communicator) -> None:

@@ -16,7 +16,7 @@ _SHAPE = 1e-10
 """Relative difference of volume and surface that the parts of a mesh may have to the whole."""
 
 
-class Part(Mesh):
+class MeshPart(Mesh):
     """A rank's part of a mesh, with facets and vertices at its border that other ranks have too.
 
     Attributes
@@ -53,7 +53,7 @@ def distributed(mesh: Mesh | None, ranks: Communicator) -> Mesh:
     Returns
     -------
     Mesh
-        A ``Part`` on several ranks.
+        A ``MeshPart`` on several ranks.
     """
     from netgen.meshing import Mesh as NetgenMesh
 
@@ -63,10 +63,10 @@ def distributed(mesh: Mesh | None, ranks: Communicator) -> Mesh:
     ranks.on_first(lambda: _check(mesh, ranks.size - 1))
     if mesh is not None and ranks.is_first:
         # of a copy, whose cells it takes away; Netgen's ``Copy`` forgets which boundaries are identified
-        part = Part(pickle.loads(pickle.dumps(mesh.ngmesh)).Distribute(ranks.mpi))
+        part = MeshPart(pickle.loads(pickle.dumps(mesh.ngmesh)).Distribute(ranks.mpi))
         part.whole = mesh
     else:
-        part = Part(NetgenMesh.Receive(ranks.mpi))
+        part = MeshPart(NetgenMesh.Receive(ranks.mpi))
     _curve(part, mesh, ranks)
     if ranks.any(not ranks.is_first and not part.ne):
         cells = int(ranks.total(part.ne))
@@ -76,7 +76,7 @@ def distributed(mesh: Mesh | None, ranks: Communicator) -> Mesh:
     return part
 
 
-def _curve(part: Part, whole: Mesh | None, ranks: Communicator) -> None:
+def _curve(part: MeshPart, whole: Mesh | None, ranks: Communicator) -> None:
     """Curve the straight cells that NGSolve distributes, on every rank by the whole's geometry; collective.
 
     Raises MeshError on every rank where that is not the whole's shape.
@@ -116,18 +116,18 @@ def has_geometry(mesh: Mesh) -> bool:
 
 def cell_numbers(mesh: Mesh) -> np.ndarray:
     """The numbers that the cells of this rank have in the whole mesh; their own on one process."""
-    return mesh.cells if isinstance(mesh, Part) else np.arange(mesh.ne)
+    return mesh.cells if isinstance(mesh, MeshPart) else np.arange(mesh.ne)
 
 
 def whole_of(mesh: Mesh) -> Mesh | None:
     """The whole mesh on the first rank, None on others; on one process the mesh itself."""
-    return mesh.whole if isinstance(mesh, Part) else mesh
+    return mesh.whole if isinstance(mesh, MeshPart) else mesh
 
 
 def of_whole(mesh: Mesh, values: np.ndarray) -> np.ndarray:
     """Collect the ranks' values of their cells, (cells,), in the order of the whole mesh, on the first rank
     alone; collective."""
-    if not isinstance(mesh, Part):
+    if not isinstance(mesh, MeshPart):
         return values
     numbers, parts = mesh.ranks.mpi.gather(mesh.cells), mesh.ranks.mpi.gather(values)
     if parts is None:
@@ -138,12 +138,12 @@ def of_whole(mesh: Mesh, values: np.ndarray) -> np.ndarray:
 
 def number_of(mesh: Mesh, cell: int) -> int | None:
     """The number in the whole mesh of a cell of this rank; None where the whole is not known."""
-    if isinstance(mesh, Part):
+    if isinstance(mesh, MeshPart):
         return int(mesh.cells[cell])
     return cell if mesh.comm.size == 1 else None
 
 
-def _numbers(part: Part, ranks: Communicator) -> np.ndarray:
+def _numbers(part: MeshPart, ranks: Communicator) -> np.ndarray:
     """Which cell of the whole each one of a part is: the one with the same vertices in the same order.
 
     Vertices are known by their coordinates, which NGSolve hands out to the bit.  Collective.

@@ -315,7 +315,7 @@ def _reason(solver: Any) -> str:
     return how
 
 
-class Direct(BaseMatrix):
+class PETScInverse(BaseMatrix):
     """``SumInverse`` of a matrix that NGSolve assembled, as one of its own."""
 
     def __init__(self, matrix: BaseMatrix, free: BitArray, communicator: Communicator) -> None:
@@ -352,5 +352,5 @@ class Direct(BaseMatrix):
 def inverse_of(matrix: BaseMatrix, free: BitArray, communicator: Communicator) -> BaseMatrix:
     """The inverse of a symmetric positive definite matrix in the free unknowns."""
     if communicator.is_distributed:
-        return Direct(matrix, free, communicator)
+        return PETScInverse(matrix, free, communicator)
     return matrix.Inverse(free, inverse="sparsecholesky")

@@ -51,7 +51,7 @@ _LEAST = 1e-100
 """1/theta where it is not positive: polynomials beside a jump overshoot."""
 
 
-class Expression(ABC):
+class ParameterExpression(ABC):
     """A function of parameters' values: sums, products, quotients and powers of parameters and numbers."""
 
     __array_ufunc__ = None  # numpy's numbers leave the operation to this class
@@ -71,40 +71,40 @@ class Expression(ABC):
         with_numbers: Any = {p.name: np.float64(p.carried(p.typical)) for p in self.parameters}
         return float(self.at(with_numbers))
 
-    def __add__(self, other: object) -> Expression:
+    def __add__(self, other: object) -> ParameterExpression:
         return _Operation(add, (self, _operand(other)))
 
-    def __sub__(self, other: object) -> Expression:
+    def __sub__(self, other: object) -> ParameterExpression:
         return _Operation(sub, (self, _operand(other)))
 
-    def __mul__(self, other: object) -> Expression:
+    def __mul__(self, other: object) -> ParameterExpression:
         return _Operation(mul, (self, _operand(other)))
 
-    def __truediv__(self, other: object) -> Expression:
+    def __truediv__(self, other: object) -> ParameterExpression:
         return _Operation(truediv, (self, _operand(other)))
 
-    def __radd__(self, other: object) -> Expression:
+    def __radd__(self, other: object) -> ParameterExpression:
         return _Operation(add, (_operand(other), self))
 
-    def __rsub__(self, other: object) -> Expression:
+    def __rsub__(self, other: object) -> ParameterExpression:
         return _Operation(sub, (_operand(other), self))
 
-    def __rmul__(self, other: object) -> Expression:
+    def __rmul__(self, other: object) -> ParameterExpression:
         return _Operation(mul, (_operand(other), self))
 
-    def __rtruediv__(self, other: object) -> Expression:
+    def __rtruediv__(self, other: object) -> ParameterExpression:
         return _Operation(truediv, (_operand(other), self))
 
-    def __neg__(self) -> Expression:
+    def __neg__(self) -> ParameterExpression:
         return _Operation(neg, (self,))
 
-    def __pow__(self, exponent: float) -> Expression:
+    def __pow__(self, exponent: float) -> ParameterExpression:
         number = as_number(exponent)
         if number is None:
             raise ParameterError("exponent", exponent, "a finite number")
         return _Operation(pow, (self, float(number)))
 
-    def __rpow__(self, base: object) -> Expression:
+    def __rpow__(self, base: object) -> ParameterExpression:
         raise ParameterError("exponent", self, f"a finite number, of the power of {base!r}")
 
 
@@ -112,11 +112,11 @@ _SIGNS: dict[Callable[..., Any], str] = {add: "+", sub: "-", mul: "*", truediv: 
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class _Operation(Expression):
+class _Operation(ParameterExpression):
     """A function of other expressions and numbers."""
 
     function: Callable[..., Any]
-    operands: tuple[Expression | float, ...]
+    operands: tuple[ParameterExpression | float, ...]
 
     def at(self, z: Values) -> Tensor:
         return self.function(*(value_at(operand, z) for operand in self.operands))
@@ -133,12 +133,12 @@ class _Operation(Expression):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class _Modulus(Expression):
+class _Modulus(ParameterExpression):
     """An expression in the place of a number, with what that number has to be."""
 
     name: str
     """The name of law and parameter, e.g. ``"NeoHookean.G_e"``."""
-    expression: Expression
+    expression: ParameterExpression
     is_positive: bool
     """Whether it must be > 0; otherwise >= 0."""
     is_own: bool = False
@@ -156,7 +156,7 @@ class _Modulus(Expression):
 
 
 @dataclass(frozen=True)
-class Parameter(Variable, Expression):
+class Parameter(Variable, ParameterExpression):
     """A scalar theta that travels with the matter: dt theta + (v . grad) theta = 0.
 
     Any modulus of a law may be an expression of parameters, and any energy of one's own a function of them.
@@ -252,18 +252,18 @@ class Parameter(Variable, Expression):
         return CF(float(self.carried(np.float64(self.typical))))
 
 
-Modulus: TypeAlias = float | Tensor | Expression
+Modulus: TypeAlias = float | Tensor | ParameterExpression
 """A number; a function of the initial place, which is carried; or an expression of parameters."""
 
 
 def value_at(modulus: Modulus, z: Values) -> Any:
     """A modulus where the parameters have the values ``z``; a number is the same everywhere."""
-    return modulus.at(z) if isinstance(modulus, Expression) else modulus
+    return modulus.at(z) if isinstance(modulus, ParameterExpression) else modulus
 
 
 def typical_value(modulus: Modulus) -> float:
     """A number for a modulus: of parameters with their typical values."""
-    return modulus.typical if isinstance(modulus, Expression) else float(modulus)
+    return modulus.typical if isinstance(modulus, ParameterExpression) else float(modulus)
 
 
 def require_ranges(owner: Any) -> None:
@@ -275,7 +275,7 @@ def require_ranges(owner: Any) -> None:
         value, full = getattr(owner, name), f"{type(owner).__name__}.{name}"
         if said.is_plain or (value is None and type(None) in said.kinds):
             continue
-        if Expression in said.kinds:
+        if ParameterExpression in said.kinds:
             object.__setattr__(owner, name, _as_modulus(full, value, said))
         elif CoefficientFunction in said.kinds and not _is_scalar_function(value):
             if (number := said.number(value)) is None:
@@ -291,7 +291,7 @@ def _as_modulus(full: str, value: object, said: Declared) -> Modulus:
     is_positive = said.range == "> 0"
     if isinstance(value, _Modulus) or (number := said.number(value)) is not None:
         return value if isinstance(value, _Modulus) else number
-    if isinstance(value, Expression):
+    if isinstance(value, ParameterExpression):
         return _Modulus(full, value, is_positive)
     if as_number(value) is not None:
         raise ParameterError(full, value, said.expected)
@@ -332,11 +332,11 @@ def distinct(parameters: Iterable[Parameter]) -> tuple[Parameter, ...]:
     return tuple(found.values())
 
 
-def expressions_in(value: object) -> Iterator[Expression]:
+def expressions_in(value: object) -> Iterator[ParameterExpression]:
     """The expressions among the parameters of a law or a material, and in laws that it holds."""
     if isinstance(value, Variable):
         return
-    if isinstance(value, Expression):
+    if isinstance(value, ParameterExpression):
         yield value
     elif dataclasses.is_dataclass(value) and not isinstance(value, type):
         for each in dataclasses.fields(value):
@@ -346,14 +346,14 @@ def expressions_in(value: object) -> Iterator[Expression]:
             yield from expressions_in(part)
 
 
-def substituted(law: T, value_of: Callable[[Expression], Any]) -> T:
+def substituted(law: T, value_of: Callable[[ParameterExpression], Any]) -> T:
     """A law or a material with its expressions replaced by what ``value_of`` gives; itself without any.
 
     Its checks are not run again: values at points are no numbers.
     """
 
     def within(part: Any) -> Any:
-        if isinstance(part, Expression):
+        if isinstance(part, ParameterExpression):
             return value_of(part)
         if isinstance(part, tuple) and any(True for _ in expressions_in(part)):
             return tuple(within(one) for one in part)
@@ -400,7 +400,7 @@ def told_apart(laws: Iterable[T], taken: Iterable[str] = ()) -> list[T]:
 def _with_own_names(law: T, name_of: Callable[[Parameter], str], is_own: bool) -> T:
     """A law whose own parameters, which moduli became by themselves, have other names."""
 
-    def named(expression: Expression) -> Expression:
+    def named(expression: ParameterExpression) -> ParameterExpression:
         if not (isinstance(expression, _Modulus) and expression.is_own):
             return expression
         (own,) = expression.parameters
@@ -411,7 +411,7 @@ def _with_own_names(law: T, name_of: Callable[[Parameter], str], is_own: bool) -
     return substituted(law, named)
 
 
-def moduli_in(value: object) -> Iterator[tuple[str, Expression, bool]]:
+def moduli_in(value: object) -> Iterator[tuple[str, ParameterExpression, bool]]:
     """Name, expression and whether it must be > 0 (else >= 0), of every modulus that is an expression."""
     for expression in expressions_in(value):
         if isinstance(expression, _Modulus):
@@ -427,8 +427,8 @@ def _is_scalar_function(value: object) -> bool:
     return isinstance(value, CoefficientFunction) and value.dim == 1 and not value.is_complex
 
 
-def _operand(value: object) -> Expression | float:
-    if isinstance(value, Expression):
+def _operand(value: object) -> ParameterExpression | float:
+    if isinstance(value, ParameterExpression):
         return value
     number = as_number(value)
     if number is None:

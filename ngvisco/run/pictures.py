@@ -105,7 +105,7 @@ def unit_of_length(size: float) -> tuple[str, float]:
 
 
 @dataclass(frozen=True)
-class Section:
+class CrossSection:
     """A plane normal to an axis, "x", "y" or "z", in which three-dimensional fields are shown.
 
     ``at`` is its coordinate along that axis, m; None (default) is the middle of the body.
@@ -116,18 +116,18 @@ class Section:
 
     def __post_init__(self) -> None:
         if self.normal not in ("x", "y", "z"):
-            raise ParameterError("Section.normal", self.normal, "x, y or z")
+            raise ParameterError("section.normal", self.normal, "x, y or z")
         if self.at is not None and not _is_number(self.at):
-            raise ParameterError("Section.at", self.at, "a finite number")
+            raise ParameterError("section.at", self.at, "a finite number")
 
     @classmethod
-    def parse(cls, text: str) -> Section:
+    def parse(cls, text: str) -> CrossSection:
         """From ``"z"`` or ``"z=0.5"``."""
         normal, equals, value = text.replace(" ", "").partition("=")
         try:
             at = float(value) if equals else None
         except ValueError as error:
-            raise ParameterError("Section.at", value, "a number, as in z=0.5") from error
+            raise ParameterError("section.at", value, "a number, as in z=0.5") from error
         return cls(normal, at)
 
     @property
@@ -144,7 +144,7 @@ class Section:
         return at
 
 
-def require_space(section: Section | None, dim: int) -> None:
+def require_space(section: CrossSection | None, dim: int) -> None:
     """Raise ParameterError for a section of what is flat."""
     if section is not None and dim != 3:
         raise ParameterError("section", section.normal, "none: the mesh has two dimensions")
@@ -159,7 +159,7 @@ def plot_fields(
     mesh: Mesh,
     fields: Sequence[tuple[str, CoefficientFunction]],
     path: AnyPath,
-    section: Section | None = None,
+    section: CrossSection | None = None,
     subdivisions: int = 3,
     title: str = "",
     outlines: Sequence[CoefficientFunction] = (),
@@ -171,7 +171,7 @@ def plot_fields(
     Parameters
     ----------
     fields : sequence of (title, scalar coefficient function)
-    section : Section, optional
+    section : CrossSection, optional
         In 3D the plane; default through the middle, normal to z.
     subdivisions : int
         Every cell is drawn as subdivisions^dim pieces, so that jumps between cells show.
@@ -197,8 +197,8 @@ class _Picture:
     """Scalar fields of a frame in two columns, each with a scale of colours, and surfaces of bodies; in 3D in
     a plane.  Another frame, in the same scales, is drawn by ``show``."""
 
-    def __init__(self, frame: Frame, names: Sequence[str], section: Section | None) -> None:
-        self._names, self._section, self._plane = names, section or Section(), ""
+    def __init__(self, frame: Frame, names: Sequence[str], section: CrossSection | None) -> None:
+        self._names, self._section, self._plane = names, section or CrossSection(), ""
         self._unit, self._metres = unit_of_length(float(np.ptp(frame.points, axis=0).max()))
         if frame.dim == 3:
             self._plane = f"{self._section.normal} = {self._section.place(frame.points):.4g} m"
@@ -288,7 +288,7 @@ def write_movie(
     path: AnyPath,
     fields: Sequence[str] | None = None,
     *,
-    section: Section | None = None,
+    section: CrossSection | None = None,
     frames_per_second: float = 10.0,
     title: str = "",
 ) -> None:
@@ -304,7 +304,7 @@ def write_movie(
     fields : sequence of str, optional
         Of a vector its modulus or ``NAME_i``, of a tensor ``NAME_ij``; default density and modulus of the
         velocity, as far as the series has them.
-    section : Section, optional
+    section : CrossSection, optional
         In 3D the plane that is shown; default through the middle, normal to z.
     """
     target = Path(path)

@@ -1,7 +1,7 @@
 """A run over ranks: coefficients in the numbering of one process, and errors of one rank raised on all.
 
 A checkpoint has the numbering of one process, so that any number of ranks reads it.  The number of a rank's
-cell in the whole mesh is known (``Part.cells``); the unknowns of a cell have the same order in both.  The
+cell in the whole mesh is known (``MeshPart.cells``); the unknowns of a cell have the same order in both.  The
 orientation of edges and faces is the same too: ranks number their vertices in the order of the whole mesh.
 """
 
@@ -22,7 +22,7 @@ from ngvisco.forms.driving_stress import STRESS
 from ngvisco.forms.spaces import Layout
 from ngvisco.parallel.communicator import OF_ALL_RANKS, Communicator
 from ngvisco.parallel.exchange import Exchange
-from ngvisco.parallel.mesh import Part
+from ngvisco.parallel.mesh import MeshPart
 
 if TYPE_CHECKING:
     from ngvisco.run.simulation import Observer, Simulation
@@ -85,7 +85,7 @@ class Numbering:
         if not ranks.is_distributed:
             return
         part = step.mesh
-        if not isinstance(part, Part):
+        if not isinstance(part, MeshPart):
             expected = "a mesh that Simulation distributes itself, of which it knows the whole"
             raise ParameterError("Checkpoints", "a distributed mesh", expected)
         self.mesh = mesh = part.whole
@@ -137,7 +137,7 @@ def _evolved(layout: Layout) -> np.ndarray:
     return np.concatenate([np.arange(where.start, where.stop) for where in ranges])
 
 
-def numbers_in(part: Part, space: FESpace, whole: FESpace | None) -> np.ndarray:
+def numbers_in(part: MeshPart, space: FESpace, whole: FESpace | None) -> np.ndarray:
     """Numbers in a space on the whole mesh, None but on the first rank, of a rank's unknowns; collective."""
     wanted = part.ranks.mpi.gather(part.cells)
     answers = None

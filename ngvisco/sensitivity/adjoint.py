@@ -21,7 +21,7 @@ from ngvisco.sensitivity.linearised import Linearised
 from ngvisco.sensitivity.slopes import Slopes
 from ngvisco.sensitivity.starts import Starts
 from ngvisco.sensitivity.tangent import Neighbours
-from ngvisco.sensitivity.trajectory import StepTaken, Trajectory
+from ngvisco.sensitivity.trajectory import RecordedStep, Trajectory
 
 
 class Adjoint:
@@ -90,7 +90,7 @@ class Adjoint:
                 self.jacobian[:, j] += weights @ near.derivative(values)
         self.base.at(state)
 
-    def _step(self, number: int, taken: StepTaken, slopes: np.ndarray) -> np.ndarray:
+    def _step(self, number: int, taken: RecordedStep, slopes: np.ndarray) -> np.ndarray:
         """The slopes by the start of a step, from those by its end."""
         solutions = [taken.state, *(stage.state for stage in taken.stages)]
         of = np.zeros((len(solutions), *slopes.shape))
@@ -104,7 +104,7 @@ class Adjoint:
         return of[0]
 
     def _stage(
-        self, number: int, taken: StepTaken, i: int, solutions: list[np.ndarray], of: np.ndarray
+        self, number: int, taken: RecordedStep, i: int, solutions: list[np.ndarray], of: np.ndarray
     ) -> None:
         stage, weights = taken.stages[i - 1], self.means[:, number]
         base = self.base
@@ -131,7 +131,12 @@ class Adjoint:
                 of[k][n] -= self.starts.transposed(stage, solutions[:i], int(k), adjoint)
 
     def _end(
-        self, number: int, taken: StepTaken, solutions: list[np.ndarray], slopes: np.ndarray, of: np.ndarray
+        self,
+        number: int,
+        taken: RecordedStep,
+        solutions: list[np.ndarray],
+        slopes: np.ndarray,
+        of: np.ndarray,
     ) -> None:
         """The slopes by the stages of a combined end, from those by the end."""
         base, starts = self.base, self.starts

@@ -13,7 +13,7 @@ from ngvisco.forms.system import Evolved
 from ngvisco.physics.tensors import inner
 from ngvisco.run.simulation import Simulation
 from ngvisco.sensitivity.columns import Columns
-from ngvisco.sensitivity.trajectory import Stage, StepTaken
+from ngvisco.sensitivity.trajectory import RecordedStep, Stage
 
 
 class Follower:
@@ -83,7 +83,7 @@ class Follower:
         return form
 
     def end(
-        self, taken: StepTaken, states: Sequence[Evolved], last: np.ndarray, v: np.ndarray
+        self, taken: RecordedStep, states: Sequence[Evolved], last: np.ndarray, v: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """A combined end but for its velocity: the state, and the rows that v of it leaves.
 
@@ -113,7 +113,7 @@ class Follower:
         return self.state.copy()
 
     def impulse(
-        self, taken: StepTaken, states: Sequence[Evolved], end: np.ndarray, v: np.ndarray
+        self, taken: RecordedStep, states: Sequence[Evolved], end: np.ndarray, v: np.ndarray
     ) -> np.ndarray:
         """The contribution of the walls' impulse at a combined end to the columns, (columns,).
 

@@ -6,7 +6,7 @@ import numpy as np
 from ngsolve import BitArray
 
 from ngvisco.sensitivity.follower import Follower
-from ngvisco.sensitivity.trajectory import Stage, StepTaken
+from ngvisco.sensitivity.trajectory import RecordedStep, Stage
 from ngvisco.solver.newton import CondensedJacobian
 
 _INVERSE = "umfpack"
@@ -38,7 +38,7 @@ class Linearised:
         solve(self._rows, self._solution)
         return np.where(self.free, self._solution.FV().NumPy(), 0.0)
 
-    def at_end(self, taken: StepTaken) -> None:
+    def at_end(self, taken: RecordedStep) -> None:
         """Factorise the mass matrix of a combined end, with the walls' multipliers."""
         step = self.follower.step
         step.state.vec.FV().NumPy()[:] = taken.after

@@ -23,7 +23,7 @@ from ngvisco.sensitivity.follower import Follower
 from ngvisco.sensitivity.linearised import Linearised
 from ngvisco.sensitivity.numbers import History
 from ngvisco.sensitivity.parameters import OFFSETS, Named, differenced
-from ngvisco.sensitivity.trajectory import Stage, StepTaken, Trajectory
+from ngvisco.sensitivity.trajectory import RecordedStep, Stage, Trajectory
 
 
 class Neighbours:
@@ -101,7 +101,7 @@ def history(trajectory: Trajectory, base: Follower) -> History:
 
 
 def _step(
-    taken: StepTaken, base: Follower, linearised: Linearised, runs: Sequence[_Tangent]
+    taken: RecordedStep, base: Follower, linearised: Linearised, runs: Sequence[_Tangent]
 ) -> list[tuple[np.ndarray, np.ndarray]]:
     states = [base.evolved(taken.state)]
     for run in runs:
@@ -129,7 +129,7 @@ class _Tangent:
     def _differenced(self, of: Callable[[int, Follower], np.ndarray]) -> np.ndarray:
         return self.near.derivative([of(i, one) for i, one in enumerate(self.near.followers)])
 
-    def begin(self, first: StepTaken) -> np.ndarray:
+    def begin(self, first: RecordedStep) -> np.ndarray:
         """The columns' derivatives at the start of the first step."""
         return self._columns_at(first.state)
 
@@ -169,7 +169,7 @@ class _Tangent:
         for one, states, u in zip(self.near.followers, self._states, moved if is_read else [], strict=False):
             states.append(one.evolved(u))
 
-    def end(self, taken: StepTaken, linearised: Linearised) -> tuple[np.ndarray, np.ndarray]:
+    def end(self, taken: RecordedStep, linearised: Linearised) -> tuple[np.ndarray, np.ndarray]:
         """The derivatives of the columns at the step's end, and of their means over its stages."""
         if taken.is_combined:
             self._combine(taken, linearised)
@@ -177,7 +177,7 @@ class _Tangent:
         of_stages = self.near.followers[0].columns.is_of_stages
         return np.where(of_stages, self._mean, values), self._mean
 
-    def _combine(self, taken: StepTaken, linearised: Linearised) -> None:
+    def _combine(self, taken: RecordedStep, linearised: Linearised) -> None:
         v = self.near.followers[0].step.layout.ranges["v"]
         found = [
             one.end(taken, states, last, taken.after[v])

@@ -31,7 +31,7 @@ class Stage:
 
 
 @dataclass(frozen=True)
-class StepTaken:
+class RecordedStep:
     """A step of the scheme: from ``state`` at ``begin`` to ``end``, s.
 
     ``weights`` are those of the end in y_0, y_1, ..., the start and the stages' solutions.  ``is_combined``
@@ -66,7 +66,7 @@ class Trajectory:
     """
 
     simulation: Simulation
-    steps: list[StepTaken] = field(default_factory=list)
+    steps: list[RecordedStep] = field(default_factory=list)
     limited: int = 0
     """Cells that the limiter changed, over all steps."""
 
@@ -130,7 +130,7 @@ class Trajectory:
         state = self.simulation.rothe_step.state.vec.FV().NumPy().copy()
         is_combined = not np.array_equal(state, self._stages[-1].state)
         row = self.simulation.ledger.rows[-1]
-        taken = StepTaken(
+        taken = RecordedStep(
             self._t, row["time"], self._start, tuple(self._stages), np.array(weights), state, is_combined
         )
         self.steps.append(taken)

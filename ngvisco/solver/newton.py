@@ -28,7 +28,7 @@ from ngvisco.errors import StepError
 from ngvisco.forms.driving_stress import Stresses
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.exchange import Exchange
-from ngvisco.parallel.petsc import Direct
+from ngvisco.parallel.petsc import PETScInverse
 from ngvisco.solver.options import NewtonOptions
 from ngvisco.solver.problem import BlockNorm, NewtonIteration, Problem, Solution, Status, unconverged
 
@@ -84,14 +84,14 @@ class CondensedJacobian:
         if self.inverse is not None:
             self.inverse.Update()
         elif self.ranks.is_distributed:
-            self.inverse = Direct(self.form.mat, self.free, self.ranks)
+            self.inverse = PETScInverse(self.form.mat, self.free, self.ranks)
         else:
             self.inverse = self.form.mat.Inverse(self.free, inverse=self.inverse_type)
         self._rhs = state.CreateVector()
 
     def forget(self) -> None:
         """Drop the factorisation, so that the next one is new; collective."""
-        if isinstance(self.inverse, Direct):
+        if isinstance(self.inverse, PETScInverse):
             self.inverse.release()
         self.inverse = None
 

@@ -49,7 +49,7 @@ _NOISE_MARGIN, _NOISE_DRAWS = 5.0, 8
 root mean square of so many draws, since the sum of a single one may vanish by chance."""
 
 
-class Carried(Protocol):
+class CarriedField(Protocol):
     """A field that is carried along by the same scheme, with the stages' velocities."""
 
     def begin(self) -> None:
@@ -113,7 +113,7 @@ class Integrator:
         meter: Callable[[], dict[str, float]],
         bounds: Bounds,
         *,
-        carried: Sequence[Carried] = (),
+        carried: Sequence[CarriedField] = (),
         startup: int = 0,
         relaxed: bool = False,
     ) -> None:

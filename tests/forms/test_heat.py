@@ -5,10 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from ngsolve import CF, Integrate, cos, pi, sin, x, y
+from ngsolve import CF, L2, Integrate, LinearForm, cos, pi, sin, x, y
 
 import ngvisco as nv
+from ngvisco.forms.projections import set_traces
 from ngvisco.forms.term import PRODUCTION, Entry, Integrand, PointTerm
+from ngvisco.forms.terms.transport import Upwinding
 from ngvisco.geometries import box
 from ngvisco.physics.tensors import inner, square
 from ngvisco.run.signs import EntropyWarning
@@ -135,6 +137,25 @@ def test_conduction_at_rest_is_that_of_the_heat_equation(conductivity):
     run.run(until=0.1)
     amplitude = 2 / 3 * Integrate(run.fields["temperature"] * cos(pi * x), run.mesh)
     assert amplitude == pytest.approx(math.exp(-0.3 / 2 * pi**2 * 0.1), rel=0.01)
+
+
+def test_heat_of_upwinding_is_shared_by_both_sides_of_a_facet():
+    """On the facet between two triangles, at a random state."""
+    start = nv.Initial(density=1.0, velocity=SWIRL, temperature=1 + 0.2 * x)
+    run = nv.Simulation(box((1, 1), maxh=2.0), nv.Model(material=SOLID), dt=0.05, initial=start)
+    step, rng = run.rothe_step, np.random.default_rng(0)
+    parts = dict(zip(step.layout.names, step.state.components, strict=True))
+    for name in ("v", "z"):
+        parts[name].vec.FV().NumPy()[:] += 0.05 * rng.uniform(-1, 1, len(parts[name].vec))
+    step.eliminate.follow()
+    set_traces(step.layout, step.state, step.context, step.quadrature)
+    step.eliminate()
+    (term,) = (term for term in step.terms if isinstance(term, Upwinding))
+    (lost,) = term.dissipated_on_facets(step.now).values()
+    heat = LinearForm(step.quadrature.facets(lost * L2(run.mesh, order=0).TestFunction())).Assemble()
+    first, second = heat.vec.FV().NumPy()
+    assert first == pytest.approx(second, rel=1e-12)
+    assert first > 1e-6
 
 
 def test_conduction_between_constants_is_refused_by_name():

@@ -2,20 +2,38 @@
 
 import numpy as np
 import pytest
-from ngsolve import CF, GridFunction, InnerProduct, Integrate, Parameter, Trace, cos, exp, pi, sin, x, y
+from ngsolve import (
+    CF,
+    GridFunction,
+    IfPos,
+    InnerProduct,
+    Integrate,
+    Parameter,
+    Trace,
+    cos,
+    exp,
+    pi,
+    sin,
+    x,
+    y,
+)
 from support import (
     assert_balanced,
+    block,
     difference_times,
     jacobian_times,
     parts_of,
     random_direction,
+    residual,
     small_run,
     swirling,
     uncondensed,
 )
 
 import ngvisco as nv
-from ngvisco.forms.terms.momentum import Convection
+from ngvisco.forms.mesh.mesh_arrays import facets_with_two_sides
+from ngvisco.forms.system import Step
+from ngvisco.forms.terms.momentum import Continuity, Convection
 from ngvisco.geometries import box
 from ngvisco.physics.regularisation import Regularisation
 
@@ -192,6 +210,26 @@ def test_cut_off_s_flow_is_a_rising_and_a_falling_part(rho_max, width):
     assert np.diff(rising).min() >= 0 >= np.diff(falling).max()
     assert np.diff(falling).min() < 0 < np.diff(rising).max()
     assert values[carried.argmax()] == pytest.approx(law.densest_flow, abs=2 * (values[1] - values[0]))
+
+
+@pytest.mark.parametrize("flow", [1.0, -1.0])
+def test_the_trace_of_a_cut_off_density_has_one_upstream_side_a_facet(flow):
+    """Between two triangles, with m = 0, where the flow through the facet changes its sign along it."""
+    law, at = Regularisation(rho_max=1.1, width=0.3), POINTS(0.5, 0.5)
+    model = nv.Model(material=MATERIALS["linear"], regularisation=law)
+    step = Step(box((1, 1), maxh=2.0), model, nv.Discretisation(m=0))
+    parts, inner = parts_of(step), facets_with_two_sides(step.mesh)
+    parts["rho"].Set(IfPos(y - x, 1.05, 1.3))  # on the first side, and on the second
+    parts["v"].Set(flow * CF((x - 0.3, 0.3 - x)))
+    parts["mean_flux"].vec.FV().NumPy()[inner] = flow * 2**0.5 * 0.2
+    (term,) = (term for term in step.terms if isinstance(term, Continuity))
+    trial, test = (step.layout.fields(f) for f in step.layout.space.TnT())
+    form = uncondensed(step, term.form(trial, test))
+    upstream, downstream = (1.05, 1.3) if flow > 0 else (1.3, 1.05)
+    parts["rho_hat"].vec.FV().NumPy()[:] = law.rising(CF(upstream))(at) + law.falling(CF(downstream))(at)
+    rows = block(step, residual(form, step.state.vec), "rho_hat")
+    assert rows[inner] == pytest.approx([0.0], abs=1e-14)
+    assert abs(rows).max() > 0.01  # on walls
 
 
 def test_cut_off_stops_the_flow_of_dense_matter():

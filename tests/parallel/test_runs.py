@@ -360,11 +360,11 @@ from ngvisco.parallel.communicator import Communicator
 
 ranks = Communicator(MPI.COMM_WORLD)
 
-class Empty(mesh.Part):
+class Empty(mesh.MeshPart):
     ne = 0
 
 if ranks.rank == 1:
-    mesh.Part = Empty
+    mesh.MeshPart = Empty
 try:
     said = f"{mesh.distributed(box((1, 1), 0.5), ranks).ne} cells"
 except MeshError as error:

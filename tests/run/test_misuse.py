@@ -15,7 +15,7 @@ from ngvisco.geometries import box
 from ngvisco.physics import variables
 from ngvisco.physics.tensors import square, tr  # noqa: F401
 from ngvisco.run.frames import read_pvd
-from ngvisco.run.pictures import Section, plot_fields, write_movie
+from ngvisco.run.pictures import CrossSection, plot_fields, write_movie
 from ngvisco.run.plots import plot_history  # noqa: F401
 from ngvisco.shapes.fractions import volumes  # noqa: F401
 from ngvisco.shapes.shape import Where  # noqa: F401
@@ -116,7 +116,7 @@ record(small_run(), "out", nan) | record.until
 record(small_run(), "out", DT, show={"none in 2D": "velocity_3"}) | velocity_3
 plot_energies(small_run().ledger, "a.png") | ledger = '0 rows': expected a ledger of a run that made a step
 plot_history(small_run().ledger, "a.png") | ledger = '0 rows': expected a ledger of a run that made a step
-plot_fields(PLANE, [("x", x)], "a.png", Section("x")) | section = 'x': expected none
+plot_fields(PLANE, [("x", x)], "a.png", CrossSection("x")) | section = 'x': expected none
 plot_fields(PLANE, [("T", NOT_POSITIVE)], "a.png") | 'T'.*a scalar
 small_run(loads=[Gravity(time)]) | ^loads\['gravity'\]\.g = <Parameter>: expected a vector of length 2, not 1
 small_run(passive=("F_total",)) | F_tot
@@ -304,9 +304,9 @@ def test_what_is_flat_has_no_section(mesh, tmp_path):
     run = simulation(mesh, nv.VTKSeries(tmp_path / "vtk"))
     run.run(DT)
     with pytest.raises(nv.ParameterError, match="section = 'x': expected none"):
-        plot_fields(mesh, [("density", run.fields["density"])], tmp_path / "a.png", Section("x"))
+        plot_fields(mesh, [("density", run.fields["density"])], tmp_path / "a.png", CrossSection("x"))
     with pytest.raises(nv.ParameterError, match="section = 'x': expected none"):
-        write_movie(tmp_path / "vtk", tmp_path / "a.gif", section=Section("x"))
+        write_movie(tmp_path / "vtk", tmp_path / "a.gif", section=CrossSection("x"))
 
 
 @pytest.mark.parametrize("content", [b"\xff\xfe\x00\x81", b"nothing", b'timestep="soon" file="a.vtu"'])

@@ -18,8 +18,8 @@ from ngvisco.run.fields import scalar_fields
 from ngvisco.run.frames import cut, frame_of, read_frame, read_series_files
 from ngvisco.run.pictures import (
     Colours,
+    CrossSection,
     PlotError,
-    Section,
     _Picture,
     plot_fields,
     unit_of_length,
@@ -175,7 +175,7 @@ def test_a_picture_says_its_time_and_its_plane(tmp_path):
 
     mesh = box((1, 2, 3), 1.0)
     with matplotlib.rc_context({"svg.fonttype": "none"}):
-        plot_fields(mesh, [("f", x + z)], tmp_path / "a.svg", section=Section("y", 0.5), title="t = 2 s")
+        plot_fields(mesh, [("f", x + z)], tmp_path / "a.svg", section=CrossSection("y", 0.5), title="t = 2 s")
     text = (tmp_path / "a.svg").read_text()
     assert "t = 2 s, y = 0.5 m" in text and "z, m" in text and "x, m" in text and "y, m" not in text
 
@@ -196,7 +196,7 @@ def test_colours_of_a_picture_are_of_its_fields_range(tmp_path, monkeypatch, siz
 @pytest.mark.parametrize("text", ["w", "x=", "x=a", "x=nan", "", "x=9"])
 def test_a_plane_that_is_none_or_misses_the_body_is_refused(tmp_path, text):
     with pytest.raises(nv.ParameterError, match=r"[Ss]ection"):
-        plot_fields(box((1, 1, 1), 1.0), [("x", x)], tmp_path / "a.png", section=Section.parse(text))
+        plot_fields(box((1, 1, 1), 1.0), [("x", x)], tmp_path / "a.png", section=CrossSection.parse(text))
 
 
 def test_pressure_from_rest_is_zero_at_rest_for_all_materials():

@@ -9,7 +9,7 @@ from ngsolve import BND, VOL, CoefficientFunction, Mesh
 from ngvisco.errors import ParameterError
 from ngvisco.forms.mesh.mesh_arrays import coordinates
 from ngvisco.parallel.communicator import Communicator
-from ngvisco.parallel.mesh import Part
+from ngvisco.parallel.mesh import MeshPart
 from ngvisco.shapes.places import mesh_points
 
 _PULLS = (1e-9, 1e-6, 1e-4, 1e-3)
@@ -58,7 +58,7 @@ class Located:
         if not self.ranks.is_distributed:
             self._at = locate(mesh, points, names)
             return
-        if not isinstance(mesh, Part):
+        if not isinstance(mesh, MeshPart):
             expected = "a mesh that Simulation distributes itself, of which it knows the whole"
             raise ParameterError(names[0], "a distributed mesh", expected)
         mpi = self.ranks.mpi
@@ -128,7 +128,7 @@ def nearest_wall(mesh: Mesh, point: np.ndarray) -> tuple[str | None, float]:
     (None, inf) for a mesh without boundary.  Over ranks that of the whole mesh; collective.
     """
     ranks = Communicator.of(mesh)
-    if isinstance(mesh, Part):  # so that of two at one distance it is the same as on one process
+    if isinstance(mesh, MeshPart):  # so that of two at one distance it is the same as on one process
         return ranks.on_first(lambda: _nearest_wall(mesh.whole, point))
     return min(ranks.gathered(_nearest_wall(mesh, point)), key=lambda one: one[1])
 
