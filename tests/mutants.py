@@ -246,6 +246,255 @@ MUTANTS = [
             MOMENTUM + "test_jumps_of_smooth_states_push_nothing",
         ),
     ),
+    *_of(
+        "forms/terms/tangents.py",
+        (
+            "half of the tangents' weight",
+            "jumps = (mean * of.jump(u)",
+            "jumps = (0.5 * mean * of.jump(u)",
+            "tests/forms/test_tangents.py::test_jumps_leave_no_thrust",
+        ),
+        (
+            "weight of parameters",
+            'jumps.append(ConjugateJump("parameter_jump", ~strains))',
+            'jumps[0] = ConjugateJump("conjugate_jump")',
+            "tests/run/test_momentum.py::test_a_jump_does_not_push_the_body",
+        ),
+    ),
+    *_of(
+        "forms/terms/transport.py",
+        (
+            "tangents in upwinding's column",
+            "lost = lost + (u.v * u.context.normal) * self.tangents.excess(u)",
+            "lost = lost - (u.v * u.context.normal) * self.tangents.excess(u)",
+            "tests/run/test_ledger.py::test_closure_is_the_residual_tested_by_the_solution",
+        ),
+        (
+            "both sides' share of upwinding's heat",
+            'parts = {"zeta": u.zeta - u.parts[MeanConjugates.name]}',
+            'parts = {"zeta": u.zeta}',
+            "tests/forms/test_heat.py::test_heat_of_upwinding_is_shared_by_both_sides_of_a_facet",
+        ),
+        (
+            "upwinding of z by half",
+            "return [speed(u) * inner(u.z - u.z_hat, w.z)]",
+            "return [0.5 * speed(u) * inner(u.z - u.z_hat, w.z)]",
+            "tests/run/test_ledger.py::test_closure_is_the_residual_tested_by_the_solution",
+        ),
+        (
+            "transport through facets",
+            'return [-transport_through_facets(u, u, w, "z")]',
+            'return [transport_through_facets(u, u, w, "z")]',
+            "tests/run/test_ledger.py::test_closure_is_the_residual_tested_by_the_solution",
+        ),
+        (
+            "flux of densities in cells",
+            "inner(grad_G * along.v, masked(u.z, by_flux)),",
+            "-inner(grad_G * along.v, masked(u.z, by_flux)),",
+            "tests/run/test_bodies.py::test_ledger_mass_and_energy_hold_and_both_solvers_agree",
+        ),
+    ),
+    *_of(
+        "forms/terms/momentum.py",
+        (
+            "mean flux of a facet",
+            "through = side(u) * u.parts[MeanFlux.name]",
+            "through = u.v * u.context.normal",
+            "tests/forms/test_regularisation.py::test_the_trace_of_a_cut_off_density_has_one_upstream_side_a_facet",
+        ),
+        (
+            "balance of inertia on facets",
+            "return [-0.5 * mass_flux(u) * inner(u.parts[CellVelocity.name], w.v)]",
+            "return [0.5 * mass_flux(u) * inner(u.parts[CellVelocity.name], w.v)]",
+            "tests/run/test_ledger.py::test_closure_is_the_residual_tested_by_the_solution",
+        ),
+        (
+            "upwinding of the density",
+            "u.rho_hat + speed(u) * (u.rho - u.rho_hat)",
+            "u.rho_hat - speed(u) * (u.rho - u.rho_hat)",
+            "tests/forms/test_signs_of_terms.py::test_the_density_is_carried_along_by_the_flow",
+        ),
+        (
+            "share of momentum that inertia compensates in the ledger",
+            "u.context.rate(-0.5 * (u.rho - u.context.old.rho)",
+            "u.context.rate(0.5 * (u.rho - u.context.old.rho)",
+            "tests/run/test_momentum_columns.py::test_momentum_changes_by_the_impulses_and_by_what_the_columns_say",
+        ),
+    ),
+    *_of(
+        "forms/upwinding.py",
+        (
+            "first side of a facet",
+            "if_positive(along, one, -one)",
+            "if_positive(along, one, one)",
+            "tests/forms/test_tangents.py::test_jumps_leave_no_thrust",
+        ),
+    ),
+    *_of(
+        "forms/terms/regularisation.py",
+        (
+            "flux of the density's diffusion",
+            "return [-flux * test, self._penalty(u, jump) * jump * test]",
+            "return [flux * test, self._penalty(u, jump) * jump * test]",
+            "tests/forms/test_regularisation.py::test_diffusion_has_the_right_speed_and_order_m_plus_1",
+        ),
+        (
+            "penalty of the density's diffusion",
+            "return [-flux * test, self._penalty(u, jump) * jump * test]",
+            "return [-flux * test, 0.01 * self._penalty(u, jump) * jump * test]",
+            "tests/forms/test_regularisation.py::test_diffusion_has_the_right_speed_and_order_m_plus_1",
+        ),
+        (
+            "slope of diffusing fields across",
+            "return [delta * inner(self._of_strains(across), G),",
+            "return [-delta * inner(self._of_strains(across), G),",
+            "tests/forms/test_regularisation.py::test_ledger_closes_with_each_regularisation",
+        ),
+        (
+            "penalty of diffusing fields",
+            "-delta * self._weight(u) * inner(C * jump, G)]",
+            "delta * self._weight(u) * inner(C * jump, G)]",
+            "tests/forms/test_regularisation.py::test_ledger_closes_with_each_regularisation",
+        ),
+    ),
+    *_of(
+        "forms/terms/hyperviscosity.py",
+        (
+            "lifting of the second gradient",
+            "parts = [*self.lifting_on_facets(w, u), *(-part for part in self.lifting_on_facets(u, w))]",
+            "parts = [*self.lifting_on_facets(w, u), *self.lifting_on_facets(u, w)]",
+            "tests/run/test_ledger.py::test_ledger_closes_to_rounding",
+        ),
+    ),
+    *_of(
+        "physics/rheology.py",
+        (
+            "degree of the hyperviscosity",
+            "0.5 * (self.p - 2) * self.moduli(z)[0]",
+            "(self.p - 2) * self.moduli(z)[0]",
+            "tests/forms/test_hyperviscosity.py::test_residual_is_the_gradient_of_the_potential",
+        ),
+        (
+            "factor of the shear viscosity",
+            "identity_like(eps) + (2 * G_v) * shear",
+            "identity_like(eps) + G_v * shear",
+            "tests/physics/test_viscosity.py::test_isotropic_D_is_the_stokes_viscosity",
+        ),
+        (
+            "share of Cross's law",
+            "        return 1.0 / (1.0 + x)",
+            "        return 1.0 / (1.0 + 2 * x)",
+            "tests/physics/test_viscosity.py::test_shear_stresses_are_those_of_the_literature",
+        ),
+    ),
+    *_of(
+        "physics/flow_rules/laws.py",
+        (
+            "factor of linear creep",
+            "            return R * M",
+            "            return 2 * R * M",
+            "tests/physics/test_shipped_flow_rules.py::test_psi_is_the_dual_of_the_rate_s_potential",
+        ),
+        (
+            "factor of yield",
+            "return math.sqrt(2 / 3) * (sigma_Y if",
+            "return math.sqrt(3 / 2) * (sigma_Y if",
+            "tests/physics/test_shipped_flow_rules.py::test_rates_are_those_of_the_literature",
+        ),
+    ),
+    *_of(
+        "physics/flow_rules/conformation.py",
+        (
+            "rate of Giesekus",
+            "        return 2 / value_at(self.G_m, z) * driving",
+            "        return 1 / value_at(self.G_m, z) * driving",
+            "tests/solver/test_conformation_rules.py::test_steady_shear_is_that_of_the_literature",
+        ),
+        (
+            "rate of PTT",
+            "        return 2 / value_at(self.G_m, z) * f * zeta",
+            "        return 1 / value_at(self.G_m, z) * f * zeta",
+            "tests/solver/test_conformation_rules.py::test_steady_shear_is_that_of_the_literature",
+        ),
+    ),
+    *_of(
+        "timestepping/scheme.py",
+        (
+            "gamma of SDIRK2",
+            "    gamma = 1 - 1 / math.sqrt(2)",
+            "    gamma = 1 - 1 / math.sqrt(3)",
+            "tests/timestepping/test_order.py::test_second_order_for_every_material",
+        ),
+        (
+            "midpoint",
+            'TimeScheme("midpoint", ((0.5,),), (1.0,))',
+            'TimeScheme("midpoint", ((0.6,),), (1.0,))',
+            "tests/timestepping/test_order.py::test_second_order_for_every_material",
+        ),
+    ),
+    *_of(
+        "forms/fields.py",
+        (
+            "strain rate about the axis",
+            "return None if radius is None else (1 / self.context.given(radius)) * self.v[0]",
+            "return None if radius is None else (2 / self.context.given(radius)) * self.v[0]",
+            "tests/run/test_axisymmetric.py::test_homogeneous_stretch_is_that_of_a_point",
+        ),
+    ),
+    *_of(
+        "forms/terms/heat.py",
+        (
+            "flux of heat through facets",
+            "return [-(self._into(u) * self.chi(u, w))]",
+            "return [self._into(u) * self.chi(u, w)]",
+            "tests/forms/test_heat.py::test_a_closed_box_keeps_its_energy_and_gains_entropy_in_both_solvers",
+        ),
+        (
+            "conduction in cells",
+            "return [inner((1 / zeta) * flux, grad_q), -(along",
+            "return [inner((1 / zeta) * flux, grad_q), (along",
+            "tests/forms/test_heat.py::test_a_closed_box_keeps_its_energy_and_gains_entropy_in_both_solvers",
+        ),
+        (
+            "penalty of conduction",
+            "- weight * (theta - u.parts",
+            "- 0.01 * weight * (theta - u.parts",
+            "tests/forms/test_penalties.py::test_conduction_levels_a_step_of_the_temperature_as_fourier_has_it",
+        ),
+    ),
+    *_of(
+        "forms/start/equilibrium.py",
+        (
+            "weight of the hydrostatic start",
+            'return self.referential[""] / self.J[""] if',
+            'return self.referential[""] * self.J[""] if',
+            "tests/forms/test_equilibrium.py::test_the_density_follows_from_a_referential_one",
+        ),
+    ),
+    *_of(
+        "physics/materials/hyperelastic.py",
+        (
+            "first invariant by F",
+            'else z["J"] ** (-2 / 3) * square(z["F"])',
+            'else z["J"] ** (-1 / 3) * square(z["F"])',
+            "tests/physics/test_material_laws.py::test_neo_hookean_stress_is_the_paper_s",
+        ),
+        (
+            "factor of Mooney and Rivlin",
+            "2 / (3 * math.sqrt(3)) * self.G_mr",
+            "1 / (3 * math.sqrt(3)) * self.G_mr",
+            "tests/physics/test_material_laws.py::test_stress_at_rest_is_as_documented",
+        ),
+    ),
+    *_of(
+        "physics/material.py",
+        (
+            "pressure in the Cauchy stress",
+            "dims=(3, 3)) + phi * IDENTITY",
+            "dims=(3, 3)) - phi * IDENTITY",
+            "tests/physics/test_material_laws.py::test_linear_elastic_stress_is_hooke_s_with_the_energy_s_pressure",
+        ),
+    ),
 ]
 
 
