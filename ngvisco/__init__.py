@@ -100,14 +100,16 @@ from ngvisco.physics.walls import (
     Traction,
 )
 from ngvisco.run.adaptive import AdaptiveSteps, DamageWarning
+from ngvisco.run.body_tables import Bodies, SmearedWarning
 from ngvisco.run.checkpoint import Checkpoints, read_ledger
+from ngvisco.run.contours import Contours
 from ngvisco.run.inlets import InflowWarning
 from ngvisco.run.ledger import ClosureWarning, DefectWarning
 from ngvisco.run.momentum import MomentumWarning
 from ngvisco.run.observers import LedgerCSV, NotebookProgress, Progress, VTKSeries
 from ngvisco.run.pictures import plot_fields
 from ngvisco.run.plots import plot_energies, plot_schemes
-from ngvisco.run.probes import Bodies, Integrals, LineSamples, Probes, WallForces
+from ngvisco.run.probes import Integrals, LineSamples, Probes, WallForces
 from ngvisco.run.record import record
 from ngvisco.run.refinement import Refinement, run_refined
 from ngvisco.run.signs import CreepPowerWarning, DissipationWarning, EntropyWarning
@@ -160,6 +162,7 @@ __all__ = [
     "ClosedSurface",
     "ClosureWarning",
     "Composite",
+    "Contours",
     "ConvexityReport",
     "ConvexityWarning",
     "Creep",
@@ -242,6 +245,7 @@ __all__ = [
     "Shape",
     "Simulation",
     "Slip",
+    "SmearedWarning",
     "StepError",
     "StokesViscosity",
     "Subdomain",

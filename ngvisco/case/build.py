@@ -32,9 +32,11 @@ from ngvisco.forms.context import time
 from ngvisco.physics.bodies import Body
 from ngvisco.physics.model import Model, default_elastic_state
 from ngvisco.physics.walls import Wall
+from ngvisco.run.body_tables import Bodies
 from ngvisco.run.checkpoint import Checkpoints
+from ngvisco.run.contours import Contours
 from ngvisco.run.observers import LedgerCSV, VTKSeries
-from ngvisco.run.probes import Bodies, Integrals, LineSamples, Probes, WallForces
+from ngvisco.run.probes import Integrals, LineSamples, Probes, WallForces
 from ngvisco.run.refinement import Refinement
 from ngvisco.run.series import Series
 from ngvisco.run.simulation import Observer, Simulation
@@ -286,7 +288,8 @@ class Case:
                 key = renamed.get((path[1], key), key)
                 raise refuse((*path, key), refused(error.value, error)) from error
             except UnknownNameError as error:
-                raise refuse((*path, {"wall": "walls"}.get(error.kind, "fields")), str(error)) from error
+                key = {"wall": "walls", "body": "bodies"}.get(error.kind, "fields")
+                raise refuse((*path, key), str(error)) from error
             except ExpressionError as error:
                 raise refuse((*path, "of"), str(error)) from error
 
@@ -353,15 +356,17 @@ def _copy_of(file: Path) -> str:
 
 
 def samples(case: CaseSections, run: Path) -> dict[tuple[str, ...], Series]:
-    """Probes, lines, forces, integrals and bodies by the keys that describe them."""
+    """Probes, lines, forces, integrals, bodies and their contours by the keys that describe them."""
     output, found = case.output, dict[tuple[str, ...], Series]()
 
     def file(name: str) -> Path:
         return run / "samples" / f"{name}.csv"
 
     if case.bodies:
-        every = 1 if output.bodies is None else output.bodies.every
-        found["output", "bodies"] = Bodies(run / "bodies.csv", every)
+        every, measures = (1, []) if output.bodies is None else (output.bodies.every, output.bodies.measures)
+        found["output", "bodies"] = Bodies(run / "bodies.csv", every, measures)
+    if (c := output.contours) is not None:
+        found["output", "contours"] = Contours(run / "contours", c.bodies, c.every)
     for i, p in enumerate(output.probes):
         found["output", "probes", str(i)] = Probes({p.name: p.point}, p.fields, file(p.name), p.every)
     for i, e in enumerate(output.lines):

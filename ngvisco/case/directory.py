@@ -10,6 +10,7 @@
 | vtk/          | the VTK series                                                            |
 | shapes/       | the files of bodies' shapes, under their content's hashes                  |
 | bodies.csv    | mass, centroid, energies, ... of each body, a row a step                   |
+| contours/     | outlines of bodies, as CSV and for ParaView                                |
 | samples/      | probes, lines, forces on walls, integrals over the domain, as CSV         |
 | log.txt       | what was done when                                                        |
 | failed.txt    | of a run that ended at a step: where and why, and what to change; of one  |
@@ -53,6 +54,7 @@ _RESULTS = (
     *(f"{stem}.{kind}" for stem in ("energies", "history", "fields") for kind in FORMATS),
     *("scene.html", "movie.gif", "movie.mp4"),
     *(f"vtk/fields*.{kind}" for kind in ("vtu", "pvtu", "pvd")),
+    *(f"contours/contours*.{kind}" for kind in ("csv", "vtu", "pvd")),
     *("samples/*.csv", "case.until-step-*.toml", "shapes/*.stl", "shapes/*.png", "log.txt"),
 )
 """Patterns of the files that runs leave, but for those of failures."""
@@ -69,7 +71,7 @@ class RunDirectory:
         self.mesh_file = self.path / "mesh.vol"
         self.run_file = self.path / "run.h5"
         self.log_file = self.path / "log.txt"
-        self.vtk = self.path / "vtk"
+        self.vtk, self.bodies = self.path / "vtk", self.path / "bodies.csv"
         self.failure_file, self.failed_state = self.path / "failed.txt", self.path / "failed.vtu"
         self.lock_file = self.path / "lock"
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Discriminator, Field, Tag, create_model, model_validator
 
@@ -275,6 +275,30 @@ class DomainIntegral(NamedTable):
     )
 
 
+class BodyTable(Table):
+    """Each body over time."""
+
+    measures: Annotated[
+        list[Literal["deformation", "outline", "turning", "stress", "traction", "gap"]],
+        AfterValidator(_check_once),
+        Quantity(example=["deformation", "gap"]),
+    ] = Field(
+        [],
+        description="Further columns: length, breadth and angle (deformation), perimeter and area "
+        "(outline), tank-treading (turning), mean stress, force and torque of the others (traction), "
+        "least distances (gap)",
+    )
+
+
+class Contour(Table):
+    """Outlines of bodies over time."""
+
+    bodies: Annotated[Names | None, Quantity(example=["disc"])] = Field(
+        None, description="Names of bodies; without this key all that have a place"
+    )
+    every: Count = Field(10, description="Outlines every so many steps, and at the end")
+
+
 class Output(Section):
     """The files that are written into the run directory."""
 
@@ -288,8 +312,11 @@ class Output(Section):
     integrals: list[DomainIntegral] = Field(
         [], description="Integrals over the domain over time, each a file samples/NAME.csv"
     )
-    bodies: Table | None = Field(
+    bodies: BodyTable | None = Field(
         None, description="Mass, centroid, energies, ... of each body over time, in bodies.csv"
+    )
+    contours: Contour | None = Field(
+        None, description="Lines of fraction 1/2 over time, in contours/: contours.csv, and .vtu for ParaView"
     )
     log_every: Count = Field(1, description="A line in log.txt every so many steps")
     passive: Annotated[list[str], AfterValidator(_check_once), Quantity(example=["reference_map"])] = Field(
@@ -353,9 +380,12 @@ class CaseSections(Section):
         if self.material is None and not self.bodies:
             raise ParameterError("material", None, "a table [material], or bodies, [[bodies]]")
         self._check_bodies()
-        if self.output.bodies is not None and not self.bodies:
-            expected = "no such table without [[bodies]], which it is of"
-            raise ParameterError("output.bodies", self.output.bodies, expected)
+        for key in ("bodies", "contours"):
+            table = getattr(self.output, key)
+            if table is not None and not self.bodies:
+                raise ParameterError(
+                    f"output.{key}", table, "no such table without [[bodies]], which it is of"
+                )
         names = [str(load.name) for load in self.loads]  # type: ignore[attr-defined]
         for i, name in enumerate(names):
             if name in names[:i]:

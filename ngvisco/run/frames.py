@@ -112,26 +112,43 @@ def frame_of(
     return Frame(table[:, :3], cells, columns, tuple(bodies))
 
 
-def sampled(mesh: Mesh, value: CoefficientFunction, pieces: int) -> tuple[np.ndarray, np.ndarray]:
-    """Values at the corners of cells that are cut, as a frame's, and the points of the parts.
+class Lattice:
+    """Points of a mesh's cells, each cut into ``pieces``^dim simplices, quadrilaterals into twice as many.
 
-    Returns (points, components), each cell with points of its own, and (parts, 3) or (parts, 4).
+    Attributes
+    ----------
+    cells : array (parts, dim + 1)
+        The points of the parts; each cell has points of its own.
     """
-    if mesh.ne == 0:  # of a rank without cells
-        return np.zeros((0, value.dim)), np.zeros((0, mesh.dim + 1), dtype=int)
-    lattices = {ET.TRIG: subdivision(2, pieces), ET.QUAD: subdivision(2, pieces, True)}
-    if mesh.dim == 3:
-        lattices = {ET.TET: subdivision(3, pieces)}
-    rules = {
-        kind: IntegrationRule([tuple(map(float, corner)) for corner in corners], [0.0] * len(corners))
-        for kind, (corners, _) in lattices.items()
-    }
+
+    def __init__(self, mesh: Mesh, pieces: int) -> None:
+        self._points, self.cells = None, np.zeros((0, mesh.dim + 1), dtype=int)
+        if mesh.ne == 0:  # of a rank without cells
+            return
+        lattices = {ET.TRIG: subdivision(2, pieces), ET.QUAD: subdivision(2, pieces, True)}
+        if mesh.dim == 3:
+            lattices = {ET.TET: subdivision(3, pieces)}
+        rules = {
+            kind: IntegrationRule([tuple(map(float, corner)) for corner in corners], [0.0] * len(corners))
+            for kind, (corners, _) in lattices.items()
+        }
+        self._points = mesh.MapToAllElements(rules, VOL)
+        kinds = [cell.type for cell in mesh.Elements(VOL)]
+        starts = np.cumsum([0, *(len(lattices[kind][0]) for kind in kinds)])
+        self.cells = np.concatenate([lattices[k][1] + start for k, start in zip(kinds, starts, strict=False)])
+
+    def values(self, value: CoefficientFunction) -> np.ndarray:
+        """A function at the points, (points, components)."""
+        if self._points is None:
+            return np.zeros((0, value.dim))
+        return np.asarray(value(self._points)).reshape(-1, value.dim)
+
+
+def sampled(mesh: Mesh, value: CoefficientFunction, pieces: int) -> tuple[np.ndarray, np.ndarray]:
+    """Values at the points of a ``Lattice``, (points, components), and its parts, (parts, dim + 1)."""
+    lattice = Lattice(mesh, pieces)
     # compiled: what fields have in common, as the pressure of bodies, is evaluated once, not where it stands
-    table = np.asarray(value.Compile()(mesh.MapToAllElements(rules, VOL))).reshape(-1, value.dim)
-    kinds = [cell.type for cell in mesh.Elements(VOL)]
-    starts = np.cumsum([0, *(len(lattices[kind][0]) for kind in kinds)])
-    cells = [lattices[kind][1] + start for kind, start in zip(kinds, starts, strict=False)]
-    return table, np.concatenate(cells)
+    return lattice.values(value.Compile()), lattice.cells
 
 
 def read_series_files(directory: str | os.PathLike[str]) -> list[tuple[float, Path]]:

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 
 from ngvisco.errors import ParameterError, as_number, require_path
 from ngvisco.expressions import parse
+from ngvisco.run.body_tables import Bodies
 from ngvisco.run.checkpoint import Checkpoints
 from ngvisco.run.fields import components
 from ngvisco.run.files import AnyPath
@@ -12,7 +13,6 @@ from ngvisco.run.ledger import Ledger
 from ngvisco.run.observers import LedgerCSV, Progress, VTKSeries
 from ngvisco.run.pictures import figure, plot_fields
 from ngvisco.run.plots import plot_energies
-from ngvisco.run.probes import Bodies
 from ngvisco.run.simulation import Observer, Simulation
 
 

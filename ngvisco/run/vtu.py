@@ -33,16 +33,23 @@ def write_vtu(
         if is_continuous:
             first, number = places(table[:, :3])
             table, cells = table[first], number[cells]
-        write_atomically(
-            _piece(path, ranks.rank) if ranks.is_distributed else path, _content(table, cells, padded)
-        )
+        content = _content(table, cells, {name: f.dim for name, f in padded.items()})
+        write_atomically(_piece(path, ranks.rank) if ranks.is_distributed else path, content)
     if ranks.is_first and ranks.is_distributed:  # the first rank has no cells
         pieces = [_piece(path, rank).name for rank in range(1, ranks.size)]
         _write_parallel_file(shown_by(path, ranks), padded, pieces)
 
 
-def _content(table: np.ndarray, cells: np.ndarray, fields: Mapping[str, CoefficientFunction]) -> bytes:
-    """A .vtu file of points with the values of fields, one after another, and of simplices."""
+def write_lines(
+    path: Path, points: np.ndarray, segments: np.ndarray, columns: Mapping[str, np.ndarray]
+) -> None:
+    """Write segments between points, (points, 3), with columns of values there, into one .vtu file."""
+    widths = {name: column.shape[1] for name, column in columns.items()}
+    write_atomically(path, _content(np.hstack([points, *columns.values()]), segments, widths))
+
+
+def _content(table: np.ndarray, cells: np.ndarray, widths: Mapping[str, int]) -> bytes:
+    """A .vtu file of points with values of fields, of so many components each in a row, and of simplices."""
     blocks: list[bytes] = []
 
     def array(name: str, kind: str, values: np.ndarray, of: str = "") -> str:
@@ -57,10 +64,10 @@ def _content(table: np.ndarray, cells: np.ndarray, fields: Mapping[str, Coeffici
     of_cells += array("offsets", "Int32", corners * np.arange(1, count + 1))
     of_cells += array("types", "UInt8", np.full(count, _TYPES[corners]))
     data, start = "", 3
-    for name, value in fields.items():
-        said = f' NumberOfComponents="{value.dim}"{_labels(name, value)}'
-        data += array(name, "Float64", table[:, start : start + value.dim], said)
-        start += value.dim
+    for name, width in widths.items():
+        said = f' NumberOfComponents="{width}"{_labels(name, width)}'
+        data += array(name, "Float64", table[:, start : start + width], said)
+        start += width
     head = (
         f"{_head('UnstructuredGrid')}\n<UnstructuredGrid>\n"
         f'<Piece NumberOfPoints="{len(table)}" NumberOfCells="{count}">\n<Points>\n{points}</Points>\n'
@@ -71,8 +78,8 @@ def _content(table: np.ndarray, cells: np.ndarray, fields: Mapping[str, Coeffici
 
 
 _KINDS = {"Float64": "<f8", "Int32": "<i4", "UInt8": "u1"}
-_TYPES = {3: 5, 4: 10}
-"""VTK's numbers of triangles and tetrahedra, by how many corners they have."""
+_TYPES = {2: 3, 3: 5, 4: 10}
+"""VTK's numbers of segments, triangles and tetrahedra, by how many corners they have."""
 
 
 def write_pvd(path: Path, series: Sequence[tuple[float, str]]) -> None:
@@ -96,7 +103,8 @@ def _write_parallel_file(
     path: Path, fields: Mapping[str, CoefficientFunction], pieces: Sequence[str]
 ) -> None:
     arrays = "".join(
-        f'<PDataArray type="Float64" Name="{name}" NumberOfComponents="{value.dim}"{_labels(name, value)}/>\n'
+        f'<PDataArray type="Float64" Name="{name}" NumberOfComponents="{value.dim}"'
+        f"{_labels(name, value.dim)}/>\n"
         for name, value in fields.items()
     )
     sources = "".join(f'<Piece Source="{name}"/>\n' for name in pieces)
@@ -116,8 +124,8 @@ def _head(kind: str) -> str:
     return f'<?xml version="1.0"?>\n<VTKFile type="{kind}" version="1.0" byte_order="LittleEndian">'
 
 
-def _labels(name: str, value: CoefficientFunction) -> str:
-    labels = COMPONENTS.get(value.dim, [])
-    if value.dim == 3 and not name.startswith("principal"):
+def _labels(name: str, width: int) -> str:
+    labels = COMPONENTS.get(width, [])
+    if width == 3 and not name.startswith("principal"):
         labels = ["x", "y", "z"]
     return "".join(f' ComponentName{i}="{label}"' for i, label in enumerate(labels))

@@ -8,9 +8,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from ngvisco.errors import ParameterError, UnknownNameError
+from ngvisco.run.body_tables import Bodies
 from ngvisco.run.fields import field_unit
 from ngvisco.run.ledger import unit
-from ngvisco.run.probes import Bodies, Integrals, Probes, WallForces
+from ngvisco.run.probes import Integrals, Probes, WallForces
 from ngvisco.run.series import Series
 from ngvisco.run.simulation import Simulation
 

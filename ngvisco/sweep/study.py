@@ -2,7 +2,7 @@
 
 | in a study's directory | holds                                                              |
 |------------------------|--------------------------------------------------------------------|
-| sweep.csv              | the table: a line a run, what became of it, the end of its ledger  |
+| sweep.csv              | the table: a line a run, what became of it, its last rows          |
 | cases/NAME.toml        | each run's case as resolved                                        |
 | NAME/                  | its run directory (``ngvisco.case.directory``)                     |
 """
@@ -25,6 +25,7 @@ from ngvisco.case.directory import RunDirectory
 from ngvisco.errors import CheckpointError, ParameterError, as_integer, require_path
 from ngvisco.run.files import write_atomically
 from ngvisco.run.ledger import closure_limit
+from ngvisco.run.series import read_columns
 from ngvisco.sweep.processes import connected, message_of, run_or_resume
 from ngvisco.sweep.variations import SweepError, Variation, combinations
 
@@ -52,7 +53,8 @@ class Outcome:
     message : str
         Why it failed.
     last : dict of float
-        The last row of its ledger; ``largest_closure`` is the largest ``|closure_relative|`` of all rows.
+        The last rows of its ledger and of ``bodies.csv``; ``largest_closure`` is the largest
+        ``|closure_relative|`` of all rows.
     """
 
     name: str
@@ -77,6 +79,9 @@ class Outcome:
         closure = np.abs(ledger["closure_relative"])
         self.last = {name: float(column[-1]) for name, column in ledger.items()}
         self.last["largest_closure"] = float(closure.max())
+        if place.bodies.exists():
+            of_bodies = read_columns(place.bodies)
+            self.last |= {name: float(column[-1]) for name, column in of_bodies.items() if len(column)}
         if self.last["time"] >= case.until * (1 - 1e-9):
             limit = closure_limit(case.sections.solver.tolerance)  # type: ignore[attr-defined]
             self.state = FINISHED if bool((closure <= limit).all()) else NOT_CLOSED

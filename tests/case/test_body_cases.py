@@ -9,11 +9,14 @@ from ngsolve import Integrate, pi
 import ngvisco as nv
 from ngvisco.case import reference, runs
 from ngvisco.case.build import parse_case
+from ngvisco.case.directory import RunDirectory
 from ngvisco.case.faults import CaseError
 from ngvisco.cli.main import main
 from ngvisco.geometries import box
 from ngvisco.physics.arrays import Array
+from ngvisco.run.series import read_columns
 from ngvisco.shapes.fractions import volumes
+from ngvisco.sweep.study import Outcome
 
 pytestmark = pytest.mark.filterwarnings("ignore:bodies .* meet with different stresses")
 
@@ -242,3 +245,31 @@ def test_bodies_of_a_case_have_heat_each_by_its_own_material_and_law():
         case(HEAD + heat + text + disc.replace('"0.5*theta"', "-1.0")).model(2)
     with pytest.raises(CaseError, match=r"bodies\.0\.material.*all have one temperature"):
         case(HEAD + heat + text.replace(warm, cold) + disc).model(2)
+
+
+def test_measures_and_contours_of_bodies_are_keys(tmp_path):
+    """Columns of bodies.csv and of a study, outlines that a resumed run continues, faults by their keys."""
+    tables = '[output.bodies]\nmeasures = ["deformation"]\n[output.contours]\nbodies = ["disc"]\nevery = 1\n'
+    text = HEAD + BODIES + tables
+    runs.run(case(text), tmp_path / "whole")
+    runs.run(case(text.replace("until = 0.04", "until = 0.02")), tmp_path / "parts")
+    runs.resume(tmp_path / "parts", until=0.04)
+    for name in (
+        "bodies.csv",
+        "contours/contours.csv",
+        "contours/contours.pvd",
+        "contours/contours_000002.vtu",
+    ):
+        assert (tmp_path / "parts" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
+    columns = read_columns(tmp_path / "whole" / "bodies.csv")
+    assert abs(columns["disc_D"]).max() < 0.1 and "disc_perimeter" not in columns
+    outcome = Outcome("whole", {})
+    outcome.read(RunDirectory(tmp_path / "whole"), case(text))
+    assert outcome.last["disc_D"] == columns["disc_D"][-1] and outcome.last["time"] == pytest.approx(0.04)
+    for wrong, said in (
+        (text.replace('"disc"]', '"disk"]'), "output.contours.bodies: .*'disk'.*'disc'"),
+        (text.replace('"deformation"', '"gap"'), "output.bodies.measures: .*two bodies"),
+        (text.replace('"deformation"', '"deform"'), "output.bodies.measures"),
+    ):
+        with pytest.raises(CaseError, match=said):
+            case(wrong).simulation(box((1, 1), 0.5))

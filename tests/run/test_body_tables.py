@@ -73,7 +73,7 @@ def test_table_has_the_columns_of_each_body(whole):
     head, rows = rows_of(out / "bodies.csv")
     assert head[:2] == ["step", "time"]
     wanted = ["mass", "volume", "x", "y", "momentum_x", "momentum_y", "kinetic", "stored", "dissipation"]
-    wanted += ["x_min", "x_max", "y_min", "y_max"]
+    wanted += ["x_min", "x_max", "y_min", "y_max", "smeared"]
     assert head[2:] == [f"{name}_{column}" for name in ("fluid", "disc") for column in wanted]
     assert rows[:, 1] == pytest.approx([0, 0.02, 0.04, 0.06, 0.08])
     assert rows == pytest.approx(np.array(table.rows), rel=1e-15)

@@ -1,0 +1,358 @@
+"""Each body of a model over time: its mass, place, motion, energies, shape, stress, and how sharp it is."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import combinations
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from ngsolve import CF, H1, CoefficientFunction, Grad, GridFunction, Periodic, x, y, z
+
+from ngvisco.errors import NgviscoWarning, ParameterError, require_some_names
+from ngvisco.physics.bodies import AMOUNT
+from ngvisco.physics.mixture import Mixture
+from ngvisco.physics.tensors import inner, sym
+from ngvisco.run.files import AnyPath
+from ngvisco.run.frames import Lattice, places
+from ngvisco.run.outlines import Cut, Moments, distance
+from ngvisco.run.series import Series
+
+if TYPE_CHECKING:
+    from ngvisco.forms.system import Step
+    from ngvisco.run.simulation import Simulation
+
+_HALF = 0.5
+"""Fraction from which on a point counts to a body."""
+_MIXED = (0.05, 0.95)
+"""Fractions between which a point is in the interface."""
+_WIDE = 3.0
+"""Cells across the interface, from which on it is said: what a body is made of dissolves."""
+_PIECES = 2
+"""In how many parts an edge of a cell is cut: by one areas are too small, by three perimeters too long."""
+
+
+class SmearedWarning(NgviscoWarning):
+    """The interface of a body is several cells wide: the body dissolves in what is around it."""
+
+
+class Fractions:
+    """Volume fractions of bodies at points within the cells of a mesh, all ranks' together.
+
+    An outline has no gaps: fractions are averaged where cells meet.
+
+    Parameters
+    ----------
+    simulation : Simulation
+    names : sequence of str
+        Of bodies.
+    """
+
+    def __init__(self, simulation: Simulation, names: Sequence[str]) -> None:
+        step, material = simulation.rothe_step, simulation.model.material
+        assert isinstance(material, Mixture)
+        theta, mesh = material.fractions.at(step.now.z_tensors), step.mesh
+        self.names, self.dim, self._ranks = list(names), mesh.dim, simulation.ranks
+        self._lattice = Lattice(mesh, _PIECES)
+        place, v = (x, y, z)[: mesh.dim], step.now.v
+        values = (*place, *(v[i] for i in range(mesh.dim)), step.context.h, *(theta[n] for n in names))
+        self._values = CF(values).Compile()
+
+    def read(self) -> None:
+        """Take the present state."""
+        table, cells = self._lattice.values(self._values), self._lattice.cells
+        if self._ranks.is_distributed:
+            parts = self._ranks.gathered((table, cells))
+            starts = np.cumsum([0, *(len(each) for each, _ in parts)])
+            table = np.concatenate([each for each, _ in parts])
+            cells = np.concatenate([own + start for (_, own), start in zip(parts, starts, strict=False)])
+        dim, count = self.dim, len(self.names)
+        _, number = places(table[:, :dim])
+        sums = [np.bincount(number, theta) for theta in table[:, -count:].T]
+        averaged = (np.array(sums) / np.bincount(number))[:, number]
+        self._points, self._sizes = number[cells], table[cells[:, 0], 2 * dim]
+        self._corners = table[cells][:, :, : 2 * dim]
+        self._averaged = dict(zip(self.names, averaged[:, cells], strict=True))
+        self._own = dict(zip(self.names, table[:, -count:].T[:, cells], strict=True))
+        self._cuts: dict[str, Cut] = {}
+
+    def cut(self, name: str) -> Cut:
+        """Where there is at least as much of a body as of all others together; columns x, y, v_1, v_2."""
+        if name not in self._cuts:
+            self._cuts[name] = Cut.of(self._corners, self._points, self._averaged[name], _HALF)
+        return self._cuts[name]
+
+    def smeared(self, name: str) -> float:
+        """How wide the interface of a body is, in cells: the volume where its fraction is from 0.05 to 0.95
+        over that of an interface of one cell, NaN without an interface.
+
+        The area of the interface is int |grad theta| of the averaged fraction.
+        """
+        edges = np.swapaxes(self._corners[:, 1:, : self.dim] - self._corners[:, :1, : self.dim], 1, 2)
+        volumes = np.abs(np.linalg.det(edges)) / (2 if self.dim == 2 else 6)
+        theta = np.clip(self._averaged[name], 0, 1)
+        slopes = np.linalg.solve(np.swapaxes(edges, 1, 2), (theta[:, 1:] - theta[:, :1])[:, :, None])
+        of_one_cell = float((volumes * self._sizes * np.linalg.norm(slopes[:, :, 0], axis=1)).sum())
+        middle = self._own[name].mean(axis=1)
+        mixed = float(volumes[(middle > _MIXED[0]) & (middle < _MIXED[1])].sum())
+        return mixed / of_one_cell if of_one_cell > 0 else np.nan
+
+
+class _Tractions:
+    """Mean stress of bodies, and the force and torque that others exert on them.
+
+    The stress is that of the stored energy and of viscosity.  With a continuous chi, the fraction averaged at
+    the vertices, the force is -int sigma grad chi = int chi div sigma: walls have no part in it.
+    """
+
+    def __init__(self, simulation: Simulation, names: Sequence[str]) -> None:
+        step, fields = simulation.rothe_step, simulation.fields
+        self._step, self._dim = step, step.mesh.dim
+        space = H1(step.mesh, order=1)
+        space = Periodic(space) if step.walls.periodic else space
+        self._theta = {name: fields[f"{name}_fraction"] for name in names}
+        self._chi = {name: GridFunction(space) for name in names}
+        stress = fields["cauchy_stress"]
+        stress = stress + fields["viscous_stress"] if "viscous_stress" in fields else stress
+        pairs = [(0, 0), (1, 1), (2, 2), (0, 1), *([(0, 2), (1, 2)] if self._dim == 3 else [])]
+        self.of_stress = [f"stress_{i + 1}{j + 1}" for i, j in pairs]
+        shares = (theta * stress[i, j] for theta in self._theta.values() for i, j in pairs)
+        self._stresses = CF((*self._theta.values(), *shares)).Compile()
+        parts = (part for chi in self._chi.values() for part in self._force(stress, chi))
+        self._forces = CF(tuple(parts)).Compile()
+
+    def _force(self, stress: CoefficientFunction, chi: GridFunction) -> list[CoefficientFunction]:
+        """Densities of the force and of its torque about the origin."""
+        place, slope, dim = (x, y, z), Grad(chi), self._dim
+        f = [-sum((stress[i, j] * slope[j] for j in range(dim)), CF(0.0)) for i in range(dim)]
+        axes = [(0, 1)] if dim == 2 else [(1, 2), (2, 0), (0, 1)]
+        return [*f, *(place[i] * f[j] - place[j] * f[i] for i, j in axes)]
+
+    def stresses(self) -> np.ndarray:
+        """Mean stresses, Pa, (bodies, components); NaN of a body without volume."""
+        found = np.asarray(self._step.quadrature.integrate_cells(self._stresses), dtype=float)
+        volumes, sums = found[: len(self._theta), None], found[len(self._theta) :]
+        return sums.reshape(len(volumes), -1) / np.where(volumes > 0, volumes, np.nan)
+
+    def forces(self, centres: np.ndarray) -> np.ndarray:
+        """Forces, N, and torques about the bodies' centres, (bodies, dim), N m: (bodies, components)."""
+        for name, chi in self._chi.items():
+            chi.Set(self._theta[name])
+        found = np.asarray(self._step.quadrature.integrate_cells(self._forces), dtype=float)
+        found = found.reshape(len(self._chi), -1)
+        force, torque = found[:, : self._dim], found[:, self._dim :]
+        arm = np.pad(centres, ((0, 0), (0, 3 - self._dim)))
+        about = np.cross(arm, np.pad(force, ((0, 0), (0, 3 - self._dim))))
+        return np.hstack([force, torque - about[:, -torque.shape[1] :]])
+
+
+MEASURES = ("deformation", "outline", "turning", "stress", "traction", "gap")
+"""What is measured of bodies where it is asked for."""
+_PLANE = ("deformation", "outline", "turning", "gap")
+"""Of these what needs an outline, which there is in two dimensions."""
+
+
+class Bodies(Series):
+    """Each body of a model over time.
+
+    Parameters
+    ----------
+    path : path, optional
+        CSV file; without one the rows are kept in memory only.
+    every : int
+        Every so many steps, and at the end.
+    measures : sequence of str
+        Further columns: ``"deformation"``, ``"outline"``, ``"turning"``, ``"stress"``, ``"traction"``,
+        ``"gap"``.
+
+    The columns are ``step``, ``time`` (s), and for each body, with theta its volume fraction and n its amount
+    per volume, in SI units, per metre of thickness in plane strain:
+
+    | column | meaning |
+    |---|---|
+    | ``NAME_mass`` | int rho_R n, kg; constant to rounding |
+    | ``NAME_volume`` | int theta, m^d |
+    | ``NAME_x``, ``_y``, ``_z`` | centroid int theta x over the volume, m |
+    | ``NAME_momentum_x``, ... | int rho_R n v, kg m/s |
+    | ``NAME_kinetic``, ``NAME_stored`` | kinetic, J; shear, n U(1) and theta of what else is in V, J |
+    | ``NAME_dissipation`` | of viscosity and creep, of the present (limited) state, W |
+    | ``NAME_x_min``, ``NAME_x_max``, ... | where theta >= 1/2 at points of cells, m; NaN without any |
+    | ``NAME_smeared`` | width of the interface in cells: the volume where 0.05 < theta < 0.95 over |
+    |  | that of an interface of one cell; NaN without one |
+
+    and by the measures, of which the first four are of the region with theta >= 1/2 in two dimensions, NaN
+    without one:
+
+    | measure | columns |
+    |---|---|
+    | ``deformation`` | ``NAME_L``, ``NAME_B``, length and breadth of the ellipse of its second moments, m |
+    |  | ``NAME_D``, (L - B)/(L + B), ``NAME_angle`` from x to L, rad from -pi/2 to pi/2 |
+    | ``outline`` | ``NAME_perimeter``, m, and ``NAME_inside``, the area within it, m^2 |
+    | ``turning`` | ``NAME_turning``, how fast matter goes round (tank-treading), 2 pi/period, rad/s |
+    | ``gap`` | ``gap_NAME_OTHER``, the least distance of two outlines, m, of bodies that have a place |
+    | ``stress`` | ``NAME_stress_11``, ..., mean of the elastic and viscous stress, Pa |
+    | ``traction`` | ``NAME_force_x``, ..., what others exert on it by that stress, N, and its torque |
+    |  | about the centroid, ``NAME_torque``, in 3D ``NAME_torque_x``, ..., N m |
+
+    A body that crosses a periodic boundary is in parts: centroid and moments are not those of one body.  A
+    ``SmearedWarning`` says once of a body with a place that its interface is more than three cells wide.
+    In a run's HDF5 file (``Checkpoints``) the columns are the group ``bodies``.
+    A run raises ParameterError for a model without bodies, for a measure that needs an outline in three
+    dimensions, and for ``gap`` of fewer than two bodies that have a place.
+    """
+
+    group = "bodies"
+
+    def __init__(self, path: AnyPath | None = None, every: int = 1, measures: Sequence[str] = ()) -> None:
+        super().__init__(path, every)
+        self.measures = require_some_names("Bodies.measures", measures) if len(measures) else []
+        for name in self.measures:
+            if name not in MEASURES:
+                raise ParameterError("Bodies.measures", name, f"some of {', '.join(MEASURES)}")
+        self._is_said: set[str] = set()
+
+    def prepare(self, simulation: Simulation) -> list[str]:
+        step, material, dim = simulation.rothe_step, simulation.model.material, simulation.mesh.dim
+        bodies = require_bodies("Bodies", material)
+        needs = [name for name in self.measures if name in _PLANE]
+        if dim != 2 and needs:
+            raise ParameterError("Bodies.measures", needs[0], "stress or traction in 3D: it needs an outline")
+        axes = "xyz"[:dim]
+        units = {"mass": "kg", "volume": "m^d", **dict.fromkeys(axes, "m")}
+        units |= {f"momentum_{axis}": "kg m/s" for axis in axes}
+        units |= {"kinetic": "J", "stored": "J", "dissipation": "W"}
+        units |= {f"{axis}_{end}": "m" for axis in axes for end in ("min", "max")}
+        units |= {"smeared": "1"}
+        self._names = names = [body.name for body in bodies]
+        self._placed = [body.name for body in bodies if body.where is not None]
+        self._fractions = Fractions(simulation, names)
+        self._tractions = _Tractions(simulation, names) if {"stress", "traction"} & {*self.measures} else None
+        for measure in self.measures:
+            units |= self._units_of(measure, axes)
+        self._units = {f"{name}_{quantity}": unit for name in names for quantity, unit in units.items()}
+        if "gap" in self.measures:
+            if len(self._placed) < 2:
+                raise ParameterError(
+                    "Bodies.measures", "gap", "two bodies at least that have a place (where)"
+                )
+            self._pairs = list(combinations(self._placed, 2))
+            self._units |= {f"gap_{one}_{other}": "m" for one, other in self._pairs}
+        self._integrand = CF(tuple(part for name in names for part in _integrands(step, name)))
+        theta = material.fractions.at(step.now.z_tensors)  # type: ignore[attr-defined]
+        self._theta = CF(tuple(theta[name] for name in names))
+        sampler = simulation.sampler
+        self._places = sampler.coordinates(np.arange(len(sampler.points)))
+        return list(self._units)
+
+    def _units_of(self, measure: str, axes: str) -> dict[str, str]:
+        """The columns of a measure of each body, with their units."""
+        if measure == "stress" and self._tractions is not None:
+            return dict.fromkeys(self._tractions.of_stress, "Pa")
+        if measure == "traction":
+            torques = ["torque"] if len(axes) == 2 else [f"torque_{axis}" for axis in axes]
+            return {f"force_{axis}": "N" for axis in axes} | dict.fromkeys(torques, "N m")
+        return {
+            "deformation": {"L": "m", "B": "m", "D": "1", "angle": "rad"},
+            "outline": {"perimeter": "m", "inside": "m^2"},
+            "turning": {"turning": "rad/s"},
+        }.get(measure, {})
+
+    def unit(self, column: str) -> str:
+        """SI unit of a column (per metre of thickness in plane strain)."""
+        return self._units.get(column) or super().unit(column)
+
+    def may_be_nan(self, column: str) -> bool:
+        return column not in ("step", "time")  # a body may be thinner than a cell, or have left
+
+    def _sample(self, simulation: Simulation) -> Any:
+        dim = simulation.mesh.dim
+        simulation.rothe_step.eliminate.refresh()
+        totals = np.asarray(simulation.rothe_step.quadrature.integrate_cells(self._integrand), dtype=float)
+        values = totals.reshape(self._theta.dim, -1)
+        values[:, 2 : 2 + dim] /= np.where(values[:, 1:2] > 0, values[:, 1:2], np.nan)
+        there = simulation.sampler.rows(self._theta).T[:, :, None] >= _HALF
+        # the least as the largest of the negative ones: a rank may have none
+        ends = np.stack([-self._places, self._places], axis=-1).reshape(-1, 2 * dim)
+        extents = np.where(there, ends, -np.inf).max(axis=1, initial=-np.inf)
+        extents = simulation.ranks.largest(extents) * np.tile([-1, 1], dim)
+        extents[np.isinf(extents)] = np.nan
+        self._fractions.read()
+        smeared = np.array([[self._fractions.smeared(name)] for name in self._names])
+        self._look(simulation, smeared[:, 0])
+        found = [values, extents, smeared]
+        found += [
+            self._measured(measure, values[:, 2 : 2 + dim]) for measure in self.measures if measure != "gap"
+        ]
+        row = np.hstack(found).ravel()
+        if "gap" in self.measures:
+            cuts = [[self._fractions.cut(name).ends for name in pair] for pair in self._pairs]
+            gaps = np.array([distance(*both) for both in cuts])
+            row = np.append(row, np.where(np.isinf(gaps), np.nan, gaps))
+        return [row]
+
+    def _measured(self, measure: str, centres: np.ndarray) -> np.ndarray:
+        """The columns of a measure, (bodies, columns)."""
+        if self._tractions is not None and measure in ("stress", "traction"):
+            return self._tractions.stresses() if measure == "stress" else self._tractions.forces(centres)
+        cuts = [self._fractions.cut(name) for name in self._names]
+        if measure == "outline":
+            areas = [moments.area if (moments := Moments.of(cut.inside)) else 0.0 for cut in cuts]
+            return np.array([[cut.length, area] for cut, area in zip(cuts, areas, strict=True)])
+        every = [Moments.of(cut.inside) for cut in cuts]
+        if measure == "turning":
+            return np.array([[np.nan if moments is None else moments.turning()] for moments in every])
+        rows = []
+        for moments in every:
+            L, B, angle = (np.nan,) * 3 if moments is None else moments.ellipse()
+            rows.append([L, B, (L - B) / (L + B), angle])
+        return np.array(rows)
+
+    def _look(self, simulation: Simulation, smeared: np.ndarray) -> None:
+        """Warn once of each body whose interface has become wide."""
+        for name, width in zip(self._names, smeared, strict=True):
+            if name in self._placed and name not in self._is_said and width > _WIDE:
+                self._is_said.add(name)
+                message = (
+                    f"at t = {simulation.t:.4g} s the interface of the body {name!r} is {width:.2g} cells "
+                    "wide: it dissolves; take smaller cells, discretisation.m = 2, or an earlier end"
+                )
+                simulation.ranks.warn(message, SmearedWarning, stacklevel=4)
+
+
+def require_bodies(owner: str, material: Any) -> tuple[Any, ...]:
+    """The bodies of a model's material; raises ParameterError for one without."""
+    if not isinstance(material, Mixture):
+        expected = "bodies, Model(bodies=[...]), which it would measure"
+        raise ParameterError(f"{owner}.model", type(material).__name__, expected)
+    return material.bodies
+
+
+def _integrands(step: Step, name: str) -> list[CoefficientFunction]:
+    """Densities of a body's mass, volume, first moments, momentum, energies and dissipation."""
+    u, material = step.now, step.model.material
+    assert isinstance(material, Mixture)
+    body = next(body for body in material.bodies if body.name == name)
+    values, theta = u.z_tensors, material.fractions.at(u.z_tensors)[name]
+    mass = (body.density or 0.0) * values[AMOUNT + name]
+    place, v = (x, y, z)[: step.mesh.dim], u.v
+    loss = CF(0.0)
+    if body.viscosity is not None:
+        eps, read = sym(u.L), step.context.rates.read_values(body.viscosity, u)
+        share = material.fractions.not_negative(values)[name]
+        loss = loss + share * body.viscosity.bulk_dissipation(eps, read)
+        loss = loss + share * body.viscosity.shear_dissipation(eps, read)
+    rates = step.context.rates
+    for flow in rates.flows:
+        if flow.body == name:
+            loss = loss + rates.power_of_creep(flow, rates.local_creep(flow, u), u)
+    shears, rest = material.shears(values), material.volumes(values, CF(1.0))
+    of_volume = rates.stored(u) - sum((*shears.values(), *rest.values()), CF(0.0))
+    return [
+        mass,
+        theta,
+        *(theta * coordinate for coordinate in place),
+        *(mass * v[i] for i in range(step.mesh.dim)),
+        0.5 * mass * inner(v, v),
+        shears.get(name, CF(0.0)) + rest[name] + theta * of_volume,
+        loss,
+    ]

@@ -1,0 +1,101 @@
+"""Outlines of bodies over time, as a table and as lines for ParaView."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ngvisco.errors import ParameterError, UnknownNameError, require_path, require_some_names
+from ngvisco.run.body_tables import Fractions, require_bodies
+from ngvisco.run.files import AnyPath
+from ngvisco.run.frames import read_pvd
+from ngvisco.run.series import Series
+from ngvisco.run.vtu import write_lines, write_pvd
+
+if TYPE_CHECKING:
+    from ngvisco.run.simulation import Simulation
+
+
+class Contours(Series):
+    """The lines where the volume fraction of a body is one half, over time, in two dimensions.
+
+    Parameters
+    ----------
+    directory : path, optional
+        Made if missing: ``contours.csv``, and ``contours.pvd`` with its ``.vtu`` files for ParaView; without
+        one the rows are kept in memory only.
+    bodies : sequence of str, optional
+        Their names; default all that have a place.
+    every : int
+        Every so many steps, and at the end.
+
+    The columns are ``step``, ``time`` (s), ``body``, its number from 1 as in the field ``body``, ``line``,
+    the number from 1 of a line of that body, and ``x``, ``y`` (m), row by row along the line with the body on
+    the left; a closed line ends with the point it begins with.  In the .vtu files cells are segments, with
+    the numbers ``body`` and ``line`` at their points.
+    A run raises ParameterError for a model without bodies and in three dimensions, UnknownNameError for a
+    body that it does not have.
+    """
+
+    def __init__(
+        self, directory: AnyPath | None = None, bodies: Sequence[str] | None = None, every: int = 1
+    ) -> None:
+        place = None if directory is None else require_path("Contours.directory", directory)
+        super().__init__(None if place is None else place / "contours.csv", every)
+        self.directory, self.written = place, list[tuple[float, str]]()
+        self.bodies = None if bodies is None else require_some_names("Contours.bodies", bodies)
+
+    def prepare(self, simulation: Simulation) -> list[str]:
+        bodies = require_bodies("Contours", simulation.model.material)
+        if simulation.mesh.dim != 2:
+            raise ParameterError(
+                "Contours.bodies", self.bodies, "no contours in 3D: surfaces are in ParaView"
+            )
+        numbers = {body.name: number for number, body in enumerate(bodies, start=1)}
+        for name in self.bodies or ():
+            if name not in numbers:
+                raise UnknownNameError("body", name, numbers)
+        chosen = self.bodies or [body.name for body in bodies if body.where is not None]
+        self._numbers = {name: numbers[name] for name in chosen}
+        self._fractions = Fractions(simulation, chosen)
+        return ["body", "line", "x", "y"]
+
+    def start(self, simulation: Simulation) -> None:
+        self.written = []
+        if self.directory is not None:
+            self.directory.mkdir(parents=True, exist_ok=True)
+            if simulation.number > 0:
+                now = simulation.t * (1 + 1e-12)
+                self.written = [one for one in read_pvd(self.directory / "contours.pvd") if one[0] <= now]
+                simulation.ranks.on_first(self._remove_others)
+        super().start(simulation)
+
+    def _remove_others(self) -> None:
+        assert self.directory is not None
+        kept = {name for _, name in self.written}
+        for path in self.directory.glob("contours_*.vtu"):
+            if path.name not in kept:
+                path.unlink()
+
+    def _sample(self, simulation: Simulation) -> Any:
+        self._fractions.read()
+        rows, segments = [np.zeros((0, 4))], [np.zeros((0, 2), dtype=int)]
+        for name, number in self._numbers.items():
+            for i, line in enumerate(self._fractions.cut(name).lines(), start=1):
+                first = sum(map(len, rows))
+                rows.append(np.column_stack([np.tile([number, i], (len(line), 1)), line[:, :2]]))
+                segments.append(first + np.arange(len(line) - 1)[:, None] + [0, 1])
+        table = np.concatenate(rows)
+        if self.directory is not None:
+            simulation.ranks.on_first(lambda: self._write(simulation, table, np.concatenate(segments)))
+        return table
+
+    def _write(self, simulation: Simulation, table: np.ndarray, segments: np.ndarray) -> None:
+        assert self.directory is not None
+        name = f"contours_{simulation.number:06d}.vtu"
+        columns = {"body": table[:, :1], "line": table[:, 1:2]}
+        write_lines(self.directory / name, np.pad(table[:, 2:], ((0, 0), (0, 1))), segments, columns)
+        self.written = [one for one in self.written if one[1] != name] + [(simulation.t, name)]
+        write_pvd(self.directory / "contours.pvd", self.written)

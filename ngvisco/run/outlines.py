@@ -1,0 +1,173 @@
+"""The part of a plane in which a piecewise linear function is at least a level, and its outline.
+
+Triangles have columns of values at their corners, the first two of which are x and y; all are linear between
+the corners.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+_CHUNK = 1_000_000
+"""Pairs of points and segments that are looked at at once."""
+
+
+@dataclass(frozen=True)
+class Cut:
+    """The part of triangles that is at or above a level.
+
+    Attributes
+    ----------
+    inside : array (parts, 3, columns)
+        Triangles that make up that part, with all columns at their corners.
+    ends : array (segments, 2, columns)
+        Where the outline enters and leaves a triangle; the part is on the left.
+    edges : array (segments, 2)
+        Numbers of the edges of triangles on which the ends lie: what two triangles share has one number.
+    """
+
+    inside: np.ndarray
+    ends: np.ndarray
+    edges: np.ndarray
+
+    @classmethod
+    def of(cls, corners: np.ndarray, points: np.ndarray, values: np.ndarray, level: float) -> Cut:
+        """Cut triangles, (triangles, 3, columns), with numbers of points and values there, (triangles, 3)."""
+        a, b = corners[:, 1, :2] - corners[:, 0, :2], corners[:, 2, :2] - corners[:, 0, :2]
+        turned = a[:, 0] * b[:, 1] < a[:, 1] * b[:, 0]
+        order = np.where(turned[:, None], [0, 2, 1], [0, 1, 2])
+        above = np.take_along_axis(values, order, axis=1) >= level
+        count = above.sum(axis=1)
+        # the corner that is alone on its side stands first, the others after it, counterclockwise
+        alone = np.where(count == 1, above.argmax(axis=1), (~above).argmax(axis=1))
+        order = np.take_along_axis(order, (alone[:, None] + [0, 1, 2]) % 3, axis=1)
+        corners = np.take_along_axis(corners, order[:, :, None], axis=1)
+        points, values = (np.take_along_axis(of, order, axis=1) for of in (points, values))
+        one, two = count == 1, count == 2
+        falls = np.where((one | two)[:, None], values[:, :1] - values[:, 1:], 1.0)
+        shares = (values[:, :1] - level) / falls
+        first, second = (
+            corners[:, 0] + shares[:, i, None] * (corners[:, 1 + i] - corners[:, 0]) for i in (0, 1)
+        )
+        inside = [
+            corners[count == 3],
+            np.stack([corners[one, 0], first[one], second[one]], axis=1),
+            np.stack([corners[two, 1], corners[two, 2], second[two]], axis=1),
+            np.stack([corners[two, 1], second[two], first[two]], axis=1),
+        ]
+        ends = [np.stack([first[one], second[one]], axis=1), np.stack([second[two], first[two]], axis=1)]
+        size = int(points.max(initial=0)) + 1
+        pairs = np.sort(np.stack([points[:, [0, 1]], points[:, [0, 2]]], axis=1), axis=2)
+        numbers = pairs[..., 0] * size + pairs[..., 1]
+        edges = np.concatenate([numbers[one], numbers[two][:, ::-1]])
+        return cls(np.concatenate(inside), np.concatenate(ends), edges)
+
+    @property
+    def length(self) -> float:
+        """The length of the outline."""
+        return float(np.linalg.norm(self.ends[:, 1, :2] - self.ends[:, 0, :2], axis=1).sum())
+
+    def lines(self) -> list[np.ndarray]:
+        """The outline as polylines, (points, columns) each: closed ones end where they begin."""
+        after = {int(start): i for i, start in enumerate(self.edges[:, 0])}
+        reached = set(map(int, self.edges[:, 1]))
+        begun = [
+            i for i, start in enumerate(self.edges[:, 0]) if int(start) not in reached
+        ]  # open lines first
+        left, found = dict.fromkeys(range(len(self.edges))), []
+        for start in (*begun, *range(len(self.edges))):
+            if start not in left:
+                continue
+            line, i = [self.ends[start, 0]], start
+            while i in left:
+                del left[i]
+                line.append(self.ends[i, 1])
+                i = after.get(int(self.edges[i, 1]), -1)
+            found.append(np.array(line))
+        return found
+
+
+@dataclass(frozen=True)
+class Moments:
+    """Area, middle, second moments and mean motion of a part of the plane.
+
+    Attributes
+    ----------
+    area : float, m^2
+    centre : array (2,), m
+    second : array (2, 2), m^2
+        The mean of (x - c)(x - c)^T.
+    gradient : array (2, 2), 1/s
+        L of the linear velocity about the centre that is nearest in the mean square.
+    """
+
+    area: float
+    centre: np.ndarray
+    second: np.ndarray
+    gradient: np.ndarray
+
+    @classmethod
+    def of(cls, inside: np.ndarray) -> Moments | None:
+        """Moments of triangles whose columns begin with x, y, v_1, v_2; None without an area."""
+        if not len(inside):
+            return None
+        origin = inside[:, :, :2].mean(axis=(0, 1))  # far from the origin moments would cancel
+        x = inside[:, :, :2] - origin
+        columns = np.concatenate([np.ones_like(x[:, :, :1]), x, inside[:, :, 2:4]], axis=2)
+        a, b = x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]
+        areas, sums = 0.5 * np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]), columns.sum(axis=1)
+        # int f g of linear f, g over a triangle is |K|/12 (sum f sum g + sum f g)
+        products = np.einsum("t,ti,tj->ij", areas, sums, sums)
+        products += np.einsum("t,tai,taj->ij", areas, columns, columns)
+        products /= 12
+        area = float(products[0, 0])
+        if not area > 0:
+            return None
+        means = products[0, 1:] / area
+        spread = products[1:, 1:] / area - np.outer(means, means)
+        second = spread[:2, :2]
+        gradient = spread[2:, :2] @ np.linalg.inv(second)
+        return cls(area, means[:2] + origin, second, gradient)
+
+    def ellipse(self) -> tuple[float, float, float]:
+        """Length L and breadth B, m, of the ellipse with these moments, and the angle of L with x, rad from
+        -pi/2 to pi/2."""
+        squares, axes = np.linalg.eigh(self.second)
+        angle = float(np.arctan2(axes[1, 1], axes[0, 1]))
+        angle -= np.pi * round(angle / np.pi)
+        return 4 * float(np.sqrt(squares[1])), 4 * float(np.sqrt(squares[0])), angle
+
+    def turning(self) -> float:
+        """How fast matter turns in coordinates in which the second moments are those of a disc, rad/s.
+
+        With S^2 = M, the second moments, and M' = L M + M L^T it is the skew part of S^-1 L S - S^-1 S', the
+        rate of the rotation R in F = S R: of a body that turns as a whole its rate, of an ellipse that stands
+        still while its matter goes round 2 pi over the period.
+        """
+        squares, axes = np.linalg.eigh(self.second)
+        s = np.sqrt(squares)
+        L = axes.T @ self.gradient @ axes
+        rate = (L * squares + squares[:, None] * L.T) / (s[:, None] + s)  # S' from S S' + S' S = M'
+        W = (L * s - rate) / s[:, None]
+        return float(np.linalg.det(axes) * (W[1, 0] - W[0, 1]) / 2)
+
+
+def distance(one: np.ndarray, other: np.ndarray) -> float:
+    """The least distance of two outlines that do not cross, of segments (segments, 2, columns); else inf."""
+    if not (len(one) and len(other)):
+        return np.inf
+    return min(_to_segments(one[:, 0, :2], other), _to_segments(other[:, 0, :2], one))
+
+
+def _to_segments(points: np.ndarray, ends: np.ndarray) -> float:
+    """The least distance of points from segments."""
+    start, along = ends[:, 0, :2], ends[:, 1, :2] - ends[:, 0, :2]
+    squares = np.maximum((along**2).sum(axis=1), np.finfo(float).tiny)
+    least, step = np.inf, max(1, _CHUNK // len(ends))
+    for first in range(0, len(points), step):
+        off = points[first : first + step, None] - start
+        share = np.clip((off * along).sum(axis=2) / squares, 0, 1)
+        least = min(least, float(((off - share[:, :, None] * along) ** 2).sum(axis=2).min()))
+    return float(np.sqrt(least))
