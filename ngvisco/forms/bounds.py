@@ -39,10 +39,11 @@ from typing import Any
 import numpy as np
 from ngsolve import CF, L2, CoefficientFunction, GridFunction
 
-from ngvisco.errors import UnknownNameError
+from ngvisco.errors import ParameterError, UnknownNameError
 from ngvisco.forms.cell_means import SHARE, CellMeans, Ranges, Stretches, least_of
 from ngvisco.forms.mesh.locating import nearest_wall
 from ngvisco.forms.mesh.quadrature import Sampler
+from ngvisco.forms.sharpening import Sharpening
 from ngvisco.forms.system import Step
 from ngvisco.parallel.mesh import number_of
 from ngvisco.physics.defects import DRIFT, drifts, remedy
@@ -135,6 +136,11 @@ class Bounds:
         material = step.model.material
         self._where_means_do = np.array([name in material.where_means_do for name in self.names])
         self._share = GridFunction(L2(step.mesh, order=0))  # s of rho in the last limited state
+        self.sharpening = Sharpening(step) if step.layout.discretisation.sharp else None
+        if self.sharpening is not None and not limits:
+            raise ParameterError(
+                "Discretisation.sharp", True, "False where time.limiter is so, which it is a part of"
+            )
         self.refused: tuple[Violation, np.ndarray] | None = None
         """The last solution that had a ``defect``: where, and its coefficients."""
         self.parted: str | None = None
@@ -260,13 +266,21 @@ class Bounds:
 
     def is_exceeded(self) -> bool:
         """Whether ``limit`` would change the present state."""
-        return self.ranges.is_exceeded() or self._outside() is not None or self.stretches.is_exceeded()
+        return (
+            self.sharpening is not None
+            or self.ranges.is_exceeded()
+            or self._outside() is not None
+            or self.stretches.is_exceeded()
+        )
 
-    def limit(self) -> int:
-        """Limit the present state, whose means are within their bounds; gives the number of cells changed.
+    def limit(self, tau: float = 0.0) -> int:
+        """Limit the present state, whose means are within their bounds; gives the number of cells limited.
 
-        Only rho and z change, and only in cells that are out of bounds at a point.
+        Only rho and z change, and only in cells that are out of bounds at a point.  At the end of a step of
+        length ``tau``, s, bodies are put apart before, where ``Discretisation.sharp`` asks for it.
         """
+        if self.sharpening is not None and tau > 0:
+            self.sharpening.put_apart(tau)
         self._share.vec[:] = 1.0
         changed, found = self.ranges.limit(), self._outside()
         if found is not None:

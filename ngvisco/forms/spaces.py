@@ -72,16 +72,21 @@ class Discretisation:
         Order of the discontinuous density and transported variables, 0, 1 or 2.
     quadrature_bonus : int
         Added to the degree of all quadrature of forms and ledger alike, 0 to 12.
+    sharp : bool
+        Whether bodies of one density are put apart where transport smears their interfaces, with m = 1.
     """
 
     k: int = 2
     m: int = 1
     quadrature_bonus: int = 0
+    sharp: bool = False
 
     def __post_init__(self) -> None:
         require_choice(self, (2, 3), k=self.k)
         require_choice(self, (0, 1, 2), m=self.m)
         require_choice(self, tuple(range(13)), quadrature_bonus=self.quadrature_bonus)
+        if not isinstance(self.sharp, bool):
+            raise ParameterError("Discretisation.sharp", self.sharp, "True or False")
 
 
 class Layout:

@@ -254,19 +254,19 @@ class Integrator:
         before = np.zeros_like(self._velocity.v)
         if self.bounds.limits and self.bounds.is_exceeded() and not is_stage:
             before = self._impulse_before_limiting(before)
-        limited = self.bounds.limit() if self.bounds.limits else 0
-        taken = 0.0
-        if limited:
+        limited, taken = self.bounds.limit(tau) if self.bounds.limits else 0, 0.0
+        is_changed = limited > 0 or self.bounds.sharpening is not None
+        if is_changed:
             moved = [name for name in step.layout.evolving if name != "v"]  # v follows from the momentum
             change = {name: state[ranges[name]] - old[ranges[name]] for name in moved}
             taken = -self.distance.slope(states[-1], change) + self._taken_of_momentum(states[-1])
         impulse = self._velocity()
         self.impulse = impulse / tau
-        own, through_walls = before if limited else impulse, 0.0
+        own, through_walls = before if is_changed else impulse, 0.0
         for name, (_, mask) in step.moving_walls.moving.items():
             v = states[-1].values["v"][mask]
             rates[f"power_wall_{name}"] += self.rothe.exchange.communicator.dot(own[mask], v) / tau
-            if limited:
+            if is_changed:
                 through_walls -= self.rothe.exchange.communicator.dot((impulse - own)[mask], v)
         return step.evolved(), limited, {LIMITER: taken, LIMITER_WALLS: through_walls}
 

@@ -1,0 +1,247 @@
+"""Interfaces between bodies that stay as wide as they are: a conservative correction of a step's end.
+
+Transport smears a jump of the amounts n_i over ever more cells.  After each step (``Discretisation.sharp``)
+bodies i and j are put apart in the cells that both are in, in two moves.
+
+1. *Between two such cells.*  Through their facet the amount
+
+       a = C tau int |v . n| |e . n| / |K_d|  min(n_i |K_d|, n_j |K_r|),    at most 1/8 of either,
+
+   of body i goes to K_r, the one with more of it, and as much of body j comes back; e is the direction in
+   which theta_i grows.  Each takes its tensors with it, a (X/n) of its cell.  An interface that rests is left
+   alone, as it is by upwinding, whose smearing this balances.
+2. *In such a cell* n_i becomes the mean and the slope of the projected indicator of the half-space with that
+   mean beyond a plane across e, scaled until theta_i is in [0, 1]; n_j is the rest of n_i + n_j, and X
+   becomes n (X/n) of the means.
+
+N at every point and int n_i, int X_i are kept: masses, sum theta = 1, rho and momentum too, since bodies have
+one density.  Volumetric energies that are one function see N alone, and n f(X/n) = C : (X - n I), f linear in
+X, sees the integrals alone: the stored energy is kept to rounding, and a step's identity is as it was.  Other
+f of degree one in (n, X) would lose by it, but those of bodies are so up to traces of matter: refused.
+What it costs is shape: a body of a few cells becomes somewhat angular along the cells (NOTES).
+"""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+from ngsolve import (
+    CF,
+    ET,
+    H1,
+    VOL,
+    ElementId,
+    FacetFESpace,
+    FESpace,
+    GridFunction,
+    IntegrationRule,
+    LinearForm,
+    Periodic,
+    x,
+    y,
+    z,
+)
+
+from ngvisco.errors import ParameterError
+from ngvisco.forms.mesh.mesh_arrays import VERTICES
+from ngvisco.forms.system import Step
+from ngvisco.parallel.communicator import Communicator
+from ngvisco.physics.bodies import AMOUNT
+from ngvisco.physics.mixture import Mixture
+from ngvisco.shapes.fractions import subdivision
+
+_RATE = 1 / 4
+"""C: half of what upwinding smears at a jump, 1/2 |v . n|; more is sharper and less round."""
+_MOST = 1 / 8
+"""Share of what there is of a body in a cell that goes through one facet."""
+_LEAST = 1e-3
+"""Fraction below which a body is not in a cell."""
+_PIECES = {2: 8, 3: 4}
+"""In how many parts an edge of a cell is cut to place a plane in it, by the dimension."""
+_FIELD = "Discretisation.sharp"
+
+
+def check_sharp(step: Step) -> None:
+    """Raise ParameterError for a model whose interfaces are not sharpened, with the reason."""
+    material, mesh = step.model.material, step.mesh
+    if not isinstance(material, Mixture):
+        raise ParameterError(_FIELD, True, "False for a model without bodies")
+    densities = {float(body.density or 0.0) for body in material.bodies}
+    for is_wrong, expected in (
+        (step.layout.discretisation.m != 1, "False unless m = 1"),
+        (
+            len(densities) > 1,
+            "False for bodies of different densities: momentum would go with what is put apart",
+        ),
+        (not material.has_one_volume, "False for bodies of different volumetric energies: energy would rise"),
+        (
+            not all(psi.is_linear for psi in material.energies.values()),
+            "False unless energies are linear in B",
+        ),
+        (material.heat is not None, "False for bodies with heat"),
+        (bool(material.plastic_contents), "False for bodies that harden"),
+        (Communicator.of(mesh).is_distributed, "False over ranks"),
+        ({cell.type for cell in mesh.Elements(VOL)} - {ET.TRIG, ET.TET}, "False on quadrilaterals"),
+    ):
+        if is_wrong:
+            raise ParameterError(_FIELD, True, expected)
+
+
+class Sharpening:
+    """Puts bodies of a step's present state apart; raises ParameterError where that would not hold."""
+
+    def __init__(self, step: Step) -> None:
+        check_sharp(step)
+        self.step, self.mesh, self.dim = step, step.mesh, step.mesh.dim
+        material, slices = step.model.material, step.layout.states.slices
+        assert isinstance(material, Mixture)
+        names = [body.name for body in material.bodies]
+        self._amounts = [slices[AMOUNT + name].start for name in names]
+        self._contents = [
+            [i for X in material.contents(name) for i in range(slices[X.name].start, slices[X.name].stop)]
+            for name in names
+        ]
+        self._kind = ET.TRIG if self.dim == 2 else ET.TET
+        places = np.array(VERTICES[self._kind])
+        rule = IntegrationRule([tuple(map(float, place)) for place in places], [0.0] * len(places))
+        self._corners = self.mesh.MapToAllElements({self._kind: rule}, VOL)
+        self._x = np.asarray(CF((x, y, z)[: self.dim])(self._corners)).reshape(-1, len(places), self.dim)
+        self._basis, self._inverse, self._masses = self._of_cells()
+        self._vertices, self._facets = self._of_vertices_and_facets()
+        ends, parts = subdivision(self.dim, _PIECES[self.dim])
+        middles = np.hstack([ends[parts].mean(axis=1), np.ones((len(parts), 1))])
+        self._lambda = middles @ np.linalg.inv(np.hstack([places, np.ones((len(places), 1))]))
+        self._fit = np.linalg.pinv(self._lambda)
+        edges = self._x[:, 1:] - self._x[:, :1]
+        self._volumes = np.abs(np.linalg.det(edges)) / (2 if self.dim == 2 else 6)
+        slopes = np.swapaxes(np.linalg.inv(edges), 1, 2)
+        self._slopes = np.concatenate([-slopes.sum(axis=1, keepdims=True), slopes], axis=1)  # of lambda
+
+    def put_apart(self, tau: float) -> None:
+        """Put bodies of the present state apart at the end of a step of length ``tau``, s."""
+        dofs = self._basis
+        state = self.step.state.vec.FV().NumPy()[self.step.layout.ranges["z"]]
+        state = state.reshape(self.step.layout.states.size, -1)
+        u = np.einsum("kcf,skf->skc", np.linalg.inv(self._inverse), state[:, dofs])
+        v = np.asarray(self.step.now.v(self._corners)).reshape(self._x.shape)
+        for i, j in combinations(range(len(self._amounts)), 2):
+            mixed = self._mixed(self._means(u), i, j)
+            heights = self._averaged(np.clip(u[self._amounts[i]] / sum(u[n] for n in self._amounts), 0, 1))
+            self._between(u, i, j, heights, tau * v, mixed)
+            self._within(u, i, j, heights, mixed)
+        state[:, dofs] = np.einsum("kfc,skc->skf", self._inverse, u)
+
+    def _means(self, u: np.ndarray) -> np.ndarray:
+        """Of linear functions with values (components, cells, corners) over the cells."""
+        return np.einsum("skc,kc->sk", u, self._masses) / self._masses.sum(axis=1)
+
+    def _averaged(self, values: np.ndarray) -> np.ndarray:
+        """Values at the corners of cells, (cells, corners), averaged over those that meet at a vertex."""
+        weights = np.repeat(self._volumes, values.shape[1])
+        sums = [np.bincount(self._vertices.ravel(), of) for of in (weights * values.ravel(), weights)]
+        found: np.ndarray = (sums[0] / np.maximum(sums[1], np.finfo(float).tiny))[self._vertices]
+        return found
+
+    def _mixed(self, means: np.ndarray, i: int, j: int) -> np.ndarray:
+        """Cells in which there are bodies i and j, and no other, (cells,) of bool."""
+        amounts = means[self._amounts]
+        least, both = _LEAST * amounts.sum(axis=0), amounts[[i, j]]
+        return np.asarray((both > least).all(axis=0) & (both.sum(axis=0) > amounts.sum(axis=0) - least))
+
+    def _between(
+        self, u: np.ndarray, i: int, j: int, heights: np.ndarray, path: np.ndarray, mixed: np.ndarray
+    ) -> None:
+        """Exchange bodies i and j between mixed cells, in place; ``path`` is tau v at corners of cells."""
+        slope = np.einsum("kc,kcd->kd", heights, self._slopes)
+        size = np.linalg.norm(slope, axis=1, keepdims=True)
+        slope = np.where(size > 0, slope / np.where(size > 0, size, 1.0), 0.0)
+        facets = self._facets[mixed[self._facets[:, 0]] & mixed[self._facets[:, 2]]]
+        (one, corner), other = facets[:, :2].T, facets[:, 2]
+        normal = -self.dim * self._volumes[one, None] * self._slopes[one, corner]  # as long as the facet
+        area = np.linalg.norm(normal, axis=1)
+        up = 0.5 * ((slope[one] + slope[other]) * normal).sum(axis=1) / area
+        opposite = np.arange(path.shape[1]) == corner[:, None]
+        moved = np.where(opposite[:, :, None], 0.0, path[one]).sum(axis=1) / self.dim
+        swept = np.abs((moved * normal).sum(axis=1))
+        giving, taking = np.where(up > 0, (one, other), (other, one))
+        means, mass = self._means(u), self._masses.sum(axis=1)
+        own, others = means[self._amounts[i]], means[self._amounts[j]]
+        share = np.minimum(_RATE * np.abs(up) * swept / self._volumes[giving], _MOST)
+        amount = share * np.minimum(own[giving] * mass[giving], others[taking] * mass[taking])
+        for body, source, target in ((i, giving, taking), (j, taking, giving)):
+            n = means[self._amounts[body], source]
+            for component in (self._amounts[body], *self._contents[body]):
+                carried = amount * means[component, source] / n
+                count = len(mass)
+                change = np.bincount(target, carried, count) - np.bincount(source, carried, count)
+                u[component] += (change / mass)[:, None]
+
+    def _within(self, u: np.ndarray, i: int, j: int, heights: np.ndarray, mixed: np.ndarray) -> None:
+        """Part bodies i and j in mixed cells by planes across the slope of heights, in place."""
+        means, chosen = self._means(u), np.flatnonzero(mixed & (np.ptp(heights, axis=1) > 0))
+        own, both = means[self._amounts[i]], means[self._amounts[i]] + means[self._amounts[j]]
+        theta = own[chosen] / both[chosen]
+        above = heights[chosen] @ self._lambda.T
+        order, count = np.argsort(-above, axis=1, kind="stable"), above.shape[1]
+        inside = np.empty_like(above)
+        np.put_along_axis(inside, order, np.clip(theta[:, None] * count - np.arange(count), 0, 1), axis=1)
+        slope = inside @ self._fit.T
+        weights = self._masses[chosen]
+        slope -= (slope * weights).sum(axis=1, keepdims=True) / weights.sum(axis=1, keepdims=True)
+        tiny = np.finfo(float).tiny
+        low = theta / np.maximum(-slope.min(axis=1), tiny)
+        high = (1 - theta) / np.maximum(slope.max(axis=1), tiny)
+        slope *= np.minimum(1.0, np.minimum(low, high))[:, None]
+        n_i, n_j = self._amounts[i], self._amounts[j]
+        total = u[n_i, chosen] + u[n_j, chosen]
+        u[n_i, chosen] = own[chosen, None] + both[chosen, None] * slope
+        u[n_j, chosen] = total - u[n_i, chosen]
+        for body, n in ((i, n_i), (j, n_j)):
+            for component in self._contents[body]:
+                u[component, chosen] = u[n, chosen] * (means[component, chosen] / means[n, chosen])[:, None]
+
+    # --- what cells, vertices and facets are -----------------------------------------------------------
+
+    def _of_cells(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Numbers of the functions of each cell, (cells, functions), the matrix that takes values at its
+        corners to coefficients, (cells, functions, corners), and integrals by the rule of the forms of the
+        linear functions that are 1 at one corner, (cells, corners)."""
+        space = self.step.layout.scalar_space("z")
+        dofs = _numbers(space)
+        function, values = GridFunction(space), np.empty((*self._x.shape[:2], dofs.shape[1]))
+        for j in range(dofs.shape[1]):
+            function.vec.FV().NumPy()[:] = 0.0
+            function.vec.FV().NumPy()[dofs[:, j]] = 1.0
+            values[:, :, j] = np.asarray(function(self._corners)).reshape(values.shape[:2])
+        form = LinearForm(space)
+        form += self.step.quadrature.cells(space.TestFunction())
+        integrals = form.Assemble().vec.FV().NumPy()[dofs]
+        inverse = np.linalg.inv(values)
+        return dofs, inverse, np.einsum("kf,kfc->kc", integrals, inverse)
+
+    def _of_vertices_and_facets(self) -> tuple[np.ndarray, np.ndarray]:
+        """Numbers of the vertices of cells, (cells, corners), and facets between two cells, rows of the one,
+        its corner opposite, and the other; identified ones count once."""
+        periodic = bool(self.step.walls.periodic)
+        nodes, facets = H1(self.mesh, order=1), FacetFESpace(self.mesh, order=0)
+        vertices, sides = (_numbers(Periodic(s) if periodic else s) for s in (nodes, facets))
+        points = np.array([vertex.point for vertex in self.mesh.vertices])
+        first, found = dict[int, tuple[int, int]](), []
+        for cell, element in enumerate(self.mesh.Elements(VOL)):
+            own = [vertex.nr for vertex in element.vertices]
+            near = np.linalg.norm(self._x[cell][:, None] - points[own], axis=2).argmin(axis=1)
+            vertices[cell] = vertices[cell][near]
+            for number, facet in zip(sides[cell], element.facets, strict=True):
+                on = {vertex.nr for vertex in self.mesh[facet].vertices}
+                corner = next(c for c, at in enumerate(near) if own[at] not in on)
+                if number in first:
+                    found.append([*first[number], cell])
+                else:
+                    first[number] = cell, corner
+        return vertices, np.array(found, dtype=int).reshape(-1, 3)
+
+
+def _numbers(space: FESpace) -> np.ndarray:
+    """The unknowns of every cell, (cells, unknowns)."""
+    return np.array([space.GetDofNrs(ElementId(VOL, cell)) for cell in range(space.mesh.ne)])
