@@ -133,7 +133,7 @@ class Sharpening:
         state[:, dofs] = np.einsum("kfc,skc->skf", self._inverse, u)
 
     def _means(self, u: np.ndarray) -> np.ndarray:
-        """Of linear functions with values (components, cells, corners) over the cells."""
+        """Means over the cells of linear functions with values (components, cells, corners)."""
         return np.einsum("skc,kc->sk", u, self._masses) / self._masses.sum(axis=1)
 
     def _averaged(self, values: np.ndarray) -> np.ndarray:
