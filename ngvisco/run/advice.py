@@ -16,6 +16,9 @@ _SLOW = 100.0
 """Steps of so many passages of the waves are those of a motion without inertia."""
 _SINKS, _SMALL = 0.05, 0.01
 """Share of its height by which a body's own weight compresses it, that is said, and that is little."""
+_SMEARED = 4.8
+"""Cells across a body of which the interface is a quarter after a strain of one: it was 1.2 s^(1/4) cells
+wide after strains s, and a body of that ratio had lost 3 % of its area within fraction 1/2."""
 _ABOVE_YIELD = 0.1
 """Viscous overstress over the yield stress, above which the stress is not held to it."""
 
@@ -54,6 +57,10 @@ class Scales:
     """Viscous part of the stress over the yield stress at the rate velocity/length."""
     bodies: Mapping[str, float] = field(default_factory=dict)
     """Least extent of each body, in cells."""
+    placed: tuple[str, ...] = ()
+    """Names of the bodies that have a place."""
+    smears: bool = False
+    """Whether bodies are carried with m = 1 and not put apart."""
     parting: str | None = None
     """Where variables that stand for one distortion may part, in words."""
     unborne: str | None = None
@@ -102,6 +109,11 @@ class Scales:
             found["overstress over yield, G_m v/(L sigma_Y)"] = self.overstress
         if self.densities > 1 + 1e-6:
             found["largest over least density"] = self.densities
+        for name in self.placed:
+            if (cells := self.bodies.get(name, 0.0)) > 0:
+                found[f"cells across the body {name!r}"] = cells
+                if self.smears:
+                    found[f"strains until {name!r} has lost 3 % of its area"] = (cells / _SMEARED) ** 4
         return found
 
     @property

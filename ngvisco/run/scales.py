@@ -64,6 +64,8 @@ def scales(simulation: Simulation) -> Scales:
         weight=_acceleration(step, simulation.sampler) * max(edges) / max(min(fast) ** 2, 1e-300),
         overstress=max(place.overstress(velocity / length) for place in places),
         bodies=_thickness(simulation),
+        placed=tuple(body.name for body in step.model.bodies if body.where is not None),
+        smears=step.discretisation.m == 1 and not step.discretisation.sharp,
         k=step.discretisation.k,
         startup=simulation.integrator.startup,
         unborne=unborne_weight(step, simulation.sampler),

@@ -14,10 +14,12 @@ import ngvisco as nv
 from ngvisco.forms.terms.momentum import Stokes
 from ngvisco.geometries import box, structured_box
 from ngvisco.physics.variables import Jacobian
+from ngvisco.run.advice import Scales
 from ngvisco.run.scales import scales
 from ngvisco.run.waves import moduli
 
 NEO_HOOKEAN = nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1)
+NEO_HOOKEAN_OF_BODIES = nv.ReferentialNeoHookean(K_e=10.0, G_e=5.0)
 
 
 def found(material=NEO_HOOKEAN, dt=0.01, maxh=0.2, G_m=math.inf, velocity_scale=0.5):
@@ -344,3 +346,18 @@ def test_the_energy_of_a_body_at_rest_is_below_what_rounding_makes_of_it():
     run.run(0.2)
     assert abs(run.ledger.energy()) <= run.ledger.rounding()
     assert 0 < run.ledger.rounding() < 1e-10
+
+
+def test_numbers_say_how_many_cells_a_body_has_and_how_long_it_bears_shear():
+    """The fourth power of the cells: 8 across bear 7.7 strains, 16 16 times as many."""
+    values = {"length": 1.0, "cell": 0.1, "velocity": 0.0, "speeds": (0.0, 0.0), "kinematic_viscosity": 0.0}
+    values |= {"maxwell": math.inf, "dt": 0.02, "bodies": {"disc": 8.0, "rest": 10.0}, "placed": ("disc",)}
+    assert Scales(**values).numbers == {"cells across the body 'disc'": 8.0}
+    (cells, said), (_, strains) = Scales(**values, smears=True).numbers.items()
+    assert (cells, said) == ("cells across the body 'disc'", 8.0) and strains == pytest.approx(7.7, abs=0.1)
+    disc = nv.Body(name="disc", where=nv.Ball((0.5, 0.5), 0.3), material=NEO_HOOKEAN_OF_BODIES, density=1.0)
+    rest = nv.Body(name="rest", material=NEO_HOOKEAN_OF_BODIES, density=1.0)
+    run = nv.Simulation(box((1, 1), 0.15), nv.Model(bodies=[disc, rest]), dt=0.01)
+    numbers = scales(run).numbers
+    assert 3.2 < numbers["cells across the body 'disc'"] < 5.2
+    assert numbers["strains until 'disc' has lost 3 % of its area"] < 1.5
