@@ -49,7 +49,6 @@ from ngvisco.forms.system import Step
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.physics.bodies import AMOUNT
 from ngvisco.physics.mixture import Mixture
-from ngvisco.shapes.fractions import subdivision
 
 _RATE = 1 / 4
 """C: half of what upwinding smears at a jump, 1/2 |v . n|; more is sharper and less round."""
@@ -57,8 +56,8 @@ _MOST = 1 / 8
 """Share of what there is of a body in a cell that goes through one facet."""
 _LEAST = 1e-3
 """Fraction below which a body is not in a cell."""
-_PIECES = {2: 8, 3: 4}
-"""In how many parts an edge of a cell is cut to place a plane in it, by the dimension."""
+_DEGREE = 20
+"""Of the rule at whose points a plane is placed in a cell."""
 _FIELD = "Discretisation.sharp"
 
 
@@ -109,10 +108,12 @@ class Sharpening:
         self._x = np.asarray(CF((x, y, z)[: self.dim])(self._corners)).reshape(-1, len(places), self.dim)
         self._basis, self._inverse, self._masses = self._of_cells()
         self._vertices, self._facets = self._of_vertices_and_facets()
-        ends, parts = subdivision(self.dim, _PIECES[self.dim])
-        middles = np.hstack([ends[parts].mean(axis=1), np.ones((len(parts), 1))])
-        self._lambda = middles @ np.linalg.inv(np.hstack([places, np.ones((len(places), 1))]))
-        self._fit = np.linalg.pinv(self._lambda)
+        rule = IntegrationRule(self._kind, _DEGREE)
+        points = np.hstack([np.array(rule.points)[:, : self.dim], np.ones((len(rule), 1))])
+        self._lambda = points @ np.linalg.inv(np.hstack([places, np.ones((len(places), 1))]))
+        self._shares = np.array(rule.weights) / sum(rule.weights)
+        weighed = self._lambda.T * self._shares
+        self._fit = np.linalg.solve(weighed @ self._lambda, weighed)
         edges = self._x[:, 1:] - self._x[:, :1]
         self._volumes = np.abs(np.linalg.det(edges)) / (2 if self.dim == 2 else 6)
         slopes = np.swapaxes(np.linalg.inv(edges), 1, 2)
@@ -183,9 +184,11 @@ class Sharpening:
         own, both = means[self._amounts[i]], means[self._amounts[i]] + means[self._amounts[j]]
         theta = own[chosen] / both[chosen]
         above = heights[chosen] @ self._lambda.T
-        order, count = np.argsort(-above, axis=1, kind="stable"), above.shape[1]
+        order = np.argsort(-above, axis=1, kind="stable")
+        sizes = self._shares[order]
+        filled = np.clip((theta[:, None] - (np.cumsum(sizes, axis=1) - sizes)) / sizes, 0, 1)
         inside = np.empty_like(above)
-        np.put_along_axis(inside, order, np.clip(theta[:, None] * count - np.arange(count), 0, 1), axis=1)
+        np.put_along_axis(inside, order, filled, axis=1)
         slope = inside @ self._fit.T
         weights = self._masses[chosen]
         slope -= (slope * weights).sum(axis=1, keepdims=True) / weights.sum(axis=1, keepdims=True)

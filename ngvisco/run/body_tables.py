@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 _HALF = 0.5
 """Fraction from which on a point counts to a body."""
 _MIXED = (0.05, 0.95)
-"""Fractions between which a point is in the interface."""
+"""FractionSamples between which a point is in the interface."""
 _WIDE = 3.0
 """Cells across the interface, from which on it is said: what a body is made of dissolves."""
 _PIECES = 2
@@ -36,7 +36,7 @@ class SmearedWarning(NgviscoWarning):
     """The interface of a body is several cells wide: the body dissolves in what is around it."""
 
 
-class Fractions:
+class FractionSamples:
     """Volume fractions of bodies at points within the cells of a mesh, all ranks' together.
 
     An outline has no gaps: fractions are averaged where cells meet.
@@ -225,7 +225,7 @@ class Bodies(Series):
         units |= {"smeared": "1"}
         self._names = names = [body.name for body in bodies]
         self._placed = [body.name for body in bodies if body.where is not None]
-        self._fractions = Fractions(simulation, names)
+        self._fractions = FractionSamples(simulation, names)
         self._tractions = _Tractions(simulation, names) if {"stress", "traction"} & {*self.measures} else None
         for measure in self.measures:
             units |= self._units_of(measure, axes)

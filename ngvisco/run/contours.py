@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ngvisco.errors import ParameterError, UnknownNameError, require_path, require_some_names
-from ngvisco.run.body_tables import Fractions, require_bodies
+from ngvisco.run.body_tables import FractionSamples, require_bodies
 from ngvisco.run.files import AnyPath
 from ngvisco.run.frames import read_pvd
 from ngvisco.run.series import Series
@@ -59,7 +59,7 @@ class Contours(Series):
                 raise UnknownNameError("body", name, numbers)
         chosen = self.bodies or [body.name for body in bodies if body.where is not None]
         self._numbers = {name: numbers[name] for name in chosen}
-        self._fractions = Fractions(simulation, chosen)
+        self._fractions = FractionSamples(simulation, chosen)
         return ["body", "line", "x", "y"]
 
     def start(self, simulation: Simulation) -> None:

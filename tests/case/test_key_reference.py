@@ -68,7 +68,7 @@ WITHIN = {
 def placed(entry, kind):
     """A case in which the key has its example, in a section of this kind with what else it requires."""
     data = tomllib.loads(BASE)
-    if "bodies" in entry.path[:2]:  # also what is measured of them
+    if {"bodies", "contours"} & {*entry.path[:2]}:  # also what is measured of them
         data["bodies"] = [{"name": "block", "material": OF_BODY, "density": 1.0}]
         del data["material"]
     path = [{"NAME": "left", "N": "0"}.get(part, part) for part in entry.path]
