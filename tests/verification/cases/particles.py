@@ -46,7 +46,7 @@ def sheared(sharp: bool, cells: int = CELLS, capillary: float = CAPILLARY) -> tu
     top, bottom = (nv.PrescribedTangential((end * SIZE / 2, 0)) for end in (1, -1))
     run = nv.Simulation(
         refined(2 / cells),
-        nv.Model(bodies=[nv.Body(name="fluid", material=fluid(BULK), **both), disc]),
+        nv.Model(bodies=(nv.Body(name="fluid", material=fluid(BULK), **both), disc)),
         walls={"top": top, "bottom": bottom},
         time=nv.TimeSteps(dt=TAU, scheme="midpoint", startup=2),
         discretisation=nv.Discretisation(k=2, m=1, sharp=sharp),
