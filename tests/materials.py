@@ -64,6 +64,30 @@ def examples() -> tuple[Example, ...]:
         ),
         *_isotropic("F"),
         *_isotropic("B"),
+        *(
+            Example(
+                laws.Gent(K_e=10.0, G_e=5.0, J_m=30.0, elastic_state=state),
+                "Gent" + of,
+                f"K_e/2 (J − 2 + 1/J) − G_e J_m ln(1 − ({stretch} − 3)/J_m)",
+                "joint, strict in J",
+                None,
+            )
+            for state, of, stretch in (("F", "", "|H|²"), ("B", '(elastic_state="B")', "tr B"))
+        ),
+        Example(
+            laws.Ogden(K_e=10.0, mu=(10.0, 0.5, -0.5), alpha=(1.3, 5.0, -9.0)),
+            "Ogden",
+            "K_e/2 (J − 2 + 1/J) + Σ μ_p/α_p (Σ σ_i(H)^α_p − 3) + Σ μ_p/α_p (Σ σ_i(N)^(−α_p) − 3)",
+            "joint, strict in J",
+            None,
+        ),
+        Example(
+            laws.Ogden(K_e=10.0, mu=(4.0, -4.0), alpha=(2.5, -2.5), elastic_state="B"),
+            'Ogden(elastic_state="B")',
+            "K_e/2 (J − 2 + 1/J) + Σ μ_p/α_p tr(B^(α_p/2) − I) + Σ μ_p/α_p tr(N^(−α_p/2) − I)",
+            "joint, strict in J",
+            None,
+        ),
         Example(
             laws.OldroydB(K_e=10.0, G_e=5.0),
             "OldroydB",

@@ -41,7 +41,9 @@ def copied(folder: Path) -> Path:
     """The sources that a program imports."""
     for name in ("ngvisco", "geometries", "tests/verification"):
         shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("pictures"))
-    shutil.copy(ROOT / "tests" / "materials.py", folder / "tests")
+    for name in ("materials.py", "physics/test_material_laws.py"):
+        (folder / "tests" / name).parent.mkdir(exist_ok=True)
+        shutil.copy(ROOT / "tests" / name, folder / "tests" / name)
     return folder
 
 

@@ -36,12 +36,13 @@ MATERIALS: Kinds = {
     "Custom": custom_material,
     "FENEP": materials.FENEP,
     "Gas": materials.Thermal,
+    "Gent": materials.Gent,
     "HardeningElastic": materials.HardeningElastic,
     "IsentropicFluid": materials.BarotropicFluid.from_state_equation,
     "IsochoricNeoHookean": materials.IsochoricNeoHookean,
     "IsotropicStrainEnergy": isotropic_strain_energy,
     **_of(materials, "LinearElastic LogarithmicMooneyRivlin LogarithmicNeoHookean MooneyRivlin NeoHookean"),
-    **_of(materials, "OldroydB ReferentialMooneyRivlin ReferentialNeoHookean"),
+    **_of(materials, "Ogden OldroydB ReferentialMooneyRivlin ReferentialNeoHookean"),
 }
 WRAPPERS: Kinds = {
     "PerReferentialVolume": materials.PerReferentialVolume,

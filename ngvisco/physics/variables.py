@@ -99,6 +99,11 @@ class Variable(ABC):
         return self.is_conserved
 
     @property
+    def is_positive_definite(self) -> bool:
+        """Whether it is a symmetric tensor with eigenvalues > 0, and no density, which is 0 elsewhere."""
+        return False
+
+    @property
     def creeps(self) -> bool:
         """Whether the rate depends on Pi; functions of J do not, since tr Pi = 0."""
         return self.kind != "scalar"
@@ -171,6 +176,10 @@ class DistortionTensor(Variable):
             f"{name}_11 {name}_22 - {name}_12^2": A[0, 0] * A[1, 1] - A[0, 1] * A[1, 0],
         }
         return (minors if self.kind == "symmetric" else {}) | {f"det {name}": Det(A)}
+
+    @property
+    def is_positive_definite(self) -> bool:
+        return self.kind == "symmetric" and not self.by_flux
 
     @property
     def frame(self) -> Frame | None:

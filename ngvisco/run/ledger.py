@@ -28,7 +28,7 @@ from ngvisco.forms.term import Entry, Integrand, Kind
 from ngvisco.physics.defects import parted, relative_defects
 from ngvisco.physics.materials.thermal import entropy_in, temperature
 from ngvisco.physics.mixture import Mixture
-from ngvisco.physics.tensors import square
+from ngvisco.physics.tensors import least_eigenvalue, square
 from ngvisco.physics.variables import Distortion, Jacobian, ReciprocalJacobian, Values
 from ngvisco.run.adaptive import CRACKED, GROWTH, DamageWarning, growth_message
 from ngvisco.run.inlets import InflowWarning, inflow_message
@@ -39,6 +39,8 @@ from ngvisco.run.scales import cause_of_negative_power
 from ngvisco.run.signs import CREEP_POWER, Signs
 from ngvisco.timestepping.integrator import LIMITER, LIMITER_WALLS, StepTaken
 
+EIGENVALUE = "eigenvalue_min_"
+"""Columns of the least eigenvalue of each tensor B, of its branch: it has to be positive."""
 _STRETCH, _OPERATIONS = 1e-4, 30
 """Relative change of the variables whose second difference gives the size of an energy density's terms, and
 the roundings of one, in units of that size."""
@@ -53,8 +55,8 @@ _UNITS = {
     **dict.fromkeys(("step", "closure_relative", "mass_drift", "defect_rms", "defect_max", "J_min"), "1"),
     **dict.fromkeys((*_COUNTS, "cfl", "error_estimate", GROWTH), "1"),
 }
-"""Columns that are neither energies (J) nor rates, by units; the units of rates by how their names begin."""
-_UNITS_OF_RATES = {"dissipation_": "W", "power_": "W", "entropy_": "W/K", "inflow_": "kg/s"}
+"""Columns that are neither energies (J) nor of a kind, by units; those of a kind by how their names begin."""
+_UNITS_OF_KINDS = {"dissipation_": "W", "power_": "W", "entropy_": "W/K", "inflow_": "kg/s", EIGENVALUE: "1"}
 
 TRANSFER = "transfer"
 """Energy lost where a state was carried over to another mesh or other parameters, J."""
@@ -62,7 +64,7 @@ TRANSFER = "transfer"
 
 def unit(column: str) -> str:
     """The SI unit of a ledger column (per metre of thickness in plane strain)."""
-    for prefix, unit in _UNITS_OF_RATES.items():
+    for prefix, unit in _UNITS_OF_KINDS.items():
         if column.startswith(prefix):
             return unit
     return unit_of_momentum(column) or _UNITS.get(column, "J")
@@ -138,6 +140,8 @@ class Ledger:
         self._signs = Signs(step, sampler, self.entries, self._warn_once, cause)
         power = self._signs.at_points.get(CREEP_POWER)
         watched = {"temperature_min": theta, "temperature_max": theta, CREEP_POWER: power}
+        tensors = (v for v in step.model.material.variables if v.is_positive_definite)
+        watched |= {EIGENVALUE + v.name: least_eigenvalue(step.now.z_tensors[v.name]) for v in tensors}
         self._watched = {name: value for name, value in watched.items() if value is not None}
         self._prepare_monitors()
         self._pending: dict[str, float] = {}

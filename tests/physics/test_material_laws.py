@@ -1,6 +1,7 @@
 """Every material against closed forms: rates, stress at rest, moduli, state equation, convexity."""
 
 import math
+import re
 import warnings
 
 import numpy as np
@@ -182,6 +183,8 @@ MODULI = {  # usual bulk and shear moduli at rest by the docstrings; K_e = 10, G
     "LogarithmicMooneyRivlin": (10.0 + 0.1, 2 * (3.0 + 2.0)),
     "BarotropicFluid": (1.4 * 0.4 * 10, 0.0),
     'BarotropicFluid(form="A")': (1.4 * 0.4 * 10, 0.0),
+    "Gent": (10.0, 2 * 5.0),
+    "Ogden": (10.0, (10.0 * 1.3 + 0.5 * 5.0 + 0.5 * 9.0) / 2),
     "OldroydB": (10.0, 2 * 5.0),
     "FENEP": (10.0, 2 * 5.0),
     # (J phi)'' at J = 1 for F = J^(1/3) I, by hand
@@ -236,6 +239,79 @@ def test_energies_are_the_closed_forms_of_the_isochoric_invariants():
     one, other = (EXAMPLES[f"{kind}NeoHookean"] for kind in ("Referential", "Isochoric"))
     T, S = (at_point(cauchy_stress(of, constants(of, F))) for of in (one, other))
     assert pytest.approx(S, abs=1e-12) == T
+
+
+STRETCHES = (0.4, 0.9, 1.0, 1.3, 4.0, 7.0)
+TRELOAR = {1.3: 0.63, 5.0: 0.0012, -2.0: -0.01}
+"""mu_p, MPa, by alpha_p: Ogden's (1972) for the rubber of Treloar (1944)."""
+
+
+def homogeneous(kind, stretch):
+    """A distortion without a change of volume, and the principal stretches, the last one of a free side."""
+    if kind == "shear":
+        return np.eye(3) + (stretch - 1 / stretch) * np.eye(3)[[0]].T @ np.eye(3)[[1]], (stretch, 1 / stretch)
+    across = stretch**-0.5 if kind == "uniaxial" else stretch**-2
+    return np.diag([stretch, across if kind == "uniaxial" else stretch, across]), (stretch, across)
+
+
+def stress_of(kind, T):
+    """T_11 less the stress of a free side, or the shear stress."""
+    return T[0, 1] if kind == "shear" else T[0, 0] - T[2, 2]
+
+
+@pytest.mark.parametrize("kind", ["uniaxial", "equibiaxial", "shear"])
+def test_ogden_stress_is_the_closed_form(kind):
+    """sigma_1 - sigma_3 = sum mu (l_1^a - l_3^a) (Ogden 1972); in shear times sin 2theta/2 = 1/(l + 1/l)."""
+    material = nv.Ogden(K_e=1e3, mu=tuple(TRELOAR.values()), alpha=tuple(TRELOAR))
+    for stretch in STRETCHES:
+        F, (along, across) = homogeneous(kind, stretch)
+        T = at_point(cauchy_stress(material, constants(material, F)))
+        expected = sum(mu * (along**a - across**a) for a, mu in TRELOAR.items())
+        expected /= along + across if kind == "shear" else 1.0
+        scale = sum(abs(mu) * (along**a + across**a) for a, mu in TRELOAR.items())
+        assert abs(stress_of(kind, T) - expected) < 1e-5 * scale, stretch
+
+
+@pytest.mark.parametrize("elastic_state", ["F", "B"])
+@pytest.mark.parametrize("kind", ["uniaxial", "equibiaxial", "shear"])
+def test_gent_stress_is_the_closed_form(kind, elastic_state):
+    """sigma_1 - sigma_3 = 2 G_e J_m/(J_m - I_1 + 3) (l_1^2 - l_3^2) (Gent 1996), T_12 with gamma."""
+    material = nv.Gent(K_e=1e3, G_e=0.135, J_m=77.0, elastic_state=elastic_state)
+    for stretch in STRETCHES:
+        F, (along, across) = homogeneous(kind, stretch)
+        T = at_point(cauchy_stress(material, constants(material, F)))
+        if (slack := 77.0 - np.sum(F * F) + 3) < 0:
+            assert np.isnan(T).any()  # beyond the chains' length
+            continue
+        strain = F[0, 1] if kind == "shear" else along**2 - across**2
+        assert stress_of(kind, T) == pytest.approx(0.27 * 77.0 / slack * strain, abs=1e-11)
+
+
+def test_ogden_is_mooney_rivlin_where_its_exponents_are_two(rng):
+    """mu_1 = 2 C_10, mu_2 = -2 C_01 by |F_iso|^2 and |Cof F_iso|^2; a volume that changes is none of them."""
+    F = np.eye(3) + 0.3 * rng.uniform(-1, 1, (3, 3))
+    J = np.linalg.det(F)
+    iso = F / J ** (1 / 3)
+    chains = 3 * (np.sum(iso * iso) - 3) + 2 * (np.sum(np.linalg.inv(iso) ** 2) - 3)
+    for state in ("F", "B"):
+        material = nv.Ogden(K_e=10.0, mu=(6.0, -4.0), alpha=(2.0, -2.0), elastic_state=state)
+        assert energy_at(material, F) == pytest.approx(5 * (J - 2 + 1 / J) + chains, rel=1e-13)
+
+
+@pytest.mark.parametrize(
+    ("field", "said", "given"),
+    [
+        ("alpha", "1 <= |alpha| <= 12", {"mu": (1.0,), "alpha": (0.5,)}),
+        ("alpha", 'take elastic_state = "F"', {"mu": (1.0,), "alpha": (1.3,), "elastic_state": "B"}),
+        ("alpha", "no two are equal", {"mu": (1.0, 1.0), "alpha": (2.0, 2.0)}),
+        ("mu", "2 moduli", {"mu": (1.0,), "alpha": (2.0, 4.0)}),
+        ("mu", "signs of their exponents", {"mu": (1.0,), "alpha": (-2.0,)}),
+    ],
+)
+def test_ogden_refuses_what_is_not_convex(field, said, given):
+    with pytest.raises(nv.ParameterError, match=re.escape(said)) as raised:
+        nv.Ogden(K_e=1.0, **given)
+    assert raised.value.field == f"Ogden.{field}"
 
 
 @pytest.mark.parametrize("form", ["J", "A"])

@@ -229,10 +229,10 @@ class Carried(OnWall):
         return if_positive(self._through(u), flux, 0.0 * flux) if self.backflow else flux
 
     def _stored(self, u: Fields) -> CoefficientFunction:
-        """phi(z), Pa; see ``StoredMean`` where it has no values here."""
+        """phi(z) on this wall, Pa, else 0: a trace elsewhere may have none.  See ``StoredMean``."""
         if StoredMean.name in u.layout.unknowns:
             return u.parts[StoredMean.name] + inner(u.zeta, u.z - self._middle(u, "z"))
-        return u.context.rates.stored(u)
+        return if_positive(u.context.given(self.indicator), u.context.rates.stored(u), 0.0)
 
     def _stored_outside(self, u: Fields) -> CoefficientFunction:
         """phi(z_in), Pa; its tangent at z where the energy has no values here."""
@@ -244,7 +244,7 @@ class Carried(OnWall):
     def facets(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         c = u.context
         return [
-            (c.given(self.indicator) * self._stored(u)) * (w.v * c.normal),
+            c.given(self.indicator) * self._stored(u) * (w.v * c.normal),
             (0.5 * self._carried_momentum(u)) * (w.v * u.v),
             -inner(self._added(u, "z"), w.z),
         ]

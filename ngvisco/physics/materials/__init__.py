@@ -3,6 +3,7 @@
 from ngvisco.physics.materials.custom import CustomMaterial
 from ngvisco.physics.materials.damaged import Damaged
 from ngvisco.physics.materials.fluids import FENEP, BarotropicFluid, OldroydB
+from ngvisco.physics.materials.gent import Gent
 from ngvisco.physics.materials.hyperelastic import (
     IsochoricNeoHookean,
     LogarithmicMooneyRivlin,
@@ -14,6 +15,7 @@ from ngvisco.physics.materials.hyperelastic import (
 )
 from ngvisco.physics.materials.linearised import HardeningElastic, IsotropicStrainEnergy, LinearElastic
 from ngvisco.physics.materials.network import Branch, Network
+from ngvisco.physics.materials.ogden import Ogden
 from ngvisco.physics.materials.perspective import PerMass, PerReferentialVolume
 from ngvisco.physics.materials.prony import prony_network, read_prony
 from ngvisco.physics.materials.thermal import Thermal
@@ -25,6 +27,7 @@ __all__ = [
     "Branch",
     "CustomMaterial",
     "Damaged",
+    "Gent",
     "HardeningElastic",
     "IsochoricNeoHookean",
     "IsotropicStrainEnergy",
@@ -34,6 +37,7 @@ __all__ = [
     "MooneyRivlin",
     "NeoHookean",
     "Network",
+    "Ogden",
     "OldroydB",
     "PerMass",
     "PerReferentialVolume",

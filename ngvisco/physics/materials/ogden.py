@@ -1,0 +1,178 @@
+"""Ogden's rubber elasticity: powers of the principal stretches, with any exponents.
+
+sigma_i, the singular values of a tensor A, give sum sigma_i^alpha = tr C^s, C = A^T A, s = alpha/2.  It is a
+smooth function of the invariants of C; formulas for the eigenvalues are not, where two of these are equal, as
+at rest.  For s = k + r with 0 < r < 1
+
+    x^r = c_0 + c_1 x + sum_j w_j x/(t_j + x),    t_j = exp(j h),
+
+a quadrature of Stieltjes' integral of x^r, so that tr C^s is a sum of rational functions of the invariants.
+By least squares over stretches from 1/10 to 10, with value and two derivatives right at rest, 13 terms are
+right to 1e-6 of x^r.  Each costs as much as a logarithm of a determinant: exponents that are even are exact,
+and 20 times cheaper.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cache, reduce
+from operator import add
+from typing import Annotated, Self
+
+import numpy as np
+
+from ngvisco.errors import ParameterError, Quantity, require_choice
+from ngvisco.physics.material import ElasticState, Material
+from ngvisco.physics.materials.hyperelastic import continued_in_J, referential_volume
+from ngvisco.physics.parameters import Modulus
+from ngvisco.physics.tensors import Tensor, cof, det, square, tr
+from ngvisco.physics.variables import (
+    Cofactor,
+    CofactorLeftCauchyGreen,
+    Distortion,
+    Jacobian,
+    LeftCauchyGreen,
+    Values,
+    Variable,
+)
+
+_WIDTH, _TERMS, _RANGE = 1.15, 6, 4.7
+"""h, the largest j, and the largest |ln x|."""
+_EXACT = 1e6
+"""The weight of what holds at rest."""
+_NODES = np.exp(_WIDTH * np.arange(-_TERMS, _TERMS + 1))
+
+
+@cache
+def _weights(r: float) -> np.ndarray:
+    """(c_0, c_1, w_j) of x^r."""
+    x = np.exp(np.linspace(-_RANGE, _RANGE, 40 * len(_NODES)))[:, None]
+    parts = np.hstack([np.ones_like(x), x, x / (x + _NODES)]) / x**r
+    t = _NODES
+    at_rest = [[1.0, 1.0, *1 / (1 + t)], [0.0, 1.0, *t / (1 + t) ** 2], [0.0, 0.0, *-2 * t / (1 + t) ** 3]]
+    exact = np.array([1.0, r, r * (r - 1)])
+    rows = np.vstack([parts, _EXACT * np.array(at_rest)])
+    return np.linalg.lstsq(rows, np.concatenate([np.ones(len(x)), _EXACT * exact]), rcond=None)[0]
+
+
+def powers_of_stretches(invariants: tuple[Tensor, Tensor, Tensor], weights: Mapping[float, float]) -> Tensor:
+    """sum_s a_s tr C^s for a_s by s > 0, from I_1 = tr C, I_2 = tr Cof C and I_3 = det C."""
+    one, two, three = invariants
+    sums = [3.0, one, one * one - 2 * two]  # tr C^k
+    while len(sums) < max(weights) + 3:
+        sums.append(one * sums[-1] - two * sums[-2] + three * sums[-3])
+    parts, numerators = [], []
+    of_nodes: dict[int, np.ndarray] = {}
+    for s, factor in weights.items():
+        k = math.floor(s)
+        if s == k:
+            parts.append(factor * sums[k])
+        else:
+            of_nodes[k] = of_nodes.get(k, 0.0) + factor * _weights(s - k)
+    for k, (constant, linear, *_) in of_nodes.items():
+        parts.append(linear * sums[k + 1] + constant * sums[k])
+    for j, t in enumerate(_NODES):
+        for k, found in of_nodes.items():
+            # tr C^{k+1} (t + C)^{-1} by the theorem of Cayley and Hamilton, over its determinant
+            top = (t * t) * sums[k + 1] + t * (one * sums[k + 1] - sums[k + 2]) + three * sums[k]
+            numerators.append(float(found[j + 2]) * top)
+        if of_nodes:
+            parts.append(reduce(add, numerators) / (t**3 + (t * t) * one + t * two + three))
+            numerators = []
+    return reduce(add, parts)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ogden(Material):
+    """phi = K_e/2 (J - 2 + 1/J) + sum_p mu_p/alpha_p (sum_i lambda_i^alpha_p - 3) (Ogden 1972).
+
+    lambda_i are the principal stretches of F_iso = J^{-1/3} F: the singular values of H = F_iso, and where
+    alpha_p < 0 those of N = J^{-2/3} Cof F to the power -alpha_p.  Jointly convex in (H, N, J) for
+    |alpha_p| >= 1, by B and its cofactor for |alpha_p| >= 2, and mu_p alpha_p > 0 (Ball 1977).  The usual
+    shear modulus at rest is sum mu_p alpha_p/2.  In uniaxial stretch lambda without a change of volume
+    T_11 - T_22 = sum mu_p (lambda^alpha_p - lambda^{-alpha_p/2}).  T(I) = 0.
+
+    Exponents that are not even are right to 1e-6 for stretches from 1/10 to 10.  Raises ParameterError for
+    moduli and exponents of different numbers, none, equal exponents, and those for which phi is not convex.
+
+    Example::
+
+        import ngvisco as nv
+
+        treloar = nv.Ogden(K_e=2e9, mu=(0.63e6, 0.0012e6, -0.01e6), alpha=(1.3, 5.0, -2.0))
+        print([v.name for v in treloar.variables])
+
+    Parameters
+    ----------
+    elastic_state : str, optional
+        Variables of the distortion "F" or of "B" = F F^T, for a body that flows; B where there is creep and
+        all |alpha_p| >= 2.
+    K_e : float
+        Bulk modulus, the usual one.  0 of a branch alone.
+    mu : tuple of float
+        Moduli mu_p, of the sign of alpha_p.
+    alpha : tuple of float
+        Exponents alpha_p.
+    J_min : float, optional
+        The part that is singular at J = 0 is continued linearly below this J.
+    """
+
+    elastic_state: Annotated[ElasticState | None, Quantity(example="F")] = None
+    K_e: Annotated[Modulus, Quantity("Pa", ">= 0", 10.0)]
+    mu: Annotated[tuple[float, ...], Quantity("Pa", example=[5.0, -0.5])]
+    alpha: Annotated[tuple[float, ...], Quantity("1", example=[2.5, -2.0])]
+    J_min: Annotated[float | None, Quantity("1", "> 0", 0.1)] = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in ("mu", "alpha"):
+            object.__setattr__(self, name, tuple(float(value) for value in getattr(self, name)))
+        if self.elastic_state is not None:
+            require_choice(self, ("F", "B"), elastic_state=self.elastic_state)
+        if not self.alpha or len(set(self.alpha)) < len(self.alpha):
+            raise ParameterError("Ogden.alpha", self.alpha, "one exponent or more, of which no two are equal")
+        if len(self.mu) != len(self.alpha):
+            raise ParameterError("Ogden.mu", self.mu, f"{len(self.alpha)} moduli, one for each exponent")
+        least = 2.0 if self.elastic_state == "B" else 1.0
+        if not all(least <= abs(alpha) <= 12 for alpha in self.alpha):
+            of = ' by B; take elastic_state = "F"' if least == 2 else ""
+            raise ParameterError("Ogden.alpha", self.alpha, f"{least:g} <= |alpha| <= 12, to be convex{of}")
+        if not all(0 < mu * alpha < math.inf for mu, alpha in zip(self.mu, self.alpha, strict=True)):
+            raise ParameterError("Ogden.mu", self.mu, "finite moduli of the signs of their exponents")
+
+    def with_elastic_state(self, state: ElasticState) -> Self:
+        if self.elastic_state is not None:
+            return self
+        return replace(self, elastic_state=state if min(map(abs, self.alpha)) >= 2 else "F")
+
+    @property
+    def variables(self) -> tuple[Variable, ...]:
+        tensors: tuple[Variable, ...] = (Distortion("H", exponent=-1 / 3), Cofactor("N", exponent=-2 / 3))
+        if self.elastic_state == "B":
+            tensors = (LeftCauchyGreen(exponent=-2 / 3), CofactorLeftCauchyGreen(exponent=-4 / 3))
+        used = (max(self.alpha) > 0, min(self.alpha) < 0)
+        return (*(v for v, is_used in zip(tensors, used, strict=True) if is_used), Jacobian())
+
+    @property
+    def continued(self) -> frozenset[str]:
+        return continued_in_J(self.J_min)
+
+    def energy(self, z: Values) -> Tensor:
+        phi = referential_volume(self.K_e, 0.0, 1.0, z["J"], self.J_min)
+        for variable, sign in zip(self.variables, self._signs, strict=False):
+            A = z[variable.name]
+            both = zip(self.mu, self.alpha, strict=True)
+            of = {abs(alpha) / 2: mu / alpha for mu, alpha in both if alpha * sign > 0}
+            if self.elastic_state == "B":
+                invariants = (tr(A), tr(cof(A)), det(A))
+            else:
+                invariants = (square(A), square(cof(A)), det(A) * det(A))
+            phi = phi + powers_of_stretches(invariants, of) - 3 * sum(of.values())
+        return phi
+
+    @property
+    def _signs(self) -> list[int]:
+        """Of the exponents that each tensor is for."""
+        return [sign for sign in (1, -1) if any(alpha * sign > 0 for alpha in self.alpha)]
