@@ -75,14 +75,14 @@ def examples() -> tuple[Example, ...]:
             for state, of, stretch in (("F", "", "|H|²"), ("B", '(elastic_state="B")', "tr B"))
         ),
         Example(
-            laws.Ogden(K_e=10.0, mu=(10.0, 0.5, -0.5), alpha=(1.3, 5.0, -9.0)),
+            laws.Ogden(K_e=10.0, mu=(10.0, 0.5, -0.5), alpha=(1.3, 4.0, -2.0)),
             "Ogden",
             "K_e/2 (J − 2 + 1/J) + Σ μ_p/α_p (Σ σ_i(H)^α_p − 3) + Σ μ_p/α_p (Σ σ_i(N)^(−α_p) − 3)",
             "joint, strict in J",
             None,
         ),
         Example(
-            laws.Ogden(K_e=10.0, mu=(4.0, -4.0), alpha=(2.5, -2.5), elastic_state="B"),
+            laws.Ogden(K_e=10.0, mu=(2.0, -2.0), alpha=(4.0, -4.0), elastic_state="B"),
             'Ogden(elastic_state="B")',
             "K_e/2 (J − 2 + 1/J) + Σ μ_p/α_p tr(B^(α_p/2) − I) + Σ μ_p/α_p tr(N^(−α_p/2) − I)",
             "joint, strict in J",

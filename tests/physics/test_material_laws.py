@@ -184,7 +184,7 @@ MODULI = {  # usual bulk and shear moduli at rest by the docstrings; K_e = 10, G
     "BarotropicFluid": (1.4 * 0.4 * 10, 0.0),
     'BarotropicFluid(form="A")': (1.4 * 0.4 * 10, 0.0),
     "Gent": (10.0, 2 * 5.0),
-    "Ogden": (10.0, (10.0 * 1.3 + 0.5 * 5.0 + 0.5 * 9.0) / 2),
+    "Ogden": (10.0, (10.0 * 1.3 + 0.5 * 4.0 + 0.5 * 2.0) / 2),
     "OldroydB": (10.0, 2 * 5.0),
     "FENEP": (10.0, 2 * 5.0),
     # (J phi)'' at J = 1 for F = J^(1/3) I, by hand
