@@ -130,13 +130,6 @@ def log_det(A: Tensor) -> Tensor:
     return log(a) + log(minor / a) + log(det / minor)
 
 
-def least_eigenvalue(A: Tensor) -> Tensor:
-    """The least eigenvalue of a symmetric 3x3 tensor, a coefficient function that is not differentiated."""
-    first, second, third = (A.Eig()[9 + i] for i in range(3))  # after the vectors, in no order
-    least = IfPos(first - second, second, first)
-    return IfPos(least - third, third, least)
-
-
 def if_positive(a: Tensor, then: Tensor | float, otherwise: Tensor | float) -> Tensor:
     """``then`` where a > 0, ``otherwise`` elsewhere."""
     return a.where_positive(then, otherwise) if hasattr(a, "where_positive") else IfPos(a, then, otherwise)

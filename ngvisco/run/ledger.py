@@ -18,7 +18,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from ngsolve import CF, Det, sqrt
+from ngsolve import CF, CoefficientFunction, Det, sqrt
 
 from ngvisco.errors import InitialDataError, NgviscoWarning, ParameterError, StepError, UnknownNameError
 from ngvisco.forms.distance import ENERGIES, NUMERICAL, energies
@@ -28,7 +28,7 @@ from ngvisco.forms.term import Entry, Integrand, Kind
 from ngvisco.physics.defects import parted, relative_defects
 from ngvisco.physics.materials.thermal import entropy_in, temperature
 from ngvisco.physics.mixture import Mixture
-from ngvisco.physics.tensors import least_eigenvalue, square
+from ngvisco.physics.tensors import square
 from ngvisco.physics.variables import Distortion, Jacobian, ReciprocalJacobian, Values
 from ngvisco.run.adaptive import CRACKED, GROWTH, DamageWarning, growth_message
 from ngvisco.run.inlets import InflowWarning, inflow_message
@@ -140,9 +140,9 @@ class Ledger:
         self._signs = Signs(step, sampler, self.entries, self._warn_once, cause)
         power = self._signs.at_points.get(CREEP_POWER)
         watched = {"temperature_min": theta, "temperature_max": theta, CREEP_POWER: power}
-        tensors = (v for v in step.model.material.variables if v.is_positive_definite)
-        watched |= {EIGENVALUE + v.name: least_eigenvalue(step.now.z_tensors[v.name]) for v in tensors}
         self._watched = {name: value for name, value in watched.items() if value is not None}
+        definite = (v.name for v in step.model.material.variables if v.is_positive_definite)
+        self._definite = {EIGENVALUE + name: step.now.z_tensors[name].Compile() for name in definite}
         self._prepare_monitors()
         self._pending: dict[str, float] = {}
         self.rows: list[dict[str, float]] = []
@@ -162,7 +162,8 @@ class Ledger:
             *("step", "time", "dt", *ENERGIES),
             *(entry.name for entry in self.entries),
             *("closure", "closure_relative", "mass", "mass_drift", *self.momentum.columns),
-            *("rho_min", "rho_max", "J_min", *self._watched, "J_defect", "defect_rms", "defect_max"),
+            *("rho_min", "rho_max", "J_min", *self._watched, *self._definite),
+            *("J_defect", "defect_rms", "defect_max"),
             *("v_max", *_COUNTS, "cfl", "error_estimate"),
         ]
 
@@ -412,10 +413,15 @@ class Ledger:
         return {
             **{"rho_min": least(rho), "rho_max": most(rho), "J_min": least(J)},
             **{name: (most if name.endswith("_max") else least)(v) for name, v in watched.items()},
+            **{name: least(self._eigenvalues(tensor)) for name, tensor in self._definite.items()},
             **{"v_max": most(speed), "cfl": tau * most(rate)},
             "J_defect": math.sqrt(gap) if self._has_both else math.nan,
             **{"defect_rms": rms, "defect_max": largest},
         }
+
+    def _eigenvalues(self, tensor: CoefficientFunction) -> np.ndarray:
+        """The least one at each point of a symmetric tensor."""
+        return np.linalg.eigvalsh(self.sampler.rows(tensor).reshape(-1, 3, 3))[:, 0]
 
     def _relative_defects(self, values: np.ndarray, squares: np.ndarray, time: float) -> tuple[float, float]:
         """Largest root mean square and largest value of the relative defects; warns once from 1 % on.

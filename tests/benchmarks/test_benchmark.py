@@ -5,7 +5,7 @@ from itertools import product
 
 import pytest
 
-from tests.benchmarks import answers, long_steps
+from tests.benchmarks import answers, branches, long_steps
 from tests.benchmarks.__main__ import main
 from tests.benchmarks.ranks import markdown
 from tests.benchmarks.table import against, summary
@@ -22,6 +22,11 @@ def test_quick_run_saves_its_table(tmp_path, capsys):
     text = (tmp_path / "benchmark.md").read_text()
     assert "coupled over split" in text
     assert "one thread over two" in capsys.readouterr().out
+
+
+def test_a_second_branch_has_a_row_of_ratios():
+    head, _, row = branches.rows(1, [(2, 2.0, "split")])
+    assert head.count("|") == row.count("|") and "| split |" in row
 
 
 def test_exponents_are_fitted():

@@ -1,0 +1,76 @@
+"""What a second branch costs: ``python -m tests.benchmarks.branches [--steps N]`` in the project's root.
+
+Swirls of networks of one and of two branches that creep, of one mesh and by one solver, take steps by turns:
+the ratio of their processor times is that of one run, whatever else the machine does.
+"""
+
+import argparse
+import sys
+import time
+from collections.abc import Iterator, Sequence
+
+from ngsolve import CF, SetNumThreads, pi, sin, x, y
+
+import ngvisco as nv
+from ngvisco.geometries import box
+
+PROBLEMS = ((2, 0.1, "split"), (2, 0.25, "coupled"), (3, 0.35, "split"), (3, 0.7, "coupled"))
+"""Dimension, size of cells and solver."""
+HEAD = ("dim", "cells", "solver", "one branch, s", "two, s", "ratio", "iterations", "of two")
+
+
+def network(count: int) -> nv.Network:
+    """One or two neo-Hookean branches that creep; the first has the volume."""
+    moduli = ((10.0, 5.0, 5.0), (0.0, 2.0, 1.0))[:count]
+    made = {
+        f"mode_{i}": nv.Branch(material=nv.ReferentialNeoHookean(K_e=K_e, G_e=G_e), creep=nv.Creep(G_m=G_m))
+        for i, (K_e, G_e, G_m) in enumerate(moduli, 1)
+    }
+    return nv.Network(branches=made)
+
+
+def swirl(dim: int, maxh: float, solver: str, count: int) -> nv.Simulation:
+    """The swirl of the unit box, after its first step."""
+    along = (sin(pi * x) ** 2 * sin(2 * pi * y), -sin(2 * pi * x) * sin(pi * y) ** 2, CF(0.0))
+    viscosity = nv.StokesViscosity(K_v=0.01, G_v=0.01)
+    model = nv.Model(material=network(count), viscosity=viscosity)
+    initial = nv.Initial(density=1.0, velocity=along[:dim])
+    run = nv.Simulation(box((1,) * dim, maxh=maxh), model, dt=0.02, solver=solver, initial=initial)
+    run.advance()
+    return run
+
+
+def measured(dim: int, maxh: float, solver: str, steps: int) -> tuple[object, ...]:
+    """A row of the table."""
+    runs = [swirl(dim, maxh, solver, count) for count in (1, 2)]
+    seconds, iterations = [0.0, 0.0], [0, 0]
+    for _ in range(steps):
+        for i, run in enumerate(runs):
+            begin = time.process_time()
+            iterations[i] += int(run.advance()["newton_iterations"])
+            seconds[i] += time.process_time() - begin
+    one, two = (total / steps for total in seconds)
+    return dim, runs[0].mesh.ne, solver, f"{one:.2f}", f"{two:.2f}", f"{two / one:.2f}", *iterations
+
+
+def rows(steps: int, problems: Sequence[tuple[int, float, str]] = PROBLEMS) -> Iterator[str]:
+    """The lines of a Markdown table."""
+    yield "| " + " | ".join(HEAD) + " |"
+    yield "|" + "---|" * len(HEAD)
+    for problem in problems:
+        yield "| " + " | ".join(str(value) for value in measured(*problem, steps)) + " |"
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The command."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--steps", type=int, default=5, help="steps of each run after its first")
+    options = parser.parse_args(arguments)
+    SetNumThreads(1)
+    for line in rows(options.steps):
+        print(line, flush=True)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
