@@ -62,7 +62,7 @@ from ngvisco.forms.terms.tangents import TangentForce
 from ngvisco.forms.terms.transport import Conjugates, ElasticForce, Kinematics, Trace, Upwinding
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.exchange import Interpolation
-from ngvisco.physics.tensors import inner, sqrt, square
+from ngvisco.physics.tensors import inner, is_number, sqrt, square
 
 DEFECTS = ("facets", "cells", "inertia")
 """Names of the momentum defects of the scheme, by their place."""
@@ -240,8 +240,8 @@ class Impulses:
 
 
 def _thrust(u: Fields, phi: CoefficientFunction) -> CoefficientFunction:
-    """(z_hat - z) : zeta + phi on facets that are crossed, Pa."""
-    return u.context.crossed * (inner(u.z_hat - u.z, u.zeta) + phi)
+    """(z_hat - z) : zeta + phi on facets that are crossed, Pa; without phi where a trace has none."""
+    return u.context.crossed * (inner(u.z_hat - u.z, u.zeta) + is_number(phi, phi, 0.0))
 
 
 _ROUNDING = 1e-12

@@ -11,6 +11,7 @@
 | z_hat            | the trace of z                                    | global         | Trace |
 | zeta_hat         | mean of both sides' conjugates, with heat         | global         | MeanConjugates |
 | tangent_gap      | gap of both sides' tangents, P_0 on facets        | global         | TangentGap |
+| without_energy   | traces without an energy, P_0 on facets           | global         | WithoutEnergy |
 | conjugate_jump   | [z] : [zeta], P_0 on facets                       | global         | ConjugateJump |
 | cell_velocity    | mean of v over a cell                             | local          | CellVelocity |
 | unbalanced_momentum | mean of what v leaves of the continuity equation | local        | UnbalancedMomentum |

@@ -77,7 +77,7 @@ from ngvisco.forms.terms.momentum import (
     UnbalancedMomentum,
 )
 from ngvisco.forms.terms.regularisation import regularising_terms
-from ngvisco.forms.terms.tangents import TangentGap, tangents_of
+from ngvisco.forms.terms.tangents import TangentGap, WithoutEnergy, tangents_of
 from ngvisco.forms.terms.transport import (
     Conjugates,
     CreepRate,
@@ -180,7 +180,7 @@ def equations(model: Model, dim: int, m: int = 1) -> tuple[Term, ...]:
     terms += [Kinematics(model), Conjugates(model), Trace()]
     tangents = tangents_of(model.material, dim, m)
     if tangents is not None:
-        terms += [TangentGap(), *tangents.jumps, tangents]
+        terms += [TangentGap(), WithoutEnergy(), *tangents.jumps, tangents]
     if entropy_in(model.material) is not None:
         terms.append(MeanConjugates())
     terms.append(Upwinding(tangents))

@@ -135,6 +135,11 @@ def if_positive(a: Tensor, then: Tensor | float, otherwise: Tensor | float) -> T
     return a.where_positive(then, otherwise) if hasattr(a, "where_positive") else IfPos(a, then, otherwise)
 
 
+def is_number(a: Tensor, then: Tensor | float, otherwise: Tensor | float) -> Tensor:
+    """``then`` where the scalar a is a number, ``otherwise`` where it is none."""
+    return if_positive(1.0 + a * a, then, otherwise)
+
+
 def embed_gradient(grad: Tensor, dim: int, hoop: Tensor | None = None) -> Tensor:
     """The 3x3 velocity gradient (grad v)_ij = d_j v_i from the dim x dim one, in 2D with ``hoop`` as entry
     33, zero in plane strain."""

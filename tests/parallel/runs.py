@@ -190,6 +190,23 @@ def parameters(solver: str) -> nv.Simulation:
     return nv.Simulation(box((1, 1), maxh=0.4), model, dt=0.02, initial=initial, solver=solver)
 
 
+def network(solver: str) -> nv.Simulation:
+    """A spring, chains by conformation and a branch that yields and hardens, each with columns of its own."""
+    branches = {
+        "spring": nv.Branch(material=STIFF),
+        "chains": nv.Branch(
+            material=nv.OldroydB(K_e=0.0, G_e=1.0), creep=nv.Creep(G_m=1.0, law="conformation")
+        ),
+        "hard": nv.Branch(
+            material=nv.ReferentialNeoHookean(K_e=0.0, G_e=2.0),
+            creep=nv.Perzyna(sigma_Y=0.05, G_m=0.1, H=1.0),
+        ),
+    }
+    model = nv.Model(material=nv.Network(branches=branches), viscosity=VISCOSITY)
+    initial = nv.Initial(velocity=SWIRL)
+    return nv.Simulation(box((1, 1), maxh=0.4), model, dt=0.02, initial=initial, solver=solver)
+
+
 def heated(solver: str) -> nv.Simulation:
     """A swirl that warms by all that dissipates, with conduction and a wall that cools."""
     material = nv.Thermal(material=STIFF, c=3.0, expansion=0.1, theta_R=1.0)
@@ -237,6 +254,7 @@ def carried(dim: int) -> nv.Simulation:
 
 OF_BOTH: dict[str, Callable[[str], nv.Simulation]] = {
     **{"Yosida": yosida, "bodies": bodies, "heated": heated, "parameters": parameters, "block": block},
+    "network": network,
     **{"disc": disc, "lid": lid, "window": window},
 }
 OF_DENSITY = {

@@ -84,7 +84,8 @@ GROUPS = {
     "of CI": "carried; observed; sdirk2; adaptive; own term; channel; quadrilateral; slip disc; split; "
     "split crystal; split bodies; split parameters; split heated; split Yosida; split creep; "
     "split, two levels; split, Newton-Krylov; split, all regularisations; split own tableau; "
-    "split relaxation; split block; split turned; split slip disc, two levels; split window",
+    "split relaxation; split block; split turned; split slip disc, two levels; split window; split network",
+    "networks": "network; split network",
     "coupled": "carried; carried in space; Yosida; observed; parameters; heated; bodies; observed block; "
     "swirl; midpoint; sdirk2; adaptive; block; disc; lid; window; creep; limited",
     "split": "split Yosida; split bodies; split parameters; split heated; split; split, two levels; "
@@ -105,6 +106,7 @@ ACTS = {
     **dict.fromkeys(("limited", "split crowded", "parameters", "split parameters"), "limited_cells"),
     **dict.fromkeys(("heated", "split heated"), "entropy_production_conduction"),
     **dict.fromkeys(("own term", "split own term"), "dissipation_drag"),
+    **dict.fromkeys(("network", "split network"), "dissipation_creep_hard"),
     "cut-off, 3D, split": "cutoff_volume",
 }
 """What a case is there for, in its last row."""

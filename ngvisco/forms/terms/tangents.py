@@ -14,6 +14,9 @@ zeta = phi'(z) and the Bregman distances D_21 and D_12 between both sides, both 
 b = (D_21 - D_12)/(D_21 + D_12) lies in [-1, 1].  Projected conjugates may ask for more; b is bounded, and
 what is left then is seen in the ledger's momentum defect.
 
+A trace may be where the energy has no value, det B <= 0 beside a barrier of ln det B, while all points of
+the cells' rule are inside.  On such a facet b = 0: its thrust is then in the ledger's momentum defect.
+
 An energy is not convex in its parameters, and [z] : [zeta] may be zero where a modulus and a strain jump.
 Strains and parameters then have a weight each, b_i = int N D_i / (D_1^2 + D_2^2), D_i half of their share of
 int [z] : [zeta].
@@ -34,7 +37,7 @@ from ngvisco.forms.term import PointTerm, Setting, Unknown
 from ngvisco.forms.upwinding import SideMean, side
 from ngvisco.physics.material import Material
 from ngvisco.physics.pointwise import is_affine, respond, rest_state
-from ngvisco.physics.tensors import if_positive, inner, masked
+from ngvisco.physics.tensors import if_positive, inner, is_number, masked
 
 _ROUNDING = 1e-14
 """Jumps whose energy is less than this share of the moduli are rounding."""
@@ -58,7 +61,17 @@ class TangentGap(OfFacet):
     name = "tangent_gap"
 
     def value(self, u: Fields) -> CoefficientFunction:
-        return side(u) * (u.context.rates.stored_on_sides(u) - inner(u.z - u.z_hat, u.zeta))
+        phi = u.context.rates.stored_on_sides(u)
+        return side(u) * (is_number(phi, phi, 0.0) - inner(u.z - u.z_hat, u.zeta))
+
+
+class WithoutEnergy(OfFacet):
+    """How much of a facet has a trace without an energy, of both sides: 0 where all of it has one."""
+
+    name = "without_energy"
+
+    def value(self, u: Fields) -> CoefficientFunction:
+        return is_number(u.context.rates.stored_on_sides(u), 0.0, 1.0)
 
 
 class ConjugateJump(OfFacet):
@@ -98,7 +111,7 @@ class TangentForce(PointTerm):
     @property
     def kept(self) -> tuple[str, ...]:  # type: ignore[override]
         """The unknowns that the weights are made of, whose slope is steep where a jump is small."""
-        return (TangentGap.name, *(of.name for of in self.jumps))
+        return (TangentGap.name, WithoutEnergy.name, *(of.name for of in self.jumps))
 
     def excess(self, u: Fields) -> CoefficientFunction:
         """side b (z - z_hat) : zeta."""
@@ -106,6 +119,7 @@ class TangentForce(PointTerm):
         squares = reduce(add, (mean * mean for mean in means)) + (_ROUNDING * self.scale) ** 2
         least = gap * gap / _FARTHEST**2
         factor = gap / if_positive(squares - least, squares, least)
+        factor = if_positive(_ROUNDING - u.parts[WithoutEnergy.name], factor, 0.0)
         jumps = (mean * of.jump(u) for mean, of in zip(means, self.jumps, strict=True))
         return side(u) * factor * reduce(add, jumps)
 
