@@ -161,7 +161,7 @@ class Impulses:
         step, walls = self.step, self.step.walls
         u, through = step.now, self._space.TestFunction() * step.context.normal
         facets = {name: rows.facets for name, rows in self._groups.items() if rows.facets}
-        phi = step.energy.anywhere(u)
+        phi = _where_it_is(step.energy.anywhere(u))
         facets[_THRUST] = [(_thrust(u, phi) * through, None)]
         if closed := [name for name in walls.conditions if name not in walls.crossed]:
             at_walls = facet_indicator(step.mesh, closed) * beside_the_stress(u, phi)
@@ -217,7 +217,7 @@ class Impulses:
         if self._levers is None:
             along = [inner(e, self.step.context.normal) for e in self.motions.values()]
             self._levers = np.array([points.weights * points.sample(each) for each in along])
-        w, phi = Fields(u.layout, {"v": n}, u.context), u.context.rates.stored(u)
+        w, phi = Fields(u.layout, {"v": n}, u.context), _where_it_is(u.context.rates.stored(u))
         elastic = [
             part for term in self.step.terms if isinstance(term, ElasticForce) for part in term.facets(u, w)
         ]
@@ -240,8 +240,13 @@ class Impulses:
 
 
 def _thrust(u: Fields, phi: CoefficientFunction) -> CoefficientFunction:
-    """(z_hat - z) : zeta + phi on facets that are crossed, Pa; without phi where a trace has none."""
-    return u.context.crossed * (inner(u.z_hat - u.z, u.zeta) + is_number(phi, phi, 0.0))
+    """(z_hat - z) : zeta + phi on facets that are crossed, Pa."""
+    return u.context.crossed * (inner(u.z_hat - u.z, u.zeta) + phi)
+
+
+def _where_it_is(phi: CoefficientFunction) -> CoefficientFunction:
+    """The energy on facets, Pa, and 0 where a trace has none: its share then goes from facets to cells."""
+    return is_number(phi, phi, 0.0)
 
 
 _ROUNDING = 1e-12

@@ -1,0 +1,31 @@
+"""A trace may have no energy where all points of the cells' rule have one: det B <= 0 beside ln det B."""
+
+import numpy as np
+import pytest
+from ngsolve import GridFunction, IfPos, x
+
+import ngvisco as nv
+from ngvisco.geometries import structured_box
+
+
+@pytest.mark.parametrize("solver", ["coupled", "split"])
+@pytest.mark.parametrize("place", [0.5, 1.0], ids=["between cells", "on a wall"])
+def test_a_step_is_solved_whose_facets_have_a_trace_without_an_energy(place, solver):
+    """B_33 = |x - place| - 0.01 is negative on a row of facets, and positive 0.03 m beside it."""
+    model = nv.Model(
+        material=nv.OldroydB(K_e=20.0, G_e=1.0),
+        viscosity=nv.StokesViscosity(K_v=1.0, G_v=1.0),
+        creep=nv.Creep(G_m=2.0, law="conformation"),
+    )
+    mesh = structured_box((1, 1), (2, 2))
+    run = nv.Simulation(mesh, model, dt=1e-3, initial=nv.Initial(density=1.0), solver=solver, halvings=0)
+    step = run.ledger.step
+    across = GridFunction(step.layout.scalar_space("z"))
+    across.Set(IfPos(x - place, x - place, place - x) - 0.01)
+    states = step.layout.states
+    z = step.state.vec.FV().NumPy()[step.layout.ranges["z"]].reshape(states.size, -1)
+    z[states.slices["B"].stop - 1] = across.vec.FV().NumPy()
+    assert not len(step.without_energy())
+    row = run.advance()
+    assert row["rejections"] == 0 and abs(row["closure_relative"]) < 1e-10
+    assert all(np.isfinite(value) for name, value in row.items() if "momentum" in name or "impulse" in name)
