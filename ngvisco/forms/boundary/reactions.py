@@ -32,7 +32,7 @@ from ngvisco.forms.system import Step
 from ngvisco.forms.term import Integrand
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.exchange import Exchange, Interpolation
-from ngvisco.physics.tensors import inner, masked
+from ngvisco.physics.tensors import if_positive, inner, masked
 from ngvisco.physics.walls import HELD
 
 
@@ -68,7 +68,8 @@ class WallReactions:
         closed = facet_indicator(step.mesh, [name for name in walls if name not in step.walls.crossed])
         through = free.TestFunction() * step.context.normal
         self._energy = LinearForm(free)
-        flux = closed * beside_the_stress(step.now, step.energy.anywhere(step.now)) * through
+        beside = beside_the_stress(step.now, step.energy.anywhere(step.now))
+        flux = if_positive(closed, beside, 0.0) * through  # a trace between cells may have no energy
         step.quadrature.add(self._energy, [Integrand(facets=flux)])
         self._terms = {name: self._own_terms(name) for name in self.names}
 
