@@ -1,14 +1,19 @@
-"""Threads of a computation: NGSolve's for assembly, one for arrays and the BLAS.
+"""Threads of a computation: NGSolve's for assembly, one for the BLAS, those that share arrays' parts.
 
 NGSolve's task threads wait actively; a BLAS that starts its own threads beside them takes the cores from
-both (measured beside other work on two cores: the swirl demo in 9 min 52 s against 2 min 10 s).  Array
-products have one thread, which NGSolve's workers must not disturb: ``on_arrays`` ends these.  Sent to sleep,
-they would be waited for by what NGSolve does meanwhile: 6.6 ms in place of 0.2 for a factorisation's solution
-with 2,754 unknowns.
+both (measured beside other work on two cores: the swirl demo in 9 min 52 s against 2 min 10 s).  What
+works on arrays must not be disturbed by NGSolve's workers: ``on_arrays`` ends these.  Sent to sleep, they
+would be waited for by what NGSolve does meanwhile: 6.6 ms in place of 0.2 for a factorisation's solution with
+2,754 unknowns.
 """
 
-from collections.abc import Iterator
+import os
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from contextvars import copy_context
+from threading import RLock
+from typing import TypeVar
 
 from ngsolve import TaskManager
 from pyngcore import GetNumThreads, SetNumThreads, SuspendTaskManager
@@ -56,3 +61,29 @@ def on_arrays() -> Iterator[None]:
         SetNumThreads(threads)
         manager.__enter__()
         _managers.append(manager)
+
+
+_Part = TypeVar("_Part")
+_Result = TypeVar("_Result")
+
+ALONE = RLock()
+"""Held by the one of some workers that asks NGSolve for something, or makes what all of them read."""
+
+
+class Workers:
+    """Threads that share parts of a mesh, each of which is worked on by arrays alone."""
+
+    def __init__(self, threads: int | None = None, beside: int = 1) -> None:
+        """By default ``NGVISCO_THREADS``, or the processors over ``beside`` processes that share them."""
+        if threads is None:
+            own = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+            threads = int(os.environ.get("NGVISCO_THREADS", 0)) or max(1, own // beside)
+        self.threads = threads
+        self._pool = ThreadPoolExecutor(threads) if threads > 1 else None
+
+    def map(self, work: Callable[[_Part], _Result], parts: Sequence[_Part]) -> list[_Result]:
+        """``work`` of every part, in order."""
+        if self._pool is None or len(parts) < 2:
+            return [work(part) for part in parts]
+        others = [self._pool.submit(copy_context().run, work, part) for part in parts[1:]]
+        return [work(parts[0]), *(each.result() for each in others)]

@@ -8,6 +8,7 @@ from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # read when NGSolve loads its BLAS
 os.environ.setdefault("NGS_NUM_THREADS", "1")  # read by processes that tests start
+os.environ.setdefault("NGVISCO_THREADS", "1")
 
 import numpy as np
 import pytest

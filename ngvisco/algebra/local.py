@@ -5,6 +5,9 @@ of its own cell only.  Products for all components of a field are one small dens
 many times faster than a sparse product for each component.
 """
 
+from __future__ import annotations
+
+from copy import copy
 from functools import cached_property
 from math import prod
 
@@ -47,6 +50,17 @@ class LocalMatrix:
         self._blocks[cell, place[position], row] = entries.data
         # coefficients of a discontinuous space stand cell by cell
         self._in_order = np.array_equal(self.unknowns.ravel(), np.arange(self.width))
+        self._first = 0
+        """The first cell."""
+
+    def part(self, cells: slice) -> LocalMatrix:
+        """The rows of some cells, without copies; what it tests are ``loads``, which only all sum up."""
+        part, rows = copy(self), slice(self.per_cell * cells.start, self.per_cell * cells.stop)
+        part.__dict__.pop("scatter", None)
+        part.unknowns, part._blocks, part._first = self.unknowns[cells], self._blocks[cells], cells.start
+        part.cells, part.height = len(part.unknowns), len(part.unknowns) * self.per_cell
+        part.weights = None if self.weights is None else self.weights[rows]
+        return part
 
     @property
     def blocks(self) -> np.ndarray:
@@ -77,25 +91,39 @@ class LocalMatrix:
         parts = rows.reshape(prod(rows.shape[:-1]), self.width)
         result = np.empty((len(parts), self.height))
         by_cells = result.reshape(len(parts), self.cells, self.per_cell).transpose(1, 0, 2)
-        by_unknowns = (len(parts), self.cells, self.local)
-        local = parts.reshape(by_unknowns) if self._in_order else parts[:, self.unknowns]
+        if self._in_order:
+            first, count = self.local * self._first, self.local * self.cells
+            local = parts[:, first : first + count].reshape(len(parts), self.cells, self.local)
+        else:
+            local = parts[:, self.unknowns]
         np.matmul(local.transpose(1, 0, 2), self._blocks, out=by_cells)
         return result.reshape(*rows.shape[:-1], self.height)
 
     def test(self, values: np.ndarray) -> np.ndarray:
         """matrix^T @ (weights * each of ``values``), (..., height) -> (..., width)."""
+        return self.summed(self.loads(values))
+
+    def loads(self, values: np.ndarray) -> np.ndarray:
+        """The same cell by cell, (..., cells times unknowns of a cell)."""
         if np.iscomplexobj(values):
-            return self.test(values.real.copy()) + 1j * self.test(values.imag.copy())
+            return self.loads(values.real.copy()) + 1j * self.loads(values.imag.copy())
         parts = values.reshape(prod(values.shape[:-1]), self.height)
         if self.weights is not None:
             parts = parts * self.weights
         local = np.empty((len(parts), self.cells, self.local))
         by_cells = parts.reshape(len(parts), self.cells, self.per_cell).transpose(1, 0, 2)
         np.matmul(by_cells, self.blocks, out=local.transpose(1, 0, 2))
-        flat = local.reshape(len(parts), self.unknowns.size)
-        if not self._in_order:
-            flat = (self.scatter @ np.ascontiguousarray(flat.T)).T
-        return flat.reshape(*values.shape[:-1], self.width)
+        return local.reshape(*values.shape[:-1], self.unknowns.size)
+
+    def summed(self, loads: np.ndarray) -> np.ndarray:
+        """Sums over the cells of ``loads``, (..., width)."""
+        if self._in_order:
+            return loads
+        if np.iscomplexobj(loads):
+            return self.summed(loads.real.copy()) + 1j * self.summed(loads.imag.copy())
+        flat = loads.reshape(prod(loads.shape[:-1]), self.unknowns.size)
+        flat = (self.scatter @ np.ascontiguousarray(flat.T)).T
+        return flat.reshape(*loads.shape[:-1], self.width)
 
     def by_cells(self, columns: np.ndarray) -> np.ndarray:
         """matrix @ ``columns``, (width, n), cell by cell: (cells, n, rows of a cell)."""

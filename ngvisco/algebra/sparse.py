@@ -108,12 +108,13 @@ class ElementAssembly:
 
     def __init__(self, unknowns: np.ndarray, width: int) -> None:
         """``unknowns`` (cells, local) are those of the cells, ``width`` is the number of all."""
-        self.width = width
         flat = unknowns[:, :, None].astype(np.int64) * width + unknowns[:, None, :]
-        keys, self._position = np.unique(flat.ravel(), return_inverse=True)
-        self._rows, self._columns = keys // width, keys % width
+        keys, position = np.unique(flat.ravel(), return_inverse=True)
+        self.width, self._position = width, position.astype(np.int32)
+        self._columns = (keys % max(width, 1)).astype(np.int32)
+        self._ends = np.searchsorted(keys, width * np.arange(width + 1))
 
     def __call__(self, elements: np.ndarray) -> sp.csr_matrix:
         """The matrix of element matrices (cells, local, local)."""
-        values = np.bincount(self._position, weights=elements.ravel(), minlength=len(self._rows))
-        return sp.csr_matrix((values, (self._rows, self._columns)), shape=(self.width, self.width))
+        values = np.bincount(self._position, weights=elements.ravel(), minlength=len(self._columns))
+        return sp.csr_matrix((values, self._columns, self._ends), shape=(self.width, self.width), copy=True)

@@ -26,6 +26,7 @@ from ngvisco.forms.upwinding import SideMean
 from ngvisco.physics.arrays import TINY, Array, Linear, slots
 from ngvisco.reduced.operators import Operators, SideOperators
 from ngvisco.reduced.unknowns import derived_in_cells, in_cells
+from ngvisco.threads import ALONE
 
 Coefficients = Mapping[str, np.ndarray]
 """Coefficients of unknowns by name, (components, functions); of scalars (functions,)."""
@@ -169,37 +170,83 @@ def slots_of(parts: Sequence[Linear]) -> dict[str, np.ndarray]:
     return slots(sum(parts[1:], parts[0])) if parts else {}
 
 
-class CellContext:
-    """What is known through a step at the points of the cells; the arrays' counterpart of ``Context``."""
+class Sampled:
+    """What is known through a step, sampled at all points of a rule where it is first asked for."""
 
-    def __init__(self, step: Step, operators: Operators, rates: TabulatedRates) -> None:
-        self._step, self._op, self.rates, self.terms = step, operators, rates, step.terms
-        self.h = Array(np.repeat(step.context.h.vec.FV().NumPy(), operators.points.per_cell), None)
+    def __init__(self, step: Step, operators: Operators) -> None:
+        self._step, self._points, self.old = step, operators.points, dict[str, np.ndarray]()
         # by the function itself and no longer than it lives: a term may make a new one at each evaluation
         self._averages = WeakKeyDictionary[CoefficientFunction, GridFunction]()
         self._given = WeakKeyDictionary[CoefficientFunction, GridFunction]()
 
     def start(self) -> None:
-        """Evaluate what is known through the step: old fields, old momentum and averaged loads."""
+        """Evaluate what is known through the step: old fields and averaged loads."""
         step, layout = self._step, self._step.layout
-        state, old = step.state_old.vec.FV().NumPy(), {}
+        state = step.state_old.vec.FV().NumPy()
         for name in set(layout.evolving).intersection(in_cells(layout)):
             size = layout.unknowns[name].size
             of_name = state[layout.ranges[name]].copy()
-            old[name] = of_name if size is None else of_name.reshape(size, -1)
-        self.old = _in_cells(self._op, old, list(old), "of the old state", self)
+            self.old[name] = of_name if size is None else of_name.reshape(size, -1)
         for value, function in self._averages.items():
             _put(function, step.context.average_now(value))
         for value, function in self._given.items():
             _put(function, value)
 
     @property
+    def momentum_old(self) -> np.ndarray | None:
+        """m_old, (dim, points), kg/(m^2 s); it is known at the points of the forms' rule only."""
+        momentum, dim = self._step.momentum_old, self._step.mesh.dim
+        is_known = self._points.count * dim == momentum.space.ndof
+        return self._points.read(momentum, dim) if is_known else None
+
+    def average(self, value: CoefficientFunction) -> np.ndarray:
+        """(components, points); see ``CellContext.average``."""
+        with ALONE:
+            if value not in self._averages:
+                function = self._points.function(value.dim)
+                _put(function, self._step.context.average_now(value))
+                self._averages[value] = function
+        return self._points.read(self._averages[value], value.dim)
+
+    def given(self, value: CoefficientFunction) -> np.ndarray:
+        """(components, points); see ``CellContext.given``."""
+        with ALONE:
+            if value not in self._given:
+                function = self._points.function(value.dim)
+                _put(function, value)
+                self._given[value] = function
+        return self._points.read(self._given[value], value.dim)
+
+
+class CellContext:
+    """What is known through a step at the points of the cells; the arrays' counterpart of ``Context``.
+
+    Nothing at points is kept by it: old fields are made anew where they are asked for.
+    """
+
+    def __init__(self, step: Step, operators: Operators, rates: TabulatedRates, sampled: Sampled) -> None:
+        self._step, self._op, self.rates, self.terms = step, operators, rates, step.terms
+        self.sampled = sampled
+
+    @property
+    def h(self) -> Array:
+        """The cells' sizes, m."""
+        sizes = self._step.context.h.vec.FV().NumPy()[self._op.cells]
+        return Array(np.repeat(sizes, self._op.points.per_cell), None)
+
+    @property
+    def old(self) -> Fields:
+        """The old state."""
+        old = self.sampled.old
+        return _in_cells(self._op, old, list(old), "of the old state", self)
+
+    @property
     def momentum_old(self) -> Array:
-        """m_old, kg/(m^2 s); it is known at the points of the forms' rule only."""
-        step, points = self._step, self._op.points
-        if points.per_cell * step.mesh.dim * step.mesh.ne == step.momentum_old.space.ndof:
-            return Array(points.read(step.momentum_old, step.mesh.dim), None)
-        return self.old.rho * self.old.v  # of a coarser rule, for tangents only
+        """m_old, kg/(m^2 s)."""
+        if (known := self.sampled.momentum_old) is not None:
+            return Array(known[:, self._op.places], None)
+        old = self.old  # of a coarser rule, for tangents only
+        return old.rho * old.v
 
     def rate(self, difference: Any) -> Any:
         """difference/tau, of numbers, arrays of values or linear forms."""
@@ -207,20 +254,14 @@ class CellContext:
 
     def average(self, value: CoefficientFunction) -> Array:
         """The mean over the step of a scalar, a vector or a matrix, see ``Context.average``."""
-        if value not in self._averages:
-            self._averages[value] = self._op.points.function(value.dim)
-            _put(self._averages[value], self._step.context.average_now(value))
-        return self._read(self._averages[value], value)
+        return self._part(self.sampled.average(value), value)
 
     def given(self, value: CoefficientFunction) -> Array:
         """The same at the end of the step, see ``Context.given``."""
-        if value not in self._given:
-            self._given[value] = self._op.points.function(value.dim)
-            _put(self._given[value], value)
-        return self._read(self._given[value], value)
+        return self._part(self.sampled.given(value), value)
 
-    def _read(self, function: GridFunction, value: CoefficientFunction) -> Array:
-        return Array(self._op.points.read(function, value.dim).reshape(*value.dims, -1), None)
+    def _part(self, values: np.ndarray, value: CoefficientFunction) -> Array:
+        return Array(values[:, self._op.places].reshape(*value.dims, -1), None)
 
 
 def _put(function: GridFunction, value: CoefficientFunction) -> None:
@@ -237,10 +278,15 @@ def _rate(step: Step, difference: Any) -> Any:
 class SideContext:
     """What is known on the cells' sides."""
 
-    def __init__(self, step: Step, operators: SideOperators) -> None:
-        self._step, self._op, self._points = step, operators, operators.points
-        self._given = WeakKeyDictionary[CoefficientFunction, Array]()
-        self.normal, self.h = Array(operators.points.normals, None), Array(operators.h, None)
+    def __init__(
+        self,
+        step: Step,
+        operators: SideOperators,
+        given: WeakKeyDictionary[CoefficientFunction, np.ndarray],
+    ) -> None:
+        """``given`` are the values of functions at the points of all sides, which are sampled once a step."""
+        self._step, self._op, self.known = step, operators, given
+        self.normal, self.h = Array(operators.normals, None), Array(operators.h, None)
         self.inner, self.crossed = Array(operators.inner, None), Array(operators.crossed, None)
         self.reach = step.context.reach
         self.rates, self.terms = step.tabulated_rates, step.terms
@@ -251,15 +297,15 @@ class SideContext:
 
     def start(self) -> None:
         """Let what is given be that of the step."""
-        self._given.clear()
+        self.known.clear()
 
     def given(self, value: CoefficientFunction) -> Array:
         """A scalar, a vector or a matrix at the end of the step, see ``Context.given``."""
-        if value not in self._given:
-            entries = [value[index] for index in np.ndindex(*value.dims)] if value.dims else [value]
-            values = np.stack([self._points.sample(entry) for entry in entries])
-            self._given[value] = Array(values.reshape(*value.dims, -1), None)
-        return self._given[value]
+        with ALONE:
+            if value not in self.known:
+                entries = [value[index] for index in np.ndindex(*value.dims)] if value.dims else [value]
+                self.known[value] = np.stack([self._op.points.sample(entry) for entry in entries])
+        return Array(self.known[value][:, self._op.places].reshape(*value.dims, -1), None)
 
     @property
     def curvature(self) -> float:
@@ -271,11 +317,21 @@ class CellTerms:
     """Integrals over the cells."""
 
     def __init__(
-        self, step: Step, operators: Operators, rates: TabulatedRates, place: Where = "cells"
+        self,
+        step: Step,
+        operators: Operators,
+        rates: TabulatedRates,
+        place: Where = "cells",
+        sampled: Sampled | None = None,
     ) -> None:
         """``place`` is "cells" or "nodes": which of the terms' integrals over cells."""
         self.layout, self.op, self.place, self._step = step.layout, operators, place, step
-        self.context = CellContext(step, operators, rates)
+        self.context = CellContext(step, operators, rates, sampled or Sampled(step, operators))
+
+    def part(self, cells: slice) -> CellTerms:
+        """Over some cells; rows are their ``loads``."""
+        operators, known = self.op.part(cells), self.context
+        return CellTerms(self._step, operators, known.rates, self.place, known.sampled)
 
     def fields(self, c: Coefficients) -> Fields:
         """The unknowns with these coefficients at the points."""
@@ -297,9 +353,9 @@ class CellTerms:
         ]
         return {name: np.concatenate([part[name] for part in parts], axis=-2) for name in parts[0]}
 
-    def rows(self, terms: Iterable[PointTerm], u: Fields) -> Rows:
-        """Rows of the terms' integrals over the cells."""
-        rows, count = Rows(), self.op.points.count
+    def loads(self, terms: Iterable[PointTerm], u: Fields) -> Rows:
+        """Rows of the terms' integrals cell by cell, see ``LocalMatrix.loads``."""
+        rows, count = Rows(), len(self.op.weights)
         for name, values in self.slots(terms, u).items():
             unknown = name.removeprefix("grad ")
             value, derivatives = self.op.of(unknown)
@@ -307,18 +363,36 @@ class CellTerms:
             if unknown != name:
                 tested = [(D, values[..., j, :]) for j, D in enumerate(derivatives)]
             for operator, part in tested:
-                found = operator.test(_full(part, count))
+                found = operator.loads(_full(part, count))
                 rows[unknown] = rows[unknown] + found if unknown in rows else found
         return rows
+
+    def summed(self, loads: Rows) -> Rows:
+        """Rows of all unknowns, of the loads of all cells."""
+        return {name: self.op.of(name)[0].summed(values) for name, values in loads.items()}
+
+    def rows(self, terms: Iterable[PointTerm], u: Fields) -> Rows:
+        """Rows of the terms' integrals over the cells."""
+        return self.summed(self.loads(terms, u))
 
 
 class FacetTerms:
     """Integrals over both sides of all facets."""
 
-    def __init__(self, step: Step, operators: SideOperators) -> None:
-        self.layout, self.op = step.layout, operators
-        self.context = SideContext(step, operators)
+    def __init__(
+        self,
+        step: Step,
+        operators: SideOperators,
+        given: WeakKeyDictionary[CoefficientFunction, np.ndarray] | None = None,
+    ) -> None:
+        self.layout, self.op, self._step = step.layout, operators, step
+        known = WeakKeyDictionary[CoefficientFunction, np.ndarray]() if given is None else given
+        self.context = SideContext(step, operators, known)
         self._tests, self._names = tests_of(step, False, self.context), [*on_sides(step), "zeta"]
+
+    def part(self, cells: slice) -> FacetTerms:
+        """Over the sides of some cells; rows are their ``loads``."""
+        return FacetTerms(self._step, self.op.part(cells), self.context.known)
 
     def fields(self, c: Coefficients) -> Fields:
         """The unknowns with these coefficients on the sides."""
@@ -337,11 +411,21 @@ class FacetTerms:
         """What multiplies each test, (..., points)."""
         return slots_of([part for term in terms for part in term.facets(u, self._tests)])
 
-    def rows(self, terms: Iterable[PointTerm], u: Fields) -> Rows:
-        """Rows of the terms' integrals over the facets, those of traces left out."""
+    def loads(self, terms: Iterable[PointTerm], u: Fields) -> Rows:
+        """Rows of the terms' integrals over the facets cell by cell, those of traces left out."""
         found = self.slots(terms, u)
-        count, names = self.op.points.count, {"v", "rho", "z"}.intersection(found)
-        return {name: self.op.of(name).test(_full(found[name], count)) for name in names}
+        count, names = len(self.op.weights), {"v", "rho", "z"}.intersection(found)
+        return {name: self.op.of(name).loads(_full(found[name], count)) for name in names}
+
+    def loads_of(self, term: PointTerm, name: str, u: Fields) -> np.ndarray:
+        """The same of the unknown ``name`` of facets by its own equation, at its value zero."""
+        shape = self.layout.unknowns[name].shape
+        found = self.slots([term], with_values(u, **{name: np.zeros((*shape, 1))}))
+        return self.op.of(name).loads(_full(found[name], len(self.op.weights)))
+
+    def summed(self, loads: Rows) -> Rows:
+        """Rows of all unknowns, of the loads of all cells."""
+        return {name: self.op.of(name).summed(values) for name, values in loads.items()}
 
 
 def _in_cells(op: Operators, c: Coefficients, names: Sequence[str], place: str, context: Any) -> Fields:

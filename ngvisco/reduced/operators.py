@@ -6,6 +6,7 @@ The sides of a facet between two ranks are one on each: what both make of it is 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from functools import cached_property
 
 import numpy as np
@@ -17,6 +18,7 @@ from ngvisco.algebra.sparse import Blocks
 from ngvisco.forms.mesh.points import CellPoints, SidePoints
 from ngvisco.forms.system import Step
 from ngvisco.parallel.exchange import Exchange, Halo
+from ngvisco.threads import ALONE
 
 
 class Operators:
@@ -24,7 +26,8 @@ class Operators:
 
     def __init__(self, step: Step, order: int) -> None:
         self.layout, self.points = step.layout, CellPoints(step.mesh, order, step.layout.symmetry)
-        self.weights = self.points.weights
+        self.weights, self.cells = self.points.weights, slice(0, step.mesh.ne)
+        self._whole: Operators | None = None
         self._made: dict[tuple[str, int], tuple[LocalMatrix, list[LocalMatrix]]] = {}
         self.z, self.dz = self.of("z")
         self.v, self.dv = self.of("v")
@@ -33,7 +36,11 @@ class Operators:
         """Values of a component of an unknown of cells, and its partial derivatives."""
         unknown = self.layout.unknowns[name]
         key = unknown.place, unknown.order
-        if key not in self._made:
+        if key not in self._made and self._whole is not None:
+            with ALONE:
+                value, slopes = self._whole.of(name)
+            self._made[key] = value.part(self.cells), [D.part(self.cells) for D in slopes]
+        elif key not in self._made:
             space, points = self.layout.scalar_space(name), self.points
             value, *slopes = (
                 LocalMatrix(matrix, points.mesh.ne, self.weights)
@@ -41,6 +48,20 @@ class Operators:
             )
             self._made[key] = value, slopes
         return self._made[key]
+
+    @property
+    def places(self) -> slice:
+        """Where the cells' points stand among those of all cells."""
+        return slice(self.points.per_cell * self.cells.start, self.points.per_cell * self.cells.stop)
+
+    def part(self, cells: slice) -> Operators:
+        """Of some cells, see ``LocalMatrix.part``."""
+        part = copy(self)
+        part._whole, part._made, part.cells = self, {}, cells
+        part.weights = self.weights[part.places]
+        part.z, part.dz = part.of("z")
+        part.v, part.dv = part.of("v")
+        return part
 
     def gradients(self, operators: Sequence[LocalMatrix], rows: np.ndarray) -> np.ndarray:
         """Partial derivatives of each of ``rows``, (rows, dim, points)."""
@@ -53,6 +74,8 @@ class SideOperators:
     def __init__(self, step: Step) -> None:
         context, self.layout = step.context, step.layout
         self.points = points = SidePoints(step.mesh, step.quadrature.facet_degree, step.layout.symmetry)
+        self.cells, self.weights, self.normals = slice(0, step.mesh.ne), points.weights, points.normals
+        self._whole: SideOperators | None = None
         self._made: dict[tuple[str, int], LocalMatrix] = {}
         self.z, self.hat, self.v = map(self.of, ("z", "z_hat", "v"))
         self.inner = np.round(points.sample(context.inner))
@@ -67,13 +90,34 @@ class SideOperators:
         """Values of a component of an unknown of cells or facets."""
         unknown = self.layout.unknowns[name]
         key = unknown.place, unknown.order
-        if key not in self._made:
+        if key not in self._made and self._whole is not None:
+            with ALONE:
+                self._made[key] = self._whole.of(name).part(self.cells)
+        elif key not in self._made:
             self._made[key] = self._local(self.points.values(self.layout.scalar_space(name)))
         return self._made[key]
+
+    @property
+    def places(self) -> slice:
+        """Where the points of the cells' sides stand among all."""
+        return slice(self.z.per_cell * self.cells.start, self.z.per_cell * self.cells.stop)
+
+    def part(self, cells: slice) -> SideOperators:
+        """Of the sides of some cells, see ``LocalMatrix.part``."""
+        part, where = copy(self), slice(self.z.per_cell * cells.start, self.z.per_cell * cells.stop)
+        part.__dict__.pop("dz", None)
+        part._whole, part._made, part.cells = self, {}, cells
+        part.inner, part.crossed, part.h = self.inner[where], self.crossed[where], self.h[where]
+        part.weights, part.normals = self.weights[where], self.normals[:, where]
+        part.z, part.hat, part.v = map(part.of, ("z", "z_hat", "v"))
+        return part
 
     @cached_property
     def dz(self) -> list[LocalMatrix]:
         """Partial derivatives of a component of z, in its cell."""
+        if self._whole is not None:
+            with ALONE:
+                return [D.part(self.cells) for D in self._whole.dz]
         space, points = self.layout.scalar_space("z"), self.points
 
         def slope(j: int) -> sp.csr_matrix:

@@ -12,8 +12,10 @@ of the flow, of the normal derivatives and of iterated traces at the end; all ot
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -33,11 +35,15 @@ from ngvisco.parallel.exchange import Exchange
 from ngvisco.physics.arrays import TINY, Array
 from ngvisco.reduced.claims import Claims
 from ngvisco.reduced.diffusion import FieldDiffusionRows
-from ngvisco.reduced.evaluation import CellTerms, FacetTerms, with_values
+from ngvisco.reduced.evaluation import CellTerms, Coefficients, FacetTerms, Rows
 from ngvisco.reduced.hyperviscosity import HyperValues, MatrixHyperviscosity
 from ngvisco.reduced.operators import FacetMass, Operators, SideOperators
 from ngvisco.reduced.slope import PointwiseSlope
 from ngvisco.reduced.unknowns import Unknowns
+from ngvisco.threads import Workers
+
+TOGETHER = 24_000
+"""Points of cells that are evaluated together."""
 
 
 class RestrictedForm:
@@ -131,27 +137,89 @@ class Evaluation:
         Packed.
     coefficients : dict
         Of the iterated and of the derived unknowns by name, (components, functions).
-    cells, facets : Fields
-        Arrays of values at the points of cells and of sides.
     hyper : HyperValues or None
     residual : (unknowns,) array
         The rows, packed as the unknowns.
+    terms : CellTerms, FacetTerms
+        By which values at points are made.
     """
 
     x: np.ndarray
     coefficients: dict[str, np.ndarray]
-    cells: Fields
-    facets: Fields
     hyper: HyperValues | None
     residual: np.ndarray
+    terms: tuple[CellTerms, FacetTerms]
+
+    @property
+    def cells(self) -> Fields:
+        """Values at the points of all cells, made anew when they are asked for: nothing keeps them."""
+        return self.terms[0].fields(self.coefficients)
+
+    @property
+    def facets(self) -> Fields:
+        """The same on the cells' sides."""
+        return self.terms[1].fields(self.coefficients)
+
+
+class Part:
+    """Some cells and their sides: what is made at their points fits the cache, and is not kept."""
+
+    def __init__(self, residual: ReducedResidual, cells: slice) -> None:
+        self.cells, self.residual = cells, residual
+        self.inside, self.sides = residual.cell_terms.part(cells), residual.facet_terms.part(cells)
+
+    def conjugates(self, c: Coefficients) -> np.ndarray:
+        """Loads of phi'(z), (n, cells' unknowns)."""
+        values = self.inside.fields(c).z.value
+        return self.inside.op.z.loads(self.residual.slope(values))
+
+    def trace(self, term: PointTerm, name: str, c: Coefficients) -> np.ndarray:
+        """Loads of the mean of both sides ``name``."""
+        return self.sides.loads_of(term, name, self.sides.fields(c))
+
+    def mean(self, term: CellMean, c: Coefficients) -> np.ndarray:
+        """A mean over the cells, (components, cells), of a scalar (cells,)."""
+        op, sides = self.inside.op, self.sides.op
+        parts = [(term.value(self.inside.fields(c)), op.weights, op.z.per_cell)]
+        if (on_sides := term.value_on_sides(self.sides.fields(c))) is not None:
+            parts.append((on_sides, sides.weights, sides.z.per_cell))
+        total = sum(
+            (a.value * weights).reshape(*a.value.shape[:-1], op.z.cells, per).sum(axis=-1)
+            for a, weights, per in parts
+        )
+        volumes: np.ndarray = op.weights.reshape(op.z.cells, op.z.per_cell).sum(axis=1)
+        return total / volumes
+
+    def loads(self, c: Coefficients, hyper: HyperValues | None) -> tuple[Rows, Rows]:
+        """Of all terms at points, in cells and on their sides."""
+        terms, s = self.residual.at_points, self.sides.fields(c)
+        if hyper is not None:
+            s.__dict__["jump"] = Array(hyper.jumps[:, self.sides.op.places], None)
+        return self.inside.loads(terms, self.inside.fields(c)), self.sides.loads(terms, s)
+
+
+def parts_of(cells: int, points: int) -> list[slice]:
+    """Cells in ranges of as equal sizes as can be, of ``points`` each; an even number of them, or one.
+
+    They are the same whatever the number of threads.
+    """
+    count = -(-cells * points // TOGETHER)
+    count = max(count + count % 2, 1) if count > 1 else 1
+    ends = np.linspace(0, cells, count + 1).astype(int).tolist()
+    return [slice(*ends_of) for ends_of in itertools.pairwise(ends)]
+
+
+def _joined(loads: Sequence[Rows]) -> Rows:
+    """Of all cells, of those of their parts."""
+    return {name: np.concatenate([each[name] for each in loads], axis=-1) for name in loads[0]}
 
 
 class ReducedResidual:
     """R of one step at packed unknowns x, and its derivative."""
 
-    def __init__(self, step: Step, exchange: Exchange) -> None:
-        """``exchange`` is that of the step's space."""
-        self.step = step
+    def __init__(self, step: Step, exchange: Exchange, workers: Workers) -> None:
+        """``exchange`` is that of the step's space; ``workers`` share the parts of the mesh."""
+        self.step, self.workers = step, workers
         self.unknowns = u = Unknowns(step)
         self.op = Operators(step, step.quadrature.volume_degree // 2)
         self.side_op = SideOperators(step)
@@ -184,25 +252,29 @@ class ReducedResidual:
         if claims.diffusion:
             term = claims.diffusion[0]
             self.diffusion = FieldDiffusionRows(step, self.op, self.slope, term, self.trace_mass)
-        self._at_points = [*claims.at_points, *claims.continuity]
+        self.at_points = [*claims.at_points, *claims.continuity]
         self._of_traces: list[tuple[PointTerm, str]] = [(term, term.name) for term in claims.traces]
         self._of_traces += [(term, "rho_hat") for term in claims.continuity]
         orders = {step.layout.unknowns[name].order: name for _, name in self._of_traces}
         self._masses = {order: self._mass_of_traces(exchange, name) for order, name in orders.items()}
         self._masses[step.layout.unknowns["z_hat"].order] = self.trace_mass
+        self._whole = [Part(self, slice(0, step.mesh.ne))]
+        self.parts = self._whole
+        if self.slope.is_local:
+            self.parts = [Part(self, cells) for cells in parts_of(step.mesh.ne, self.op.points.per_cell)]
 
     def _mass_of_traces(self, exchange: Exchange, name: str) -> FacetMass:
         """The mass of the means of both sides that have the order of ``name``."""
         values = self.side_op.of(name)
         mass = FacetMass(values, exchange.part(self.unknowns.places([name])[: values.width]))
-        mass.update(self.side_op.points.weights * mean_share(self.side_op.inner))
+        mass.update(self.side_op.weights * mean_share(self.side_op.inner))
         return mass
 
     def start(self) -> None:
         """Evaluate what is known through the step."""
-        self.cell_terms.context.start()
+        self.cell_terms.context.sampled.start()
         if self.node_terms is not None:
-            self.node_terms.context.start()
+            self.node_terms.context.sampled.start()
         self.facet_terms.context.start()
         if self.right_hand_side is not None:
             self.right_hand_side.start()
@@ -213,13 +285,14 @@ class ReducedResidual:
         ``anew`` linearises flow rules there, ``Stresses``; else their slopes stay.  The forms of NGSolve
         read the state; with complex x they are taken as linear about it.
         """
-        c, u, s, hyper = self._derived(x)
-        rows = [self.cell_terms.rows(self._at_points, u), self.facet_terms.rows(self._at_points, s)]
+        c, hyper = self._derived(x)
+        inside, on_sides = zip(*self.share(lambda part: part.loads(c, hyper), self.parts), strict=True)
+        rows = [self.cell_terms.summed(_joined(inside)), self.facet_terms.summed(_joined(on_sides))]
         if self.node_terms is not None:
             n = self._at_nodes(self.node_terms, c, not np.iscomplexobj(x))
             if anew:
                 self.step.stresses.linearise()
-            rows.append(self.node_terms.rows(self._at_points, n))
+            rows.append(self.node_terms.rows(self.at_points, n))
         if self.diffusion is not None:
             rows.append({"z": self.diffusion.rows(c)})
         if hyper is not None:
@@ -227,7 +300,7 @@ class ReducedResidual:
             rows.append({"v": of_v, "a": of_a})
         if not np.iscomplexobj(x) and "energy" in self.claims.forms_ask_for:
             self.step.eliminate.refresh()
-        return Evaluation(x, c, u, s, hyper, self._packed(x, rows))
+        return Evaluation(x, c, hyper, self._packed(x, rows), (self.cell_terms, self.facet_terms))
 
     def on_sides(self) -> tuple[Fields, SidePoints]:
         """z, its trace and its conjugates of the step's state at the points of the cells' sides."""
@@ -236,9 +309,13 @@ class ReducedResidual:
         c = {name: state[layout.ranges[name]].reshape(layout.states.size, -1) for name in names}
         return self.facet_terms.fields(c), self.side_op.points
 
+    def share(self, work: Callable[[Any], Any], parts: Sequence[Any]) -> list[Any]:
+        """``work`` of every part, in order, by threads where the energy is by arrays."""
+        return self.workers.map(work, parts) if self.slope.is_local else [work(part) for part in parts]
+
     def put(self, x: np.ndarray) -> None:
         """Make ``x``, real, and what is derived from it, the step's state."""
-        c, *_ = self._derived(x)
+        c, _ = self._derived(x)
         if self.node_terms is not None:
             self._at_nodes(self.node_terms, c, True)
 
@@ -249,24 +326,28 @@ class ReducedResidual:
             self.step.stresses.refresh(lambda: (n.z.value, n.zeta.value))
         return n
 
-    def _derived(self, x: np.ndarray) -> tuple[dict[str, np.ndarray], Fields, Fields, HyperValues | None]:
-        """Coefficients, values in cells and on sides, the hyperviscosity's; the state where x is real."""
-        op, hyper = self.op, None
+    def _derived(self, x: np.ndarray) -> tuple[dict[str, np.ndarray], HyperValues | None]:
+        """Coefficients, and the hyperviscosity's values; the state where x is real."""
+        hyper, run = None, self.share
         c = self.unknowns.coefficients(x)
-        u, s = self.cell_terms.fields(c), self.facet_terms.fields(c)
-        c["zeta"] = apply(self.inverse_mass, op.z.test(self.slope(u.z.value)))
-        self._set_traces(c, s)
+        self.slope.check(lambda: self.op.z(c["z"]))
+        parts = self.parts if self.slope.is_local else self._whole
+        c["zeta"] = apply(self.inverse_mass, np.concatenate(run(lambda p: p.conjugates(c), parts), axis=-1))
+        for term, name in self._of_traces:
+            loads = run(partial(Part.trace, term=term, name=name, c=c), self.parts)
+            mass, values = self._masses[self.step.layout.unknowns[name].order], self.side_op.of(name)
+            c[name] = -mass.solve(mass.exchange.sum(values.summed(np.concatenate(loads, axis=-1))))
         for mean in self.claims.means:
-            c[mean.name] = self._mean(mean, u, s)
+            of_parts = run(partial(Part.mean, term=mean, c=c), self.parts)
+            c[mean.name] = np.concatenate(of_parts, axis=-1)
         if self.diffusion is not None:
-            c |= self.diffusion.slopes(u.z.value, c)
+            c |= self.diffusion.slopes(self.op.z(c["z"]), c)
         if self.hyper is not None:
             hyper = self.hyper(c["v"], c["a"], c["z"])
             c |= hyper.local
-            s.__dict__["jump"] = Array(hyper.jumps, None)
         if not np.iscomplexobj(x):
             self.unknowns.unpack(x, c)
-        return c, u, s, hyper
+        return c, hyper
 
     def derivative(self, at: Evaluation) -> Callable[[np.ndarray], np.ndarray]:
         """The map from directions d, packed, to rows of dR d at an evaluation, which the state has to be.
@@ -286,27 +367,6 @@ class ReducedResidual:
             rows = self._density_of_all.jacobian()[at.coefficients["v"].size :]
             self._of_forms.append((u.density_slice, rows, columns))
         return lambda d: self(at.x + (TINY * 1j) * d).residual.imag / TINY
-
-    def _mean(self, term: CellMean, u: Fields, s: Fields) -> np.ndarray:
-        """A mean over the cells, (components, cells), of a scalar (cells,)."""
-        op, sides = self.op, self.side_op
-        parts = [(term.value(u), op.weights, op.z.per_cell)]
-        if (on_sides := term.value_on_sides(s)) is not None:
-            parts.append((on_sides, sides.points.weights, sides.z.per_cell))
-        total = sum(
-            (a.value * weights).reshape(*a.value.shape[:-1], op.z.cells, per).sum(axis=-1)
-            for a, weights, per in parts
-        )
-        volumes: np.ndarray = op.weights.reshape(op.z.cells, op.z.per_cell).sum(axis=1)
-        return total / volumes
-
-    def _set_traces(self, c: dict[str, np.ndarray], s: Fields) -> None:
-        """Solve for the traces and other means of both sides, which may read those before them."""
-        for term, name in self._of_traces:
-            zeros = np.zeros((*self.step.layout.unknowns[name].shape, 1))
-            loads = self.facet_terms.slots([term], with_values(s, **{name: zeros}))
-            mass = self._masses[self.step.layout.unknowns[name].order]
-            c[name] = -mass.solve(mass.exchange.sum(self.side_op.of(name).test(loads[name])))
 
     def _packed(self, x: np.ndarray, rows: list[dict[str, np.ndarray]]) -> np.ndarray:
         """The sum of rows by unknowns, of what forms have and of the source, also of other ranks' cells."""

@@ -37,6 +37,16 @@ class PointwiseSlope:
         both = CF((*(slope[i] for i in range(self.components)), material.energy(z)))
         self.expression: CoefficientFunction = both.Compile()
 
+    @property
+    def is_local(self) -> bool:
+        """Whether it is made of z at some points alone, by arrays that threads may share."""
+        return self.arrays is not None and not self.lagged.any()
+
+    def check(self, z_values: Callable[[], np.ndarray]) -> None:
+        """See once, by z at all points, whether the energy by arrays is the one by its expression."""
+        if self.arrays is not None and not self.is_checked:
+            self._checked(np.ascontiguousarray(z_values().real))
+
     def __call__(self, z_values: np.ndarray) -> np.ndarray:
         """phi'(z), (n, points), for z at the points, (n, points), real or with a tiny imaginary part."""
         if not self.lagged.any():

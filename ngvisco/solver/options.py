@@ -108,6 +108,9 @@ class NewtonOptions:
         "coupled", all unknowns at once (small meshes), "split", the fields as functions of the velocity
         (large ones), or "auto", which chooses one by the mesh and asks the other one where a step is not
         solved; both solve the same equations.
+    threads : int or None
+        Threads that share the cells in the split solver, by default the environment's NGVISCO_THREADS, or all
+        processors, of which ranks have equal parts. A state's bits do not depend on them.
 
     Raises
     ------
@@ -122,6 +125,7 @@ class NewtonOptions:
     inverse: str = "umfpack"
     coarse: str = "direct"
     method: str = "auto"
+    threads: Annotated[int | None, Quantity("1", ">= 1")] = None
     split: SplitOptions = SplitOptions()
 
     def __post_init__(self) -> None:
@@ -140,7 +144,7 @@ class NewtonOptions:
         require_choice(self, COARSE, coarse=self.coarse)
         is_split, where = self.method == "split", "with the method 'split'"
         require_effect(self, not is_split, where, "refresh", "min_damping", "inverse")
-        require_effect(self, self.method != "coupled", "with the method 'coupled'", "split")
+        require_effect(self, self.method != "coupled", "with the method 'coupled'", "split", "threads")
         if self.coarse != "direct":
             if self.method == "coupled":
                 expected = "'direct' with the method 'coupled', which factorises one system of all unknowns"

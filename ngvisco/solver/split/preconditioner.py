@@ -27,8 +27,9 @@ from ngvisco.parallel.petsc import SumInverse
 from ngvisco.reduced.operators import Operators
 from ngvisco.reduced.residual import Evaluation, ReducedResidual
 from ngvisco.solver.options import NewtonOptions
-from ngvisco.solver.split.flow_operator import FlowSchurComplement, PointTangent
+from ngvisco.solver.split.flow_operator import FlowSchurComplement
 from ngvisco.solver.split.hyperviscosity import HyperDerivative, HyperTangent
+from ngvisco.solver.split.point_tangent import PointTangent
 from ngvisco.solver.split.transport import TransportSweeps
 
 TOLERANCE, ITERATIONS = 0.05, 20

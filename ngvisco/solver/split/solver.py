@@ -32,7 +32,7 @@ from ngvisco.reduced.residual import Evaluation, ReducedResidual
 from ngvisco.solver.options import NewtonOptions
 from ngvisco.solver.problem import BlockNorm, NewtonIteration, Problem, Solution, Status, unconverged
 from ngvisco.solver.split.preconditioner import Preconditioner
-from ngvisco.threads import on_arrays
+from ngvisco.threads import Workers, on_arrays
 
 _FORCING = {2: 0.03, 3: 0.003}
 """Tolerances of the flow's linear systems: in 3D a residual costs more directions than are saved by less."""
@@ -56,7 +56,8 @@ class Split:
         """``exchange`` is that of the step's space."""
         self.step, self.norm, self.options = step, norm, options
         self.is_factorised = False
-        self.residual = ReducedResidual(step, exchange)
+        workers = Workers(options.threads, exchange.communicator.size)
+        self.residual = ReducedResidual(step, exchange, workers)
         self.unknowns = self.residual.unknowns
         self.preconditioner = Preconditioner(self.residual, options)
         self._full = step.state.vec.CreateVector()

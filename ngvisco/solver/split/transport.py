@@ -40,9 +40,9 @@ class FacetCoupling:
         count = self.cells * self.sides
         self._weights = sides.points.weights.reshape(count, per, 1)
         self._z = z.blocks.reshape(count, per, self.functions)
-        self._z_t = np.ascontiguousarray(self._z.transpose(0, 2, 1))
+        self._z_t = self._z.transpose(0, 2, 1)
         self._hat = np.ascontiguousarray(mass.shapes.T).reshape(count, per, len(mass.shapes))
-        self._hat_t = np.ascontiguousarray(self._hat.transpose(0, 2, 1))
+        self._hat_t = self._hat.transpose(0, 2, 1)
         self._facet = mass.facet[::per]
         self._mass, self.halo = mass, mass.halo
         order = np.argsort(self._facet, kind="stable")

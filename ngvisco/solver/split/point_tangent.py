@@ -1,0 +1,245 @@
+"""What an increment X = (grad dv, dPi) makes of the fields in a cell by itself.
+
+Neither convected nor carried through facets they follow it as
+
+    dz = tau (1 - tau K)^{-1} (d rate/dX) X,    K = d(rate + creep + terms of z)/dz,
+
+and with the elastic force zeta : rate(z; X) that makes a point's stiffness
+C = tau (zeta : T + (d rate/dX)^T phi'') (1 - tau K)^{-1} (d rate/dX), not symmetric where there is stress or
+creep.  What is integrated at the nodes (``Quadrature.nodes``), as nonlinear creep, has its part of K there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from ngvisco.algebra import precision
+from ngvisco.forms.fields import Fields
+from ngvisco.forms.term import PointTerm
+from ngvisco.reduced.evaluation import CellTerms, derivative_of, incremented
+from ngvisco.reduced.operators import Operators
+from ngvisco.reduced.residual import Evaluation, ReducedResidual
+from ngvisco.reduced.slope import PointwiseSlope
+
+
+class _AtPoints:
+    """Values, phi'' and K at the points of one rule, at an evaluation."""
+
+    tau: float
+    rate_slope: np.ndarray
+    """K, (points, n, n)."""
+
+    def __init__(self, residual: ReducedResidual, terms: CellTerms, asked: list[PointTerm]) -> None:
+        """``asked`` are the terms whose rows of z, and stresses, change with z."""
+        self.residual, self.terms, self.op, self._asked = residual, terms, terms.op, asked
+        self.components = residual.step.layout.states.size
+        self.slope = PointwiseSlope(residual.step, self.op.points)
+        z = self.op.z
+        functions = z.blocks.swapaxes(1, 2)
+        tests = functions * self.op.weights.reshape(z.cells, 1, z.per_cell)
+        of_values = np.linalg.solve(tests @ z.blocks, tests)  # (cells, q, points)
+        by_points = of_values[:, :, None] * functions[:, None]
+        self._projecting = by_points.reshape(z.cells, z.local**2, z.per_cell)
+        """Coefficients of products of values at the points and the cells' functions, (cells, q q, points)."""
+
+    def _curvature(self, u: Fields) -> np.ndarray:
+        """phi'', (points, n, n)."""
+        return np.ascontiguousarray(self.slope.hessian(u.z.value).transpose(2, 0, 1))
+
+    def _slopes(
+        self, terms: CellTerms, u: Fields, curvature: np.ndarray
+    ) -> Iterator[tuple[slice, dict[str, np.ndarray]]]:
+        """Derivatives of the asked terms' slots, and of creep, by some components of z, which zeta follows by
+        phi''."""
+        first, zeta = 0, curvature.transpose(2, 1, 0)
+        for k, changed in incremented(u, z=np.eye(self.components)[:, :, None], zeta=zeta):
+            some, first = slice(first, first + k), first + k
+            yield some, {name: derivative_of(g, k) for name, g in self._read(terms, changed).items()}
+
+    def _read(self, terms: CellTerms, u: Fields) -> dict[str, np.ndarray]:
+        return terms.slots(self._asked, u)
+
+    def tested(self, cells: slice) -> np.ndarray:
+        """tau P K of some cells' coefficients, (cells, q q, n n)."""
+        z, n = self.op.z, self.components
+        values = self.tau * self.rate_slope.reshape(z.cells, z.per_cell, n * n)[cells]
+        kind = np.float64 if abs(values).max(initial=0.0) > 1 else precision.SINGLE
+        return self._projecting[cells].astype(kind) @ values.astype(kind)
+
+    def rows(self, dz: np.ndarray) -> np.ndarray:
+        """(K dz, .) of coefficients dz, both (cells' unknowns, n)."""
+        values = self.op.z(np.ascontiguousarray(dz.T))
+        return self.op.z.test(at_points(self.rate_slope, values)).T
+
+
+class NodeTangent(_AtPoints):
+    """The same at the nodes: of what is integrated by as many points as z has values in a cell."""
+
+    def __init__(self, residual: ReducedResidual, terms: CellTerms) -> None:
+        super().__init__(residual, terms, residual.claims.of_nodes())
+
+    def update(self, at: Evaluation) -> None:
+        """Form K, along the slopes of the flow rules at their stresses, which are made anew."""
+        self.tau = self.residual.step.context.tau.Get()
+        self.residual.step.stresses.linearise()
+        u = self.terms.fields(at.coefficients)
+        self.curvature = self._curvature(u)
+        self.rate_slope = np.zeros((self.op.points.count, self.components, self.components))
+        for some, found in self._slopes(self.terms, u, self.curvature):
+            self.rate_slope[:, :, some] -= found["z"].transpose(2, 0, 1)
+
+    def follow(self, dz: np.ndarray, length: float) -> None:
+        """Let the flow rules' stresses follow ``length`` times an increment of z, coefficients (n, .)."""
+        values = self.op.z(dz)
+        self.residual.step.stresses.follow_fields(values, at_points(self.curvature, values), length)
+
+
+@dataclass
+class PointValues:
+    """What the points of some cells have, for element matrices.
+
+    Attributes
+    ----------
+    terms : CellTerms
+        Of these cells.
+    fields : Fields
+    columns : (points, n, X) array
+        d rate/dX.
+    force : (points, X, n) array
+    """
+
+    terms: CellTerms
+    fields: Fields
+    columns: np.ndarray
+    force: np.ndarray
+
+
+class PointTangent(_AtPoints):
+    """The same at the points of the coarse rule, and what both make of an increment in a cell."""
+
+    def __init__(self, residual: ReducedResidual, operators: Operators) -> None:
+        terms = CellTerms(residual.step, operators, residual.rates)
+        super().__init__(residual, terms, residual.claims.of_state())
+        self.nodes = None if residual.node_terms is None else NodeTangent(residual, residual.node_terms)
+        rates, count = residual.rates, operators.points.count
+        self._creeps = bool(rates.flows) and rates.is_local and not rates.creeps_at_nodes
+        self.parts = [(part.cells, terms.part(part.cells)) for part in residual.parts]
+        n, X, local = self.components, len(rates.tensors.constant), operators.z.local
+        self.rate_slope = np.zeros((count, n, n))
+        kind = precision.SINGLE if self.nodes is None else np.float64
+        self.resolvent = np.zeros((operators.z.cells, local * n, local * n), kind)
+        self.force: np.ndarray | None = None
+        self.columns: np.ndarray | None = None
+        if self.nodes is not None or "Pi" in residual.unknowns.flow:
+            # what a steep rule relaxes, and what a creep rate field carries, is asked for at the points
+            self.force, self.columns = np.zeros((count, X, n)), np.zeros((count, n, X))
+
+    def _read(self, terms: CellTerms, u: Fields) -> dict[str, np.ndarray]:
+        creep = {"creep": self.residual.rates.creep_components(u)} if self._creeps else {}
+        return creep | super()._read(terms, u)
+
+    def begin(self, at: Evaluation) -> None:
+        """Linearise at an evaluation what is so at once in all cells."""
+        self.tau = self.residual.step.context.tau.Get()
+        self.slope.check(lambda: self.op.z(at.coefficients["z"]))
+        if self.nodes is not None:
+            self.nodes.update(at)
+
+    def update(self, part: tuple[slice, CellTerms], at: Evaluation) -> PointValues:
+        """Form K and its resolvent in some cells; d rate/dX and the force's derivative are given back."""
+        (cells, terms), u = part, part[1].fields(at.coefficients)
+        columns, where = self.residual.rates.columns(u.z.value), terms.op.places
+        K, force = self._by_fields(terms, u, columns)
+        self.rate_slope[where] = K
+        if self.force is not None and self.columns is not None:
+            self.force[where], self.columns[where] = force, columns
+        self.resolvent[cells] = self._resolvent(cells)
+        return PointValues(terms, u, columns, force)
+
+    def _by_fields(self, terms: CellTerms, u: Fields, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """K, (points, n, n), and the force's derivative, (points, X, n); zeta follows z by phi''.
+
+        Rates are constant tensors; creep and terms that read z or zeta are by complex increments of these.
+        -(w . grad z) : zeta, with its share of the facets, is div w times phi'(z) : dz to leading order, and
+        so is what densities have in their flux.
+        """
+        rates, curvature, z, zeta = self.residual.rates, self._curvature(u), u.z.value, u.zeta.value
+        g, plane = rates.tensors.gradients, rates.dim**2
+        X = np.zeros((columns.shape[2], z.shape[1]))
+        X[:g] = rates.entries_of_L(u)
+        if rates.flows and not rates.creeps_at_nodes:
+            X[g:] = rates.creep_components(u)
+        K, force = (each.transpose(2, 0, 1) for each in rates.slopes(z, X, zeta))
+        force = force + np.matmul(columns.swapaxes(1, 2), curvature)
+        force[:, rates.tensors.trace] += zeta.T[:, None]
+        if not (self._asked or self._creeps):
+            return K, force
+        K, of_creep = K.copy(), columns[:, :, g:]
+        for some, found in self._slopes(terms, u, curvature):
+            if "creep" in found:
+                K[:, :, some] += np.matmul(of_creep, found["creep"].transpose(2, 0, 1))
+            if "z" in found:
+                K[:, :, some] -= found["z"].transpose(2, 0, 1)
+            if "grad v" in found:
+                stress = found["grad v"]
+                force[:, :plane, some] += stress.reshape(plane, *stress.shape[2:]).transpose(2, 0, 1)
+            if (radius := radius_of(u)) is not None and "v" in found:
+                force[:, plane, some] += (radius * found["v"][0]).T
+        return K, force
+
+    def fields_rows(self, dz: np.ndarray) -> np.ndarray:
+        """(K dz, .) with what the nodes have of it."""
+        return self.rows(dz) if self.nodes is None else self.rows(dz) + self.nodes.rows(dz)
+
+    def stiffness(self) -> np.ndarray:
+        """C of the module's docstring, (points, X, X)."""
+        assert self.force is not None and self.columns is not None
+        resolvent = np.linalg.inv(np.eye(self.components) - self.tau * self.rate_slope)
+        return self.tau * self.force @ (resolvent @ self.columns)
+
+    def _resolvent(self, cells: slice) -> np.ndarray:
+        """(1 - tau P K)^{-1} of some cells' coefficients, (cells, q n, q n), P the projection to their space.
+
+        Not of values at points: where some points of a cell yield and others do not, tau K is large at some.
+        """
+        q, n = self.op.z.local, self.components
+        tested = self.tested(cells)
+        if self.nodes is not None:
+            tested = tested + self.nodes.tested(cells)
+        matrix = tested.reshape(-1, q, q, n, n).transpose(0, 1, 3, 2, 4)
+        return _resolvents(matrix.reshape(-1, q * n, q * n))
+
+
+def at_points(matrices: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Matrices (points, i, j) times values (j, points): (i, points)."""
+    return np.ascontiguousarray(np.matmul(matrices, values.T[:, :, None])[:, :, 0].T)
+
+
+def _resolvents(matrices: np.ndarray) -> np.ndarray:
+    """(1 - N)^{-1} of stacked matrices N: (1 + N)(1 + N^2)(1 + N^4) ... where they are small.
+
+    Products take a fifth of the time of factorisations; what they leave is below 1e-4.
+    """
+
+    def size(matrices: np.ndarray) -> float:
+        return float(abs(matrices).sum(axis=2).max(initial=0.0))
+
+    one = np.eye(matrices.shape[1])
+    if not size(matrices) < 0.5:
+        return np.linalg.inv(one - matrices)
+    power = precision.single(matrices)
+    result = power + one.astype(precision.SINGLE)
+    while size(power) ** 2 > 1e-4:
+        power = np.matmul(power, power)
+        result += np.matmul(result, power)
+    return result
+
+
+def radius_of(u: Fields) -> np.ndarray | None:
+    """r of a body of revolution, (points,)."""
+    radius = u.layout.symmetry.radius
+    found: np.ndarray | None = None if radius is None else u.context.given(radius).value
+    return found

@@ -1,0 +1,56 @@
+"""Parts of the mesh: their number changes nothing but rounding, that of the threads not a bit."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from support import SWIRL
+from test_split_agrees import model
+
+import ngvisco as nv
+from ngvisco.geometries import box
+from ngvisco.reduced import residual
+from ngvisco.reduced.residual import parts_of
+
+
+def solved(threads=1, points=None, monkeypatch=None, **parts):
+    """The state after two steps, cells taken ``points`` together."""
+    if monkeypatch is not None:
+        monkeypatch.setattr(residual, "TOGETHER", points)
+    newton = nv.NewtonOptions(threads=threads)
+    run = nv.Simulation(
+        box((1, 1), maxh=0.4),
+        model(**parts),
+        walls={"top": nv.Traction(f=(1.0, 0.0), friction=0.2)},
+        dt=0.02,
+        initial=nv.Initial(velocity=SWIRL),
+        solver="split",
+        newton=newton,
+    )
+    for _ in range(2):
+        run.advance()
+    return run, run.solver.newton.step.state.vec.FV().NumPy().copy()
+
+
+@pytest.mark.parametrize("parts", [{}, {"creep": nv.Creep(G_m=5.0)}], ids=["elastic", "creeping"])
+def test_parts_and_threads(parts, monkeypatch):
+    _, whole = solved(**parts)
+    run, serial = solved(1, 40, monkeypatch, **parts)
+    assert len(run.solver.newton.residual.parts) >= 6
+    _, shared = solved(3, 40, monkeypatch, **parts)
+    assert np.array_equal(serial, shared)
+    assert np.abs(serial - whole).max() <= 1e-11 * np.abs(whole).max()
+
+
+@pytest.mark.parametrize("cells", [0, 1, 7, 1000, 1001, 50_552])
+def test_parts_are_all_cells_once(cells):
+    parts = parts_of(cells, 24)
+    assert parts[0].start == 0 and parts[-1].stop == cells
+    assert all(one.stop == other.start for one, other in pairwise(parts))
+    assert len(parts) == 1 or len(parts) % 2 == 0
+    assert max(part.stop - part.start for part in parts) <= 1001
+
+
+def test_threads_are_a_number():
+    with pytest.raises(nv.ParameterError, match=r"threads.*0"):
+        nv.NewtonOptions(threads=0)
