@@ -107,6 +107,7 @@ def run_or_resume(case: str, directory: str, threads: int, stop: str) -> tuple[i
         stderr=subprocess.PIPE,
         text=True,
         errors="backslashreplace",
+        env=os.environ | {"NGVISCO_THREADS": str(threads)},
         start_new_session=True,  # the terminal's Ctrl-C is for the study, which lets steps end
     )
     os.close(read)
