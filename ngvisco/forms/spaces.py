@@ -68,7 +68,7 @@ class Discretisation:
     Parameters
     ----------
     k : int
-        Order of the continuous velocity, 2 or 3.
+        Order of the continuous velocity, 1, 2 or 3; 1 without hyperviscosity and with walls along the axes.
     m : int
         Order of the discontinuous density and transported variables, 0, 1 or 2.
     quadrature_bonus : int
@@ -83,7 +83,7 @@ class Discretisation:
     sharp: bool = False
 
     def __post_init__(self) -> None:
-        require_choice(self, (2, 3), k=self.k)
+        require_choice(self, (1, 2, 3), k=self.k)
         require_choice(self, (0, 1, 2), m=self.m)
         require_choice(self, tuple(range(13)), quadrature_bonus=self.quadrature_bonus)
         if not isinstance(self.sharp, bool):

@@ -1,8 +1,9 @@
 """Motion that no variable feels: what a velocity of order k has within cells beyond the order m + 1.
 
 grad P_{m+1} = P_m: a variable of order m in cells feels the strains of velocities up to the order m + 1.
-For m < k - 1 there are velocities beyond, of which inertia and viscosity alone know.  A wave in a box without
-viscosity, m = 0, has 63 % of its kinetic energy there after 2 s.  With Pi the cellwise projection on P_{m+1}
+For m < k - 1 there are velocities beyond, of which inertia and viscosity alone know; for k, m = 1, 0 or 2, 1
+there are none.  A wave in a box without viscosity, k = 2 and m = 0, has 63 % of its kinetic energy there
+after 2 s.  With Pi the cellwise projection on P_{m+1}
 
     unfelt = 1/2 int rho |v - Pi v|^2 >= 0,
 
@@ -48,7 +49,7 @@ class Unfelt:
             self.is_said = True
             message = (
                 f"{unfelt / kinetic:.0%} of the kinetic energy is motion within cells that nothing feels: "
-                "take discretisation.m = k - 1, or a viscosity or hyperviscosity that holds it"
+                "take discretisation.m = k - 1 (k = 1 for m = 0), or a viscosity that holds it"
             )
             self._ranks.warn(message, InputWarning, stacklevel=4)
         return unfelt

@@ -376,7 +376,7 @@ class _InEquilibrium:
         common = "pressure" if self.heat is None else "pressure and temperature"
         remedy = "a gas without p_infinity presses on what it meets, and matter in tension does not bear that"
         if (n < 0).any():
-            remedy = "with m = 0 few are below zero, where stiffnesses differ by ten times and more"
+            remedy = "with Discretisation(k=1, m=0) few are below zero, of stiffnesses 10 : 1 and more"
         points = f"{len(n)} points, e.g. for the amounts {', '.join(f'{amount:.3g}' for amount in n[0])}"
         return f"bodies have no common {common} at {points}; {remedy}"
 

@@ -146,7 +146,7 @@ class Scales:
         if slow > 0 and (fast / slow) ** 2 > _STIFF:
             ratio, remedies = (fast / slow) ** 2, []
             if self.k < 3:
-                remedies.append("take discretisation.k = 3, since cells lock with k = 2")
+                remedies.append(f"take discretisation.k = 3, since cells lock with k = {self.k}")
             spare = _SMALL / self.weight if self.weight > 0 else ratio / _STIFF
             if spare >= 2:
                 least = max(1 / spare, _STIFF / ratio)

@@ -163,7 +163,7 @@ def test_nonsense_is_refused_where_it_stands(text, message):
 @pytest.mark.parametrize(
     ("said", "meant"),
     [
-        ("Take Discretisation(m=0), or", "Take discretisation.m = 0, or"),
+        ("Take Discretisation(k=1, m=0), or", "Take discretisation.k = 1, discretisation.m = 0, or"),
         ("is nv.Inflow(velocity=...)", 'is walls.NAME.kind = "Inflow"'),
         ("by Slip(straight=True)", 'by walls.NAME.kind = "Slip", walls.NAME.straight = true'),
         ("a 3x3 coefficient function", "a 3x3 expression"),

@@ -89,7 +89,7 @@ HyperViscosity(mu=1, mu_1=_) | -1, inf | HyperViscosity.mu_1 | number >= 0
 StokesViscosity(K_v=_, G_v=1) | -1e-9, nan | StokesViscosity.K_v | number >= 0
 StokesViscosity(K_v=1, G_v=_) | -1e-9, nan | StokesViscosity.G_v | number >= 0
 Creep(G_m=_) | 0, -1, nan | Creep.G_m | a finite number > 0
-Discretisation(k=_) | 1, 4, 2.0, "2" | Discretisation.k | one of 2, 3
+Discretisation(k=_) | 0, 4, 2.0, "2" | Discretisation.k | one of 1, 2, 3
 Discretisation(m=_) | -1, 3, True, 1.0 | Discretisation.m | one of 0, 1, 2
 Discretisation(quadrature_bonus=_) | -1, 0.5 | Discretisation.quadrature_bonus | one of 0, 1
 NewtonOptions(tolerance=_) | 0, -1.0, nan, inf, '1', True, 1 | NewtonOptions.tolerance | a number in (0, 1)

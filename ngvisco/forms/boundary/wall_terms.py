@@ -69,6 +69,10 @@ class Impenetrability(PointTerm):
         self._walls = walls
 
     def unknowns(self, setting: Setting) -> tuple[Unknown, ...]:
+        if setting.k < 2:
+            names = ", ".join(map(repr, self._walls.multiplied))
+            expected = f"2 or 3 with the oblique or curved walls {names}, on which v.n = 0 has a multiplier"
+            raise ParameterError("Discretisation.k", setting.k, expected)
         space = partial(self._walls.multiplier_space, k=setting.k)
         return (Unknown("wall_stress", "walls", space=space),)
 

@@ -33,6 +33,7 @@ from dataclasses import dataclass
 
 from ngsolve import CoefficientFunction
 
+from ngvisco.errors import ParameterError
 from ngvisco.forms.fields import Fields, hessian_basis
 from ngvisco.forms.term import Integrand, Integrands, PointTerm, Setting, Unknown, tested
 from ngvisco.physics.rheology import HyperViscosity
@@ -48,6 +49,9 @@ class Hyperviscosity(PointTerm):
 
     def unknowns(self, setting: Setting) -> tuple[Unknown, ...]:
         k, dim = setting.k, setting.dim
+        if k < 2:
+            expected = "None with Discretisation(k=1), whose velocity is linear in cells; or k = 2"
+            raise ParameterError("Model.hyperviscosity", self.law, expected)
         tensors = dim * hessian_basis(dim).shape[1]
         found = [Unknown("hess", "cells", k - 2, tensors), Unknown("hyperstress", "cells", k - 2, tensors)]
         if not self.law.is_linear:

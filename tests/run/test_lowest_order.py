@@ -1,0 +1,79 @@
+"""Linear velocities and constant variables, k = 1 and m = 0: the stable pair of lowest order."""
+
+import math
+
+import numpy as np
+import pytest
+from ngsolve import CF, x
+from ngsolve import sin as sine
+
+import ngvisco as nv
+from ngvisco.errors import ParameterError
+from ngvisco.forms.unfelt import UNFELT
+from ngvisco.geometries import disc, structured_box
+
+LOWEST = nv.Discretisation(k=1, m=0)
+K, G, LENGTH = 10.0, 2.0, 4.0
+OMEGA = math.pi / LENGTH * math.sqrt(K + 4 / 3 * 2 * G)
+"""Of the longest compression wave between walls, 1/s, with a density of 1 kg/m^3."""
+
+
+def wave(cells: tuple[int, int], amplitude: float, steps: int, **options) -> nv.Simulation:
+    """Half a period of it, by ``steps`` steps."""
+    options = {"time": nv.TimeSteps(dt=math.pi / OMEGA / steps, scheme="midpoint")} | options
+    return nv.Simulation(
+        structured_box((LENGTH, 1.0), cells),
+        nv.Model(material=nv.ReferentialNeoHookean(K_e=K, G_e=G)),
+        discretisation=LOWEST,
+        initial=nv.Initial(velocity=CF((amplitude * sine(math.pi * x / LENGTH), 0.0))),
+        **options,
+    )
+
+
+def returned(cells: tuple[int, int], steps: int) -> float:
+    """Its velocity after half a period, over that at first: -1."""
+    run, w = wave(cells, 1e-4, steps), sine(math.pi * x / LENGTH)
+    integrate = run.rothe_step.quadrature.integrate_cells
+    before = integrate(run.fields["velocity"][0] * w)
+    run.run(math.pi / OMEGA)
+    return float(integrate(run.fields["velocity"][0] * w) / before)
+
+
+def test_a_wave_has_its_speed():
+    """To second order: a quarter of the error on half the cells."""
+    coarse, fine = (abs(1 + returned((n, n // 4), 2 * n)) for n in (8, 16))
+    assert 1e-4 < fine < 0.02
+    assert 2.5 < coarse / fine < 6.0
+
+
+def test_no_motion_is_unfelt_and_no_energy_comes():
+    run = wave((8, 2), 0.1, 8, time=nv.TimeSteps(dt=0.1))
+    run.run(0.8)
+    total = run.ledger.column("kinetic") + run.ledger.column("stored")
+    assert UNFELT not in run.ledger.columns
+    assert (np.diff(total) < 0).all()
+    assert abs(run.ledger.column("closure")[1:]).max() < 1e-9
+
+
+def test_both_solvers_give_one_answer():
+    ends = []
+    for solver in ("coupled", "split"):
+        run = wave((8, 2), 0.1, 8, solver=solver)
+        run.run(math.pi / OMEGA / 4)
+        ends.append(
+            np.asarray(run.rothe_step.state.vec.FV().NumPy()[: run.rothe_step.layout.ranges["v"].stop])
+        )
+    assert abs(ends[0] - ends[1]).max() < 1e-8
+
+
+def test_what_needs_second_derivatives_is_refused():
+    law = nv.HyperViscosity(mu=0.1, p=4.0)
+    model = nv.Model(material=nv.ReferentialNeoHookean(K_e=K, G_e=G), hyperviscosity=law)
+    with pytest.raises(ParameterError, match=r"hyperviscosity.*None with Discretisation\(k=1\)"):
+        nv.Simulation(structured_box((1.0, 1.0), (2, 2)), model, dt=0.1, discretisation=LOWEST)
+
+
+def test_oblique_walls_are_refused():
+    model = nv.Model(material=nv.ReferentialNeoHookean(K_e=K, G_e=G))
+    with pytest.raises(ParameterError, match=r"Discretisation\.k.*2 or 3 with the oblique or curved walls"):
+        nv.Simulation(disc(1.0, 0.6), model, dt=0.1, discretisation=LOWEST)
