@@ -30,20 +30,20 @@ def wave(cells: tuple[int, int], amplitude: float, steps: int, **options) -> nv.
     )
 
 
-def returned(cells: tuple[int, int], steps: int) -> float:
-    """Its velocity after half a period, over that at first: -1."""
+def phase(cells: tuple[int, int], steps: int) -> float:
+    """By how much of its first velocity it is not at rest after a quarter of a period: an angle."""
     run, w = wave(cells, 1e-4, steps), sine(math.pi * x / LENGTH)
     integrate = run.rothe_step.quadrature.integrate_cells
     before = integrate(run.fields["velocity"][0] * w)
-    run.run(math.pi / OMEGA)
+    run.run(math.pi / OMEGA / 2)
     return float(integrate(run.fields["velocity"][0] * w) / before)
 
 
 def test_a_wave_has_its_speed():
     """To second order: a quarter of the error on half the cells."""
-    coarse, fine = (abs(1 + returned((n, n // 4), 2 * n)) for n in (8, 16))
+    coarse, fine = (abs(phase((n, n // 4), n)) for n in (8, 16))
     assert 1e-4 < fine < 0.02
-    assert 2.5 < coarse / fine < 6.0
+    assert 3.0 < coarse / fine < 5.0
 
 
 def test_no_motion_is_unfelt_and_no_energy_comes():
@@ -63,7 +63,7 @@ def test_both_solvers_give_one_answer():
         ends.append(
             np.asarray(run.rothe_step.state.vec.FV().NumPy()[: run.rothe_step.layout.ranges["v"].stop])
         )
-    assert abs(ends[0] - ends[1]).max() < 1e-8
+    assert abs(ends[0] - ends[1]).max() < 1e-7
 
 
 def test_what_needs_second_derivatives_is_refused():
