@@ -3,7 +3,7 @@
 from ngvisco.geometries.boxes import bar, block_with_hole, box, channel, structured_box
 from ngvisco.geometries.files import load
 from ngvisco.geometries.meshing import refine_walls, split_corner_cells
-from ngvisco.geometries.round import annulus, cylinder, disc, sphere, spherical_shell
+from ngvisco.geometries.round import annulus, cylinder, disc, half_disc, sphere, spherical_shell
 
 __all__ = [
     "annulus",
@@ -13,6 +13,7 @@ __all__ = [
     "channel",
     "cylinder",
     "disc",
+    "half_disc",
     "load",
     "refine_walls",
     "sphere",

@@ -1,9 +1,9 @@
-"""Round domains: discs, annuli, cylinders, spheres, spherical shells.  Their cells are curved."""
+"""Round domains: discs and their halves, annuli, cylinders, spheres, spherical shells; with curved cells."""
 
 from collections.abc import Mapping
 from typing import Annotated
 
-from netgen.occ import Circle, Cylinder, Pnt, Sphere, Z
+from netgen.occ import Circle, Cylinder, MoveTo, Pnt, Sphere, X, Z
 from ngsolve import Mesh
 
 from ngvisco.errors import ParameterError, Quantity
@@ -31,6 +31,28 @@ def disc(
     domain = Domain("disc", 2, [("radius", radius)], ["radius"])
     face = Circle((0, 0), domain.lengths[0]).Face()
     face.edges.name = "wall"
+    return domain.mesh(face, maxh, order, refine)
+
+
+def half_disc(
+    radius: Length,
+    maxh: CellSize,
+    *,
+    order: int = CURVE_ORDER,
+    refine: Annotated[Mapping[str, float] | None, Quantity("m", example={"wall": 0.05})] = None,
+) -> Mesh:
+    """The half x > 0 of a disc about the origin, of a ball that is axisymmetric; walls ``wall``, ``axis``.
+
+    Parameters
+    ----------
+    radius, maxh, order, refine
+        As for ``disc``.
+    """
+    domain = Domain("half_disc", 2, [("radius", radius)], ["radius"])
+    R = domain.lengths[0]
+    face = Circle((0, 0), R).Face() * MoveTo(0, -2 * R).Rectangle(2 * R, 4 * R).Face()
+    face.edges.name = "wall"
+    face.edges.Min(X).name = "axis"
     return domain.mesh(face, maxh, order, refine)
 
 

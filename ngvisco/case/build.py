@@ -121,6 +121,8 @@ class Case:
             del data[name]
         if self.refinement is not None:
             data["adapt"] = str(self.refinement)
+        if (symmetry := self.sections.domain.symmetry) != "none":  # type: ignore[attr-defined]
+            data["symmetry"] = symmetry
         del data["time"]["until"]
         return hashlib.sha256(toml.write(data).encode()).hexdigest()
 
@@ -241,6 +243,7 @@ class Case:
         with self.blame.located("initial"):
             parts["newton"] = parts.pop("solver")
             passive = sections.output.passive
+            parts["symmetry"] = sections.domain.symmetry  # type: ignore[attr-defined]
             run = Simulation(mesh, model, walls=walls, passive=passive, observers=observers, **parts)
             run.check_data(self.until)
         if self.refinement is not None:

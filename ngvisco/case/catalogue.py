@@ -29,7 +29,7 @@ def _of(module: ModuleType, names: str) -> dict[str, Any]:
 GEOMETRIES: Kinds = {
     **_of(geometries, "annulus bar block_with_hole box channel cylinder disc"),
     "file": geometries.load,
-    **_of(geometries, "sphere spherical_shell structured_box"),
+    **_of(geometries, "half_disc sphere spherical_shell structured_box"),
 }
 MATERIALS: Kinds = {
     "BarotropicFluid": materials.BarotropicFluid,

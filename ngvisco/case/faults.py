@@ -347,6 +347,8 @@ def key_of(field: str, path: tuple[str, ...], sections: Any, value: object = Non
         if len(rest) < 2:
             return (*path, *rest)
         owner, *rest = rest
+    if field == "Simulation.symmetry":
+        return ("domain", "symmetry")
     if owner == "Model":
         return (rest[0],) if rest[:1] in (["bodies"], ["loads"]) else ("rheology", *rest)
     if owner in _KEYS:

@@ -33,6 +33,11 @@ HeatCapacity = section(Thermal, is_whole=False, without=("p_infinity",))
 class Meshed(Section):
     """The keys that every geometry has besides its own."""
 
+    symmetry: Literal["none", "axisymmetric"] = Field(
+        "none",
+        description="In two dimensions plane strain, or a body of revolution about x = 0, in the half plane "
+        "x >= 0: integrals are then its own over 2 pi",
+    )
     adapt: Adapt | None = Field(
         None, description="Divide the cells where a field is steep, and choose them anew as it moves"
     )

@@ -147,6 +147,8 @@ def require_fit(source: Simulation, target: Simulation) -> None:
         if name not in unknowns or unknowns[name].size != target.rothe_step.layout.unknowns[name].size:
             expected = f"one whose terms have the unknown {name} too, which evolves"
             raise ParameterError("transfer.source", "a run without it", expected)
+    if (had := source.arguments["symmetry"]) != (has := target.arguments["symmetry"]):
+        raise ParameterError("transfer.target", f"symmetry {has!r}", f"{had!r}, as of the source")
     if source.mesh.dim != target.mesh.dim:
         raise ParameterError("transfer.target", f"dimension {target.mesh.dim}", f"{source.mesh.dim}")
     if target.number or len(target.ledger.rows) > 1:

@@ -29,6 +29,7 @@ ELSEWHERE = {
     "domain.adapt.every": "case/test_adapt.py",
     "domain.split_corners": "geometries/test_corner_cells.py",
     "domain.path": "geometries/test_geometries.py",
+    "domain.symmetry": "run/test_axisymmetric_terms.py",
     "domain.maxh file": "geometries/test_geometries.py",
     "domain.order file": "geometries/test_corner_cells.py",
     **dict.fromkeys(

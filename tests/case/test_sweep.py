@@ -64,6 +64,7 @@ NEEDED = {
     "channel": {"length": 2.0, "height": 1.0, "maxh": 1.0},
     "cylinder": {"radius": 1.0, "height": 1.0, "maxh": 2.0},
     "disc": {"radius": 1.0, "maxh": 1.0},
+    "half_disc": {"radius": 1.0, "maxh": 1.0},
     "file": {"path": "missing.vol"},
     "sphere": {"radius": 1.0, "maxh": 2.0},
     "spherical_shell": {"inner": 0.5, "outer": 1.0, "maxh": 1.0},

@@ -25,6 +25,7 @@ CASES = {
         {"left", "right", "front", "back", "bottom", "top", "hole"},
     ),
     "disc": (lambda: g.disc(2, 0.8), 4 * math.pi, {"wall"}),
+    "half": (lambda: g.half_disc(2, 0.8), 2 * math.pi, {"wall", "axis"}),
     "annulus": (lambda: g.annulus(1, 2, 0.5), 3 * math.pi, {"inner", "outer"}),
     "cylinder": (lambda: g.cylinder(1, 2, 0.8), 2 * math.pi, {"side", "bottom", "top"}),
     "sphere": (lambda: g.sphere(1, 0.6), 4 / 3 * math.pi, {"wall"}),
