@@ -223,6 +223,28 @@ def heated(solver: str) -> nv.Simulation:
     return nv.Simulation(mesh, model, dt=0.02, initial=initial, walls=walls, solver=solver)
 
 
+def revolved(solver: str) -> nv.Simulation:
+    """A body of revolution that yields in a vortex, between a friction and an open wall."""
+    model = nv.Model(
+        material=nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, elastic_state="B"),
+        viscosity=VISCOSITY,
+        creep=nv.Perzyna(G_m=2.0, sigma_Y=0.1),
+        loads=[gravity(2)],
+    )
+    vortex = (x * (1 - x) * (1 - 2 * y), -(2 - 3 * x) * y * (1 - y))
+    return nv.Simulation(
+        box((1, 1), maxh=0.4),
+        model,
+        dt=0.02,
+        initial=nv.Initial(velocity=vortex),
+        walls={"right": nv.NavierFriction(0.3), "top": nv.Open(pressure=-15.0)},
+        passive=["F_tot"],
+        observers=[nv.WallForces()],
+        symmetry="axisymmetric",
+        solver=solver,
+    )
+
+
 def observed(dim: int) -> nv.Simulation:
     """With tables of points on facets, where fields jump, in cells, on walls; of forces and integrals."""
     middle = (0.5,) * dim
@@ -255,7 +277,7 @@ def carried(dim: int) -> nv.Simulation:
 OF_BOTH: dict[str, Callable[[str], nv.Simulation]] = {
     **{"Yosida": yosida, "bodies": bodies, "heated": heated, "parameters": parameters, "block": block},
     "network": network,
-    **{"disc": disc, "lid": lid, "window": window},
+    **{"disc": disc, "lid": lid, "window": window, "revolved": revolved},
 }
 OF_DENSITY = {
     "delta, 2D, split": lambda: regularised("split", 2, DELTA, 0.25),

@@ -84,7 +84,8 @@ GROUPS = {
     "of CI": "carried; observed; sdirk2; adaptive; own term; channel; quadrilateral; slip disc; split; "
     "split crystal; split bodies; split parameters; split heated; split Yosida; split creep; "
     "split, two levels; split, Newton-Krylov; split, all regularisations; split own tableau; "
-    "split relaxation; split block; split turned; split slip disc, two levels; split window; split network",
+    "split relaxation; split block; split turned; split slip disc, two levels; split window; split network; "
+    "split revolved",
     "networks": "network; split network",
     "coupled": "carried; carried in space; Yosida; observed; parameters; heated; bodies; observed block; "
     "swirl; midpoint; sdirk2; adaptive; block; disc; lid; window; creep; limited",
@@ -93,6 +94,7 @@ GROUPS = {
     "split window; split creep; delta, 2D, split; delta, 3D, split; cut-off, 2D, split; cut-off, 3D, split; "
     "split, all regularisations; split crowded",
     "periodic": "channel; split channel; split channel, two levels; split crystal; split crystal, delta",
+    "about an axis": "revolved; split revolved",
     "walls": "slip disc; quadrilateral, k = 3; turned; quadrilateral; ball; turned ball; leaning",
     "split, walls": "split turned; split slip disc; split slip disc, two levels; split quadrilateral; "
     "split quadrilateral, k = 3; split ball; split turned ball; split leaning",

@@ -197,6 +197,17 @@ def followed(
     return np.array(times), np.array(values)
 
 
+def swing_by_midpoint(values: np.ndarray, tau: float) -> complex:
+    """s = -decay + i frequency of values over steps of the midpoint rule, without the error of the step.
+
+    They obey a_n+1 = (q + q*) a_n - |q|^2 a_n-1 with q = (1 + s tau/2)/(1 - s tau/2).
+    """
+    a = values / values[0]
+    b = np.linalg.lstsq(np.array([a[1:-1], a[:-2]]).T, a[2:], rcond=None)[0]
+    q = complex(np.roots([1.0, -b[0], -b[1]])[0])
+    return 2 / tau * (q - 1) / (q + 1)
+
+
 def released(t: np.ndarray, static: float, damping: float, omega: float) -> np.ndarray:
     """An oscillator under a weight that acts from t = 0."""
     swing = np.cos(omega * t) + damping / omega * np.sin(omega * t)

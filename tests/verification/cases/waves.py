@@ -12,7 +12,7 @@ from scipy.special import spherical_jn
 import ngvisco as nv
 from ngvisco.geometries import box, sphere, structured_box
 from tests.verification.case import Cases, Curve, Measured, Plot, Table
-from tests.verification.setups import KINDS, distance, drift, elastic, followed
+from tests.verification.setups import KINDS, distance, drift, elastic, followed, swing_by_midpoint
 
 CASES = Cases("Exact solutions: waves")
 
@@ -241,11 +241,7 @@ def mode(degree: int) -> CoefficientFunction:
 
 def oscillation(degree: int, maxh: float, material: nv.Material) -> tuple[nv.Simulation, complex, np.ndarray]:
     """Two periods by the midpoint rule from the mode's velocity and no strain: the run, s = -decay + i
-    frequency, and v : mode over the first.
-
-    The values obey a_n+1 = (q + q*) a_n - |q|^2 a_n-1 with q = (1 + s tau/2)/(1 - s tau/2), from which s
-    follows without the error of the step.
-    """
+    frequency, and v : mode over the first."""
     mesh, shape = sphere(1.0, maxh), mode(degree)
     fastest = max(abs(shape(mesh(0.02 * i, 0.0, 0.02 * j))[1]) for i in range(35) for j in range(35))
     tau = 2 * math.pi / root(degree) / PER_PERIOD
@@ -259,10 +255,7 @@ def oscillation(degree: int, maxh: float, material: nv.Material) -> tuple[nv.Sim
     v = run.fields["velocity"]
     steps = PERIODS * PER_PERIOD
     _, values = followed(run, steps, lambda run: Integrate(InnerProduct(v, shape), mesh, order=8))
-    a = values / values[0]
-    b = np.linalg.lstsq(np.array([a[1:-1], a[:-2]]).T, a[2:], rcond=None)[0]
-    q = complex(np.roots([1.0, -b[0], -b[1]])[0])
-    return run, 2 / tau * (q - 1) / (q + 1), a
+    return run, swing_by_midpoint(values, tau), values / values[0]
 
 
 @CASES(f"""toroidal-modes
