@@ -127,6 +127,24 @@ MUTANTS = [
         ),
     ),
     *_of(
+        "forms/boundary/on_wall.py",
+        (
+            "factors along and across",
+            "    p, s = factors",
+            "    s, p = factors",
+            SIGNS + "test_an_impedance_brakes_along_and_across_by_its_own_factors",
+        ),
+    ),
+    *_of(
+        "forms/boundary/displacements.py",
+        (
+            "springs",
+            "        return [self._work(u.parts[self.displacement], w.v, u)]",
+            "        return [-self._work(u.parts[self.displacement], w.v, u)]",
+            SIGNS + "test_springs_pull_back_by_what_the_wall_has_moved",
+        ),
+    ),
+    *_of(
         "forms/boundary/wall_terms.py",
         (
             "given pressure",
@@ -136,21 +154,9 @@ MUTANTS = [
         ),
         (
             "impedance",
-            "return _along_and_across(self.impedance, u.v, u.context.normal)",
-            "return -_along_and_across(self.impedance, u.v, u.context.normal)",
+            "return along_and_across(self.impedance, u.v, u.context.normal)",
+            "return -along_and_across(self.impedance, u.v, u.context.normal)",
             SIGNS + "test_an_impedance_brakes_along_and_across_by_its_own_factors",
-        ),
-        (
-            "factors along and across",
-            "    p, s = factors",
-            "    s, p = factors",
-            SIGNS + "test_an_impedance_brakes_along_and_across_by_its_own_factors",
-        ),
-        (
-            "springs",
-            "        return [self._work(u.parts[self.displacement], w.v, u)]",
-            "        return [-self._work(u.parts[self.displacement], w.v, u)]",
-            SIGNS + "test_springs_pull_back_by_what_the_wall_has_moved",
         ),
         (
             "traction",

@@ -49,8 +49,9 @@ from ngsolve import (
 )
 
 from ngvisco.forms.boundary.boundaries import cells_at, facet_indicator
+from ngvisco.forms.boundary.on_wall import OnWall
 from ngvisco.forms.boundary.reactions import beside_the_stress, rigid_motions
-from ngvisco.forms.boundary.wall_terms import HELD_BY_WALLS, Carried, OnWall
+from ngvisco.forms.boundary.wall_terms import HELD_BY_WALLS, Carried
 from ngvisco.forms.fields import Fields, Tests
 from ngvisco.forms.mesh.mesh_arrays import mask_of
 from ngvisco.forms.mesh.points import SidePoints

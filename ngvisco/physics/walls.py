@@ -126,6 +126,7 @@ class Passage(Wall):
         default_factory=dict
     )
     temperature: Annotated[Function | None, Quantity("K", "> 0", 300.0)] = None
+    displacement: Annotated[bool, Quantity(example=True)] = False
 
     def __post_init__(self) -> None:
         for name in ("values", "amounts"):
@@ -158,6 +159,10 @@ class Inflow(Passage):
         that are inside go on beyond the wall.
     temperature : number or coefficient function, optional
         Of what flows in, of a material that has one; where nothing is said its entropy is that inside.
+    displacement : bool
+        Whether the field ``displacement_NAME``, NAME the wall's, is a result: w with dw/dt = v, zero at the
+        start (in scripts ``Initial.values["displacement_NAME"]``), so that w.n is the integral of v.n over
+        time.  The mesh does not move: w is to be small beside a cell where it stands for the wall's place.
     """
 
     velocity: Annotated[VectorLike, Quantity("m/s", example=["y*(1 - y)", 0.0])]
@@ -176,7 +181,7 @@ class PrescribedNormal(Passage):
     ----------
     velocity : number or coefficient function
         V along the outward normal, a function of x and of the run's time, of which each step has the mean.
-    density, values, amounts, temperature
+    density, values, amounts, temperature, displacement
         As for ``Inflow``.
     """
 
@@ -199,14 +204,12 @@ class Open(Passage):
         Z_p and Z_s: a dashpot along and across the normal. With density times the speeds of pressure and
         shear waves, plane waves leave.
     stiffness : pair of numbers
-        k_p and k_s: springs along and across the normal to a rigid ground, a foundation that gives. w is what
-        the wall was displaced by, dw/dt = v, zero at the start (in scripts
-        ``Initial.values["displacement_NAME"]``, NAME the wall's); it is to be small beside a cell, as the
-        mesh does not move.
+        k_p and k_s: springs along and across the normal to a rigid ground, a foundation that gives; w is the
+        displacement, a result of walls on springs in any case.
     backflow : bool
         Whether the kinetic energy of what flows in is taken from it, -rho (v.n) |v|^2/2 where v.n < 0:
         without that a given stress may feed such a flow without bound.
-    density, values, amounts, temperature
+    density, values, amounts, temperature, displacement
         As for ``Inflow``.
     """
 

@@ -14,7 +14,7 @@ from ngsolve import L2, CoefficientFunction, LinearForm
 
 from ngvisco.errors import NgviscoWarning
 from ngvisco.forms.boundary.boundaries import cells_at
-from ngvisco.forms.boundary.wall_terms import OnWall
+from ngvisco.forms.boundary.on_wall import OnWall
 from ngvisco.forms.mesh.quadrature import Sampler
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import PRODUCTION, Entry, Integrand

@@ -7,8 +7,8 @@ from ngsolve import CF, Id, IfPos, Integrate, exp, sin, x, y
 from scipy.optimize import brentq
 
 import ngvisco as nv
+from ngvisco.forms.boundary.displacements import Springs
 from ngvisco.forms.boundary.reactions import WallReactions
-from ngvisco.forms.boundary.wall_terms import Springs
 from ngvisco.forms.term import Entry, Integrand
 from ngvisco.geometries import box, structured_box
 
@@ -122,6 +122,30 @@ def test_a_spring_that_starts_strained_pulls():
     nv.transfer(run, again)
     carried = again.run(1e-3).column("stored_springs_right")[0]
     assert carried == pytest.approx(run.ledger.column("stored_springs_right")[-1], rel=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("scheme", "solver"), [("backward-euler", "coupled"), ("midpoint", "split"), ("sdirk2", "split")]
+)
+def test_a_wall_s_displacement_is_the_integral_of_its_velocity(scheme, solver):
+    """Without springs as with some of no strength, and on a piston what it went: (1 - cos t)/100 at x = 1."""
+    means, model = [], nv.Model(material=nv.LinearElastic(K_e=K, G_e=G))
+    piston = nv.PrescribedNormal(velocity=1e-2 * sin(nv.time), displacement=True)
+    for free in (nv.Open(pressure=0.1, displacement=True), nv.Open(pressure=0.1, stiffness=(1e-14, 0.0))):
+        run = nv.Simulation(
+            structured_box((1, 0.5), (2, 1)),
+            model,
+            time=nv.TimeSteps(dt=0.1, scheme=scheme),
+            walls={"right": piston, "top": free},
+            solver=solver,
+        )
+        ledger = run.run(0.3)
+        assert abs(ledger.column("closure_relative")).max() < 1e-11
+        assert ("stored_springs_top" in ledger.columns) is bool(free.stiffness[0])
+        right, top = (run.fields[f"displacement_{name}"] for name in ("right", "top"))
+        means.append([float(top(run.mesh(place, 0.5))[1]) for place in (0.2, 0.7)])
+        assert right(run.mesh(1.0, 0.3))[0] == pytest.approx(1e-2 * (1 - np.cos(0.3)), rel=1e-9)
+    assert means[0] == pytest.approx(means[1], rel=1e-9) and max(means[0]) < -1e-4
 
 
 def test_a_step_of_the_density_is_carried_out_without_a_reflection():

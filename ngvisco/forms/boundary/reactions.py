@@ -24,7 +24,7 @@ from ngsolve import CF, CoefficientFunction, GridFunction, LinearForm, ds, speci
 
 from ngvisco.errors import UnknownNameError
 from ngvisco.forms.boundary.boundaries import facet_indicator
-from ngvisco.forms.boundary.wall_terms import OnWall
+from ngvisco.forms.boundary.on_wall import OnWall
 from ngvisco.forms.boundary.walls import MovingWalls
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.mesh.symmetry import Symmetry

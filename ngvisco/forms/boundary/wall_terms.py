@@ -1,4 +1,4 @@
-"""Terms by which walls enter the system: multipliers for v.n = 0, given stresses, springs, and what crosses.
+"""Terms by which walls enter the system: multipliers for v.n = 0, given stresses, and what crosses.
 
 For smooth fields B_h(w; z, zeta) = int T : grad w - int phi (w . n) (``ngvisco.forms.terms.transport``): on a
 wall that matter crosses the natural condition of the momentum equation would be T n = phi n.  There stands
@@ -34,18 +34,16 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
-import numpy as np
-from ngsolve import BND, CF, H1, CoefficientFunction, Compress, FESpace, Integrate, Mesh, VectorValued
+from ngsolve import CF, CoefficientFunction
 
 from ngvisco.errors import ParameterError
-from ngvisco.forms.boundary.boundaries import facet_indicator, walls_of
+from ngvisco.forms.boundary.boundaries import facet_indicator
+from ngvisco.forms.boundary.displacements import displacement_of
+from ngvisco.forms.boundary.on_wall import OnWall, along_and_across
 from ngvisco.forms.boundary.walls import Walls
 from ngvisco.forms.fields import Fields
-from ngvisco.forms.mesh.mesh_arrays import mask_of
 from ngvisco.forms.start.variables import as_shape, entering, entropy_at
 from ngvisco.forms.term import CellMean, Entry, Integrand, PointTerm, Setting, Term, Unknown
-from ngvisco.parallel.communicator import Communicator
-from ngvisco.parallel.exchange import Exchange
 from ngvisco.physics.loads import as_vector
 from ngvisco.physics.materials.thermal import entropy_in
 from ngvisco.physics.model import Model
@@ -87,26 +85,6 @@ class Impenetrability(PointTerm):
             self.indicator * u.wall_stress * (w.v * n),
             self.indicator * w.wall_stress * (u.v * n),
         ]
-
-
-class OnWall(PointTerm):
-    """A term by which one wall acts on the body, beside what it constrains."""
-
-    acts_by: str = "stress"
-    """What the impulse that it gives is called, beside the wall's name."""
-
-    @property
-    def impulse(self) -> str:
-        """By what it acts and on which wall."""
-        return f"{self.acts_by}_{self.name}"
-
-    def __init__(self, walls: Walls, name: str) -> None:
-        self.name, self.region = name, walls.region([name])
-        self.indicator = facet_indicator(walls.mesh, [name])
-
-    def on_body(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
-        """Its rows of v, -t . w with the stress t, Pa, on the facets of the wall."""
-        return self.facets(u, w)
 
 
 class TangentialStress(OnWall):
@@ -320,7 +298,7 @@ class GivenStress(OnWall):
 
     def _resistance(self, u: Fields) -> CoefficientFunction:
         """Z_p (v . n) n + Z_s v_t, Pa."""
-        return _along_and_across(self.impedance, u.v, u.context.normal)
+        return along_and_across(self.impedance, u.v, u.context.normal)
 
     def facets(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         parts = [-self.indicator * (self._traction(u) * w.v)]
@@ -337,90 +315,8 @@ class GivenStress(OnWall):
         return found
 
 
-def _along_and_across(
-    factors: tuple[float, float], a: CoefficientFunction, n: CoefficientFunction
-) -> CoefficientFunction:
-    """p (a . n) n + s a_t of the factors (p, s)."""
-    p, s = factors
-    return s * a + ((p - s) * (a * n)) * n
-
-
 def _beyond(name: str, dissipated: CoefficientFunction) -> Entry:
     return Entry(name, "dissipation", Integrand(facets=dissipated), is_outside=True)
-
-
-class Springs(OnWall):
-    """int K w . u + int (w - w_old)/tau . q - int v . q on one wall that is ``Open``; u tests v, q tests w.
-
-    Springs to a rigid ground, a foundation that gives: the displacement w follows the velocity, dw/dt = v,
-    and the wall is pulled back by t = -K w, K = k_p n x n + k_s (I - n x n) in Pa/m.  w lives in the traces
-    of v, so that its equation holds at every point: with w - w_old = tau v
-
-        tau int K w . v = E(w) - E(w_old) + E(w - w_old),    E(w) = 1/2 int K w . w,
-
-    what is stored, and what the implicit step dissipates of it.  The mesh does not move: the wall is where
-    the body is at rest, and w is small beside a cell.
-    """
-
-    acts_by = "springs"
-
-    def __init__(self, walls: Walls, name: str) -> None:
-        super().__init__(walls, name)
-        wall = walls.conditions[name]
-        assert isinstance(wall, Open)
-        self.displacement, self.stiffness = f"displacement_{name}", wall.stiffness
-        area = Integrate(CF(1.0), walls.mesh, BND, definedon=self.region)
-        self._size = float(area) ** (1 / (walls.mesh.dim - 1))
-
-    def unknowns(self, setting: Setting) -> tuple[Unknown, ...]:
-        return (
-            Unknown(
-                self.displacement,
-                "walls",
-                setting.k,
-                setting.dim,
-                space=partial(_traces, name=self.name, order=setting.k),
-                evolves=True,
-                scale=self._size,
-                on=self.indicator,
-            ),
-        )
-
-    def _work(self, w: CoefficientFunction, q: CoefficientFunction, u: Fields) -> CoefficientFunction:
-        """K w . q on the wall."""
-        return self.indicator * (_along_and_across(self.stiffness, w, u.context.normal) * q)
-
-    def on_body(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
-        return [self._work(u.parts[self.displacement], w.v, u)]
-
-    def facets(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
-        q, old = w.parts[self.displacement], u.context.old.parts[self.displacement]
-        change = u.context.rate(u.parts[self.displacement] - old)
-        return [*self.on_body(u, w), self.indicator * (change * q), -self.indicator * (u.v * q)]
-
-    def entries(self, u: Fields) -> list[Entry]:
-        return [Entry(f"stored_springs_{self.name}", "monitor", self.energy(u).integrand)]
-
-    def energy(self, u: Fields) -> Entry:
-        w = u.parts[self.displacement]
-        return Entry("stored", "energy", Integrand(facets=0.5 * self._work(w, w, u)))
-
-    def slope(self, b: Fields, d: Fields) -> Integrand:
-        return Integrand(facets=self._work(b.parts[self.displacement], d.parts[self.displacement], b))
-
-    def distance(self, a: Fields, b: Fields) -> Entry:
-        change = a.parts[self.displacement] - b.parts[self.displacement]
-        return Entry("bregman", "numerical", Integrand(facets=0.5 * self._work(change, change, a)))
-
-
-def _traces(mesh: Mesh, name: str, order: int) -> FESpace:
-    """Those of continuous vectors on a wall, of whichever rank its facets are; collective."""
-    space = H1(mesh, order=order)
-    active = space.GetDofs(walls_of(mesh, [name]))
-    on_some_rank = Exchange.of(space, Communicator.of(mesh)).sum(mask_of(active).astype(float))
-    for number in np.flatnonzero(on_some_rank):
-        active[int(number)] = True
-    return VectorValued(Compress(space, active), mesh.dim)
 
 
 def wall_terms(walls: Walls, model: Model) -> tuple[Term, ...]:
@@ -440,7 +336,7 @@ def wall_terms(walls: Walls, model: Model) -> tuple[Term, ...]:
         *([StoredMean()] if walls.crossed and model.material.response(walls.mesh.dim) is not None else []),
         *(Carried(walls, name, model) for name in walls.crossed),
         *(GivenStress(walls, name) for name, at in of if isinstance(at, Open)),
-        *(Springs(walls, name) for name, at in of if isinstance(at, Open) and any(at.stiffness)),
+        *(moved for name in walls.crossed if (moved := displacement_of(walls, name)) is not None),
     )
 
 

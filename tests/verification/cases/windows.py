@@ -4,11 +4,12 @@ from typing import Any
 
 import numpy as np
 from netgen.occ import Circle, OCCGeometry, WorkPlane
-from ngsolve import BND, CF, BoundaryFromVolumeCF, Integrate, Mesh, specialcf, x, y, z
+from ngsolve import BND, CF, BoundaryFromVolumeCF, Integrate, Mesh, cos, specialcf, x, y, z
+from scipy.signal import residue
 
 import ngvisco as nv
 from ngvisco.forms.boundary.walls import Conditions
-from ngvisco.geometries import box
+from ngvisco.geometries import box, structured_box
 from tests.verification.case import Cases, Measured, Table
 from tests.verification.setups import followed, stokes
 
@@ -201,3 +202,84 @@ def _maxwell() -> Measured:
         found = abs(rows[-1][1] / exact - 1)
         yield f"half the difference of the normal stresses at {name}, of 199.93 MPa, off by", found
     yield Table("after 8 Maxwell times", "place | MPa | exact", rows)
+
+
+PLATE, FOUNDATION = (200e3, 30e3), 3300 * 9.81
+"""Half a wave and the thickness, m; what is displaced below weighs so much, Pa/m."""
+K_PLATE, G_PLATE, YEAR = 1e11, 5e10, 3.15576e7
+
+
+def _plate(eta: float, times: np.ndarray) -> np.ndarray:
+    """Heights of the lower and upper face at the load's crest, over the load, m/Pa, at times, years.
+
+    Loads s cos(q x) on both faces of a layer move them by C a s, +-s cos(q x) by C c s (Airy 1863), 1/C the
+    modulus of plane strain; G is that of Maxwell's body, by Laplace's transform in times of relaxation.
+    """
+    q, height = np.pi / PLATE[0], PLATE[1]
+    a = 2 / q * (np.cosh(q * height) - 1) / (np.sinh(q * height) + q * height)
+    c = 2 / q * (np.cosh(q * height) + 1) / (np.sinh(q * height) - q * height)
+    above = np.array([K_PLATE + 4 / 3 * G_PLATE, K_PLATE])  # C (s + 1) is above/below
+    above, below = np.polymul([1, 1], above), 4 * G_PLATE * np.array([K_PLATE + G_PLATE / 3, K_PLATE, 0])
+    bent = np.polyadd(below, (a + c) / 2 * FOUNDATION * above)
+    lower = -(c - a) / 2 * above, np.polymul(bent, [1, 0])
+    rest = np.polyadd((a + c) / 2 * bent, -((a - c) ** 2) / 4 * FOUNDATION * above)
+    upper = np.polymul(-above, rest), np.polymul(np.polymul(below, bent), [1, 0])
+    found = []
+    for over, under in (lower, upper):
+        shares, roots, _ = residue(over, under)
+        t, value, power = times * YEAR * G_PLATE / eta, np.zeros(len(times)), 0
+        for i, (share, root) in enumerate(zip(shares.real, roots.real, strict=True)):
+            power = power + 1 if i and abs(root - roots[i - 1]) < 1e-6 else 0
+            value = value + share * t**power * np.exp(root * t)
+        found.append(value)
+    return np.array(found).T
+
+
+@CASES(f"""plate-on-a-foundation
+    A plate on a foundation that gives sinks under a load at once as an elastic body does, and then as it
+      relaxes towards the load over the foundation's stiffness; the face without springs tells its
+      displacement too.
+    label: none, Airy 1863
+    setting: Half a wave of {PLATE[0] / 1e3:g} km of a plate of {PLATE[1] / 1e3:g} km, K_e = 100, G_e = 50
+      GPa, viscosity 1e21 or 1e25 Pa s, between slip walls; Open above under a pressure p cos(pi x/L), and
+      below with springs of 3300 kg/m3 x 9.81 m/s2; 6 x 2 x 2 triangles, steps of 500 years of SDIRK2 until
+      4000 years (1e25 Pa s: 1000 years), so long that it is quasi-static.
+    - sinking of the [lower; upper] face under 5 MPa over the closed form's, off by <= 0.005: steps of two
+      thirds of the fastest time, half a percent of the thickness
+    - sinking of the [lower; upper] face under 50 MPa over the closed form's, off by <= 0.03: a small
+      displacement in the closed form, a twentieth of the thickness here
+    - closure
+    """)
+def _plate_on_a_foundation() -> Measured:
+    worst, rows = dict[tuple[str, float], float](), []
+    for load in (5e6, 50e6):
+        for eta, until in ((1e21, 4000), (1e25, 1000)):
+            run = nv.Simulation(
+                structured_box(PLATE, (6, 2)),
+                nv.Model(material=nv.LinearElastic(K_e=K_PLATE, G_e=G_PLATE), creep=nv.Creep(G_m=2 * eta)),
+                time=nv.TimeSteps(dt=500 * YEAR, scheme="sdirk2"),
+                walls={
+                    "top": nv.Open(pressure=load * cos(np.pi / PLATE[0] * x), displacement=True),
+                    "bottom": nv.Open(stiffness=(FOUNDATION, 0.0)),
+                },
+                initial=nv.Initial(density=3300.0),
+            )
+            _, heights = followed(run, until // 500, _crests)
+            years = run.ledger.column("time") / YEAR
+            for row in zip(years[1:], heights[1:], load * _plate(eta, years[1:]), strict=True):
+                for face, found, wanted in zip(("lower", "upper"), *row[1:], strict=True):
+                    worst[face, load] = max(worst.get((face, load), 0.0), abs(found / wanted - 1))
+            last = zip(("lower", "upper"), heights[-1], load * _plate(eta, years[-1:])[0], strict=True)
+            rows += [[f"{eta:g}", load / 1e6, years[-1], *face] for face in last]
+    for (face, load), found in worst.items():
+        yield f"sinking of the {face} face under {load / 1e6:g} MPa over the closed form's, off by", found
+    yield Table("the load's crest", "viscosity, Pa s | MPa | years | face | m | exact", rows)
+
+
+def _crests(run: nv.Simulation) -> list[float]:
+    """Amplitudes of the cosine in the displacements of the lower and the upper face, m."""
+    wave = cos(np.pi / PLATE[0] * x)
+    return [
+        2 / PLATE[0] * Integrate(run.fields[f"displacement_{name}"][1] * wave, run.mesh.Boundaries(name))
+        for name in ("bottom", "top")
+    ]

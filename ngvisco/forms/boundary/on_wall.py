@@ -1,0 +1,40 @@
+"""What terms by which one wall acts on the body share: where it is, and the momentum that it gives."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from ngsolve import CoefficientFunction
+
+from ngvisco.forms.boundary.boundaries import facet_indicator
+from ngvisco.forms.boundary.walls import Walls
+from ngvisco.forms.fields import Fields
+from ngvisco.forms.term import PointTerm
+
+
+class OnWall(PointTerm):
+    """A term by which one wall acts on the body, beside what it constrains."""
+
+    acts_by: str = "stress"
+    """What the impulse that it gives is called, beside the wall's name."""
+
+    @property
+    def impulse(self) -> str:
+        """By what it acts and on which wall."""
+        return f"{self.acts_by}_{self.name}"
+
+    def __init__(self, walls: Walls, name: str) -> None:
+        self.name, self.region = name, walls.region([name])
+        self.indicator = facet_indicator(walls.mesh, [name])
+
+    def on_body(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
+        """Its rows of v, -t . w with the stress t, Pa, on the facets of the wall."""
+        return self.facets(u, w)
+
+
+def along_and_across(
+    factors: tuple[float, float], a: CoefficientFunction, n: CoefficientFunction
+) -> CoefficientFunction:
+    """p (a . n) n + s a_t of the factors (p, s)."""
+    p, s = factors
+    return s * a + ((p - s) * (a * n)) * n
