@@ -176,6 +176,17 @@ class WallProjection:
         constraint = csr(form.Assemble().mat)[multipliers][:, of_v].tocsc()
         self.free = free
         self._constraint, self._prescribed = constraint[:, free].tocsr(), constraint[:, ~free].tocsr()
+        multiplier = layout.blocks["wall_stress"]
+        self._given = LinearForm(multiplier)
+        for piston in term.pistons:
+            self._given += quadrature.facets(piston.through(multiplier.TestFunction()))
+        self._of = {
+            piston.name: np.array(
+                [number for one in piston.region.Elements() for number in multiplier.GetDofNrs(one)],
+                dtype=int,
+            )
+            for piston in term.pistons
+        }
         exchange = Exchange.of(space, Communicator.of(layout.mesh))
         exchange = exchange.part(np.concatenate([of_v[free], multipliers]))
         self._shared = exchange.places  # of the free coefficients of v
@@ -218,10 +229,24 @@ class WallProjection:
         """The transpose, of rows of free coefficients."""
         return rows - self._root * self._taken(self._constraint @ (rows / self._root**2))
 
+    def _through(self, v: np.ndarray) -> np.ndarray:
+        """(v . n, mu) of all coefficients of v, (multipliers,)."""
+        through: np.ndarray = self._constraint @ v[self.free] + self._prescribed @ v[~self.free]
+        return through
+
     def completed(self, v: np.ndarray) -> np.ndarray:
         """The free ones of all coefficients of v, such that the walls admit them beside those prescribed."""
-        through = self._constraint @ v[self.free] + self._prescribed @ v[~self.free]
+        through = self._through(v)
+        if self._of:  # pistons, at the present time
+            through -= self._given.Assemble().vec.FV().NumPy()
         return v[self.free] - self._taken(through) / self._root
+
+    def works(self, rows: np.ndarray, v: np.ndarray) -> dict[str, float]:
+        """By wall the works on v of pistons' impulses, that are in rows of free coefficients, J."""
+        count, shares = len(self._shared), self._constraint @ (rows / self._root**2)
+        found = self._solver(np.concatenate([np.zeros(count), shares / self._length]))
+        each = found[count:] / self._length * self._through(v)
+        return {name: float(each[of].sum()) for name, of in self._of.items()}
 
 
 _REDUCTION, _CORRECTIONS, _ITERATIONS = 1e-9, 4, 1000
@@ -261,12 +286,22 @@ class VelocityOfMomentum:
         self._dim = layout.mesh.dim
         self._walls = None if term is None else WallProjection(layout, term, quadrature, self.free)
 
+    def works(self, rows: np.ndarray, v: np.ndarray) -> dict[str, float]:
+        """By wall what the impulses of pistons with multipliers do on v, of rows that a call returned, J."""
+        if self._walls is None:
+            return {}
+        ranks = self._exchange.communicator
+        found = self._walls.works(self._exchange.sum(rows)[self.free], v)
+        return {name: float(ranks.total(work)) for name, work in found.items()}
+
     def functional(self) -> np.ndarray:
         """<m, .> in this rank's cells, (unknowns of v,)."""
         return self._load.Assemble().vec.FV().NumPy().copy()
 
-    def __call__(self) -> np.ndarray:
+    def __call__(self, keeps_walls: bool = False) -> np.ndarray:
         """Solve; returns the rows of int rho v . w - <m, w>, which only walls leave, (unknowns of v,).
+
+        The v.n of walls with multipliers is that of the present time; the state's where it ``keeps_walls``.
 
         The rows are those of this rank's cells: what ranks share is their sum.  Raises StepError when the
         linear system is not solved to rounding.
@@ -281,7 +316,8 @@ class VelocityOfMomentum:
         if self._walls is not None:
             self._walls.update(diagonal)
             project, project_back = self._walls, self._walls.transposed
-            v[free] = self._walls.completed(v)  # a start value that the walls admit
+            if not keeps_walls:
+                v[free] = self._walls.completed(v)  # a start value that the walls admit
         full = np.zeros_like(v)
 
         def product(x: np.ndarray, y: np.ndarray) -> float:

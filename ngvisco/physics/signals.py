@@ -142,7 +142,8 @@ def _choices(function: CoefficientFunction) -> Iterator[CoefficientFunction]:
 
 def may_read_time(function: CoefficientFunction) -> bool:
     """Whether a function has a parameter of NGSolve's in it, as the run's time is."""
-    return "ParameterCoefficientFunction" in str(function)
+    said = str(function)
+    return "ParameterCoefficientFunction" in said or "ParameterCF" in said  # of 2*t, say
 
 
 def _checked(name: str, rows: np.ndarray) -> np.ndarray:

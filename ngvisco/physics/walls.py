@@ -173,9 +173,9 @@ class PrescribedNormal(Passage):
     """v.n = V on the wall, a piston: the tangential part of v is free and has no stress.
 
     The mesh does not move: where V < 0 the piston presses, and what it moves comes in through the wall, where
-    V > 0 it pulls, and as much leaves.  Its power and the mass that it sweeps are in the ledger.  The wall
-    has to be parallel to an axis, where v.n is a component of v.  Raises ParameterError if a parameter is out
-    of its range.
+    V > 0 it pulls, and as much leaves.  Its power and the mass that it sweeps are in the ledger.  On walls
+    parallel to an axis v.n is a component of v and is V at every point, on others in the mean by the walls'
+    multipliers (FORMULATION 12).  Raises ParameterError if a parameter is out of its range.
 
     Parameters
     ----------

@@ -61,8 +61,8 @@ class RecordedStep:
 class Trajectory:
     """Records a run while it goes on; of the integrator's ``carried``.
 
-    Raises ParameterError for a run whose steps have no derivative: damage that grows, relaxed steps, several
-    ranks.
+    Raises ParameterError for a run whose steps have no derivative: damage that grows, pistons on oblique
+    walls, relaxed steps, several ranks.
     """
 
     simulation: Simulation
@@ -74,6 +74,8 @@ class Trajectory:
         run = self.simulation
         refused = {
             "damage": run.rothe_step.damage is not None and "a damage that grows is a minimum under bounds",
+            "walls": any(name in run.rothe_step.walls.multiplied for name in run.rothe_step.walls.pistons)
+            and "the impulse of a piston on an oblique or curved wall at a step's end has none",
             "relaxation": run.arguments["time"].relaxation
             and "the length of a relaxed step is a function of its solution",
             "mesh": run.ranks.is_distributed and "the transposed systems of several ranks are not known",

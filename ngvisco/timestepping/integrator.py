@@ -260,7 +260,7 @@ class Integrator:
             moved = [name for name in step.layout.evolving if name != "v"]  # v follows from the momentum
             change = {name: state[ranges[name]] - old[ranges[name]] for name in moved}
             taken = -self.distance.slope(states[-1], change) + self._taken_of_momentum(states[-1])
-        impulse = self._velocity()
+        impulse = self._velocity(keeps_walls=is_stage)
         self.impulse = impulse / tau
         own, through_walls = before if is_changed else impulse, 0.0
         for name, (_, mask) in step.moving_walls.moving.items():
@@ -268,6 +268,11 @@ class Integrator:
             rates[f"power_wall_{name}"] += self.rothe.exchange.communicator.dot(own[mask], v) / tau
             if is_changed:
                 through_walls -= self.rothe.exchange.communicator.dot((impulse - own)[mask], v)
+        v = states[-1].values["v"]
+        for name, work in self._velocity.works(own, v).items():
+            rates[f"power_wall_{name}"] += work / tau
+        if limited:
+            through_walls -= sum(self._velocity.works(impulse - own, v).values())
         return step.evolved(), limited, {LIMITER: taken, LIMITER_WALLS: through_walls}
 
     def _taken_of_momentum(self, stage: Evolved) -> float:

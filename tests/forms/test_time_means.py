@@ -9,6 +9,7 @@ from ngsolve import CF, IfPos, Integrate, cos, exp, sin, sqrt, x
 import ngvisco as nv
 from ngvisco.forms.time_means import TOLERANCE, mean_in_cells
 from ngvisco.geometries import box
+from ngvisco.physics.signals import may_read_time
 
 T = nv.time
 MESH = box((1, 1), 0.5)
@@ -32,6 +33,12 @@ def mean(value, begin=0.0, length=0.1):
     function, average = mean_in_cells(CF(value), MESH, 6)
     error = average.update(begin, length)
     return function(MESH(0.3, 0.4)), error
+
+
+@pytest.mark.parametrize("value", [CF(T), 2 * T, -T, T / 2, 3 * sin(T), x * (2 * T), CF((2 * T, 0.0))])
+def test_the_time_is_found_in_a_function(value):
+    """NGSolve shortens the name of a multiple of it: 2 t was taken for a constant, and not averaged."""
+    assert may_read_time(value) and not may_read_time(2 * x)
 
 
 @pytest.mark.parametrize("name", MEANS)

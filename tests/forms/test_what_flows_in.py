@@ -2,11 +2,13 @@
 
 import numpy as np
 import pytest
-from ngsolve import CF, Id, Integrate, cos, pi, sin, x, y
+from netgen.occ import Axis, OCCGeometry, WorkPlane, Z
+from ngsolve import BND, CF, Id, Integrate, Mesh, cos, pi, sin, specialcf, x, y
 from support import assert_balanced
 
 import ngvisco as nv
-from ngvisco.geometries import box, disc, structured_box
+from ngvisco.forms.boundary.reactions import WallReactions
+from ngvisco.geometries import box, disc, sphere, structured_box
 from ngvisco.physics.variables import Jacobian
 
 FLUID = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: 5 * (J + 1 / J - 2))
@@ -249,10 +251,74 @@ def test_a_piston_has_the_power_of_uniaxial_strain_and_sweeps_its_mass(solver):
     assert sides[0] == pytest.approx(V, rel=1e-12) and abs(ledger.column("closure_relative")).max() < 1e-12
 
 
-def test_a_piston_on_a_curved_wall_is_refused_with_what_to_take():
-    walls = {"wall": nv.PrescribedNormal(velocity=0.1)}
-    with pytest.raises(nv.ParameterError, match=r"walls\['wall'\].*parallel to an axis.*Inflow"):
-        nv.Simulation(disc(1, 0.7), nv.Model(material=FLUID), dt=0.1, walls=walls)
+PULLED = [
+    (2, "backward-euler", "split"),
+    (2, "sdirk2", "coupled"),
+    pytest.param(2, "midpoint", "split", marks=pytest.mark.long),
+    pytest.param(3, "backward-euler", "split", marks=[pytest.mark.long, pytest.mark.ci]),
+    pytest.param(3, "backward-euler", "coupled", marks=pytest.mark.long),
+]
+
+
+@pytest.mark.parametrize(("dim", "scheme", "solver"), PULLED)
+def test_a_piston_all_around_a_disc_or_a_ball_widens_it(dim, scheme, solver):
+    """By v.n = V t: E = V t^2/2 I is uniform, and the pressure -dim (K + G/3 (3 - dim)) V t^2/2 to V^2."""
+    V, dt, end = 1e-3, 0.25, 0.5
+    mesh = disc(1, 1.0) if dim == 2 else sphere(1, 1.0)
+    run = nv.Simulation(
+        mesh,
+        nv.Model(material=nv.LinearElastic(K_e=10.0, G_e=5.0)),
+        time=nv.TimeSteps(dt=dt, scheme=scheme),
+        walls={"wall": nv.PrescribedNormal(velocity=V * nv.time, displacement=True)},
+        initial=nv.Initial(density=1e-6),
+        solver=solver,
+    )
+    ledger = run.run(end)
+    n, region = specialcf.normal(dim), mesh.Boundaries("wall")
+    area = Integrate(CF(1.0), mesh, BND, definedon=region)
+    moved, v = run.fields["displacement_wall"], run.fields["velocity"]
+    mean = [Integrate(f * n, mesh, BND, definedon=region) / area for f in (moved, v)]
+    wanted = V * (end - dt / 2 if scheme == "backward-euler" else end)  # of a step, or at its end
+    assert mean == pytest.approx([V * end**2 / 2, wanted], rel=1e-3)
+    power = ledger.column("dt") * ledger.column("power_wall_wall")
+    energy = dim / 2 * dim * (10 + 5 / 3 * (3 - dim)) * (V * end**2 / 2) ** 2
+    volume = Integrate(CF(1.0), mesh)
+    lost = ledger.column("bregman")[1:].sum() / volume  # what the scheme dissipates, from the first law
+    assert power[1:].sum() / volume - lost == pytest.approx(energy, rel=5e-3)
+    assert abs(ledger.column("closure_relative")).max() < 1e-11
+    swept = dt * ledger.column("inflow_wall")[1:].sum()
+    assert swept == pytest.approx(ledger.column("mass")[-1] - ledger.column("mass")[0], rel=1e-9)
+    assert swept / 1e-6 == pytest.approx(-area * V * end**2 / 2, rel=2e-3)
+
+
+@pytest.mark.parametrize("velocities", [(2e-3, 0.0), (1e-3, 1e-3)])
+def test_pistons_on_oblique_walls_have_each_the_power_of_their_own(velocities):
+    """A bar at 30 degrees is pulled by both ends or by one, the force of uniaxial strain in the end."""
+    bar = WorkPlane().Rectangle(1, 0.7).Face()
+    for edge in bar.edges:
+        edge.name = {0.0: "left", 1.0: "right"}.get(round(edge.center.x, 6), "side")
+    mesh = Mesh(OCCGeometry(bar.Rotate(Axis((0, 0, 0), Z), 30), dim=2).GenerateMesh(maxh=0.7))
+    along = np.cos(np.pi / 6), np.sin(np.pi / 6)
+    place = along[0] * x + along[1] * y
+    speed = velocities[0] * place - velocities[1] * (1 - place)
+    names = ("right", "left")
+    pistons = [nv.PrescribedNormal(velocity=V) for V in velocities]
+    run = nv.Simulation(
+        mesh,
+        nv.Model(material=nv.LinearElastic(K_e=10.0, G_e=5.0)),
+        time=nv.TimeSteps(dt=0.5, scheme="sdirk2"),
+        walls={name: at for name, at, V in zip(names, pistons, velocities, strict=True) if V},
+        initial=nv.Initial(velocity=(speed * along[0], speed * along[1])),
+    )
+    ledger = run.run(0.5)
+    force = 0.7 * (10 + 20 / 3) * 2e-3 * 0.5  # at the end; its mean over the step is half of it
+    for name, V in zip(names, velocities, strict=True):
+        if V:
+            assert ledger.column(f"power_wall_{name}")[-1] == pytest.approx(V * force / 2, rel=2e-3)
+    assert abs(ledger.column("closure_relative")[-1]) < 1e-12
+    found = WallReactions(run.rothe_step, ["right"], (0, 0))()["right"][:2]
+    assert np.dot(found, along) == pytest.approx(-force, rel=0.5)  # of the last stage
+    assert abs(np.dot(found, (-along[1], along[0]))) < 1e-3 * force
 
 
 @pytest.mark.parametrize(("m", "solver"), [(1, "split"), (1, "coupled"), (2, "split")])

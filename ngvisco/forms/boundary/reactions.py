@@ -105,7 +105,9 @@ class WallReactions:
             own = [term for term in step.terms if isinstance(term, OnWall) and term.name == name]
             parts = [part for term in own for part in term.on_body(u, w)]
             if name in step.walls.multiplied:
-                excess = u.wall_stress - beside_the_stress(u, step.energy.anywhere(u))
+                excess = u.wall_stress
+                if name not in step.walls.crossed:
+                    excess = excess - beside_the_stress(u, step.energy.anywhere(u))
                 parts.append(facet_indicator(step.mesh, [name]) * excess * (motion * step.context.normal))
             found.append(parts)
         return found

@@ -48,14 +48,14 @@ from ngvisco.physics.loads import as_vector
 from ngvisco.physics.materials.thermal import entropy_in
 from ngvisco.physics.model import Model
 from ngvisco.physics.tensors import if_positive, inner
-from ngvisco.physics.walls import NavierFriction, Open, Passage, Traction
+from ngvisco.physics.walls import NavierFriction, Open, Passage, PrescribedNormal, Traction
 
 HELD_BY_WALLS = "walls"
 """By which name the ledger has the impulse of all walls that hold v or its normal part."""
 
 
 class Impenetrability(PointTerm):
-    """Multiplier form of v.n = 0 on oblique and curved walls: int_Gamma lambda (w.n) + mu (v.n) = 0.
+    """Multiplier form of v.n on oblique and curved walls: int_Gamma lambda (w.n) + mu (v.n), 0 for v.n = 0.
 
     lambda is the normal stress of the wall, Pa.  Its power int lambda (v.n) vanishes exactly, by the
     equation's own row mu = lambda, so that it has no entry in the ledger.  Nothing is carried through the
@@ -65,6 +65,8 @@ class Impenetrability(PointTerm):
     def __init__(self, walls: Walls) -> None:
         self.indicator = facet_indicator(walls.mesh, walls.multiplied)
         self._walls = walls
+        self.pistons = [Piston(walls, name) for name in walls.pistons if name in walls.multiplied]
+        """What says which v.n holds on the walls where that is not 0."""
 
     def unknowns(self, setting: Setting) -> tuple[Unknown, ...]:
         if setting.k < 2:
@@ -85,6 +87,35 @@ class Impenetrability(PointTerm):
             self.indicator * u.wall_stress * (w.v * n),
             self.indicator * w.wall_stress * (u.v * n),
         ]
+
+
+class Piston(OnWall):
+    """-int_Gamma mu V on one oblique or curved wall: v.n = V there, beside ``Impenetrability``.
+
+    The power of the wall is -int lambda (v.n).
+    """
+
+    acts_by = "nothing"
+
+    def __init__(self, walls: Walls, name: str) -> None:
+        super().__init__(walls, name)
+        wall = walls.conditions[name]
+        assert isinstance(wall, PrescribedNormal)
+        self.velocity = as_shape(f"walls[{name!r}].velocity", wall.velocity, ())
+
+    def through(self, mu: CoefficientFunction) -> CoefficientFunction:
+        """mu V at the present time."""
+        return self.indicator * self.velocity * mu
+
+    def on_body(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
+        return []
+
+    def facets(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
+        return [-self.indicator * u.context.average(self.velocity, self.region) * w.wall_stress]
+
+    def entries(self, u: Fields) -> list[Entry]:
+        power = -self.indicator * u.wall_stress * (u.v * u.context.normal)
+        return [Entry(f"power_wall_{self.name}", "power", Integrand(facets=power))]
 
 
 class TangentialStress(OnWall):
@@ -330,8 +361,10 @@ def wall_terms(walls: Walls, model: Model) -> tuple[Term, ...]:
         expected = f"a wall that nothing crosses: {reason}"
         raise ParameterError(f"walls[{name!r}]", walls.conditions[name], expected)
     of = walls.conditions.items()
+    held = [Impenetrability(walls)] if walls.multiplied else []
     return (
-        *([Impenetrability(walls)] if walls.multiplied else []),
+        *held,
+        *(piston for term in held for piston in term.pistons),
         *(TangentialStress(walls, name) for name, at in of if isinstance(at, (Traction, NavierFriction))),
         *([StoredMean()] if walls.crossed and model.material.response(walls.mesh.dim) is not None else []),
         *(Carried(walls, name, model) for name in walls.crossed),

@@ -70,8 +70,7 @@ class Walls:
     where they have the name of one.
 
     Raises UnknownNameError for a name that the mesh does not have; ParameterError if a boundary is given two
-    conditions, is periodic or an interface, or the condition is no Wall, and for a piston on a wall that is
-    parallel to no axis; MeshError if a wall that has to be
+    conditions, is periodic or an interface, or the condition is no Wall; MeshError if a wall that has to be
     curved is not.
     """
 
@@ -96,18 +95,11 @@ class Walls:
         closed = [name for name in self.conditions if name not in self.crossed]
         self.pistons = self._having(PrescribedNormal)
         """Walls that matter crosses by a given v.n."""
-        for name in self.pistons:
-            if name in self.oblique:
-                expected = (
-                    "on a wall that is parallel to an axis, where v.n is a component of v: on oblique and "
-                    "curved walls take nv.Inflow(velocity=...), with all of v"
-                )
-                raise ParameterError(f"walls[{name!r}]", self.conditions[name], expected)
         by_components = [*closed, *self.pistons]
         self.axis = [[name for name in group if name in by_components] for group in self.axis]
         fixed = self._having(*HELD)
-        self.multiplied = [n for n in self.oblique if n in closed and n not in fixed]
-        """Oblique or curved walls, where v.n = 0 is held by a multiplier."""
+        self.multiplied = [n for n in self.oblique if n in by_components and n not in fixed]
+        """Oblique or curved walls, where v.n is held by a multiplier."""
         bent = [name for name in self.multiplied if not self.conditions[name].straight]
         require_curved_cells(mesh, {name: self.region([name]) for name in bent})
         for name, wall in self.conditions.items():
@@ -214,7 +206,7 @@ class MovingWalls:
         self._means: dict[str, tuple[np.ndarray, TimeMean]] = {}
         taken, dim = self.zero.copy(), walls.mesh.dim
         for name, wall in walls.conditions.items():
-            if isinstance(wall, MOVING):
+            if isinstance(wall, MOVING) and name not in walls.multiplied:
                 region = walls.region([name])
                 is_piston = name in walls.pistons
                 regions = [region if not is_piston or name in names else None for names in walls.axis]
