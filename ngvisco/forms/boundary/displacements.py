@@ -8,19 +8,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 from ngsolve import BND, CF, H1, CoefficientFunction, Compress, FESpace, Integrate, Mesh, VectorValued
 
 from ngvisco.forms.boundary.boundaries import walls_of
 from ngvisco.forms.boundary.on_wall import OnWall, along_and_across
-from ngvisco.forms.boundary.walls import Walls
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.mesh.mesh_arrays import mask_of
 from ngvisco.forms.term import Entry, Integrand, Setting, Unknown
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.exchange import Exchange
 from ngvisco.physics.walls import Open, Passage
+
+if TYPE_CHECKING:
+    from ngvisco.forms.boundary.walls import Walls
 
 
 class Displacement(OnWall):

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from ngsolve import CoefficientFunction
 
 from ngvisco.forms.boundary.boundaries import facet_indicator
-from ngvisco.forms.boundary.walls import Walls
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.term import PointTerm
+
+if TYPE_CHECKING:
+    from ngvisco.forms.boundary.walls import Walls
 
 
 class OnWall(PointTerm):
