@@ -183,7 +183,7 @@ def test_bodies_of_different_bulk_moduli_fly_out_through_a_window(solver):
     error = run.fields["velocity"] - CF((0.5, 0.0))
     assert Integrate(error * error, run.mesh) ** 0.5 < 1e-9
     mass = table.column("disc_mass")
-    assert mass[-1] < 0.75 * mass[0]  # a part of it has left
+    assert 0.4 < mass[-1] / mass[0] < 0.6  # its centre is in the window; cells are of its size
 
 
 @pytest.mark.parametrize("solver", ["split", "coupled"])
