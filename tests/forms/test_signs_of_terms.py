@@ -164,8 +164,8 @@ def test_a_dissipation_that_gives_energy_at_a_point_is_named(solver):
 
 
 def test_a_wall_that_gives_energy_is_named(monkeypatch):
-    along_and_across = wall_terms._along_and_across
-    monkeypatch.setattr(wall_terms, "_along_and_across", lambda *given: -along_and_across(*given))
+    along_and_across = wall_terms.along_and_across
+    monkeypatch.setattr(wall_terms, "along_and_across", lambda *given: -along_and_across(*given))
     with pytest.warns(nv.DissipationWarning, match="dissipation_impedance_right gives energy, -"):
         pushed(nv.Open(), nv.Open(impedance=(1.0, 0.5)), (0.2, 0.1))
 
