@@ -173,6 +173,7 @@ def light_and_stiff(walls, viscosity, **options):
     return nv.Simulation(box((1, 1), 0.4), model, walls=walls, discretisation=orders, **options)
 
 
+@pytest.mark.filterwarnings("ignore::ngvisco.run.body_tables.SmearedWarning")  # in cells of its size
 @pytest.mark.parametrize("solver", ["split", "coupled"])
 def test_bodies_of_different_bulk_moduli_fly_out_through_a_window(solver):
     walls = {("left", "right"): nv.Open(backflow=False)}
