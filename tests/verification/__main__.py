@@ -47,7 +47,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from ngvisco import __version__
     from ngvisco.errors import UnknownNameError
     from tests.verification import cases as package
-    from tests.verification.case import VerificationError
+    from tests.verification.bounds import VerificationError
     from tests.verification.report import headline, put_into, write_report
     from tests.verification.runner import ReportDirectory, run_cases
 

@@ -16,12 +16,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from ngvisco.errors import NgviscoError
-
-
-class VerificationError(NgviscoError, RuntimeError):
-    """A case measured something else than what it has bounds for, or a report cannot be written."""
-
+from tests.verification.bounds import Bound, VerificationError, parsed
 
 # --- what a case gives -------------------------------------------------------------------------------------
 
@@ -188,28 +183,6 @@ def collected(parts: Measured) -> Outcome:
 # --- what a case is ----------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Bound:
-    """A bound on a measured number: ``quantity relation limit``, and why it is this limit."""
-
-    quantity: str
-    relation: Literal["<=", ">="]
-    limit: float
-    reason: str = ""
-
-    def holds(self, value: float) -> bool:
-        """False for NaN too."""
-        return value <= self.limit if self.relation == "<=" else value >= self.limit
-
-    def __str__(self) -> str:
-        """A line of a case's text."""
-        return f"- {self.quantity} {self.relation} {self.limit!r}: {self.reason}"
-
-
-CLOSURE = Bound("largest |closure|", "<=", 1e-10, "the tolerance of Newton's iteration")
-DRIFT = Bound("drift of the mass", "<=", 1e-10, "conserved")
-
-
 @dataclass(frozen=True, kw_only=True)
 class Case:
     """A claim, how it is measured, and the bounds that the measured numbers must keep: see ``Cases``.
@@ -241,9 +214,6 @@ class Case:
         return hashlib.sha256(json.dumps(said).encode()).hexdigest()[:16]
 
 
-_BOUND = re.compile(r"(.+?) (<=|>=) ([-+.\de]+): (.*)")
-
-
 class Cases(list[Case]):
     """Cases of a theme in the report's order, each declared by a text above what measures it.
 
@@ -255,7 +225,8 @@ class Cases(list[Case]):
         What is claimed, in one or two sentences.
         label: the paper's labels, or the source of an exact solution
         setting: the problem and its discretisation
-        - quantity <= 1e-3: why the bound is this one
+        - quantity in [0.9, 1.1]: why the bounds are these
+        - error of the quantity <= 1e-3: one side, for the kinds of ``bounds.KINDS``
         - rate of [v; rho] >= 0.9: two bounds, of each in the brackets
         - closure
         explanation: where a bound is known not to be kept, why; printed with the failure, which stays one
@@ -280,7 +251,7 @@ class Cases(list[Case]):
                 line = line[begins.end() :]
             parts[last] = f"{parts[last]} {line}" if last in parts else line
         said = {name: of for name, of in parts.items() if not name.startswith("- ")}
-        bounds = tuple(b for name, of in parts.items() if name.startswith("- ") for b in _bounds(head, of))
+        bounds = tuple(b for name, of in parts.items() if name.startswith("- ") for b in parsed(head, of))
         if missing := {"statement", "label", "setting"} - said.keys():
             raise VerificationError(f"{head}: a case without {', '.join(sorted(missing))}")
         name, reduced = head.removesuffix(" (reduced)"), head.endswith(" (reduced)")
@@ -291,23 +262,6 @@ class Cases(list[Case]):
             return run
 
         return add
-
-
-def _bounds(case: str, text: str) -> list[Bound]:
-    if text in ("closure", "drift"):
-        return [CLOSURE if text == "closure" else DRIFT]
-    found = _BOUND.fullmatch(text)
-    if found is None:
-        raise VerificationError(f"{case}: {text!r}: expected 'quantity <= limit: reason'")
-    quantity, relation, limit, reason = found.groups()
-    several = re.fullmatch(r"(.*)\[(.*; .*)\](.*)", quantity)
-    quantities = [several[1] + one + several[3] for one in several[2].split("; ")] if several else [quantity]
-    return [Bound(one, "<=" if relation == "<=" else ">=", float(limit), reason) for one in quantities]
-
-
-def each(lines: Iterable[Bound | str]) -> str:
-    """Lines of a case's text, one for each bound."""
-    return "\n".join(map(str, lines))
 
 
 # --- the judgement -----------------------------------------------------------------------------------------

@@ -12,7 +12,8 @@ from importlib import resources
 from pathlib import Path
 
 import ngvisco
-from tests.verification.case import Case, Table, VerificationError
+from tests.verification.bounds import VerificationError
+from tests.verification.case import Case, Table
 
 _NOT = "not: "
 _WORDS = ("cut-off", "J-min")

@@ -18,7 +18,8 @@ import numpy as np
 
 from ngvisco.run.files import write_atomically
 from ngvisco.run.pictures import figure
-from tests.verification.case import Case, Plot, Result, VerificationError, number
+from tests.verification.bounds import VerificationError
+from tests.verification.case import Case, Plot, Result, number
 from tests.verification.cases import all_cases
 from tests.verification.labels import label_table
 
@@ -84,7 +85,7 @@ def _measured_rows(case: Case, result: Result) -> Iterable[tuple[str, ...]]:
     for bound in case.bounds:
         value = result.outcome.values.get(bound.quantity)
         verdict = "not measured" if value is None else "✗" if bound.quantity in result.failed else "✓"
-        limit = f"{'≤' if bound.relation == '<=' else '≥'} {number(bound.limit)}"
+        limit = bound.said(number).replace("<=", "≤").replace(">=", "≥")
         yield bound.quantity, limit, "–" if value is None else number(value), verdict, bound.reason
 
 

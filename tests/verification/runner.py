@@ -29,16 +29,8 @@ import numpy as np
 from ngvisco.forms.context import time
 from ngvisco.run.files import write_atomically
 from ngvisco.run.ledger import Ledger
-from tests.verification.case import (
-    CLOSURE,
-    DRIFT,
-    Case,
-    Result,
-    VerificationError,
-    collected,
-    judge,
-    number,
-)
+from tests.verification.bounds import CLOSURE, DRIFT, VerificationError
+from tests.verification.case import Case, Result, collected, judge, number
 
 MARKER = "verification.json"
 _KIND = "ngvisco verification report"
@@ -182,7 +174,7 @@ def describe(case: Case, result: Result) -> str:
     if result.status == "holds":
         return f"holds ({result.seconds:.0f} s)"
     faults = [
-        f"{b.quantity} {number(result.outcome.values[b.quantity])}, not {b.relation} {number(b.limit)}"
+        f"{b.quantity} {number(result.outcome.values[b.quantity])}, not {b.said(number)}"
         for b in case.bounds
         if b.quantity in result.failed
     ]

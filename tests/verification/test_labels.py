@@ -9,7 +9,8 @@ import pytest
 
 import ngvisco
 from tests.verification import labels as module
-from tests.verification.case import Bound, Case, VerificationError
+from tests.verification.bounds import Bound, VerificationError
+from tests.verification.case import Case
 from tests.verification.cases import all_cases
 from tests.verification.labels import cases_by_label, label_modules, label_table, labels, labels_in
 
@@ -17,7 +18,7 @@ TESTS = Path(__file__).resolve().parents[1]
 
 
 def case(label, reason=""):
-    bounds = (Bound("x", "<=", 1.0, reason),)
+    bounds = (Bound("x", "in", (0.0, 1.0), reason),)
     return Case(name="a-case", statement="S", label=label, setting="S", bounds=bounds, run=list)
 
 

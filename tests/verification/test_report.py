@@ -11,21 +11,8 @@ import pytest
 from ngvisco.run.ledger import Ledger
 from tests.verification import cases as package
 from tests.verification.__main__ import BAD_INPUT, DONE, FAILED, INTERRUPTED, main
-from tests.verification.case import (
-    CLOSURE,
-    DRIFT,
-    Bound,
-    Case,
-    Cases,
-    Curve,
-    Plot,
-    RateTable,
-    Result,
-    Table,
-    VerificationError,
-    collected,
-    each,
-)
+from tests.verification.bounds import CLOSURE, DRIFT, Bound, VerificationError, each
+from tests.verification.case import Case, Cases, Curve, Plot, RateTable, Result, Table, collected
 from tests.verification.cases import all_cases, select
 from tests.verification.runner import run_case, watched
 
@@ -39,9 +26,9 @@ def case(name, value, limit=1.0, **options):
         number = value() if callable(value) else value
         curve = Curve("a", [1.0, 2.0], [1.0, 4.0])
         table = Table("a table", "x | |y|", [[1.0, "a|b<i>"]])
-        return [("the number", number), table, Plot("a plot", "x", "y", [curve], "xy"), "A remark."]
+        return [("the error", number), table, Plot("a plot", "x", "y", [curve], "xy"), "A remark."]
 
-    bounds = (Bound("the number", "<=", limit, "a reason"),)
+    bounds = (Bound("the error", "<=", limit, "a reason"),)
     said = {"theme": "T", "statement": f"{name} & so on", "label": "L", "setting": "S"}
     return Case(name=name, bounds=bounds, run=run, **{**said, **options})
 
@@ -61,7 +48,7 @@ def test_report_says_what_holds_what_fails_and_what_ended_in_an_error(cases, tmp
     assert "1 hold, 0 do not" in capsys.readouterr().out
     cases += [case("bad", 7.25, explanation="It is known."), case("broken", lambda: 1 / 0)]
     assert main(["-o", str(tmp_path / "r")]) == FAILED
-    assert "the number 7.25, not <= 1" in capsys.readouterr().out
+    assert "the error 7.25, not <= 1" in capsys.readouterr().out
     page = (tmp_path / "r" / "report.md").read_text()
     assert "1 hold, 1 do not, 1 ended in an error" in page and "DOES NOT HOLD" in page
     assert "7.25" in page and "≤ 1" in page and "a reason" in page and "It is known." in page
@@ -96,12 +83,12 @@ def test_what_is_not_a_number_keeps_no_bound(cases, tmp_path, value):
     cases += [case("nan", value)]
     assert main(["-o", str(tmp_path / "r")]) == FAILED
     saved = Result.from_json((tmp_path / "r" / "cases" / "nan.json").read_text())
-    assert saved.status == "fails" and saved.failed == ["the number"]
+    assert saved.status == "fails" and saved.failed == ["the error"]
 
 
 @pytest.mark.parametrize("values", [{"a": 0.0}, {"a": 0.0, "b": 0.0, "c": 0.0}], ids=["drop", "add"])
 def test_case_can_neither_drop_a_bound_nor_add_one(cases, tmp_path, values):
-    bounds = (Bound("a", "<=", 1), Bound("b", "<=", 1))
+    bounds = (Bound("a", "in", (0, 1)), Bound("b", "in", (0, 1)))
     cases += [replace(case("sly", 0.0), bounds=bounds, run=values.items)]
     assert main(["-o", str(tmp_path / "r")]) == FAILED
     saved = json.loads((tmp_path / "r" / "cases" / "sly.json").read_text())

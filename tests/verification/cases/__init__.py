@@ -5,7 +5,8 @@ from importlib import import_module
 from pkgutil import iter_modules
 
 from ngvisco.errors import UnknownNameError
-from tests.verification.case import Case, VerificationError
+from tests.verification.bounds import VerificationError
+from tests.verification.case import Case
 
 THEMES = (
     "Stability for every step length",

@@ -88,10 +88,10 @@ def band(run: nv.Simulation) -> tuple[float, np.ndarray, float]:
       {DENSITY} kg/m3, pressed at {RATE}/s by a wall through a stiff dashpot, planes of symmetry, a free upper
       side; steps of {DT} s until the load falls; h = 0.1, 0.07, 0.05 m; a line through the places of |Pi|^4
       at 25 heights.
-    - how far it is beyond Coulomb's and Roscoe's angles, degrees <= 3.0: theory
+    - excess of the angle over Coulomb's and Roscoe's, degrees <= 3.0: theory
     - distance to Rudnicki and Rice's angle, degrees <= 3.0: without friction: 6.2
     - change of the angle on the finest mesh, degrees <= 3.0: converges
-    - rate in the band over the median >= 4.0: it is a band
+    - rate in the band over the median in [4, 40]: it is a band, and the block still flows beside it
     - least power of creep, W/m3 >= 0.0: M : Pi
     - closure
     """)
@@ -111,7 +111,7 @@ def _band() -> Measured:
     for name, value in {"Roscoe": ROSCOE, "Rudnicki and Rice": theory, "Coulomb": COULOMB}.items():
         lines.append(Curve(f"{name}, {value:.1f}", start + AT / math.tan(math.radians(value)), AT, "-"))
     beyond = max(COULOMB - angle, angle - ROSCOE, 0.0)
-    yield "how far it is beyond Coulomb's and Roscoe's angles, degrees", beyond
+    yield "excess of the angle over Coulomb's and Roscoe's, degrees", beyond
     yield "distance to Rudnicki and Rice's angle, degrees", abs(angle - theory)
     yield "change of the angle on the finest mesh, degrees", abs(angle - rows[-2][4])
     yield "rate in the band over the median", contrast
@@ -213,7 +213,7 @@ def _amplitude(run: nv.Simulation) -> float:
       pulled at the mean rate; shear modulus {ELASTIC:g} times the stress; backward Euler, {STEPS} steps of a
       strain of {TAU:g}, growth over those after {FROM}; cells of 0.25 and 0.125 m.
     - largest distance of a growth rate from theory's <= 0.15: a face of a cell's width
-    - the same of n = 5, R = 20 <= 0.15: stated before any run of it
+    - largest distance for n = 5, R = 20 <= 0.15: stated before any run of it
     - relative error of the largest one, n = 10 <= 0.03: 6 per unit of strain
     - distance on finer cells over that on coarser <= 0.8: it falls
     - least distance to theory's with another n >= 0.7: the negative control
@@ -234,7 +234,7 @@ def _necks() -> Measured:
         others += [abs(found - growth(m, ratio, WAVE, TOP)) for m, _ in LAYERS if m != n]
     coarse, fine = (max(row[-1] for row in rows[i::2]) for i in range(2))
     yield "largest distance of a growth rate from theory's", fine
-    yield "the same of n = 5, R = 20", rows[-1][-1]
+    yield "largest distance for n = 5, R = 20", rows[-1][-1]
     (largest,) = (row for row in rows[1::2] if row[0] == 10.0)
     yield "relative error of the largest one, n = 10", largest[-1] / largest[-2]
     yield "distance on finer cells over that on coarser", fine / coarse

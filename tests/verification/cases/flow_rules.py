@@ -288,7 +288,7 @@ def _couette(kind: str) -> Measured:
     yield "largest error of v on the finer mesh, of the wall's", rows[1][2]
     yield "largest relative error of the shear stress where it flows", rows[1][3]
     yield "error of v on the finer / on the coarser mesh", rows[1][2] / rows[0][2]
-    yield "largest |v| beyond 1.6 m, of the wall's", float(np.abs(v[r > 1.6]).max()) / OMEGA
+    yield "error of rest: largest |v| beyond 1.6 m, of the wall's", float(np.abs(v[r > 1.6]).max()) / OMEGA
     yield Table("at 19 radii", "h, m | cells | error of v | error of the stress", rows)
     yield Plot("Bingham's fluid between cylinders", "r, m", "v, m/s", curves)
     yield "With h = 0.5 and 0.25 m, as first run, v was 0.073 off and the stress 0.060: finer cells since."
@@ -317,7 +317,7 @@ for kind in BINGHAMS:
         - largest error of v on the finer mesh, of the wall's <= 0.03: eight cells in the gap
         - largest relative error of the shear stress where it flows <= 0.05: P2 velocity, P1 stress
         - error of v on the finer / on the coarser mesh <= 0.6: converges
-        - largest |v| beyond 1.6 m, of the wall's <= 0.01: rigid
+        - error of rest: largest |v| beyond 1.6 m, of the wall's <= 0.01: rigid
         - closure
         """)(partial(_couette, kind))
 

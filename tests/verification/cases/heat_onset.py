@@ -181,7 +181,7 @@ def _in_space(p: float | None) -> Measured:
     )
     wrong.title += ", sources without heat"
     yield from right.lasts()
-    yield "rate of z where the sources have no heat", wrong.last("z")
+    yield "rate of z, control without heat in the sources", wrong.last("z")
     yield from (right, wrong.table())
 
 
@@ -198,7 +198,7 @@ for name, p, terms, (of_v, others) in (
           gravity; two steps of 0.05 s with the discrete time derivative in the sources.
         - rate of v >= {of_v}: as without heat
         - rate of [rho; z] >= {others}: as without heat
-        - rate of z where the sources have no heat <= 0.5: the negative control: an error stays
+        - rate of z, control without heat in the sources <= 0.5: an error stays
         """)(partial(_in_space, p))
 
 

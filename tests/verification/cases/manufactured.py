@@ -14,7 +14,8 @@ from ngvisco.forms.context import time
 from ngvisco.forms.mesh.points import CellPoints
 from ngvisco.forms.mesh.symmetry import NO_SYMMETRY
 from ngvisco.geometries import box, disc, sphere
-from tests.verification.case import Cases, Curve, Measured, Plot, RateTable, Table, VerificationError, each
+from tests.verification.bounds import VerificationError, each
+from tests.verification.case import Cases, Curve, Measured, Plot, RateTable, Table
 from tests.verification.convergence import KINDS as MODELS
 from tests.verification.convergence import RULES, coefficients, coupled_rates, model, transport_rates
 from tests.verification.differences import mismatch
@@ -239,7 +240,7 @@ class Stiffer(Sources):
       of the formulas
     - least rate of v >= 2.5: k + 1 of v, but not above Pi's by half; m + 1
     - least rate of [rho; z; Pi] >= 1.75: k + 1 of v, but not above Pi's by half; m + 1
-    - largest rate of Pi where psi' is a tenth off <= 1.0: the negative control
+    - largest rate of Pi, control with psi' a tenth off <= 1.0: an error stays
     """)
 def _of_rules() -> Measured:
     """Rates in space for every rule and material, and the rules against their formulas by differences."""
@@ -265,7 +266,7 @@ def _of_rules() -> Measured:
     yield "least difference of a flow rule with a constant that is 1 % off", least
     for name, rates in found.items():
         yield f"least rate of {name}", min(rates)
-    yield "largest rate of Pi where psi' is a tenth off", max(controls)
+    yield "largest rate of Pi, control with psi' a tenth off", max(controls)
 
 
 # --- an independent creep rate -----------------------------------------------------------------------------

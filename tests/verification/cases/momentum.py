@@ -133,7 +133,9 @@ _WHY = {
     EXACT: "conjugates by values",
     STIFF: "the weights are bounded",
 }
-_BOUNDS = "\n    ".join(f"- {name} <= {body.share:g}: {_WHY[body.share]}" for name, body in THROWN.items())
+_BOUNDS = "\n    ".join(
+    f"- change of momentum: {name} <= {body.share:g}: {_WHY[body.share]}" for name, body in THROWN.items()
+)
 
 
 @CASES(f"""momentum-of-jumps
@@ -152,7 +154,7 @@ def _kept() -> Measured:
     rows, least = [], []
     for name, body in THROWN.items():
         run, change = change_of_momentum(body)
-        yield name, change
+        yield f"change of momentum: {name}", change
         taken = run.ledger.column("dissipation_upwinding")[1:]
         if "moduli" not in name:
             least.append(taken.min() / max(abs(taken).max(), 1e-30))

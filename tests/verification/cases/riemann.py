@@ -155,8 +155,8 @@ def solved(mach: float, cells: int, scheme: str = "backward-euler") -> nv.Simula
       D ln J by F, Cof F and J, a user's energy; K_v + 4/3 G_v = rho U h, of midpoint twice that; c dt/h =
       0.5.
     - largest error of a star state <= 0.01: asked for
-    - |rho J/rho_0 - 1| by backward Euler <= 0.01: of order dt
-    - |rho J/rho_0 - 1| by midpoint <= 5e-4: of order dt^2
+    - error |rho J/rho_0 - 1| by backward Euler <= 0.01: of order dt
+    - error |rho J/rho_0 - 1| by midpoint <= 5e-4: of order dt^2
     - most iterations <= 60.0: one attempt for each step
     - rejected steps of backward Euler <= 0.0: nor halved
     - rejected steps of the midpoint rule <= 0.0: nor where the flow turns round at rest
@@ -179,8 +179,8 @@ def _measure() -> Measured:
         density = run.fields["density"](run.mesh(places, 0 * places + 0.3 / CELLS))
         curves.append(Curve(f"{mach:g} c, {scheme}", places, np.ravel(density), "-"))
     yield "largest error of a star state", worst
-    yield "|rho J/rho_0 - 1| by backward Euler", drifts["backward-euler"]
-    yield "|rho J/rho_0 - 1| by midpoint", drifts["midpoint"]
+    yield "error |rho J/rho_0 - 1| by backward Euler", drifts["backward-euler"]
+    yield "error |rho J/rho_0 - 1| by midpoint", drifts["midpoint"]
     yield "most iterations", iterations
     yield "rejected steps of backward Euler", rejections["backward-euler"]
     yield "rejected steps of the midpoint rule", rejections["midpoint"]
@@ -269,7 +269,7 @@ def _samples(reference: dict[str, np.ndarray], places: np.ndarray) -> dict[str, 
       midpoint rule; the reference has 400 and 800 cells and is extrapolated.
     - rate of [density; temperature; velocity; entropy] >= 1.8: 2 by P1 and the midpoint rule
     - largest error at 100 cells <= 2e-3: set after the entropy was seen: 6e-4
-    - the reference's own step, of the entropy <= 5e-4: a third of it is extrapolated away
+    - error of the reference's own step, of the entropy <= 5e-4: a third of it is extrapolated away
     - error of the entropy without its heat in the reference >= 0.1: the negative control
     - closure
     """)
@@ -294,7 +294,7 @@ def _profiles() -> Measured:
         table.add(1 / cells, **{name: off(values, exact, name) for name in names})
     yield from table.lasts()
     yield "largest error at 100 cells", max(errors[-1] for errors in table.errors.values())
-    yield "the reference's own step, of the entropy", off(fine, coarse, "entropy")
+    yield "error of the reference's own step, of the entropy", off(fine, coarse, "entropy")
     yield "error of the entropy without its heat in the reference", off(values, cold, "entropy")
     yield table.table()
     shown = ("temperature", "entropy")
@@ -337,7 +337,7 @@ def _warm_speed(stretch: float) -> float:
       midpoint rule; means 0.06 to 0.08 m from the planes, close to which viscosity has heated the body.
     - largest error of a star state, 200 cells <= 0.02: h/x = 0.08, of which a part is heat; set after it was
       seen: 0.011
-    - that of 100 cells over it >= 1.3: 2 in the limit; seen: 1.47
+    - error with 100 cells over that with 200 >= 1.3: 2 in the limit; seen: 1.47
     - closure
     """)
 def _warm_stars() -> Measured:
@@ -359,7 +359,7 @@ def _warm_stars() -> Measured:
             rows.append([cells, "impact" if middle else "parting", *errors])
     coarse, fine = (max(max(row[2:]) for row in rows[i : i + 2]) for i in (0, 2))
     yield "largest error of a star state, 200 cells", fine
-    yield "that of 100 cells over it", coarse / fine
+    yield "error with 100 cells over that with 200", coarse / fine
     head = "cells | wave | density | F_11 | temperature | stress"
     yield from Table("relative errors", head, rows).drawn(0, 2, 3, 4, 5, by=1, log="xy")
     yield "What entropy a shock makes, less than the start's on these meshes, is measured by heat-impact."

@@ -123,7 +123,7 @@ for kind in KINDS:
         - share of the steps solved at the first try >= 0.9: a scheme for daily use
         - share of the steps solved >= 0.98: a scheme for daily use
         - largest |closure| <= 1e-10: wherever a step is solved
-        - largest CFL number >= 20.0: what the grid is to cover
+        - largest CFL number in [20, 60]: what the grid is to cover; 1.5 m/s for 10 s in cells of 0.4 m
         """)(partial(measure, kind))
 
 
@@ -152,8 +152,8 @@ def cavity(scheme: str, limiter: bool) -> nv.Simulation:
     setting: demos/cavity: a unit box of 230 triangles, the lid at 1 m/s from t = 0 on, other walls without
       slip; neo-Hookean, K_e = 20, G_e = 0.05, epsilon = 0.1 Pa, viscosities 0.01 Pa s, mu = 1e-5, p = 4; 20
       steps of 0.02 s.
-    - time reached with a limiter, s >= {END * (1 - 1e-09)}: the run's end
-    - latest time reached without, s <= 0.3: the finding: it ends
+    - time reached with a limiter, s in [{END * (1 - 1e-9)}, {END * (1 + 1e-9)}]: the run's end
+    - latest time reached without, s in [0.02, 0.3]: the finding: it ends, after the first step
     - closure
     - largest |mass drift| <= 1e-11: rounding, and the transport's tolerance
     - most iterations of a solve <= 30.0: an impulsive start and none harder after it

@@ -93,7 +93,7 @@ CELLS = (10, 11), (14, 16), (20, 22)
     - largest change of the disc's volume <= 0.01: pressures of 0.5 Pa over K_e
     - largest change of the disc's mass <= 1e-11: conserved amounts
     - closure
-    - path with K_e = 50 Pa from that with 200 Pa until 3 s, m <= 0.01: half the first
+    - distance of the paths with K_e = 50 and 200 Pa until 3 s, m <= 0.01: half the first
     """)
 def _carried() -> Measured:
     tables = [cavity(cells, 50.0, 8.0) for cells in CELLS]
@@ -119,7 +119,7 @@ def _carried() -> Measured:
     yield "order of the largest distance, 10 to 20 columns", np.log2(far[0].max() / far[-1].max())
     yield "largest change of the disc's volume", _change(finest.column("disc_volume"))
     yield "largest change of the disc's mass", _change(finest.column("disc_mass"))
-    yield "path with K_e = 50 Pa from that with 200 Pa until 3 s, m", study[1][1]
+    yield "distance of the paths with K_e = 50 and 200 Pa until 3 s, m", study[1][1]
     rows = np.column_stack([PATH[:, 0], paths[-1], PATH[:, 1:], far.T])
     head = "t, s | x | y | reference: x | y | distance, 10 | 14 | 20"
     yield Table("the centroid, m, and its distances on 10, 14 and 20 columns", head, rows.tolist())

@@ -269,7 +269,7 @@ def oscillation(degree: int, maxh: float, material: nv.Material) -> tuple[nv.Sim
     - relative error of 0T3 <= 1e-2: eight quadratic cells in a diameter
     - relative error of 0T4 <= 2e-2: eight quadratic cells in a diameter
     - least ratio of the errors of both meshes >= 2.0: order h^2 at least: 1.55^2 = 2.4
-    - finite against small strain, 0T2 <= 1e-3: strains of half a per cent
+    - difference of finite and small strain, 0T2 <= 1e-3: strains of half a per cent
     - change of the energy <= 1e-4: a linear problem, but for the upwinding
     - closure
     """)
@@ -296,7 +296,7 @@ def _toroidal() -> Measured:
     # the meshes' cells are smaller by (984/265)^(1/3) = 1.55
     gains = [errors[degree, coarse] / errors[degree, best] for degree in degrees]
     yield "least ratio of the errors of both meshes", min(gains)
-    yield "finite against small strain, 0T2", abs(abs(finite.imag) / rows[0][2] - 1)
+    yield "difference of finite and small strain, 0T2", abs(abs(finite.imag) / rows[0][2] - 1)
     yield "change of the energy", max(changes)
     yield Table("frequencies", "l | tetrahedra | omega, 1/s | exact | error | decay, 1/s", rows)
     yield Plot("Toroidal modes, finer mesh", "t, periods of each", "amplitude of v", curves)

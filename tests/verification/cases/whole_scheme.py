@@ -14,18 +14,8 @@ from ngvisco.forms.term import tested
 from ngvisco.physics.material import cauchy_stress
 from ngvisco.physics.tensors import dev, square, sym
 from ngvisco.run.simulation import Simulation
-from tests.verification.case import (
-    CLOSURE,
-    DRIFT,
-    Bound,
-    Cases,
-    Curve,
-    Measured,
-    Plot,
-    RateTable,
-    Table,
-    each,
-)
+from tests.verification.bounds import CLOSURE, DRIFT, Bound, each
+from tests.verification.case import Cases, Curve, Measured, Plot, RateTable, Table
 from tests.verification.cases import limits as plane
 from tests.verification.cases.invariants import COFACTORS
 from tests.verification.setups import (
@@ -249,11 +239,13 @@ def estimates(
 def bounds(kind: str) -> Iterator[Bound]:
     """Those of ``estimates``."""
     for name, label in (COMMON | OWN[kind]).items():
-        yield Bound(f"growth of {name}", "<=", 1.2, f"{label}: bounded as eps, delta and h decrease")
+        said = f"{label}: bounded as eps, delta and h decrease, and no norm vanishes"
+        yield Bound(f"growth of {name}", "in", (0.8, 1.2), said)
     for name, (power, label) in POWERS[kind].items():
-        yield Bound(f"power of 1/delta in {name}", "<=", power, f"{label}: C delta^(-{power:g})")
-    yield Bound("largest rho", "<=", RHO_MAX + 1, "Euler-small-est3+++")
-    yield Bound("gravity's power over M (1 + ‖p/√rho‖²) |g|", "<=", 1.0, "Euler-small-est-Gronwall")
+        yield Bound(f"power of 1/delta in {name}", "in", (-0.1, power), f"{label}: C delta^(-{power:g})")
+    yield Bound("largest rho", "in", (1.0, RHO_MAX + 1), "Euler-small-est3+++; above the mean")
+    gravity = "gravity's power over M (1 + ‖p/√rho‖²) |g|"
+    yield Bound(gravity, "in", (0.01, 1.0), "Euler-small-est-Gronwall; it does act")
     yield Bound(DRIFT.quantity, "<=", 1e-12, "Euler-small-est-1+: to rounding")
     yield CLOSURE
 
@@ -434,7 +426,8 @@ def limit_bounds(kind: str) -> Iterator[Bound]:
             solved = SOLVED[kind].get(name, {}).get(field)
             said = ", ".join(filter(None, (labels, solved)))
             yield Bound(f"last rate of {field} in {name}", ">=", rate, f"{reason}; {said}")
-    yield Bound("largest rho", "<=", RHO_MAX, "the cut-off never acts; Euler-small-viscoelastodyn+0-reg")
+    said = "the cut-off never acts; Euler-small-viscoelastodyn+0-reg"
+    yield Bound("largest rho", "in", (1.0, RHO_MAX), said)
     yield CLOSURE
 
 

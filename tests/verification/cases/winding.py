@@ -67,11 +67,11 @@ TABLE: tuple[tuple[Literal["F", "B"], float, float, tuple[float, ...]], ...] = (
     label: ED-Euler-large2, ED-Euler-large3
     setting: Unit box, K_e = {K_E:g} Pa, G_e = {G_E:g} Pa, G_m = {G_M:g} Pa s (Maxwell time 0.05 s), viscosity
       {VISCOSITY:g} Pa s, lid 16 x²(1 − x)² m/s ramped until 0.2 s.
-    - largest |det B − 1| <= 0.03: first order in tau, 0.02 s, at the lid's corners
-    - runs by F that ended by name >= 3: each of them: det F is off J by 10 % in a cell
-    - the last of these ended at, s <= 1: twenty Maxwell times
-    - the first of these ended at, s >= 0.1: two Maxwell times, what the lid needs to turn anything
-    - runs by F that warned before >= 3: each of them
+    - largest error |det B − 1| <= 0.03: first order in tau, 0.02 s, at the lid's corners
+    - runs by F that ended by name in [3, 3]: each of them: det F is off J by 10 % in a cell
+    - the last of these ended at, s in [0.1, 1]: two and twenty Maxwell times
+    - the first of these ended at, s in [0.1, 1]: two Maxwell times, what the lid needs to turn anything
+    - runs by F that warned before in [3, 3]: each of them
     - closure
     """)
 def _side_by_side() -> Measured:
@@ -100,7 +100,7 @@ def _side_by_side() -> Measured:
                 if has_ended:
                     break
         warned[state] += sum(issubclass(w.category, nv.DefectWarning) for w in caught)
-    yield "largest |det B − 1|", max(gaps)
+    yield "largest error |det B − 1|", max(gaps)
     yield "runs by F that ended by name", len(ends)
     yield "the last of these ended at, s", max(ends)
     yield "the first of these ended at, s", min(ends)
@@ -117,10 +117,10 @@ def _side_by_side() -> Measured:
     label: ED-Euler-large3
     setting: The same box and lid, cells of 0.125 m, 100 steps of 0.05 s, G_m = 0.02 Pa s, Maxwell times 0.05,
       0.025 and 0.0125 s.
-    - largest |det B − 1| <= 0.1: first order in tau, 0.05 s, at the lid's corners
+    - largest error |det B − 1| <= 0.1: first order in tau, 0.05 s, at the lid's corners
     - rate of the stress in the Maxwell time >= 0.7: of first order in Wi
     - error of the stress at the smallest one <= 0.05: of the order of Wi
-    - Maxwell times of the first run >= 100: what is claimed
+    - Maxwell times of the first run in [100, 100]: what is claimed
     - closure
     """)
 def _cavity() -> Measured:
@@ -143,7 +143,7 @@ def _cavity() -> Measured:
         off = weight * (_cell_means(dev(run.fields["cauchy_stress"]), run) - expected)
         table.add(maxwell_time, stress=float(np.linalg.norm(off) / np.linalg.norm(weight * expected)))
         rows.append([maxwell_time, until / maxwell_time, low, high, max(1 - low, high - 1)])
-    yield "largest |det B − 1|", max(row[-1] for row in rows)
+    yield "largest error |det B − 1|", max(row[-1] for row in rows)
     yield "rate of the stress in the Maxwell time", table.last("stress")
     yield "error of the stress at the smallest one", table.errors["stress"][-1]
     yield "Maxwell times of the first run", rows[0][1]
