@@ -1,13 +1,14 @@
 """The growth of damage after a step, z kept: the second half of a staggered step.
 
 In the step (rho, v, z)_old -> (rho, v, z) the damage d and its slope q are carried, to d* and q*.  Then they
-change by a continuous, piecewise linear delta, d = d* + delta and q = q* + grad delta, the minimum of
+change by a continuous, piecewise linear delta, d = d* + delta and q = q* + G delta, the minimum of
 
-    int phi(z, d* + delta, q* + grad delta) + sum_i m_i eta delta_i^2/(2 tau)      for low <= delta <= high,
+    int phi(z, d* + delta, q* + G delta) + sum_i m_i eta delta_i^2/(2 tau)      for low <= delta <= high,
 
-m_i lumped masses.  low = 0, so that damage never falls, or -d* with a healing (eta is that of healing where
-delta_i < 0); high = 1 - d*, the least of a vertex' cells, so that d <= 1 at all points.  phi is quadratic in
-(d, q).  With its second derivative H, and r the slope at the minimum with that of the viscosity,
+m_i lumped masses, G delta = grad delta, or F^T grad delta of the referential slope.  low = 0, so that damage
+never falls, or -d* with a healing (eta is that of healing where delta_i < 0); high = 1 - d*, the least of a
+vertex' cells, so that d <= 1 at all points.  phi is quadratic in (d, q).  With its second derivative H, and r
+the slope at the minimum with that of the viscosity,
 
     E* - E = sum_i m_i eta delta_i^2/tau + delta.H delta/2 - r.delta
 
@@ -54,7 +55,7 @@ from ngvisco.forms.mesh.points import csr
 from ngvisco.forms.term import PRODUCTION, Entry, Integrand
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.physics.material import conjugates, part_of
-from ngvisco.physics.materials.damaged import DAMAGE, SLOPE, Damaged
+from ngvisco.physics.materials.damaged import DAMAGE, WHOLE_F, Damaged
 from ngvisco.physics.materials.thermal import Entropy, Thermal, entropy_in
 from ngvisco.physics.parameters import substituted
 
@@ -151,16 +152,24 @@ class DamageGrowth:
         of_damage, of_slope = law.surface
         is_quadratic = law.law == "AT2"
         stiff = 1 - law.floor
-        q = step.now.z_tensors[SLOPE.name][:, 0]
+        q = z[law.slope.name][:, 0]
         hessian, slope = BilinearForm(space, symmetric=True), LinearForm(space)
         curvature = 2 * stiff * taken + (2 * of_damage if is_quadratic else 0.0) * weight
-        bent = curvature * d * test + 2 * of_slope * weight * (grad(d) * grad(test))
-        hessian += step.quadrature.cells(bent)
+        slopes = self._along(grad(d)) * self._along(grad(test))
+        hessian += step.quadrature.cells(curvature * d * test + 2 * of_slope * weight * slopes)
         force = -2 * stiff * (1 - self.damage) * taken
         force += of_damage * weight * (2 * self.damage if is_quadratic else 1.0)
-        along = sum(q[i] * grad(test)[i] for i in range(step.mesh.dim))
+        carried = self._along(grad(test))
+        along = sum(q[i] * carried[i] for i in range(step.mesh.dim))
         slope += step.quadrature.cells(force * test + 2 * of_slope * weight * along)
         return hessian, slope
+
+    def _along(self, gradient: Any) -> Any:
+        """The carried slope that belongs to a gradient: itself, or F^T times it."""
+        if self.law.area == "actual":
+            return gradient
+        dim = self.step.mesh.dim
+        return self.step.now.z_tensors[WHOLE_F.name][:dim, :dim].trans * gradient
 
     def _at_vertices(self, function: Any) -> np.ndarray:
         return np.asarray(function(self._vertices)).reshape(-1)
@@ -220,7 +229,10 @@ class DamageGrowth:
     def _rows(self) -> list[int]:
         """Components of the damage and its slope."""
         slices = self.step.layout.states.slices
-        return [slices[DAMAGE.name].start, *range(slices[SLOPE.name].start, slices[SLOPE.name].stop)]
+        return [
+            slices[DAMAGE.name].start,
+            *range(slices[self.law.slope.name].start, slices[self.law.slope.name].stop),
+        ]
 
     def _z(self) -> np.ndarray:
         """The present coefficients, (components, functions), as a view."""
@@ -230,7 +242,7 @@ class DamageGrowth:
     def _add(self, delta: np.ndarray) -> None:
         """Add delta and its slope to the present damage."""
         self._delta.vec.FV().NumPy()[:] = delta
-        z, slope = self._z(), grad(self._delta)
+        z, slope = self._z(), self._along(grad(self._delta))
         values = (self._delta, *(slope[j] for j in range(self.step.mesh.dim)))
         for row, value in zip(self._rows, values, strict=True):
             self._part.Set(value)

@@ -37,9 +37,12 @@ def assert_signs(run, until=0.04, is_euler=True):
     return ledger
 
 
-@pytest.mark.parametrize("kind", ["AT2", pytest.param("AT1", marks=pytest.mark.long)])
-def test_both_halves_of_a_step_dissipate_and_both_solvers_agree(kind):
-    material = damaged(law=kind, G_c=0.1 if kind == "AT2" else 0.01)
+@pytest.mark.parametrize(
+    ("kind", "area"),
+    [("AT2", "actual"), ("AT2", "reference"), pytest.param("AT1", "actual", marks=pytest.mark.long)],
+)
+def test_both_halves_of_a_step_dissipate_and_both_solvers_agree(kind, area):
+    material = damaged(law=kind, G_c=0.1 if kind == "AT2" else 0.01, area=area)
     runs = [swirl(material, solver=solver) for solver in ("coupled", "split")]
     for run in runs:
         assert_signs(run)
@@ -159,6 +162,53 @@ def test_damage_stays_or_heals_at_its_rate():
         assert (run.ledger.column("dissipation_damage")[1:] > 0).all() == (healing is not None)
 
 
+CROSS = 0.2
+"""l of the cracks that are stretched, m."""
+
+
+def across(X):
+    """AT1's damage across a crack at X = 0."""
+    return IfPos(2 * CROSS - sqrt(X * X), (1 - sqrt(X * X) / (2 * CROSS)) ** 2, 0.0)
+
+
+def left_of_a_crack(area, stretch):
+    """(1 + 1/stretch^2)/2 for an actual area, 1 for a reference one."""
+    return (1 + stretch**-2) / 2 if area == "actual" else 1.0
+
+
+@pytest.mark.parametrize("area", ["actual", "reference"])
+@pytest.mark.parametrize(("stretch", "shear"), [(1.0, 0.0), (1.5, 0.0), (2.0, 0.0), (1.25, 0.25)])
+def test_energy_of_a_crack_in_a_body_that_starts_stretched(area, stretch, shear):
+    """d of X = (x - shear y)/stretch, F = ((stretch, shear), (0, 1)), whose transpose is seen."""
+    mesh = structured_box((3.0, 0.2), (60, 2))
+    law = damaged(law="AT1", G_c=1.0, length=CROSS, area=area, viscosity=1e6)
+    F = CF((stretch, shear, 0, 0, 1, 0, 0, 0, 1), dims=(3, 3))
+    damage = across((x - 1.5 - shear * (y - 0.1)) / stretch)
+    initial = nv.Initial(F=F, values={"damage": damage})
+    run = Simulation(mesh, nv.Model(material=law), dt=0.1, initial=initial)
+    surface = run.model.material.surface_energy(run.rothe_step.now.z_tensors)
+    cost = Integrate(surface, mesh, order=4) / 0.2
+    assert cost == pytest.approx(left_of_a_crack(area, stretch / (1 + shear**2) ** 0.5), rel=0.01)
+
+
+@pytest.mark.long
+@pytest.mark.ci
+def test_crack_that_is_stretched_keeps_its_energy_per_reference_area():
+    """Matter that flies apart at v = X: the stretch is 1 + t; the energy of a crack stays within 2 %."""
+    mesh = structured_box((2.4, 0.1), (48, 1), periodic="y")
+    rubber = nv.ReferentialNeoHookean(K_e=1e-4, G_e=1e-4)
+    initial = nv.Initial(density=1e3, velocity=(x - 1.2, 0), values={"damage": across(x - 1.2)})
+    walls = dict.fromkeys(("left", "right"), nv.Open(density=1e3))
+    for area in ("actual", "reference"):
+        law = nv.Damaged(material=rubber, G_c=0.02, length=CROSS, law="AT1", area=area, viscosity=1e6)
+        run = Simulation(mesh, nv.Model(material=law), dt=0.05, initial=initial, walls=walls, solver="split")
+        for stretch in (1.25, 1.5, 2.0):
+            ledger = run.run(stretch - 1)
+            surface = ledger.column("stored_surface")
+            assert surface[-1] / surface[0] == pytest.approx(left_of_a_crack(area, stretch), rel=0.02)
+        assert abs(ledger.column("closure_relative")).max() < 1e-11
+
+
 def test_growth_in_a_step_is_a_column_and_much_of_it_is_warned_of():
     """The surface that steps make is that which is stored, of a damage that is the same everywhere."""
     run = sheared("AT2")
@@ -185,6 +235,11 @@ def test_steps_are_chosen_by_the_growth_of_the_damage():
     assert np.allclose(ledger.column("dt")[1:], 0.1) and ledger.column("damage_growth").max() > most
     with pytest.raises(nv.NgviscoError, match=r"AdaptiveSteps\.damage_growth.*does not break"):
         Simulation(box((1, 1), maxh=0.9), nv.Model(material=RUBBER), dt=0.1, adaptive=adaptive)
+
+
+def test_one_area_of_small_strains_is_no_choice():
+    with pytest.raises(nv.ParameterError, match=r"Damaged\.area.*'actual'.*small strain"):
+        damaged(material=nv.LinearElastic(K_e=20.0, G_e=5.0), area="reference")
 
 
 def test_a_length_below_the_cells_is_warned_of():

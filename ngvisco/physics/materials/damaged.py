@@ -4,14 +4,18 @@ Per actual volume, with A = 1/J of a material at finite strain and 1 of a linear
 
     phi = g(d) a(z) + c(z) + A G_c (w(d) + l^2 |q|^2) / (c_w l),     g(d) = (1 - k)(1 - d)^2 + k,
 
-q = grad d, a the part of the energy that damage takes (all of it, or what is no volumetric compression, c).
-``AT2`` has w = d^2, c_w = 2 (Ambrosio and Tortorelli), ``AT1`` w = d, c_w = 8/3, which is elastic up to a
-threshold: the density of a crack's surface times G_c (Pham et al., Int. J. Damage Mech. 20, 2011).
+q the gradient of d, a the part of the energy that damage takes (all of it, or what is no volumetric
+compression, c).  ``AT2`` has w = d^2, c_w = 2 (Ambrosio and Tortorelli), ``AT1`` w = d, c_w = 8/3, which is
+elastic up to a threshold: the density of a crack's surface times G_c (Pham et al., Int. J. Damage Mech. 20,
+2011).
 
-The matter carries d and its slope, dq/dt + (v . grad) q = -L^T q, whose conjugate gives the stress of the
-gradient term.  phi is convex in z for given (d, q) and in (d, q) for given z, but not jointly: the conjugates
-of z are those at the damage of the step's start (``Material.lagged``), and damage itself grows after it, z
-kept (``ngvisco.forms.damage``; the staggered scheme of Roubicek, arXiv:2510.10355).
+The matter carries d and its slope.  The actual one, q = grad d with dq/dt + (v . grad) q = -L^T q, has a
+conjugate that gives the stress of the gradient term.  The referential one, q = F^T grad d with F the
+distortion since the start (creep included), stays what it is at the matter's point, dq/dt + (v . grad) q = 0:
+its term has no stress, and a crack that is stretched keeps its energy.  phi is convex in z for given (d, q)
+and in (d, q) for given z, but not jointly: the conjugates of z are those at the damage of the step's start
+(``Material.lagged``), and damage itself grows after it, z kept (``ngvisco.forms.damage``; the staggered
+scheme of Roubicek, arXiv:2510.10355).
 """
 
 from dataclasses import dataclass, field
@@ -59,7 +63,41 @@ class DamageSlope(Variable):
         return Q * value
 
 
+@dataclass(frozen=True)
+class ReferentialDamageSlope(DamageSlope):
+    """q = F^T grad d, 1/m, F the distortion since the start: dq/dt = 0."""
+
+    name: str = "referential_grad_damage"
+
+    def rate(self, z: Values, L: Tensor, Pi: Tensor) -> Tensor:
+        return 0 * z[self.name]
+
+    def turned(self, value: Tensor, Q: Tensor) -> Tensor:
+        return value
+
+
+@dataclass(frozen=True)
+class WholeDistortion(Variable):
+    """F since the start, elastic and creep together: dF/dt = L F.  No energy reads it."""
+
+    name: str = "whole_F"
+    kind: str = "full"
+
+    is_strain = False
+    creeps = False
+
+    def rate(self, z: Values, L: Tensor, Pi: Tensor) -> Tensor:
+        return L * z[self.name]
+
+    def from_distortion(self, F: Tensor) -> Tensor:
+        return F
+
+    def turned(self, value: Tensor, Q: Tensor) -> Tensor:
+        return Q * value
+
+
 DAMAGE, SLOPE = DamageVariable(), DamageSlope()
+REFERENTIAL_SLOPE, WHOLE_F = ReferentialDamageSlope(), WholeDistortion()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,11 +106,14 @@ class Damaged(Wrapper):
 
     The energy of the material without damage is counted from that at rest, where its stress has to vanish.  A
     crack that has fully formed costs G_c for its area, with d = exp(-|x|/l) (AT2) or (1 - |x|/2l)^2 (AT1)
-    across it.  x and l are lengths of the actual place: at J = 1 G_c is per deformed area of the crack.  With
-    the stretch lambda across a crack that is G_c/lambda per area of the reference state.  Without a healing d
-    never falls at the matter's point.  Raises ParameterError if a parameter is out of its range, or the
-    material has stress at rest, an energy without an expression, or no volume of its own to tell compression
-    by.
+    across it.  With ``area="actual"`` x and l are lengths of the actual place: at J = 1 G_c is per deformed
+    area of the crack.  Where the matter is stretched by lambda across a crack, that is G_c/lambda per area of
+    the reference state, and a crack that was there before has (1 + 1/lambda^2)/2 of its energy left.  With
+    ``area="reference"`` x and l are lengths of the body at its start, G_c is per reference area, and the
+    crack keeps its energy.  The body carries its distortion since the start beside its variables then.
+    Without a healing d never falls at the matter's point.  Raises ParameterError if a parameter is out of its
+    range, or the material has stress at rest, an energy without an expression, or no volume of its own to
+    tell compression by; or for ``"reference"`` with a material of small strain, which has one area.
 
     Example::
 
@@ -87,11 +128,14 @@ class Damaged(Wrapper):
     material : Material
         The material without damage; at finite strain A = 1/J is carried beside its variables.
     G_c : float
-        Energy of a crack for its area, the deformed one where J = 1.
+        Energy of a crack for its area, the one that ``area`` names.
     length : float
         The length l that a crack is smeared over; cells of half of it or less resolve it.
     law : str
         ``"AT2"``, damage from the first load on, or ``"AT1"``, from a threshold on.
+    area : str
+        Lengths and areas that G_c and l count: ``"actual"``, of the deformed body, or ``"reference"``, of the
+        body at its start.
     part : str
         ``"all"`` of the energy is degraded, or ``"tensile"``: not that of volumetric compression.
     viscosity : float
@@ -107,6 +151,7 @@ class Damaged(Wrapper):
     G_c: Annotated[float, Quantity("J/m^2", "> 0", 0.1)]
     length: Annotated[float, Quantity("m", "> 0", 0.05)]
     law: Annotated[Literal["AT1", "AT2"], Quantity(example="AT1")] = "AT2"
+    area: Annotated[Literal["actual", "reference"], Quantity(example="reference")] = "actual"
     part: Annotated[Literal["all", "tensile"], Quantity(example="all")] = "tensile"
     viscosity: Annotated[float, Quantity("Pa s", ">= 0", 0.01)] = 0.0
     healing_viscosity: Annotated[float | None, Quantity("Pa s", "> 0", 1.0)] = None
@@ -118,7 +163,11 @@ class Damaged(Wrapper):
     def __post_init__(self) -> None:
         super().__post_init__()
         require_choice(self, ("AT1", "AT2"), law=self.law)
+        require_choice(self, ("actual", "reference"), area=self.area)
         require_choice(self, ("all", "tensile"), part=self.part)
+        if self.area == "reference" and self.is_linearised:
+            expected = "'actual' with a material of small strain, whose areas are one and the same"
+            raise ParameterError("Damaged.area", self.area, expected)
         expected = ""
         if part_of(self.material, Damaged) is not None:
             expected = "a material without damage"
@@ -178,11 +227,16 @@ class Damaged(Wrapper):
     def variables(self) -> tuple[Variable, ...]:
         own = self.material.variables
         volume = () if self.is_linearised or ReciprocalJacobian() in own else (ReciprocalJacobian(),)
-        return (*own, *volume, DAMAGE, SLOPE)
+        return (*own, *volume, *(() if self.area == "actual" else (WHOLE_F,)), DAMAGE, self.slope)
+
+    @property
+    def slope(self) -> DamageSlope:
+        """The gradient of the damage that the matter carries."""
+        return SLOPE if self.area == "actual" else REFERENTIAL_SLOPE
 
     @property
     def lagged(self) -> frozenset[str]:
-        return frozenset((DAMAGE.name, SLOPE.name))
+        return frozenset((DAMAGE.name, self.slope.name))
 
     @property
     def conformation(self) -> str | None:
@@ -243,7 +297,7 @@ class Damaged(Wrapper):
 
     def surface_energy(self, z: Values) -> Tensor:
         """The surface energy of cracks, per actual volume, Pa."""
-        d, q = z[DAMAGE.name], z[SLOPE.name]
+        d, q = z[DAMAGE.name], z[self.slope.name]
         of_damage, of_slope = self.surface
         w = d * d if self.law == "AT2" else d
         return self.weight(z) * (of_damage * w + of_slope * square(q))
