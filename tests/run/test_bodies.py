@@ -263,7 +263,11 @@ def test_bulk_moduli_that_differ_much_are_warned_of_by_name(K_e, m, warns):
 @pytest.mark.parametrize(("solver", "viscosities"), [("split", (1.0, 10.0)), ("coupled", (10.0, 1.0))])
 def test_layers_with_a_face_inside_a_cell_are_in_series(solver, viscosities):
     """Couette flow of two layers, the face in the middle of a cell; with the arithmetic mean
-    there the force is 7 per cent too large."""
+    there the force is 7 per cent too large.
+
+    In the face's cell the fluidity and so the shear rate are linear, from one layer's to the other's, where
+    the exact one jumps: by the rates' difference D the velocity is D h/8 off at the face.
+    """
     face, (low, high) = 0.5625, viscosities
     stress = 1 / (face / low + (1 - face) / high)
     exact = IfPos(face - y, stress / low * y, 1 - stress / high * (1 - y))
@@ -282,9 +286,11 @@ def test_layers_with_a_face_inside_a_cell_are_in_series(solver, viscosities):
         solver=solver,
     )
     ledger = run.run(8.0)
-    assert ledger.column("power_wall_top")[-1] == pytest.approx(0.25 * stress, rel=0.01)
+    assert ledger.column("power_wall_top")[-1] == pytest.approx(0.25 * stress, rel=1e-3)
     assert abs(ledger.column("closure_relative")).max() <= 1e-11
-    at = [place for place in np.linspace(0.05, 0.95, 19) if not 0.5 < place < 0.625]
-    found = [run.fields["velocity"](run.mesh(0.06, place))[0] for place in at]
-    expected = [exact(run.mesh(0.06, place)) for place in at]
-    assert found == pytest.approx(expected, abs=0.005)
+    at = np.linspace(0.05, 0.95, 145)
+    off = [run.fields["velocity"](run.mesh(0.06, place))[0] - exact(run.mesh(0.06, place)) for place in at]
+    is_beside, off = (at < 0.5) | (at > 0.625), np.abs(off)
+    assert off[is_beside].max() <= 0.001 and np.sqrt(np.mean(off**2)) <= 0.007
+    parabola = stress * abs(1 / low - 1 / high) / 8 / 8  # 0.0232 and 0.0285 with 8 cells
+    assert 0.9 * parabola <= off.max() <= 1.05 * parabola
