@@ -46,7 +46,8 @@ class StoredEnergy:
     def lacked(self, u: Fields) -> None:
         """Note as ``last_failure`` that an iterate had no energy, with the bounds of its domain."""
         bounds = " and ".join(f"{name} > 0" for name in self.material.domain(u.z_tensors))
-        domain = f", which it has for {bounds} alone" if bounds else ""
+        variables = ", ".join(variable.name for variable in self.material.variables)
+        domain = f", which it has for {bounds} alone (of {variables})" if bounds else ""
         self.last_failure = f"the stored energy of an iterate was no number{domain}"
 
     def density(self, u: Fields) -> CoefficientFunction:

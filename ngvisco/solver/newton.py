@@ -212,7 +212,8 @@ class Newton:
             size = self.norm(self._increment, self._base, u)
             next_size = contraction = np.inf
             renewed = False
-            if self._is_finite(self._trial_residual) and self.has_energy():
+            # asked first: where there is no energy the residual is no number either, and would hide the reason
+            if self.has_energy() and self._is_finite(self._trial_residual):
                 next_size, contraction = self._following(size)
                 # where points have begun or ceased to yield the next increment is a matter of their slopes
                 renewed = bool(self.stresses) and not contraction <= 1 - damping / 4

@@ -136,10 +136,12 @@ class RotheSolver:
         return found
 
     def _has_energy(self) -> bool:
-        if self.ranks.any(len(self.step.without_energy()) > 0):
+        if not self.ranks.any(len(self.step.without_energy()) > 0):
+            return True
+        layout, state = self.step.layout, self.step.state.vec.FV().NumPy()
+        if self.ranks.all(all(np.isfinite(state[layout.ranges[name]]).all() for name in layout.evolving)):
             self.step.energy.lacked(self.step.now)
-            return False
-        return True
+        return False
 
     def on_sides(self) -> tuple[Fields, SidePoints] | None:
         """Arrays of the state at the points of the cells' sides, where the solver has such; else None."""
