@@ -212,7 +212,7 @@ class Newton:
             size = self.norm(self._increment, self._base, u)
             next_size = contraction = np.inf
             renewed = False
-            # asked first: where there is no energy the residual is no number either, and would hide the reason
+            # the energy first: where there is none, the residual is no number either, and hides why
             if self.has_energy() and self._is_finite(self._trial_residual):
                 next_size, contraction = self._following(size)
                 # where points have begun or ceased to yield the next increment is a matter of their slopes

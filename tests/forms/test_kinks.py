@@ -78,6 +78,16 @@ def test_a_polygon_has_to_be_declared(wall):
     Walls(mesh, {"wall": declared.get(type(wall).__name__, traction)})
 
 
+@pytest.mark.parametrize("wall", [nv.Slip(straight=True), nv.Traction(f=(-y, x), straight=True)])
+@pytest.mark.parametrize("mesh", [lambda: polygon(5, 0.5), lambda: disc(1, 0.5)], ids=["corners", "curved"])
+def test_a_wall_that_is_no_polygon_is_not_declared_one(mesh, wall):
+    """It would have no effect."""
+    with pytest.raises(
+        nv.ParameterError, match=r"walls\['wall'\]\.straight = True: expected False: .* not bent"
+    ):
+        Walls(mesh(), {"wall": wall})
+
+
 @pytest.mark.parametrize("mesh", [lambda: polygon(5, 0.5), lambda: polygon(6, 2.0)], ids=["5", "6"])
 def test_corners_of_60_degrees_and_more_pass(mesh):
     Walls(mesh())

@@ -111,6 +111,14 @@ def test_too_many_iterations_says_so() -> None:
     assert len(solution.history) == 2
 
 
+@pytest.mark.parametrize(("least", "status"), [(1e-3, Status.CONVERGED), (0.9, Status.STALLED)])
+def test_min_damping_is_the_least_step_that_is_tried(least: float, status: Status) -> None:
+    """From 10 the first increment for atan overshoots until it is an eighth; 0.9 gives up at a half."""
+    solution = solve(newton(10.0, arc, min_damping=least)[0])
+    assert solution.status is status
+    assert min(line.damping for line in solution.history) == (0.125 if least == 1e-3 else 0.5)
+
+
 # --- rounding ------------------------------------------------------------------------------------------
 
 

@@ -160,15 +160,20 @@ def require_curved_cells(mesh: Mesh, walls: Mapping[str, Region]) -> None:
     of different names are not compared: planes with names of their own may meet at any angle.
     """
     for name, region in walls.items():
-        chords, left = _kinks(mesh, region)
-        if sum(left) > _CURVED * sum(chords):
+        if angle := bend(mesh, region):
             raise MeshError(
-                f"wall {name!r} is bent by {np.rad2deg(max(chords)):.3g} degrees between straight facets, "
+                f"wall {name!r} is bent by {np.rad2deg(angle):.3g} degrees between straight facets, "
                 "like a polygon that stands for a curved wall: there v.n = 0 tends to no slip, however fine "
                 "the mesh; expected curved cells, mesh.Curve(order) on a mesh that knows its geometry (as "
                 "the functions of geometries do). If the wall really is a polyhedron, give its planes "
                 "names of their own, or say so by Slip(straight=True) for it"
             )
+
+
+def bend(mesh: Mesh, wall: Region) -> float:
+    """The largest angle, rad, between straight facets that may stand for a curved wall; 0 of other walls."""
+    chords, left = _kinks(mesh, wall)
+    return max(chords) if sum(left) > _CURVED * sum(chords) else 0.0
 
 
 _Facet: TypeAlias = tuple[np.ndarray, dict[bytes, np.ndarray]]

@@ -38,6 +38,7 @@ from ngsolve import (
 from ngvisco.errors import ParameterError
 from ngvisco.forms.boundary.boundaries import (
     axis_parallel_walls,
+    bend,
     check_boundary_names,
     interior_boundaries,
     periodic_boundaries,
@@ -100,8 +101,13 @@ class Walls:
         fixed = self._having(*HELD)
         self.multiplied = [n for n in self.oblique if n in by_components and n not in fixed]
         """Oblique or curved walls, where v.n is held by a multiplier."""
-        bent = [name for name in self.multiplied if not self.conditions[name].straight]
+        declared = [name for name, wall in self.conditions.items() if wall.straight]
+        bent = [name for name in self.multiplied if name not in declared]
         require_curved_cells(mesh, {name: self.region([name]) for name in bent})
+        for name in declared:
+            if not bend(mesh, self.region([name])):
+                expected = "False: the wall is not bent by small angles between straight facets"
+                raise ParameterError(f"walls[{name!r}].straight", True, expected)
         for name, wall in self.conditions.items():
             if not (wall.heat is None or isinstance(wall.heat, WallHeat)):
                 raise ParameterError(f"walls[{name!r}].heat", wall.heat, "a WallHeat, or None")
