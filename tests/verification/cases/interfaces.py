@@ -210,10 +210,8 @@ def _smear(name: str) -> Measured:
     yield "change of the area, m = 1", abs(drift)
     error, width, least, largest, drift = found["sharp amounts", 1]
     yield "L1 error of sharp amounts", error
-    yield "L1 error of sharp amounts, from below", error
     yield "width of sharp amounts, cells", width
-    yield "width of sharp amounts, from below", width
-    yield "excess of sharp amounts over [0, 1]", max(-least, largest - 1)
+    yield "excess of sharp amounts over [0, 1]", max(-least, largest - 1, 0.0)
     yield "change of the area, sharp amounts", abs(drift)
     yield "L1 error of the reference map, m = 1", found["reference map", 1][0]
     columns = "carried as | m | L1 error/area | width, cells | least | largest | change of area"
@@ -239,10 +237,10 @@ for name, what, (of_amounts, width, of_map, sharp, thick) in (
         - width of amounts, m = 1, cells <= {width}: a few cells
         - largest excess over [0, 1] <= 0.3: what a P_1 beside a jump does; stated after
         - change of the area, m = 1 <= 1e-4: conserved but for div v of the given velocity
-        - L1 error of sharp amounts <= {sharp[1]}: stated after a trial
-        - L1 error of sharp amounts, from below >= {sharp[0]}: what a P_1 beside a jump cannot do
-        - width of sharp amounts, cells <= {thick[1]}: it does not grow
-        - width of sharp amounts, from below >= {thick[0]}: no narrower than its start
+        - L1 error of sharp amounts in [{sharp[0]}, {sharp[1]}]: stated after a trial; a P_1 beside a jump
+          cannot do better
+        - width of sharp amounts, cells in [{thick[0]}, {thick[1]}]: it does not grow, and is no narrower than
+          its start
         - excess of sharp amounts over [0, 1] <= 0.05: a step's
         - change of the area, sharp amounts <= 1e-4: conserved but for div v of the given velocity
         - L1 error of the reference map, m = 1 <= {of_map}: sharp for ever
