@@ -57,27 +57,8 @@ def sheared(sharp: bool, cells: int = CELLS, capillary: float = CAPILLARY) -> tu
     return run, table
 
 
-<<<<<<< HEAD
 def _soft_disc(sharp: bool) -> Measured:
     run, table = sheared(sharp)
-=======
-@CASES(f"""soft-disc-in-shear
-    A neo-Hookean disc in a fluid of its viscosity takes the shape of the closed form and keeps it over more
-      than a revolution, while its matter goes round.
-    label: benchmark: Eshelby's uniform fields
-    setting: Ca = {CAPILLARY:g}, Re = {REYNOLDS:g}, K_e = {BULK:g} mu gamma, a cell of {SIZE:g} a squared,
-      {CELLS} cells across the disc, gamma tau = {TAU:g}, midpoint rule until {STRAINS:g} strains, m = 1.
-    - D off {D:g}, over it <= 0.04: the cell's finite size and the mesh
-    - angle off {ANGLE:g} degrees <= 2: the same
-    - rate of going round in [0.4, 0.5]: slower than a rigid disc; the closed form in a cell of 6 a has 0.462
-    - area within fraction 1/2 in [0.93, 1]: it loses what it smears; 2 % were the goal; stated after
-    - width of the interface, cells in [1.5, 2.8]: it grows by the fourth root of the strain
-    - change of the mass <= 1e-10: conserved
-    - closure
-    """)
-def _soft_disc() -> Measured:
-    run, table = sheared(False)
->>>>>>> d33461eb (A soft disc in shear: both sides of a bound in one)
     run.run(STRAINS)
     column = {
         name: table.column(f"disc_{name}") for name in ("D", "angle", "turning", "inside", "smeared", "mass")
@@ -121,12 +102,10 @@ for name, what, of_d, (slow, fast), (small, large), (thin, thick) in (
           {CELLS} cells across the disc, gamma tau = {TAU:g}, midpoint rule until {STRAINS:g} strains{what}.
         - D off {D:g}, over it <= {of_d}: the cell's finite size and the mesh
         - angle off {ANGLE:g} degrees <= 2: the same
-        - rate of going round <= {fast}: slower than a rigid disc
-        - rate of going round, from below >= {slow}: the closed form in a cell of 6 a has 0.462
-        - area within fraction 1/2 <= {large}: it loses what it smears
-        - area within fraction 1/2, from below >= {small}: 2 % were the goal; stated after
-        - width of the interface, cells <= {thick}: by the fourth root of the strain, or constant
-        - width of the interface, from below >= {thin}: the same
+        - rate of going round in [{slow}, {fast}]: slower than a rigid disc; the closed form in a cell of 6 a has
+          0.462
+        - area within fraction 1/2 in [{small}, {large}]: it loses what it smears; 2 % were the goal; stated after
+        - width of the interface, cells in [{thin}, {thick}]: by the fourth root of the strain, or constant
         - change of the mass <= 1e-10: conserved
         - closure
         """)(partial(_soft_disc, "sharp" in name))
