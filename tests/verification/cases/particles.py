@@ -102,9 +102,10 @@ for name, what, of_d, (slow, fast), (small, large), (thin, thick) in (
           {CELLS} cells across the disc, gamma tau = {TAU:g}, midpoint rule until {STRAINS:g} strains{what}.
         - D off {D:g}, over it <= {of_d}: the cell's finite size and the mesh
         - angle off {ANGLE:g} degrees <= 2: the same
-        - rate of going round in [{slow}, {fast}]: slower than a rigid disc; the closed form in a cell of 6 a has
-          0.462
-        - area within fraction 1/2 in [{small}, {large}]: it loses what it smears; 2 % were the goal; stated after
+        - rate of going round in [{slow}, {fast}]: slower than a rigid disc; the closed form in a
+          cell of 6 a has 0.462
+        - area within fraction 1/2 in [{small}, {large}]: it loses what it smears; 2 % were the goal; stated
+          after
         - width of the interface, cells in [{thin}, {thick}]: by the fourth root of the strain, or constant
         - change of the mass <= 1e-10: conserved
         - closure
