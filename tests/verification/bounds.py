@@ -46,7 +46,7 @@ KINDS = (
     Kind(
         "control",
         ">=",
-        "control|distance|difference|error|without",
+        "control|distance|difference|errors?|without",
         "a wrong answer on purpose, which must be told from the right one; how wrong it is says nothing",
     ),
     Kind("control", "<=", "control", "the same, of an order that a wrong equation does not reach"),

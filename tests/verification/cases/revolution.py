@@ -69,7 +69,7 @@ def oscillation(n: int, maxh: float) -> tuple[nv.Simulation, complex, np.ndarray
     - relative error of 1S0 <= 1e-2: four quadratic cells in a radius
     - least of both errors >= 1e-8: nobody has the frequency of the mesh exactly
     - least ratio of the errors of both meshes >= 3.0: order h^2 at least: 2^2 = 4
-    - momentum along the axis over its size <= 1e-3: the mesh is not its own image
+    - change of the momentum along the axis, over its size <= 1e-3: the mesh is not its own image
     - change of the energy <= 1e-4: a linear problem, but for the upwinding
     - closure
     """)
@@ -94,7 +94,7 @@ def _radial() -> Measured:
         "least ratio of the errors of both meshes",
         min(errors[n, coarse] / errors[n, best] for n in range(len(BRACKETS))),
     )
-    yield "momentum along the axis over its size", max(moved)
+    yield "change of the momentum along the axis, over its size", max(moved)
     yield "change of the energy", max(changes)
     yield Table("frequencies", "n | triangles | omega, 1/s | exact | error | decay, 1/s", rows)
     fine = np.linspace(0, PERIODS, 200)
