@@ -33,6 +33,9 @@ MADE = {
 
 BY_ITS_OWN = {
     "Body.order": "run/test_bodies.py",
+    **dict.fromkeys(
+        ("Bodies.measures", "Contours.directory", "Contours.every", "Contours.bodies"), "run/test_outlines.py"
+    ),
     "NotebookProgress.seconds": "run/test_notebook.py",
     "NotebookProgress.until": "run/test_notebook.py",
     "CustomMaterial.bounds": "run/test_no_numbers.py",
