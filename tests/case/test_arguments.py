@@ -33,9 +33,7 @@ MADE = {
 
 BY_ITS_OWN = {
     "Body.order": "run/test_bodies.py",
-    **dict.fromkeys(
-        ("Bodies.measures", "Contours.directory", "Contours.every", "Contours.bodies"), "run/test_outlines.py"
-    ),
+    **dict.fromkeys(("Bodies.measures", "Contours.every", "Contours.bodies"), "run/test_outlines.py"),
     "NotebookProgress.seconds": "run/test_notebook.py",
     "NotebookProgress.until": "run/test_notebook.py",
     "CustomMaterial.bounds": "run/test_no_numbers.py",
@@ -256,6 +254,7 @@ HOW = {
         {"path": "run.h5", "every": 1},
         {"path": ("run.h5", "b.h5"), "every": (1, 5), "keep": (2, 1), "attributes": (None, {"by": "a test"})},
     ),
+    "Contours": (nv.Contours, {"directory": "contours"}, {"directory": ("contours", "others")}),
     "Integrals": (
         nv.Integrals,
         {"integrands": {"mass": "density"}},
@@ -322,8 +321,9 @@ def test_argument_of_what_writes_has_an_effect(name, argument, tmp_path):
             given["stream"] = streams[i if argument == "stream" else 0]
         given = {k: place / v if k in ("path", "directory") else v for k, v in given.items()}
         observer = cls(**given)
-        body = nv.Body(name="all", material=FLUID, density=1.0)
-        run_of(observers=[observer], **({"bodies": [body]} if name == "Bodies" else {})).run(0.04)
+        disc = nv.Body(name="disc", where=nv.Ball((0.5, 0.5), 0.3), material=FLUID, density=1.0)
+        both = {"bodies": [disc, nv.Body(name="rest", material=FLUID, density=1.0)]}
+        run_of(observers=[observer], **(both if name in ("Bodies", "Contours") else {})).run(0.04)
         files = [path for path in sorted(place.rglob("*")) if path.is_file()]
         left = [(path.relative_to(place).as_posix(), path.read_bytes()) for path in files]
         said = [re.sub(r"[\d.]+ s(?= left)", "", stream.getvalue()) for stream in streams]
