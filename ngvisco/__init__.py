@@ -29,6 +29,7 @@ from ngvisco.forms.term import Entry, Integrand, PointTerm
 from ngvisco.notices import print_own
 from ngvisco.physics.activation import WLF, Activated, ActivatedViscosity
 from ngvisco.physics.bodies import Body
+from ngvisco.physics.diffusion import Diffusion, WallExchange
 from ngvisco.physics.energy_checks import (
     ConvexityReport,
     ConvexityWarning,
@@ -175,6 +176,7 @@ __all__ = [
     "Damaged",
     "DataError",
     "DefectWarning",
+    "Diffusion",
     "Discretisation",
     "DissipationWarning",
     "DruckerPrager",
@@ -261,6 +263,7 @@ __all__ = [
     "UnknownNameError",
     "VTKSeries",
     "Viscosity",
+    "WallExchange",
     "WallForces",
     "WallHeat",
     "WithQuadratic",

@@ -310,6 +310,10 @@ class Case:
             for name, value in values.items():
                 if isinstance(value, Section):
                     values[name] = self._made(value, (*path, name), dim)
+                elif isinstance(value, dict) and any(isinstance(each, Section) for each in value.values()):
+                    values[name] = {
+                        key: self._made(each, (*path, name, key), dim) for key, each in value.items()
+                    }
                 elif name in fields:
                     values[name] = self._function(value, (*path, name), dim)
             return part.completed(type(part).target(**values))

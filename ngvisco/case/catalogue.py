@@ -11,7 +11,7 @@ import ngvisco.geometries as geometries
 from ngvisco.case.laws import custom_material, isotropic_strain_energy
 from ngvisco.forms.spaces import Discretisation
 from ngvisco.forms.start.initial import Initial
-from ngvisco.physics import activation, flow_rules, heat, materials, model, rheology, walls
+from ngvisco.physics import activation, diffusion, flow_rules, heat, materials, model, rheology, walls
 from ngvisco.physics.regularisation import Regularisation
 from ngvisco.run.stepping import TimeSteps
 from ngvisco.shapes import shape
@@ -53,6 +53,7 @@ WRAPPERS: Kinds = {
 """Materials of another one, [material.material], or of several, [material.branches.NAME.material]: of those
 above, and of wrappers before them here."""
 MECHANISMS: Kinds = {
+    "diffusion": diffusion.Diffusion,
     "hyperviscosity": rheology.HyperViscosity,
     "heat": heat.Heat,
     "regularisation": Regularisation,

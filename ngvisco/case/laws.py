@@ -29,6 +29,7 @@ from ngvisco.physics.tensors import IDENTITY
 from ngvisco.physics.variables import (
     Cofactor,
     CofactorLeftCauchyGreen,
+    Concentration,
     Distortion,
     Jacobian,
     LeftCauchyGreen,
@@ -64,7 +65,7 @@ _TENSORS: dict[str, type[Variable]] = {
 _DEFINED = re.compile(r"([A-Za-z_]\w*)=(?:J\*\*(\([^()]*\)|[+-]?[0-9.]+)\*)?(.+)")
 _VARIABLE = (
     f"one of {', '.join(_VARIABLES)}, or NAME = J**(a)*X with a number a and X one of "
-    f"{', '.join(_TENSORS)}, as in 'H = J**(-5/6)*F'"
+    f"{', '.join(_TENSORS)}, as in 'H = J**(-5/6)*F', or NAME = amount"
 )
 
 
@@ -137,7 +138,8 @@ def custom_material(
     ----------
     variables : sequence of str
         What is carried: F, H = cof(F), B = F*trans(F), N = cof(F*trans(F)), J = det(F), A = 1/J, K =
-        log(J)/J, the small strain E; with a power of J as in "H = J**(-5/6)*F".
+        log(J)/J, the small strain E; with a power of J as in "H = J**(-5/6)*F"; and amounts per actual
+        volume, conserved, zero unless the start says otherwise, as a solute's "c = amount".
     energy : str
         Stored energy of the variables; by per = "mass" in J/kg.
     parameters : mapping of names to numbers, optional
@@ -216,6 +218,8 @@ def _energy(
 def _variable(text: str) -> Variable:
     """The variable of a name or of a definition; raises ParameterError."""
     plain = re.sub(r"\s", "", text)
+    if plain.endswith("=amount") and (name := plain.removesuffix("=amount")).isidentifier():
+        return Concentration(name=name)
     if plain in _VARIABLES:
         return _VARIABLES[plain]
     match = _DEFINED.fullmatch(plain)

@@ -38,6 +38,7 @@ from ngvisco.case.values import (
     VectorValue,
 )
 from ngvisco.errors import Quantity, UnknownNameError
+from ngvisco.physics.diffusion import WallExchange
 from ngvisco.physics.heat import Conductivity, WallHeat
 from ngvisco.physics.material import Material as MaterialObject
 from ngvisco.physics.parameters import Modulus
@@ -157,7 +158,9 @@ def section(
     returned = hints.get("return")
     is_material = isinstance(returned, type) and issubclass(returned, MaterialObject)
     is_made_at_once = is_whole and (dataclasses.is_dataclass(target) or is_material)
-    model.is_checked = is_made_at_once and "path" not in fields and not field_names(model)
+    of_place = [part for key in fields for part in models_in(model.model_fields[key].annotation)]
+    takes_functions = any(map(field_names, [model, *of_place]))
+    model.is_checked = is_made_at_once and "path" not in fields and not takes_functions
     return model
 
 
@@ -225,7 +228,7 @@ def parameters(part: Section) -> dict[str, Any]:
         elif isinstance(value, list) and value and isinstance(value[0], Section):
             value = [made(each) for each in value]
         elif isinstance(value, dict) and any(isinstance(each, Section) for each in value.values()):
-            value = {key: made(each) for key, each in value.items()}
+            value = {key: each if field_names(type(each)) else made(each) for key, each in value.items()}
         elif name in values_of(model):
             value = values_of(model)[name].made(value)
         if value is not None:
@@ -239,6 +242,7 @@ def made(part: Section) -> Any:
 
 
 _TYPES |= {described: section(described) for described in (AdaptiveSteps, WallHeat)}
+_TYPES[Mapping[str, WallExchange]] = dict[str, section(WallExchange)]  # type: ignore[misc]
 
 
 def tagged(key: str, table: Mapping[str, Any], base: type[Section] = Section) -> Any:

@@ -63,6 +63,7 @@ from ngvisco.forms.term import (
     refused_by_name,
     tested,
 )
+from ngvisco.forms.terms.diffusion import diffusion_terms
 from ngvisco.forms.terms.heat import heat_terms
 from ngvisco.forms.terms.hyperviscosity import Hyperviscosity
 from ngvisco.forms.terms.momentum import (
@@ -238,6 +239,7 @@ class Step:
             *equations(model, mesh.dim, self.discretisation.m),
             *wall_terms(self.walls, model),
             *heat_terms(model, self.walls),
+            *diffusion_terms(model, self.walls),
             *terms,
             *known,
         )

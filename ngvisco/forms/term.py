@@ -172,6 +172,9 @@ class Term(Protocol):
     def entries(self, u: Fields) -> list[Entry]: ...
 
 
+Coupling = Literal["local", "facet"]
+
+
 class PointTerm:
     """A term that is a function of the values at a point; see the module's docstring.
 
@@ -182,6 +185,9 @@ class PointTerm:
     linearised : bool
         Whether the split solver takes the term's derivative into its tangent.  Terms that transport and
         elastic force have a tangent for, and small ones, say no.
+    couples : str
+        ``"local"``: its rows of z change with values of their own cell; ``"facet"``: with gradients, and
+        across facets by means of both sides.
     kept : tuple of str
         Unknowns, explicit functions of others, whose change the matrix of Newton's method leaves out of the
         term: it follows them from iterate to iterate.
@@ -190,6 +196,7 @@ class PointTerm:
     """
 
     linearised = True
+    couples: Coupling = "local"
     kept: tuple[str, ...] = ()
     plane_only: ClassVar[str | None] = None
 
@@ -349,9 +356,13 @@ class GivenParts(dict[str, Any]):
 
 @contextmanager
 def refused_by_name(term: object) -> Iterator[None]:
-    """Raise ParameterError with the term's name for what it must not take."""
+    """Raise ParameterError with the term's name for what it must not take, or the material does not carry."""
     try:
         yield
+    except KeyError as error:
+        name, missing = type(term).__name__, error.args[0] if error.args else ""
+        expected = f"{name}: it reads {missing!r}, which the material does not carry"
+        raise ParameterError("Simulation.terms", name, expected) from error
     except WithheldError as error:
         name = type(term).__name__
         raise ParameterError("Simulation.terms", name, f"{name}: {error}") from error

@@ -6,6 +6,7 @@ from typing import Any
 
 from ngvisco.errors import ParameterError
 from ngvisco.physics.bodies import Body, Fractions, require_parts
+from ngvisco.physics.diffusion import Diffusion
 from ngvisco.physics.energy_checks import check_energy
 from ngvisco.physics.flow_rules import FlowRule
 from ngvisco.physics.flow_rules.check import check_rule, check_viscosity
@@ -99,6 +100,8 @@ class Model:
     heat : Heat, optional
         How heat is conducted and exchanged, of a material with a temperature (``Thermal``); None (default) is
         adiabatic: its dissipation heats it, and nothing is conducted.
+    diffusion : Diffusion, optional
+        How something that the material carries spreads, as a solute.
     bodies : sequence of Body
         In place of ``material`` and ``viscosity``, which are then those of the bodies' mixture
         (``ngvisco.physics.mixture``), and of ``creep``, which each body has by itself.  Isotropic materials
@@ -113,6 +116,7 @@ class Model:
     regularisation: Regularisation | None = None
     bodies: tuple[Body, ...] = field(default=())
     heat: Heat | None = None
+    diffusion: Diffusion | None = None
 
     def __post_init__(self) -> None:
         self._take_bodies()
@@ -146,6 +150,8 @@ class Model:
         else:
             check_energy(material)
         self._check_heat_and_damage(material)
+        if self.diffusion is not None:
+            self.diffusion.require(material)
         for part in (body.material for body in self.bodies) if self.bodies else (material,):
             _require_bulk(part)
         for flow in self.flows:
@@ -281,6 +287,7 @@ _KINDS = {
     "creep": FlowRule,
     "regularisation": Regularisation,
     "heat": Heat,
+    "diffusion": Diffusion,
 }
 _EXPECTED = {"viscosity": "a StokesViscosity or another viscosity", "creep": "a Creep or another FlowRule"}
 _NO_TEMPERATURE = "None for a material without a temperature; nv.Thermal(material=...) gives it one"

@@ -13,6 +13,7 @@ inelastic distortion rate Pi (symmetric, tr Pi = 0).  Every rate is linear in z,
 | H = J^a F     | a (tr L) H + L H - H Pi               | rem-behind-polyconvexity       |
 | H = J^b Cof F | (1 + b)(tr L) H - L^T H + H Pi^T      | exa-Mooney-Rivlin-ref          |
 | A = 1/J       | -(tr L) A                             | DT-det-inverse                 |
+| c             | -(tr L) c                             | none: ``Concentration`` |
 | K = ln J / J  | (tr L)(A - K)                         | exa-neo-Hookean-ref            |
 | J^a F F^T     | L B + B L^T + a (tr L) B - 2 sym(Pi B) | none, see ``LeftCauchyGreen``  |
 | J^b Cof F F^T | (2 + b)(tr L) N - 2 sym(N L) + 2 sym(Pi N) | none, see ``CofactorLeftCauchyGreen`` |
@@ -30,7 +31,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar, Literal, TypeAlias
 
-from ngsolve import Cof, Det, log
+from ngsolve import CF, Cof, Det, log
 
 from ngvisco.errors import ParameterError, _is_number
 from ngvisco.physics.tensors import IDENTITY, Tensor, skw, sym, tr
@@ -323,6 +324,22 @@ class ReciprocalJacobian(Variable):
 
     def volume_ratio(self, value: Tensor) -> tuple[Tensor, float] | None:
         return value, -1.0
+
+
+@dataclass(frozen=True)
+class Concentration(Variable):
+    """An amount per actual volume, as of a solute: dc/dt = -(tr L) c, conserved; zero at the start."""
+
+    name: str = "c"
+    kind: str = "scalar"
+
+    is_conserved = True
+
+    def rate(self, z: Values, L: Tensor, Pi: Tensor) -> Tensor:
+        return -tr(L) * z[self.name]
+
+    def from_distortion(self, F: Tensor) -> Tensor:
+        return CF(0.0)
 
 
 @dataclass(frozen=True)

@@ -11,9 +11,7 @@ says so by the term's name.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass, field
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -21,7 +19,6 @@ import numpy as np
 from ngvisco.errors import ParameterError
 from ngvisco.forms.context import Context
 from ngvisco.forms.fields import Fields, Tests
-from ngvisco.forms.rates import TabulatedRates
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import CellMean, GivenParts, PointTerm, Term, refused_by_name
 from ngvisco.forms.terms.heat import Heating
@@ -31,17 +28,9 @@ from ngvisco.forms.terms.regularisation import CutOffVolume, DensityDiffusion, F
 from ngvisco.forms.terms.transport import Conjugates, ElasticForce, Kinematics
 from ngvisco.forms.upwinding import SideMean
 from ngvisco.physics.arrays import Array
-from ngvisco.reduced.evaluation import (
-    CELLS,
-    FACETS,
-    NotAtPointsError,
-    lazy_fields,
-    on_sides,
-    shapes_of,
-    slots_of,
-    tests_of,
-)
-from ngvisco.reduced.unknowns import Unknowns, density_by_forms, derived_in_cells, in_cells
+from ngvisco.reduced.evaluation import NotAtPointsError
+from ngvisco.reduced.one_point import OnePoint, why
+from ngvisco.reduced.unknowns import Unknowns, density_by_forms, in_cells
 
 _FIELDS = {"rho", "grad rho", "z", "grad z"}
 """Tests whose rows are those of the fields, and not of the flow."""
@@ -82,6 +71,8 @@ class Claims:
     """Known before the iteration."""
     rows: dict[int, dict[str, bool]] = field(default_factory=dict)
     """Names of the tests that a term at points has rows of, by its id; whether these read z or zeta."""
+    components: dict[int, frozenset[int]] = field(default_factory=dict)
+    """Components of z that a term at points has rows of, by its id."""
     at_nodes: set[int] = field(default_factory=set)
     """Ids of those of them with rows by as many points as a field has values in a cell."""
     without_rows: list[Term] = field(default_factory=list)
@@ -135,9 +126,14 @@ class Claims:
         return set(self.rows[id(term)]) - _FIELDS
 
     @property
-    def conducting(self) -> list[Heating]:
-        """Heat that goes from cell to cell or through walls: the transport of the entropy has its matrix."""
-        return [term for term in self.at_points if isinstance(term, Heating) and term.conducts]
+    def across_facets(self) -> list[PointTerm]:
+        """Terms by which cells change each other's fields across facets, beside transport."""
+        return [term for term in self.at_points if term.couples == "facet"]
+
+    def components_across_facets(self) -> list[int]:
+        """Components of z whose rows these have."""
+        found = [self.components[id(term)] for term in self.across_facets]
+        return sorted(set().union(*found))
 
     def of_inertia(self) -> list[PointTerm]:
         """Terms of dv/dt, whose matrix is that of the whole rule: a coarse one makes it singular."""
@@ -183,10 +179,11 @@ class Claims:
         if not isinstance(term, PointTerm) or type(term).form is not PointTerm.form:
             return "it states its form itself"  # which may say more than ``cells`` and ``facets``
         try:
-            rows, at_nodes = asked_slots(step, term, step.tabulated_rates)
+            found = OnePoint(step).slots(term)
         except NotAtPointsError as error:
             return str(error)
-        self.rows[id(term)] = rows
+        rows, at_nodes = found.names, found.at_nodes
+        self.rows[id(term)], self.components[id(term)] = rows, found.components
         if at_nodes:
             self.at_nodes.add(id(term))
         names = in_cells(step.layout)
@@ -253,72 +250,3 @@ def _require_flow_rows(step: Step, term: Term, obstacle: str | None) -> set[str]
     with refused_by_name(term):
         term.form(u, Tests(layout, GivenParts(tests, reason), context))
     return context.names
-
-
-def asked_slots(step: Step, term: PointTerm, rates: TabulatedRates) -> tuple[dict[str, bool], bool]:
-    """Names of the tests that a term has rows of, whether these read z or zeta, and whether any is at nodes.
-
-    Found by evaluating it at one point with all values one, z and zeta complex.
-
-    Raises
-    ------
-    NotAtPointsError
-        When the term asks for something that arrays do not have.
-    """
-    d, layout, shapes, derived = step.mesh.dim, step.layout, shapes_of(step), derived_in_cells(step.layout)
-    shapes |= {name: layout.unknowns[name].shape for name in ("zeta", *derived)}
-
-    def ones(*shape: int, dtype: type = float) -> Array:
-        return Array(np.ones((*shape, 1), dtype), None)
-
-    def fields(
-        context: Any, names: Iterable[str], sloping: Iterable[str], place: str, state: type = complex
-    ) -> Fields:
-        def value(name: str) -> Array:
-            return ones(*shapes[name], dtype=state if name in ("z", "zeta") else float)
-
-        def gradient(name: str) -> Array:
-            return ones(*shapes[name], d)
-
-        return lazy_fields(Fields, layout, (value, names), (gradient, sloping), place, context)
-
-    known = {
-        "rate": lambda difference: difference,
-        "given": lambda value: ones(*value.dims),
-        "h": ones(),
-        "rates": rates,
-        "terms": step.terms,
-    }
-    inside = SimpleNamespace(momentum_old=ones(d), average=known["given"], **known)
-    evolving, cells = set(layout.evolving).intersection(shapes), in_cells(layout)
-    inside.old = fields(inside, evolving, evolving, CELLS, float)
-    side = SimpleNamespace(
-        normal=ones(d),
-        inner=ones(),
-        crossed=ones(),
-        curvature=1.0,
-        reach=step.context.reach,
-        **known,
-    )
-    try:
-        with np.errstate(all="ignore"):  # all values one need not be in a law's domain
-            u, w = fields(inside, (*cells, *derived), cells, CELLS), tests_of(step, True, inside)
-            inside_cells, at_nodes = list(term.cells(u, w)), list(term.nodes(u, w))
-            names = (*on_sides(step), "zeta", *derived)
-            sloping = [name for name in ("rho", "z", "zeta") if name in names]
-            u, w = fields(side, names, sloping, FACETS), tests_of(step, False, side)
-            u.__dict__["jump"] = ones(d)
-            found = slots_of(list(term.facets(u, w))) | slots_of(inside_cells + at_nodes)
-            return {name: np.iscomplexobj(g) for name, g in found.items()}, bool(slots_of(at_nodes))
-    except NotAtPointsError:
-        raise
-    except Exception as error:  # whatever a term raises at values that it does not know
-        raise NotAtPointsError(f"it does not take arrays ({why(error)})") from error
-
-
-def why(error: Exception) -> str:
-    """One line on what a term or a law raised at arrays."""
-    lines = str(error).splitlines() or [""]
-    if "incompatible function arguments" in lines[0]:
-        return "it combines values with a coefficient function of its own"
-    return f"{type(error).__name__}: {lines[0]}"

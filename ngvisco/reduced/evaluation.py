@@ -80,6 +80,28 @@ def with_values(u: Fields, **given: np.ndarray) -> Fields:
     return other
 
 
+def moved(u: Fields, d: Fields, names: Iterable[str], values: bool = True) -> Fields:
+    """``u`` with an imaginary increment ``d`` of the unknowns ``names``: of their values and gradients.
+
+    Without ``values`` of their gradients alone.  ``parts`` of the result has what was asked for.
+    """
+    names = frozenset(names)
+
+    def by(value: Array, change: Array) -> Array:
+        return Array(value.value + (TINY * 1j) * change.value, None)
+
+    def part(name: str) -> Any:
+        return by(u.parts[name], d.parts[name]) if values and name in names else u.parts[name]
+
+    def gradient(name: str) -> Any:
+        return by(u.gradient(name), d.gradient(name)) if name in names else u.gradient(name)
+
+    result = Fields(u.layout, Lazy(part, u.layout.names, CELLS), u.context, gradient)
+    if "jump" in u.__dict__:
+        result.__dict__["jump"] = u.__dict__["jump"]
+    return result
+
+
 def incremented(u: Fields, **along: np.ndarray) -> Iterator[tuple[int, Fields]]:
     """``u`` with imaginary increments in directions, some at a time, which are counted.
 

@@ -253,9 +253,10 @@ class ReducedResidual:
             term = claims.diffusion[0]
             self.diffusion = FieldDiffusionRows(step, self.op, self.slope, term, self.trace_mass)
         self.at_points = [*claims.at_points, *claims.continuity]
-        self._of_traces: list[tuple[PointTerm, str]] = [(term, term.name) for term in claims.traces]
-        self._of_traces += [(term, "rho_hat") for term in claims.continuity]
-        orders = {step.layout.unknowns[name].order: name for _, name in self._of_traces}
+        self.means_of_sides: list[tuple[PointTerm, str]] = [(term, term.name) for term in claims.traces]
+        """Equations of means of both sides and their unknowns, in the order in which they are solved."""
+        self.means_of_sides += [(term, "rho_hat") for term in claims.continuity]
+        orders = {step.layout.unknowns[name].order: name for _, name in self.means_of_sides}
         self._masses = {order: self._mass_of_traces(exchange, name) for order, name in orders.items()}
         self._masses[step.layout.unknowns["z_hat"].order] = self.trace_mass
         self._whole = [Part(self, slice(0, step.mesh.ne))]
@@ -333,9 +334,9 @@ class ReducedResidual:
         self.slope.check(lambda: self.op.z(c["z"]))
         parts = self.parts if self.slope.is_local else self._whole
         c["zeta"] = apply(self.inverse_mass, np.concatenate(run(lambda p: p.conjugates(c), parts), axis=-1))
-        for term, name in self._of_traces:
+        for term, name in self.means_of_sides:
             loads = run(partial(Part.trace, term=term, name=name, c=c), self.parts)
-            mass, values = self._masses[self.step.layout.unknowns[name].order], self.side_op.of(name)
+            mass, values = self.mass_of(name), self.side_op.of(name)
             c[name] = -mass.solve(mass.exchange.sum(values.summed(np.concatenate(loads, axis=-1))))
         for mean in self.claims.means:
             of_parts = run(partial(Part.mean, term=mean, c=c), self.parts)
@@ -367,6 +368,10 @@ class ReducedResidual:
             rows = self._density_of_all.jacobian()[at.coefficients["v"].size :]
             self._of_forms.append((u.density_slice, rows, columns))
         return lambda d: self(at.x + (TINY * 1j) * d).residual.imag / TINY
+
+    def mass_of(self, name: str) -> FacetMass:
+        """That of a mean of both sides."""
+        return self._masses[self.step.layout.unknowns[name].order]
 
     def _packed(self, x: np.ndarray, rows: list[dict[str, np.ndarray]]) -> np.ndarray:
         """The sum of rows by unknowns, of what forms have and of the source, also of other ranks' cells."""

@@ -71,6 +71,16 @@ OLDROYD_B = {"kind": "OldroydB", "K_e": 10.0, "G_e": 5.0}
 PUSHED = {"initial.velocity": ["sin(pi*x)", 0]}
 GRADIENT = {"rheology.creep.nu": 0.1, **STRAINED}
 WARM = {"material.thermal": {"c": 2.0, "theta_R": 300.0, "expansion": 1e-3}}
+SOLUTE = {
+    "material": {
+        "kind": "Custom",
+        "variables": ["A", "c = amount"],
+        "energy": "10*(1 - A - 0.2*c)**2/A + 0.5*c**2/A",
+    },
+    "rheology.diffusion.variable": "c",
+    "rheology.diffusion.mobility": 0.1,
+    "initial.values": {"c": "0.5 + 0.1*x"},
+}
 HALF_BROKEN = {"initial.values": {"damage": 0.5}}
 
 WITH = {
@@ -99,6 +109,19 @@ WITH = {
     "rheology.heat.conductivity": ({**WARM, "initial.temperature": "300 + x"}, 1.0, 2.0),
     "rheology.heat.source": (WARM, 100.0, 200.0),
     "rheology.heat.numerical_heating": (WARM, False, True),
+    "rheology.diffusion.variable": (SOLUTE, "c", "d"),
+    "rheology.diffusion.mobility": (SOLUTE, 0.1, 0.2),
+    "rheology.diffusion.walls.NAME.potential": (
+        {**SOLUTE, "rheology.diffusion.walls.left.coefficient": 1.0},
+        0.6,
+        0.8,
+    ),
+    "rheology.diffusion.walls.NAME.coefficient": (
+        {**SOLUTE, "rheology.diffusion.walls.left.potential": 0.6},
+        1.0,
+        2.0,
+    ),
+    "rheology.diffusion.walls.NAME.flux": (SOLUTE, 0.1, 0.2),
     "rheology.viscosity.floor": ({}, 1e-9, 1.0),
     "rheology.hyperviscosity.floor": ({"rheology.hyperviscosity.p": 3.5}, 1e-10, 1.0),
     "rheology.regularisation.r": ({"rheology.regularisation.delta_density": 0.1}, 4.0, 3.0),

@@ -122,6 +122,8 @@ def test_every_example_is_admitted(entry, kind, schema):
     if entry.name == "material.breaking":
         branches = {"slow": {"material": WITHIN["Prony"]["material"]}}
         data["material"]["material"] = {"kind": "Network", "branches": branches}
+    if entry.path[:3] == ("rheology", "diffusion", "walls"):
+        data["rheology"]["diffusion"] |= {"variable": "c", "mobility": 0.1}
     if kind == "Prony":
         data["material"] |= {"C_1": {"C_2": 51.6}, "C_2": {"C_1": 17.4}}.get(entry.path[-1], {})
     loaded = CaseSections.model_validate(data)

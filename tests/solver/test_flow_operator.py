@@ -130,7 +130,7 @@ def test_the_force_is_the_rows_derivative_by_fields_that_are_continuous(run, mon
 def test_conduction_is_the_rows_derivative_at_a_uniform_temperature(run):
     """From cell to cell, by the lifting of the gradient and the penalty."""
     split, at, _ = prepared(run, np.zeros_like(linear(run, lambda x, y: (x, y))))
-    z, entropy = split.unknowns.slices["z"], split.preconditioner.sweep._conduction.component
+    z, entropy = split.unknowns.slices["z"], split.preconditioner.sweep.exchange.rows[0]
     direction = np.zeros(len(at.x))
     dz = direction[z].reshape(at.coefficients["z"].shape)
     dz[entropy] = np.random.default_rng(2).standard_normal(dz.shape[1])

@@ -6,8 +6,8 @@ flux through a facet sees its own cell's values and the facet's trace, a mean of
 weights of its own.  Sweeps over the cells, each for itself with its neighbours' values (block Jacobi),
 converge like the Courant number; their number is fixed by the velocity of the last ``update``, so that the
 map stays linear, as what solves for rows drawn at random.  With diffusion of z, which cells do not resolve, T
-is factorised, and so is that of the entropy where heat is conducted.  A density equation that is not linear
-has a Jacobian of its own.
+is factorised, and so is that of components that cells give each other across facets (``Exchanged``).  A
+density equation that is not linear has a Jacobian of its own.
 """
 
 from __future__ import annotations
@@ -17,129 +17,16 @@ import numpy as np
 from ngvisco.algebra import precision
 from ngvisco.algebra.factorised import Direct, direct_solver
 from ngvisco.algebra.sparse import of_blocks
-from ngvisco.forms.terms.heat import Heating, penalty_weight
 from ngvisco.forms.upwinding import mean_share
 from ngvisco.parallel.exchange import HaloUnknowns
-from ngvisco.physics.arrays import Array
-from ngvisco.reduced.operators import FacetMass, SideOperators
+from ngvisco.reduced.coupling import FacetCoupling
+from ngvisco.reduced.facet_tangent import FacetTangent
 from ngvisco.reduced.residual import Evaluation, ReducedResidual
 
 LEAST, MOST = 3, 30
 """Sweeps over the cells in which the fields' change is carried into the flow's system."""
 SHARE = 0.05
 """What they may leave of a field."""
-
-
-class FacetCoupling:
-    """Builds the blocks for weights at the sides' points; the functions there are known once."""
-
-    def __init__(self, sides: SideOperators, mass: FacetMass) -> None:
-        z, per = sides.z, sides.points.per_side
-        self.cells, self.functions = z.cells, z.local
-        self.sides = z.per_cell // per
-        count = self.cells * self.sides
-        self._weights = sides.points.weights.reshape(count, per, 1)
-        self._z = z.blocks.reshape(count, per, self.functions)
-        self._z_t = self._z.transpose(0, 2, 1)
-        self._hat = np.ascontiguousarray(mass.shapes.T).reshape(count, per, len(mass.shapes))
-        self._hat_t = self._hat.transpose(0, 2, 1)
-        self._facet = mass.facet[::per]
-        self._mass, self.halo = mass, mass.halo
-        order = np.argsort(self._facet, kind="stable")
-        first = np.flatnonzero(np.diff(self._facet[order]) == 0)
-        one, other = order[first], order[first + 1]
-        self.across = np.arange(count)
-        """The side of the other cell, (sides,); itself on the boundary; beyond all sides on another rank."""
-        self.across[one], self.across[other] = other, one
-        side_of = np.zeros(len(mass.unknowns), dtype=np.int64)
-        side_of[self._facet] = np.arange(count)
-        self._border = side_of[mass.of_facets.places]
-        self.across[self._border] = count + np.arange(len(self._border))
-        self._inner = (self.across != np.arange(count))[:, None, None]
-        beyond = self.across - count
-        cell = np.where(beyond < 0, self.across // max(self.sides, 1), self.cells + beyond)
-        self.neighbours = cell.reshape(self.cells, self.sides)
-        """The cell across each side, (cells, sides)."""
-
-    def blocks(
-        self,
-        own: np.ndarray,
-        to_trace: np.ndarray,
-        from_trace: np.ndarray,
-        values: np.ndarray | None = None,
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Derivatives of int (own z + from_trace z_hat) q, where mass z_hat = int to_trace z t of both sides.
-
-        Parameters
-        ----------
-        own, to_trace, from_trace : ndarray, shape (sides' points,)
-        values : ndarray, shape (cells, points, functions), optional
-            Of the functions in the place of z at the sides' points; default their own.
-
-        Returns
-        -------
-        of the cell's own values, (cells, q, q), and of those across each side, (cells, sides, q, q)
-        """
-        shape, w = self._weights.shape, self._weights
-        z = self._z if values is None else values.reshape(self._z.shape)
-        to_hat = np.matmul(self._hat_t, (w * to_trace.reshape(shape)) * z)
-        from_hat = np.matmul(self._z_t, (w * from_trace.reshape(shape)) * self._hat)
-        from_hat = np.matmul(from_hat, self._mass.inverses[self._facet])
-        here = np.matmul(self._z_t, (w * own.reshape(shape)) * z) + np.matmul(from_hat, to_hat)
-        if len(self._border):
-            to_hat = np.concatenate([to_hat, self.halo.swapped(to_hat[self._border])])
-        there = np.matmul(from_hat, to_hat[self.across]) * self._inner
-        by_cells = (self.cells, self.sides, self.functions, self.functions)
-        return here.reshape(by_cells).sum(axis=1), there.reshape(by_cells)
-
-
-class ConductionBlocks:
-    """The conduction of heat in the transport of the entropy: its blocks at an evaluation.
-
-    What dR_s/ds has of a(theta, q/zeta_s) and of walls (``ngvisco.forms.terms.heat``), with theta'(s)/zeta_s
-    and kappa one number in each cell.
-    """
-
-    def __init__(self, residual: ReducedResidual, term: Heating, coupling: FacetCoupling) -> None:
-        self.residual, self.term, self.coupling = residual, term, coupling
-        op, sides = residual.op, residual.side_op
-        self.component = residual.step.layout.states.slices[term.entropy.name].start
-        weights = op.weights.reshape(coupling.cells, op.z.per_cell, 1)
-        self._laplacian = sum(np.matmul((weights * D.blocks).transpose(0, 2, 1), D.blocks) for D in op.dz)
-        self._outwards = np.zeros((sides.points.count, op.z.blocks.shape[2]))
-        for n, D in zip(sides.points.normals, sides.dz, strict=True):
-            entries = D.matrix.tocoo()
-            functions = entries.col % self._outwards.shape[1]
-            np.add.at(self._outwards, (entries.row, functions), n[entries.row] * entries.data)
-        self._share = mean_share(sides.inner)
-
-    def __call__(self, at: Evaluation) -> tuple[np.ndarray, np.ndarray]:
-        """(cells, q, q) and (cells, sides, q, q)."""
-        r, coupling, i, z = self.residual, self.coupling, self.component, at.cells.z.value
-        along = np.zeros_like(z)
-        along[i] = 1.0
-        slope = r.slope.derivative(z)(along)[i] / (self.term.entropy.unit * at.cells.zeta.value[i])  # K/Pa
-        kappa = self.term.conductivity(at.cells)
-        kappa = kappa.value if isinstance(kappa, Array) else np.full(z.shape[1], kappa)
-
-        def mean(values: np.ndarray) -> np.ndarray:
-            per = r.op.z.per_cell  # none on a rank without cells
-            return values.reshape(coupling.cells, per).sum(axis=1) / max(per, 1)
-
-        def on_sides(values: np.ndarray) -> np.ndarray:
-            return np.repeat(values, r.side_op.points.count // max(coupling.cells, 1))
-
-        slope = mean(slope)
-        weight = slope * mean(kappa)
-        inner, of_sides = r.side_op.inner, on_sides(weight)
-        penalty = penalty_weight(r.step.discretisation.m) * of_sides / r.side_op.h
-        # half of the sum of both sides' penalties times what is missing to the mean
-        jump = 0.5 * inner * r.trace_mass.summed(penalty / r.side_op.points.per_side)
-        through = sum((each.value for each in self.term.exchange(at.facets)), 0.0) * on_sides(slope)
-        own, across = coupling.blocks(jump + through, self._share, -jump)
-        flux = self._share * of_sides
-        more, beyond = coupling.blocks(-inner * of_sides, flux, inner, self._outwards)
-        return own + more + weight[:, None, None] * self._laplacian, across + beyond
 
 
 class SweptMatrix:
@@ -186,6 +73,52 @@ class SweptMatrix:
         return beside.reshape(len(neighbours), neighbours.shape[1] * x.shape[1], x.shape[2])
 
 
+class Exchanged:
+    """What cells give each other of some components of z across facets, beside transport.
+
+    These components are factorised, each with its transport; the others' part is known when they are solved.
+    """
+
+    def __init__(self, tangent: FacetTangent) -> None:
+        self.rows, self.tangent, coupling = tangent.rows, tangent, tangent.coupling
+        self._coupling, self._unknowns = coupling, HaloUnknowns(coupling.halo, coupling.functions)
+        free = np.ones(self._unknowns.count, dtype=bool)
+        self._solvers = [direct_solver(free, self._unknowns) for _ in self.rows]
+
+    def update(self, at: Evaluation, own: np.ndarray, across: np.ndarray) -> None:
+        """Linearise and factorise at an evaluation; ``own`` and ``across`` are the blocks of transport."""
+        (here, there), coupling = self.tangent(at), self._coupling
+        q, cells = coupling.functions, coupling.cells
+        self._columns = self.tangent.columns
+        for n, (i, solver) in enumerate(zip(self.rows, self._solvers, strict=True)):
+            row, column = (slice(q * k, q * (k + 1)) for k in (n, self._columns.index(i)))
+            whole = own + here[:, row, column], across + there[:, :, row, column]
+            solver.factorise(of_blocks(*whole, coupling.neighbours, coupling.halo.count))
+        blocks = np.concatenate([here[:, None], there], axis=1).astype(precision.SINGLE)
+        self._blocks = blocks.transpose(0, 2, 1, 3).reshape(
+            cells, q * len(self.rows), (1 + coupling.sides) * q * len(self._columns)
+        )
+
+    def __call__(self, x: np.ndarray) -> np.ndarray:
+        """Rows (cells' unknowns, rows) of coefficients x (cells' unknowns, n)."""
+        coupling, q = self._coupling, self._coupling.functions
+        by_cells = x[:, self._columns].astype(precision.SINGLE).reshape(coupling.cells, q, len(self._columns))
+        values = np.ascontiguousarray(by_cells.swapaxes(1, 2)).reshape(coupling.cells, q * len(self._columns))
+        beside = coupling.halo.with_others(values)[coupling.neighbours]
+        of_both = np.concatenate([values[:, None], beside], axis=1).reshape(
+            coupling.cells, self._blocks.shape[2], 1
+        )
+        found = np.matmul(self._blocks, of_both).reshape(coupling.cells, len(self.rows), q)
+        return found.swapaxes(1, 2).reshape(len(x), len(self.rows))
+
+    def solve(self, r: np.ndarray, result: np.ndarray) -> None:
+        """Put into ``result``, increments by transport alone, those of the components, of rows r."""
+        result[:, self.rows] = 0.0
+        rest = r[:, self.rows] - self(result)
+        for n, (i, solver) in enumerate(zip(self.rows, self._solvers, strict=True)):
+            result[:, i] = _solved(solver, self._unknowns, rest[:, n])
+
+
 class TransportSweeps:
     """Approximate inverses of the scalar transport of z and of the density equation."""
 
@@ -204,11 +137,10 @@ class TransportSweeps:
             self._laplacian = residual.diffusion.laplacian(residual.inverse_mass)
             self._unknowns = residual.diffusion.unknowns
             self._whole = direct_solver(np.ones(self._unknowns.count, dtype=bool), self._unknowns)
-        self._conduction: ConductionBlocks | None = None
-        for term in residual.claims.conducting:
-            self._conduction = ConductionBlocks(residual, term, self.coupling)
-            self._of_heat = HaloUnknowns(self.coupling.halo, op.z.blocks.shape[2])
-            self._heat = direct_solver(np.ones(self._of_heat.count, dtype=bool), self._of_heat)
+        self.exchange: Exchanged | None = None
+        if terms := residual.claims.across_facets:
+            rows = residual.claims.components_across_facets()
+            self.exchange = Exchanged(FacetTangent(residual, terms, rows, self.coupling))
         self.of_rho: SweptMatrix | None = None
         self._density: Direct | None = None
         """Of a density equation that is not linear, in place of ``of_rho``."""
@@ -230,12 +162,8 @@ class TransportSweeps:
         if self._whole is not None:
             transport = of_blocks(own, across, coupling.neighbours, coupling.halo.count)
             self._whole.factorise((transport + self._laplacian).tocsr())
-        if self._conduction is not None:
-            here, there = self._conduction(at)
-            self._heat.factorise(
-                of_blocks(own + here, across + there, coupling.neighbours, coupling.halo.count)
-            )
-            self._conducted = SweptMatrix(here, there, coupling)
+        if self.exchange is not None:
+            self.exchange.update(at, own, across)
         with r.ranks.together(np.linalg.LinAlgError):
             self.of_z = SweptMatrix(own, across, coupling).invert()
         self._count_sweeps()
@@ -302,9 +230,8 @@ class TransportSweeps:
         if self._whole is not None and self.residual.diffusion is not None:
             for i in np.flatnonzero(self.residual.diffusion.strains):
                 result[:, i] = _solved(self._whole, self._unknowns, r[:, i])
-        if self._conduction is not None:
-            i = self._conduction.component
-            result[:, i] = _solved(self._heat, self._of_heat, r[:, i])
+        if self.exchange is not None:
+            self.exchange.solve(r, result)
         return result
 
     def in_cells(self, rows: np.ndarray) -> np.ndarray:
@@ -325,9 +252,8 @@ class TransportSweeps:
             strains = self.residual.diffusion.strains
             beyond = self._unknowns.with_others(x[:, strains].T)
             rows[:, strains] += self._unknowns.added((self._laplacian @ beyond.T).T).T
-        if self._conduction is not None:
-            i = self._conduction.component
-            rows[:, [i]] += self._conducted(x[:, [i]])
+        if self.exchange is not None:
+            rows[:, self.exchange.rows] += self.exchange(x)
         return rows
 
 

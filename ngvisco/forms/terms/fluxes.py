@@ -1,0 +1,114 @@
+"""Fluxes down the gradient of a potential, through cells and facets.
+
+With the potential mu, the flux j = M grad mu and a test chi of the equation, by an interior penalty
+
+    int j . grad chi - sum_K int_{dK} (f - f_hat) chi,      f = j . n - p (mu - mu_hat), p = s M/h,
+
+mu_hat and f_hat the means of both sides.  f - f_hat is half of the difference of both sides' f, the mean flux
+less p times half of the jump, opposite on both sides, so that chi = 1 gives zero: what flows is kept to
+rounding.  On walls f_hat = f: nothing flows there.  Incomplete: the term by which it would be symmetric in mu
+and chi is left out.  The flux is consistent for m >= 1; with m = 0 there is the penalty alone, whose flux
+depends on the cells' shapes however fine they are, and which is refused.
+"""
+
+from abc import abstractmethod
+from collections.abc import Sequence
+
+import numpy as np
+from ngsolve import CoefficientFunction
+
+from ngvisco.errors import ParameterError
+from ngvisco.forms.fields import Fields
+from ngvisco.forms.term import PointTerm, Setting, Term, Unknown
+from ngvisco.forms.upwinding import SideMean
+from ngvisco.physics.tensors import inner, linear_map
+
+
+def penalty_weight(m: int) -> float:
+    """s of the interior penalty p = s M/h for fields in P_m."""
+    return 2.0 * (m + 1) ** 2
+
+
+def component(u: Fields, name: str, of: CoefficientFunction) -> CoefficientFunction:
+    """The row of a scalar variable in a gradient of all components."""
+    row = np.zeros((u.layout.states.size, 1))
+    row[u.layout.states.slices[name]] = 1.0
+    return linear_map(np.kron(row.T, np.eye(u.dim)), of, (u.dim,))
+
+
+class Flux(PointTerm):
+    """The part of the facets; what cells have is said by derived classes.
+
+    ``name`` is what its unknowns begin with.
+    """
+
+    name: str
+    couples = "facet"
+
+    @abstractmethod
+    def potential(self, u: Fields) -> CoefficientFunction:
+        """mu."""
+
+    @abstractmethod
+    def flux(self, u: Fields) -> CoefficientFunction:
+        """j = M grad mu."""
+
+    @abstractmethod
+    def size(self, u: Fields) -> CoefficientFunction:
+        """M, of a matrix its largest eigenvalue."""
+
+    @abstractmethod
+    def chi(self, u: Fields, w: Fields) -> CoefficientFunction:
+        """The test."""
+
+    def require_order(self, m: int) -> None:
+        """Raise ParameterError for constants in cells, whose fluxes by a penalty are not consistent."""
+        if m == 0:
+            expected = (
+                f"1 or 2 where there is a flux of {self.name}: constants in cells have no gradient "
+                "(or none of its mobility)"
+            )
+            raise ParameterError("Discretisation.m", 0, expected)
+
+    def into(self, u: Fields) -> CoefficientFunction:
+        """f - f_hat."""
+        mean = MeanOfFlux(self)
+        return u.context.inner * (mean.value(u) - u.parts[mean.name])
+
+    def facets(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
+        return [-(self.into(u) * self.chi(u, w))]
+
+    @property
+    def terms(self) -> list[Term]:
+        """This one with the equations of its means, in the order in which they are solved."""
+        return [MeanOfPotential(self), MeanOfFlux(self), self]
+
+
+class MeanOfPotential(SideMean):
+    """The mean of both sides' potentials."""
+
+    def __init__(self, flux: Flux) -> None:
+        self._flux, self.name = flux, f"{flux.name}_potential_hat"
+
+    def unknowns(self, setting: Setting) -> tuple[Unknown, ...]:
+        self._flux.require_order(setting.m)
+        return (Unknown(self.name, "facets", setting.m),)
+
+    def value(self, u: Fields) -> CoefficientFunction:
+        return self._flux.potential(u)
+
+
+class MeanOfFlux(SideMean):
+    """The mean of f of both sides: what their fluxes lack to cancel."""
+
+    def __init__(self, flux: Flux) -> None:
+        self._flux, self.name = flux, f"{flux.name}_flux_hat"
+
+    def unknowns(self, setting: Setting) -> tuple[Unknown, ...]:
+        return (Unknown(self.name, "facets", setting.m),)
+
+    def value(self, u: Fields) -> CoefficientFunction:
+        flux, c = self._flux, u.context
+        weight = penalty_weight(u.layout.discretisation.m) * flux.size(u) / c.h
+        jump = flux.potential(u) - u.parts[MeanOfPotential(flux).name]
+        return inner(flux.flux(u), c.normal) - weight * jump

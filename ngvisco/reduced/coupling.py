@@ -1,0 +1,89 @@
+"""How cells meet across their sides: dense blocks of a cell's own values and of those across each side."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ngvisco.reduced.operators import FacetMass, SideOperators
+
+
+class FacetCoupling:
+    """Builds the blocks for weights at the sides' points; the functions there are known once."""
+
+    def __init__(self, sides: SideOperators, mass: FacetMass) -> None:
+        z, per = sides.z, sides.points.per_side
+        self.cells, self.functions, self.per_side, self.points = z.cells, z.local, per, z.height
+        self.sides = z.per_cell // per
+        count = self.cells * self.sides
+        self._weights = sides.points.weights.reshape(count, per, 1)
+        self._z = z.blocks.reshape(count, per, self.functions)
+        self._z_t = np.ascontiguousarray(self._z.transpose(0, 2, 1))
+        self._hat = self.functions_of(mass)
+        self._hat_t = np.ascontiguousarray(self._hat.transpose(0, 2, 1))
+        self._facet = mass.facet[::per]
+        self._mass, self.halo = mass, mass.halo
+        order = np.argsort(self._facet, kind="stable")
+        first = np.flatnonzero(np.diff(self._facet[order]) == 0)
+        one, other = order[first], order[first + 1]
+        self.across = np.arange(count)
+        """The side of the other cell, (sides,); itself on the boundary; beyond all sides on another rank."""
+        self.across[one], self.across[other] = other, one
+        side_of = np.zeros(len(mass.unknowns), dtype=np.int64)
+        side_of[self._facet] = np.arange(count)
+        self._border = side_of[mass.of_facets.places]
+        self.across[self._border] = count + np.arange(len(self._border))
+        self._inner = (self.across != np.arange(count))[:, None, None]
+        beyond = self.across - count
+        cell = np.where(beyond < 0, self.across // max(self.sides, 1), self.cells + beyond)
+        self.neighbours = cell.reshape(self.cells, self.sides)
+        """The cell across each side, (cells, sides)."""
+
+    def functions_of(self, mass: FacetMass) -> np.ndarray:
+        """Values of the functions of facets, (sides, points, functions)."""
+        shape = self.cells * self.sides, self.per_side, len(mass.shapes)
+        return np.ascontiguousarray(mass.shapes.T).reshape(shape)
+
+    def tested(self, values: np.ndarray, tests: np.ndarray | None = None) -> np.ndarray:
+        """Integrals over each side of ``values`` (n, points) times functions of it, (sides, n functions).
+
+        ``tests`` are (sides, functions, points of a side), by default those of the side's cell.
+        """
+        count = self.cells * self.sides
+        parts = values.reshape(len(values), count, self.per_side).transpose(1, 2, 0) * self._weights
+        found = np.matmul(self._z_t if tests is None else tests, parts)
+        return found.transpose(0, 2, 1).reshape(count, len(values) * found.shape[1])
+
+    def beyond(self, blocks: np.ndarray) -> np.ndarray:
+        """Those of the other side, (sides, ., .), zero on the boundary."""
+        if len(self._border):
+            blocks = np.concatenate([blocks, self.halo.swapped(blocks[self._border])])
+        return blocks[self.across] * self._inner
+
+    def blocks(
+        self,
+        own: np.ndarray,
+        to_trace: np.ndarray,
+        from_trace: np.ndarray,
+        values: np.ndarray | None = None,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Derivatives of int (own z + from_trace z_hat) q, where mass z_hat = int to_trace z t of both sides.
+
+        Parameters
+        ----------
+        own, to_trace, from_trace : ndarray, shape (sides' points,)
+        values : ndarray, shape (cells, points, functions), optional
+            Of the functions in the place of z at the sides' points; default their own.
+
+        Returns
+        -------
+        of the cell's own values, (cells, q, q), and of those across each side, (cells, sides, q, q)
+        """
+        shape, w = self._weights.shape, self._weights
+        z = self._z if values is None else values.reshape(self._z.shape)
+        to_hat = np.matmul(self._hat_t, (w * to_trace.reshape(shape)) * z)
+        from_hat = np.matmul(self._z_t, (w * from_trace.reshape(shape)) * self._hat)
+        from_hat = np.matmul(from_hat, self._mass.inverses[self._facet])
+        here = np.matmul(self._z_t, (w * own.reshape(shape)) * z) + np.matmul(from_hat, to_hat)
+        there = np.matmul(from_hat, self.beyond(to_hat))
+        by_cells = (self.cells, self.sides, self.functions, self.functions)
+        return here.reshape(by_cells).sum(axis=1), there.reshape(by_cells)

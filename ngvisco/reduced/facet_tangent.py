@@ -1,0 +1,190 @@
+"""dR/dz of terms by which cells act on each other across facets, with the means of both sides put in.
+
+A term on a cell's side reads the cell's own z, its conjugates zeta and means of both sides (``SideMean``),
+which read the same of both cells and means before them.  Along each function of the cells that is read the
+derivative is found at once in all cells, by complex increments at the points; so is that along each function
+of the facets.  With a mean m = sum over both sides of A dz, of both sides' cells, and H dm in the rows of a
+side, the side has
+
+    (own + H A) dz + H A(other side) dz(other cell),    summed over the means.
+
+In cells this is what goes by gradients: derivatives by values alone are those at points.  zeta follows z by
+the projection of phi''(z), cell by cell.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ngvisco.forms.fields import Fields
+from ngvisco.forms.term import PointTerm
+from ngvisco.physics.arrays import TINY
+from ngvisco.reduced.coupling import FacetCoupling
+from ngvisco.reduced.evaluation import moved
+from ngvisco.reduced.one_point import OnePoint
+
+if TYPE_CHECKING:
+    from ngvisco.reduced.residual import Evaluation, ReducedResidual
+
+
+class FacetTangent:
+    """The blocks of components of z whose rows the terms have.
+
+    Attributes
+    ----------
+    rows : list of int
+        These components.
+    columns : list of int
+        Those of z that they change with.
+    """
+
+    def __init__(
+        self,
+        residual: ReducedResidual,
+        terms: Sequence[PointTerm],
+        rows: Sequence[int],
+        coupling: FacetCoupling,
+    ) -> None:
+        self.residual, self.terms, self.coupling = residual, list(terms), coupling
+        self.rows, self.columns = list(rows), list(rows)
+        point = OnePoint(residual.step)
+        kept = {name for term in terms for name in term.kept}
+        asking, self.means = list(terms), list[_Mean]()
+        for term, name in reversed(residual.means_of_sides):
+            if name not in kept and (read := point.read(asking, [name])):
+                asking.append(term)
+                self.means.insert(0, _Mean(residual, term, name, [i for _, i in read], coupling))
+        self._read = point.read(asking, ("z", "zeta"))
+        z = residual.op.z
+        tests = (residual.op.weights.reshape(z.cells, z.per_cell, 1) * z.blocks).swapaxes(1, 2)
+        self._projecting = np.linalg.solve(tests @ z.blocks, tests)  # (cells, q, points)
+
+    def __call__(self, at: Evaluation) -> tuple[np.ndarray, np.ndarray]:
+        """Blocks of a cell's own values, (cells, rows q, columns q), and of those across each of its sides,
+        (cells, sides, rows q, columns q); also sets ``columns``."""
+        r, coupling, q = self.residual, self.coupling, self.coupling.functions
+        count, height = coupling.cells * coupling.sides, len(self.rows) * q
+        along = [(name, i, a) for name, i in self._read for a in range(q)]
+        of_cells = np.zeros((coupling.cells, height, len(along)))
+        here = np.zeros((count, height, len(along)))
+        loads = [np.zeros((count, mean.size, len(along))) for mean in self.means]
+        inside, sides = at.cells, at.facets
+        for column, (name, i, a) in enumerate(along):
+            direction = {name: np.zeros_like(at.coefficients[name])}
+            direction[name][i, a::q] = 1.0
+            of_cells[:, :, column] = self._in_cells(inside, r.cell_terms.fields(direction), name)
+            u = moved(sides, r.facet_terms.fields(direction), [name])
+            here[:, :, column] = self._on_sides(u)
+            for mean, load in zip(self.means, loads, strict=True):
+                load[:, :, column] = mean.load(u)
+        of_z = self._of_z(at)  # (cells, along, columns q)
+        on_sides = np.repeat(of_z, coupling.sides, axis=0)
+        of_cells, here, *loads = of_cells @ of_z, here @ on_sides, *(load @ on_sides for load in loads)
+        across = np.zeros_like(here)
+        for i, mean in enumerate(self.means):
+            of_mean, later = mean.solved(loads[i]), self.means[i + 1 :]  # A
+            rows = np.zeros((count, height, mean.size))  # H
+            of_later = [np.zeros((count, other.size, mean.size)) for other in later]
+            for p in range(mean.size):
+                direction = mean.function(p, at.coefficients)
+                u = moved(sides, r.facet_terms.fields(direction), [mean.name])
+                rows[:, :, p] = self._on_sides(u)
+                for other, load in zip(later, of_later, strict=True):
+                    load[:, :, p] = other.load(u)
+            here += rows @ of_mean
+            across += rows @ coupling.beyond(of_mean)
+            for load, change in zip(loads[i + 1 :], of_later, strict=True):
+                load += mean.of_both(change) @ of_mean
+        by_sides = coupling.cells, coupling.sides, height, of_z.shape[2]
+        return of_cells + here.reshape(by_sides).sum(axis=1), across.reshape(by_sides)
+
+    def _of_z(self, at: Evaluation) -> np.ndarray:
+        """What is read by the columns: z itself, and zeta, (cells, read q, columns q)."""
+        r, z, q, lagged = self.residual, at.cells.z.value, self.coupling.functions, self.residual.slope.lagged
+        cells, size, slope = self.coupling.cells, len(z), r.slope.derivative(z)
+        found = np.zeros((cells, len(self._read), q, size, q))
+        for n, (name, i) in enumerate(self._read):
+            if name == "z":
+                found[:, n, :, i] = np.eye(q)
+                continue
+            unit = np.zeros_like(z)
+            unit[i] = 1.0
+            curvature = np.where(lagged == lagged[i], slope(unit), 0.0)  # phi'' is symmetric
+            for j in np.flatnonzero((curvature != 0).any(axis=1)):
+                values = curvature[j].reshape(cells, -1, 1) * r.op.z.blocks
+                found[:, n, :, j] = self._projecting @ values
+        used = r.ranks.largest((found != 0).any(axis=(0, 1, 2, 4)).astype(float))
+        self.columns = [j for j in range(size) if used[j] or j in self.rows]
+        return found[:, :, :, self.columns].reshape(cells, len(self._read) * q, len(self.columns) * q)
+
+    def _in_cells(self, u: Fields, d: Fields, name: str) -> np.ndarray:
+        """Rows in cells of an increment, (cells, rows q): by gradients, or of gradients of tests."""
+        r = self.residual
+        by_all = r.cell_terms.slots(self.terms, moved(u, d, [name])).get("grad z")
+        by_gradients = r.cell_terms.slots(self.terms, moved(u, d, [name], values=False)).get("z")
+        rows = np.zeros((len(self.rows), r.op.z.width))
+        if by_all is not None:
+            slopes = self._change(by_all, r.op.points.count)
+            rows += sum(D.test(slopes[:, j]) for j, D in enumerate(r.op.dz))
+        if by_gradients is not None:
+            rows += r.op.z.test(self._change(by_gradients, r.op.points.count))
+        cells, q = self.coupling.cells, self.coupling.functions  # of a rank without cells too
+        return rows.reshape(len(rows), cells, q).transpose(1, 0, 2).reshape(cells, len(rows) * q)
+
+    def _on_sides(self, u: Fields) -> np.ndarray:
+        """Rows of each side, (sides, rows q)."""
+        found = self.residual.facet_terms.slots(self.terms, u)
+        if "z" not in found:
+            return np.zeros(())
+        return self.coupling.tested(self._change(found["z"], self.coupling.points))
+
+    def _change(self, values: np.ndarray, count: int) -> np.ndarray:
+        change = values[self.rows].imag / TINY
+        return np.ascontiguousarray(np.broadcast_to(change, (*change.shape[:-1], count)))
+
+
+class _Mean:
+    """A mean of both sides: its equation, and its functions on facets."""
+
+    def __init__(
+        self,
+        residual: ReducedResidual,
+        term: PointTerm,
+        name: str,
+        components: Sequence[int],
+        coupling: FacetCoupling,
+    ) -> None:
+        self.term, self.name, self._terms, self._coupling = term, name, residual.facet_terms, coupling
+        self._mass, self._components = residual.mass_of(name), list(components)
+        self._facet = self._mass.facet[:: coupling.per_side]
+        self._functions = len(self._mass.shapes)
+        self.size = len(self._components) * self._functions
+        self._tests = coupling.functions_of(self._mass).transpose(0, 2, 1)
+
+    def load(self, u: Fields) -> np.ndarray:
+        """Of its equation along an increment, tested by the functions of each side, (sides, size)."""
+        values = self._terms.slots([self.term], u)[self.name].imag / TINY
+        values = np.atleast_2d(values)[self._components]
+        full = np.broadcast_to(values, (len(values), self._coupling.points))
+        return self._coupling.tested(full, self._tests)
+
+    def solved(self, loads: np.ndarray) -> np.ndarray:
+        """What its coefficients change by with ``loads`` (sides, size, .) of one side's cell."""
+        parts = loads.reshape(len(loads), len(self._components), self._functions, loads.shape[-1])
+        return (-self._mass.inverses[self._facet][:, None] @ parts).reshape(loads.shape)
+
+    def function(self, number: int, like: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """Coefficients of one of its functions on all facets."""
+        which, place = divmod(number, self._functions)
+        values = np.zeros(like[self.name].shape)
+        np.atleast_2d(values)[self._components[which], self._mass.unknowns[:, place]] = 1.0
+        return {self.name: values}
+
+    def of_both(self, blocks: np.ndarray) -> np.ndarray:
+        """On each side the sum of both sides' blocks (sides, ., .)."""
+        sums = np.zeros((len(self._mass.unknowns), *blocks.shape[1:]))
+        np.add.at(sums, self._facet, blocks)
+        return self._mass.of_facets.sum(np.moveaxis(sums, 0, -1))[..., self._facet].transpose(2, 0, 1)

@@ -1,0 +1,163 @@
+"""Which rows a term has, and what they read: seen by evaluating it at one point."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from ngvisco.forms.fields import Fields
+from ngvisco.forms.system import Step
+from ngvisco.forms.term import PointTerm
+from ngvisco.physics.arrays import TINY, Array
+from ngvisco.reduced.evaluation import (
+    CELLS,
+    FACETS,
+    NotAtPointsError,
+    lazy_fields,
+    on_sides,
+    shapes_of,
+    slots_of,
+    tests_of,
+)
+from ngvisco.reduced.unknowns import derived_in_cells, in_cells
+
+
+@dataclass(frozen=True)
+class Slots:
+    """Rows that a term has.
+
+    Attributes
+    ----------
+    names : dict of str to bool
+        Names of the tests, and whether their rows read z or zeta.
+    components : frozenset of int
+        Those of z that have rows.
+    at_nodes : bool
+        Whether any is by as many points as a field has values in a cell.
+    """
+
+    names: dict[str, bool]
+    components: frozenset[int]
+    at_nodes: bool
+
+
+class OnePoint:
+    """Fields with all values near one, at one point in a cell and on one side."""
+
+    def __init__(self, step: Step) -> None:
+        self.step = step
+        self._shapes = shapes_of(step)
+        derived = derived_in_cells(step.layout)
+        self._shapes |= {name: step.layout.unknowns[name].shape for name in ("zeta", *derived)}
+
+    def slots(self, term: PointTerm) -> Slots:
+        """Rows of a term; raises NotAtPointsError when it asks for something that arrays do not have."""
+
+        def marked(name: str, values: np.ndarray) -> np.ndarray:
+            return values.astype(complex) if name in ("z", "zeta") else values
+
+        found, at_nodes = self._evaluated(term, marked)
+        names, components = dict[str, bool](), set[int]()
+        for name, g in found:
+            names[name] = names.get(name, False) or np.iscomplexobj(g)
+            if name in ("z", "grad z"):
+                components |= set(np.flatnonzero((g.reshape(len(g), -1) != 0).any(axis=1)).tolist())
+        return Slots(names, frozenset(components), at_nodes)
+
+    def read(self, terms: Iterable[PointTerm], names: Iterable[str]) -> list[tuple[str, int]]:
+        """Unknowns among ``names``, and which components of them, the terms' rows change with, also by their
+        gradients."""
+        terms, found = list(terms), []
+        for name in names:
+            size = self._shapes[name][0] if self._shapes[name] else 1
+            for i in range(size):
+                if any(self._changes(term, name, i) for term in terms):
+                    found.append((name, i))
+        return found
+
+    def _changes(self, term: PointTerm, unknown: str, component: int) -> bool:
+        def increased(name: str, values: np.ndarray) -> np.ndarray:
+            if name != unknown:
+                return values
+            values = values.astype(complex)
+            np.atleast_2d(values)[component if self._shapes[name] else ...] += TINY * 1j
+            return values
+
+        rows, _ = self._evaluated(term, increased)
+        return any((g.imag != 0).any() for _, g in rows)  # what is no number is not zero
+
+    def _evaluated(
+        self, term: PointTerm, along: Callable[[str, np.ndarray], np.ndarray]
+    ) -> tuple[list[tuple[str, np.ndarray]], bool]:
+        """Tests and what multiplies them, in cells and on the side, and whether any stands at nodes.
+
+        ``along`` says what a name's values and gradient become.
+        """
+        step = self.step
+        d, layout, random = step.mesh.dim, step.layout, np.random.default_rng(0)
+
+        def ones(*shape: int) -> np.ndarray:
+            return 1.0 + 0.1 * random.random((*shape, 1))
+
+        def known(*shape: int) -> Array:
+            return Array(ones(*shape), None)
+
+        def fields(
+            context: Any, names: Iterable[str], sloping: Iterable[str], place: str, old: bool = False
+        ) -> Fields:
+            changed = (lambda name, values: values) if old else along
+
+            def value(name: str) -> Array:
+                return Array(changed(name, ones(*self._shapes[name])), None)
+
+            def gradient(name: str) -> Array:
+                return Array(changed(name, ones(*self._shapes[name], d)), None)
+
+            return lazy_fields(Fields, layout, (value, names), (gradient, sloping), place, context)
+
+        told = {
+            "rate": lambda difference: difference,
+            "given": lambda value: known(*value.dims),
+            "h": known(),
+            "rates": step.tabulated_rates,
+            "terms": step.terms,
+        }
+        inside = SimpleNamespace(momentum_old=known(d), average=told["given"], **told)
+        evolving, cells = set(layout.evolving).intersection(self._shapes), in_cells(layout)
+        inside.old = fields(inside, evolving, evolving, CELLS, old=True)
+        one = Array(np.ones(1), None)
+        side = SimpleNamespace(
+            normal=known(d),
+            inner=one,
+            crossed=one,
+            curvature=1.0,
+            reach=step.context.reach,
+            **told,
+        )
+        derived = derived_in_cells(layout)
+        try:
+            with np.errstate(all="ignore"):  # such values need not be in a law's domain
+                u, w = fields(inside, (*cells, *derived), cells, CELLS), tests_of(step, True, inside)
+                in_all, at_nodes = list(term.cells(u, w)), list(term.nodes(u, w))
+                names = (*on_sides(step), "zeta", *derived)
+                sloping = [name for name in ("rho", "z", "zeta") if name in names]
+                u, w = fields(side, names, sloping, FACETS), tests_of(step, False, side)
+                u.__dict__["jump"] = known(d)
+                slots = slots_of(in_all + at_nodes), slots_of(list(term.facets(u, w)))
+                return [each for part in slots for each in part.items()], bool(slots_of(at_nodes))
+        except NotAtPointsError:
+            raise
+        except Exception as error:  # whatever a term raises at values that it does not know
+            raise NotAtPointsError(f"it does not take arrays ({why(error)})") from error
+
+
+def why(error: Exception) -> str:
+    """One line on what a term or a law raised at arrays."""
+    lines = str(error).splitlines() or [""]
+    if "incompatible function arguments" in lines[0]:
+        return "it combines values with a coefficient function of its own"
+    return f"{type(error).__name__}: {lines[0]}"
