@@ -161,7 +161,7 @@ def test_heat_of_upwinding_is_shared_by_both_sides_of_a_facet():
 def test_conduction_between_constants_is_refused_by_name():
     options = {"discretisation": nv.Discretisation(m=0), "laws": {"viscosity": VISCOSITY}}
     with pytest.raises(
-        nv.NgviscoError, match=r"Discretisation\.m = 0: expected 1 or 2 where heat is conducted"
+        nv.NgviscoError, match=r"Discretisation\.m = 0: expected 1 or 2 where there is a flux of heat"
     ):
         run_of("coupled", nv.Heat(conductivity=0.1), steps=0, **options)
     ledger = run_of("coupled", nv.Heat(source=1.0), **options).ledger  # which is not conducted
