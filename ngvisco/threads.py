@@ -74,7 +74,8 @@ class Workers:
     """Threads that share parts of a mesh, each of which is worked on by arrays alone."""
 
     def __init__(self, threads: int | None = None, beside: int = 1) -> None:
-        """By default ``NGVISCO_THREADS``, or the processors over ``beside`` processes that share them."""
+        """Start the threads; by default ``NGVISCO_THREADS``, or the processors over ``beside`` processes that
+        share them."""
         if threads is None:
             own = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
             threads = int(os.environ.get("NGVISCO_THREADS", 0)) or max(1, own // beside)

@@ -104,7 +104,7 @@ class LocalMatrix:
         return self.summed(self.loads(values))
 
     def loads(self, values: np.ndarray) -> np.ndarray:
-        """The same cell by cell, (..., cells times unknowns of a cell)."""
+        """Loads cell by cell, (..., cells times unknowns of a cell)."""
         if np.iscomplexobj(values):
             return self.loads(values.real.copy()) + 1j * self.loads(values.imag.copy())
         parts = values.reshape(prod(values.shape[:-1]), self.height)

@@ -242,7 +242,7 @@ class WallProjection:
         return v[self.free] - self._taken(through) / self._root
 
     def works(self, rows: np.ndarray, v: np.ndarray) -> dict[str, float]:
-        """By wall the works on v of pistons' impulses, that are in rows of free coefficients, J."""
+        """The work on v of each piston's impulses, which are in rows of free coefficients, by walls, J."""
         count, shares = len(self._shared), self._constraint @ (rows / self._root**2)
         found = self._solver(np.concatenate([np.zeros(count), shares / self._length]))
         each = found[count:] / self._length * self._through(v)
@@ -287,7 +287,8 @@ class VelocityOfMomentum:
         self._walls = None if term is None else WallProjection(layout, term, quadrature, self.free)
 
     def works(self, rows: np.ndarray, v: np.ndarray) -> dict[str, float]:
-        """By wall what the impulses of pistons with multipliers do on v, of rows that a call returned, J."""
+        """The work on v of the impulses of each piston with multipliers, for rows that a call returned, by
+        walls, J."""
         if self._walls is None:
             return {}
         ranks = self._exchange.communicator

@@ -57,7 +57,7 @@ _MOST = 1 / 8
 _LEAST = 1e-3
 """Fraction below which a body is not in a cell."""
 _DEGREE = 20
-"""Of the rule at whose points a plane is placed in a cell."""
+"""The degree of the rule at whose points a plane is placed in a cell."""
 _FIELD = "Discretisation.sharp"
 
 

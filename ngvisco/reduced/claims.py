@@ -42,7 +42,7 @@ _PARTS: dict[type, str] = {
     Conjugates: "conjugates",
     CutOffVolume: "without_rows",
 }
-"""What takes the terms that are neither at points nor by forms as they are."""
+"""Classes of terms that are neither at points nor by forms as they are."""
 
 
 @dataclass
@@ -56,7 +56,7 @@ class Claims:
     conjugates: list[Term] = field(default_factory=list)
     """The projection of phi'(z)."""
     at_points: list[PointTerm] = field(default_factory=list)
-    """By arrays."""
+    """Terms that are evaluated by arrays."""
     continuity: list[Continuity] = field(default_factory=list)
     """The continuity equation where it is linear in rho, by arrays; solved for the trace of rho."""
     density: list[Term] = field(default_factory=list)

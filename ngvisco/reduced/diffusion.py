@@ -30,7 +30,8 @@ from ngvisco.reduced.operators import FacetMass, Operators
 from ngvisco.reduced.slope import PointwiseSlope
 
 _INCREMENT = 6e-6
-"""Of z over its size, in central differences of phi''(z) q: the third root of the rounding unit."""
+"""The increment of z over its size, in central differences of phi''(z) q: the third root of the rounding
+unit."""
 
 
 class FieldDiffusionRows:
@@ -70,7 +71,7 @@ class FieldDiffusionRows:
         self._to_jump = -(inverse_of_blocks(jump) @ block("z_slope_hat", "z_slope")).tocsr()
         self._traces, self._ranks = traces.exchange, traces.exchange.communicator
         self.unknowns = HaloUnknowns(traces.halo, operators.z.blocks.shape[2])
-        """Of one component, with those of the cells beyond."""
+        """Unknowns of one component, with those of the cells beyond."""
         to_means, count, size = self._to_means(traces), self.unknowns.count, cell.ndof
 
         def with_means(test: str) -> sp.csr_matrix:
@@ -88,7 +89,7 @@ class FieldDiffusionRows:
         self._products = np.einsum("cpk,cpl->cklp", weighted, blocks).reshape(cells, q * q, points)
 
     def _to_means(self, traces: FacetMass) -> sp.csr_matrix:
-        """What takes zeta in cells, those beyond too, to its means on facets."""
+        """The matrix that takes zeta in cells, those beyond too, to its means on facets."""
         halo, q = traces.halo, self.unknowns.per_cell
         own = widened(self._to_mean, self._to_mean.shape[0], self.unknowns.count)
         facets = traces.unknowns[traces.of_facets.places]  # (shared facets, functions)

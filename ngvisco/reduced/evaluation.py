@@ -72,7 +72,7 @@ def lazy_fields(
 
 
 def with_values(u: Fields, **given: np.ndarray) -> Fields:
-    """The same fields with other values of some unknowns, or of ``grad_v``."""
+    """Fields with other values of some unknowns, or of ``grad_v``."""
     parts = {name: Array(values, None) for name, values in given.items()}
     other = Fields(u.layout, ChainMap(parts, u.parts), u.context, u.gradient)  # type: ignore[arg-type]
     if "grad_v" in parts:
@@ -131,7 +131,7 @@ def derivative_of(values: np.ndarray, directions: int) -> np.ndarray:
 
 
 def _repeated(u: Fields, times: int) -> Fields:
-    """The same fields, and what is known, at their points ``times`` times over."""
+    """Fields, and the data of the step, at their points ``times`` times over."""
 
     def over(value: Array) -> Array:
         return value if value.value.shape[-1] == 1 else Array(np.tile(value.value, times), None)
@@ -188,12 +188,12 @@ def tests_of(step: Step, inside: bool, context: Any) -> Fields:
 
 
 def slots_of(parts: Sequence[Linear]) -> dict[str, np.ndarray]:
-    """What multiplies each test in a sum of linear forms, (..., points), by the test's name."""
+    """Factors of the tests in a sum of linear forms, (..., points), by the tests' names."""
     return slots(sum(parts[1:], parts[0])) if parts else {}
 
 
 class Sampled:
-    """What is known through a step, sampled at all points of a rule where it is first asked for."""
+    """The data of a step, sampled at all points of a rule where they are first asked for."""
 
     def __init__(self, step: Step, operators: Operators) -> None:
         self._step, self._points, self.old = step, operators.points, dict[str, np.ndarray]()
@@ -241,7 +241,7 @@ class Sampled:
 
 
 class CellContext:
-    """What is known through a step at the points of the cells; the arrays' counterpart of ``Context``.
+    """The data of a step at the points of the cells; the arrays' counterpart of ``Context``.
 
     Nothing at points is kept by it: old fields are made anew where they are asked for.
     """
@@ -279,7 +279,7 @@ class CellContext:
         return self._part(self.sampled.average(value), value)
 
     def given(self, value: CoefficientFunction) -> Array:
-        """The same at the end of the step, see ``Context.given``."""
+        """The value at the end of the step, see ``Context.given``."""
         return self._part(self.sampled.given(value), value)
 
     def _part(self, values: np.ndarray, value: CoefficientFunction) -> Array:
@@ -298,7 +298,7 @@ def _rate(step: Step, difference: Any) -> Any:
 
 
 class SideContext:
-    """What is known on the cells' sides."""
+    """The data of a step on the cells' sides."""
 
     def __init__(
         self,
@@ -361,7 +361,7 @@ class CellTerms:
         return _in_cells(self.op, c, names, CELLS, self.context)
 
     def slots(self, terms: Iterable[PointTerm], u: Fields) -> dict[str, np.ndarray]:
-        """What multiplies each test and its gradient, (..., points)."""
+        """Factors of each test and its gradient, (..., points)."""
         tests = tests_of(self._step, True, u.context)  # at the points of u, as often as these stand there
         return slots_of([part for term in terms for part in getattr(term, self.place)(u, tests)])
 
@@ -430,7 +430,7 @@ class FacetTerms:
         return lazy_fields(Fields, self.layout, (value, names), (gradient, sloping), FACETS, self.context)
 
     def slots(self, terms: Iterable[PointTerm], u: Fields) -> dict[str, np.ndarray]:
-        """What multiplies each test, (..., points)."""
+        """Factors of each test, (..., points)."""
         return slots_of([part for term in terms for part in term.facets(u, self._tests)])
 
     def loads(self, terms: Iterable[PointTerm], u: Fields) -> Rows:
@@ -440,7 +440,7 @@ class FacetTerms:
         return {name: self.op.of(name).loads(_full(found[name], count)) for name in names}
 
     def loads_of(self, term: PointTerm, name: str, u: Fields) -> np.ndarray:
-        """The same of the unknown ``name`` of facets by its own equation, at its value zero."""
+        """Loads of the unknown ``name`` of facets by its own equation, at its value zero."""
         shape = self.layout.unknowns[name].shape
         found = self.slots([term], with_values(u, **{name: np.zeros((*shape, 1))}))
         return self.op.of(name).loads(_full(found[name], len(self.op.weights)))

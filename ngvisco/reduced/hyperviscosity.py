@@ -69,7 +69,7 @@ class SideJumps:
 
 @dataclass
 class HyperValues:
-    """What belongs to some (v, a).
+    """Values of the hyperviscosity's quantities for some (v, a).
 
     Attributes
     ----------

@@ -55,7 +55,7 @@ class Operators:
         return slice(self.points.per_cell * self.cells.start, self.points.per_cell * self.cells.stop)
 
     def part(self, cells: slice) -> Operators:
-        """Of some cells, see ``LocalMatrix.part``."""
+        """The operators of some cells, see ``LocalMatrix.part``."""
         part = copy(self)
         part._whole, part._made, part.cells = self, {}, cells
         part.weights = self.weights[part.places]
@@ -103,7 +103,7 @@ class SideOperators:
         return slice(self.z.per_cell * self.cells.start, self.z.per_cell * self.cells.stop)
 
     def part(self, cells: slice) -> SideOperators:
-        """Of the sides of some cells, see ``LocalMatrix.part``."""
+        """The operators of the sides of some cells, see ``LocalMatrix.part``."""
         part, where = copy(self), slice(self.z.per_cell * cells.start, self.z.per_cell * cells.stop)
         part.__dict__.pop("dz", None)
         part._whole, part._made, part.cells = self, {}, cells
@@ -142,7 +142,7 @@ class FacetMass:
         count, size = self.unknowns.shape
         facet_of[self.unknowns], place[self.unknowns] = np.arange(count)[:, None], np.arange(size)
         self.facet = facet_of[matrix.indices[matrix.indptr[:-1]]]
-        """That of each point."""
+        """The facet of each point."""
         cell = np.zeros(count, dtype=np.int64)
         cell[self.facet] = np.arange(len(self.facet)) // max(values.per_cell, 1)
         self.halo = Halo(self.of_facets, cell[self.of_facets.places], values.cells)

@@ -157,11 +157,11 @@ class Evaluation:
 
     @property
     def facets(self) -> Fields:
-        """The same on the cells' sides."""
+        """Values at the points of the cells' sides, made anew when they are asked for."""
         return self.terms[1].fields(self.coefficients)
 
 
-class Part:
+class CellPart:
     """Some cells and their sides: what is made at their points fits the cache, and is not kept."""
 
     def __init__(self, residual: ReducedResidual, cells: slice) -> None:
@@ -191,7 +191,7 @@ class Part:
         return total / volumes
 
     def loads(self, c: Coefficients, hyper: HyperValues | None) -> tuple[Rows, Rows]:
-        """Of all terms at points, in cells and on their sides."""
+        """Loads of all terms at points, in cells and on their sides."""
         terms, s = self.residual.at_points, self.sides.fields(c)
         if hyper is not None:
             s.__dict__["jump"] = Array(hyper.jumps[:, self.sides.op.places], None)
@@ -210,7 +210,7 @@ def parts_of(cells: int, points: int) -> list[slice]:
 
 
 def _joined(loads: Sequence[Rows]) -> Rows:
-    """Of all cells, of those of their parts."""
+    """Loads of all cells from those of their parts."""
     return {name: np.concatenate([each[name] for each in loads], axis=-1) for name in loads[0]}
 
 
@@ -229,7 +229,7 @@ class ReducedResidual:
         self.slope = PointwiseSlope(step, self.op.points)
         self.claims = claims = Claims.of(step)
         self.node_terms: CellTerms | None = None
-        """Of what is integrated by as many points as a field has values in a cell."""
+        """Terms that are integrated by a collocated rule: one point per coefficient of a field."""
         if claims.of_nodes():
             rates = LinearisedTabulatedRates(self.rates, step.stresses)
             self.node_terms = CellTerms(step, Operators(step, step.quadrature.node_order), rates, "nodes")
@@ -245,7 +245,7 @@ class ReducedResidual:
             self.hyper = MatrixHyperviscosity(step, claims.hyperviscosity[0], *points)
         self.right_hand_side = None if step.sources is None else RightHandSide(step)
         self.ranks, self.exchange = exchange.communicator, exchange.part(u.places(u.names))
-        """Of the packed unknowns."""
+        """Ranks and exchange of the packed unknowns."""
         # of one component: those of rho, which bodies have not, lie alike
         self.trace_mass = self._mass_of_traces(exchange, "z_hat")
         self.diffusion: FieldDiffusionRows | None = None
@@ -259,10 +259,10 @@ class ReducedResidual:
         orders = {step.layout.unknowns[name].order: name for _, name in self.means_of_sides}
         self._masses = {order: self._mass_of_traces(exchange, name) for order, name in orders.items()}
         self._masses[step.layout.unknowns["z_hat"].order] = self.trace_mass
-        self._whole = [Part(self, slice(0, step.mesh.ne))]
+        self._whole = [CellPart(self, slice(0, step.mesh.ne))]
         self.parts = self._whole
         if self.slope.is_local:
-            self.parts = [Part(self, cells) for cells in parts_of(step.mesh.ne, self.op.points.per_cell)]
+            self.parts = [CellPart(self, cells) for cells in parts_of(step.mesh.ne, self.op.points.per_cell)]
 
     def _mass_of_traces(self, exchange: Exchange, name: str) -> FacetMass:
         """The mass of the means of both sides that have the order of ``name``."""
@@ -335,11 +335,11 @@ class ReducedResidual:
         parts = self.parts if self.slope.is_local else self._whole
         c["zeta"] = apply(self.inverse_mass, np.concatenate(run(lambda p: p.conjugates(c), parts), axis=-1))
         for term, name in self.means_of_sides:
-            loads = run(partial(Part.trace, term=term, name=name, c=c), self.parts)
+            loads = run(partial(CellPart.trace, term=term, name=name, c=c), self.parts)
             mass, values = self.mass_of(name), self.side_op.of(name)
             c[name] = -mass.solve(mass.exchange.sum(values.summed(np.concatenate(loads, axis=-1))))
         for mean in self.claims.means:
-            of_parts = run(partial(Part.mean, term=mean, c=c), self.parts)
+            of_parts = run(partial(CellPart.mean, term=mean, c=c), self.parts)
             c[mean.name] = np.concatenate(of_parts, axis=-1)
         if self.diffusion is not None:
             c |= self.diffusion.slopes(self.op.z(c["z"]), c)

@@ -19,7 +19,8 @@ def in_cells(layout: Layout) -> list[str]:
 
 
 def derived_in_cells(layout: Layout) -> list[str]:
-    """Those of the hyperviscosity and means over cells, which have values there too, and no gradients."""
+    """Names of the hyperviscosity's unknowns and of means over cells, which have values there too, and no
+    gradients."""
     constants = [name for name in layout.names_of("cells") if layout.unknowns[name].is_mean]
     return [*(name for name in ("hess", "hess_square") if name in layout.unknowns), *constants]
 
@@ -53,7 +54,7 @@ class Unknowns:
         )
 
     def _joint(self, names: list[str]) -> slice:
-        """Of blocks that follow each other."""
+        """The slice of blocks that follow each other."""
         return slice(self.slices[names[0]].start, self.slices[names[-1]].stop) if names else slice(0, 0)
 
     @property

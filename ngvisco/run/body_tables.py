@@ -147,9 +147,9 @@ class _Tractions:
 
 
 MEASURES = ("deformation", "outline", "turning", "stress", "traction", "gap")
-"""What is measured of bodies where it is asked for."""
+"""Measures of bodies that may be asked for."""
 _PLANE = ("deformation", "outline", "turning", "gap")
-"""Of these what needs an outline, which there is in two dimensions."""
+"""The measures that need an outline, which there is in two dimensions."""
 
 
 class Bodies(Series):

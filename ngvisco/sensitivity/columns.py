@@ -74,7 +74,7 @@ class Columns:
         return [table for table, *_ in self._of_tables]
 
     def of(self, simulation: Simulation) -> Columns:
-        """The same columns of another run, with the same mesh and model."""
+        """The columns in another run, with this mesh and model."""
         other = Columns(simulation, self.names, self.tables)
         other.has_ends, other.has_means = self.has_ends, self.has_means
         return other

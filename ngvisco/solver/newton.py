@@ -37,7 +37,7 @@ NOISE_SAMPLES, NOISE_MARGIN, NOISE_CAP = 2, 10.0, 100.0
 increment that is accepted, in units of that change: both are random, of a few modes; and the largest one, in
 tolerances."""
 NEAR = 10.0
-"""The same without a measurement: rounding of a stiff pressure moves slow velocities so much."""
+"""The factor without a measurement: rounding of a stiff pressure moves slow velocities so much."""
 HEAP_SIZES = (500_000_000, 2_000_000_000)
 """NGSolve's memory for a cell's matrix, bytes, tried where its own is too small: k = 3, m = 2 in 3D."""
 _UNITS = (
@@ -169,7 +169,7 @@ class Newton:
         self._factorise(problem)
 
     def _factorise(self, problem: Problem, residual: BaseVector | None = None) -> None:
-        """The same within an iteration; evaluate ``residual`` again where slopes of flow rules are new."""
+        """Factorise within an iteration; evaluate ``residual`` again where slopes of flow rules are new."""
         self.refresh()
         slopes_are_new = self.stresses is not None and self.stresses.linearise()
         self.jacobian.factorise(self.state)

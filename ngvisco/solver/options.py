@@ -1,4 +1,4 @@
-"""What may be chosen of the solvers; numbers that no run chooses stand where they act.
+"""Options of the solvers; numbers that no run chooses stand where they act.
 
 Pairs are values in 2D and in 3D.  Measurements behind the defaults are in ``ngvisco/solver/NOTES.md``.
 """
@@ -39,15 +39,15 @@ class SplitOptions:
     chosen_from: tuple[int, int] = (60, 10)
     """Cells from which ``method = "auto"`` takes it: from there it is the faster one (tests/benchmarks)."""
     margin: Positive = 0.1
-    """What may be left, in tolerances, when the last increment, which is below one, has been added: by the
-    contraction of the last iterations."""
+    """The error that may be left, in tolerances, when the last increment, which is below one, has been added:
+    by the contraction of the last iterations."""
     slow: Count = 24
     """Iterations after which Newton-Krylov takes over."""
     growth: Positive = 4.0
-    """Of an increment over the smallest one, above which the iterate is given up for one half as far from the
-    best one."""
+    """The ratio of an increment to the smallest one above which the iterate is given up for one half as far
+    from the best one."""
     halvings: Count = 5
-    """Of such steps, at most."""
+    """The largest number of such steps."""
     renewed_after: Count = 20
     """Iterations for the flow's linear system after which operator and preconditioner are made anew, which
     takes as long as 30 to 65 of them."""
@@ -71,8 +71,9 @@ class SplitOptions:
     krylov_below: Positive = 0.05
     """Increment up to which Newton-Krylov takes over: farther off half of the step is solved at once."""
     penalty_degree: Count = 4
-    """Of the rule for the derivative of the hyperviscosity's penalty, for k = 2 on straight cells: right for
-    p = 4, where it takes (P_1 jumps)^4.  For k = 3 and on curved cells the rule is that of the forms."""
+    """The degree of the rule for the derivative of the hyperviscosity's penalty, for k = 2 on straight cells:
+    right for p = 4, where it takes (P_1 jumps)^4.  For k = 3 and on curved cells the rule is that of the
+    forms."""
 
     def __post_init__(self) -> None:
         require_ranges(self)

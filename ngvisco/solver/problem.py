@@ -1,4 +1,4 @@
-"""What a nonlinear solver is asked, how it measures its increments, and what it answers.
+"""The problem of a nonlinear solver, the measure of its increments, and its answer.
 
 A solver is made for equations R(u) = 0 whose parameters a ``Problem`` sets.  It answers with a ``Solution``,
 also where it finds none: it raises for a fault of the program only.
@@ -33,9 +33,10 @@ from ngvisco.parallel.exchange import Exchange
 FLOOR = 1e-9
 """Small strains and velocities converge relatively to themselves, as the ledger needs."""
 COARSE_FLOOR = 1e-3
-"""By it a stalled iteration is asked: near a state of rest the other floor is below rounding."""
+"""The floor by which a stalled iteration is judged: near a state of rest the other floor is below
+rounding."""
 SHARE = 1e-4
-"""What the relative increment of a creep rate field counts; steps stall where it is 1."""
+"""The weight of the relative increment of a creep rate field; steps stall where it is 1."""
 
 
 class BlockNorm:

@@ -27,7 +27,8 @@ from ngvisco.threads import on_arrays
 _PARAMETERS = ("tau", "end", "loads_from", "loads_over", "loads_tilt")
 
 _FACTORISED_AT = {"state": None, "state_old": None, "lagged": "z"}
-"""What a factorisation depends on, and the unknown that it is of; a checkpoint numbers whole states."""
+"""States that a factorisation depends on, and the unknown that each is of; a checkpoint numbers whole
+states."""
 
 _TOO_FAST = 0.8
 """Courant number down to which the split solver slows a start value: where tau grad v is above one the
@@ -41,8 +42,8 @@ _TOO_FAR = 0.5
 long steps."""
 
 _DAMPED = "from the last state, damped"
-"""What is tried last where a flow rule creeps: of yield with little inertia increments are else as long as
-the velocity, to and fro."""
+"""The last attempt where a flow rule creeps: of yield with little inertia increments are else as long as the
+velocity, to and fro."""
 
 
 class RotheSolver:
@@ -77,7 +78,7 @@ class RotheSolver:
         self._factorised = {name: np.zeros(len(step.state.vec)) for name in self._vectors()}
         self._factorised_at: Interval | None = None
         self._stresses: dict[str, np.ndarray] = {}
-        """Those that flow rules are linearised at, at the last factorisation."""
+        """Stresses that flow rules are linearised at, at the last factorisation."""
         self._start = step.state.vec.CreateVector()
         self._met: list[str] = []
         """Why energies of a step's iterates were no numbers, of all attempts."""
@@ -258,7 +259,7 @@ class RotheSolver:
         self.newton.reset()
 
     def state_dict(self) -> tuple[dict[str, float], dict[str, np.ndarray]]:
-        """What makes the next step depend on earlier ones: where the Jacobian at hand was factorised.
+        """The data by which the next step depends on earlier ones: where the Jacobian at hand was factorised.
 
         A restart factorises there again, so that it goes on bit for bit as the run that wrote it.
         """
@@ -288,7 +289,7 @@ class RotheSolver:
         time.Set(now)
 
     def _vectors(self) -> dict[str, np.ndarray]:
-        """What a factorisation depends on, for reading and writing."""
+        """Vectors that a factorisation depends on, for reading and writing."""
         given = {name: getattr(self.step, name) for name in _FACTORISED_AT}
         return {name: each.vec.FV().NumPy() for name, each in given.items() if each is not None}
 

@@ -12,7 +12,8 @@ FARTHEST = 3.0
 """Distance of the step's end from the last solution, in units of that between the two."""
 
 LARGEST_CHANGE = 0.5
-"""Of density and elastic variables, in units of their size: to stay in the energy's domain."""
+"""The largest change of density and elastic variables, in units of their size: it keeps them in the energy's
+domain."""
 
 
 class Extrapolation:
@@ -37,7 +38,7 @@ class Extrapolation:
         self._kept.clear()
 
     def _change(self, time: float, where: slice) -> np.ndarray | None:
-        """What some coefficients change by from the last solution to ``time``; None where that is too far, or
+        """The change of some coefficients from the last solution to ``time``; None where that is too far, or
         nothing is known to extrapolate from."""
         if len(self._kept) < 2:
             return None

@@ -72,7 +72,7 @@ class Turns:
             self.method, self._wait = self.first, 2 * self._wait
 
     def state_dict(self) -> dict[str, float]:
-        """What a restart has to know, where the first solver has ever failed."""
+        """The data that a restart needs, where the first solver has ever failed."""
         if self.method == self.first and self._wait == WAIT:
             return {}
         is_other = float(self.method != self.first)

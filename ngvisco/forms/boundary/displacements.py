@@ -114,7 +114,8 @@ def displacement_of(walls: Walls, name: str) -> Displacement | None:
 
 
 def _traces(mesh: Mesh, name: str, order: int) -> FESpace:
-    """Those of continuous vectors on a wall, of whichever rank its facets are; collective."""
+    """The space of traces on a wall of continuous vectors, whichever rank its facets belong to;
+    collective."""
     space = H1(mesh, order=order)
     active = space.GetDofs(walls_of(mesh, [name]))
     on_some_rank = Exchange.of(space, Communicator.of(mesh)).sum(mask_of(active).astype(float))

@@ -1,4 +1,4 @@
-"""What terms by which one wall acts on the body share: where it is, and the momentum that it gives."""
+"""The common base of terms by which one wall acts on the body: its place, and the momentum that it gives."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ class OnWall(PointTerm):
     """A term by which one wall acts on the body, beside what it constrains."""
 
     acts_by: str = "stress"
-    """What the impulse that it gives is called, beside the wall's name."""
+    """The kind of the impulse that the term gives, beside the wall's name."""
 
     @property
     def impulse(self) -> str:
-        """By what it acts and on which wall."""
+        """The name of the impulse: how the term acts, and on which wall."""
         return f"{self.acts_by}_{self.name}"
 
     def __init__(self, walls: Walls, name: str) -> None:

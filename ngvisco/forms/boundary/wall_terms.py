@@ -51,7 +51,7 @@ from ngvisco.physics.tensors import if_positive, inner
 from ngvisco.physics.walls import NavierFriction, Open, Passage, PrescribedNormal, Traction
 
 HELD_BY_WALLS = "walls"
-"""By which name the ledger has the impulse of all walls that hold v or its normal part."""
+"""The ledger's name of the impulse of all walls that hold v or its normal part."""
 
 
 class Impenetrability(PointTerm):
@@ -66,7 +66,7 @@ class Impenetrability(PointTerm):
         self.indicator = facet_indicator(walls.mesh, walls.multiplied)
         self._walls = walls
         self.pistons = [Piston(walls, name) for name in walls.pistons if name in walls.multiplied]
-        """What says which v.n holds on the walls where that is not 0."""
+        """The functions that give v.n on the walls where it is not 0."""
 
     def unknowns(self, setting: Setting) -> tuple[Unknown, ...]:
         if setting.k < 2:
@@ -78,7 +78,7 @@ class Impenetrability(PointTerm):
 
     @property
     def impulse(self) -> str:
-        """That of all walls that hold the body."""
+        """The name of the impulse of all walls that hold the body."""
         return HELD_BY_WALLS
 
     def facets(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
@@ -180,7 +180,7 @@ class Carried(OnWall):
         self.backflow = isinstance(wall, Open) and wall.backflow
         self.material = model.material
         self.given = entering(wall, f"walls[{name!r}]", model)
-        """What is given of what flows in, of the place and the time, see ``entering``."""
+        """Given values of matter that flows in, functions of place and time, see ``entering``."""
         self.means = self.given
         """The means of ``given`` over the step."""
 
@@ -189,7 +189,7 @@ class Carried(OnWall):
         return self.given.density is None if name == "rho" else self.given.is_of_density_alone
 
     def entering(self, u: Fields, name: str) -> CoefficientFunction:
-        """What flows in of ``"rho"`` or ``"z"``, on a cell's side.
+        """The value of ``"rho"`` or ``"z"`` that flows in, on a cell's side.
 
         Where nothing is given that is the cell's own value without its slope, with which it would grow from
         step to step.
@@ -267,7 +267,7 @@ class Carried(OnWall):
         return 0.5 * self._mass_flux(u) * (w.v * u.v)
 
     def on_body(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
-        """What ``backflow`` adds, -1/2 j v . w where matter flows in."""
+        """The term that ``backflow`` adds, -1/2 j v . w where matter flows in."""
         flux = self._carried_momentum(u) - self._mass_flux(u)
         return [0.5 * flux * (u.v * w.v)] if self.backflow else []
 

@@ -177,5 +177,5 @@ class Ogden(Material):
 
     @property
     def _signs(self) -> list[int]:
-        """Of the exponents that each tensor is for."""
+        """The sign of the exponents that each tensor is for."""
         return [sign for sign in (1, -1) if any(alpha * sign > 0 for alpha in self.alpha)]

@@ -20,7 +20,7 @@ import scipy.sparse as sp
 from ngvisco.algebra import precision
 from ngvisco.algebra.sparse import ElementAssembly, widened
 from ngvisco.reduced.evaluation import CellTerms
-from ngvisco.reduced.residual import Evaluation, Part, ReducedResidual, RestrictedForm
+from ngvisco.reduced.residual import CellPart, Evaluation, ReducedResidual, RestrictedForm
 from ngvisco.solver.split.hyperviscosity import HyperDerivative, HyperTangent
 from ngvisco.solver.split.point_tangent import PointTangent, PointValues, at_points, radius_of
 from ngvisco.solver.split.transport import TransportSweeps
@@ -87,7 +87,7 @@ class FlowSchurComplement:
             self.residual.share(lambda both: self._form(both[0], both[1], at), parts)
         self.rest = self._rest()
 
-    def _form(self, part: tuple[slice, CellTerms], fine: Part, at: Evaluation) -> None:
+    def _form(self, part: tuple[slice, CellTerms], fine: CellPart, at: Evaluation) -> None:
         """The element matrices of some cells: by the coarse rule, and inertia's by that of the residual."""
         p, where = self.points.update(part, at), part[0]
         d, n, local, q, per = self.dim, self.components, self.local, self.functions, self.op.v.per_cell
@@ -124,8 +124,8 @@ class FlowSchurComplement:
         back = back.reshape(cells, q, local * d, n).transpose(0, 2, 1, 3).reshape(cells, local * d, q * n)
         np.matmul(precision.single(back), self.points.resolvent[where], out=self.from_fields[where])
 
-    def _mass(self, part: Part, at: Evaluation) -> np.ndarray:
-        """Of one component of v by inertia, (cells, local, local)."""
+    def _mass(self, part: CellPart, at: Evaluation) -> np.ndarray:
+        """The mass of one component of v by inertia, (cells, local, local)."""
         along, inside = np.eye(self.dim)[:1, :, None], part.inside
         u, blocks = inside.fields(at.coefficients), inside.op.v.blocks
         inertia = inside.derivatives(self.inertial, u, v=along)["v"][0, 0] * inside.op.weights
@@ -204,7 +204,7 @@ class FlowSchurComplement:
         return rows
 
     def fields_rows(self, dv: np.ndarray, dPi: np.ndarray | None) -> np.ndarray:
-        """What the rows of z, (cells' unknowns, n), take from an increment of v (dim, .) and Pi."""
+        """The change of the rows of z, (cells' unknowns, n), by an increment of v (dim, .) and Pi."""
         rows = np.matmul(self.to_fields, self._gathered(dv)).reshape(-1, self.components)
         if dPi is not None and self.points.columns is not None:
             values = at_points(self.points.columns[:, :, self.gradients :], dPi)

@@ -181,7 +181,7 @@ class HyperTangent:
         self._facets = Blocks(self._in_parts(pattern)[2])
 
     def _in_parts(self, elements: np.ndarray) -> tuple[sp.csr_matrix, sp.csr_matrix, sp.csr_matrix]:
-        """Of v with the kept a by these and by the other a, and of the others, of a sum over the cells."""
+        """The blocks of a sum over the cells: v and the kept a, these by the other a, and the others."""
         matrix, n = self._assembled(elements), self._assembled.width - len(self.eliminated)
         return matrix[:n, :n], matrix[:n, n:], matrix[n:, n:]
 

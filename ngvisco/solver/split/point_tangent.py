@@ -1,4 +1,4 @@
-"""What an increment X = (grad dv, dPi) makes of the fields in a cell by itself.
+"""The response of the fields in a cell by itself to an increment X = (grad dv, dPi).
 
 Neither convected nor carried through facets they follow it as
 
@@ -76,7 +76,7 @@ class _AtPoints:
 
 
 class NodeTangent(_AtPoints):
-    """The same at the nodes: of what is integrated by as many points as z has values in a cell."""
+    """The tangent at the nodes, of terms with a collocated rule."""
 
     def __init__(self, residual: ReducedResidual, terms: CellTerms) -> None:
         super().__init__(residual, terms, residual.claims.of_nodes())
@@ -99,7 +99,7 @@ class NodeTangent(_AtPoints):
 
 @dataclass
 class PointValues:
-    """What the points of some cells have, for element matrices.
+    """Values at the points of some cells, for element matrices.
 
     Attributes
     ----------
@@ -118,7 +118,8 @@ class PointValues:
 
 
 class PointTangent(_AtPoints):
-    """The same at the points of the coarse rule, and what both make of an increment in a cell."""
+    """The tangent at the points of the coarse rule, and the sum of both tangents for an increment in a
+    cell."""
 
     def __init__(self, residual: ReducedResidual, operators: Operators) -> None:
         terms = CellTerms(residual.step, operators, residual.rates)

@@ -33,7 +33,7 @@ from ngvisco.solver.split.point_tangent import PointTangent
 from ngvisco.solver.split.transport import TransportSweeps
 
 TOLERANCE, ITERATIONS = 0.05, 20
-"""Of z's and rho's increments, by GMRES at most."""
+"""The tolerance of z's and rho's increments, and the most iterations of GMRES."""
 ENOUGH, ENOUGH_WHERE_STEEP = 0.15, 0.05
 """Share of the right side that sweeps alone may leave, without GMRES: Newton's iteration then contracts by
 as much.  Steep are local rules of creep that are not linear."""
@@ -101,7 +101,7 @@ class FieldsSystem:
         return self.operator.resolved(self.sweep.fields(rows))
 
     def rows(self, dz: np.ndarray) -> np.ndarray:
-        """Of increments of z, both (cells' unknowns, n)."""
+        """Rows of z for increments of z, both (cells' unknowns, n)."""
         return self.sweep.rows(dz) - self.operator.points.fields_rows(dz)
 
 
@@ -137,7 +137,7 @@ class Preconditioner:
         self.fields = FieldsSystem(self.operator, ENOUGH_WHERE_STEEP if step.stresses else ENOUGH)
         self.ranks, count = residual.ranks, self.operator.size
         self._size = unknowns.density_slice.start if unknowns.density else unknowns.slices["z"].start
-        """Of the flow's unknowns with the normal derivatives, which come first."""
+        """The number of the flow's unknowns with the normal derivatives, which come first."""
         self.exchange = residual.exchange.part(np.arange(self._size))
         self._of_velocity = self.exchange.part(np.arange(self.op.v.width))
         places = np.arange(count)
@@ -160,7 +160,7 @@ class Preconditioner:
             self._blocks.append(unknowns.normal_slice)
         self._lengths = [self.exchange.length(where) for where in self._blocks]
         self.iterations = 0
-        """What the last linear system of the flow took."""
+        """The iterations of the flow's last linear system."""
 
     def _solver(self, free: np.ndarray) -> Direct:
         """A solver for the velocity tangent with these free unknowns."""
@@ -183,7 +183,7 @@ class Preconditioner:
         return TwoLevelSolver(free, vertices, others, self._factorised, exchange)
 
     def _factorised(self, free: np.ndarray, matrix: sp.csr_matrix, symmetric: bool) -> Direct:
-        """What solves for the vertices: multigrid where the options say so and it takes the matrix."""
+        """The solver for the vertices: multigrid where the options say so and the matrix suits it."""
         solver: Direct
         if self._multigrid:
             solver = SumInverse(free, self._of_tangent, symmetric, self._coarse, self._kernel)

@@ -39,7 +39,7 @@ _FORCING = {2: 0.03, 3: 0.003}
 _STEEP = 0.01
 """Increment above which the operator of a flow rule is that of the next iterate, stale or not."""
 TOLERANCE, _DIRECTIONS = 0.01, 40
-"""Of Newton-Krylov's linear systems, and derivatives taken for one at most."""
+"""The tolerance of Newton-Krylov's linear systems, and the most derivatives taken for one."""
 INNER = 3e-4, 1e-6
 """Tolerances of the flow's and the fields' systems in P, which has to be a linear map: where a flow rule is
 steep, P times the derivative has single eigenvalues of 1e2 to 1e4, which multiply what is not linear."""
@@ -215,11 +215,11 @@ class Split:
         problem.factorised()
 
     def size(self, f: np.ndarray, *states: BaseVector, coarse: bool = False) -> float:
-        """That of an increment by the norm with the scales of the present state, and of others."""
+        """The size of an increment by the norm with the scales of the present state, and of others."""
         return self.sizes(f, *states, coarse=coarse)[0]
 
     def sizes(self, f: np.ndarray, *states: BaseVector, coarse: bool = False) -> tuple[float, float]:
-        """That, and the relative increment of a creep rate field."""
+        """The size of an increment, and the relative increment of a creep rate field."""
         full = self._full.FV().NumPy()
         full[:] = 0.0
         for name in self.unknowns.names:
@@ -228,9 +228,9 @@ class Split:
 
 
 def damped(split: Split, problem: Problem, history: list[NewtonIteration]) -> Status:
-    """As ``iterate``, with a tangent of its own for each increment, which is shortened until the next one is
-    shorter, by the same tangent or by the next: what begins to yield gives way to a velocity that the elastic
-    tangent did not know of.
+    """Iterate as ``iterate`` does, with a tangent of its own for each increment, which is shortened until the
+    next one is shorter, by the same tangent or by the next: a material that begins to yield gives way to a
+    velocity that the elastic tangent did not know of.
     """
     state = split.step.state.vec
     base = state.CreateVector()

@@ -26,7 +26,7 @@ from ngvisco.reduced.residual import Evaluation, ReducedResidual
 LEAST, MOST = 3, 30
 """Sweeps over the cells in which the fields' change is carried into the flow's system."""
 SHARE = 0.05
-"""What they may leave of a field."""
+"""The share of a field that sweeps may leave."""
 
 
 class SweptMatrix:
@@ -59,7 +59,7 @@ class SweptMatrix:
         return x.reshape(r.shape)
 
     def carried(self, x: np.ndarray) -> np.ndarray:
-        """What a sweep takes from the neighbours' values, (cells, q, n)."""
+        """The contribution of the neighbours' values to a sweep, (cells, q, n)."""
         return np.matmul(self._carried, self._beside(x))
 
     def _by_cells(self, x: np.ndarray) -> np.ndarray:
@@ -132,7 +132,7 @@ class TransportSweeps:
         self._flat: np.ndarray | None = None
         """Functions of a cell at its sides' points, without their slopes, as they flow in through walls."""
         self._whole: Direct | None = None
-        """Of z where it diffuses."""
+        """A direct solver for z, where it diffuses."""
         if residual.diffusion is not None:
             self._laplacian = residual.diffusion.laplacian(residual.inverse_mass)
             self._unknowns = residual.diffusion.unknowns
@@ -143,7 +143,7 @@ class TransportSweeps:
             self.exchange = Exchanged(FacetTangent(residual, terms, rows, self.coupling))
         self.of_rho: SweptMatrix | None = None
         self._density: Direct | None = None
-        """Of a density equation that is not linear, in place of ``of_rho``."""
+        """A direct solver of a density equation that is not linear, in place of ``of_rho``."""
         if residual.density is not None:
             u = residual.unknowns
             shared = residual.exchange.part(np.arange(u.size)[u.density_slice])
@@ -175,7 +175,7 @@ class TransportSweeps:
                 self.of_rho = SweptMatrix(own, across, coupling).invert()
 
     def _entering(self, name: str, at: Evaluation, inward: np.ndarray) -> np.ndarray | float:
-        """What the rows of ``"rho"`` or ``"z"`` take from what flows in through walls."""
+        """The contribution to the rows of ``"rho"`` or ``"z"`` of matter that flows in through walls."""
         known, passages = at.facets.context.given, self.residual.step.context.passages
         if not passages:
             return 0.0
@@ -258,5 +258,5 @@ class TransportSweeps:
 
 
 def _solved(solver: Direct, unknowns: HaloUnknowns, rows: np.ndarray) -> np.ndarray:
-    """By a factorisation over ranks, of rows of this rank's cells."""
+    """Solve by a factorisation over ranks for rows of this rank's cells."""
     return solver(unknowns.of_cells_alone(rows))[: unknowns.of_cells]

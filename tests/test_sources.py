@@ -1,0 +1,42 @@
+"""Names and docstrings of the sources: one class a name, and docstrings that say what they describe."""
+
+import ast
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+from documents import ROOT, tracked
+
+PACKAGE = tracked("ngvisco/*.py")
+SOURCES = [*PACKAGE, *tracked("geometries/*.py"), *tracked("demos/*.py")]
+NO_SUBJECT = re.compile(r"(What|Of|That|Those|And|By|As|The same)\b")
+"""Words that a docstring without a subject begins with."""
+
+
+def docstrings(path: Path) -> Iterator[tuple[int, str]]:
+    """Lines and texts of the docstrings of modules, classes, functions and attributes."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        body = getattr(node, "body", None)
+        for part in body if isinstance(body, list) else []:
+            value = part.value if isinstance(part, ast.Expr) else None
+            if isinstance(value, ast.Constant) and isinstance(value.value, str):
+                yield part.lineno, value.value.strip()
+
+
+def test_docstrings_begin_with_a_subject_or_a_verb():
+    found = [
+        f"{path.relative_to(ROOT)}:{line}: {text.splitlines()[0]}"
+        for path in SOURCES
+        for line, text in docstrings(path)
+        if NO_SUBJECT.match(text)
+    ]
+    assert not found, "\n".join(found)
+
+
+def test_a_name_is_that_of_one_class():
+    places: dict[str, list[str]] = {}
+    for path in PACKAGE:
+        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+            if isinstance(node, ast.ClassDef):
+                places.setdefault(node.name, []).append(str(path.relative_to(ROOT)))
+    assert {name: paths for name, paths in places.items() if len(paths) > 1} == {}
