@@ -12,7 +12,7 @@ from ngvisco.physics.parameters import require_ranges
 
 @dataclass(frozen=True, kw_only=True)
 class WallExchange:
-    """What comes in through a wall: flux + coefficient (potential - mu), mu that inside.
+    """The flux into the body through a wall: flux + coefficient (potential - mu), mu that inside.
 
     A large coefficient holds the wall at the potential.  Raises ParameterError if a parameter is out of its
     range, one of potential and coefficient is given without the other, or nothing is.

@@ -54,7 +54,7 @@ class FacetCoupling:
         return found.transpose(0, 2, 1).reshape(count, len(values) * found.shape[1])
 
     def beyond(self, blocks: np.ndarray) -> np.ndarray:
-        """Those of the other side, (sides, ., .), zero on the boundary."""
+        """Values of the other side, (sides, ., .), zero on the boundary."""
         if len(self._border):
             blocks = np.concatenate([blocks, self.halo.swapped(blocks[self._border])])
         return blocks[self.across] * self._inner

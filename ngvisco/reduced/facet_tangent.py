@@ -102,7 +102,7 @@ class FacetTangent:
         return of_cells + here.reshape(by_sides).sum(axis=1), across.reshape(by_sides)
 
     def _of_z(self, at: Evaluation) -> np.ndarray:
-        """What is read by the columns: z itself, and zeta, (cells, read q, columns q)."""
+        """Values that the columns read: z itself, and zeta, (cells, read q, columns q)."""
         r, z, q, lagged = self.residual, at.cells.z.value, self.coupling.functions, self.residual.slope.lagged
         cells, size, slope = self.coupling.cells, len(z), r.slope.derivative(z)
         found = np.zeros((cells, len(self._read), q, size, q))
@@ -165,14 +165,15 @@ class _Mean:
         self._tests = coupling.functions_of(self._mass).transpose(0, 2, 1)
 
     def load(self, u: Fields) -> np.ndarray:
-        """Of its equation along an increment, tested by the functions of each side, (sides, size)."""
+        """The derivative of its equation along an increment, tested by the functions of each side, (sides,
+        size)."""
         values = self._terms.slots([self.term], u)[self.name].imag / TINY
         values = np.atleast_2d(values)[self._components]
         full = np.broadcast_to(values, (len(values), self._coupling.points))
         return self._coupling.tested(full, self._tests)
 
     def solved(self, loads: np.ndarray) -> np.ndarray:
-        """What its coefficients change by with ``loads`` (sides, size, .) of one side's cell."""
+        """The change of its coefficients with ``loads`` (sides, size, .) of one side's cell."""
         parts = loads.reshape(len(loads), len(self._components), self._functions, loads.shape[-1])
         return (-self._mass.inverses[self._facet][:, None] @ parts).reshape(loads.shape)
 

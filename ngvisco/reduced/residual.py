@@ -370,7 +370,7 @@ class ReducedResidual:
         return lambda d: self(at.x + (TINY * 1j) * d).residual.imag / TINY
 
     def mass_of(self, name: str) -> FacetMass:
-        """That of a mean of both sides."""
+        """The mass of a mean of both sides."""
         return self._masses[self.step.layout.unknowns[name].order]
 
     def _packed(self, x: np.ndarray, rows: list[dict[str, np.ndarray]]) -> np.ndarray:

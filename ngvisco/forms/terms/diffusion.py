@@ -69,7 +69,7 @@ class ThroughWall(PointTerm):
         return [-(self._inwards(u) * w.z_tensors[self.variable])]
 
     def entries(self, u: Fields) -> list[Entry]:
-        """What it brings of energy, and how much comes in."""
+        """The power that diffusing matter brings, and the amount that comes in."""
         name, inwards = f"{self.variable}_{self.name}", self._inwards(u)
         power = Integrand(facets=inwards * u.zeta_tensors[self.variable])
         return [
@@ -79,7 +79,8 @@ class ThroughWall(PointTerm):
 
 
 def diffusion_terms(model: Model, walls: Walls) -> list[Term]:
-    """Those of what a model says to diffuse; raises ParameterError for a wall that the mesh has not."""
+    """The terms of the fields that a model lets diffuse; raises ParameterError for a wall that the mesh does
+    not have."""
     law = model.diffusion
     if law is None:
         return []

@@ -69,7 +69,7 @@ class Heating(_OfEntropy):
         self._sources = [(body, CF(source)) for body, source in law.sources]
         heats = ((name, wall.heat) for name, wall in walls.conditions.items() if wall.heat is not None)
         self._to_walls = {name: 1 - heat.friction_share for name, heat in heats if heat.friction_share < 1}
-        """What of their friction walls take."""
+        """The share of the friction heat that goes into each wall."""
 
     def _supplied(self, u: Fields) -> dict[str, CoefficientFunction]:
         """Sources of heat in cells beside what is dissipated, W/m^3, by the ledger's columns."""

@@ -74,7 +74,7 @@ class SweptMatrix:
 
 
 class Exchanged:
-    """What cells give each other of some components of z across facets, beside transport.
+    """The exchange of some components of z between cells across facets, beside transport.
 
     These components are factorised, each with its transport; the others' part is known when they are solved.
     """
