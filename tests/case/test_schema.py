@@ -143,7 +143,7 @@ def test_resolved_case_is_complete_and_resolves_to_itself():
     again = case(loaded.resolved)
     assert again.resolved == loaded.resolved and again.hash == loaded.hash
     data = tomllib.loads(loaded.resolved)
-    assert data["discretisation"] == {"k": 2, "m": 1, "quadrature_bonus": 0}
+    assert data["discretisation"] == {"k": 2, "m": 1, "quadrature_bonus": 0, "sharp": False}
     assert data["solver"]["tolerance"] == nv.NewtonOptions().tolerance
 
 

@@ -65,9 +65,9 @@ def thin_out(run):
     dofs = np.array(step.layout.blocks["rho"].GetDofNrs(list(run.mesh.Elements())[np.argmax(heights)]))
     state, rho = step.state.vec.FV().NumPy(), step.layout.ranges["rho"]
 
-    def thinned():
+    def thinned(tau):
         state[rho][dofs[1:]] += 0.9
-        return limit()
+        return limit(tau)
 
     run.bounds.is_exceeded, run.bounds.limit = lambda: True, thinned
 
