@@ -205,7 +205,9 @@ def test_crack_that_is_stretched_keeps_its_energy_per_reference_area():
         for stretch in (1.25, 1.5, 2.0):
             ledger = run.run(stretch - 1)
             surface = ledger.column("stored_surface")
-            assert surface[-1] / surface[0] == pytest.approx(left_of_a_crack(area, stretch), rel=0.02)
+            assert surface[-1] / surface[0] == pytest.approx(
+                left_of_a_crack(area, stretch), rel=0.02 if area == "reference" else 0.03
+            )
         assert abs(ledger.column("closure_relative")).max() < 1e-11
 
 
