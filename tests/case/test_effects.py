@@ -24,6 +24,10 @@ ROOT = Path(__file__).parents[1]
 
 ELSEWHERE = {
     "domain.adapt.above": "case/test_adapt.py",
+    **dict.fromkeys(
+        ("output.bodies.measures", "output.contours.every", "output.contours.bodies"),
+        "case/test_body_cases.py",
+    ),
     "domain.adapt.levels": "run/test_refinement.py",
     "domain.adapt.field": "case/test_adapt.py",
     "domain.adapt.every": "case/test_adapt.py",
