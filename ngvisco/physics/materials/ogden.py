@@ -138,8 +138,10 @@ class Ogden(Material):
             raise ParameterError("Ogden.alpha", self.alpha, "one exponent or more, of which no two are equal")
         if len(self.mu) != len(self.alpha):
             if len(self.alpha) > len(self.mu):
-                raise ParameterError("Ogden.alpha", self.alpha, f"{len(self.mu)} numbers, one for each of mu")
-            raise ParameterError("Ogden.mu", self.mu, f"{len(self.alpha)} numbers, one for each of alpha")
+                raise ParameterError(
+                    "Ogden.alpha", self.alpha, f"{len(self.mu)} exponents, one for each modulus"
+                )
+            raise ParameterError("Ogden.mu", self.mu, f"{len(self.alpha)} moduli, one for each exponent")
         least = 2.0 if self.elastic_state == "B" else 1.0
         if not all(least <= abs(alpha) <= 12 for alpha in self.alpha):
             of = ' by B; take elastic_state = "F"' if least == 2 else ""
