@@ -1,4 +1,4 @@
-"""What a second branch costs: ``python -m tests.benchmarks.branches [--steps N]`` in the project's root.
+"""The cost of a second branch: ``python -m tests.benchmarks.branches [--steps N]`` in the project's root.
 
 Swirls of networks of one and of two branches that creep, of one mesh and by one solver, take steps by turns:
 the ratio of their processor times is that of one run, whatever else the machine does.

@@ -290,7 +290,7 @@ HOW = {
         IN_ROWS | {"walls": (["left"], ["right"]), "about": ((0.0, 0.0), (0.0, 1.0))},
     ),
 }
-"""What writes: its class, what it needs, and two values of each argument."""
+"""Classes that write: the class, its requirements, and two values of each argument."""
 OBSERVED = [(name, argument) for name, (_, _, of) in HOW.items() for argument in of]
 
 

@@ -263,7 +263,7 @@ PULLED = [
 
 @pytest.mark.parametrize(("dim", "scheme", "solver"), PULLED)
 def test_a_piston_all_around_a_disc_or_a_ball_widens_it(dim, scheme, solver):
-    """By v.n = V t: E = V t^2/2 I is uniform, and the pressure -dim (K + G/3 (3 - dim)) V t^2/2 to V^2."""
+    """Walls move by V t: E = V t^2/2 I, and the pressure is -dim (K + G/3 (3 - dim)) V t^2/2 to V^2."""
     V, dt, end = 1e-3, 0.25, 0.5
     mesh = disc(1, 1.0) if dim == 2 else sphere(1, 1.0)
     run = nv.Simulation(

@@ -242,7 +242,7 @@ def test_energies_are_the_closed_forms_of_the_isochoric_invariants():
 
 
 STRETCHES = (0.4, 0.9, 1.0, 1.3, 3.0, 7.0)
-"""Of which 7 in two directions is beyond the range of Ogden's powers, 1/10 to 10."""
+"""Stretches, of which 7 in two directions is beyond the range of Ogden's powers, 1/10 to 10."""
 TRELOAR = {1.3: 0.63, 5.0: 0.0012, -2.0: -0.01}
 """mu_p, MPa, by alpha_p: Ogden's (1972) for the rubber of Treloar (1944)."""
 

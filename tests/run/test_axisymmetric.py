@@ -12,7 +12,7 @@ from ngvisco.geometries import box, structured_box
 
 SOLVERS = ("coupled", "split")
 VORTEX = (x * (1 - x) * (1 - 2 * y), -(2 - 3 * x) * y * (1 - y))
-"""Of v_r and v_y, without divergence about the axis x = 0."""
+"""The flow v_r and v_y, without divergence about the axis x = 0."""
 
 
 def about_the_axis(mesh=0.5, dt=0.02, **options):
@@ -79,7 +79,7 @@ def test_both_solvers_keep_energy_mass_and_axial_momentum():
 
 
 def test_wall_forces_bear_a_weight():
-    """Of a body at rest in a can of radius 1: over 2 pi the bottom bears rho g height/2, half of the mass."""
+    """In a can of radius 1 at rest the bottom bears rho g height/2 over 2 pi, half of the mass."""
     forces = nv.WallForces()
     run = about_the_axis(
         1.0,
@@ -184,7 +184,7 @@ def test_a_mesh_beyond_the_axis_is_refused():
 
 
 def test_a_checkpoint_of_plane_strain_does_not_fit(tmp_path):
-    """Of the same mesh, spaces and material."""
+    """Runs agree of the same mesh, spaces and material."""
     path = tmp_path / "run.h5"
     run = small_run(velocity=(0, 0), observers=[nv.Checkpoints(path, every=1)])
     run.run(0.02)

@@ -12,7 +12,7 @@ from ngvisco.errors import ParameterError
 from ngvisco.geometries import structured_box
 
 VORTEX = (0.3 * x * (1 - x) * (1 - 2 * y), -0.3 * (2 - 3 * x) * y * (1 - y))
-"""Of v_r and v_y, without divergence about the axis x = 0."""
+"""The flow v_r and v_y, without divergence about the axis x = 0."""
 ELASTIC = nv.LinearElastic(K_e=10.0, G_e=5.0)
 HOT = nv.Thermal(material=ELASTIC, c=2.0, theta_R=100.0, expansion=1e-3)
 WET = nv.StokesViscosity(K_v=0.1, G_v=0.1)

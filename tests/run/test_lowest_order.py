@@ -15,7 +15,7 @@ from ngvisco.geometries import disc, structured_box
 LOWEST = nv.Discretisation(k=1, m=0)
 K, G, LENGTH = 10.0, 2.0, 4.0
 OMEGA = math.pi / LENGTH * math.sqrt(K + 4 / 3 * 2 * G)
-"""Of the longest compression wave between walls, 1/s, with a density of 1 kg/m^3."""
+"""The frequency of the longest compression wave between walls, 1/s, with a density of 1 kg/m^3."""
 
 
 def wave(cells: tuple[int, int], amplitude: float, steps: int, **options) -> nv.Simulation:
@@ -31,7 +31,7 @@ def wave(cells: tuple[int, int], amplitude: float, steps: int, **options) -> nv.
 
 
 def phase(cells: tuple[int, int], steps: int) -> float:
-    """By how much of its first velocity it is not at rest after a quarter of a period: an angle."""
+    """The share of its first velocity it is not at rest after a quarter of a period: an angle."""
     run, w = wave(cells, 1e-4, steps), sine(math.pi * x / LENGTH)
     integrate = run.rothe_step.quadrature.integrate_cells
     before = integrate(run.fields["velocity"][0] * w)

@@ -34,7 +34,7 @@ def lattice(count=40):
 
 
 def cut(level, velocity=None):
-    """What of the unit square is where a function of x and y is >= 0."""
+    """The part of the unit square is where a function of x and y is >= 0."""
     points, triangles = lattice()
     X, Y = points.T
     v = np.zeros_like(points) if velocity is None else (points - 0.5) @ np.transpose(velocity)
@@ -57,7 +57,7 @@ def measured(run, *measures):
 
 
 def test_an_ellipse_has_its_area_axes_angle_and_perimeter():
-    """By chords of 1/40: all sizes are less by up to h^2/(8 r^2), and never more."""
+    """Outlines by chords of 1/40: all sizes are less by up to h^2/(8 r^2), and never more."""
     found = cut(inside_ellipse)
     moments = Moments.of(found.inside)
     L, breadth, angle = moments.ellipse()

@@ -17,7 +17,7 @@ SPRING = nv.Branch(material=nv.ReferentialNeoHookean(K_e=20.0, G_e=1.0, elastic_
 JUMPING = IfPos(
     x - 0.5, CF((9.0, 0, 0, 0, 1 / 9, 0, 0, 0, 1.0), dims=(3, 3)), CF(tuple(np.eye(3).ravel()), dims=(3, 3))
 )
-"""Of volume one, with a least eigenvalue of 1/9."""
+"""States of volume one, with a least eigenvalue of 1/9."""
 
 
 def stirred(branches, m, speed=1.0, **options):

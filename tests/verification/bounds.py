@@ -78,7 +78,7 @@ KINDS = (
     ),
     Kind("effort", ">=", "share of the steps", "the share of the work that went well, 1 at most"),
 )
-"""What may have one side.  ``error`` and ``closure`` are most of them."""
+"""Words of numbers that may have one side.  ``error`` and ``closure`` are most of them."""
 
 
 @dataclass(frozen=True)

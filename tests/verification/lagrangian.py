@@ -126,7 +126,7 @@ class ThrownDisc:
         return form
 
     def _power(self, tau: float) -> float:
-        """What the viscosity takes of both halves in the step, W/m."""
+        """The work that the viscosity takes of both halves in the step, W/m."""
         F = Id(2) + 0.5 * (Grad(self._next) + Grad(self.u))
         flux, L = self._viscous(F, (Grad(self._next) - Grad(self.u)) / tau)
         return 2 * float(Integrate(InnerProduct(flux, L), self.mesh, order=8))

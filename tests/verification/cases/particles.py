@@ -19,7 +19,7 @@ SIZE, REFINED, CELLS, OUTER = 12.0, (3.4, 3.0), 8, 1.5
 """Periodic cell and fine part about the disc, radii; cells across the disc; size of cells beyond, radii."""
 CAPILLARY, BULK, REYNOLDS, TAU, STRAINS = 0.2, 50.0, 0.05, 0.1, 18.0
 D, ANGLE = 0.1875, 34.4
-"""Of an ellipse with uniform fields (Eshelby), D = Ca sin 2 theta = Ca (1 - D^2)/(1 + D^2), here
+"""An ellipse with uniform fields (Eshelby), D = Ca sin 2 theta = Ca (1 - D^2)/(1 + D^2), here
 .1866, in this cell .1875; degrees."""
 
 

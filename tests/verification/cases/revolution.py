@@ -21,7 +21,7 @@ K_E, G_E = 1.0, 0.5
 SIZES = (0.5, 0.25)
 PERIODS, PER_PERIOD, FASTEST = 1, 24, 1e-5
 BRACKETS = ((1.8, 3.1), (4.8, 6.2))
-"""Of k of 0S0 and 1S0."""
+"""Roots k of 0S0 and 1S0."""
 TERMS = 24
 
 
@@ -41,7 +41,7 @@ def mode(n: int) -> CoefficientFunction:
 
 
 def oscillation(n: int, maxh: float) -> tuple[nv.Simulation, complex, np.ndarray]:
-    """By the midpoint rule from the mode's velocity and no strain: the run, s = -decay + i frequency, and
+    """Follow, by midpoint, from the mode's velocity and no strain: the run, s = -decay + i frequency, and
     v : mode over the first."""
     shape, omega = mode(n), root(n) * math.sqrt(K_E + 4 / 3 * G_E)
     tau = 2 * math.pi / omega / PER_PERIOD
