@@ -305,6 +305,7 @@ def test_ogden_is_mooney_rivlin_where_its_exponents_are_two(rng):
         ("alpha", "1 <= |alpha| <= 12", {"mu": (1.0,), "alpha": (0.5,)}),
         ("alpha", 'take elastic_state = "F"', {"mu": (1.0,), "alpha": (1.3,), "elastic_state": "B"}),
         ("alpha", "no two are equal", {"mu": (1.0, 1.0), "alpha": (2.0, 2.0)}),
+        ("mu", "one number or more", {"mu": (), "alpha": (2.0,)}),
         ("mu", "2 moduli", {"mu": (1.0, 1.0, 1.0), "alpha": (2.0, 4.0)}),
         ("alpha", "1 exponents", {"mu": (1.0,), "alpha": (2.0, 4.0)}),
         ("mu", "signs of their exponents", {"mu": (1.0,), "alpha": (-2.0,)}),

@@ -131,11 +131,14 @@ class Ogden(Material):
     def __post_init__(self) -> None:
         super().__post_init__()
         for name in ("mu", "alpha"):
-            object.__setattr__(self, name, tuple(float(value) for value in getattr(self, name)))
+            values = tuple(float(value) for value in getattr(self, name))
+            object.__setattr__(self, name, values)
+            if not values:
+                raise ParameterError(f"Ogden.{name}", values, "one number or more")
         if self.elastic_state is not None:
             require_choice(self, ("F", "B"), elastic_state=self.elastic_state)
-        if not self.alpha or len(set(self.alpha)) < len(self.alpha):
-            raise ParameterError("Ogden.alpha", self.alpha, "one exponent or more, of which no two are equal")
+        if len(set(self.alpha)) < len(self.alpha):
+            raise ParameterError("Ogden.alpha", self.alpha, "exponents of which no two are equal")
         if len(self.mu) != len(self.alpha):
             if len(self.alpha) > len(self.mu):
                 raise ParameterError(
