@@ -12,8 +12,7 @@ sides of cells the means of phi over each.
 """
 
 from dataclasses import dataclass
-from functools import cached_property, partial, reduce
-from operator import add
+from functools import cached_property, partial
 
 import numpy as np
 import scipy.sparse as sp
@@ -24,7 +23,7 @@ from ngvisco.forms.fields import Fields
 from ngvisco.forms.mesh.points import SidePoints
 from ngvisco.forms.mesh.quadrature import Quadrature, Sampler, values_of
 from ngvisco.parallel.communicator import Communicator
-from ngvisco.physics.material import Material, conjugates
+from ngvisco.physics.material import Material, conjugates, conjugates_along
 from ngvisco.physics.pointwise import Respond
 from ngvisco.physics.tensors import inner
 from ngvisco.physics.variables import Values
@@ -78,16 +77,8 @@ class StoredEnergy:
         states = self.material.states(self.dim)
         variables = {name: value.MakeVariable() for name, value in u.z_tensors.items()}
         phi = self.material.energy(variables)
-        slopes = {name: phi.Diff(variable) for name, variable in variables.items()}
-        parts = []
-        for j in range(self.dim):
-            along = states.tensors(partial(column, slope, j))
-            curved = {
-                name: reduce(add, (of.Diff(variables[other], along[other]) for other in variables))
-                for name, of in slopes.items()
-            }
-            parts.append(states.components(curved))
-        return parts
+        slopes = (states.tensors(partial(column, slope, j)) for j in range(self.dim))
+        return [states.components(conjugates_along(phi, variables, along)) for along in slopes]
 
     def near(self, u: Fields) -> CoefficientFunction:
         """phi(z), Pa, for the same, with its derivative by z."""

@@ -18,7 +18,8 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, reduce
+from operator import add
 from typing import TYPE_CHECKING, Literal, Self, TypeAlias, TypeVar
 
 import numpy as np
@@ -291,6 +292,18 @@ def conjugates(material: Material, z: Values) -> dict[str, Tensor]:
     return {name: phi.Diff(variable) for name, variable in variables.items()}
 
 
+def conjugates_along(phi: Tensor, variables: Values, along: Values) -> dict[str, Tensor]:
+    """phi''(z) times ``along``, values of some variables by name, as coefficient functions by name.
+
+    It is the gradient of a derivative in a direction.  NGSolve 6.2.2608 gives the derivative of a gradient
+    wrongly where phi has a cofactor, the trace of a product or a scalar times a tensor.
+
+    ``variables`` are the ones that ``phi`` is a function of, made by ``MakeVariable``.
+    """
+    change = reduce(add, (phi.Diff(variables[name], direction) for name, direction in along.items()))
+    return {name: change.Diff(variable) for name, variable in variables.items()}
+
+
 def rate_power(
     material: Material, z: Values, zeta: Values, L: Tensor, Pi: Tensor, names: Sequence[str] | None = None
 ) -> Tensor:
@@ -329,7 +342,8 @@ def rest_stress_and_modulus(material: Material) -> tuple[float, float]:
     typical = substituted(material, lambda expression: expression.typical)
     z = {v.name: v.from_distortion(J ** (1 / 3) * Id(3)) for v in material.variables}
     stress = (J * typical.energy(z)).Diff(J)
-    return float(np.mean(sampled(stress))), float(np.mean(sampled(stress.Diff(J))))
+    modulus = conjugates_along(J * typical.energy(z), {"J": J}, {"J": CF(1.0)})["J"]
+    return float(np.mean(sampled(stress))), float(np.mean(sampled(modulus)))
 
 
 def mandel_stress(

@@ -44,7 +44,7 @@ from ngvisco.physics.parameters import (
     typical_value,
     value_at,
 )
-from ngvisco.physics.pointwise import Respond, Response, array_response
+from ngvisco.physics.pointwise import Respond, Response, respond
 from ngvisco.physics.rheology import StokesViscosity, ValueOfModulus, Viscosity
 from ngvisco.physics.tensors import IDENTITY, Tensor, dev, identity_like
 from ngvisco.physics.variables import INTERFACE, PRESSURE, Jacobian, Values, Variable
@@ -333,10 +333,10 @@ class _InEquilibrium:
         self.parameters = [slices[v.name].start for v in mixture.parameters]
         self.amounts = {b.name: slices[AMOUNT + b.name].start for b in mixture.bodies}
         self.shared = [] if self.heat is None else [slices[self.heat.entropy.name].start]
-        self.shears = array_response(_Part(shear, mixture.variables), dim, mixture.linear)
+        self.shears = respond(_Part(shear, mixture.variables), dim, mixture.linear)
         of_volume = (Jacobian("J"), *(Entropy("S") for _ in self.shared), *mixture.parameters)
         parts = (_Part(partial(mixture.volumetric, name), of_volume) for name in self.amounts)
-        self.volumes = [array_response(part, dim) for part in parts]
+        self.volumes = [respond(part, dim) for part in parts]
 
     def __call__(self, states: np.ndarray) -> Response:
         size = 1 + len(self.shared)

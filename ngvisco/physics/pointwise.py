@@ -11,16 +11,17 @@ tree of small tensor operations for each point.  Where an energy can be written 
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from typing import Any, TypeAlias
 
 import numpy as np
-from ngsolve import CF, ET, L2, VOL, GridFunction, IntegrationRule, VectorValued
+from ngsolve import CF, ET, L2, VOL, CoefficientFunction, GridFunction, IntegrationRule, VectorValued
 from ngsolve.meshes import MakeStructured2DMesh
 
+from ngvisco.errors import ParameterError
 from ngvisco.physics.arrays import TINY, Array, Map, derivatives
-from ngvisco.physics.material import Material
-from ngvisco.physics.tensors import Tensor
+from ngvisco.physics.material import Material, conjugates_along
+from ngvisco.physics.tensors import Tensor, constant
 
 
 @dataclass(frozen=True)
@@ -42,6 +43,12 @@ class Response:
 
 Respond: TypeAlias = Callable[[np.ndarray], Response]
 """The response at states of shape (n, N)."""
+
+Both: TypeAlias = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
+"""An energy, (points,), and its slope, at components (N, points)."""
+
+_DIFFERENCE = 1e-4
+"""The least share by which a Hessian that is wrong differs from the slope's central differences."""
 
 
 def sampled_energies(material: Material, dim: int) -> str:
@@ -87,55 +94,128 @@ def evaluated(function: Callable[[Tensor], Tensor], vectors: np.ndarray) -> np.n
         return np.asarray(function(field)(points[:count])).reshape(count, -1)
 
 
-def respond(material: Material, dim: int) -> Respond:
-    """The material's own pointwise response, or that of its expression."""
-    return material.response(dim) or ExpressionResponse(material, dim)
+def respond(material: Material, dim: int, linear: Iterable[str] = ()) -> Respond:
+    """The material's own response, or that of its energy by arrays, or by its expression.
+
+    Arrays are taken where they give the energy and the slope of the expression; complex increments of this
+    slope then give the Hessian.
+
+    Parameters
+    ----------
+    linear : names, optional
+        Of variables that the energy is linear in together, at fixed others: no increments of them are needed.
+
+    Raises
+    ------
+    ParameterError
+        If NGSolve gives a wrong second derivative of an energy that arrays do not take.
+    """
+    if (own := material.response(dim)) is not None:
+        return own
+    by_expression, both = ExpressionResponse(material, dim), energy_and_slope(material, dim)
+    if both is None or not by_expression.agrees(both):
+        by_expression.check()
+        return by_expression
+    return ArrayResponse(material, dim, both, linear)
+
+
+class ArrayResponse:
+    """The response of an energy by arrays, its Hessian by complex increments of the slope."""
+
+    def __init__(self, material: Material, dim: int, both: Both, linear: Iterable[str] = ()) -> None:
+        self.both, states = both, material.states(dim)
+        curved = np.ones(states.size, dtype=bool)
+        for name in linear:
+            curved[states.slices[name]] = False
+        self.curved = np.flatnonzero(curved)
+
+    def __call__(self, states: np.ndarray) -> Response:
+        energy, slope = self.both(np.ascontiguousarray(states.T))
+        hessian = np.zeros((len(states), states.shape[1], states.shape[1]))
+        for m in self.curved:
+            along = states.T.astype(complex)
+            along[m] += 1j * TINY
+            hessian[:, m] = hessian[:, :, m] = self.both(along)[1].imag.T / TINY
+        hessian[~np.isfinite(energy)] = np.nan  # as that of a logarithm's expression beyond its pole
+        return Response(energy, np.ascontiguousarray(slope.T), hessian)
 
 
 class ExpressionResponse:
     """The response of a material that has an expression, by NGSolve's symbolic derivatives."""
 
     def __init__(self, material: Material, dim: int) -> None:
-        states = material.states(dim)
+        self.material, self.dim, states = material, dim, material.states(dim)
         self.size = states.size
         self.mesh, self.points = squares(64)
         self.state = GridFunction(VectorValued(L2(self.mesh, order=0), self.size))
-        z = {name: value.MakeVariable() for name, value in states.tensors(lambda: self.state).items()}
-        phi = material.energy(z)
-        slopes = [phi.Diff(value) for value in z.values()]
-        # of a tensor and a scalar the tensor's first: NGSolve 6.2.2608 gives d/dB of d/da tr(a B) wrongly
-        hessians = [
-            slope.Diff(value) if slope.dim > 1 or value.dim == 1 else other.Diff(scalar)
-            for slope, scalar in zip(slopes, z.values(), strict=True)
-            for other, value in zip(slopes, z.values(), strict=True)
-        ]
-        self.outputs = CF((phi, *slopes, *hessians)).Compile()
-        self.blocks = [(states.spaces[name].columns, where) for name, where in states.slices.items()]
-        """For every variable its basis, (entries, components), and where its components stand."""
+        self._z = {name: value.MakeVariable() for name, value in states.tensors(lambda: self.state).items()}
+        self._phi = material.energy(self._z)
+        slopes = states.components({name: self._phi.Diff(value) for name, value in self._z.items()})
+        self._first = CF((self._phi, slopes))
+
+    @cached_property
+    def _all(self) -> CoefficientFunction:
+        """The energy, its slope and the columns of its Hessian."""
+        states, columns = self.material.states(self.dim), []
+        for name, space in states.spaces.items():
+            for column in space.columns.T:
+                unit = CF(1.0) if space.is_scalar else constant(column.reshape(3, 3))
+                columns.append(states.components(conjugates_along(self._phi, self._z, {name: unit})))
+        return CF((self._first, *columns)).Compile()
 
     def __call__(self, states: np.ndarray) -> Response:
-        n, size = len(states), self.size
-        result = Response(np.empty(n), np.empty((n, size)), np.empty((n, size, size)))
-        for start in range(0, n, len(self.points)):
-            self._put(result, states, slice(start, min(start + len(self.points), n)))
-        return result
+        n, size = states.shape
+        found = self._values(self._all, states, 1 + size + size**2)
+        energy, slope, hessian = np.split(found, [1, 1 + size], axis=1)
+        return Response(energy[:, 0], slope, hessian.reshape(n, size, size))
 
-    def _put(self, result: Response, states: np.ndarray, some: slice) -> None:
-        count = some.stop - some.start
-        self.state.vec.FV().NumPy().reshape(self.size, -1)[:, :count] = states[some].T
-        values = np.asarray(self.outputs(self.points[:count])).reshape(count, -1)
-        result.energy[some] = values[:, 0]
-        start = 1
-        with np.errstate(all="ignore"):  # outside the energy's domain there are NaN and inf
-            for B, where in self.blocks:
-                result.slope[some, where] = values[:, start : start + len(B)] @ B
-                start += len(B)
-            for B, where in self.blocks:
-                for C, other in self.blocks:
-                    stop = start + len(B) * len(C)
-                    block = values[:, start:stop].reshape(count, len(B), len(C))
-                    result.hessian[some, where, other] = B.T @ block @ C
-                    start = stop
+    def _values(self, function: CoefficientFunction, states: np.ndarray, width: int) -> np.ndarray:
+        """Values of a function of the state at states; outside the energy's domain there are NaN and inf."""
+        found = np.empty((len(states), width))
+        for start in range(0, len(states), len(self.points)):
+            some = states[start : start + len(self.points)]
+            self.state.vec.FV().NumPy().reshape(self.size, -1)[:, : len(some)] = some.T
+            values = np.asarray(function(self.points[: len(some)]))
+            found[start : start + len(some)] = values.reshape(len(some), width)
+        return found
+
+    def _sampled(self) -> np.ndarray:
+        """Random states about rest, and about ones."""
+        away = 0.1 * np.random.default_rng(0).standard_normal((20, self.size))
+        return np.concatenate([1.0 + away, rest_state(self.material, self.dim) + away])
+
+    def agrees(self, both: Both) -> bool:
+        """Whether arrays give the energy and the slope that the expression has, where it has them."""
+        states = self._sampled()
+        expected = self._values(self._first, states, 1 + self.size)
+        energy, slope = both(np.ascontiguousarray(states.T))
+        found, known = np.column_stack([energy, slope.T]), np.isfinite(expected)
+        for own in (slice(0, 1), slice(1, None)):
+            a, b = found[:, own][known[:, own]], expected[:, own][known[:, own]]
+            if not np.allclose(a, b, rtol=1e-9, atol=1e-12 * abs(b).max(initial=0.0)):
+                return False
+        return True
+
+    def check(self) -> None:
+        """Raise ParameterError where the Hessian is not the difference of the slope."""
+        states, step = self._sampled(), 1e-5
+        along = np.random.default_rng(1).standard_normal(states.shape)
+        ahead, behind = (self._values(self._first, states + s * step * along, 1 + self.size) for s in (1, -1))
+        expected = (ahead - behind)[:, 1:] / (2 * step)
+        found = np.einsum("nij,nj->ni", self(states).hessian, along)
+        known = np.isfinite(expected).all(axis=1)
+        if not known.any():
+            return
+        size = abs(expected[known]).max(axis=1)
+        off = abs(found - expected)[known].max(axis=1)
+        if not (off <= _DIFFERENCE * size + 1e-9 * size.max()).all():
+            field = self.material.energy_parameter
+            raise ParameterError(
+                f"{type(self.material).__name__}.{field}",
+                getattr(self.material, field),
+                "an energy written with the functions of ngvisco.physics.tensors, or one whose second "
+                f"derivative NGSolve gives rightly: it is off by {off.max() / size.max():.2g} of its size",
+            )
 
 
 @cache
@@ -147,8 +227,6 @@ def squares(cells: int) -> tuple[Any, Any]:
 
 CHUNK = 2048
 """Points at a time, so that what is made on the way stays in the processor's cache."""
-
-Both: TypeAlias = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
 def array_slope(material: Material, dim: int) -> Callable[[np.ndarray], np.ndarray] | None:
@@ -205,36 +283,3 @@ def is_affine(slope: Map, rest: np.ndarray) -> bool:
     with np.errstate(all="ignore"):  # states outside of the energy's domain
         middle, ends = slope(base), slope(base + step) + slope(base - step)
         return bool(abs(ends - 2 * middle).max() <= 1e-12 * abs(ends).max())
-
-
-def array_response(material: Material, dim: int, linear: Iterable[str] = ()) -> Respond:
-    """The response by arrays, its Hessian by complex increments; by expressions where these do not agree.
-
-    Of variables that the energy is ``linear`` in together, at fixed others, no increments are needed.
-    """
-    own = material.response(dim)
-    both = None if own is not None else energy_and_slope(material, dim)
-    if both is None:
-        return respond(material, dim)
-    curved = np.ones(material.states(dim).size, dtype=bool)
-    for name in linear:
-        curved[material.states(dim).slices[name]] = False
-
-    def response(states: np.ndarray) -> Response:
-        energy, slope = both(np.ascontiguousarray(states.T))
-        hessian = np.zeros((len(states), states.shape[1], states.shape[1]))
-        for m in np.flatnonzero(curved):
-            along = states.T.astype(complex)
-            along[m] += 1j * TINY
-            hessian[:, m] = hessian[:, :, m] = both(along)[1].imag.T / TINY
-        return Response(energy, np.ascontiguousarray(slope.T), hessian)
-
-    by_expression = respond(material, dim)
-    states = 1.0 + 0.1 * np.random.default_rng(0).standard_normal((20, material.states(dim).size))
-    one, other = response(states), by_expression(states)
-    for name in ("energy", "slope", "hessian"):
-        a, b = getattr(one, name), getattr(other, name)
-        known = np.isfinite(b)
-        if not np.allclose(a[known], b[known], rtol=1e-9, atol=1e-12 * abs(b[known]).max(initial=0.0)):
-            return by_expression  # an energy that means something else with arrays
-    return response

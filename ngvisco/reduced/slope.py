@@ -11,7 +11,7 @@ from ngvisco.forms.mesh.points import CellPoints
 from ngvisco.forms.system import Step
 from ngvisco.physics.arrays import slope_along
 from ngvisco.physics.material import conjugates
-from ngvisco.physics.pointwise import array_slope, respond, where_energy_is
+from ngvisco.physics.pointwise import ExpressionResponse, array_slope, where_energy_is
 
 
 class PointwiseSlope:
@@ -92,7 +92,8 @@ class PointwiseSlope:
         if self.response is None and (arrays := self._checked(z_values)) is not None:
             return lambda dz: slope_along(arrays, z_values, dz)
         if self._curvature is None:
-            self._curvature = respond(self.material, self.dim)
+            self._curvature = by_expression = ExpressionResponse(self.material, self.dim)
+            by_expression.check()
         hessian = self._curvature(z_values.T).hessian
         return lambda dz: np.einsum("pnm,mp->np", hessian, dz)
 

@@ -27,7 +27,7 @@ from ngvisco.errors import ParameterError, Quantity, require_choice
 from ngvisco.physics.material import ElasticState, Material
 from ngvisco.physics.materials.hyperelastic import continued_in_J, referential_volume
 from ngvisco.physics.parameters import Modulus
-from ngvisco.physics.tensors import Tensor, det, linear_map, square, tr
+from ngvisco.physics.tensors import Tensor, cof, det, linear_map, square, tr
 from ngvisco.physics.variables import (
     Cofactor,
     CofactorLeftCauchyGreen,
@@ -176,11 +176,9 @@ class Ogden(Material):
             both = zip(self.mu, self.alpha, strict=True)
             of = {abs(alpha) / 2: mu / alpha for mu, alpha in both if alpha * sign > 0}
             if self.elastic_state == "B":
-                one, squares, three = tr(A), square(A), det(A)
+                invariants = (tr(A), tr(cof(A)), det(A))
             else:
-                one, squares, three = square(A), square(A.trans * A), det(A) * det(A)
-            # without cof: NGSolve 6.2.2608 gives second derivatives of cofactors wrongly
-            invariants = (one, 0.5 * (one * one - squares), three)
+                invariants = (square(A), square(cof(A)), det(A) * det(A))
             phi = phi + powers_of_stretches(invariants, of) - 3 * sum(of.values())
         return phi
 

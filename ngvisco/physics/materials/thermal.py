@@ -29,7 +29,7 @@ import numpy as np
 from ngsolve import CF, Id
 
 from ngvisco.errors import ParameterError, Quantity
-from ngvisco.physics.material import ElasticState, Material, rest_stress_and_modulus
+from ngvisco.physics.material import ElasticState, Material, conjugates_along, rest_stress_and_modulus
 from ngvisco.physics.parameters import Modulus, substituted
 from ngvisco.physics.signals import sampled
 from ngvisco.physics.tensors import Tensor, exp, log, tr
@@ -298,4 +298,5 @@ def warming(material: Material, entropy: Entropy) -> float:
     typical = substituted(material, lambda expression: expression.typical)
     s = CF(1e-6).MakeVariable()  # a zero would be taken for a constant
     z = {v.name: v.from_distortion(Id(3)) for v in material.variables} | {entropy.name: s}
-    return float(np.mean(sampled(typical.energy(z).Diff(s).Diff(s)))) / entropy.unit
+    slope = conjugates_along(typical.energy(z), {entropy.name: s}, {entropy.name: CF(1.0)})
+    return float(np.mean(sampled(slope[entropy.name]))) / entropy.unit
