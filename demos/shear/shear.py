@@ -23,10 +23,10 @@ def exact(t: np.ndarray) -> np.ndarray:
 
 
 def simulation(dt: float = DT, scheme: str = "midpoint", **options) -> nv.Simulation:
-    """2 m x 1 m, periodic in x; the fields are uniform, so that four cells with m = 0 hold them exactly."""
+    """2 m x 1 m, periodic in x; the fields are uniform, so that four cells with k = 1, m = 0 hold them."""
     model = nv.Model(material=nv.LinearElastic(K_e=200.0, G_e=G), creep=nv.Creep(G_m=2 * ETA))
     options["walls"] = {"top": nv.PrescribedTangential((RATE, 0.0)), "bottom": nv.NoSlip()}
-    options |= {"initial": nv.Initial(velocity=(RATE * y, 0)), "discretisation": nv.Discretisation(m=0)}
+    options |= {"initial": nv.Initial(velocity=(RATE * y, 0)), "discretisation": nv.Discretisation(k=1, m=0)}
     return nv.Simulation(channel(2, 1, maxh=1), model, dt=dt, scheme=scheme, **options)
 
 

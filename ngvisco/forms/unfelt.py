@@ -3,7 +3,8 @@
 grad P_{m+1} = P_m: a variable of order m in cells feels the strains of velocities up to the order m + 1.
 For m < k - 1 there are velocities beyond, of which inertia and viscosity alone know; for k, m = 1, 0 or 2, 1
 there are none.  A wave in a box without viscosity, k = 2 and m = 0, has 63 % of its kinetic energy there
-after 2 s.  With Pi the cellwise projection on P_{m+1}
+after 2 s, so that a run needs a viscosity or a hyperviscosity that holds it.  With Pi the cellwise projection
+on P_{m+1}
 
     unfelt = 1/2 int rho |v - Pi v|^2 >= 0,
 
@@ -15,18 +16,40 @@ from __future__ import annotations
 import numpy as np
 from ngsolve import CF, CoefficientFunction, GridFunction, VectorL2
 
-from ngvisco.errors import InputWarning
+from ngvisco.errors import InputWarning, ParameterError
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.mesh.quadrature import Quadrature
 from ngvisco.forms.projections import LocalProjection
+from ngvisco.forms.spaces import Discretisation
 from ngvisco.forms.term import tested
 from ngvisco.parallel.communicator import Communicator
+from ngvisco.physics.model import Model
+from ngvisco.physics.parameters import typical_value
+from ngvisco.physics.rheology import StokesViscosity
 from ngvisco.physics.tensors import square
 
 UNFELT = "unfelt"
 """Ledger column of it, J; of runs with m < k - 1."""
 _SHARE = 0.1
 """The share of the kinetic energy from which on a warning is given."""
+
+
+def require_held(model: Model, orders: Discretisation) -> None:
+    """Raise ParameterError for m < k - 1 where nothing holds the motion that no variable feels.
+
+    A hyperviscosity holds it, or a viscosity of shear in every body.
+    """
+    k, m = orders.k, orders.m
+    if m >= k - 1 or model.hyperviscosity is not None:
+        return
+    laws = {f" of the body {body.name!r}": body.viscosity for body in model.bodies} or {"": model.viscosity}
+    for whose, law in laws.items():
+        if law is None or (isinstance(law, StokesViscosity) and typical_value(law.G_v) == 0):
+            expected = (
+                f"{k - 1}, or Discretisation(k={m + 1}, m={m}), or a viscosity of shear{whose}: with k = {k} "
+                f"and m = {m} nothing else holds motion within its cells, which no variable feels"
+            )
+            raise ParameterError("Discretisation.m", m, expected)
 
 
 class Unfelt:

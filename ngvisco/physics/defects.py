@@ -101,18 +101,17 @@ def drifts(material: Material, z: Values, traced: Collection[str] = ()) -> dict[
     return found
 
 
-def may_part(material: Material, moves: bool, m: int) -> str | None:
+def may_part(material: Material, moves: bool) -> str | None:
     """The message before a run of variables that may part; None where they hardly do.
 
-    ``moves`` says whether walls move, ``m`` is the order of the variables.
+    ``moves`` says whether walls move.
     """
     law = part_of(material, IsotropicElastic)  # type: ignore[type-abstract]
-    if law is None or law.is_by_B or not (moves or m == 0):
+    if law is None or law.is_by_B or not moves:
         return None
-    where = "with m = 0 there is motion that no variable feels" if m == 0 else "walls move, and F winds up"
     return (
-        f"by F, det F and J are carried each by itself, and {where}: where they differ by {DRIFT:.0%} in the "
-        f'mean of a cell the run ends; elastic_state = "B" frees no rest energy'
+        f"by F, det F and J are carried each by itself, and walls move, and F winds up: where they differ by "
+        f'{DRIFT:.0%} in the mean of a cell the run ends; elastic_state = "B" frees no rest energy'
     )
 
 

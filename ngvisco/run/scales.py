@@ -69,7 +69,7 @@ def scales(simulation: Simulation) -> Scales:
         k=step.discretisation.k,
         startup=simulation.integrator.startup,
         unborne=unborne_weight(step, simulation.sampler),
-        parting=may_part(material, bool(step.moving_walls.moving), step.discretisation.m),
+        parting=may_part(material, bool(step.moving_walls.moving)),
     )
 
 

@@ -31,6 +31,7 @@ from ngvisco.forms.start.initial import Initial, set_initial
 from ngvisco.forms.system import Step
 from ngvisco.forms.tension import Tension
 from ngvisco.forms.term import Term
+from ngvisco.forms.unfelt import require_held
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.mesh import distributed
 from ngvisco.parallel.petsc import require_petsc
@@ -161,6 +162,7 @@ class Simulation:
         self.stepper = time.stepper()
         self.rothe_step = Step(mesh, model, discretisation, sources, walls, terms, symmetry)
         self.stepper.require(self.rothe_step)
+        require_held(model, discretisation)
         require_names_of_their_own(model.material, self.rothe_step.layout.further, CARRIED)
         self.sampler = Sampler(mesh, self.rothe_step.quadrature)
         self.ranks = self.sampler.ranks

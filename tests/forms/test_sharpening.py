@@ -151,7 +151,8 @@ def test_what_would_not_hold_is_refused_by_name(options, said):
         bodies=bodies(options.get("material", LINEAR), options.get("density", 1.0))
     )
     time = nv.TimeSteps(dt=0.1, limiter=options.get("limiter", True))
-    discretisation = nv.Discretisation(k=2, m=options.get("m", 1), sharp=True)
+    m = options.get("m", 1)
+    discretisation = nv.Discretisation(k=m + 1, m=m, sharp=True)
     with pytest.raises(nv.ParameterError, match=rf"Discretisation.sharp.*{said}"):
         nv.Simulation(box((1, 1), 0.5), model, time=time, discretisation=discretisation)
 

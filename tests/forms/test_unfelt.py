@@ -12,11 +12,14 @@ from ngvisco.forms.unfelt import UNFELT
 from ngvisco.geometries import structured_box
 
 SMOOTH = {"velocity": (0.1 * sin(pi * x) * y, -0.1 * sin(pi * y) * x), "density": 2.0}
+SOLID = nv.ReferentialNeoHookean(K_e=10.0, G_e=5.0)
+FAINT = nv.StokesViscosity(K_v=0.0, G_v=1e-9)
+"""Held by a viscosity, and hardly."""
 
 
 def run_of(k, m, cells=(4, 4), solver="coupled", **start):
     space, mesh = nv.Discretisation(k=k, m=m), structured_box((1, 1), cells)
-    return small_run(mesh, discretisation=space, solver=solver, **(SMOOTH | start))
+    return small_run(mesh, discretisation=space, solver=solver, **(SMOOTH | {"viscosity": FAINT} | start))
 
 
 @pytest.mark.parametrize(("k", "m"), [(2, 0), (3, 0), (3, 1), (2, 1), (3, 2)])
@@ -53,3 +56,37 @@ def test_motion_within_cells_is_measured_and_said_once():
         row = run.ledger.start(0.0)
         run.ledger.state()
     assert len(said) == 1 and 0.1 * row["kinetic"] < row[UNFELT] < row["kinetic"]
+
+
+def bodies(of_disc, of_rest):
+    disc = nv.Body(
+        name="disc", where=nv.Ball((0.5, 0.5), 0.3), material=SOLID, density=1.0, viscosity=of_disc
+    )
+    return {"bodies": [disc, nv.Body(name="rest", material=SOLID, density=1.0, viscosity=of_rest)]}
+
+
+@pytest.mark.parametrize(("k", "m"), [(2, 0), (3, 0), (3, 1)])
+@pytest.mark.parametrize(
+    ("laws", "whose"),
+    [
+        ({}, "a viscosity of shear: with"),
+        ({"viscosity": nv.StokesViscosity(K_v=1.0, G_v=0.0)}, "a viscosity of shear: with"),
+        ({"creep": nv.Creep(G_m=1.0)}, "a viscosity of shear: with"),
+        (bodies(FAINT, None), "a viscosity of shear of the body 'rest': with"),
+    ],
+)
+def test_motion_that_nothing_holds_is_refused_with_the_remedy(k, m, laws, whose):
+    expected = rf"Discretisation.m = {m}: expected {k - 1}, or Discretisation\(k={m + 1}, m={m}\), or {whose}"
+    with pytest.raises(nv.ParameterError, match=expected):
+        small_run(discretisation=nv.Discretisation(k=k, m=m), **laws)
+
+
+@pytest.mark.parametrize(
+    "laws", [{"hyperviscosity": nv.HyperViscosity(mu=1e-4)}, {"viscosity": FAINT}, bodies(FAINT, FAINT)]
+)
+def test_what_holds_it_is_taken(laws):
+    small_run(discretisation=nv.Discretisation(m=0), **laws)
+
+
+def test_orders_that_feel_all_need_no_viscosity():
+    small_run(discretisation=nv.Discretisation(k=1, m=0))

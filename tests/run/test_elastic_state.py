@@ -110,12 +110,13 @@ def test_run_that_winds_up_warns_once_and_ends_by_name_with_the_remedy():
 
 
 def in_a_closed_box(state, m=0, speed=0.1, **options):
-    """A longitudinal wave in a box without viscosity, where m = 0 leaves motion that no variable feels."""
+    """A longitudinal wave in a box, where m = 0 leaves motion that no variable feels and little holds."""
     material = nv.ReferentialNeoHookean(K_e=10.0, G_e=2.0, elastic_state=state)
+    model = nv.Model(material=material, viscosity=nv.StokesViscosity(K_v=0.0, G_v=1e-9))
     start = nv.Initial(density=1.0, velocity=(speed * sin(pi * x / 4), 0))
     mesh, options = structured_box((4, 1), (8, 2)), {"dt": 0.04, "scheme": "midpoint"} | options
     space = nv.Discretisation(m=m)
-    return nv.Simulation(mesh, nv.Model(material=material), initial=start, discretisation=space, **options)
+    return nv.Simulation(mesh, model, initial=start, discretisation=space, **options)
 
 
 def drift(run):
@@ -197,5 +198,6 @@ def test_means_of_B_lose_no_determinant_and_those_of_rotations_do():
 
 def test_check_says_where_variables_may_part():
     by = {s: nv.ReferentialNeoHookean(K_e=10.0, G_e=2.0, elastic_state=s) for s in "FB"}
-    assert 'elastic_state = "B"' in may_part(by["F"], False, 0) and "walls move" in may_part(by["F"], True, 1)
-    assert may_part(by["F"], False, 1) is None and may_part(by["B"], True, 0) is None
+    said = may_part(by["F"], True)
+    assert 'elastic_state = "B"' in said and "walls move" in said
+    assert may_part(by["F"], False) is None and may_part(by["B"], True) is None

@@ -167,8 +167,10 @@ small_run(temperature=-0.5 + x, material=WARM) | temperature theta_0
 small_run(temperature=1.0) | Initial\.temperature
 small_run(material=WARM, heat=Heat(numerical_heating=True), scheme="midpoint")
   | numerical_heating.*backward Euler
-small_run(regularisation=Regularisation(delta_density=1), discretisation=Discretisation(m=0)) | delta_density
+small_run(regularisation=Regularisation(delta_density=1), discretisation=Discretisation(k=1, m=0))
+  | delta_density
 small_run(regularisation=Regularisation(delta_fields=0.3), material=FLAT) | WithQuadratic
+small_run(discretisation=Discretisation(m=0)) | Discretisation\.m = 0: expected 1, or .*k=1, m=0
 # steps
 Simulation(PLANE, MODEL) | TimeSteps\.dt = None
 Simulation(PLANE, MODEL, time=0.1) | Simulation\.time = 0\.1: expected a ngvisco.TimeSteps
