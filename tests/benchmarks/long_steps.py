@@ -6,11 +6,15 @@ processor time, and why it ended.  NAMEs are beginnings of "2D, linearised", "3D
 Cavities, recoils, impacts and released loads are in ``hard_starts``.
 """
 
+import os
 import sys
 import time
 from collections.abc import Iterator
 from functools import cache
 from itertools import product
+
+os.environ.setdefault("NGS_NUM_THREADS", "1")  # further ones wait actively, and processor time counts it
+os.environ.setdefault("NGVISCO_THREADS", "1")
 
 import numpy as np
 from ngsolve import CF, Mesh, cos, pi, sin, x, y, z
