@@ -15,7 +15,7 @@ from fractions import Fraction
 from functools import cache
 from pathlib import Path
 from types import NoneType, UnionType
-from typing import Any, NamedTuple, Union, get_args, get_origin, get_type_hints
+from typing import Any, Literal, NamedTuple, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
@@ -174,23 +174,22 @@ def as_integer(value: object) -> int | None:
 
 
 class Declared(NamedTuple):
-    """The declaration of a number that is a parameter: its range, and the types that are admitted."""
+    """The declaration of a parameter: its range, and the types that are admitted."""
 
     range: str
     kinds: tuple[Any, ...]
     mean: str = ""
 
     @property
-    def is_plain(self) -> bool:
-        """Whether nothing else than numbers and None is admitted."""
-        return {int, float, NoneType}.issuperset(self.kinds)
+    def is_number(self) -> bool:
+        """Whether numbers are admitted."""
+        return not {int, float}.isdisjoint(self.kinds)
 
     @property
     def expected(self) -> str:
         """In words, for messages."""
-        kind = "whole number" if float not in self.kinds else "number"
-        plain = kind == "whole number" or not (self.range == "" or self.range.startswith(">"))
-        return f"a {'' if plain else 'finite '}{kind} {self.range}".rstrip()
+        kinds = [kind for kind in self.kinds if kind in (int, float)] or self.kinds
+        return " or ".join(_words(kind, self.range) for kind in kinds if kind is not NoneType)
 
     def number(self, value: object) -> float | None:
         """The number that the value is, of Python's types; None where it is none of the range."""
@@ -198,6 +197,87 @@ class Declared(NamedTuple):
         if number is None or not _is_within(number, self.range):
             return None
         return value if isinstance(value, (int, float)) else number
+
+    def taken(self, field: str, value: object) -> Any:
+        """The value, with numbers of Python and sequences as tuples; raises ParameterError.
+
+        A type that is known to other packages alone takes any value.
+        """
+        if (value is None and NoneType in self.kinds) or not all(map(_is_known, self.kinds)):
+            return value
+        for kind in self.kinds:
+            if (taken := _taken(kind, self.range, value)) is not None:
+                return taken
+        raise ParameterError(field, value, self.expected)
+
+
+def _kinds(hint: Any) -> tuple[Any, ...]:
+    """The types of a union, or the one type."""
+    return get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
+
+
+def _is_known(kind: Any) -> bool:
+    """Whether a type can be checked here: one of Python, a class of this package, or a container."""
+    if not isinstance(kind, type) or get_origin(kind) is not None:
+        first, *others = get_args(kind) or (None,)
+        is_uniform = all(other in (first, Ellipsis) for other in others)
+        return get_origin(kind) in (Literal, Sequence, Mapping) or (get_origin(kind) is tuple and is_uniform)
+    is_ours = kind.__module__.partition(".")[0] == __name__.partition(".")[0]
+    return kind in (int, float, bool, str, NoneType) or (is_ours and not getattr(kind, "_is_protocol", False))
+
+
+def _taken(kind: Any, range: str, value: Any) -> Any:
+    """The value as a type takes it; None where it does not."""
+    container, parts = get_origin(kind), get_args(kind)
+    if container is Literal:
+        key = value if isinstance(value, str) else as_integer(value)
+        return key if key in parts else None
+    if container is Mapping:
+        is_mapping = isinstance(value, Mapping) and all(isinstance(name, str) for name in value)
+        return value if is_mapping and _members(parts[1], range, value.values()) is not None else None
+    if container is not None:
+        if isinstance(value, (str, bytes, Mapping)) or not hasattr(value, "__iter__"):
+            return None
+        count, members = _count(parts), _members(parts[0], range, value)
+        return members if members is None or count in (None, len(members)) else None
+    if kind in (int, float):
+        return Declared(range, (kind,)).number(value)
+    return value if isinstance(value, kind) else None
+
+
+def _members(hint: Any, range: str, values: Iterable[Any]) -> tuple[Any, ...] | None:
+    """The members of a container as their type takes them; None where it does not take one of them."""
+    kinds = _kinds(hint)
+    if not all(isinstance(kind, type) and _is_known(kind) for kind in kinds):
+        return tuple(values)
+    found = [next((t for k in kinds if (t := _taken(k, range, one)) is not None), None) for one in values]
+    return None if any(member is None for member in found) else tuple(found)
+
+
+def _count(parts: tuple[Any, ...]) -> int | None:
+    """How many members a tuple has; None for any number."""
+    return None if len(parts) == 1 or parts[-1] is Ellipsis else len(parts)
+
+
+def _words(kind: Any, range: str) -> str:
+    """A type and the range of its numbers, for messages."""
+    container, parts = get_origin(kind), get_args(kind)
+    if container is Literal:
+        return f"one of {', '.join(map(str, parts))}"
+    if container is not None:
+        kinds = _kinds(parts[1] if container is Mapping else parts[0])
+        plain = {float: f"finite numbers {range}", int: f"whole numbers {range}", str: "names"}
+        named = " or ".join(", ".join(k.__name__ for k in kinds).rsplit(", ", 1)) + " objects"
+        objects = plain.get(kinds[0], named).rstrip()
+        if container is Mapping:
+            return f"a mapping of names to {objects}" if all(map(_is_known, kinds)) else "a mapping of names"
+        return f"a sequence of {objects}" if (count := _count(parts)) is None else f"{count} {objects}"
+    if kind in (int, float):
+        whole, is_open = "whole " * (kind is int), range == "" or range.startswith(">")
+        return f"a {'finite ' * (is_open and not whole)}{whole}number {range}".rstrip()
+    if kind in (bool, str):
+        return "True or False" if kind is bool else "a text"
+    return f"a{'n' * (kind.__name__[0] in 'AEIOU')} {kind.__name__}"
 
 
 _RANGE = re.compile(r"(>=?|from|in) ([\[(]?)([\d./]+)(?:,? (?:to )?([\d./]+)([\])]?))?(?: degrees)?")
@@ -214,7 +294,7 @@ def _is_within(number: float, text: str) -> bool:
 
 @cache
 def declared(kind: type) -> dict[str, Declared]:
-    """The declarations by ``Quantity`` of a dataclass's parameters that are numbers.
+    """The declarations of a dataclass's parameters: their types, and what ``Quantity`` says of them.
 
     A class that annotates a parameter of its base anew, without a quantity, keeps the base's range.
     """
@@ -224,23 +304,22 @@ def declared(kind: type) -> dict[str, Declared]:
             for part in getattr(hint, "__metadata__", ()):
                 if isinstance(part, Quantity):
                     said[name] = part
-    kinds = {
-        name: get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
-        for name, hint in get_type_hints(kind).items()
-    }
-    numbers_of = {n: q for n, q in said.items() if {int, float} & set(kinds[n])}
-    return {n: Declared(q.range, kinds[n], q.mean) for n, q in numbers_of.items()}
+    hints = get_type_hints(kind)
+    names = [field.name for field in dataclasses.fields(kind) if field.init]
+    quantities = {name: said.get(name, Quantity()) for name in names}
+    return {name: Declared(q.range, _kinds(hints[name]), q.mean) for name, q in quantities.items()}
 
 
-def require_ranges(owner: Any) -> None:
-    """Raise ParameterError unless every number of a dataclass is in the range that its annotation says.
+def require_fields(owner: Any) -> None:
+    """Raise ParameterError unless every parameter of a dataclass is of the type and in the range that its
+    annotation says.
 
-    What may be None, by its annotation, may be left out; what may be more than a number is not looked at.
+    What may be more than a number of Python or an object of this package is not looked at.
     """
     for name, said in declared(type(owner)).items():  # type: ignore[arg-type]
         value = getattr(owner, name)
-        if said.is_plain and not (value is None and NoneType in said.kinds):
-            _require(owner, said, {name: value})
+        if (taken := said.taken(f"{type(owner).__name__}.{name}", value)) is not value:
+            object.__setattr__(owner, name, taken)
 
 
 def require_effect(owner: Any, has_effect: bool, where: str, *names: str) -> None:
@@ -263,29 +342,16 @@ def require_effect(owner: Any, has_effect: bool, where: str, *names: str) -> Non
             raise ParameterError(f"{type(owner).__name__}.{field.name}", value, expected)
 
 
-def require_positive(owner: object, **values: float) -> None:
+def require_positive(owner: str, **values: float) -> None:
     """Raise ParameterError unless every value is a finite number > 0."""
-    _require(owner, Declared("> 0", (float,)), values)
-
-
-def require_count(owner: object, **values: int) -> None:
-    """Raise ParameterError unless every value is an integer >= 1."""
-    _require(owner, Declared(">= 1", (int,)), values)
-
-
-def _require(owner: object, said: Declared, values: Mapping[str, object]) -> None:
     for name, value in values.items():
-        number = said.number(value)
-        if number is None:
-            kind = owner if isinstance(owner, str) else type(owner).__name__
-            raise ParameterError(f"{kind}.{name}", value, said.expected)
-        _keep(owner, name, number)
+        Declared("> 0", (float,)).taken(f"{owner}.{name}", value)
 
 
-def _keep(owner: object, name: str, value: object) -> None:
-    """Make a dataclass's parameter a number of Python: NGSolve knows no others."""
-    if dataclasses.is_dataclass(owner) and name in {f.name for f in dataclasses.fields(owner)}:
-        object.__setattr__(owner, name, value)
+def require_count(owner: str, **values: int) -> None:
+    """Raise ParameterError unless every value is an integer >= 1."""
+    for name, value in values.items():
+        Declared(">= 1", (int,)).taken(f"{owner}.{name}", value)
 
 
 def require_type(field: str, value: object, kind: type) -> None:
@@ -349,14 +415,3 @@ def as_place(field: str, value: object) -> tuple[float, ...]:
     if len(numbers := as_numbers(field, value, expected)) not in (2, 3):
         raise ParameterError(field, value, expected)
     return tuple(numbers)
-
-
-def require_choice(owner: object, choices: Sequence[object], **values: object) -> None:
-    """Raise ParameterError unless every value is one of ``choices``."""
-    for name, value in values.items():
-        key = value if value is None or isinstance(value, str) else as_integer(value)
-        if key not in choices or (key is None and value is not None):
-            raise ParameterError(
-                f"{type(owner).__name__}.{name}", value, f"one of {', '.join(map(str, choices))}"
-            )
-        _keep(owner, name, key)

@@ -11,7 +11,7 @@ import ngvisco.geometries as geometries
 from ngvisco.case.laws import custom_material, isotropic_strain_energy
 from ngvisco.forms.spaces import Discretisation
 from ngvisco.forms.start.initial import Initial
-from ngvisco.physics import activation, diffusion, flow_rules, heat, materials, model, rheology, walls
+from ngvisco.physics import activation, diffusion, flow_rules, heat, loads, materials, rheology, walls
 from ngvisco.physics.regularisation import Regularisation
 from ngvisco.run.stepping import TimeSteps
 from ngvisco.shapes import shape
@@ -78,7 +78,7 @@ VISCOSITIES: Kinds = {
 VISCOSITY_WRAPPERS: Kinds = _of(activation, "ActivatedViscosity")
 CREEPS: Kinds = {**FLOW_RULES, **FLOW_RULE_WRAPPERS}
 ALL_VISCOSITIES: Kinds = {**VISCOSITIES, **VISCOSITY_WRAPPERS}
-LOADS: Kinds = _of(model, "BodyForce CentralGravity Gravity")
+LOADS: Kinds = _of(loads, "BodyForce CentralGravity Gravity")
 WALLS: Kinds = _of(
     walls, "Inflow NavierFriction NoSlip Open PrescribedNormal PrescribedTangential Slip Traction"
 )

@@ -32,7 +32,7 @@ import copy
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from ngsolve import (
     H1,
@@ -47,7 +47,7 @@ from ngsolve import (
     VectorValued,
 )
 
-from ngvisco.errors import ParameterError, require_choice
+from ngvisco.errors import ParameterError, Quantity, require_fields
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.mesh.symmetry import NO_SYMMETRY, Symmetry
 from ngvisco.forms.term import Introducing, Place, Setting, Unknown
@@ -77,17 +77,13 @@ class Discretisation:
         Whether bodies of one density are put apart where transport smears their interfaces, with m = 1.
     """
 
-    k: int = 2
-    m: int = 1
-    quadrature_bonus: int = 0
+    k: Annotated[int, Quantity("1", "from 1 to 3")] = 2
+    m: Annotated[int, Quantity("1", "from 0 to 2")] = 1
+    quadrature_bonus: Annotated[int, Quantity("1", "from 0 to 12")] = 0
     sharp: bool = False
 
     def __post_init__(self) -> None:
-        require_choice(self, (1, 2, 3), k=self.k)
-        require_choice(self, (0, 1, 2), m=self.m)
-        require_choice(self, tuple(range(13)), quadrature_bonus=self.quadrature_bonus)
-        if not isinstance(self.sharp, bool):
-            raise ParameterError("Discretisation.sharp", self.sharp, "True or False")
+        require_fields(self)
 
 
 class Layout:

@@ -5,9 +5,9 @@ from abc import abstractmethod
 from dataclasses import dataclass
 from typing import Annotated, Any
 
-from ngvisco.errors import ParameterError, Quantity
+from ngvisco.errors import Quantity
 from ngvisco.physics.flow_rules.rule import FlowRule, Hardening
-from ngvisco.physics.parameters import Modulus, require_ranges, value_at
+from ngvisco.physics.parameters import Modulus, require_fields, value_at
 from ngvisco.physics.rheology import ValueOfModulus, Viscosity
 from ngvisco.physics.tensors import Tensor, exp, if_positive
 from ngvisco.physics.variables import PRESSURE, TEMPERATURE, Values
@@ -26,7 +26,7 @@ class _Activation:
     temperature: Annotated[Modulus | None, Quantity("K", "> 0", 300.0, "arithmetic")] = None
 
     def __post_init__(self) -> None:
-        require_ranges(self)
+        require_fields(self)
 
     @property
     def _reads(self) -> set[str]:
@@ -54,8 +54,6 @@ class _Faster(FlowRule):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not isinstance(self.rule, FlowRule):
-            raise ParameterError(f"{type(self).__name__}.rule", self.rule, "a flow rule")
         for name in ("nu", "q", "floor", "rate_floor", "reads_conjugate", "has_trace"):
             object.__setattr__(self, name, getattr(self.rule, name))
 
@@ -191,11 +189,6 @@ class ActivatedViscosity(_Activation, Viscosity):
     """
 
     viscosity: Viscosity
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not isinstance(self.viscosity, Viscosity):
-            raise ParameterError("ActivatedViscosity.viscosity", self.viscosity, "a viscosity")
 
     @property
     def reads(self) -> frozenset[str]:  # type: ignore[override]

@@ -6,7 +6,6 @@ X_i = n_i B, and where it hardens K_i = n_i k.  theta_i = n_i/sum n_j are fracti
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import reduce
 from operator import add
@@ -14,7 +13,7 @@ from typing import Any, Protocol, TypeAlias, runtime_checkable
 
 from ngsolve import CoefficientFunction, Det
 
-from ngvisco.errors import ParameterError, as_integer, as_number
+from ngvisco.errors import ParameterError, as_number, require_fields
 from ngvisco.physics.flow_rules import FlowRule
 from ngvisco.physics.heat import Heat
 from ngvisco.physics.material import Material, part_of
@@ -213,7 +212,8 @@ class Body:
         return {name: rule for name, rule in rules.items() if rule is not None and rule.flows}
 
     def __post_init__(self) -> None:
-        if not (isinstance(self.name, str) and self.name.isidentifier()):
+        require_fields(self)
+        if not self.name.isidentifier():
             raise ParameterError("Body.name", self.name, "an identifier of letters, digits and _")
         owner = f"bodies[{self.name!r}]"
         is_place = isinstance(self.where, (CoefficientFunction, Region)) and not isinstance(self.where, type)
@@ -222,34 +222,11 @@ class Body:
             raise ParameterError(f"{owner}.where", self.where, expected)
         if isinstance(self.where, CoefficientFunction) and (self.where.dim != 1 or self.where.is_complex):
             raise ParameterError(f"{owner}.where", self.where, "a real scalar function of x, y, z")
-        kinds = {"material": Material, "viscosity": Viscosity, "creep": FlowRule, "heat": Heat}
-        require_parts(self, owner, "material", kinds)
         density = as_number(self.material.referential_density if self.density is None else self.density)
         if density is None or density <= 0:
             expected = "a number > 0, kg/m^3: a body has mass (of a material with rho_R that is the default)"
             raise ParameterError(f"{owner}.density", self.density, expected)
         object.__setattr__(self, "density", density)
-        if (order := as_integer(self.order)) is None:
-            raise ParameterError(f"{owner}.order", self.order, "an integer")
-        if self.where is None and order != 0:
+        if self.where is None and self.order != 0:
             expected = "0 without a place: the rest is below all others"
             raise ParameterError(f"{owner}.order", self.order, expected)
-        object.__setattr__(self, "order", order)
-
-
-def require_parts(
-    whole: object,
-    owner: str,
-    needed: str,
-    kinds: Mapping[str, type],
-    expected: Mapping[str, str] | None = None,
-) -> None:
-    """Raise ParameterError unless parts of a model or a body are of their kinds, or None if not ``needed``.
-
-    ``expected`` says what a part has to be where its kind does not say it.
-    """
-    for name, kind in kinds.items():
-        value = getattr(whole, name)
-        if not (isinstance(value, kind) or (value is None and name != needed)):
-            text = (expected or {}).get(name, f"a {kind.__name__}")
-            raise ParameterError(f"{owner}.{name}", value, text)

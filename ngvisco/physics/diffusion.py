@@ -7,7 +7,7 @@ from typing import Annotated
 from ngvisco.errors import ParameterError, Quantity
 from ngvisco.physics.heat import Function
 from ngvisco.physics.material import Material
-from ngvisco.physics.parameters import require_ranges
+from ngvisco.physics.parameters import require_fields
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,7 +32,7 @@ class WallExchange:
     flux: Annotated[Function | None, Quantity("m/s", example=0.1)] = None
 
     def __post_init__(self) -> None:
-        require_ranges(self)
+        require_fields(self)
         if (self.potential is None) != (self.coefficient is None):
             missing = "potential" if self.potential is None else "coefficient"
             expected = "a value: potential and coefficient go together"
@@ -65,12 +65,7 @@ class Diffusion:
     )
 
     def __post_init__(self) -> None:
-        require_ranges(self)
-        if not isinstance(self.walls, Mapping):
-            raise ParameterError("Diffusion.walls", self.walls, "a mapping of wall names to WallExchange")
-        for name, wall in self.walls.items():
-            if not isinstance(wall, WallExchange):
-                raise ParameterError(f"Diffusion.walls[{name!r}]", wall, "a WallExchange object")
+        require_fields(self)
 
     def require(self, material: Material) -> None:
         """Raise ParameterError for a material that does not carry the variable, or not so."""

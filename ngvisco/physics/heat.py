@@ -15,7 +15,7 @@ import numpy as np
 from ngsolve import CoefficientFunction
 
 from ngvisco.errors import ParameterError, Quantity, as_number
-from ngvisco.physics.parameters import require_ranges
+from ngvisco.physics.parameters import require_fields
 from ngvisco.physics.tensors import linear_map
 from ngvisco.physics.variables import Values
 
@@ -53,7 +53,7 @@ class WallHeat:
     friction_share: Annotated[float, Quantity("1", "in [0, 1]", 0.5)] = 1.0
 
     def __post_init__(self) -> None:
-        require_ranges(self)
+        require_fields(self)
         if (self.temperature is None) != (self.coefficient is None):
             missing = "temperature" if self.temperature is None else "coefficient"
             expected = "a value: temperature and coefficient go together"
@@ -87,7 +87,7 @@ class Heat:
     numerical_heating: bool = False
 
     def __post_init__(self) -> None:
-        require_ranges(self)
+        require_fields(self)
         given, owner = self.conductivity, "Heat.conductivity"
         number = as_number(given)
         if number is not None:

@@ -15,7 +15,7 @@ from ngvisco.errors import (
     as_number,
     as_place,
     require_effect,
-    require_ranges,
+    require_fields,
 )
 
 VectorLike: TypeAlias = CoefficientFunction | Sequence[float | CoefficientFunction]
@@ -82,7 +82,7 @@ class CentralGravity:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "centre", as_place("CentralGravity.centre", self.centre))
-        require_ranges(self)
+        require_fields(self)
         require_effect(
             self, self.exponent != 0, "with exponent = 0, which is the same at every radius", "radius"
         )

@@ -26,7 +26,7 @@ import numpy as np
 from ngsolve import CF, Id
 
 from ngvisco.errors import ParameterError
-from ngvisco.physics.parameters import Modulus, require_ranges, substituted
+from ngvisco.physics.parameters import Modulus, require_fields, substituted
 from ngvisco.physics.signals import sampled
 from ngvisco.physics.tensors import (
     IDENTITY,
@@ -144,7 +144,7 @@ class Material(ABC):
     """The parameter that the energy is given by, for messages."""
 
     def __post_init__(self) -> None:
-        require_ranges(self)
+        require_fields(self)
 
     @property
     @abstractmethod
@@ -383,11 +383,6 @@ class Wrapper(Material):
     """
 
     material: Material
-
-    def __post_init__(self) -> None:
-        if not isinstance(self.material, Material):
-            raise ParameterError(f"{type(self).__name__}.material", self.material, "a Material")
-        super().__post_init__()
 
     def with_elastic_state(self, state: ElasticState) -> Self:
         return replace(self, material=self.material.with_elastic_state(state))

@@ -2,17 +2,18 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from operator import attrgetter
 from typing import Any
 
-from ngvisco.errors import ParameterError
-from ngvisco.physics.bodies import Body, Fractions, require_parts
+from ngvisco.errors import ParameterError, declared, require_fields
+from ngvisco.physics.bodies import Body, Fractions
 from ngvisco.physics.diffusion import Diffusion
 from ngvisco.physics.energy_checks import check_energy
 from ngvisco.physics.flow_rules import FlowRule
 from ngvisco.physics.flow_rules.check import check_rule, check_viscosity
 from ngvisco.physics.flow_rules.rule import PLASTIC_CONTENT, Hardening, PlasticContent
 from ngvisco.physics.heat import Heat, HeatLaw
-from ngvisco.physics.loads import BodyForce, CentralGravity, Gravity, Load, check_name
+from ngvisco.physics.loads import Load, check_name
 from ngvisco.physics.material import ElasticState, Material, check_material, part_of
 from ngvisco.physics.materials.damaged import Damaged
 from ngvisco.physics.materials.network import Network
@@ -120,8 +121,10 @@ class Model:
 
     def __post_init__(self) -> None:
         self._take_bodies()
-        require_parts(self, "Model", "material", _KINDS, _EXPECTED)
-        self._take_loads()
+        require_fields(self)
+        for load in self.loads:
+            check_name(load)
+        _require_distinct("Model.loads", [load.name for load in self.loads])
         check_material(self.material)
         names = ("material", "viscosity", "hyperviscosity", "creep")
         taken = [] if entropy_in(self.material) is None else [TEMPERATURE]
@@ -208,16 +211,6 @@ class Model:
         parts |= {body.name: body.heat for body in self.bodies if body.heat is not None}
         return HeatLaw(parts, self.material.fractions if isinstance(self.material, Mixture) else None)
 
-    def _take_loads(self) -> None:
-        if not isinstance(self.loads, (tuple, list)):
-            raise ParameterError("Model.loads", self.loads, "a sequence of Gravity or BodyForce objects")
-        object.__setattr__(self, "loads", tuple(self.loads))
-        for load in self.loads:
-            if not isinstance(load, (Gravity, CentralGravity, BodyForce)):
-                raise ParameterError("Model.loads", load, "Gravity, CentralGravity or BodyForce objects")
-            check_name(load)
-        _require_distinct("Model.loads", [load.name for load in self.loads])
-
     def _check_heat_and_damage(self, material: Material) -> None:
         entropy = entropy_in(material)
         if self.heat is not None and entropy is None:
@@ -240,9 +233,7 @@ class Model:
 
     def _take_bodies(self) -> None:
         """Make material, viscosity and creep those of the bodies, where there are such."""
-        if not isinstance(self.bodies, (tuple, list)) or not all(isinstance(b, Body) for b in self.bodies):
-            raise ParameterError("Model.bodies", self.bodies, "a sequence of Body objects")
-        object.__setattr__(self, "bodies", tuple(self.bodies))
+        object.__setattr__(self, "bodies", declared(Model)["bodies"].taken("Model.bodies", self.bodies))
         if not self.bodies:
             return
         for name in ("material", "viscosity", "creep"):
@@ -270,7 +261,7 @@ class Model:
                     raise ParameterError(f"Regularisation.{name}", given, f"{none} with bodies: {why}")
         for body in self.bodies:
             for part, fault in _faults(body, self.bodies):
-                raise ParameterError(f"bodies[{body.name!r}].{part}", _value(body, part), fault)
+                raise ParameterError(f"bodies[{body.name!r}].{part}", attrgetter(part)(body), fault)
         mixture = Mixture(bodies=self.bodies)
         object.__setattr__(self, "material", mixture)
         object.__setattr__(self, "viscosity", mixed_viscosity(mixture.bodies))
@@ -280,16 +271,6 @@ MOST_DENSER = 1e10
 """Ratio of bodies' densities above which the momentum of the lighter one is below the tolerance, 1e-10, of a
 solver that sees both in one cell."""
 
-_KINDS = {
-    "material": Material,
-    "viscosity": Viscosity,
-    "hyperviscosity": HyperViscosity,
-    "creep": FlowRule,
-    "regularisation": Regularisation,
-    "heat": Heat,
-    "diffusion": Diffusion,
-}
-_EXPECTED = {"viscosity": "a StokesViscosity or another viscosity", "creep": "a Creep or another FlowRule"}
 _NO_TEMPERATURE = "None for a material without a temperature; nv.Thermal(material=...) gives it one"
 
 
@@ -325,13 +306,6 @@ def _faults(body: Body, bodies: Sequence[Body]) -> Iterable[tuple[str, str]]:
             yield key, "nu = 0: the creep of several bodies is local"
         if rule.reads_conjugate or rule.has_trace:
             yield key, "a flow rule that reads no conformation tensor, which no body has"
-
-
-def _value(body: Body, part: str) -> Any:
-    value: Any = body
-    for name in part.split("."):
-        value = getattr(value, name)
-    return value
 
 
 def _require_bulk(material: Material) -> None:

@@ -34,7 +34,7 @@ import numpy as np
 from ngsolve import CF, CoefficientFunction
 
 from ngvisco import errors
-from ngvisco.errors import Declared, ParameterError, as_number, declared, require_choice
+from ngvisco.errors import Declared, ParameterError, as_number, declared
 from ngvisco.physics.signals import reads_time
 from ngvisco.physics.tensors import Tensor, exp, if_positive, log
 from ngvisco.physics.variables import Values, Variable
@@ -208,7 +208,7 @@ class Parameter(Variable, ParameterExpression):
         if number is None and self.start is not None and reads_time(self.start):
             expected = "a function of the initial place; it reads the time, and is carried from the start on"
             raise ParameterError("Parameter.start", self.start, expected)
-        require_choice(self, ("arithmetic", "geometric", "harmonic", "root"), mean=self.mean)
+        declared(Parameter)["mean"].taken("Parameter.mean", self.mean)
         positive = self.mean in ("geometric", "harmonic")
         if math.isnan(self.typical):
             usual = 1.0 if positive else 0.5
@@ -266,14 +266,15 @@ def typical_value(modulus: Modulus) -> float:
     return modulus.typical if isinstance(modulus, ParameterExpression) else float(modulus)
 
 
-def require_ranges(owner: Any) -> None:
-    """Raise ParameterError unless every parameter of a dataclass is in the range that its annotation says.
+def require_fields(owner: Any) -> None:
+    """Raise ParameterError unless every parameter of a dataclass is of the type and in the range that its
+    annotation says.
 
     Moduli may be functions of the initial place and expressions too, others functions of the actual one.
     """
     for name, said in declared(type(owner)).items():  # type: ignore[arg-type]
         value, full = getattr(owner, name), f"{type(owner).__name__}.{name}"
-        if said.is_plain or (value is None and type(None) in said.kinds):
+        if not said.is_number or (value is None and type(None) in said.kinds):
             continue
         if ParameterExpression in said.kinds:
             object.__setattr__(owner, name, _as_modulus(full, value, said))
@@ -282,7 +283,7 @@ def require_ranges(owner: Any) -> None:
                 expected = f"{said.expected}, or a scalar function of the place and the time"
                 raise ParameterError(full, value, expected)
             object.__setattr__(owner, name, number)
-    errors.require_ranges(owner)
+    errors.require_fields(owner)
 
 
 def _as_modulus(full: str, value: object, said: Declared) -> Modulus:

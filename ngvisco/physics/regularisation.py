@@ -20,7 +20,7 @@ from ngsolve import CF
 from ngvisco.errors import ParameterError, Quantity, require_effect
 from ngvisco.physics.energy_checks import StateSampling
 from ngvisco.physics.material import Material
-from ngvisco.physics.parameters import require_ranges
+from ngvisco.physics.parameters import require_fields
 from ngvisco.physics.pointwise import respond, rest_state
 from ngvisco.physics.tensors import Scalar, Tensor, if_positive, is_even, power_of_square
 
@@ -70,7 +70,7 @@ class Regularisation:
     floor: Annotated[float, Quantity("1", "> 0")] = 1e-10
 
     def __post_init__(self) -> None:
-        require_ranges(self)
+        require_fields(self)
         diffuses, rubs = self.delta_density > 0, self.epsilon > 0
         require_effect(self, diffuses, "with delta_density = 0", "r", "gradient_floor")
         require_effect(self, rubs, "with epsilon = 0", "p")

@@ -12,8 +12,8 @@ from typing import Annotated, Any, Literal, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ngvisco.errors import ParameterError, Quantity, require_choice, require_effect
-from ngvisco.physics.parameters import Modulus, require_ranges, value_at
+from ngvisco.errors import ParameterError, Quantity, require_effect
+from ngvisco.physics.parameters import Modulus, require_fields, value_at
 from ngvisco.physics.tensors import (
     Scalar,
     Tensor,
@@ -47,7 +47,7 @@ class Viscosity(ABC):
     """Whether D is linear in eps."""
 
     def __post_init__(self) -> None:
-        require_ranges(self)
+        require_fields(self)
 
     @abstractmethod
     def stress(self, eps: Tensor, z: Values) -> Tensor:
@@ -259,7 +259,7 @@ class LinearViscosity(Viscosity):
     is_linear = True
 
     def __post_init__(self) -> None:
-        require_choice(self, ("mandel", "voigt", "tensor"), notation=self.notation)
+        super().__post_init__()
         eigenvalues, modes = np.linalg.eigh(self.mandel)
         if eigenvalues[0] < -_TOLERANCE * max(abs(eigenvalues[-1]), abs(eigenvalues[0])):
             entries = zip(modes[:, 0] / _WEIGHTS, PAIRS, strict=True)
@@ -370,7 +370,7 @@ class HyperViscosity:
     floor: Annotated[float, Quantity("1/(m s)", "> 0")] = 1e-10
 
     def __post_init__(self) -> None:
-        require_ranges(self)
+        require_fields(self)
         require_effect(self, not is_even(self.p), "with p an even integer", "floor")
 
     @property

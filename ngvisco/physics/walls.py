@@ -10,10 +10,10 @@ from typing import Annotated
 
 from ngsolve import CoefficientFunction
 
-from ngvisco.errors import ParameterError, Quantity, as_numbers
+from ngvisco.errors import Quantity
 from ngvisco.physics.heat import Function, WallHeat
 from ngvisco.physics.loads import VectorLike
-from ngvisco.physics.parameters import require_ranges
+from ngvisco.physics.parameters import require_fields
 
 
 @dataclass(frozen=True)
@@ -29,6 +29,9 @@ class Wall:
     straight = False
     """Whether straight facets are meant, see ``Slip``."""
     heat: WallHeat | None = field(default=None, kw_only=True)
+
+    def __post_init__(self) -> None:
+        require_fields(self)
 
 
 @dataclass(frozen=True)
@@ -85,9 +88,6 @@ class Traction(Wall):
     friction: Annotated[float, Quantity("Pa s/m", ">= 0", 0.1)] = 0.0
     straight: bool = False
 
-    def __post_init__(self) -> None:
-        require_ranges(self)
-
 
 @dataclass(frozen=True)
 class NavierFriction(Wall):
@@ -105,9 +105,6 @@ class NavierFriction(Wall):
 
     coefficient: Annotated[float | CoefficientFunction, Quantity("Pa s/m", ">= 0", 0.1)]
     straight: bool = False
-
-    def __post_init__(self) -> None:
-        require_ranges(self)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -127,12 +124,6 @@ class Passage(Wall):
     )
     temperature: Annotated[Function | None, Quantity("K", "> 0", 300.0)] = None
     displacement: Annotated[bool, Quantity(example=True)] = False
-
-    def __post_init__(self) -> None:
-        for name in ("values", "amounts"):
-            if not isinstance(value := getattr(self, name), Mapping):
-                expected = f"a mapping of {'variable' if name == 'values' else 'body'} names to functions"
-                raise ParameterError(f"{type(self).__name__}.{name}", value, expected)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -218,15 +209,6 @@ class Open(Passage):
     impedance: Annotated[tuple[float, float], Quantity("Pa s/m", ">= 0", [1.0, 0.5])] = (0.0, 0.0)
     stiffness: Annotated[tuple[float, float], Quantity("Pa/m", ">= 0", [100.0, 0.0])] = (0.0, 0.0)
     backflow: bool = True
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        for name, pair in (("impedance", "Z_p and Z_s"), ("stiffness", "k_p and k_s")):
-            given, expected = getattr(self, name), f"two numbers >= 0, {pair}"
-            numbers = as_numbers(f"Open.{name}", given, expected)
-            if len(numbers) != 2 or min(numbers) < 0:
-                raise ParameterError(f"Open.{name}", given, expected)
-            object.__setattr__(self, name, tuple(numbers))
 
 
 MOVING = PrescribedTangential, Inflow, PrescribedNormal

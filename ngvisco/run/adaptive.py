@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated
 
-from ngvisco.errors import NgviscoWarning, ParameterError, Quantity, require_ranges
+from ngvisco.errors import NgviscoWarning, ParameterError, Quantity, require_fields
 from ngvisco.forms.damage import CRACKED, GROWTH
 
 if TYPE_CHECKING:
@@ -69,7 +69,7 @@ class AdaptiveSteps:
     damage_growth: Annotated[float | None, Quantity("1", "in (0, 1]", 0.05)] = None
 
     def __post_init__(self) -> None:
-        require_ranges(self)
+        require_fields(self)
         if self.dt_max < self.dt_min:
             raise ParameterError("AdaptiveSteps.dt_max", self.dt_max, f"at least dt_min = {self.dt_min:g}")
 

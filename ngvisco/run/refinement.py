@@ -25,7 +25,7 @@ from ngvisco.errors import (
     Quantity,
     UnknownNameError,
     as_number,
-    require_ranges,
+    require_fields,
     require_type,
 )
 from ngvisco.forms.mesh.mesh_arrays import coordinates, is_simplicial, vertices
@@ -73,7 +73,7 @@ class Refinement:
     every: Annotated[float, Quantity("s", "> 0", 0.1)]
 
     def __post_init__(self) -> None:
-        require_ranges(self)
+        require_fields(self)
 
     def check(self, simulation: Simulation) -> None:
         """Raise MeshError, ParameterError or UnknownNameError unless a run can follow its field."""

@@ -9,7 +9,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Any, Protocol, cast
 
 from ngsolve import CoefficientFunction, Mesh
 
@@ -48,7 +48,7 @@ from ngvisco.run.passive import CARRIED, PassiveFields
 from ngvisco.run.ranks import Numbering, ending_all_ranks, tell
 from ngvisco.run.scales import diameter, typical_velocity
 from ngvisco.run.stepping import AdaptiveStepper, Rejection, TimeSteps, time_steps
-from ngvisco.solver.options import NewtonOptions
+from ngvisco.solver.options import Method, NewtonOptions
 from ngvisco.solver.rothe import RotheSolver
 from ngvisco.threads import computing
 from ngvisco.timestepping.integrator import Integrator
@@ -177,7 +177,7 @@ class Simulation:
         F_0 = set_initial(self.rothe_step, initial, self.sampler)
         typical = time.velocity_scale or typical_velocity(self.rothe_step, self.sampler, self.dt)
         self.set_velocity_scale(float(typical))
-        options = newton if solver is None else replace(newton, method=solver)
+        options = newton if solver is None else replace(newton, method=cast(Method, solver))
         self.bounds = Bounds(self.rothe_step, self.sampler, time.limiter, time.drift)
         self.solver = RotheSolver(self.rothe_step, options, self.bounds.refusal)
         closed = closure_limit(options.tolerance)

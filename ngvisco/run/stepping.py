@@ -35,7 +35,7 @@ from ngvisco.errors import (
     StepError,
     UnknownNameError,
     require_effect,
-    require_ranges,
+    require_fields,
     require_type,
 )
 from ngvisco.physics.defects import DRIFT
@@ -115,11 +115,8 @@ class TimeSteps:
     adaptive: AdaptiveSteps | None = None
 
     def __post_init__(self) -> None:
-        require_ranges(self)
-        for name in ("relaxation", "limiter"):
-            require_type(f"TimeSteps.{name}", getattr(self, name), bool)
+        require_fields(self)
         if self.adaptive is not None:
-            require_type("TimeSteps.adaptive", self.adaptive, AdaptiveSteps)
             least, most = self.adaptive.dt_min, self.adaptive.dt_max
             if not least <= self.dt <= most:
                 expected = f"a number from {least:g} to {most:g}, dt_min to dt_max"

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from ngvisco.errors import ParameterError, Quantity, as_place, require_path, require_ranges, require_type
+from ngvisco.errors import ParameterError, Quantity, as_place, require_fields, require_path
 from ngvisco.shapes.places import Places
 from ngvisco.shapes.shape import Shape, require_dim
 
@@ -45,7 +45,7 @@ class ClosedSurface(Shape):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "path", str(require_path("ClosedSurface.path", self.path)))
-        require_ranges(self)
+        require_fields(self)
         self.triangles  # read and checked  # noqa: B018
 
     @cached_property
@@ -269,8 +269,7 @@ class Image(Shape):
             raise ParameterError("Image.high", self.high, f"two coordinates above those of low = {low}")
         object.__setattr__(self, "low", low)
         object.__setattr__(self, "high", high)
-        require_ranges(self)
-        require_type("Image.dark", self.dark, bool)
+        require_fields(self)
         self.grey  # read and checked  # noqa: B018
 
     @cached_property

@@ -19,9 +19,7 @@ from ngvisco.errors import (
     Quantity,
     UnknownNameError,
     as_place,
-    require_collection,
-    require_names,
-    require_ranges,
+    require_fields,
 )
 from ngvisco.shapes.fractions import fractions
 from ngvisco.shapes.places import Places
@@ -61,10 +59,9 @@ class Union(Shape):
     shapes: Sequence[Shape]
 
     def __post_init__(self) -> None:
-        shapes = tuple(require_collection("Union.shapes", self.shapes, "a sequence of shapes"))
-        if not shapes or not all(isinstance(shape, Shape) for shape in shapes):
-            raise ParameterError("Union.shapes", self.shapes, "shapes, at least one")
-        object.__setattr__(self, "shapes", shapes)
+        require_fields(self)
+        if not self.shapes:
+            raise ParameterError("Union.shapes", self.shapes, "at least one shape")
 
     def level(self, at: Places) -> np.ndarray:
         return np.max([shape.level(at) for shape in self.shapes], axis=0)
@@ -128,7 +125,7 @@ class Ball(Shape):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "centre", as_place("Ball.centre", self.centre))
-        require_ranges(self)
+        require_fields(self)
 
     def level(self, at: Places) -> np.ndarray:
         require_dim("Ball.centre", self.centre, at.mesh)
@@ -285,10 +282,11 @@ class Subdomain(Shape):
     names: Annotated[str | Sequence[str], Quantity(example=["inclusion"])]
 
     def __post_init__(self) -> None:
-        names = (self.names,) if isinstance(self.names, str) else require_names("Subdomain.names", self.names)
-        if not names:
+        require_fields(self)
+        if not self.names:
             raise ParameterError("Subdomain.names", self.names, "at least one name")
-        object.__setattr__(self, "names", tuple(names))
+        if isinstance(self.names, str):
+            object.__setattr__(self, "names", (self.names,))
 
     def level(self, at: Places) -> np.ndarray:
         known = at.mesh.GetMaterials()

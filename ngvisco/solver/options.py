@@ -7,28 +7,25 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
-from typing import Annotated
+from typing import Annotated, Literal, TypeAlias, get_args
 
 from ngsolve.la import SparseMatrixd
 
 from ngvisco.errors import (
     ParameterError,
     Quantity,
-    as_integer,
-    require_choice,
     require_effect,
-    require_ranges,
-    require_type,
+    require_fields,
 )
 from ngvisco.parallel.petsc import obstacle
 
-METHODS = ("auto", "coupled", "split")
-COARSE = ("direct", "gamg", "hypre")
-INVERSES = ("umfpack", "pardiso", "mumps")
+Method: TypeAlias = Literal["auto", "coupled", "split"]
+Inverse: TypeAlias = Literal["umfpack", "pardiso", "mumps"]
 _ROUNDING = 1e-14
 
 Positive = Annotated[float, Quantity("1", "> 0")]
 Count = Annotated[int, Quantity("1", ">= 1")]
+Pair = Annotated[tuple[int, int], Quantity("1", ">= 0")]
 Share = Annotated[float, Quantity("1", "in (0, 1)")]
 
 
@@ -36,7 +33,7 @@ Share = Annotated[float, Quantity("1", "in (0, 1)")]
 class SplitOptions:
     """The split solver's choice, iteration and linear systems."""
 
-    chosen_from: tuple[int, int] = (60, 10)
+    chosen_from: Pair = (60, 10)
     """Cells from which ``method = "auto"`` takes it: from there it is the faster one (tests/benchmarks)."""
     margin: Positive = 0.1
     """The error that may be left, in tolerances, when the last increment, which is below one, has been added:
@@ -63,9 +60,9 @@ class SplitOptions:
     """Increment, relative to the smallest velocities, from which a stall may be rounding."""
     flow_iterations: Count = 30
     """Iterations for the flow's linear system at most."""
-    direct_up_to: tuple[int, int] = (3_000, 3_000)
+    direct_up_to: Pair = (3_000, 3_000)
     """Unknowns of v up to which its tangent is factorised as a whole; above, two levels are faster."""
-    direct_at_most: tuple[int, int] = (100_000, 15_000)
+    direct_at_most: Pair = (100_000, 15_000)
     """Unknowns of v up to which it is so in what is left of a step, where ``flow_iterations`` by two levels
     do not solve the flow's system."""
     krylov_below: Positive = 0.05
@@ -76,12 +73,7 @@ class SplitOptions:
     forms."""
 
     def __post_init__(self) -> None:
-        require_ranges(self)
-        for name in ("chosen_from", "direct_up_to", "direct_at_most"):
-            value = getattr(self, name)
-            numbers = [as_integer(number) for number in value] if isinstance(value, tuple) else []
-            if len(numbers) != 2 or any(n is None or n < 0 for n in numbers):
-                raise ParameterError(f"SplitOptions.{name}", value, "two integers >= 0, in 2D and in 3D")
+        require_fields(self)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -123,26 +115,22 @@ class NewtonOptions:
     max_iterations: Count = 60
     refresh: Share = 0.25
     min_damping: Share = 1e-3
-    inverse: str = "umfpack"
-    coarse: str = "direct"
-    method: str = "auto"
+    inverse: Inverse = "umfpack"
+    coarse: Literal["direct", "gamg", "hypre"] = "direct"
+    method: Method = "auto"
     threads: Annotated[int | None, Quantity("1", ">= 1")] = None
     split: SplitOptions = SplitOptions()
 
     def __post_init__(self) -> None:
-        require_ranges(self)
-        require_type("NewtonOptions.split", self.split, SplitOptions)
+        require_fields(self)
         if self.tolerance < _ROUNDING:
             expected = f"at least {_ROUNDING:g}, which rounding leaves"
             raise ParameterError("NewtonOptions.tolerance", self.tolerance, expected)
         # sparsecholesky returns nonsense for nonsymmetric matrices, silently
-        require_choice(self, INVERSES, inverse=self.inverse)
         if not is_available(self.inverse):
-            have = ", ".join(filter(is_available, INVERSES))
+            have = ", ".join(filter(is_available, get_args(Inverse)))
             expected = f"{have}: this installation of NGSolve has no other one ready"
             raise ParameterError("NewtonOptions.inverse", self.inverse, expected)
-        require_choice(self, METHODS, method=self.method)
-        require_choice(self, COARSE, coarse=self.coarse)
         is_split, where = self.method == "split", "with the method 'split'"
         require_effect(self, not is_split, where, "refresh", "min_damping", "inverse")
         require_effect(self, self.method != "coupled", "with the method 'coupled'", "split", "threads")

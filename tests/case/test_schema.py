@@ -80,7 +80,7 @@ CASE | dt = 0.02 -> dt = true | case.toml:28: time.dt: true: expected a number
 CASE | until = 0.1 -> until = 0.11 | time.until: 0.11: expected a multiple of dt = 0.02
 CASE | until = 0.1 -> until = 0.1; [solver]; max_iterations = 2.5 | expected a whole number
 CASE | until = 0.1 -> until = 0.1; [solver]; coarse = "amg"
-  | solver.coarse: 'amg': expected one of direct, gamg, hypre
+  | solver.coarse: 'amg': expected 'direct', 'gamg' or 'hypre'
 CASE | until = 0.1 -> until = 0.1; [output.vtk]; interval = 0.03 | output.vtk.interval: 0.03: expected a mult
 CASE | until = 0.1 -> until = 0.1; [time.adaptive]; dt_min = 1; dt_max = 0.1 | time.adaptive.dt_max: 0.1
 CASE | title = "a case" -> title = 3 | case.toml:1: title: 3: expected a text in quotes

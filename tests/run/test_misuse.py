@@ -162,7 +162,7 @@ small_run(material=BROKEN, values={"grad_damage": CF(0)}) | grad_damage
 small_run(material=BROKEN, values={"damage": CF(1.5)}) | parameter damage: from 1\.5 to 1\.5
 Model(material=LINEAR, heat=Heat()) | Model\.heat
 small_run(walls={"left": Slip(heat=WallHeat(flux=1.0))}) | walls\['left'\]\.heat
-small_run(walls={"left": Slip(heat=3.0)}, material=WARM) | walls\['left'\]\.heat
+small_run(walls={"left": Slip(heat=3.0)}, material=WARM) | Slip\.heat = 3\.0: expected a WallHeat
 small_run(temperature=-0.5 + x, material=WARM) | temperature theta_0
 small_run(temperature=1.0) | Initial\.temperature
 small_run(material=WARM, heat=Heat(numerical_heating=True), scheme="midpoint")
@@ -181,7 +181,7 @@ small_run(adaptive=AdaptiveSteps(dt_min=0.03, dt_max=0.1)) | TimeSteps\.dt = 0\.
 small_run(scheme="sdirk2", relaxation=True, adaptive=ADAPTIVE) | scheme .midpoint.
 small_run(scheme="theta", theta=0.5001, adaptive=AdaptiveSteps(dt_min=1e-4, dt_max=0.02, tolerance=1e-3))
   | AdaptiveSteps\.tolerance.*error constant
-small_run(scheme="midpont") | unknown time scheme 'midpont'; did you mean 'midpoint'
+small_run(scheme="midpont") | scheme = 'midpont': expected one of backward-euler, midpoint
 small_run(scheme=TimeScheme("mine", ((0.5,),), (1.0,)), theta=0.5) | it belongs to
 TimeScheme("mine", ((0.0,),), (1.0,)) | TimeScheme\.A
 TimeScheme("mine", ((1.0,),), (0.9,)) | TimeScheme\.b
@@ -216,8 +216,8 @@ right(Open(density=1, pressure=sqrt(-1 - x))) | walls\['right'\]\.pressure = .*f
 right(Open(density=1), regularisation=Regularisation(rho_max=2.0)) | a wall that nothing crosses: .*a cut-off
 right(Open(density=1), regularisation=Regularisation(delta_density=1.0)) | that nothing crosses: .*diffuses
 right(Open(density=1, amounts={"a": 1})) | walls\['right'\]\.amounts = .*no bodies
-right(Open(density=1.0, temperature=-3.0), material=WARM) | \['right'\]\.temperature = .*-3.*temperature > 0
-Open(amounts=1.0) | Open\.amounts = 1\.0: expected a mapping of body names
+right(Open(density=1.0, temperature=-3.0), material=WARM) | Open\.temperature = -3\.0: expected .* > 0
+Open(amounts=1.0) | Open\.amounts = 1\.0: expected a mapping of names
 # meshes and shapes
 box((1, 1), 1e-9) | box\.maxh = .*at least \S+: this one makes about \S+ cells
 box((1, 1, 1), 1e-20) | box\.maxh = .*at least \S+: this one makes about \S+ cells

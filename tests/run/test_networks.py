@@ -203,9 +203,9 @@ def test_moduli_of_branches_may_be_functions_of_the_place():
 
 NEO = nv.ReferentialNeoHookean(K_e=10.0, G_e=5.0)
 WRONG = {
-    "no branches": ({}, "mapping of names"),
+    "no branches": ({}, "at least one branch"),
     "a name": ({"a b": SPRING}, "letters, digits"),
-    "no branch": ({"a": NEO}, "nv.Branch object"),
+    "no branch": ({"a": NEO}, "a mapping of names to Branch objects"),
     "a gradient": (
         {"a": Branch(material=NEO, creep=nv.Creep(G_m=1.0, nu=1.0))},
         "creep of a branch is local",

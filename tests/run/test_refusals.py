@@ -89,9 +89,9 @@ HyperViscosity(mu=1, mu_1=_) | -1, inf | HyperViscosity.mu_1 | number >= 0
 StokesViscosity(K_v=_, G_v=1) | -1e-9, nan | StokesViscosity.K_v | number >= 0
 StokesViscosity(K_v=1, G_v=_) | -1e-9, nan | StokesViscosity.G_v | number >= 0
 Creep(G_m=_) | 0, -1, nan | Creep.G_m | a finite number > 0
-Discretisation(k=_) | 0, 4, 2.0, "2" | Discretisation.k | one of 1, 2, 3
-Discretisation(m=_) | -1, 3, True, 1.0 | Discretisation.m | one of 0, 1, 2
-Discretisation(quadrature_bonus=_) | -1, 0.5 | Discretisation.quadrature_bonus | one of 0, 1
+Discretisation(k=_) | 0, 4, 2.0, "2" | Discretisation.k | a whole number from 1 to 3
+Discretisation(m=_) | -1, 3, True, 1.0 | Discretisation.m | a whole number from 0 to 2
+Discretisation(quadrature_bonus=_) | -1, 0.5 | Discretisation.quadrature_bonus | a whole number from 0 to 12
 NewtonOptions(tolerance=_) | 0, -1.0, nan, inf, '1', True, 1 | NewtonOptions.tolerance | a number in (0, 1)
 NewtonOptions(refresh=_) | 1.0, 2 | NewtonOptions.refresh | a number in (0, 1)
 NewtonOptions(min_damping=_) | 1 | NewtonOptions.min_damping | a number in (0, 1)
@@ -104,9 +104,9 @@ simulation(initial=_) | 1.0 | Simulation.initial | a ngvisco.Initial
 simulation(discretisation=_) | 2 | Simulation.discretisation | a ngvisco.Discret
 simulation(newton=_) | 1e-8 | Simulation.newton | a ngvisco.NewtonOptions
 Model(material=_) | None, "steel" | Model.material | a Material
-Model(material=LINEAR, viscosity=_) | 1.0 | Model.viscosity | a StokesViscosity
+Model(material=LINEAR, viscosity=_) | 1.0 | Model.viscosity | a Viscosity
 Model(material=LINEAR, hyperviscosity=_) | 1 | Model.hyperviscosity | a HyperVisc
-Model(material=LINEAR, creep=_) | 1.0 | Model.creep | a Creep
+Model(material=LINEAR, creep=_) | 1.0 | Model.creep | a FlowRule
 Model(material=LINEAR, loads=_) | 9.81 | Model.loads | Gravity or BodyForce
 loaded(Gravity(_)) | (0, 0, -1), (1,) | loads['gravity'].g | a vector of length 2, not
 loaded(Gravity(_)) | 9.81 | loads['gravity'].g | a vector of length 2
@@ -170,7 +170,7 @@ Thermal(material=LINEAR, c=3.0, theta_R=300.0, expansion=_) | -1.0 | Thermal.exp
 Thermal(material=LINEAR, c=3.0, theta_R=300.0, expansion=0.1, gruneisen=_) | 1.0 | Thermal.gruneisen | None
 Thermal(material=LINEAR, c=3.0, theta_R=300.0, p_infinity=_) | 1.0 | Thermal.p_infinity | of its own
 Thermal(c=3.0, theta_R=300.0, gruneisen=_) | None | Thermal.gruneisen | by which a gas has its pressure
-Thermal(material=_, c=3.0, theta_R=300.0) | 3 | Thermal.material | a Material, or None for a gas
+Thermal(material=_, c=3.0, theta_R=300.0) | 3 | Thermal.material | a Material
 Thermal(material=_, c=3.0, theta_R=300.0) | WARM | Thermal.material | a material without heat
 Thermal(material=_, c=3.0, theta_R=300.0) | Yosida(material=LINEAR, eps=1) | Thermal.material | goes around
 Heat(conductivity=_) | -1.0, "much" | Heat.conductivity | number >= 0
@@ -198,9 +198,9 @@ DruckerPrager(cohesion=_, friction_angle=30.0, G_m=1.0) | -1.0 | DruckerPrager.c
 DruckerPrager(cohesion=1.0, friction_angle=_, G_m=1.0) | 90.0, "30" | DruckerPrager.friction_angle | degrees
 Eyring(A=1.0, sigma_0=_) | 0.0 | Eyring.sigma_0 | a finite number > 0
 Eyring(A=1.0, sigma_0=1.0, rate_floor=_) | inf | Eyring.rate_floor | a finite number > 0
-Activated(rule=_, E=1, theta_R=1) | STOKES | Activated.rule | a flow rule
+Activated(rule=_, E=1, theta_R=1) | STOKES | Activated.rule | a FlowRule
 Activated(rule=Creep(G_m=1), E=1, theta_R=1, temperature=_) | -3 | Activated.temperature | a finite number > 0
-Composite(rules=_) | ((),) | Composite.rules | a sequence of flow rules
+Composite(rules=_) | ((),) | Composite.rules | at least one flow rule
 Composite(rules=(Perzyna(sigma_Y=1.0, G_m=1.0, H=_),)) | 1.0 | Composite.rules[0].H | a rule without hardening
 Composite(rules=(Creep(G_m=1.0, nu=_),)) | 1.0 | Composite.rules[0].nu | 0 within a sum
 StokesViscosity(K_v=_, G_v=Parameter("theta", start=x)) | -1.0 | StokesViscosity.K_v | a finite number >= 0
@@ -210,7 +210,7 @@ PowerLaw(K_v=1, consistency=1, n=0.5, floor=_) | 0 | PowerLaw.floor | a finite n
 Carreau(K_v=1, G_0=1, relaxation=_, n=0.5) | -1 | Carreau.relaxation | a finite number > 0
 Carreau(K_v=_, G_0=1, relaxation=1, n=0.5) | -1 | Carreau.K_v | a finite number >= 0
 Cross(K_v=1, G_0=1, relaxation=1, m=_) | 1.5 | Cross.m | a number in (0, 1]
-ActivatedViscosity(viscosity=_, E=1, theta_R=1) | 3 | ActivatedViscosity.viscosity | a viscosity
+ActivatedViscosity(viscosity=_, E=1, theta_R=1) | 3 | ActivatedViscosity.viscosity | a Viscosity
 ActivatedViscosity(viscosity=STOKES, E=1, theta_R=_) | 0 | ActivatedViscosity.theta_R | a finite number > 0
 HyperViscosity(mu=1, p=_) | Parameter("theta", start=x) | HyperViscosity.p | a finite number > 1
 Regularisation(delta_density=_) | -1 | Regularisation.delta_density | a finite number >= 0
@@ -219,8 +219,8 @@ Parameter(_) | "1st" | Variable.name | a Python identifier
 Parameter("theta", start=_) | nan | Parameter.start | a finite number or a real scalar function
 NavierFriction(_) | -1.0 | NavierFriction.coefficient | a finite number >= 0, or a scalar function
 Traction(f=(1, 0), friction=_) | -1.0 | Traction.friction | a finite number >= 0
-Open(impedance=_) | (1.0,), (1.0, -1.0), 2.0, ("a", 0.0) | Open.impedance | two numbers >= 0, Z_p and Z_s
-Open(stiffness=_) | (1.0,), (1.0, -1.0), 2.0, ("a", 0.0) | Open.stiffness | two numbers >= 0, k_p and k_s
+Open(impedance=_) | (1.0,), (1.0, -1.0), 2.0, ("a", 0.0) | Open.impedance | 2 finite numbers >= 0
+Open(stiffness=_) | (1.0,), (1.0, -1.0), 2.0, ("a", 0.0) | Open.stiffness | 2 finite numbers >= 0
 CentralGravity(strength=1.0, radius=_) | 0.0 | CentralGravity.radius | a finite number > 0
 CentralGravity(strength=1.0, centre=_) | (0.0,), | CentralGravity.centre | two or three finite numbers
 """
@@ -265,7 +265,7 @@ Model(material=LINEAR, loads=_) | (Gravity((0, 1)), Gravity((1, 0))), | Model.lo
 CustomMaterial(transported=(), stored_energy=_) | lambda: CF(1) | CustomMaterial.variables | at least one
 CustomMaterial(transported=TWICE, stored_energy=_) | lambda F: F[0] | CustomMaterial.variables | distinct
 CustomMaterial(transported=K, stored_energy=_) | lambda K: -K | CustomMaterial.variables | 'A' too: the rate
-Composite(rules=_) | (3,), | Composite.rules | flow rules
+Composite(rules=_) | (3,), | Composite.rules | a sequence of FlowRule objects
 Heat(conductivity=_) | np.diag([1.0, 1.0, -1.0]) | Heat.conductivity | positive semidefinite
 Heat(conductivity=_) | lambda theta: 1 - theta | Heat.conductivity | a function of the temperature
 Parameter("theta", start=_) | PAIR | Parameter.start | a real scalar function
@@ -276,8 +276,8 @@ Polygon(_) | ((0, 0), (2, 0), (2, 1), (3, 0), (1, 0), (1, -1)), | Polygon.points
 Polygon(_) | ((0, 0), (2, 0), (1, 0), (1, 1)), | Polygon.points | 1 and 2 lie on each other
 Polygon(_) | ((0, 0), (1, 1), (1, 0), (0, 1)), | Polygon.points | edges that do not cross: 1 and 3 do
 Polygon(_) | ((0, 0), (0, 0), (1, 0), (0, 1)), | Polygon.points | points that differ from the one before
-Union(_) | ((),) | Union.shapes | shapes, at least one
-Union((Ball((0, 0), 1.0), _)) | 3 | Union.shapes | shapes
+Union(_) | ((),) | Union.shapes | at least one shape
+Union((Ball((0, 0), 1.0), _)) | 3 | Union.shapes | a sequence of Shape objects
 Where(_) | PAIR | Where.function | scalar
 """
 

@@ -51,7 +51,6 @@ from ngvisco.forms.start.variables import as_shape
 from ngvisco.forms.time_means import TimeMean
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.exchange import Exchange, Interpolation
-from ngvisco.physics.heat import WallHeat
 from ngvisco.physics.loads import as_vector
 from ngvisco.physics.signals import may_read_time
 from ngvisco.physics.tensors import inner
@@ -109,8 +108,6 @@ class Walls:
                 expected = "False: the wall is not bent by small angles between straight facets"
                 raise ParameterError(f"walls[{name!r}].straight", True, expected)
         for name, wall in self.conditions.items():
-            if not (wall.heat is None or isinstance(wall.heat, WallHeat)):
-                raise ParameterError(f"walls[{name!r}].heat", wall.heat, "a WallHeat, or None")
             if isinstance(wall, MOVING):
                 velocity_of(wall, mesh.dim, f"walls[{name!r}]")
             if isinstance(wall, Traction):

@@ -9,7 +9,7 @@ from typing import Annotated, Literal, TypeAlias
 import numpy as np
 from ngsolve import CF, CoefficientFunction, Det, Id, TaskManager, specialcf
 
-from ngvisco.errors import InitialDataError, ParameterError, Quantity, as_number
+from ngvisco.errors import InitialDataError, ParameterError, Quantity, require_fields
 from ngvisco.forms.bounds import Bounds
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.mesh.mesh_arrays import mask_of
@@ -104,16 +104,9 @@ class Initial:
     )
 
     def __post_init__(self) -> None:
-        if not isinstance(self.values, Mapping):
-            raise ParameterError("Initial.values", self.values, "a mapping of variable names to functions")
-        if self.equilibrium not in (None, "hydrostatic"):
-            raise ParameterError("Initial.equilibrium", self.equilibrium, '"hydrostatic", or None')
-        if self.datum is not None and not isinstance(self.datum, str):
-            raise ParameterError("Initial.datum", self.datum, "the name of a wall; a point is datum_point")
+        require_fields(self)
         if self.datum is not None and self.datum_point is not None:
             raise ParameterError("Initial.datum_point", self.datum_point, "None beside a wall as datum")
-        if as_number(self.datum_pressure) is None:
-            raise ParameterError("Initial.datum_pressure", self.datum_pressure, "a finite number, Pa")
         without = {"datum": None, "datum_point": None, "datum_pressure": 0.0}
         for name, value in without.items() if self.equilibrium is None else ():
             if getattr(self, name) != value:

@@ -18,7 +18,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
-from ngvisco.errors import ParameterError, Quantity, require_choice
+from ngvisco.errors import ParameterError, Quantity
 from ngvisco.physics.flow_rules.rule import FlowRule
 from ngvisco.physics.parameters import Modulus, value_at
 from ngvisco.physics.tensors import Tensor, exp, sym, tr
@@ -90,7 +90,6 @@ class PTT(_OfConformation):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_choice(self, ("linear", "exponential"), form=self.form)
         if self.form == "linear" and not self.epsilon < 1 / 3:
             expected = "< 1/3 of the linear form, whose rate has the wrong sign where tr B < 3 - 1/epsilon"
             raise ParameterError("PTT.epsilon", self.epsilon, expected)

@@ -8,7 +8,7 @@ from functools import reduce
 from operator import add
 from typing import Annotated, Literal, TypeAlias
 
-from ngvisco.errors import ParameterError, Quantity, require_choice, require_effect
+from ngvisco.errors import ParameterError, Quantity, require_effect
 from ngvisco.physics.flow_rules.rule import TINY_STRESS, FlowRule, GradientRule, Hardening
 from ngvisco.physics.parameters import Modulus, typical_value, value_at
 from ngvisco.physics.tensors import Tensor, dev, exp, if_positive, log, power_of_square, sqrt, square
@@ -25,11 +25,10 @@ class _Driven(GradientRule):
     law: DrivenBy
 
     def __post_init__(self) -> None:
-        require_choice(self, ("mandel", "conformation"), law=self.law)
+        super().__post_init__()
         if self.law != "mandel" and self.nu != 0:
             expected = f"0 for law = {self.law!r}, which is local"
             raise ParameterError(f"{type(self).__name__}.nu", self.nu, expected)
-        super().__post_init__()
 
     @property
     def reads_conjugate(self) -> bool:  # type: ignore[override]
@@ -82,13 +81,12 @@ class Creep(GradientRule):
     degree = 1.0
 
     def __post_init__(self) -> None:
-        require_choice(self, ("mandel", "conformation", "leonov"), law=self.law)
-        if self.law != "mandel" and self.nu != 0:
-            raise ParameterError("Creep.nu", self.nu, f"0 for law = {self.law!r}, which is local")
         if isinstance(self.G_m, float) and self.G_m == math.inf:
             replace(self, G_m=1.0)  # which looks at the others
         else:
             super().__post_init__()
+        if self.law != "mandel" and self.nu != 0:
+            raise ParameterError("Creep.nu", self.nu, f"0 for law = {self.law!r}, which is local")
 
     @property
     def R(self) -> float:
@@ -356,12 +354,10 @@ class Composite(FlowRule):
     rules: tuple[FlowRule, ...]
 
     def __post_init__(self) -> None:
-        if not isinstance(self.rules, (tuple, list)) or not self.rules:
-            raise ParameterError("Composite.rules", self.rules, "a sequence of flow rules")
-        object.__setattr__(self, "rules", tuple(self.rules))
+        super().__post_init__()
+        if not self.rules:
+            raise ParameterError("Composite.rules", self.rules, "at least one flow rule")
         for i, rule in enumerate(self.rules):
-            if not isinstance(rule, FlowRule):
-                raise ParameterError("Composite.rules", rule, "flow rules")
             if not rule.is_local:
                 raise ParameterError(f"Composite.rules[{i}].nu", rule.nu, "0 within a sum")
             if rule.hardening is not None:

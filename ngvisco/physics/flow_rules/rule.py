@@ -32,7 +32,7 @@ from ngsolve import CF
 
 from ngvisco.errors import ParameterError, Quantity, require_effect
 from ngvisco.physics.arrays import Array, derivatives
-from ngvisco.physics.parameters import Modulus, require_ranges, value_at
+from ngvisco.physics.parameters import Modulus, require_fields, value_at
 from ngvisco.physics.tensors import Tensor, exp, is_even, power_of_square, square, tr
 from ngvisco.physics.variables import Values, Variable
 
@@ -124,7 +124,7 @@ class FlowRule(ABC):
     """The power of |M| that the rate grows as, 1 of a linear rule; infinite of one that grows otherwise."""
 
     def __post_init__(self) -> None:
-        require_ranges(self)
+        require_fields(self)
 
     @abstractmethod
     def rate(self, M: Tensor, zeta: Tensor | None, z: Values) -> Tensor:

@@ -23,7 +23,7 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from ngsolve import CF
 
-from ngvisco.errors import ParameterError, Quantity, UnknownNameError, require_choice, require_some_names
+from ngvisco.errors import ParameterError, Quantity, UnknownNameError, require_some_names
 from ngvisco.physics.material import Material, Wrapper, part_of, rest_stress_and_modulus
 from ngvisco.physics.materials.network import Branches, Network
 from ngvisco.physics.materials.thermal import entropy_in
@@ -162,9 +162,6 @@ class Damaged(Wrapper):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_choice(self, ("AT1", "AT2"), law=self.law)
-        require_choice(self, ("actual", "reference"), area=self.area)
-        require_choice(self, ("all", "tensile"), part=self.part)
         if self.area == "reference" and self.is_linearised:
             expected = "'actual' with a material of small strain, whose areas are one and the same"
             raise ParameterError("Damaged.area", self.area, expected)

@@ -23,7 +23,7 @@ from typing import Annotated, Literal
 import numpy as np
 from ngsolve import CF
 
-from ngvisco.errors import ParameterError, Quantity, require_choice, require_positive
+from ngvisco.errors import ParameterError, Quantity, require_effect, require_positive
 from ngvisco.physics.material import Material
 from ngvisco.physics.materials.hyperelastic import continued_in_J, inverse_power, referential_volume
 from ngvisco.physics.parameters import Modulus
@@ -60,15 +60,13 @@ class BarotropicFluid(Material):
 
     B: Annotated[Modulus, Quantity("Pa", "> 0", 1.0)]
     gamma: Annotated[float, Quantity("1", "> 1", 1.4)]
-    form: str = "J"
+    form: Literal["J", "A"] = "J"
     J_min: Annotated[float | None, Quantity("1", "> 0", 0.1)] = None
     rho_R: Annotated[Modulus | None, Quantity("kg/m^3", "> 0", 1000.0, "arithmetic")] = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_choice(self, ("J", "A"), form=self.form)
-        if self.form == "A":
-            require_choice(self, (None,), J_min=self.J_min)
+        require_effect(self, self.form == "J", 'with form = "A"', "J_min")
 
     @classmethod
     def from_state_equation(

@@ -20,7 +20,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, ClassVar, Self
 
-from ngvisco.errors import ParameterError, Quantity, require_choice, require_effect
+from ngvisco.errors import ParameterError, Quantity, require_effect
 from ngvisco.physics.material import ElasticState, Material
 from ngvisco.physics.parameters import Modulus
 from ngvisco.physics.tensors import Tensor, if_positive, log, square, tr
@@ -92,11 +92,6 @@ class IsotropicElastic(Material):
     by_F: ClassVar[Variable] = Distortion("H", exponent=-5 / 6)
     by_B: ClassVar[Variable] = LeftCauchyGreen(exponent=-5 / 3)
     """The tensor that |F|^2 is written by, with F and with B."""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.elastic_state is not None:
-            require_choice(self, ("F", "B"), elastic_state=self.elastic_state)
 
     def with_elastic_state(self, state: ElasticState) -> Self:
         return self if self.elastic_state is not None else replace(self, elastic_state=state)

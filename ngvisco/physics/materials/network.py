@@ -16,9 +16,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, reduce
-from operator import add
+from operator import add, attrgetter
 
-from ngvisco.errors import ParameterError
+from ngvisco.errors import ParameterError, require_fields
 from ngvisco.physics.flow_rules.rule import FlowRule
 from ngvisco.physics.material import ElasticState, Material, check_material, part_of, rest_stress_and_modulus
 from ngvisco.physics.parameters import Parameter, distinct
@@ -44,6 +44,9 @@ class Branch:
 
     material: Material
     creep: FlowRule | None = None
+
+    def __post_init__(self) -> None:
+        require_fields(self)
 
     @property
     def flows(self) -> bool:
@@ -93,22 +96,16 @@ class Network(Material):
     branches: Mapping[str, Branch]
 
     def __post_init__(self) -> None:
-        try:
-            parts = dict(self.branches)
-        except (TypeError, ValueError):
-            parts = {}
-        if not parts:
-            raise ParameterError("Network.branches", self.branches, "a mapping of names to nv.Branch objects")
-        for name, branch in parts.items():
-            field = f"Network.branches[{name!r}]"
-            if not (isinstance(name, str) and name.isidentifier()):
-                raise ParameterError("Network.branches", name, "names of letters, digits and _")
-            if not isinstance(branch, Branch):
-                raise ParameterError(field, branch, "an nv.Branch object")
-            for part, fault in _faults(branch):
-                raise ParameterError(f"{field}.{part}", _value(branch, part), fault)
-        object.__setattr__(self, "branches", _Parts(parts))
         super().__post_init__()
+        if not self.branches:
+            raise ParameterError("Network.branches", self.branches, "at least one branch")
+        for name, branch in self.branches.items():
+            if not name.isidentifier():
+                raise ParameterError("Network.branches", name, "names of letters, digits and _")
+            for part, fault in _faults(branch):
+                field = f"Network.branches[{name!r}].{part}"
+                raise ParameterError(field, attrgetter(part)(branch), fault)
+        object.__setattr__(self, "branches", _Parts(self.branches))
         _ = self.variables  # refused where they do not go together
         self._check_names()
         self._check_volume()
@@ -234,12 +231,6 @@ def _carries(material: Material, name: str) -> bool:
 def _faults(branch: Branch) -> Iterator[tuple[str, str]]:
     """Faults of a branch: the key, and what would be right."""
     material, rule = branch.material, branch.creep
-    if not isinstance(material, Material):
-        yield "material", "a Material"
-        return
-    if rule is not None and not isinstance(rule, FlowRule):
-        yield "creep", "a Creep or another FlowRule, or None"
-        return
     check_material(material)
     if part_of(material, Network) is not None:
         yield "material", "a material without branches: those of a branch are branches of the network"
@@ -256,10 +247,3 @@ def _faults(branch: Branch) -> Iterator[tuple[str, str]]:
             "creep",
             "a flow rule that reads no conformation tensor, or a material with one (OldroydB, FENEP)",
         )
-
-
-def _value(branch: Branch, part: str) -> object:
-    value: object = branch
-    for name in part.split("."):
-        value = getattr(value, name)
-    return value

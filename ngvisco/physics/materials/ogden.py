@@ -23,7 +23,7 @@ from typing import Annotated, Self
 
 import numpy as np
 
-from ngvisco.errors import ParameterError, Quantity, require_choice
+from ngvisco.errors import ParameterError, Quantity
 from ngvisco.physics.material import ElasticState, Material
 from ngvisco.physics.materials.hyperelastic import continued_in_J, referential_volume
 from ngvisco.physics.parameters import Modulus
@@ -131,12 +131,8 @@ class Ogden(Material):
     def __post_init__(self) -> None:
         super().__post_init__()
         for name in ("mu", "alpha"):
-            values = tuple(float(value) for value in getattr(self, name))
-            object.__setattr__(self, name, values)
-            if not values:
+            if not (values := getattr(self, name)):
                 raise ParameterError(f"Ogden.{name}", values, "one number or more")
-        if self.elastic_state is not None:
-            require_choice(self, ("F", "B"), elastic_state=self.elastic_state)
         if len(set(self.alpha)) < len(self.alpha):
             raise ParameterError("Ogden.alpha", self.alpha, "exponents of which no two are equal")
         if len(self.mu) != len(self.alpha):

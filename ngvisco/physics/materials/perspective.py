@@ -77,8 +77,6 @@ class PerReferentialVolume(Material):
     def __post_init__(self) -> None:
         super().__post_init__()
         field_name = f"{type(self).__name__}.material"
-        if not isinstance(self.material, Material):
-            raise ParameterError(field_name, self.material, "a Material")
         if self.material.response(3) is not None:
             expected = "a material whose energy is an expression; a Yosida approximation goes around this one"
             raise ParameterError(field_name, self.material, expected)

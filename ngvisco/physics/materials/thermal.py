@@ -123,8 +123,6 @@ class Thermal(Material):
     def __post_init__(self) -> None:
         super().__post_init__()
         material, Gamma = self.material, self.gruneisen or 0.0
-        if not (material is None or isinstance(material, Material)):
-            raise ParameterError("Thermal.material", material, "a Material, or None for a gas")
         if material is None and self.expansion is not None:
             expected = "None without a material: a gas has its pressure by gruneisen, > 0"
             raise ParameterError("Thermal.expansion", self.expansion, expected)

@@ -12,7 +12,7 @@ from typing import Annotated
 import numpy as np
 from ngsolve import CF
 
-from ngvisco.errors import NgviscoError, Quantity, UnknownNameError, require_names
+from ngvisco.errors import NgviscoError, Quantity, UnknownNameError
 from ngvisco.physics.flow_rules.rule import Hardening, PlasticContent
 from ngvisco.physics.material import ElasticState, Material, Wrapper
 from ngvisco.physics.parameters import Parameter, distinct, substituted
@@ -102,8 +102,6 @@ class WithQuadratic(Wrapper):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.only is not None:
-            require_names("WithQuadratic.only", self.only)
         forms = [self.material.with_elastic_state("F"), self.material.with_elastic_state("B")]
         known = {v.name for form in forms for v in form.variables if v.is_strain}
         for name in self.only or ():

@@ -44,7 +44,7 @@ def solid(stiffness: float = 5.0) -> nv.Material:
     return nv.NeoHookean(K_e=10, G_e=stiffness, epsilon=0.1)
 
 
-def simulation(model: nv.Model, scheme: str, solver: str, **options: Any) -> nv.Simulation:
+def simulation(model: nv.Model, scheme: str, solver: Any, **options: Any) -> nv.Simulation:
     """A swirl in the box."""
     given: dict[str, Any] = {
         "initial": nv.Initial(density=1.0, velocity=SWIRL),
