@@ -54,7 +54,7 @@ CLEAN = pytest.mark.filterwarnings("error::ngvisco.run.ledger.DefectWarning")
     ("name", "steps", "options"),
     [
         pytest.param("swirl", 5, {"until": 0.1, "maxh": 0.4}, marks=CLEAN),
-        pytest.param("swirl", 50, {}, marks=[*CI, CLEAN]),
+        pytest.param("swirl", 50, {}, marks=[LONG, CLEAN]),
         ("swirl3d", 2, {"until": 0.04, "maxh": 0.7}),
         pytest.param("swirl3d", 50, {}, marks=LONG),
         pytest.param("creep", 50, {}, marks=CI),
@@ -98,7 +98,6 @@ def test_the_numbers_of_a_creep_test_are_found_within_two_deviations(tmp_path):
 
 
 @pytest.mark.long
-@pytest.mark.ci
 def test_a_soft_spot_is_found_below_its_stations(tmp_path):
     demo = load("soft_spot")
     stiffness = 3 * np.exp(demo.main(str(tmp_path))).reshape(demo.ROWS, demo.COLUMNS)

@@ -90,9 +90,7 @@ PAGES = {
 """Modules whose pages are soon made, and what these have."""
 
 
-@pytest.mark.parametrize(
-    "pages", [PAGES, pytest.param(None, marks=[pytest.mark.long, pytest.mark.ci])], ids=["two", "all"]
-)
+@pytest.mark.parametrize("pages", [PAGES, pytest.param(None, marks=pytest.mark.long)], ids=["two", "all"])
 def test_api_pages_are_made_by_the_printed_command(pages, tmp_path):
     pdoc = pytest.importorskip("pdoc.__main__")
     words = api_command()

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from ngsolve import CF, cos, pi, sin, x, y
-from support import ALL_BY_CI, EXAMPLES, SWIRL, assert_sound
+from support import ALL_BY_CI, EXAMPLES, OF_EACH_KIND, SWIRL, assert_sound
 
 import ngvisco as nv
 from ngvisco.forms.mesh.mesh_arrays import mask_of
@@ -102,8 +102,15 @@ def assert_both_agree(mesh, physics, steps=2, dt=0.02, **options):
     return [run.ledger for run in runs]
 
 
-@pytest.mark.parametrize("name", ALL_BY_CI)
-@pytest.mark.parametrize("dim", [2, pytest.param(3, marks=pytest.mark.long)])
+IN_SPACE = [
+    pytest.param(3, name, marks=[pytest.mark.long, *([pytest.mark.ci] if name in OF_EACH_KIND else [])])
+    for name in EXAMPLES
+]
+
+
+@pytest.mark.parametrize(
+    ("dim", "name"), [*(pytest.param(2, *name.values, marks=name.marks) for name in ALL_BY_CI), *IN_SPACE]
+)
 def test_for_every_material_with_creep(name, dim):
     """In which the ledger closes, mass and positivity are kept, and Bregman's remainder is a loss."""
     mesh = box((1,) * dim, maxh=0.5 if dim == 2 else 1)
