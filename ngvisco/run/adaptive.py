@@ -1,8 +1,8 @@
-"""Adaptive steps, what is asked of them; and how much damage may grow in a step.
+"""Parameters of adaptive step lengths, and the bound on the growth of damage in a step.
 
 The damage grows after a step by the strains of its end (``ngvisco.forms.damage``): a crack runs as far as
-these let it, and what it would unload it unloads in the next step.  The load at which a body breaks has an
-error in proportion to the growth in a step.
+these strains let it, and matter around it unloads in the next step only.  The load at which a body breaks
+has an error in proportion to the growth in a step.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from ngvisco.forms.system import Step
 
 MUCH = 0.1
-"""Growth of the damage at a point in a step from which on a run warns."""
+"""Growth of the damage at a point in a step, above which a run warns."""
 
 
 class DamageWarning(NgviscoWarning):
@@ -26,7 +26,7 @@ class DamageWarning(NgviscoWarning):
 
 
 def growth_message(step: Step, row: Mapping[str, float]) -> str:
-    """The message about the damage's growth in the step of a ledger's row; empty for little growth."""
+    """Warning about the damage's growth in the step of a ledger's row; empty for little growth."""
     if step.damage is None or row[GROWTH] <= MUCH:
         return ""
     length = step.damage.law.length
@@ -48,18 +48,18 @@ class AdaptiveSteps:
     Parameters
     ----------
     dt_min : float
-        Shortest step; a shorter one ends the run, but for those that meet an output time.
+        Shortest step; a shorter one ends the run, unless it meets an output time.
     dt_max : float
         Longest step.
     tolerance : float, optional
-        Of a step's relative error in velocity, density and elastic variables, as the scheme estimates it (the
-        ledger's error_estimate); without it only unsolvable steps are shortened.
+        Bound on a step's relative error in velocity, density and elastic variables, as the scheme estimates
+        it (the ledger's error_estimate); without a tolerance only unsolvable steps are shortened.
     patience : int
-        Accepted steps in a row before the length is doubled, without a tolerance.
+        Accepted steps in a row after which the length is doubled; counts only without a tolerance.
     damage_growth : float, optional
-        Largest growth of the damage at a point in a step, of a material that breaks: a step with more is
-        taken again, down to dt_min, where any growth is accepted. The load at which a body breaks has a
-        relative error of about this size.
+        Largest growth of the damage at a point in a step, for a material that breaks. A step with more is
+        taken again and shorter, down to dt_min, where any growth is accepted. The load at which a body breaks
+        has a relative error of about this size.
     """
 
     dt_min: Annotated[float, Quantity("s", "> 0", 1e-3)]
@@ -75,28 +75,28 @@ class AdaptiveSteps:
 
 
 class GrowthControl:
-    """Holds the growth of the damage at a point in a step below ``most``; None is any."""
+    """Bounds the growth of the damage at a point in a step by ``most``; None is no bound."""
 
     def __init__(self, most: float | None, dt_min: float) -> None:
         self.most, self.dt_min = most, dt_min
 
     def require(self, step: Step) -> None:
-        """Raise ParameterError where nothing breaks."""
+        """Raise ParameterError if growth is bounded and the material does not break."""
         if self.most is not None and step.damage is None:
             expected = "None for a material that does not break; nv.Damaged(material=...) does"
             raise ParameterError("AdaptiveSteps.damage_growth", self.most, expected)
 
     def allowed(self, tau: float, rates: Mapping[str, float], safety: float) -> float:
-        """The length, s, in which the damage would have grown by ``safety`` times what is admitted.
+        """The step length, s, in which the damage would have grown by ``safety`` times the largest growth.
 
-        ``rates`` are those of a step of the length ``tau``.
+        ``rates`` holds the growth in a step of the length ``tau``.
         """
         if self.most is None or not rates[GROWTH] > 0:
             return float("inf")
         return max(self.dt_min, tau * safety * self.most / rates[GROWTH])
 
     def refused(self, tau: float, rates: Mapping[str, float]) -> str:
-        """Why a step is not accepted; nothing where it is, as the shortest always is."""
+        """The reason why a step is not accepted; empty for an accepted step, as the shortest always is."""
         if self.most is None or rates[GROWTH] <= self.most or tau <= self.dt_min:
             return ""
         return f"the damage grows by {rates[GROWTH]:.2g} at a point, more than {self.most:.2g}"

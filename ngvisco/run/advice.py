@@ -1,4 +1,4 @@
-"""Scales of a run and its dimensionless numbers, and what they say about dt, maxh and the material."""
+"""Scales of a run, its dimensionless numbers, and the advice they give about dt, maxh and the material."""
 
 from __future__ import annotations
 
@@ -9,26 +9,27 @@ from dataclasses import dataclass, field
 from ngvisco.timestepping.scheme import TimeScheme, backward_euler, midpoint
 
 _FOLLOWED, _RELAXED, _ACROSS = 20, 5, 4
-"""Steps in a wave's passage or in a relaxation time, and cells across a body, that are enough."""
+"""Sufficient numbers of steps in a wave's passage and in a relaxation time, and of cells across a body."""
 _RINGING, _STIFF, _DENSER = 10.0, 1e4, 1e2
-"""Cells that waves cross in a step, ratios of moduli and of densities, above which a step is hard."""
+"""Cells that waves cross in a step, ratio of moduli, ratio of densities: above these a step is hard."""
 _SLOW = 100.0
-"""Steps of so many passages of the waves are those of a motion without inertia."""
+"""Passages of the waves in a step, above which inertia has no part in the motion."""
 _SINKS, _SMALL = 0.05, 0.01
-"""Share of its height by which a body's own weight compresses it, that is said, and that is little."""
+"""Relative compression of a body by its own weight: above the first the run says so; the second is little."""
 _SMEARED = 4.8
-"""Cells across a body of which the interface is a quarter after a strain of one: it was 1.2 s^(1/4) cells
-wide after strains s, and a body of that ratio had lost 3 % of its area within fraction 1/2."""
+"""Cells across a body whose interface fills a quarter of it after a strain of one.  In measurements the
+interface was 1.2 s^(1/4) cells wide after strains s; a body a quarter of which was interface had lost 3 % of
+its area within fraction 1/2."""
 _ABOVE_YIELD = 0.1
-"""Viscous overstress over the yield stress, above which the stress is not held to it."""
+"""Ratio of viscous overstress and yield stress, above which yield does not hold the stress."""
 
 
 @dataclass(frozen=True)
 class Scales:
-    """Scales in SI units; what does not exist is inf (times) or 0 (speeds, viscosities).
+    """Scales in SI units; a time that does not exist is inf, a speed or viscosity that does not exist is 0.
 
-    Of moduli that differ from place to place and from body to body, each by itself, those are taken that ask
-    most of dt and maxh.  A periodic direction is no length of the domain.
+    Where moduli differ from place to place or from body to body, each scale is the one that asks most of dt
+    and maxh.  A periodic direction is no length of the domain.
     """
 
     length: float
@@ -36,7 +37,7 @@ class Scales:
     cell: float
     """Median size of a cell, m."""
     velocity: float
-    """The largest velocity in the run so far, of walls or of the start, m/s; 0 where it is not known yet."""
+    """The largest velocity in the run so far, else of walls or of the start, m/s; 0 if it is not known."""
     speeds: tuple[float, float]
     """Speeds of the fastest longitudinal and the fastest shear waves at rest, m/s."""
     kinematic_viscosity: float
@@ -46,33 +47,33 @@ class Scales:
     dt: float
     scheme: TimeScheme = field(default_factory=backward_euler)
     densities: float = 1.0
-    """The largest over the least density at the start."""
+    """Ratio of the largest and the least density at the start."""
     one_bulk_energy: bool = True
-    """Whether all bodies have the same."""
+    """Whether all bodies have one bulk energy."""
     extent: float = 0.0
-    """Longest edge of the bounding box, m, which waves have to cross; 0 is ``length``."""
+    """Longest edge of the bounding box, m, which waves have to cross; 0 stands for ``length``."""
     weight: float = 0.0
     """The largest load over the modulus of longitudinal waves, rho g L/(rho c^2)."""
     overstress: float = 0.0
-    """Viscous part of the stress over the yield stress at the rate velocity/length."""
+    """Ratio of the stress's viscous part and the yield stress at the rate velocity/length."""
     bodies: Mapping[str, float] = field(default_factory=dict)
     """Least extent of each body, in cells."""
     placed: tuple[str, ...] = ()
     """Names of the bodies that have a place."""
     smears: bool = False
-    """Whether bodies are carried with m = 1 and not put apart."""
+    """Whether bodies are carried with m = 1, and no sharpening keeps them apart."""
     parting: str | None = None
-    """Where variables that stand for one distortion may part, in words."""
+    """Warning, in words, about variables of one distortion that may part."""
     unborne: str | None = None
-    """The pressure of the start that a law which reads it does not bear, in words."""
+    """Warning, in words, about a pressure at the start that a law cannot bear."""
     k: int = 2
     """Order of the velocity."""
     startup: int = 0
-    """First steps of backward Euler."""
+    """Number of first steps by backward Euler."""
 
     @property
     def passage(self) -> float:
-        """Time in which shear waves, or those of pressure where there are none, cross the domain, s."""
+        """Time in which shear waves, or else pressure waves, cross the domain, s."""
         fast, slow = self.speeds
         wave = slow if slow > 0 else fast
         return (self.extent or self.length) / wave if wave > 0 else math.inf
@@ -84,7 +85,7 @@ class Scales:
 
     @property
     def numbers(self) -> dict[str, float]:
-        """Dimensionless numbers by name; those that do not exist, or are not known, are left out."""
+        """Dimensionless numbers by name, without those that do not exist or are not known."""
         fast, slow = self.speeds
         found: dict[str, float] = {}
         if self.velocity > 0:
@@ -118,7 +119,7 @@ class Scales:
 
     @property
     def advice(self) -> list[str]:
-        """Advice about dt and maxh; empty where nothing stands out."""
+        """Sentences of advice about dt, maxh and the material; empty if no number stands out."""
         return [*self._of_waves(), *self._of_matter(), *self._of_motion(), *self._of_cells()]
 
     def _of_waves(self) -> list[str]:

@@ -1,4 +1,4 @@
-"""Checks of what a ``Simulation`` is made of."""
+"""Checks of the arguments of a ``Simulation``."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any

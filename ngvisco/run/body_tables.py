@@ -1,4 +1,4 @@
-"""Each body of a model over time: its mass, place, motion, energies, shape, stress, and how sharp it is."""
+"""Table of each body over time: mass, place, motion, energies, shape, stress, width of its interface."""
 
 from __future__ import annotations
 
@@ -23,29 +23,29 @@ if TYPE_CHECKING:
     from ngvisco.run.simulation import Simulation
 
 _HALF = 0.5
-"""Fraction from which on a point counts to a body."""
+"""Volume fraction above which a point belongs to a body."""
 _MIXED = (0.05, 0.95)
-"""FractionSamples between which a point is in the interface."""
+"""Fractions between which a point is in the interface."""
 _WIDE = 3.0
-"""Cells across the interface, from which on it is said: what a body is made of dissolves."""
+"""Width of the interface in cells, above which a run warns that the body dissolves."""
 _PIECES = 2
-"""In how many parts an edge of a cell is cut: by one areas are too small, by three perimeters too long."""
+"""Parts into which an edge of a cell is cut: with one areas are too small, with three perimeters too long."""
 
 
 class SmearedWarning(NgviscoWarning):
-    """The interface of a body is several cells wide: the body dissolves in what is around it."""
+    """The interface of a body is several cells wide: the body dissolves in the matter around it."""
 
 
 class FractionSamples:
-    """Volume fractions of bodies at points within the cells of a mesh, all ranks' together.
+    """Volume fractions of bodies at points within the cells of a mesh, over all ranks.
 
-    An outline has no gaps: fractions are averaged where cells meet.
+    Outlines have no gaps, since fractions are averaged at points where cells meet.
 
     Parameters
     ----------
     simulation : Simulation
     names : sequence of str
-        Of bodies.
+        Names of bodies.
     """
 
     def __init__(self, simulation: Simulation, names: Sequence[str]) -> None:
@@ -59,7 +59,7 @@ class FractionSamples:
         self._values = CF(values).Compile()
 
     def read(self) -> None:
-        """Take the present state."""
+        """Sample the present state."""
         table, cells = self._lattice.values(self._values), self._lattice.cells
         if self._ranks.is_distributed:
             parts = self._ranks.gathered((table, cells))
@@ -77,16 +77,16 @@ class FractionSamples:
         self._cuts: dict[str, Cut] = {}
 
     def cut(self, name: str) -> Cut:
-        """Where there is at least as much of a body as of all others together; columns x, y, v_1, v_2."""
+        """The part of the plane where a body's fraction is at least 1/2, with columns x, y, v_1, v_2."""
         if name not in self._cuts:
             self._cuts[name] = Cut.of(self._corners, self._points, self._averaged[name], _HALF)
         return self._cuts[name]
 
     def smeared(self, name: str) -> float:
-        """How wide the interface of a body is, in cells: the volume where its fraction is from 0.05 to 0.95
-        over that of an interface of one cell, NaN without an interface.
+        """The width of a body's interface in cells; NaN without an interface.
 
-        The area of the interface is int |grad theta| of the averaged fraction.
+        It is the volume where the fraction is between 0.05 and 0.95 over the volume of an interface one cell
+        wide, whose area is int |grad theta| of the averaged fraction.
         """
         edges = np.swapaxes(self._corners[:, 1:, : self.dim] - self._corners[:, :1, : self.dim], 1, 2)
         volumes = np.abs(np.linalg.det(edges)) / (2 if self.dim == 2 else 6)
@@ -99,10 +99,10 @@ class FractionSamples:
 
 
 class _Tractions:
-    """Mean stress of bodies, and the force and torque that others exert on them.
+    """Mean stress of bodies, and the force and torque that other bodies exert on them.
 
-    The stress is that of the stored energy and of viscosity.  With a continuous chi, the fraction averaged at
-    the vertices, the force is -int sigma grad chi = int chi div sigma: walls have no part in it.
+    The stress sigma is the sum of the elastic and the viscous one.  With a continuous chi, the fraction
+    averaged at the vertices, the force is -int sigma grad chi = int chi div sigma: walls have no part in it.
     """
 
     def __init__(self, simulation: Simulation, names: Sequence[str]) -> None:
@@ -129,13 +129,13 @@ class _Tractions:
         return [*f, *(place[i] * f[j] - place[j] * f[i] for i, j in axes)]
 
     def stresses(self) -> np.ndarray:
-        """Mean stresses, Pa, (bodies, components); NaN of a body without volume."""
+        """Mean stresses, Pa, (bodies, components); NaN for a body without volume."""
         found = np.asarray(self._step.quadrature.integrate_cells(self._stresses), dtype=float)
         volumes, sums = found[: len(self._theta), None], found[len(self._theta) :]
         return sums.reshape(len(volumes), -1) / np.where(volumes > 0, volumes, np.nan)
 
     def forces(self, centres: np.ndarray) -> np.ndarray:
-        """Forces, N, and torques about the bodies' centres, (bodies, dim), N m: (bodies, components)."""
+        """Forces, N, and torques, N m, about the bodies' ``centres``, (bodies, dim): (bodies, components)."""
         for name, chi in self._chi.items():
             chi.Set(self._theta[name])
         found = np.asarray(self._step.quadrature.integrate_cells(self._forces), dtype=float)
@@ -147,20 +147,20 @@ class _Tractions:
 
 
 MEASURES = ("deformation", "outline", "turning", "stress", "traction", "gap")
-"""Measures of bodies that may be asked for."""
+"""Optional measures of bodies."""
 _PLANE = ("deformation", "outline", "turning", "gap")
-"""The measures that need an outline, which there is in two dimensions."""
+"""Measures that need an outline, hence two dimensions."""
 
 
 class Bodies(Series):
-    """Each body of a model over time.
+    """Table of each body of a model over time.
 
     Parameters
     ----------
     path : path, optional
-        CSV file; without one the rows are kept in memory only.
+        CSV file; without a path the rows are kept in memory only.
     every : int
-        Every so many steps, and at the end.
+        Number of steps from one row to the next; the end has a row too.
     measures : sequence of str
         Further columns: ``"deformation"``, ``"outline"``, ``"turning"``, ``"stress"``, ``"traction"``,
         ``"gap"``.
@@ -174,29 +174,29 @@ class Bodies(Series):
     | ``NAME_volume`` | int theta, m^d |
     | ``NAME_x``, ``_y``, ``_z`` | centroid int theta x over the volume, m |
     | ``NAME_momentum_x``, ... | int rho_R n v, kg m/s |
-    | ``NAME_kinetic``, ``NAME_stored`` | kinetic, J; shear, n U(1) and theta of what else is in V, J |
-    | ``NAME_dissipation`` | of viscosity and creep, of the present (limited) state, W |
-    | ``NAME_x_min``, ``NAME_x_max``, ... | where theta >= 1/2 at points of cells, m; NaN without any |
+    | ``NAME_kinetic``, ``NAME_stored`` | kinetic, J; shear, n U(1) and theta times V's other terms, J |
+    | ``NAME_dissipation`` | dissipation by viscosity and creep in the present (limited) state, W |
+    | ``NAME_x_min``, ``NAME_x_max``, ... | extent of points with theta >= 1/2, m; NaN without such points |
     | ``NAME_smeared`` | width of the interface in cells: the volume where 0.05 < theta < 0.95 over |
-    |  | that of an interface of one cell; NaN without one |
+    |  | the volume of an interface one cell wide; NaN without an interface |
 
-    and by the measures, of which the first four are of the region with theta >= 1/2 in two dimensions, NaN
-    without one:
+    and, by the measures, the following.  The first four are measures of the region with theta >= 1/2 in two
+    dimensions; they are NaN if there is no such region.
 
     | measure | columns |
     |---|---|
-    | ``deformation`` | ``NAME_L``, ``NAME_B``, length and breadth of the ellipse of its second moments, m |
+    | ``deformation`` | ``NAME_L``, ``NAME_B``, length and breadth of the region's ellipse of inertia, m |
     |  | ``NAME_D``, (L - B)/(L + B), ``NAME_angle`` from x to L, rad from -pi/2 to pi/2 |
-    | ``outline`` | ``NAME_perimeter``, m, and ``NAME_inside``, the area within it, m^2 |
-    | ``turning`` | ``NAME_turning``, how fast matter goes round (tank-treading), 2 pi/period, rad/s |
-    | ``gap`` | ``gap_NAME_OTHER``, the least distance of two outlines, m, of bodies that have a place |
+    | ``outline`` | ``NAME_perimeter``, m, and ``NAME_inside``, the area within the outline, m^2 |
+    | ``turning`` | ``NAME_turning``, rate at which matter goes round (tank-treading), 2 pi/period, rad/s |
+    | ``gap`` | ``gap_NAME_OTHER``, least distance of the outlines of two bodies that have a place, m |
     | ``stress`` | ``NAME_stress_11``, ..., mean of the elastic and viscous stress, Pa |
-    | ``traction`` | ``NAME_force_x``, ..., what others exert on it by that stress, N, and its torque |
+    | ``traction`` | ``NAME_force_x``, ..., force of the other bodies by that stress, N, and its torque |
     |  | about the centroid, ``NAME_torque``, in 3D ``NAME_torque_x``, ..., N m |
 
     A body that crosses a periodic boundary is in parts: centroid and moments are not those of one body.  A
-    ``SmearedWarning`` says once of a body with a place that its interface is more than three cells wide.
-    In a run's HDF5 file (``Checkpoints``) the columns are the group ``bodies``.
+    ``SmearedWarning`` is issued, once, for a body with a place whose interface is more than three cells wide.
+    A run's HDF5 file (``Checkpoints``) holds the columns in the group ``bodies``.
     A run raises ParameterError for a model without bodies, for a measure that needs an outline in three
     dimensions, and for ``gap`` of fewer than two bodies that have a place.
     """
@@ -245,7 +245,7 @@ class Bodies(Series):
         return list(self._units)
 
     def _units_of(self, measure: str, axes: str) -> dict[str, str]:
-        """The columns of a measure of each body, with their units."""
+        """Units of a measure's columns, by the columns' names without the body's name."""
         if measure == "stress" and self._tractions is not None:
             return dict.fromkeys(self._tractions.of_stress, "Pa")
         if measure == "traction":
@@ -271,7 +271,7 @@ class Bodies(Series):
         values = totals.reshape(self._theta.dim, -1)
         values[:, 2 : 2 + dim] /= np.where(values[:, 1:2] > 0, values[:, 1:2], np.nan)
         there = simulation.sampler.rows(self._theta).T[:, :, None] >= _HALF
-        # the least as the largest of the negative ones: a rank may have none
+        # the least value is minus the largest of the negated ones: the point set of a rank may be empty
         ends = np.stack([-self._places, self._places], axis=-1).reshape(-1, 2 * dim)
         extents = np.where(there, ends, -np.inf).max(axis=1, initial=-np.inf)
         extents = simulation.ranks.largest(extents) * np.tile([-1, 1], dim)
@@ -291,7 +291,7 @@ class Bodies(Series):
         return [row]
 
     def _measured(self, measure: str, centres: np.ndarray) -> np.ndarray:
-        """The columns of a measure, (bodies, columns)."""
+        """Values of a measure, (bodies, columns)."""
         if self._tractions is not None and measure in ("stress", "traction"):
             return self._tractions.stresses() if measure == "stress" else self._tractions.forces(centres)
         cuts = [self._fractions.cut(name) for name in self._names]
@@ -308,7 +308,7 @@ class Bodies(Series):
         return np.array(rows)
 
     def _look(self, simulation: Simulation, smeared: np.ndarray) -> None:
-        """Warn once of each body whose interface has become wide."""
+        """Warn, once for each body, of an interface that has become wide."""
         for name, width in zip(self._names, smeared, strict=True):
             if name in self._placed and name not in self._is_said and width > _WIDE:
                 self._is_said.add(name)
@@ -320,7 +320,7 @@ class Bodies(Series):
 
 
 def require_bodies(owner: str, material: Any) -> tuple[Any, ...]:
-    """The bodies of a model's material; raises ParameterError for one without."""
+    """The bodies of a model's material; raises ParameterError for a material without bodies."""
     if not isinstance(material, Mixture):
         expected = "bodies, Model(bodies=[...]), which it would measure"
         raise ParameterError(f"{owner}.model", type(material).__name__, expected)

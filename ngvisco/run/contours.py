@@ -24,19 +24,19 @@ class Contours(Series):
     Parameters
     ----------
     directory : path, optional
-        Made if missing: ``contours.csv``, and ``contours.pvd`` with its ``.vtu`` files for ParaView; without
-        one the rows are kept in memory only.
+        Directory of ``contours.csv``, and of ``contours.pvd`` with its ``.vtu`` files for ParaView, made if
+        missing; without a directory the rows are kept in memory only.
     bodies : sequence of str, optional
-        Their names; default all that have a place.
+        Names of bodies; default all bodies that have a place.
     every : int
-        Every so many steps, and at the end.
+        Number of steps from one sample to the next; the end is sampled too.
 
-    The columns are ``step``, ``time`` (s), ``body``, its number from 1 as in the field ``body``, ``line``,
-    the number from 1 of a line of that body, and ``x``, ``y`` (m), row by row along the line with the body on
-    the left; a closed line ends with the point it begins with.  In the .vtu files cells are segments, with
+    The columns are ``step``, ``time`` (s), ``body``, the body's number from 1 as in the field ``body``,
+    ``line``, the number from 1 of a line of that body, and ``x``, ``y`` (m), row by row along the line with
+    the body on the left; a closed line ends with its first point.  In the .vtu files cells are segments, with
     the numbers ``body`` and ``line`` at their points.
-    A run raises ParameterError for a model without bodies and in three dimensions, UnknownNameError for a
-    body that it does not have.
+    A run raises ParameterError for a model without bodies and in three dimensions, UnknownNameError for an
+    unknown body.
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""Files: written whole or not at all, with their name in every error, and locked; tables, and meshes."""
+"""Files, tables and meshes: a file is written whole or not at all; every error has the file's name."""
 
 import contextlib
 import csv
@@ -21,11 +21,11 @@ from ngvisco.parallel.mesh import has_geometry, volume_and_surface
 AnyPath: TypeAlias = str | os.PathLike[str]
 
 _DIGITS = 1e-5
-"""Relative difference of volumes and surfaces that the digits of curved cells in a file may make."""
+"""Relative error of volumes and surfaces by the rounded digits of curved cells in a file."""
 
 
 def write_atomically(path: Path, content: bytes) -> None:
-    """Write beside and rename; on an error the old file is as it was and nothing lies beside it."""
+    """Write a file beside ``path`` and rename it; an error leaves the old file as it was, and no new one."""
     path.parent.mkdir(parents=True, exist_ok=True)
     draft = path.with_name(path.name + ".part")
     with _named(path):
@@ -47,7 +47,7 @@ def append(path: Path, text: str) -> None:
 
 
 def csv_text(rows: Iterable[Iterable[object]]) -> str:
-    """Rows as lines of a CSV file."""
+    """Text of a CSV file with these rows."""
     text = io.StringIO(newline="")
     csv.writer(text).writerows(rows)
     return text.getvalue()
@@ -100,14 +100,14 @@ def require_whole(path: Path) -> None:
 
 
 def mesh_image(mesh: Mesh) -> bytes:
-    """The mesh as a .vol file's content; Netgen itself would be silent about a full disk."""
+    """The mesh as a .vol file's content; unlike Netgen it is not silent about a full disk."""
     with tempfile.TemporaryDirectory() as scratch:
         path = Path(scratch) / "mesh.vol"
         mesh.ngmesh.Save(str(path))
         require_whole(path)
         lines = path.read_bytes().split(b"\n")
     first = lines.index(b"points") + 2
-    for i, point in enumerate(coordinates(mesh).tolist()):  # Netgen writes 16 decimals, none of 1e-17 m
+    for i, point in enumerate(coordinates(mesh).tolist()):  # Netgen writes 16 decimals: 1e-17 m would be 0
         lines[first + i] = " ".join(map(repr, [*point, 0.0][:3])).encode()
     return b"\n".join(lines)
 
@@ -121,15 +121,15 @@ def mesh_of(image: bytes) -> Mesh:
 
 
 def mesh_in(path: Path) -> Mesh:
-    """The mesh in a file; of a known geometry curved by that: Netgen writes eight decimals of curved cells.
+    """The mesh in a file, curved anew if its geometry is known: Netgen writes eight decimals of curved cells.
 
-    Otherwise the cells of a case file were others than those of a script, 3e-10 of a disc's area, and than
-    those of several ranks.
+    With these decimals the cells of a case file would differ from the cells of a script, by 3e-10 of a disc's
+    area, and from the cells of several ranks.
     """
     mesh = Mesh(str(path))
     if mesh.GetCurveOrder() > 1 and has_geometry(mesh):
         sizes = volume_and_surface(mesh)
         mesh.Curve(mesh.GetCurveOrder())
-        if not np.allclose(volume_and_surface(mesh), sizes, rtol=_DIGITS, atol=0):  # of another geometry
+        if not np.allclose(volume_and_surface(mesh), sizes, rtol=_DIGITS, atol=0):  # another geometry
             return Mesh(str(path))
     return mesh

@@ -1,4 +1,4 @@
-"""Warnings of given values of matter that flows in and has another stress than the body inside."""
+"""Warning about given inflow values whose stress differs from the body's stress at the inlet."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ if TYPE_CHECKING:
     from ngvisco.forms.system import Step
 
 _MATTERS = 0.01
-"""Share of all powers that matter may lose where it flows in; more is said."""
+"""Share of all powers that matter may lose where it flows in; a run warns of a larger one."""
 
 
 class InflowWarning(NgviscoWarning):
-    """Given values of what flows in have another stress than the body inside: a jump stays at the inlet."""
+    """Given inflow values have another stress than the body inside: a jump stays at the inlet."""
 
 
 def inflow_message(step: Step, row: Mapping[str, float]) -> str:
-    """The message about walls in a ledger's row whose given strains lose much; empty for little.
+    """Warning about walls in a ledger's row whose given strains lose much energy; empty for little.
 
-    Not of bodies and of temperatures, which mix by their nature.
+    Bodies and temperatures mix by their nature: their values bring no warning.
     """
     if step.model.bodies:
         return ""

@@ -1,7 +1,7 @@
-"""A run that is asked to stop within a step: the step is given up between two iterations.
+"""Stop of a run within a step: the step is given up between two iterations.
 
-The run then ends with the state before that step, and a checkpoint of it has what the solver knew when the
-step began: a run that goes on from there is the uninterrupted one.
+The run then ends with the state before that step, and its checkpoint holds the solver's data from before the
+step: a run that goes on from there equals the uninterrupted one.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ Part: TypeAlias = tuple[dict[str, float], dict[str, np.ndarray]]
 
 
 class Interruption:
-    """The means of a simulation to give up a step, and to take it up again."""
+    """Gives up a step of a simulation when a stop is requested, and lets it begin again."""
 
     def __init__(self, simulation: Simulation) -> None:
         self._simulation, self._is_armed, self._has_stopped = simulation, False, False
@@ -27,21 +27,21 @@ class Interruption:
         simulation.solver.interrupted = lambda: self._is_armed and simulation.stop_requested
 
     def begin(self) -> None:
-        """A step begins: keep what it depends on.  Only a request that comes later gives it up."""
+        """Keep the data that the step which begins depends on; only a later request gives the step up."""
         if self._has_stopped:
             self._simulation.solver.load_state_dict(*self._kept["solver"])
         self._has_stopped = False
         self._kept, self._is_armed = self.parts(), not self._simulation.stop_requested
 
     def parts(self) -> dict[str, Part]:
-        """Numbers and arrays of solver and step lengths that a restart from here needs, by name."""
+        """Numbers and arrays of the solver and of the stepper that a restart from here needs, by part."""
         if self._has_stopped:
             return self._kept
         simulation = self._simulation
         return {"solver": simulation.solver.state_dict(), "stepping": simulation.stepper.state_dict()}
 
     def ended(self, error: BaseException) -> BaseException | None:
-        """The error that a run ends with for this error: None where the run was asked to stop."""
+        """The error that ends a run after ``error``: None if ``error`` is the requested stop."""
         if not isinstance(error, StopRequested):
             return error
         self._simulation.stepper.load_state_dict(self._simulation, *self._kept["stepping"])

@@ -18,11 +18,11 @@ _WIDTH, _HEIGHT = 420, 120
 
 
 class NotebookError(NgviscoError, RuntimeError):
-    """Something that a notebook needs is not installed."""
+    """A package that a notebook needs is not installed."""
 
 
 def simulation_html(simulation: Simulation) -> str:
-    """The description of a simulation and how far it got."""
+    """The description of a simulation, its present time and its ledger."""
     layout, model = simulation.rothe_step.layout, simulation.model
     mechanisms = [
         f"{name} {html.escape(_short(part))}"
@@ -50,7 +50,7 @@ def results_html(title: str, time: float, ledger: Mapping[str, np.ndarray]) -> s
 
 
 def ledger_html(ledger: Mapping[str, np.ndarray]) -> str:
-    """Energies over time as a drawing, and the last row's balance, of a ledger's columns."""
+    """A drawing of a ledger's energies over time, and a table of its last row's balance."""
     if not len(ledger["time"]):
         return "<div>no step yet</div>"
     shown = {
@@ -93,7 +93,7 @@ def _short(thing: object) -> str:
 
 
 def data_frame(columns: Mapping[str, np.ndarray]) -> Any:
-    """Columns of a ledger as a pandas frame, with the step as index.
+    """The columns of a ledger as a pandas frame, with the step as index.
 
     Raises NotebookError when pandas is missing.
     """
