@@ -72,8 +72,10 @@ class FacetProjection:
         quadrature: Quadrature,
         share: CoefficientFunction,
         value: CoefficientFunction,
+        kept: Callable[[np.ndarray], np.ndarray] = lambda values: values,
     ) -> None:
-        self.target, space = target, target.space
+        """``kept`` makes the values that are kept of those found."""
+        self.target, self._kept, space = target, kept, target.space
         self._exchange = Exchange.of(space, Communicator.of(space.mesh))
         test = space.TestFunction()
         mass, self.load = LinearForm(space), LinearForm(space)
@@ -84,7 +86,7 @@ class FacetProjection:
 
     def __call__(self) -> None:
         loads = self._exchange.sum(self.load.Assemble().vec.FV().NumPy().copy())
-        self.target.vec.FV().NumPy()[:] = loads / self._areas
+        self.target.vec.FV().NumPy()[:] = self._kept(loads / self._areas)
 
 
 def inverse_mass(space: FESpace, quadrature: Quadrature) -> BaseMatrix:

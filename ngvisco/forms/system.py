@@ -90,7 +90,7 @@ from ngvisco.forms.terms.transport import (
     Upwinding,
 )
 from ngvisco.forms.unfelt import UNFELT, Unfelt
-from ngvisco.forms.upwinding import SideMean, mean_share
+from ngvisco.forms.upwinding import Largest, SideMean, mean_share
 from ngvisco.physics.material import part_of
 from ngvisco.physics.materials.damaged import Damaged
 from ngvisco.physics.materials.thermal import entropy_in
@@ -112,6 +112,8 @@ class Elimination:
         u = layout.fields(state.components)
         parts = dict(zip(layout.names, state.components, strict=True))
         self.projections: dict[str, LocalProjection] = {}
+        self.largest = Largest()
+        """The means over facets that grow only, among the iterates of a step."""
         self._means: list[LocalProjection | FacetProjection] = []
         """Means over cells and facets, which nothing but a step's equations reads."""
         for term in terms:
@@ -125,7 +127,8 @@ class Elimination:
                             self.projections[name] = made
             if isinstance(term, SideMean) and not term.is_linear:
                 value = mean_share(u.context.inner), term.value(u)
-                self._means.append(FacetProjection(parts[term.name], quadrature, *value))
+                kept = [partial(self.largest, term.name)] if term.stays else []
+                self._means.append(FacetProjection(parts[term.name], quadrature, *value, *kept))
         self._of_energy: LocalProjection | None = None
         if self.energy.projected is not None:
             load = tested(self.energy.density(u))

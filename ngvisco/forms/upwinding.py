@@ -13,6 +13,7 @@ by which the whole flux is that of the upstream side.
 from abc import abstractmethod
 from collections.abc import Sequence
 
+import numpy as np
 from ngsolve import CoefficientFunction
 
 from ngvisco.forms.fields import Fields
@@ -43,6 +44,32 @@ def side(u: Fields) -> CoefficientFunction:
     return u.context.inner * if_positive(along, one, -one)
 
 
+class Largest:
+    """The largest values of means over facets among the iterates of a step, by the means' names.
+
+    What a mean switches off at a facet stays off: an equation whose solution lies where it would be switched
+    on and off again has none.
+    """
+
+    def __init__(self) -> None:
+        self._values: dict[str, np.ndarray] = {}
+        self.growths = 0
+        """How often values have left zero."""
+
+    def begin(self) -> None:
+        """The solution of a step begins."""
+        self._values.clear()
+
+    def __call__(self, name: str, values: np.ndarray) -> np.ndarray:
+        """The largest values so far, of these too."""
+        before = self._values.get(name)
+        found = values.copy() if before is None else np.maximum(before, values)
+        if before is not None and ((found > 0) & ~(before > 0)).any():
+            self.growths += 1
+        self._values[name] = found
+        return found
+
+
 class SideMean(PointTerm):
     """sum_K int_{dK} share (a_hat - a) t = 0: a_hat, an unknown of facets, is a mean of both sides' values.
 
@@ -54,10 +81,13 @@ class SideMean(PointTerm):
     is_linear : bool
         Whether a is linear in these: Newton's method then has a_hat to rounding.  Otherwise a_hat is one
         number a facet, and made anew after each increment.
+    stays : bool
+        Whether a_hat is the largest of all iterates' values in the solution of a step (``Largest``).
     """
 
     name: str
     is_linear = True
+    stays = False
 
     @abstractmethod
     def value(self, u: Fields) -> CoefficientFunction:

@@ -132,6 +132,8 @@ class Newton:
     has_energy : callable, optional
         Says whether the state has a stored energy.  An iterate without one is as one without a residual: a
         logarithm's derivative goes on beyond its pole.
+    growths : callable, optional
+        Counts changes of the equations that evaluations make (``ngvisco.forms.upwinding.Largest``).
     """
 
     def __init__(
@@ -145,8 +147,9 @@ class Newton:
         exchange: Exchange | None = None,
         stresses: Stresses | None = None,
         has_energy: Callable[[], bool] = lambda: True,
+        growths: Callable[[], int] = lambda: 0,
     ) -> None:
-        self.has_energy = has_energy
+        self.has_energy, self.growths = has_energy, growths
         self.form, self.state, self.norm, self.options = form, state, norm, options
         self.eliminate, self.refresh, self.stresses = eliminate, refresh, stresses
         self.exchange = exchange or Exchange.of(form.space, Communicator())
@@ -206,7 +209,7 @@ class Newton:
         self._set_increment(problem, fresh)
         while len(history) < options.max_iterations:
             problem.poll()
-            self._base.data = u
+            self._base.data, growths = u, self.growths()
             self._follow(self._increment, damping)
             self.form.Apply(u, self._trial_residual)
             size = self.norm(self._increment, self._base, u)
@@ -232,7 +235,11 @@ class Newton:
                 u.data = self._base
                 if self.stresses:
                     self.stresses.undo()
-                if not fresh:
+                if self.growths() != growths:  # the equations are others, also where the iterate is given up
+                    self.eliminate()
+                    self.form.Apply(u, self._residual)
+                    fresh, renewed, damping = True, True, 1.0
+                elif not fresh:
                     fresh, damping = True, 1.0
                 elif damping > options.min_damping:
                     damping /= 2

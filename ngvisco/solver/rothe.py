@@ -128,13 +128,16 @@ class RotheSolver:
             found = Split(step, norm, options, self.exchange)
             reason = found.preconditioner.without_multigrid
         else:
-            more = eliminate.refresh, self.exchange, step.stresses, self._has_energy
+            more = eliminate.refresh, self.exchange, step.stresses, self._has_energy, self._growths
             found = Newton(step.residual, step.state.vec, norm, eliminate, options, *more)
             reason = "the coupled solver, which takes the steps, factorises all unknowns"
         if options.coarse != "direct" and reason is not None:
             message = f"coarse = {options.coarse!r} of the solver has no effect: {reason}"
             self.ranks.warn(message, InputWarning, stacklevel=5)
         return found
+
+    def _growths(self) -> int:
+        return sum(self.ranks.gathered(self.step.eliminate.largest.growths))
 
     def _has_energy(self) -> bool:
         if not self.ranks.any(len(self.step.without_energy()) > 0):
@@ -186,7 +189,7 @@ class RotheSolver:
                     break
                 self.newton.reset()  # what was factorised belongs to iterates that have been given up
             else:
-                if self.method == "split" or not self._grows(interval, attempts):
+                if self.method == "split" or not (self.step.stresses and self._grows(interval, attempts)):
                     failed = [attempt.solution for attempt in attempts if not attempt.solution.converged]
                     reason = failed[-1].reason  # shorter steps may have been solved
                     others = dict.fromkeys(note for note in self._met if note not in reason)
@@ -213,7 +216,7 @@ class RotheSolver:
     def _grows(self, interval: Interval, attempts: list[Attempt]) -> bool:
         """Whether steps of growing length, each the start value of the next, lead to the whole one.
 
-        It is stiff creep that the coupled solver needs them for.
+        It is steep flow rules that the coupled solver needs them for; else half of the step is cheaper.
         """
         guess, solved, factor = self._start.Copy(), 0.0, _FACTOR
         length = _SHORTEST
@@ -245,6 +248,7 @@ class RotheSolver:
         if isinstance(self.newton, Split):
             self.newton.damps = damps
         self.step.energy.last_failure = None
+        self.step.eliminate.largest.begin()
         self.ranks.forget_notes()
         return self._judged(self.newton.solve(self.problem(interval), guess))
 

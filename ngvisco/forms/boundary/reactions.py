@@ -9,7 +9,8 @@ w_Gamma = e at the coefficients that Gamma constrains; the torque is the same wi
 The last integral, z_f what goes by its flux, is there because the elastic force of the scheme is
 B_h(w; z, zeta) = int T : grad w - int (phi - z_f : zeta_f) (w . n): the same where w.n = 0 on walls.  This is
 the consistent reaction, of the elastic, viscous and hyperviscous stress alike; it converges faster than an
-integral of T n.
+integral of T n.  Where the trace on a wall has no energy (det B <= 0 beside a barrier), phi is the cell's
+projection of it.
 
 At a corner where several walls constrain a component of v, it counts for them in the shares of their n_i^2,
 so that each keeps its own pressure, and equally where all n_i are zero.
@@ -20,7 +21,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from ngsolve import CF, CoefficientFunction, GridFunction, LinearForm, ds, specialcf, x, y, z
+from ngsolve import CF, L2, CoefficientFunction, GridFunction, LinearForm, ds, specialcf, x, y, z
 
 from ngvisco.errors import UnknownNameError
 from ngvisco.forms.boundary.boundaries import facet_indicator
@@ -28,11 +29,12 @@ from ngvisco.forms.boundary.on_wall import OnWall
 from ngvisco.forms.boundary.walls import MovingWalls
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.mesh.symmetry import Symmetry
+from ngvisco.forms.projections import LocalProjection
 from ngvisco.forms.system import Step
-from ngvisco.forms.term import Integrand
+from ngvisco.forms.term import Integrand, tested
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.exchange import Exchange, Interpolation
-from ngvisco.physics.tensors import if_positive, inner, masked
+from ngvisco.physics.tensors import if_positive, inner, is_number, masked
 from ngvisco.physics.walls import HELD
 
 
@@ -68,8 +70,12 @@ class WallReactions:
         closed = facet_indicator(step.mesh, [name for name in walls if name not in step.walls.crossed])
         through = free.TestFunction() * step.context.normal
         self._energy = LinearForm(free)
-        beside = beside_the_stress(step.now, step.energy.anywhere(step.now))
-        flux = if_positive(closed, beside, 0.0) * through  # a trace between cells may have no energy
+        # a trace may have no energy, though all points of the cells' rule have one
+        projected, density = GridFunction(L2(step.mesh, order=step.discretisation.m)), step.energy.density
+        self._project = LocalProjection(projected, step.quadrature, tested(density(step.now)))
+        phi = step.energy.anywhere(step.now)
+        self._beside = beside_the_stress(step.now, is_number(phi, phi, projected))
+        flux = if_positive(closed, self._beside, 0.0) * through
         step.quadrature.add(self._energy, [Integrand(facets=flux)])
         self._terms = {name: self._own_terms(name) for name in self.names}
 
@@ -107,7 +113,7 @@ class WallReactions:
             if name in step.walls.multiplied:
                 excess = u.wall_stress
                 if name not in step.walls.crossed:
-                    excess = excess - beside_the_stress(u, step.energy.anywhere(u))
+                    excess = excess - self._beside
                 parts.append(facet_indicator(step.mesh, [name]) * excess * (motion * step.context.normal))
             found.append(parts)
         return found
@@ -131,6 +137,7 @@ class WallReactions:
         step, integrate = self.step, self.step.quadrature.integrate_facets
         residual = step.state.vec.CreateVector()
         step.residual.Apply(step.state.vec, residual)
+        self._project()
         self._energy.Assemble()
         rows = residual.FV().NumPy()[step.layout.ranges["v"]] + self._energy.vec.FV().NumPy()
         result = {}

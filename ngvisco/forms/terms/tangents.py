@@ -16,6 +16,7 @@ what is left then is seen in the ledger's momentum defect.
 
 A trace may be where the energy has no value, det B <= 0 beside a barrier of ln det B, while all points of
 the cells' rule are inside.  On such a facet b = 0: its thrust is then in the ledger's momentum defect.
+b jumps there; so a facet on which a trace of any iterate has no energy has b = 0 for the rest of the step.
 
 An energy is not convex in its parameters, and [z] : [zeta] may be zero where a modulus and a strain jump.
 Strains and parameters then have a weight each, b_i = int N D_i / (D_1^2 + D_2^2), D_i half of their share of
@@ -66,9 +67,13 @@ class TangentGap(OfFacet):
 
 
 class WithoutEnergy(OfFacet):
-    """How much of a facet has a trace without an energy, of both sides: 0 where all of it has one."""
+    """How much of a facet has a trace without an energy, of both sides: 0 where all of it has one.
+
+    A facet that an iterate had without one stays so in the step.
+    """
 
     name = "without_energy"
+    stays = True
 
     def value(self, u: Fields) -> CoefficientFunction:
         return is_number(u.context.rates.stored_on_sides(u), 0.0, 1.0)
