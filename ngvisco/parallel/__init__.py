@@ -1,1 +1,1 @@
-"""Ranks: what of a distributed mesh a rank does not know alone."""
+"""Communication between the ranks of a distributed mesh."""

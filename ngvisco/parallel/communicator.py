@@ -1,10 +1,8 @@
-"""Reductions over the ranks of a mesh; on one process each is its argument, at no cost.
+"""Reductions over the ranks of a mesh; on one process a reduction returns its argument at no cost.
 
-The ranks with cells among themselves, and the first one, which has none and follows them asleep.
-
-In a sum over cells the first rank has no share: the others reduce it and send it on to the first one, for
-which none of them waits.  MPI's own waiting keeps a processor busy, which is one of theirs where there are
-as many ranks with cells as processors: the first rank looks, and sleeps in between.
+The first rank has no cells.  In sums over cells the other ranks reduce among themselves and send the result
+to the first rank, for which no rank waits.  MPI's own waiting keeps a processor busy; with as many ranks with
+cells as processors this would slow one of them down.  So the first rank polls, and sleeps in between.
 """
 
 from __future__ import annotations
@@ -26,16 +24,16 @@ from ngsolve import Mesh
 from ngvisco.errors import NgviscoError
 
 _SHORTEST, _LONGEST, _GROWTH = 2e-5, 1e-3, 1.5
-"""Seconds between two looks of a rank that waits asleep, and by how much they grow from look to look."""
+"""Shortest and longest pause, s, between two polls of a sleeping rank, and the growth factor of pauses."""
 
 _SIZES = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "MPI_LOCALNRANKS")
-"""Variables by which the usual MPIs tell a process how many there are."""
+"""Environment variables in which the usual MPIs pass the number of processes."""
 
 OF_ALL_RANKS = "_of_all_ranks"
-"""Attribute of errors that all ranks have agreed on."""
+"""Name of the attribute of errors on which all ranks have agreed."""
 
 _LOOK, _PATIENCE = 0.01, 20.0
-"""Seconds between looks at other ranks, and for which a rank that has failed waits for their end."""
+"""Seconds between polls of other ranks, and seconds that a failed rank waits for them to end."""
 
 Result = TypeVar("Result")
 
@@ -46,7 +44,7 @@ class MPIError(NgviscoError, RuntimeError):
 
 @dataclass
 class Traffic:
-    """Counts of what this process has sent: messages to neighbours, their bytes, and reductions of a few
+    """Numbers of this process's messages to neighbours, of their bytes, and of its reductions of a few
     numbers each."""
 
     messages: int = 0
@@ -59,27 +57,27 @@ TRAFFIC = Traffic()
 
 
 class Working:
-    """The ranks of a communicator that have cells; made once for a communicator, collectively."""
+    """The ranks with cells of a communicator; made collectively, once for each communicator."""
 
     def __init__(self, mpi: Any) -> None:
         self.is_first = mpi.rank == 0
         self.among = mpi.Split(int(not self.is_first), mpi.rank)
-        """Their communicator; on the first rank one of its own."""
+        """Communicator of the ranks with cells; on the first rank one of this rank alone."""
         self._first = mpi.Dup()
         self._sent: list[Any] = []
         self.notes: list[str] = []
-        """Notes of this rank, for ``Communicator.noted``."""
+        """Failures noted by this rank, for ``Communicator.noted``."""
 
     @classmethod
     def of(cls, mpi: Any) -> Working:
-        """The ranks that work in a communicator of mpi4py; collective at the first call."""
+        """The ranks with cells of an mpi4py communicator; collective at the first call."""
         number = mpi.py2f()
         if number not in _kept:
             _kept[number] = mpi, cls(mpi)
         return _kept[number][1]
 
     def sums(self, values: np.ndarray) -> np.ndarray:
-        """The sums of each of some values over the ranks with cells, on all ranks."""
+        """Entrywise sums over the ranks with cells, returned on all ranks."""
         TRAFFIC.reductions += 1
         result = np.empty_like(values)
         if self.is_first:
@@ -101,20 +99,20 @@ def asleep(request: Any) -> None:
 
 
 _kept: dict[int, tuple[Any, Working]] = {}
-"""Working ranks by MPI's number of a communicator, which is kept too, so that no other gets its number.
-(With MPI's own attributes of communicators a process does not end: mpi4py asks for an interpreter that has
-gone.)"""
+"""Working ranks by MPI's number of a communicator.  The communicator is kept too, so that its number is not
+reused.  (MPI's attributes of communicators would hang the process at its end: mpi4py then calls an
+interpreter that has gone.)"""
 
 
 class Communicator:
     """The ranks that hold a mesh.
 
-    Every method is collective: all ranks call it, in the same order, and get the same.
+    Every method is collective: all ranks call it, in equal order, and get equal results.
 
     Parameters
     ----------
     mpi : communicator of mpi4py, or None
-        None for one process.
+        mpi4py's communicator; None for one process.
     """
 
     def __init__(self, mpi: Any = None) -> None:
@@ -124,12 +122,12 @@ class Communicator:
 
     @property
     def working(self) -> Any:
-        """mpi4py's communicator of the ranks with cells, on the first one its own; None without MPI."""
+        """mpi4py's communicator of the ranks with cells, or of the first rank alone; None without MPI."""
         return None if self.mpi is None else Working.of(self.mpi).among
 
     @property
     def is_idle(self) -> bool:
-        """Whether this is the rank of several that has no cells."""
+        """Whether this is the first of several ranks, which has no cells."""
         return self.is_distributed and self.is_first
 
     @classmethod
@@ -139,17 +137,16 @@ class Communicator:
 
     @classmethod
     def world(cls) -> Communicator:
-        """All processes that mpirun started; without mpirun one, and MPI is not asked for.
+        """All processes that mpirun started; without mpirun one process, and MPI is not loaded.
 
-        Raises MPIError if mpirun started several which cannot meet: mpi4py is missing, or belongs to
-        another MPI.
+        Raises MPIError if mpirun started several processes and mpi4py is missing or belongs to another MPI.
         """
         started = max((int(os.environ[n]) for n in _SIZES if os.environ.get(n, "").isdigit()), default=1)
         if started == 1 and "mpi4py.MPI" not in sys.modules:
             return cls()
         try:
             from mpi4py import MPI
-        except (ImportError, RuntimeError) as error:  # RuntimeError: no library of MPI
+        except (ImportError, RuntimeError) as error:  # RuntimeError: the MPI library is missing
             raise MPIError(
                 f"mpirun started {started} processes, but mpi4py does not load ({error})"
             ) from error
@@ -171,11 +168,11 @@ class Communicator:
         return self.rank == 0
 
     def total(self, value: float) -> float:
-        """The sum over the ranks."""
+        """Sum of a number over the ranks."""
         return value if self.size == 1 else self._reduced(value, "SUM")
 
     def totals(self, values: np.ndarray) -> np.ndarray:
-        """The sums over the ranks of each of some values."""
+        """Entrywise sums of an array over the ranks."""
         return values if self.size == 1 else self._reduced(np.ascontiguousarray(values), "SUM")
 
     def most(self, values: np.ndarray | float) -> float:
@@ -193,27 +190,27 @@ class Communicator:
         return -self.most(-np.asarray(values, dtype=float))
 
     def largest(self, values: np.ndarray) -> np.ndarray:
-        """The largest of all ranks' values, entry by entry; none of them NaN."""
+        """Entrywise maximum over the ranks; values must not be NaN."""
         return values if self.size == 1 else self._reduced(np.ascontiguousarray(values), "MAX")
 
     def any(self, value: bool | np.bool_) -> bool:
-        """Whether it is so on some rank."""
+        """Whether ``value`` is true on some rank."""
         return bool(value) if self.size == 1 else bool(self._reduced(int(value), "MAX"))
 
     def all(self, value: bool | np.bool_) -> bool:
-        """Whether it is so on every rank."""
+        """Whether ``value`` is true on every rank."""
         return not self.any(not value)
 
     def products(self, several: np.ndarray, one: np.ndarray) -> np.ndarray:
-        """Inner products of vectors (n, entries) with one, (n,), each entry on one rank with cells."""
+        """Inner products of n vectors (n, entries) with ``one``, (n,); a single rank has each entry."""
         return several @ one if self.size == 1 else Working.of(self.mpi).sums(several @ one)
 
     def dot(self, a: np.ndarray, b: np.ndarray) -> float:
-        """The inner product of what the ranks with cells hold together, each entry on one of them."""
+        """Inner product of two vectors over the ranks with cells; a single rank has each entry."""
         return float(self.products(a[None], b)[0])
 
     def norm(self, values: np.ndarray) -> float:
-        """The Euclidean norm of what the ranks with cells hold together, each entry on one of them."""
+        """Euclidean norm of a vector over the ranks with cells; a single rank has each entry."""
         return float(np.linalg.norm(values)) if self.size == 1 else float(np.sqrt(self.dot(values, values)))
 
     def _reduced(self, value: Any, name: str) -> Any:
@@ -230,12 +227,12 @@ class Communicator:
         return result if isinstance(value, np.ndarray) else float(result[0])
 
     def gathered(self, value: Any) -> list[Any]:
-        """All ranks' objects, in their order."""
+        """All ranks' objects, in the order of the ranks."""
         return [value] if self.size == 1 else self.mpi.allgather(value)
 
     @contextlib.contextmanager
     def together(self, *kinds: type[Exception]) -> Iterator[None]:
-        """Within: work of each rank for itself; an error of these kinds on one rank is raised on all."""
+        """Context for local work of each rank; an error of these kinds on one rank is raised on all."""
         error: Exception | None = None
         try:
             yield
@@ -246,7 +243,7 @@ class Communicator:
             raise together
 
     def agree(self, error: BaseException | None) -> BaseException | None:
-        """The error that all ranks fail with where some do: that of the lowest rank that has one."""
+        """The error of the lowest rank that has one, returned on all ranks; None if no rank has an error."""
         if self.size == 1 or not self.any(error is not None):
             return error
         found = [one for one in self.gathered(_packed(error)) if one is not None]
@@ -255,16 +252,16 @@ class Communicator:
         return together
 
     def note(self, text: str) -> None:
-        """Keep what this rank has met in work in which others wait for its numbers, which are NaN then."""
+        """Note a failure of this rank while others wait for its numbers, which it sends as NaN."""
         Working.of(self.mpi).notes.append(text)
 
     def forget_notes(self) -> None:
-        """Forget the notes of this rank."""
+        """Delete the notes of this rank."""
         if self.mpi is not None:
             Working.of(self.mpi).notes.clear()
 
     def noted(self) -> list[str]:
-        """The notes of all ranks, each text once."""
+        """Notes of all ranks, each text once."""
         notes = [] if self.mpi is None else self.gathered(Working.of(self.mpi).notes)
         return list(dict.fromkeys(text for of_rank in notes for text in of_rank))
 
@@ -283,15 +280,15 @@ class Communicator:
         return self.mpi.bcast(result)
 
     def warn(self, message: str, category: type[Warning], stacklevel: int = 1) -> None:
-        """Warn on the first rank; what warnings raise where they are errors is raised on all.
+        """Warn on the first rank; a warning that filters turn into an error is raised on all ranks.
 
-        ``stacklevel`` is as of ``warnings.warn``: 1 is the caller.
+        ``stacklevel`` counts as in ``warnings.warn``: 1 is the caller.
         """
         self.on_first(lambda: warnings.warn(message, category, stacklevel + 3))
 
     @contextlib.contextmanager
     def held_by_first(self, context: AbstractContextManager[Any]) -> Iterator[None]:
-        """Within: the first rank is in the context; what entering it raises is raised on every rank."""
+        """Context that the first rank alone enters; an error at entering is raised on every rank."""
         with contextlib.ExitStack() as stack:
 
             def enter() -> None:
@@ -301,9 +298,9 @@ class Communicator:
             yield
 
     def settled(self, code: int) -> int:
-        """The exit code of this process, when all ranks have come to their end.
+        """Wait until all ranks have ended and return the exit code of this process, the largest of all.
 
-        A rank that fails alone finds that the others do not come, and ends them.
+        A rank that has failed alone waits some seconds for the others, and then aborts them.
         """
         if self.size == 1:
             return code
@@ -316,18 +313,18 @@ class Communicator:
         return int(self.most(code))
 
     def abort(self, code: int) -> None:
-        """End all ranks at once with an exit code, as where one alone has met an error."""
+        """End all ranks at once with an exit code, after an error on one rank alone."""
         if self.mpi is not None:
             self.mpi.Abort(code)
 
 
 def _packed(error: BaseException | None) -> Any:
-    """An error for other ranks.  Ours are made without their arguments, which may be no plain objects."""
+    """Pack an error for other ranks.  Errors of ngvisco travel without arguments that cannot be pickled."""
 
     def travels(value: Any) -> bool:
         try:
             pickle.loads(pickle.dumps(value))
-        except Exception:  # whatever pickling raises
+        except Exception:  # pickling may raise any exception
             return False
         return True
 

@@ -1,11 +1,11 @@
-"""The one primitive of distributed vectors: what ranks share of a vector's unknowns is summed up.
+"""The one primitive of distributed vectors: unknowns that ranks share are summed over these ranks.
 
-``ParallelDofs().Proc2Dof(r)`` lists the unknowns shared with rank r in the same order on both sides.  Each
-rank sends its own values of them and adds what it gets in the order of the ranks, so that all ranks which
-share an unknown have bit for bit the same sum.
+``ParallelDofs().Proc2Dof(r)`` lists the unknowns shared with rank r in equal order on both sides.  Each rank
+sends its values of the shared unknowns and adds the received ones in the order of the ranks.  So all ranks
+that share an unknown have bit for bit equal sums.
 
-A vector is *summed* where all ranks that share an unknown have the same value of it, that of one process, and
-*in parts* where their sum is that value, as what each rank's cells make of a residual.
+A vector is *summed* if every rank that shares an unknown has its full value, as on one process.  It is
+*in parts* if the full value is the sum over these ranks, as for a residual assembled on each rank's cells.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from ngvisco.parallel.communicator import TRAFFIC, Communicator
 
 
 class Owned(ABC):
-    """Unknowns of this rank, each of which one of the ranks that have it owns.
+    """Unknowns of this rank; each shared unknown is owned by one of the ranks that share it.
 
     Parameters
     ----------
     count : int
-        How many there are on this rank.
+        Number of unknowns on this rank.
     neighbours : iterable of int
-        Ranks that have some of them too.
+        Ranks that share some of the unknowns.
     """
 
     def __init__(self, count: int, neighbours: Iterable[int], communicator: Communicator) -> None:
@@ -39,16 +39,16 @@ class Owned(ABC):
     @property
     @abstractmethod
     def owned(self) -> np.ndarray:
-        """Which ones this rank owns, (unknowns,)."""
+        """Whether this rank owns each unknown, (unknowns,)."""
 
     @abstractmethod
     def of_owners(self, values: np.ndarray) -> np.ndarray:
-        """For every unknown the value of the rank that owns it; collective between neighbours."""
+        """Value of each unknown on the rank that owns it; collective between neighbours."""
 
     def numbers(self, chosen: np.ndarray) -> tuple[np.ndarray, int]:
-        """Numbers of the unknowns that are ``chosen`` among these of all ranks, and how many they are.
+        """Global numbers of the ``chosen`` unknowns, and the number of these on all ranks; collective.
 
-        Those that a rank owns follow each other, rank after rank; others have no number.  Collective.
+        The numbers of the unknowns of one owner are consecutive, rank after rank.
         """
         own = chosen & self.owned
         counts = self.communicator.gathered(int(np.count_nonzero(own)))
@@ -58,14 +58,14 @@ class Owned(ABC):
 
 
 class Exchange(Owned):
-    """Sums of unknowns over the ranks that share them; on one process nothing is done.
+    """Sums of unknowns over the ranks that share them; on one process values stay as they are.
 
     Parameters
     ----------
     count : int
-        Unknowns of this rank.
+        Number of unknowns of this rank.
     shared : mapping of ranks to arrays of int
-        Unknowns shared with each neighbour, in the same order on both.
+        Unknowns shared with each neighbour, in equal order on both ranks.
     """
 
     def __init__(self, count: int, shared: Mapping[int, np.ndarray], communicator: Communicator) -> None:
@@ -74,22 +74,22 @@ class Exchange(Owned):
 
     @classmethod
     def of(cls, space: FESpace, communicator: Communicator) -> Exchange:
-        """The exchange of a space's unknowns; ``communicator`` is that of its mesh."""
+        """The exchange of a space's unknowns over the ``communicator`` of its mesh."""
         if not communicator.is_distributed:
             return cls(space.ndof, {}, communicator)
         return cls.of_dofs(space.ParallelDofs(), space.ndof, communicator)
 
     @classmethod
     def of_dofs(cls, dofs: Any, count: int, communicator: Communicator) -> Exchange:
-        """The exchange of NGSolve's ``ParallelDofs``."""
+        """The exchange of unknowns given by NGSolve's ``ParallelDofs``."""
         others = [rank for rank in range(communicator.size) if rank != communicator.rank]
         shared = {rank: np.array(dofs.Proc2Dof(rank), dtype=np.int64) for rank in others}
         return cls(count, shared, communicator)
 
     def part(self, numbers: np.ndarray) -> Exchange:
-        """The exchange of some of the unknowns, as a vector of these alone.
+        """The exchange of a vector of the unknowns with these ``numbers`` alone.
 
-        What is shared of them has to be chosen, in the same order, on all ranks that share it.
+        All ranks that share an unknown have to choose it, in equal order.
         """
         if not self.shared:
             return Exchange(len(numbers), {}, self.communicator)
@@ -101,7 +101,7 @@ class Exchange(Owned):
 
     @cached_property
     def owned(self) -> np.ndarray:
-        """Where this rank is the lowest of those that hold the unknown, (unknowns,)."""
+        """Whether this rank is the lowest that has the unknown, (unknowns,)."""
         mine = np.ones(self.count, dtype=bool)
         for rank, numbers in self.shared.items():
             if rank < self.communicator.rank:
@@ -110,20 +110,20 @@ class Exchange(Owned):
 
     @cached_property
     def places(self) -> np.ndarray:
-        """The unknowns that other ranks hold too, (shared unknowns,)."""
+        """The unknowns that this rank shares with other ranks, (shared unknowns,)."""
         return np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *self.shared.values()]))
 
     def of_owners(self, values: np.ndarray) -> np.ndarray:
         return self.sum(np.where(self.owned, values, 0.0)) if self.shared else values
 
     def sum(self, values: np.ndarray) -> np.ndarray:
-        """The sums of all ranks' values, (..., unknowns); collective between neighbours."""
+        """Sums of all ranks' values, (..., unknowns); collective between neighbours."""
         if not self.shared:
             return values
         got = self._got({rank: values[..., own] for rank, own in self.shared.items()})
         result = np.array(values)
         result[..., self.places] = 0.0
-        for rank in sorted([*got, self.communicator.rank]):  # the same order on every rank
+        for rank in sorted([*got, self.communicator.rank]):  # equal order on every rank
             if rank == self.communicator.rank:
                 result[..., self.places] += values[..., self.places]
             else:
@@ -131,9 +131,9 @@ class Exchange(Owned):
         return result
 
     def others(self, values: np.ndarray) -> np.ndarray:
-        """The other ranks' values of the shared unknowns in place of ``values``, (..., shared unknowns).
+        """Values of the shared unknowns on the neighbouring rank, (..., shared unknowns).
 
-        For unknowns that two ranks share, as those of facets.
+        Each unknown has to be shared by two ranks only, as unknowns of facets are.
         """
         among = {rank: np.searchsorted(self.places, own) for rank, own in self.shared.items()}
         result, got = np.zeros_like(values), self._got({rank: values[..., at] for rank, at in among.items()})
@@ -142,7 +142,7 @@ class Exchange(Owned):
         return result
 
     def _got(self, values: dict[int, np.ndarray]) -> dict[int, np.ndarray]:
-        """Send arrays to the neighbours, and return those that they sent."""
+        """Send arrays to the neighbours, and return the arrays received from them, by rank."""
         mpi = self.communicator.mpi
         sent = {rank: np.ascontiguousarray(part) for rank, part in values.items()}
         got = {rank: np.empty_like(part) for rank, part in sent.items()}
@@ -161,48 +161,48 @@ class Exchange(Owned):
         return self.communicator.products(several, np.where(self.owned, one, 0.0))
 
     def norm(self, values: np.ndarray, where: slice = slice(None)) -> float:
-        """The Euclidean norm of a summed vector, or of a part of it; collective."""
+        """Euclidean norm of a summed vector, or of a slice of the vector; collective."""
         own = values[where]
         return self.communicator.norm(own[self.owned[where]] if self.is_distributed else own)
 
     def length(self, where: slice = slice(None)) -> int:
-        """The number of unknowns on all ranks, or of a part of them; collective."""
+        """Number of unknowns on all ranks, or of a slice of the unknowns; collective."""
         return int(self.communicator.total(int(np.count_nonzero(self.owned[where]))))
 
 
 class Halo:
-    """Cells of other ranks across the facets that a rank shares; none on one process.
+    """The halo cells: cells of other ranks across the facets that a rank shares; none on one process.
 
-    A rank counts them after its own, in the order of the facets, those across two facets twice.  Cells take
-    values from these; what they give to the rows of these goes back to their ranks.
+    Halo cells are numbered after the rank's own cells, in the order of the facets; a cell across two facets
+    is counted twice.  A rank receives values of halo cells, and sends contributions to their rows back.
 
     Parameters
     ----------
     facets : Exchange
-        Of one value a facet.
+        Exchange of one value a facet.
     beside : (shared facets,) array of int
         This rank's cell at each of ``facets.places``.
     cells : int
-        Of this rank.
+        Number of this rank's cells.
     """
 
     def __init__(self, facets: Exchange, beside: np.ndarray, cells: int) -> None:
         self.facets, self.beside, self.cells = facets, beside, cells
         self.count = cells + len(beside)
-        """Cells of this rank and those beyond."""
+        """Number of own and halo cells."""
 
     def swapped(self, values: np.ndarray) -> np.ndarray:
-        """The other rank's values for each shared facet in place of ``values``, (shared facets, ...)."""
+        """Exchange ``values`` of shared facets, (shared facets, ...), for the values of the other rank."""
         return np.moveaxis(self.facets.others(np.moveaxis(values, 0, -1)), -1, 0)
 
     def with_others(self, values: np.ndarray) -> np.ndarray:
-        """Values of cells, (cells, ...), and after them those of the cells beyond."""
+        """Values of own cells, (cells, ...), followed by values of the halo cells."""
         if not len(self.beside):
             return values
         return np.concatenate([values, self.swapped(values[self.beside])])
 
     def added(self, rows: np.ndarray) -> np.ndarray:
-        """Rows of cells, (cells, ...), with what other ranks have of them, of ``rows`` (count, ...)."""
+        """Rows of own cells, (cells, ...), of ``rows`` (count, ...), with other ranks' contributions."""
         if not len(self.beside):
             return rows
         result = rows[: self.cells].copy()
@@ -211,16 +211,16 @@ class Halo:
 
 
 class HaloUnknowns(Owned):
-    """Unknowns of cells and of those beyond, equally many to each, one after the other.
+    """Unknowns of own and halo cells, in the order of the cells, with an equal number for each cell.
 
-    Matrices of these in parts have rows of cells beyond where this rank's cells couple such with each other.
+    A matrix in parts has rows of halo cells if this rank's cells couple halo cells with each other.
     """
 
     def __init__(self, halo: Halo, per_cell: int) -> None:
         super().__init__(halo.count * per_cell, halo.facets.neighbours, halo.facets.communicator)
         self.halo, self.per_cell = halo, per_cell
         self.of_cells = halo.cells * per_cell
-        """How many are those of this rank's cells."""
+        """Number of unknowns of this rank's own cells."""
 
     @cached_property
     def owned(self) -> np.ndarray:
@@ -230,20 +230,20 @@ class HaloUnknowns(Owned):
         return self.with_others(values[..., : self.of_cells])
 
     def with_others(self, values: np.ndarray) -> np.ndarray:
-        """Values of this rank's cells, (..., unknowns), and after them those of the cells beyond."""
+        """Values of this rank's cells, (..., unknowns), followed by values of the halo cells."""
         return self._by_cells(self.halo.with_others, values)
 
     def of_cells_alone(self, values: np.ndarray) -> np.ndarray:
-        """Values of this rank's cells, (..., unknowns), and zeros for the cells beyond."""
+        """Values of this rank's cells, (..., unknowns), followed by zeros for the halo cells."""
         beyond = np.zeros((*values.shape[:-1], self.count - self.of_cells), values.dtype)
         return np.concatenate([values, beyond], axis=-1)
 
     def added(self, rows: np.ndarray) -> np.ndarray:
-        """Rows of this rank's cells with what other ranks have of them, of ``rows`` (..., count)."""
+        """Rows of this rank's cells with other ranks' contributions added; ``rows`` is (..., count)."""
         return self._by_cells(self.halo.added, rows)
 
     def _by_cells(self, function: Callable[[np.ndarray], np.ndarray], values: np.ndarray) -> np.ndarray:
-        """A function of (cells, functions, ...) for values (..., unknowns)."""
+        """Apply a function of arrays (cells, functions, ...) to values (..., unknowns)."""
         if self.count == self.of_cells:
             return values
         by_cells = values.reshape(*values.shape[:-1], -1, self.per_cell)
@@ -252,11 +252,11 @@ class HaloUnknowns(Owned):
 
 
 class Interpolation:
-    """NGSolve's ``Set`` of functions of a continuous space, over ranks the same to the bit; collective.
+    """NGSolve's ``Set`` of functions of a continuous space, reproducible to the bit over ranks; collective.
 
-    ``Set`` projects element by element and averages what elements share.  Over ranks NGSolve adds their parts
-    in the order in which they come, which rounds three of them in one way or another.  So ranks that share an
-    unknown with a third one set in turns, in which the others have zeros, and the turns are added in order.
+    ``Set`` projects element by element and averages shared unknowns.  NGSolve adds the ranks' parts in the
+    order of the messages, so that the sum of three parts is rounded in varying ways.  Ranks that share an
+    unknown with two others therefore set in turns, with zeros elsewhere, and the turns are added in order.
     """
 
     def __init__(self, space: FESpace) -> None:
@@ -266,7 +266,7 @@ class Interpolation:
     def __call__(
         self, function: GridFunction, value: CoefficientFunction, where: Region | None = None
     ) -> None:
-        """Set a function of the space to values, on a part of the boundary where that is given."""
+        """Set a function of the space to values, everywhere or in the region ``where``."""
         if self._turns == 1:
             function.Set(value, definedon=where)
             return
@@ -280,7 +280,7 @@ class Interpolation:
 
 
 def _turns(exchange: Exchange) -> tuple[int, int]:
-    """This rank's turn, not that of any that shares an unknown with it and a third, and their number."""
+    """This rank's turn, and the number of turns; ranks that share an unknown with a third differ in turn."""
     if not exchange.is_distributed:
         return 0, 1
     is_crowded = exchange.sum(np.ones(exchange.count)) > 2

@@ -1,4 +1,4 @@
-"""Meshes over the ranks: a part of the cells each, none on the first, as NGSolve has it."""
+"""Distributed meshes: each rank has a part of the cells; NGSolve leaves the first rank without."""
 
 import pickle
 
@@ -13,18 +13,18 @@ CURVED = (
     "have: expected a mesh of a Netgen geometry, straight cells, or one process"
 )
 _SHAPE = 1e-10
-"""Relative difference of volume and surface that the parts of a mesh may have to the whole."""
+"""Allowed relative difference between the volume and surface of all parts and of the whole mesh."""
 
 
 class MeshPart(Mesh):
-    """A rank's part of a mesh, with facets and vertices at its border that other ranks have too.
+    """A rank's part of a mesh; facets and vertices at its border belong to neighbouring parts as well.
 
     Attributes
     ----------
     whole : Mesh or None
-        The mesh itself on the first rank, which has no cells of the part; None on others.
+        The whole mesh on the first rank, whose part has no cells; None on others.
     cells : array (cells,)
-        What number each cell of the part has in the whole.
+        Number of each cell of the part in the whole mesh.
     ranks : Communicator
     """
 
@@ -34,21 +34,21 @@ class MeshPart(Mesh):
     order = 1
 
     def GetCurveOrder(self) -> int:
-        """The order of the whole mesh: to NGSolve a part without cells at curved walls has straight ones, so
-        that results that depend on the order would differ from rank to rank."""
+        """The order of the whole mesh.  NGSolve gives a part without curved cells order 1, and results that
+        depend on the order would differ between ranks."""
         return self.order
 
 
 def distributed(mesh: Mesh | None, ranks: Communicator) -> Mesh:
-    """The first rank's mesh in parts by METIS, collective; on one process the mesh itself.
+    """Distribute the first rank's mesh by METIS, collectively; on one process return the mesh itself.
 
-    Raises MeshError on every rank, for a mesh that is not distributed: curved by no known geometry, or of
-    fewer cells than there are ranks for them, or of so few that METIS leaves a rank without.
+    Raises MeshError on every rank if the mesh is curved by no known geometry, if it has fewer cells than
+    there are ranks for them, or if METIS leaves one of these ranks without cells.
 
     Parameters
     ----------
     mesh : Mesh or None
-        The whole mesh on the first rank, not looked at on others.
+        The whole mesh on the first rank; ignored on other ranks.
 
     Returns
     -------
@@ -62,7 +62,7 @@ def distributed(mesh: Mesh | None, ranks: Communicator) -> Mesh:
         return mesh
     ranks.on_first(lambda: _check(mesh, ranks.size - 1))
     if mesh is not None and ranks.is_first:
-        # of a copy, whose cells it takes away; Netgen's ``Copy`` forgets which boundaries are identified
+        # Distribute empties the mesh, so it gets a copy; Netgen's ``Copy`` drops identified boundaries
         part = MeshPart(pickle.loads(pickle.dumps(mesh.ngmesh)).Distribute(ranks.mpi))
         part.whole = mesh
     else:
@@ -77,9 +77,9 @@ def distributed(mesh: Mesh | None, ranks: Communicator) -> Mesh:
 
 
 def _curve(part: MeshPart, whole: Mesh | None, ranks: Communicator) -> None:
-    """Curve the straight cells that NGSolve distributes, on every rank by the whole's geometry; collective.
+    """Curve the straight cells that NGSolve distributes by the geometry of the whole mesh; collective.
 
-    Raises MeshError on every rank where that is not the whole's shape.
+    Raises MeshError on every rank if volume or surface then differ from the whole mesh's.
     """
 
     def shape() -> tuple[int, bytes, list[float]]:
@@ -98,24 +98,24 @@ def _curve(part: MeshPart, whole: Mesh | None, ranks: Communicator) -> None:
 
 
 def volume_and_surface(mesh: Mesh) -> list[float]:
-    """The volume and surface of a mesh's cells, m^dim and m^(dim - 1); for a part of a mesh those of the
-    whole, collective.
+    """The volume and surface of a mesh's cells, m^dim and m^(dim - 1), summed over the ranks; collective.
 
-    The surface of all cells, inner facets twice: a part has identified boundaries without its cells too.
+    The surface is summed over all cells, with inner facets twice, because a part also contains identified
+    boundaries whose cells belong to other ranks.
     """
     integrals = (CF(1.0) * dx, CF(1.0) * dx(element_boundary=True))  # these of a rank's cells alone
     return [float(mesh.comm.Sum(Integrate(each, mesh))) for each in integrals]
 
 
 def has_geometry(mesh: Mesh) -> bool:
-    """Whether Netgen knows the shape that a mesh is of, by which it can be curved."""
+    """Whether a mesh has a Netgen geometry, by which its cells can be curved."""
     from netgen.meshing import NetgenGeometry
 
     return type(mesh.ngmesh.GetGeometry()) is not NetgenGeometry
 
 
 def cell_numbers(mesh: Mesh) -> np.ndarray:
-    """The numbers that the cells of this rank have in the whole mesh; their own on one process."""
+    """Numbers of this rank's cells in the whole mesh; 0, 1, ... on one process."""
     return mesh.cells if isinstance(mesh, MeshPart) else np.arange(mesh.ne)
 
 
@@ -144,9 +144,9 @@ def number_of(mesh: Mesh, cell: int) -> int | None:
 
 
 def _numbers(part: MeshPart, ranks: Communicator) -> np.ndarray:
-    """Which cell of the whole each one of a part is: the one with the same vertices in the same order.
+    """Numbers in the whole mesh of a part's cells, found by equal vertices in equal order; collective.
 
-    Vertices are known by their coordinates, which NGSolve hands out to the bit.  Collective.
+    Vertices are matched by their coordinates, which NGSolve distributes bit for bit.
     """
     own, nodes = _corners(part)
     places = ranks.mpi.gather(own)
@@ -166,10 +166,10 @@ def _numbers(part: MeshPart, ranks: Communicator) -> np.ndarray:
 
 
 def _corners(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
-    """Coordinates of the vertices, and the cells' vertices, (cells, 4), -1 where there are less."""
+    """Coordinates of the vertices, and the cells' vertices, (cells, 4), padded with -1."""
     elements = mesh.ngmesh.Elements2D() if mesh.dim == 2 else mesh.ngmesh.Elements3D()
     nodes = elements.NumPy()["nodes"][:, :4].astype(np.int64) - 1
-    nodes[nodes >= mesh.nv] = -1  # of the middles of edges
+    nodes[nodes >= mesh.nv] = -1  # nodes at the middles of edges
     return np.array(mesh.ngmesh.Coordinates()[: mesh.nv]), nodes
 
 

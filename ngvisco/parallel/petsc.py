@@ -1,15 +1,15 @@
-"""PETSc for the linear systems: matrices of rows over the ranks, a direct solver and multigrid.
+"""PETSc for the linear systems: matrices with rows over the ranks, a direct solver and multigrid.
 
-Which unknown is which row: ``Exchange.numbers`` of the free unknowns.  A matrix is the sum of the ranks' own
-ones, added in the ranks' order.  The first rank of several, which has no cells, has no rows and takes no
-part: it would only keep a processor busy.
+``Exchange.numbers`` of the free unknowns assigns the rows.  A matrix is the sum of the ranks' matrices, added
+in the ranks' order.  The first rank of several, which has no cells, has no rows and takes no part, because
+it would only keep a processor busy.
 
-MUMPS over ranks adds what ranks send it in the order in which it comes: its factors and solutions differ in
-the last digits from one run to the next.  Up to some thousand unknowns one rank has all rows; its solutions
-are the same to the bit.
+MUMPS over ranks adds contributions in the order in which messages arrive, so that its factors and solutions
+differ in the last digits from one run to the next.  Up to some thousand unknowns one rank has all rows; its
+solutions are reproducible to the bit.
 
-What petsc4py lets go of PETSc keeps (3.18, and ``garbage_cleanup`` does not change it): all is destroyed here
-by name, collectively; ``release`` of those that own it is for whoever takes another one.
+PETSc 3.18 keeps objects that petsc4py has dropped, also after ``garbage_cleanup``.  So this module destroys
+every object explicitly and collectively; callers ``release`` an inverse before they make another one.
 """
 
 from __future__ import annotations
@@ -26,16 +26,16 @@ from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.exchange import Exchange, Owned
 
 PACKAGES = ("mumps", "superlu_dist", "hypre", "ml", "ptscotch", "parmetis")
-"""External packages that are of use here; GAMG is a part of PETSc."""
+"""External packages of PETSc that are useful here; GAMG is a part of PETSc itself."""
 
 ON_ONE_RANK_UP_TO = 5_000
-"""Unknowns up to which one rank has all rows of a direct factorisation; PETSc's option
-``-ngvisco_on_one_rank_up_to`` is another number."""
+"""Largest number of unknowns that one rank factorises alone; PETSc's option
+``-ngvisco_on_one_rank_up_to`` overrides it."""
 
 MISSING = "petsc4py is missing or does not load: see 'Several processes' in the README for what to install"
 
 _loaded: list[Any] = []
-"""The module, once it is asked for."""
+"""The loaded module ``petsc4py.PETSc``; empty before the first use."""
 
 
 class PETScError(NgviscoError, RuntimeError):
@@ -47,7 +47,7 @@ class SingularError(PETScError, StepError):
 
 
 def petsc() -> Any:
-    """The module ``petsc4py.PETSc``; collective at its first call.  Raises PETScError where there is none."""
+    """The module ``petsc4py.PETSc``; collective at its first call.  Raises PETScError if it does not load."""
     if _loaded:
         return _loaded[0]
     try:
@@ -57,20 +57,20 @@ def petsc() -> Any:
         from petsc4py import PETSc
     except ImportError as error:
         raise PETScError(f"{MISSING} ({error})") from error
-    # at its end PETSc wants a communicator of all ranks, and waits for those that have one already
+    # PETSc makes a communicator of all ranks when it ends, and would wait there for ranks that have one
     PETSc.COMM_WORLD.duplicate()
     _loaded.append(PETSc)
     return PETSc
 
 
 def packages() -> dict[str, bool]:
-    """Which of ``PACKAGES`` this PETSc was built with."""
+    """Whether this PETSc was built with each of ``PACKAGES``, by name."""
     has = petsc().Sys.hasExternalPackage
     return {name: bool(has(name)) for name in PACKAGES}
 
 
 def obstacle(method: str) -> str | None:
-    """Why PETSc has no linear solver of a name here, ``"mumps"``, ``"gamg"`` or ``"hypre"``, or None."""
+    """Reason why PETSc lacks the linear solver ``"mumps"``, ``"gamg"`` or ``"hypre"``; None if it has it."""
     try:
         has = packages()
     except PETScError as error:
@@ -79,29 +79,29 @@ def obstacle(method: str) -> str | None:
 
 
 def require_petsc(communicator: Communicator) -> None:
-    """Raise PETScError where ranks have no PETSc with MUMPS; nothing on one process."""
+    """Raise PETScError if several ranks have no PETSc with MUMPS; one process needs none."""
     if communicator.is_distributed and (missing := obstacle("mumps")) is not None:
         raise PETScError(missing)
 
 
 class SumInverse:
-    """The inverse of a sum of the ranks' matrices in the free unknowns, or an approximation of it.
+    """The inverse of a sum of the ranks' matrices in the free unknowns, exact or by one multigrid cycle.
 
-    Raises PETScError if PETSc, which is needed on one process as well, or the method's package is missing.
+    Raises PETScError if PETSc or the method's package is missing, also on one process.
 
     Parameters
     ----------
     free : (unknowns,) array of bool
-        The same on all ranks that share an unknown; others get 0.
+        Free unknowns, equal on all ranks that share an unknown; the solution is 0 in the others.
     exchange : Exchange or HaloUnknowns
-        Of the unknowns.
+        Exchange of the unknowns.
     symmetric : bool
-        Take the symmetric part instead.
+        Whether the matrix is replaced by its symmetric part.
     method : str
-        ``"mumps"`` factorises; ``"gamg"`` and ``"hypre"`` are one cycle of algebraic multigrid, PETSc's own
-        and BoomerAMG, for positive definite matrices.
+        ``"mumps"`` factorises; ``"gamg"`` (PETSc's) and ``"hypre"`` (BoomerAMG) are one cycle of algebraic
+        multigrid, for positive definite matrices.
     kernel : (n, unknowns) array, optional
-        Vectors that the matrix hardly changes, summed, of which GAMG makes its coarse spaces: rigid motions.
+        Summed vectors of the near-null space, as rigid motions, from which GAMG makes its coarse spaces.
     """
 
     def __init__(
@@ -123,12 +123,12 @@ class SumInverse:
         self._on_one = exchange.is_distributed and method == "mumps" and count <= largest
         """Whether the first rank with cells has all rows."""
         self._solving: Any = self._comm
-        """The communicator that a system is solved on; None on a rank that has no rows of it."""
+        """Communicator on which the system is solved; None on a rank without rows."""
         if self._on_one:
             mine = count if self._comm.rank == 0 else 0
             self._solving = module.COMM_SELF if self._comm.rank == 0 else None
         self._size = mine, count
-        """Rows of this rank and in all."""
+        """Numbers of rows of this rank and of all ranks."""
         self._free = np.flatnonzero(free)
         self._numbers = numbers[self._free].astype(module.IntType)
         self._values = np.zeros(len(self._numbers))
@@ -143,11 +143,11 @@ class SumInverse:
             self._held += [self._right, self._solution, self._scatter]
 
     def factorise(self, own: sp.csr_matrix) -> None:
-        """Factorise the sum of the ranks' matrices; raises SingularError on every rank if it is singular."""
+        """Factorise the sum of the ranks' matrices.  Raises SingularError on every rank if it is singular."""
         with self.communicator.together(SingularError):
             if self.communicator.is_idle:
                 return
-            self._drop()  # first: two factorisations are the most memory
+            self._drop()  # before the new one: factorisations take the most memory
             matrix, failure = self._matrix(0.5 * (own + own.T) if self.symmetric else own), None
             if self._solving is not None:
                 failure = self._set_up(matrix)
@@ -157,14 +157,14 @@ class SumInverse:
                 raise self._refused(failure)
             try:
                 self.solve(np.zeros(self.exchange.count))
-            except PETScError as error:  # a zero pivot shows here
+            except PETScError as error:  # a zero pivot is found here
                 raise self._refused(error) from error
 
     def _refused(self, reason: object) -> SingularError:
         return SingularError(f"{self.method} did not take the matrix ({reason})")
 
     def _matrix(self, own: sp.csr_matrix) -> Any:
-        """The ranks' matrices' sum in free rows and columns, as AIJ; None on a rank that does not solve."""
+        """Sum of the ranks' matrices in free rows and columns, as AIJ; None on a rank without rows."""
         module, (mine, count) = petsc(), self._size
         free = own[self._free][:, self._free].tocoo()
         rows, columns, data, first = self._numbers[free.row], self._numbers[free.col], free.data, 0
@@ -177,10 +177,10 @@ class SumInverse:
         return module.Mat().createAIJ(size=(self._size, self._size), csr=csr, comm=self._solving)
 
     def _of_owners(self, *entries: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
-        """The entries, rows first, of the rows that this rank has, rank after rank, and its first row."""
+        """Collect (rows, columns, values) of this rank's rows from all ranks in order, and its first row."""
         ends, own = np.cumsum(self._comm.allgather(self._size[0])), self._comm.rank
         owner = np.searchsorted(ends, entries[0], side="right")
-        # what has to go elsewhere is shared with who has it; ranks with cells come after the first
+        # only neighbours own rows of shared unknowns; `rank - 1` counts the ranks with cells alone
         near = range(self._comm.size) if self._on_one else (rank - 1 for rank in self.exchange.neighbours)
         ranks = sorted({own, *near})
         split = {rank: tuple(part[owner == rank] for part in entries) for rank in ranks}
@@ -192,7 +192,7 @@ class SumInverse:
         return rows, columns, data, int(ends[own] - self._size[0])
 
     def _set_up(self, matrix: Any) -> str | None:
-        """Make a solver with the matrix; why it is none, or None."""
+        """Make a solver with the matrix.  Return the reason for a failure, or None."""
         module = petsc()
         self._solver = module.KSP().create(comm=self._solving)
         self._solver.setOperators(matrix)
@@ -209,7 +209,7 @@ class SumInverse:
                 held = [self._vector(matrix, each) for each in self.kernel]
                 held.append(module.NullSpace().create(vectors=held, comm=self._comm))
                 matrix.setNearNullSpace(held[-1])
-        for each in (*held, preconditioner, matrix):  # the solver has them
+        for each in (*held, preconditioner, matrix):  # the solver keeps references to these objects
             each.destroy()
         try:
             self._solver.setUp()
@@ -218,7 +218,7 @@ class SumInverse:
         return None
 
     def _vector(self, matrix: Any, values: np.ndarray) -> Any:
-        """A vector of the matrix with the free ones of summed ``values``, of length one."""
+        """PETSc vector of unit norm with the free entries of the summed ``values``."""
         module = petsc()
         vector = matrix.createVecs()[0]
         own = module.Vec().createWithArray(np.ascontiguousarray(values[self._free]), comm=module.COMM_SELF)
@@ -235,17 +235,17 @@ class SumInverse:
             self._solver = None
 
     def release(self) -> None:
-        """Give back what PETSc holds, as before another one takes its place; collective."""
+        """Destroy the PETSc objects, to be called before another inverse is made; collective."""
         self._drop()
         for each in self._held:
             each.destroy()
 
     def __call__(self, r: np.ndarray) -> np.ndarray:
-        """The solution for a summed right-hand side; collective."""
+        """Solve for a summed right-hand side; collective."""
         return self.of_parts(np.where(self.exchange.owned, r, 0.0))
 
     def of_parts(self, rows: np.ndarray) -> np.ndarray:
-        """Solve for a right-hand side in parts; over ranks the result is NaN where the solver gives none, and
+        """Solve for a right-hand side in parts.  If the solver fails on several ranks, the result is NaN and
         the reason is noted (``Communicator.noted``)."""
         if self.communicator.is_idle:
             return np.zeros_like(rows)
@@ -254,11 +254,11 @@ class SumInverse:
         except PETScError as error:
             if not self.communicator.is_distributed:
                 raise self._refused(error) from error
-            self.communicator.note(f"{self.method}: {error}")  # products with NaN tell it the first rank
+            self.communicator.note(f"{self.method}: {error}")  # the first rank learns it by NaN in a product
             return np.full_like(rows, np.nan)
 
     def solve(self, rows: np.ndarray) -> np.ndarray:
-        """Solve for ``rows`` on ranks with cells; raises PETScError where there is no solution."""
+        """Solve for ``rows`` on ranks with cells.  Raises PETScError if there is no solution."""
         module = petsc()
         self._values[:] = rows[self._free]
         self._right.set(0.0)
@@ -275,12 +275,12 @@ class SumInverse:
         return result
 
     def _failure(self) -> str | None:
-        """Solve with what is in the right-hand side; why there is no solution, or None."""
+        """Solve with the current right-hand side.  Return the reason for a failure, or None."""
         module, vectors = petsc(), (self._right, self._solution)
         own = [
             module.Vec().createWithArray(vector.getArray(), comm=module.COMM_SELF)
             for vector in vectors
-            if self._on_one  # the same numbers as vectors of this rank alone
+            if self._on_one  # KSP on one rank needs sequential vectors, which share the memory
         ]
         try:
             self._solver.solve(*(own or vectors))
@@ -293,15 +293,15 @@ class SumInverse:
 
 
 def _may_be_definite(matrix: Any) -> bool:
-    """Whether all entries are finite and those of the diagonal positive: multigrid's smoothers divide by
-    these, and end the process where there is a zero; collective."""
+    """Whether all entries are finite and the diagonal is positive; collective.  Multigrid's smoothers divide
+    by the diagonal, and a zero there would end the process."""
     diagonal = matrix.getDiagonal()
     diagonal.setArray(diagonal.getArray() > 0)
     return bool(np.isfinite(matrix.norm())) and diagonal.min()[1] > 0
 
 
 def _reason(solver: Any) -> str:
-    """Why a solver of PETSc's has given up, by PETSc's names, with MUMPS's own number where it is that."""
+    """Reason why a PETSc solver failed, by PETSc's names; for MUMPS with its INFOG numbers."""
     number, names = solver.getConvergedReason(), vars(petsc().KSP.ConvergedReason)
     name = next((name for name, value in names.items() if value == number), f"reason {number}")
     preconditioner = solver.getPC()
@@ -316,7 +316,7 @@ def _reason(solver: Any) -> str:
 
 
 class PETScInverse(BaseMatrix):
-    """``SumInverse`` of a matrix that NGSolve assembled, as one of its own."""
+    """``SumInverse`` of an assembled NGSolve matrix, as an NGSolve matrix."""
 
     def __init__(self, matrix: BaseMatrix, free: BitArray, communicator: Communicator) -> None:
         super().__init__()
@@ -326,8 +326,8 @@ class PETScInverse(BaseMatrix):
         self.Update()
 
     def Update(self) -> None:
-        """Factorise again, as NGSolve's inverses do, where the matrix has changed."""
-        own = self.matrix.local_mat  # what this rank's cells make of it
+        """Factorise the changed matrix again, as NGSolve's inverses do."""
+        own = self.matrix.local_mat  # contributions of this rank's cells
         csr = tuple(np.array(part) for part in own.CSR())
         self._inverse.factorise(sp.csr_matrix(csr, shape=(own.height, own.width)))
 
@@ -336,7 +336,7 @@ class PETScInverse(BaseMatrix):
         self._inverse.release()
 
     def Mult(self, rows: BaseVector, unknowns: BaseVector) -> None:
-        """unknowns = matrix^{-1} rows, 0 where not free; collective."""
+        """Set ``unknowns`` to matrix^{-1} ``rows``, and to 0 in constrained unknowns; collective."""
         rows.Distribute()
         found = self._inverse.of_parts(rows.FV().NumPy())
         unknowns.SetParallelStatus(PARALLEL_STATUS.CUMULATED)
@@ -350,7 +350,7 @@ class PETScInverse(BaseMatrix):
 
 
 def inverse_of(matrix: BaseMatrix, free: BitArray, communicator: Communicator) -> BaseMatrix:
-    """The inverse of a symmetric positive definite matrix in the free unknowns."""
+    """Inverse of a symmetric positive definite matrix in the free unknowns."""
     if communicator.is_distributed:
         return PETScInverse(matrix, free, communicator)
     return matrix.Inverse(free, inverse="sparsecholesky")

@@ -1,4 +1,4 @@
-"""Parameter studies: one case with some of its keys varied, each combination a run directory of its own."""
+"""Parameter studies: keys of one case are varied, and each combination has its own run directory."""
 
 from ngvisco.sweep.study import Outcome, Study
 from ngvisco.sweep.variations import SweepError, Variation

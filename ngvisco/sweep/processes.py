@@ -1,8 +1,8 @@
-"""Runs as processes of their own, handed out by dask.distributed.
+"""Runs as separate processes, distributed by dask.distributed.
 
-Each run is ``ngvisco run`` or ``ngvisco resume`` in a process of its own: NGSolve's time, threads and memory
-belong to a process, one run's crash is its failure alone, and a run that is stopped leaves a checkpoint.
-Dask's workers only wait for them, so that those of the local cluster are threads.
+Each run is a separate process ``ngvisco run`` or ``ngvisco resume``: NGSolve's threads and memory belong to a
+process, a crash fails one run alone, and a stopped run leaves a checkpoint.  Dask's workers only wait for the
+processes, so the workers of a local cluster are threads.
 """
 
 import atexit
@@ -17,17 +17,17 @@ from ngvisco.run.checkpoint import version
 from ngvisco.sweep.variations import SweepError
 
 _POLL, _ASK = 0.2, 5
-"""Seconds between looks at a process, and looks between questions to the scheduler whether to stop."""
+"""Seconds between polls of a process, and number of polls between queries of the stop event."""
 _CONNECT = "10s"
 _running: set[subprocess.Popen[str]] = set()
 
 
 @contextlib.contextmanager
 def connected(scheduler: str | None, workers: int) -> Iterator[Any]:
-    """A client of a local cluster with so many workers, or of the dask scheduler at an address.
+    """Context with a client of a local cluster with ``workers`` threads, or of the scheduler at an address.
 
-    Raises SweepError if dask.distributed is missing, the scheduler is not reached, has no workers, or these
-    have another version of ngvisco or none.
+    Raises SweepError if dask.distributed is missing, if the scheduler is not reached or has no workers, or if
+    a worker has another version of ngvisco or none.
     """
     try:
         import distributed
@@ -43,7 +43,7 @@ def connected(scheduler: str | None, workers: int) -> Iterator[Any]:
     try:
         protocol, place = distributed.comm.parse_address(scheduler)
         if protocol in ("tcp", "tls"):
-            # before there is a client: one that does not connect raises again when it is collected
+            # check the address first: a client that does not connect raises again when it is collected
             distributed.comm.parse_host_port(place)
         client = distributed.Client(scheduler, timeout=_CONNECT, set_as_default=False)
     except (OSError, ValueError) as error:
@@ -58,7 +58,7 @@ def _check_workers(client: Any, scheduler: str) -> None:
     own = version()
     try:
         found = client.run(version)
-    except Exception as error:  # whatever importing raises there
+    except Exception as error:  # the import on a worker may raise any error
         message = f"its workers cannot import ngvisco ({type(error).__name__}: {error})"
         raise SweepError(f"--scheduler {scheduler}: {message}") from error
     if not found:
@@ -72,22 +72,22 @@ def _check_workers(client: Any, scheduler: str) -> None:
 
 
 def run_or_resume(case: str, directory: str, threads: int, stop: str) -> tuple[int | None, str]:
-    """Go on with the run in a directory, or begin it with a case file; waits for its end.
+    """Resume the run in a directory, or start it with a case file, and wait for its end.
 
-    Decided where it is done: a run whose worker was lost is given to another, and goes on there.
+    The worker decides between the two, because a run of a lost worker is resumed by another one.
 
     Parameters
     ----------
     case, directory : str
-        Absolute paths, the same on every machine.
+        Absolute paths, valid on every machine.
     stop : str
         Name of the dask event by which all runs are stopped.
 
     Returns
     -------
     code, message : int or None, str
-        Exit code of ``ngvisco``, negative for a signal that killed it, None if the run was not begun; what it
-        wrote to standard error.
+        Exit code of ``ngvisco``, negative for a signal that killed it, None if the run was not begun; and its
+        standard error.
     """
     from distributed import Event, get_client
 
@@ -98,7 +98,7 @@ def run_or_resume(case: str, directory: str, threads: int, stop: str) -> tuple[i
     what = ["resume", directory] if begun else ["run", case, "-o", directory]
     options = ["--threads", str(threads), "--quiet", "--ends-with-stdin"]
     command = [sys.executable, "-m", "ngvisco", *what, *options]
-    # held open until the run has ended, or this process is killed: then the run ends its step too
+    # the pipe closes if this process is killed, which makes the run end its step
     read, held = os.pipe()
     process = subprocess.Popen(
         command,
@@ -108,7 +108,7 @@ def run_or_resume(case: str, directory: str, threads: int, stop: str) -> tuple[i
         text=True,
         errors="backslashreplace",
         env=os.environ | {"NGVISCO_THREADS": str(threads)},
-        start_new_session=True,  # the terminal's Ctrl-C is for the study, which lets steps end
+        start_new_session=True,  # Ctrl-C must reach the study alone, which lets steps end
     )
     os.close(read)
     _running.add(process)
@@ -121,7 +121,7 @@ def run_or_resume(case: str, directory: str, threads: int, stop: str) -> tuple[i
 
 @atexit.register
 def _end_all() -> None:
-    """A study or worker that ends before its runs: these end their step, and leave a checkpoint."""
+    """Terminate the runs when their study or worker ends; each ends its step and leaves a checkpoint."""
     for process in list(_running):
         process.terminate()
 
@@ -136,15 +136,15 @@ def _waited(process: subprocess.Popen[str], event: Any) -> tuple[int, str]:
             except subprocess.TimeoutExpired:
                 looks += 1
             if not asked and looks % _ASK == 0 and event.is_set():
-                process.terminate()  # it ends its step, writes a checkpoint and ends with 143
+                process.terminate()  # the run ends its step, writes a checkpoint and exits with 143
                 asked = True
-    except BaseException:  # the scheduler is gone, or this worker is told to go
+    except BaseException:  # the scheduler is gone, or this worker is closed
         process.terminate()
         raise
 
 
 def message_of(said: str) -> str:
-    """The standard error of a process as one line, without its warnings, which are in its log.txt."""
+    """Standard error of a process as one line, without warnings, which are in the run's log.txt."""
     lines = [line.removeprefix("ngvisco: ") for line in said.splitlines()]
     if any(line.startswith("Traceback") for line in lines):
         lines = lines[-1:]

@@ -1,10 +1,10 @@
-"""A parameter study: all its cases checked, those not finished run, and the table of their results.
+"""A parameter study, which checks all its cases, runs unfinished ones, and writes a table of results.
 
 | in a study's directory | holds                                                              |
 |------------------------|--------------------------------------------------------------------|
-| sweep.csv              | the table: a line a run, what became of it, its last rows          |
-| cases/NAME.toml        | each run's case as resolved                                        |
-| NAME/                  | its run directory (``ngvisco.case.directory``)                     |
+| sweep.csv              | the table: for each run a line with its state and its last rows    |
+| cases/NAME.toml        | the resolved case of each run                                      |
+| NAME/                  | each run's directory (``ngvisco.case.directory``)                  |
 """
 
 import csv
@@ -30,9 +30,9 @@ from ngvisco.sweep.processes import connected, message_of, run_or_resume
 from ngvisco.sweep.variations import SweepError, Variation, combinations
 
 _LOOK = 0.5
-"""Seconds between looks whether the study is to be stopped."""
+"""Seconds between checks whether to stop the study."""
 _STOPPED = (128 + signal.SIGINT, 128 + signal.SIGTERM, -signal.SIGTERM)
-"""Exit codes of a run that was told to stop, the last before its first step."""
+"""Exit codes of a run stopped by SIGINT or SIGTERM; the last one before its first step."""
 FINISHED, NOT_CLOSED, FAILED = "finished", "not closed", "failed"
 STOPPED, WAITING = "stopped", "not started"
 
@@ -44,16 +44,16 @@ class Outcome:
     Attributes
     ----------
     name : str
-        Its directory in the study's.
+        Name of the run's directory within the study's.
     values : dict of str
         The varied keys.
     state : str
-        ``"finished"``; ``"not closed"``, finished with a ledger that does not close; ``"failed"``;
-        ``"stopped"`` before its end, with a checkpoint; ``"not started"``.
+        ``"finished"``; ``"not closed"`` (finished, but the ledger does not close); ``"failed"``;
+        ``"stopped"`` (before its end, with a checkpoint); ``"not started"``.
     message : str
-        Why it failed.
+        Reason of a failure.
     last : dict of float
-        The last rows of its ledger and of ``bodies.csv``; ``largest_closure`` is the largest
+        Last rows of the ledger and of ``bodies.csv``; ``largest_closure`` is the largest
         ``|closure_relative|`` of all rows.
     """
 
@@ -69,9 +69,9 @@ class Outcome:
         return self.state in (FINISHED, NOT_CLOSED)
 
     def read(self, place: RunDirectory, case: Case) -> None:
-        """Take the ledger from the run's directory, and from it whether the run has reached its end.
+        """Read the last rows from the run's directory, and set the state from the ledger.
 
-        Raises CheckpointError if its file cannot be read.
+        Raises CheckpointError if the run's file cannot be read.
         """
         if not place.run_file.exists():
             return
@@ -90,12 +90,12 @@ class Outcome:
 
 
 class Study:
-    """One case with some of its keys varied.
+    """A parameter study: one case with some of its keys varied.
 
-    Everything is checked when it is made, and nothing written: keys, values, each combination's case as a
-    whole with its mesh, and what is in the directory already.  Raises SweepError if a key is varied twice,
-    two combinations are the same case, a run directory has another case's results, or ``sweep.csv`` is no
-    table of a study; CaseError with every fault of a combination's case.
+    The constructor checks keys, values, each combination's case with its mesh, and existing files of the
+    directory; it writes no file.  Raises SweepError if a key is varied twice, two combinations are the same
+    case, a run directory has another case's results, or ``sweep.csv`` is no table of a study.  Raises
+    CaseError with every fault of a combination's case.
 
     Parameters
     ----------
@@ -103,11 +103,11 @@ class Study:
         The case file.
     variations : sequence of Variation
     directory : path
-        A run directory for each combination of values, and the table ``sweep.csv``.
+        The study's directory, for the run directories and the table ``sweep.csv``.
     settings : sequence of str
-        Overrides ``key.path=value`` that hold for all runs.
+        Overrides ``key.path=value`` for all runs.
     force : bool
-        Run all of them anew, rather than what is not finished.
+        Whether finished runs are repeated as well.
     """
 
     def __init__(
@@ -132,7 +132,7 @@ class Study:
             if (other := names.setdefault(case.resolved, one.name)) != one.name:
                 raise SweepError(f"{other} and {one.name} are the same case: expected one of them")
         self.outcomes = [Outcome(one.name, one.values) for one in chosen]
-        self._others = [  # of earlier studies, whose case files are there still
+        self._others = [  # runs of earlier studies whose case files still exist
             other
             for other in read_table(self.table)
             if other.name not in names.values() and self._case_file(other.name).exists()
@@ -157,7 +157,7 @@ class Study:
 
     @property
     def unfinished(self) -> list[int]:
-        """Numbers of the runs that have not reached their end."""
+        """Numbers of the runs before their end."""
         return [number for number, outcome in enumerate(self.outcomes) if not outcome.is_finished]
 
     def run(
@@ -169,23 +169,23 @@ class Study:
         report: Callable[[Outcome], None] = lambda outcome: None,
         stop: threading.Event | None = None,
     ) -> list[Outcome]:
-        """Run what is not finished, and write the table whenever a run ends.
+        """Run the unfinished cases, and write the table whenever a run ends.
 
-        Raises SweepError if dask.distributed is missing, or the scheduler cannot be used; nothing is
-        written then; ParameterError ; OSError .
+        Raises SweepError, before a file is written, if dask.distributed is missing or the scheduler cannot
+        be used; ParameterError if ``workers`` is no whole number >= 1; OSError if writing fails.
 
         Parameters
         ----------
         workers : int, optional
-            Runs at once on this machine; as many as its processors have room for by default.
+            Number of simultaneous runs on this machine; by default its processors over ``threads``.
         threads : int
-            Of each run.
+            Number of threads of each run.
         scheduler : str, optional
-            Address of a dask scheduler whose workers do the runs; they have to see the same files.
+            Address of a dask scheduler, whose workers need access to the same files.
         report : callable
             Called with each run's outcome when it ends.
         stop : threading.Event, optional
-            When it is set, running steps are finished, and checkpoints written.
+            Event that makes each run finish its step and write a checkpoint.
         """
         count = as_integer(max(1, (os.cpu_count() or 1) // threads) if workers is None else workers)
         if count is None or count < 1:
@@ -229,7 +229,7 @@ class Study:
                 str(self._case_file(self.outcomes[number].name)),
                 str(self._place(self.outcomes[number]).path),
             )
-            # not pure: the same run may be asked for again after it was stopped
+            # not pure: dask must run a stopped case again rather than return its earlier result
             future = client.submit(run_or_resume, *files, threads, event.name, pure=False)
             numbers[future] = number
         pending = set(numbers)
@@ -257,13 +257,13 @@ class Study:
             return
         if code in _STOPPED:
             outcome.state = STOPPED
-        elif code is not None and (code not in (0, 4) or not outcome.is_finished):  # None: not begun
+        elif code is not None and (code not in (0, 4) or not outcome.is_finished):  # None: the run was not begun
             outcome.state = FAILED
             outcome.message = message_of(said) or f"ended with exit code {code}"
 
 
 def _build(cases: Sequence[Case]) -> None:
-    """Mesh each domain once and build each simulation; raises what a case's run would raise at its start."""
+    """Mesh each domain once and build each simulation; raises the errors of a run's start."""
     by_domain: dict[str, list[Case]] = {}
     for case in cases:
         by_domain.setdefault(repr(case.sections.domain), []).append(case)
@@ -274,9 +274,9 @@ def _build(cases: Sequence[Case]) -> None:
 
 
 def read_table(path: Path) -> list[Outcome]:
-    """The outcomes that a table holds; none if there is no file.
+    """Read the outcomes of a table; an empty list if the file is missing.
 
-    Raises SweepError if the file is no such table.
+    Raises SweepError if the file is no table of a study.
     """
     if not path.exists():
         return []
@@ -300,7 +300,7 @@ def read_table(path: Path) -> list[Outcome]:
 
 
 def write_table(path: Path, outcomes: Sequence[Outcome]) -> None:
-    """Write the table as CSV, whole or not at all; keys and columns that a run lacks stay empty."""
+    """Write the table as CSV, atomically; keys and columns that a run lacks stay empty."""
     keys = dict.fromkeys(key for outcome in outcomes for key in outcome.values)
     columns = {name for outcome in outcomes for name in outcome.last}
     first = [name for name in ("step", "time", "largest_closure") if name in columns]

@@ -1,4 +1,4 @@
-"""Variations: keys of a case file with their values, all combinations of them, and the runs' names."""
+"""Variations: keys of a case file with their values, the combinations of values, and the runs' names."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from ngvisco.case.toml import parse_override
 from ngvisco.errors import NgviscoError
 
 _LONGEST = 100
-"""Characters of a run's name: file systems take 255 bytes, and files of the run have names in it."""
+"""Most characters of a run's name: file systems allow 255 bytes, and names of other files contain it."""
 
 
 class SweepError(NgviscoError, ValueError):
-    """A parameter study that cannot be run as it is asked for."""
+    """A parameter study cannot be run as requested."""
 
 
 @dataclass(frozen=True)
 class Variation:
-    """A key of the case and the values that it takes, as texts of TOML.
+    """A key of the case and its values, as TOML texts.
 
-    Raises SweepError if there is no value, or one of them twice.
+    Raises SweepError if there is no value, or if a value is repeated.
     """
 
     key: str
@@ -38,9 +38,9 @@ class Variation:
 
     @classmethod
     def parse(cls, text: str) -> Variation:
-        """``key.path=value,value,...``; commas within brackets, braces and quotes part no values.
+        """Parse ``key.path=value,value,...``; commas in brackets, braces and quotes do not separate values.
 
-        Raises SweepError if there is no key, no value, or a bracket or quote that is not closed.
+        Raises SweepError if the key or values are missing, or a bracket or quote is not closed.
         """
         key, equals, values = text.partition("=")
         try:
@@ -75,7 +75,7 @@ def _parted(values: str, text: str) -> list[str]:
 
 @dataclass(frozen=True)
 class Combination:
-    """One value for each varied key, and the run directory's name, the same in any study."""
+    """One value for each varied key, and the name of the run directory, which depends on these alone."""
 
     name: str
     values: dict[str, str]
@@ -83,7 +83,7 @@ class Combination:
 
 
 def combinations(variations: Sequence[Variation]) -> list[Combination]:
-    """All combinations of the values, the last key's values first.
+    """All combinations of the values; the last key varies fastest.
 
     Raises SweepError if there is nothing to vary, or a key is varied twice.
     """
@@ -101,7 +101,7 @@ def combinations(variations: Sequence[Variation]) -> list[Combination]:
 
 
 def _name(settings: Sequence[str]) -> str:
-    """A directory's name on any file system; a hash stands for what had to be left out."""
+    """Directory name that any file system accepts; a hash replaces dropped characters."""
     text = ",".join(settings)
     plain = re.sub(r"[^A-Za-z0-9._=,+-]+", "_", text)
     if plain == text and len(plain) <= _LONGEST:
