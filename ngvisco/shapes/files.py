@@ -1,4 +1,4 @@
-"""Shapes from files: closed surfaces of triangles (STL), and what is dark in a picture (PNG)."""
+"""Shapes from files: closed surfaces of triangles (STL), and dark parts of a picture (PNG)."""
 
 import importlib
 import os
@@ -18,26 +18,26 @@ from ngvisco.shapes.places import Places
 from ngvisco.shapes.shape import Shape, require_dim
 
 _RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
-_SAME = 1e-6  # of the surface's size: corners that are this close are one, as files round them
+_SAME = 1e-6  # fraction of the surface's size below which corners coincide, because files round them
 _RAYS = np.array([[1, 2, 3], [5, -7, 3], [27, 12, -17]]) / np.sqrt([[14], [83], [1162]])
-"""Directions normal to each other, along no axis and no diagonal: rays meet usual edges by accident only."""
+"""Orthogonal directions off all axes and diagonals, so that rays seldom meet edges of usual surfaces."""
 
 
 @dataclass(frozen=True)
 class ClosedSurface(Shape):
     """The inside of a closed surface of triangles, from an STL file (text or binary).
 
-    The surface may have several parts, each written in either sense.  A part that lies within another one and
-    is written in the opposite sense is a cavity of it.  Raises ParameterError if there is no such file, it is
-    no STL file, holds no triangles or one of them twice, or its surface does not close: every edge of a
-    closed surface belongs to two triangles, which run along it in opposite senses.
+    The surface may have several parts with any orientation.  A part within another part, of the opposite
+    orientation, is a cavity.  In a closed surface every edge belongs to two triangles, which run along the
+    edge in opposite senses.  Raises ParameterError if the file is missing or no STL file, if it has no
+    triangles or a repeated triangle, or if its surface does not close.
 
     Parameters
     ----------
     path : path
-        An STL file whose surface closes; in a case file relative to it.
+        STL file with a closed surface; in a case file the path is relative to the case file.
     scale : float
-        Length of the STL file's unit, which it does not say.
+        Length of the STL file's unit, which the file does not contain.
     """
 
     path: Annotated[str | os.PathLike[str], Quantity(example="part.stl")]
@@ -50,7 +50,7 @@ class ClosedSurface(Shape):
 
     @cached_property
     def triangles(self) -> np.ndarray:
-        """Their corners, (triangles, 3, 3), m, seen from outside against the clock."""
+        """Corners of the triangles, (triangles, 3, 3), m, counter-clockwise seen from outside."""
         corners = _read(Path(self.path)) * self.scale
         if not len(corners):
             raise ParameterError("ClosedSurface.path", self.path, "an STL file with triangles: it is empty")
@@ -68,7 +68,7 @@ class ClosedSurface(Shape):
     def level(self, at: Places) -> np.ndarray:
         if at.mesh.dim != 3:
             raise ParameterError("ClosedSurface.path", self.path, "a mesh in space: it is a surface of space")
-        # by side: where parts overlap the number would move the surface
+        # only the sign of the crossings is used: parts that overlap give larger numbers
         inside = crossings(self.triangles, at.coordinates) > 0
         size = at.spacing.copy()
         near = at.of_cut_pieces(inside)
@@ -77,7 +77,7 @@ class ClosedSurface(Shape):
 
 
 def _read(path: Path) -> np.ndarray:
-    """Corners (triangles, 3, 3) in the file's unit."""
+    """Corners of the triangles, (triangles, 3, 3), in the file's unit."""
     try:
         raw = path.read_bytes()
     except OSError as error:
@@ -100,9 +100,9 @@ def _read(path: Path) -> np.ndarray:
 
 
 def _connected_parts(path: str | os.PathLike[str], corners: np.ndarray, size: float) -> np.ndarray:
-    """The part of the surface that each triangle belongs to; parts have no edge in common.
+    """Number of each triangle's part of the surface; parts have no edge in common.
 
-    Raises ParameterError unless each edge is there as often in one sense as in the other.
+    Raises ParameterError unless the triangles run along each edge equally often in both senses.
     """
     if size == 0:
         raise ParameterError("ClosedSurface.path", path, "a surface with a volume: it is a point")
@@ -113,7 +113,7 @@ def _connected_parts(path: str | os.PathLike[str], corners: np.ndarray, size: fl
     if twice := len(triangles) - len(np.unique(corners_of_each, axis=0)):
         expected = f"each triangle once: {twice} of its {len(triangles)} are there again"
         raise ParameterError("ClosedSurface.path", path, expected)
-    whole = (triangles != np.roll(triangles, 1, axis=1)).all(axis=1)  # not those that are a line
+    whole = (triangles != np.roll(triangles, 1, axis=1)).all(axis=1)  # excludes triangles collapsed to a line
     edges = np.concatenate([triangles[whole][:, [i, (i + 1) % 3]] for i in range(3)])
     key = edges.min(axis=1) * (numbers.max() + 1) + edges.max(axis=1)
     _, where = np.unique(key, return_inverse=True)
@@ -124,18 +124,18 @@ def _connected_parts(path: str | os.PathLike[str], corners: np.ndarray, size: fl
         expected = f"a closed surface: {open_edges} of its {len(sense)} edges have triangles on one side only"
         raise ParameterError("ClosedSurface.path", path, expected)
     owner = np.tile(np.flatnonzero(whole), 3)
-    count = len(triangles) + len(sense)  # a graph of triangles and edges
+    count = len(triangles) + len(sense)  # nodes of the graph: triangles and edges
     graph = coo_matrix((np.ones(len(owner)), (owner, len(triangles) + where)), shape=(count, count))
     part = connected_components(graph, directed=False)[1][: len(triangles)]
     return np.unique(part, return_inverse=True)[1].reshape(-1)
 
 
 def _inward(corners: np.ndarray, part: np.ndarray, volumes: np.ndarray) -> np.ndarray:
-    """Whether each part has to be turned: those within another one turn with the outermost about them."""
+    """Whether each part has to be reversed; a part within others follows the outermost part around it."""
     pieces = [corners[part == number] for number in range(len(volumes))]
     low = np.array([piece.min(axis=(0, 1)) for piece in pieces])
     high = np.array([piece.max(axis=(0, 1)) for piece in pieces])
-    around = np.arange(len(pieces))  # the outermost part about each one, itself where there is none
+    around = np.arange(len(pieces))  # the outermost part around each part, or the part itself
     largest_first = np.argsort(-abs(volumes), kind="stable")
     for number, piece in enumerate(pieces):
         within = ((low <= low[number]) & (high >= high[number])).all(axis=1)
@@ -149,12 +149,12 @@ def _inward(corners: np.ndarray, part: np.ndarray, volumes: np.ndarray) -> np.nd
 
 
 def crossings(triangles: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """How often rays from points leave a closed surface more than they enter it: 1 inside, 0 outside.
+    """Number of times a ray from each point leaves a closed surface minus entries: 1 inside, 0 outside.
 
     Parameters
     ----------
     triangles : array (triangles, 3, 3)
-        Corners, m, seen from outside against the clock.
+        Corners, m, counter-clockwise seen from outside.
     points : array (points, 3)
     """
     height, heights = points @ _RAYS[0], triangles @ _RAYS[0]
@@ -166,9 +166,9 @@ def crossings(triangles: np.ndarray, points: np.ndarray) -> np.ndarray:
 
 
 def _distances(triangles: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """How far points are from a surface along the nearest of three lines normal to each other, m.
+    """Distances of points to a surface along three orthogonal lines, the smallest of the three, m.
 
-    Beside a plane face that is a multiple of the distance, sqrt(3) times at most; inf where no line meets it.
+    Near a plane face this is at most sqrt(3) times the distance; it is inf if no line meets the surface.
     """
     result = np.full(len(points), np.inf)
     for ray in _RAYS:
@@ -181,15 +181,15 @@ def _distances(triangles: np.ndarray, points: np.ndarray) -> np.ndarray:
 def _met(
     triangles: np.ndarray, points: np.ndarray, ray: np.ndarray
 ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Where lines through points, of one direction, meet triangles.
+    """Intersections of triangles with the lines through points along ``ray``.
 
-    Yields numbers of points, (n,), whether triangles that they may meet are left (1) or entered (-1),
-    (triangles,), and how far above the points these are met, (n, triangles), m, NaN where they are not.
+    Yields numbers of n points, (n,); for triangles near their lines, 1 if the ray leaves the surface there or
+    -1 if it enters, (triangles,); and heights of intersections above the points, (n, triangles), m, or NaN.
     """
-    # both are sorted into squares of the plane normal to the lines: a line is held against those triangles
-    # only that it can meet
+    # points and triangles are sorted into squares of the plane normal to the lines, so that a line is
+    # compared with few triangles
     across = np.cross(ray, (1.0, 0.0, 0.0)) / np.linalg.norm(ray[1:])
-    plane = np.array([across, np.cross(ray, across)])  # with the ray a right-handed frame
+    plane = np.array([across, np.cross(ray, across)])  # a right-handed frame with the ray
     flat, along = triangles @ plane.T, triangles @ ray
     at, height = points @ plane.T, points @ ray
     low, high = flat.min(axis=(0, 1)), flat.max(axis=(0, 1))
@@ -214,7 +214,7 @@ def _met(
 
 
 def _heights(flat: np.ndarray, along: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Sense of triangles, and where along the lines they are met, (points, triangles)."""
+    """Sense of triangles, (triangles,), and heights of intersections along the lines, (points, triangles)."""
     a, b, c = flat.transpose(1, 0, 2)[:, None]
     p = at[:, None]
 
@@ -232,28 +232,28 @@ def _heights(flat: np.ndarray, along: np.ndarray, at: np.ndarray) -> tuple[np.nd
     return sense[0], np.where(hit, met, np.nan)
 
 
-_LUMA = np.array([0.299, 0.587, 0.114])  # of red, green, blue in a grey
+_LUMA = np.array([0.299, 0.587, 0.114])  # weights of red, green, blue in grey
 
 
 @dataclass(frozen=True)
 class Image(Shape):
-    """Where a picture is dark, in the plane; read by matplotlib (extra ``plots``).
+    """The dark parts of a picture in the plane; matplotlib (extra ``plots``) reads the picture.
 
-    Raises ParameterError if the file is missing or no PNG, or matplotlib is.
+    Raises ParameterError if the file is missing or no PNG, or if matplotlib is missing.
 
     Parameters
     ----------
     path : path
-        A PNG file, grey or in colours, in a case file relative to it; what is transparent counts as white.
+        PNG file, grey or in colours, relative to a case file; transparent pixels count as white.
     low : pair of numbers
-        Place of the picture's lower left corner; outside of it there is nothing.
+        Lower left corner of the picture; the shape is empty outside the picture.
     high : pair of numbers
-        Place of its upper right corner.
+        Upper right corner of the picture.
     threshold : float
-        Grey, from 0 (black) to 1 (white), below which a pixel belongs to it; between the middles of pixels
-        the grey is interpolated.
+        Grey, from 0 (black) to 1 (white), below which a point belongs to the shape; grey is interpolated
+        between the middles of pixels.
     dark : bool
-        If false, what is brighter than the threshold instead.
+        Whether the shape is the part darker than the threshold; if false, the brighter part.
     """
 
     path: Annotated[str | os.PathLike[str], Quantity(example="part.png")]
@@ -274,7 +274,7 @@ class Image(Shape):
 
     @cached_property
     def grey(self) -> np.ndarray:
-        """0 (black) to 1 (white), (columns from the left, rows from below)."""
+        """Grey of the pixels, 0 (black) to 1 (white), (columns from the left, rows from below)."""
         try:
             image = importlib.import_module("matplotlib.image")
         except ImportError as error:
@@ -296,9 +296,9 @@ class Image(Shape):
         require_dim("Image.low", self.low, at.mesh)
         low, size, count = np.array(self.low), np.subtract(self.high, self.low), np.array(self.grey.shape)
         darkness = (self.threshold - self.grey) * (1 if self.dark else -1)
-        from scipy.interpolate import RegularGridInterpolator  # a fifth of the package's time to be imported
+        from scipy.interpolate import RegularGridInterpolator  # a fifth of the package's import time
 
-        # middles of pixels; the edges' pixels reach to the edges
+        # values are at the middles of pixels; padding extends the outer pixels to the picture's edges
         padded = np.pad(darkness, 1, mode="edge")
         axes = [np.arange(-0.5, n + 1) for n in count]
         pixels = (at.coordinates - low) / size * count

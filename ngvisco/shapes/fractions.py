@@ -1,13 +1,13 @@
-"""How much of each cell shapes fill, as polynomials on the cells.
+"""Fractions of each cell that shapes fill, as polynomials on the cells.
 
-A cell that a surface cuts is divided into sub-cells; in each of them the surface is that of the level's
-linear interpolation, whose share of a simplex is known exactly.  It cuts off edges and what is convex by the
-square of the sub-cells' size, so the same is done with sub-cells of twice the size, and extrapolated.
-The shares' L2 projection is the fraction, and is scaled towards its mean where it leaves [0, 1] (Zhang, Shu),
-so that the volume is that of the shares.
+A cell cut by a surface is divided into sub-cells.  In each sub-cell the level is interpolated linearly, and
+the positive share of a simplex is computed exactly.  The interpolation cuts off edges and convex parts by the
+square of the sub-cells' size; shares in sub-cells of twice the size allow an extrapolation.  The fraction is
+the L2 projection of the shares.  It is scaled towards its mean where it leaves [0, 1] (Zhang, Shu), which
+keeps the volume of the shares.
 
-Several shapes lie over each other like sheets of paper, the last one on top: their fractions and that of the
-rest sum to one at every point.
+Several shapes lie over each other like sheets of paper, the last one on top.  The fractions of all shapes and
+of the rest sum to one at every point.
 """
 
 from __future__ import annotations
@@ -28,39 +28,39 @@ from ngvisco.shapes.places import Places
 if TYPE_CHECKING:
     from ngvisco.shapes.shape import Shape
 
-_LOOKED_AT = 4  # pieces of a cell's edges, at whose ends a surface is looked for
+_LOOKED_AT = 4  # pieces of a cell's edges, at the ends of which levels are tested
 MISSED = (
     f"a place within the domain, no thinner than 1/{_LOOKED_AT} of the cells there (a finer mesh, by maxh or "
     "refine, sees a smaller one): no cell has a part of it"
 )
-"""The message's expectation of a shape that fills nothing."""
-_PIECES = {2: 32, 3: 12}  # of the edges of cells that a surface cuts, even numbers
+"""Expectation in the error message for a shape that fills no cell."""
+_PIECES = {2: 32, 3: 12}  # pieces of the edges of cut cells, even numbers
 _INSET = 1e-9
-"""How far, of their distance to the cell's middle, levels are taken inside the cell: a surface that is a side
-of the cell then leaves no doubt on which side the cell lies."""
-_AT_ONCE = 200_000  # sub-cells
-_QUADRILATERALS = (11, 13, 14)  # Netgen's numbers
+"""Fraction of the distance to the cell's middle by which sample points are moved inwards: a surface along a
+side of the cell then has the cell on one definite side."""
+_AT_ONCE = 200_000  # sub-cells that are computed together
+_QUADRILATERALS = (11, 13, 14)  # Netgen's numbers of the element types
 
 
 def fractions(mesh: Mesh, shapes: Sequence[Shape], order: int = 1) -> list[GridFunction]:
-    """Fractions of every cell that shapes fill, where later shapes lie over earlier ones.
+    """Fractions of every cell that shapes fill; later shapes cover earlier ones.
 
-    A part of a shape that is thinner than a quarter of a cell may be missed.  Raises ParameterError,
+    A part of a shape thinner than a quarter of a cell may be missed.  Raises ParameterError or
     UnknownNameError for a shape that does not fit the mesh.
 
     Parameters
     ----------
     mesh : ngsolve.Mesh
-        Triangles and quadrilaterals, or tetrahedra.
+        Mesh of triangles and quadrilaterals, or of tetrahedra.
     shapes : sequence of Shape
     order : int
-        Of the polynomials on the cells, 0, 1 or 2.
+        Order of the polynomials on the cells, 0, 1 or 2.
 
     Returns
     -------
     list of GridFunction
-        Discontinuous P_order, those of the shapes, and last that of the rest.  Their sum is one; they are
-        from 0 to 1 (for order 2 at the corners of the sub-cells, and between them to 1e-4).
+        Discontinuous P_order fractions of the shapes and, last, of the rest, which sum to one.  Values are in
+        [0, 1]; for order 2 they are so at the sub-cells' corners, and elsewhere to 1e-4.
     """
     powers = _powers(mesh.dim, order)
     coefficients = np.zeros((len(shapes) + 1, len(powers), mesh.ne))
@@ -72,14 +72,14 @@ def fractions(mesh: Mesh, shapes: Sequence[Shape], order: int = 1) -> list[GridF
 
 
 def volumes(mesh: Mesh, shapes: Sequence[Shape]) -> list[float]:
-    """Volumes within the mesh of each shape where no later one lies over it, and last of the rest, m^dim."""
+    """Volumes in the mesh of the uncovered part of each shape and, last, of the rest, m^dim."""
     cells = np.array(Integrate(CoefficientFunction(1.0), mesh, VOL, element_wise=True))
     own = np.array([cells @ part.vec.FV().NumPy() for part in fractions(mesh, shapes, 0)])
     return [float(volume) for volume in Communicator.of(mesh).totals(own)]
 
 
 def _groups(mesh: Mesh) -> Iterator[tuple[np.ndarray, bool]]:
-    """Cells of one type, and whether they are quadrilaterals."""
+    """Yield numbers of cells of one type, and whether they are quadrilaterals."""
     if mesh.dim == 3:
         yield np.arange(mesh.ne), False
         return
@@ -93,16 +93,16 @@ def _groups(mesh: Mesh) -> Iterator[tuple[np.ndarray, bool]]:
 def _shares(
     mesh: Mesh, cells: np.ndarray, is_quad: bool, shapes: Sequence[Shape]
 ) -> Iterator[tuple[np.ndarray, list[np.ndarray]]]:
-    """Some of the cells, and the shares of small and of large sub-cells, (shapes and rest, cells, sub-cells).
+    """Yield numbers of cells, and shares of small and large sub-cells, (shapes and rest, cells, sub-cells).
 
-    Cells that no surface is seen to cut, and that have no such neighbour, are one sub-cell.
+    A cell without a visible cut, in itself and in its neighbours, is one sub-cell.
     """
-    corners, _ = subdivision(mesh.dim, _LOOKED_AT, is_quad)  # sides suffice
+    corners, _ = subdivision(mesh.dim, _LOOKED_AT, is_quad)  # finds cuts by the signs of the levels
     levels = _levels(mesh, cells, corners, shapes)
     inside = levels > 0
     is_cut = (inside.any(axis=2) & ~inside.all(axis=2)).any(axis=0)
     elements = mesh.ngmesh.Elements2D() if mesh.dim == 2 else mesh.ngmesh.Elements3D()
-    vertices = elements.NumPy()["nodes"][cells][:, :4]  # from 1; 0 where there is none
+    vertices = elements.NumPy()["nodes"][cells][:, :4]  # counted from 1; 0 pads
     near = np.zeros(vertices.max(initial=0) + 1, dtype=bool)
     near[vertices[is_cut]] = True
     near[0] = False
@@ -125,7 +125,7 @@ def _levels(
     shapes: Sequence[Shape],
     pieces: np.ndarray | None = None,
 ) -> np.ndarray:
-    """At the reference points ``corners`` of cells, (shapes, cells, corners)."""
+    """Levels of the shapes at the reference points ``corners`` of cells, (shapes, cells, corners)."""
     middle = corners.mean(axis=0)
     places = Places(mesh, cells, middle + (1 - _INSET) * (corners - middle), pieces)
     levels = [shape.level(places) for shape in shapes]
@@ -133,8 +133,8 @@ def _levels(
 
 
 def _layered(shares: np.ndarray) -> np.ndarray:
-    """Shares that are seen from above of shapes that lie over each other, the last on top, and of the
-    ground."""
+    """Visible shares of shapes that cover each other, the last one on top, followed by the share of the
+    rest."""
     seen, left = [], np.ones(shares.shape[1:])
     for share in shares[::-1]:
         seen.append(left * share)
@@ -143,17 +143,17 @@ def _layered(shares: np.ndarray) -> np.ndarray:
 
 
 def share_of_simplex(levels: np.ndarray) -> np.ndarray:
-    """Share of a simplex in which the linear function with these values at its vertices is positive.
+    """Share of a simplex in which the linear function with given ``levels`` at its vertices is positive.
 
-    Of a level that only says on which side a vertex lies, all of one size, it is the share of the vertices.
-    ``levels`` are (..., 3) or (..., 4), shares (...).
+    If all levels of a simplex have equal size, they only tell sides, and the share of positive vertices is
+    returned.  ``levels`` are (..., 3) or (..., 4), shares (...).
     """
     values = np.sort(levels, axis=-1)
     count = np.sum(values > 0, axis=-1)
     last = values.shape[-1] - 1
     result = (count == last + 1).astype(float)
     one, all_but_one = count == 1, count == last
-    # a corner of the simplex is cut off: its edges there are cut where the function is zero
+    # a corner of the simplex is cut off; its edges are cut at the zeros of the function
     top, low = values[one, -1:], values[all_but_one, :1]
     result[one] = np.prod(top / (top - values[one, :-1]), axis=-1)
     result[all_but_one] = 1 - np.prod(low / (low - values[all_but_one, 1:]), axis=-1)
@@ -170,14 +170,14 @@ def share_of_simplex(levels: np.ndarray) -> np.ndarray:
 
 @cache
 def subdivision(dim: int, count: int, is_quad: bool = False) -> tuple[np.ndarray, np.ndarray]:
-    """The reference simplex (or square) in count^dim simplices of one size (twice as many), Kuhn's.
+    """Kuhn's subdivision of the reference simplex (square) in count^dim (twice as many) equal simplices.
 
     Returns
     -------
     corners : array (corners, dim)
-        In the coordinates of NGSolve's reference cell.
+        Corners in coordinates of NGSolve's reference cell.
     pieces : array (pieces, dim + 1)
-        Corners of each.
+        Numbers of each simplex's corners.
     """
     ends = []
     for start in itertools.product(range(count), repeat=dim):
@@ -188,26 +188,26 @@ def subdivision(dim: int, count: int, is_quad: bool = False) -> tuple[np.ndarray
             if is_quad or (np.diff(path, axis=1) <= 0).all():  # 1 >= a >= b >= c >= 0
                 ends.append(path)
     corners, pieces = np.unique(np.array(ends).reshape(-1, dim), axis=0, return_inverse=True)
-    if not is_quad:  # (a, b, c) to (a - b, b - c, c)
+    if not is_quad:  # maps (a, b, c) to (a - b, b - c, c)
         corners = corners - np.pad(corners, ((0, 0), (0, 1)))[:, 1:]
     return corners / count, pieces.reshape(-1, dim + 1)
 
 
 def _larger(dim: int, count: int, is_quad: bool) -> np.ndarray:
-    """The sub-cells of twice the size, (pieces, dim + 1), by the numbers of the corners of the small ones."""
+    """Sub-cells of twice the size, (pieces, dim + 1), by numbers of the small sub-cells' corners."""
     small, (corners, pieces) = subdivision(dim, count, is_quad)[0], subdivision(dim, count // 2, is_quad)
-    numbers = {tuple(corner): i for i, corner in enumerate(small)}  # quotients of whole numbers: the same
+    numbers = {tuple(corner): i for i, corner in enumerate(small)}  # equal bit for bit: count is even
     return np.array([numbers[tuple(corner)] for corner in corners])[pieces]
 
 
 def _powers(dim: int, order: int) -> list[tuple[int, ...]]:
-    """Exponents of the monomials of the reference coordinates up to a degree; the constant first."""
+    """Exponents of the monomials in reference coordinates up to degree ``order``; the constant first."""
     every = itertools.product(range(order + 1), repeat=dim)
     return sorted((e for e in every if sum(e) <= order), key=lambda e: (sum(e), e))
 
 
 def _monomials(points: np.ndarray, powers: Sequence[tuple[int, ...]]) -> np.ndarray:
-    """(..., monomials)."""
+    """Values of the monomials at points, (..., monomials)."""
     return np.stack([np.prod(points ** np.array(e), axis=-1) for e in powers], axis=-1)
 
 
@@ -218,15 +218,15 @@ def _projected(
     shares: Sequence[np.ndarray],
     powers: Sequence[tuple[int, ...]],
 ) -> np.ndarray:
-    """Coefficients of the shares' projection, within [0, 1]: (shapes and rest, monomials, cells)."""
-    if len(shares) == 1:  # the same all over a cell
+    """Coefficients, (shapes and rest, monomials, cells), of the shares' projection limited to [0, 1]."""
+    if len(shares) == 1:  # shares are constant in each cell
         result = np.zeros((len(shares[0]), len(powers), len(cells)))
         result[:, 0] = shares[0][..., 0]
         return result
     count = _PIECES[mesh.dim]
     fine = _projection(mesh, cells, is_quad, shares[0], powers, count)
     coarse = _projection(mesh, cells, is_quad, shares[1], powers, count // 2)
-    # errors of second order: a quarter of those of twice the size
+    # errors are of second order: on small sub-cells a quarter of the errors on large ones
     better = [a + (a - b) / 3 for a, b in zip(fine, coarse, strict=True)]
     is_share = ((better[1] >= 0) & (better[1] <= 1)).all(axis=0, keepdims=True)
     polynomials, means = (np.where(is_share, a, b) for a, b in zip(better, fine, strict=True))
@@ -242,14 +242,14 @@ def _projection(
     powers: Sequence[tuple[int, ...]],
     count: int,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Coefficients of a projection, (shapes and rest, cells, monomials), and its means, (..., cells, 1)."""
+    """Coefficients of the shares' L2 projection, (shapes and rest, cells, monomials), and means, (..., 1)."""
     corners, pieces = subdivision(mesh.dim, count, is_quad)
     # a rule of degree two in each sub-cell: points between its middle and its corners
     rule = _RULES[mesh.dim]
     points = np.einsum("qv,pvd->pqd", rule, corners[pieces]).reshape(-1, mesh.dim)
     values = _monomials(points, powers).reshape(len(pieces), len(rule), -1)
     if mesh.GetCurveOrder() <= 1 and not is_quad:
-        weighted = values.mean(axis=1)[None]  # cells of constant Jacobian, which drops out
+        weighted = values.mean(axis=1)[None]  # a constant Jacobian cancels
         gram = np.einsum("pqi,pqj->ij", values, values)[None] / len(rule)
     else:
         J = Places(mesh, cells, points).values(Det(specialcf.JacobianMatrix(mesh.dim)))
@@ -263,7 +263,7 @@ def _projection(
 
 
 def _limited(polynomials: np.ndarray, means: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Polynomials scaled towards their means, all of a cell by one factor, so that they are in [0, 1]."""
+    """Polynomials scaled into [0, 1] towards their means, with one factor for all polynomials of a cell."""
     at = polynomials @ values.T - means
     room = np.where(at > 0, 1 - means, means)
     share = np.min(room / np.maximum(np.abs(at), 1e-300), axis=(0, 2))
@@ -277,13 +277,13 @@ _RULES = {
     2: np.full((3, 3), 1 / 6) + np.eye(3) / 2,
     3: np.full((4, 4), (5 - 5**0.5) / 20) + np.eye(4) * 5**0.5 / 5,
 }
-"""Barycentric coordinates of rules with equal weights, of degree two."""
+"""Barycentric coordinates of quadrature rules of degree two with equal weights, by dimension."""
 
 
 def _function(
     mesh: Mesh, coefficients: np.ndarray, powers: Sequence[tuple[int, ...]], order: int
 ) -> GridFunction:
-    """The piecewise polynomial with these coefficients, (monomials, cells)."""
+    """Piecewise polynomial with given coefficients, (monomials, cells), as a grid function."""
     constants, value = L2(mesh, order=0), CoefficientFunction(0.0)
     place = specialcf.xref(mesh.dim)
     for exponents, numbers in zip(powers, coefficients, strict=True):

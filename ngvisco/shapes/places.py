@@ -1,4 +1,4 @@
-"""Places of a mesh: reference points in chosen cells, where functions and shapes are evaluated."""
+"""Places of a mesh: reference points in chosen cells, at which functions and shapes are evaluated."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -11,7 +11,7 @@ from ngsolve import ET, VOL, CoefficientFunction, IntegrationRule, Mesh, x, y, z
 
 @dataclass(frozen=True)
 class Places:
-    """Points in cells of one type.
+    """Points with equal reference coordinates in cells of one type.
 
     Attributes
     ----------
@@ -19,9 +19,9 @@ class Places:
     cells : array (cells,)
         Numbers of the cells.
     reference : array (points, dim)
-        In each of them, in the coordinates of the reference cell.
+        The points in coordinates of the reference cell.
     pieces : array (pieces, dim + 1), optional
-        The sub-cells whose corners the points are, by the points' numbers.
+        Sub-cells, each given by the numbers of the points at its corners.
     """
 
     mesh: Mesh
@@ -41,17 +41,17 @@ class Places:
 
     @cached_property
     def coordinates(self) -> np.ndarray:
-        """(cells * points, dim), m."""
+        """Coordinates of the points, (cells * points, dim), m."""
         from_ngsolve: Any = CoefficientFunction((x, y, z)[: self.mesh.dim])
         return self.values(from_ngsolve)
 
     @property
     def cell_numbers(self) -> np.ndarray:
-        """The cell of each point, (cells * points,)."""
+        """Number of each point's cell, (cells * points,)."""
         return np.repeat(self.cells, len(self.reference))
 
     def of_cut_pieces(self, inside: np.ndarray) -> np.ndarray:
-        """Numbers of the points in sub-cells that lie on both sides of a surface; none without sub-cells.
+        """Numbers of the points at corners of sub-cells that a surface cuts; none without sub-cells.
 
         Parameters
         ----------
@@ -67,7 +67,7 @@ class Places:
 
     @cached_property
     def spacing(self) -> np.ndarray:
-        """The longest edge of the sub-cells, or the largest distance of points, of each point's cell, m."""
+        """Longest edge of sub-cells in each point's cell, without sub-cells the cell's box diagonal, m."""
         places = self.coordinates.reshape(len(self.cells), len(self.reference), -1)
         if self.pieces is None:
             longest = np.linalg.norm(np.ptp(places, axis=1), axis=1)
@@ -79,8 +79,8 @@ class Places:
 
 
 def mesh_points(mesh: Mesh, cells: np.ndarray, reference: np.ndarray) -> np.ndarray:
-    """NGSolve's mesh points, (points,), of the cell and the reference coordinates, (points, dim), of each."""
-    # one point of NGSolve's own has the mesh's address in it
+    """NGSolve's mesh points, (points,), for each point's cell and reference coordinates, (points, dim)."""
+    # a point made by NGSolve serves as a pattern, because it contains the mesh's address
     types = (ET.TRIG, ET.QUAD) if mesh.dim == 2 else (ET.TET,)
     one = IntegrationRule([(0.25,) * mesh.dim], [1.0])
     pattern = mesh.MapToAllElements({et: one for et in types}, VOL)[:1]

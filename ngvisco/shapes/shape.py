@@ -1,7 +1,7 @@
-"""Shapes, parts of space told by a level that is positive inside: of few numbers, functions, subdomains.
+"""Shapes: parts of space, given by a level that is positive inside.
 
-Shapes say where bodies are at the start of a run.  A level is any function with the right sign; near the
-surface it should be continuous, so that cells that the surface cuts are divided where it is (``fractions``).
+Shapes set where bodies are at the start of a run.  A level is any function with the right sign.  It should be
+continuous near the surface, so that ``fractions`` divides cut cells at the surface.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ from ngvisco.shapes.places import Places
 
 
 class Shape(ABC):
-    """A part of space.  ``a | b``, ``a & b``, ``a - b`` and ``~a`` are shapes again."""
+    """A part of space.  ``a | b``, ``a & b``, ``a - b`` and ``~a`` are shapes as well."""
 
     @abstractmethod
     def level(self, at: Places) -> np.ndarray:
-        """A number at each place, (places,): > 0 inside, <= 0 outside.
+        """Level at each place, (places,): > 0 inside, <= 0 outside.
 
-        Raises ParameterError where the shape does not fit the mesh, e.g. its dimension.
+        Raises ParameterError if the shape does not fit the mesh, e.g. its dimension.
         """
 
     def inside(self, mesh: Mesh, order: int = 1) -> GridFunction:
@@ -54,7 +54,7 @@ class Shape(ABC):
 
 @dataclass(frozen=True)
 class Union(Shape):
-    """The points that lie in at least one of the shapes."""
+    """The points in at least one of the shapes."""
 
     shapes: Sequence[Shape]
 
@@ -69,7 +69,7 @@ class Union(Shape):
 
 @dataclass(frozen=True)
 class Complement(Shape):
-    """The points that do not lie in a shape."""
+    """The points outside a shape."""
 
     shape: Shape
 
@@ -83,13 +83,13 @@ class Complement(Shape):
 
 @dataclass(frozen=True)
 class Where(Shape):
-    """Where a function of the place is positive; of one that is 0 or 1 everywhere, where it is 1.
+    """The points at which a function is positive, or is 1 if its values are 0 and 1 only.
 
     Parameters
     ----------
     function : scalar coefficient function
-        Of x, y, z (m).  A continuous one places the surface within the cells; one that jumps to their
-        subdivision.
+        Function of x, y, z (m).  A continuous function locates the surface within sub-cells; a function
+        that jumps locates it to a sub-cell.
     """
 
     function: CoefficientFunction
@@ -115,7 +115,7 @@ class Ball(Shape):
     Parameters
     ----------
     centre : two or three numbers
-        Its centre, a coordinate for each dimension.
+        Centre, with a coordinate for each dimension.
     radius : float
         Radius.
     """
@@ -134,7 +134,7 @@ class Ball(Shape):
 
 @dataclass(frozen=True)
 class Block(Shape):
-    """The box between two corners, with edges along the axes.
+    """A box between two corners, with edges along the axes.
 
     Raises ParameterError if a parameter is out of its range.
 
@@ -164,7 +164,7 @@ class Block(Shape):
 
 @dataclass(frozen=True)
 class HalfSpace(Shape):
-    """All that lies behind a plane, on the side that its normal points away from.
+    """The half-space behind a plane, on the side from which its normal points away.
 
     Raises ParameterError if a parameter is out of its range.
 
@@ -198,15 +198,15 @@ class HalfSpace(Shape):
 
 @dataclass(frozen=True)
 class Polygon(Shape):
-    """A polygon of the plane, which need not be convex; the last point is joined to the first.
+    """A polygon of the plane, not necessarily convex.
 
     Raises ParameterError if a parameter is out of its range.
 
     Parameters
     ----------
     points : three pairs of numbers at least
-        Three corners at least, in either sense of rotation; the last is joined to the first, and edges do not
-        cross each other.
+        Corners, at least three, in either sense of rotation; the last is joined to the first, and edges must
+        not cross.
     """
 
     points: Annotated[tuple[tuple[float, float], ...], Quantity("m", example=[[0, 0], [1, 0], [0, 1]])]
@@ -240,7 +240,7 @@ class Polygon(Shape):
             along = b - a
             share = np.clip((p - a) @ along / (along @ along), 0, 1)
             distance = np.minimum(distance, np.linalg.norm(p - a - share[:, None] * along, axis=1))
-            spans = (a[1] > p[:, 1]) != (b[1] > p[:, 1])  # the ray to the right meets the edge's height
+            spans = (a[1] > p[:, 1]) != (b[1] > p[:, 1])  # the edge spans the point's height
             if spans.any():
                 where = a[0] + (p[spans, 1] - a[1]) / along[1] * along[0]
                 is_inside[spans] ^= p[spans, 0] < where
@@ -248,10 +248,10 @@ class Polygon(Shape):
 
 
 def _expected_of_edges(a: np.ndarray, b: np.ndarray) -> str | None:
-    """The message's expectation of edges a_i b_i, two of which cross or have a piece of a line in common."""
+    """Expectation for an error message if two of the edges a_i b_i cross or overlap; otherwise None."""
     along = b - a
     length = np.linalg.norm(along, axis=1)[:, None]
-    ends = np.stack([a, b])[:, None] - a[None, :, None]  # (end, i, j): of edge j, from the start of edge i
+    ends = np.stack([a, b])[:, None] - a[None, :, None]  # (end, i, j): ends of edge j minus start of edge i
     off = along[:, None, 0] * ends[..., 1] - along[:, None, 1] * ends[..., 0]
     on = (along[:, None] * ends).sum(axis=-1) / length
     has_both_sides = np.sign(off).prod(axis=0) < 0
@@ -269,7 +269,7 @@ def _expected_of_edges(a: np.ndarray, b: np.ndarray) -> str | None:
 
 @dataclass(frozen=True)
 class Subdomain(Shape):
-    """The cells of named subdomains (NGSolve: materials) of the mesh: exactly these, nothing is cut.
+    """The cells of named subdomains (NGSolve: materials) of the mesh; no cell is cut.
 
     Raises ParameterError if a parameter is out of its range.
 
@@ -295,15 +295,15 @@ class Subdomain(Shape):
                 raise UnknownNameError("subdomain", name, known)
         wanted = np.array([name in self.names for name in known])
         elements = at.mesh.ngmesh.Elements2D() if at.mesh.dim == 2 else at.mesh.ngmesh.Elements3D()
-        index = elements.NumPy()["index"][at.cell_numbers]  # from 1
+        index = elements.NumPy()["index"][at.cell_numbers]  # counted from 1
         return np.where(wanted[index - 1], 1.0, -1.0)
 
 
 def as_shape(field: str, value: object) -> Shape:
-    """A shape, or a coefficient function as the shape where it is positive; raises ParameterError."""
+    """Return a shape, converting a scalar coefficient function to ``Where``; raises ParameterError."""
     if isinstance(value, Shape):
         return value
-    # a grid function is one too
+    # a grid function is a coefficient function as well
     if isinstance(value, (CoefficientFunction, GridFunction)) and value.dim == 1:
         return Where(value)
     expected = "a shape, or a scalar coefficient function that is positive inside"

@@ -257,7 +257,7 @@ class Study:
             return
         if code in _STOPPED:
             outcome.state = STOPPED
-        elif code is not None and (code not in (0, 4) or not outcome.is_finished):  # None: the run was not begun
+        elif code is not None and (code not in (0, 4) or not outcome.is_finished):  # None: not started
             outcome.state = FAILED
             outcome.message = message_of(said) or f"ended with exit code {code}"
 

@@ -1,17 +1,17 @@
-"""The local error of a step, from the extrapolation of the states before it.
+"""The local error of a step, estimated by extrapolation of earlier states.
 
-A scheme of order p leaves u_n - u(t_n) = C tau^(p+1) u^(p+1) in a step from the exact state, C its error
-constant. The polynomial through the last p + 1 states misses u(t_n) by -P u^(p+1)/(p+1)!, P = prod_j (t_n -
-t_{n-1-j}).  So
+A step of order p from the exact state has the error u_n - u(t_n) = C tau^(p+1) u^(p+1) with the scheme's
+error constant C.  The polynomial through the last p + 1 states misses u(t_n) by -P u^(p+1)/(p+1)!, where P =
+prod_j (t_n - t_{n-1-j}).  So
 
     error = C tau^(p+1) / (C tau^(p+1) + P/(p+1)!) |u_n - u_extrapolated|,
 
-which costs no solve (for the implicit Euler scheme tau/(2 tau + tau_old) times the difference).  Until p + 1
-states are known there is no estimate.
+which needs no further solve (for the implicit Euler scheme it is tau/(2 tau + tau_old) times the difference).
+There is no estimate before p + 1 states are known.
 
-Norm.  The largest of |e_u|/(|u| + s_u sqrt(volume)) over the unknowns u that evolve, with L2 norms over the
-domain: a relative error.  s_u is the unknown's scale (``ngvisco.forms.term``): of v the run's velocity
-scale, 0 of rho, 1 of z.
+The relative error is the largest of |e_u|/(|u| + s_u sqrt(volume)) over the evolving unknowns u, with L2
+norms over the domain.  The scale s_u (``ngvisco.forms.term``) is the run's velocity scale for v, 0 for rho,
+and 1 for z.
 """
 
 import math
@@ -26,9 +26,9 @@ from ngvisco.timestepping.scheme import TimeScheme
 
 
 class ErrorEstimate:
-    """Estimates the error of the last step; keeps the states that it needs, as a restart has to.
+    """Estimates the error of the last step from stored states, which a checkpoint contains too.
 
-    ``velocity_scale`` gives v_s, m/s; ``order`` is the highest one of a scheme that is asked for.
+    ``velocity_scale`` returns v_s, m/s; ``order`` is the highest order of a scheme to be estimated.
     """
 
     def __init__(self, step: Step, velocity_scale: Callable[[], float], order: int) -> None:
@@ -42,19 +42,19 @@ class ErrorEstimate:
         self._squares = CF((*map(square, errors), *map(square, now), 1.0)).Compile()
 
     def begin(self, time: float) -> None:
-        """A step begins at ``time``, s: know only the present state, unless the last one kept is that."""
+        """Begin a step at ``time``, s; if no state of this time is stored, store the present state alone."""
         if not (self._times and self._times[-1] == time):
             self._times, self._states = [], []
             self.keep(time)
 
     def keep(self, time: float) -> None:
-        """The present state is that of ``time``, s, and accepted."""
+        """Store the present state as the accepted one at ``time``, s."""
         self._times.append(time)
         self._states.append(self._values())
         del self._times[: -self._enough], self._states[: -self._enough]
 
     def __call__(self, time: float, scheme: TimeScheme) -> float | None:
-        """The relative error of the step to the present state at ``time``, s; None if unknown."""
+        """Relative error of the step to the present state at ``time``, s; None if unknown."""
         p = scheme.order
         if len(self._times) < p + 1:
             return None
@@ -81,7 +81,7 @@ class ErrorEstimate:
         return numbers, {f"known_{i}": state.copy() for i, state in enumerate(self._states)}
 
     def load_state_dict(self, numbers: dict[str, float], arrays: dict[str, np.ndarray]) -> None:
-        """Take up what ``state_dict`` gave."""
+        """Restore times and states from ``state_dict``."""
         kept = sorted(name for name in arrays if name.startswith("known_"))
         self._times = [numbers[name] for name in kept]
         self._states = [arrays[name] for name in kept]

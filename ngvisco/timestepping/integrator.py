@@ -1,23 +1,22 @@
 """One step of a time scheme: its stages, each a Rothe step, and the state at the step's end.
 
-What a stage dissipates is metered at its solution, so that the ledger closes to rounding for every scheme;
-see ``scheme`` for the identity.  Where the end is not the last stage's solution, the momentum functional and
-the other unknowns that evolve (rho, z, those of further terms) are combined, v follows from the momentum
-(``VelocityOfMomentum``) with moving walls at the end's time, and the unknowns without a time derivative
-(traces, multipliers, the creep rate field) stay those of the last stage.
+Dissipation is metered at each stage's solution, so that the ledger closes to rounding for every scheme;
+``scheme`` derives the identity.  If the end is not the last stage's solution, it combines the stages'
+momentum functionals and other evolving unknowns (rho, z, unknowns of further terms).  Then v follows from the
+momentum (``VelocityOfMomentum``) with moving walls at the end's time.  Unknowns without a time derivative
+(traces, multipliers, the creep rate field) keep their values of the last stage.
 
-Bounds.  A step's end that is negative at a point while its means are not is limited
-(``ngvisco.forms.bounds``).  Stages are left as they are solved: they only have to have positive means.
-The momentum density is limited as rho is, and v follows from both.  With U the last stage, and u_1 the end
-before it is limited to u,
+Bounds.  An end that is negative at a point but has positive means is limited (``ngvisco.forms.bounds``).
+Stages are not limited, they only need positive means.  The momentum density is limited as rho is, and v
+follows from both.  Let U be the last stage, u_1 the end before limiting, and u the limited end:
 
-    E(u) - E(u_1) = E'(U)[u - u_1] + B(u, U) - B(u_1, U),
+    E(u) - E(u_1) = E'(U)[u - u_1] + B(u, U) - B(u_1, U).
 
-and ``limiter`` is what this takes: E(U) - E(u) where u_1 is U.  At an extrapolated end, where u_1 may have
-no energy, R has B(u, U) in place of B(u_1, U) and ``limiter`` is -E'(U)[u - u_1].
+If u_1 is U, ``limiter`` is the energy that limiting takes, E(U) - E(u).  An extrapolated end u_1 may have no
+energy; then R has B(u, U) in place of B(u_1, U), and ``limiter`` is -E'(U)[u - u_1].
 
-Moving walls.  In the rows of v that are prescribed, m_1 = int rho_1 v_1 . w is not the combination of the
-stages' momenta: the difference is an impulse of the wall, which works on the last stage's velocity.  It is
+Moving walls.  In prescribed rows of v, m_1 = int rho_1 v_1 . w differs from the combination of the stages'
+momenta.  The difference is an impulse of the wall, which works on the last stage's velocity; this work is
 added to the wall's power.
 """
 
@@ -40,39 +39,39 @@ from ngvisco.solver.rothe import RotheSolver
 from ngvisco.timestepping.scheme import TimeScheme, backward_euler
 
 _RELAXED, _RELAXATION_TOLERANCE = (1.5, 2.5), 1e-12
-"""Where the end of a relaxed midpoint step is looked for, in units of its Rothe step (2 is unrelaxed), and
-how exactly: R changes by this share of the distance B(u_0, U) itself, which is of order tau^2."""
+"""Range of the end of a relaxed midpoint step in units of its Rothe step (2 is unrelaxed), and the absolute
+tolerance on it.  R then varies by this fraction of the distance B(u_0, U), which is of order tau^2."""
 _MEETINGS, _MEETING = 6, 1e-13
-"""Rothe steps tried until a relaxed step ends at a given time, and what of it may be missed."""
+"""Most Rothe steps to make a relaxed step end at a given time, and the relative tolerance on its length."""
 _NOISE_MARGIN, _NOISE_DRAWS = 5.0, 8
-"""Rounding of R, in units of the distance of a state to itself with every number changed by rounding: the
-root mean square of so many draws, since the sum of a single one may vanish by chance."""
+"""Rounding of R in units of the distance between a state and its copy with random rounding errors, and the
+number of copies, of which the root mean square is taken because a single distance may vanish by chance."""
 
 
 class CarriedField(Protocol):
-    """A field that is carried along by the same scheme, with the stages' velocities."""
+    """A passive field that the scheme transports with the stages' velocities."""
 
     def begin(self) -> None:
-        """A step begins, or begins anew: forget the stages."""
+        """Begin a step, or repeat it: forget the stages."""
 
     def stage(self, weights: np.ndarray, share: float) -> None:
-        """The present state is that of a stage, whose own old value has these weights of y_0, y_1, ...
+        """Solve the field's stage in the present state; ``weights`` of y_0, y_1, ... make its start value.
 
-        ``share`` is the stage's b_i: what is measured in it counts so much in the step's mean.
+        ``share`` is the stage's b_i, the weight of its measured values in the step's mean.
         """
 
     def end(self, weights: np.ndarray) -> None:
-        """The step is accepted: its end has these weights."""
+        """Accept the step; ``weights`` of the stages make the field at its end."""
 
 
 @dataclass(frozen=True)
 class StepTaken:
-    """The exchange of a step with its surroundings, besides the state that it left.
+    """The exchange of energy and momentum in a step, besides the state that it left.
 
-    ``tau`` is its length, s; ``history`` what was tried, from which start values; ``rates`` are dissipations
-    and powers, W, weighted as the scheme does; ``numerical`` is R by ledger columns, J, and what the limiter
-    took in ``limited`` cells.  ``impulse`` is what walls do to the rows of v at the step's end over its
-    length, N, None without; ``unsolved`` fields were carried along without a solution.
+    ``tau`` is the step's length, s; ``history`` lists the attempts; ``rates`` are dissipations and powers, W,
+    weighted by the scheme; ``numerical`` is R by ledger columns, J, and the energy that the limiter took in
+    ``limited`` cells.  ``impulse`` is the walls' impulse on the rows of v at the step's end over its length,
+    N, or None; ``unsolved`` counts the passive fields without a solution.
     """
 
     tau: float
@@ -85,25 +84,25 @@ class StepTaken:
 
     @property
     def iterations(self) -> int:
-        """Iterations of all attempts."""
+        """Number of iterations of all attempts."""
         return len(iterations(self.history))
 
 
 LIMITER = "limiter"
-"""Ledger column of the energy that limiting a step's end takes, J."""
+"""Ledger column of the energy lost by limiting a step's end, J."""
 LIMITER_WALLS = "limiter_walls"
-"""The part of the limiter's energy that goes through walls that are held or moved, where momentum is not
-kept, J."""
+"""Ledger column of the limiter's energy that passes through held or moving walls, which change the
+momentum, J."""
 
 
 class Integrator:
     """Takes steps of a scheme with a Rothe solver.
 
-    ``meter`` gives dissipations and powers at the present state, W, by ledger columns; ``bounds`` limits the
-    ends of steps where it ``limits``.  The first ``startup`` steps of the run are of the backward Euler
-    scheme, which damps rough initial data (Rannacher).  Where ``relaxed``, the midpoint rule's end is where
-    the numerical remainder R is zero, to the rounding of the energies; steps then have other lengths than
-    asked for.
+    ``meter`` returns dissipations and powers at the present state, W, by ledger columns; ``bounds`` limits
+    ends of steps if its ``limits`` is true.  The first ``startup`` steps of the run use the backward Euler
+    scheme, which damps rough initial data (Rannacher).  If ``relaxed``, a midpoint step ends where the
+    numerical remainder R is zero, to the rounding of the energies, so that its length differs from the
+    requested one.
     """
 
     def __init__(
@@ -123,9 +122,9 @@ class Integrator:
         self._before = self.step.state.vec.CreateVector()
         self._t = 0.0
         self.tried = 0.0
-        """Length of the last step that was begun, s."""
+        """Length of the last attempted step, s."""
         self.impulse: np.ndarray | None = None
-        """Walls' impulse on the rows of v at the last step's end over its length, N; None without."""
+        """Walls' impulse on the rows of v at the last step's end over its length, N, or None."""
 
     @cached_property
     def _velocity(self) -> VelocityOfMomentum:
@@ -134,16 +133,16 @@ class Integrator:
         return VelocityOfMomentum(step.layout, step.state, rho, step.momentum_old, walls, rules)
 
     def scheme_of(self, number: int) -> TimeScheme:
-        """The scheme of the step after step ``number``."""
+        """Scheme of the step that follows step ``number``."""
         return backward_euler() if number < self.startup else self.scheme
 
     def advance(self, t: float, tau: float, number: int = 0, meets: bool = False) -> StepTaken:
-        """Take the step after step ``number`` from ``t`` over ``tau``, s.
+        """Take the step that follows step ``number``, from ``t`` over ``tau``, s.
 
-        If it is relaxed, it ends at t + tau where it ``meets`` a time, and elsewhere otherwise.
+        A relaxed step ends at t + tau only if it ``meets`` a given time.
 
-        Raises StepError when a stage is not solved, or the end is not admissible; the state is then that
-        before the step.
+        Raises StepError if a stage is not solved or the end is not admissible; the state before the step is
+        then restored.
         """
         self._before.data = self.step.state.vec
         self._t, self.tried = t, tau
@@ -155,7 +154,7 @@ class Integrator:
                 taken = self._relaxed(scheme, t, tau, history, meets)
             else:
                 taken = self._taken(scheme, t, tau, history)
-            if self.step.damage is not None:  # it grows after the step, over its whole length, z kept
+            if self.step.damage is not None:  # damage grows after the step, with z fixed
                 rates, numerical = self.step.damage(taken.tau)
                 self._complete()
                 taken = replace(taken, rates=taken.rates | rates, numerical=taken.numerical | numerical)
@@ -171,7 +170,7 @@ class Integrator:
             raise
 
     def undo(self) -> None:
-        """Put the state before the last ``advance`` back."""
+        """Restore the state before the last ``advance``."""
         self.rothe.return_to(self._before)
         self.step.state_old.vec.data = self._before
         self.step.start_from_old()
@@ -180,7 +179,7 @@ class Integrator:
             one.begin()
 
     def accept(self) -> None:
-        """Let what is carried along follow the last step, which is not taken back."""
+        """Accept the last step in the passive fields; it cannot be undone afterwards."""
         for one in self.carried:
             one.end(self._end)
 
@@ -206,7 +205,7 @@ class Integrator:
     def _stages(
         self, scheme: TimeScheme, t: float, tau: float, history: list[Attempt]
     ) -> tuple[list[Evolved], dict[str, float]]:
-        """y_0 ... y_s and the weighted rates of the stages; the state is that of the last one."""
+        """Solve the stages.  Return y_0 ... y_s and weighted rates; the state is the last stage's."""
         states = [self.step.evolved()]
         self.impulse = None
         rates: dict[str, float] = {}
@@ -233,16 +232,16 @@ class Integrator:
         rates: dict[str, float],
         is_stage: bool = False,
     ) -> tuple[Evolved, int, dict[str, float]]:
-        """Make the combination of states the present one, limited, at ``t``.
+        """Set the present state to the limited combination of states, at time ``t``.
 
-        Adds to the walls' power in ``rates``.  With ``is_stage`` it is the last stage, of which only the
-        limiter makes another state: walls keep the velocity that they have in the step.  Raises StepError
-        when it is not admissible.  Returns the state, how many cells were limited, and what that takes, J:
-        -E'(U)[u - u_1], and the work of the impulse on walls' rows of v that limiting makes, negative.
+        Adds to the walls' power in ``rates``.  If ``is_stage``, the combination is the last stage and only
+        the limiter changes it; walls keep their velocity in the step.  Raises StepError if the state is not
+        admissible.  Returns the state, the number of limited cells, and two energies, J: the one lost by
+        limiting, -E'(U)[u - u_1], and minus the work of the impulse that limiting makes on walls' rows of v.
         """
         step, ranges = self.step, self.step.layout.ranges
         parts = list(zip(weights, states, strict=True))
-        step.start_from(parts)  # where the momentum and the fields are combined
+        step.start_from(parts)  # combines the momentum and the fields
         state, old = step.state.vec.FV().NumPy(), step.state_old.vec.FV().NumPy()
         for name in step.layout.evolving:
             state[ranges[name]] = old[ranges[name]]
@@ -276,16 +275,16 @@ class Integrator:
         return step.evolved(), limited, {LIMITER: taken, LIMITER_WALLS: through_walls}
 
     def _taken_of_momentum(self, stage: Evolved) -> float:
-        """Limit the momentum density; gives -<change of m, V> with the velocity V of a stage, J."""
+        """Limit the momentum density.  Return -<change of m, V> with the velocity V of a stage, J."""
         before = self._velocity.functional()
         self.bounds.limit_momentum()
         change = self._velocity.functional() - before
         return -self.rothe.exchange.communicator.dot(change, stage.values["v"])
 
     def _impulse_before_limiting(self, otherwise: np.ndarray) -> np.ndarray:
-        """The walls' impulse by the density as it is; ``otherwise`` where that has no velocity.
+        """Walls' impulse by the density before limiting; ``otherwise`` if this density gives no velocity.
 
-        Of a stage there is none: its rows are the step's.
+        A stage needs no such impulse, because it satisfies the rows of the step.
         """
         kept = self._velocity.v.copy()
         try:
@@ -296,7 +295,7 @@ class Integrator:
             self._velocity.v[:] = kept
 
     def _complete(self) -> None:
-        """Make what follows from an end that is no stage's solution; StepError where it has no energy."""
+        """Update dependent unknowns at an end that is no stage's solution; StepError if it has no energy."""
         self.step.eliminate.follow()
         if (reason := self.step.energy.failure or self.bounds.refusal()) is not None:
             raise StepError(f"at the end of the step {reason}")
@@ -307,7 +306,7 @@ class Integrator:
         """A midpoint step that ends at u_0 + omega (U - u_0), omega near 2, where R = 0."""
         own = scheme.A[0][0] * tau
         for _ in range(_MEETINGS):
-            # of a step of two Rothe steps' length, over which loads are averaged
+            # loads are averaged over the unrelaxed step, which has the length of two Rothe steps
             states, rates = self._stages(scheme, t, own / scheme.A[0][0], history)
             wanted = tau / own if meets else None
             omega, numerical, rates, limited = self._relaxed_end(states, t, own, rates, wanted)
@@ -322,10 +321,10 @@ class Integrator:
     def _relaxed_end(
         self, states: Sequence[Evolved], t: float, own: float, rates: dict[str, float], wanted: float | None
     ) -> tuple[float, dict[str, float], dict[str, float], int]:
-        """omega with R = 0, R's parts and the limiter's, the rates and the number of limited cells there.
+        """Set the state u_0 + omega (U - u_0) with R = 0.  Return omega, R and the limiter's energies by
+        columns, rates, and the number of limited cells.
 
-        The state is then u_0 + omega (U - u_0).
-        It is ``wanted`` where that is as good, R being rounding at both, and 2 where all of R is rounding.
+        Omega is ``wanted`` if R is at rounding there too, and 2 if B(u_0, U) is at rounding.
         """
         from_start = self.distance(*states)
         lost, noise = sum(from_start.values()), self._noise(states[0])
@@ -341,10 +340,10 @@ class Integrator:
         if self.bounds.limits:
             end_at(omega)
         if self.bounds.limits and self.bounds.takes_energy:
-            # R jumps where cells begin to be limited, and such a step is not without dissipation anyway
+            # R jumps where cells begin to be limited, and limiting dissipates anyway
             omega = 2.0 if wanted is None else wanted
         elif lost > noise:
-            from scipy.optimize import brentq  # a tenth of the package's time to be imported
+            from scipy.optimize import brentq  # a tenth of the package's import time
 
             try:
                 omega = brentq(
@@ -362,8 +361,8 @@ class Integrator:
         return omega, numerical | by_limiter, of_end, limited
 
     def _noise(self, state: Evolved) -> float:
-        """Rounding of a distance at ``state``, J: that between states that differ by rounding."""
-        signs = np.random.default_rng(0)  # a run does the same again
+        """Rounding of a distance at ``state``, J, from distances to copies with rounding errors."""
+        signs = np.random.default_rng(0)  # a fixed seed keeps runs reproducible
 
         def changed(values: np.ndarray) -> np.ndarray:
             return values * (1 + np.finfo(float).eps * signs.choice((-1.0, 1.0), len(values)))

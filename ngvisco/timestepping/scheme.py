@@ -5,18 +5,18 @@ With u = (rho, m, z), m the momentum functional, f = du/dt and a_ii > 0, a step 
     u_i* = u_0 + tau sum_{j<i} a_ij f_j,     U_i = rothe(u_i*, a_ii tau),     f_i = (U_i - u_i*)/(a_ii tau),
     u_1  = u_0 + tau sum_i b_i f_i.
 
-All of these are affine combinations of the states y_0 = u_0, y_i = U_i, with weights that sum up to one:
+Each u_i* and u_1 is an affine combination of the states y_0 = u_0, y_i = U_i, with weights that sum to one:
 
     u_i* = sum_{k<i} w_ik y_k,     u_1 = sum_k omega_k y_k,     w_i, omega = e_0 + sum_j (a_ij, b_j)/a_jj
     (e_j - w_j).
 
-A Rothe step from u_i* to U_i satisfies E'(U_i)[U_i - u_i*] = -a_ii tau (D_i - P_i) exactly, D the
-dissipations, P the powers.  Summed up with b_i/a_ii, and with the Bregman distances B(a, b) = E(a) - E(b) -
-E'(b)[a - b], that is
+A Rothe step from u_i* to U_i satisfies E'(U_i)[U_i - u_i*] = -a_ii tau (D_i - P_i) exactly, with the
+dissipations D and the powers P.  The sum with weights b_i/a_ii, written with the Bregman distances B(a, b) =
+E(a) - E(b) - E'(b)[a - b], is
 
-    E_1 - E_0 + tau sum_i b_i (D_i - P_i) + R = 0,     R = sum_i sum_k c_ik B(y_k, U_i) - [B(u_1, U_s)]:
+    E_1 - E_0 + tau sum_i b_i (D_i - P_i) + R = 0,     R = sum_i sum_k c_ik B(y_k, U_i) - [B(u_1, U_s)].
 
-no difference of energies is taken, so that nothing cancels.  The last term is there where u_1 is not U_s.
+R contains no difference of energies, which would cancel digits.  Its last term is present if u_1 is not U_s.
 For the paper's scheme, a = b = 1, R is B(u_0, U) (Euler-ED-basic-energy-balance-disc, with the inequality's
 remainder).
 """
@@ -37,16 +37,16 @@ _ROUNDING = 1e-12
 class TimeScheme:
     """A diagonally implicit Runge-Kutta scheme.
 
-    Raises ParameterError for a tableau that is no such scheme.
+    Raises ParameterError for a tableau that is not diagonally implicit.
 
     Parameters
     ----------
     name : str
-        As it is listed and written into files.
+        Name of the scheme in lists and files.
     A : tuple of rows, (s, s)
-        Lower triangular, with a positive diagonal.
+        Lower triangular matrix with a positive diagonal.
     b : tuple, (s,)
-        Weights, with the sum 1.
+        Weights with the sum 1.
     """
 
     name: str
@@ -63,7 +63,7 @@ class TimeScheme:
         if not is_square or np.triu(A, 1).any() or min(np.diag(A)) <= 0:
             expected = "rows of numbers, lower triangular with a positive diagonal, one for each weight of b"
             raise ParameterError("TimeScheme.A", self.A, expected)
-        # as a checkpoint knows them again
+        # tuples of floats compare equal to a checkpoint's
         object.__setattr__(self, "A", A)
         object.__setattr__(self, "b", b)
         if not math.isclose(sum(self.b), 1.0, rel_tol=_ROUNDING):
@@ -71,28 +71,28 @@ class TimeScheme:
 
     @property
     def stages(self) -> int:
-        """The number s of stages: Rothe steps that are solved in a step."""
+        """Number s of stages, each of which is one Rothe step."""
         return len(self.b)
 
     @cached_property
     def c(self) -> tuple[float, ...]:
-        """The stages' times, in units of the step from its start."""
+        """Times of the stages from the start of the step, in units of the step."""
         return tuple(float(sum(row)) for row in self.A)
 
     @cached_property
     def tilts(self) -> tuple[float, ...]:
-        """c_i - sum_j b_j c_j: how much later loads count for more in a stage than earlier ones.
+        """Tilts c_i - sum_j b_j c_j, by which a stage weights later loads more than earlier ones.
 
-        A stage's load is int_0^1 (1 + 12 tilt_i (s - 1/2)) g(s) ds over the step, s from 0 to 1.  The sum
-        with the weights b is the mean of g, for any g; a g that is linear in time gives g(c_i) where the
-        scheme is of order 2.
+        A stage's load is int_0^1 (1 + 12 tilt_i (s - 1/2)) g(s) ds over the step, s from 0 to 1.  The sum of
+        loads with the weights b is the mean of any g.  If the scheme is of order 2 and g is linear in time,
+        the stage's load is g(c_i).
         """
         centre = sum(weight * c for weight, c in zip(self.b, self.c, strict=True))
         return tuple(c - centre for c in self.c)
 
     @cached_property
     def starts(self) -> np.ndarray:
-        """w_ik: what each stage starts from, (stages, stages + 1), weights of y_0 ... y_s."""
+        """Weights w_ik of y_0 ... y_s in each stage's start value u_i*, (stages, stages + 1)."""
         rows: list[np.ndarray] = []
         for i in range(self.stages):
             rows.append(self._affine(self.A[i][:i], rows))
@@ -100,11 +100,11 @@ class TimeScheme:
 
     @cached_property
     def end(self) -> np.ndarray:
-        """omega_k: what u_1 is of y_0 ... y_s, (stages + 1,)."""
+        """Weights omega_k of y_0 ... y_s in u_1, (stages + 1,)."""
         return self._affine(self.b, list(self.starts))
 
     def _affine(self, weights: Sequence[float], starts: Sequence[np.ndarray]) -> np.ndarray:
-        """e_0 + sum_j weights_j/a_jj (e_j - w_j)."""
+        """Affine weights e_0 + sum_j weights_j/a_jj (e_j - w_j), (stages + 1,)."""
         unit = np.eye(self.stages + 1)
         total = unit[0].copy()
         for j, weight in enumerate(weights):
@@ -113,22 +113,22 @@ class TimeScheme:
 
     @cached_property
     def ends_at_last_stage(self) -> bool:
-        """Whether u_1 is U_s (stiffly accurate): its positivity is then the solver's."""
+        """Whether u_1 is U_s (stiffly accurate); the solver then ensures that u_1 is admissible."""
         return bool(np.allclose(self.end, np.eye(self.stages + 1)[-1], rtol=0, atol=_ROUNDING))
 
     @cached_property
     def distances(self) -> np.ndarray:
-        """c_ik: the weight of B(y_k, U_i) in R, (stages, stages + 1)."""
+        """Weights c_ik of B(y_k, U_i) in R, (stages, stages + 1)."""
         share = np.array([b / self.A[i][i] for i, b in enumerate(self.b)])
         result = share[:, None] * self.starts
         if not self.ends_at_last_stage:
             result[-1] += self.end
         for i in range(self.stages):
-            result[i, i + 1] = 0.0  # of a state to itself
+            result[i, i + 1] = 0.0  # B(U_i, U_i) = 0
         return result
 
     def moment(self, k: int) -> float:
-        """b . A^(k-1) 1, the coefficient of z^k in the stability function; exact is 1/k!."""
+        """Coefficient b . A^(k-1) 1 of z^k in the stability function; 1/k! is exact."""
         vector = np.ones(self.stages)
         for _ in range(k - 1):
             vector = np.array(self.A) @ vector
@@ -136,7 +136,7 @@ class TimeScheme:
 
     @cached_property
     def order(self) -> int:
-        """Order in time: 1, 2 or 3, by the conditions on the tableau."""
+        """Order in time, 1, 2 or 3, by the order conditions on the tableau."""
         if abs(self.moment(2) - 1 / 2) > _ROUNDING:
             return 1
         squares = float(np.array(self.b) @ np.array(self.c) ** 2)
@@ -144,7 +144,7 @@ class TimeScheme:
 
     @cached_property
     def error_constant(self) -> float:
-        """C of the local error C tau^(p+1) u^(p+1), p the order, of u' = lambda u."""
+        """Constant C of the local error C tau^(p+1) u^(p+1) for u' = lambda u and order p."""
         p = self.order
         return self.moment(p + 1) - 1 / math.factorial(p + 1)
 
@@ -165,7 +165,7 @@ def midpoint() -> TimeScheme:
 def theta_scheme(theta: float) -> TimeScheme:
     """The one-leg scheme U = rothe(u_0, theta tau), u_1 = u_0 + (U - u_0)/theta.
 
-    Raises ParameterError unless 1/2 <= theta <= 1: below it is unstable, above inconsistent with its name.
+    Raises ParameterError unless 1/2 <= theta <= 1; below 1/2 the scheme is unstable, above 1 no theta scheme.
     """
     if not (_is_number(theta) and 0.5 <= theta <= 1.0):
         raise ParameterError("theta", theta, "a number in [1/2, 1]: 1/2 is midpoint, 1 backward-euler")
@@ -184,14 +184,15 @@ SCHEMES: dict[str, Callable[..., TimeScheme]] = {
     "theta": theta_scheme,
     "sdirk2": sdirk2,
 }
-"""The schemes that ``Simulation(scheme=...)`` and ``[time] scheme`` name; ``theta`` takes its parameter."""
+"""Makers of the schemes by their names in ``Simulation(scheme=...)`` and ``[time] scheme``; the maker of
+``theta`` has a parameter."""
 
 
 def scheme_of(scheme: str | TimeScheme, theta: float | None = None) -> TimeScheme:
-    """The scheme of a name, with ``theta`` where it is ``"theta"``.
+    """The scheme with a given name; the name ``"theta"`` requires the parameter ``theta``.
 
-    Raises UnknownNameError for any other name; ParameterError for a theta outside [1/2, 1], one that is
-    missing, or one that the scheme does not have.
+    Raises UnknownNameError for an unknown name; ParameterError if theta is outside [1/2, 1], missing, or
+    given for a scheme without this parameter.
     """
     if not isinstance(scheme, str | TimeScheme):
         raise ParameterError("scheme", scheme, f"one of {', '.join(SCHEMES)}, or a TimeScheme")
