@@ -1,4 +1,4 @@
-"""The least value of a convex quadratic function in a box, by projected Newton steps."""
+"""Minimisation of a convex quadratic function in a box by projected Newton steps."""
 
 from dataclasses import dataclass
 
@@ -10,14 +10,14 @@ from ngvisco.errors import StepError
 
 _MOST, _HALVINGS = 200, 40
 _DECREASE = 1e-4
-"""Share of what the slope promises that a step has to take (Armijo)."""
+"""Fraction of the decrease predicted by the slope that a step has to reach (Armijo)."""
 _CONVERGED = 1e-13
-"""Size of a Newton step, over that of the solution, at which it is the last one."""
+"""Size of a Newton step relative to the solution at which the iteration ends."""
 
 
 @dataclass(frozen=True)
 class Minimum:
-    """Where it is, and the slope there: zero but where a bound is met, to rounding."""
+    """A minimum and the slope there, which is zero to rounding except where a bound is active."""
 
     x: np.ndarray
     slope: np.ndarray
@@ -26,12 +26,12 @@ class Minimum:
 def minimise_in_box(
     H: sp.csr_matrix, f: np.ndarray, drag: tuple[np.ndarray, np.ndarray], low: np.ndarray, high: np.ndarray
 ) -> Minimum:
-    """The minimum of x.Hx/2 + f.x + sum_i drag_i x_i^2/2 for low <= x <= high, low <= 0 <= high.
+    """Minimise x.Hx/2 + f.x + sum_i drag_i x_i^2/2 for low <= x <= high, where low <= 0 <= high.
 
-    ``drag`` is that of x_i > 0 and of x_i < 0.  Each step is Newton's in the unknowns that no bound holds,
-    cut off at the bounds and halved until the function falls (Bertsekas, SIAM J. Control Optim. 20, 1982).
-    Raises StepError where the function does not fall: it is not convex.  A saddle that the steps fall
-    towards is not told from the minimum.
+    ``drag`` has two arrays, for x_i > 0 and for x_i < 0.  Each step is a Newton step in the unknowns without
+    an active bound, clipped to the box and halved until the function decreases (Bertsekas, SIAM J. Control
+    Optim. 20, 1982).  Raises StepError if the function does not decrease, because it is not convex.  A saddle
+    point that the steps approach is not distinguished from a minimum.
     """
     rising, falling = drag
     x = np.zeros(len(f))

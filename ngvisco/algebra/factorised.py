@@ -1,4 +1,4 @@
-"""Direct solution with a matrix of scipy's by factorisations."""
+"""Solution of systems with SciPy's sparse matrices by factorisation."""
 
 from collections.abc import Callable
 from typing import Any, Protocol
@@ -13,50 +13,50 @@ from ngvisco.parallel.exchange import Exchange, Owned
 from ngvisco.parallel.petsc import SumInverse
 
 MANY = 100
-"""Unknowns from which an eigenvalue is found by iteration."""
+"""Number of unknowns from which on an eigenvalue is computed by iteration."""
 
 _NEAR_SYMMETRIC: dict[str, Any] = {
     "permc_spec": "MMD_AT_PLUS_A",
     "diag_pivot_thresh": 0.01,
     "options": {"SymmetricMode": True},
 }
-"""For matrices with entries in symmetric places."""
+"""Options of SuperLU for matrices with a symmetric pattern."""
 
 _ENOUGH = 1e-3
-"""Largest residual, relative to a right side drawn at random, with which factors in single precision are
+"""Largest relative residual, for a random right-hand side, with which factors in single precision are
 accepted."""
 
 SWEEPS, DAMPING = 2, 1.65
-"""Jacobi sweeps before and after the coarse problem, and their damping in units of 1/(largest eigenvalue of
-D^{-1} A), below 2; the eigenvalue depends on the mesh."""
+"""Number of Jacobi sweeps before and after the coarse problem, and their damping, below 2, in units of
+1/(largest eigenvalue of D^{-1} A), which depends on the mesh."""
 
 
 class Direct(Protocol):
-    """A solver of a matrix on some of its unknowns, which sets the others to 0."""
+    """A solver for some unknowns of a matrix, which sets the other unknowns to 0."""
 
     def factorise(self, matrix: sp.csr_matrix) -> None:
-        """Raises StepError if the matrix is singular."""
+        """Factorise a matrix.  Raises StepError if it is singular."""
 
     def __call__(self, r: np.ndarray) -> np.ndarray: ...
 
     def release(self) -> None:
-        """Give its memory back; over ranks collective."""
+        """Free the memory; collective over ranks."""
 
 
 Factorising = Callable[[np.ndarray, sp.csr_matrix, bool], Direct]
-"""Makes what solves with a matrix on a mask of unknowns; of its symmetric part where that is said."""
+"""Function (mask of unknowns, matrix, whether to take its symmetric part) that returns a solver."""
 
 
 class DirectSolver:
-    """The factorised matrix on its free unknowns; the others get 0.
+    """A direct solver in the free unknowns; other unknowns are set to 0.
 
     Parameters
     ----------
     free : (unknowns,) array of bool
     symmetric : bool
-        Take the matrix's symmetric part.
+        Whether to take the matrix's symmetric part.
     approximate : bool
-        For a preconditioner: factors in single precision where that does, half of the time and the memory.
+        Whether factors in single precision suffice, if accurate enough: half of the time and the memory.
     """
 
     def __init__(self, free: np.ndarray, symmetric: bool = False, approximate: bool = False) -> None:
@@ -75,7 +75,7 @@ class DirectSolver:
                 self._solve = _in_single(matrix)
             if self._solve is None:
                 self._solve = splu(matrix.tocsc(), **_NEAR_SYMMETRIC).solve
-        except RuntimeError as error:  # of SuperLU
+        except RuntimeError as error:  # raised by SuperLU
             raise StepError(f"a matrix of the step has no factorisation: {error}") from error
 
     def __call__(self, r: np.ndarray) -> np.ndarray:
@@ -89,7 +89,7 @@ class DirectSolver:
 
 
 def _in_single(matrix: sp.csr_matrix) -> Callable[[np.ndarray], np.ndarray] | None:
-    """A solver by factors in single precision, in units of the diagonal; None where these are not accurate
+    """Factorise in single precision, scaled by the diagonal.  Return a solver, or None if it is not accurate
     enough."""
     diagonal = abs(matrix.diagonal())
     unit = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
@@ -112,7 +112,7 @@ def _in_single(matrix: sp.csr_matrix) -> Callable[[np.ndarray], np.ndarray] | No
 def direct_solver(free: np.ndarray, exchange: Owned, symmetric: bool = False) -> DirectSolver | SumInverse:
     """A direct solver: SuperLU on one process, PETSc over ranks, for matrices in parts.
 
-    With ``symmetric`` what solves is a preconditioner, on one process in single precision where that does.
+    If ``symmetric``, it is a preconditioner, on one process in single precision if accurate enough.
     """
     if exchange.is_distributed:
         return SumInverse(free, exchange, symmetric)
@@ -120,26 +120,26 @@ def direct_solver(free: np.ndarray, exchange: Owned, symmetric: bool = False) ->
 
 
 class TwoLevelSolver:
-    """An approximate inverse for large meshes: vertices solved as a whole, all other functions smoothed.
+    """An approximate inverse for large meshes, which solves for vertices and smooths all other functions.
 
     NGSolve's functions of degree two and more vanish at vertices, so that the coefficients of vertices
-    are the P_1 functions; their block is the coarse problem, factorised.  The others, of edges and faces,
-    make well-conditioned blocks with inertia and with viscosity (the hierarchical splitting), and get damped
-    Jacobi sweeps before and after.  Unknowns beside the velocity - stresses of walls, creep rates - belong
-    to the coarse problem, with the velocities that they are coupled to: those of the walls.  Where the
-    fourth-order term dominates at the mesh's scale the iterations that it takes grow.
+    belong to P_1 functions.  Their block is the coarse problem, which is factorised.  Functions of edges and
+    faces make well-conditioned blocks with inertia and with viscosity (the hierarchical splitting); damped
+    Jacobi sweeps smooth them before and after.  Unknowns beside the velocity (stresses of walls, creep rates)
+    belong to the coarse problem, together with the velocities coupled to them.  Iterations grow if the
+    fourth-order term dominates at the mesh's scale.
 
     Parameters
     ----------
     free, vertices, others : (unknowns,) arrays of bool
-        Free ones, velocities at vertices, and others than velocities.
+        Masks of free unknowns, of velocities at vertices, and of unknowns that are no velocities.
     factorised : callable
         Makes the solver of the coarse problem.
     exchange : Exchange
-        Of the unknowns; over ranks matrices are in parts.
+        Exchange of the unknowns; over ranks matrices are in parts.
     dropped : float
-        Entries smaller than this share of the diagonal are left out of the sweeps: two thirds, for a
-        hundredth more of GMRES's iterations.
+        Fraction of the diagonal below which sweeps omit entries: two thirds of all, for one per cent
+        more iterations of GMRES.
     """
 
     def __init__(
@@ -174,7 +174,7 @@ class TwoLevelSolver:
         self._own = own.astype(precision.SINGLE)
         self._from_coarse = rows[:, coarse].tocsr().astype(precision.SINGLE)
         self._to_coarse = matrix[coarse][:, fine].tocsr().astype(precision.SINGLE)
-        # a sum of matrices has no larger one than the largest of these, each in its own diagonal's units
+        # a sum of matrices, scaled by its diagonal, has no larger eigenvalue than its scaled parts
         largest = exchange.communicator.most(largest_eigenvalue(own))
         self._smoother = (DAMPING / (largest * diagonal[fine])).astype(precision.SINGLE)
 
@@ -195,7 +195,7 @@ class TwoLevelSolver:
             self.coarse.release()
 
     def _smoothed(self, r: np.ndarray) -> np.ndarray:
-        """Sweeps from zero with the fine functions' residual ``r``."""
+        """Result of the sweeps from zero for the fine functions' residual ``r``."""
         x = self._smoother * r
         for _ in range(SWEEPS - 1):
             x += self._smoother * (r - self._of_fine.sum(self._own @ x))
@@ -203,15 +203,15 @@ class TwoLevelSolver:
 
 
 def _without_small(matrix: sp.csr_matrix, diagonal: np.ndarray, share: float) -> sp.csr_matrix:
-    """The matrix without entries of less than ``share`` of their diagonals' geometric mean."""
+    """The matrix without entries below ``share`` times the geometric mean of the two diagonal entries."""
     size, m = np.sqrt(abs(diagonal)), matrix.tocoo()
     kept = abs(m.data) >= share * size[m.row] * size[m.col]
     return sp.csr_matrix((m.data[kept], (m.row[kept], m.col[kept])), shape=m.shape)
 
 
 def largest_eigenvalue(matrix: sp.csr_matrix) -> float:
-    """The largest eigenvalue of D^{-1} (A + A^T)/2, D the diagonal of A, to a few per cent and not far below
-    it."""
+    """Largest eigenvalue of D^{-1} (A + A^T)/2 with the diagonal D of A, to a few per cent, hardly
+    underestimated."""
     scale = sp.diags(1 / np.sqrt(abs(matrix.diagonal())))
     scaled = scale @ (0.5 * (matrix + matrix.T)) @ scale
     if scaled.shape[0] < MANY:

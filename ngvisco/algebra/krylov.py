@@ -1,4 +1,4 @@
-"""GMRES and preconditioned conjugate gradients with inner products of the caller's, as those over ranks."""
+"""GMRES and preconditioned conjugate gradients with given inner products, for instance over ranks."""
 
 import math
 from collections.abc import Callable
@@ -7,31 +7,32 @@ import numpy as np
 
 Map = Callable[[np.ndarray], np.ndarray]
 Products = Callable[[np.ndarray, np.ndarray], np.ndarray]
-"""Inner products of vectors (n, unknowns) with one, (n,)."""
+"""Inner products of n vectors, (n, unknowns), with one vector, as an array (n,)."""
 
 _BREAKDOWN = 1e-14
-"""A new direction's share outside of the old ones, relative to its length, that is rounding."""
+"""Component of a new direction orthogonal to the earlier ones, relative to its length, that is rounding."""
 
 _ORTHOGONAL = 0.5
-"""Such a share above which it is orthogonal enough."""
+"""Orthogonal component, relative to the length, above which Gram-Schmidt is not repeated."""
 
 
 def gmres(
     operator: Map, right: np.ndarray, *, rtol: float, directions: int, products: Products = np.matmul
 ) -> tuple[np.ndarray, int]:
-    """x with |right - operator(x)| <= ``rtol`` |right|, or the least in ``directions``, and how many it took.
+    """Solve |right - operator(x)| <= ``rtol`` |right| by GMRES.  Return x and the number of directions.
 
-    Directions are made orthogonal by the classical Gram-Schmidt method, again where that takes most of one:
-    one or two reductions over ranks, however many there are (SciPy's has one process's products only).
+    If ``directions`` do not suffice, x has the least residual among them.  The classical Gram-Schmidt method
+    makes a direction orthogonal, and is repeated if little is left of it: one or two reductions over ranks
+    for each direction.  (SciPy's GMRES has no reductions.)
 
     Parameters
     ----------
     operator : callable
-        Linear, of vectors (unknowns,).
+        Linear map of vectors (unknowns,).
     right : array, (unknowns,)
-        Where it or a product is not finite, x is NaN.
+        Right-hand side; x is NaN if the right-hand side or a product is not finite.
     products : callable
-        Inner products, see ``Products``; collective over ranks.
+        Inner products (``Products``), collective over ranks.
     """
     size = float(np.sqrt(products(right[None], right)[0]))
     if size == 0:
@@ -59,7 +60,7 @@ def gmres(
                 break
         hessenberg[: k + 1, k] = column
         hessenberg[k + 1, k] = rest
-        last = float(column[0])  # turned by the rotations that made the columns before triangular
+        last = float(column[0])  # rotated as the earlier columns
         for (cosine, sine), value in zip(rotations, column[1:].tolist(), strict=True):
             last = cosine * value - sine * last
         turned = math.hypot(last, rest)
@@ -80,10 +81,10 @@ def conjugate_gradients(
     reduction: float,
     iterations: int,
 ) -> np.ndarray:
-    """x with |right - operator x| <= ``reduction`` |right|, or what ``iterations`` lead to.
+    """Solve |right - operator x| <= ``reduction`` |right| with at most ``iterations`` iterations.
 
-    ``operator`` and ``inverse``, an approximation of its inverse, are symmetric and positive semidefinite for
-    ``product``, the inner product of two vectors; ``right``, (n,), is in the operator's range.
+    ``operator`` and its approximate ``inverse`` are symmetric and positive semidefinite in the inner product
+    ``product`` of two vectors; ``right``, (n,), is in the operator's range.
     """
     x, r = np.zeros_like(right), right.copy()
     wanted = reduction**2 * product(right, right)

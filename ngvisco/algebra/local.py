@@ -1,8 +1,8 @@
-"""Sparse matrices that act cell by cell, as dense blocks.
+"""Sparse matrices that act cell by cell, stored as dense blocks.
 
-The rows are points (or other values) that belong to cells, equally many to each, and a row sees unknowns
-of its own cell only.  Products for all components of a field are one small dense product a cell, which is
-many times faster than a sparse product for each component.
+Rows are values, for instance at points, with an equal number in each cell; a row has unknowns of its own cell
+only.  The product for all components of a field is one small dense product in each cell, which is many times
+faster than a sparse product for each component.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import scipy.sparse as sp
 
 
 class LocalMatrix:
-    """A sparse matrix by cells, and its transpose with weights of the rows."""
+    """A sparse matrix with dense blocks for cells, and its transpose with weighted rows."""
 
     def __init__(
         self,
@@ -25,13 +25,13 @@ class LocalMatrix:
         weights: np.ndarray | None = None,
         dtype: type = np.float64,
     ) -> None:
-        """``weights``, (rows,), multiply the rows of the transpose: the tests of a quadrature rule."""
+        """Split a matrix by cells; ``weights``, (rows,), of a quadrature rule multiply rows in tests."""
         self.cells, self.weights = cells, weights
         self.height, self.width = matrix.shape
-        self.per_cell = self.height // cells if cells else 0  # as on a rank without cells
+        self.per_cell = self.height // cells if cells else 0  # a rank may have no cells
         entries = matrix.tocoo()
         cell, row = np.divmod(entries.row, max(self.per_cell, 1))
-        # the unknowns that a cell sees, in their order
+        # unknowns of each cell in ascending order
         ends = matrix.indptr[:: max(self.per_cell, 1)]
         seen = sp.csr_matrix((np.ones(matrix.nnz), matrix.indices, ends), (cells, self.width), copy=True)
         seen.sum_duplicates()
@@ -42,19 +42,19 @@ class LocalMatrix:
         place = np.arange(len(unknown)) - first[of_cell]
         keys = of_cell * self.width + unknown
         position = np.searchsorted(keys, cell.astype(np.int64) * self.width + entries.col)
-        # cells with fewer unknowns are filled up with their first one and with zeros
+        # cells with fewer unknowns are padded with their first unknown and zero entries
         self.unknowns = np.zeros((cells, self.local), dtype=np.int64)
         self.unknowns[counts > 0] = unknown[first[counts > 0], None]
         self.unknowns[of_cell, place] = unknown
         self._blocks = np.zeros((cells, self.local, self.per_cell), dtype)
         self._blocks[cell, place[position], row] = entries.data
-        # coefficients of a discontinuous space stand cell by cell
+        # coefficients of a discontinuous space are ordered by cells
         self._in_order = np.array_equal(self.unknowns.ravel(), np.arange(self.width))
         self._first = 0
-        """The first cell."""
+        """Number of the first cell of this part."""
 
     def part(self, cells: slice) -> LocalMatrix:
-        """The rows of some cells, without copies; what it tests are ``loads``, which only all sum up."""
+        """Rows of some cells as a view.  A part computes ``loads``; only the whole matrix sums them up."""
         part, rows = copy(self), slice(self.per_cell * cells.start, self.per_cell * cells.stop)
         part.__dict__.pop("scatter", None)
         part.unknowns, part._blocks, part._first = self.unknowns[cells], self._blocks[cells], cells.start
@@ -64,12 +64,12 @@ class LocalMatrix:
 
     @property
     def blocks(self) -> np.ndarray:
-        """The dense blocks, (cells, rows of a cell, unknowns of a cell)."""
+        """Dense blocks, (cells, rows of a cell, unknowns of a cell)."""
         return self._blocks.transpose(0, 2, 1)
 
     @property
     def matrix(self) -> sp.csr_matrix:
-        """The sparse matrix."""
+        """The matrix in sparse form."""
         columns = np.repeat(self.unknowns, self.per_cell, axis=0)
         ends = self.local * np.arange(self.height + 1)
         matrix = sp.csr_matrix((self.blocks.ravel(), columns.ravel(), ends), (self.height, self.width))
@@ -79,15 +79,15 @@ class LocalMatrix:
 
     @cached_property
     def scatter(self) -> sp.csr_matrix:
-        """The matrix that sums up values of the cells' unknowns, (width, cells times unknowns of a cell)."""
+        """Sparse matrix that sums the cells' loads, (width, cells times unknowns of a cell)."""
         places = np.arange(self.unknowns.size)
         ones = np.ones(self.unknowns.size, self._blocks.dtype)
         return sp.csr_matrix((ones, (self.unknowns.ravel(), places)), shape=(self.width, places.size))
 
     def __call__(self, rows: np.ndarray) -> np.ndarray:
-        """matrix @ each of ``rows``, (..., width) -> (..., height)."""
+        """Apply the matrix to each of ``rows``, (..., width) -> (..., height)."""
         if np.iscomplexobj(rows):
-            return self(rows.real.copy()) + 1j * self(rows.imag.copy())  # for the BLAS
+            return self(rows.real.copy()) + 1j * self(rows.imag.copy())  # real products use BLAS
         parts = rows.reshape(prod(rows.shape[:-1]), self.width)
         result = np.empty((len(parts), self.height))
         by_cells = result.reshape(len(parts), self.cells, self.per_cell).transpose(1, 0, 2)
@@ -100,11 +100,11 @@ class LocalMatrix:
         return result.reshape(*rows.shape[:-1], self.height)
 
     def test(self, values: np.ndarray) -> np.ndarray:
-        """matrix^T @ (weights * each of ``values``), (..., height) -> (..., width)."""
+        """Apply the transpose to weighted ``values``, (..., height) -> (..., width)."""
         return self.summed(self.loads(values))
 
     def loads(self, values: np.ndarray) -> np.ndarray:
-        """Loads cell by cell, (..., cells times unknowns of a cell)."""
+        """Loads of each cell's block, (..., height) -> (..., cells times unknowns of a cell)."""
         if np.iscomplexobj(values):
             return self.loads(values.real.copy()) + 1j * self.loads(values.imag.copy())
         parts = values.reshape(prod(values.shape[:-1]), self.height)
@@ -126,11 +126,11 @@ class LocalMatrix:
         return flat.reshape(*loads.shape[:-1], self.width)
 
     def by_cells(self, columns: np.ndarray) -> np.ndarray:
-        """matrix @ ``columns``, (width, n), cell by cell: (cells, n, rows of a cell)."""
+        """Apply the matrix to ``columns``, (width, n) -> (cells, n, rows of a cell)."""
         local = np.take(np.ascontiguousarray(columns, self._blocks.dtype), self.unknowns, axis=0)
         return np.matmul(local.swapaxes(1, 2), self._blocks)
 
     def tested(self, values: np.ndarray) -> np.ndarray:
-        """matrix^T @ ``values``, (cells, n, rows of a cell), without weights: (width, n)."""
+        """Apply the transpose without weights, (cells, n, rows of a cell) -> (width, n)."""
         local = np.matmul(self._blocks, values.swapaxes(1, 2))
         return self.scatter @ local.reshape(self.unknowns.size, values.shape[1])

@@ -1,8 +1,8 @@
-"""In what the flow's linear systems are kept: half the memory to go through, twice the numbers an operation.
+"""Single precision of the flow's linear systems: half the memory traffic, twice the numbers an operation.
 
-An increment is solved for to 3 per cent, and what it leaves the next residual shows, which is in double
-precision as all that the equations and the ledger are made of.  Only what acts on increments is single;
-what is known of the state - jumps, which are small differences - is evaluated in double and rounded then.
+An increment is solved for to 3 per cent, and the next residual contains the rest.  Residuals, like equations
+and ledger, are in double precision.  Only operators on increments are single.  Quantities of the state, such
+as jumps, which are small differences, are evaluated in double precision and then rounded.
 """
 
 import numpy as np

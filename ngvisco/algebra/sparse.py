@@ -1,4 +1,4 @@
-"""Small operations with scipy's sparse matrices."""
+"""Small operations with SciPy's sparse matrices."""
 
 import numpy as np
 import scipy.sparse as sp
@@ -8,55 +8,55 @@ from ngvisco.algebra import precision
 
 
 def apply(matrix: sp.csr_matrix, rows: np.ndarray) -> np.ndarray:
-    """matrix @ each row, (..., height): twice as fast as by one pass for several columns."""
+    """Apply a matrix to each row, (..., width) -> (..., height); twice as fast as a product with columns."""
     if rows.ndim == 1:
         return matrix @ rows
     return np.stack([apply(matrix, row) for row in rows])
 
 
 def largest(values: np.ndarray) -> float:
-    """The largest modulus, 1 where all are zero."""
+    """Largest modulus of the values, or 1 if all are zero."""
     return float(abs(values).max(initial=0.0)) or 1.0
 
 
 class Rounded:
-    """A matrix in single precision and in units of its own, as what it is applied to: SI's may leave it."""
+    """A matrix in single precision; it and its arguments are scaled, as SI numbers may leave its range."""
 
     def __init__(self, matrix: sp.csr_matrix) -> None:
         self._unit = largest(matrix.data)
         self._matrix = (matrix / self._unit).astype(precision.SINGLE).tocsr()
 
     def __call__(self, rows: np.ndarray) -> np.ndarray:
-        """matrix @ each row, (rows, height)."""
+        """Apply the matrix to each row, (rows, width) -> (rows, height)."""
         length = largest(rows)
         found = apply(self._matrix, (rows / length).astype(precision.SINGLE))
         return np.float64(self._unit * length) * found
 
 
 def widened(matrix: sp.csr_matrix, height: int, width: int) -> sp.csr_matrix:
-    """The matrix with zero rows and columns after its own."""
+    """The matrix extended by zero rows and columns to ``height`` and ``width``."""
     result = matrix.copy()
     result.resize((height, width))
     return result
 
 
 def mass_matrix(values: sp.csr_matrix, weights: np.ndarray) -> sp.csr_matrix:
-    """The mass matrix of functions with these values at the points."""
+    """Mass matrix of functions with given values at quadrature points with given weights."""
     return (values.T @ sp.diags(weights) @ values).tocsr()
 
 
 def pruned(matrix: sp.csr_matrix) -> sp.csr_matrix:
-    """Without the entries that are rounding: a side sees the normal derivative of its own facet alone."""
+    """Remove entries at rounding; the normal derivative at a side then depends on its own facet alone."""
     matrix.data[abs(matrix.data) <= 1e-14 * abs(matrix.data).max(initial=0.0)] = 0.0
     matrix.eliminate_zeros()
     return matrix
 
 
 class Blocks:
-    """The diagonal blocks of a matrix: the connected components of ``pattern``.
+    """The diagonal blocks of a matrix: connected components of ``pattern``.
 
-    Unknowns without an entry there (copies of identified ones) are in none.  ``groups`` are the unknowns of
-    blocks of one size, (blocks, size).
+    Unknowns without an entry in the pattern (copies of identified unknowns) belong to no block.  ``groups``
+    contain, for each block size, the blocks' unknowns, (blocks, size).
     """
 
     def __init__(self, pattern: sp.csr_matrix) -> None:
@@ -71,7 +71,7 @@ class Blocks:
         self.groups = [order[starts[sizes == n][:, None] + np.arange(n)] for n in np.unique(sizes)]
 
     def inverse(self, matrix: sp.csr_matrix) -> sp.csr_matrix:
-        """The inverse of the blocks of ``matrix``, zero elsewhere; LinAlgError where one is singular."""
+        """Inverse of the blocks of ``matrix``, zero elsewhere.  Raises LinAlgError for a singular block."""
         values, rows, columns = [np.zeros(0)], [np.zeros(0, int)], [np.zeros(0, int)]
         for group in self.groups:
             size = group.shape[1]
@@ -84,30 +84,30 @@ class Blocks:
 
 
 def inverse_of_blocks(matrix: sp.csr_matrix) -> sp.csr_matrix:
-    """The inverse of a block-diagonal matrix."""
+    """Inverse of a block-diagonal matrix."""
     return Blocks(matrix).inverse(matrix)
 
 
 def of_blocks(own: np.ndarray, across: np.ndarray, neighbours: np.ndarray, count: int) -> sp.csr_matrix:
-    """A matrix of cells' blocks: their ``own`` (cells, q, q), and ``across`` each side, (cells, sides, q, q).
+    """Matrix of blocks: ``own`` blocks of cells, (cells, q, q), and ``across`` sides, (cells, sides, q, q).
 
-    ``neighbours`` (cells, sides) are the cells there; ``count`` is their number, some of which may have no
-    rows.
+    ``neighbours`` (cells, sides) are the cells across the sides; ``count`` is the number of all cells, of
+    which the last ones may have no rows.
     """
     cells, sides, q, _ = across.shape
     blocks = np.concatenate([own[:, None], across], axis=1).reshape(-1, q, q)
     columns = np.concatenate([np.arange(cells)[:, None], neighbours], axis=1).ravel()
     ends = (1 + sides) * np.minimum(np.arange(count + 1), cells)
     matrix = sp.bsr_matrix((blocks, columns, ends), shape=(q * count, q * count)).tocsr()
-    matrix.sum_duplicates()  # a cell may meet another one across two sides
+    matrix.sum_duplicates()  # two cells may share two sides
     return matrix
 
 
 class ElementAssembly:
-    """Square matrices as sums of element matrices, in one pass."""
+    """Assembly of square matrices from element matrices in one pass."""
 
     def __init__(self, unknowns: np.ndarray, width: int) -> None:
-        """``unknowns`` (cells, local) are those of the cells, ``width`` is the number of all."""
+        """Prepare the pattern for the cells' ``unknowns`` (cells, local) among ``width`` unknowns."""
         flat = unknowns[:, :, None].astype(np.int64) * width + unknowns[:, None, :]
         keys, position = np.unique(flat.ravel(), return_inverse=True)
         self.width, self._position = width, position.astype(np.int32)
@@ -115,6 +115,6 @@ class ElementAssembly:
         self._ends = np.searchsorted(keys, width * np.arange(width + 1))
 
     def __call__(self, elements: np.ndarray) -> sp.csr_matrix:
-        """The matrix of element matrices (cells, local, local)."""
+        """Assemble element matrices (cells, local, local)."""
         values = np.bincount(self._position, weights=elements.ravel(), minlength=len(self._columns))
         return sp.csr_matrix((values, self._columns, self._ends), shape=(self.width, self.width), copy=True)

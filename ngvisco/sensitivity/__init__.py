@@ -1,1 +1,1 @@
-"""Derivatives of runs by their parameters: exact sensitivities of the discrete scheme, and fits to data."""
+"""Derivatives of runs by parameters: exact sensitivities of the discrete scheme, and fits to data."""

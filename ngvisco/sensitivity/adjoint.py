@@ -1,13 +1,12 @@
-"""Adjoints of a run: the slopes of what it gives, carried backwards through its steps.
+"""Adjoints of a run: slopes of its numbers, carried backwards through its steps.
 
-Of a number J of the run let g_i be its slope by the solution U_i of a stage.  From the last stage to the
-first,
+Let g_i be the slope of a number J by the solution U_i of a stage.  From the last stage to the first,
 
-    R_U^T lambda_i = g_i,     g_k <- g_k - R_{y_k}^T lambda_i for the states y_k that the stage starts from,
+    R_U^T lambda_i = g_i,     g_k <- g_k - R_{y_k}^T lambda_i for the start states y_k of the stage.
 
-so that dJ/dp = - sum_i lambda_i . R_p + the slope by the start times its derivative + what J reads of p
-itself.  Derivatives by p at fixed states are differences of fourth order, as in the tangent.  One adjoint
-gives the derivatives by all parameters, and by the start values of all fields.
+Then dJ/dp is - sum_i lambda_i . R_p, plus the slope by the start times the derivative of the start, plus the
+explicit dependence of J on p.  Derivatives by p at fixed states are differences of fourth order, as in the
+tangent.  One adjoint gives the derivatives by all parameters, and by the start values of all fields.
 """
 
 from __future__ import annotations
@@ -31,14 +30,14 @@ class Adjoint:
     ----------
     trajectory : Trajectory
     base : Follower
-        With the run's own parameters.
+        Follower with the run's parameters.
     slopes : Slopes
-        Of its columns.
+        Slopes of the follower's columns.
     neighbours : sequence of Neighbours
-        Of the parameters; of those of start values alone the start is differenced.
+        Neighbours for each parameter; a start value only changes the start.
     ends, means : arrays, (numbers, steps + 1, columns)
-        What each number is of the columns at the ends of steps, the start first, and of their means over the
-        stages of the step that leads there.
+        Derivatives of the numbers by the columns at the start and the ends of steps, and by the columns'
+        means over the stages of the step before.
     """
 
     def __init__(
@@ -55,13 +54,13 @@ class Adjoint:
         self.linearised, self.starts = Linearised(base), Starts(base)
         self.free = self.linearised.free
         self.jacobian = np.zeros((len(ends), len(neighbours)))
-        """The derivatives by the parameters, (numbers, parameters)."""
+        """Derivatives by the parameters, (numbers, parameters)."""
         self.of_start = np.zeros((len(ends), len(base.state)))
-        """The slopes by the coefficients of the start, (numbers, unknowns), where unknowns that are
-        functions of others follow them."""
+        """Slopes by the coefficients of the start, (numbers, unknowns), with dependent unknowns following
+        the independent ones."""
 
     def run(self, from_start: bool, progress: Callable[[int], None] = lambda number: None) -> None:
-        """Go backwards; ``from_start`` says whether start values depend on the parameters."""
+        """Go backwards through the steps; ``from_start`` tells whether start values depend on parameters."""
         steps = self.trajectory.steps
         slopes = np.zeros_like(self.of_start)
         for number in range(len(steps), 0, -1):
@@ -75,7 +74,7 @@ class Adjoint:
         self.of_start = np.array([self.starts.through_functions(one) for one in slopes])
 
     def _seeds(self, weights: np.ndarray) -> np.ndarray:
-        """The slopes of the numbers by the present state, (numbers, unknowns), of weights of the columns."""
+        """Slopes of the numbers by the present state, (numbers, unknowns), for weights of the columns."""
         result = np.zeros((len(weights), len(self.base.state)))
         for column, name in enumerate(self.base.columns.names):
             if weights[:, column].any():
@@ -83,7 +82,7 @@ class Adjoint:
         return result
 
     def _read_at(self, state: np.ndarray, weights: np.ndarray) -> None:
-        """Make a state the present one, and add what the numbers read there of the parameters themselves."""
+        """Set the present state, and add the numbers' explicit dependence on the parameters there."""
         if weights.any():
             for j, near in enumerate(self.near):
                 values = [one.columns.state() for one in near.at(state)]
@@ -91,7 +90,7 @@ class Adjoint:
         self.base.at(state)
 
     def _step(self, number: int, taken: RecordedStep, slopes: np.ndarray) -> np.ndarray:
-        """The slopes by the start of a step, from those by its end."""
+        """Slopes by the start of a step, from the slopes by its end."""
         solutions = [taken.state, *(stage.state for stage in taken.stages)]
         of = np.zeros((len(solutions), *slopes.shape))
         if taken.is_combined:
@@ -109,7 +108,7 @@ class Adjoint:
         stage, weights = taken.stages[i - 1], self.means[:, number]
         base = self.base
         base.pose(stage, [base.evolved(y) for y in solutions[:i]])
-        self.linearised.at_stage(stage)  # which is the present state then
+        self.linearised.at_stage(stage)  # also sets the present state
         of[i] += self._seeds(stage.share * weights)
         adjoints = np.array([self.linearised.stage(slope, transposed=True) for slope in of[i]])
         for j, near in enumerate(self.near):
@@ -138,7 +137,7 @@ class Adjoint:
         slopes: np.ndarray,
         of: np.ndarray,
     ) -> None:
-        """The slopes by the stages of a combined end, from those by the end."""
+        """Add the slopes by the stages, from the ``slopes`` by a combined end."""
         base, starts = self.base, self.starts
         ranges = base.step.layout.ranges
         is_v = np.zeros(len(base.state), dtype=bool)

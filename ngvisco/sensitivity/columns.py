@@ -1,4 +1,4 @@
-"""Numbers of a run over time, by the names of columns: of the ledger, and of its observers' tables."""
+"""Columns of a run over time, by name, from the ledger and from observers' tables."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _RATES = ("dissipation", "power", "production", "flux")
 
 
 def tables_of(simulation: Simulation) -> list[Series]:
-    """Copies of the tables among a run's observers, which have no files."""
+    """Copies of the tables among a run's observers; the copies write no files."""
     found: list[Series] = []
     for observer in simulation.observers:
         if isinstance(observer, _TABLES):
@@ -33,11 +33,11 @@ def tables_of(simulation: Simulation) -> list[Series]:
 class Columns:
     """Values of columns at the present state of a simulation.
 
-    Raises UnknownNameError for a column that there is not, ParameterError for one without a derivative.
+    Raises UnknownNameError for an unknown column, ParameterError for a column without a derivative.
     """
 
     has_ends = has_means = True
-    """Whether ends of steps are asked for, and means over their stages."""
+    """Whether values at ends of steps are needed, and means over stages."""
 
     def __init__(self, simulation: Simulation, names: Sequence[str], tables: Sequence[Series]) -> None:
         self.simulation, self.names = simulation, list(names)
@@ -62,7 +62,7 @@ class Columns:
         ]
 
     def unit(self, name: str) -> str | None:
-        """The SI unit of a column; None where it is not known, as of an integral of an expression."""
+        """SI unit of a column; None if it is unknown, as for an integral of an expression."""
         for table, columns, _ in self._of_tables:
             if name in columns:
                 return _unit_of(table, name)
@@ -70,18 +70,18 @@ class Columns:
 
     @property
     def tables(self) -> list[Series]:
-        """The tables that have some of the columns."""
+        """Tables that contain some of the columns."""
         return [table for table, *_ in self._of_tables]
 
     def of(self, simulation: Simulation) -> Columns:
-        """The columns in another run, with this mesh and model."""
+        """The columns of another run with equal mesh and model."""
         other = Columns(simulation, self.names, self.tables)
         other.has_ends, other.has_means = self.has_ends, self.has_means
         return other
 
     @property
     def is_of_stages(self) -> np.ndarray:
-        """Which columns are means over a step's stages, as rates and forces, (columns,)."""
+        """Whether each column is a mean over a step's stages, as rates and forces are, (columns,)."""
         found = self._of_rates.copy()
         for table, _, places in self._of_tables:
             if isinstance(table, WallForces):
@@ -89,15 +89,15 @@ class Columns:
         return found
 
     def begin(self) -> None:
-        """A step begins."""
+        """Begin a step."""
         for table, *_ in self._of_tables:
             if isinstance(table, WallForces):
                 table.begin()
 
     def stage(self, share: float) -> np.ndarray:
-        """Values of the columns at a stage, the present state: shares of means over stages, (columns,).
+        """Contribution of a stage, the present state, to the columns' means over stages, (columns,).
 
-        Of other columns it is ``share`` times their value.
+        The contribution is ``share`` times the column's value.
         """
         values = self._values(self._of_state, self._of_rates)
         for table, _, places in self._of_tables:
@@ -108,9 +108,9 @@ class Columns:
         return share * values
 
     def impulse(self, rows: np.ndarray, v: np.ndarray | None) -> np.ndarray:
-        """The contribution of the walls' impulse over a step, on the rows of v, N, to the columns.
+        """Contribution to the columns of the walls' impulse in a step over its length, on ``rows`` of v, N.
 
-        It has power on the velocity ``v`` of the last stage, where that is given.
+        Its power on the velocity ``v`` of the last stage is included if ``v`` is given.
         """
         values = np.zeros(len(self.names))
         for name, (_, mask) in self.simulation.rothe_step.moving_walls.moving.items():
@@ -126,7 +126,7 @@ class Columns:
         return values
 
     def state(self) -> np.ndarray:
-        """Values of the columns at the end of a step, the present state, (columns,); zero for means over
+        """Values of the columns at a step's end, the present state, (columns,); zero for means over
         stages."""
         values = self._values(self._of_state, np.zeros_like(self._of_rates))
         for table, _, places in self._of_tables:

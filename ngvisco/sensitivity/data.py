@@ -1,4 +1,4 @@
-"""Measured data: columns of numbers over time, of a CSV file or of arrays."""
+"""Measured data: columns of numbers over time, from a CSV file or arrays."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from ngvisco.errors import NgviscoError, as_number
 from ngvisco.run.files import AnyPath
 
 TIME, INTEGRAL = "time", "integral of "
-"""The column of times, and what stands before a column's name where its integral over time is given."""
+"""Name of the column of times, and prefix of the names of integrals over time."""
 _HEAD = re.compile(r"\s*(?P<name>[^\[\]]*[^\[\]\s])\s*(?:\[(?P<unit>[^\[\]]*)\])?\s*")
 
 
 class DataError(NgviscoError, ValueError):
-    """A table of measured data that is none, or does not fit the run."""
+    """A table of measured data is invalid, or does not fit the run."""
 
 
 @dataclass(frozen=True)
@@ -30,9 +30,9 @@ class Data:
     Attributes
     ----------
     times : array, (rows,)
-        s.
+        Times in the unit that ``units`` has, or s.
     columns : mapping of names to arrays, (rows,)
-        In the units that ``units`` has, SI where it has none; NaN where nothing was measured.
+        Values in the units that ``units`` has, or in SI units; NaN if not measured.
     units : mapping of names to units
     """
 
@@ -42,11 +42,11 @@ class Data:
 
     @classmethod
     def of(cls, data: AnyPath | Mapping[str, Any]) -> Data:
-        """The data of a CSV file, or of arrays by name, the times as ``"time"``.
+        """The data of a CSV file, or of arrays by name with the times as ``"time"``.
 
-        A file's first line has the names of the columns, each with its unit in brackets or without:
+        A file's first line has the names of the columns, with units in brackets if not SI:
         ``time [s],tip.velocity_2 [mm/s]``.  An empty cell is a value that was not measured.  Raises DataError
-        for what is no such table, has no rows, no times or no values.
+        for an invalid table, or one without rows, times or values.
         """
         if isinstance(data, Mapping):
             return _checked("data", {str(name): _column(name, one) for name, one in data.items()}, {})
@@ -110,7 +110,7 @@ def _checked(where: str, columns: dict[str, np.ndarray], units: dict[str, str]) 
     times = columns.pop(TIME, None)
     if times is None:
         raise DataError(f"{where}: no column {TIME!r}, s")
-    columns.pop("step", None)  # of a table that a run has written
+    columns.pop("step", None)  # a column of tables written by runs
     if not columns:
         raise DataError(f"{where}: no column beside {TIME!r}")
     if not len(times) or any(len(one) != len(times) for one in columns.values()):
@@ -124,10 +124,10 @@ def _checked(where: str, columns: dict[str, np.ndarray], units: dict[str, str]) 
 
 
 def converted(data: Data, wanted: Mapping[str, str | None], factor: Any = None) -> Data:
-    """The data in SI units, ``wanted`` by column, None where a unit is not known.
+    """The data in the SI units ``wanted`` of the columns; None is an unknown unit, which is not converted.
 
-    ``factor(unit, wanted)`` says how many of the one are in the other; without it a unit has to be the wanted
-    one.  Raises DataError for a unit that it is not.
+    ``factor(unit, wanted)`` returns the size of a unit in wanted units; without it units have to be the
+    wanted ones.  Raises DataError for a wrong unit.
     """
     scales = {}
     for name, unit in data.units.items():

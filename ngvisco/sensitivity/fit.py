@@ -1,4 +1,4 @@
-"""Parameters from data: bounded least squares with the exact derivatives of the runs."""
+"""Fits of parameters to data by bounded least squares with exact derivatives of the runs."""
 
 from __future__ import annotations
 
@@ -19,40 +19,40 @@ from ngvisco.sensitivity.gradient import Gradient, gradient
 from ngvisco.sensitivity.parameters import Named, varied
 
 _RANGE = 1e3
-"""Without bounds a parameter is sought from its start value over this to that times this."""
+"""Factor from the start value to the default bounds of a parameter, downwards and upwards."""
 _UNDETERMINED = 1e-10
-"""Ratio of singular values of the scaled Jacobian from which on the data say nothing of a combination."""
+"""Ratio of singular values of the scaled Jacobian below which data do not determine a combination."""
 
 
 @dataclass(frozen=True)
 class Fit:
-    """Parameters that were fitted to data.
+    """Parameters fitted to data.
 
     Attributes
     ----------
     by : tuple of str
         The parameters' names.
     start, values, deviations : arrays, (parameters,)
-        Where the search began, what was found, and its standard deviations; these are infinite where the data
-        do not determine the parameter.
+        Start values, fitted values and their standard deviations, which are infinite if the data do not
+        determine the parameter.
     bounds : array, (parameters, 2)
     covariance, correlation : arrays, (parameters, parameters)
     columns : tuple of str
         The data's columns.
     times, data, found, sigma : mappings of columns to arrays
-        Of every datum its time (s), what was measured, what the run with the fitted parameters has, and the
-        standard deviation that it counted with.
+        Time (s) of each datum, its measured value, its value in the run with the fitted parameters, and
+        its standard deviation.
     misfit : float
         Half the sum of squares of the residuals over their standard deviations.
     reduced : float
-        Twice that over the number of data less that of the parameters: near one where the model and the
-        standard deviations are right; one by definition where these were estimated.
+        Twice the misfit over the number of data minus the number of parameters: near one if the model and
+        the standard deviations are right; one by definition if standard deviations were estimated.
     runs : int
-        How many runs were made, each with its derivatives.
+        Number of runs, each with its derivatives.
     cost : float
-        The time of all of it over that of the last run alone.
+        Time of the whole fit over the time of the last run alone.
     message : str
-        Why the search ended.
+        Reason for the end of the search.
     """
 
     by: tuple[str, ...]
@@ -74,11 +74,11 @@ class Fit:
     message: str
 
     def __getitem__(self, name: str) -> float:
-        """The value that was found of a parameter."""
+        """Fitted value of a parameter."""
         return float(self.values[self.by.index(name)])
 
     def __str__(self) -> str:
-        """A report of some lines."""
+        """Report of a few lines."""
         lines = []
         for i, name in enumerate(self.by):
             at_bound = np.isclose(self.values[i], self.bounds[i], rtol=1e-6, atol=0).any()
@@ -101,7 +101,7 @@ class Fit:
         return "\n".join(lines)
 
     def plot(self, path: AnyPath) -> None:
-        """Data, fit and residuals of every column over time, as PNG, PDF or SVG; PlotError."""
+        """Plot data, fit and residuals of every column over time, as PNG, PDF or SVG; raises PlotError."""
         fig, axes = figure(2, len(self.columns), (max(PAGE, 4.5 * len(self.columns)), 6.0))
         for i, name in enumerate(self.columns):
             order = np.argsort(self.times[name], kind="stable")
@@ -128,38 +128,39 @@ def fit(
     factor: Callable[[str, str], float] | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> Fit:
-    """Find the parameters with which a run has what was measured, in the least squares.
+    """Fit parameters of a run to measured data by least squares.
 
-    The search is SciPy's ``least_squares`` within bounds, with the derivatives of ``gradient``; a parameter
-    whose bounds are positive is sought by its logarithm.  A run that cannot be solved counts as a bad trial.
+    The search is SciPy's ``least_squares`` within bounds, with the derivatives of ``gradient``.  For a
+    parameter with positive bounds the search varies its logarithm.  A run without a solution counts as a bad
+    trial.
 
-    Raises DataError for data that are none, or whose times, columns or units are not those of the run;
-    ParameterError or UnknownNameError for a parameter that there is not, or whose bounds are none; StepError
-    where the run from the start values cannot be solved.
+    Raises DataError for invalid data, or for times, columns or units that the run does not have;
+    ParameterError or UnknownNameError for an unknown parameter or invalid bounds; StepError if the run from
+    the start values has no solution.
 
     Parameters
     ----------
     simulation : Simulation
-        At its start, which it stays at: other runs are made like it.
+        Simulation at its start; copies of it run, and it stays unchanged.
     data : path of a CSV file, or mapping of names to sequences
         Columns of the ledger or of tables among the simulation's observers (``Probes``, ``Integrals``,
-        ``WallForces``, ``Bodies``) over ``"time"``, in SI units; ``"integral of COLUMN"`` is that over time
-        since the start, as a displacement is of a velocity.  See ``Data``.
+        ``WallForces``, ``Bodies``) over ``"time"``, in SI units (see ``Data``).  ``"integral of COLUMN"`` is
+        the integral over time from the start, such as a displacement.
     by : sequence of str
-        Parameters as of ``gradient``; their values in the simulation are where the search begins.
-    sigma : float, or mapping of columns to such, optional
-        The data's standard deviation.  Without it all columns count by their own root mean square, and the
+        Names of parameters as in ``gradient``; the search begins at their values in the simulation.
+    sigma : float, or mapping of columns to floats, optional
+        Standard deviation of the data.  By default each column is scaled by its root mean square, and the
         standard deviation is estimated from the residuals.
     bounds : mapping of parameters to pairs, optional
-        Within which they are sought; by default within a thousandth and a thousand times the start value.
+        Bounds of the search; by default a thousandth and a thousand times the start value.
     until : float, optional
-        The end of the run, s, which no datum may be after; by default that of the last datum.
+        End of the run, s, not before the last datum; by default the end of the last datum's step.
     tolerance : float
-        > 0; the search ends at a step, or a change of the sum of squares, that is as small, relatively.
+        Relative size > 0 of a step, or of a change of the sum of squares, at which the search ends.
     factor : callable, optional
-        ``factor(unit, wanted)`` says how many of one unit are in another; without it units have to be SI.
+        ``factor(unit, wanted)`` returns the size of a unit in wanted units; without it units have to be SI.
     progress : callable, optional
-        Called with a line of text for every run.
+        Function that is called with a line of text for every run.
     """
     if simulation.number != 0:
         raise ParameterError(
@@ -178,7 +179,7 @@ def fit(
 
 
 def _measured(simulation: Simulation, data: Data, factor: Callable[[str, str], float] | None) -> Data:
-    """The data in SI units, of columns that the run has."""
+    """The data in SI units, checked against the run's columns."""
     names = [name.removeprefix(INTEGRAL) for name in data.columns]
     columns = Columns(simulation, list(dict.fromkeys(names)), tables_of(simulation))
     units = {}
@@ -200,7 +201,7 @@ def _end(simulation: Simulation, data: Data, until: float | None) -> float:
 
 
 class _Search:
-    """The residuals and their Jacobian, each computed with the other and kept."""
+    """Residuals and their Jacobian, which are computed together and stored."""
 
     def __init__(
         self,
@@ -237,17 +238,17 @@ class _Search:
         self.runs, self.spent, self.alone = 0, 0.0, 0.0
 
     def _inner(self, p: np.ndarray) -> np.ndarray:
-        """The unknowns of the search for the parameters ``p``: logarithms where a parameter has one sign."""
+        """Unknowns of the search for parameters ``p``: the logarithm if bounds have one sign, else scaled."""
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.where(self.signs != 0, np.log(self.signs * p), p / self.scales)
 
     def _outer(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The parameters, and their derivatives."""
+        """Parameters for unknowns ``q`` of the search, and their derivatives by these."""
         p = np.where(self.signs != 0, self.signs * np.exp(np.where(self.signs != 0, q, 0.0)), q * self.scales)
         return p, np.where(self.signs != 0, p, self.scales)
 
     def _at(self, q: np.ndarray) -> Gradient | None:
-        """The run with its derivatives; None where it cannot be solved."""
+        """Run with parameters ``q`` and its derivatives; None if the run has no solution."""
         if q.tobytes() in self.kept:
             return self.kept[q.tobytes()]
         p, _ = self._outer(q)
@@ -274,21 +275,21 @@ class _Search:
         return result
 
     def residuals(self, q: np.ndarray) -> np.ndarray:
-        """Over standard deviations; infinite where the run cannot be solved."""
+        """Residuals over standard deviations; infinite if the run has no solution."""
         found = self._at(q)
         return np.full(len(self.of), np.inf) if found is None else self._residuals(found)
 
     def jacobian(self, q: np.ndarray) -> np.ndarray:
-        """The Jacobian of the residuals."""
+        """Jacobian of the residuals by the unknowns of the search."""
         found = self._at(q)
-        assert found is not None  # the search asks at points that it has accepted
+        assert found is not None  # the search has accepted this point
         _, slopes = self._outer(q)
         result: np.ndarray = found.jacobian / np.concatenate(list(self.sigma.values()))[:, None] * slopes
         return result
 
     def run(self, tolerance: float) -> Fit:
-        """Search."""
-        from scipy.optimize import least_squares  # a tenth of the package's time to be imported
+        """Search for the least sum of squares."""
+        from scipy.optimize import least_squares  # a tenth of the package's import time
 
         start = np.array([one.value for one in self.parameters])
         low, high = (self._inner(self.bounds[:, i]) for i in range(2))
@@ -302,7 +303,7 @@ class _Search:
         J = found.jacobian / np.concatenate(list(self.sigma.values()))[:, None]
         free = max(len(self.of) - len(p), 1)
         reduced = 2 * cost / free
-        if self.is_estimated:  # in units of the estimate
+        if self.is_estimated:  # scales by the estimated deviation
             self.sigma = {name: values * np.sqrt(reduced) for name, values in self.sigma.items()}
             J, scale = J / np.sqrt(reduced or 1.0), reduced or 1.0
         else:
@@ -335,7 +336,7 @@ class _Search:
 
 
 def _covariance(J: np.ndarray) -> np.ndarray:
-    """(J^T J)^-1, infinite for what the data do not determine."""
+    """Covariance (J^T J)^-1, infinite if the data do not determine all parameters."""
     lengths = np.linalg.norm(J, axis=0)
     if not lengths.all():
         return np.full((J.shape[1], J.shape[1]), np.inf)

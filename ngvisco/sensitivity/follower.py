@@ -1,4 +1,4 @@
-"""A simulation that follows the recorded steps of another one, which may have another parameter."""
+"""A simulation that repeats the recorded steps of a run, possibly with another parameter."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from ngvisco.sensitivity.trajectory import RecordedStep, Stage
 
 
 class Follower:
-    """Evaluates the equations of recorded steps, and columns, at states that are given to it.
+    """Evaluates the equations of recorded steps, and columns, at given states.
 
     All vectors are coefficients of the step's space.
     """
@@ -29,25 +29,25 @@ class Follower:
 
     @property
     def state(self) -> np.ndarray:
-        """The present state, not a copy."""
+        """Coefficients of the present state, as a view."""
         values: np.ndarray = self.step.state.vec.FV().NumPy()
         return values
 
     def evolved(self, state: np.ndarray) -> Evolved:
-        """The quantities of a state that have a time derivative."""
+        """Quantities of a state that have a time derivative."""
         self.state[:] = state
         return self.step.evolved()
 
     def pose(self, stage: Stage, states: Sequence[Evolved]) -> None:
-        """Let the step be that of a stage, from states y_0, y_1, ..."""
+        """Set the times and the old state of the step to those of a stage from states y_0, y_1, ..."""
         step, at = self.step, stage.interval
         step.context.set_step(at.tau, at.end, at.loads_from, at.loads_over, at.loads_tilt)
         step.start_from(list(zip(stage.starts, states, strict=False)))
 
     def at(self, state: np.ndarray, stage: Stage | None = None) -> None:
-        """Make a state the present one; with the stresses that flow rules of a stage are linearised at.
+        """Set the present state, and the stresses at which flow rules are linearised.
 
-        Without a stage these are of the state itself.
+        These stresses are the recorded ones of ``stage``; without a stage they are of the state.
         """
         self.state[:] = state
         self.step.stresses.start()
@@ -56,7 +56,7 @@ class Follower:
         self.step.eliminate.refresh()
 
     def residual(self, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """R at a state with the velocities that walls prescribe here, and this state."""
+        """Residual R at a state with this run's velocities of walls, and the state with these velocities."""
         self.state[:] = state
         self.step.moving_walls.set_values()
         self.at(self.state.copy())
@@ -65,7 +65,7 @@ class Follower:
 
     @cached_property
     def momentum(self) -> BilinearForm:
-        """int rho v . w, nonlinear, with the multipliers of oblique walls."""
+        """Nonlinear form int rho v . w, with the multipliers of oblique walls."""
         layout = self.step.layout
         trial, test = (layout.fields(parts) for parts in layout.space.TnT())
         form = BilinearForm(layout.space)
@@ -85,10 +85,10 @@ class Follower:
     def end(
         self, taken: RecordedStep, states: Sequence[Evolved], last: np.ndarray, v: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """A combined end but for its velocity: the state, and the rows that v of it leaves.
+        """A combined end with given velocity: the state, and the residual of the momentum equation.
 
-        ``states`` are y_0, y_1, ..., ``last`` is the last stage's solution, and ``v`` are the state's
-        coefficients of the velocity, which walls that move prescribe anew.
+        ``states`` are y_0, y_1, ..., ``last`` is the last stage's solution, and ``v`` are the coefficients of
+        the velocity, in which moving walls set their values.
         """
         step, ranges = self.step, self.step.layout.ranges
         step.start_from(list(zip(taken.weights, states, strict=False)))
@@ -106,7 +106,7 @@ class Follower:
         return self.state.copy(), self._momentum_rows()
 
     def completed(self, state: np.ndarray) -> np.ndarray:
-        """A state with the unknowns that are functions of others made anew; it is then the present one."""
+        """Set the present state with dependent unknowns updated, and return its coefficients."""
         self.state[:] = state
         self.step.stresses.start()
         self.step.eliminate()
@@ -115,9 +115,9 @@ class Follower:
     def impulse(
         self, taken: RecordedStep, states: Sequence[Evolved], end: np.ndarray, v: np.ndarray
     ) -> np.ndarray:
-        """The contribution of the walls' impulse at a combined end to the columns, (columns,).
+        """Contribution of the walls' impulse at a combined end to the columns, (columns,).
 
-        ``v`` is the velocity of the last stage, whose wall has power.
+        ``v`` is the velocity of the last stage, with which the impulse has power.
         """
         self.step.start_from(list(zip(taken.weights, states, strict=False)))
         self.state[:] = end
@@ -134,7 +134,7 @@ class Follower:
 
     @cached_property
     def free_velocity(self) -> np.ndarray:
-        """Which coefficients of v no wall prescribes."""
+        """Whether no wall prescribes each coefficient of v."""
         free = np.array(list(self.step.layout.space.FreeDofs()))
         found: np.ndarray = free[self.step.layout.ranges["v"]]
         return found

@@ -1,4 +1,4 @@
-"""Gradients of what a run gives by its parameters."""
+"""Gradients of a run's results by its parameters."""
 
 from __future__ import annotations
 
@@ -33,15 +33,15 @@ class Gradient:
     Attributes
     ----------
     of, by : tuple of str
-        The numbers' and the parameters' names.
+        Names of the numbers and of the parameters.
     values : array, (numbers,)
-        In the units of the columns.
+        Values in the units of the columns.
     jacobian : array, (numbers, parameters)
-        In these units over those of the parameters.
+        Derivatives in the units of the columns over units of the parameters.
     at : array, (parameters,)
-        The parameters' values.
+        Values of the parameters.
     limited : int
-        Cells that the limiter changed, over all steps: what it adds to a state is kept in the derivatives.
+        Number of cells limited in all steps; derivatives treat the limiter's change of a state as constant.
     seconds : float
         Processor time of the run itself, s.
     """
@@ -57,28 +57,28 @@ class Gradient:
     _of_start: np.ndarray | None = field(default=None, repr=False, compare=False)
 
     def __getitem__(self, key: tuple[str, str]) -> float:
-        """The derivative of a number by a parameter, by their names."""
+        """Derivative of a number by a parameter, given by their names."""
         of, by = key
         return float(self.jacobian[self._row(of), self.by.index(by)])
 
     def density(self, of: str, name: str) -> GridFunction:
-        """The derivative of a number by the start values of a scalar field, per volume of the start.
+        """Derivative of a number by the start values of a scalar field, per volume at the start.
 
         A small change d of the field's start values changes the number by the integral of this function
-        times d, the start values of other fields being kept.  Of a gradient by the adjoint only.
+        times d, with the start values of other fields fixed.  It requires a gradient by the adjoint.
 
         Parameters
         ----------
         of : str
-            A number's name.
+            Name of the number.
         name : str
-            ``"density"``, or a scalar variable of the material: ``"J"``, or a ``Parameter``, by which each
-            modulus may be a field.
+            ``"density"``, or a scalar variable of the material: ``"J"``, or a ``Parameter``, which can make
+            a modulus a field.
 
         Returns
         -------
         GridFunction
-            In the unit of the number over that of the field, per m^d; of the order of the field.
+            Density in the unit of the number over the unit of the field, per m^d; of the order of the field.
         """
         if self._of_start is None or self.simulation is None:
             raise ParameterError("Gradient.density", of, "a gradient with method='adjoint'")
@@ -106,7 +106,7 @@ class Gradient:
         return self.of.index(of)
 
     def __str__(self) -> str:
-        """A table: a line for each number, a column for each parameter."""
+        """Table with a line for each number and a column for each parameter."""
         head = ["", "value", *(f"d/d {name}" for name in self.by)]
         body = [
             [name, f"{value:.8g}", *(f"{one:.8g}" for one in row)]
@@ -127,36 +127,36 @@ def gradient(
     order: int = 4,
     progress: Callable[[int, int], None] | None = None,
 ) -> Gradient:
-    """Run a simulation until a time, and differentiate what it gives by parameters.
+    """Run a simulation until a time, and differentiate its results by parameters.
 
-    The derivatives are those of the discrete scheme: of the numbers that this run computes, with its mesh and
-    its steps, and not approximations of those of the equations.  Frozen are the lengths of adaptive steps
-    and what the limiter adds to a state.
+    The derivatives are exact for the numbers that this run computes with its mesh and its steps; they are not
+    discretised derivatives of the continuous equations.  The lengths of adaptive steps and the limiter's
+    change of a state are constants in the derivatives.
 
-    Raises ParameterError or UnknownNameError for a number or a parameter that there is not, for damage,
-    relaxed steps and several ranks, whose derivatives are not known; StepError as ``Simulation.run``.
+    Raises ParameterError or UnknownNameError for an unknown number or parameter, and for damage, relaxed
+    steps and several ranks, which have no derivatives here; StepError as ``Simulation.run``.
 
     Parameters
     ----------
     simulation : Simulation
-        It is run, with its observers.  At its start the start values depend on the parameters; later, as
-        after ``restore``, the present state is kept.
+        Simulation to run, with its observers.  At its start the start values depend on the parameters; later,
+        as after ``restore``, the present state is fixed.
     until : float
-        s.
-    of : sequence of str, or mapping of names to such or to Misfit
+        End of the run, s.
+    of : sequence of str, or mapping of names to texts or to Misfit
         ``"COLUMN at TIME"``, or ``"COLUMN until TIME"`` for the integral over time, of a column of the ledger
         or of a table among the run's observers (``Probes``, ``Integrals``, ``WallForces``, ``Bodies``).
     by : sequence of str
-        Parameters by their paths, as ``"material.G_e"``, ``"creep.G_m"``, ``"loads.gravity.g.1"``,
-        ``"initial.density"``; with the adjoint there may be none, for ``Gradient.density`` alone.
+        Paths of parameters, as ``"material.G_e"``, ``"creep.G_m"``, ``"loads.gravity.g.1"``,
+        ``"initial.density"``; the adjoint also accepts none, for ``Gradient.density`` alone.
     method : str
-        ``"tangent"``, whose cost grows with the parameters, or ``"adjoint"``, whose cost grows with the
-        numbers, and which knows no forces on walls and no tables of bodies.
+        ``"tangent"``, whose cost grows with the number of parameters, or ``"adjoint"``, whose cost grows with
+        the number of results, and which has no forces on walls and no tables of bodies.
     order : int
-        Of the differences by the parameters at fixed states, 4 or 2: the derivatives are then right to 1e-9
-        or to 1e-7, at half of the evaluations.
+        Order of the differences by the parameters at fixed states: 4 gives derivatives right to 1e-9, 2 to
+        1e-7 at half of the evaluations.
     progress : callable, optional
-        Called with the number of steps that are differentiated, and that of all.
+        Function that is called with the numbers of differentiated steps and of all steps.
 
     Returns
     -------
@@ -203,7 +203,7 @@ def gradient(
 def measure(
     simulation: Simulation, until: float, of: Sequence[str] | Mapping[str, str | Misfit]
 ) -> np.ndarray:
-    """Run a simulation until a time; the numbers of ``gradient`` without derivatives, (numbers,)."""
+    """Run a simulation until a time, and return the numbers of ``gradient`` without derivatives."""
     numbers, trajectory = Numbers.of(of, until), Trajectory(simulation)
     base = _base(simulation, numbers.columns)
     trajectory.run(until)
@@ -211,10 +211,10 @@ def measure(
 
 
 def _base(simulation: Simulation, names: Sequence[str]) -> Follower:
-    """A follower with the run's own parameters."""
+    """A follower with the run's parameters."""
     tables = tables_of(simulation)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # the run itself has said what is doubtful
+        warnings.simplefilter("ignore")  # the original run has shown its warnings
         worker = simulation.on(simulation.mesh, observers=(), passive=())
     worker.set_velocity_scale(simulation.velocity_scale)
     return Follower(worker, Columns(worker, names, tables))

@@ -1,4 +1,4 @@
-"""The linear systems of a run's derivatives: of a stage's equations, and of the velocity of a momentum."""
+"""Linear systems for a run's derivatives: the equations of a stage, and the velocity of a momentum."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ _INVERSE = "umfpack"
 
 
 class Linearised:
-    """Solves with R_u of a stage, and with the mass matrix of an end, and their transposes.
+    """Solves systems with R_u of a stage, its transpose, and the symmetric mass matrix of an end.
 
-    The equations are those of the coupled solver, whichever solved the run: the solutions satisfy the same
-    R(u) = 0.
+    The coupled solver's equations are used also for runs of the split solver, because the solutions satisfy
+    equal equations R(u) = 0.
     """
 
     def __init__(self, follower: Follower) -> None:
@@ -24,15 +24,15 @@ class Linearised:
         self._jacobian = CondensedJacobian(step.whole_residual, _INVERSE, follower.simulation.ranks)
         self._rows, self._solution = (step.state.vec.CreateVector() for _ in range(2))
         self.free = np.array(list(step.layout.space.FreeDofs()))
-        """Which coefficients no wall prescribes."""
+        """Whether no wall prescribes each coefficient, (unknowns,)."""
 
     def at_stage(self, stage: Stage) -> None:
-        """Factorise R_u at a stage's solution; its old state has to be posed."""
+        """Factorise R_u at a stage's solution; the stage has to be posed."""
         self.follower.at(stage.state, stage)
         self._jacobian.factorise(self.follower.step.state.vec)
 
     def stage(self, rows: np.ndarray, transposed: bool = False) -> np.ndarray:
-        """R_u^{-1} or R_u^{-T} of rows; zero where walls prescribe values."""
+        """Solve with R_u or its transpose for ``rows``; the result is zero where walls prescribe values."""
         self._rows.FV().NumPy()[:] = np.where(self.free, rows, 0.0)
         solve = self._jacobian.solve_transposed if transposed else self._jacobian.solve
         solve(self._rows, self._solution)
@@ -56,7 +56,7 @@ class Linearised:
         self._velocity[layout.ranges["v"]] = self.free[layout.ranges["v"]]
 
     def end(self, rows: np.ndarray) -> np.ndarray:
-        """The change of v that rows of the momentum make, in all coefficients; the system is symmetric."""
+        """Change of v for given ``rows`` of the momentum, in all coefficients; the system is symmetric."""
         self._rows.FV().NumPy()[:] = rows
         self._solution.data = self._mass * self._rows
         return np.where(self._velocity, self._solution.FV().NumPy(), 0.0)

@@ -15,9 +15,9 @@ _TEXT = re.compile(r"(?P<column>\S+)\s+(?P<kind>at|until)\s+(?P<time>\S+)")
 
 @dataclass(frozen=True)
 class History:
-    """Columns at the ends of steps, and their integrals over time until then, (steps + 1, columns, ...).
+    """Columns at the ends of steps, and their integrals up to these times, (steps + 1, columns, ...).
 
-    What is a mean over a step's stages, as a rate, is zero in the row of the start.
+    Columns that are means over a step's stages, such as rates, are zero in the row of the start.
     """
 
     times: np.ndarray
@@ -27,15 +27,15 @@ class History:
 
 @dataclass(frozen=True)
 class Wanted:
-    """A column at a time, or its integral over time until then.
+    """The value of a column at a time, or its integral up to this time.
 
     Attributes
     ----------
     column : str
-        Of the ledger or of a table of the run's observers (``Probes``, ``Integrals``, ``WallForces``,
+        Column of the ledger or of a table of the run's observers (``Probes``, ``Integrals``, ``WallForces``,
         ``Bodies``), e.g. ``"kinetic"``, ``"tip.velocity_1"``, ``"top.force_2"``.
     time : float
-        s; between the ends of two steps it is interpolated linearly.
+        Time, s; values between the ends of two steps are interpolated linearly.
     is_integral : bool
     """
 
@@ -47,7 +47,7 @@ class Wanted:
     def of(cls, text: str) -> Wanted:
         """Read a text ``"COLUMN at TIME"`` or ``"COLUMN until TIME"``, the time in s.
 
-        Raises ParameterError for another text.
+        Raises ParameterError for any other text.
         """
         found = _TEXT.fullmatch(text.strip()) if isinstance(text, str) else None
         number = None
@@ -62,8 +62,8 @@ class Wanted:
         return cls(found["column"], number, found["kind"] == "until")
 
     def weights(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Weights of its column's values at the ends of steps, at these times, and of the column's integrals
-        until then."""
+        """Weights of the column's values at the ends of steps, ``times``, and of its integrals up to
+        these."""
         upper = int(np.clip(np.searchsorted(times, self.time * (1 - 1e-12)), 1, len(times) - 1))
         share = (self.time - times[upper - 1]) / (times[upper] - times[upper - 1])
         share = float(np.clip(share, 0.0, 1.0))
@@ -77,14 +77,14 @@ class Wanted:
 class Misfit:
     """Half the sum of squares of the differences from data, each in units of its standard deviation.
 
-    Raises ParameterError for data that are none.
+    Raises ParameterError for invalid data.
 
     Parameters
     ----------
     data : mapping of texts to numbers
-        ``"COLUMN at TIME"`` or ``"COLUMN until TIME"``, and what was measured, in SI units.
+        Measured values, in SI units, by ``"COLUMN at TIME"`` or ``"COLUMN until TIME"``.
     sigma : float or sequence of float
-        The standard deviation, > 0, of all data or of each.
+        Standard deviation, > 0, of all data or of each datum.
     """
 
     data: Mapping[str, float]
@@ -101,24 +101,24 @@ class Misfit:
             raise ParameterError("Misfit.sigma", self.sigma, "numbers > 0, one or as many as there are data")
 
     def residuals(self, values: np.ndarray) -> np.ndarray:
-        """The differences of values from the data, in units of the standard deviations."""
+        """Differences of ``values`` from the data, in units of the standard deviations."""
         result: np.ndarray = (values - np.array(list(self.data.values()))) / np.asarray(self.sigma)
         return result
 
 
 @dataclass(frozen=True)
 class Numbers:
-    """Numbers by name: each a part, a column at a time, or a misfit of several."""
+    """Numbers by name; each is one part (a column at a time, or its integral) or a misfit of several."""
 
     wanted: tuple[Wanted, ...]
-    """The parts of all."""
+    """The parts of all numbers."""
     columns: list[str]
     of_names: dict[str, tuple[slice, Misfit | None]]
 
     @classmethod
     def of(cls, of: Sequence[str] | Mapping[str, str | Misfit], until: float) -> Numbers:
-        """The numbers that ``gradient`` was asked for; raises ParameterError for a text or a time that is
-        none."""
+        """The numbers of the argument ``of`` of ``gradient``.  Raises ParameterError for an invalid text or
+        time."""
         given = (
             of
             if isinstance(of, Mapping)
@@ -145,7 +145,7 @@ class Numbers:
         return list(self.of_names)
 
     def parts(self, history: History) -> np.ndarray:
-        """The parts of a history, (parts, ...)."""
+        """Values of the parts in a history, (parts, ...)."""
         found = []
         for one in self.wanted:
             ends, integrals = one.weights(history.times)
@@ -155,7 +155,7 @@ class Numbers:
         return np.array(found)
 
     def values(self, parts: np.ndarray) -> np.ndarray:
-        """The numbers, (numbers,)."""
+        """Values of the numbers from values of their parts, (numbers,)."""
         return np.array(
             [
                 parts[own][0] if misfit is None else 0.5 * np.sum(misfit.residuals(parts[own]) ** 2)
@@ -164,23 +164,23 @@ class Numbers:
         )
 
     def coefficients(self, parts: np.ndarray) -> np.ndarray:
-        """The derivatives of the numbers by the parts, (numbers, parts)."""
+        """Derivatives of the numbers by their parts, (numbers, parts)."""
         result = np.zeros((len(self.of_names), len(parts)))
         for row, (own, misfit) in zip(result, self.of_names.values(), strict=True):
             row[own] = 1.0 if misfit is None else misfit.residuals(parts[own]) / np.asarray(misfit.sigma)
         return result
 
     def weights(self, history: History, of_stages: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The derivatives of the numbers by the columns at the ends of steps, and by their means over stages.
+        """Derivatives of the numbers by columns at the ends of steps, and by columns' means over stages.
 
-        Both are (numbers, steps + 1, columns); ``of_stages`` says which columns are such means.
+        Both are (numbers, steps + 1, columns); the mask ``of_stages`` marks columns that are such means.
         """
         times = history.times
         ends, integrals = (np.zeros((len(self.wanted), len(times), len(self.columns))) for _ in range(2))
         for i, one in enumerate(self.wanted):
             column = self.columns.index(one.column)
             ends[i, :, column], integrals[i, :, column] = one.weights(times)
-        means = np.flip(np.cumsum(np.flip(integrals, 1), 1), 1)  # an integral until later has the step in it
+        means = np.flip(np.cumsum(np.flip(integrals, 1), 1), 1)  # all later integrals contain a step
         means *= np.diff(times, prepend=times[0])[:, None]
         coefficients = self.coefficients(self.parts(history))
         of_ends, of_means = np.where(of_stages, 0.0, ends), means + np.where(of_stages, ends, 0.0)

@@ -1,10 +1,10 @@
-"""Parameters of a run by name, and the same run with other values of them.
+"""Parameters of a run by name, and runs with other values of the parameters.
 
-A name is a path of attributes, keys and numbers, separated by dots, that begins at one of the run's parts:
+A name is a path of attributes, keys and numbers, separated by dots, that begins at a part of the run:
 ``material``, ``viscosity``, ``hyperviscosity``, ``creep``, ``heat``, ``regularisation``, ``loads`` and
 ``bodies`` of the model, ``initial`` or ``walls``.  A member of ``loads`` or ``bodies`` is named by its name
 or its number: ``material.G_e``, ``loads.gravity.g.1``, ``bodies.disc.material.G_e``,
-``walls.top.velocity.0``.  The tables ``rheology`` and ``model`` may stand in front, as in case files.
+``walls.top.velocity.0``.  The path may begin with the tables ``rheology`` or ``model`` of case files.
 """
 
 from __future__ import annotations
@@ -35,13 +35,13 @@ _IN_FRONT = ("rheology", "model")
 _START = "initial"
 
 STEP = 1e-3
-"""Spacing of the differences by a parameter, in units of the parameter."""
+"""Spacing h of the differences by a parameter p, relative to p."""
 OFFSETS = {4: (-2.0, -1.0, 1.0, 2.0), 2: (-0.1, 0.1)}
-"""Offsets o of the values p + o h, by the order of the differences."""
+"""Offsets o of the evaluations at p + o h, by the order of the differences."""
 
 
 def differenced(values: Sequence[np.ndarray], h: float) -> np.ndarray:
-    """A derivative, of the values at four or two ``OFFSETS`` times h."""
+    """Derivative from values at four or two ``OFFSETS`` times h."""
     result: np.ndarray
     if len(values) == 2:
         result = (values[1] - values[0]) / ((OFFSETS[2][1] - OFFSETS[2][0]) * h)
@@ -53,18 +53,18 @@ def differenced(values: Sequence[np.ndarray], h: float) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Named:
-    """A parameter of a run, by its path; see the module's docstring.
+    """A parameter of a run, given by a path as described in this module.
 
-    Raises ParameterError for a path that leads to no number, UnknownNameError for a part that is not there.
+    Raises ParameterError for a path that leads to no number, UnknownNameError for an unknown part.
 
     Attributes
     ----------
     name : str
-        As it was given.
+        The path as the user gave it.
     value : float
-        Its value in the run, in SI units.
+        Value of the parameter in the run, in SI units.
     spacing : float
-        h of the differences by it, > 0.
+        Spacing h > 0 of the differences by the parameter.
     """
 
     name: str
@@ -74,7 +74,7 @@ class Named:
 
     @classmethod
     def of(cls, name: str, simulation: Simulation) -> Named:
-        """The parameter of this name of a run."""
+        """The parameter of a run with a given name."""
         if not isinstance(name, str):
             raise ParameterError("by", name, 'names of parameters, e.g. "material.G_e"')
         keys = tuple(name.split("."))
@@ -92,13 +92,13 @@ class Named:
 
     @property
     def is_of_start(self) -> bool:
-        """Whether it is one of the start values, which no equation of a step reads."""
+        """Whether the parameter is a start value, on which no equation of a step depends."""
         return self.keys[0] == _START
 
     def varied(self, simulation: Simulation, value: float) -> Simulation:
         """A new run at its start, without observers, with another value of the parameter.
 
-        Raises ParameterError for a value out of the parameter's range.
+        Raises ParameterError for a value outside the parameter's range.
         """
         try:
             return varied(simulation, {self: value})
@@ -112,13 +112,12 @@ def varied(
 ) -> Simulation:
     """A new run at its start with other values of parameters.
 
-    The velocity scale stays that of the run.  Raises ParameterError for a value out of a parameter's
-    range.
+    The run's velocity scale is kept.  Raises ParameterError for a value outside a parameter's range.
     """
     steps = dataclasses.replace(simulation.arguments["time"], velocity_scale=simulation.velocity_scale)
     model, parts = simulation.model, {name: simulation.arguments[name] for name in _OF_RUN}
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # the run itself has said what is doubtful
+        warnings.simplefilter("ignore")  # the original run has shown its warnings
         for parameter, value in values.items():
             root, rest = parameter.keys[0], parameter.keys[1:]
             if root in _OF_RUN:
@@ -139,7 +138,7 @@ def _root(simulation: Simulation, name: str) -> Any:
 
 
 def _member(owner: Any, key: str) -> Any:
-    """The value of a key in its owner; None where the owner does not have the key."""
+    """Key, index or field that ``key`` denotes in its owner; None if the owner has none."""
     if isinstance(owner, Mapping):
         names = [k for k in owner if key in ((k,) if isinstance(k, str) else k)]
         return names[0] if names else None
@@ -155,7 +154,7 @@ def _member(owner: Any, key: str) -> Any:
 
 
 def _known(owner: Any) -> list[str]:
-    """The keys that an owner has."""
+    """Keys of an owner."""
     if isinstance(owner, Mapping):
         return [str(key) for key in owner]
     if isinstance(owner, Sequence) and not isinstance(owner, str):
@@ -173,12 +172,12 @@ def _found(owner: Any, keys: Sequence[str], name: str) -> Any:
     place = _member(owner, keys[0])
     if place is None:
         raise UnknownNameError(f"part of {name!r}", keys[0], _known(owner))
-    is_within = dataclasses.is_dataclass(owner) and place != keys[0]  # of a material that another one wraps
+    is_within = dataclasses.is_dataclass(owner) and place != keys[0]  # within a wrapped material
     return _found(_get(owner, place), keys if is_within else keys[1:], name)
 
 
 def _changed(owner: Any, keys: Sequence[str], value: float) -> Any:
-    """The owner with another value at the end of the path."""
+    """A copy of the owner with another value at the end of the path."""
     if not keys:
         return value
     place = _member(owner, keys[0])

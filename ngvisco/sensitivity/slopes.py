@@ -1,4 +1,4 @@
-"""Slopes of columns: their derivatives by all coefficients of a state."""
+"""Slopes of columns: derivatives of their values by all coefficients of a state."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ from ngvisco.sensitivity.follower import Follower
 from ngvisco.sensitivity.parameters import OFFSETS, differenced
 
 _SPACING = 1e-3
-"""The step of differences by a cell's coefficients, in units of the largest coefficient of their unknown."""
+"""Spacing of differences by a cell's coefficients, relative to the unknown's largest one in the cell."""
 
 
 class Slopes:
     """The slopes of a follower's columns at its present state.
 
-    Those of ledger columns and of integrals are forms; of a probe the coefficients of the probe's cell count
-    alone, by which its value is differenced.  Raises ParameterError for a column whose slope is not known: a
-    force on a wall, the power of one that moves, or one of a table of bodies.
+    Slopes of ledger columns and of integrals are variations of forms.  The value of a probe is differenced by
+    the coefficients of the probe's cell.  Raises ParameterError for a column without a slope: a force on a
+    wall, the power of a moving wall, or a column of a table of bodies.
     """
 
     def __init__(self, follower: Follower) -> None:
@@ -38,7 +38,7 @@ class Slopes:
         self._vector = self.step.state.vec.CreateVector()
         trial = self.step.linearised_fields(self.step.layout.space.TrialFunction())
         known = {**energies(self.step, trial), "mass": Integrand(trial.rho)}
-        if self.step.energy.projected is not None:  # known at the state alone, as is its slope
+        if self.step.energy.projected is not None:  # energy and slope are known at the state only
             known["stored"] = Integrand(inner(self.step.energy.slope(self.step.now), trial.z))
         known |= {entry.name: entry.integrand for entry in self.step.entries(trial) if entry.evaluate is None}
         for table in follower.columns.tables:
@@ -60,7 +60,7 @@ class Slopes:
                 raise ParameterError("of", name, expected)
 
     def __call__(self, name: str) -> np.ndarray:
-        """The slope of a column at the present state, by all coefficients."""
+        """Slope of a column at the present state by all coefficients, (unknowns,)."""
         return self._of[name]()
 
     def _form(self, integrand: Integrand) -> Callable[[], np.ndarray]:
@@ -97,7 +97,7 @@ class Slopes:
         return slope
 
     def _is_linear(self, field: str) -> bool:
-        """Whether a field is linear in the state, so that its slope is one for all."""
+        """Whether a field is linear in the state, so that its slope is constant."""
         names = {"velocity", "density", *self.step.layout.states.slices}
         return field in names or field.rpartition("_")[0] in names
 

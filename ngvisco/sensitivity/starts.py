@@ -1,4 +1,4 @@
-"""How the equations of a stage, and a combined end, depend on the states that they start from."""
+"""Derivatives of a stage's equations, and of a combined end, by the states from which they start."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from ngvisco.sensitivity.trajectory import Stage
 
 
 class Starts:
-    """Products with the transposes of R_y, of a stage's equations by one of the states y that it starts from.
+    """Products with the transpose of R_y, the derivative of a stage's equations by one of its start states y.
 
-    R reads sum w_k y_k, and sum w_k rho_k v_k at the points: as a form with y_k as trial function, the others
-    being kept, its linearisation at y_k is R_y.
+    R depends on sum w_k y_k, and on sum w_k rho_k v_k at the points.  The linearisation of a form with y_k as
+    trial function and other states fixed is R_y.
     """
 
     def __init__(self, follower: Follower) -> None:
         self.follower, self.step = follower, follower.step
         layout, quadrature = self.step.layout, self.step.quadrature
         self.evolving = np.zeros(layout.space.ndof, dtype=bool)
-        """Which coefficients of a state a step reads that starts from it."""
+        """Whether a step reads each coefficient of its start state, (unknowns,)."""
         for name in layout.evolving:
             self.evolving[layout.ranges[name]] = True
         self._weight = Parameter(1.0)
@@ -51,9 +51,9 @@ class Starts:
         return form
 
     def transposed(self, stage: Stage, states: list[np.ndarray], number: int, rows: np.ndarray) -> np.ndarray:
-        """R_y^T of rows, y the state of this number among those that the stage starts from.
+        """Product R_y^T ``rows`` for the start state y with this ``number`` in a stage.
 
-        The stage is posed, and its solution is the present state.
+        The stage has to be posed, with its solution as the present state.
         """
         weights, step = stage.starts, self.step
         others = [(w, y) for k, (w, y) in enumerate(zip(weights, states, strict=False)) if k != number]
@@ -78,7 +78,7 @@ class Starts:
         return self.step.quadrature.vectors(self.step.mesh.dim)
 
     def momentum_transposed(self, state: np.ndarray, rows: np.ndarray) -> np.ndarray:
-        """The transpose of the derivative of int rho v . w by a state, of rows."""
+        """Product of ``rows`` with the transposed derivative of int rho v . w by a state."""
         form = self.follower.momentum
         self._at.FV().NumPy()[:] = state
         form.AssembleLinearization(self._at)
@@ -88,7 +88,7 @@ class Starts:
 
     @cached_property
     def _functions(self) -> tuple[BilinearForm, np.ndarray]:
-        """The equations of the unknowns that are functions of others, and which coefficients they have."""
+        """Equations of the unknowns that are functions of others, and a mask of their coefficients."""
         step, layout = self.step, self.step.layout
         u, w = step.linearised_fields(layout.space.TrialFunction()), step.tests()
         form, own = BilinearForm(layout.space), np.zeros(layout.space.ndof, dtype=bool)
@@ -100,7 +100,7 @@ class Starts:
         return form, own
 
     def through_functions(self, slope: np.ndarray) -> np.ndarray:
-        """A slope at the present state by the other unknowns, those that are functions of them following."""
+        """Slope by the independent unknowns at the present state, with dependent unknowns following them."""
         form, own = self._functions
         if not slope[own].any():
             return slope

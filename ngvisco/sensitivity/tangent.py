@@ -1,13 +1,13 @@
-"""Tangents of a run: how its states and columns change with parameters, forwards through its steps.
+"""Tangents of a run: derivatives of its states and columns by parameters, forwards through its steps.
 
-A stage's solution U of R(U, y; p) = 0, y the states that it starts from, changes by
+A stage's solution U of R(U, y; p) = 0 with start states y changes by
 
-    dU = -R_U^{-1} (R_y dy + R_p dp),
+    dU = -R_U^{-1} (R_y dy + R_p dp).
 
-R_U exact, and what is in brackets the derivative of R at fixed U along (dy, dp), by differences of fourth
-order: R is evaluated by runs with the parameter at p -+ h, p -+ 2 h, whose states are y + o h dy.  Columns
-are differenced in the same way.  At an end that is combined of the stages the same is done with the momentum,
-int rho v . w - <m, w> = 0 for v.
+R_U is exact.  The bracket is the derivative of R at fixed U along (dy, dp), by differences of fourth order:
+runs with the parameter at p + o h, o = -+1, -+2, evaluate R with the start states y + o h dy.  Columns are
+differenced in this way too, and at a combined end also the momentum equation for v, int rho v . w - <m, w> =
+0.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ from ngvisco.sensitivity.trajectory import RecordedStep, Stage, Trajectory
 
 
 class Neighbours:
-    """The followers with a parameter at p + o h, and sums of their answers that are derivatives by it.
+    """Followers with a parameter at p + o h, and derivatives by the parameter from their results.
 
-    ``base`` has the columns, and ``order`` is that of the differences, 4 or 2.
+    ``base`` has the columns, and ``order`` is the order of the differences, 4 or 2.
     """
 
     def __init__(self, parameter: Named, simulation: Simulation, base: Columns, order: int = 4) -> None:
@@ -37,20 +37,20 @@ class Neighbours:
         runs = [parameter.varied(simulation, parameter.value + step) for step in self.steps]
         self.followers = [Follower(run, base.of(run)) for run in runs]
         self.of_start = self.derivative([follower.state.copy() for follower in self.followers])
-        """The derivative of the start values, (unknowns,)."""
+        """Derivative of the start values, (unknowns,)."""
 
     def derivative(self, values: Sequence[np.ndarray]) -> np.ndarray:
-        """The derivative of what the followers have found."""
+        """Derivative from the followers' results."""
         return differenced(values, self.parameter.spacing)
 
     def at(self, state: np.ndarray) -> list[Follower]:
-        """The followers, with one state of all."""
+        """The followers, all set to one state."""
         for follower in self.followers:
             follower.at(state)
         return self.followers
 
     def moved(self, state: np.ndarray, along: np.ndarray) -> list[np.ndarray]:
-        """A state at p + o h, to first order."""
+        """States at p + o h to first order, for a state at p and its derivative."""
         return [state + step * along for step in self.steps]
 
 
@@ -61,9 +61,9 @@ def tangents(
     from_start: bool,
     progress: Callable[[int], None] = lambda number: None,
 ) -> History:
-    """The derivatives of the base's columns along a trajectory, (steps + 1, columns, parameters).
+    """Derivatives of the base's columns along a trajectory, (steps + 1, columns, parameters).
 
-    ``from_start`` says whether the start values depend on the parameters, as those of a run's start do.
+    ``from_start`` tells whether the start values depend on the parameters, as at the start of a run.
     """
     runs = [_Tangent(one, base.state.copy(), from_start) for one in neighbours]
     linearised, times = Linearised(base), [trajectory.steps[0].begin]
@@ -79,7 +79,7 @@ def tangents(
 
 
 def history(trajectory: Trajectory, base: Follower) -> History:
-    """The base's columns along a trajectory, (steps + 1, columns)."""
+    """Values of the base's columns along a trajectory, (steps + 1, columns)."""
     steps, columns = trajectory.steps, base.columns
     base.at(steps[0].state)
     ends, integrals = [columns.state()], [np.zeros(len(columns.names))]
@@ -118,19 +118,19 @@ def _step(
 
 
 class _Tangent:
-    """The tangent by one parameter."""
+    """The tangent for one parameter."""
 
     def __init__(self, neighbours: Neighbours, start: np.ndarray, from_start: bool) -> None:
         self.near = neighbours
         self.along = neighbours.of_start if from_start else np.zeros_like(start)
-        """The tangent of the present state."""
+        """Derivative of the present state by the parameter."""
         self._states: list[list[Evolved]] = []
 
     def _differenced(self, of: Callable[[int, Follower], np.ndarray]) -> np.ndarray:
         return self.near.derivative([of(i, one) for i, one in enumerate(self.near.followers)])
 
     def begin(self, first: RecordedStep) -> np.ndarray:
-        """The columns' derivatives at the start of the first step."""
+        """Derivatives of the columns at the start of the first step."""
         return self._columns_at(first.state)
 
     def _columns_at(self, state: np.ndarray) -> np.ndarray:
@@ -145,13 +145,13 @@ class _Tangent:
         return self._differenced(columns)
 
     def start(self, state: np.ndarray) -> None:
-        """A step begins from a state."""
+        """Begin a step from a state."""
         moved = self.near.moved(state, self.along)
         self._states = [[one.evolved(u)] for one, u in zip(self.near.followers, moved, strict=True)]
         self._mean = np.zeros(len(self.near.followers[0].columns.names))
 
     def stage(self, stage: Stage, linearised: Linearised, is_read: bool) -> None:
-        """Follow a stage, whose R_u is factorised; ``is_read`` says whether something starts from it."""
+        """Follow a stage with factorised R_u; ``is_read`` tells whether a later stage or end uses it."""
         found = []
         for one, states in zip(self.near.followers, self._states, strict=True):
             one.pose(stage, states)
@@ -170,7 +170,7 @@ class _Tangent:
             states.append(one.evolved(u))
 
     def end(self, taken: RecordedStep, linearised: Linearised) -> tuple[np.ndarray, np.ndarray]:
-        """The derivatives of the columns at the step's end, and of their means over its stages."""
+        """Derivatives of the columns at the step's end, and of their means over its stages."""
         if taken.is_combined:
             self._combine(taken, linearised)
         values = self._columns_at(taken.after)
@@ -185,7 +185,7 @@ class _Tangent:
         ]
         along, rows = (self.near.derivative(values) for values in zip(*found, strict=True))
         moved = self.near.moved(taken.after, along - linearised.end(rows))
-        # what is a function of v follows it
+        # unknowns that are functions of v follow v
         self.along = self._differenced(lambda i, one: one.completed(moved[i]))
         moved = self.near.moved(taken.after, self.along)
         if self.near.followers[0].columns.is_of_stages.any():

@@ -16,11 +16,10 @@ from ngvisco.solver.problem import Interval
 
 @dataclass(frozen=True)
 class Stage:
-    """A Rothe step of a run, solved.
+    """A solved Rothe step of a run.
 
-    ``state`` are the coefficients of its solution, ``starts`` the weights of the states
-    y_0, y_1, ... that it starts from, and ``share`` is the scheme's b_i; ``stresses`` are what flow rules are
-    linearised at.
+    ``state`` has the coefficients of its solution, ``starts`` the weights of the states y_0, y_1, ... in its
+    start value, and ``share`` is the scheme's b_i.  Flow rules are linearised at ``stresses``.
     """
 
     state: np.ndarray
@@ -32,10 +31,10 @@ class Stage:
 
 @dataclass(frozen=True)
 class RecordedStep:
-    """A step of the scheme: from ``state`` at ``begin`` to ``end``, s.
+    """A step of the scheme, from ``state`` at time ``begin`` to ``after`` at time ``end``, s.
 
-    ``weights`` are those of the end in y_0, y_1, ..., the start and the stages' solutions.  ``is_combined``
-    says whether the end, ``after``, is another state than the last stage's, as the midpoint rule's.
+    ``weights`` of y_0, y_1, ..., the start and the stages' solutions, make the end.  ``is_combined`` tells
+    whether the end differs from the last stage's solution, as for the midpoint rule.
     """
 
     begin: float
@@ -48,27 +47,27 @@ class RecordedStep:
 
     @property
     def tau(self) -> float:
-        """Its length, s."""
+        """Length of the step, s."""
         return self.end - self.begin
 
     @property
     def ends_at_stage(self) -> bool:
-        """Whether the end has the walls' velocities of the last stage, which only the limiter changed."""
+        """Whether the end is the last stage, changed by the limiter only, with its walls' velocities."""
         return bool(np.count_nonzero(self.weights) == 1 and self.weights[-1] == 1.0)
 
 
 @dataclass
 class Trajectory:
-    """Records a run while it goes on; of the integrator's ``carried``.
+    """Records the steps of a run, as one of the integrator's ``carried`` objects.
 
-    Raises ParameterError for a run whose steps have no derivative: damage that grows, pistons on oblique
-    walls, relaxed steps, several ranks.
+    Raises ParameterError for a run without derivatives: with growing damage, pistons on oblique walls,
+    relaxed steps, or several ranks.
     """
 
     simulation: Simulation
     steps: list[RecordedStep] = field(default_factory=list)
     limited: int = 0
-    """Cells that the limiter changed, over all steps."""
+    """Number of cells that the limiter changed, summed over the steps."""
 
     def __post_init__(self) -> None:
         run = self.simulation
@@ -88,7 +87,7 @@ class Trajectory:
         self._begin()
 
     def _lacks_derivatives(self) -> bool:
-        """Whether the equations read more of an energy that is known at points than its slope."""
+        """Whether the equations need more than the slope of an energy that is known at points only."""
         model, step = self.simulation.model, self.simulation.rothe_step
         law = model.regularisation
         if step.energy.projected is None:
@@ -103,7 +102,7 @@ class Trajectory:
         self._stages: list[Stage] = []
 
     def run(self, until: float) -> None:
-        """Let the run go on, and record it."""
+        """Run until a time, s, and record the steps."""
         carried = self.simulation.integrator.carried
         carried.append(self)
         try:
@@ -111,14 +110,14 @@ class Trajectory:
         finally:
             carried[:] = [one for one in carried if one is not self]
 
-    # of the integrator
+    # methods that the integrator calls
 
     def begin(self) -> None:
-        """A step begins, or begins anew."""
+        """Begin a step, or repeat it."""
         self._begin()
 
     def stage(self, weights: np.ndarray, share: float) -> None:
-        """The present state is a stage's solution."""
+        """Record the present state as a stage's solution."""
         step = self.simulation.rothe_step
         c = step.context
         lengths = (c.tau.Get(), self._t, time.Get(), *c.loads_window)
@@ -128,7 +127,7 @@ class Trajectory:
         self._stages.append(stage)
 
     def end(self, weights: np.ndarray) -> None:
-        """The step is accepted; the present state is its end."""
+        """Record the accepted step with the present state as its end."""
         state = self.simulation.rothe_step.state.vec.FV().NumPy().copy()
         is_combined = not np.array_equal(state, self._stages[-1].state)
         row = self.simulation.ledger.rows[-1]
