@@ -21,7 +21,15 @@ import numpy as np
 
 
 class NgviscoError(Exception):
-    """Root of all errors that ngvisco raises on purpose."""
+    """Root of all errors that ngvisco raises on purpose.
+
+    Attributes
+    ----------
+    key : str
+        The parameter at fault, e.g. ``"NeoHookean.G_e"``, ``"walls['top'].f"``; empty where none is.
+    """
+
+    key = ""
 
 
 class ParameterError(NgviscoError, ValueError):
@@ -39,6 +47,7 @@ class ParameterError(NgviscoError, ValueError):
 
     def __init__(self, field: str, value: object, expected: str) -> None:
         self.field, self.value, self.expected = field, value, expected
+        self.key = field
         # objects without a text of their own, such as NGSolve's functions, by their class
         shown = re.sub(r"<(?:[\w.]+\.)?(\w+) object at 0x[0-9a-f]+>", r"<\1>", repr(value))
         super().__init__(f"{field} = {shown}: expected {expected}")
@@ -47,8 +56,8 @@ class ParameterError(NgviscoError, ValueError):
 class UnknownNameError(NgviscoError, KeyError):
     """A name (boundary, material variable, column, ...) that does not exist."""
 
-    def __init__(self, kind: str, name: str, known: Iterable[str]) -> None:
-        self.kind, self.name, self.known = kind, name, sorted(set(known))
+    def __init__(self, kind: str, name: str, known: Iterable[str], key: str = "") -> None:
+        self.kind, self.name, self.known, self.key = kind, name, sorted(set(known)), key
         hint = nearest(str(name), self.known)
         self.message = f"unknown {kind} {name!r}{hint} (known: {listed(self.known)})"
         super().__init__(self.message)
@@ -79,8 +88,8 @@ class MeshError(NgviscoError, ValueError):
 class InitialDataError(NgviscoError, ValueError):
     """Initial data outside the set where the model is defined (rho_0 <= 0, det F_0 <= 0, NaN)."""
 
-    def __init__(self, field: str, value: object, expected: str) -> None:
-        self.field, self.value, self.expected = field, value, expected
+    def __init__(self, field: str, value: object, expected: str, key: str = "Initial") -> None:
+        self.field, self.value, self.expected, self.key = field, value, expected, key
         super().__init__(f"initial {field}: {value}; expected {expected}")
 
 

@@ -261,7 +261,7 @@ class Case:
                     volume += volumes(mesh, [shape])[0]
             with self.blame.located("bodies", str(i), "where"):
                 if body.where is not None and not volume > 0:
-                    raise ParameterError("bodies.where", body.where, MISSED)
+                    raise ParameterError(f"bodies[{body.name!r}].where", body.where, MISSED)
 
     def observers(self, directory: str | os.PathLike[str], until: float | None = None) -> list[Observer]:
         """Ledger, VTK series, tables and checkpoints, which come last, in a run directory."""

@@ -9,13 +9,12 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, is_dataclass
 from functools import cache
-from itertools import chain
 from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
 from ngvisco.case.schema import CaseSections
-from ngvisco.case.section import TAGS, Section, models_in, owner_of, parameters, place_in
+from ngvisco.case.section import TAGS, Section, models_in, owner_of, place_in
 from ngvisco.case.toml import line_of, value_text
 from ngvisco.case.values import Wrong
 from ngvisco.errors import (
@@ -23,7 +22,6 @@ from ngvisco.errors import (
     MeshError,
     NgviscoError,
     ParameterError,
-    UnknownNameError,
     nearest,
 )
 from ngvisco.parallel.petsc import PETScError
@@ -283,46 +281,25 @@ class Blame:
             yield
         except (CaseError, PETScError):  # what the installation lacks is no fault of a section
             raise
-        except ParameterError as error:
-            key = key_of(error.field, path, self.sections, error.value)
-            raise self.error(key, refused(self._written(key, error.value), error)) from error
-        except UnknownNameError as error:
-            where = (*_SECTION_OF_NAME.get(error.kind, path), error.name)
-            key = (*path, "names") if error.kind == "subdomain" else where
-            key = key_of(error.kind, path, self.sections) if "." in error.kind else key
-            raise self.error(key, str(error)) from error
-        except InitialDataError as error:
-            material: Any = self.sections.material
-            if error.field == "stored energy" and self._starts_at_rest and material is not None:
-                names = ", ".join(parameters(material))
-                message = f"its energy at rest is not finite: expected other values of {names}"
-                raise self.error(("material",), message) from error
-            key = self._initial_key(error.field, path)
-            there = shown(self._written(key, error.field))
-            start = f"{there}: at the start {error.value}; expected {error.expected}"
-            raise self.error(key, str(error) if key[0] == "initial" else start) from error
-        except MeshError as error:
-            of_file = self.sections.domain.geometry == "file"  # type: ignore[attr-defined]
-            raise self.error(("domain", "path") if of_file else ("domain",), str(error)) from error
         except NgviscoError as error:
-            raise self.error(path, str(error)) from error
+            raise self.error(*self._fault(error, path)) from error
         except Exception as error:  # NGSolve and Netgen raise bare exceptions for what they refuse
             abort_alone(error)
             raise self.error(path, f"{type(error).__name__}: {error}") from error
 
-    @property
-    def _starts_at_rest(self) -> bool:
-        initial: Any = self.sections.initial
-        return initial.F is None and not initial.values
-
-    def _initial_key(self, field: str, path: tuple[str, ...]) -> tuple[str, ...]:
-        """The key to blame for start values: of a law's modulus, of one variable, of the state."""
-        if re.fullmatch(r"[\w\['\].]+\.\w+", field):
-            return key_of(field, path, self.sections)
-        values: Any = self.sections.initial.values  # type: ignore[attr-defined]
-        named = (("values", name) for name in values if re.search(rf"\b{re.escape(name)}(_0)?\b", field))
-        known = ((key,) for word, key in _INITIAL_KEYS.items() if word in field)
-        return ("initial", *next(chain(named, known), ()))
+    def _fault(self, error: NgviscoError, path: tuple[str, ...]) -> tuple[tuple[str, ...], str]:
+        """The key at fault and the message."""
+        value = getattr(error, "value", None)
+        key = key_of(error.key, path, self.sections, value) if error.key else path
+        if isinstance(error, MeshError):
+            of_file = self.sections.domain.geometry == "file"  # type: ignore[attr-defined]
+            return ("domain", "path") if of_file else ("domain",), str(error)
+        if isinstance(error, ParameterError):
+            return key, refused(self._written(key, value), error)
+        if isinstance(error, InitialDataError) and key[:1] != ("initial",):
+            there = shown(self._written(key, error.field))
+            return key, f"{there}: at the start {error.value}; expected {error.expected}"
+        return key, str(error)
 
     def _written(self, key: tuple[str, ...], value: object) -> object:
         """The value that the file has under a key, or the one that was made of it."""
@@ -338,48 +315,49 @@ def key_of(field: str, path: tuple[str, ...], sections: Any, value: object = Non
     ``path`` is that of the section from which the object with the parameter was made; where several tables
     may be meant it is the one that has the ``value``.
     """
-    owner, *rest = names_in(field)
-    if owner in ("loads", "bodies"):
-        names = [str(part.name) for part in getattr(sections, owner)]
-        if not rest or rest[0] not in names:
-            return path
-        path, rest = (owner, str(names.index(rest[0]))), rest[1:]
-        if len(rest) < 2:
-            return (*path, *rest)
-        owner, *rest = rest
-    if field == "Simulation.symmetry":
-        return ("domain", "symmetry")
-    if owner == "Model":
-        return (rest[0],) if rest[:1] in (["bodies"], ["loads"]) else ("rheology", *rest)
-    if owner in _KEYS:
-        return (*_KEYS[owner], *(() if owner in ("until", "stops") else rest))
-    tables = [
-        (*place, *rest)
-        for place, part in tables_of(sections)
-        if owner in (type(part).__name__, owner_of(type(part)).__name__)
-    ]
-    found = [key for key in tables if not rest or has_key(sections, key[: len(key) - len(rest) + 1])]
+    names = names_in(field)
+    for length in (2, 1):
+        if (alias := _ALIASES.get(".".join(names[:length]))) is not None:
+            names = [*alias, *names[length:]]
+    found = _reached(sections, (), names) or _reached(given(sections, path), path, names[1:]) or [path]
+    deepest = max(map(len, found))
+    found = [key for key in found if len(key) == deepest]
     near = [key for key in found if key[: len(path)] == path] or found
     exact = [key for key in near if value is not None and given(sections, key) == value]
-    own = (*path, *rest)
-    tables = [key[: len(key) - len(rest)] for key in tables]  # of what no key of theirs says
-    return (exact or near or tables or [own if has_key(sections, own[: len(path) + 1]) else path])[0]
+    return (exact or near)[0]
 
 
-_KEYS: dict[str, tuple[str, ...]] = {
-    "walls": ("walls",),
+_ALIASES = {
+    "Model": ("rheology",),
+    "Model.bodies": ("bodies",),
+    "Model.loads": ("loads",),
+    "Model.material": ("material",),
     "Simulation": ("time",),
+    "Simulation.symmetry": ("domain", "symmetry"),
     "until": ("time", "until"),
     "stops": ("time", "until"),
     "passive": ("output", "passive"),
 }
-"""Keys of what the parts of a simulation name in their errors, and what no table makes."""
+"""Keys of the parts of a simulation that no table makes."""
 
 
-_SECTION_OF_NAME = {
-    "material variable": ("initial", "values"),
-    "passive field": ("output", "passive"),
-    "boundary": ("walls",),
-    "wall": ("domain", "refine"),
-}
-_INITIAL_KEYS = {"rho_0": "density", "F_0": "F", "v_0": "velocity", "material variables": "values"}
+def _reached(node: Any, path: tuple[str, ...], names: Sequence[str]) -> list[tuple[str, ...]]:
+    """The keys that names lead to from a part of a case: names of keys, of members, and of classes of tables.
+
+    A name that leads nowhere ends the way; without a first step there is no key.
+    """
+    if not names:
+        return []
+    name, rest = names[0], names[1:]
+    inner: list[tuple[tuple[str, ...], Any]] = []
+    if isinstance(node, Section) and name in type(node).model_fields:
+        inner = [((*path, name), getattr(node, name))]
+    elif isinstance(node, dict) and name in node:
+        inner = [((*path, name), node[name])]
+    elif isinstance(node, list):
+        members = [str(i) for i, one in enumerate(node) if name in (str(i), getattr(one, "name", None))]
+        inner = [((*path, i), node[int(i)]) for i in members[:1]]
+    if not inner:
+        tables = tables_of(node, path)
+        inner = [(p, t) for p, t in tables if name in (type(t).__name__, owner_of(type(t)).__name__)]
+    return [key for p, part in inner for key in _reached(part, p, rest) or [p]]

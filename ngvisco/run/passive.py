@@ -57,7 +57,7 @@ class PassiveFields:
     def __init__(self, step: Step, names: Sequence[str], F_0: CoefficientFunction = IDENTITY) -> None:
         for name in names:
             if name not in NAMES:
-                raise UnknownNameError("passive field", name, NAMES)
+                raise UnknownNameError("passive field", name, NAMES, "passive")
         self.step, self.names = step, tuple(dict.fromkeys(names))
         dim = step.mesh.dim
         self._stages: list[dict[str, np.ndarray]] = []

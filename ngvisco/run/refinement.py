@@ -88,7 +88,7 @@ class Refinement:
         """Which cells of the whole mesh are to be divided, (cells,), on the first rank; collective."""
         fields = simulation.fields
         if self.field not in fields:
-            raise UnknownNameError("Refinement.field", self.field, fields)
+            raise UnknownNameError("Refinement.field", self.field, fields, "Refinement.field")
         mesh, sampler, usual = simulation.mesh, simulation.sampler, self._usual(simulation)
         cells, rows = sampler.points["nr"], sampler.rows(fields[self.field])
         values = rows[:, 0] if rows.shape[1] == 1 else np.linalg.norm(rows, axis=1)

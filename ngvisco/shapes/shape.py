@@ -292,7 +292,7 @@ class Subdomain(Shape):
         known = at.mesh.GetMaterials()
         for name in self.names:
             if name not in known:
-                raise UnknownNameError("subdomain", name, known)
+                raise UnknownNameError("subdomain", name, known, "Subdomain.names")
         wanted = np.array([name in self.names for name in known])
         elements = at.mesh.ngmesh.Elements2D() if at.mesh.dim == 2 else at.mesh.ngmesh.Elements3D()
         index = elements.NumPy()["index"][at.cell_numbers]  # counted from 1

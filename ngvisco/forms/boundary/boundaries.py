@@ -48,12 +48,12 @@ _CORNER = np.deg2rad(59.0)  # angles above are corners of the domain, not of its
 _CURVED = 0.5  # share of the chords' angles that may be left; straight facets keep all
 
 
-def check_boundary_names(mesh: Mesh, names: Iterable[str]) -> None:
+def check_boundary_names(mesh: Mesh, names: Iterable[str], owner: str = "walls") -> None:
     """Raise UnknownNameError for a name that no boundary of the mesh has; NGSolve stays silent."""
     known = set(mesh.GetBoundaries())
     for name in names:
         if name not in known:
-            raise UnknownNameError("boundary", name, known)
+            raise UnknownNameError("boundary", name, known, f"{owner}[{name!r}]")
 
 
 def axis_parallel_walls(mesh: Mesh) -> tuple[list[list[str]], list[str]]:

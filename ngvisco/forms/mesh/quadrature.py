@@ -291,10 +291,12 @@ class Sampler:
         where = at if cell is None else f"in cell {cell} {at}"
         return where + (f" and {others} other cell{'s' * (others > 1)}" if others else "")
 
-    def require(self, f: CoefficientFunction, name: str, minimum: float | None = None) -> None:
+    def require(
+        self, f: CoefficientFunction, name: str, key: str = "Initial", minimum: float | None = None
+    ) -> None:
         """Raise InitialDataError unless f is finite (and > ``minimum``) at all points."""
         values = self.values(f)
         if not self.ranks.all(np.isfinite(values).all()):
-            raise InitialDataError(name, "not finite somewhere", "finite values")
+            raise InitialDataError(name, "not finite somewhere", "finite values", key)
         if minimum is not None and (least := self.ranks.least(values)) <= minimum:
-            raise InitialDataError(name, f"minimum {least:.6g}", f"> {minimum:g}")
+            raise InitialDataError(name, f"minimum {least:.6g}", f"> {minimum:g}", key)

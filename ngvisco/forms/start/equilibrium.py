@@ -214,7 +214,7 @@ class Column:
         if isinstance(datum, str):
             walls = self.step.walls
             if datum not in walls.conditions:
-                raise UnknownNameError("wall of Initial.datum", datum, walls.conditions)
+                raise UnknownNameError("wall", datum, walls.conditions, "Initial.datum")
             region = walls.region([datum])
             area = float(Integrate(self._weighed(CF(1.0)), self.mesh, definedon=region))
             return lambda f: float(Integrate(self._weighed(f), self.mesh, definedon=region)) / area

@@ -43,8 +43,8 @@ from ngvisco.physics.tensors import inner, square, tensor_space, trace_free_tens
 
 ScalarLike: TypeAlias = float | CoefficientFunction
 
-_LEAST_DENSITY = 1e-30  # kg/m^3; the largest is one over it, as the sizes of domains are from 1e-30 to 1e30 m
 _CONTRADICTION = 1e-6  # of rho_0 J_0/rho_R from 1: what is left where one of them is rounded to seven digits
+_LEAST_DENSITY = 1e-30  # kg/m^3; the largest is one over it, as the sizes of domains are from 1e-30 to 1e30 m
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -138,9 +138,7 @@ def set_initial(step: Step, initial: Initial, sampler: Sampler) -> CoefficientFu
         raise
     warn_of_own_energy(step, sampler.rows(step.now.z))
     strains = {v.name for v in step.model.material.variables if v.is_strain}
-    is_at_rest = (
-        initial.F is None and initial.equilibrium is None and not strains.intersection(initial.values)
-    )
+    is_at_rest = initial.F is None and initial.equilibrium is None and not strains & {*initial.values}
     warn_of_doubts(step, sampler, values, initial.velocity, is_at_rest)
     known = distortion_of(step.model.material, values)
     return F if known is None else known
@@ -152,7 +150,7 @@ def _data(
     """Start values of the material's variables, the density and the elastic distortion that are meant."""
     material = step.model.material
     F = Id(3) if initial.F is None else as_shape("Initial.F", initial.F, (3, 3))
-    sampler.require(Det(F), "det F_0", minimum=0.0)
+    sampler.require(Det(F), "det F_0", "Initial.F", minimum=0.0)
     told = parameter_values(material, initial.values)
     parameters = carried_of(material, told)
     shares: Values = {}
@@ -169,7 +167,7 @@ def _data(
     density: CoefficientFunction | None = None
     if not of_bodies and initial.density is not None:
         density = as_shape("Initial.density", initial.density, ())
-        sampler.require(density, "density rho_0", minimum=0.0)
+        sampler.require(density, "density rho_0", "Initial.density", minimum=0.0)
         is_open = initial.F is None and initial.equilibrium is None
         if rho_R is not None and is_open and set(initial.values) <= set(parameters):
             F = (rho_R / density) ** (1 / 3) * Id(3)
@@ -178,18 +176,18 @@ def _data(
         density = reduce(add, (body.density * values[AMOUNT + body.name] for body in step.model.bodies))
     elif density is None:
         density = CF(1.0) if rho_R is None else rho_R / volume_ratio(material, values)
-        sampler.require(density, "density rho_0", minimum=0.0)
+        sampler.require(density, "density rho_0", "Initial.density", minimum=0.0)
     elif rho_R is not None:
         _check_density(rho_R, density, volume_ratio(material, values), sampler)
     theta = temperature_for(material, initial.temperature, initial.values, "Initial")
     if theta is not None:
-        sampler.require(theta, "temperature theta_0", minimum=0.0)
+        sampler.require(theta, "temperature theta_0", "Initial.temperature", minimum=0.0)
         values |= entropy_at(material, theta, values)
-    _check_spaces(step, values, sampler)
+    _check_spaces(step, initial.values, values, sampler)
     low, high = sampler.extrema(density)  # whose products with others are numbers
     if not _LEAST_DENSITY <= low <= high <= 1 / _LEAST_DENSITY:
         expected = f"kg/m^3 from {_LEAST_DENSITY:g} to {1 / _LEAST_DENSITY:g}"
-        raise InitialDataError("density rho_0", f"{low:.6g} to {high:.6g}", expected)
+        raise InitialDataError("density rho_0", f"{low:.6g} to {high:.6g}", expected, "Initial.density")
     _check_continuation(material, values, sampler)
     step.ranges = _ranges(step, parameters, sampler)
     return values, density, F
@@ -216,24 +214,26 @@ def _project(
         step.freeze()
         if initial.velocity is not None:
             v_0 = as_vector(initial.velocity, dim, "Initial.velocity")
-            sampler.require(inner(v_0, v_0), "|v_0|^2")
+            sampler.require(inner(v_0, v_0), "|v_0|^2", "Initial.velocity")
             Interpolation(step.layout.blocks["v"])(parts["v"], v_0)
             _impose_walls(step, v_0)
         z = step.now.z_tensors
-        sampler.require(inner(step.now.z, step.now.z), "material variables")
-        sampler.require(step.now.rho, "projected density rho_0", minimum=0.0)
+        sampler.require(inner(step.now.z, step.now.z), "material variables", "Initial.values")
+        sampler.require(step.now.rho, "projected density rho_0", "Initial.density", minimum=0.0)
         signs = [*(v.positive(z[v.name]) for v in material.variables), material.domain(z)]
         if step.model.bodies:  # whose variables vanish where they are not
             signs = list(material.positive(z).values())
         for name, value in ((name, value) for each in signs for name, value in each.items()):
-            sampler.require(value, f"projected {name}_0", minimum=0.0)
+            sampler.require(value, f"projected {name}_0", f"Initial.values[{name!r}]", minimum=0.0)
         if not np.isfinite(step.energy.samples(z, sampler)).all():
             found = step.energy.last_failure or "not finite somewhere"
-            raise InitialDataError("stored energy", found, "finite values")
+            is_at_rest = initial.F is None and not initial.values and not step.model.bodies
+            key = "Model.material" if is_at_rest else "Initial"
+            raise InitialDataError("stored energy", found, "finite values", key)
         complete(step)
     theta = temperature(material, step.now.zeta_tensors)
     if theta is not None:
-        sampler.require(theta, "projected temperature theta_0", minimum=0.0)
+        sampler.require(theta, "projected temperature theta_0", "Initial.temperature", minimum=0.0)
     step.state_old.vec.data = step.state.vec
     step.start_from_old()
 
@@ -249,7 +249,8 @@ def _ranges(step: Step, parameters: Given, sampler: Sampler) -> dict[str, tuple[
             (least, most), (low, high) = ranges[variable.name], variable.limits
             if not low <= least <= most <= high:
                 found, expected = f"from {least:.6g} to {most:.6g}", f"from {low:g} to {high:g}"
-                raise InitialDataError(f"parameter {variable.name}", found, expected)
+                key = f"Initial.values[{variable.name!r}]"
+                raise InitialDataError(f"parameter {variable.name}", found, expected, key)
             ranges[variable.name] = variable.limits
     return ranges
 
@@ -266,7 +267,7 @@ def _at_rest(
     density = None
     if initial.density is not None:
         density = as_shape("Initial.density", initial.density, ())
-        sampler.require(density, "density rho_0", minimum=0.0)
+        sampler.require(density, "density rho_0", "Initial.density", minimum=0.0)
     others = {v.name: initial.values[v.name] for v in material.variables if v.name in initial.values}
     theta = temperature_for(material, initial.temperature, initial.values, "Initial")
     column = Column(step, sampler, {**others, **parameters}, theta, shares, density)
@@ -302,15 +303,14 @@ def _check_moduli(step: Step, told: Values, parameters: Given, sampler: Sampler)
     of_laws = [(owner + name, value, sign) for owner, law in laws for name, value, sign in moduli_in(law)]
     for name, expression, is_positive in of_laws:
         value = told[expression.name] if isinstance(expression, Parameter) else expression.at(parameters)
-        sampler.require(value, name, minimum=0.0 if is_positive else None)
+        sampler.require(value, name, name, 0.0 if is_positive else None)
         if (least := sampler.extrema(value)[0]) < 0:
-            raise InitialDataError(name, f"minimum {least:.6g}", ">= 0")
+            raise InitialDataError(name, f"minimum {least:.6g}", ">= 0", name)
 
 
 def _require_no_time(initial: Initial) -> None:
     """Raise ParameterError for a start value that is a function of the time."""
-    names = ("density", "velocity", "F", "temperature")
-    given = {name: getattr(initial, name) for name in names}
+    given = {name: getattr(initial, name) for name in ("density", "velocity", "F", "temperature")}
     given |= {f"values[{name!r}]": value for name, value in initial.values.items()}
     for name, value in given.items():
         if any(reads_time(part) for part in _functions_in(value)):
@@ -356,7 +356,7 @@ def _further(step: Step, initial: Initial, sampler: Sampler) -> Values:
         if name in initial.values:
             shape, field_name = step.layout.unknowns[name].shape, f"Initial.values[{name!r}]"
             found[name] = value = as_shape(field_name, initial.values[name], shape)
-            sampler.require(inner(value, value), f"|{name}_0|^2")
+            sampler.require(inner(value, value), f"|{name}_0|^2", field_name)
     return found
 
 
@@ -364,7 +364,7 @@ def _check_density(
     rho_R: CoefficientFunction, density: CoefficientFunction, J: CoefficientFunction, sampler: Sampler
 ) -> None:
     """Raise InitialDataError unless rho_0 J_0 = rho_R."""
-    sampler.require(J, "material variables: J_0", minimum=0.0)
+    sampler.require(J, "material variables: J_0", "Initial.values", minimum=0.0)
     least, most = sampler.extrema(density * J / rho_R)
     if max(abs(least - 1), abs(most - 1)) > _CONTRADICTION:
         low, high = sampler.extrema(density * J)
@@ -372,23 +372,27 @@ def _check_density(
         low, high = sampler.extrema(rho_R)
         known = f"rho_R = {low:.7g}" if low == high else f"rho_R, from {low:.7g} to {high:.7g} kg/m^3,"
         expected = f"{known} there, or one of density and J only, from which the other follows"
-        raise InitialDataError("density rho_0", found, expected)
+        raise InitialDataError("density rho_0", found, expected, "Initial.density")
 
 
-def _check_spaces(step: Step, values: Given, sampler: Sampler) -> None:
-    """Raise InitialDataError when a tensor loses something in the space of its variable."""
+def _check_spaces(step: Step, given: Given, values: Given, sampler: Sampler) -> None:
+    """Raise InitialDataError when a tensor loses something in the space of its variable.
+
+    Values that are not ``given`` by name follow from F.
+    """
     for variable in step.model.material.variables:
         space = tensor_space(variable.kind, step.mesh.dim)
         if space.is_scalar:
             continue
-        value = values[variable.name]
+        value, is_given = values[variable.name], variable.name in given
+        key = f"Initial.values[{variable.name!r}]" if is_given else "Initial.F"
         lost = value - space.tensor(space.components(value))
-        sampler.require(square(value), f"{variable.name}_0")
+        sampler.require(square(value), f"{variable.name}_0", key)
         if sampler.extrema(square(lost))[1] > 1e-20 * (1 + sampler.extrema(square(value))[1]):
             shape = "symmetric" if variable.kind == "symmetric" else "3x3"
             if step.mesh.dim == 2:
                 shape += " with zero 13, 23, 31, 32 entries (plane strain)"
-            raise InitialDataError(f"{variable.name}_0", "entries that its space does not hold", shape)
+            raise InitialDataError(f"{variable.name}_0", "entries that its space does not hold", shape, key)
 
 
 def _impose_walls(step: Step, v_0: CoefficientFunction) -> None:
@@ -397,8 +401,7 @@ def _impose_walls(step: Step, v_0: CoefficientFunction) -> None:
     """
     # ``Set`` leaves a small v.n in constrained coefficients, which the ledger would show
     step.state.vec.FV().NumPy()[~mask_of(step.layout.space.FreeDofs())] = 0.0
-    where = step.layout.ranges["v"]
-    v = step.state.vec.FV().NumPy()[where]
+    v = step.state.vec.FV().NumPy()[step.layout.ranges["v"]]
     for name, (_, mask) in step.moving_walls.moving.items():
         n = specialcf.normal(step.mesh.dim)
         through = 0.0 if name in step.walls.crossed else v_0 * n
@@ -424,8 +427,7 @@ def complete(step: Step) -> None:
         rate = trace_free_tensors(dim).components(rates.local_creep(rates.flows[0], u))
         Interpolation(step.layout.blocks["Pi"])(parts["Pi"], rate)
     set_traces(step.layout, step.state, step.context, step.quadrature)
-    law = step.model.hyperviscosity
-    if law is None:
+    if (law := step.model.hyperviscosity) is None:
         return
     _recover_hessian(step, Hyperviscosity(law))
     coefficient = CF(1.0) * law.linear(u.z_tensors)
@@ -438,11 +440,10 @@ def complete(step: Step) -> None:
 
 def _recover_hessian(step: Step, term: Hyperviscosity) -> None:
     """The local projection int Hs : X = lifting of (v, a)."""
-    layout = step.layout
-    parts = dict(zip(layout.names, step.state.components, strict=True))
+    parts = dict(zip(step.layout.names, step.state.components, strict=True))
 
     def lifted(test: CoefficientFunction) -> Sequence[Integrand]:
         # the lifting is tested by hyperstress; its local space is the same as that of hess
-        return term.lifting(step.now, Fields(layout, {"hyperstress": test}))
+        return term.lifting(step.now, Fields(step.layout, {"hyperstress": test}))
 
     LocalProjection(parts["hess"], step.quadrature, lifted)()

@@ -46,7 +46,9 @@ def parameter_values(material: Material, given: Given, owner: str = "Initial") -
             value = given.get(variable.name, variable.start)
             if value is None:
                 expected = f"nv.Parameter({variable.name!r}, start=...), or a value in {owner}.values"
-                raise InitialDataError(f"parameter {variable.name}", "no start value", expected)
+                raise InitialDataError(
+                    f"parameter {variable.name}", "no start value", expected, f"{owner}.values"
+                )
             values[variable.name] = as_shape(f"{owner}.values[{variable.name!r}]", value, ())
     return values
 
@@ -88,7 +90,9 @@ def given_values(
     }
     for name in given:
         if name not in (*shapes, *further):
-            raise UnknownNameError("material variable", name, [*shapes, *further])
+            raise UnknownNameError(
+                "material variable", name, [*shapes, *further], f"{owner}.values[{name!r}]"
+            )
     return {
         name: as_shape(f"{owner}.values[{name!r}]", given[name], shape)
         for name, shape in shapes.items()
@@ -206,7 +210,7 @@ def _entering_amounts(wall: Passage, owner: str, names: Sequence[str]) -> Values
     """n_i of the bodies that flow in."""
     for name in wall.amounts:
         if name not in names:
-            raise UnknownNameError(f"{owner}.amounts", name, names)
+            raise UnknownNameError(f"{owner}.amounts", name, names, f"{owner}.amounts[{name!r}]")
     return {name: as_shape(f"{owner}.amounts[{name!r}]", wall.amounts.get(name, 0.0), ()) for name in names}
 
 

@@ -84,6 +84,6 @@ def diffusion_terms(model: Model, walls: Walls) -> list[Term]:
     law = model.diffusion
     if law is None:
         return []
-    check_boundary_names(walls.mesh, law.walls)
+    check_boundary_names(walls.mesh, law.walls, "Diffusion.walls")
     through = (ThroughWall(walls, law.variable, name, at) for name, at in law.walls.items())
     return [*Spreading(law).terms, *through]

@@ -188,7 +188,7 @@ class Damaged(Wrapper):
         object.__setattr__(self, "breaking", tuple(require_some_names("Damaged.breaking", self.breaking)))
         for name in self.breaking:
             if name not in self.material.parts:
-                raise UnknownNameError("branch", name, self.material.parts)
+                raise UnknownNameError("branch", name, self.material.parts, "Damaged.breaking")
 
     @property
     def _breaking(self) -> Material:

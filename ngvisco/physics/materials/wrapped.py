@@ -106,14 +106,15 @@ class WithQuadratic(Wrapper):
         known = {v.name for form in forms for v in form.variables if v.is_strain}
         for name in self.only or ():
             if name not in known:
-                raise UnknownNameError("material variable", name, known)
+                raise UnknownNameError("material variable", name, known, "WithQuadratic.only")
 
     def with_elastic_state(self, state: ElasticState) -> WithQuadratic:
         material = self.material.with_elastic_state(state)
         names = [v.name for v in material.variables]
         for name in self.only or ():
             if name not in names:
-                raise UnknownNameError(f"material variable for elastic_state = {state!r}", name, names)
+                kind = f"material variable for elastic_state = {state!r}"
+                raise UnknownNameError(kind, name, names, "WithQuadratic.only")
         return replace(self, material=material)
 
     @property
