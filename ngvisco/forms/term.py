@@ -172,7 +172,12 @@ class Term(Protocol):
     def entries(self, u: Fields) -> list[Entry]: ...
 
 
-Coupling = Literal["local", "facet"]
+Where: TypeAlias = Literal["cells", "facets", "nodes"]
+PLACES: tuple[Where, ...] = ("cells", "facets", "nodes")
+"""The places of integration, as ``Integrand`` names them."""
+
+Coupling = Literal["local", "facet", "flow"]
+Kernel = Literal["facet means", "cell means", "conjugates", "density", "diffusion", "hyperviscosity"]
 
 
 class PointTerm:
@@ -183,11 +188,21 @@ class PointTerm:
     Attributes
     ----------
     linearised : bool
-        Whether the split solver takes the term's derivative into its tangent.  Terms that transport and
-        elastic force have a tangent for, and small ones, say no.
+        Whether the split solver takes the term's derivative into its tangent by increments.  Terms that the
+        tangents of transport, elastic force and inertia are of, and small ones, say no.
     couples : str
         ``"local"``: its rows of z change with values of their own cell; ``"facet"``: with gradients, and
-        across facets by means of both sides.
+        across facets by means of both sides; ``"flow"``: it has rows of v, the walls' unknowns and the creep
+        rate field alone, by its form, as has a class with a ``form`` of its own that says nothing else.
+    kernel : str or None
+        The part of the split solver that has matrices of its own for the term, or solves it for its unknown;
+        None where rows and tangent follow from the integrands.  A derived class with other integrands is
+        another equation, and has none unless it says so.
+    coupled_only : str or None
+        Why the term is for the coupled solver alone; None where both take it.
+    is_mass : bool
+        Whether the mass of v is the term's tangent: that of the whole rule, since by fewer points it is
+        singular.
     kept : tuple of str
         Unknowns, explicit functions of others, whose change the matrix of Newton's method leaves out of the
         term: it follows them from iterate to iterate.
@@ -197,8 +212,19 @@ class PointTerm:
 
     linearised = True
     couples: Coupling = "local"
+    kernel: ClassVar[Kernel | None] = None
+    coupled_only: str | None = None
+    is_mass: ClassVar[bool] = False
     kept: tuple[str, ...] = ()
     plane_only: ClassVar[str | None] = None
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        own = vars(cls)
+        if not {*PLACES, "form"}.isdisjoint(own):
+            cls.kernel = own.get("kernel")
+        if "form" in own:
+            cls.couples = own.get("couples", "flow")
 
     @property
     def impulse(self) -> str:
@@ -257,6 +283,7 @@ class CellMean(PointTerm):
     """
 
     name: str
+    kernel = "cell means"
 
     @abstractmethod
     def value(self, u: Fields) -> CoefficientFunction:
@@ -284,9 +311,6 @@ class CellMean(PointTerm):
         return [(self.name, load)]
 
 
-Where: TypeAlias = Literal["cells", "facets", "nodes"]
-PLACES: tuple[Where, ...] = ("cells", "facets", "nodes")
-"""The places of integration, as ``Integrand`` names them."""
 DISSIPATED: dict[Where, Callable[[PointTerm, Fields], dict[str, CoefficientFunction]]] = {
     "cells": lambda term, u: term.dissipated(u),
     "facets": lambda term, u: term.dissipated_on_facets(u),

@@ -86,6 +86,7 @@ class SideMean(PointTerm):
     """
 
     name: str
+    kernel = "facet means"
     is_linear = True
     stays = False
 

@@ -157,6 +157,8 @@ class OnePoint:
 
 def why(error: Exception) -> str:
     """One line on what a term or a law raised at arrays."""
+    if isinstance(error, AttributeError) and isinstance(error.obj, SimpleNamespace):
+        return f"there is no {error.name} by arrays"
     lines = str(error).splitlines() or [""]
     if "incompatible function arguments" in lines[0]:
         return "it combines values with a coefficient function of its own"

@@ -33,7 +33,7 @@ from ngvisco.forms.term import CellMean, GivenParts, Integrand, PointTerm, Term,
 from ngvisco.forms.upwinding import SideMean, mean_share
 from ngvisco.parallel.exchange import Exchange
 from ngvisco.physics.arrays import TINY, Array
-from ngvisco.reduced.claims import Claims
+from ngvisco.reduced.couplings import Couplings
 from ngvisco.reduced.diffusion import FieldDiffusionRows
 from ngvisco.reduced.evaluation import CellTerms, Coefficients, FacetTerms, Rows
 from ngvisco.reduced.hyperviscosity import HyperValues, MatrixHyperviscosity
@@ -227,35 +227,36 @@ class ReducedResidual:
         self.cell_terms = CellTerms(step, self.op, self.rates)
         self.facet_terms = FacetTerms(step, self.side_op)
         self.slope = PointwiseSlope(step, self.op.points)
-        self.claims = claims = Claims.of(step)
+        self.couplings = couplings = Couplings(step)
         self.node_terms: CellTerms | None = None
         """Terms that are integrated by a collocated rule: one point per coefficient of a field."""
-        if claims.of_nodes():
+        if couplings.of_nodes():
             rates = LinearisedTabulatedRates(self.rates, step.stresses)
             self.node_terms = CellTerms(step, Operators(step, step.quadrature.node_order), rates, "nodes")
         self.inverse_mass = inverse_of_blocks(mass_matrix(self.op.z.matrix, self.op.weights))
-        self.by_forms = RestrictedForm(step, u.flow, claims.by_forms) if claims.by_forms else None
-        self.density = RestrictedForm(step, u.density, claims.density) if claims.density else None
+        self.by_forms = RestrictedForm(step, u.flow, couplings.by_forms) if couplings.by_forms else None
+        self.density = RestrictedForm(step, u.density, couplings.density) if couplings.density else None
         self._density_of_all: RestrictedForm | None = None
         self._of_forms: list[tuple[slice, sp.csr_matrix, np.ndarray]] = []
         """Rows, their derivative where ``derivative`` was last asked for, and its columns."""
         self.hyper: MatrixHyperviscosity | None = None
-        if claims.hyperviscosity:
+        if couplings.of_kernel["hyperviscosity"]:
             points = self.op.points, self.side_op.points
-            self.hyper = MatrixHyperviscosity(step, claims.hyperviscosity[0], *points)
+            self.hyper = MatrixHyperviscosity(step, couplings.of_kernel["hyperviscosity"][0], *points)
         self.right_hand_side = None if step.sources is None else RightHandSide(step)
         self.ranks, self.exchange = exchange.communicator, exchange.part(u.places(u.names))
         """Ranks and exchange of the packed unknowns."""
         # of one component: those of rho, which bodies have not, lie alike
         self.trace_mass = self._mass_of_traces(exchange, "z_hat")
         self.diffusion: FieldDiffusionRows | None = None
-        if claims.diffusion:
-            term = claims.diffusion[0]
+        if couplings.of_kernel["diffusion"]:
+            term = couplings.of_kernel["diffusion"][0]
             self.diffusion = FieldDiffusionRows(step, self.op, self.slope, term, self.trace_mass)
-        self.at_points = [*claims.at_points, *claims.continuity]
-        self.means_of_sides: list[tuple[PointTerm, str]] = [(term, term.name) for term in claims.traces]
+        self.at_points = [*couplings.at_points, *couplings.continuity]
+        means = couplings.of_kernel["facet means"]
+        self.means_of_sides: list[tuple[PointTerm, str]] = [(term, term.name) for term in means]
         """Equations of means of both sides and their unknowns, in the order in which they are solved."""
-        self.means_of_sides += [(term, "rho_hat") for term in claims.continuity]
+        self.means_of_sides += [(term, "rho_hat") for term in couplings.continuity]
         orders = {step.layout.unknowns[name].order: name for _, name in self.means_of_sides}
         self._masses = {order: self._mass_of_traces(exchange, name) for order, name in orders.items()}
         self._masses[step.layout.unknowns["z_hat"].order] = self.trace_mass
@@ -299,7 +300,7 @@ class ReducedResidual:
         if hyper is not None:
             of_v, of_a = np.split(hyper.rows, [c["v"].shape[1]], axis=1)
             rows.append({"v": of_v, "a": of_a})
-        if not np.iscomplexobj(x) and "energy" in self.claims.forms_ask_for:
+        if not np.iscomplexobj(x) and "energy" in self.couplings.forms_ask_for:
             self.step.eliminate.refresh()
         return Evaluation(x, c, hyper, self._packed(x, rows), (self.cell_terms, self.facet_terms))
 
@@ -340,7 +341,7 @@ class ReducedResidual:
             c[name] = -mass.solve(mass.exchange.sum(values.summed(np.concatenate(loads, axis=-1))))
             if isinstance(term, SideMean) and term.stays:
                 c[name] = self.step.eliminate.largest(name, c[name].real)
-        for mean in self.claims.means:
+        for mean in self.couplings.of_kernel["cell means"]:
             of_parts = run(partial(CellPart.mean, term=mean, c=c), self.parts)
             c[mean.name] = np.concatenate(of_parts, axis=-1)
         if self.diffusion is not None:
@@ -365,7 +366,7 @@ class ReducedResidual:
         if self.density is not None:
             if self._density_of_all is None:
                 names = ["v", *u.density]
-                self._density_of_all = RestrictedForm(self.step, names, self.claims.density)
+                self._density_of_all = RestrictedForm(self.step, names, self.couplings.density)
             columns = np.r_[u.slices["v"], u.density_slice]
             rows = self._density_of_all.jacobian()[at.coefficients["v"].size :]
             self._of_forms.append((u.density_slice, rows, columns))

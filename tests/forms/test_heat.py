@@ -223,7 +223,7 @@ def test_what_the_diffusion_of_fields_dissipates_is_heat_in_the_coupled_solver()
     heated = 0.05 * ledger.column("power_heat_dissipated").sum()
     assert abs(energy(ledger) - energy(ledger)[0]).max() <= 1e-9 * heated
     assert ledger.column(PRODUCTION + "delta_fields")[-1] > 0.01
-    with pytest.raises(nv.NgviscoError, match=r"'coupled': Regularisation\.delta_fields with heat"):
+    with pytest.raises(nv.NgviscoError, match=r"'coupled': Heating: what delta_fields dissipates"):
         run_of("split", steps=0, **options)
 
 

@@ -9,7 +9,7 @@ from ngsolve import CoefficientFunction
 
 from ngvisco.forms.boundary.boundaries import facet_indicator
 from ngvisco.forms.fields import Fields
-from ngvisco.forms.term import PointTerm
+from ngvisco.forms.term import Coupling, PointTerm
 
 if TYPE_CHECKING:
     from ngvisco.forms.boundary.walls import Walls
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 class OnWall(PointTerm):
     """A term by which one wall acts on the body, beside what it constrains."""
 
+    couples: Coupling = "flow"
     acts_by: str = "stress"
     """The kind of the impulse that the term gives, beside the wall's name."""
 

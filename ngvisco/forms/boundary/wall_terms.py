@@ -62,6 +62,8 @@ class Impenetrability(PointTerm):
     wall whatever the pointwise residue of v.n (``Upwinding``).
     """
 
+    couples = "flow"
+
     def __init__(self, walls: Walls) -> None:
         self.indicator = facet_indicator(walls.mesh, walls.multiplied)
         self._walls = walls
@@ -170,6 +172,7 @@ class Carried(OnWall):
     1/2 int rho_in (v . n)^- |v|^2 >= 0 is a dissipation.
     """
 
+    couples = "local"
     acts_by = "carried"
 
     def __init__(self, walls: Walls, name: str, model: Model) -> None:

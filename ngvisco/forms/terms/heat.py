@@ -221,5 +221,8 @@ def heat_terms(model: Model, walls: Walls) -> list[Term]:
     law = model.heat_law
     heats = ((name, wall.heat) for name, wall in walls.conditions.items() if wall.heat is not None)
     through = (HeatThroughWall(law, entropy, walls, name, heat) for name, heat in heats)
-    terms: list[Term] = [Heating(law, entropy, walls), *through]
+    heating = Heating(law, entropy, walls)
+    if model.regularisation is not None and model.regularisation.delta_fields > 0:
+        heating.coupled_only = "what delta_fields dissipates is made of phi'' by forms"
+    terms: list[Term] = [heating, *through]
     return terms + (Conduction(law, entropy).terms if law.conducts else [])

@@ -45,6 +45,7 @@ class Hyperviscosity(PointTerm):
     """<Psi'(v, a), (w, b)> with its local unknowns; dissipation <Psi', (v, a)>."""
 
     law: HyperViscosity
+    kernel = "hyperviscosity"
     plane_only = "about an axis the second gradient has v_r/r and its slopes besides"
 
     def unknowns(self, setting: Setting) -> tuple[Unknown, ...]:

@@ -49,6 +49,7 @@ class Continuity(PointTerm):
     """
 
     regularisation: Regularisation | None = None
+    kernel = "density"
 
     def unknowns(self, setting: Setting) -> tuple[Unknown, ...]:
         order = setting.m
@@ -96,6 +97,8 @@ class MeanFlux(SideMean):
 @dataclass(frozen=True)
 class Inertia(PointTerm):
     """(rho v - m_old)/tau . w - 1/2 (rho - rho_old)/tau v . w."""
+
+    linearised, is_mass = False, True
 
     def unknowns(self, setting: Setting) -> tuple[Unknown, ...]:
         return (Unknown("v", "velocity", setting.k, setting.dim, evolves=True),)
@@ -240,6 +243,7 @@ class Loading(PointTerm):
 
     load: Load
     dim: int
+    linearised = False
 
     @property
     def impulse(self) -> str:

@@ -54,6 +54,7 @@ class FieldDiffusion(PointTerm):
     law: Regularisation
     material: Material
     dim: int
+    kernel = "diffusion"
     plane_only = "about an axis the Laplacian of a tensor is not that of its entries; take delta_fields = 0"
 
     @cached_property
@@ -169,6 +170,7 @@ class DensityDiffusion(PointTerm):
     """
 
     law: Regularisation
+    kernel = "density"
 
     def unknowns(self, setting: Setting) -> tuple[Unknown, ...]:
         self.law.require_gradients("delta_density", setting.m)

@@ -73,6 +73,7 @@ class Kinematics(PointTerm):
     """
 
     model: Model
+    linearised = False
 
     def unknowns(self, setting: Setting) -> tuple[Unknown, ...]:
         return (Unknown("z", "cells", setting.m, setting.states.size, evolves=True, scale=1.0),)
@@ -176,6 +177,7 @@ class Conjugates(PointTerm):
     """int (zeta - phi'(z)) : X = 0: zeta is the cellwise L2 projection of the conjugates."""
 
     model: Model
+    kernel = "conjugates"
 
     def unknowns(self, setting: Setting) -> tuple[Unknown, ...]:
         return (Unknown("zeta", "cells", setting.m, setting.states.size),)
@@ -201,6 +203,8 @@ class ElasticForce(PointTerm):
 
     No entry of its own: at w = v it is the rate of the stored energy.
     """
+
+    linearised = False
 
     def cells(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         return transport_in_cells(w, u, u, "zeta")

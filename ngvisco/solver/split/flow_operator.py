@@ -54,9 +54,9 @@ class FlowSchurComplement:
         self.gradients = residual.rates.tensors.gradients
         """How many entries of grad v the fields follow."""
         self.others: RestrictedForm | None = None
-        if others := residual.claims.beside_the_points():
+        if others := residual.couplings.beside_the_points():
             self.others = RestrictedForm(residual.step, u.flow, others)
-        self.leading, self.inertial = residual.claims.of_gradients(), residual.claims.of_inertia()
+        self.leading, self.inertial = residual.couplings.of_gradients(), residual.couplings.of_inertia()
         self._assembled = ElementAssembly(op.v.unknowns, op.v.width)
         self.cells, self.local, self.functions = op.v.cells, op.v.local, op.z.local
         # of a periodic strip of one cell, which has an unknown twice, by blocks that are filled up with zeros

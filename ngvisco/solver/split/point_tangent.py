@@ -79,7 +79,7 @@ class NodeTangent(_AtPoints):
     """The tangent at the nodes, of terms with a collocated rule."""
 
     def __init__(self, residual: ReducedResidual, terms: CellTerms) -> None:
-        super().__init__(residual, terms, residual.claims.of_nodes())
+        super().__init__(residual, terms, residual.couplings.of_nodes())
 
     def update(self, at: Evaluation) -> None:
         """Form K, along the slopes of the flow rules at their stresses, which are made anew."""
@@ -123,7 +123,7 @@ class PointTangent(_AtPoints):
 
     def __init__(self, residual: ReducedResidual, operators: Operators) -> None:
         terms = CellTerms(residual.step, operators, residual.rates)
-        super().__init__(residual, terms, residual.claims.of_state())
+        super().__init__(residual, terms, residual.couplings.of_state())
         self.nodes = None if residual.node_terms is None else NodeTangent(residual, residual.node_terms)
         rates, count = residual.rates, operators.points.count
         self._creeps = bool(rates.flows) and rates.is_local and not rates.creeps_at_nodes

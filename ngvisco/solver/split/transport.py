@@ -138,8 +138,8 @@ class TransportSweeps:
             self._unknowns = residual.diffusion.unknowns
             self._whole = direct_solver(np.ones(self._unknowns.count, dtype=bool), self._unknowns)
         self.exchange: Exchanged | None = None
-        if terms := residual.claims.across_facets:
-            rows = residual.claims.components_across_facets()
+        if terms := residual.couplings.across_facets:
+            rows = residual.couplings.components_across_facets()
             self.exchange = Exchanged(FacetTangent(residual, terms, rows, self.coupling))
         self.of_rho: SweptMatrix | None = None
         self._density: Direct | None = None

@@ -10,10 +10,11 @@ from support import SWIRL, assert_same, swirling
 import ngvisco as nv
 from ngvisco.errors import ParameterError
 from ngvisco.forms.term import Entry, Integrand, PointTerm
+from ngvisco.forms.terms.transport import Conjugates
 from ngvisco.geometries import box
 from ngvisco.physics.tensors import exp, inner, sqrt, square, tr
 from ngvisco.physics.variables import Distortion, Variable
-from ngvisco.reduced import claims
+from ngvisco.reduced.couplings import Couplings, term_obstacle
 from tests.parallel.own import Drag
 
 
@@ -186,6 +187,8 @@ class ByArray(PointTerm):
 class DragByEnergy(PointTerm):
     """A drag by the stored energy, which only forms have."""
 
+    couples = "flow"
+
     def cells(self, u, w):
         return [3.0 * u.context.energy.density(u) * inner(u.v, w.v)]
 
@@ -280,14 +283,16 @@ def test_auto_takes_the_split_solver_with_a_term_that_it_can_take():
 
 def test_a_term_that_only_forms_can_express_is_refused_by_its_name():
     term = GrowthByForms(0.1)
-    with pytest.raises(nv.ParameterError, match=r"GrowthByForms: it has a row of rho.*its form itself"):
+    with pytest.raises(
+        nv.ParameterError, match=r"GrowthByForms: it has a row of rho.* rows of the flow only"
+    ):
         simulation([term], solver="split")
     ledger = simulation([term], solver="coupled").run(0.04)
     mass = ledger.column("mass")  # grows as (1 - s tau)^-1 a step
     assert mass[-1] / mass[0] == pytest.approx((1 - 0.1 * 0.02) ** -2, rel=1e-12)
 
 
-def test_every_term_of_a_step_is_claimed_exactly_once():
+def test_every_term_of_a_step_is_taken_exactly_once():
     """Of all terms that the package's models make."""
     model = nv.Model(
         material=nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1),
@@ -299,14 +304,49 @@ def test_every_term_of_a_step_is_claimed_exactly_once():
     )
     walls = {"top": nv.Traction(f=(1.0, 0.0), friction=0.1)}
     run = nv.Simulation(box((1, 1), maxh=0.5), model, dt=0.1, walls=walls)
-    found = claims.Claims.of(run.rothe_step)
-    parts = [
-        part for name, part in vars(found).items() if name not in ("rows", "components", "forms_ask_for")
-    ]
+    found = Couplings(run.rothe_step)
+    parts = [found.at_points, found.by_forms, *found.of_kernel.values()]
     assert sorted(id(term) for part in parts for term in part) == sorted(map(id, run.rothe_step.terms))
-    assert claims.term_obstacle(run.rothe_step) is None
+    assert term_obstacle(run.rothe_step) is None
     # what acts on facets of walls is by forms, all else that has rows of the flow at points
     assert [type(term).__name__ for term in found.by_forms] == ["TangentialStress"]
+
+
+class UndeclaredDragByEnergy(DragByEnergy):
+    """The same, which says that it is a function of the values at a point."""
+
+    couples = "local"
+
+
+class HeavierDrag(Drag):
+    """A drag that only the coupled solver is for."""
+
+    coupled_only = "its authors say so"
+
+
+@pytest.mark.parametrize(
+    ("term", "reason"),
+    [
+        (UndeclaredDragByEnergy(), r"there is no energy by arrays.*say couples = 'flow'"),
+        (HeavierDrag(1.0), "HeavierDrag: its authors say so"),
+    ],
+    ids=lambda value: type(value).__name__,
+)
+def test_a_term_that_is_not_as_it_declares_is_refused_by_its_name(term, reason):
+    with pytest.raises(ParameterError, match=reason):
+        simulation([term], solver="split")
+    assert type(simulation([term], maxh=0.15).solver.newton).__name__ == "Newton"
+
+
+def test_another_equation_has_no_kernel_of_the_class_that_it_derives_from():
+    class Twice(Conjugates):
+        def cells(self, u, w):
+            return [2.0 * part for part in super().cells(u, w)]
+
+    class Renamed(Conjugates):
+        pass
+
+    assert Twice.kernel is None and Renamed.kernel == "conjugates"
 
 
 @dataclass(frozen=True)

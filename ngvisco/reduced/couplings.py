@@ -1,0 +1,199 @@
+"""Terms of a step by the part of the split solver that evaluates them, as each term declares it.
+
+A term with a ``kernel`` is taken by the matrices of this name, one that couples by the ``"flow"`` by its
+form, every other one by its integrands at points.  A form has rows of the flow's unknowns only (v, the walls'
+unknowns, the creep rate field), and may read all fields.  Its derivative by the flow's unknowns is in
+Newton's increments, that by rho, z and the others is not: it acts exactly, and takes more iterations the more
+it changes with these.  A term that is not as it declares is refused by its name.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from typing import Any
+
+import numpy as np
+
+from ngvisco.errors import ParameterError
+from ngvisco.forms.context import Context
+from ngvisco.forms.fields import Fields, Tests
+from ngvisco.forms.system import Step
+from ngvisco.forms.term import GivenParts, PointTerm, Term, refused_by_name
+from ngvisco.physics.arrays import Array
+from ngvisco.reduced.evaluation import NotAtPointsError
+from ngvisco.reduced.one_point import OnePoint, Slots, why
+from ngvisco.reduced.unknowns import Unknowns, density_by_forms, in_cells
+
+_FIELDS = {"rho", "grad rho", "z", "grad z"}
+"""Tests whose rows are those of the fields, and not of the flow."""
+
+
+class Couplings:
+    """Terms by what evaluates them, and the rows of those that are evaluated at points.
+
+    Raises ParameterError for a term that is not as it declares, or for the coupled solver alone, and for a
+    variable whose rate is not linear in the variables.
+
+    Attributes
+    ----------
+    at_points : list of PointTerm
+        Terms that are evaluated by arrays.
+    by_forms : list of Term
+        Rows of the flow by forms.
+    of_kernel : dict
+        Terms by the name of the matrices that take them.
+    forms_ask_for : set of str
+        Names of what the forms take of the step's ``Context``.
+    """
+
+    def __init__(self, step: Step) -> None:
+        if bent := step.tabulated_rates.tensors.bent:
+            expected = f"the rate of {bent[0]!r} is not linear in the variables, as the split solver needs it"
+            raise ParameterError("Variable.rate", bent[0], expected)
+        self.at_points: list[PointTerm] = []
+        self.by_forms: list[Term] = []
+        self.of_kernel = defaultdict[str, list[Any]](list)
+        self.forms_ask_for: set[str] = set()
+        self._is_bent, self._slots = density_by_forms(step), dict[int, Slots]()
+        for term in step.terms:
+            if term is not step.sources:
+                self._take(step, term)
+
+    def _take(self, step: Step, term: Any) -> None:
+        if reason := getattr(term, "coupled_only", None):
+            raise _refused(term, reason)
+        kernel, couples = getattr(term, "kernel", None), getattr(term, "couples", "flow")
+        if kernel == "hyperviscosity":
+            _require_arrays(step, term)
+        if kernel is not None:
+            self.of_kernel[kernel].append(term)
+        elif couples == "flow":
+            self.forms_ask_for |= _require_flow_rows(step, term)
+            self.by_forms.append(term)
+        else:
+            self._slots[id(term)] = _slots_at_points(step, term)
+            self.at_points.append(term)
+
+    @property
+    def continuity(self) -> list[PointTerm]:
+        """The continuity equation where it is linear in rho, by arrays; solved for the trace of rho."""
+        return [] if self._is_bent else self.of_kernel["density"]
+
+    @property
+    def density(self) -> list[Term]:
+        """The continuity equation where it is not linear in rho, by forms."""
+        return self.of_kernel["density"] if self._is_bent else []
+
+    def beside_the_points(self) -> list[Term]:
+        """Terms of the flow whose linearisation by v, wall stress and Pi is taken from their forms."""
+        at_coarse_points = {id(term) for term in self.of_gradients()}  # not by ==, which is the user's
+        others = (term for term in self.at_points if term.linearised and id(term) not in at_coarse_points)
+        return [*self.by_forms, *(term for term in others if self._of_flow(term))]
+
+    def of_gradients(self) -> list[PointTerm]:
+        """Terms with rows of grad w, whose linearisation by v a coarse rule will do for; not what couples v
+        with another unknown of the flow."""
+        alone = ({"grad v"}, {"v", "grad v"})
+        return [term for term in self.at_points if term.linearised and self._of_flow(term) in alone]
+
+    def _of_flow(self, term: PointTerm) -> set[str]:
+        """Tests of the flow that a term at points has rows of."""
+        return set(self._slots[id(term)].names) - _FIELDS
+
+    @property
+    def across_facets(self) -> list[PointTerm]:
+        """Terms by which cells change each other's fields across facets, beside transport."""
+        return [term for term in self.at_points if term.couples == "facet"]
+
+    def components_across_facets(self) -> list[int]:
+        """Components of z whose rows these have."""
+        return sorted(set().union(*(self._slots[id(term)].components for term in self.across_facets)))
+
+    def of_inertia(self) -> list[PointTerm]:
+        """Terms whose tangent is the mass of v."""
+        return [term for term in self.at_points if term.is_mass]
+
+    def of_state(self) -> list[PointTerm]:
+        """Terms with rows of z, and stresses, that read z or zeta: not the rates and the elastic force."""
+        stresses, found = {id(term) for term in self.of_gradients()}, []
+        for term in self.at_points:
+            reads = self._slots[id(term)].names
+            is_stress = id(term) in stresses and any(reads.values())
+            if term.linearised and (reads.get("z") or is_stress):
+                found.append(term)
+        return found
+
+    def of_nodes(self) -> list[PointTerm]:
+        """Terms with rows by as many points as a field has values in a cell."""
+        return [term for term in self.at_points if self._slots[id(term)].at_nodes]
+
+
+def term_obstacle(step: Step) -> str | None:
+    """Why a term of the step cannot be taken, by its name, or None."""
+    try:
+        Couplings(step)
+    except ParameterError as error:
+        return str(error.expected)
+    return None
+
+
+def _refused(term: object, reason: str) -> ParameterError:
+    name = type(term).__name__
+    return ParameterError("Simulation.terms", name, f"{name}: {reason}")
+
+
+def _slots_at_points(step: Step, term: PointTerm) -> Slots:
+    """Rows of a term at points; raises ParameterError where arrays do not take it."""
+    try:
+        found = OnePoint(step).slots(term)
+    except NotAtPointsError as error:
+        reason = f"{error}; with rows of the flow alone it is taken by its form: say couples = 'flow'"
+        raise _refused(term, reason) from error
+    names = in_cells(step.layout)
+    if others := set(found.names) - {*names, *(f"grad {name}" for name in names)}:
+        raise _refused(term, f"no array takes its rows of {', '.join(sorted(others))}: say couples = 'flow'")
+    return found
+
+
+def _require_arrays(step: Step, term: Any) -> None:
+    """Raise ParameterError if a hyperviscosity's coefficients are not functions of the values at a point."""
+    law, one = term.law, Array(np.ones(1), None)
+    z = step.layout.states.tensors(lambda: Array(np.ones((step.layout.states.size, 1)), None))
+    try:
+        with np.errstate(all="ignore"):  # all values one need not be in the law's domain
+            found = [*law.moduli(z)]
+            found += [law.linear(z)] if law.is_linear else [law.coefficient(one, z), law.slope(one, z)]
+    except Exception as error:  # whatever a law raises at values that it does not know
+        raise _refused(term, f"its law does not take arrays: {why(error)}") from error
+    if not all(isinstance(value, (int, float, Array)) for value in found):
+        raise _refused(term, "its coefficients are not made of the variables' values alone")
+
+
+class _Asked:
+    """A context that remembers what was asked for."""
+
+    def __init__(self, context: Context) -> None:
+        self._context, self.names = context, set[str]()
+
+    def __getattr__(self, name: str) -> Any:
+        self.names.add(name)
+        return getattr(self._context, name)
+
+
+def _require_flow_rows(step: Step, term: Term) -> set[str]:
+    """Names of what a term by its form takes of the context.
+
+    Raises
+    ------
+    ParameterError
+        If it has rows of anything but the flow's unknowns.
+    """
+    layout, names = step.layout, Unknowns(step).flow
+    trial, test = layout.space.TnT()
+    tests = {name: part for name, part in zip(layout.names, test, strict=True) if name in names}
+    reason = "it has a row of {name}, and the split solver takes forms with rows of the flow only"
+    context: Any = _Asked(layout.context)
+    u = Fields(layout, dict(zip(layout.names, trial, strict=True)), context)
+    with refused_by_name(term):
+        term.form(u, Tests(layout, GivenParts(tests, reason), context))
+    return context.names
