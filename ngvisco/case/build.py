@@ -21,6 +21,7 @@ from ngvisco.case.faults import (
     refused,
     tables_of,
 )
+from ngvisco.case.python import tables_of_python
 from ngvisco.case.reading import sections_of, text_of
 from ngvisco.case.schema import CaseSections
 from ngvisco.case.section import Section, field_names, made, parameters, values_of
@@ -102,7 +103,7 @@ class Case:
     def resolved(self) -> str:
         """The case as TOML with every default written out and the mesh file's path made absolute.
 
-        Files of shapes are those that a run directory has copies of, ``shape_files``.
+        Other files are those that a run directory has copies of, ``files``.
         """
         data, files = self._settled()
         for table, file in files:
@@ -127,12 +128,12 @@ class Case:
         return hashlib.sha256(toml.write(data).encode()).hexdigest()
 
     @property
-    def shape_files(self) -> dict[str, Path]:
-        """The files that bodies' shapes are in, by the names that they have in a run directory."""
+    def files(self) -> dict[str, Path]:
+        """Files of bodies' shapes and Python's materials, by the names that they have in a run directory."""
         return {_copy_of(file): file for _, file in self._settled()[1]}
 
     def _settled(self) -> tuple[dict[str, Any], list[tuple[dict[str, Any], Path]]]:
-        """The case's data, and those of its tables that are shapes with their files.
+        """The case's data, and those of its tables that have files, with these: shapes, Python's materials.
 
         With what the case leaves to the model: whether its material is by F or by B, and the density where no
         referential one says what it is.
@@ -143,6 +144,7 @@ class Case:
             shapes = body["where"] if isinstance(body["where"], list) else [body["where"]]
             tables = [table for table in shapes if isinstance(table, dict) and "path" in table]
             files += [(table, (self.directory / table["path"]).resolve()) for table in tables]
+        files += [(table, Path(table["path"])) for table in tables_of_python(data)]
         if self.sections.material is None:
             return data, files
         creep, material = self.sections.rheology.creep, made(self.sections.material)
@@ -358,8 +360,9 @@ def _digest_of(file: Path) -> str:
 
 
 def _copy_of(file: Path) -> str:
-    """The name of a shape's file in a run directory, which has copies of them."""
-    return f"shapes/{_digest_of(file)[:16]}{file.suffix.lower()}"
+    """The name of another file in a run directory, which has copies of them."""
+    folder = "laws" if file.suffix == ".py" else "shapes"
+    return f"{folder}/{_digest_of(file)[:16]}{file.suffix.lower()}"
 
 
 def samples(case: CaseSections, run: Path) -> dict[tuple[str, ...], Series]:

@@ -9,6 +9,7 @@ from typing import Any, TypeAlias
 
 import ngvisco.geometries as geometries
 from ngvisco.case.laws import custom_material, isotropic_strain_energy
+from ngvisco.case.python import KIND, python_material
 from ngvisco.forms.spaces import Discretisation
 from ngvisco.forms.start.initial import Initial
 from ngvisco.physics import activation, diffusion, flow_rules, heat, loads, materials, rheology, walls
@@ -42,7 +43,9 @@ MATERIALS: Kinds = {
     "IsochoricNeoHookean": materials.IsochoricNeoHookean,
     "IsotropicStrainEnergy": isotropic_strain_energy,
     **_of(materials, "LinearElastic LogarithmicMooneyRivlin LogarithmicNeoHookean MooneyRivlin NeoHookean"),
-    **_of(materials, "Ogden OldroydB ReferentialMooneyRivlin ReferentialNeoHookean"),
+    **_of(materials, "Ogden OldroydB"),
+    KIND: python_material,
+    **_of(materials, "ReferentialMooneyRivlin ReferentialNeoHookean"),
 }
 WRAPPERS: Kinds = {
     "PerReferentialVolume": materials.PerReferentialVolume,

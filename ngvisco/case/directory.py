@@ -114,14 +114,14 @@ class RunDirectory:
         """Remove all but the report of a run that made no step, for the corrected case to run here."""
         for path in self.results:
             path.unlink()
-        for folder in (self.vtk, self.path / "samples", self.path / "shapes"):
+        for folder in (self.vtk, *(self.path / name for name in ("samples", "shapes", "laws"))):
             with contextlib.suppress(OSError):  # missing, or with files of the user's
                 folder.rmdir()
 
     def prepare(self, case: Case, image: bytes, origin: Mapping[str, Any] | None = None) -> None:
         """Write case, mesh (a .vol file's content) and versions of a new run, and where it starts from."""
         write_atomically(self.case_file, case.resolved.encode())
-        for name, file in case.shape_files.items():
+        for name, file in case.files.items():
             (self.path / name).parent.mkdir(exist_ok=True)
             if file != self.path / name:
                 write_atomically(self.path / name, file.read_bytes())

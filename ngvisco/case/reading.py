@@ -1,5 +1,6 @@
 """Case files as sections: read, overridden, with the numbers of files, in SI units, and checked."""
 
+import copy
 import tomllib
 import warnings
 from collections.abc import Sequence
@@ -10,6 +11,7 @@ from pydantic import ValidationError
 
 from ngvisco.case import toml
 from ngvisco.case.faults import CaseError, Fault, Locator, faults_of, numbers_out_of_range
+from ngvisco.case.python import tables_of_python
 from ngvisco.case.schema import CaseSections
 from ngvisco.case.units import SI, Converter, has_unit
 from ngvisco.errors import InputWarning, ParameterError
@@ -138,6 +140,9 @@ def _with_tables(
     if isinstance(data.get("bodies"), list):
         bodies = enumerate(data["bodies"])
         found["bodies"] = [read_series(body, ("bodies", str(i))) for i, body in bodies]
+    found = copy.deepcopy(found)
+    for table in tables_of_python([found.get("material"), found.get("bodies")]):
+        table["path"] = str((directory / table["path"]).resolve())
     return data | found, faults
 
 

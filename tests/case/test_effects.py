@@ -56,6 +56,9 @@ ELSEWHERE = {
     "time.adaptive.dt_min": "run/test_stepping.py",
     "time.halvings": "run/test_stepping.py",
     "solver.min_damping": "solver/test_newton.py",
+    **dict.fromkeys(
+        (f"material.{key} Python" for key in ("path", "law", "parameters")), "case/test_python_materials.py"
+    ),
     "material.p_infinity": "physics/test_thermal.py",
     "bodies.N.where.path": "shapes/test_files.py",
     "bodies.N.where.low Image": "shapes/test_files.py",

@@ -81,7 +81,7 @@ def placed(entry, kind):
     if kind in WRAPPERS and kind != "Network":
         needed["material"] = data["material"]
     needed |= WITHIN.get(kind, {})
-    if entry.path[-1] == "parameters":  # which the energy has to read
+    if entry.path[-1] == "parameters" and kind != "Python":  # which the energy has to read
         needed["energy"] = f"G*({needed['energy']})"
     node = data
     for depth, part in enumerate(section):

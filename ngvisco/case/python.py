@@ -1,0 +1,96 @@
+"""Materials that a case file takes from a Python file, which it names: the one code that a case executes."""
+
+import functools
+import hashlib
+import inspect
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from types import ModuleType
+from typing import Annotated, Any
+
+from ngvisco.errors import ParameterError, Quantity
+from ngvisco.physics.material import Material
+
+KIND = "Python"
+"""The kind of such a material in the catalogue."""
+
+
+def python_material(
+    path: Annotated[str, Quantity(example="gel.py")],
+    law: Annotated[str, Quantity(example="Gel")],
+    parameters: Annotated[Mapping[str, float] | None, Quantity("any", example={"K": 10.0})] = None,
+) -> Material:
+    """A material of the user's own, by a class or function of a Python file, which the case executes.
+
+    Raises ParameterError for a file that cannot be read or executed, a name that it has not, what is no
+    material, and parameters that it does not take or refuses.
+
+    Parameters
+    ----------
+    path : str
+        The Python file, relative to the case file; a run directory has a copy.
+    law : str
+        The name in it of a class derived from ngvisco.Material, or of a function that returns one.
+    parameters : mapping of names to numbers, optional
+        Arguments of the class or function, in SI units.
+    """
+    module, given = _module(path, content_of(path)), dict(parameters or {})
+    target = getattr(module, law, None)
+    if not callable(target):
+        own = (name for name, value in vars(module).items() if _is_own(value, module))
+        expected = f"a class or function of {Path(path).name} that makes a material"
+        raise ParameterError(f"{KIND}.law", law, f"{expected}: {', '.join(own) or 'none'}")
+    try:
+        inspect.signature(target).bind(**given)
+    except TypeError as error:
+        expected = f"the parameters of {law}{inspect.signature(target)}: {error}"
+        raise ParameterError(f"{KIND}.parameters", given, expected) from error
+    try:
+        material = target(**given)
+    except ParameterError as error:
+        key = error.field.rpartition(".")[2]
+        field = f"{KIND}.parameters.{key}" if key in given else f"{KIND}.law"
+        raise ParameterError(field, given.get(key, law), error.expected) from error
+    if not isinstance(material, Material):
+        expected = f"a class or function that makes an ngvisco.Material: it made a {type(material).__name__}"
+        raise ParameterError(f"{KIND}.law", law, expected)
+    return material
+
+
+def tables_of_python(data: Any) -> list[dict[str, Any]]:
+    """Tables of a case's data that are such materials."""
+    if isinstance(data, list):
+        return [found for part in data for found in tables_of_python(part)]
+    if not isinstance(data, dict):
+        return []
+    own = [data] if data.get("kind") == KIND and isinstance(data.get("path"), str) else []
+    return own + [found for part in data.values() for found in tables_of_python(part)]
+
+
+def content_of(path: str) -> bytes:
+    """The content of a Python file; raises ParameterError where it cannot be read."""
+    try:
+        return Path(path).read_bytes()
+    except OSError as error:
+        raise ParameterError(
+            f"{KIND}.path", path, f"a Python file, and {Path(path).name}: {error.strerror}"
+        ) from error
+
+
+def _is_own(value: Any, module: ModuleType) -> bool:
+    return callable(value) and getattr(value, "__module__", "") == module.__name__
+
+
+@functools.cache
+def _module(path: str, content: bytes) -> ModuleType:
+    """The executed file; once for the same content, so that its classes are the same ones."""
+    module = ModuleType(f"case_{hashlib.sha256(content).hexdigest()[:16]}")
+    module.__file__ = path
+    sys.modules[module.__name__] = module  # where dataclasses look up the names of annotations
+    try:
+        exec(compile(content, path, "exec"), module.__dict__)
+    except Exception as error:  # whatever a file of the user's raises
+        expected = f"a Python file that can be executed: {type(error).__name__}: {error}"
+        raise ParameterError(f"{KIND}.path", path, expected) from error
+    return module
