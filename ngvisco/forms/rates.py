@@ -22,7 +22,7 @@ from ngvisco.physics.material import StateSpace, mandel_stress, rate_power
 from ngvisco.physics.materials.thermal import temperature
 from ngvisco.physics.mixture import MixedViscosity
 from ngvisco.physics.model import Flow, Model
-from ngvisco.physics.pointwise import array_slope, respond
+from ngvisco.physics.pointwise import ArrayResponse, respond
 from ngvisco.physics.rate_tensors import RateTensors
 from ngvisco.physics.rheology import Viscosity
 from ngvisco.physics.tensors import (
@@ -227,8 +227,8 @@ class TabulatedRates(Rates):
             names = (flow.names for flow in self.flows)
             self.tensors = self.tensors.by_groups(tuple(names), StateSpace.of(variables, dim))
         self._states = states = model.material.states(dim)
-        by_arrays = model.material.response(dim) is None and array_slope(model.material, dim) is not None
-        self._response = None if by_arrays else respond(model.material, dim)
+        found = respond(model.material, dim)
+        self._response = None if isinstance(found, ArrayResponse) else found
         flux = np.zeros_like(self.tensors.linear)
         for i in self.tensors.trace:
             flux[i][np.diag_indices(states.size)] = -1.0 * states.by_flux

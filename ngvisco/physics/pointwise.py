@@ -129,6 +129,10 @@ class ArrayResponse:
             curved[states.slices[name]] = False
         self.curved = np.flatnonzero(curved)
 
+    def slope(self, z: np.ndarray) -> np.ndarray:
+        """phi'(z), both (N, points), real or complex."""
+        return where_energy_is(*self.both(z))
+
     def __call__(self, states: np.ndarray) -> Response:
         energy, slope = self.both(np.ascontiguousarray(states.T))
         hessian = np.zeros((len(states), states.shape[1], states.shape[1]))
@@ -152,6 +156,7 @@ class ExpressionResponse:
         self._phi = material.energy(self._z)
         slopes = states.components({name: self._phi.Diff(value) for name, value in self._z.items()})
         self._first = CF((self._phi, slopes))
+        self._first_compiled = self._first.Compile()
 
     @cached_property
     def _all(self) -> CoefficientFunction:
@@ -168,6 +173,11 @@ class ExpressionResponse:
         found = self._values(self._all, states, 1 + size + size**2)
         energy, slope, hessian = np.split(found, [1, 1 + size], axis=1)
         return Response(energy[:, 0], slope, hessian.reshape(n, size, size))
+
+    def slope(self, z: np.ndarray) -> np.ndarray:
+        """phi'(z), both (N, points), real."""
+        found = self._values(self._first_compiled, z.T, 1 + self.size).T
+        return where_energy_is(found[0], found[1:])
 
     def _values(self, function: CoefficientFunction, states: np.ndarray, width: int) -> np.ndarray:
         """Values of a function of the state at states; outside the energy's domain there are NaN and inf."""
@@ -227,12 +237,6 @@ def squares(cells: int) -> tuple[Any, Any]:
 
 CHUNK = 2048
 """Points at a time, so that what is made on the way stays in the processor's cache."""
-
-
-def array_slope(material: Material, dim: int) -> Callable[[np.ndarray], np.ndarray] | None:
-    """phi'(z) for components z (n, points), by arrays; None where the energy does not allow for them."""
-    both = energy_and_slope(material, dim)
-    return None if both is None else lambda z: where_energy_is(*both(z))
 
 
 def where_energy_is(energy: np.ndarray, slope: np.ndarray) -> np.ndarray:

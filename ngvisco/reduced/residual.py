@@ -332,7 +332,6 @@ class ReducedResidual:
         """Coefficients, and the hyperviscosity's values; the state where x is real."""
         hyper, run = None, self.share
         c = self.unknowns.coefficients(x)
-        self.slope.check(lambda: self.op.z(c["z"]))
         parts = self.parts if self.slope.is_local else self._whole
         c["zeta"] = apply(self.inverse_mass, np.concatenate(run(lambda p: p.conjugates(c), parts), axis=-1))
         for term, name in self.means_of_sides:
