@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
-from typing import TYPE_CHECKING, TypeVar
+from typing import Any, Protocol, TypeVar
 
 from ngsolve import (
     CF,
@@ -33,12 +33,24 @@ from ngvisco.parallel.communicator import Communicator
 from ngvisco.physics.model import Model
 from ngvisco.physics.signals import may_read_time, time
 
-if TYPE_CHECKING:
-    from ngvisco.forms.boundary.wall_terms import Carried
-
 __all__ = ["Context", "cell_size", "inner_facets", "time"]
 
 Value = TypeVar("Value")
+
+
+class Crossing(Protocol):
+    """A wall that matter crosses, as its term knows it (``ngvisco.forms.boundary.wall_terms.Carried``)."""
+
+    indicator: CoefficientFunction
+    region: Region
+    given: Any
+    """Given values of what flows in, by ``mapped``."""
+    means: Any
+    """Their means over the step."""
+
+    def continues(self, name: str) -> bool:
+        """Whether nothing of ``"rho"`` or ``"z"`` is given."""
+        ...
 
 
 class Context:
@@ -56,7 +68,7 @@ class Context:
         energy: StoredEnergy | None = None,
         momentum_old: CoefficientFunction | None = None,
         degree: int = 8,
-        passages: Sequence[Carried] = (),
+        passages: Sequence[Crossing] = (),
     ) -> None:
         """``degree`` is that of the forms' rule, at whose
         points ``momentum_old`` are the values of m_old, kg/(m^2 s), None for rho_old v_old; ``passages`` are

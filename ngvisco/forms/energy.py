@@ -24,7 +24,7 @@ from ngvisco.forms.mesh.points import SidePoints
 from ngvisco.forms.mesh.quadrature import Quadrature, Sampler, values_of
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.physics.material import Material, conjugates, conjugates_along
-from ngvisco.physics.pointwise import Respond
+from ngvisco.physics.response import Respond
 from ngvisco.physics.tensors import inner
 from ngvisco.physics.variables import Values
 

@@ -25,6 +25,7 @@ from ngsolve import CoefficientFunction, FESpace, Mesh
 
 from ngvisco.errors import NgviscoError, ParameterError, _is_number
 from ngvisco.forms.fields import Fields
+from ngvisco.forms.mesh.integrand import Integrand
 from ngvisco.physics.material import StateSpace
 from ngvisco.physics.tensors import inner
 
@@ -121,16 +122,6 @@ class Introducing(Protocol):
 
 PRODUCTION = "entropy_production_"
 """The beginning of the names of the ledger's columns of entropy that a mechanism produces, never negative."""
-
-
-@dataclass(frozen=True)
-class Integrand:
-    """An integrand over the cells, one over the cells' boundaries, and one over the cells by a collocated
-    rule, with one point per coefficient of a field (``Quadrature.nodes``)."""
-
-    cells: CoefficientFunction | None = None
-    facets: CoefficientFunction | None = None
-    nodes: CoefficientFunction | None = None
 
 
 Kind = Literal["dissipation", "power", "energy", "numerical", "monitor", "production", "flux"]

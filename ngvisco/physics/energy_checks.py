@@ -32,7 +32,8 @@ from ngvisco.errors import (
 )
 from ngvisco.physics.material import Material
 from ngvisco.physics.materials.wrapped import Carrying
-from ngvisco.physics.pointwise import Respond, energies_at, evaluated, respond, rest_state, states_of
+from ngvisco.physics.pointwise import energies_at, evaluated, respond, rest_state, states_of
+from ngvisco.physics.response import Respond
 from ngvisco.physics.signals import one_value, reads_time, sampled
 from ngvisco.physics.tensors import constant
 from ngvisco.physics.variables import Values

@@ -20,13 +20,14 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, reduce
 from operator import add
-from typing import TYPE_CHECKING, Literal, Self, TypeAlias, TypeVar
+from typing import Literal, Self, TypeAlias, TypeVar
 
 import numpy as np
 from ngsolve import CF, Id
 
 from ngvisco.errors import ParameterError
 from ngvisco.physics.parameters import Modulus, require_fields, substituted
+from ngvisco.physics.response import Respond
 from ngvisco.physics.signals import sampled
 from ngvisco.physics.tensors import (
     IDENTITY,
@@ -42,9 +43,6 @@ from ngvisco.physics.tensors import (
     trace_free_tensors,
 )
 from ngvisco.physics.variables import Values, Variable
-
-if TYPE_CHECKING:
-    from ngvisco.physics.pointwise import Respond
 
 
 class StateSpace:

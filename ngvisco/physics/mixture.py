@@ -44,7 +44,8 @@ from ngvisco.physics.parameters import (
     typical_value,
     value_at,
 )
-from ngvisco.physics.pointwise import Respond, Response, respond
+from ngvisco.physics.pointwise import respond
+from ngvisco.physics.response import Respond, Response
 from ngvisco.physics.rheology import StokesViscosity, ValueOfModulus, Viscosity
 from ngvisco.physics.tensors import IDENTITY, Tensor, dev, identity_like
 from ngvisco.physics.variables import INTERFACE, PRESSURE, Jacobian, Values, Variable

@@ -10,7 +10,6 @@ tree of small tensor operations for each point.  Where an energy can be written 
 
 import math
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
 from functools import cache, cached_property
 from typing import Any, TypeAlias
 
@@ -21,28 +20,8 @@ from ngsolve.meshes import MakeStructured2DMesh
 from ngvisco.errors import ParameterError
 from ngvisco.physics.arrays import TINY, Array, Map, derivatives
 from ngvisco.physics.material import Material, conjugates_along
+from ngvisco.physics.response import Respond, Response
 from ngvisco.physics.tensors import Tensor, constant
-
-
-@dataclass(frozen=True)
-class Response:
-    """An energy, (n,), Pa, at n states of N components, its slope, (n, N), and Hessian, (n, N, N)."""
-
-    energy: np.ndarray
-    slope: np.ndarray
-    hessian: np.ndarray
-    failure: str | None = None
-    """Why some entries are NaN; None where all is well."""
-
-    @property
-    def finite(self) -> np.ndarray:
-        """Where energy and derivatives are numbers, (n,) of bool."""
-        matrices = np.isfinite(self.hessian).all(axis=(1, 2))
-        return np.isfinite(self.energy) & np.isfinite(self.slope).all(axis=1) & matrices
-
-
-Respond: TypeAlias = Callable[[np.ndarray], Response]
-"""The response at states of shape (n, N)."""
 
 Both: TypeAlias = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 """An energy, (points,), and its slope, at components (N, points)."""

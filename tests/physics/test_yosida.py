@@ -8,7 +8,8 @@ from ngsolve import Det, log
 import ngvisco as nv
 from ngvisco.errors import NgviscoError
 from ngvisco.physics.energy_checks import StateSampling
-from ngvisco.physics.pointwise import Response, respond
+from ngvisco.physics.pointwise import respond
+from ngvisco.physics.response import Response
 from ngvisco.physics.tensors import square
 from ngvisco.physics.variables import Distortion, Jacobian
 

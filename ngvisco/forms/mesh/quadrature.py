@@ -14,7 +14,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from ngsolve import (
@@ -36,13 +36,11 @@ from ngsolve import (
 from ngsolve.comp import IntegrationRuleSpace
 
 from ngvisco.errors import InitialDataError, ParameterError
+from ngvisco.forms.mesh.integrand import Integrand
 from ngvisco.forms.mesh.mesh_arrays import VERTICES, rules
 from ngvisco.forms.mesh.symmetry import NO_SYMMETRY, Symmetry, weighted
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.mesh import number_of
-
-if TYPE_CHECKING:
-    from ngvisco.forms.term import Integrand
 
 SYMMETRIC_DEGREE = 6
 """Up to it NGSolve's rules of triangles have all symmetries of the triangle.  The two sides of a face number

@@ -16,7 +16,8 @@ from ngvisco.errors import NgviscoError, Quantity, UnknownNameError
 from ngvisco.physics.flow_rules.rule import Hardening, PlasticContent
 from ngvisco.physics.material import ElasticState, Material, Wrapper
 from ngvisco.physics.parameters import Parameter, distinct, substituted
-from ngvisco.physics.pointwise import Respond, Response, respond, rest_state
+from ngvisco.physics.pointwise import respond, rest_state
+from ngvisco.physics.response import Respond, Response
 from ngvisco.physics.tensors import Tensor, inner
 from ngvisco.physics.variables import ReciprocalJacobian, Values, Variable
 

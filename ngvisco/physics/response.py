@@ -1,0 +1,28 @@
+"""The response of a material at points: its energy and the first two derivatives, as arrays."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Response:
+    """An energy, (n,), Pa, at n states of N components, its slope, (n, N), and Hessian, (n, N, N)."""
+
+    energy: np.ndarray
+    slope: np.ndarray
+    hessian: np.ndarray
+    failure: str | None = None
+    """Why some entries are NaN; None where all is well."""
+
+    @property
+    def finite(self) -> np.ndarray:
+        """Where energy and derivatives are numbers, (n,) of bool."""
+        matrices = np.isfinite(self.hessian).all(axis=(1, 2))
+        return np.isfinite(self.energy) & np.isfinite(self.slope).all(axis=1) & matrices
+
+
+Respond: TypeAlias = Callable[[np.ndarray], Response]
+"""The response at states of shape (n, N)."""
