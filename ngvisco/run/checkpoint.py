@@ -1,31 +1,31 @@
-"""The HDF5 file of a run: ledger and checkpoints, always complete under its name.
+"""The HDF5 file of a run: ledger and checkpoints; under its name it is always complete.
 
 Layout::
 
     /                               attributes: format, ngvisco, mesh, spaces, material, bodies, energies (Pa,
-                                    at fixed states, by which an energy is known again), scheme and any that
-                                    the caller adds (``case``, the hash of a case file's physics)
-    /ledger/<column>                one value a step, attribute ``unit``; the group's ``closed``: the first
-                                    steps of the run's parts, and up to which |closure_relative| each closes
-    /<table>/<column>               of the observers that have a ``group``, as ``bodies``, one value a row
+                                    at fixed states, which identify an energy), scheme and the caller's
+                                    attributes (``case``, the hash of a case file's physics)
+    /ledger/<column>                one value a step, attribute ``unit``; the group's ``closed``: first step
+                                    of each part of the run, and |closure_relative| up to which it closes
+    /<table>/<column>               one value a row, for observers with a ``group``, as ``bodies``
     /checkpoints/<step>/state       all coefficients of the step's space; attributes time (s), step,
                                     energy (J), mass (kg), initial_mass (kg), velocity_scale (m/s)
-    /checkpoints/<step>/solver      where the Jacobian was factorised (attributes tau, end, loads_from,
-                                    loads_over, loads_tilt, last_tau; data sets state, state_old), and the
-                                    last two solutions, which start values are extrapolated from; empty for
-                                    none
-    /checkpoints/<step>/stepping    what the choice of the next step depends on: of fixed steps where they are
-                                    counted from (attributes start, level), of adaptive ones the next length
-                                    (dt), streak, last_error, and the states known_* of the error estimate
+    /checkpoints/<step>/solver      the point where the Jacobian was factorised (attributes tau, end,
+                                    loads_from, loads_over, loads_tilt, last_tau; data sets state, state_old),
+                                    and the last two solutions, from which start values are extrapolated;
+                                    empty without a factorisation
+    /checkpoints/<step>/stepping    data for the choice of the next step: for fixed steps the origin of their
+                                    count (attributes start, level), for adaptive ones the next length (dt),
+                                    streak, last_error, and the states known_* of the error estimate
     /checkpoints/<step>/passive     coefficients of the run's passive fields, if any
 
 The ledger and each checkpoint have the attribute ``checksum``, the SHA-256 of all their numbers: a file in
 which a bit has changed is refused.
 
-The file is made in memory, written beside and renamed, so that a kill or a full disk at any moment
-leaves the last one readable.  A restart factorises the Jacobian where the run had done so, and goes
-on bit for bit as that run (on one machine, over as many ranks), at whatever step it was interrupted;
-``ngvisco/parallel/NOTES.md`` says where ranks leave a difference of rounding.
+The file is made in memory, written under another name and renamed, so that a kill or a full disk at any
+moment leaves the former file readable.  A restart factorises the Jacobian at the run's own point and equals
+the uninterrupted run bit for bit (on one machine, with the same number of ranks), whatever the step of the
+interruption; ``ngvisco/parallel/NOTES.md`` says where ranks leave a difference of rounding.
 """
 
 from __future__ import annotations
@@ -59,9 +59,9 @@ UNITS = (
     "time, tau, dt, end, loads_from, loads_over, *_time, known_*: s; energy: J; mass: kg; "
     "velocity_scale: m/s (per metre in plane strain)"
 )
-"""Units of the checkpoints' attributes, as the file names them; units of the ledger stand at its columns."""
+"""Units of the checkpoints' attributes, as the file lists them; units of the ledger stand at its columns."""
 _WHOLE = ("step", "newton_iterations", "rejections", "limited_cells", "passive_unsolved")
-"""Ledger columns of whole numbers."""
+"""Ledger columns that hold whole numbers."""
 _CHECKSUM, _CLOSED = "checksum", "closed"
 FORMAT = 5
 """The version of the format of a run's file."""
@@ -70,14 +70,14 @@ _PARTS = ("", "solver", "stepping", "passive")
 
 @dataclasses.dataclass(frozen=True)
 class Snapshot:
-    """One checkpoint: numbers and arrays under their names in its group, as ``/time`` and ``solver/tau``."""
+    """One checkpoint: numbers and arrays by their names in its group, as ``/time`` and ``solver/tau``."""
 
     numbers: dict[str, float]
     arrays: dict[str, np.ndarray]
 
     @property
     def checksum(self) -> str:
-        """SHA-256 of all of it."""
+        """SHA-256 of all numbers and arrays."""
         return _digest(self.numbers, self.arrays)
 
     @property
@@ -87,7 +87,7 @@ class Snapshot:
         )
 
     def part(self, name: str) -> tuple[dict[str, float], dict[str, np.ndarray]]:
-        """The numbers and arrays of its own group, ``""``, or of one within it, by their names there."""
+        """Numbers and arrays of the checkpoint's group, ``""``, or of an inner group, by name there."""
         numbers = {k.removeprefix(f"{name}/"): v for k, v in self.numbers.items() if k.startswith(f"{name}/")}
         arrays = {k.removeprefix(f"{name}/"): v for k, v in self.arrays.items() if k.startswith(f"{name}/")}
         return numbers, arrays
@@ -95,7 +95,7 @@ class Snapshot:
 
 @dataclasses.dataclass(frozen=True)
 class ChosenMesh:
-    """A mesh that a run came to: a .vol file's content, and the number of the state that chose it."""
+    """A mesh chosen during a run: a .vol file's content, and the number of the state that chose it."""
 
     image: bytes
     step: int
@@ -109,11 +109,11 @@ class Checkpoints:
     Parameters
     ----------
     path : path
-        E.g. ``results/run.h5``.
+        The file, e.g. ``results/run.h5``.
     every : int
         Steps between checkpoints.
     keep : int
-        How many checkpoints the file holds, the latest ones.
+        Number of latest checkpoints that the file keeps.
     attributes : mapping, optional
         Further attributes of the file, e.g. the hash of a case.
     """
@@ -126,7 +126,7 @@ class Checkpoints:
         self.every, self.keep = int(every), int(keep)
         self.attributes = dict(attributes or {})
         self.chosen: ChosenMesh | None = None
-        """The mesh of the present state where that is not the run's first one."""
+        """The mesh of the present state; None if it is the run's first one."""
         self._kept: dict[int, Snapshot] = {}
 
     def start(self, simulation: Simulation) -> None:
@@ -134,12 +134,12 @@ class Checkpoints:
         if simulation.ranks.is_first and simulation.number > 0 and self.path.exists():
             with _opened(self.path) as file:
                 earlier = {int(name): _load(self.path, of) for name, of in file["checkpoints"].items()}
-            since = 0 if self.chosen is None else self.chosen.step  # states before are of another mesh
+            since = 0 if self.chosen is None else self.chosen.step  # earlier states are on another mesh
             self._kept = {n: kept for n, kept in earlier.items() if since <= n < simulation.number}
         self._write(simulation)
 
     def step(self, simulation: Simulation, row: dict[str, float]) -> None:
-        if simulation.number % self.every == 0:  # parts of a halved step count: its time is not to be lost
+        if simulation.number % self.every == 0:  # parts of a halved step count: it took long, and is kept
             self._write(simulation)
 
     def finish(self, simulation: Simulation) -> None:
@@ -151,7 +151,7 @@ class Checkpoints:
         kept = {number: kept[number] for number in sorted(kept)[-self.keep :]}
         if simulation.ranks.is_first:
             write_atomically(self.path, self._image(simulation, kept))
-        self._kept = kept  # not before it is written: else the end of the run would not try again
+        self._kept = kept  # only after writing: after an error the run's end has to try again
 
     def _image(self, simulation: Simulation, kept: Mapping[int, Snapshot]) -> bytes:
         image = io.BytesIO()
@@ -210,7 +210,7 @@ def _digest(numbers: Mapping[str, float], arrays: Mapping[str, np.ndarray]) -> s
 
 
 def _verify(path: Path, group: h5py.Group, checksum: str) -> None:
-    """Raise CheckpointError unless the group's checksum is this one."""
+    """Raise CheckpointError unless the group has the checksum ``checksum``."""
     found = group.attrs.get(_CHECKSUM)
     if found != checksum:
         what = "has no checksum" if found is None else "is damaged (its checksum differs)"
@@ -219,7 +219,7 @@ def _verify(path: Path, group: h5py.Group, checksum: str) -> None:
 
 @contextlib.contextmanager
 def _opened(path: Path) -> Iterator[h5py.File]:
-    """A run's file; raises CheckpointError where there is none, or it is damaged."""
+    """A run's file, opened; raises CheckpointError for a missing or damaged file."""
     if not path.exists():
         raise CheckpointError(f"{path}: no such file")
     try:
@@ -227,12 +227,12 @@ def _opened(path: Path) -> Iterator[h5py.File]:
             yield file
     except CheckpointError:
         raise
-    except (OSError, KeyError, RuntimeError, ValueError, TypeError) as error:  # h5py's, by what is damaged
+    except (OSError, KeyError, RuntimeError, ValueError, TypeError) as error:  # h5py's, by the kind of damage
         raise CheckpointError(f"{path}: not a readable run file ({error})") from error
 
 
 def mesh_of_checkpoints(path: AnyPath) -> ChosenMesh | None:
-    """The mesh of a run's states where it is not the run's first one.
+    """The mesh of a run's checkpoints; None if it is the run's first one.
 
     Raises CheckpointError if the file cannot be read.
     """
@@ -243,7 +243,7 @@ def mesh_of_checkpoints(path: AnyPath) -> ChosenMesh | None:
 
 
 def snapshot(simulation: Simulation) -> Snapshot:
-    """A copy of all that a restart needs, in the numbering of one process; on the first rank, collective."""
+    """Copy of the data for a restart, on the first rank, in the numbering of one process; collective."""
     balance = simulation.ledger.balance
     assert balance is not None
     numbers = {"time": simulation.t, "step": simulation.number, "velocity_scale": simulation.velocity_scale}
@@ -269,11 +269,10 @@ def take_up(
     attributes: Mapping[str, str] | None = None,
     may_differ: Collection[str] = (),
 ) -> tuple[Snapshot, list[dict[str, float]], list[tuple[int, float]]]:
-    """Give a simulation the state and passive fields of a checkpoint; that, the ledger's rows, their limits.
+    """Load a checkpoint's state and passive fields; return the checkpoint, the ledger's rows, their limits.
 
-    Collective.  ``may_differ`` names parts of what a run is known by; where there are some, the rows have the
-    file's columns, and the run's otherwise.  Raises CheckpointError as
-    ``Simulation.restore``.
+    Collective.  ``may_differ`` names parts of a run's identity that may differ; with such parts the rows have
+    the file's columns, otherwise the run's.  Raises CheckpointError as ``Simulation.restore``.
     """
     path = require_path("restore.path", path)
     ledger, ranks, numbering = simulation.ledger, simulation.ranks, simulation.numbering
@@ -291,7 +290,7 @@ def take_up(
         rows = [row for row in _rows(path, found, names) if row["step"] <= number]
         if [row["step"] for row in rows] != list(range(number + 1)):
             raise CheckpointError(f"{path}: its ledger has not the rows of steps 0 to {number}")
-        with _opened(path) as file:  # one of before has no limits: they are this run's
+        with _opened(path) as file:  # older files have no limits: this run's hold
             limits = [(int(first), float(limit)) for first, limit in file["ledger"].attrs.get(_CLOSED, ())]
         return one.numbers, list(one.arrays), names, rows, limits
 
@@ -306,7 +305,7 @@ def take_up(
 
 
 def _read_checkpoint(path: Path, expected: dict[str, Any], step: int | None) -> Snapshot:
-    """One checkpoint, by default the last, of a file that has the expected attributes."""
+    """A checkpoint, by default the last one, from a file that must have the expected attributes."""
     with _opened(path) as file:
         for name, value in expected.items():
             found = file.attrs.get(name)
@@ -326,9 +325,9 @@ def _read_checkpoint(path: Path, expected: dict[str, Any], step: int | None) -> 
 
 
 def read_ledger(path: AnyPath) -> dict[str, np.ndarray]:
-    """The ledger of a run's HDF5 file, an array a column.
+    """The ledger of a run's HDF5 file, an array for each column.
 
-    Raises CheckpointError if the file cannot be read, or its ledger is not as it was written.
+    Raises CheckpointError if the file cannot be read, or its ledger has changed since it was written.
     """
     path = require_path("read_ledger.path", path)
     with _opened(path) as file:
@@ -338,7 +337,7 @@ def read_ledger(path: AnyPath) -> dict[str, np.ndarray]:
 
 
 def _rows(path: Path, found: Mapping[str, np.ndarray], columns: Sequence[str]) -> list[dict[str, float]]:
-    """A ledger as rows of the given columns; CheckpointError for one that is missing or too short."""
+    """Rows of a ledger with the given columns; raises CheckpointError for a missing or too short column."""
     if missing := [name for name in columns if name not in found]:
         raise CheckpointError(f"{path}: its ledger has no column {', '.join(missing)}")
     if len({found[name].shape for name in columns}) != 1 or found[columns[0]].ndim != 1:
@@ -348,16 +347,16 @@ def _rows(path: Path, found: Mapping[str, np.ndarray], columns: Sequence[str]) -
 
 
 def _identity(simulation: Simulation) -> dict[str, Any]:
-    """The data that must be equal for a checkpoint to fit, on the first rank: format, mesh, spaces and
-    material.
+    """Data that must be equal for a checkpoint to fit, on the first rank: format, mesh, spaces, material.
 
-    A material is its parameters and energies at some states: functions of one name are different energies.
+    A material is identified by its parameters and by energies at some states, since different functions may
+    have one name.
     """
     layout, mesh = simulation.numbering.layout, simulation.numbering.mesh
     assert layout is not None and mesh is not None
     spaces = ", ".join(f"{name} {layout.blocks[name].ndof}" for name in layout.names)
     material = simulation.model.material
-    # what the amounts in the state are amounts of
+    # bodies to which the state's amounts belong
     amounts = [v for v in material.variables if isinstance(v, Amount)]
     return {
         "format": FORMAT,
@@ -381,11 +380,11 @@ def _mesh_hash(mesh: Mesh) -> str:
 
 
 def _material_signature(material: object) -> str:
-    """Class and numbers of a material, and of the bodies that it is of; functions by their names."""
+    """Class and numbers of a material and of its bodies; functions are given by their names."""
     values = [
         f"{field.name}={_signature_of(getattr(material, field.name))}"
         for field in (dataclasses.fields(material) if dataclasses.is_dataclass(material) else ())
-        if field.repr  # the place of a body is that of the start alone
+        if field.repr  # a body's place describes the start alone
     ]
     return f"{type(material).__name__}({', '.join(values)})"
 
@@ -408,7 +407,7 @@ def _scheme_signature(simulation: Simulation) -> str:
 
 
 def version(package: str = "ngvisco") -> str | None:
-    """The version of an installed package; None for one that is not installed."""
+    """The version of an installed package; None for a package that is not installed."""
     try:
         return importlib.metadata.version(package)
     except importlib.metadata.PackageNotFoundError:

@@ -1,4 +1,4 @@
-"""Reports of a step that could not be taken: three lines to act on, and below a rule the rest.
+"""Report on a step that could not be taken: three lines to act on, then a rule and the details.
 
 ``Simulation.advance`` attaches a ``FailureReport`` to the StepError that it raises.
 """
@@ -31,40 +31,40 @@ if TYPE_CHECKING:
     from ngvisco.run.simulation import Simulation
 
 _SHOWN = 4
-"""Increments of an attempt's last iterations that a report shows."""
+"""Number of an attempt's last iterations whose increments a report shows."""
 _RULE = 80 * "-"
 
 _ROUNDING = 1e-12
-"""The share of the usual |v|/h up to which the flow is at rest."""
+"""Share of the usual |v|/h, below which the flow counts as at rest."""
 _FAST = 1.0
-"""Courant number above which a report speaks of it."""
+"""Courant number above which a report gives advice about it."""
 
 _SHARP = 1e-5
-"""Floor of a rate of creep over the flow's largest |v|/h, below which Newton's iteration may end at it."""
+"""Ratio of a creep rate's floor and the largest |v|/h, below which a report advises a larger floor."""
 
 
 @dataclass(frozen=True)
 class FailureReport:
-    """A step that a run could not take; ``str`` of it is the report.
+    """The report on a step that a run could not take; ``str`` gives its text.
 
     Attributes
     ----------
     time, tau : float
-        From where, and how long the step was to be, s (of adaptive steps: the last one tried).
+        Begin and length of the step, s (with adaptive steps: of the last one tried).
     number : int
-        Of the step that failed, from 1.
+        Number of the step that failed, from 1.
     violation, state : Violation and array, or None
-        Where the solution that was refused is out of bounds, and all its coefficients, over ranks this
-        rank's, for ``showing``; None where no solution was found.
+        The bound that the refused solution violates, and its coefficients, over ranks this rank's, for
+        ``showing``; None if no solution was found.
     courant : float
-        Largest tau |v|/h at the state before, 0 at rest, in cell ``fastest`` (its number in the whole mesh,
-        or None where that is not known) at ``place`` (m), near ``wall``.
+        Largest tau |v|/h at the state before the step, 0 at rest, in cell ``fastest`` (its number in the
+        whole mesh, or None if not known) at ``place`` (m), near ``wall``.
     history : tuple of Attempt
-        What was tried, from which start values.
+        Attempts to solve the step, with their start values.
     advice : tuple of str
-        What to change, the likeliest first, by the keys of a case file.
+        Advised changes by the keys of a case file, the likeliest first.
     parted : str or None
-        Which variables that stand for one distortion have parted too far, where that is the reason.
+        Names of the variables of one distortion that have parted too far, if that is the reason.
     """
 
     time: float
@@ -103,7 +103,7 @@ class FailureReport:
 
 
 def _described(history: Sequence[Attempt]) -> list[str]:
-    """A line for all attempts from start values of one kind: how many, and how the last one ended."""
+    """A line for the attempts from each kind of start values: their number, and how the last one ended."""
     lines = []
     for which, group in groupby(history, key=lambda attempt: attempt.start):
         attempts = list(group)
@@ -118,9 +118,9 @@ def _described(history: Sequence[Attempt]) -> list[str]:
 
 
 def failure_report(simulation: Simulation, error: StepError) -> FailureReport:
-    """The report on the last step that was tried from the simulation's present state, and its error.
+    """The report on the last step tried from the simulation's present state, which failed with ``error``.
 
-    Collective; all ranks get the same but for ``state``.
+    Collective; all ranks get the same report but for ``state``.
     """
     rate, fastest, place = _fastest(simulation)
     tau = simulation.integrator.tried
@@ -143,7 +143,7 @@ def failure_report(simulation: Simulation, error: StepError) -> FailureReport:
 
 
 def _fastest(simulation: Simulation) -> tuple[float, int | None, tuple[float, ...]]:
-    """The largest |v|/h, 1/s, the number of its cell, and where it is, m."""
+    """The largest |v|/h, 1/s, the number of its cell, and its place, m."""
     sampler, step = simulation.sampler, simulation.rothe_step
     rates = np.linalg.norm(sampler.rows(step.now.v), axis=1) / sampler.rows(step.context.h)[:, 0]
     mine = None
@@ -159,7 +159,7 @@ def _fastest(simulation: Simulation) -> tuple[float, int | None, tuple[float, ..
 
 
 def _advice(simulation: Simulation, violation: Violation | None, courant: float, rate: float) -> list[str]:
-    """``rate`` is the largest |v|/h, 1/s."""
+    """Advised changes, the likeliest first; ``rate`` is the largest |v|/h, 1/s."""
     model, lines = simulation.model, []
     if violation is not None and not violation.is_mean:
         lines.append("time.limiter = true: the run then goes on where the cell's mean is positive")
@@ -195,7 +195,7 @@ def _advice(simulation: Simulation, violation: Violation | None, courant: float,
 
 @contextlib.contextmanager
 def showing(simulation: Simulation, state: np.ndarray) -> Iterator[None]:
-    """Within: the simulation's ``fields`` are those of other coefficients, e.g. of a ``FailureReport``."""
+    """Context in which the simulation's ``fields`` show other coefficients, e.g. of a ``FailureReport``."""
     step = simulation.rothe_step
     values = step.state.vec.FV().NumPy()
     own = values.copy()
@@ -209,10 +209,10 @@ def showing(simulation: Simulation, state: np.ndarray) -> Iterator[None]:
 
 
 def write_failure(text: Path, fields: Path, simulation: Simulation, report: FailureReport) -> Path:
-    """Write the report as text, and the solution that was refused, else the last state, as .vtu.
+    """Write the report as text, and the refused solution, or else the last state, as .vtu.
 
-    Its field ``out_of_bounds`` is 1 in the cells that are so.  Returns the file of the fields: over ranks the
-    .pvtu of their pieces.  Collective; an OSError of one rank is raised on all.
+    The field ``out_of_bounds`` is 1 in cells where a bound is violated.  Returns the file of the fields, over
+    ranks the .pvtu of their pieces.  Collective; an OSError of one rank is raised on all.
     """
     ranks = simulation.ranks
     shown_in = shown_by(fields, ranks)

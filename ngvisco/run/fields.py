@@ -1,23 +1,23 @@
-"""The fields of a run under their names, for output, plots and users; beside them the material's variables.
+"""The fields of a run by name, for output, plots and users, besides the material's variables.
 
 | name                 | what                                                                  | unit |
 |----------------------|-----------------------------------------------------------------------|------|
 | velocity             | v                                                                     | m/s  |
 | density              | rho, kg/m^3                                                           |      |
-| cauchy_stress        | T, 3x3: of the stored energy, without the viscous stress              | Pa   |
+| cauchy_stress        | T, 3x3: elastic stress, without the viscous stress                    | Pa   |
 | pressure             | -tr T/3                                                               | Pa   |
-| pressure_from_rest   | the same less that of F = I, which a body of fixed shape does not feel | Pa  |
+| pressure_from_rest   | pressure less its value at F = I, which a body of fixed shape does not feel | Pa |
 | von_mises            | sqrt(3/2) |dev T|                                                     | Pa   |
-| temperature          | theta, of materials with heat                                         | K    |
-| plastic_strain       | k of a flow rule that hardens; plastic_strain_NAME of a body          | 1    |
-| body                 | the number, from 1, of the body whose fraction is the largest         | 1    |
+| temperature          | theta, for materials with heat                                        | K    |
+| plastic_strain       | k of a flow rule that hardens; for a body plastic_strain_NAME         | 1    |
+| body                 | the number, from 1, of the body with the largest fraction             | 1    |
 
-Further stresses and rates are written only where they are asked for by name:
+Further stresses and rates are written only if they are named:
 
 | name                 | what                                                                  | unit |
 |----------------------|-----------------------------------------------------------------------|------|
-| creep_rate           | Pi, 3x3, where there is creep; of a network ``creep_rate_BRANCH``     | 1/s  |
-| mandel_stress        | M, 3x3, of materials with tensors; ``mandel_stress_BRANCH``           | Pa   |
+| creep_rate           | Pi, 3x3, with creep; for a network ``creep_rate_BRANCH``              | 1/s  |
+| mandel_stress        | M, 3x3, for materials with tensors; ``mandel_stress_BRANCH``          | Pa   |
 | viscous_stress       | D eps(v), 3x3                                                         | Pa   |
 | hyperstress_i        | (mu_1 + mu |hess v|^{p-2}) d_j d_k v_i at jk, 3x3, for each i         | Pa m |
 | principal_stresses   | eigenvalues of the Cauchy stress, the largest first                   | Pa   |
@@ -45,7 +45,7 @@ from ngvisco.physics.variables import TEMPERATURE, Distortion, LeftCauchyGreen, 
 from ngvisco.run.waves import rest_pressure
 
 USUAL = ("density", "J", "velocity", "pressure", "von_mises", "temperature")
-"""Fields that are drawn by default, as far as a run has them."""
+"""Fields that are drawn by default if a run has them."""
 
 
 _OWN = ("velocity", "density", "cauchy_stress", "pressure", "pressure_from_rest", "von_mises")
@@ -57,12 +57,12 @@ _TAKEN = "another name: a field of the run has this one"
 def require_names_of_their_own(material: Material, further: Sequence[str], carried: Sequence[str]) -> None:
     """Raise ParameterError for a variable or a further unknown that has the name of a field of the run.
 
-    ``carried`` are those of passive fields.
+    ``carried`` are names of passive fields.
     """
     bodies = material.bodies if isinstance(material, Mixture) else ()
     taken = (*_OWN, *NAMES, *(body.name + _FRACTION for body in bodies), *(["body"] if bodies else []))
     taken = (*taken, *(v.strain for v in material.variables if isinstance(v, PlasticContent)))
-    if entropy_in(material) is not None:  # else the one that laws were given
+    if entropy_in(material) is not None:  # else laws read a given temperature
         taken = (*taken, TEMPERATURE)
     for variable in material.variables:
         if variable.name in taken:
@@ -75,7 +75,7 @@ def require_names_of_their_own(material: Material, further: Sequence[str], carri
 def output_fields(step: Step, fields: Fields | None = None) -> dict[str, CoefficientFunction]:
     """The fields of the module's docstring, the material's variables, and further unknowns that evolve.
 
-    They are of ``fields``, by default the present state.
+    All are evaluated at the state ``fields``, by default the present one.
     """
     u, material = step.now if fields is None else fields, step.model.material
     T = cauchy_stress(material, u.z_tensors, u.zeta_tensors, step.energy.anywhere(u))
@@ -100,11 +100,11 @@ def output_fields(step: Step, fields: Fields | None = None) -> dict[str, Coeffic
 
 
 _FRACTION = "_fraction"
-"""The end of the name of a body's volume fraction."""
+"""Ending of the field name of a body's volume fraction."""
 
 
 def _body_fields(step: Step, u: Fields) -> dict[str, CoefficientFunction]:
-    """Volume fractions of the bodies, ``NAME_fraction``, and ``body``, the number, from 1, of the largest."""
+    """Fractions of bodies, ``NAME_fraction``, and ``body``, the number, from 1, of the largest fraction."""
     material = step.model.material
     if not isinstance(material, Mixture):
         return {}
@@ -120,9 +120,9 @@ def _body_fields(step: Step, u: Fields) -> dict[str, CoefficientFunction]:
 def scalar_fields(
     fields: Mapping[str, CoefficientFunction], names: Sequence[str] | None = None
 ) -> dict[str, CoefficientFunction]:
-    """Scalars to be drawn: of a vector or a tensor its norm, or a component ``NAME_i``, ``NAME_ij``.
+    """Scalars to be drawn: fields, norms of vectors and tensors, or components ``NAME_i``, ``NAME_ij``.
 
-    By default density, J, modulus of the velocity, pressure and von Mises stress, where there are such.
+    Without ``names`` these are the fields of ``USUAL`` that the run has.
     """
     norms = {name: sqrt(square(value)) for name, value in fields.items() if value.dim > 1}
     known = norms | components(fields)
@@ -134,16 +134,16 @@ def scalar_fields(
 
 
 def components(fields: Mapping[str, CoefficientFunction]) -> dict[str, CoefficientFunction]:
-    """Every component of every field as a scalar: ``J``, ``velocity_1``, ``F_12``."""
+    """All components of all fields as scalars: ``J``, ``velocity_1``, ``F_12``."""
     return {part: value for name, field in fields.items() for part, value in _parts(name, field).items()}
 
 
 def component_fields(
     fields: Mapping[str, CoefficientFunction], names: Sequence[str] | None = None
 ) -> dict[str, CoefficientFunction]:
-    """The components of the named fields, or single components by their names; default the usual fields.
+    """Components of the named fields, and named single components; default the usual fields.
 
-    Raises UnknownNameError for a name that is neither.
+    Raises UnknownNameError for a name of neither a field nor a component.
     """
     every = components(fields)
     chosen: dict[str, CoefficientFunction] = {}
@@ -175,7 +175,7 @@ _UNITS = {
 
 
 def field_unit(name: str) -> str:
-    """The SI unit of a field that is drawn, or of its component, empty for a pure number."""
+    """The SI unit of a drawn field or of its component; empty for a pure number."""
     whole, _, index = name.rpartition("_")
     return _UNITS.get(whole if index.isdigit() else name, "")
 
@@ -197,13 +197,13 @@ NAMES = (
 
 
 CONTINUOUS = frozenset({"velocity"})
-"""Fields that are the same in all cells that meet at a point; all others may jump there."""
+"""Fields that are continuous across cells; all others may jump between cells."""
 
 
 def with_outlines(names: Sequence[str], available: Iterable[str]) -> list[str]:
-    """Names of fields, and what outlines the bodies of a run among those that are available.
+    """Names of fields, with the fractions among the ``available`` ones that outline the bodies of a run.
 
-    The fractions stand together before ``body``, by which they are known again (``frames.outlined``).
+    The fractions stand together before ``body``, by which ``frames.outlined`` finds them.
     """
     known = list(available)
     if "body" not in known:
@@ -220,7 +220,7 @@ def usual(names: Iterable[str]) -> list[str]:
 
 
 def further_fields(step: Step, cauchy: CoefficientFunction, u: Fields) -> dict[str, CoefficientFunction]:
-    """The fields above at ``u``, as far as the model has them; ``cauchy`` is its Cauchy stress."""
+    """The module's further fields that the model has, at ``u``; ``cauchy`` is the Cauchy stress there."""
     model, dim = step.model, step.mesh.dim
     found: dict[str, CoefficientFunction] = {}
     rates = step.context.rates.mean_creep(u)
@@ -245,14 +245,14 @@ def further_fields(step: Step, cauchy: CoefficientFunction, u: Fields) -> dict[s
 
 
 def eigenvalues(A: CoefficientFunction) -> CoefficientFunction:
-    """Eigenvalues of a symmetric 3x3 tensor, the largest first, a vector of three.
+    """Vector of the eigenvalues of a symmetric 3x3 tensor, the largest first.
 
     With A = q I + p B, tr B = 0, |B|^2 = 6 they are q + 2 p cos(phi + 2 pi k/3), cos 3 phi = det B/2.
     """
     q, deviator = (1 / 3) * tr(A), dev(A)
     s = square(deviator) / 6
     p = sqrt(if_positive(s, s, 0.0))
-    # of a spherical tensor every direction is a principal one: any phi will do
+    # in a spherical tensor every direction is a principal one: any phi is right
     cosine = 0.5 * det(deviator) / if_positive(s, s * p, 1.0)
     cosine = if_positive(cosine - 1, 1.0, if_positive(cosine + 1, cosine, -1.0))  # rounding
     phi = acos(cosine) / 3
@@ -260,7 +260,7 @@ def eigenvalues(A: CoefficientFunction) -> CoefficientFunction:
 
 
 def principal_stretches(step: Step, u: Fields) -> CoefficientFunction | None:
-    """Singular values of the elastic distortion; None for a material without a tensor that has them."""
+    """Singular values of the elastic distortion; None for a material without such a tensor."""
     values, variables = u.z_tensors, step.model.material.variables
     for variable in variables:
         value = values[variable.name]
@@ -277,7 +277,7 @@ def principal_stretches(step: Step, u: Fields) -> CoefficientFunction | None:
 
 
 def _hyperstress(u: Fields, i: int) -> CoefficientFunction:
-    """S_ijk at jk, 3x3."""
+    """The 3x3 matrix with the hyperstress S_ijk at jk."""
     dim, basis = u.dim, hessian_basis(u.dim)
     size = basis.shape[1]
     matrix = np.zeros((3, 3, dim, size))

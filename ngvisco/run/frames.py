@@ -1,9 +1,9 @@
-"""Frames of pictures, animations and scenes: states as arrays, of a VTK series or of fields as they are.
+"""Frames of pictures, animations and scenes: states as arrays, from a VTK series or from present fields.
 
-Cells have their own points, so that fields may jump between them.  Surfaces of bodies are the lines where a
-volume fraction is one half.  Lines of the single cells would have gaps where a jump passes one half; so the
-fraction is averaged at points where cells meet, and between these the lines follow a smooth function through
-its values, not the edges of cells.
+Cells have their own points, so that fields may jump between them.  The outline of a body is the line where
+its volume fraction is one half.  Lines drawn cell by cell would have gaps where a jump passes one half.  So
+the fraction is averaged at points where cells meet, and the line is that of a smooth function through the
+averages, which does not follow the edges of cells.
 """
 
 import importlib
@@ -24,7 +24,7 @@ from ngvisco.errors import CheckpointError, ParameterError, UnknownNameError
 from ngvisco.shapes.fractions import subdivision
 
 COMPONENTS = {3: list("123"), 9: [f"{i}{j}" for i in "123" for j in "123"]}
-"""Names of the components of vectors and tensors in files, by their number."""
+"""Names of the components of vectors and tensors in files, by the number of components."""
 _KINDS = {"Float64": "<f8", "Float32": "<f4", "Int32": "<i4", "UInt8": "u1"}
 _MARK = b'<AppendedData encoding="raw">'
 _TRIANGLE, _QUADRILATERAL, _TETRAHEDRON = 5, 9, 10
@@ -34,9 +34,9 @@ _CUTS = {
     2: (((0, 2), (0, 3), (1, 3), (1, 2)), [(0, 1, 2), (0, 2, 3)]),
     3: (((0, 3), (1, 3), (2, 3)), [(0, 1, 2)]),
 }
-"""Cuts of a tetrahedron with so many points, its first ones, above a plane: edges that are cut, triangles."""
-_SAME = 1e-9  # of the points' extent: those this close are one
-_FLAT = 1e-6  # of the largest triangle: what is smaller is a corner or an edge
+"""Cut edges of a tetrahedron, and triangles, by the number of its points above; these come first."""
+_SAME = 1e-9  # of the points' extent: points this close are one
+_FLAT = 1e-6  # of the largest triangle's area: a smaller one is a corner or an edge
 _HALVINGS = 2  # of the triangles in which a line is drawn
 
 
@@ -49,7 +49,7 @@ class Frame:
     points : array (points, 3), m
     cells : array (cells, 3) of triangles' points in 2D, (cells, 4) of tetrahedra's in 3D
     fields : arrays (points, components) by name
-    bodies : names of the fields that are fractions of bodies, whose surfaces are drawn
+    bodies : names of the fractions of bodies whose outlines are drawn
     """
 
     points: np.ndarray
@@ -62,7 +62,7 @@ class Frame:
         return self.cells.shape[1] - 1
 
     def scalar(self, name: str) -> np.ndarray:
-        """A scalar at the points: of a vector or a tensor its norm, or a component ``NAME_i``, ``NAME_ij``.
+        """Point values of a scalar, a norm of a vector or tensor, or a component ``NAME_i``, ``NAME_ij``.
 
         Raises UnknownNameError.
         """
@@ -79,12 +79,11 @@ class Frame:
         return parts[name]
 
     def fractions(self) -> list[np.ndarray]:
-        """Fractions of the bodies that are outlined, (points,), the same in all cells that meet at a
-        point."""
+        """Fractions of the outlined bodies, (points,) each, equal in all cells that meet at a point."""
         return [averaged(self.points, self.scalar(name)) for name in self.bodies]
 
     def boundary(self) -> np.ndarray:
-        """In 3D the faces that belong to one tetrahedron only, (faces, 3)."""
+        """Boundary faces in 3D, which belong to one tetrahedron only, (faces, 3)."""
         faces = np.concatenate([self.cells[:, face] for face in _FACES])
         _, number = places(self.points)
         corners = np.sort(number[faces], axis=1)
@@ -98,9 +97,9 @@ def frame_of(
     outlines: Sequence[CoefficientFunction] = (),
     pieces: int = 1,
 ) -> Frame:
-    """Scalar fields as they are, by name, with the fractions of bodies whose surfaces are drawn.
+    """The frame of scalar fields at present, by name; ``outlines`` are fractions of bodies to be outlined.
 
-    Every cell is cut into ``pieces``^dim ones, quadrilaterals into twice as many triangles.  Raises
+    Every cell is cut into ``pieces``^dim parts, a quadrilateral into twice as many triangles.  Raises
     ParameterError for a field that is no scalar.
     """
     for name, value in fields.items():
@@ -113,17 +112,17 @@ def frame_of(
 
 
 class Lattice:
-    """Points of a mesh's cells, each cut into ``pieces``^dim simplices, quadrilaterals into twice as many.
+    """Points of the ``pieces``^dim simplices that each cell is cut into, a quadrilateral into twice as many.
 
     Attributes
     ----------
     cells : array (parts, dim + 1)
-        The points of the parts; each cell has points of its own.
+        Numbers of the simplices' corners; each cell has points of its own.
     """
 
     def __init__(self, mesh: Mesh, pieces: int) -> None:
         self._points, self.cells = None, np.zeros((0, mesh.dim + 1), dtype=int)
-        if mesh.ne == 0:  # of a rank without cells
+        if mesh.ne == 0:  # a rank without cells
             return
         lattices = {ET.TRIG: subdivision(2, pieces), ET.QUAD: subdivision(2, pieces, True)}
         if mesh.dim == 3:
@@ -138,16 +137,16 @@ class Lattice:
         self.cells = np.concatenate([lattices[k][1] + start for k, start in zip(kinds, starts, strict=False)])
 
     def values(self, value: CoefficientFunction) -> np.ndarray:
-        """A function at the points, (points, components)."""
+        """Values of a function at the points, (points, components)."""
         if self._points is None:
             return np.zeros((0, value.dim))
         return np.asarray(value(self._points)).reshape(-1, value.dim)
 
 
 def sampled(mesh: Mesh, value: CoefficientFunction, pieces: int) -> tuple[np.ndarray, np.ndarray]:
-    """Values at the points of a ``Lattice``, (points, components), and its parts, (parts, dim + 1)."""
+    """Values at the points of a ``Lattice``, (points, components), and its simplices, (parts, dim + 1)."""
     lattice = Lattice(mesh, pieces)
-    # compiled: what fields have in common, as the pressure of bodies, is evaluated once, not where it stands
+    # compiled, since expressions common to several fields, as the pressure of bodies, are then evaluated once
     return lattice.values(value.Compile()), lattice.cells
 
 
@@ -164,9 +163,9 @@ def read_series_files(directory: str | os.PathLike[str]) -> list[tuple[float, Pa
 
 
 def read_pvd(path: Path) -> list[tuple[float, str]]:
-    """(time, file) of every data set that a .pvd of ours lists; empty if there is no such file.
+    """(time, file) of every data set in a .pvd file; empty if there is no such file.
 
-    Raises CheckpointError if it is none of ours, or damaged.
+    Raises CheckpointError if the file was not written by ``write_pvd``, or is damaged.
     """
     if not path.exists():
         return []
@@ -181,9 +180,9 @@ def read_pvd(path: Path) -> list[tuple[float, str]]:
 
 
 def read_frame(path: Path) -> Frame:
-    """One file of a series; raises CheckpointError if it is not one of ours, or damaged."""
+    """The frame in a file of a series; raises CheckpointError if it is damaged or of another program."""
     try:
-        if path.suffix == ".pvtu":  # which names the files of the ranks
+        if path.suffix == ".pvtu":  # it names the files of the ranks
             pieces = ElementTree.parse(path).getroot().iter("Piece")
             return _joined([read_frame(path.parent / piece.attrib["Source"]) for piece in pieces])
         head, mark, tail = path.read_bytes().partition(_MARK)
@@ -213,7 +212,7 @@ def _array(attributes: dict[str, str], raw: bytes) -> np.ndarray:
 
 
 def _cells(types: np.ndarray, where: np.ndarray) -> np.ndarray:
-    """Triangles or tetrahedra; quadrilaterals are halved."""
+    """Triangles or tetrahedra of a file's cells; quadrilaterals are halved."""
     if np.all(types == _TETRAHEDRON):
         return where.reshape(-1, 4)
     if not np.all(np.isin(types, (_TRIANGLE, _QUADRILATERAL))):
@@ -227,15 +226,15 @@ def _cells(types: np.ndarray, where: np.ndarray) -> np.ndarray:
 def cut(frame: Frame, axis: int, position: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The section of tetrahedra by the plane x_axis = position.
 
-    Returns (corners, 2) numbers of the two points between which each corner lies, how far from the first to
-    the second, (corners,), and triangles of corners, (triangles, 3).
+    Returns the numbers of the two points between which each corner lies, (corners, 2), the corner's position
+    between them from 0 to 1, (corners,), and triangles of corners, (triangles, 3).
     """
     height = frame.points[:, axis] - position
     above = height[frame.cells] > 0
-    if not above.any():  # at the body's end the plane is its face
+    if not above.any():  # at the body's end the plane is a face of the body
         above = height[frame.cells] >= 0
     order = np.argsort(~above, axis=1, kind="stable")
-    cells = np.take_along_axis(frame.cells, order, axis=1)  # the points above first
+    cells = np.take_along_axis(frame.cells, order, axis=1)  # the points above come first
     ends, triangles, start = [np.empty((0, 2), dtype=int)], [np.empty((0, 3), dtype=int)], 0
     for count, (edges, parts) in _CUTS.items():
         corners = cells[above.sum(axis=1) == count][:, edges]
@@ -249,14 +248,14 @@ def cut(frame: Frame, axis: int, position: float) -> tuple[np.ndarray, np.ndarra
 
 
 def averaged(points: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Values at points, (..., points), each the mean of those at the same place; points are (points, dim)."""
+    """Values, (..., points), replaced by their means over ``points``, (points, dim), at the same place."""
     _, place = places(points)
     sums = np.apply_along_axis(lambda row: np.bincount(place, weights=row), -1, values)
     return (sums / np.bincount(place))[..., place]
 
 
 def places(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The first point at each place, and for each point the number of its place, in a domain of any size."""
+    """The first point at each place, and for each point the number of its place; closeness is relative."""
     size = float(np.ptp(points, axis=0).max(initial=0.0)) or 1.0
     rounded = np.round(points / (_SAME * size)).astype(np.int64)
     _, first, number = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
@@ -264,8 +263,8 @@ def places(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def outline(axis: Any, X: np.ndarray, Y: np.ndarray, triangles: np.ndarray, fraction: np.ndarray) -> Any:
-    """Draw the line of a fraction at the corners of triangles, averaged; None where it has none."""
-    if not fraction.min() < 0.5 < fraction.max():  # matplotlib warns of lines that are not there
+    """Draw the line where a fraction, given at the corners of triangles, is one half; None without a line."""
+    if not fraction.min() < 0.5 < fraction.max():  # matplotlib warns if there is no line
         return None
     tri = importlib.import_module("matplotlib.tri")
     points = np.stack([X, Y], axis=1)
@@ -273,7 +272,7 @@ def outline(axis: Any, X: np.ndarray, Y: np.ndarray, triangles: np.ndarray, frac
     cells, points, values = number[triangles], points[first], fraction[first]
     a, b, c = np.moveaxis(points[cells], 1, 0)
     area = 0.5 * np.abs((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])
-    cells = cells[area > _FLAT * area.max()]  # a section has corners and edges of cells too
+    cells = cells[area > _FLAT * area.max()]  # a section meets corners and edges of cells too
     is_cut = (values[cells].min(axis=1) < 0.5) & (values[cells].max(axis=1) > 0.5)
     near = cells[np.isin(cells, cells[is_cut]).any(axis=1)]
     mesh = tri.Triangulation(*points.T, near)
@@ -282,10 +281,10 @@ def outline(axis: Any, X: np.ndarray, Y: np.ndarray, triangles: np.ndarray, frac
 
 
 def outlined(names: Sequence[str]) -> list[str]:
-    """The fractions among ``names`` that outline a run's bodies.
+    """The fractions among ``names`` that outline a run's bodies, without the last body's.
 
-    They stand together before ``body``: a passive field may be named like them.  All but the last, whose
-    surface is that of the others.
+    The fractions stand together before ``body``, since a passive field may have a similar name.  The last
+    body's outline consists of the others'.
     """
     before = list(names)[: list(names).index("body")] if "body" in names else []
     backwards = takewhile(lambda name: name.endswith("_fraction"), reversed(before))

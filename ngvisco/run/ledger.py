@@ -4,11 +4,12 @@
 
 is zero for the exact solution of a step (paper: Euler-ED-basic-energy-balance-disc and
 Euler-large-energy-balance-disc, with their inequalities' remainders written out).  Dissipations and powers
-are weighted as the time scheme does.  ``inertial`` and ``bregman`` are the kinetic and the stored part of
-what it dissipates numerically, sums of Bregman distances (``ngvisco.timestepping.scheme``): for the
-implicit Euler step 1/2 int rho_old |v - v_old|^2 and int phi(z_old) - phi(z) - phi'(z):(z_old - z), the
-latter >= 0 where the energy is convex; of either sign for schemes of second order.  ``limiter`` is what
-limiting the step's end takes (``ngvisco.forms.bounds``), ``limiter_walls`` that of it through moved walls.
+have the time scheme's weights.  ``inertial`` and ``bregman`` are the kinetic and the stored part of the
+scheme's numerical dissipation, sums of Bregman distances (``ngvisco.timestepping.scheme``).  For the
+implicit Euler step they are 1/2 int rho_old |v - v_old|^2 and int phi(z_old) - phi(z) - phi'(z):(z_old - z),
+the latter >= 0 where the energy is convex; for schemes of second order they have either sign.  ``limiter``
+is the energy taken by limiting the step's end (``ngvisco.forms.bounds``), ``limiter_walls`` its share
+through moved walls.
 """
 
 import math
@@ -40,13 +41,13 @@ from ngvisco.run.signs import CREEP_POWER, Signs
 from ngvisco.timestepping.integrator import LIMITER, LIMITER_WALLS, StepTaken
 
 EIGENVALUE = "eigenvalue_min_"
-"""Columns of the least eigenvalue of each tensor B, of its branch: it has to be positive."""
+"""Beginning of the columns of each tensor B's least eigenvalue, which has to be positive."""
 _STRETCH, _OPERATIONS = 1e-4, 30
-"""Relative change of the variables whose second difference gives the size of an energy density's terms, and
-the roundings of one, in units of that size."""
+"""Relative change of the variables for the second difference that gives the size of an energy density's
+terms, and the rounding of a density in roundings of this size."""
 
 _RATES = ("dissipation", "power", "production", "flux")
-"""Kinds of entries that are rates, of the scheme's stages."""
+"""Kinds of entries that are rates at the scheme's stages."""
 _COUNTS = ("newton_iterations", "rejections", "limited_cells", "passive_unsolved")
 _UNITS = {
     **{"time": "s", "dt": "s", "mass": "kg", "rho_min": "kg/m^3", "rho_max": "kg/m^3", "v_max": "m/s"},
@@ -55,11 +56,11 @@ _UNITS = {
     **dict.fromkeys(("step", "closure_relative", "mass_drift", "defect_rms", "defect_max", "J_min"), "1"),
     **dict.fromkeys((*_COUNTS, "cfl", "error_estimate", GROWTH), "1"),
 }
-"""Columns that are neither energies (J) nor of a kind, by units; those of a kind by how their names begin."""
+"""Units of columns that are not J, by name; ``_UNITS_OF_KINDS`` has units by the beginning of the name."""
 _UNITS_OF_KINDS = {"dissipation_": "W", "power_": "W", "entropy_": "W/K", "inflow_": "kg/s", EIGENVALUE: "1"}
 
 TRANSFER = "transfer"
-"""Energy lost where a state was carried over to another mesh or other parameters, J."""
+"""Column of the energy lost when a state is carried over to another mesh or other parameters, J."""
 
 
 def unit(column: str) -> str:
@@ -72,16 +73,16 @@ def unit(column: str) -> str:
 
 @dataclass(frozen=True)
 class Balance:
-    """The part of a ledger that a restart needs, to go on without a seam."""
+    """Totals of a ledger with which a restart goes on without a seam."""
 
     energy: float
     mass: float
     initial_mass: float
-    """With what has come in through walls since."""
+    """Mass at the start plus the mass that has come in through walls since."""
 
 
 _DEFECT = 0.01
-"""Relative root mean square of a defect from which on a run warns."""
+"""Relative root mean square of a defect, above which a run warns."""
 CLOSED = 1e-8
 """|closure_relative| up to which a ledger counts as closed, whatever the solver's tolerance."""
 _PER_TOLERANCE = 100.0
@@ -97,13 +98,13 @@ class ClosureWarning(NgviscoWarning):
 
 
 class DefectWarning(NgviscoWarning):
-    """Variables that stand for one thing have parted: the solution is wrong though the ledger closes."""
+    """Variables for one quantity have parted: the solution is wrong though the ledger closes."""
 
 
 class Ledger:
     """Evaluates a row after every step; a step with |closure_relative| above ``closed`` does not close.
 
-    Rows of an earlier part of the run are judged by the limit of that part, of another tolerance maybe.
+    Rows of an earlier part of the run are judged by the limit of that part, whose tolerance may differ.
 
     Attributes
     ----------
@@ -119,7 +120,7 @@ class Ledger:
         closed: float = CLOSED,
         velocity: Callable[[], float] = lambda: 0.0,
     ) -> None:
-        """``velocity`` gives a velocity of the run's size, m/s, beside which a momentum is small or not."""
+        """``velocity`` gives the run's velocity scale, m/s, which momenta are compared with."""
         self.step, self.sampler, self.closed = step, sampler, closed
         self.momentum = Momentum(step, sampler, velocity)
         own = (Entry(name, "numerical", Integrand()) for name in (*NUMERICAL, LIMITER, LIMITER_WALLS))
@@ -152,7 +153,7 @@ class Ledger:
 
     @property
     def limits(self) -> list[tuple[int, float]]:
-        """First rows of the run's parts, and up to which |closure_relative| each closes."""
+        """First row of each part of the run, and |closure_relative| up to which the part closes."""
         return [*self._earlier, (self._first, self.closed)]
 
     @property
@@ -168,13 +169,13 @@ class Ledger:
         ]
 
     def column(self, name: str) -> np.ndarray:
-        """A column over all rows so far."""
+        """Values of a column in all rows so far."""
         if name not in self.columns:
             raise UnknownNameError("ledger column", name, self.columns)
         return np.array([row[name] for row in self.rows])
 
     def exchanged(self, *names: str) -> np.ndarray:
-        """The sum of dissipations, powers and numerical entries since the start, J, (rows,)."""
+        """Sum of the named dissipations, powers and numerical entries since the start, J, (rows,)."""
         lengths, total = self.column("dt"), np.zeros(len(self.rows))
         numerical = {entry.name for entry in self.entries if entry.kind == "numerical"}
         for name in names:
@@ -183,7 +184,7 @@ class Ledger:
 
     @property
     def unclosed(self) -> str:
-        """The message about a ledger that does not close; empty for one that closes."""
+        """The message about a ledger that does not close; empty if it closes."""
         if not self.rows or self.step.sources is not None:  # the power of manufactured sources has no entry
             return ""
         first, limits = map(np.array, zip(*self.limits, strict=True))
@@ -202,7 +203,7 @@ class Ledger:
         )
 
     def frame(self) -> Any:
-        """All rows as a pandas frame, with the step as index; NotebookError where pandas is missing."""
+        """All rows as a pandas frame with the step as index; raises NotebookError if pandas is missing."""
         return data_frame(self._columns())
 
     def _repr_html_(self) -> str:
@@ -212,7 +213,7 @@ class Ledger:
         return {name: self.column(name) for name in self.columns}
 
     def start(self, time: float) -> dict[str, float]:
-        """Row 0: the initial state, with no exchange."""
+        """Row 0, of the initial state, without exchange."""
         self.step.energy.require()
         values = self.state()
         if bad := [name for name, value in values.items() if not math.isfinite(value)]:
@@ -225,13 +226,13 @@ class Ledger:
         return self._append(row | self._measured(0.0, time))
 
     def _idle(self) -> dict[str, float]:
-        """Entries of a step in which nothing is exchanged."""
+        """Entries of a step without exchange: zeros."""
         return dict.fromkeys((entry.name for entry in self.entries), 0.0)
 
     def resume(
         self, balance: Balance, rows: list[dict[str, float]], limits: Iterable[tuple[int, float]]
     ) -> None:
-        """Go on from a checkpoint's balance, the rows up to its step, and the ``limits`` of these."""
+        """Go on from a checkpoint's balance, the rows up to its step, and their ``limits``."""
         self.balance, self.rows = balance, rows
         self.momentum.resume(rows)
         self._earlier = [(first, limit) for first, limit in limits if first < len(rows)]
@@ -240,14 +241,14 @@ class Ledger:
     def rates(self) -> dict[str, float]:
         """Dissipations and powers, W, and forces, N, at the present state, by columns.
 
-        Raises StepError for one that is no number, with its place.
+        Raises StepError, with the place, for a value that is no number.
         """
         self.step.eliminate.refresh_energy()
         self.step.energy.require()
         return self._numbers(self._rates) | self.momentum.forces()
 
     def _numbers(self, integrals: EntryIntegrals) -> dict[str, float]:
-        """Integrals at the present state; raises StepError for the first that is no number."""
+        """Integrals at the present state; raises StepError for the first one that is no number."""
         values = integrals()
         for name, value in values.items():
             if not math.isfinite(value):
@@ -261,7 +262,7 @@ class Ledger:
         return energy_of(self.state())
 
     def foreign(self, names: Iterable[str]) -> list[str]:
-        """Columns of the energy balance in an earlier part of the run that this ledger does not have."""
+        """Columns of exchange in an earlier part of the run that this ledger does not have."""
         return [*self._foreign_energies(names), *self.momentum.foreign(names)]
 
     def _foreign_energies(self, names: Iterable[str]) -> list[str]:
@@ -269,7 +270,7 @@ class Ledger:
         return [name for name in names if name not in own and name.startswith(prefixes)]
 
     def keep(self, names: Iterable[str]) -> None:
-        """Have entries of value 0 for what an earlier part of the run exchanged and this one does not."""
+        """Add entries of value 0 for the columns ``names`` of an earlier part that this part lacks."""
         self.momentum.keep(names := list(names))
         for name in self._foreign_energies(names):
             kind: Kind = "numerical" if name == TRANSFER else "dissipation"
@@ -277,17 +278,17 @@ class Ledger:
             self.entries.append(Entry(name, kind, Integrand()))
 
     def add_once(self, name: str, value: float) -> None:
-        """Add ``value``, J, to the column ``name`` of the next row, a transfer between states."""
+        """Put ``value``, J, of a transfer between states into the column ``name`` of the next row."""
         self.keep([name])
         self._pending[name] = value
 
     def record(
         self, number: int, time: float, taken: StepTaken, rejections: int = 0, error: float | None = None
     ) -> dict[str, float]:
-        """The row of the step ``taken`` to the present state, which is that of ``time``, s.
+        """Append and return the row of the step ``taken``, which ends in the present state at ``time``, s.
 
-        ``error`` is the estimate of the step's relative error, None where there is none.  Raises StepError
-        for a column that is no number and has to be one; the row is not taken then.
+        ``error`` is the estimate of the step's relative error, None without an estimate.  Raises StepError
+        for a column that has to be a number and is none; the row is then not appended.
         """
         assert self.balance is not None
         tau = taken.tau
@@ -327,7 +328,7 @@ class Ledger:
         return self._append(row)
 
     def check_closure(self) -> None:
-        """Warn of the last row if it is the first one that does not close, in energy or in momentum."""
+        """Warn if the last row is the first one that does not close, in energy or in momentum."""
         self.momentum.check(self.rows[-1])
         if not abs(self.rows[-1]["closure_relative"]) <= self.closed and (message := self.unclosed):
             self._warn_once(message, ClosureWarning)
@@ -340,8 +341,8 @@ class Ledger:
     def rounding(self) -> float:
         """The size of rounding in the stored energy at the present state, J.
 
-        An energy that is zero at rest, such as tr B - ln det B - 3, is a difference of terms that are not.
-        Their size is int |phi''(z)[z, z]|, and that of the heat above theta_R is int c theta.
+        An energy that is zero at rest, such as tr B - ln det B - 3, is a difference of larger terms.  The
+        terms' size is int |phi''(z)[z, z]|; the size of the heat above theta_R is int c theta.
         """
         z = self.step.now.z_tensors
         factors = (1 - _STRETCH, 1.0, 1 + _STRETCH)
@@ -351,10 +352,10 @@ class Ledger:
         return _OPERATIONS * np.finfo(float).eps * (self.sampler.integral(scale) + self.heat(1.0))
 
     def heat(self, s: float | None = None) -> float:
-        """int theta |s|, the size of the heat beside that of the reference temperature, J; 0 without heat.
+        """int theta |s|, the size of the heat above the reference temperature, J; 0 without heat.
 
-        Warm and cold places cancel in the energy, and do not in what an iteration leaves.  ``s`` in units of
-        the entropy, else the present one.
+        Heat of warm and cold places cancels in the energy, but not in an iteration's error.  ``s`` is a
+        constant entropy, by default the present field.
         """
         entropy = entropy_in(self.step.model.material)
         if entropy is None:
@@ -369,8 +370,7 @@ class Ledger:
         return self.rows[-1]
 
     def _prepare_monitors(self) -> None:
-        """Prepare the quantities that are watched besides the integrals of entries: at points, and squares of
-        defects in cells."""
+        """Compile the quantities that are monitored besides entries: point values and squares of defects."""
         u, material = self.step.now, self.step.model.material
         J, F = None, None
         self._shares: Values = {}
@@ -386,7 +386,7 @@ class Ledger:
             J, self._shares = 1 / material.fractions.total(u.z_tensors), material.fractions.at(u.z_tensors)
         self._has_both = F is not None and J is not None
         self._optional = {"error_estimate"} | ({"J_defect"} if not self._has_both else set())
-        """Columns that are NaN where there is nothing to say."""
+        """Columns that may be NaN, since the run has no such quantity."""
         if J is None and F is None:
             self._optional.add("J_min")
         gap = J - Det(F) if self._has_both else CF(0.0)
@@ -420,13 +420,13 @@ class Ledger:
         }
 
     def _eigenvalues(self, tensor: CoefficientFunction) -> np.ndarray:
-        """The least one at each point of a symmetric tensor."""
+        """Least eigenvalue of a symmetric tensor at each point."""
         return np.linalg.eigvalsh(self.sampler.rows(tensor).reshape(-1, 3, 3))[:, 0]
 
     def _relative_defects(self, values: np.ndarray, squares: np.ndarray, time: float) -> tuple[float, float]:
         """Largest root mean square and largest value of the relative defects; warns once from 1 % on.
 
-        ``values`` are (defects, points), ``squares`` their means.
+        ``values`` are the defects at points, (defects, points), ``squares`` the means of their squares.
         """
         if not self._defects:
             return math.nan, math.nan

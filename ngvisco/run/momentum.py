@@ -1,10 +1,10 @@
-"""The ledger's columns of momentum: what it is, what changes it by name, and what is left.
+"""The ledger's columns of momentum: the momentum, the impulses that change it, and the defect.
 
     momentum - momentum_old = sum of impulse_* + momentum_defect
 
-at every step of every scheme, and the same of angular momentum about the origin.  ``momentum_defect`` is what
-the scheme makes of nothing (``ngvisco.forms.impulses``); the columns ``defect_*`` are its parts, and what is
-not in one of these is what an iteration or the limiter leaves.
+holds at every step of every scheme, and likewise for angular momentum about the origin.  The scheme makes
+``momentum_defect`` itself (``ngvisco.forms.impulses``): no force accounts for it.  The columns ``defect_*``
+are its parts; the remainder comes from the iteration and the limiter.
 """
 
 from __future__ import annotations
@@ -23,30 +23,29 @@ from ngvisco.forms.system import Step
 from ngvisco.forms.term import Integrand
 
 SIZE, DEFECT, RELATIVE = "momentum_size", "momentum_defect", "momentum_defect_relative"
-"""Columns of int |rho v|, of what a step leaves, and of what it has left since the start over what moves."""
+"""Columns of int |rho v|, of a step's defect, and of the relative defect since the start."""
 IMPULSE, ANGULAR = "impulse_", "angular_"
-"""The beginnings of the names of columns of impulses, and of angular impulses."""
+"""Beginnings of the names of columns of impulses, and of angular quantities."""
 TRANSFERRED = "impulse_transfer"
-"""The column of the momentum that is lost where a state is carried over to another mesh or other
-parameters."""
+"""Column of the change of momentum when a state is carried over to another mesh or other parameters."""
 _ROUNDING = 1e-9
-"""Share of the largest impulse that is counted in every direction."""
+"""Share of the largest impulse that counts as exchanged in every direction, since it is rounding there."""
 LOST = 0.05
-"""Share of what moves and is exchanged from which on a momentum of nothing is warned of."""
+"""Share of the moving and exchanged momentum, above which a run warns of the defect."""
 
 
 class MomentumWarning(NgviscoWarning):
-    """The scheme makes momentum of nothing: jumps push the body, though the energy's ledger closes."""
+    """The scheme makes momentum without a force: jumps push the body, though the energy's ledger closes."""
 
 
 def column(quantity: str, motion: str) -> str:
-    """The name of a column: quantity_1 of ``"force_1"``, angular_quantity_1 of ``"torque_1"``."""
+    """The name of a column: quantity_1 for ``"force_1"``, angular_quantity_1 for ``"torque_1"``."""
     kind, _, axis = motion.partition("_")
     return (ANGULAR if kind == "torque" else "") + quantity + (f"_{axis}" if axis else "")
 
 
 def unit(name: str) -> str | None:
-    """The SI unit of a column of momentum (per metre of thickness in plane strain); None of others."""
+    """SI unit of a column of momentum (per metre of thickness in plane strain); None for other columns."""
     if name == RELATIVE:
         return "1"
     quantity = name.removeprefix(ANGULAR)
@@ -57,7 +56,7 @@ def unit(name: str) -> str | None:
 
 @dataclass(frozen=True)
 class _Totals:
-    """Totals of all rows so far, by motions: losses, exchange, the largest momentum, and the last one."""
+    """Totals of all rows so far: defect, exchange, and last momentum by motions; largest |momentum|."""
 
     lost: np.ndarray
     exchanged: np.ndarray
@@ -66,23 +65,23 @@ class _Totals:
 
 
 class Momentum:
-    """Columns of momentum of a run's ledger; ``velocity`` gives a velocity of its size, m/s."""
+    """Columns of momentum of a run's ledger; ``velocity`` gives the run's velocity scale, m/s."""
 
     def __init__(self, step: Step, sampler: Sampler, velocity: Callable[[], float]) -> None:
         self.impulses, self._ranks, self._velocity = Impulses(step), sampler.ranks, velocity
         self.motions = list(self.impulses.motions)
         reach = self._ranks.most(np.linalg.norm(coordinates(step.mesh), axis=1))
         self._reach = np.array([reach if motion.startswith("torque") else 1.0 for motion in self.motions])
-        """Lengths that make angular momentum of momentum, m."""
+        """Lever arm of each motion, m: the mesh's reach for rotations; 1 for translations."""
         self._given = [IMPULSE + name for name in self.impulses.names]
         self._at_once: list[str] = []
-        """Impulses of earlier parts of the run, and of transfers between them."""
+        """Names of impulses in earlier parts of the run, and of transfers between parts."""
         self._has_warned = False
         self.resume([])
 
     @property
     def columns(self) -> list[str]:
-        """Names, in the order of the CSV file."""
+        """Names of the columns, in the order of the CSV file."""
         quantities = ["momentum", *self._given, *self._at_once, DEFECT, *_PARTS]
         return [*(name for quantity in quantities for name in self._names(quantity)), SIZE, RELATIVE]
 
@@ -98,7 +97,7 @@ class Momentum:
         return dict(zip([*self._names("momentum"), SIZE], parts, strict=True))
 
     def foreign(self, names: Iterable[str]) -> list[str]:
-        """Columns of an earlier part of the run with impulses that this one does not have."""
+        """Columns of an earlier part of the run with impulses that this part does not have."""
         names = set(names)
         return [name for quantity in self._others(names) for name in self._names(quantity) if name in names]
 
@@ -108,11 +107,11 @@ class Momentum:
         return sorted(set(found) - {*self._given, *self._at_once})
 
     def keep(self, names: Iterable[str]) -> None:
-        """Have columns of the impulses among ``names`` that this part of the run does not have."""
+        """Add columns for the impulses among ``names`` that this part of the run does not have."""
         self._at_once += self._others(names)
 
     def forces(self) -> dict[str, float]:
-        """Forces, N, and torques, N m, at the present stage, by the columns of their impulses."""
+        """Forces, N, and torques, N m, at the present stage, by the names of their impulses' columns."""
         found: dict[str, float] = {}
         for name, values in self.impulses().items():
             quantity = f"defect_{name}" if name in DEFECTS else IMPULSE + name
@@ -120,19 +119,19 @@ class Momentum:
         return found
 
     def transferred(self, before: Mapping[str, float], after: Mapping[str, float]) -> dict[str, float]:
-        """The impulse of a transfer, by columns, from the rows of the states before and after it."""
+        """The impulse of a transfer, by columns, from the rows before and after the transfer."""
         change = self._array(after, "momentum") - self._array(before, "momentum")
         return dict(zip(self._names(TRANSFERRED), map(float, change), strict=True))
 
     def start(self, values: Mapping[str, float]) -> dict[str, float]:
-        """The columns of a run's start, with no exchange."""
+        """The columns at a run's start, without exchange."""
         return dict.fromkeys(self.columns, 0.0) | {name: values[name] for name in self.densities()}
 
     def row(self, values: Mapping[str, float], tau: float, at_end: np.ndarray | None) -> dict[str, float]:
         """The columns of a step over ``tau``, s.
 
         ``values`` are integrals of the state, forces as means over the step's stages, and impulses of a
-        transfer before it; ``at_end`` is what walls do to the rows of v at the step's end, N.
+        transfer before the step; ``at_end`` is the walls' reaction in the rows of v at the step's end, N.
         """
         row = {name: values[name] for name in (*self._names("momentum"), SIZE)}
         for quantity in (*self._given, *_PARTS):
@@ -147,7 +146,7 @@ class Momentum:
         lost = self._array(row, "momentum") - self._totals.last - sum(impulses, np.zeros(len(self.motions)))
         row |= dict(zip(self._names(DEFECT), map(float, lost), strict=True))
         totals = self._added(row)
-        # a direction without a load has the rounding of what the others exchange
+        # a direction without a load has rounding from the impulses in other directions
         rounding = _ROUNDING * (totals.exchanged / self._reach).max(initial=0.0)
         moving = totals.moving + values["mass"] * self._velocity() + rounding
         scale = self._reach * moving + totals.exchanged
@@ -155,7 +154,7 @@ class Momentum:
         return row
 
     def _added(self, row: Mapping[str, float]) -> _Totals:
-        """The totals with one more row."""
+        """The totals after one more row."""
         before, exchanged = self._totals, self._totals.exchanged
         for quantity in self._given:
             exchanged = exchanged + abs(self._array(row, quantity))
@@ -163,25 +162,25 @@ class Momentum:
         return _Totals(lost, exchanged, moving, self._array(row, "momentum"))
 
     def count(self, row: Mapping[str, float]) -> None:
-        """Take a row, the next one, into the totals."""
+        """Add the next row to the totals."""
         self._totals = self._added(row)
 
     def resume(self, rows: Iterable[Mapping[str, float]]) -> None:
-        """Go on from these rows."""
+        """Start the totals anew and count ``rows``."""
         zero = np.zeros(len(self.motions))
         self._totals = _Totals(zero, zero, 0.0, zero)
         for row in rows:
             self.count(row)
 
     def check(self, row: Mapping[str, float]) -> None:
-        """Warn, once, of a run that has lost more than a share of its momentum."""
+        """Warn, once, if a row's relative defect is larger than ``LOST``."""
         if self._has_warned or not row[RELATIVE] > LOST:
             return
         self._has_warned = True
         self._ranks.warn(self.said(row), MomentumWarning, stacklevel=4)
 
     def said(self, row: Mapping[str, float]) -> str:
-        """The message about the momentum that is lost in a row."""
+        """The message about the momentum defect in a row."""
         parts = {where: float(np.abs(self._array(row, f"defect_{where}")).max()) for where in DEFECTS}
         where = max(parts, key=lambda name: parts[name])
         return (

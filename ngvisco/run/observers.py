@@ -1,4 +1,4 @@
-"""Observers of a run: progress, as lines or in a notebook, the ledger as CSV, the VTK series."""
+"""Observers of a run: progress as lines or in a notebook, the ledger as CSV, the VTK series."""
 
 from __future__ import annotations
 
@@ -35,15 +35,15 @@ if TYPE_CHECKING:
 
 
 DEAR = 10.0
-"""Seconds of a step over the median of those before it, from which on a progress line says them."""
+"""Ratio of a step's seconds and the median of earlier steps, above which a progress line says the seconds."""
 _STEPS_BEFORE, _NOTICED = 5, 0.1
-"""Steps that make a median, and seconds that are said at least."""
+"""Least number of steps for a median, and least seconds that a progress line says."""
 
 
 class Progress:
-    """A line a step: time, energy, closure, Newton iterations, time to go.
+    """Prints a line for a step: time, energy, closure, Newton iterations, time to go.
 
-    A step that took ten times as long as the median of those before it is said to have.
+    The line also gives the seconds of a step that took ten times the median of earlier steps.
     Raises ParameterError if a parameter is out of its range.
 
     Parameters
@@ -51,9 +51,9 @@ class Progress:
     until : float
         End time of the run, s, for the estimate of the remaining time.
     every : int
-        Print every so many steps, and the last one.
+        Number of steps from one line to the next; the last step has a line too.
     stream : text stream, optional
-        Default ``sys.stdout``.
+        Stream of the lines; default ``sys.stdout``.
     """
 
     on_first_rank = True
@@ -69,7 +69,7 @@ class Progress:
         self._lap, self._costs, self._dear = self._began, list[float](), ""
 
     def _timed(self) -> None:
-        """Note the seconds since the last step's end, and say so where they are many."""
+        """Note the seconds since the last step's end, and print them if they are many."""
         now = clock.perf_counter()
         cost, self._lap = now - self._lap, now
         usual = statistics.median(self._costs) if len(self._costs) >= _STEPS_BEFORE else math.inf
@@ -78,7 +78,7 @@ class Progress:
             self._dear = f"took {cost:.3g} s, {cost / usual:.0f} times the median  "
 
     def _left(self, simulation: Simulation) -> str:
-        """The time to go, "" before the first step."""
+        """The time to go in words; "" before the first step."""
         left, covered = max(self.until - simulation.t, 0.0), simulation.t - self._from
         spent = clock.perf_counter() - self._began
         return f"{spent * left / covered:.0f} s left" if covered > 0 else ""
@@ -90,7 +90,7 @@ class Progress:
         self._set_out(simulation)
         self._total, steps = "", "adaptive steps"
         if not simulation.is_adaptive:
-            # of steps that may have had other lengths before
+            # the steps before may have had other lengths
             count = simulation.stepper.step_of(self.until, simulation.number)[0]
             done = simulation.step_number
             steps = f"{count - done if done else count} steps of {simulation.dt:g} s"
@@ -113,7 +113,7 @@ class Progress:
         )
 
     def rejected(self, simulation: Simulation, rejection: Rejection) -> None:
-        """A line for each rejected step."""
+        """Print a line for a rejected step."""
         self._print(
             f"step {simulation.step_under_way:5d}{self._total}  t {rejection.time:.4g} s  rejected "
             f"dt {rejection.tau:.4g} s: {rejection.reason}"
@@ -121,7 +121,7 @@ class Progress:
 
     def finish(self, simulation: Simulation) -> None:
         is_at_end = self._is_at_end(simulation)
-        if not (is_at_end or simulation.stop_requested):  # it goes on
+        if not (is_at_end or simulation.stop_requested):  # the run goes on
             return
         word = "finished" if is_at_end else "stopped"
         self._print(f"{word} at t = {simulation.t:g} s after {steps_in_words(simulation)}")
@@ -129,13 +129,13 @@ class Progress:
             self._print(advice)
 
     def _print(self, line: str) -> None:
-        # a reader that has gone, or a terminal that cannot take it, does not end a run
+        # a closed pipe, or a terminal that cannot show a letter, does not end a run
         with contextlib.suppress(OSError, ValueError):
             print(line, file=self.stream or sys.stdout, flush=True)
 
 
 class NotebookProgress(Progress):
-    """Redraws itself below a notebook's cell: a bar, the time, the energies, the closure.
+    """Redraws progress below a notebook's cell: a bar, the time, the energies, the closure.
 
     Raises NotebookError when IPython is missing.
 
@@ -167,10 +167,10 @@ class NotebookProgress(Progress):
             self.finish(simulation)
 
     def rejected(self, simulation: Simulation, rejection: Rejection) -> None:
-        """Not drawn."""
+        """Ignore rejected steps: they are not drawn."""
 
     def finish(self, simulation: Simulation) -> None:
-        if self._handle is not None:  # there is none outside of a notebook
+        if self._handle is not None:  # outside of a notebook there is no handle
             self._handle.update(self._page(simulation))
 
     def _page(self, simulation: Simulation) -> Any:
@@ -184,21 +184,21 @@ class NotebookProgress(Progress):
 
 
 def steps_in_words(simulation: Simulation) -> str:
-    """How many steps there were, and of how many parts where some were not taken as a whole."""
+    """The number of steps in words, with the number of their parts if some steps were halved."""
     steps, rows = simulation.step_number, simulation.number
     return f"{steps} step{'s' * (steps != 1)}" + (f" in {rows} parts" if steps != rows else "")
 
 
 def limited_in_words(row: dict[str, float]) -> str:
-    """How many cells the limiter changed, where it did."""
+    """The number of cells that the limiter changed, in words; empty for none."""
     cells = row["limited_cells"]
     return f"limited {cells:.0f} cell{'s' if cells > 1 else ''}  " if cells else ""
 
 
 class LedgerCSV:
-    """The ledger as CSV: a header, then a row a step, flushed at every step.
+    """Writes the ledger as CSV: a header, then a row a step, flushed at every step.
 
-    A resumed run writes the rows up to the checkpoint's and goes on from there; later ones are dropped.
+    A resumed run writes the rows up to the checkpoint's and goes on from there; later rows are dropped.
     Raises ParameterError if a parameter is out of its range.
     """
 
@@ -216,29 +216,29 @@ class LedgerCSV:
         append(self.path, csv_text([[row[name] for name in simulation.ledger.columns]]))
 
     def finish(self, simulation: Simulation) -> None:
-        """Nothing is left to write."""
+        """Do nothing: every row is written by now."""
 
 
 class VTKSeries:
-    """A series of .vtu files and the .pvd that ParaView opens.
+    """Writes a series of .vtu files and the .pvd that ParaView opens.
 
-    Velocity, density, the material's variables, Cauchy stress, pressure and von Mises stress, with
-    their components labelled; vectors are padded to three components.  Fractions of bodies, which movies and
-    scenes outline them by, are written whatever ``fields`` are.  Cells have points of their own, where fields
-    jump; only ``velocity`` alone shares them.  A resumed run drops what the
-    interrupted one wrote out of turn when it stopped.
+    By default the files have velocity, density, the material's variables, Cauchy stress, pressure and von
+    Mises stress, with labelled components; vectors are padded to three components.  Fractions of bodies, by
+    which movies and scenes outline bodies, are always written.  Cells have points of their own, where fields
+    may jump; in a series of ``velocity`` alone they share points.  A resumed run drops the state that the
+    interrupted run wrote out of turn when it stopped.
     Raises ParameterError if a parameter is out of its range.
 
     Parameters
     ----------
     directory : path
-        Made if missing.
+        Directory of the files, made if missing.
     every : int
-        Write every so many steps, besides the first and the last state; None: only at ``times``.
+        Number of steps between states, besides the first and the last state; None: only at ``times``.
     fields : sequence of str, optional
-        Names out of ``simulation.fields``; default all but those of ``ngvisco.run.fields``.
+        Names out of ``simulation.fields``; default all but the further fields of ``ngvisco.run.fields``.
     subdivision : int
-        Bisections of every cell for output (fields are linear in the pieces), >= 0.
+        Number of bisections of every cell for output (fields are linear in the pieces), >= 0.
     times : sequence of float
         Further times at which to write, s; pass them as ``stops`` to ``Simulation.run`` too.
     """
@@ -307,14 +307,14 @@ class VTKSeries:
 
 
 NEGLIGIBLE = 1e-3
-"""Share of the energy that was there to be moved, below which the scheme's dissipation is no matter."""
+"""Share of the energy available for motion, below which the scheme's dissipation is negligible."""
 
 
 def dissipation_advice(simulation: Simulation) -> str | None:
-    """A sentence where the scheme's own dissipation exceeds the model's, or None.
+    """A sentence of advice if the scheme's own dissipation exceeds the model's, else None.
 
-    The energy there was to be moved is the largest kinetic energy, or change of the stored one, plus the work
-    done by loads and walls.
+    The energy available for motion is the largest kinetic energy, or change of the stored energy, plus the
+    work done by loads and walls.
     """
     ledger, scheme = simulation.ledger, simulation.scheme
     if len(ledger.rows) < 2:
@@ -323,7 +323,7 @@ def dissipation_advice(simulation: Simulation) -> str | None:
     def total(kind: str) -> float:
         return float(ledger.exchanged(*(one.name for one in ledger.entries if one.kind == kind))[-1])
 
-    numerical = float(ledger.exchanged(*NUMERICAL)[-1])  # not what a transfer took
+    numerical = float(ledger.exchanged(*NUMERICAL)[-1])  # without the energy that a transfer took
     physical, stored = total("dissipation"), ledger.column("stored")
     moved = max(ledger.column("kinetic").max(), abs(stored - stored[0]).max()) + abs(total("power"))
     if numerical <= max(physical, NEGLIGIBLE * moved):

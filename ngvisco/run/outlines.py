@@ -1,7 +1,7 @@
 """The part of a plane in which a piecewise linear function is at least a level, and its outline.
 
-Triangles have columns of values at their corners, the first two of which are x and y; all are linear between
-the corners.
+Triangles have columns of values at their corners; the first two columns are x and y.  All values are linear
+between the corners.
 """
 
 from __future__ import annotations
@@ -11,21 +11,21 @@ from dataclasses import dataclass
 import numpy as np
 
 _CHUNK = 1_000_000
-"""Pairs of points and segments that are looked at at once."""
+"""Number of pairs of points and segments in one array."""
 
 
 @dataclass(frozen=True)
 class Cut:
-    """The part of triangles that is at or above a level.
+    """The part of triangles where a function is at or above a level.
 
     Attributes
     ----------
     inside : array (parts, 3, columns)
-        Triangles that make up that part, with all columns at their corners.
+        Triangles that make up the part, with all columns at their corners.
     ends : array (segments, 2, columns)
-        Where the outline enters and leaves a triangle; the part is on the left.
+        Points where the outline enters and leaves a triangle; the part is on the left.
     edges : array (segments, 2)
-        Numbers of the edges of triangles on which the ends lie: what two triangles share has one number.
+        Numbers of the edges on which the ends lie; an edge shared by two triangles has one number.
     """
 
     inside: np.ndarray
@@ -34,7 +34,7 @@ class Cut:
 
     @classmethod
     def of(cls, corners: np.ndarray, points: np.ndarray, values: np.ndarray, level: float) -> Cut:
-        """Cut triangles, (triangles, 3, columns), with numbers of points and values there, (triangles, 3)."""
+        """Cut triangles with corners, (triangles, 3, columns), points' numbers and values, (triangles, 3)."""
         a, b = corners[:, 1, :2] - corners[:, 0, :2], corners[:, 2, :2] - corners[:, 0, :2]
         turned = a[:, 0] * b[:, 1] < a[:, 1] * b[:, 0]
         order = np.where(turned[:, None], [0, 2, 1], [0, 1, 2])
@@ -70,7 +70,7 @@ class Cut:
         return float(np.linalg.norm(self.ends[:, 1, :2] - self.ends[:, 0, :2], axis=1).sum())
 
     def lines(self) -> list[np.ndarray]:
-        """The outline as polylines, (points, columns) each: closed ones end where they begin."""
+        """The outline as polylines, (points, columns) each; a closed line ends with its first point."""
         after = {int(start): i for i, start in enumerate(self.edges[:, 0])}
         reached = set(map(int, self.edges[:, 1]))
         begun = [
@@ -91,7 +91,7 @@ class Cut:
 
 @dataclass(frozen=True)
 class Moments:
-    """Area, middle, second moments and mean motion of a part of the plane.
+    """Area, centre, second moments and mean motion of a part of the plane.
 
     Attributes
     ----------
@@ -100,7 +100,7 @@ class Moments:
     second : array (2, 2), m^2
         The mean of (x - c)(x - c)^T.
     gradient : array (2, 2), 1/s
-        L of the linear velocity about the centre that is nearest in the mean square.
+        Gradient L of the linear velocity about the centre that fits v best in the mean square.
     """
 
     area: float
@@ -110,7 +110,7 @@ class Moments:
 
     @classmethod
     def of(cls, inside: np.ndarray) -> Moments | None:
-        """Moments of triangles whose columns begin with x, y, v_1, v_2; None without an area."""
+        """Moments of triangles whose first columns are x, y, v_1, v_2; None without an area."""
         if not len(inside):
             return None
         origin = inside[:, :, :2].mean(axis=(0, 1))  # far from the origin moments would cancel
@@ -140,11 +140,11 @@ class Moments:
         return 4 * float(np.sqrt(squares[1])), 4 * float(np.sqrt(squares[0])), angle
 
     def turning(self) -> float:
-        """How fast matter turns in coordinates in which the second moments are those of a disc, rad/s.
+        """Rate at which matter turns in coordinates that make the ellipse of inertia a disc, rad/s.
 
-        With S^2 = M, the second moments, and M' = L M + M L^T it is the skew part of S^-1 L S - S^-1 S', the
-        rate of the rotation R in F = S R: of a body that turns as a whole its rate, of an ellipse that stands
-        still while its matter goes round 2 pi over the period.
+        With second moments M = S^2 and M' = L M + M L^T it is the skew part of S^-1 L S - S^-1 S', the rate
+        of the rotation R in F = S R.  For a body that turns rigidly it is the angular velocity; for an
+        ellipse at rest whose matter goes round it is 2 pi over the period.
         """
         squares, axes = np.linalg.eigh(self.second)
         s = np.sqrt(squares)
@@ -155,14 +155,14 @@ class Moments:
 
 
 def distance(one: np.ndarray, other: np.ndarray) -> float:
-    """The least distance of two outlines that do not cross, of segments (segments, 2, columns); else inf."""
+    """Least distance of outlines that do not cross, (segments, 2, columns) each; inf if one is empty."""
     if not (len(one) and len(other)):
         return np.inf
     return min(_to_segments(one[:, 0, :2], other), _to_segments(other[:, 0, :2], one))
 
 
 def _to_segments(points: np.ndarray, ends: np.ndarray) -> float:
-    """The least distance of points from segments."""
+    """Least distance of points from segments."""
     start, along = ends[:, 0, :2], ends[:, 1, :2] - ends[:, 0, :2]
     squares = np.maximum((along**2).sum(axis=1), np.finfo(float).tiny)
     least, step = np.inf, max(1, _CHUNK // len(ends))

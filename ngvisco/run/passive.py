@@ -1,22 +1,22 @@
-"""Passive fields: carried along by the flow, without any effect on it, by the run's own time scheme.
+"""Passive fields: the flow carries them, by the run's own time scheme, and they have no effect on it.
 
 | name          | equation                                              | start |
 |---------------|-------------------------------------------------------|-------|
 | F_tot         | dt F + (v . grad) F = (grad v) F, total deformation   | F_0   |
 | reference_map | dt xi + (v . grad) xi = 0, where a point came from, m | x     |
-| creep_strain  | dt kappa + (v . grad) kappa = sqrt(2/3) |Pi|, of a network one of each branch | 0 |
+| creep_strain  | dt kappa + (v . grad) kappa = sqrt(2/3) |Pi|, one field a branch in a network | 0 |
 
-F_0 is the initial elastic distortion: what was there of creep is not known, and F_tot is F as long as none
-follows.  On meshes of two dimensions its entry F_33 is carried as a scalar where it is not 1, about an
-axis at the rate v_r/r.
+F_0 is the initial elastic distortion, since earlier creep is not known; F_tot equals F until creep sets in.
+On meshes of two dimensions its entry F_33, if it is not 1, is carried as a scalar, about an axis at the rate
+v_r/r.
 
-Each stage of the scheme is a linear problem with the stage's velocity, implicit Euler from the combination of
-earlier stages that the scheme prescribes, by the transport of the scheme's own variables, with their upwind
-traces, on discontinuous P_k, k the velocity's order (with P_1 the gradient of xi in the
-cells is less than half of what it should be at h = 0.2).  The columns of F_tot share one matrix, the
-components of the others a second one; GMRES takes 10 to 20 iterations.  In place of xi the displacement
-x - xi is carried, which is periodic where the flow is; xi may then lie outside the cell.  What flows in
-through a wall has the values that are there: where it comes from is not known.
+Each stage of the scheme is a linear problem with the stage's velocity: implicit Euler from the combination of
+earlier stages that the scheme prescribes.  Transport has the upwind traces of the material's variables, on
+discontinuous P_k, k the velocity's order (with P_1 the gradient of xi in the cells is less than half of its
+right value at h = 0.2).  The columns of F_tot share one matrix, the components of all other fields a second
+one; GMRES takes 10 to 20 iterations.  In place of xi the displacement x - xi is carried, which is periodic in
+a periodic flow; xi may then lie outside the domain.  Matter that flows in through a wall has the interior
+values, since its origin is not known.
 """
 
 from __future__ import annotations
@@ -40,16 +40,16 @@ from ngvisco.physics.parameters import Parameter
 from ngvisco.physics.tensors import IDENTITY, inner, square
 
 TOLERANCE, ENOUGH, ITERATIONS = 1e-12, 1e-9, 200
-"""The linear systems' tolerance, the residual that is accepted where rounding is in the way, and the largest
-number of iterations."""
+"""The linear systems' tolerance, the relative residual that is still accepted because of rounding, and the
+largest number of iterations."""
 
 NAMES = ("F_tot", "reference_map", "creep_strain")
 CARRIED = (*NAMES, "displacement")
-"""Names of the fields that come of these."""
+"""Names of the fields that passive fields give."""
 
 
 class PassiveFields:
-    """The passive fields of a run, some of ``NAMES``; ``F_0``, 3x3, is what F_tot starts from.
+    """The passive fields of a run, some of ``NAMES``; ``F_0``, 3x3, is the start value of F_tot.
 
     Raises UnknownNameError for any other name; ParameterError for ``creep_strain`` without creep.
     """
@@ -64,7 +64,7 @@ class PassiveFields:
         self._unsolved: set[str] = set()
         self._has_warned = False
         self.parts: dict[str, GridFunction] = {}
-        """The grid functions that are carried, by their own names."""
+        """Grid functions that are carried, each for a scalar or a vector part of a field, by name."""
         self._sources: dict[str, CoefficientFunction] = {}
         self._solvers: dict[str, _Carrier] = {}
         if "F_tot" in self.names:
@@ -117,23 +117,23 @@ class PassiveFields:
         return result
 
     def space(self, key: str, mesh: Mesh) -> FESpace:
-        """The space of a part, by its name, on another mesh."""
+        """The space of the part ``key`` on another mesh."""
         carrier = self._solvers[key]
         return _cells(mesh, self.step.discretisation.k, carrier.vector)
 
     @property
     def unsolved(self) -> int:
-        """How many of the parts are not solved in the present step: nothing of the step depends on them."""
+        """Number of parts that are not solved in the present step, which does not depend on them."""
         return len(self._unsolved)
 
     def begin(self) -> None:
-        """A step begins: forget the stages since the last accepted one."""
+        """Begin a step: forget the stages since the last accepted step."""
         self._stages, self._unsolved = [self.arrays()], set()
 
     def stage(self, weights: np.ndarray, share: float = 1.0) -> None:
-        """Carry all fields over a stage that starts from these weights of the stages so far.
+        """Carry all fields over a stage, which starts from the weighted sum of the stages so far.
 
-        The present state, with the length in the step's context, is the stage's.
+        The present state and the length in the step's context must be the stage's.
         """
         for carrier in dict.fromkeys(self._solvers.values()):
             carrier.form.Assemble()  # for the present velocity and step length
@@ -156,18 +156,18 @@ class PassiveFields:
             Communicator.of(self.step.mesh).warn(message, InputWarning, stacklevel=2)
 
     def end(self, weights: np.ndarray) -> None:
-        """The step is accepted: take these weights of its stages."""
+        """Accept the step: the fields become the weighted sum of its stages."""
         for key, field in self.parts.items():
             field.vec.FV().NumPy()[:] = _combined(weights, self._stages, key)
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """Copies of all coefficients by name, for a checkpoint."""
+        """Copies of all coefficients for a checkpoint, by the parts' names."""
         return {key: field.vec.FV().NumPy().copy() for key, field in self.parts.items()}
 
     def load(self, arrays: Mapping[str, np.ndarray]) -> None:
-        """Take the coefficients of ``arrays()`` of an earlier run.
+        """Load the coefficients that ``arrays()`` gave in an earlier run.
 
-        Raises CheckpointError if one is missing or of another size.
+        Raises CheckpointError if an array is missing or of another size.
         """
         for key, field in self.parts.items():
             if key not in arrays or arrays[key].shape != (len(field.vec),):
@@ -176,7 +176,7 @@ class PassiveFields:
 
 
 def _combined(weights: np.ndarray, stages: Sequence[Mapping[str, np.ndarray]], key: str) -> np.ndarray:
-    """The sum of weight times stage; stages that there are not yet have no weight."""
+    """Weighted sum of a part's stages so far; weights of later stages are 0."""
     return sum(weight * stage[key] for weight, stage in zip(weights, stages, strict=False) if weight != 0)
 
 
@@ -185,7 +185,7 @@ def _cells(mesh: Mesh, order: int, vector: bool) -> FESpace:
 
 
 class _Growth(Rates):
-    """The rate A f of a passive field, in place of those of the material's variables."""
+    """The rate A f of a passive field, in place of the rates of the material's variables."""
 
     def __init__(self, step: Step, A: CoefficientFunction | None) -> None:
         super().__init__(step.model, step.mesh.dim, step.layout.symmetry.is_axisymmetric)
@@ -196,14 +196,14 @@ class _Growth(Rates):
 
 
 class _Carrier:
-    """f/tau + (v . grad) f - A f = f_old/tau + source, by the transport of the scheme's own variables
-    (``ngvisco.forms.terms.transport``); one matrix for many fields.
+    """Solves f/tau + (v . grad) f - A f = f_old/tau + source, with one matrix for many fields.
 
-    The cells' unknowns are condensed: what is solved for are the traces, which cells hand on to each other.
+    The form is that of the material's variables (``ngvisco.forms.terms.transport``).  The cells' unknowns are
+    condensed: the system is for the traces between cells.
     """
 
     def __init__(self, step: Step, vector: bool, rate: CoefficientFunction | None) -> None:
-        """``rate`` is A, a scalar or (dim, dim), or None for none; ``vector`` fields have dim components."""
+        """``rate`` is A, a scalar or (dim, dim), None for A = 0; ``vector`` fields have dim components."""
         mesh, order = step.mesh, step.discretisation.k
         self.vector, self.cells = vector, _cells(mesh, order, vector)
         traces = ngs.FacetFESpace(mesh, order=order)
@@ -222,7 +222,7 @@ class _Carrier:
         self.form += rules.cells(cells.Compile())
         self.form += rules.facets(facets.Compile())
         self._preconditioner = ngs.Preconditioner(self.form, "local")
-        # the old value by the rule of the matrix: another one lets errors grow at rest
+        # the old value has the matrix's quadrature: with another rule errors grow at rest
         self._old = GridFunction(self.cells)
         self._load = ngs.LinearForm(self.space)
         self._load += rules.cells(c.rate(inner(self._old, g)))
@@ -231,10 +231,10 @@ class _Carrier:
         self._solution = GridFunction(self.space)
 
     def carry(self, old: np.ndarray, source: CoefficientFunction | None) -> tuple[np.ndarray, bool]:
-        """The coefficients of the field after a step from ``old`` on ``cells``, by the form's present matrix.
+        """Coefficients of the field after a step from ``old``, with the form's present matrix.
 
-        Returns the coefficients, and whether the linear system is solved; where it is not they are what the
-        iteration came to, or ``old`` itself where that is no number.
+        Returns the coefficients, and whether the linear system is solved.  If it is not, the coefficients are
+        the last iterate, or ``old`` if the iterate is no number.
         """
         is_solved = True
         form, solution = self.form, self._solution

@@ -1,4 +1,4 @@
-"""Fields over the body: pictures of a state, animations of a VTK series (gif by Pillow, mp4 by ffmpeg)."""
+"""Pictures of fields over the body, and animations of a VTK series (gif by Pillow, mp4 by ffmpeg)."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ from ngvisco.run.frames import Frame, cut, frame_of, outline, read_frame, read_s
 from ngvisco.shapes.fractions import subdivision
 
 PAGE, LABELS = 7.2, 9
-"""Width of pictures, inches, that of a page; the size of the smallest labels, points."""
+"""Width of pictures, a page's, in inches; size of the smallest labels, points."""
 FORMATS = ("png", "pdf", "svg")
 _LEVEL = 1e-10
-"""The relative variation below which a quantity is drawn as constant."""
+"""Relative variation below which a quantity is drawn as constant."""
 _COLOURS, _SHRINK = "viridis", 0.75
-"""The scale of colours, and its length in heights of what it is beside."""
-_PIECES, _DRAWN = 6, 200_000  # of the sides of triangles, and triangles in all
-_USUAL, _SPIKE = (0.5, 99.5), 0.3  # percentiles, and their share of a range that a spike has set
-_ORDERS, _DECADES = 1e-2, 1e-6  # of the largest rate: a median below is shown by logarithms, down to this
+"""The scale of colours, and its length over the height of its axes."""
+_PIECES, _DRAWN = 6, 200_000  # parts of a triangle's side at most, and triangles in all
+_USUAL, _SPIKE = (0.5, 99.5), 0.3  # percentiles, and the share of the range below which theirs shows a spike
+_ORDERS, _DECADES = 1e-2, 1e-6  # of the largest rate: largest median for a logarithmic scale; its end
 _UNITS = (("km", 1e3, 2e3), ("m", 1.0, 0.1), ("mm", 1e-3, 1e-4), ("µm", 1e-6, 1e-7), ("nm", 1e-9, 0.0))
-"""Units of length, m, and from which length on each is taken."""
-_MARKS, _MARGIN = 5, 0.02  # numbers along the longer side, and space around the body, in its sides
-_GREYS = 32  # of the colours of a .gif: lines and letters have smooth edges by them
+"""Units of length: name, size in m, and least length in m that is shown in the unit."""
+_MARKS, _MARGIN = 5, 0.02  # numbers along the longer side, and margin over the body's side
+_GREYS = 32  # colours of a .gif for smooth edges of lines and letters
 
 
 class PlotError(NgviscoError, RuntimeError):
@@ -40,7 +40,7 @@ class PlotError(NgviscoError, RuntimeError):
 
 
 def figure(rows: int, columns: int, size: tuple[float, float]) -> tuple[Any, Any]:
-    """A matplotlib figure on the Agg canvas and its axes, (rows, columns); never opens a window."""
+    """A matplotlib figure on the Agg canvas and its axes, (rows, columns); no window opens."""
     try:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
@@ -62,7 +62,7 @@ def save(fig: Any, path: AnyPath) -> None:
 
 
 def widened(low: float, high: float) -> tuple[float, float]:
-    """The range of a quantity, a tenth of it where it varies by rounding."""
+    """The range of a quantity; if it varies by rounding only, a tenth of its size around it."""
     size = max(abs(low), abs(high))
     more = 0.05 * size if high - low < _LEVEL * size else 0.0
     return low - more, high + more
@@ -70,17 +70,17 @@ def widened(low: float, high: float) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class Colours:
-    """A scale of colours: matplotlib's norm, and at which ends values lie beyond it, as it names them."""
+    """A scale of colours: matplotlib's norm, and the ends at which values lie beyond it (its ``extend``)."""
 
     norm: Any
     extend: str
 
     @classmethod
     def of(cls, name: str, values: np.ndarray) -> Colours:
-        """For the values of a field: from the least to the largest one, if no spike sets these.
+        """The scale for a field's values: from the least to the largest value, unless a spike sets these.
 
-        Where the range of most of them is a small part of the whole one, it is theirs.  Rates that are
-        positive and differ by orders of magnitude have a logarithmic scale.
+        If the range of most values is a small part of the whole range, the scale has the smaller range.
+        Positive rates that differ by orders of magnitude have a logarithmic scale.
         """
         norms = importlib.import_module("matplotlib.colors")
         low, high = float(values.min()), float(values.max())
@@ -100,7 +100,7 @@ def is_rate(name: str) -> bool:
 
 
 def unit_of_length(size: float) -> tuple[str, float]:
-    """The unit in which a length of ``size`` (m) is shown, and how many m it has."""
+    """The unit in which a length of ``size`` (m) is shown, and the unit's size, m."""
     return next((name, metres) for name, metres, least in _UNITS if size >= least)
 
 
@@ -108,7 +108,7 @@ def unit_of_length(size: float) -> tuple[str, float]:
 class CrossSection:
     """A plane normal to an axis, "x", "y" or "z", in which three-dimensional fields are shown.
 
-    ``at`` is its coordinate along that axis, m; None (default) is the middle of the body.
+    ``at`` is the plane's coordinate along that axis, m; None (default) is the middle of the body.
     """
 
     normal: str = "z"
@@ -122,7 +122,7 @@ class CrossSection:
 
     @classmethod
     def parse(cls, text: str) -> CrossSection:
-        """From ``"z"`` or ``"z=0.5"``."""
+        """The section that ``"z"`` or ``"z=0.5"`` describes."""
         normal, equals, value = text.replace(" ", "").partition("=")
         try:
             at = float(value) if equals else None
@@ -135,7 +135,7 @@ class CrossSection:
         return "xyz".index(self.normal)
 
     def place(self, points: np.ndarray) -> float:
-        """Its coordinate, m, in a body with these points; raises ParameterError when it misses the body."""
+        """The plane's coordinate, m, in a body with these points; raises ParameterError if it misses them."""
         along = points[:, self.axis]
         low, high = float(along.min()), float(along.max())
         at = 0.5 * (low + high) if self.at is None else float(self.at)
@@ -145,13 +145,13 @@ class CrossSection:
 
 
 def require_space(section: CrossSection | None, dim: int) -> None:
-    """Raise ParameterError for a section of what is flat."""
+    """Raise ParameterError for a section of a mesh of two dimensions."""
     if section is not None and dim != 3:
         raise ParameterError("section", section.normal, "none: the mesh has two dimensions")
 
 
 def titled(*parts: str | float) -> str:
-    """A title of what there is: texts as they are, a number as the time in s."""
+    """A title from parts: texts as they are, a number as the time in s; empty texts are left out."""
     return ", ".join(f"t = {part:.4g} s" if isinstance(part, float) else part for part in parts if part != "")
 
 
@@ -164,21 +164,21 @@ def plot_fields(
     title: str = "",
     outlines: Sequence[CoefficientFunction] = (),
 ) -> None:
-    """Scalar fields in two columns; in 3D in a plane normal to an axis.  Formats as ``plot_energies``.
+    """Plot scalar fields in two columns, in 3D in a plane normal to an axis, as PNG, PDF or SVG.
 
-    Raises ParameterError if an argument is not what is said of it.
+    Raises ParameterError for an argument that does not fit its description.
 
     Parameters
     ----------
     fields : sequence of (title, scalar coefficient function)
     section : CrossSection, optional
-        In 3D the plane; default through the middle, normal to z.
+        The plane in 3D; default through the middle, normal to z.
     subdivisions : int
-        Every cell is drawn as subdivisions^dim pieces, so that jumps between cells show.
+        Number of parts of a cell's side; a cell is drawn as subdivisions^dim pieces, so that jumps show.
     title : str
-        Above all fields; in 3D the plane is added to it.
+        Title above all fields; in 3D the plane is added to it.
     outlines : sequence of scalar coefficient functions
-        Volume fractions of bodies: drawn over each field as the line where they are one half.
+        Volume fractions of bodies; the lines where they are one half are drawn over each field.
     """
     require_space(section, mesh.dim)
     named = dict(fields)
@@ -194,8 +194,8 @@ def plot_fields(
 
 
 class _Picture:
-    """Scalar fields of a frame in two columns, each with a scale of colours, and surfaces of bodies; in 3D in
-    a plane.  Another frame, in the same scales, is drawn by ``show``."""
+    """Scalar fields of a frame in two columns, each with a scale of colours, and outlines of bodies; in 3D in
+    a plane.  ``show`` draws another frame with the same scales."""
 
     def __init__(self, frame: Frame, names: Sequence[str], section: CrossSection | None) -> None:
         self._names, self._section, self._plane = names, section or CrossSection(), ""
@@ -206,7 +206,7 @@ class _Picture:
         corners = self._corners(frame)[0]
         extent = np.ptp(corners, axis=0)
         ratio = float(np.clip(extent[1] / extent[0], 0.3, 2.0))
-        height = 0.75 + 0.62 * PAGE / wide * ratio  # a field's, with title, labels and the scale beside it
+        height = 0.75 + 0.62 * PAGE / wide * ratio  # of a field with title, labels and scale
         self.figure, axes = figure(rows, wide, (PAGE, rows * height + 0.4))
         self.axes = axes.ravel()[: len(names)]
         _, _, between = self._corners(frame)
@@ -227,7 +227,7 @@ class _Picture:
         self.show(frame)
 
     def _mark(self, letter: str, along: Any, side: np.ndarray, longest: float) -> None:
-        """Numbers and name of an axis: as many as there is room for beside the longest side."""
+        """Label an axis with its name, and with numbers as far as the side has room beside the longest."""
         ends, share = (float(side.min()), float(side.max())), float(np.ptp(side)) / longest
         label = f"{letter}, {self._unit}"
         if share > 0.45:
@@ -243,7 +243,7 @@ class _Picture:
             along.set_label_text(label)
 
     def _corners(self, frame: Frame) -> tuple[np.ndarray, np.ndarray, Callable[[np.ndarray], np.ndarray]]:
-        """Places in the plane, (corners, 2), triangles of them, and what gives values there of a frame's."""
+        """Corners in the plane, (corners, 2), their triangles, and the map of the frame's values to them."""
         if frame.dim == 2:
             return frame.points[:, :2] / self._metres, frame.cells, lambda values: values
         axis = self._section.axis
@@ -255,11 +255,11 @@ class _Picture:
         return np.delete(between(frame.points), axis, axis=1) / self._metres, triangles, between
 
     def show(self, frame: Frame) -> None:
-        """Draw the fields of a frame, and the surfaces of its bodies, in place of the former one's."""
+        """Draw the fields of a frame, and the outlines of its bodies, in place of the former frame."""
         for one in [*self.images, *self._lines]:
             one.remove()
         points, triangles, between = self._corners(frame)
-        # matplotlib mixes the colours of corners: between values that differ much these are not of the scale
+        # matplotlib mixes the corners' colours; between very different values a mixture is not on the scale
         finer = int(np.clip((_DRAWN / len(triangles)) ** 0.5, 1, _PIECES))
         lattice, small = subdivision(2, finer)
         weights = np.column_stack([1 - lattice.sum(axis=1), lattice])
@@ -294,18 +294,18 @@ def write_movie(
 ) -> None:
     """Animate scalar fields over the states of a VTK series, side by side, with one scale of colours each.
 
-    Raises CheckpointError if there is no series, or a file of it cannot be read; UnknownNameError for a
-    field that the series does not have; PlotError if matplotlib is missing, or for mp4 ffmpeg.
+    Raises CheckpointError if there is no series, or one of its files cannot be read; UnknownNameError for a
+    field that the series does not have; PlotError if matplotlib is missing, or ffmpeg for an mp4.
 
     Parameters
     ----------
     series, path : path
-        Directory of the series, e.g. ``results/swirl/vtk``; what is written, ``.gif`` or ``.mp4``.
+        Directory of the series, e.g. ``results/swirl/vtk``, and the animation's file, ``.gif`` or ``.mp4``.
     fields : sequence of str, optional
-        Of a vector its modulus or ``NAME_i``, of a tensor ``NAME_ij``; default density and modulus of the
-        velocity, as far as the series has them.
+        Names of scalars, of vectors for their modulus, or of components, ``NAME_i`` and ``NAME_ij``; default
+        density and modulus of the velocity, if the series has them.
     section : CrossSection, optional
-        In 3D the plane that is shown; default through the middle, normal to z.
+        The plane that is shown in 3D; default through the middle, normal to z.
     """
     target = Path(path)
     kind = target.suffix.lstrip(".").lower()
@@ -353,11 +353,11 @@ def _writer(kind: str, rate: float) -> Any:
     if kind == "mp4":
         if shutil.which(rcParams["animation.ffmpeg_path"]) is None:
             raise PlotError("an mp4 needs ffmpeg, which is not on the path: install it, or ask for a .gif")
-        even = "pad=ceil(iw/2)*2:ceil(ih/2)*2"  # sizes that the codec wants
+        even = "pad=ceil(iw/2)*2:ceil(ih/2)*2"  # the codec wants even sizes
         return FFMpegWriter(fps=rate, extra_args=["-vf", even, "-pix_fmt", "yuv420p"])  # type: ignore[arg-type]
 
     class Gif(PillowWriter):
-        """In the colours of the scale and greys: of 256 that Pillow chooses a scale has steps."""
+        """A gif in the scale's colours and greys: by Pillow's own choice of 256 colours a scale has steps."""
 
         def finish(self) -> None:
             frames = vars(self)["_frames"]

@@ -1,6 +1,6 @@
-"""Plots of runs over time, and of runs compared, without a display (extra ``plots``: matplotlib).
+"""Plots of runs over time, and comparisons of runs, without a display (extra ``plots``: matplotlib).
 
-Pictures are PNG, PDF or SVG by the end of their path.
+Pictures are PNG, PDF or SVG by the suffix of their path.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from ngvisco.run.ledger import Ledger
 
 _OF_ENERGY = ("dissipation", "power")
-"""Kinds of entries that are W: others are states, entropies, masses."""
+"""Kinds of entries in W; other kinds are states, entropies, masses."""
 _PANELS = {
     "least and largest density, kg/m³": ["rho_min", "rho_max"],
     "least J": ["J_min"],
@@ -35,17 +35,17 @@ _PANELS = {
     "Courant number |v| dt/h": ["cfl"],
 }
 _OF_STEPS = ("newton_iterations", "rejections", "dt", "cfl")
-"""Columns that the start, which is no step, does not have."""
+"""Columns of steps, which the initial row does not have."""
 _OF_BODIES = {"x": "m", "y": "m", "z": "m", "kinetic": "J", "stored": "J"}
 _MOST = 16
-"""Axes of a picture; more fields have to be chosen from."""
+"""Largest number of axes in a picture; further columns are left out."""
 
 
 def plot_energies(ledger: Ledger, path: AnyPath) -> None:
-    """Energies and what was exchanged, and the closure, over time, as PNG, PDF or SVG by the path's end.
+    """Plot energies, exchanged energy and the closure over time, as PNG, PDF or SVG by the path's suffix.
 
-    Stored energy is drawn as its change since the start: its constant part is arbitrary.  Raises
-    ParameterError for a ledger of a run that made no step; PlotError.
+    Stored energy is drawn as its change since the start, since its constant part is arbitrary.  Raises
+    ParameterError for a ledger without steps; PlotError.
     """
     _require_steps("plot_energies.ledger", ledger)
     fig, ((above,), (below,)) = figure(2, 1, (PAGE, 7.5))
@@ -54,7 +54,7 @@ def plot_energies(ledger: Ledger, path: AnyPath) -> None:
     above.plot(t, stored - stored[0], label="stored − initial")
     for entry in ledger.entries:
         label, column = entry.name.replace("_", " "), ledger.column(entry.name)
-        if entry.kind == "monitor" and entry.name.startswith("stored_"):  # a share of what is stored
+        if entry.kind == "monitor" and entry.name.startswith("stored_"):  # a share of the stored energy
             above.plot(t, column - column[0], "-.", label=f"{label} − initial")
         elif entry.kind in _OF_ENERGY:
             style = "--" if entry.kind == "power" else ":"
@@ -74,16 +74,16 @@ def plot_energies(ledger: Ledger, path: AnyPath) -> None:
 
 
 def plot_schemes(ledgers: Mapping[str, Ledger], path: AnyPath) -> None:
-    """Kinetic energies of runs by different time schemes, and what each scheme and its model dissipated.
+    """Plot kinetic energies of runs by different time schemes, and each scheme's and model's dissipation.
 
-    Raises ParameterError for a ledger of a run that made no step.
+    Raises ParameterError for a ledger without steps.
 
     Parameters
     ----------
     ledgers : mapping of labels to ledgers
-        At most four, drawn solid, dashed, dotted and dash-dotted.
+        At most four ledgers, drawn solid, dashed, dotted and dash-dotted.
     path : path
-        A picture.
+        The picture's file.
     """
     for label, ledger in ledgers.items():
         _require_steps(f"plot_schemes.ledgers[{label!r}]", ledger)
@@ -101,9 +101,9 @@ def plot_schemes(ledgers: Mapping[str, Ledger], path: AnyPath) -> None:
 
 
 def plot_history(ledger: Ledger, path: AnyPath) -> None:
-    """Dissipations and powers, extrema, iterations and step lengths over time, an axis for each quantity,
-    and with heat the entropy's production and the temperature; formats as ``plot_energies``.  What varies by
-    rounding is drawn as a level line."""
+    """Plot dissipations and powers, extrema, iterations and step lengths over time, an axis for each, and
+    with heat the production of entropy and the temperature; formats as ``plot_energies``.  A quantity that
+    varies by rounding only is drawn as a level line."""
     _require_steps("plot_history.ledger", ledger)
     kinds = {entry.name: entry.kind for entry in ledger.entries}
     rates = [name for name, kind in kinds.items() if kind in _OF_ENERGY]
@@ -140,11 +140,12 @@ def _require_steps(field: str, ledger: Ledger) -> None:
 def plot_comparison(
     runs: Mapping[str, AnyPath], out: AnyPath, fields: Sequence[str] | None = None, kind: str = "png"
 ) -> list[Path]:
-    """Compare runs, at least two directories by label: pictures in ``out``, which are returned.
+    """Compare runs, at least two directories by label, in pictures in ``out``; returns the pictures' paths.
 
-    ``comparison-energies``, and ``-probes`` and ``-bodies`` of what all of them measure, of a ``kind`` "png",
-    "pdf" or "svg".  ``fields`` are fields or components of the probes; default density, J, velocity, pressure
-    and von Mises stress.  Raises ParameterError, UnknownNameError, CheckpointError, PlotError.
+    The pictures are ``comparison-energies``, and ``-probes`` and ``-bodies`` with columns that all runs have;
+    ``kind`` is "png", "pdf" or "svg".  ``fields`` are fields or components of the probes; default density, J,
+    velocity, pressure and von Mises stress.  Raises ParameterError, UnknownNameError, CheckpointError,
+    PlotError.
     """
     if len(runs) < 2:
         raise ParameterError("plot_comparison.runs", list(runs), "at least two runs")
@@ -169,7 +170,7 @@ def plot_comparison(
 
 
 def _draw(tables: Mapping[str, dict[str, np.ndarray]], columns: Sequence[str], path: Path) -> None:
-    """Columns of all tables over time, an axis each."""
+    """Draw columns of all tables over time, an axis for each column."""
     rows = -(-len(columns) // 2)
     fig, axes = figure(rows, min(len(columns), 2), (PAGE, 2.3 * rows + 0.25 * len(tables) + 0.4))
     for axis, name in zip(axes.ravel(), columns, strict=False):
@@ -202,7 +203,7 @@ def _energies(place: Path) -> dict[str, np.ndarray]:
 
 
 def _probes(place: Path) -> dict[str, np.ndarray]:
-    """The columns of all probes; those of lines, forces and integrals are none."""
+    """The columns of all probes, without those of lines, forces and integrals."""
     found: dict[str, np.ndarray] = {}
     for path in sorted((place / "samples").glob("*.csv")):
         table = read_columns(path)
@@ -212,7 +213,7 @@ def _probes(place: Path) -> dict[str, np.ndarray]:
 
 
 def _of_fields(probes: dict[str, np.ndarray], fields: Sequence[str] | None) -> dict[str, np.ndarray]:
-    """The times, and the columns of some fields or components, with their units."""
+    """The times, and the columns of the named fields or components, with their units."""
     wanted, found = USUAL if fields is None else fields, {}
     for column, values in probes.items():
         field = column.partition(".")[2]

@@ -1,4 +1,4 @@
-"""Observers that measure: fields at points and along lines, forces on walls, integrals."""
+"""Observers that measure fields at points and along lines, forces on walls, and integrals."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ class Probes(Series):
     Parameters
     ----------
     points : mapping of names to points, or a sequence of points (named ``p1``, ``p2``, ...)
-        Coordinates in m, as many as the mesh's dimension.
+        Coordinates in m; their number is the mesh's dimension.
     fields : sequence of str, optional
-        Names out of ``simulation.fields``, or of their components as ``velocity_1``, ``F_12``; default all
-        but those of ``ngvisco.run.fields``.  A vector or tensor named as a whole gives all its components.
+        Names out of ``simulation.fields``, or of components such as ``velocity_1``, ``F_12``; default all
+        but the further fields of ``ngvisco.run.fields``.  A vector or tensor gives all its components.
     path : path, optional
-        CSV file; without one the rows are kept in memory only.
+        CSV file; without a path the rows are kept in memory only.
     every : int
-        Every so many steps, and at the end.
+        Number of steps from one row to the next; the end has a row too.
 
     The columns are ``step``, ``time`` (s), and ``NAME.FIELD`` in the fields' SI units.
     A run raises ParameterError for a point outside the domain, UnknownNameError for an unknown field.
@@ -66,7 +66,7 @@ class Probes(Series):
 
 
 class LineSamples(Series):
-    """Fields along a line, over time: a row a point and time.
+    """Fields along a line, over time; each point has a row for each time.
 
     Raises ParameterError if a parameter is out of its range.
 
@@ -75,9 +75,9 @@ class LineSamples(Series):
     start, end : sequence of numbers
         Ends of the line, m, in the domain.
     points : int
-        How many points, equally spaced, the ends among them; >= 2.
+        Number of points, equally spaced, the ends included; >= 2.
     fields, path, every
-        As for ``Probes``.
+        Parameters as for ``Probes``.
 
     The columns are ``step``, ``time`` (s), ``s`` (distance from the start, m), ``x``, ``y``, in 3D ``z`` (m),
     and the fields in SI units.
@@ -127,18 +127,18 @@ class WallForces(Series):
     Parameters
     ----------
     walls : sequence of str, optional
-        Names of walls; default all.
+        Names of walls; default all walls.
     about : sequence of numbers, optional
         The point that torques refer to, m; default the origin.
     path, every
-        As for ``Probes``.
+        Parameters as for ``Probes``.
 
     The columns are ``WALL.force_1`` ... (N) and ``WALL.torque`` (2D) or ``WALL.torque_1`` ... (N m), per
-    metre of thickness in plane strain; of a body of revolution ``WALL.force_2``, N over 2 pi.  They are the
-    reactions of the equations as solved, of the elastic, viscous and hyperviscous stress
-    (``ngvisco.forms.boundary.reactions``); each row is of the step that ends at its time, so that the first
-    one is of the first step: the mean over the step's stages with the scheme's weights.  Backward Euler has
-    them at the step's end, the midpoint rule at its middle.
+    metre of thickness in plane strain; for a body of revolution ``WALL.force_2``, N over 2 pi.  Forces are
+    the reactions of the solved equations, by the elastic, viscous and hyperviscous stress
+    (``ngvisco.forms.boundary.reactions``).  A row is the mean over the stages of the step that ends at its
+    time, with the scheme's weights; hence the start has no row.  Backward Euler gives the forces at the
+    step's end, the midpoint rule at its middle.
     """
 
     initial = False
@@ -171,7 +171,7 @@ class WallForces(Series):
         carried = simulation.integrator.carried
         carried[:] = [one for one in carried if one is not self]
 
-    # of the integrator: the mean over a step's stages, taken while these are the present state
+    # called by the integrator: forces are averaged over a step's stages, each while it is the present state
 
     def begin(self) -> None:
         self._mean = np.zeros((len(self._reactions.names), len(self._reactions.motions)))
@@ -193,15 +193,15 @@ class Integrals(Series):
     Parameters
     ----------
     integrands : mapping of names to coefficient functions or expressions
-        An expression is a text as in case files, of ``x``, ``y``, ``z``, ``t`` and the components of the
+        An expression is a text as in case files, in ``x``, ``y``, ``z``, ``t`` and the components of the
         run's fields: ``"density*velocity_1"``, ``"max(J - 1, 0)"``, ``"von_mises*(1 if x < 0.5 else 0)"``.
     path, every
-        As for ``Probes``.
+        Parameters as for ``Probes``.
 
     The quadrature is that of the forms and the ledger: the integral of ``"density"`` is the ledger's mass.
     In plane strain integrals are per metre of thickness.
-    A run raises ParameterError for one that is not finite at its start, and NotANumberError for one that is
-    not finite later.
+    A run raises ParameterError for an integral that is not finite at its start, and NotANumberError for one
+    that is not finite later.
     """
 
     def __init__(
@@ -247,7 +247,7 @@ def _one_point(name: str, value: Any, dim: int) -> np.ndarray:
 
 
 def _chosen(owner: str, fields: Sequence[str] | None) -> list[str] | None:
-    """Names of fields, of which there is one at least; None for the usual ones."""
+    """Names of fields, at least one; None stands for the usual fields."""
     return None if fields is None else require_some_names(f"{owner}.fields", fields)
 
 

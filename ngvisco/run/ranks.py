@@ -1,8 +1,8 @@
 """A run over ranks: coefficients in the numbering of one process, and errors of one rank raised on all.
 
-A checkpoint has the numbering of one process, so that any number of ranks reads it.  The number of a rank's
-cell in the whole mesh is known (``MeshPart.cells``); the unknowns of a cell have the same order in both.  The
-orientation of edges and faces is the same too: ranks number their vertices in the order of the whole mesh.
+A checkpoint has the numbering of one process, so that any number of ranks reads it.  A rank knows its cells'
+numbers in the whole mesh (``MeshPart.cells``); a cell's unknowns have the same order on the rank and in the
+whole.  Edges and faces have the same orientation too: ranks number their vertices in the whole mesh's order.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ _FAILED, _INTERRUPTED = 1, 130
 
 
 class _Numbers:
-    """Which unknown of a space on the whole mesh each unknown of a rank is; collective.
+    """Maps a rank's unknowns to the unknowns of a space on the whole mesh; collective.
 
-    ``whole`` is that space, None but on the first rank, and ``chosen`` there the unknowns of it that are
-    counted alone, in this order.  In ``own``, (unknowns,), those of no cell, as images of identified ones,
-    are -1.
+    ``whole`` is the space on the whole mesh, None but on the first rank; ``chosen`` there restricts the
+    numbering to these unknowns, in this order.  ``own``, (unknowns,), holds the rank's numbers; unknowns of
+    no cell, as images of identified ones, have -1.
     """
 
     def __init__(
@@ -52,7 +52,7 @@ class _Numbers:
         parts = self._ranks.mpi.gather(values)
         if parts is None:
             return np.zeros(0)
-        result = np.zeros(self._count + 1)  # one more, for -1
+        result = np.zeros(self._count + 1)  # one more entry, for -1
         for numbers, part in zip(self._parts, parts, strict=True):
             result[numbers] = part
         return result[:-1]
@@ -64,17 +64,17 @@ class _Numbers:
 
 
 class Numbering:
-    """Which unknown of the whole mesh each unknown of a rank is; on one process itself.
+    """Maps a rank's unknowns to the unknowns of the whole mesh; on one process the identity.
 
-    Raises ParameterError for a mesh that was distributed otherwise than by ``Simulation``: the whole is not
-    known.  Arrays have the names of a checkpoint: those of ``stepping`` have the unknowns that evolve, in
-    the order of ``Layout.evolving``, those of ``passive`` and stresses of flow rules spaces of their own,
-    others all unknowns.
+    Raises ParameterError for a mesh that ``Simulation`` did not distribute: its whole is not known.  Arrays
+    have the names of a checkpoint.  Arrays of ``stepping`` hold the unknowns that evolve, in the order of
+    ``Layout.evolving``; arrays of ``passive`` and stresses of flow rules have spaces of their own; all other
+    arrays hold all unknowns.
 
     Attributes
     ----------
     mesh, layout : Mesh and Layout, or None
-        Of the whole mesh, None but on the first rank.
+        The whole mesh and its layout; None but on the first rank.
     """
 
     def __init__(self, simulation: Simulation) -> None:
@@ -110,18 +110,18 @@ class Numbering:
             self._numbers[name] = _Numbers(numbers_in(part, space, of_whole), of_whole, ranks)
 
     def whole(self, values: np.ndarray, name: str) -> np.ndarray:
-        """An array of a checkpoint as one process has it, on the first rank, an empty one on others."""
+        """A checkpoint's array in the numbering of one process on the first rank, empty on other ranks."""
         return values if self._numbers is None else self._numbers[_key(name)].whole(values)
 
     def own(self, values: np.ndarray | None, name: str) -> np.ndarray:
-        """A rank's part of such an array that the first one has, None on others."""
+        """A rank's part of a checkpoint's array ``values``, which the first rank has; None on other ranks."""
         if self._numbers is not None:
             return self._numbers[_key(name)].own(values)
         assert values is not None
         return values
 
     def knows(self, name: str) -> bool:
-        """Whether such an array is of this simulation, whose passive fields and flow rules may be others."""
+        """Whether this simulation has the array ``name``: passive fields and flow rules may be others."""
         return self._numbers is None or _key(name) in self._numbers
 
 
@@ -138,7 +138,7 @@ def _evolved(layout: Layout) -> np.ndarray:
 
 
 def numbers_in(part: MeshPart, space: FESpace, whole: FESpace | None) -> np.ndarray:
-    """Numbers in a space on the whole mesh, None but on the first rank, of a rank's unknowns; collective."""
+    """Numbers of a rank's unknowns in ``whole``, a space on the whole mesh, on the first rank; collective."""
     wanted = part.ranks.mpi.gather(part.cells)
     answers = None
     if whole is not None:
@@ -146,7 +146,7 @@ def numbers_in(part: MeshPart, space: FESpace, whole: FESpace | None) -> np.ndar
     numbers, here = np.zeros((2, space.ndof))
     of_cells = _of_cells(space, range(part.ne))
     numbers[of_cells], here[of_cells] = part.ranks.mpi.scatter(answers), 1.0
-    exchange = Exchange.of(space, part.ranks)  # of periodic domains a rank has unknowns of others' cells
+    exchange = Exchange.of(space, part.ranks)  # periodic: a rank has unknowns of other ranks' cells
     numbers, count = exchange.sum(numbers), exchange.sum(here)
     return np.where(count > 0, numbers / np.maximum(count, 1), -1).astype(np.int64)
 
@@ -157,7 +157,7 @@ def _of_cells(space: FESpace, cells: Iterable[int]) -> np.ndarray:
 
 
 def tell(simulation: Simulation, observer: Observer, what: Callable[..., None], *arguments: object) -> None:
-    """Call an observer's method; what it raises on one rank is raised on all of them."""
+    """Call an observer's method; an error on one rank is raised on all ranks."""
     ranks = simulation.ranks
     if not ranks.is_distributed:
         what(simulation, *arguments)
@@ -175,7 +175,7 @@ def tell(simulation: Simulation, observer: Observer, what: Callable[..., None], 
 
 @contextlib.contextmanager
 def ending_all_ranks() -> Iterator[None]:
-    """Within: work in which ranks wait for each other; what one of them meets alone ends all."""
+    """Context for work in which ranks wait for each other: an error of one rank alone ends all ranks."""
     try:
         yield
     except BaseException as error:
@@ -184,9 +184,9 @@ def ending_all_ranks() -> Iterator[None]:
 
 
 def abort_alone(error: BaseException, ranks: Communicator | None = None) -> None:
-    """End all ranks for what one of them has met in a computation, in which the others wait for it.
+    """End all ranks if ``error`` arose on one rank alone, since the other ranks wait for it.
 
-    What ngvisco raises is decided by all ranks together, and is not such an error.
+    An error of ngvisco is raised by all ranks together, and ends none.
     """
     if isinstance(error, NgviscoError) or OF_ALL_RANKS in vars(error):
         return

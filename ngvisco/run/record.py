@@ -1,4 +1,4 @@
-"""A run with the usual files and pictures in one call: what demos and short scripts do."""
+"""A run with the usual files and pictures in one call, for demos and short scripts."""
 
 from collections.abc import Mapping
 
@@ -25,33 +25,32 @@ def record(
     checkpoints: int = 25,
     show: Mapping[str, str] | None = None,
 ) -> Ledger:
-    """Run until ``until`` with progress on the terminal, and leave files and pictures in ``directory``.
+    """Run until ``until`` with progress on the terminal, and write files and pictures to ``directory``.
 
-    These are ``ledger.csv``, the VTK series ``vtk/fields.pvd``, ``run.h5`` with ledger and checkpoints, of a
-    model with bodies ``bodies.csv``, and by the extra ``plots`` ``energies.png`` and, of the state at the
-    end, ``fields.png``.  The observers that the simulation has already see the same run.  Raises
-    ParameterError or ExpressionError for an argument or an expression that is none, before anything is
-    computed; PlotError where matplotlib is missing, before anything is computed; StepError as
-    ``Simulation.run``.
+    The files are ``ledger.csv``, the VTK series ``vtk/fields.pvd``, ``run.h5`` with ledger and checkpoints,
+    for a model with bodies ``bodies.csv``, and with the extra ``plots`` ``energies.png`` and ``fields.png``,
+    the latter of the state at the end.  The simulation's own observers see the same run.  Raises
+    ParameterError or ExpressionError for a bad argument or expression, and PlotError if matplotlib is
+    missing, before anything is computed; StepError as ``Simulation.run``.
 
     Parameters
     ----------
     until : float
         End of the run, s.
     every : int
-        Steps between states of the VTK series.
+        Number of steps between states of the VTK series.
     checkpoints : int
-        Steps between checkpoints.
+        Number of steps between checkpoints.
     show : mapping of titles to expressions, optional
-        What ``fields.png`` shows, by the names of ``simulation.fields`` and their components:
-        ``{"speed, m/s": "sqrt(velocity_1**2 + velocity_2**2)"}``.  Without it there is no such picture.
+        Content of ``fields.png`` in names of ``simulation.fields`` and their components:
+        ``{"speed, m/s": "sqrt(velocity_1**2 + velocity_2**2)"}``.  By default there is no such picture.
     """
     out = require_path("record.directory", directory)
     if (end := as_number(until)) is None or end <= simulation.t:
         raise ParameterError("record.until", until, f"a finite number > {simulation.t:g}")
     known = tuple(components(simulation.fields))
     pictures = {title: parse(text, known) for title, text in (show or {}).items()}
-    figure(1, 1, (1.0, 1.0))  # matplotlib is missed now, not at the end
+    figure(1, 1, (1.0, 1.0))  # if matplotlib is missing, the run fails now, not at its end
     files: list[Observer] = [
         Progress(end),
         LedgerCSV(out / "ledger.csv"),

@@ -1,9 +1,9 @@
-"""Meshes that follow what happens: cells of a first mesh divided where a field is steep, time and again.
+"""Meshes that follow a field: cells of a first mesh are divided where the field is steep, time and again.
 
-Every mesh of a run is the first one, bisected by need, so that a cell of one is the same, a part or a union
-of cells of another, and what has moved on leaves coarse cells behind.  A state is carried over by
-``ngvisco.run.transfer``, without loss onto finer cells if these are straight, and by L2 projection onto
-coarser ones; the energy that this takes is the ledger's column ``transfer``.
+Every mesh of a run is a bisection of the first one, so that a cell of one mesh is a cell, a part of a cell or
+a union of cells of another; where the field has become flat cells are coarse again.  ``ngvisco.run.transfer``
+carries a state over, without loss onto finer cells if these are straight, and by L2 projection onto coarser
+cells; the ledger's column ``transfer`` is the energy that the projection takes.
 """
 
 from __future__ import annotations
@@ -39,32 +39,32 @@ from ngvisco.run.simulation import Simulation
 from ngvisco.run.transfer import go_on, require_fit, transfer
 
 _TOO_LARGE = 1.5
-"""Volume of a cell over that asked for from which it is divided: bisection gives powers of two."""
+"""Ratio of a cell's volume and the wanted one, above which it is divided: bisection gives powers of two."""
 _SAME_TIME = 1e-9
-"""The share of ``every`` within which a time is one at which the mesh is chosen."""
+"""Tolerance, as a share of ``every``, of the times at which the mesh is chosen."""
 _FLAT, _ROUNDING = 1e-9, 1e-12
-"""The variation below which a field is steep nowhere, over its largest value and over the usual one of the
-run."""
+"""Variations of a field below which it is steep nowhere: over its largest value, and over the value that is
+usual in the run."""
 _LEVELS = 8
 
 
 @dataclass(frozen=True, kw_only=True)
 class Refinement:
-    """Where and how far cells are divided.
+    """Criterion and depth of the division of cells.
 
     Raises ParameterError for a number out of its range.
 
     Parameters
     ----------
     field : str
-        Among the run's ``fields``, e.g. ``"disc_fraction"`` or ``"creep_rate"``, whose norm counts.
+        Name of one of the run's ``fields``, e.g. ``"disc_fraction"`` or ``"creep_rate"``; its norm counts.
     above : float
-        Divided are cells in which, with those around them, the field varies by more than this share of its
-        range over the domain.
+        Share of the field's range over the domain. A cell is divided if the field varies by more than this
+        in the cell and its neighbours.
     levels : int
-        How often the edges of a cell of the first mesh are halved at most.
+        Largest number of times that the edges of a cell of the first mesh are halved.
     every : float
-        The mesh is chosen anew after so long, a multiple of dt.
+        Time after which the mesh is chosen anew, a multiple of dt.
     """
 
     field: Annotated[str, Quantity(example="pressure")]
@@ -76,16 +76,16 @@ class Refinement:
         require_fields(self)
 
     def check(self, simulation: Simulation) -> None:
-        """Raise MeshError, ParameterError or UnknownNameError unless a run can follow its field."""
+        """Raise MeshError, ParameterError or UnknownNameError unless meshes of a run can follow the field."""
         mesh = simulation.mesh
         if not simulation.ranks.all(is_simplicial(mesh)):
             raise MeshError("only triangles and tetrahedra are bisected; this mesh has other cells")
         simulation.stepper.check("Refinement.every", self.every)
         self.steep(simulation)
-        require_fit(simulation, simulation)  # as it will have to on the first other mesh
+        require_fit(simulation, simulation)  # later meshes need the same fit
 
     def steep(self, simulation: Simulation) -> np.ndarray:
-        """Which cells of the whole mesh are to be divided, (cells,), on the first rank; collective."""
+        """Whether each cell of the whole mesh is to be divided, (cells,), on the first rank; collective."""
         fields = simulation.fields
         if self.field not in fields:
             raise UnknownNameError("Refinement.field", self.field, fields, "Refinement.field")
@@ -108,7 +108,7 @@ class Refinement:
         return most[corners].max(axis=1) - least[corners].min(axis=1) > self.above * extent
 
     def _usual(self, simulation: Simulation) -> float:
-        """How large velocities, rates and stresses may be; 0 of other fields, which are not small at rest."""
+        """Usual size of a velocity, rate or stress; 0 for other fields, which are not small at rest."""
         step, length = simulation.rothe_step, diameter(simulation.mesh, simulation.ranks)
         places = extreme_places(step, simulation.sampler) or [Place(step.model, {}, 1.0, np.empty(0))]
         stress = max(place.density * place.scales(simulation.mesh.dim)[0] ** 2 for place in places)
@@ -119,24 +119,24 @@ class Refinement:
 def run_refined(
     simulation: Simulation, refinement: Refinement, until: float, checkpoint: AnyPath | None = None
 ) -> Simulation:
-    """Run on meshes that follow a field, refined from that of ``simulation``; the run on the last mesh.
+    """Run on meshes that follow a field, refined from the mesh of ``simulation``; the run on the last mesh.
 
-    It has the ledger of the whole.  Its observers are told of every mesh by ``start``, as of a run that is
-    resumed, and the ledger goes on. Raises ParameterError, UnknownNameError, MeshError or CheckpointError for
-    what does not fit, before a step is made; StepError as ``Simulation.run``.
+    The last run has the ledger of all meshes.  Observers get a call of ``start`` on every mesh, as in a
+    resumed run.  Raises ParameterError, UnknownNameError, MeshError or CheckpointError for arguments that do
+    not fit, before a step is made; StepError as ``Simulation.run``.
 
     Parameters
     ----------
     simulation : Simulation
-        At its own start, on the coarsest mesh, of triangles or tetrahedra.
+        Simulation at its own start, on the coarsest mesh, of triangles or tetrahedra.
     until : float
         End of the run, s.
     checkpoint : path, optional
-        The HDF5 file of such a run, which then goes on from its last state.
+        The HDF5 file of an earlier part of the run, which then goes on from its last state.
     """
     require_type("run_refined.simulation", simulation, Simulation)
     require_type("run_refined.refinement", refinement, Refinement)
-    if simulation.number or simulation.ledger.balance is not None:  # begun, or carried over
+    if simulation.number or simulation.ledger.balance is not None:  # it has begun, or was carried over
         expected = "before its first step"
         raise ParameterError("run_refined.simulation", f"at step {simulation.number}", expected)
     refinement.check(simulation)
@@ -156,14 +156,14 @@ def run_refined(
 def stretches(
     simulation: Simulation, refinement: Refinement, until: float, first: Mesh, chosen: ChosenMesh | None
 ) -> Iterator[tuple[Simulation, float]]:
-    """A run on each of its meshes, and until when it is to go on there, s.
+    """Yield the run on each of its meshes, with the time until which it goes on there, s.
 
-    ``simulation`` is at its start on the ``first`` mesh, of which all are refinements, or at a later state on
-    a later one, ``chosen``.
+    ``simulation`` is at its start on the ``first`` mesh, of which all meshes are refinements, or at a later
+    state on a later mesh, ``chosen``.
     """
     cells, every = _First(first, simulation.ranks, refinement), refinement.every
     if simulation.number == 0 and simulation.ledger.balance is None:
-        for _ in range(refinement.levels):  # the start values anew, as sharp as the mesh
+        for _ in range(refinement.levels):  # the finer mesh resolves start values better
             if (finer := cells.under(simulation)) is None:
                 break
             simulation, chosen = finer
@@ -184,7 +184,7 @@ def stretches(
 
 
 def _moved(simulation: Simulation, cells: _First) -> Simulation:
-    """The run on the mesh that its present state wants; the same one where that is the one it has."""
+    """The run on the mesh that its present state needs; ``simulation`` itself if it has this mesh."""
     if (found := cells.under(simulation)) is None:
         return simulation
     target, chosen = found
@@ -201,32 +201,33 @@ def _tell_checkpoints(simulation: Simulation, chosen: ChosenMesh | None) -> None
 
 
 class _First:
-    """The first mesh, of which all others are refinements; over ranks the first one has it and divides it."""
+    """The first mesh, of which all others are refinements; the first rank has the mesh and divides it."""
 
     def __init__(self, mesh: Mesh, ranks: Communicator, refinement: Refinement) -> None:
         self._ranks, self._refinement = ranks, refinement
         whole = whole_of(mesh) if ranks.is_first else None
         if whole is not None:
             self._image, self._order = mesh_image(whole), whole.GetCurveOrder()
-            self._straight = Mesh(whole.ngmesh.Copy())  # volumes of straight cells are halved exactly
+            self._straight = Mesh(whole.ngmesh.Copy())  # bisection halves straight cells' volumes exactly
             self._volumes = _volumes(self._straight)
 
     def under(self, simulation: Simulation) -> tuple[Simulation, ChosenMesh] | None:
-        """The run at its start on the mesh that a state wants, and that mesh, read from its file as when the
-        run is resumed; None where the state is on it.  Collective."""
+        """The run at its start on the mesh that a state needs, and this mesh; None if the state is on it.
+
+        The mesh is read from its file, as in a resumed run.  Collective."""
         marked = self._refinement.steep(simulation)
         image = self._ranks.on_first(lambda: self._refined(whole_of(simulation.mesh), marked))
         if image is None:
             return None
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", NgviscoWarning)  # of the start values, given on the first mesh
+            warnings.simplefilter("ignore", NgviscoWarning)  # about start values: the first mesh gave them
             return simulation.on(mesh_of(image)), ChosenMesh(image, simulation.number)
 
     def _refined(self, present: Mesh | None, marked: np.ndarray) -> bytes | None:
-        """The file of the first mesh with cells divided that lie in marked ones of ``present``, or have such
-        in them; None where that is ``present``."""
+        """The file of the first mesh, with cells divided that lie in a marked cell of the mesh ``present`` or
+        contain one; None if the result is ``present``."""
         assert present is not None
-        mesh = mesh_of(self._image)  # Netgen's ``Copy`` forgets which walls are identified
+        mesh = mesh_of(self._image)  # Netgen's ``Copy`` forgets identified walls
         straight = Mesh(present.ngmesh.Copy())
         places, times = _centres(straight)[marked], mesh.dim * self._refinement.levels
         for _ in range(times):
@@ -244,7 +245,7 @@ class _First:
             return None
         if self._order == 1:
             return mesh_image(mesh)
-        mesh.Curve(1)  # Netgen writes what is curved by numbers of edges that only a mesh read anew has
+        mesh.Curve(1)  # Netgen writes curved edges by numbers that only a mesh read anew has
         curved = mesh_of(mesh_image(mesh))
         curved.Curve(self._order)
         return mesh_image(curved)
@@ -259,7 +260,7 @@ def _volumes(mesh: Mesh) -> np.ndarray:
 
 
 def _cells_at(mesh: Mesh, points: np.ndarray) -> np.ndarray:
-    """Cells that points are in; beside a curved wall, where one may be in none, the nearest."""
+    """Cells that contain the points; for a point in no cell, beside a curved wall, the nearest cell."""
     if not len(points):
         return np.zeros(0, dtype=int)
     found = np.asarray(mesh(*points.T)["nr"], dtype=int)

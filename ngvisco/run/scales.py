@@ -1,4 +1,4 @@
-"""Scales of a run by its laws at the points where these ask most of dt and maxh."""
+"""Scales of a run, by its laws at the points where they ask most of dt and maxh."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ if TYPE_CHECKING:
     from ngvisco.run.simulation import Simulation
 
 _AT_REST = 1e-12
-"""Components of the variables that differ by less from those at rest do so by rounding."""
+"""Difference of variables from their values at rest, below which it is rounding."""
 
 
 def scales(simulation: Simulation) -> Scales:
-    """The scales of a simulation at its present state, the initial one of a run that has not begun."""
+    """The scales of a simulation at its present state, which before the run is the initial one."""
     mesh, step = simulation.mesh, simulation.rothe_step
     places = extreme_places(step, simulation.sampler)
     if not places:
@@ -74,9 +74,10 @@ def scales(simulation: Simulation) -> Scales:
 
 
 def largest_velocity(simulation: Simulation) -> float:
-    """The largest velocity of a run so far, m/s; 0 where nothing is known yet.
+    """The largest velocity of a run so far, m/s; 0 if none is known.
 
-    It is that of the steps taken; before any step that which the user has said, of the start or of walls.
+    It is the largest one in the steps taken and of walls; before any step the given velocity scale, else the
+    largest one at the start and of walls.
     """
     ranks, said = simulation.ranks, simulation.given_velocity_scale
     taken = [row["v_max"] for row in simulation.ledger.rows]
@@ -89,7 +90,7 @@ def largest_velocity(simulation: Simulation) -> float:
 
 
 def edges_of(step: Step, ranks: Communicator) -> list[float]:
-    """Edges of the domain's bounding box, m, but for the directions in which it is periodic."""
+    """Edges of the domain's bounding box, m, without periodic directions."""
     sides = [ranks.most(along) - ranks.least(along) for along in coordinates(step.mesh).T]
     if not step.layout.periodic:
         return sides
@@ -104,7 +105,7 @@ def edges_of(step: Step, ranks: Communicator) -> list[float]:
 
 
 def _acceleration(step: Step, sampler: Sampler) -> float:
-    """The largest acceleration by a load at the start, m/s^2."""
+    """The largest acceleration that a load gives at the present state, m/s^2."""
     u, largest = step.now, 0.0
     for load in step.model.loads:
         square_of = square(Loading(load, step.mesh.dim).force(u) / u.rho)
@@ -113,7 +114,7 @@ def _acceleration(step: Step, sampler: Sampler) -> float:
 
 
 def _thickness(simulation: Simulation) -> dict[str, float]:
-    """The least extent of each body where it fills half of the space or more, in cells."""
+    """The least extent, in cells, of the part of each body with a fraction of at least one half."""
     step, sampler, ranks = simulation.rothe_step, simulation.sampler, simulation.ranks
     material, found = step.model.material, {}
     if not isinstance(material, Mixture):
@@ -132,18 +133,17 @@ def _thickness(simulation: Simulation) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class Place:
-    """Laws at a point, of one body alone where there are bodies, with the values that parameters have."""
+    """Laws at a point, with bodies the laws of one body alone, and the values of parameters there."""
 
     laws: Model
     parameters: dict[str, float]
     density: float
-    """kg/m^3."""
+    """Mass density, kg/m^3."""
     state: np.ndarray
     """Components of the material's variables, (n,)."""
 
     def overstress(self, rate: float) -> float:
-        """The excess of the stress over the yield stress at a rate of shear, 1/s, over the yield stress; 0
-        without yield."""
+        """Relative excess of the stress over the yield stress at a rate of shear, 1/s; 0 without yield."""
         creep = self.laws.creep
         if creep is None:
             return 0.0
@@ -171,10 +171,10 @@ class Place:
 
 
 def extreme_places(step: Step, sampler: Sampler) -> list[Place]:
-    """Where each parameter is least and where it is largest, the same places on all ranks.
+    """The places where a parameter is least or largest, the same places on all ranks.
 
-    With bodies those of each body, among the points where there is most of it, at which it is then alone; a
-    body without parameters has one place.  None where there are neither parameters nor bodies.
+    With bodies each body has its own places, among the points where it has the largest amount, and is taken
+    to be alone there; a body without parameters has one place.  Empty without parameters and bodies.
     """
     u, material, slices = step.now, step.model.material, step.layout.states.slices
     carried = [v.name for v in material.variables if isinstance(v, Parameter)]
@@ -185,7 +185,7 @@ def extreme_places(step: Step, sampler: Sampler) -> list[Place]:
     order = np.argsort(np.concatenate(sampler.ranks.gathered(own)), kind="stable")
 
     def everywhere(f: CoefficientFunction) -> np.ndarray:
-        """At the points of all ranks, in the order of one process: what is equal is met there first."""
+        """Values of f at all ranks' points, in the order of one process, so that ties have one winner."""
         return np.concatenate(sampler.ranks.gathered(np.asarray(sampler.values(f))))[order]
 
     values, rho = {name: everywhere(u.z_tensors[name]) for name in carried}, everywhere(u.rho)
@@ -194,7 +194,7 @@ def extreme_places(step: Step, sampler: Sampler) -> list[Place]:
     def chosen(names: Sequence[str], among: np.ndarray, usual: int = 0) -> dict[int, dict[str, float]]:
         """Points at which one of the named values is least or largest, and all values there.
 
-        Values that differ by rounding count once: an end is often taken along a line.
+        Points whose values differ by rounding count once, since a whole line often has the least value.
         """
         found: dict[int, dict[str, float]] = {}
         ends = [values[name][among] for name in names]
@@ -214,7 +214,7 @@ def extreme_places(step: Step, sampler: Sampler) -> list[Place]:
         names = [p.name for p in parameters_in((body,))]
         names += [v.name for v in body.material.variables if isinstance(v, Parameter)]
         among = np.flatnonzero(most == number)
-        if not len(among):  # it is smaller than a cell
+        if not len(among):  # the body is smaller than a cell
             among = amounts[:, [number]].argmax(axis=0)
         alone = np.zeros(states.shape[1])
         for variable in material.densities(body.name):
@@ -228,10 +228,10 @@ def extreme_places(step: Step, sampler: Sampler) -> list[Place]:
 
 
 def typical_velocity(step: Step, sampler: Sampler, dt: float) -> float:
-    """How fast a run will be, m/s, by its state at the start and its step length ``dt``, s.
+    """The velocity to be expected in a run, m/s, from its start and its step length ``dt``, s.
 
-    The largest of what moves, of free fall and of elastic release; where all is at rest a tenth of the speed
-    of sound.
+    It is the largest velocity of the start, of walls, of free fall and of elastic release; with all of them 0
+    it is a tenth of the speed of sound.
     """
     u, model, ranks = step.now, step.model, sampler.ranks
     speed = math.sqrt(sampler.extrema(square(u.v))[1])
@@ -244,17 +244,17 @@ def typical_velocity(step: Step, sampler: Sampler, dt: float) -> float:
     elastic = 0.0
     if ranks.most(np.array(strains)) > _AT_REST:  # an energy's rounding is no elastic release
         excess = step.energy.samples(u.z_tensors, sampler) - step.energy.samples(rest, sampler)
-        # energy that a place has stored moves the mass of that place
+        # the energy stored at a place moves the mass at this place
         inertia = np.asarray(sampler.values(u.rho)).reshape(excess.shape) if places else least
         elastic = math.sqrt(2 * ranks.most(abs(excess) / inertia))
     walls = step.moving_walls.velocities().values()
     moving = ranks.most(np.concatenate([np.zeros(1), *(abs(v).ravel() for v in walls)]))
-    # no faster than through the domain in a step
+    # no faster than across the domain in a step
     farthest = length / dt
     known = max(speed, moving, min(max(fall, elastic), farthest))
     if known > 0:
         return known
-    # at rest, and nothing says how fast it will be: strains of a tenth
+    # at rest nothing gives a velocity: strains of a tenth are assumed
     if places:
         return min(0.1 * max(wave_speed(step, p.state, p.density) for p in places), farthest) or 1.0
     own = np.asarray(sampler.values(u.z)).reshape(-1, step.layout.states.size)
@@ -263,15 +263,15 @@ def typical_velocity(step: Step, sampler: Sampler, dt: float) -> float:
 
 
 def diameter(mesh: Mesh, ranks: Communicator) -> float:
-    """Diagonal of a mesh's bounding box, m, of all ranks' parts."""
+    """Diagonal of the bounding box of the whole mesh over all ranks, m."""
     sides = [ranks.most(along) - ranks.least(along) for along in coordinates(mesh).T]
     return float(np.linalg.norm(sides))
 
 
 def cause_of_negative_power(step: Step, sampler: Sampler) -> str:
-    """Why creep gives energy at a point, in words: a modulus of the wrong sign, or the rule.
+    """The reason, in words, why creep gives energy at a point: a modulus of the wrong sign, or the flow rule.
 
-    Collective; all ranks say the same.
+    Collective; all ranks return the same text.
     """
     for flow in step.model.flows:
         for name, expression, _ in moduli_in(flow.rule):

@@ -1,9 +1,8 @@
-"""States as one HTML file: mesh, fields and viewer in it, nothing from the network.
+"""States as one HTML file with mesh, fields and viewer, which loads nothing from the network.
 
-2D meshes are drawn whole, 3D ones by their boundary and by a movable plane that cuts them open; every cell
-has its own values, so that jumps between cells show.  With several states there is a slider of time.  The
-viewer (viewer.html) draws with a depth buffer of its own on a canvas: it needs neither WebGL nor a graphics
-card.
+A 2D mesh is drawn whole, a 3D mesh by its boundary and by a movable plane that cuts it open; every cell has
+its own values, so that jumps between cells show.  Several states have a slider of time.  The viewer
+(viewer.html) draws with a depth buffer of its own on a canvas: it needs neither WebGL nor a graphics card.
 """
 
 import base64
@@ -22,7 +21,8 @@ from ngvisco.run.frames import Frame, frame_of, read_frame, read_series_files
 
 _VIEWER = Path(__file__).with_name("viewer.html")
 _PIECES = {2: 3, 3: 1}
-"""Parts of a cell's sides in a page, in which fields are linear: in 3D all tetrahedra are in it."""
+"""Number of parts of a cell's side, by dimension; fields are linear in a part.  In 3D cells stay whole, since
+the page holds all tetrahedra."""
 
 
 def write_scene(
@@ -32,9 +32,9 @@ def write_scene(
     title: str = "ngvisco",
     outlines: Sequence[CoefficientFunction] = (),
 ) -> None:
-    """Write the view of scalar fields, by name, at the present time.
+    """Write a page that shows scalar fields, by name, at the present time.
 
-    ``outlines`` are volume fractions of bodies, drawn as lines where they are one half.
+    ``outlines`` are volume fractions of bodies; the lines where they are one half are drawn.
     """
     if not fields:
         raise ParameterError("write_scene.fields", list(fields), "at least one field")
@@ -49,12 +49,12 @@ def write_scene_of_series(
     title: str = "ngvisco",
     most: int = 60,
 ) -> None:
-    """Write the view of a run's VTK series, e.g. in ``results/swirl/vtk``, with a slider of time.
+    """Write a page that shows a run's VTK series, e.g. in ``results/swirl/vtk``, with a slider of time.
 
-    ``fields`` are of a vector its modulus or ``NAME_i``, of a tensor ``NAME_ij``; default density, J,
-    velocity, pressure and von Mises stress, as far as the series has them.  The page holds ``most`` states,
-    evenly chosen. Raises CheckpointError if there is no series, or a file of it cannot be read;
-    UnknownNameError for a field that the series does not have.
+    ``fields`` are names of scalars, of vectors for their modulus, or of components, ``NAME_i`` and
+    ``NAME_ij``; default density, J, velocity, pressure and von Mises stress, if the series has them.  The
+    page holds at most ``most`` states, evenly chosen.  Raises CheckpointError if there is no series, or a
+    file cannot be read; UnknownNameError for a field that the series does not have.
     """
     files = read_series_files(series)
     chosen = sorted({round(i) for i in np.linspace(0, len(files) - 1, min(most, len(files)))})
@@ -71,7 +71,7 @@ def _write_page(
 ) -> None:
     """Write states, each with its time (s), and the viewer into one file.
 
-    In 3D the faces are drawn, and the tetrahedra are there for the plane that cuts them.
+    In 3D faces are drawn; the file holds the tetrahedra too, for the plane that cuts them.
     """
     frames = [frame for _, frame in states]
     meshes, mesh, drawn = [frames[0]], list[int](), [_corners(frames[0])]
@@ -102,7 +102,7 @@ def _write_page(
         ],
         "outlines": [packed(of_body) for of_body in zip(*(f.fractions() for f in frames), strict=True)],
     }
-    # "</" would end the script element wherever it stands
+    # "</" in a text would end the script element
     text = json.dumps(data).replace("</", "<\\/")
     page = _VIEWER.read_text(encoding="utf-8")
     page = page.replace("__TITLE__", html.escape(title)).replace("__DATA__", text)
@@ -110,7 +110,7 @@ def _write_page(
 
 
 def _corners(frame: Frame) -> tuple[np.ndarray, np.ndarray]:
-    """Points of the triangles that are drawn, and of the tetrahedra that are cut."""
+    """Numbers of the points of the triangles that are drawn, and of the tetrahedra that are cut."""
     faces = frame.cells if frame.dim == 2 else frame.boundary()
     return faces.ravel(), frame.cells.ravel() if frame.dim == 3 else faces.ravel()[:0]
 

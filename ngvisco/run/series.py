@@ -1,7 +1,7 @@
-"""Tables over time that observers write: a CSV file, and the same as arrays.
+"""Tables over time that observers write as CSV files and keep as arrays.
 
-A resumed run keeps the rows up to its checkpoint and drops those that the interrupted run wrote out of turn
-when it stopped, so that the file is that of an uninterrupted run.
+A resumed run keeps the rows up to its checkpoint and drops rows that the interrupted run wrote out of turn
+when it stopped, so that the file equals that of an uninterrupted run.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ if TYPE_CHECKING:
 
 
 class Series(ABC):
-    """Base of the observers that note numbers over time.
+    """Base class of observers that record numbers over time.
 
     A subclass gives ``prepare``, which checks its input against the simulation and returns the columns
-    after ``step`` and ``time``, and ``_sample``, which returns rows of them at the present state.  Over ranks
-    all call both together and get the same; the first one writes the file.
+    after ``step`` and ``time``, and ``_sample``, which returns rows of these columns at the present state.
+    All ranks call both together and get the same values; the first rank writes the file.
 
-    A number that is none ends the run with a NotANumberError, which has the column and the time.
+    A value that is not finite ends the run with a NotANumberError, which names the column and the time.
 
     Attributes
     ----------
@@ -38,10 +38,10 @@ class Series(ABC):
     """
 
     initial = True
-    """Whether there is something to note of the state before the first step."""
+    """Whether the state before the first step has a row."""
 
     group: str | None = None
-    """Under which a run's HDF5 file has the columns too; None (default) is not at all."""
+    """Group of a run's HDF5 file that holds the columns too; None (default) for no group."""
 
     def __init__(self, path: AnyPath | None = None, every: int = 1) -> None:
         require_count(type(self).__name__, every=every)
@@ -53,28 +53,28 @@ class Series(ABC):
 
     @abstractmethod
     def prepare(self, simulation: Simulation) -> list[str]:
-        """Check what is asked for against a simulation; the columns after ``step`` and ``time``."""
+        """Check the observer's input against a simulation; return the columns after ``step`` and ``time``."""
 
     @abstractmethod
     def _sample(self, simulation: Simulation) -> Any:
-        """Rows of the columns at the present state."""
+        """Rows at the present state, without ``step`` and ``time``."""
 
     def sample(self, simulation: Simulation) -> np.ndarray:
-        """The columns after ``step`` and ``time`` at the present state, (rows, columns); noted nowhere."""
+        """Rows at the present state without ``step`` and ``time``, (rows, columns); not recorded."""
         return np.atleast_2d(np.asarray(self._sample(simulation), dtype=float))
 
     def unit(self, column: str) -> str:
-        """SI unit of a column, for that file."""
+        """SI unit of a column, for the HDF5 file."""
         return {"time": "s"}.get(column, "1")
 
     def column(self, name: str) -> np.ndarray:
-        """A column over all rows so far; ``"time"`` is in s."""
+        """Values of a column in all rows so far; ``"time"`` is in s."""
         if name not in self.columns:
             raise UnknownNameError("column", name, self.columns)
         return np.array([row[self.columns.index(name)] for row in self.rows])
 
     def may_be_nan(self, column: str) -> bool:
-        """Whether a column has no value where there is nothing to measure; by default none is so."""
+        """Whether a column may be NaN, if there is nothing to measure; by default no column may."""
         return False
 
     def start(self, simulation: Simulation) -> None:
@@ -98,7 +98,7 @@ class Series(ABC):
         if not self.columns or self._has(simulation.number):
             return
         number, rows = self._found
-        if number == simulation.number and not self.initial:  # no step was made: what there was of the last
+        if number == simulation.number and not self.initial:  # no step was made: keep the last step's rows
             self._add(rows, simulation)
         elif self.initial or simulation.number > 0:
             self._note(simulation)
@@ -131,9 +131,9 @@ class Series(ABC):
 
 
 def read_series(path: Path, columns: Sequence[str]) -> list[list[float]]:
-    """The rows of a table that an earlier part of the run wrote; none if there is no file.
+    """The rows of a table that an earlier part of the run wrote; empty if there is no file.
 
-    Raises CheckpointError if it has other columns or is damaged.
+    Raises CheckpointError if the table has other columns or is damaged.
     """
     if not path.exists():
         return []
@@ -144,7 +144,7 @@ def read_series(path: Path, columns: Sequence[str]) -> list[list[float]]:
 
 
 def read_columns(path: Path) -> dict[str, np.ndarray]:
-    """The columns of a table by name; raises CheckpointError where it is none."""
+    """The columns of a table by name; raises CheckpointError if the file is no table."""
     try:
         with path.open(newline="", encoding="utf-8") as file:
             head, *body = csv.reader(file)

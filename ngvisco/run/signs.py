@@ -1,7 +1,7 @@
-"""Signs of what a run dissipates: each column, and its integrand at the points, is looked at in every step.
+"""Checks of the sign of each dissipation in every step: of its column, and of its integrand at the points.
 
-The energy's ledger closes for a dissipation of the wrong sign too, since form and column have it both.  No
-term of the equations gives energy: where one does, a law has a wrong sign, and the run says so by its name.
+The energy's ledger closes for a dissipation of the wrong sign too, since form and column share the sign.  No
+mechanism gives energy: if one does, a law has a wrong sign, and the run warns of it by name.
 """
 
 from __future__ import annotations
@@ -24,18 +24,18 @@ from ngvisco.physics.tensors import if_positive
 from ngvisco.physics.variables import Values
 
 CREEP_POWER = "creep_power_min"
-"""The column of the least M : Pi at a point, of bodies and branches the least of each."""
+"""Column of the least M : Pi at a point, over all bodies and branches."""
 _NEGATIVE = 1e-9
-"""Share of all that is dissipated, or of all entropy that is produced, that may be missing of a mechanism:
-what an iteration leaves."""
+"""Share of the total dissipation, or of the total production of entropy, by which one mechanism may be
+negative: an iteration's error."""
 _ROUNDING = 1e-12
-"""Share of the largest power at a point that rounding may leave of one that is zero."""
+"""Share of the largest power at a point that rounding may give to a power of zero."""
 _MISSED = 0.01
-"""Share of all that is dissipated that the projection of conjugates may take from a column."""
+"""Share of the total dissipation that the projection of conjugates may take from a column."""
 _OF_CREEP, _OF_VISCOSITY = "dissipation_creep", "dissipation_stokes"
-"""Columns of creep, which is looked at by bodies and branches at the points, and of viscosity."""
+"""Columns of creep, whose power is checked at points for each body and branch, and of viscosity."""
 _WALLS_EVERY = 10
-"""Steps after which the parts of walls are looked at again, each by itself."""
+"""Number of steps between checks of single facets of walls."""
 
 Warn = Callable[[str, type[NgviscoWarning]], None]
 
@@ -45,32 +45,32 @@ class CreepPowerWarning(NgviscoWarning):
 
 
 class DissipationWarning(NgviscoWarning):
-    """A mechanism that is to dissipate gives energy: a law has the wrong sign, though the ledger closes."""
+    """A dissipative mechanism gives energy: a law has the wrong sign, though the ledger closes."""
 
 
 class EntropyWarning(NgviscoWarning):
-    """A mechanism takes entropy away: the mesh does not resolve the temperature, or a law is none."""
+    """A mechanism destroys entropy: the mesh does not resolve the temperature, or a law is wrong."""
 
 
 class Signs:
-    """Looks at the dissipations of a step; ``warn`` takes a message and its category."""
+    """Checks the dissipations of a step; ``warn`` takes a message and its category."""
 
     def __init__(
         self, step: Step, sampler: Sampler, entries: list[Entry], warn: Warn, cause: Callable[[], str]
     ) -> None:
-        """``cause`` says why creep gives energy."""
+        """Sort the dissipations by their signs; ``cause`` returns the reason why creep gives energy."""
         self._step, self._sampler, self._warn, self._cause = step, sampler, warn, cause
         self._productions = [entry.name for entry in entries if entry.name.startswith(PRODUCTION)]
         self._nearly: list[str] = []
-        """Columns with a sign up to what the projection of conjugates misses."""
+        """Columns whose sign holds up to the error of the projection of conjugates."""
         self._columns: dict[str, list[str]] = {}
-        """Columns by what is looked at: the viscous ones together, of which each by itself has no sign."""
+        """Columns by checked sums: the viscous columns have a sign together, not each by itself."""
         powers = step.context.rates.powers_of_creep(step.now)
         power = reduce(lambda a, b: if_positive(a - b, b, a), powers) if powers else None
         found = {} if power is None else {CREEP_POWER: power}
         everywhere = (
             step.energy.projected is None
-        )  # else laws may read what is known at the forms' points alone
+        )  # else laws may read values that are known at the forms' points alone
         for entry in entries:
             name, value = entry.name, entry.integrand.cells
             if entry.kind != "dissipation" or name == _OF_CREEP:
@@ -87,7 +87,7 @@ class Signs:
         self._on_walls = self._wall_forms()
 
     def _wall_forms(self) -> dict[str, LinearForm]:
-        """Dissipation on walls, on the facets of each cell."""
+        """Forms whose entries are the dissipation on each cell's facets on a wall, by columns."""
         step, forms = self._step, {}
         space = L2(step.mesh, order=0)
         for term in step.terms:
@@ -100,7 +100,7 @@ class Signs:
         return forms
 
     def check_points(self, values: Mapping[str, np.ndarray], shares: Values, time: float) -> None:
-        """Warn of a power that is negative at a point of ``at_points``, and of bodies of ``shares`` where."""
+        """Warn of a power of ``at_points`` that is negative at a point; ``shares`` name the bodies there."""
         for name, power in values.items():
             least, largest = self._sampler.ranks.least(power), self._sampler.ranks.most(abs(power))
             if least >= -_ROUNDING * largest:
@@ -116,7 +116,7 @@ class Signs:
                 self._say(name, f"{least:.3g} W/m^3 {where}", time)
 
     def check(self, row: Mapping[str, float]) -> None:
-        """Warn of a column of a row that gives energy or takes entropy away, and of a part of a wall."""
+        """Warn of a row's columns, and of a wall's facets, that give energy or destroy entropy."""
         made = {name: sum(row[one] for one in parts) for name, parts in self._columns.items()}
         nearly = {name: row[name] for name in self._nearly}
         total = sum(map(abs, (*made.values(), *nearly.values())))
@@ -148,10 +148,10 @@ class Signs:
     def _check_entropy(self, row: Mapping[str, float]) -> None:
         made = {name: row[name] for name in self._productions}
         least = min(made, key=lambda name: made[name], default="")
-        # near rest all of them are what an iteration leaves of what there is
+        # near rest all productions are an iteration's error relative to the whole entropy
         rate = abs(row.get("entropy", 0.0)) / row["dt"]
         share, rounding = _NEGATIVE, _ROUNDING * rate
-        if least == PRODUCTION + UPWINDING.removeprefix("dissipation_"):  # has a sign up to projections
+        if least == PRODUCTION + UPWINDING.removeprefix("dissipation_"):  # its sign holds up to projections
             share, rounding = _MISSED, _NEGATIVE * rate
         if made and made[least] < -share * sum(map(abs, made.values())) - rounding:
             message = (

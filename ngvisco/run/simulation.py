@@ -1,6 +1,6 @@
 """The time loop: the only place that advances time.
 
-Output, checkpoints, plots and progress are observers of it (``ngvisco.run.observers``).
+Output, checkpoints, plots and progress are observers of the loop (``ngvisco.run.observers``).
 """
 
 from __future__ import annotations
@@ -58,24 +58,24 @@ _LOOKED_AT = 4
 
 
 class Observer(Protocol):
-    """An observer of a run.  Every method may be called with the simulation at rest.
+    """An observer of a run.  Its methods are called between steps, never within a step.
 
-    A class that derives from it needs only those of them that it has a use for.
+    A class that derives from ``Observer`` defines only the methods that it needs.
 
-    On several ranks each is called on every rank; one with the attribute ``on_first_rank = True``, as those
-    which write a file of the ledger, on the first one only, and it must evaluate no field.
+    On several ranks the methods are called on every rank.  An observer with the attribute ``on_first_rank =
+    True``, such as a writer of the ledger, is called on the first rank only, and must evaluate no field.
     """
 
     def start(self, simulation: Simulation) -> None:
-        """Before the first step of a run; the initial row is ``simulation.ledger.rows[0]``."""
+        """Called before the first step of a run; the initial row is ``simulation.ledger.rows[0]``."""
         return
 
     def step(self, simulation: Simulation, row: dict[str, float]) -> None:
-        """After a step was accepted; ``row`` is its ledger row."""
+        """Called after each accepted step; ``row`` is the step's row of the ledger."""
         return
 
     def finish(self, simulation: Simulation) -> None:
-        """After the last step, and when the run ends with an error."""
+        """Called after the last step, and when the run ends with an error."""
         return
 
 
@@ -83,38 +83,38 @@ class Simulation:
     """A model on a mesh, in time.
 
     Raises ParameterError, MeshError, InitialDataError or UnknownNameError for bad input, before anything is
-    computed; PETScError over ranks, without PETSc.
+    computed; PETScError over ranks without PETSc.
 
     Parameters
     ----------
     mesh : ngsolve.Mesh
-        2D (plane strain, or see ``symmetry``) or 3D; every boundary that is not periodic is an impenetrable
-        wall.  Where mpirun started several processes, that of the first one is distributed over them
-        (``simulation.mesh``).
+        Mesh in 2D (plane strain, or see ``symmetry``) or 3D; every boundary that is not periodic is an
+        impenetrable wall.  If mpirun started several processes, the first one's mesh is distributed over
+        them (``simulation.mesh``).
     model : Model
     initial : Initial, optional
     walls : mapping of boundary names (or tuples of them) to Wall objects, optional
-        Slip (v.n = 0 with a free tangential part) where nothing is said.
+        Conditions at walls; default slip (v.n = 0 with a free tangential part).
     time : TimeSteps
-        Scheme and step lengths.  Any keyword arguments of it may stand in its place: ``dt=0.1,
+        Scheme and step lengths.  Keyword arguments of ``TimeSteps`` may be given instead: ``dt=0.1,
         scheme="midpoint"`` is short for ``time=TimeSteps(dt=0.1, scheme="midpoint")``.
     discretisation : Discretisation, optional
     newton : NewtonOptions, optional
     solver : str, optional
-        ``"auto"``, ``"coupled"`` or ``"split"``: short for ``NewtonOptions(method=...)``.
+        Method, ``"auto"``, ``"coupled"`` or ``"split"``: short for ``NewtonOptions(method=...)``.
     observers : sequence of Observer
     sources : Term, optional
-        A further term that takes no unknown, for manufactured solutions.
+        A further term without unknowns, for manufactured solutions.
     terms : sequence of Term
         Further terms of the system, e.g. a drag: ``PointTerm`` objects with ``cells(u, w)``, ``facets(u, w)``
         and ``entries(u)`` (``ngvisco.forms.term``), whose entries are columns of the ledger.  They act in
-        both solvers; of a term that states its ``form(u, w)`` alone split takes rows of the flow only.
+        both solvers; if a term states its ``form(u, w)`` alone, split takes only its rows of the flow.
     passive : sequence of str
         Fields carried by the flow: ``"F_tot"``, ``"reference_map"``, ``"creep_strain"``.
     symmetry : str
-        ``"axisymmetric"``: a mesh of two dimensions is the half plane r = x >= 0 of a body of revolution
-        about x = 0 that does not swirl; integrals, as energies, masses and forces, are its own over 2 pi.
-        ``"none"``: in two dimensions plane strain.
+        With ``"axisymmetric"`` a mesh of two dimensions is the half plane r = x >= 0 of a body of revolution
+        about x = 0 that does not swirl; integrals, such as energies, masses and forces, are the body's over
+        2 pi.  With ``"none"`` two dimensions mean plane strain.
     """
 
     @computing()
@@ -154,7 +154,7 @@ class Simulation:
         require_petsc(ranks)
         mesh = distributed(mesh, ranks) if mesh.comm.size == 1 else mesh
         self.arguments: dict[str, Any] = dict(time=time, initial=initial, walls=walls, solver=solver)
-        """The arguments of the simulation besides mesh, model and observers."""
+        """Arguments of the simulation other than mesh, model and observers."""
         self.arguments |= dict(discretisation=discretisation, newton=newton, passive=passive)
         self.arguments |= dict(sources=sources, terms=terms, symmetry=symmetry)
         self.mesh, self.model = mesh, model
@@ -167,13 +167,13 @@ class Simulation:
         self.sampler = Sampler(mesh, self.rothe_step.quadrature)
         self.ranks = self.sampler.ranks
         self.unknowns = self.rothe_step.layout.count()
-        """The number of unknowns of the whole mesh, as ``cells`` is."""
+        """The number of unknowns on the whole mesh, over all ranks, as ``cells`` is the number of cells."""
         self.cells = int(self.ranks.total(mesh.ne))
         self._cells_here = mesh.ne
         self._t, self._number = 0.0, 0
         self.check_data(0.0)
         self.observers = list(observers)
-        run_time.Set(0.0)  # whatever ran before: start values and walls are those of the start
+        run_time.Set(0.0)  # start values and walls are evaluated at t = 0, whatever ran before
         F_0 = set_initial(self.rothe_step, initial, self.sampler)
         typical = time.velocity_scale or typical_velocity(self.rothe_step, self.sampler, self.dt)
         self.set_velocity_scale(float(typical))
@@ -200,20 +200,20 @@ class Simulation:
     def on(self, mesh: Mesh, **others: Any) -> Simulation:
         """A new simulation at its start, on another mesh or with other arguments of the class.
 
-        ``nv.transfer`` takes the present state there.
+        ``nv.transfer`` carries the present state over to it.
         """
         given = {"model": self.model, **self.arguments, "observers": self.observers}
         return Simulation(mesh, **given | others)
 
     def set_velocity_scale(self, scale: float) -> None:
-        """Set the width of the penalty's weight, from m/s."""
+        """Set the velocity scale, m/s, and from it the curvature of v in the penalty's weight."""
         self.velocity_scale = scale
         self.rothe_step.context.curvature.Set(0.1 * scale / diameter(self.rothe_step.mesh, self.ranks) ** 2)
 
     def set_time(self, t: float, number: int) -> None:
-        """Say that the present state is that of step ``number`` at ``t`` (s), as a restart does.
+        """Set the number and the time ``t`` (s) of the present state, as a restart does.
 
-        For a state that belongs to other times than multiples of dt, see ``stepper.begin``.
+        If ``t`` is not to be a multiple of dt, see ``stepper.begin``.
         """
         self._t, self._number = t, number
         run_time.Set(t)
@@ -230,7 +230,7 @@ class Simulation:
 
     @property
     def number(self) -> int:
-        """The number of the present state among the accepted ones, 0 at the start."""
+        """Number of the present state among the accepted states, 0 at the start."""
         return self._number
 
     @number.setter
@@ -252,12 +252,12 @@ class Simulation:
 
     @property
     def step_number(self) -> int:
-        """Number of the step that led here, or is under way; ``number`` counts its parts."""
+        """Number of the step that led to the present state or is under way; ``number`` counts its parts."""
         return self.stepper.step_of(self.t, self.number)[0]
 
     @property
     def step_under_way(self) -> int:
-        """Number of the step that is taken next, or that the run is within."""
+        """Number of the next step, or of the step that the run is within."""
         return self.step_number + self.is_due(1)
 
     def is_due(self, every: int) -> bool:
@@ -267,7 +267,7 @@ class Simulation:
 
     @property
     def is_adaptive(self) -> bool:
-        """Whether step lengths are chosen by the run."""
+        """Whether the run chooses its step lengths."""
         return isinstance(self.stepper, AdaptiveStepper)
 
     @ending_all_ranks()
@@ -292,12 +292,12 @@ class Simulation:
 
     @property
     def fields(self) -> dict[str, CoefficientFunction]:
-        """Velocity, density, the material's variables and stresses at the present time.
+        """Velocity, density, the material's variables and stresses at the present time, by name.
 
-        ``velocity`` has the mesh's dimension, tensors are 3x3; ``cauchy_stress`` is the elastic one,
-        T of the projected conjugates, with ``pressure`` = -tr T/3 and ``von_mises``, all Pa.  Creep rate,
-        Mandel, viscous and hyperstress, principal stresses and stretches follow as far as the model has
-        them (``ngvisco.run.fields``), and the passive fields of the run under their names.
+        ``velocity`` has the mesh's dimension, tensors are 3x3; ``cauchy_stress`` is the elastic stress T by
+        the projected conjugates, with ``pressure`` = -tr T/3 and ``von_mises``, all in Pa.  Creep rate,
+        Mandel, viscous and hyperstress, principal stresses and stretches are present if the model has them
+        (``ngvisco.run.fields``), as are the run's passive fields.
         """
         self.rothe_step.eliminate.refresh()
         return {**self._expressions, **self.passive.fields}
@@ -307,11 +307,11 @@ class Simulation:
         return output_fields(self.rothe_step)
 
     def advance(self, stop: float = math.inf) -> dict[str, float]:
-        """One accepted step, which with adaptive lengths ends at ``stop`` (s) at the latest; its ledger row.
+        """Take one step and return its row of the ledger; adaptive steps end at ``stop`` (s) at the latest.
 
-        Raises StepError when the step cannot be solved, or rho, J, ... are not positive (see ``limiter``);
-        with adaptive lengths, when that is so at the smallest length.  The state is then that before the
-        step, and the error's ``report`` says where and why.
+        Raises StepError if the step cannot be solved, or rho, J, ... are not positive (see ``limiter``); with
+        adaptive lengths only if the shortest step fails.  The state is then the one before the step, and the
+        error's ``report`` says where and why the step failed.
         """
         if self.mesh.ne != self._cells_here:
             message = f"the mesh has {self.mesh.ne} cells, and {self._cells_here} when the run was made"
@@ -327,7 +327,7 @@ class Simulation:
                 raise
             try:
                 row = self.ledger.record(number, step.time, step.taken, step.rejections, step.error)
-            except BaseException as error:  # an interrupt, or a warning that is an error: no step without row
+            except BaseException as error:  # an interrupt, or a warning as error: no step without its row
                 self.integrator.undo()
                 if isinstance(error, StepError):
                     error.report = failure_report(self, error)
@@ -348,9 +348,9 @@ class Simulation:
         Parameters
         ----------
         until : float
-            With steps of one length a multiple of dt, up to rounding.
+            End of the run; for steps of one length a multiple of dt, up to rounding.
         stops : sequence of float
-            Further times that the steps meet exactly, s; with steps of one length multiples of dt.
+            Further times that the steps meet exactly, s; for steps of one length multiples of dt.
         """
         end = as_number(until)
         if end is None or end < self.t:
@@ -370,31 +370,31 @@ class Simulation:
             for observer in self.observers:
                 try:
                     tell(self, observer, observer.finish)
-                except Exception as error:  # the other observers' files must be finished all the same
+                except Exception as error:  # other observers must still finish their files
                     failure = failure or error
         if failure is not None:
             raise failure
         return self.ledger
 
     def check_data(self, until: float) -> None:
-        """Raise ParameterError for loads and walls that are not what they must be from now to ``until``, s.
+        """Raise ParameterError for bad values of loads and walls from the present time to ``until``, s.
 
-        ``run`` does so before its first step.
+        ``run`` calls this before its first step.
         """
         times = self._looked_at(until)
         check_loads(self.rothe_step, self.sampler, times)
         check_walls(self.rothe_step, times)
 
     def _looked_at(self, until: float) -> list[float]:
-        """Times of a run at which its loads and walls are looked at before it begins, s."""
+        """Times, s, at which ``check_data`` evaluates loads and walls."""
         return sorted({self.t + i / _LOOKED_AT * (until - self.t) for i in range(_LOOKED_AT + 1)})
 
     def request_stop(self) -> None:
-        """Let ``run`` give up the step that it is within, and end, with its observers finished."""
+        """Let ``run`` give up its present step and end; observers are finished."""
         self.stop_requested = True
 
     def notify_rejection(self, rejection: Rejection) -> None:
-        """Tell the observers with a method ``rejected`` of a step that was; the state is that before it."""
+        """Tell observers with a method ``rejected`` of a rejected step; the state is the one before it."""
         for observer in self.observers:
             if (rejected := getattr(observer, "rejected", None)) is not None:
                 tell(self, observer, rejected, rejection)
@@ -413,7 +413,7 @@ class Simulation:
         return None
 
     def _is_to_stop(self) -> bool:
-        """Whether some rank was asked to stop, as by a signal, and now all are."""
+        """Whether some rank was asked to stop, as by a signal; the request then holds on all ranks."""
         self.stop_requested = self.ranks.any(self.stop_requested)
         return self.stop_requested
 

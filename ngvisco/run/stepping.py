@@ -1,20 +1,20 @@
-"""How a run goes through time: scheme and step lengths, fixed, as in the paper, or adaptive.
+"""Time scheme and step lengths of a run: fixed lengths, as in the paper, or adaptive ones.
 
 Fixed.  A step that is not solved is taken in halves, quarters, eighths (``FixedStepper``).
 
 Adaptive.  A step is rejected, and its length halved, when Newton fails, or when rho, J (or A) is not positive
-at a sampling point; where the damage's growth is bounded, also when it grows by more
-(``ngvisco.run.adaptive``).  With a tolerance, the estimated relative error e of each step
-(``ngvisco.timestepping.error``) is held below it: a step above it is rejected and tried again with the length
+at a sampling point, or when damage grows by more than its bound (``ngvisco.run.adaptive``).  With a
+tolerance, the estimated relative error e of each step (``ngvisco.timestepping.error``) is held below the
+tolerance.  A step with a larger error is rejected and tried again with the length
 
     tau (0.9 tolerance/e)^(1/(p+1)),
 
-p the scheme's order, and an accepted one is followed by the length of a PI controller (Gustafsson),
+p the scheme's order; after an accepted step the length is that of a PI controller (Gustafsson),
 
     tau (0.9 tolerance/e)^(0.7/(p+1)) (e_old/(0.9 tolerance))^(0.4/(p+1)),
 
-within a factor of 2, and kept where that is within 10 %, since another length costs a new factorisation.
-After a rejection no length grows at once.  Without a tolerance, or while there is no estimate (the first p
+within a factor of 2.  A change by less than 10 % is not made, since another length costs a new factorisation.
+After a rejection the next length does not grow.  Without a tolerance, or without an estimate (the first p
 steps), the length is doubled after ``patience`` accepted steps.  The energy identity holds for any sequence
 of lengths.
 """
@@ -52,55 +52,55 @@ if TYPE_CHECKING:
 _ROUNDING, _NEAR = 1e-9, 1e-3
 
 SAFETY = 0.9
-"""Share of the tolerance that the controller aims at."""
+"""Share of the tolerance at which the controller aims."""
 
 INTEGRAL, PROPORTIONAL = 0.7, 0.4
 """Exponents of the PI controller, times the order of the local error."""
 
 LARGEST_CHANGE, UNCHANGED = 2.0, 0.1
-"""Factor by which a length changes at most, and the share of it below which it is kept."""
+"""Largest factor by which a length changes, and the relative change below which it is kept."""
 
 LEAST_CONSTANT = 1e-2
-"""Error constant of a scheme, times (p + 1)!, below which its local error cannot be estimated by it."""
+"""Error constant of a scheme, times (p + 1)!, below which it gives no estimate of the local error."""
 
 HALVINGS, MOST_HALVINGS = 3, 20
-"""Halvings of a step of fixed length that is not solved: by default, and at most."""
+"""Number of halvings of a step of fixed length that is not solved: by default, and at most."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class TimeSteps:
-    """Scheme and step lengths of a run, the keys of [time] in a case file but for its end.
+    """Scheme and step lengths of a run: the keys of [time] in a case file, except ``end``.
 
     Raises ParameterError or UnknownNameError if a parameter is out of its range, or does not fit the scheme.
 
     Parameters
     ----------
     dt : float
-        Length of a step; of the first one, with [time.adaptive].
+        Length of a step; with [time.adaptive] of the first step.
     scheme : str or TimeScheme
         Time scheme: "backward-euler" (order 1, the paper's), "midpoint" (order 2, damps nothing), "sdirk2"
         (order 2, damps what the step does not resolve) or "theta".
     theta : float, optional
-        Of scheme = "theta": 1/2 is midpoint, 1 backward-euler.
+        Parameter of scheme = "theta": 1/2 is midpoint, 1 backward-euler.
     startup : int
-        First steps of the run that are of backward-euler, which damps rough data.
+        Number of first steps of the run by backward-euler, which damps rough data.
     relaxation : bool
-        With midpoint and [time.adaptive]: end each step where the scheme dissipates nothing.
+        Whether each step ends where the scheme dissipates nothing; needs midpoint and [time.adaptive].
     limiter : bool
-        Whether cells in which rho, J, det F, ... are not positive at a point, though in the mean, are scaled
-        towards their means after a step, whose energy the ledger has as limiter; false ends the run there.
+        Whether a cell in which rho, J, det F, ... are positive in the mean but not at each point is scaled
+        towards its means after a step, with the energy in the ledger's column limiter; false ends the run.
     drift : float
-        Largest |det F/J - 1| in the mean of a cell, by a tensor and a volume that are carried each by itself;
-        a step with more is refused.  Larger where a body is torn at a corner, and is to be seen so.
+        Largest |det F/J - 1| in the mean of a cell, for a tensor and a volume that are carried separately; a
+        step with more is refused.  Take a larger one to go on where a body is torn at a corner.
     halvings : int
-        Of a step of fixed length that is not solved, before solver.method = "auto" asks the other solver; 0
-        asks it at once.  It takes the next 16 steps, then the first one is asked again.
+        Number of halvings of a step of fixed length that is not solved, before solver.method = "auto" turns
+        to the other solver; with 0 at once.  It takes the next 16 steps, then the first one is asked again.
     velocity_scale : float, optional
-        A typical velocity, which sets the curvature of v below which the penalty of the hyperviscosity stops
-        following it; default: of flow, walls, free fall or elastic release, at rest a tenth of the speed of
-        sound.
+        A typical velocity, which sets the curvature of v below which the penalty of the hyperviscosity does
+        not depend on it; default: the velocity of flow, walls, free fall or elastic release, at rest a tenth
+        of the speed of sound.
     adaptive : AdaptiveSteps, optional
-        Step lengths chosen by the run; of one length without this table.
+        Bounds of step lengths that the run chooses; without this table all steps have one length.
     """
 
     dt: Annotated[float, Quantity("s", "> 0", 0.02)]
@@ -136,14 +136,14 @@ class TimeSteps:
             raise ParameterError("TimeSteps.relaxation", self.relaxation, expected)
 
     def stepper(self) -> FixedStepper | AdaptiveStepper:
-        """The object that takes these steps."""
+        """A new object that takes these steps."""
         if self.adaptive is None:
             return FixedStepper(float(self.dt), self.halvings)
         return AdaptiveStepper(float(self.dt), self.adaptive)
 
     @cached_property
     def made(self) -> TimeScheme:
-        """The scheme itself."""
+        """The time scheme object."""
         try:
             return scheme_of(self.scheme, self.theta)
         except ParameterError as error:
@@ -152,9 +152,9 @@ class TimeSteps:
 
 
 def time_steps(time: TimeSteps | None, given: Mapping[str, Any]) -> TimeSteps:
-    """The steps in time from the arguments of ``Simulation``: ``time``, or parameters of it.
+    """The ``TimeSteps`` in the arguments of ``Simulation``: ``time``, or its parameters in ``given``.
 
-    Raises ParameterError if it was given twice, or not at all; TypeError for what is no argument.
+    Raises ParameterError if both or neither are given; TypeError for an unknown argument.
     """
     known = [field.name for field in fields(TimeSteps)]
     for name in given:
@@ -170,9 +170,10 @@ def time_steps(time: TimeSteps | None, given: Mapping[str, Any]) -> TimeSteps:
 
 @dataclass(frozen=True)
 class Rejection:
-    """A step that was not accepted: from ``time`` over ``tau`` (s), and why.
+    """A step that was not accepted: its begin ``time`` and length ``tau`` (s), and the reason.
 
-    ``history`` is what was tried to solve it; empty where it was solved, but not exact enough.
+    ``history`` holds the attempts to solve the step; it is empty for a step that was solved, but not exactly
+    enough.
     """
 
     time: float
@@ -183,7 +184,7 @@ class Rejection:
 
 @dataclass(frozen=True)
 class Accepted:
-    """The record of an accepted step for the ledger, besides the state; ``time`` is its end, s."""
+    """Record of an accepted step for the ledger, besides the state; ``time`` is the step's end, s."""
 
     time: float
     taken: StepTaken
@@ -192,9 +193,9 @@ class Accepted:
 
 
 def _turn(simulation: Simulation, turned: bool) -> str:
-    """Let the other solver take a step that was not solved; what that means, in words.
+    """Let the other solver take a step that was not solved; return words about the change.
 
-    Raises StepError with the reason where it is not asked, or has been (``turned``).
+    Raises StepError with the reason if the other solver is not to be tried, or has been (``turned``).
     """
     solver = simulation.solver
     if turned:
@@ -203,11 +204,11 @@ def _turn(simulation: Simulation, turned: bool) -> str:
 
 
 class FixedStepper:
-    """Steps of one length, taken in parts where the solver at hand does not solve them.
+    """Steps of one length; a step that is not solved is taken in parts.
 
-    A step that it does not solve is taken in halves, these in quarters, down to 2^-``halvings`` of it: each
-    part is a step of the scheme with a row of the ledger of its own, and observers are told of the rejection.
-    The step after begins with parts twice as long.
+    The parts are halves, then quarters, down to 2^-``halvings`` of the step.  Each part is a step of the
+    scheme with its own row of the ledger, and observers are told of the rejection.  The next step begins with
+    parts twice as long.
     """
 
     def __init__(self, dt: float, halvings: int = HALVINGS) -> None:
@@ -215,17 +216,17 @@ class FixedStepper:
         self.begin(0.0, 0)
 
     def require(self, step: Step) -> None:
-        return  # it asks for nothing
+        return  # fixed steps need nothing of a step
 
     def begin(self, time: float, number: int) -> None:
-        """Count steps from the state of step ``number`` at ``time``, as in a run with another dt."""
+        """Count steps from the state ``number`` at ``time``, as after steps with another dt."""
         self._start, self._first, self._level = time, number, 0
 
     def _position(self, time: float) -> int:
         return round((time - self._start) / self.dt * self._parts)
 
     def _time(self, position: int) -> float:
-        # n dt, not a running sum: times are the same in a restarted run
+        # n dt, not a running sum: a restarted run has the same times
         return self._start + position / self._parts * self.dt
 
     def met(self, time: float) -> float:
@@ -248,16 +249,16 @@ class FixedStepper:
         return self._position(simulation.t) >= self._position(time)
 
     def step_of(self, time: float, number: int) -> tuple[int, bool]:
-        """The number of the step of the state at ``time`` (s), in row ``number`` of the ledger, and whether
-        it is that step's end, not that of a part."""
+        """Number of the step to which the state at ``time`` (s), row ``number`` of the ledger, belongs, and
+        whether the state ends the step, not a part."""
         position = self._position(time)
-        if position < 0:  # of steps of another length
+        if position < 0:  # steps of another length led there
             return number, True
         whole, part = divmod(position, self._parts)
         return self._first + whole + (part > 0), part == 0
 
     def advance(self, simulation: Simulation, stop: float) -> Accepted:
-        """Take one step that does not pass ``stop``; raises StepError and leaves the old state."""
+        """Take one step that does not pass ``stop``; a StepError leaves the old state."""
         t, position = simulation.t, self._position(simulation.t)
         whole, done = divmod(position, self._parts)
         level = first = self._level if done else max(0, self._level - 1)
@@ -285,22 +286,22 @@ class FixedStepper:
             simulation.notify_rejection(Rejection(t, tau, reason, history))
 
     def state_dict(self) -> tuple[dict[str, float], dict[str, np.ndarray]]:
-        """Numbers and arrays that a restart needs."""
+        """Numbers and arrays of the stepper that a restart needs."""
         return {"start": self._start, "first": float(self._first), "level": float(self._level)}, {}
 
     def load_state_dict(
         self, simulation: Simulation, numbers: dict[str, float], arrays: dict[str, np.ndarray]
     ) -> None:
-        """Take up what ``state_dict`` gave."""
+        """Load the numbers and arrays that ``state_dict`` gave."""
         t = simulation.t
         self.begin(numbers.get("start", t), int(numbers.get("first", simulation.number)))
-        if "first" not in numbers or self._time(self._position(t)) != t:  # steps of other lengths led here
+        if "first" not in numbers or self._time(self._position(t)) != t:  # steps of other lengths led to t
             self.begin(t, simulation.number)
         self._level = min(int(numbers.get("level", 0)), self.halvings)
 
 
 class AdaptiveStepper:
-    """Steps of lengths that follow the error and what can be solved; methods as of ``FixedStepper``."""
+    """Steps whose lengths follow from errors and failures; the methods are those of ``FixedStepper``."""
 
     def __init__(self, dt: float, options: AdaptiveSteps) -> None:
         self.options = options
@@ -310,17 +311,17 @@ class AdaptiveStepper:
         self._estimate: ErrorEstimate | None = None
 
     def require(self, step: Step) -> None:
-        """Raise ParameterError where damage is to say how long steps are, and nothing breaks."""
+        """Raise ParameterError if damage is to bound step lengths and the material does not break."""
         self._growth.require(step)
 
     def begin(self, time: float, number: int) -> None:
-        return  # it counts rows
+        return  # adaptive steps are counted by rows
 
     def met(self, time: float) -> float:
         return time
 
     def check(self, name: str, time: float) -> None:
-        return  # it meets any time
+        return  # adaptive steps meet any time
 
     def step_of(self, time: float, number: int) -> tuple[int, bool]:
         return number, True
@@ -341,7 +342,7 @@ class AdaptiveStepper:
             try:
                 taken = integrator.advance(t, tau, simulation.number, meets=new_time == stop)
             except StepError as failure:
-                # the cause, which does not say again which step it was
+                # the cause: its message does not repeat the step
                 reason = str(failure.__cause__ or failure)
                 history, shorter = failure.history, tau / 2
                 if shorter < self.options.dt_min:
@@ -355,7 +356,7 @@ class AdaptiveStepper:
                     new_time = t + taken.tau
                 try:
                     error = None if estimate is None else estimate(new_time, scheme)
-                except BaseException:  # an interrupt: never leave a step that is not accepted behind
+                except BaseException:  # an interrupt must not leave the state of an unaccepted step
                     integrator.undo()
                     raise
                 history, shorter = (), tau / LARGEST_CHANGE
@@ -388,7 +389,7 @@ class AdaptiveStepper:
         return self._estimate
 
     def _length(self, t: float, stop: float) -> tuple[float, float]:
-        """Length and end of the next step: ``stop`` exactly, or half way where little is left."""
+        """Length and end of the next step: ``stop``, or half way there if less than two steps are left."""
         left = stop - t
         if self.dt >= left * (1 - _ROUNDING):
             return left, stop
@@ -396,7 +397,7 @@ class AdaptiveStepper:
         return tau, t + tau
 
     def _choose(self, tau: float, error: float | None, order: int, was_rejected: bool) -> None:
-        """The next step's length after an accepted one of length ``tau``."""
+        """Set the next step's length after an accepted step of length ``tau``."""
         tolerance, last = self.options.tolerance, self._last_error
         self._last_error = error
         self.streak += 1
@@ -404,14 +405,14 @@ class AdaptiveStepper:
             if self.streak >= self.options.patience:
                 self.dt, self.streak = min(2 * self.dt, self.options.dt_max), 0
             return
-        aim, floor = SAFETY * tolerance, 1e-3 * tolerance  # an error of zero says nothing of its order
+        aim, floor = SAFETY * tolerance, 1e-3 * tolerance  # an error of 0 does not scale with tau
         power = 1 / (order + 1)
         factor = (aim / max(error, floor)) ** (INTEGRAL * power)
         if last is not None:
             factor *= (max(last, floor) / aim) ** (PROPORTIONAL * power)
         factor = min(max(factor, 1 / LARGEST_CHANGE), 1.0 if was_rejected else LARGEST_CHANGE)
         if abs(factor - 1) > UNCHANGED and (factor < 1 or tau >= self.dt * (1 - _ROUNDING)):
-            # a step that was shortened to meet a time does not say what the next one may be
+            # a step that was shortened to meet a time does not bound the next length
             self.dt = min(max(factor * tau, self.options.dt_min), self.options.dt_max)
 
     def state_dict(self) -> tuple[dict[str, float], dict[str, np.ndarray]]:
@@ -424,7 +425,7 @@ class AdaptiveStepper:
     def load_state_dict(
         self, simulation: Simulation, numbers: dict[str, float], arrays: dict[str, np.ndarray]
     ) -> None:
-        if "streak" not in numbers:  # the checkpoint is of a run with fixed steps
+        if "streak" not in numbers:  # the checkpoint comes from a run with fixed steps
             return
         self.dt, self.streak = numbers["dt"], int(numbers["streak"])
         self._last_error = numbers.get("last_error")

@@ -1,13 +1,13 @@
-"""Going on with another mesh or with other parameters: what is carried over, and what it costs.
+"""Transfer of a state to another mesh or to other parameters, and the energy that it takes.
 
-On another mesh, density, transported variables and further unknowns that evolve are projected in L2, the
-velocity on the new mesh's velocities that the walls allow, from values at the new quadrature points; in a
-new cell that is a union of old ones by the old points: each keeps what it has.  The density is then scaled
-by one factor, so that the mass is kept to rounding; with bodies the amount of each is, and the density is the
-sum of theirs.  With other parameters the state stays as it is, to the bit.
+On another mesh, density, transported variables and further unknowns that evolve are projected in L2, and the
+velocity is projected on the new mesh's velocities that the walls allow.  The projection uses values at the
+new quadrature points; in a new cell that is a union of old cells it uses the old points, so that each
+integral is kept.  The density is then scaled by one factor, so that the mass is kept to rounding; with bodies
+each amount is scaled, and the density is the sum over bodies.  With other parameters the state is unchanged.
 
-The energy before less that after is the ledger's column ``transfer`` (J): of row 0 where a new ledger begins,
-and of the first row of a ledger that goes on, whose closure holds it.  It is positive where energy was lost.
+The energy before less the energy after is the ledger's column ``transfer`` (J): in row 0 of a new ledger, or
+in the next row of a ledger that goes on, whose closure includes it.  It is positive if energy was lost.
 """
 
 from __future__ import annotations
@@ -34,23 +34,23 @@ if TYPE_CHECKING:
     from ngvisco.run.simulation import Simulation
 
 _VOLUME = 0.02
-"""Relative difference of volumes that two meshes of one curved domain may have."""
+"""Largest relative difference of the volumes of two meshes of one curved domain."""
 _WHOLE = 1e-9
-"""The tolerance of a cell's volume against that of the old cells that it is the union of."""
+"""Relative tolerance of a new cell's volume and the sum of its old cells' volumes."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Transfer:
-    """The result of carrying over a state.
+    """The result of the transfer of a state.
 
     Attributes
     ----------
     mass : float
-        kg, before and after alike, of each body too.
+        Mass, kg; the transfer keeps it, and each body's.
     scaled : float
-        The factor of the density that makes it so; of bodies the farthest from one of theirs.
+        Factor by which the density was scaled to keep the mass; with bodies the factor farthest from one.
     energy_before, energy_after : float
-        J.
+        Energies before and after the transfer, J.
     """
 
     mass: float
@@ -60,24 +60,24 @@ class Transfer:
 
     @property
     def lost(self) -> float:
-        """Energy that is lost, J; negative where the projection has added some."""
+        """Energy that is lost, J; negative if the projection adds energy."""
         return self.energy_before - self.energy_after
 
 
 def transfer(source: Simulation, target: Simulation) -> Transfer:
-    """Put a simulation into the state of another one, on another mesh or in other spaces; what that did.
+    """Carry the state of one simulation over to another, on another mesh or in other spaces.
 
     Raises ParameterError if the materials' variables or the passive fields do not fit, or ``target`` has made
-    steps; MeshError if the domains are not the same; InitialDataError if a projected density or Jacobian is
-    not admissible, also with a limiter, or nothing is left of a body: take a finer mesh.
+    steps; MeshError if the domains differ; InitialDataError if a projected density or Jacobian is not
+    admissible, even with a limiter, or a body vanishes: take a finer mesh.
 
     Parameters
     ----------
     source : Simulation
-        At the state that is carried over, e.g. ``nv.load("results/swirl").simulation``.
+        Simulation at the state to be carried over, e.g. ``nv.load("results/swirl").simulation``.
     target : Simulation
-        With the same transported variables, on a mesh of the same domain, before its first step.  Its time
-        becomes the source's; its steps are counted from there, and its ledger begins with the new state.
+        Simulation before its first step, with the same transported variables, on a mesh of the same domain.
+        Its time becomes the source's; it counts steps from there, and its ledger begins with the new state.
     """
     old, new = source.rothe_step, target.rothe_step
     require_fit(source, target)
@@ -116,9 +116,9 @@ def transfer(source: Simulation, target: Simulation) -> Transfer:
 
 
 def go_on(source: Simulation, target: Simulation) -> None:
-    """Let a run go on in the one that was put into its state: its step numbers, step lengths and ledger."""
+    """Give the step numbers, step lengths and ledger of ``source`` to ``target``, which has its state."""
     target.set_time(source.t, source.number)
-    numbers, _ = source.stepper.state_dict()  # its arrays, of an error estimate, are of the mesh
+    numbers, _ = source.stepper.state_dict()  # arrays of an error estimate belong to the old mesh
     target.stepper.load_state_dict(target, numbers, {})
     had, ledger = source.ledger, target.ledger
     assert had.balance is not None
@@ -130,14 +130,14 @@ def go_on(source: Simulation, target: Simulation) -> None:
 
 
 def require_fit(source: Simulation, target: Simulation) -> None:
-    """Raise ParameterError or MeshError, by name, unless a state of ``source`` can be one of ``target``."""
+    """Raise ParameterError or MeshError unless a state of ``source`` can be carried over to ``target``."""
     had, has = (run.model.material.variables for run in (source, target))
     densities = {v.name: v.density for v in had if isinstance(v, Amount)}
     for v in has:
         if isinstance(v, Amount) and densities.get(v.name, v.density) != v.density:
             name = f"bodies[{v.name.removeprefix(AMOUNT)!r}].density"
             expected = f"{densities[v.name]:.6g} kg/m^3, as in the run that it goes on"
-            raise ParameterError(name, v.density, expected)  # not both its mass and its volume would be kept
+            raise ParameterError(name, v.density, expected)  # mass and volume could not both be kept
     if [(v.name, repr(v)) for v in had] != [(v.name, repr(v)) for v in has]:
         names = [", ".join(v.name for v in side) for side in (had, has)]
         expected = f"those of the source, {names[0]}: take its material, with the same elastic_state"
@@ -170,9 +170,9 @@ def _located(mesh: Mesh, points: QuadraturePoints) -> Located:
 
 
 def _set_fields(source: Simulation, target: Simulation, points: QuadraturePoints, at: Located) -> float:
-    """Project density, variables and what else evolves.
+    """Project density, variables and further unknowns that evolve.
 
-    Returns the factor by which the mass is kept, of bodies the one farthest from 1.
+    Returns the factor that keeps the mass, with bodies the factor farthest from 1.
     """
     old, new = source.rothe_step, target.rothe_step
     parts = dict(zip(new.layout.names, new.state.components, strict=True))
@@ -208,10 +208,10 @@ def _set_fields(source: Simulation, target: Simulation, points: QuadraturePoints
 
 
 class _Unions:
-    """New cells that are unions of old ones: values at their points are those of projections by old points.
+    """New cells that are unions of old cells; values at their points are projections by the old points.
 
-    By the new points alone jumps between the old cells would be seen where points happen to be.  A rank asks
-    for the old points of all, and takes those in new cells of its own.
+    The new points alone would see a jump between old cells only by the chance of their places.  A rank gets
+    the old points of all ranks and uses the points in its own new cells.
     """
 
     def __init__(self, source: Simulation, target: Simulation, points: QuadraturePoints) -> None:
@@ -224,7 +224,7 @@ class _Unions:
         volumes = np.bincount(of_new, points.weights, count)
         filled = np.bincount(of_old[here], weights[here], count)
         has_parts = np.bincount(of_old[here], minlength=count) > np.bincount(of_new, minlength=count)
-        unions = np.append(has_parts & (abs(filled - volumes) <= _WHOLE * volumes), False)  # of number -1
+        unions = np.append(has_parts & (abs(filled - volumes) <= _WHOLE * volumes), False)  # for number -1
         self._count = int(unions.sum())
         number = np.where(unions, np.cumsum(unions) - 1, -1)
         self._from, self._to = here & unions[of_old], unions[of_new]
@@ -238,7 +238,7 @@ class _Unions:
         self._mass = self._moments(self._basis_from)
 
     def put_in(self, columns: np.ndarray, function: CoefficientFunction) -> None:
-        """Replace the values at these cells' points in ``columns``, (components, points); collective."""
+        """Replace ``columns``, (components, points), at the points of these cells; collective."""
         for i, column in enumerate(columns):
             one = function if function.dim == 1 else function[i]
             values = self._of_all(self._old.values(one))[self._from]
@@ -251,14 +251,14 @@ class _Unions:
         return np.concatenate(self._ranks.gathered(values))
 
     def _monomials(self, x: np.ndarray, cells: np.ndarray) -> np.ndarray:
-        """Up to the fields' degree, about the cells' middles, (points, functions)."""
+        """Monomials up to the fields' degree about the cells' centres, (points, functions)."""
         local = (x - self._middle[cells]) / self._size[cells, None]
         powers = itertools.product(range(self._degree + 1), repeat=x.shape[1])
         functions = [(local**p).prod(axis=1) for p in powers if sum(p) <= self._degree]
         return np.stack(functions, axis=1)
 
     def _moments(self, values: np.ndarray) -> np.ndarray:
-        """int b_i values_j over the cells, (cells, functions, columns)."""
+        """Integrals int b_i values_j over the cells, (cells, functions, columns)."""
         products = self._weights[:, None, None] * self._basis_from[:, :, None] * values[:, None, :]
         found = np.zeros((self._count, *products.shape[1:]))
         np.add.at(found, self._cell_from, products)
@@ -271,13 +271,13 @@ def resume_changed(
     """Go on from a run's last checkpoint with other parameters, on the same mesh and in the same spaces.
 
     Step length, loads, walls, viscosities and the material's numbers may differ from the run's; mesh, orders
-    and the list of unknowns must not.  Columns of the ledger that only one of the two has are 0 for the
+    and the list of unknowns must not.  A column of the ledger that only one of the two runs has is 0 in the
     other.  Raises CheckpointError as ``Simulation.restore``.
 
     Returns
     -------
     float
-        Energy that the change of the stored energy takes, J: the column ``transfer`` of the next row.
+        Energy lost by the change of the stored energy, J: the column ``transfer`` of the next row.
     """
     one, rows, limits = checkpoint.take_up(
         simulation, path, attributes=attributes, may_differ=("material", "energies", "scheme")

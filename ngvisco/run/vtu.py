@@ -1,4 +1,4 @@
-"""Fields as VTK files: .vtu, over ranks the .pvtu of their pieces, and the .pvd of a series."""
+"""VTK files of fields: .vtu, over ranks the .pvtu of the ranks' pieces, and the .pvd of a series."""
 
 import struct
 from collections.abc import Mapping, Sequence
@@ -21,9 +21,9 @@ def write_vtu(
 ) -> None:
     """Write fields by name into one .vtu file, which is complete or not there.
 
-    Cells have points of their own, at which fields may jump; fields of which it is known that they are
-    continuous (``is_continuous``) share the points where cells meet.  On several ranks each writes its piece,
-    ``NAME_p<rank>.vtu``, and the first the .pvtu that names them.
+    Cells have points of their own, so that fields may jump; with continuous fields (``is_continuous``) cells
+    share the points where they meet.  On several ranks each rank writes its piece, ``NAME_p<rank>.vtu``, and
+    the first rank the .pvtu that lists the pieces.
     """
     ranks = Communicator.of(mesh)
     # ParaView wants vectors of three components
@@ -49,7 +49,7 @@ def write_lines(
 
 
 def _content(table: np.ndarray, cells: np.ndarray, widths: Mapping[str, int]) -> bytes:
-    """A .vtu file of points with values of fields, of so many components each in a row, and of simplices."""
+    """Content of a .vtu file with simplices; a row of ``table`` has a point and the fields' values there."""
     blocks: list[bytes] = []
 
     def array(name: str, kind: str, values: np.ndarray, of: str = "") -> str:
@@ -79,11 +79,11 @@ def _content(table: np.ndarray, cells: np.ndarray, widths: Mapping[str, int]) ->
 
 _KINDS = {"Float64": "<f8", "Int32": "<i4", "UInt8": "u1"}
 _TYPES = {2: 3, 3: 5, 4: 10}
-"""VTK's numbers of segments, triangles and tetrahedra, by how many corners they have."""
+"""VTK's numbers for segments, triangles and tetrahedra, by their number of corners."""
 
 
 def write_pvd(path: Path, series: Sequence[tuple[float, str]]) -> None:
-    """List the states of a series: their times, s, and files."""
+    """Write the .pvd file that lists the states of a series: their times, s, and files."""
     sets = "\n".join(
         f'<DataSet timestep="{time!r}" group="" part="0" file="{name}"/>' for time, name in series
     )
@@ -91,7 +91,7 @@ def write_pvd(path: Path, series: Sequence[tuple[float, str]]) -> None:
 
 
 def shown_by(path: Path, ranks: Communicator) -> Path:
-    """The file to open of fields that are written into ``path``: over ranks the .pvtu of their pieces."""
+    """The file to open for fields that are written into ``path``: over ranks the .pvtu of their pieces."""
     return path.with_suffix(".pvtu") if ranks.is_distributed else path
 
 

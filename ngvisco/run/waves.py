@@ -14,15 +14,15 @@ from ngvisco.physics.pointwise import evaluated, rest_state, squares
 from ngvisco.physics.tensors import constant
 
 _STEP = 1e-5
-"""Strain of the differences from which moduli are taken."""
+"""Strain of the finite differences that give moduli."""
 
 
 def moduli(
     material: Material, dim: int, parameters: Mapping[str, float] | None = None
 ) -> tuple[float, float]:
-    """dT_11/dF_11 and dT_12/dF_12 at F = I, Pa: moduli of longitudinal and of shear waves.
+    """Moduli of longitudinal and of shear waves, dT_11/dF_11 and dT_12/dF_12 at F = I, Pa.
 
-    Carried parameters have the values in ``parameters``, by default their typical ones.
+    Carried parameters have the values in ``parameters``, by default their typical values.
     """
     state = _rest(material, dim, parameters or {})
     longitudinal, shear = (acoustic_tensor(material, state, dim, j)[0, 0] for j in (0, 1))
@@ -37,8 +37,8 @@ def _rest(material: Material, dim: int, parameters: Mapping[str, float]) -> np.n
 
 
 def stress_of(material: Material, state: np.ndarray, dim: int) -> np.ndarray:
-    """The Cauchy stress of a state's components, (n,): 3x3, Pa."""
-    # constants of their own: derivatives by one variable must not see it within another
+    """The Cauchy stress, 3x3, Pa, at a state, whose components are (n,)."""
+    # a constant for each variable: the derivative by one must not see it within another
     at, state = squares(1)[1], state.reshape(1, -1)
     z = material.states(dim).tensors(lambda: CF(tuple(float(c) for c in state[0])))
     respond, phi, zeta = material.response(dim), None, None
@@ -50,8 +50,8 @@ def stress_of(material: Material, state: np.ndarray, dim: int) -> np.ndarray:
 
 
 def acoustic_tensor(material: Material, state: np.ndarray, dim: int, j: int) -> np.ndarray:
-    """Q, Pa, of a state's components, (n,), and the direction n = e_j: Q a = (dT/dz : rate(a x n; z)) n,
-    whatever the variables are."""
+    """The tensor Q, Pa, of a state's components, (n,), and the direction n = e_j:
+    Q a = (dT/dz : rate(a x n; z)) n, with any variables."""
     states, zero, Q = material.states(dim), constant(np.zeros((3, 3))), np.empty((dim, dim))
     for i in range(dim):
         unit = np.zeros((3, 3))
@@ -69,9 +69,9 @@ def acoustic_tensor(material: Material, state: np.ndarray, dim: int, j: int) -> 
 
 
 def wave_speed(step: Step, state: np.ndarray, density: float) -> float:
-    """The speed of the fastest plane wave along an axis of small amplitude about a state, m/s; 0 without any.
+    """Speed of the fastest plane wave of small amplitude about a state along an axis, m/s; 0 without waves.
 
-    ``state`` are the components of the material's variables, (n,); ``density`` is in kg/m^3.
+    ``state`` holds the components of the material's variables, (n,); ``density`` is in kg/m^3.
     """
     dim, fastest = step.mesh.dim, 0.0
     for j in range(dim):
@@ -82,5 +82,5 @@ def wave_speed(step: Step, state: np.ndarray, density: float) -> float:
 
 
 def rest_pressure(material: Material, dim: int) -> float:
-    """-tr T/3 of the material at F = I, Pa."""
+    """The pressure -tr T/3 of the material at F = I, Pa."""
     return -float(np.trace(stress_of(material, _rest(material, dim, {}), dim))) / 3
