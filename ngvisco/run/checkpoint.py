@@ -139,7 +139,7 @@ class Checkpoints:
         self._write(simulation)
 
     def step(self, simulation: Simulation, row: dict[str, float]) -> None:
-        if simulation.number % self.every == 0:  # parts of a halved step count: it took long, and is kept
+        if simulation.number % self.every == 0:  # parts of a halved step count, which takes long to compute
             self._write(simulation)
 
     def finish(self, simulation: Simulation) -> None:

@@ -263,7 +263,7 @@ def places(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def outline(axis: Any, X: np.ndarray, Y: np.ndarray, triangles: np.ndarray, fraction: np.ndarray) -> Any:
-    """Draw the line where a fraction, given at the corners of triangles, is one half; None without a line."""
+    """Draw the line where a fraction, (corners,), is one half; return None if there is no such line."""
     if not fraction.min() < 0.5 < fraction.max():  # matplotlib warns if there is no line
         return None
     tri = importlib.import_module("matplotlib.tri")

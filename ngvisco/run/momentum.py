@@ -31,7 +31,7 @@ TRANSFERRED = "impulse_transfer"
 _ROUNDING = 1e-9
 """Share of the largest impulse that counts as exchanged in every direction, since it is rounding there."""
 LOST = 0.05
-"""Share of the moving and exchanged momentum, above which a run warns of the defect."""
+"""Value of ``momentum_defect_relative`` above which a run warns."""
 
 
 class MomentumWarning(NgviscoWarning):

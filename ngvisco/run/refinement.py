@@ -43,8 +43,8 @@ _TOO_LARGE = 1.5
 _SAME_TIME = 1e-9
 """Tolerance, as a share of ``every``, of the times at which the mesh is chosen."""
 _FLAT, _ROUNDING = 1e-9, 1e-12
-"""Variations of a field below which it is steep nowhere: over its largest value, and over the value that is
-usual in the run."""
+"""Variation below which a field is steep nowhere, relative to its largest value and to the run's usual
+value."""
 _LEVELS = 8
 
 

@@ -1,10 +1,10 @@
-"""Verification: the paper's claims and exact solutions, measured, in one report that anyone can rebuild.
+"""Verification: measurements of the paper's claims and of exact solutions, in a reproducible report.
 
-``python -m tests.verification -o report/`` runs all cases.  Each states its bounds before it runs
-(``case.Case``), is run by ``runner`` and written by ``report``; the cases stand in ``verification.cases``,
-one module a theme, and ``manufactured``, ``convergence``, ``setups`` are what they and the tests share.
+``python -m tests.verification -o report/`` runs all cases.  A case states its bounds before it runs
+(``case.Case``); ``runner`` runs it and ``report`` writes its results.  The cases stand in
+``verification.cases``, one module a theme; tests share ``manufactured``, ``convergence`` and ``setups``.
 
-Cases run on one thread: NGSolve's further ones wait actively, which costs ten times the time beside other
+Cases run on one thread: NGSolve's further threads wait actively, which takes ten times as long beside other
 work, and processor time counts the wait.
 """
 

@@ -1,7 +1,7 @@
 """``python -m tests.verification``: run verification cases and write one report.
 
-Exit codes: 0 every case holds; 1 one does not, or ended in an error; 2 the input is at fault; 3 a file could
-not be read or written; 130 interrupted: results so far are kept, go on with ``--resume``.
+Exit codes: 0 every case holds; 1 a case does not hold, or ended in an error; 2 the input is wrong; 3 a file
+could not be read or written; 130 interrupted: results so far are kept, go on with ``--resume``.
 
 examples:
   python -m tests.verification -o report/

@@ -1,8 +1,8 @@
 """Bounds on measured numbers.
 
-A physical number (a height, a frequency, a coefficient of restitution) has a bound on both sides: a bound on
-one side passes with anything on the other.  A bound may be one-sided only if its quantity is of one of
-``KINDS``, which say why there is no other side.  The quantity's own words tell the kind.
+A physical number (a height, a frequency, a coefficient of restitution) has a bound on both sides: a one-sided
+bound passes with any value on the other side.  A bound may be one-sided only if its quantity is of one of
+``KINDS``, which say why there is no other side.  The words of the quantity tell the kind.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ Limit = float | tuple[float, float]
 
 
 class VerificationError(NgviscoError, RuntimeError):
-    """A case measured something else than what it has bounds for, or a report cannot be written."""
+    """A case measured other quantities than its bounds have, or a report cannot be written."""
 
 
 @dataclass(frozen=True)
 class Kind:
-    """Numbers with a bound on one side: the relation, the words of their quantities, and why that is all."""
+    """A kind of numbers with a one-sided bound: relation, words of the quantities, reason for one side."""
 
     name: str
     relation: Relation
@@ -78,12 +78,12 @@ KINDS = (
     ),
     Kind("effort", ">=", "share of the steps", "the share of the work that went well, 1 at most"),
 )
-"""Words of numbers that may have one side.  ``error`` and ``closure`` are most of them."""
+"""Kinds of numbers that may have a one-sided bound.  Most are errors and closures."""
 
 
 @dataclass(frozen=True)
 class Bound:
-    """A bound on a measured number, and why it is this one.
+    """A bound on a measured number, and the reason for its value.
 
     ``relation`` is ``<=`` or ``>=`` with one limit, for the kinds of ``KINDS`` only, or ``in`` with the least
     and the largest value.  Raises VerificationError for a one-sided bound on any other number.
@@ -108,7 +108,7 @@ class Bound:
 
     @property
     def sides(self) -> tuple[float, float]:
-        """Least and largest value that keep the bound; an infinite one where there is none."""
+        """Least and largest value that keep the bound; infinite on a side without bound."""
         if isinstance(self.limit, tuple):
             return self.limit
         if self.relation == ">=":
@@ -117,12 +117,12 @@ class Bound:
 
     @property
     def kind(self) -> Kind | None:
-        """Why the bound has one side; None for a physical number, which has two."""
+        """The kind that allows a one-sided bound; None for a bound with two sides."""
         found = (kind for kind in KINDS if kind.has(self.quantity, self.relation))
         return None if self.relation == "in" else next(found, None)
 
     def holds(self, value: float) -> bool:
-        """False for NaN and infinite values too."""
+        """Whether a value keeps the bound; NaN and infinite values do not."""
         least, most = self.sides
         return abs(value) < float("inf") and least <= value <= most
 
@@ -133,7 +133,7 @@ class Bound:
         return f"{self.relation} {number(self.limit)}"
 
     def __str__(self) -> str:
-        """A line of a case's text."""
+        """The bound as a line of a case's text."""
         return f"- {self.quantity} {self.said()}: {self.reason}"
 
 
@@ -145,7 +145,7 @@ _BOUND = re.compile(rf"(.+?) (?:(<=|>=) ({_NUMBER})|in \[({_NUMBER}), ({_NUMBER}
 
 
 def parsed(case: str, text: str) -> list[Bound]:
-    """The bounds of a line of a case's text, one for each name in brackets (``Cases``)."""
+    """The bounds in a line of a case's text, one for each name in brackets (``Cases``)."""
     if text in ("closure", "drift"):
         return [CLOSURE if text == "closure" else DRIFT]
     found = _BOUND.fullmatch(text)
@@ -163,5 +163,5 @@ def parsed(case: str, text: str) -> list[Bound]:
 
 
 def each(lines: Iterable[Bound | str]) -> str:
-    """Lines of a case's text, one for each bound."""
+    """Lines for a case's text, one for each bound."""
     return "\n".join(map(str, lines))

@@ -1,4 +1,4 @@
-"""What a verification case is, and what a run of it gives.
+"""Verification cases, their outcomes, and the judgement.
 
 A case states its bounds before it runs: they stand in the code, beside its statement.  ``run`` measures;
 ``judge`` compares, and can neither drop a bound nor add one.
@@ -18,12 +18,12 @@ import numpy as np
 
 from tests.verification.bounds import Bound, VerificationError, parsed
 
-# --- what a case gives -------------------------------------------------------------------------------------
+# --- outcome of a case -------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class Table:
-    """A table of the report; heads may be one text, "a | b"; cells are texts or numbers."""
+    """A table of the report; ``columns`` may be one text, "a | b"; cells are texts or numbers."""
 
     title: str
     columns: Sequence[str]
@@ -38,9 +38,9 @@ class Table:
     def drawn(
         self, x: int | None, *of: int, by: int | None = None, log: Literal["", "x", "y", "xy"] = ""
     ) -> Iterator[Table | Plot]:
-        """The table, and a picture of some of its columns over the column ``x``, or over its rows.
+        """Yield the table, and a picture of the columns ``of`` over the column ``x``, or over the row number.
 
-        With ``by`` rows that have the same in this column are curves of their own; what is exact is dashed.
+        With ``by`` each value in this column has its own curves; columns of exact values are dashed.
         """
         yield self
         groups: dict[str, list[list[Any]]] = {}
@@ -61,7 +61,7 @@ class Table:
 
 @dataclass(frozen=True)
 class Curve:
-    """One line of a plot, of sequences or arrays; ``style`` is matplotlib's short form, e.g. ``"o-"``."""
+    """One curve of a plot, from sequences or arrays; ``style`` is matplotlib's short form, e.g. ``"o-"``."""
 
     label: str
     x: Iterable[float]
@@ -85,13 +85,13 @@ class Plot:
 
 
 def extrapolated(coarse: Any, middle: Any, fine: Any) -> Any:
-    """Of steps tau, tau/2 and tau/4 twice to none: errors of first and second order go."""
+    """Values for a step of 0 from values for tau, tau/2 and tau/4, without errors of order one and two."""
     return (8 * fine - 6 * middle + coarse) / 3
 
 
 @dataclass
 class RateTable:
-    """Errors on a sequence of meshes or steps; the report has it as a table with rates and as a picture."""
+    """Errors on a sequence of meshes or steps; the report shows them in a table with rates and a picture."""
 
     title: str
     size: str = "h, m"
@@ -108,15 +108,15 @@ class RateTable:
         return list(np.log(e[:-1] / e[1:]) / np.log(h[:-1] / h[1:]))
 
     def last(self, name: str) -> float:
-        """The rate of the finest pair."""
+        """The rate of the finest pair of sizes."""
         return float(self.rates(name)[-1])
 
     def lasts(self, quantity: str = "rate of {}") -> list[tuple[str, float]]:
-        """The rate of the finest pair of every column, by a quantity with the column's name in it."""
+        """The rate of the finest pair of sizes for every column, with the quantity that names the column."""
         return [(quantity.format(name), self.last(name)) for name in self.errors]
 
     def require(self, **least: float) -> None:
-        """Raises VerificationError, whose message is the table, if a column's last rate is smaller or NaN."""
+        """Raise VerificationError, whose message is the table, if a column's last rate is smaller or NaN."""
         print(self)
         for name, rate in least.items():
             if not self.last(name) >= rate:
@@ -128,7 +128,7 @@ class RateTable:
         return "\n".join([self.title, *lines])
 
     def table(self) -> Table:
-        """Sizes, errors and rates, a row for each size."""
+        """The table of sizes, errors and rates, with a row for each size."""
         columns, cells = [self.size], [list[str | float]([size]) for size in self.sizes]
         for name, errors in self.errors.items():
             columns += [name, "rate"]
@@ -137,14 +137,14 @@ class RateTable:
         return Table(self.title, columns, cells)
 
     def plot(self) -> Plot:
-        """Errors over sizes, doubly logarithmic."""
+        """The plot of errors over sizes, doubly logarithmic."""
         curves = [Curve(name, self.sizes, errors) for name, errors in self.errors.items()]
         return Plot(self.title, self.size, "error", curves, log="xy")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """What a case measured: a value for each of its bounds, with tables and plots that show more."""
+    """The measurements of a case: a value for each of its bounds, with further tables, plots and remarks."""
 
     values: Mapping[str, float] = field(default_factory=dict)
     tables: Sequence[Table] = ()
@@ -153,12 +153,12 @@ class Outcome:
 
 
 Measured = Iterable[tuple[str, Any] | Table | RateTable | Plot | str]
-"""What a case's function gives: numbers with their quantities, tables, plots, and remarks, in any order."""
+"""Results of a case's function: numbers with their quantities, tables, plots, and remarks, in any order."""
 Run = Callable[[], Measured]
 
 
 def collected(parts: Measured) -> Outcome:
-    """The outcome of all that a case's function gives; raises VerificationError for a quantity twice."""
+    """The outcome with all results of a case's function; raises VerificationError for a repeated quantity."""
     values: dict[str, float] = {}
     tables: list[Table] = []
     plots: list[Plot] = []
@@ -180,14 +180,14 @@ def collected(parts: Measured) -> Outcome:
     return Outcome(values=values, tables=tables, plots=plots, remarks=remarks)
 
 
-# --- what a case is ----------------------------------------------------------------------------------------
+# --- cases -------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, kw_only=True)
 class Case:
-    """A claim, how it is measured, and the bounds that the measured numbers must keep: see ``Cases``.
+    """A claim, its measurement, and the bounds that the measured numbers must keep: see ``Cases``.
 
-    ``run`` gives exactly one value for each bound, ``theme`` is the heading of the report.
+    ``run`` gives exactly one value for each bound; ``theme`` is the heading in the report.
     """
 
     name: str
@@ -209,31 +209,31 @@ class Case:
 
     @property
     def fingerprint(self) -> str:
-        """Changes with the claim, its setting and its bounds: a result of another one is run again."""
+        """Hash of the claim, its setting and its bounds; a result with another fingerprint is run again."""
         said = [self.name, self.statement, self.setting, [asdict(bound) for bound in self.bounds]]
         return hashlib.sha256(json.dumps(said).encode()).hexdigest()[:16]
 
 
 class Cases(list[Case]):
-    """Cases of a theme in the report's order, each declared by a text above what measures it.
+    """Cases of a theme in the report's order; a text above the measuring function declares each case.
 
-    That is a function of no argument, mostly a generator: what it yields is ``Measured``.
+    The function has no argument and is mostly a generator; its results are ``Measured``.
 
     ::
 
         name, in lower case with dashes, and (reduced) if it belongs to the reduced set
-        What is claimed, in one or two sentences.
+        The claim, in one or two sentences.
         label: the paper's labels, or the source of an exact solution
         setting: the problem and its discretisation
         - quantity in [0.9, 1.1]: why the bounds are these
         - error of the quantity <= 1e-3: one side, for the kinds of ``bounds.KINDS``
-        - rate of [v; rho] >= 0.9: two bounds, of each in the brackets
+        - rate of [v; rho] >= 0.9: two bounds, one for each name in the brackets
         - closure
-        explanation: where a bound is known not to be kept, why; printed with the failure, which stays one
+        explanation: reason why a bound is known to fail; printed with the failure, which remains one
 
-    A line goes on with the one before unless it begins like one of these; ``closure`` and ``drift`` are the
-    bounds ``CLOSURE`` and ``DRIFT``, which ``runner.run_case`` measures on all runs of a case.  ``theme``
-    is that of the cases which follow.
+    A line that does not begin like one of these continues the line before it.  ``closure`` and ``drift`` are
+    the bounds ``CLOSURE`` and ``DRIFT``, which ``runner.run_case`` measures on all runs of a case.  ``theme``
+    holds for the following cases.
     """
 
     def __init__(self, theme: str) -> None:
@@ -241,7 +241,7 @@ class Cases(list[Case]):
         self.theme = theme
 
     def __call__(self, text: str) -> Callable[[Run], Run]:
-        """What adds the case of a function.  Raises VerificationError for a text without one of the parts."""
+        """A decorator that adds a function's case; raises VerificationError for a text that lacks a part."""
         head, *lines = (line.strip() for line in text.splitlines() if line.strip())
         parts, last = dict[str, str](), "statement"
         for line in lines:
@@ -286,7 +286,7 @@ class Result:
 
     @staticmethod
     def from_json(text: str) -> Result:
-        """The result that was written; raises ValueError, KeyError or TypeError for anything else."""
+        """The result in a text by ``to_json``; raises ValueError, KeyError or TypeError for other texts."""
         data = json.loads(text)
         found = data.pop("outcome")
         plots = [Plot(**{**p, "curves": [Curve(**c) for c in p["curves"]]}) for p in found.pop("plots")]
@@ -317,7 +317,7 @@ def judge(case: Case, outcome: Outcome, seconds: float, version: str) -> Result:
 
 
 def number(value: str | float) -> str:
-    """A number as the report prints it; texts as they are."""
+    """A number in the report's format; a text is unchanged."""
     if isinstance(value, str):
         return value
     if math.isnan(value):

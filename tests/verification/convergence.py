@@ -1,4 +1,4 @@
-"""The two models of the manufactured solutions, with all the mechanisms asked for, and their errors."""
+"""Models of the manufactured solutions, with chosen mechanisms, and the errors of their runs."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -31,13 +31,13 @@ from tests.verification.setups import balls, distance, refinements, square_mesh
 
 KINDS = ("linear", "neo-hookean")
 FURTHER = ("by B", "cofactors", "Yosida", "Yosida, quartic", "with heat", "two bodies")
-"""Materials of other variables: B = F F^T, of which creep is another law, Cof F beside F and J, Yosida
-approximations, of the neo-Hookean energy and of one of E that grows faster than its square, A and the
-entropy, and the densities of two bodies that share every point."""
+"""Materials of other variables: B = F F^T, with another law of creep; Cof F beside F and J; Yosida
+approximations of the neo-Hookean energy, and of an energy that grows faster than E squared; A and the
+entropy; densities of two bodies that share every point."""
 HEAT_CAPACITY, THETA_R, GRUNEISEN, CONDUCTIVITY = 1.5, 1.2, 0.8, 0.25
-"""The conductivity is this times theta^1.5."""
+"""Constants of the material with heat; the conductivity is CONDUCTIVITY times theta^1.5."""
 DELTA, DELTA_FIELDS, EPSILON, WEIGHT = 0.02, 0.03, 1.0, -0.7
-"""Of the regularisation, and the second component of gravity."""
+"""Constants of the regularisation, and the second component of gravity."""
 RULES: dict[str, tuple[Callable[..., nv.FlowRule], dict[str, float]]] = {
     "linear": (partial(nv.Creep, G_m=2.0, q=4.0), {"R": 0.5}),
     "Norton": (partial(nv.Norton, A=0.3, n=3.0, q=4.0), {"A": 0.3, "n": 3.0}),
@@ -47,13 +47,13 @@ RULES: dict[str, tuple[Callable[..., nv.FlowRule], dict[str, float]]] = {
         {"R": 0.5, "n": 2.0, "sigma": math.sqrt(2 / 3) * 0.5},
     ),
 }
-"""Flow rules but for nu, and their constants for the formulas in numpy."""
+"""Flow rules that lack nu, and their constants for the formulas in numpy."""
 HYPER = {None: 0.0, 2.0: 1e-2, 4.0: 1e-3}
-"""mu for p: of about the size of the Stokes viscosity on these fields."""
+"""mu for each p, with about the effect of the Stokes viscosity on the exact fields."""
 
 
 def material(kind: str) -> nv.Material:
-    """The linearised model's or the finite-strain model's material."""
+    """The material of a kind: of the linearised model, of the finite-strain model, or one of ``FURTHER``."""
     neo_hookean = partial(nv.NeoHookean, K_e=2.0, G_e=1.0, epsilon=0.5)
     by_F = neo_hookean(elastic_state="F")
     made: dict[str, Callable[[], nv.Material]] = {
@@ -71,7 +71,7 @@ def material(kind: str) -> nv.Material:
 
 
 def _quartic(E: CoefficientFunction) -> CoefficientFunction:
-    """E : E + (E : E)^2, Pa."""
+    """The energy E : E + (E : E)^2, Pa."""
     return square(E) + square(E) * square(E)
 
 
@@ -80,7 +80,7 @@ def hyperviscosity(p: float | None) -> nv.HyperViscosity | None:
 
 
 def bodies() -> tuple[nv.Body, ...]:
-    """Two of other shear modulus, viscosity, creep and density."""
+    """Two bodies that differ in shear modulus, viscosity, creep and density."""
     return (
         nv.Body(
             name="one",
@@ -109,10 +109,10 @@ def model(
     nu: float = 0.0,
     rule: str = "linear",
 ) -> nv.Model:
-    """Creep, gravity, viscosity, hyperviscosity with exponent p unless None, delta- and epsilon-terms.
+    """Model with creep, gravity and viscosity, with p hyperviscosity, and delta- and epsilon-terms by choice.
 
-    With nu > 0 creep, by one of ``RULES``, has its gradient term (q = 4), and its rate is a field of its
-    own.  With heat there is conduction.
+    With nu > 0 creep, by one of ``RULES``, has its gradient term (q = 4), and its rate is an unknown field.
+    The material with heat has conduction.
     """
     law = nv.Regularisation(
         delta_density=DELTA if delta else 0.0, delta_fields=DELTA_FIELDS if delta else 0.0, epsilon=EPSILON
@@ -139,7 +139,7 @@ def _conductivity(theta: CoefficientFunction) -> CoefficientFunction:
 def coefficients(
     kind: str, p: float | None, regularised: bool = False, nu: float = 0.0, rule: str = "linear"
 ) -> Coefficients:
-    """The same constants once more, for the formulas in numpy."""
+    """Constants of ``model`` for the formulas in numpy."""
     of_law = {"delta": DELTA, "delta_fields": DELTA_FIELDS, "damping": EPSILON} if regularised else {}
     elastic = {"K_e": 2.0, "G_e": 1.0, "epsilon": 0.0 if kind == "linear" else 0.5}
     flow: dict[str, Any] = {"K_v": 0.3, "G_v": 0.2, "mu": HYPER[p], "p": p or 2.0, "g": WEIGHT}
@@ -150,7 +150,7 @@ def coefficients(
 # --- errors ----------------------------------------------------------------------------------------------
 
 SHORT = 1e-6
-"""Difference in time of the sources, s, where the order in time is measured: its error is of this size."""
+"""Step of the sources' time differences, s, for measuring orders in time: the sources' error is as small."""
 
 
 def coupled_rates(
@@ -169,8 +169,8 @@ def coupled_rates(
     curved: bool = False,
     sources: Callable[..., Sources] = Sources,
 ) -> RateTable:
-    """The whole system of ``models.model``, in the unit ball if ``curved``: errors in L2 after two steps of
-    0.05 s, space only.  Other ``sources`` than those of the exact fields are for negative controls."""
+    """Errors in space, in L2 after two steps of 0.05 s, of the whole system of ``model``, in the unit ball if
+    ``curved``.  Other ``sources`` than the exact fields' are for negative controls."""
     system = model(kind, dim, p, regularised, delta, nu, rule)
     terms = (", all terms" if delta else ", all terms but delta") if regularised else ""
     table = RateTable(f"coupled, {kind}, {dim}D, p = {p}, k = {k}, m = {m}{terms}")
@@ -195,7 +195,7 @@ def coupled_rates(
 
 
 def _mix(simulation: nv.Simulation, start: Exact) -> None:
-    """Give a run the exact fields of its bodies, which by themselves start in places of their own."""
+    """Set a run's bodies to their exact fields; by default each body starts in its own place."""
     step = simulation.rothe_step
     parts = dict(zip(step.layout.names, step.state.components, strict=True))
     parts["z"].Set(start.z)
@@ -205,7 +205,7 @@ def _mix(simulation: nv.Simulation, start: Exact) -> None:
 
 
 def errors(simulation: nv.Simulation, exact: Exact) -> dict[str, float]:
-    """L2 errors of v, rho and z, and of Pi where it is a field of its own."""
+    """L2 errors of v, rho and z, and of Pi if it is an unknown field."""
     u = simulation.rothe_step.now
     names = ("v", "rho", "z", *(("Pi",) if "Pi" in u.parts else ()))
     return {name: distance(getattr(u, name), getattr(exact, name), simulation.mesh) for name in names}
@@ -223,9 +223,9 @@ def free_solution(
 ) -> nv.Simulation:
     """A run from the manufactured initial state, with creep, gravity and viscosity.
 
-    ``driven`` has all terms (without ``delta`` not the delta-terms) and the manufactured sources, whose
-    difference in time is far shorter than any step; ``p`` is the hyperviscosity's exponent, None for none;
-    ``options`` are the simulation's.
+    A ``driven`` run has all terms (the delta-terms only with ``delta``) and the manufactured sources, whose
+    time differences are far shorter than any step; ``p`` is the hyperviscosity's exponent, None for no
+    hyperviscosity; ``options`` are the simulation's.
     """
     system = model(kind, 2, p, regularised=driven, delta=delta)
     time.Set(0.0)
@@ -242,7 +242,7 @@ def free_solution(
 
 
 class PartialLayout(Layout):
-    """Some of a step's blocks; the other fields are given functions."""
+    """Layout with some of a step's blocks; the other fields are given functions."""
 
     def __init__(
         self, mesh: Mesh, model: nv.Model, discretisation: nv.Discretisation, names: Sequence[str]
@@ -252,7 +252,7 @@ class PartialLayout(Layout):
         self._make([name for name in self.names if name in names])
 
     def with_given(self, parts: Sequence[Any], exact: Exact) -> Fields:
-        """Fields of this layout's blocks, completed by the exact ones."""
+        """Fields of this layout's blocks, completed by exact fields."""
         given = {name: getattr(exact, name) for name in ("v", "rho", "z") if name not in self.names}
         fields = Fields(self, dict(zip(self.names, parts, strict=True)) | given)
         if "v" not in self.names:
@@ -274,7 +274,7 @@ class Source:
 
 
 class Problem:
-    """Rothe steps of some of the equations."""
+    """Rothe steps with some of the equations."""
 
     def __init__(
         self,
@@ -285,7 +285,7 @@ class Problem:
         terms: Sequence[Term],
         tau: float,
     ) -> None:
-        """``terms`` are those of the equations; fields not in ``names`` are the exact ones."""
+        """``terms`` are the equations' terms; fields that ``names`` lacks are the exact ones."""
         self.mesh, self.tau = mesh, tau
         self.layout = layout = PartialLayout(mesh, model, discretisation, names)
         self.state, self.state_old = GridFunction(layout.space), GridFunction(layout.space)
@@ -306,11 +306,11 @@ class Problem:
         self.newton = Newton(form, self.state.vec, norm, eliminate, nv.NewtonOptions())
 
     def set(self, name: str, value: CoefficientFunction) -> None:
-        """Start value of a block."""
+        """Set the start value of a block."""
         self.state.components[self.layout.names.index(name)].Set(value)
 
     def advance(self, t_old: float) -> None:
-        """One step from t_old; with terms without a time derivative, their stationary problem."""
+        """Make a step from t_old; terms without a time derivative pose a stationary problem."""
         self.state_old.vec.data = self.state.vec
         solution = self.newton.solve(_StepFrom(self.context, t_old, self.tau), self.state_old.vec)
         if not solution.converged:
@@ -330,7 +330,7 @@ class _StepFrom(Posed):
 
 
 def transport_rates(kind: str, m: int, maxh: float, levels: int) -> RateTable:
-    """Density and E / F / J alone in 2D, with the exact velocity given, after two steps of 0.25 s."""
+    """Errors of density and E, or F and J, in 2D with the exact velocity given, after two steps of 0.25 s."""
     system, tau = nv.Model(material=material(kind)), 0.25
     sources, table = Sources(system, 2, tau), RateTable(f"transport alone, {kind}, m = {m}")
     load = Source(

@@ -1,6 +1,6 @@
-"""The residuals of the strong equations without NGSolve: finite differences of the exact fields in numpy.
+"""Residuals of the strong equations without NGSolve, by finite differences of the exact fields in numpy.
 
-An independent look at ``sources``: textbook formulas, no form and no derivative in common with it.
+They check ``manufactured.Sources`` independently: textbook formulas, with no form and no derivative shared.
 """
 
 from collections.abc import Callable
@@ -20,7 +20,7 @@ ArrayFunction = Callable[[np.ndarray], np.ndarray]
 
 
 def difference(f: ArrayFunction, j: int) -> ArrayFunction:
-    """d_j f by a central difference of eighth order; points in the last axis of the argument."""
+    """The derivative d_j f by a central difference of eighth order; the argument's last axis is a point's."""
 
     def derivative(X: np.ndarray) -> np.ndarray:
         shifts = np.zeros((len(_OFFSETS), *[1] * (X.ndim - 1), X.shape[-1]))
@@ -34,9 +34,9 @@ def difference(f: ArrayFunction, j: int) -> ArrayFunction:
 class Coefficients:
     """Material constants by name, for the formulas in numpy.
 
-    A, n and sigma are those of ``FORCES``, nu that of the creep rate's 4-Laplacian (where it is 0, Pi = R M),
-    g the second component of gravity, delta that of the density's 4-Laplacian, damping epsilon in epsilon
-    |v|^2 v, kappa that of a conductivity kappa theta^1.5; the entropy counts in units of c.
+    A, n and sigma are constants of ``FORCES``; nu is the factor of the creep rate's 4-Laplacian (Pi = R M if
+    it is 0), g the second component of gravity, delta the factor of the density's 4-Laplacian, damping is
+    epsilon in epsilon |v|^2 v, kappa in the conductivity kappa theta^1.5; the entropy is in units of c.
     """
 
     K_e: float
@@ -68,11 +68,11 @@ FORCES: dict[str, Callable[[Coefficients, np.ndarray], np.ndarray]] = {
     "Eyring": lambda c, size: c.sigma * np.arcsinh(size / c.A),
     "Perzyna": lambda c, size: c.sigma * (1 + (size / (c.R * c.sigma)) ** (1 / c.n)),
 }
-"""|M|, Pa, of |Pi|, 1/s, by the inverse of each flow rule; sigma of Perzyna's is |M| at yield."""
+"""|M|, Pa, as a function of |Pi|, 1/s, the inverse of each flow rule; Perzyna's sigma is |M| at yield."""
 
 
 def field(of: Field, t: float) -> ArrayFunction:
-    """An exact field of points (..., dim), its own indices last."""
+    """An exact field as a function of points, (..., dim), with the field's own indices last."""
 
     def value(X: np.ndarray) -> np.ndarray:
         found = np.array(of(tuple(np.moveaxis(X, -1, 0)), t, np))
@@ -87,23 +87,23 @@ def _trace(A: np.ndarray) -> np.ndarray:
 
 
 class FiniteDifferences:
-    """Residuals of the strong equations at points, from the exact fields and textbook formulas."""
+    """Residuals of the strong equations at points, by the exact fields and textbook formulas."""
 
     def __init__(self, kind: str, c: Coefficients, dim: int, t: float, tau: float) -> None:
-        """``kind`` is ``"linear"``, ``"neo-hookean"`` or, the same material, ``"with heat"``."""
+        """``kind`` is ``"linear"``, ``"neo-hookean"``, or ``"with heat"``, the latter material with heat."""
         self.kind, self.c, self.dim, self.tau = kind, c, dim, tau
         self.now, self.old = ({name: field(of, s) for name, of in EXACT.items()} for s in (t, t - tau))
 
     def grad(self, f: ArrayFunction) -> ArrayFunction:
-        """d_j f, j last."""
+        """The gradient d_j f, with j the last index."""
         return lambda X: np.stack([difference(f, j)(X) for j in range(self.dim)], axis=-1)
 
     def div(self, f: ArrayFunction) -> ArrayFunction:
-        """d_j f[..., j]."""
+        """The divergence d_j f[..., j]."""
         return lambda X: np.sum([difference(f, j)(X)[..., j] for j in range(self.dim)], axis=0)
 
     def flux(self, f: ArrayFunction, factor: float, p: float = 4.0) -> ArrayFunction:
-        """factor |grad f|^{p-2} grad f."""
+        """The flux factor |grad f|^{p-2} grad f."""
 
         def value(X: np.ndarray) -> np.ndarray:
             slope = self.grad(f)(X)
@@ -118,7 +118,7 @@ class FiniteDifferences:
         return result
 
     def transport(self, name: str, X: np.ndarray) -> np.ndarray:
-        """(f - f_old)/tau + (v . grad) f."""
+        """The discrete material derivative (f - f_old)/tau + (v . grad) f."""
         f, v = self.now[name], self.now["v"](X)
         slope = self.grad(f)(X)
         along = np.expand_dims(v, tuple(range(X.ndim - 1, slope.ndim - 1)))
@@ -130,11 +130,11 @@ class FiniteDifferences:
         return np.asarray(rate + self.div(lambda Y: rho(Y)[..., None] * v(Y) - self.diffusive_flux(Y))(X))
 
     def diffusive_flux(self, X: np.ndarray) -> np.ndarray:
-        """delta |grad rho|^2 grad rho."""
+        """The flux delta |grad rho|^2 grad rho."""
         return self.flux(self.now["rho"], self.c.delta)(X)
 
     def stress(self, X: np.ndarray) -> np.ndarray:
-        """T of the textbook: S + phi I for E; 2 G J^{-2/3} F F^T + (J phi_J + phi) I for (F, J)."""
+        """The textbook's stress T: S + phi I for E; 2 G J^{-2/3} F F^T + (J phi_J + phi) I for (F, J)."""
         c, identity = self.c, np.eye(3)
         if self.kind == "linear":
             E = self.now["E"](X)
@@ -153,7 +153,7 @@ class FiniteDifferences:
         return np.asarray(T)
 
     def temperature(self, X: np.ndarray) -> np.ndarray:
-        """theta_R J^-Gamma exp(S/c), S = s J per reference volume."""
+        """The temperature theta_R J^-Gamma exp(S/c), with S = s J per reference volume."""
         A = self.now["A"](X)
         return np.asarray(self.c.theta_R * A**self.c.Gamma * np.exp(self.now["s"](X) / A))
 
@@ -170,14 +170,14 @@ class FiniteDifferences:
         return np.asarray(total + conducted(X))
 
     def flow_rule(self, X: np.ndarray) -> np.ndarray:
-        """|M|(|Pi|) Pi/|Pi| - nu div(|grad Pi|^2 grad Pi) - M, |Pi| > 0."""
+        """The residual |M|(|Pi|) Pi/|Pi| - nu div(|grad Pi|^2 grad Pi) - M, for |Pi| > 0."""
         Pi = self.now["Pi"]
         size = np.linalg.norm(Pi(X), axis=(-2, -1), keepdims=True)
         force = FORCES[self.c.rule](self.c, size) / size * Pi(X)
         return np.asarray(force - self.div(self.flux(Pi, self.c.nu))(X) - self.mandel(X))
 
     def mandel(self, X: np.ndarray) -> np.ndarray:
-        """M = dev S for E; sym dev(F^T S_F), S_F = 2 G J^{-2/3} F, for F."""
+        """The Mandel stress M: dev S for E; sym dev(F^T S_F), S_F = 2 G J^{-2/3} F, for F."""
         if self.kind == "linear":
             M = 2 * self.c.G_e * self.now["E"](X)
         else:
@@ -186,7 +186,7 @@ class FiniteDifferences:
         return np.asarray(M - _trace(M) / 3 * np.eye(3))
 
     def kinematics(self, X: np.ndarray) -> dict[str, np.ndarray]:
-        """Residuals of the equations of E, or of F and J, and with heat of A and s."""
+        """Residuals of the equations of E, or of F and J, and with heat also of A and s."""
         L, c, now = self.L(X), self.c, {name: f(X) for name, f in self.now.items()}
         Pi, tr_L = now["Pi"] if c.nu else c.R * self.mandel(X), np.trace(L, axis1=-2, axis2=-1)
         if self.kind == "linear":
@@ -203,14 +203,14 @@ class FiniteDifferences:
         }
 
     def viscous_stress(self, X: np.ndarray) -> np.ndarray:
-        """K_v tr(eps) I + 2 G_v dev eps."""
+        """The viscous stress K_v tr(eps) I + 2 G_v dev eps."""
         L = self.L(X)
         eps = (L + np.swapaxes(L, -1, -2)) / 2
         spherical = _trace(eps) * np.eye(3)
         return np.asarray(self.c.K_v * spherical + 2 * self.c.G_v * (eps - spherical / 3))
 
     def hyperstress(self, X: np.ndarray) -> np.ndarray:
-        """mu |hess v|^{p-2} hess v, indices i j k."""
+        """The hyperstress mu |hess v|^{p-2} hess v, with indices i j k."""
         return self.flux(self.grad(self.now["v"]), self.c.mu, self.c.p)(X)
 
     def momentum(self, X: np.ndarray) -> np.ndarray:

@@ -1,13 +1,13 @@
 """A soft disc in an incompressible fluid by another method: Lagrangian triangles immersed in a fixed grid.
 
-Fluid and solid have one density and one viscosity, so that the elastic stress is all that tells them apart:
+Fluid and solid have one density and one viscosity, and differ only by the elastic stress:
 
     rho (dt v + div(v (x) v)) = -grad p + mu Laplace v + f,   div v = 0,   dt X = v(X),
 
 with f the nodal forces -dW/dX of linear triangles, W = G/2 (|F|^2 - 2 - 2 ln det F) per referential area.
-H. Zhao, J. B. Freund and R. D. Moser, J. Comput. Phys. 227 (2008), do so; here with Peskin's kernel of four
-cells between nodes and grid, velocities on the sides of N x N cells, Heun's method and projections by
-cosine transforms.  It shares no line of code with the solver.
+The method is that of H. Zhao, J. B. Freund and R. D. Moser, J. Comput. Phys. 227 (2008), with Peskin's kernel
+of four cells between nodes and grid, velocities on the sides of N x N cells, Heun's method and projections by
+cosine transforms.  The code shares no line with the solver.
 """
 
 import math
@@ -18,15 +18,15 @@ import numpy as np
 from scipy.fft import dctn, idctn
 from scipy.spatial import Delaunay
 
-_SPACING = 0.6  # of the triangles' nodes, over the size of the grid's cells
+_SPACING = 0.6  # distance of the triangles' nodes over the size of the grid's cells
 
 
 @dataclass(frozen=True, kw_only=True)
 class Problem:
-    """A unit box, 1 m, of density 1 kg/m^3 with a disc in it: centre and radius, m, shear modulus G, Pa.
+    """A unit box, 1 m, of density 1 kg/m^3 with a disc: its centre and radius, m, and shear modulus G, Pa.
 
-    ``viscosity`` is mu everywhere, Pa s; ``lid`` the speed of the wall y = 1 m, m/s, the others being at
-    rest, or None, where all walls slip; ``vortex`` psi_0, m^2/s, of the start velocity (d_y psi, -d_x psi),
+    ``viscosity`` is mu everywhere, Pa s.  ``lid`` is the speed of the wall y = 1 m, m/s, with the other walls
+    at rest; with None all walls slip.  ``vortex`` is psi_0, m^2/s, in the start velocity (d_y psi, -d_x psi),
     psi = psi_0 sin 2 pi x sin 2 pi y.
     """
 
@@ -39,12 +39,12 @@ class Problem:
 
 
 CAVITY = Problem(centre=(0.6, 0.5), radius=0.2, shear_modulus=0.1, viscosity=0.01, lid=1.0)
-"""K. Sugiyama et al., J. Comput. Phys. 230 (2011), arXiv:1009.3609."""
+"""The lid-driven cavity of K. Sugiyama et al., J. Comput. Phys. 230 (2011), arXiv:1009.3609."""
 
 
 def computed(problem: Problem, cells: int, times: np.ndarray) -> np.ndarray:
-    """The disc at the times, s, of which the first is 0, by N = ``cells``: rows of the time, its centroid's x
-    and y, m, its area, m^2, kinetic and elastic energy, J/m."""
+    """Rows for the times, s, the first one 0, by N = ``cells``: time, the disc's centroid x, y, m, and area,
+    m^2, kinetic and elastic energy, J/m."""
     run = Immersed(problem, cells)
     rows = [run.row(0.0)]
     for start, end in pairwise(times):
@@ -56,7 +56,7 @@ def computed(problem: Problem, cells: int, times: np.ndarray) -> np.ndarray:
 
 
 class Immersed:
-    """Velocities u (N+1, N) and v (N, N+1) on the sides of cells, positions X (nodes, 2)."""
+    """State of the method: velocities u (N+1, N), v (N, N+1) on sides of cells, positions X (nodes, 2)."""
 
     def __init__(self, problem: Problem, cells: int) -> None:
         self.problem, self.n, self.h = problem, cells, 1 / cells
@@ -73,7 +73,7 @@ class Immersed:
         self._project(self.u, self.v)
 
     def advance(self, dt: float) -> None:
-        """One step of Heun's method."""
+        """Make one step of Heun's method."""
         du, dv, dX = self._rates(self.u, self.v, self.X)
         u, v, X = self.u + dt * du, self.v + dt * dv, self.X + dt * dX
         self._project(u, v)
@@ -90,7 +90,7 @@ class Immersed:
         return [time, x, y, areas.sum(), kinetic, self.elastic(self.X)[0]]
 
     def divergence(self, u: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """Of velocities on the cells' sides, (N, N), 1/s."""
+        """The divergence of velocities on the cells' sides, (N, N), 1/s."""
         return (np.diff(u, axis=0) + np.diff(v, axis=1)) / self.h
 
     def elastic(self, X: np.ndarray) -> tuple[float, np.ndarray]:
@@ -109,7 +109,7 @@ class Immersed:
     def _rates(self, u: np.ndarray, v: np.ndarray, X: np.ndarray) -> tuple[np.ndarray, ...]:
         h, lid = self.h, self.problem.lid
         slips = lid is None
-        # values beyond the walls that give these walls their velocity, or no shear stress
+        # values beyond a wall give the wall its velocity, or no shear stress
         U = np.pad(u, ((0, 0), (1, 1)), mode="edge") * (1.0 if slips else _mirror(u.shape, 1))
         V = np.pad(v, ((1, 1), (0, 0)), mode="edge") * (1.0 if slips else _mirror(v.shape, 0))
         U[:, -1] += 0.0 if lid is None else 2 * lid
@@ -144,7 +144,7 @@ class Immersed:
         return places.reshape(len(X), 16), both.reshape(len(X), 16)
 
     def _project(self, u: np.ndarray, v: np.ndarray) -> None:
-        """Take the gradient part off, in place."""
+        """Subtract the gradient part of the velocities, in place."""
         p = dctn(self.divergence(u, v), type=2) / self._laplace
         p[0, 0] = 0.0
         p = idctn(p, type=2)
@@ -153,14 +153,14 @@ class Immersed:
 
 
 def _mirror(shape: tuple[int, ...], axis: int) -> np.ndarray:
-    """-1 in the first and last place along the axis of the padded array, else 1."""
+    """Factors of a padded array: -1 in the first and last place along the axis, else 1."""
     signs = np.ones(shape[axis] + 2)
     signs[[0, -1]] = -1.0
     return signs[None, :] if axis == 1 else signs[:, None]
 
 
 def _kernel(r: np.ndarray) -> np.ndarray:
-    """Peskin's, Acta Numerica 11 (2002): its sum is 1 and its first moment 0 wherever the node is."""
+    """Peskin's kernel, Acta Numerica 11 (2002), with sum 1 and first moment 0 for any place of the node."""
     r = np.abs(r)
     inner = (3 - 2 * r + np.sqrt(np.maximum(1 + 4 * r - 4 * r * r, 0))) / 8
     outer = (5 - 2 * r - np.sqrt(np.maximum(-7 + 12 * r - 4 * r * r, 0))) / 8
@@ -168,7 +168,7 @@ def _kernel(r: np.ndarray) -> np.ndarray:
 
 
 def _disc(problem: Problem, spacing: float) -> tuple[np.ndarray, ...]:
-    """Nodes on rings, triangles, their areas, and the inverses of their edges' matrices."""
+    """Nodes on rings, triangles, their areas, and the inverses of the matrices of their edges."""
     rings = max(4, round(problem.radius / spacing))
     points = [np.zeros((1, 2))]
     for k in range(1, rings + 1):
@@ -180,5 +180,5 @@ def _disc(problem: Problem, spacing: float) -> tuple[np.ndarray, ...]:
     triangles[turned] = triangles[turned][:, [0, 2, 1]]
     edges = X[triangles[:, 1:]] - X[triangles[:, :1]]
     areas = 0.5 * np.linalg.det(edges)
-    real = areas > 1e-6 * areas.mean()  # Delaunay's of three points on a line are none
+    real = areas > 1e-6 * areas.mean()  # Delaunay's triangles of three points on a line have no area
     return X + problem.centre, triangles[real], areas[real], np.linalg.inv(edges[real])

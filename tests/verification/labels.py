@@ -1,7 +1,7 @@
-"""The paper's labels: which module has what a label stands for, and which case or test measures it.
+"""The paper's labels, with the modules that implement them and the cases or tests that measure them.
 
-``labels.txt`` lists the labels, what they are, and the tests.  Modules are found by their docstrings and
-comments, cases by the labels that they name, so that neither is written down twice.
+``labels.txt`` lists the labels, their meanings, and the tests.  Modules are found by labels in their
+docstrings and comments, cases by the labels that they name, so that neither is written down twice.
 """
 
 import re
@@ -17,13 +17,13 @@ from tests.verification.case import Case, Table
 
 _NOT = "not: "
 _WORDS = ("cut-off", "J-min")
-"""Labels that are words too: they count where "paper" stands before them."""
+"""Labels that are also common words: they count only after "paper"."""
 
 
 @dataclass(frozen=True)
 class Label:
-    """A label of the paper: what it is, the label that it is a part of and measured with (or ""), tests as
-    ``FILE::TEST`` below ``tests/``, and why nothing measures it, where nothing does."""
+    """A label of the paper: the larger label that it is a part of and measured with (or ""), its meaning,
+    tests as ``FILE::TEST`` below ``tests/``, and, if nothing measures it, the reason."""
 
     name: str
     whole: str
@@ -34,9 +34,9 @@ class Label:
 
 @cache
 def labels() -> dict[str, Label]:
-    """All labels of the paper by name, in its order.
+    """All labels of the paper by name, in the paper's order.
 
-    Raises VerificationError for a line of ``labels.txt`` that is none.
+    Raises VerificationError for a malformed line of ``labels.txt``.
     """
     text = resources.files(__package__).joinpath("labels.txt").read_text(encoding="utf-8")
     found: dict[str, Label] = {}
@@ -57,7 +57,7 @@ def labels() -> dict[str, Label]:
 
 
 def label_table(cases: Iterable[Case]) -> Table:
-    """The table of the report: every label with the package's modules, and the cases that name it."""
+    """The report's table of labels, each with the package's modules and the cases that name it."""
     named, modules, count = cases_by_label(cases), label_modules(), dict.fromkeys(("own", "whole", "none"), 0)
     rows = []
     for name, label in labels().items():
@@ -73,7 +73,7 @@ def label_table(cases: Iterable[Case]) -> Table:
 
 
 def _measured(label: Label, cases: Mapping[str, Sequence[str]]) -> tuple[str, str]:
-    """How a label is measured: by itself, with a whole, or not; and the words for it."""
+    """The way in which a label is measured, "own", "whole" or "none", and its description in words."""
     one = label
     while True:
         names, is_own = cases.get(one.name, ()), one is label
@@ -89,7 +89,7 @@ def _measured(label: Label, cases: Mapping[str, Sequence[str]]) -> tuple[str, st
 
 
 def labels_in(text: str, names: Sequence[str] | None = None) -> list[str]:
-    """The labels that a text has, whole: not those that are only the beginning of another one."""
+    """The labels in a text; a label that is only the beginning of another one does not count."""
     return [match[0] for match in _pattern().finditer(text) if names is None or match[0] in names]
 
 
@@ -102,14 +102,14 @@ def _pattern() -> re.Pattern[str]:
 
 @cache
 def label_modules() -> dict[str, tuple[str, ...]]:
-    """The modules that mention each label, below ``ngvisco/``."""
+    """The modules below ``ngvisco/`` that mention each label."""
     root = Path(ngvisco.__file__).parent
     found: dict[str, list[str]] = {}
     for path in sorted(root.rglob("*.py")):
         module = path.relative_to(root)
         if module.parts[0] in ("geometries", "demos"):
             continue
-        text = re.sub(r"-\n\s+", "-", path.read_text(encoding="utf-8"))  # labels broken at a hyphen
+        text = re.sub(r"-\n\s+", "-", path.read_text(encoding="utf-8"))  # labels may break at a hyphen
         of_paper = "\n".join(re.findall(r"paper[^)]*", text))
         names = [name for name in labels_in(text) if name not in _WORDS] + labels_in(of_paper, _WORDS)
         for name in dict.fromkeys(names):
@@ -118,7 +118,7 @@ def label_modules() -> dict[str, tuple[str, ...]]:
 
 
 def cases_by_label(cases: Iterable[Case]) -> dict[str, list[str]]:
-    """The names of the cases that have each label, be it in a bound's reason."""
+    """The names of the cases that mention each label, also in a bound's reason."""
     found: dict[str, list[str]] = {}
     for case in cases:
         said = " ; ".join([case.label, *(bound.reason for bound in case.bounds)])

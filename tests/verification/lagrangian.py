@@ -1,14 +1,14 @@
-"""An elastic disc thrown at a rigid wall without friction, by another method: a mesh that moves with it.
+"""An elastic disc thrown at a rigid wall without friction, by another method: a mesh moves with the disc.
 
-By symmetry it is one of two discs that meet.  Displacements u of order 2 on curved triangles of the half
-above the line of flight, in empty space,
+By symmetry the disc is one of two discs that meet.  Displacements u of order 2, on curved triangles of the
+half above the line of flight, in empty space, solve
 
     rho_0 dt v = Div P,  dt u = v,  P = psi'(F) + J D(L) F^{-T},  L = (Grad v) F^{-1},  F = I + Grad u,
 
 plane strain, psi = K/2 (J - 1)^2 + G/2 (J^{-2/3} tr F^T F - 3) per referential volume, D a Newtonian stress.
-The wall pushes with kappa times the depth by which a point of the rim is beyond it, so that a step takes of
-its energy what it gives.  The implicit midpoint rule.
-It shares no line of code with the package.
+The wall pushes with kappa times the depth by which a point of the rim is beyond it; each step conserves the
+sum of this spring energy and the disc's.  The time scheme is the implicit midpoint rule.
+The code shares no line with the package.
 """
 
 from __future__ import annotations
@@ -40,14 +40,14 @@ from ngsolve import (
 
 _CONVERGED, _MOST = 1e-11, 30
 _PENALTY = 100.0
-"""kappa over (K + G)/radius: the depth is a thousandth of the radius where the stress is a tenth of K + G."""
+"""kappa over (K + G)/radius: a stress of a tenth of K + G makes a depth of a thousandth of the radius."""
 _STILL = 1e-12
-"""A displacement in a step, m, that is none."""
+"""Displacement in a step, m, below which a point counts as resting."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Disc:
-    """Radius, m, density, kg/m^3, bulk and shear modulus, Pa, shear viscosity and bulk viscosity, Pa s."""
+    """A disc: radius, m, density, kg/m^3, bulk and shear modulus, Pa, viscosity in bulk and shear, Pa s."""
 
     radius: float
     density: float
@@ -57,11 +57,11 @@ class Disc:
 
 
 class ThrownDisc:
-    """Its motion about the origin, where its centre is at first.
+    """The motion of a disc whose centre is at the origin at first.
 
     ``start`` is the velocity, m/s, mirrored about y = 0; ``gap`` the distance of the wall, on the right, m.
-    ``rows`` has of every step the time, s, and of the whole disc the momentum along x, kg/s, the kinetic and
-    stored energy, that of the wall's penalty, and what viscosity has dissipated until then, J/m.
+    Each step has a row of ``rows``: the time, s, and for the whole disc the momentum along x, kg/s, and the
+    kinetic, stored and penalty energies and the energy dissipated by viscosity so far, J/m.
     """
 
     def __init__(self, disc: Disc, start: CF, gap: float, maxh: float, penalty: float = _PENALTY) -> None:
@@ -77,18 +77,18 @@ class ThrownDisc:
         self._note()
 
     def _stored(self, F: CF) -> CF:
-        """psi, with the third direction's stretch of one."""
+        """The stored energy psi, with a stretch of one in the third direction."""
         d, J = self.disc, Det(F)
         return d.bulk / 2 * (J - 1) ** 2 + d.shear / 2 * (J ** (-2 / 3) * (InnerProduct(F, F) + 1) - 3)
 
     def _viscous(self, F: CF, grad_v: CF) -> tuple[CF, CF]:
-        """J D(L) and L."""
+        """The viscous stress J D(L), and L."""
         L = grad_v * Inv(F)
         shear = 0.5 * (L + L.trans) - Trace(L) / 3 * Id(2)
         return self.disc.viscosity * Det(F) * (Trace(L) * Id(2) + 2 * shear), L
 
     def run(self, until: float, tau: float) -> np.ndarray:
-        """Steps of ``tau``, s; gives ``rows`` as an array."""
+        """Make steps of ``tau``, s, until ``until``; return ``rows`` as an array."""
         form, space = self._equations(tau), self.u.space
         change, rows, end = self._change, self._rows, self._next.vec
         for _ in range(round((until - self._time) / tau)):
@@ -119,14 +119,14 @@ class ThrownDisc:
         inertia = 2 / tau * self.disc.density * InnerProduct(velocity - self.v, w)
         form += (inertia + power).Compile() * dx(bonus_intorder=4)
         before, after = self._beyond(self.u), self._beyond(u)
-        moved = after * after - before * before  # over 2 (u - u_old): what it stores is its work, exactly
+        moved = after * after - before * before  # over 2 (u - u_old): stored energy is exactly the work
         far = (u[0] - self.u[0]) * (u[0] - self.u[0]) - _STILL**2
         push = self._stiffness * IfPos(far, 0.5 * moved / (u[0] - self.u[0]), 0.5 * (before + after))
         form += (push * w[0]).Compile() * ds("rim", bonus_intorder=6)
         return form
 
     def _power(self, tau: float) -> float:
-        """The work that the viscosity takes of both halves in the step, W/m."""
+        """The power dissipated by viscosity in both halves in the step, W/m."""
         F = Id(2) + 0.5 * (Grad(self._next) + Grad(self.u))
         flux, L = self._viscous(F, (Grad(self._next) - Grad(self.u)) / tau)
         return 2 * float(Integrate(InnerProduct(flux, L), self.mesh, order=8))
@@ -141,7 +141,7 @@ class ThrownDisc:
 
 
 def restitution(rows: np.ndarray) -> float:
-    """The largest momentum back over that at first."""
+    """Coefficient of restitution: the largest momentum backwards over the momentum at first."""
     momentum = rows[:, 1]
     return float(-momentum.min() / momentum[0])
 

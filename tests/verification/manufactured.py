@@ -1,8 +1,8 @@
 """Manufactured solutions: their exact fields, and the sources that make them solutions.
 
-The fields are written once, for coefficient functions and for numpy arrays alike.  They meet the
-natural conditions of the walls of the unit box: v.n = 0, no tangential traction, hess v:(n x n) = 0 (not
-those of the delta-regularisation, whose fluxes through walls ``Sources`` supplies), (n . grad) Pi = 0.
+The fields are written once, for coefficient functions and for numpy arrays alike.  They meet the natural
+conditions of the walls of the unit box: v.n = 0, no tangential traction, hess v:(n x n) = 0, (n . grad) Pi =
+0.  They do not meet the conditions of the delta-terms, whose fluxes through walls ``Sources`` supplies.
 With f = sin(pi x) and g = 1 - 2S, S the smooth step of degree 7 (g', g'', g''' vanish at 0 and 1),
 v_i = c_i(t) f(x_i) prod_{j != i} g(x_j), and shear components of E and F vanish where they must.
 """
@@ -30,11 +30,11 @@ from ngvisco.physics.tensors import embed_gradient, inner, square, sym, tr
 PI = np.pi
 COORDINATES = (x, y, z)
 Field = Callable[[Sequence[Any], Any, Any], Any]
-"""Of coordinates, the time, and a module with sin, cos and exp: ``ngsolve`` or ``numpy``."""
+"""A function of coordinates, time, and a module with sin, cos and exp: ``ngsolve`` or ``numpy``."""
 
 
 def plateau(s: Any) -> Any:
-    """1 - 2S(s): from 1 to -1 over [0, 1], with three vanishing derivatives at both ends."""
+    """The function 1 - 2S(s), from 1 to -1 over [0, 1], with three vanishing derivatives at both ends."""
     cube = s * s * s
     return 1 - 2 * (s * cube) * (35 - 84 * s + 70 * s * s - 20 * cube)
 
@@ -52,7 +52,7 @@ def velocity(X: Sequence[Any], t: Any, m: Any) -> list[Any]:
 
 
 def swirl(X: Sequence[Any], t: Any, m: Any) -> list[Any]:
-    """Tangential to the unit circle, about the axis in space; no other condition of the walls is met."""
+    """A velocity tangential to the unit circle or sphere; it meets no other condition of the walls."""
     x, y = X[:2]
     inside = 1 - sum(s * s for s in X)
     turning = 0.4 * (1 + t) * (1 + 0.3 * x)
@@ -68,7 +68,7 @@ def density(X: Sequence[Any], t: Any, m: Any) -> Any:
 
 
 def wave(X: Sequence[Any], amplitude: Any, m: Any) -> Any:
-    """Without a slope on the walls, which are insulated by that."""
+    """A function without slope on the walls, which are thus insulated."""
     for s in X:
         amplitude = amplitude * m.cos(PI * s)
     return amplitude
@@ -77,7 +77,7 @@ def wave(X: Sequence[Any], amplitude: Any, m: Any) -> Any:
 def tensor(identity: float, symmetric: bool) -> Field:
     """identity * I plus a field whose ij entry vanishes on the walls normal to e_i and to e_j.
 
-    Where it is symmetric and has the identity it is positive definite: a left Cauchy-Green tensor.
+    If it is symmetric and identity = 1, it is positive definite: a left Cauchy-Green tensor.
     """
 
     def field(X: Sequence[Any], t: Any, m: Any) -> list[list[Any]]:
@@ -97,7 +97,7 @@ def tensor(identity: float, symmetric: bool) -> Field:
 
 
 def creep_rate(X: Sequence[Any], t: Any, m: Any) -> list[list[Any]]:
-    """Symmetric and trace-free, with (n . grad) Pi = 0 on the walls."""
+    """A symmetric and trace-free rate Pi, with (n . grad) Pi = 0 on the walls."""
     dim, zero = len(X), 0 * X[0]
     waves = [m.cos(PI * s) for s in X]
     first = 0.3 * (1 + t) * waves[0]
@@ -118,7 +118,7 @@ def reciprocal(X: Sequence[Any], t: Any, m: Any) -> Any:
 
 
 def part(of: Field) -> Field:
-    """A share of a field, more of it near one wall: a density of a body."""
+    """A share of a field, larger near one wall, for a body's density."""
 
     def field(X: Sequence[Any], t: Any, m: Any) -> Any:
         value, factor = of(X, t, m), 0.3 * (1 + 0.5 * m.cos(PI * X[0]))
@@ -133,19 +133,19 @@ EXACT: dict[str, Field] = {
     **{"E": tensor(0.0, symmetric=True), "B": STRETCH},
     **dict.fromkeys(("F", "H"), tensor(1.0, symmetric=False)),
     **{"J": jacobian, "A": reciprocal},
-    # in units of the heat capacity
+    # entropy in units of the heat capacity
     "s": lambda X, t, m: 0.1 + wave(X, 0.25 * m.cos(2 * t), m),
     **{"n_one": part(jacobian), "B_one": part(STRETCH), "n_two": reciprocal, "B_two": STRETCH},
 }
-"""Fields by the names of variables."""
+"""Exact fields by the names of variables."""
 
 
 class Exact:
-    """The exact fields at a time, as coefficient functions; in the unit ball where ``curved``.
+    """The exact fields at a time, as coefficient functions; in the unit ball if ``curved``.
 
-    v and (grad v)_ij = d_j v_i; rho, of bodies that of their amounts; ``values`` of the variables by name and
-    z, their components as they are stored; ``conjugates``, the energy's derivatives by them, and ``stress``,
-    Cauchy's, 3x3, Pa; Pi, the creep rate where it is a field of its own.  Of a Yosida approximation the exact
+    They are v and (grad v)_ij = d_j v_i; rho, with bodies the sum over their amounts; ``values`` of the
+    variables by name, and z, the components as stored; ``conjugates``, the energy's derivatives; ``stress``,
+    the Cauchy stress, 3x3, Pa; Pi, the creep rate as an unknown field.  With a Yosida approximation the exact
     fields are the minimisers y: z = y + eps phi'(y), and the conjugates at z are phi'(y).
     """
 
@@ -175,12 +175,12 @@ class Exact:
 
 
 def gradient(f: CoefficientFunction, dim: int) -> list[CoefficientFunction]:
-    """d_1 f, ..., d_dim f."""
+    """The derivatives d_1 f, ..., d_dim f."""
     return [f.Diff(s) for s in COORDINATES[:dim]]
 
 
 def divergence(A: CoefficientFunction, dim: int) -> CoefficientFunction:
-    """(div A)_i = d_j A_ij, of the first dim rows and columns."""
+    """The divergence (div A)_i = d_j A_ij of the first dim rows and columns."""
     columns = gradient(A, dim)
     return CF(tuple(sum(columns[j][i, j] for j in range(dim)) for i in range(dim)))
 
@@ -191,11 +191,10 @@ def divergence(A: CoefficientFunction, dim: int) -> CoefficientFunction:
 class Sources:
     """Strong residuals of the exact fields, and the term that puts them into the system.
 
-    With the *discrete* time derivative (z(t) - z(t - tau))/tau what remains is the error in space; with a
-    tau that is far shorter than the run's, the error in time is in it too.
+    With the *discrete* time derivative (z(t) - z(t - tau))/tau, tau the run's step, the run's error is the
+    error in space; with a far shorter tau it includes the error in time.
 
-    The momentum form is that of the momentum equation minus v/2 times the continuity equation, and so
-    is its source.
+    Form and source of momentum are those of the momentum equation minus v/2 times the continuity equation.
     """
 
     def __init__(self, model: Model, dim: int, tau: float, curved: bool = False) -> None:
@@ -204,7 +203,7 @@ class Sources:
         self.old = Exact(model, dim, time - tau, curved)
         self._delta_fields = 0.0 if law is None else law.delta_fields
         self.diffusive_flux: CoefficientFunction | None = None
-        """delta |grad rho|^{r-2} grad rho, None without it."""
+        """The flux delta |grad rho|^{r-2} grad rho; None without this term."""
         if law is not None and law.delta_density:
             slope = CF(tuple(gradient(new.rho, dim)))
             self.diffusive_flux = law.diffusivity(slope * slope) * slope
@@ -218,7 +217,7 @@ class Sources:
 
     @property
     def continuity(self) -> CoefficientFunction:
-        """(rho - rho_old)/tau + div(rho v - delta |grad rho|^{r-2} grad rho)."""
+        """Residual (rho - rho_old)/tau + div(rho v - delta |grad rho|^{r-2} grad rho)."""
         new, old = self.new, self.old
         flux = new.rho * new.v
         if self.diffusive_flux is not None:
@@ -227,8 +226,8 @@ class Sources:
 
     @property
     def kinematics(self) -> CoefficientFunction:
-        """(z - z_old)/tau + (v.grad) z - rate(z; L, Pi) - delta Laplace z, components; of the entropy less
-        what heats it."""
+        """Residual (z - z_old)/tau + (v.grad) z - rate(z; L, Pi) - delta Laplace z, in components; the
+        entropy's is less the heating over theta."""
         new, old, model = self.new, self.old, self.model
         values, L = new.values, embed_gradient(new.grad_v, self.dim)
         material = model.material
@@ -248,7 +247,7 @@ class Sources:
         return total
 
     def heating(self, Pi: CoefficientFunction) -> CoefficientFunction:
-        """xi + div(kappa grad theta), W/m^3, xi of all that dissipates but the delta-terms."""
+        """Heating xi + div(kappa grad theta), W/m^3, xi the dissipation without that of the delta-terms."""
         model, new, dim, law = self.model, self.new, self.dim, self.model.regularisation
         total = inner(self._viscous_stress, embed_gradient(new.grad_v, dim))
         if model.hyperviscosity is not None:
@@ -266,13 +265,13 @@ class Sources:
         return total
 
     def _hess(self) -> tuple[list[list[list[CoefficientFunction]]], CoefficientFunction]:
-        """d_k d_j v_i, of i, j and k, and |hess v|^2."""
+        """The derivatives d_k d_j v_i, by i, j and k, and |hess v|^2."""
         dim = self.dim
         hess = [[gradient(d, dim) for d in gradient(self.new.v[i], dim)] for i in range(dim)]
         return hess, sum(h * h for component in hess for row in component for h in row)
 
     def _creep_rate(self, flow: Flow) -> CoefficientFunction:
-        """Pi, of a body by the Mandel stress per its own volume."""
+        """The creep rate Pi; a body's is by the Mandel stress per the body's own volume."""
         if not flow.rule.is_local:
             return self.new.Pi
         values, conjugates = self.new.values, self.new.conjugates
@@ -281,7 +280,7 @@ class Sources:
 
     @property
     def creep(self) -> CoefficientFunction | None:
-        """psi'(Pi) - div(nu |grad Pi|^{q-2} grad Pi) - M, 3x3; None where Pi is no field of its own."""
+        """Residual psi'(Pi) - div(nu |grad Pi|^{q-2} grad Pi) - M, 3x3; None if Pi is no unknown field."""
         creep = self.model.creep
         if creep is None or creep.is_local:
             return None
@@ -293,14 +292,14 @@ class Sources:
         return total
 
     def inertia(self) -> CoefficientFunction:
-        """(rho v - rho_old v_old)/tau + div(rho v x v)."""
+        """The rate of momentum (rho v - rho_old v_old)/tau + div(rho v x v)."""
         new, old, dim = self.new, self.old, self.dim
         flux = new.rho * new.v
         products = CF(tuple(flux[i] * new.v[j] for i in range(dim) for j in range(dim)), dims=(dim, dim))
         return (flux - old.rho * old.v) / self.tau + divergence(products, dim)
 
     def viscous(self) -> CoefficientFunction:
-        """-div(D eps(v)) + div div(c(|hess v|^2) hess v)."""
+        """The viscous forces -div(D eps(v)) + div div(c(|hess v|^2) hess v)."""
         total, axes, law = (
             -divergence(self._viscous_stress, self.dim),
             range(self.dim),
@@ -343,8 +342,8 @@ class Sources:
         ]
 
     def _through_walls(self, u: Fields, w: Fields) -> list[Integrand]:
-        """The delta-terms' fluxes through walls, which the exact fields do not meet as zero; nor do they
-        the traction on curved ones."""
+        """The delta-terms' fluxes through walls and the traction on curved walls, which the exact fields do
+        not make zero."""
         law = self.model.regularisation
         parts: list[Integrand] = []
         on_wall, n = 1.0 - inner_facets(u.layout.mesh), specialcf.normal(self.dim)
@@ -363,12 +362,12 @@ class Sources:
         return parts
 
     def entries(self, u: Fields) -> list[Entry]:
-        """None: these runs are compared with their exact solutions, not balanced."""
+        """No entries: the runs are compared with exact solutions, not balanced."""
         return []
 
 
 class TakingPartWholly(Sources):
-    """For negative controls: a trace of a body is stretched as a body is."""
+    """Wrong sources, for negative controls: a body with a small fraction is stretched as one alone."""
 
     @property
     def kinematics(self) -> CoefficientFunction:

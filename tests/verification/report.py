@@ -1,8 +1,7 @@
-"""One report of all results: Markdown, with its pictures beside it; and the kept one.
+"""The report of all results, in Markdown with pictures beside it, and the kept report.
 
-In the kept report what was run again takes the place of the same cases' rows, each with its commit, as the
-whole takes longer than a change does.  Cases that are gone are left out of it, those that it does not have
-are said to be missing.
+In the kept report new results replace the rows of their cases, each with its commit, since a whole report
+takes longer than a change.  It leaves out cases that no longer exist, and lists cases that are missing.
 """
 
 import io
@@ -38,7 +37,7 @@ def write_report(directory: Path, cases: Sequence[Case], results: Sequence[Resul
 
 
 def headline(results: Sequence[Result]) -> str:
-    """How many cases hold, fail and could not be run."""
+    """The numbers of cases that hold, fail and could not be run, in words."""
     count = {status: sum(r.status == status for r in results) for status in _WORDS}
     return (
         f"{len(results)} cases: {count['holds']} hold, {count['fails']} do not, {count['error']} ended in "
@@ -74,7 +73,7 @@ def markdown(entries: Sequence[tuple[Case, Result]], version: str) -> str:
             lines += [f"*{table.title}*", "", *_markdown_table(table.columns, table.rows)]
         for i, plot in enumerate(result.outcome.plots):
             lines += [f"![{plot.title}]({_picture(case.name, i)})", ""]
-    # all cases: what a label is measured by does not depend on which ones a report has
+    # all cases: a label's measurement does not depend on the report's choice of cases
     table = label_table(all_cases())
     lines += [f"## {LABELS}", "", f"{table.title}.", "", *_markdown_table(table.columns, table.rows)]
     return "\n".join(lines)
@@ -109,7 +108,7 @@ def draw(plot: Plot) -> bytes:
     scales = {f"{name}scale": "log" for name in plot.log}
     axis.set(title=plot.title, xlabel=plot.xlabel, ylabel=plot.ylabel, **scales)
     axis.grid(alpha=0.3)
-    if len(plot.curves) > 6:  # a legend within would hide half of them
+    if len(plot.curves) > 6:  # a legend inside would hide half of the curves
         axis.legend(fontsize="x-small", loc="center left", bbox_to_anchor=(1.0, 0.5))
     else:
         axis.legend(fontsize="small")
@@ -117,7 +116,7 @@ def draw(plot: Plot) -> bytes:
 
     drawn, small = io.BytesIO(), io.BytesIO()
     fig.savefig(drawn, dpi=90, format="png")
-    # with a palette of 64 colours: a third of the size, and a report has a hundred of them
+    # a palette of 64 colours makes files a third as large, and a report has a hundred pictures
     Image.open(drawn).convert("RGB").quantize(64).save(small, format="png", optimize=True)
     return small.getvalue()
 
@@ -125,19 +124,19 @@ def draw(plot: Plot) -> bytes:
 # --- the kept report ------------------------------------------------------------------------------------
 
 FIRST = "e85ab32"
-"""The commit of rows that name none: of the last whole report, or before it."""
+"""The commit of rows without a commit: that of the last whole report, or an earlier one."""
 _ROW = re.compile(r"^\| ([^|]*) \| \[([\w-]+)\]\(.*\| (\d+) s \|(?: ([^|]*) \|)?$")
 
 
 def commit() -> str:
-    """The commit that is checked out, marked where files differ from it."""
+    """The commit that is checked out, with a mark if files differ from it."""
     command = ["git", "describe", "--always", "--dirty", "--exclude=*"]
     done = subprocess.run(command, cwd=Path(__file__).parent, capture_output=True, text=True, check=False)
     return done.stdout.strip() or "unknown"
 
 
 def parsed(text: str) -> tuple[dict[str, re.Match[str]], dict[str, str]]:
-    """Of a report's Markdown: every case's row of the overview, and what is said of it below."""
+    """Each case's row in the overview of a report's Markdown, and each case's section below."""
     rows: dict[str, re.Match[str]] = {}
     sections: dict[str, str] = {}
     name = ""
@@ -152,7 +151,7 @@ def parsed(text: str) -> tuple[dict[str, re.Match[str]], dict[str, str]]:
 
 
 def merged(kept: str, new: str, cases: Sequence[Case], of: str) -> str:
-    """A kept report with the cases of a new one, which is of the commit ``of``, in the order of ``cases``."""
+    """A kept report with the cases of a new report at the commit ``of``, in the order of ``cases``."""
     (old_rows, old_sections), (rows, sections) = parsed(kept), parsed(new)
     overview, body, theme, minutes, statuses = [], [], "", 0.0, []
     for case in cases:
@@ -181,11 +180,11 @@ def merged(kept: str, new: str, cases: Sequence[Case], of: str) -> str:
 
 
 def put_into(directory: Path, source: Path, cases: Sequence[Case]) -> Path:
-    """Merge the report in ``source`` and its pictures into that in ``directory``; returns the latter's path.
+    """Merge the report in ``source``, with pictures, into the report in ``directory``, and return its path.
 
-    Raises VerificationError if one of the reports is missing, or a case of the new one ended in an error.
+    Raises VerificationError if a report is missing, or a case of the new report ended in an error.
     """
-    of = commit()  # before pictures make it differ
+    of = commit()  # before new pictures make files differ
     path, report = directory / "report.md", source / "report.md"
     if absent := [str(one) for one in (path, report) if not one.is_file()]:
         raise VerificationError(f"{absent[0]}: no report")

@@ -1,15 +1,15 @@
-"""Runs cases, one after the other or some at once; the error of one is its result, not the end of others.
+"""Runs cases, one after the other or some at once; an error in a case is its result and ends no other case.
 
-A report's directory keeps results case by case, so that an interrupted report can be gone on with.
+A report's directory keeps results case by case, so that an interrupted report can go on.
 
 | file               | holds                                                                 |
 |--------------------|-----------------------------------------------------------------------|
-| verification.json  | that this is a report's directory, and of which cases                 |
+| verification.json  | the mark of a report's directory, and the names of its cases          |
 | cases/NAME.json    | the result of a case, written when it is complete                     |
 | report.md          | the report, written last                                              |
-| pictures/NAME.png  | its pictures                                                          |
+| pictures/NAME.png  | the report's pictures                                                 |
 
-Every file is written beside its name and renamed.
+Every file is written under another name and renamed.
 """
 
 import json
@@ -37,9 +37,10 @@ _KIND = "ngvisco verification report"
 
 
 class ReportDirectory:
-    """Opens a new directory, or an earlier report's with ``resume``.
+    """A report's directory: a new one, or with ``resume`` that of an earlier report.
 
-    Raises VerificationError for anything else at the path, a report without ``resume``, or none with it.
+    Raises VerificationError for other contents at the path, for an earlier report without ``resume``, and for
+    ``resume`` without an earlier report.
     """
 
     def __init__(self, path: Path, cases: Sequence[Case], *, resume: bool = False) -> None:
@@ -53,19 +54,19 @@ class ReportDirectory:
         }
         if said := [why for why, is_so in refused.items() if is_so]:
             raise VerificationError(f"{path}: {said[0]}")
-        # what an earlier report said is not what this one will say
+        # the earlier report's page and pictures are outdated
         (path / "report.md").unlink(missing_ok=True)
         content = {"kind": _KIND, "cases": [case.name for case in cases]}
         write_atomically(path / MARKER, json.dumps(content, indent=1).encode())
 
     def save(self, result: Result) -> None:
-        """Keep a case's result."""
+        """Write a case's result to its file."""
         write_atomically(self.path / "cases" / f"{result.name}.json", result.to_json().encode())
 
     def saved(self, case: Case, version: str) -> Result | None:
-        """The kept result of the same case, measured by the same version, if there is one.
+        """The kept result of the same case by the same version; None if there is none.
 
-        An error is no result: the case is run again.
+        An error is no result, so that the case is run again.
         """
         try:
             result = Result.from_json((self.path / "cases" / f"{case.name}.json").read_text())
@@ -84,13 +85,13 @@ def _is_report(marker: Path) -> bool:
 
 @contextmanager
 def watched() -> Iterator[dict[str, float]]:
-    """The largest |closure| and drift of the mass, relative, of all steps that are made meanwhile."""
+    """Context that gives the largest relative |closure| and drift of mass in all steps made within it."""
     record, seen = Ledger.record, dict[str, float]()
     columns = {CLOSURE.quantity: "closure_relative", DRIFT.quantity: "mass_drift"}
 
     def noted(ledger: Ledger, *step: Any) -> dict[str, float]:
         row = record(ledger, *step)
-        for quantity, column in columns.items():  # NumPy's maximum of anything and NaN is NaN
+        for quantity, column in columns.items():  # NumPy's maximum with NaN is NaN
             seen[quantity] = float(np.maximum(seen.get(quantity, 0.0), abs(row[column])))
         return row
 
@@ -101,10 +102,10 @@ def watched() -> Iterator[dict[str, float]]:
 def run_case(case: Case, version: str) -> Result:
     """Run and judge one case; an exception becomes a result with status ``error``.
 
-    Closure and drift are those of all its runs, unless it gives values for them itself.
+    Closure and drift are the largest in all runs of the case, unless the case gives values itself.
     """
-    began = clock.process_time()  # what else the machine does is no part of it
-    time.Set(0.0)  # the runs of earlier cases have moved it
+    began = clock.process_time()  # other work on the machine does not count
+    time.Set(0.0)  # earlier cases have moved the time
     try:
         with watched() as seen:
             outcome = collected(case.run())
@@ -118,9 +119,9 @@ def run_case(case: Case, version: str) -> Result:
 
 
 def run_cases(cases: Sequence[Case], version: str, directory: ReportDirectory, jobs: int = 1) -> list[Result]:
-    """Run the cases whose results the directory has not yet, ``jobs`` at once, with a line for each.
+    """Run the cases whose results the directory lacks, ``jobs`` at a time, and print a line for each.
 
-    Every new result is kept at once, so that nothing is lost by an interruption.
+    Every new result is written at once, so that an interruption loses nothing.
     """
     results: dict[str, Result] = {}
 
@@ -145,7 +146,7 @@ def run_cases(cases: Sequence[Case], version: str, directory: ReportDirectory, j
 def _completed(
     cases: Sequence[Case], version: str, jobs: int, starts: Callable[[Case], None]
 ) -> Iterator[tuple[Case, Result]]:
-    """Cases with their results, as they come."""
+    """Yield cases with their results, in the order of completion."""
     if jobs == 1:
         for case in cases:
             starts(case)
@@ -161,14 +162,14 @@ def _completed(
 
 
 def _run_named(name: str, version: str) -> str:
-    """The result of a case of the package, as JSON."""
+    """The result of the package's case ``name``, as JSON."""
     from tests.verification.cases import all_cases
 
     return run_case(next(case for case in all_cases() if case.name == name), version).to_json()
 
 
 def describe(case: Case, result: Result) -> str:
-    """A line: status, what failed by how much, and the time it took."""
+    """A line with status, failed bounds with their values, and processor time."""
     if result.status == "error":
         return f"ERROR {result.error.strip().splitlines()[-1]} ({result.seconds:.0f} s)"
     if result.status == "holds":

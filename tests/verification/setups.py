@@ -1,4 +1,4 @@
-"""What cases share: a block set in rotation in its box, in both models; layers, materials, balances."""
+"""Setups that cases share: a block set in rotation in its box, by both models; layers, materials, checks."""
 
 from collections.abc import Callable, Iterator, Sequence
 from functools import cache
@@ -16,7 +16,7 @@ from ngvisco.physics.tensors import square
 from ngvisco.physics.variables import Jacobian
 
 KINDS = {"linearised": "the linearised model", "finite": "the finite-strain model"}
-"""Suffix of a case's name, and how its statement calls it."""
+"""Suffix of a case's name, and the model's name in the case's statement."""
 
 LABELS = {"linearised": "Euler-small-viscoelastodyn+disc", "finite": "Euler-large-viscoelastodyn+disc"}
 
@@ -30,14 +30,14 @@ SETTING = (
 
 
 def material(kind: str) -> nv.Material:
-    """LinearElastic or the paper's neo-Hookean material."""
+    """The linear elastic or the paper's neo-Hookean material, by the model's kind."""
     if kind == "linearised":
         return nv.LinearElastic(K_e=10.0, G_e=5.0)
     return nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, elastic_state="F")
 
 
 def elastic(kind: str, bulk: float, shear: float) -> nv.Material:
-    """The material of a model, "finite-b" by B = F F^T, of usual moduli, Pa; the neo-Hookean G_e is half."""
+    """A material by kind, "finite-b" by B = F F^T, with usual moduli, Pa; the neo-Hookean G_e is half."""
     if kind == "linearised":
         return nv.LinearElastic(K_e=bulk, G_e=shear)
     state: Literal["F", "B"] = "B" if kind == "finite-b" else "F"
@@ -45,23 +45,23 @@ def elastic(kind: str, bulk: float, shear: float) -> nv.Material:
 
 
 def fluid(bulk: float) -> nv.Material:
-    """Without shear, with the bulk modulus, Pa, of a body beside which it is."""
+    """A material without shear stress, with the bulk modulus, Pa, of a neighbouring body."""
     return nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: bulk / 2 * (J + 1 / J - 2))
 
 
 def at_rest(stiffness: float, weight: CoefficientFunction) -> CoefficientFunction:
-    """F of hydrostatic rest in ``fluid(stiffness)``, J J' = rho_R g/K_e; ``weight`` is the integral of rho_R
-    g from where J = 1, Pa."""
+    """F of hydrostatic rest in ``fluid(stiffness)`` by its equation of balance; ``weight`` is the integral of
+    rho_R g from the place where J = 1, Pa."""
     return (1 + 2 / stiffness * weight) ** (1 / 6) * Id(3)
 
 
 def stokes(viscosity: float) -> nv.StokesViscosity:
-    """As large in bulk as in shear, Pa s."""
+    """Stokes viscosity with one value in bulk and shear, Pa s."""
     return nv.StokesViscosity(K_v=viscosity, G_v=viscosity)
 
 
 def refinements(dim: int, maxh: float, levels: int) -> Iterator[tuple[float, Mesh]]:
-    """The unstructured mesh of the unit box and its uniform refinements, each with its cell size."""
+    """Yield the unstructured mesh of the unit box and its uniform refinements, each with its cell size."""
     mesh = box((1.0,) * dim, maxh)
     for level in range(levels):
         if level:
@@ -70,32 +70,32 @@ def refinements(dim: int, maxh: float, levels: int) -> Iterator[tuple[float, Mes
 
 
 def balls(dim: int, maxh: float, levels: int) -> Iterator[tuple[float, Mesh]]:
-    """Meshes of the unit disc or ball, each with its cell size: uniform refinement would keep the walls."""
+    """Yield meshes of the unit disc or ball, each with its cell size; refinement would keep coarse walls."""
     for level in range(levels):
         mesh = (disc if dim == 2 else sphere)(1, maxh / 2**level)
         yield mesh.ne ** (-1 / dim), mesh
 
 
 def distance(f: CoefficientFunction, g: CoefficientFunction, mesh: Mesh) -> float:
-    """L2 norm of f - g."""
+    """The L2 norm of f - g."""
     return float(Integrate(square(f - g), mesh, order=12)) ** 0.5
 
 
 @cache
 def cube_mesh(maxh: float) -> Mesh:
-    """The unit cube."""
+    """A mesh of the unit cube, the same object at each call."""
     return box((1, 1, 1), maxh)
 
 
 @cache
 def square_mesh(maxh: float) -> Mesh:
-    """The unit box; runs on one mesh can be compared by ``separation``."""
+    """A mesh of the unit square, the same object at each call, so that ``separation`` can compare runs."""
     return box((1, 1), maxh)
 
 
 def layers(width: float, faces: Sequence[Callable[[float], float]], names: str, maxh: float) -> Mesh:
-    """Layers between y = f(x) for f of ``faces``, from the bottom on, lines of edges of ``maxh`` along x;
-    each a subdomain of a letter of ``names``, with the walls of ``box``."""
+    """Mesh of layers between the curves y = f(x), f in ``faces`` from the bottom on, with edges of ``maxh``
+    along x; each layer is a subdomain named by a letter of ``names``.  Walls are those of ``box``."""
     geometry, count = SplineGeometry(), round(width / maxh)
     at = [width * n / count for n in range(count + 1)]
     points = [[geometry.AppendPoint(s, face(s)) for s in at] for face in faces]
@@ -124,7 +124,7 @@ def block(
     of: nv.Material | None = None,
     **parts: Any,
 ) -> nv.Simulation:
-    """The block of ``SETTING``; ``creep`` is G_m or a law, ``of`` a material, ``parts`` of model or run."""
+    """The block of ``SETTING``; ``creep`` is G_m or a law, ``of`` a material, ``parts`` further arguments."""
     regularisation, mesh = parts.pop("regularisation", None), mesh or square_mesh(0.5)
     if not isinstance(viscosity, nv.StokesViscosity):
         viscosity = stokes(viscosity)
@@ -143,7 +143,7 @@ def block(
 
 
 def around(simulation: nv.Simulation, radii: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Means of the velocity about the origin and of the shear stress T_(r phi) on circles of these radii."""
+    """Means of the azimuthal velocity and of the shear stress T_(r phi) on circles about the origin."""
     angles = np.linspace(0, 2 * np.pi, 48, endpoint=False)
     c, s, means = np.cos(angles), np.sin(angles), []
     for r in radii:
@@ -164,7 +164,7 @@ def lid_driven(
     mu: float = 1e-5,
     **options: Any,
 ) -> nv.Simulation:
-    """A soft body under a lid of full speed up to the corners; ``options`` are the run's."""
+    """A soft body under a lid that has full speed up to the corners; ``options`` are the run's."""
     of = material or nv.NeoHookean(K_e=20.0, G_e=0.05, epsilon=0.1)
     hyper = nv.HyperViscosity(mu=mu, p=4) if mu else None
     model = nv.Model(material=of, viscosity=stokes(0.01), hyperviscosity=hyper)
@@ -174,7 +174,7 @@ def lid_driven(
 
 
 def state(simulation: nv.Simulation) -> dict[str, CoefficientFunction]:
-    """v, rho and z of the present state."""
+    """The fields v, rho and z of the present state."""
     u = simulation.rothe_step.now
     return {"v": u.v, "rho": u.rho, "z": u.z}
 
@@ -188,7 +188,7 @@ def separation(one: nv.Simulation, other: nv.Simulation) -> dict[str, float]:
 def followed(
     run: nv.Simulation, steps: int, of: Callable[[nv.Simulation], Any]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Times, s, and what a function gives of a run, at its start and after each of its next steps."""
+    """Times, s, and values of a function of a run, at its start and after each of its next steps."""
     times, values = [run.t], [of(run)]
     for _ in range(steps):
         run.advance()
@@ -198,9 +198,9 @@ def followed(
 
 
 def swing_by_midpoint(values: np.ndarray, tau: float) -> complex:
-    """s = -decay + i frequency of values over steps of the midpoint rule, without the error of the step.
+    """The exponent s = -decay + i frequency of values over steps of the midpoint rule, without error in time.
 
-    They obey a_n+1 = (q + q*) a_n - |q|^2 a_n-1 with q = (1 + s tau/2)/(1 - s tau/2).
+    The values obey a_n+1 = (q + q*) a_n - |q|^2 a_n-1 with q = (1 + s tau/2)/(1 - s tau/2).
     """
     a = values / values[0]
     b = np.linalg.lstsq(np.array([a[1:-1], a[:-2]]).T, a[2:], rcond=None)[0]
@@ -209,16 +209,16 @@ def swing_by_midpoint(values: np.ndarray, tau: float) -> complex:
 
 
 def released(t: np.ndarray, static: float, damping: float, omega: float) -> np.ndarray:
-    """An oscillator under a weight that acts from t = 0."""
+    """Displacement of an oscillator under a weight that acts from t = 0."""
     swing = np.cos(omega * t) + damping / omega * np.sin(omega * t)
     return np.asarray(static * (1 - np.exp(-damping * t) * swing))
 
 
 def closure(*simulations: nv.Simulation) -> float:
-    """The largest |closure| of all steps, relative."""
+    """The largest relative |closure| of all steps."""
     return max(float(np.abs(run.ledger.column("closure_relative")).max()) for run in simulations)
 
 
 def drift(simulation: nv.Simulation) -> float:
-    """The largest change of the mass, relative."""
+    """The largest relative change of the mass."""
     return float(np.abs(simulation.ledger.column("mass_drift")).max())

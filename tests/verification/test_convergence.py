@@ -1,4 +1,4 @@
-"""Rates of convergence to manufactured solutions, and what wrong sources make of them."""
+"""Rates of convergence to manufactured solutions, and their loss with wrong sources."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -21,10 +21,10 @@ LONG, CI = pytest.mark.long, (pytest.mark.long, pytest.mark.ci)
 # --- the whole system -------------------------------------------------------------------------------------
 
 FULL, THIRD = (2.7, 1.85, 1.85), (2.5, 2.5, 2.5)
-"""Rates of v, rho and z: k + 1 and m + 1 for k = 2, and for k = 3, m = 2 in 3D, where upwind transport has
-m + 1/2 on any mesh, and v, by its stress, no less."""
+"""Least rates of v, rho and z: near k + 1 and m + 1 for k = 2, and, for k = 3 and m = 2 in 3D, m + 1/2, which
+upwind transport has on any mesh, and by the stress also v."""
 TABLE: list[tuple[int, float | None, int, int, tuple[float, ...], dict[str, Any]]] = [
-    # dim, p, k, m, rates, marks by kind; in 3D seconds to ten minutes, half a minute to two of higher order
+    # dim, p, k, m, rates, marks by kind; 3D takes seconds to ten minutes, higher order half a minute to two
     (2, None, 2, 1, FULL, {"neo-hookean": (), "linear": LONG}),
     (2, 4.0, 2, 1, (1.7, 1.75, 1.75), {"linear": CI, "neo-hookean": LONG}),
     (2, 2.0, 2, 1, (1.7, 1.75, 1.75), {"linear": CI, "neo-hookean": CI}),
@@ -44,7 +44,8 @@ TABLE: list[tuple[int, float | None, int, int, tuple[float, ...], dict[str, Any]
 def test_coupled_rates_are_those_of_theory(
     kind: str, dim: int, p: float | None, k: int, m: int, least: tuple[float, ...]
 ) -> None:
-    """With creep, gravity and viscosity; without hyperviscosity k + 1 and m + 1, with p = 4 2 for k = 2."""
+    """The runs have creep, gravity and viscosity.  Rates are k + 1 and m + 1; with hyperviscosity, p = 4 and
+    k = 2, they are 2."""
     maxh, levels = (0.4, 3) if dim == 2 else (1.0, k)
     table = coupled_rates(kind, dim, p, k, m, maxh, levels)
     table.require(**dict(zip(("v", "rho", "z"), least, strict=True)))
@@ -52,7 +53,7 @@ def test_coupled_rates_are_those_of_theory(
 
 @pytest.mark.long
 def test_faces_whose_sides_see_different_points_lose_the_rates(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Negative control: NGSolve's own rules of triangles, which have no symmetry; 2.38 instead of 3.05."""
+    """Negative control: NGSolve's own rules for triangles, which are not symmetric, give 2.38, not 3.05."""
     monkeypatch.setattr(quadrature, "SYMMETRIC_DEGREE", 20)
     assert coupled_rates("linear", 3, None, 3, 2, 1.0, 3).last("rho") < THIRD[1]
 
@@ -67,26 +68,26 @@ def test_coupled_rates_on_a_disc_are_k_plus_1_and_m_plus_1(kind: str) -> None:
 @pytest.mark.filterwarnings("ignore:.*no longer belong to one distortion")  # exact fields are unrelated
 @pytest.mark.parametrize("kind", FURTHER)
 def test_coupled_rates_of_further_materials(kind: str) -> None:
-    """By B, of F and Cof F at once, of Yosida approximations, with heat, of bodies; orders as of others."""
+    """Materials by B, by F with Cof F, Yosida approximations, with heat, and bodies have the usual orders."""
     coupled_rates(kind, 2, None, 2, 1, 0.4, 3).require(v=2.7, rho=1.85, z=1.85)
 
 
 class WithoutTraction(Sources):
-    """What exact fields do at a curved wall is left out."""
+    """Sources without the traction of the exact fields at a curved wall."""
 
     def _through_walls(self, u: Fields, w: Fields) -> list[Integrand]:
         return []
 
 
 class WithoutCreep(Sources):
-    """Nothing creeps."""
+    """Sources without creep."""
 
     def _creep_rate(self, flow: Flow) -> CoefficientFunction:
         return 0 * super()._creep_rate(flow)
 
 
 def energy_itself(system: Model, dim: int, tau: float, curved: bool = False) -> Sources:
-    """In place of its Yosida approximation."""
+    """Sources of the energy itself, in place of its Yosida approximation."""
     return Sources(replace(system, material=system.material.material), dim, tau, curved)
 
 
@@ -108,7 +109,7 @@ def energy_itself(system: Model, dim: int, tau: float, curved: bool = False) -> 
 def test_wrong_sources_do_not_converge(
     kind: str, dim: int, curved: bool, wrong: Callable[..., Sources], name: str
 ) -> None:
-    """Negative control: what the sources leave out stays, and the rate falls below what is asked for."""
+    """Negative control: the missing part of the sources stays as an error, and the rate falls."""
     maxh, levels = (0.4, 3) if dim == 2 else (1.0, 2)
     table = coupled_rates(kind, dim, None, dim, dim - 1, maxh, levels, curved=curved, sources=wrong)
     assert table.last(name) <= (1.35 if dim == 2 else 1.75), table
@@ -118,7 +119,7 @@ def test_wrong_sources_do_not_converge(
 
 
 def test_short_steps_converge_where_the_flow_turns_round() -> None:
-    """At t = 0.18 v.n changes sign on a facet."""
+    """The sign of v.n changes on a facet at t = 0.18."""
     exact = Exact(model("neo-hookean", 2, None), 2, 0.0)
     start = Initial(density=exact.rho, velocity=exact.v, F=exact.values["F"])
     ledger = free_solution("neo-hookean", 128, 0.2, initial=start).ledger

@@ -1,4 +1,4 @@
-"""The reference for soft discs, by itself: its fluid, its solid, and what ties them together."""
+"""Tests of the reference code for soft discs: its fluid, its solid, and their coupling."""
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ def test_forces_are_the_slope_of_the_energy_and_in_balance():
 
 
 def test_a_taylor_green_vortex_decays_as_it_must():
-    """Without a disc, whose shear modulus is next to nothing: exp(-16 pi^2 nu t) of its energy."""
+    """The energy decays by exp(-16 pi^2 nu t); the disc's shear modulus is negligible."""
     still = Problem(centre=(0.5, 0.5), radius=0.2, shear_modulus=1e-9, viscosity=0.01, vortex=0.05)
     rows = computed(still, 32, np.array([0.0, 0.2]))
     assert rows[1, 4] / rows[0, 4] == pytest.approx(np.exp(-16 * np.pi**2 * 0.01 * 0.2), rel=5e-3)

@@ -1,4 +1,4 @@
-"""The table of the paper's labels: complete, true of the package, and no test in it that there is not."""
+"""The table of the paper's labels is complete and true of the package, and its tests exist."""
 
 import ast
 import re
@@ -40,7 +40,7 @@ def test_every_test_of_the_table_exists():
 
 
 def test_readme_says_how_many_are_measured_by_themselves():
-    """A part that is measured with its whole is not counted as measured."""
+    """A part measured only with its whole does not count as measured."""
     own, whole, none = map(
         int, re.findall(r"(\d+) (?:with a case|measured with|not)", label_table(all_cases()).title)
     )
@@ -58,7 +58,7 @@ def test_a_label_is_measured_or_it_is_said_why_not():
 
 
 def test_every_label_that_the_package_or_a_case_names_is_one_of_the_paper():
-    """Sources name labels after "paper: "; cases name them, or what is no label, between commas."""
+    """Sources name labels after "paper: "; cases name labels, and other references, between commas."""
     package = Path(ngvisco.__file__).parent
     unknown = set()
     for path in package.rglob("*.py"):
@@ -66,7 +66,7 @@ def test_every_label_that_the_package_or_a_case_names_is_one_of_the_paper():
             said = " ".join(text.partition(")")[0].split()).replace("- ", "-")
             if ")" in text and not labels_in(f" {said} ") and len(said.split()) < 3:
                 unknown.add(f"{path.name}: {said}")
-    # words, not labels, that stand there
+    # words among them that are no labels
     assert {entry.partition(": ")[2] for entry in unknown} <= {"Section 2", "Section 3", "g^k_{delta tau}"}
     for one in all_cases():
         for part in one.label.partition(";")[0].split(", "):
@@ -91,7 +91,7 @@ def test_modules_are_those_that_name_the_label():
     assert "physics/variables" in found["DT-det-extended"]
     assert "physics/rheology" in found["Euler-small-ass-D"]
     assert found["exa-Mooney–Rivlin-ref"] == ("physics/materials/hyperelastic",)
-    # a word of English is no label
+    # an English word is no label
     assert "run/ledger" not in found["cut-off"] and "physics/regularisation" in found["cut-off"]
 
 

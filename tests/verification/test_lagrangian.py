@@ -1,4 +1,4 @@
-"""The reference for discs that bounce, by itself: a free vibration, momentum and energy."""
+"""Tests of the reference code for bouncing discs: a free vibration, momentum and energy."""
 
 import math
 
@@ -15,10 +15,10 @@ DISC = Disc(radius=0.21, density=1.0, bulk=2.0, shear=1.0, viscosity=0.002)
 
 @pytest.mark.parametrize("damping", [0.0, 0.05])
 def test_a_disc_breathes_at_its_own_frequency_and_decays(damping: float):
-    """u_r = J_1(k r) without a stress at r = R, plane strain: (lambda + 2 mu) kR J_0(kR) = 2 mu J_1(kR).
+    """The mode u_r = J_1(k r), plane strain, free at r = R, has (lambda + 2 mu) kR J_0(kR) = 2 mu J_1(kR).
 
-    With K = G and both viscosities eta the viscous stress is eta/G d/dt of the elastic one, linearly, and the
-    mode that of an oscillator with the decay omega^2 eta/(2 G).
+    With K = G and both viscosities eta, the viscous stress is, linearised, eta/G d/dt of the elastic stress,
+    and the mode is an oscillator with the decay omega^2 eta/(2 G).
     """
     bulk = shear = 1.0
     lame, density, radius = bulk - 2 / 3 * shear, 1.5, 0.21
@@ -35,7 +35,7 @@ def test_a_disc_breathes_at_its_own_frequency_and_decays(damping: float):
     period = 2 * math.pi / math.sqrt(omega**2 - decay**2)
     rows = free.run(period, period / 64)
     left = math.exp(-2 * decay * period)
-    assert rows[-1, 2] / rows[0, 2] == pytest.approx(left, rel=5e-3)  # its velocity is that at first again
+    assert rows[-1, 2] / rows[0, 2] == pytest.approx(left, rel=5e-3)  # the velocity is again the first
     assert rows[-1, 3] <= 2e-3 * rows[0, 2]
     assert rows[-1, 5] / rows[0, 2] == pytest.approx(1 - left, abs=5e-3)
 
@@ -50,5 +50,5 @@ def test_a_bounce_keeps_energy_up_to_viscosity_and_time_steps():
     assert abs(total / total[0] - 1).max() < 0.004
     assert 0.85 < restitution(rows) < 1.0
     assert (np.diff(rows[:, 5]) >= 0).all()
-    assert rows[-1, 4] == 0.0  # it has parted
+    assert rows[-1, 4] == 0.0  # the disc has left the wall
     assert rows[:, 4].max() < 0.05 * total[0]

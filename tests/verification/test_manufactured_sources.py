@@ -22,8 +22,8 @@ TERMS: dict[str, dict[str, Any]] = {
 
 
 def found(kind: str, dim: int, terms: str, factor: float = 1.0, *names: str) -> dict[str, float]:
-    """The mismatch, with some coefficients of the differences multiplied; with heat without the delta-terms,
-    whose dissipation the sources do not have as heat."""
+    """The mismatch, with ``factor`` on some coefficients of the differences.  With heat there are no
+    delta-terms, since the sources do not count their dissipation as heat."""
     known = coefficients(kind, **TERMS[terms])
     known = replace(known, **{name: factor * getattr(known, name) for name in names})
     if is_warm := kind == "with heat":
@@ -74,8 +74,8 @@ def test_sources_are_the_residuals_of_the_strong_equations(kind: str, dim: int, 
 def test_check_of_the_sources_sees_a_coefficient_that_is_one_per_cent_off(
     kind: str, terms: str, names: str, equations: str
 ) -> None:
-    """Negative control: the check above must fail in the equations that contain the coefficient."""
-    # these are a small part of the momentum equation
+    """Negative control: the check must fail in the equations that contain the coefficient."""
+    # these terms are a small part of the momentum equation
     errors = found(kind, 2, terms, 1.2 if names in ("delta", "damping") else 1.01, names)
     assert [name for name, error in errors.items() if error > 10 * TOLERANCE] == equations.split(), errors
 
@@ -83,7 +83,7 @@ def test_check_of_the_sources_sees_a_coefficient_that_is_one_per_cent_off(
 @pytest.mark.parametrize("dim", [2, 3])
 @pytest.mark.parametrize("kind", KINDS)
 def test_exact_fields_meet_the_natural_conditions_of_the_walls(kind: str, dim: int) -> None:
-    """v.n = 0; no tangential part of (T + D eps - div S) n; hess v : (n x n) = 0."""
+    """Conditions: v.n = 0; no tangential part of (T + D eps - div S) n; hess v : (n x n) = 0."""
     fields = FiniteDifferences(kind, coefficients(kind, 4.0), dim, T, TAU)
     for axis in range(dim):
         X = np.random.default_rng(axis).uniform(0.1, 0.9, (8, dim))

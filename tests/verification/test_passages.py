@@ -1,5 +1,5 @@
 """Walls that matter crosses, against exact solutions: waves that leave, bodies under a given stress or on
-springs, steps of density and strain that are carried out, flow between plates."""
+springs, jumps of density and strain that leave with the flow, flow between plates."""
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ K, G = 10.0, 5.0
 @pytest.mark.ci
 @pytest.mark.parametrize("kind", ["pressure", "shear"])
 def test_a_plane_wave_leaves_through_a_matched_wall(kind):
-    """At most 1e-4 of its energy, 1 % of its amplitude, comes back; with Z = rho c/2 a third of it."""
+    """At most 1e-4 of the energy, 1 % of the amplitude, returns; with Z = rho c/2 a third of the latter."""
     modulus = {"pressure": K + 4 / 3 * G, "shear": G}[kind]
     c, z = modulus**0.5, {"pressure": (1.0, 0.0), "shear": (0.0, 1.0)}[kind]
     pulse = 1e-5 * exp(-(((x - 0.5) / 0.18) ** 2))
@@ -49,7 +49,7 @@ def test_a_plane_wave_leaves_through_a_matched_wall(kind):
 def test_a_body_under_a_given_stress_has_the_stretch_of_the_closed_form(sides):
     """A bar in uniaxial strain, a block pulled on two sides: W = J phi = K/2 (J - 1)^2 + G |F|^2/J^{2/3}.
 
-    What is left is the scheme's error in time, by which J and H are not those of one F.
+    The difference is the scheme's error in time, by which J and H do not belong to one F.
     """
 
     def stress(stretch):
@@ -62,7 +62,7 @@ def test_a_body_under_a_given_stress_has_the_stretch_of_the_closed_form(sides):
     wanted = brentq(lambda s: stress(s) - 8.0, 1.0, 2.0)
     J = wanted**sides
     F = CF((wanted, 0, 0, 0, wanted if sides == 2 else 1.0, 0, 0, 0, 1.0), dims=(3, 3))
-    # what swings back through the wall is stretched, as the body goes on beyond the window
+    # matter that swings back through the wall is stretched, since the body extends beyond the window
     beyond = nv.Open(pressure=-8.0, density=0.01 / J, values={"J": CF(J), "H": J ** (-5 / 6) * F})
     run = nv.Simulation(
         box((1, 1), 1.0),
@@ -84,7 +84,7 @@ def test_a_body_under_a_given_stress_has_the_stretch_of_the_closed_form(sides):
 
 
 def spring_bar(stiffness: float, **options) -> nv.Simulation:
-    """A bar, held by v.n = 0 at its left end, on a spring at its right one, that starts in its first mode."""
+    """A bar, held by v.n = 0 at its left end and by a spring at its right end, starts in its first mode."""
     M = K + 4 / 3 * G
     q = brentq(lambda q: M * q * np.cos(q) + stiffness * np.sin(q), np.pi / 2 + 1e-9, np.pi - 1e-9)
     period = 2 * np.pi / (q * M**0.5)
@@ -106,7 +106,7 @@ def test_a_spring_s_energy_that_is_left_out_is_seen_in_the_closure(monkeypatch):
 
 
 def test_a_spring_that_starts_strained_pulls():
-    """w is projected on the wall; k w^2/2 is there from the start, pulls by k w, and goes to other cells."""
+    """w is projected on the wall; the spring at once stores k w^2/2 and pulls by k w; a transfer keeps w."""
     wall = nv.Open(density=1.0, stiffness=(20.0, 0.0))
     run = nv.Simulation(
         box((1, 1), 1.0),
@@ -128,7 +128,7 @@ def test_a_spring_that_starts_strained_pulls():
     ("scheme", "solver"), [("backward-euler", "coupled"), ("midpoint", "split"), ("sdirk2", "split")]
 )
 def test_a_wall_s_displacement_is_the_integral_of_its_velocity(scheme, solver):
-    """Without springs as with some of no strength, and on a piston what it went: (1 - cos t)/100 at x = 1."""
+    """Walls without springs move as with springs of no stiffness; a piston at x = 1 by (1 - cos t)/100."""
     means, model = [], nv.Model(material=nv.LinearElastic(K_e=K, G_e=G))
     piston = nv.PrescribedNormal(velocity=1e-2 * sin(nv.time), displacement=True)
     for free in (nv.Open(pressure=0.1, displacement=True), nv.Open(pressure=0.1, stiffness=(1e-14, 0.0))):
@@ -149,7 +149,7 @@ def test_a_wall_s_displacement_is_the_integral_of_its_velocity(scheme, solver):
 
 
 def test_a_step_of_the_density_is_carried_out_without_a_reflection():
-    """v = (1, 0) solves it; with m = k = 2 v . w is in the density's space, and sides are smoothed."""
+    """v = (1, 0) is exact; with m = k = 2, v . w is in the density's space, and upwind sides are smoothed."""
     run = nv.Simulation(
         structured_box((1, 0.25), (4, 1)),
         nv.Model(material=nv.LinearElastic(K_e=K, G_e=G)),
@@ -167,8 +167,8 @@ def test_a_step_of_the_density_is_carried_out_without_a_reflection():
 
 
 def _carried_strain(first, second):
-    """A stream of speed 1 that carries a stretch out, beside a part that is as at rest; its largest |v - V|,
-    m/s, in the mean over the domain, after the stretched part's middle is at the outlet."""
+    """A run of a stream of speed 1 with a stretched and an unstretched part, and its largest mean of |v - V|
+    over the domain, m/s, after the middle of the stretched part has reached the outlet."""
     stretch = CF((1 + first, 0, 0, 0, 1 + second, 0, 0, 0, 1), dims=(3, 3))
     moved: list[float] = []
 
@@ -192,10 +192,10 @@ def _carried_strain(first, second):
 @pytest.mark.long
 @pytest.mark.ci
 def test_a_step_of_the_strain_is_carried_out_without_a_reflection():
-    """Stretched across the stream, and along it by what leaves no stress there, v = (1, 0) solves it.
+    """A part is stretched across the stream, and along it so that no stress acts there: v = (1, 0) is exact.
 
-    At most 1 % of what a stress of that size would give, c times the strain; without the stretch along the
-    stream, which releases such a stress, five times as much.
+    The error is at most 1 % of the velocity c times the strain, which a stress of this size would give.
+    Without the stretch along the stream the stress is released, and the error is five times as large.
     """
     across, c = 1e-2, (K + 4 / 3 * 2 * G) ** 0.5
 
@@ -219,7 +219,7 @@ def test_a_step_of_the_strain_is_carried_out_without_a_reflection():
 
 
 def test_flow_between_plates_with_inlet_and_outlet_is_poiseuille_s():
-    """v = y (1 - y)/2 for mu = dp/dx = 1; the density changes by dp/K = 5e-5."""
+    """The exact velocity is y (1 - y)/2 for mu = dp/dx = 1; the density changes by dp/K = 5e-5."""
     profile, rest = 0.5 * y * (1 - y), 1e4  # the pressure at rest, half of K
     run = nv.Simulation(
         box((1, 1), 0.4),
@@ -237,7 +237,7 @@ def test_flow_between_plates_with_inlet_and_outlet_is_poiseuille_s():
     ledger = run.run(4.0)
     v = run.fields["velocity"] - CF((profile, 0.0))
     assert Integrate(v * v, run.mesh) ** 0.5 < 1e-3 / 120**0.5
-    pressure = 12 * ledger.column("power_wall_left")[-1]  # power over flux
+    pressure = 12 * ledger.column("power_wall_left")[-1]  # the power over the flux
     assert pressure - rest == pytest.approx(1, rel=1e-3)
     assert ledger.column("dissipation_stokes_shear")[-1] == pytest.approx(1 / 12, rel=1e-3)
     assert np.abs(ledger.column("closure_relative")).max() <= 1e-10

@@ -1,4 +1,4 @@
-"""Runs in other units, and the theory of a case in its known limits."""
+"""Tests of runs in other units, and of a case's theory in its known limits."""
 
 import numpy as np
 import pytest
@@ -24,7 +24,7 @@ from tests.verification.convergence import KINDS
 
 
 def driven_run(kind: str, length: float, density: float, seconds: float) -> Simulation:
-    """Three steps of a block under gravity, all data given as multiples of these three units."""
+    """Three steps of a block under gravity, with all data as multiples of the three given units."""
     stress = density * (length / seconds) ** 2
     K_e, G_e = 2.0 * stress, 1.0 * stress
     linear = LinearElastic(K_e=K_e, G_e=G_e)
@@ -46,7 +46,7 @@ def driven_run(kind: str, length: float, density: float, seconds: float) -> Simu
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_runs_do_not_depend_on_the_units(kind: str) -> None:
-    """Once in units of one, once for a block of rock of 100 km in SI units."""
+    """One run has units of one; the other is a block of rock of 100 km in SI units."""
     length, density, seconds = 1e5, 3300.0, 57.0
     one, rock = driven_run(kind, 1.0, 1.0, 1.0), driven_run(kind, length, density, seconds)
     for name, unit in {"velocity": length / seconds, "density": density}.items():
@@ -59,7 +59,7 @@ def test_runs_do_not_depend_on_the_units(kind: str) -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_creeping_rock_in_si_units_keeps_its_ledger(kind: str) -> None:
-    """100 km of rock, 1e22 Pa s, 1,000 years a step: 1e-8 m/s, 1e-11 of what free fall would be."""
+    """Rock of 100 km and 1e22 Pa s, in steps of 1,000 years, moves by 1e-8 m/s, 1e-11 of free fall."""
     linear = LinearElastic(K_e=2e10, G_e=1e10)
     model = Model(
         material=linear if kind == "linear" else NeoHookean(K_e=2e10, G_e=1e10, epsilon=1e9),
@@ -76,7 +76,7 @@ def test_creeping_rock_in_si_units_keeps_its_ledger(kind: str) -> None:
 
 
 def test_the_theory_of_necks_has_the_limits_that_are_known() -> None:
-    """A thin layer in nothing, of n = 1 too, which does not neck; Biot's folds, 1961, of a stiff layer."""
+    """Limits: a thin layer in nothing, which for n = 1 does not neck; Biot's folds, 1961, of stiff layers."""
     for n in (1.0, 3.0, 10.0):
         assert growth(n, 1e7, 0.01, 800.0) == pytest.approx(n - 1, abs=2e-3)
     ratio, waves = 1e4, np.geomspace(0.05, 0.14, 40)
@@ -86,12 +86,12 @@ def test_the_theory_of_necks_has_the_limits_that_are_known() -> None:
 
 
 def test_radial_creep_has_the_closed_forms_of_the_linear_problem_and_the_flux_of_the_nonlinear_one():
-    """q = 2: an eigenfunction of the Laplacian with zero slope at the wall is divided by G_m + nu k^2."""
+    """For q = 2 an eigenfunction of the Laplacian with zero slope at the wall is divided by G_m + nu k^2."""
     for dim, k, f in ((2, jn_zeros(1, 1)[0], jv), (3, 4.493409457909064, spherical_jn)):  # tan k = k
         r, a = radial_creep(dim, 0.3, 2.0, lambda s, k=k, f=f: f(0, k * s), 2000)
         assert a == pytest.approx(f(0, k * r) / (2.0 + 0.3 * k * k), abs=1e-6)
     r, a = radial_creep(3, 1.0, 4.0, lambda s: 2 * np.cos(2 * s))
     middle, slope = 0.5 * (r[1:] + r[:-1]), np.diff(a) / np.diff(r)
-    density = (a[1:] + a[:-1] - 2 * np.cos(2 * middle)) * middle**2  # what G_m a - m leaves inside of r
+    density = (a[1:] + a[:-1] - 2 * np.cos(2 * middle)) * middle**2  # of G_m a - m inside of r
     inside = np.cumsum(density * np.diff(r)) - 0.5 * density * np.diff(r)
     assert middle**2 * slope**3 == pytest.approx(inside, abs=2e-6) and np.abs(inside).max() > 0.04

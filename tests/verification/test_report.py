@@ -1,4 +1,4 @@
-"""The verification's framework: what fails is reported, nothing is lost or half written."""
+"""Tests of the verification's framework: failures are reported; no result is lost or half written."""
 
 import json
 import math
@@ -18,7 +18,7 @@ from tests.verification.runner import run_case, watched
 
 
 def case(name, value, limit=1.0, **options):
-    """A case that measures ``value`` (or calls it) under the bound <= ``limit``."""
+    """A case that measures ``value``, or the value that it returns, with the bound <= ``limit``."""
     calls = options.pop("calls", [])
 
     def run():
@@ -35,14 +35,14 @@ def case(name, value, limit=1.0, **options):
 
 @pytest.fixture
 def cases(monkeypatch):
-    """Puts a list of cases in the place of the package's."""
+    """A function that replaces the package's cases by a list of cases."""
     chosen = []
     monkeypatch.setattr(package, "all_cases", lambda: tuple(chosen))
     return chosen
 
 
 def test_report_says_what_holds_what_fails_and_what_ended_in_an_error(cases, tmp_path, capsys):
-    """With its numbers, bounds and pictures; the error of one case does not kill the report."""
+    """The report has numbers, bounds and pictures; an error in one case does not end it."""
     cases += [case("good", 0.5)]
     assert main(["-o", str(tmp_path / "0")]) == DONE
     assert "1 hold, 0 do not" in capsys.readouterr().out
@@ -53,7 +53,7 @@ def test_report_says_what_holds_what_fails_and_what_ended_in_an_error(cases, tmp
     assert "1 hold, 1 do not, 1 ended in an error" in page and "DOES NOT HOLD" in page
     assert "7.25" in page and "≤ 1" in page and "a reason" in page and "It is known." in page
     assert "ZeroDivisionError" in page and "not measured" in page
-    assert "| x | \\|y\\| |" in page and "| 1 | a\\|b<i> |" in page  # a bar would make a further column
+    assert "| x | \\|y\\| |" in page and "| 1 | a\\|b<i> |" in page  # an unescaped bar would add a column
     assert "pictures/good.png" in page and (tmp_path / "r" / "pictures" / "good.png").stat().st_size > 0
     assert json.loads((tmp_path / "r" / "cases" / "good.json").read_text())["status"] == "holds"
 
@@ -63,7 +63,7 @@ def test_cases_that_were_run_again_take_their_places_in_the_kept_report(cases, t
     cases += [case("one", 0.5), case("gone", 0.5), case("two", 0.25)]
     assert main(["-o", str(kept)]) == DONE
     cases[:] = [case("two", 7.5), case("later", 0.5), case("one", 0.5)]
-    for name in ("aaa", "bbb"):  # the second time by the rows' own commits
+    for name in ("aaa", "bbb"):  # the second time the rows have their own commits
         monkeypatch.setattr("tests.verification.report.commit", lambda name=name: name)
         assert main(["two", "-o", str(new / name), "--into", str(kept)]) == FAILED
     text = (kept / "report.md").read_text()
@@ -129,7 +129,7 @@ def test_case_is_declared_by_a_text_above_the_function_that_measures_it():
 
 
 def test_closure_and_drift_are_those_of_all_runs_of_a_case(monkeypatch):
-    """Of runs that the case forgets, too; a case without a run has none, which is an error."""
+    """Runs that the case drops count too; a case without a run has no closure, which is an error."""
     monkeypatch.setattr(
         Ledger, "record", lambda ledger, off: {"closure_relative": -off, "mass_drift": off / 2}
     )
@@ -171,7 +171,7 @@ def test_list_runs_nothing(cases, tmp_path, capsys, monkeypatch):
 
 
 def test_what_stands_in_a_directory_is_left_alone(cases, tmp_path, capsys):
-    """Something else, with ``--resume`` or without, and an earlier report without it."""
+    """Other files stay, with ``--resume`` or without, and an earlier report stays without ``--resume``."""
     cases += [case("one", 0.5)]
     (tmp_path / "thesis.tex").write_text("mine")
     for options in ([str(tmp_path)], [str(tmp_path), "--resume"], [str(tmp_path / "thesis.tex")]):
@@ -248,14 +248,14 @@ def test_every_claim_is_on_a_linearised_and_a_finite_strain_case():
         assert {f"{name}-linearised", f"{name}-finite"} <= names
     for c in all_cases():
         assert c.statement and c.label and c.setting and all(b.reason for b in c.bounds), c.name
-        # a sentence that lost its end: a string left out of the brackets
+        # a sentence without its end shows a string that was left out of the brackets
         assert not re.search(r"[,;:]\s*([,;:.]|$)", f"{c.statement}\n{c.setting}", re.MULTILINE), c.name
 
 
 @pytest.mark.long
 @pytest.mark.ci
 def test_reduced_set_holds(tmp_path):
-    """Minutes: one case or two of every theme; by two processes, since it is the last of its tier."""
+    """One case or two of every theme take minutes, by two processes, since this test is its tier's last."""
     assert main(["--reduced", "--jobs", "2", "-o", str(tmp_path / "report")]) == DONE
 
 

@@ -1,8 +1,8 @@
 """Channel flow of fluids whose viscosity depends on the shear rate or the temperature, against quadrature.
 
-Between resting walls at y = 0 and 1 a force f along x has the shear stress tau = f (c - y): the shear rate is
-that at which G_v(rate) rate = tau, and v its integral, with c such that v(1) = 0.  Formulas are written here.
-P2 interpolates v within h^3/(72 sqrt 3) max |v'''|, below 1 per cent of max v for h = 1/4; allowed are 2.
+Between resting walls at y = 0 and 1 a force f along x makes the shear stress tau = f (c - y).  The shear rate
+solves G_v(rate) rate = tau, and v is its integral, with c such that v(1) = 0.  The formulas are written here.
+P2 interpolates v within h^3/(72 sqrt 3) max |v'''|, less than 1 per cent of max v for h = 1/4; 2 are allowed.
 """
 
 import numpy as np
@@ -39,7 +39,7 @@ DEFAULT = {"power law"}
 
 
 def exact(G_v, at):
-    """v at the places ``at``, by the trapezoidal rule on 2000 intervals."""
+    """The exact v at the places ``at``, by the trapezoidal rule on 2000 intervals."""
     ys = np.linspace(0, 1, 2001)
 
     def rates(c):
@@ -73,6 +73,6 @@ def test_the_profile_is_that_of_the_law(name):
     expected = exact(G_v, at)
     error = abs(found - expected).max() / expected.max()
     assert error <= BOUND
-    # a viscosity that is a tenth larger has another profile
+    # a viscosity larger by a tenth gives another profile
     assert abs(found - exact(lambda r, y: 1.1 * G_v(r, y), at)).max() / expected.max() > 2 * BOUND
     assert abs(run.ledger.column("closure_relative")).max() <= 1e-10

@@ -1,4 +1,4 @@
-"""All terms of the scheme at once: both solvers agree, the ledger closes, and the norms are what they say."""
+"""Runs with all terms of the scheme: both solvers agree, the ledger closes, the norms are as defined."""
 
 import numpy as np
 import pytest
@@ -41,7 +41,7 @@ def test_norms_are_those_of_the_ledger_and_of_the_fields(kind):
 
 @pytest.mark.parametrize("tau", [1e-10, 1e-8, 1e-2])
 def test_both_solvers_find_the_creep_rate_in_short_and_in_long_steps(tau):
-    """In a step of 1e-8 s the strain hardly sees Pi: where that alone is measured, Pi is 4 % off."""
+    """In a step of 1e-8 s the strain hardly depends on Pi: with the strain alone controlled Pi is 4 % off."""
     rates = []
     for solver in ("coupled", "split"):
         strain = (0.5 - x * x - y * y) * CF((1.0, 0.5, 0.0, 0.5, -0.4, 0.0, 0.0, 0.0, -0.6))
