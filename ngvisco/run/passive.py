@@ -64,7 +64,7 @@ class PassiveFields:
         self._unsolved: set[str] = set()
         self._has_warned = False
         self.parts: dict[str, GridFunction] = {}
-        """Grid functions that are carried, each for a scalar or a vector part of a field, by name."""
+        """Grid functions that are carried, by name; each holds a scalar or vector part of a field."""
         self._sources: dict[str, CoefficientFunction] = {}
         self._solvers: dict[str, _Carrier] = {}
         if "F_tot" in self.names:

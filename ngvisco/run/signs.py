@@ -87,7 +87,7 @@ class Signs:
         self._on_walls = self._wall_forms()
 
     def _wall_forms(self) -> dict[str, LinearForm]:
-        """Forms whose entries are the dissipation on each cell's facets on a wall, by columns."""
+        """Linear forms of the dissipation on walls, by columns, with an entry for each cell's facets."""
         step, forms = self._step, {}
         space = L2(step.mesh, order=0)
         for term in step.terms:

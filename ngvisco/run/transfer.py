@@ -210,8 +210,8 @@ def _set_fields(source: Simulation, target: Simulation, points: QuadraturePoints
 class _Unions:
     """New cells that are unions of old cells; values at their points are projections by the old points.
 
-    The new points alone would see a jump between old cells only by the chance of their places.  A rank gets
-    the old points of all ranks and uses the points in its own new cells.
+    With the new points alone the projection of a jump between old cells would depend on where points happen
+    to lie.  A rank gets the old points of all ranks and uses the points in its own new cells.
     """
 
     def __init__(self, source: Simulation, target: Simulation, points: QuadraturePoints) -> None:

@@ -100,7 +100,7 @@ class Immersed:
         J = np.linalg.det(F)
         energy = 0.5 * G * (self.areas * ((F * F).sum(axis=(1, 2)) - 2 - 2 * np.log(J))).sum()
         P = G * (F - np.swapaxes(np.linalg.inv(F), 1, 2))
-        two = -self.areas[:, None, None] * np.swapaxes(P @ self._inverse, 1, 2)  # on nodes 1 and 2
+        two = -self.areas[:, None, None] * np.swapaxes(P @ self._inverse, 1, 2)  # forces on nodes 1 and 2
         nodal = np.concatenate([-two.sum(axis=1, keepdims=True), two], axis=1)
         nodes = self.triangles.ravel()
         forces = [np.bincount(nodes, nodal[:, :, i].ravel(), len(X)) for i in range(2)]

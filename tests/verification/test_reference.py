@@ -92,6 +92,6 @@ def test_radial_creep_has_the_closed_forms_of_the_linear_problem_and_the_flux_of
         assert a == pytest.approx(f(0, k * r) / (2.0 + 0.3 * k * k), abs=1e-6)
     r, a = radial_creep(3, 1.0, 4.0, lambda s: 2 * np.cos(2 * s))
     middle, slope = 0.5 * (r[1:] + r[:-1]), np.diff(a) / np.diff(r)
-    density = (a[1:] + a[:-1] - 2 * np.cos(2 * middle)) * middle**2  # of G_m a - m inside of r
+    density = (a[1:] + a[:-1] - 2 * np.cos(2 * middle)) * middle**2  # integral: the flux at r
     inside = np.cumsum(density * np.diff(r)) - 0.5 * density * np.diff(r)
     assert middle**2 * slope**3 == pytest.approx(inside, abs=2e-6) and np.abs(inside).max() > 0.04
