@@ -69,7 +69,7 @@ HALVINGS, MOST_HALVINGS = 3, 20
 
 @dataclass(frozen=True, kw_only=True)
 class TimeSteps:
-    """Scheme and step lengths of a run: the keys of [time] in a case file, except ``end``.
+    """Scheme and step lengths of a run: the keys of [time] in a case file, except ``until``.
 
     Raises ParameterError or UnknownNameError if a parameter is out of its range, or does not fit the scheme.
 
