@@ -5,6 +5,7 @@ from itertools import product
 import numpy as np
 import pytest
 from flow_rules import EXAMPLES as RULES
+from flow_rules import OF_CONFORMATION
 from ngsolve import CF, Integrate, x
 from support import SWIRL, swirling
 
@@ -25,7 +26,10 @@ def network(rule, branches=2):
         "spring": SPRING,
         "chains": Branch(material=nv.OldroydB(K_e=0.0, G_e=2.0), creep=nv.Creep(G_m=2.0, law="conformation")),
     }
-    first = Branch(material=nv.ReferentialMooneyRivlin(K_e=20.0, G_e=1.5, G_mr=0.5), creep=rule)
+    made = nv.ReferentialMooneyRivlin(K_e=20.0, G_e=1.5, G_mr=0.5)
+    if rule in OF_CONFORMATION.values():
+        made = nv.OldroydB(K_e=20.0, G_e=1.5)
+    first = Branch(material=made, creep=rule)
     return Network(branches={"slow": first} | dict(list(others.items())[: branches - 1]))
 
 
@@ -34,20 +38,31 @@ def simulation(material, dim=2, **options):
     return swirling(box((1,) * dim, maxh=0.5 if dim == 2 else 2), material=material, **settings | options)
 
 
-ALL = list(product([None, *RULES], (1, 2, 3), ("coupled", "split"), (2, 3), SCHEMES))
+EVERY = RULES | OF_CONFORMATION
+ALL = list(product([None, *EVERY], (1, 2, 3), ("coupled", "split"), (2, 3), SCHEMES))
 BY_DEFAULT = {(*ALL[0][:1], 2, "split", 2, "midpoint")} | {
     (rule, 1 + i % 3, ("coupled", "split")[i // 2 % 2], 2 + (i == 4), SCHEMES[i % 3])
     for i, rule in enumerate(RULES)
 }
+OF_CI = {
+    (rule, 1 + (i + 1) % 3, ("split", "coupled")[i // 2 % 2], 2 + (i % 4 == 1), SCHEMES[(i + i // 3) % 3])
+    for i, rule in enumerate(EVERY)
+}
+"""One more of each rule; in 3D by the split solver: three branches take the coupled one tens of seconds."""
+
+
+def _marks(case):
+    if case in BY_DEFAULT:
+        return ()
+    return (pytest.mark.long, pytest.mark.ci) if case in OF_CI else pytest.mark.long
 
 
 @pytest.mark.filterwarnings("ignore::ngvisco.DefectWarning")
 @pytest.mark.parametrize(
-    ("rule", "branches", "solver", "dim", "scheme"),
-    [pytest.param(*case, marks=() if case in BY_DEFAULT else pytest.mark.long) for case in ALL],
+    ("rule", "branches", "solver", "dim", "scheme"), [pytest.param(*case, marks=_marks(case)) for case in ALL]
 )
 def test_ledger_closes_and_every_branch_dissipates(rule, branches, solver, dim, scheme):
-    made = network(None if rule is None else RULES[rule], branches)
+    made = network(None if rule is None else EVERY[rule], branches)
     ledger = simulation(made, dim, solver=solver, scheme=scheme).run(0.1)
     assert np.abs(ledger.column("closure_relative")).max() <= 1e-10
     flowing = (["slow"] if rule else []) + (["chains"] if branches == 3 else [])
