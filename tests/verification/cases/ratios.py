@@ -1,7 +1,7 @@
 """Two bodies of any ratio of stiffnesses and of densities, unloaded, with k = 1 and m = 0."""
 
 from collections.abc import Iterator
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from ngsolve import CF, IfPos, x
@@ -75,7 +75,7 @@ def _least(run: nv.Simulation) -> float:
 
 def table(
     orders: tuple[int, int], schemes: tuple[Scheme, ...], ratios: tuple[tuple[float, float], ...] = RATIOS
-) -> Iterator[tuple[Balance | None, list[object]]]:
+) -> Iterator[tuple[Balance | None, list[Any]]]:
     """Of each problem, scheme and ratio the run's balance, None where a step has no solution, and its row."""
     for problem, make in PROBLEMS.items():
         for scheme in schemes:
