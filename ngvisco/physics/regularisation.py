@@ -188,7 +188,7 @@ def curvature_of(material: Material, dim: int) -> Curvature:
             "Regularisation.delta_fields",
             f"{type(material).__name__}, whose phi'' at rest has the least eigenvalue {least * scale:.3g} Pa",
             "an energy with a positive definite phi'' in the variables that it is not linear in; "
-            "WithQuadratic makes it so",
+            "WithQuadratic makes that of one material so, one volumetric energy those of several bodies",
         )
     inverse = np.linalg.inv(at_rest + linear)
     projection, compliance = np.zeros((2, len(strains), len(strains)))

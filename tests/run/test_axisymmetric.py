@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from ngsolve import CF, Integrate, Mesh, x, y
+from ngsolve import CF, Integrate, Mesh, SetNumThreads, x, y
 from ngsolve.meshes import MakeStructured2DMesh
-from support import by_both_solvers, small_run
+from support import assert_goes_on, by_both_solvers, small_run
 
 import ngvisco as nv
 from ngvisco.errors import CheckpointError, MeshError, ParameterError
@@ -190,3 +190,37 @@ def test_a_checkpoint_of_plane_strain_does_not_fit(tmp_path):
     run.run(0.02)
     with pytest.raises(CheckpointError, match="about an axis"):
         about_the_axis().restore(path)
+
+
+YIELDS = nv.Perzyna(G_m=2.0, sigma_Y=0.1, H=1.0)
+GOES_ON = {
+    "one body": {"creep": YIELDS, "passive": ["F_tot"], "walls": {"top": nv.Open(stiffness=(3.0, 1.0))}},
+    "two bodies": {
+        "bodies": [
+            nv.Body(
+                name="ball",
+                material=nv.IsochoricNeoHookean(K_e=10.0, G_e=5.0),
+                creep=YIELDS,
+                density=2.0,
+                where=nv.Ball((0.0, 0.5), 0.4),
+            ),
+            nv.Body(name="gas", material=nv.BarotropicFluid(B=2.5e-3, gamma=1.4), density=0.1),
+        ],
+        "discretisation": nv.Discretisation(k=1, m=0),
+    },
+}
+
+
+@pytest.mark.filterwarnings("ignore:bodies .* meet with different stresses")  # the gas presses a little
+@pytest.mark.parametrize("name", GOES_ON)
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_a_resumed_run_is_the_uninterrupted_one_bit_by_bit(solver, name, tmp_path):
+    """From the first step and from the last but one, with threads pinned to one: sums have one order."""
+    SetNumThreads(1)
+
+    def make(**options):
+        time = nv.TimeSteps(dt=0.02, scheme="midpoint")
+        return about_the_axis(velocity=VORTEX, time=time, solver=solver, **GOES_ON[name], **options)
+
+    run = assert_goes_on(make, tmp_path / "run.h5", 0.08, 1, -2)
+    assert run.ledger.rows[-1]["dissipation_creep"] > 0

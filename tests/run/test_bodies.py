@@ -20,6 +20,9 @@ STOKES = nv.StokesViscosity(K_v=0.05, G_v=0.05)
 SOLID = nv.ReferentialNeoHookean(K_e=10.0, G_e=1.0)
 FLUID = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: 5 * (J - 2 + 1 / J))
 BY_F = nv.ReferentialNeoHookean(K_e=10.0, G_e=1.0, elastic_state="F")
+BREAKS = nv.Damaged(material=SOLID, G_c=0.1, length=0.5, part="all")
+HOT_BREAKS = nv.Thermal(material=BREAKS, c=1.0, theta_R=1.0, expansion=0.1)
+QUADRATIC = nv.WithQuadratic(material=SOLID, delta=0.01)
 VARIED = nv.ReferentialNeoHookean(K_e=10.0 + x, G_e=1.0)
 
 
@@ -205,6 +208,9 @@ class SharesOnly:
         (lambda: [disc(material=VARIED), rest()], "a bulk modulus that is a number"),
         (lambda: [disc(material=nv.Yosida(material=SOLID, eps=0.01)), rest()], "Yosida approximation"),
         (lambda: [disc(material=BY_J_MIN), rest()], "J_min = None: continued below it"),
+        (lambda: [disc(material=BREAKS), rest()], r"bodies\['disc'\].material.*would be the damage of all"),
+        (lambda: [disc(material=HOT_BREAKS), rest()], r"bodies\['disc'\].material.*the damage of all"),
+        (lambda: [disc(material=QUADRATIC), rest()], r"bodies\['disc'\].material.*per reference volume"),
         (lambda: [disc(creep=nv.Creep(G_m=1.0, nu=0.1)), rest()], "nu = 0: the creep .* is local"),
         (lambda: [disc(), rest(material=DOUBLE_WELL)], r"bodies\['rest'\].material.*per reference volume"),
         (disc, r"Model\.bodies"),
@@ -238,6 +244,19 @@ class Growth(PointTerm):
 def test_what_the_bodies_say_is_not_said_of_all(options, match):
     with pytest.raises(nv.ParameterError, match=match):
         small_run(bodies=[disc(), rest()], **options)
+
+
+def test_fields_of_bodies_diffuse_where_their_volumetric_energy_is_one():
+    """What diffuses takes energy by its own column, the mass of no body; others are refused with a remedy."""
+    diffusing = {"regularisation": nv.Regularisation(delta_fields=1e-2)}
+    runs = by_both_solvers(lambda solver: simulation("solid in a fluid", solver, **diffusing), 0.04)
+    for run in runs:
+        start = masses(simulation("solid in a fluid"))
+        assert np.abs(masses(run) / start - 1).max() <= 1e-12
+        assert run.ledger.rows[-1]["dissipation_delta_fields"] > 0
+    soft = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: J - 2 + 1 / J)
+    with pytest.raises(nv.ParameterError, match=r"delta_fields.*one volumetric energy those of several"):
+        small_run(bodies=[disc(), rest(material=soft)], **diffusing)
 
 
 def test_a_ball_in_three_dimensions():
