@@ -196,7 +196,7 @@ class SharesOnly:
         (lambda: [disc(density=None), rest()], r"bodies\['disc'\].density.*a body has mass"),
         (lambda: [disc(density=-1.0), rest()], r"bodies\['disc'\].density"),
         (lambda: [disc(material=None), rest()], r"Body\.material"),
-        (lambda: [disc(order=0.5), rest()], r"bodies\['disc'\].order"),
+        (lambda: [disc(order=0.5), rest()], r"Body\.order"),
         (lambda: [disc(where=nv.Ball((3.0, 3.0), 0.2)), rest()], r"disc'\].where.*within the domain"),
         (lambda: [disc(), disc(name="over", where=nv.Ball((0.5, 0.5), 0.2)), rest()], r"'over'\].order"),
         (lambda: [disc()], "in no body"),
