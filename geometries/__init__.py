@@ -1,4 +1,4 @@
-"""Domains with named walls, meshed by Netgen; sizes in the user's length unit."""
+"""Domains with named walls, meshed by Netgen; sizes are in the user's unit of length."""
 
 from ngvisco.geometries.boxes import bar, block_with_hole, box, channel, structured_box
 from ngvisco.geometries.files import load

@@ -1,4 +1,4 @@
-"""Boxes, channels, bars, a block with a hole, and boxes of rows of cells: thin strips, columns, layers."""
+"""Boxes, channels, bars, a block with a hole, and boxes of rows of cells for strips, columns and layers."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -24,12 +24,12 @@ _WALLS = {
     2: ("left", "right", "bottom", "top"),
     3: ("left", "right", "front", "back", "bottom", "top"),
 }
-"""In pairs, at the lower and the upper end of each axis."""
+"""Names of the walls by dimension, in pairs at the lower and upper end of each axis."""
 _AXES = (occ.X, occ.Y, occ.Z)
 _NAMES = {"back": "left", "front": "right", "left": "front", "right": "back"}
-"""NGSolve's names of the walls of a structured box in 3D, and those of ``box``."""
+"""Names of the walls of ``box`` by NGSolve's names for structured boxes in 3D."""
 _STEEPEST = 1e6
-"""Last row over the first one, or the other way round; with 1e14 Newton's iteration fails."""
+"""Largest ratio of the lengths of the last and first row, or its inverse; 1e14 makes Newton's method fail."""
 
 
 def box(
@@ -47,16 +47,16 @@ def box(
     Parameters
     ----------
     size : two or three positive numbers
-        Edge lengths, two (plane strain) or three.
+        Lengths of the edges, two (plane strain) or three.
     maxh : float
         Largest size of a cell.
     periodic : some of "x", "y", "z", e.g. "x" or "xy"
-        Directions in which opposite walls are one, some of "x", "y", "z".
+        Directions in which opposite walls are identified, some of "x", "y", "z".
     refine : mapping of walls to cell sizes, optional
         Smaller cell sizes at walls, by the wall's name.
     split_corners : bool
-        Divide cells whose edges at a vertex all lie on walls, so that walls with different velocities may
-        meet there.
+        Whether to divide cells whose edges at a vertex all lie on walls, so that walls with different
+        velocities may meet there.
 
     Raises
     ------
@@ -81,11 +81,11 @@ def channel(
     Parameters
     ----------
     length : float
-        Length, along x.
+        Length along x.
     height : float
-        Height, along y in 2D and z in 3D.
+        Height along y in 2D, along z in 3D.
     width : float, optional
-        Width along y; makes the channel three-dimensional.
+        Width along y of a three-dimensional channel.
     maxh, refine, split_corners
         As for ``box``.
     """
@@ -107,11 +107,11 @@ def bar(
     Parameters
     ----------
     length : float
-        Length, along x.
+        Length along x.
     thickness : float
         Edge of the square cross-section.
     dim : 2 or 3
-        2 (plane strain) or 3.
+        Dimension, 2 (plane strain) or 3.
     maxh, refine, split_corners
         As for ``box``.
     """
@@ -136,10 +136,10 @@ def block_with_hole(
     Parameters
     ----------
     radius : float
-        Radius of the hole, less than half of the edges that it is between.
+        Radius of the hole, less than half of the edges across the hole.
     fillet : float
-        Radius to which corners (2D), or edges and corners (3D), of the box are rounded, less than half of its
-        edges; 0 leaves them sharp.
+        Radius of the box's rounded corners (2D), or edges and corners (3D), less than half of the edges; 0
+        leaves them sharp.
     order : int
         Polynomial order of curved cells.
     size, maxh, refine, split_corners
@@ -151,7 +151,7 @@ def block_with_hole(
     if 2 * radius >= min(across):
         raise ParameterError("block_with_hole.radius", radius, f"a number < {min(across) / 2:g}")
     parts = [*(("size", length) for length in lengths), ("radius", radius)]
-    parts.append(("radius", min(across) / 2 - radius))  # the wall that is left
+    parts.append(("radius", min(across) / 2 - radius))  # the remaining thickness
     if as_number(fillet) != 0:
         fillet = as_length("block_with_hole.fillet", fillet)
         if 2 * fillet >= min(lengths):
@@ -193,7 +193,7 @@ def _box(
 
 
 def _directions(field: str, periodic: str | Sequence[str], dim: int) -> list[str]:
-    """Some of x, y, z; raises ParameterError for others."""
+    """Names of directions, some of x, y, z; raises ParameterError for other names."""
     names = list(periodic) if isinstance(periodic, str) else require_names(field, periodic)
     if not set(names) <= set("xyz"[:dim]):
         raise ParameterError(field, periodic, f"some of {', '.join('xyz'[:dim])}")
@@ -211,7 +211,7 @@ def _block(lengths: Sequence[float]) -> Any:
 
 
 def _rounded(shape: Any, lengths: Sequence[float], fillet: float) -> Any:
-    """The box with its walls, all its corners or edges rounded; what is new has the name ``fillet``."""
+    """Round all corners or edges of the box; its walls keep their names, new ones are called ``fillet``."""
     if len(lengths) == 2:
         path = occ.WorkPlane().MoveTo(fillet, 0)
         for length in (*lengths, *lengths):
@@ -221,7 +221,7 @@ def _rounded(shape: Any, lengths: Sequence[float], fillet: float) -> Any:
     else:
         rounded = shape.MakeFillet(shape.edges, fillet)
         walls = rounded.faces
-    # a wall keeps its middle; names and order of MakeFillet's faces are not to be relied upon
+    # walls are found by their middles, because names and order of MakeFillet's faces are unreliable
     sharp = shape.edges if len(lengths) == 2 else shape.faces
     names = {_middle(wall): wall.name for wall in sharp}
     for wall in walls:
@@ -243,24 +243,24 @@ def structured_box(
 ) -> Mesh:
     """A box [0, size_1] x [0, size_2] (x [0, size_3]) of rows of cells, with the walls of ``box``.
 
-    A rectangle of the grid is two triangles, a cuboid six tetrahedra.  A column that is uniform across, the
-    set-up of problems in one dimension, is one or two periodic cells wide.
+    Each rectangle of the grid is two triangles, each cuboid six tetrahedra.  For one-dimensional problems
+    take a column that is one or two periodic cells wide.
 
     Parameters
     ----------
     cells : as many whole numbers
-        Rows of cells along each direction, >= 1.
+        Number of rows of cells along each direction, >= 1.
     grading : mapping of directions to numbers from 1e-6 to 1e6, optional
-        Length of the last row over that of the first one, by direction, from 1e-6 to 1e6; geometric between
-        them, 1 where nothing is said.
+        Length of the last row over the first, by direction, from 1e-6 to 1e6, with a geometric sequence
+        between; by default 1.
     size, periodic, split_corners
         As for ``box``.
 
     Raises
     ------
     ParameterError
-        For lengths or numbers of cells that are none, more than a million cells, another direction than the
-        box has, or steeper grading.
+        For invalid lengths or numbers of cells, more than a million cells, a direction that the box does not
+        have, or a steeper grading.
     """
     lengths = box_lengths("structured_box", size)
     dim = len(lengths)
@@ -295,7 +295,7 @@ def structured_box(
 
 
 def _spacing(axis: str, rows: int, grading: Mapping[str, float] | None) -> Callable[[float], float]:
-    """The place of a grid line, of 1, as a function of its number over that of the rows."""
+    """Place of a grid line, from 0 to 1, as a function of its number over the number of rows."""
     ratio = (grading or {}).get(axis, 1.0)
     number = as_number(ratio)
     if number is None or not 1 / _STEEPEST <= number <= _STEEPEST:

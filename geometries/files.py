@@ -1,7 +1,7 @@
 """Meshes and geometries from files: Netgen's .vol, STEP and BREP, gmsh's .msh.
 
-Netgen ends the whole process on some files that are cut short; so a file is read by a process of its own
-first, and only then by this one.
+Some truncated files make Netgen end the whole process.  So a separate process reads a file first, and this
+process only afterwards.
 """
 
 import warnings
@@ -24,7 +24,7 @@ from ngvisco.geometries.meshing import (
     try_apart,
 )
 
-_FLAT = 1e-6  # of a sheet's width, above and below z = 0; OCC's bounding boxes have a margin
+_FLAT = 1e-6  # tolerance on z over a sheet's width; OCC's bounding boxes have a margin
 
 _ENDS = {
     ".vol": "endmesh",
@@ -42,20 +42,20 @@ def load(
     order: int = CURVE_ORDER,
     split_corners: bool = False,
 ) -> Mesh:
-    """A mesh from a file.
+    """Load a mesh from a file.
 
-    ``.vol`` or ``.msh`` (format 2) holds a mesh; ``.step``, ``.stp`` or ``.brep`` a geometry, of which solids
-    are meshed in 3D, faces in the plane z = 0 in 2D.  Walls have the names of the file's boundaries, faces
-    or physical groups.
+    A ``.vol`` or ``.msh`` file (format 2) contains a mesh.  A ``.step``, ``.stp`` or ``.brep`` file has a
+    geometry; its solids are meshed in 3D, or its faces in the plane z = 0 in 2D.  Walls have the names of the
+    file's boundaries, faces or physical groups.
 
     Parameters
     ----------
     path : path
         A .vol, .msh (gmsh), STEP or BREP file; in a case file relative to it.
     maxh : float
-        Largest size of a cell, in the file's unit; for geometries only, and needed there.
+        Largest size of a cell, in the file's unit; required for geometries.
     order : int
-        Polynomial order of curved cells, where the geometry is known.
+        Polynomial order of curved cells, if the geometry is known.
     split_corners
         As for ``box``.
 
@@ -64,7 +64,7 @@ def load(
     MeshError
         If the file is missing, cut short, unreadable or holds no volume cells.
     ParameterError
-        If its name has another ending, or maxh is missing.
+        If the file's name has another ending, or maxh is missing.
     """
     path = require_path("load.path", path)
     if maxh is not None:
@@ -96,7 +96,7 @@ def _check_file(path: Path) -> None:
         raise MeshError(f"{path}: no such file")
     text = path.read_text(encoding="utf-8", errors="replace")
     is_whole = _ENDS[kind] in text
-    if kind == ".brep" and is_whole:  # Netgen crashes where not all shapes are there that it announces
+    if kind == ".brep" and is_whole:  # Netgen crashes if announced shapes are missing
         head, *shapes = text[text.index("TShapes") :].split("*")
         is_whole = head.split()[1:2] == [str(len(shapes))] and len(text.rpartition("*")[2].split()) >= 2
     if not is_whole:
@@ -121,7 +121,7 @@ _GEOMETRY = """
 from netgen.occ import OCCGeometry
 OCCGeometry(path).shape
 """
-"""How files are tried: without ngvisco, whose import takes longer than that of Netgen."""
+"""Code that tries a file without ngvisco, whose import takes longer than Netgen's."""
 
 
 def _read(path: Path, kind: str, maxh: Any) -> Any:
@@ -144,7 +144,7 @@ def _read(path: Path, kind: str, maxh: Any) -> Any:
             "or faces in the plane z = 0 for a two-dimensional mesh"
         )
     domain = Domain("load", dim, [("maxh", max(extents))])
-    domain.is_round = domain.is_delicate = True  # for all that is known of it
+    domain.is_round = domain.is_delicate = True  # the file may have any shape
     if domain.unit != 1.0:
         shape = shape.Scale(Pnt(0, 0, 0), 1 / domain.unit)
     return domain.mesh(shape, maxh)

@@ -1,10 +1,10 @@
 """Functions that all geometries share: checks of sizes, units of length, local refinement, meshing with
 curved cells.
 
-OpenCASCADE and Netgen compare lengths with absolute tolerances of 1e-7 to 1e-6.  Squares of 6e5 m ended
-the process, a box of 1e-6 m lost names of walls, one of 1e-12 m ended the process.  So a domain that is
-far from order one is built and meshed in a unit of length of its own, a power of two, and the points are
-scaled back: nothing is rounded by that.
+OpenCASCADE and Netgen compare lengths with absolute tolerances of 1e-7 to 1e-6.  Squares of 6e5 m and a box
+of 1e-12 m ended the process; a box of 1e-6 m lost names of walls.  So a domain far from order one is built
+and meshed in a suitable unit of length, and its points are scaled back.  The unit is a power of two, so that
+scaling rounds no number.
 """
 
 import math
@@ -43,27 +43,28 @@ Length: TypeAlias = Annotated[float, Quantity("m", "> 0", 1.0)]
 CellSize: TypeAlias = Annotated[float, Quantity("m", "> 0", 0.1)]
 
 CURVE_ORDER = 3
-"""Order of curved cells: one above the default velocity, so that the geometry's error is not the largest."""
+"""Default order of curved cells, one above the velocity's, so that the geometry's error does not dominate."""
 
 MAX_CELLS = 1_000_000
-"""Cells above which a mesh is refused before it is made: Netgen takes a minute or more for them."""
+"""Largest number of cells of a mesh; Netgen takes a minute or more for as many."""
 
-_SIZES = (1e-30, 1e30)  # m; areas and volumes are far from under- and overflow
+_SIZES = (1e-30, 1e30)  # m; areas and volumes then stay far from under- and overflow
 _ORDER_ONE = (1e-2, 1e2)
-_SLENDER = 1e-6  # smallest over largest length; OpenCASCADE refuses to build what is below 1e-7
-_DELICATE = 1e-3  # the same ratio, below which Netgen is tried in a process of its own
-_PATIENCE = 300.0  # s for that trial
+_SLENDER = 1e-6  # least ratio of smallest to largest length; OpenCASCADE refuses ratios below 1e-7
+_DELICATE = 1e-3  # ratio of lengths below which Netgen is tried in a separate process
+_PATIENCE = 300.0  # most seconds of this trial
 _CELLS_PER, _GRADING = {2: 1 / 0.43, 3: 5.9}, 0.3
-"""Cells of size 1 in a unit square and cube, measured; sizes grow by 0.3 a length away from a wall."""
+"""Measured numbers of cells of size 1 in a unit square and cube, and growth of sizes per distance to a
+wall."""
 _FLAT = 1e-6
-_POLYGON = 0.4  # a coarse polygon fills so much less than its circle, or more than the ring about it
+_POLYGON = 0.4  # relative error of the area of a coarse polygon in a circle or around a hole
 _SMALLEST_ROUND = {2: 1e-4, 3: 1e-3}
-"""Radii, m, below which OpenCASCADE's projections onto curves (2D) and surfaces (3D) are wrong: of a disc of
-1e-5 m the area is wrong by 1e-7, of a ball of 1e-4 m the volume by 4e-3."""
+"""Radii, m, below which OpenCASCADE's projections onto curves (2D) and surfaces (3D) are wrong: the area of a
+disc of 1e-5 m is wrong by 1e-7, the volume of a ball of 1e-4 m by 4e-3."""
 
 
 def box_lengths(owner: str, size: Sequence[float]) -> tuple[float, ...]:
-    """The edges' lengths, m; raises ParameterError."""
+    """Lengths of a box's edges, m; raises ParameterError unless ``size`` has two or three lengths."""
     try:
         lengths = tuple(as_length(f"{owner}.size", length) for length in size)
     except TypeError:
@@ -76,7 +77,7 @@ def box_lengths(owner: str, size: Sequence[float]) -> tuple[float, ...]:
 
 
 def as_length(field: str, value: object) -> float:
-    """The length as a float; raises ParameterError unless it is a finite number > 0."""
+    """Length as a float, m; raises ParameterError unless it is a number > 0 of admissible size."""
     number = as_number(value)
     if number is None or not number > 0:
         raise ParameterError(field, value, "a finite number > 0")
@@ -93,22 +94,22 @@ def check_order(owner: str, order: int) -> None:
 
 
 class Domain:
-    """A domain that is built and meshed in a unit of length in which it is of order one.
+    """A domain that is built and meshed in a unit of length in which its size is of order one.
 
-    ``sizes`` are parameters of ``owner`` with their values, and gaps, m; ``round_ones`` names those that are
-    radii of curved walls.  Raises ParameterError for what is no length, one of less than 1e-6 of the largest,
-    or a radius too small for OpenCASCADE.
+    ``sizes`` are parameters of ``owner`` and gaps, with their values, m; ``round_ones`` names the radii of
+    curved walls.  Raises ParameterError for an invalid length, a length below 1e-6 of the largest, or a
+    radius too small for OpenCASCADE.
 
     Attributes
     ----------
     unit : float
-        m, a power of two, 1 if the domain is of order one.
+        Unit of length, m, a power of two; 1 if the domain is of order one.
     lengths : list of float
-        The sizes in this unit.
+        Sizes in this unit.
     is_round : bool
-        Whether it has curved walls: a mesh that is refined or curved later asks for them.
+        Whether the domain has curved walls, which later refinement and curving of a mesh needs.
     is_delicate : bool
-        Whether its lengths differ so much that Netgen is tried in a process of its own first: it may crash.
+        Whether lengths differ so much that Netgen may crash, and is first tried in a separate process.
     """
 
     def __init__(
@@ -139,7 +140,7 @@ class Domain:
         refine: Mapping[str, float] | None = None,
         split_corners: bool = False,
     ) -> Mesh:
-        """Mesh an OCC shape in this unit, with smaller cells on the walls named in ``refine``, and curve it.
+        """Mesh an OCC shape given in this unit, with cell sizes ``refine`` on named walls, and curve it.
 
         ``maxh`` and ``refine`` are in m.  Raises ParameterError for a size that is no positive number, or
         that would give more than ``MAX_CELLS`` cells; UnknownNameError for an unknown wall in ``refine``;
@@ -166,14 +167,14 @@ class Domain:
                 wall.maxh = local
         if self.is_delicate:
             try_shape(owner, shape, dim, size)
-        try:  # by one thread: Netgen's others wait for each other, for a second of a mesh of twelve cells
+        try:  # by one thread: with more, Netgen's threads wait a second for a mesh of twelve cells
             mesh = Mesh(OCCGeometry(shape, dim=dim).GenerateMesh(maxh=size, parallel_meshing=False))
-        except Exception as error:  # OpenCASCADE and Netgen raise their own
+        except Exception as error:  # OpenCASCADE and Netgen have many error types
             raise MeshError(f"{owner}: Netgen cannot mesh it ({error})") from error
         _require_all(owner, shape, mesh, known, self.is_round)
         if unit != 1.0:
             mesh.ngmesh.Scale(unit)
-            # what the mesh is refined and curved by; planes need no geometry
+            # the geometry serves refinement and curving; plane walls need none
             scaled = shape.Scale(Pnt(0, 0, 0), unit)
             mesh.ngmesh.SetGeometry(OCCGeometry(scaled, dim=dim) if self.is_round else NetgenGeometry())
             mesh = Mesh(mesh.ngmesh)
@@ -186,8 +187,8 @@ def _interior(shape: Any, dim: int) -> Any:
 
 
 def _check_count(field: str, value: float, measure: float, h: float, dim: int, of: int, unit: float) -> None:
-    """Raise ParameterError for a cell size of the domain (of = dim) or a wall that gives too many cells."""
-    # at a wall there are layers in which the size grows: int measure c / (h + 0.3 s)^dim ds
+    """Raise ParameterError if a cell size of the domain (of = dim) or of a wall makes too many cells."""
+    # cell sizes grow with the distance s to a wall: int measure c / (h + 0.3 s)^dim ds
     factor = _CELLS_PER[dim] * measure / (1.0 if of == dim else _GRADING * (dim - 1))
     if not factor <= MAX_CELLS * h**of:
         least = (factor / MAX_CELLS) ** (1 / of) * unit
@@ -196,7 +197,7 @@ def _check_count(field: str, value: float, measure: float, h: float, dim: int, o
 
 
 def _require_all(owner: str, shape: Any, mesh: Mesh, walls: Iterable[str], is_round: bool) -> None:
-    """Raise MeshError unless the mesh fills the shape and has its walls: Netgen only prints failures."""
+    """Raise MeshError unless the mesh fills the shape and has its walls; Netgen only prints failures."""
     whole = sum(part.mass for part in _interior(shape, mesh.dim))
     filled = Integrate(CF(1.0), mesh) if mesh.ne else 0.0
     if abs(filled - whole) > (_POLYGON if is_round else _FLAT) * whole:
@@ -212,10 +213,10 @@ def _require_all(owner: str, shape: Any, mesh: Mesh, walls: Iterable[str], is_ro
 
 
 def try_apart(owner: str, what: str, code: str, *arguments: str, patience: float | None = None) -> None:
-    """Raise MeshError if Netgen ends a process of its own by some code, or not within ``patience`` (s).
+    """Run ``code`` in a separate process; raise MeshError if it fails or takes longer than ``patience``, s.
 
-    The code finds what this process has found, also in a clone that is not installed, and its ``arguments``
-    in ``sys.argv``.
+    The code has this process's ``sys.path``, for clones without installation, and its ``arguments`` in
+    ``sys.argv``.
     """
     code = f"import sys; sys.path[:] = {sys.path!r}\n{code}"
     command = [sys.executable, "-c", code, *arguments]
@@ -244,14 +245,13 @@ OCCGeometry(shape, dim=int(dim)).GenerateMesh(maxh=float(maxh), parallel_meshing
 
 
 def refine_walls(mesh: Mesh, names: Iterable[str], times: int = 1) -> Mesh:
-    """Bisect the cells that touch the named walls ``times`` times: a boundary layer graded towards them.
+    """Bisect the cells that touch the named walls ``times`` times, for a layer graded towards the walls.
 
-    Each time halves the height of the cells at the wall, and their size along it as well: the cells keep
-    their shape, they are not flattened as those of a layer that is extruded from the wall.
-    The mesh is changed in place, curved again as it was, and returned.
+    Each bisection halves the height of the cells at a wall and their size along it.  So the cells keep their
+    shape, unlike the flat cells of a layer extruded from the wall.  The mesh is changed in place, curved as
+    before, and returned.
 
-    Raises UnknownNameError for a name that no boundary has; ParameterError unless ``times`` is an integer >=
-    0.
+    Raises UnknownNameError for an unknown boundary; ParameterError unless ``times`` is an integer >= 0.
     """
     number = as_integer(times)
     if number is None or number < 0:
@@ -273,10 +273,10 @@ def refine_walls(mesh: Mesh, names: Iterable[str], times: int = 1) -> Mesh:
 
 
 def corner_cells(mesh: Mesh) -> list[int]:
-    """Numbers of the cells that have a vertex all of whose edges in the cell lie on walls.
+    """Numbers of the cells with a vertex whose edges in the cell all lie on walls.
 
-    In 2D these are the cells with two edges on walls that meet, in 3D among others those with two faces on
-    walls.  Boundaries between two cells and boundaries that the mesh identifies are no walls.
+    In 2D these are the cells with two adjacent edges on walls; in 3D they include the cells with two faces on
+    walls.  Boundaries between two cells and identified boundaries are no walls.
     """
     wall = _edges_on_walls(mesh)
     found = []
@@ -291,15 +291,13 @@ def corner_cells(mesh: Mesh) -> list[int]:
 
 
 def split_corner_cells(mesh: Mesh) -> Mesh:
-    """Divide each of the ``corner_cells`` at its midpoint, into as many cells as it has facets (Alfeld).
+    """Divide each of the ``corner_cells`` at its midpoint into one cell for each facet (Alfeld).
 
-    In such a cell walls that hold the velocity prescribe the whole of grad v at that vertex; with one edge
-    into the interior more div v is free.  No other cell changes, and walls, subdomains and identified
-    boundaries stay what they are.  The mesh is changed in place; use the one that is returned, which is
-    curved as it was.
+    In such a cell walls that hold the velocity prescribe all of grad v at the vertex; one more edge, into the
+    interior, makes div v free.  Other cells, walls, subdomains and identified boundaries stay unchanged.  The
+    mesh is changed in place; use the returned mesh, which is curved as before.
 
-    Raises MeshError for a mesh that is distributed, or has other cells than triangles, quadrilaterals and
-    tetrahedra.
+    Raises MeshError for a distributed mesh, or for other cells than triangles, quadrilaterals and tetrahedra.
     """
     if mesh.comm.size > 1:
         raise MeshError("split_corner_cells: the mesh is distributed; divide its cells before that")

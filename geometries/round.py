@@ -1,4 +1,4 @@
-"""Round domains: discs and their halves, annuli, cylinders, spheres, spherical shells; with curved cells."""
+"""Round domains with curved cells: discs, half discs, annuli, cylinders, spheres, spherical shells."""
 
 from collections.abc import Mapping
 from typing import Annotated
@@ -41,7 +41,7 @@ def half_disc(
     order: int = CURVE_ORDER,
     refine: Annotated[Mapping[str, float] | None, Quantity("m", example={"wall": 0.05})] = None,
 ) -> Mesh:
-    """The half x > 0 of a disc about the origin, of a ball that is axisymmetric; walls ``wall``, ``axis``.
+    """The half x > 0 of a disc about the origin, a meridian of a ball; walls ``wall``, ``axis``.
 
     Parameters
     ----------
@@ -71,7 +71,7 @@ def annulus(
     inner : float
         Inner radius.
     outer : float
-        Outer radius, above the inner one.
+        Outer radius, greater than the inner radius.
     maxh, order, refine
         As for ``disc``.
     """
@@ -151,7 +151,7 @@ def spherical_shell(
 
 
 def _shell(owner: str, dim: int, inner: float, outer: float) -> tuple[Domain, float, float]:
-    """The domain, and both radii in its unit."""
+    """Domain of a ring or shell, and both radii in the domain's unit."""
     r, R = as_length(f"{owner}.inner", inner), as_length(f"{owner}.outer", outer)
     if not r < R:
         raise ParameterError(f"{owner}.inner", inner, f"a number < outer = {R:g}")

@@ -1,8 +1,8 @@
 """ngvisco: compressible viscoelastic solids and fluids at large strains in the Eulerian frame.
 
 Implements T. Roubíček, "Time discretization in visco-elastodynamics at large displacements and
-strains in the Eulerian frame" (2024) on Netgen/NGSolve.  Labels such as ED-Euler-large2 in the
-docstrings are those of the paper's equations.
+strains in the Eulerian frame" (2024) on Netgen/NGSolve.  Labels in docstrings, such as
+ED-Euler-large2, denote the paper's equations.
 """
 
 import importlib.metadata
@@ -130,15 +130,15 @@ from ngvisco.timestepping.scheme import SCHEMES, TimeScheme
 
 try:
     __version__ = importlib.metadata.version("ngvisco")
-except importlib.metadata.PackageNotFoundError:  # a clone that was not installed
+except importlib.metadata.PackageNotFoundError:  # a clone without installation
     __version__ = "0+unknown"
 
 
-if importlib.util.find_spec("ngvisco.geometries") is None:  # a clone, where it stands beside ngvisco/
+if importlib.util.find_spec("ngvisco.geometries") is None:  # in a clone it lies beside ngvisco/
     __path__.append(str(Path(__file__).resolve().parents[1]))
 print_own()
 
-# after the geometries were found, which the case files' catalogue lists
+# imported after geometries, which the catalogue of case files lists
 from ngvisco.case import Case, CaseError, RunDirectoryError, load, load_case  # noqa: E402
 
 __all__ = [

@@ -1,7 +1,7 @@
-"""Typed errors: each names the field, the value and what would be right.
+"""Typed errors: each names the field, the value and the expected value.
 
-``NgviscoError`` is the root, so that a caller can catch everything of ours and nothing else, and
-``NgviscoWarning`` that of the warnings.
+``NgviscoError`` is the root of all errors of ngvisco, so that a caller can catch these alone, and
+``NgviscoWarning`` is the root of its warnings.
 """
 
 import dataclasses
@@ -40,21 +40,21 @@ class ParameterError(NgviscoError, ValueError):
     field : str
         Name of the offending parameter, e.g. ``"NeoHookean.G_e"``.
     value : object
-        What was given.
+        The given value.
     expected : str
-        What would be right.
+        Description of admissible values.
     """
 
     def __init__(self, field: str, value: object, expected: str) -> None:
         self.field, self.value, self.expected = field, value, expected
         self.key = field
-        # objects without a text of their own, such as NGSolve's functions, by their class
+        # objects with Python's default text, such as NGSolve's functions, are shown by their class
         shown = re.sub(r"<(?:[\w.]+\.)?(\w+) object at 0x[0-9a-f]+>", r"<\1>", repr(value))
         super().__init__(f"{field} = {shown}: expected {expected}")
 
 
 class UnknownNameError(NgviscoError, KeyError):
-    """A name (boundary, material variable, column, ...) that does not exist."""
+    """A name (boundary, material variable, column, ...) does not exist."""
 
     def __init__(self, kind: str, name: str, known: Iterable[str], key: str = "") -> None:
         self.kind, self.name, self.known, self.key = kind, name, sorted(set(known)), key
@@ -67,13 +67,13 @@ class UnknownNameError(NgviscoError, KeyError):
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
-    """``; did you mean 'x'?`` or nothing."""
+    """Hint ``; did you mean 'x'?`` for a message, or an empty text."""
     close = difflib.get_close_matches(name, list(known), n=1, cutoff=0.5)
     return f"; did you mean {close[0]!r}?" if close else ""
 
 
 def listed(names: Iterable[str]) -> str:
-    """Names for a message: of the components of a tensor, ``F_11`` to ``F_33``, the first and the last."""
+    """Names for a message; components of a tensor are shortened to the first and last, ``F_11 ... F_33``."""
     groups: dict[str, list[str]] = {}
     for name in names:
         groups.setdefault(re.sub(r"_[1-3]{1,2}$", "_", name), []).append(name)
@@ -82,11 +82,11 @@ def listed(names: Iterable[str]) -> str:
 
 
 class MeshError(NgviscoError, ValueError):
-    """A mesh on which the scheme cannot be posed (no volume elements, inverted ones, ...)."""
+    """The scheme cannot be posed on a mesh (no volume elements, inverted elements, ...)."""
 
 
 class InitialDataError(NgviscoError, ValueError):
-    """Initial data outside the set where the model is defined (rho_0 <= 0, det F_0 <= 0, NaN)."""
+    """Initial data are outside the set where the model is defined (rho_0 <= 0, det F_0 <= 0, NaN)."""
 
     def __init__(self, field: str, value: object, expected: str, key: str = "Initial") -> None:
         self.field, self.value, self.expected, self.key = field, value, expected, key
@@ -94,21 +94,21 @@ class InitialDataError(NgviscoError, ValueError):
 
 
 class StopRequested(NgviscoError):
-    """A step was given up because the run was asked to stop; the state is that before it."""
+    """A step was abandoned because the run was asked to stop; the state before the step is restored."""
 
 
 class StepError(NgviscoError, RuntimeError):
-    """A Rothe step could not be solved; the state is that before the step.
+    """A Rothe step could not be solved; the state before the step is restored.
 
     Attributes
     ----------
     history : tuple of ``ngvisco.solver.problem.Attempt``
-        What was tried: each solve's start values, its iterations and why it failed.
+        Attempts: each solve's start values, iterations and reason of failure.
     report : ``ngvisco.run.failure.FailureReport`` or None
-        Where and why, and what to change, of a step of a ``Simulation``.
+        Place and cause of the failure of a ``Simulation``'s step, and remedies.
     """
 
-    report: Any = None  # as the attempts, of a room above this one
+    report: Any = None  # Any, because this room may not import the class
 
     def __init__(self, message: str, history: Sequence[Any] = ()) -> None:
         self.history: tuple[Any, ...] = tuple(history)
@@ -116,9 +116,9 @@ class StepError(NgviscoError, RuntimeError):
 
 
 class NotANumberError(StepError):
-    """A number that a run was to note is none, of a probe, a force or an integral.
+    """An output number of a run (a probe, a force or an integral) is not a number.
 
-    The state is that of the step that has been taken.
+    The state after the step is kept.
     """
 
 
@@ -131,7 +131,7 @@ class NgviscoWarning(UserWarning):
 
 
 class InputWarning(NgviscoWarning):
-    """Input that the model takes otherwise than it may be meant; the message says how, and what to change."""
+    """Input may be meant otherwise than the model takes it; the message tells how, and what to change."""
 
 
 class Quantity(NamedTuple):
@@ -140,14 +140,14 @@ class Quantity(NamedTuple):
     Attributes
     ----------
     unit : str
-        SI unit; "1" for pure numbers, "" for what is no number.  Exponents may be other parameters.
+        SI unit; "1" for pure numbers, "" for other objects.  Exponents may be names of parameters.
     range : str
-        The numbers that are admitted, as ``"> 0"``, ``"in (0, 1]"`` or ``"from 1 to 8"``; "" for all.
+        Admitted numbers, as ``"> 0"``, ``"in (0, 1]"`` or ``"from 1 to 8"``; "" for all.
     example : value, optional
-        As a case file may have it, for what has no default.
+        Example for a case file, for a parameter without default.
     mean : str
-        Which mean of a modulus a cell has where it jumps (``ngvisco.physics.parameters``); "" is geometric
-        for what is > 0, and that of a root for what may be 0.
+        Mean of a modulus in a cell where it jumps (``ngvisco.physics.parameters``); "" is the geometric mean
+        for a range > 0, and the mean by a root for a range that includes 0.
     """
 
     unit: str = ""
@@ -157,9 +157,9 @@ class Quantity(NamedTuple):
 
 
 def as_number(value: object) -> float | None:
-    """The finite real number that ``value`` is, or None.
+    """``value`` as a finite real number, or None.
 
-    Numbers of Python and NumPy are taken, and arrays without dimensions; not bool, texts or functions.
+    Numbers of Python and NumPy are accepted, and arrays without dimensions; not bool, texts or functions.
     """
     value = value[()] if isinstance(value, np.ndarray) and value.ndim == 0 else value
     if isinstance(value, (bool, np.bool_)) or not isinstance(value, numbers.Real):
@@ -176,14 +176,14 @@ def _is_number(value: object) -> bool:
 
 
 def as_integer(value: object) -> int | None:
-    """The integer that ``value`` is, of Python's or NumPy's types, or None; 2.0 is none."""
+    """``value`` as an integer if it has an integer type of Python or NumPy, otherwise None (also for 2.0)."""
     value = value[()] if isinstance(value, np.ndarray) and value.ndim == 0 else value
     is_integer = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
     return int(value) if is_integer else None  # type: ignore[call-overload]
 
 
 class Declared(NamedTuple):
-    """The declaration of a parameter: its range, and the types that are admitted."""
+    """The declaration of a parameter: its range, and the admitted types."""
 
     range: str
     kinds: tuple[Any, ...]
@@ -196,21 +196,21 @@ class Declared(NamedTuple):
 
     @property
     def expected(self) -> str:
-        """In words, for messages."""
+        """Admitted values in words, for messages."""
         kinds = [kind for kind in self.kinds if kind in (int, float)] or self.kinds
         return " or ".join(_words(kind, self.range) for kind in kinds if kind is not NoneType)
 
     def number(self, value: object) -> float | None:
-        """The number that the value is, of Python's types; None where it is none of the range."""
+        """The value as a Python number; None if it is no number in the range."""
         number = as_number(value) if float in self.kinds else as_integer(value)
         if number is None or not _is_within(number, self.range):
             return None
         return value if isinstance(value, (int, float)) else number
 
     def taken(self, field: str, value: object) -> Any:
-        """The value, with numbers of Python and sequences as tuples; raises ParameterError.
+        """Convert numbers to Python's and sequences to tuples; raises ParameterError for other values.
 
-        A type that is known to other packages alone takes any value.
+        A type of another package admits any value.
         """
         if (value is None and NoneType in self.kinds) or not all(map(_is_known, self.kinds)):
             return value
@@ -221,12 +221,12 @@ class Declared(NamedTuple):
 
 
 def _kinds(hint: Any) -> tuple[Any, ...]:
-    """The types of a union, or the one type."""
+    """Types of a union, or the single type."""
     return get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
 
 
 def _is_known(kind: Any) -> bool:
-    """Whether a type can be checked here: one of Python, a class of this package, or a container."""
+    """Whether a type can be checked here: a type of Python, a class of this package, or a container."""
     if not isinstance(kind, type) or get_origin(kind) is not None:
         first, *others = get_args(kind) or (None,)
         is_uniform = all(other in (first, Ellipsis) for other in others)
@@ -236,7 +236,7 @@ def _is_known(kind: Any) -> bool:
 
 
 def _taken(kind: Any, range: str, value: Any) -> Any:
-    """The value as a type takes it; None where it does not."""
+    """The value converted to a type; None if the type does not admit it."""
     container, parts = get_origin(kind), get_args(kind)
     if container is Literal:
         key = value if isinstance(value, str) else as_integer(value)
@@ -255,7 +255,7 @@ def _taken(kind: Any, range: str, value: Any) -> Any:
 
 
 def _members(hint: Any, range: str, values: Iterable[Any]) -> tuple[Any, ...] | None:
-    """The members of a container as their type takes them; None where it does not take one of them."""
+    """Members of a container converted to their type; None if the type does not admit a member."""
     kinds = _kinds(hint)
     if not all(isinstance(kind, type) and _is_known(kind) for kind in kinds):
         return tuple(values)
@@ -264,7 +264,7 @@ def _members(hint: Any, range: str, values: Iterable[Any]) -> tuple[Any, ...] | 
 
 
 def _count(parts: tuple[Any, ...]) -> int | None:
-    """How many members a tuple has; None for any number."""
+    """Number of members of a tuple type; None if it is arbitrary."""
     return None if len(parts) == 1 or parts[-1] is Ellipsis else len(parts)
 
 
@@ -303,9 +303,9 @@ def _is_within(number: float, text: str) -> bool:
 
 @cache
 def declared(kind: type) -> dict[str, Declared]:
-    """The declarations of a dataclass's parameters: their types, and what ``Quantity`` says of them.
+    """Declarations of a dataclass's parameters, from their types and their ``Quantity``.
 
-    A class that annotates a parameter of its base anew, without a quantity, keeps the base's range.
+    If a class annotates a parameter of its base again without a quantity, the base's range applies.
     """
     said: dict[str, Quantity] = {}
     for each in reversed(inspect.getmro(kind)):
@@ -320,10 +320,10 @@ def declared(kind: type) -> dict[str, Declared]:
 
 
 def require_fields(owner: Any) -> None:
-    """Raise ParameterError unless every parameter of a dataclass is of the type and in the range that its
-    annotation says.
+    """Raise ParameterError unless every parameter of a dataclass has the type and the range of its
+    annotation.
 
-    What may be more than a number of Python or an object of this package is not looked at.
+    Parameters whose type admits objects of other packages are not checked.
     """
     for name, said in declared(type(owner)).items():  # type: ignore[arg-type]
         value = getattr(owner, name)
@@ -332,16 +332,16 @@ def require_fields(owner: Any) -> None:
 
 
 def require_effect(owner: Any, has_effect: bool, where: str, *names: str) -> None:
-    """Raise ParameterError for a parameter of a dataclass that is set to no effect.
+    """Raise ParameterError for a parameter of a dataclass that is set without effect.
 
     Parameters
     ----------
     has_effect : bool
-        Whether the parameters have an effect, beside the others.
+        Whether the parameters have an effect, given the values of other parameters.
     where : str
-        Where they have none, in words: "with nu = 0".
+        Condition without effect, in words: "with nu = 0".
     names : str
-        The parameters; those that the dataclass does not have are left out.
+        Names of the parameters; names that the dataclass does not have are ignored.
     """
     if has_effect:
         return
@@ -371,7 +371,7 @@ def require_type(field: str, value: object, kind: type) -> None:
 
 
 def require_path(field: str, value: object) -> Path:
-    """The path; raises ParameterError for what is none."""
+    """The value as a path; raises ParameterError if it is no path."""
     try:
         return Path(value)  # type: ignore[arg-type]
     except TypeError:
@@ -379,7 +379,7 @@ def require_path(field: str, value: object) -> Path:
 
 
 def require_file(field: str, value: object) -> Path:
-    """The path, which a file has or may have; raises ParameterError for a directory and what is no path."""
+    """The value as the path of a possible file; raises ParameterError for directories and other values."""
     path = require_path(field, value)
     if path.is_dir():
         raise ParameterError(field, str(path), "the path of a file; this is a directory")
@@ -387,7 +387,7 @@ def require_file(field: str, value: object) -> Path:
 
 
 def require_collection(field: str, value: object, expected: str) -> list[Any]:
-    """The members of a sequence, set or array; raises ParameterError for others, a text and a mapping."""
+    """Members of a sequence, set or array; raises ParameterError for other values, texts and mappings."""
     is_whole = hasattr(value, "__iter__") and hasattr(value, "__len__")
     if isinstance(value, (str, bytes, Mapping)) or not is_whole:
         raise ParameterError(field, value, expected)
@@ -395,7 +395,7 @@ def require_collection(field: str, value: object, expected: str) -> list[Any]:
 
 
 def require_names(field: str, value: object) -> list[str]:
-    """The names in a sequence of texts; raises ParameterError for anything else, and for one text."""
+    """Names in a sequence of texts; raises ParameterError for other values, and for a single text."""
     names = require_collection(field, value, "a sequence of names")
     if not all(isinstance(name, str) for name in names):
         raise ParameterError(field, value, "a sequence of names")
@@ -403,7 +403,7 @@ def require_names(field: str, value: object) -> list[str]:
 
 
 def require_some_names(field: str, value: object) -> list[str]:
-    """The names, each once and at least one; raises ParameterError."""
+    """Names in a sequence of distinct texts, at least one; raises ParameterError for other values."""
     names = require_names(field, value)
     if not names or len(set(names)) < len(names):
         raise ParameterError(field, value, "at least one name, and each once")
@@ -411,7 +411,7 @@ def require_some_names(field: str, value: object) -> list[str]:
 
 
 def as_numbers(field: str, value: object, expected: str = "a sequence of finite numbers") -> list[float]:
-    """The numbers in a sequence; raises ParameterError for anything that is no finite number."""
+    """Numbers in a sequence; raises ParameterError for a member that is no finite number."""
     numbers = [as_number(entry) for entry in require_collection(field, value, expected)]
     if None in numbers:
         raise ParameterError(field, value, expected)
@@ -419,7 +419,7 @@ def as_numbers(field: str, value: object, expected: str = "a sequence of finite 
 
 
 def as_place(field: str, value: object) -> tuple[float, ...]:
-    """Two or three finite numbers, m; raises ParameterError."""
+    """Coordinates of a place, two or three finite numbers, m; raises ParameterError for other values."""
     expected = "two or three finite numbers"
     if len(numbers := as_numbers(field, value, expected)) not in (2, 3):
         raise ParameterError(field, value, expected)

@@ -1,20 +1,20 @@
 """Expressions of x, y, z and t in texts, as NGSolve coefficient functions.
 
-A text is parsed to Python's syntax tree and only the nodes listed here are evaluated, by this module
-and never by Python: a case file, or an integrand of ``Integrals``, cannot execute code.  Written are
+A text is parsed to Python's syntax tree, and this module evaluates only the nodes listed here.  Python never
+does, so that a case file or an integrand of ``Integrals`` cannot execute code.  An expression may contain
 
 * numbers, ``x y z`` (m), ``t`` (s, the run's time ``ngvisco.time``), ``pi``;
 * ``+ - * / **``, parentheses, unary ``+ -``;
 * ``sin cos tan asin acos atan exp log sqrt abs sinh cosh tanh min max atan2``;
-* ``a if condition else b`` (or ``where(condition, a, b)``), conditions being comparisons
+* ``a if condition else b`` (or ``where(condition, a, b)``), with conditions that are comparisons
   ``< <= > >=`` (also chained) joined by ``and``, ``or``, ``not``.
 
-Energies of case files (``ngvisco.case.laws``) are of scalars and 3x3 tensors, with functions of both.
+Energies of case files (``ngvisco.case.laws``) have scalars and 3x3 tensors, with functions of both.
 
-A region (``parse_region``) is written as a condition, ``"(x - 0.6)**2 + y**2 < 0.04 and y < 0.6"``; without
-a comparison, ``"x - 0.5"``, it is none, and is refused.
+A region (``parse_region``) is a condition, ``"(x - 0.6)**2 + y**2 < 0.04 and y < 0.6"``; a text without a
+comparison, ``"x - 0.5"``, is refused.
 
-Constant parts are computed at once, so that ``1/0`` or ``log(-1)`` is an error with its position.
+Constant parts are evaluated at once, so that ``1/0`` or ``log(-1)`` is an error with its position.
 """
 
 import ast
@@ -39,8 +39,8 @@ MAX_LENGTH = 2000
 MAX_DEPTH = 80
 MAX_NODES = 1000
 MAX_OPERATIONS = 5000
-"""The largest number of operations of a text after expanding what is used several times, as the base of a
-whole power."""
+"""Largest number of operations of a text after expanding repeated parts, such as the base of an integer
+power."""
 _LARGEST_WHOLE_POWER = 16
 
 COORDINATES = ("x", "y", "z")
@@ -50,7 +50,7 @@ NAMES = tuple(_SYMBOLS)
 
 
 class ExpressionError(NgviscoError, ValueError):
-    """A text that is no expression; ``position`` is the index of the offending character."""
+    """A text is no expression; ``position`` is the index of the offending character."""
 
     def __init__(self, text: str, position: int, reason: str) -> None:
         self.text, self.position, self.reason = text, position, reason
@@ -60,7 +60,7 @@ class ExpressionError(NgviscoError, ValueError):
 
 @dataclass(frozen=True)
 class Expression:
-    """A checked expression: its text and the names that it reads."""
+    """A checked expression: its text, and the names in it."""
 
     text: str
     names: frozenset[str]
@@ -70,19 +70,19 @@ class Expression:
     def coefficient(self, fields: Mapping[str, CoefficientFunction] | None = None) -> CoefficientFunction:
         """The expression as a coefficient function; ``t`` is ``ngvisco.time``.
 
-        ``fields`` has the scalars of the further names that ``parse`` was given.
+        ``fields`` maps the further names given to ``parse`` to scalar functions.
         """
         evaluator = Evaluator(self.text, dict(fields or {}) | _SYMBOLS)
         return CF(evaluator.level(self._tree) if self.is_region else evaluator.value(self._tree))
 
 
 def parse(text: str, fields: Collection[str] = ()) -> Expression:
-    """Check a text completely; ``fields`` are further names that it may read.
+    """Check a text completely; ``fields`` are further names that it may contain.
 
-    Raises ExpressionError with the position: syntax, unknown name or function, a constant part that is no
-    finite number, or one of the limits on length, depth and operations.
+    Raises ExpressionError with the position for a syntax error, an unknown name or function, a constant part
+    that is no finite number, or an exceeded limit on length, depth or operations.
     """
-    # any scalar function stands for a field
+    # x replaces each field here, because any scalar function suffices for the check
     evaluator = Evaluator(text, _SYMBOLS | {name: ngsolve.x for name in fields if name not in NAMES})
     tree = syntax_tree(text)
     evaluator.value(tree)
@@ -90,10 +90,10 @@ def parse(text: str, fields: Collection[str] = ()) -> Expression:
 
 
 def parse_region(text: str) -> Expression:
-    """Check the text of a region; its coefficient function is positive inside, and continuous at the edges of
-    comparisons: ``a < b`` is b - a, ``and`` the smaller, ``or`` the larger one, ``not`` the negative.
+    """Check the text of a region; its coefficient function is positive inside, and continuous where
+    comparisons change: ``a < b`` is b - a, ``and`` the minimum, ``or`` the maximum, ``not`` the negative.
 
-    Raises ExpressionError as ``parse``, and for what is no condition.
+    Raises ExpressionError as ``parse``, and for a text that is no condition.
     """
     evaluator, tree = Evaluator(text, _SYMBOLS), syntax_tree(text)
     evaluator.level(tree)
@@ -101,28 +101,28 @@ def parse_region(text: str) -> Expression:
 
 
 def number(text: str) -> float:
-    """The value of a constant expression, such as ``"-5/6"``; raises ExpressionError."""
+    """Value of a constant expression, such as ``"-5/6"``; raises ExpressionError."""
     return float(Evaluator(text, CONSTANTS).value(syntax_tree(text)))
 
 
 def syntax_tree(text: str) -> ast.expr:
-    """A text's tree; raises ExpressionError for what is no expression by its syntax or size."""
+    """Syntax tree of a text; raises ExpressionError if its syntax or size is not allowed."""
     if len(text) > MAX_LENGTH:
         raise ExpressionError(text, MAX_LENGTH, f"longer than {MAX_LENGTH} characters")
     if not text.isascii() or "\0" in text:
         where = next(i for i, c in enumerate(text) if not c.isascii() or c == "\0")
         raise ExpressionError(text, where, f"unexpected character {text[where]!r}")
-    # leading blanks would be an indentation; line breaks may stand in a TOML string
+    # Python takes leading blanks as indentation; a TOML string may contain line breaks
     source = "".join(" " if c in "\t\r\n\f\v" else c for c in text)
     lead = len(source) - len(source.lstrip())
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of doubtful literals, which the evaluator judges itself
+            warnings.simplefilter("ignore")  # the evaluator itself checks doubtful literals
             tree = ast.parse(source.lstrip(), mode="eval").body
     except SyntaxError as error:
         position = lead + max(0, (error.offset or 1) - 1)
         raise ExpressionError(text, min(position, len(text)), "not an expression") from None
-    except (ValueError, MemoryError, RecursionError):  # absurd nesting or number
+    except (ValueError, MemoryError, RecursionError):  # excessive nesting or number
         raise ExpressionError(text, 0, "too deeply nested") from None
     for node in ast.walk(tree):
         if hasattr(node, "col_offset"):
@@ -145,13 +145,13 @@ def _check_size(text: str, tree: ast.AST) -> None:
 
 
 def _operations(node: ast.AST) -> float:
-    """How many operations a tree has when every use of a part is written out; of numbers alone none."""
+    """Number of operations of a tree with every use of a part written out; 0 for numbers alone."""
     if isinstance(node, ast.Name):
         return 1
     inner = sum(_operations(child) for child in ast.iter_child_nodes(node))
     uses = 1
     if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
-        inner -= 1  # the function's name
+        inner -= 1  # does not count the function's name
         uses = _USES.get(node.func.id, 1)
     elif isinstance(node, ast.BinOp) and isinstance(node.op, ast.Pow):
         uses = _factors(node.right)
@@ -159,10 +159,10 @@ def _operations(node: ast.AST) -> float:
 
 
 def _factors(exponent: ast.expr) -> int:
-    """How many factors a power is written out to, at most."""
+    """Largest number of factors into which a power is expanded."""
     try:
         value = abs(Evaluator("", CONSTANTS).value(exponent))
-    except ExpressionError:  # a parameter of an energy, or nothing that can be taken
+    except ExpressionError:  # a parameter of an energy, or an invalid exponent
         return _LARGEST_WHOLE_POWER
     return int(value) if value.is_integer() and 1 < value <= _LARGEST_WHOLE_POWER else 1
 
@@ -179,18 +179,18 @@ _USES = {
     "sym": 2,
     "norm2": 2,
 }
-"""How often the value of a function has its arguments in it, at least."""
+"""Least number of times that the value of a function contains its arguments."""
 
 
 class Evaluator:
-    """Evaluates a tree with floats where it is constant, and coefficient functions elsewhere.
+    """Evaluates constant parts of a tree as floats, and other parts as coefficient functions.
 
-    With ``of_tensors`` an expression of scalars and tensors, of coefficient functions or of arrays.
+    With ``of_tensors`` an expression may have tensors too, and coefficient functions or arrays as values.
 
     Attributes
     ----------
     seen : set of str
-        The names that were read.
+        Names found in the expression.
     """
 
     def __init__(self, text: str, symbols: Mapping[str, Any], of_tensors: bool = False) -> None:
@@ -199,7 +199,7 @@ class Evaluator:
         self.seen: set[str] = set()
 
     def value(self, node: ast.expr) -> Any:
-        """The value of a node; raises ExpressionError."""
+        """Value of a node; raises ExpressionError."""
         match node:
             case ast.Constant():
                 return self._number(node)
@@ -312,7 +312,7 @@ class Evaluator:
         return if_positive(condition, a, b)
 
     def _compared(self, node: ast.expr) -> list[tuple[type[ast.cmpop], Any, Any]]:
-        """The comparisons of a chain, each with its two values; raises ExpressionError for what is none."""
+        """Comparisons of a chain, each with its two values; raises ExpressionError for other nodes."""
         if not isinstance(node, ast.Compare):
             raise self._error(node, "expected a condition such as x < 0.5")
         values = []
@@ -326,7 +326,7 @@ class Evaluator:
         return list(zip(kinds, values[:-1], values[1:], strict=True))
 
     def _condition(self, node: ast.expr) -> Any:
-        """A number or function that is 1 where the condition holds and 0 elsewhere."""
+        """Number or function that is 1 where the condition holds and 0 elsewhere."""
         match node:
             case ast.BoolOp(op=ast.And()):
                 return reduce(operator.mul, map(self._condition, node.values))
@@ -358,18 +358,18 @@ def is_tensor(value: Any) -> bool:
 
 
 def _power(a: Value, b: Value) -> Value:
-    is_array = not isinstance(a, (float, CoefficientFunction))  # which has powers of its own
+    is_array = not isinstance(a, (float, CoefficientFunction))  # arrays define powers
     if is_array or (isinstance(a, float) and isinstance(b, float)):
         return a**b
     if isinstance(b, float) and b.is_integer() and abs(b) <= _LARGEST_WHOLE_POWER:
-        # repeated multiplication: exact signs for negative bases, which exp(b log a) has not
+        # repeated multiplication has exact signs for negative bases, unlike exp(b log a)
         product = math.prod([a] * int(abs(b)), start=CF(1.0))
         return product if b >= 0 else 1 / product
     return CF(a) ** CF(b)
 
 
 def _less(a: Value, b: Value) -> Value:
-    """1 where a < b, 0 elsewhere."""
+    """Indicator that is 1 where a < b, and 0 elsewhere."""
     if isinstance(a, float) and isinstance(b, float):
         return 1.0 if a < b else 0.0
     return if_positive(b - a, 1.0, 0.0)
@@ -392,12 +392,12 @@ _BINARY: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
 
 
 def _tanh(a: Any) -> Any:
-    # of the exponential that does not overflow
+    # each branch uses the exponential that does not overflow
     return if_positive(a, 1 - 2 / (exp(2 * a) + 1), 2 / (exp(-2 * a) + 1) - 1)
 
 
 def _of_exponentials(a: Any, sign: float) -> Any:
-    """sinh (sign -1) or cosh (sign 1), of arrays too."""
+    """The function sinh (sign -1) or cosh (sign 1), also for arrays."""
     if isinstance(a, CoefficientFunction):
         return ngsolve.sinh(a) if sign < 0 else ngsolve.cosh(a)
     return 0.5 * (exp(a) + sign * exp(-a))
@@ -416,7 +416,7 @@ FUNCTIONS: dict[str, tuple[int, Callable[..., float], Callable[..., Any]]] = {
     "min": (2, min, lambda a, b: if_positive(a - b, b, a)),
     "max": (2, max, lambda a, b: if_positive(a - b, a, b)),
 }
-"""Name -> count of arguments, the function of numbers, that of coefficient functions."""
+"""Number of arguments, function of numbers, and function of coefficient functions, by name."""
 
 FUNCTIONS_OF_TENSORS: dict[str, tuple[int, Callable[..., float] | None, Callable[..., Any]]] = {
     "tr": (1, None, tr),

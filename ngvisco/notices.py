@@ -1,8 +1,8 @@
-"""How warnings are printed: those of ngvisco once each, without the place in its code that they come from.
+"""Printing of warnings: each warning of ngvisco appears once, without its place in the code.
 
-Python prints a warning with the file and the source line of its caller, which for ngvisco's are inside the
-package, and prints it again where a filter has changed in between.  All others are printed as before.
-Filters, ``pytest.warns`` and ``warnings.catch_warnings(record=True)`` see every warning as ever.
+Python prints a warning with the file and the source line of its caller, which for ngvisco are inside the
+package, and prints it again if a filter has changed meanwhile.  Other warnings are printed as before.
+Filters, ``pytest.warns`` and ``warnings.catch_warnings(record=True)`` see every warning as usual.
 """
 
 import sys
@@ -14,14 +14,14 @@ from ngvisco.errors import NgviscoWarning
 
 
 class Notices:
-    """A ``warnings.showwarning`` that says each of ngvisco's warnings once.
+    """A ``warnings.showwarning`` that shows each of ngvisco's warnings once.
 
     Parameters
     ----------
     say : callable
-        Takes a warning's text and its category.
+        Function that shows a warning, given its text and category.
     others : callable
-        The ``warnings.showwarning`` for what is not ngvisco's.
+        The ``warnings.showwarning`` for other warnings than ngvisco's.
     """
 
     def __init__(
@@ -44,6 +44,6 @@ def _print(message: str, category: type[Warning]) -> None:
 
 
 def print_own() -> None:
-    """Let Python print ngvisco's warnings as ``ngvisco: InputWarning: ...``."""
+    """Make Python print ngvisco's warnings as ``ngvisco: InputWarning: ...``."""
     if not isinstance(warnings.showwarning, Notices):
         warnings.showwarning = Notices(_print)

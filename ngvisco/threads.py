@@ -1,9 +1,9 @@
-"""Threads of a computation: NGSolve's for assembly, one for the BLAS, those that share arrays' parts.
+"""Threads of a computation: NGSolve's for assembly, one for the BLAS, and ours for work on arrays.
 
-NGSolve's task threads wait actively; a BLAS that starts its own threads beside them takes the cores from
-both (measured beside other work on two cores: the swirl demo in 9 min 52 s against 2 min 10 s).  What
-works on arrays must not be disturbed by NGSolve's workers: ``on_arrays`` ends these.  Sent to sleep, they
-would be waited for by what NGSolve does meanwhile: 6.6 ms in place of 0.2 for a factorisation's solution with
+NGSolve's task threads wait actively and compete with threads of the BLAS for cores (measured beside other
+work on two cores: the swirl demo takes 9 min 52 s with both, 2 min 10 s with one BLAS thread).  Work on
+arrays must not compete with NGSolve's workers, so ``on_arrays`` ends them.  It does not suspend them, because
+calls of NGSolve would wait for sleeping workers: 6.6 ms instead of 0.2 for solving with a factorisation of
 2,754 unknowns.
 """
 
@@ -20,16 +20,16 @@ from pyngcore import GetNumThreads, SetNumThreads, SuspendTaskManager
 from threadpoolctl import ThreadpoolController
 
 _controller: list[ThreadpoolController] = []
-_managers: list[TaskManager] = []  # ours, while its workers run
+_managers: list[TaskManager] = []  # our task manager, while its workers run
 
 
 @contextmanager
 def computing() -> Iterator[None]:
-    """Within: NGSolve's task manager runs, BLAS libraries use one thread; restored on leaving."""
-    if not _controller:  # made late, when NGSolve and NumPy have loaded their libraries
+    """Context in which NGSolve's task manager runs and the BLAS uses one thread; restored on leaving."""
+    if not _controller:  # made here, after NGSolve and NumPy have loaded their libraries
         _controller.append(ThreadpoolController())
     with _controller[0].limit(limits=1, user_api="blas"):
-        if _managers or GetNumThreads() > 1:  # it runs: ours, or one of the caller's
+        if _managers or GetNumThreads() > 1:  # ours or the caller's task manager runs
             yield
             return
         manager = TaskManager()
@@ -43,9 +43,9 @@ def computing() -> Iterator[None]:
 
 @contextmanager
 def on_arrays() -> Iterator[None]:
-    """Within: NGSolve works alone, also at a factorisation, whose bits would be chance's by several threads.
+    """Context in which NGSolve uses one thread, which also makes factorisations reproducible to the bit.
 
-    Workers of a task manager of the caller's sleep.
+    Workers of the caller's task manager are suspended.
     """
     if not _managers:
         with SuspendTaskManager():
@@ -67,11 +67,11 @@ _Part = TypeVar("_Part")
 _Result = TypeVar("_Result")
 
 ALONE = RLock()
-"""Held by the one of some workers that asks NGSolve for something, or makes what all of them read."""
+"""Lock of the worker that calls NGSolve, or that makes data shared by all workers."""
 
 
 class Workers:
-    """Threads that share parts of a mesh, each of which is worked on by arrays alone."""
+    """Threads that share the parts of a mesh and work on arrays alone."""
 
     def __init__(self, threads: int | None = None, beside: int = 1) -> None:
         """Start the threads; by default ``NGVISCO_THREADS``, or the processors over ``beside`` processes that
@@ -83,7 +83,7 @@ class Workers:
         self._pool = ThreadPoolExecutor(threads) if threads > 1 else None
 
     def map(self, work: Callable[[_Part], _Result], parts: Sequence[_Part]) -> list[_Result]:
-        """``work`` of every part, in order."""
+        """Results of ``work`` for every part, in order."""
         if self._pool is None or len(parts) < 2:
             return [work(part) for part in parts]
         others = [self._pool.submit(copy_context().run, work, part) for part in parts[1:]]
