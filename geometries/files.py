@@ -80,7 +80,7 @@ def load(
         mesh = _read(path, kind, maxh)
     except (MeshError, ParameterError):
         raise
-    except Exception as error:  # netgen raises its own and the standard library's alike
+    except Exception as error:  # Netgen raises many types of errors
         raise MeshError(f"{path}: not readable: {error}") from error
     if mesh.dim not in (2, 3) or mesh.ne == 0:
         raise MeshError(f"{path}: the mesh has no volume elements")

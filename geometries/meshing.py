@@ -46,7 +46,7 @@ CURVE_ORDER = 3
 """Default order of curved cells, one above the velocity's, so that the geometry's error does not dominate."""
 
 MAX_CELLS = 1_000_000
-"""Largest number of cells of a mesh; Netgen takes a minute or more for as many."""
+"""Largest number of cells of a mesh, for which Netgen takes a minute or more."""
 
 _SIZES = (1e-30, 1e30)  # m; areas and volumes then stay far from under- and overflow
 _ORDER_ONE = (1e-2, 1e2)

@@ -1,7 +1,7 @@
 """Expressions of x, y, z and t in texts, as NGSolve coefficient functions.
 
-A text is parsed to Python's syntax tree, and this module evaluates only the nodes listed here.  Python never
-does, so that a case file or an integrand of ``Integrals`` cannot execute code.  An expression may contain
+A text is parsed to Python's syntax tree, and this module evaluates only the nodes listed here.  Python does
+not evaluate the text, so that a case file or an integrand of ``Integrals`` cannot execute code.  Allowed are
 
 * numbers, ``x y z`` (m), ``t`` (s, the run's time ``ngvisco.time``), ``pi``;
 * ``+ - * / **``, parentheses, unary ``+ -``;

@@ -21,8 +21,8 @@ def gmres(
 ) -> tuple[np.ndarray, int]:
     """Solve |right - operator(x)| <= ``rtol`` |right| by GMRES.  Return x and the number of directions.
 
-    If ``directions`` do not suffice, x has the least residual among them.  The classical Gram-Schmidt method
-    makes a direction orthogonal, and is repeated if little is left of it: one or two reductions over ranks
+    If ``directions`` do not suffice, x has the least residual in their span.  The classical Gram-Schmidt
+    method makes a direction orthogonal, and is repeated if it leaves little: one or two reductions over ranks
     for each direction.  (SciPy's GMRES has no reductions.)
 
     Parameters

@@ -62,7 +62,7 @@ class Working:
     def __init__(self, mpi: Any) -> None:
         self.is_first = mpi.rank == 0
         self.among = mpi.Split(int(not self.is_first), mpi.rank)
-        """Communicator of the ranks with cells; on the first rank one of this rank alone."""
+        """Communicator of the ranks with cells; on the first rank a communicator of this rank alone."""
         self._first = mpi.Dup()
         self._sent: list[Any] = []
         self.notes: list[str] = []

@@ -1,4 +1,4 @@
-"""Distributed meshes: each rank has a part of the cells; NGSolve leaves the first rank without."""
+"""Distributed meshes: each rank has a part of the cells, but the first rank of NGSolve has none."""
 
 import pickle
 
@@ -103,7 +103,7 @@ def volume_and_surface(mesh: Mesh) -> list[float]:
     The surface is summed over all cells, with inner facets twice, because a part also contains identified
     boundaries whose cells belong to other ranks.
     """
-    integrals = (CF(1.0) * dx, CF(1.0) * dx(element_boundary=True))  # these of a rank's cells alone
+    integrals = (CF(1.0) * dx, CF(1.0) * dx(element_boundary=True))  # over this rank's cells alone
     return [float(mesh.comm.Sum(Integrate(each, mesh))) for each in integrals]
 
 

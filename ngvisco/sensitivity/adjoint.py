@@ -34,7 +34,7 @@ class Adjoint:
     slopes : Slopes
         Slopes of the follower's columns.
     neighbours : sequence of Neighbours
-        Neighbours for each parameter; a start value only changes the start.
+        Neighbours for each parameter; parameters of start values change the start alone.
     ends, means : arrays, (numbers, steps + 1, columns)
         Derivatives of the numbers by the columns at the start and the ends of steps, and by the columns'
         means over the stages of the step before.

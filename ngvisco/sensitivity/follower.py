@@ -39,7 +39,7 @@ class Follower:
         return self.step.evolved()
 
     def pose(self, stage: Stage, states: Sequence[Evolved]) -> None:
-        """Set the times and the old state of the step to those of a stage from states y_0, y_1, ..."""
+        """Pose the equations of a stage: set its times, and its old state from states y_0, y_1, ..."""
         step, at = self.step, stage.interval
         step.context.set_step(at.tau, at.end, at.loads_from, at.loads_over, at.loads_tilt)
         step.start_from(list(zip(stage.starts, states, strict=False)))
@@ -134,7 +134,7 @@ class Follower:
 
     @cached_property
     def free_velocity(self) -> np.ndarray:
-        """Whether no wall prescribes each coefficient of v."""
+        """Mask of the coefficients of v that no wall prescribes."""
         free = np.array(list(self.step.layout.space.FreeDofs()))
         found: np.ndarray = free[self.step.layout.ranges["v"]]
         return found

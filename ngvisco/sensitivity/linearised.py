@@ -24,7 +24,7 @@ class Linearised:
         self._jacobian = CondensedJacobian(step.whole_residual, _INVERSE, follower.simulation.ranks)
         self._rows, self._solution = (step.state.vec.CreateVector() for _ in range(2))
         self.free = np.array(list(step.layout.space.FreeDofs()))
-        """Whether no wall prescribes each coefficient, (unknowns,)."""
+        """Mask of the coefficients that no wall prescribes, (unknowns,)."""
 
     def at_stage(self, stage: Stage) -> None:
         """Factorise R_u at a stage's solution; the stage has to be posed."""

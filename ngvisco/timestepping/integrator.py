@@ -44,24 +44,24 @@ tolerance on it.  R then varies by this fraction of the distance B(u_0, U), whic
 _MEETINGS, _MEETING = 6, 1e-13
 """Most Rothe steps to make a relaxed step end at a given time, and the relative tolerance on its length."""
 _NOISE_MARGIN, _NOISE_DRAWS = 5.0, 8
-"""Rounding of R in units of the distance between a state and its copy with random rounding errors, and the
-number of copies, of which the root mean square is taken because a single distance may vanish by chance."""
+"""Rounding of R over the distance between a state and a copy with random rounding errors, and the number of
+copies.  Their root mean square distance is taken, because a single distance may vanish by chance."""
 
 
 class CarriedField(Protocol):
-    """A passive field that the scheme transports with the stages' velocities."""
+    """A passive field, or another object, that follows the stages of the scheme."""
 
     def begin(self) -> None:
         """Begin a step, or repeat it: forget the stages."""
 
     def stage(self, weights: np.ndarray, share: float) -> None:
-        """Solve the field's stage in the present state; ``weights`` of y_0, y_1, ... make its start value.
+        """Follow a stage, which is the present state; ``weights`` of y_0, y_1, ... make its start value.
 
         ``share`` is the stage's b_i, the weight of its measured values in the step's mean.
         """
 
     def end(self, weights: np.ndarray) -> None:
-        """Accept the step; ``weights`` of the stages make the field at its end."""
+        """Accept the step; ``weights`` of y_0, y_1, ... make its end."""
 
 
 @dataclass(frozen=True)
