@@ -15,7 +15,7 @@ from ngvisco.run.frames import averaged, outline, read_frame, read_series_files
 from ngvisco.run.pictures import figure
 
 EMPTY_SPACE = 0.918
-"""What such a disc keeps of its momentum at a wall in empty space, by a Lagrangian method."""
+"""Share of its momentum that such a disc keeps at a wall in empty space, by a Lagrangian method."""
 
 
 def thrown(X: float) -> CF:
