@@ -202,7 +202,8 @@ class Case:
         part, path = self.sections.bodies[number], ("bodies", str(number))
         values = self._all_made(part, ("material", "viscosity", "creep", "heat"), path, dim)
         shapes = [shape for _, shape in self._shapes(number)]
-        values["where"] = Union(shapes) if shapes else None
+        with self.blame.located(*path, "where"):
+            values["where"] = None if part.where is None else Union(shapes)
         with self.blame.located(*path):
             return Body(name=part.name, density=part.density, order=part.order, **values)
 

@@ -1,6 +1,5 @@
 """Case files as sections: read, overridden, with the numbers of files, in SI units, and checked."""
 
-import copy
 import tomllib
 import warnings
 from collections.abc import Sequence
@@ -14,9 +13,7 @@ from ngvisco.case.faults import CaseError, Fault, Locator, faults_of, numbers_ou
 from ngvisco.case.python import tables_of_python
 from ngvisco.case.schema import CaseSections
 from ngvisco.case.units import SI, Converter, has_unit
-from ngvisco.errors import InputWarning, ParameterError
-from ngvisco.physics.materials import read_prony
-from ngvisco.physics.signals import read_table
+from ngvisco.errors import InputWarning
 
 MAX_FILE_SIZE = 1_000_000
 
@@ -62,11 +59,12 @@ def sections_of(
         overridden.append(path)
     locator = Locator(toml.key_lines(text), overridden)
     try:
-        data, faults = _with_tables(data, directory)
-        converter = Converter(data.get("units"))
+        for table in tables_of_python([data.get("material"), data.get("bodies")]):
+            table["path"] = str((directory / table["path"]).resolve())
+        converter = Converter(data.get("units"), directory)
         locator.data, locator.converted = data, converter.converted
-        if faults := [*faults, *converter.faults]:
-            raise CaseError(source, [locator.fault(*fault) for fault in faults])
+        if converter.faults:
+            raise CaseError(source, [locator.fault(*fault) for fault in converter.faults])
         if converter.scales:  # what is no unit is left to the schema
             kept = {name: u for name, u in data["units"].items() if name not in SI or not isinstance(u, str)}
             data = data | {"units": kept}
@@ -100,61 +98,3 @@ def plain_velocities(data: Any, path: tuple[str, ...] = ()) -> list[str]:
         else:
             found += plain_velocities(value, (*path, name))
     return found
-
-
-def _with_tables(
-    data: dict[str, Any], directory: Path
-) -> tuple[dict[str, Any], list[tuple[tuple[str, ...], str]]]:
-    """A case's data with the numbers of its tables of time, ``{ file = "load.csv" }``, and their faults."""
-    faults: list[tuple[tuple[str, ...], str]] = []
-
-    def read(value: Any, path: tuple[str, ...]) -> Any:
-        if isinstance(value, list):
-            return [read(part, (*path, str(i))) for i, part in enumerate(value)]
-        if not isinstance(value, dict):
-            return value
-        if "file" not in value or not set(value) <= {"file", "column"}:
-            return {name: read(part, (*path, name)) for name, part in value.items()}
-        try:
-            return _numbers_of(directory, **value)
-        except ParameterError as error:
-            message = f"{error.field}: {error.value!r:.60}: expected {error.expected}"
-            faults.append((path, message))
-            return value
-
-    def read_series(value: Any, path: tuple[str, ...]) -> Any:
-        """The tables of a material with the rows of ``prony = { file = "table.csv" }``."""
-        if not isinstance(value, dict):
-            return value
-        if path[-1] != "prony" or set(value) != {"file"} or not isinstance(value["file"], str):
-            return {name: read_series(part, (*path, name)) for name, part in value.items()}
-        try:
-            return read_prony(directory / value["file"]).tolist()
-        except ParameterError as error:
-            faults.append((path, f"{error.value!r:.60}: expected {error.expected}"))
-            return value
-
-    found: dict[str, Any] = {name: read(data[name], (name,)) for name in ("loads", "walls") if name in data}
-    if "material" in data:
-        found["material"] = read_series(data["material"], ("material",))
-    if isinstance(data.get("bodies"), list):
-        bodies = enumerate(data["bodies"])
-        found["bodies"] = [read_series(body, ("bodies", str(i))) for i, body in bodies]
-    found = copy.deepcopy(found)
-    for table in tables_of_python([found.get("material"), found.get("bodies")]):
-        table["path"] = str((directory / table["path"]).resolve())
-    return data | found, faults
-
-
-def _numbers_of(directory: Path, file: Any, column: Any = None) -> dict[str, Any]:
-    """Times and values of a file; of its values' columns the one with the number ``column``, from 1 on."""
-    if not isinstance(file, str):
-        raise ParameterError("file", file, "the path of a CSV file, relative to the case file")
-    rows = read_table(directory / file)
-    if column is None:
-        values = rows[:, 1] if rows.shape[1] == 2 else rows[:, 1:]
-    elif isinstance(column, int) and not isinstance(column, bool) and 1 <= column < rows.shape[1]:
-        values = rows[:, column]
-    else:
-        raise ParameterError("column", column, f"a whole number from 1 to {rows.shape[1] - 1}")
-    return {"times": rows[:, 0].tolist(), "values": values.tolist()}

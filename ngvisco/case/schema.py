@@ -16,7 +16,10 @@ from ngvisco.case import catalogue
 from ngvisco.case.section import Section, laws, parameters, section, tagged
 from ngvisco.case.values import RegionText
 from ngvisco.errors import ParameterError, Quantity
+from ngvisco.physics.bodies import Body as BodyObject
+from ngvisco.physics.bodies import Where as Place
 from ngvisco.physics.flow_rules import FlowRule
+from ngvisco.physics.heat import Heat as HeatObject
 from ngvisco.physics.material import Material as MaterialObject
 from ngvisco.physics.materials import Branch, Thermal
 from ngvisco.physics.rheology import Viscosity as ViscosityObject
@@ -137,44 +140,17 @@ Where = Annotated[
 """A condition on x, y, z, a shape, or several of them, of which it is the union."""
 
 
-class BodySection(Section):
-    """A body of one material, and where it is at the start."""
-
-    name: Annotated[str, Quantity(example="disc")] = Field(
-        description="Letters, digits and _; fields and columns of the body begin with it"
-    )
-    where: Where | None = Field(
-        None,
-        description="Where the body is at the start: a condition on x, y, z, a shape, or several of "
-        "which it is the union; what the other bodies leave without this key, which one of "
-        "them at most may lack",
-    )
-    material: Material = Field(description="Its material, with the keys of [material]")
-    viscosity: Viscosity | None = Field(
-        None, description="Its viscosity, with the keys of [rheology.viscosity]"
-    )
-    creep: Creep | None = Field(None, description="Its creep, with the keys of [rheology.creep]")
-    heat: Heat | None = Field(
-        None,
-        description="Its conductivity and heat source, with the keys of [rheology.heat], to which they "
-        "add by its fraction",
-    )
-    density: Annotated[float | None, Quantity("kg/m^3", "> 0", 1000.0)] = Field(
-        None, description="Its density where J = 1; that of its material where this has rho_R"
-    )
-    order: int = Field(
-        0, description="Of two bodies that overlap at the start the one of higher order is there"
-    )
-
-    @model_validator(mode="after")
-    def _admitted(self) -> BodySection:
-        if not re.fullmatch(r"[A-Za-z]\w{0,59}", self.name, re.ASCII):
-            raise ParameterError("Body.name", self.name, "a letter, and then letters, digits and _")
-        if self.density is not None and not 0 < self.density < math.inf:
-            raise ParameterError("Body.density", self.density, "a finite number > 0: a body has mass")
-        if self.where == []:
-            raise ParameterError("Body.where", [], "at least one shape")
-        return self
+Body: Any = section(
+    BodyObject,
+    types={
+        Place: Where,
+        MaterialObject: Material,
+        ViscosityObject: Viscosity,
+        FlowRule: Creep,
+        HeatObject: Heat,
+    },
+    is_whole=False,
+)
 
 
 def _check_once(names: list[str]) -> list[str]:
@@ -366,7 +342,7 @@ class CaseSections(Section):
     units: Units = Field(Units(), description="Units of plain numbers; SI where nothing is said")
     domain: Domain = Field(description="The domain and its mesh")
     material: Material | None = Field(None, description="The material: its variables and its stored energy")
-    bodies: list[BodySection] = Field(
+    bodies: list[Body] = Field(
         [], description="Bodies of different material, each an element of the array, in place of [material]"
     )
     time: Time = Field(description="Step length and end")

@@ -13,13 +13,17 @@ import math
 import re
 from collections.abc import Callable
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 from ngvisco.case.laws import EnergyText
 from ngvisco.case.schema import Units
 from ngvisco.case.section import Section, models_in, quantity, values_of
-from ngvisco.case.values import NumberValues, Wrong, is_table
+from ngvisco.case.values import FieldValue, NumberValues, Value, Wrong, is_table
+from ngvisco.errors import ParameterError
 from ngvisco.expressions import ExpressionError, parse, parse_region
+from ngvisco.physics.materials import read_prony
+from ngvisco.physics.signals import read_table
 
 SI: dict[str, str] = {name: field.default for name, field in Units.model_fields.items()}
 """Quantities that ``[units]`` may name, with the SI unit of each."""
@@ -98,7 +102,7 @@ def _require_small_powers(unit: str) -> None:
 
 
 class Converter:
-    """Converts the numbers of sections to SI units, before these are validated.
+    """Converts the numbers of sections to SI units, those of files among them, before these are validated.
 
     Attributes
     ----------
@@ -108,8 +112,9 @@ class Converter:
         What was replaced.
     """
 
-    def __init__(self, chosen: Any) -> None:
-        """``chosen`` is the table ``[units]``, or what stands in its place."""
+    def __init__(self, chosen: Any, directory: Path = Path()) -> None:
+        """``chosen`` is the table ``[units]``, or what stands in its place; files are in ``directory``."""
+        self._directory = directory
         self.faults: list[tuple[tuple[str, ...], str]] = []
         self.converted: list[tuple[str, Any]] = []
         self.scales: dict[str, float] = {}
@@ -127,7 +132,11 @@ class Converter:
             if name not in model.model_fields:
                 continue
             try:
-                found = self._entry(value, model, name, data)
+                kind = values_of(model).get(name, Value)
+                found = self._entry(self._of_files(value, kind), model, name, data)
+            except ParameterError as error:
+                result[name] = Wrong(f"{error.value!r:.60}: expected {error.expected}")
+                continue
             except UnitError as error:
                 key = error.key or name  # of an exponent of the unit, or this one
                 if key == name or not isinstance(data.get(key), (list, dict)):  # which the schema refuses
@@ -151,6 +160,17 @@ class Converter:
         if unit in ("", "any") or (unit == "1" and not is_function):
             return value
         return self._value(value, _with_exponents(unit, model, data), is_function)
+
+    def _of_files(self, value: Any, kind: type[Value]) -> Any:
+        """A value with the numbers of its tables of time, ``{ file = "load.csv" }``."""
+        if issubclass(kind, FieldValue) and isinstance(value, list):
+            return [self._of_files(part, kind) for part in value]
+        if not isinstance(value, dict) or "file" not in value or not set(value) <= {"file", "column"}:
+            return value
+        if issubclass(kind, FieldValue):
+            return _numbers_of(self._directory, **value)
+        is_rows = kind is NumberValues and isinstance(value["file"], str) and len(value) == 1
+        return read_prony(self._directory / value["file"]).tolist() if is_rows else value
 
     def _in_si_places(self, text: str) -> str:
         """Rewrite a function so that it takes x, y, z in m and t in s."""
@@ -215,3 +235,17 @@ def _with_exponents(unit: str, model: type[Section], data: dict[str, Any]) -> st
         return f"^({match[1] or ''}{value!r})"
 
     return re.sub(r"\^\(?(\d-)?([a-z]+)\b\)?", exponent, unit)
+
+
+def _numbers_of(directory: Path, file: Any, column: Any = None) -> dict[str, Any]:
+    """Times and values of a file; of its values' columns the one with the number ``column``, from 1 on."""
+    if not isinstance(file, str):
+        raise ParameterError("file", file, "the path of a CSV file, relative to the case file")
+    rows = read_table(directory / file)
+    if column is None:
+        values = rows[:, 1] if rows.shape[1] == 2 else rows[:, 1:]
+    elif isinstance(column, int) and not isinstance(column, bool) and 1 <= column < rows.shape[1]:
+        values = rows[:, column]
+    else:
+        raise ParameterError("column", column, f"a whole number from 1 to {rows.shape[1] - 1}")
+    return {"times": rows[:, 0].tolist(), "values": values.tolist()}

@@ -6,14 +6,15 @@ X_i = n_i B, and where it hardens K_i = n_i k.  theta_i = n_i/sum n_j are fracti
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field
 from functools import reduce
 from operator import add
-from typing import Any, Protocol, TypeAlias, runtime_checkable
+from typing import Annotated, Any, Protocol, TypeAlias, runtime_checkable
 
 from ngsolve import CoefficientFunction, Det
 
-from ngvisco.errors import ParameterError, as_number, require_fields
+from ngvisco.errors import ParameterError, Quantity, as_number, require_fields
 from ngvisco.physics.flow_rules import FlowRule
 from ngvisco.physics.heat import Heat
 from ngvisco.physics.material import Material, part_of
@@ -174,33 +175,35 @@ class Body:
     Parameters
     ----------
     name : str
-        An identifier, other than those of the other bodies; columns and fields of the body begin with it.
+        Letters, digits and _; fields and columns of the body begin with it.
     where : Tensor or ngvisco.shapes.Shape, optional
-        Where the body is at the start: where a function of x, y, z is > 0, or a shape, of one's own with a
-        ``level`` that is positive inside.  None (default) is the rest, what no other body of the model
-        covers; one body at most is the rest.
+        Where the body is at the start: a shape, or where a function of x, y, z is > 0; in case files a shape,
+        a condition, or several of which it is the union.  Without a place the body is the rest, what no other
+        covers; one at most may be.
     material : Material
-        Also a ``Network``, whose branches have their creep.
-    viscosity : StokesViscosity or LinearViscosity, optional
-    creep : Creep, optional
+        Its material, in case files with the keys of [material].
+    viscosity : Viscosity, optional
+        Its viscosity, in case files with the keys of [rheology.viscosity].
+    creep : FlowRule, optional
+        Its creep, in case files with the keys of [rheology.creep]; None with a network, whose branches have
+        theirs.
     heat : Heat, optional
-        Conductivity and source of the body, of bodies whose materials have a temperature (``Thermal``), which
-        is one for all at a point; they add to those of the model by the body's fraction.
+        Its conductivity and heat source, in case files with the keys of [rheology.heat], to which they add by
+        its fraction; the temperature is one for all bodies at a point.
     density : float, optional
-        In the reference state, J = 1: kg/m^3, > 0.  Default the material's referential density, where that
-        is a number.
+        Density where J = 1; that of its material where this has rho_R.
     order : int
-        Where two bodies overlap at the start, there is the one of higher order; bodies of the same order
-        must not overlap.  The rest is below all others, and has none.
+        Of two bodies that overlap at the start the one of higher order is there; those of the same order must
+        not overlap, and the rest, which is below all others, has none.
     """
 
-    name: str
+    name: Annotated[str, Quantity(example="disc")]
     where: Where | None = field(default=None, repr=False)  # of the start alone, not of what the body is
     material: Material
     viscosity: Viscosity | None = None
     creep: FlowRule | None = None
     heat: Heat | None = None
-    density: float | None = None
+    density: Annotated[float | None, Quantity("kg/m^3", "> 0", 1000.0)] = None
     order: int = 0
 
     @property
@@ -213,8 +216,8 @@ class Body:
 
     def __post_init__(self) -> None:
         require_fields(self)
-        if not self.name.isidentifier():
-            raise ParameterError("Body.name", self.name, "an identifier of letters, digits and _")
+        if not re.fullmatch(r"[A-Za-z]\w{0,59}", self.name, re.ASCII):
+            raise ParameterError("Body.name", self.name, "a letter, and then letters, digits and _")
         owner = f"bodies[{self.name!r}]"
         is_place = isinstance(self.where, (CoefficientFunction, Region)) and not isinstance(self.where, type)
         if not (self.where is None or is_place):

@@ -182,8 +182,9 @@ def _rows_of(path: str) -> np.ndarray:
         except ValueError:
             if number == lines[0][0]:
                 continue  # the columns' names
-            raise ParameterError(f"table {path!r}, line {number}", ",".join(parts), "numbers") from None
+            expected = f"numbers in line {number} of {path!r}"
+            raise ParameterError("table", ",".join(parts), expected) from None
         if len(rows[-1]) != len(rows[0]):
-            found = f"{len(rows[-1])} numbers"
-            raise ParameterError(f"table {path!r}, line {number}", found, f"{len(rows[0])} as in the others")
+            found, expected = f"{len(rows[-1])} numbers", f"{len(rows[0])} in line {number} of {path!r}, too"
+            raise ParameterError("table", found, expected)
     return np.array(rows).reshape(len(rows), -1 if rows else 0)
