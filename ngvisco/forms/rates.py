@@ -20,7 +20,7 @@ from ngvisco.physics.bodies import AMOUNT
 from ngvisco.physics.flow_rules.rule import FlowRule
 from ngvisco.physics.material import StateSpace, mandel_stress, rate_power
 from ngvisco.physics.materials.thermal import temperature
-from ngvisco.physics.mixture import MixedViscosity
+from ngvisco.physics.mixed_viscosity import MixedViscosity
 from ngvisco.physics.model import Flow, Model
 from ngvisco.physics.pointwise import ArrayResponse, respond
 from ngvisco.physics.rate_tensors import RateTensors

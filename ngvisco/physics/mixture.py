@@ -1,4 +1,4 @@
-"""One material and one viscosity of several bodies that share a point.
+"""One material of several bodies that share a point.
 
 Body i has an energy psi_i(B, J) = f_i(B) + U_i(J) per reference volume (``ReferenceEnergy``) and carries the
 densities n_i and X_i = n_i B of its own.  With volume fractions alpha_i in equilibrium of pressure
@@ -41,14 +41,11 @@ from ngvisco.physics.parameters import (
     parameters_in,
     renamed,
     told_apart,
-    typical_value,
-    value_at,
 )
 from ngvisco.physics.pointwise import respond
 from ngvisco.physics.response import Respond, Response
-from ngvisco.physics.rheology import StokesViscosity, ValueOfModulus, Viscosity
-from ngvisco.physics.tensors import IDENTITY, Tensor, dev, identity_like
-from ngvisco.physics.variables import INTERFACE, PRESSURE, Jacobian, Values, Variable
+from ngvisco.physics.tensors import IDENTITY, Tensor, identity_like
+from ngvisco.physics.variables import PRESSURE, Jacobian, Values, Variable
 
 _LIGHTEST = "the density, less half of that of the lightest body"
 """Matter that is lighter than any of its parts is thrown by forces that its parts bear."""
@@ -380,74 +377,6 @@ class _InEquilibrium:
             remedy = "with Discretisation(k=1, m=0) few are below zero, of stiffnesses 10 : 1 and more"
         points = f"{len(n)} points, e.g. for the amounts {', '.join(f'{amount:.3g}' for amount in n[0])}"
         return f"bodies have no common {common} at {points}; {remedy}"
-
-
-@dataclass(frozen=True, kw_only=True)
-class MixedViscosity(Viscosity):
-    """sum theta_i D_i eps, and across an interface of Stokes fluids their fluidities' mean.
-
-    In a cell with an interface of the normal n a shear rate across it is that of layers in series: of the
-    part
-
-        S(eps) = P eps + P eps^T - 2 P eps P,   P = n x n,
-
-    of dev eps the viscosity is H, 1/H = sum theta_i/G_i; of the rest, which both sides share, it is
-    A = sum theta_i G_i.  D = 2 A dev eps - 2 (A - H) S(dev eps) is symmetric, and D : eps >= 0.  n is that of
-    the step's start.  Where a body has no shear viscosity, or one that is not linear, it is A for all.
-    """
-
-    parts: tuple[tuple[str, Viscosity], ...]
-    """Names of the bodies that have a viscosity, and these."""
-    fractions: Fractions
-
-    @property
-    def reads(self) -> frozenset[str]:  # type: ignore[override]
-        own = {INTERFACE} if self.in_series else set()
-        return frozenset[str](own).union(*(part.reads for _, part in self.parts))
-
-    @cached_property
-    def in_series(self) -> dict[str, float]:
-        """Shear viscosities, Pa s, typical ones, by the bodies' names where layers of them are in series."""
-        stokes = {name: part for name, part in self.parts if isinstance(part, StokesViscosity)}
-        found = {name: typical_value(part.G_v) for name, part in stokes.items()}
-        all_are = len(found) == len(self.fractions.bodies) > 1 and min(found.values()) > 0
-        return found if all_are and max(found.values()) > min(found.values()) else {}
-
-    @property
-    def is_linear(self) -> bool:  # type: ignore[override]
-        return all(part.is_linear for _, part in self.parts)
-
-    def _mean(self, z: Values, of: Callable[[Viscosity], Any]) -> Any:
-        theta = self.fractions.not_negative(z)
-        return reduce(add, (theta[name] * of(part) for name, part in self.parts))
-
-    def stress(self, eps: Tensor, z: Values) -> Tensor:
-        found = self._mean(z, lambda part: part.stress(eps, z))
-        if not self.in_series:
-            return found
-        theta, P, shear = self.fractions.not_negative(z), z[INTERFACE], dev(eps)
-        values = {
-            name: value_at(part.G_v, z) for name, part in self.parts if isinstance(part, StokesViscosity)
-        }
-        along = reduce(add, (theta[name] * G_v for name, G_v in values.items()))
-        total = reduce(add, theta.values())
-        across = total * total / reduce(add, (theta[name] / G_v for name, G_v in values.items()))
-        through = P * shear
-        turned = dev(through + through.trans - 2 * (through * P))
-        return found - (2 * (along - across)) * turned
-
-    def shear_viscosity(self, z: Values) -> ValueOfModulus:
-        return self._mean(z, lambda part: part.shear_viscosity(z))
-
-    def require_dimension(self, dim: int) -> None:
-        for _, part in self.parts:
-            part.require_dimension(dim)
-
-
-def mixed_viscosity(bodies: Sequence[Body]) -> Viscosity | None:
-    """The bodies' viscosity in common; None where no body has one."""
-    parts = tuple((b.name, b.viscosity) for b in bodies if b.viscosity is not None)
-    return MixedViscosity(parts=parts, fractions=Fractions(tuple(b.name for b in bodies))) if parts else None
 
 
 def _with_own_names(body: Body) -> Body:

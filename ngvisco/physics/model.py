@@ -19,7 +19,8 @@ from ngvisco.physics.materials.damaged import Damaged
 from ngvisco.physics.materials.network import Network
 from ngvisco.physics.materials.thermal import Thermal, entropy_in, warming
 from ngvisco.physics.materials.wrapped import carrying
-from ngvisco.physics.mixture import MixedViscosity, Mixture, mixed_viscosity
+from ngvisco.physics.mixed_viscosity import MixedViscosity, mixed_viscosity
+from ngvisco.physics.mixture import Mixture
 from ngvisco.physics.parameters import parameters_in, told_apart
 from ngvisco.physics.regularisation import Regularisation
 from ngvisco.physics.rheology import HyperViscosity, Viscosity

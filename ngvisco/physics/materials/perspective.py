@@ -169,7 +169,7 @@ class ReferenceEnergy(Material):
         """The energy of a body's material, without the part that heat adds to it."""
         if not isinstance(material, Thermal):
             return cls(material=material, owner=owner)
-        return cls(material=material.cold, owner=owner, is_gas=material.material is None)
+        return cls(material=material.isothermal_material, owner=owner, is_gas=material.material is None)
 
     def __post_init__(self) -> None:
         of_volume = (Jacobian, ReciprocalJacobian, LogJacobian)

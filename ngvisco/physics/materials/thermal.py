@@ -172,44 +172,48 @@ class Thermal(Material):
 
     @property
     def variables(self) -> tuple[Variable, ...]:
-        own = self.cold.variables
+        own = self.isothermal_material.variables
         volume = () if ReciprocalJacobian() in own else (ReciprocalJacobian(),)
         return (*own, *volume, self.entropy)
 
     @property
     def referential_density(self) -> Modulus | None:
-        return self.cold.referential_density if self.rho_R is None else self.rho_R
+        return self.isothermal_material.referential_density if self.rho_R is None else self.rho_R
 
     @property
     def conformation(self) -> str | None:
-        return self.cold.conformation
+        return self.isothermal_material.conformation
 
     def conformation_of(self, branch: str) -> str | None:
-        return self.cold.conformation_of(branch)
+        return self.isothermal_material.conformation_of(branch)
 
     @property
     def distortions(self) -> dict[str, tuple[str, ...]]:
-        return self.cold.distortions
+        return self.isothermal_material.distortions
 
     @property
     def continued(self) -> frozenset[str]:
-        return self.cold.continued
+        return self.isothermal_material.continued
 
     @property
     def lagged(self) -> frozenset[str]:
-        return self.cold.lagged
+        return self.isothermal_material.lagged
 
     def domain(self, z: Values) -> Values:
-        return self.cold.domain({v.name: z[v.name] for v in self.cold.variables})
+        return self.isothermal_material.domain(
+            {v.name: z[v.name] for v in self.isothermal_material.variables}
+        )
 
     def energy(self, z: Values) -> Tensor:
-        return self.of_heat(z) + self.cold.energy({v.name: z[v.name] for v in self.cold.variables})
+        return self.of_heat(z) + self.isothermal_material.energy(
+            {v.name: z[v.name] for v in self.isothermal_material.variables}
+        )
 
     def of_heat(self, z: Values) -> Tensor:
         """The energy less that of the material without heat, Pa."""
         A, heat, J = z["A"], self.c * self.theta_R, 1 / z["A"]
         unit = self.entropy.unit / self.c
-        if self.coupling and self.cold.lagged:
+        if self.coupling and self.isothermal_material.lagged:
             taken, clamped = self.taken(z)
             return heat * (A * exp(unit * z["s"] * J) - A) - clamped + self._degradation(z) * taken
         phi = heat * (A * exp(unit * z["s"] * J - self.g(J)) - A)
@@ -229,11 +233,11 @@ class Thermal(Material):
 
     def _degradation(self, z: Values) -> Any:
         """g(d) of a material that breaks."""
-        cold: Any = self.cold
-        return cold.degradation(z["damage"])
+        damaged: Any = self.isothermal_material
+        return damaged.degradation(z["damage"])
 
     @property
-    def cold(self) -> Material:
+    def isothermal_material(self) -> Material:
         """The material without its heat."""
         return self.material or _Stiffening(self.p_infinity)
 

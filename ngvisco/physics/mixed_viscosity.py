@@ -1,0 +1,83 @@
+"""The viscosity of bodies that share a point."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property, reduce
+from operator import add
+from typing import Any
+
+from ngvisco.physics.bodies import Body, Fractions
+from ngvisco.physics.parameters import typical_value, value_at
+from ngvisco.physics.rheology import StokesViscosity, ValueOfModulus, Viscosity
+from ngvisco.physics.tensors import Tensor, dev
+from ngvisco.physics.variables import INTERFACE, Values
+
+
+@dataclass(frozen=True, kw_only=True)
+class MixedViscosity(Viscosity):
+    """sum theta_i D_i eps, and across an interface of Stokes fluids their fluidities' mean.
+
+    In a cell with an interface of the normal n a shear rate across it is that of layers in series: of the
+    part
+
+        S(eps) = P eps + P eps^T - 2 P eps P,   P = n x n,
+
+    of dev eps the viscosity is H, 1/H = sum theta_i/G_i; of the rest, which both sides share, it is
+    A = sum theta_i G_i.  D = 2 A dev eps - 2 (A - H) S(dev eps) is symmetric, and D : eps >= 0.  n is that of
+    the step's start.  Where a body has no shear viscosity, or one that is not linear, it is A for all.
+    """
+
+    parts: tuple[tuple[str, Viscosity], ...]
+    """Names of the bodies that have a viscosity, and these."""
+    fractions: Fractions
+
+    @property
+    def reads(self) -> frozenset[str]:  # type: ignore[override]
+        own = {INTERFACE} if self.in_series else set()
+        return frozenset[str](own).union(*(part.reads for _, part in self.parts))
+
+    @cached_property
+    def in_series(self) -> dict[str, float]:
+        """Shear viscosities, Pa s, typical ones, by the bodies' names where layers of them are in series."""
+        stokes = {name: part for name, part in self.parts if isinstance(part, StokesViscosity)}
+        found = {name: typical_value(part.G_v) for name, part in stokes.items()}
+        all_are = len(found) == len(self.fractions.bodies) > 1 and min(found.values()) > 0
+        return found if all_are and max(found.values()) > min(found.values()) else {}
+
+    @property
+    def is_linear(self) -> bool:  # type: ignore[override]
+        return all(part.is_linear for _, part in self.parts)
+
+    def _mean(self, z: Values, of: Callable[[Viscosity], Any]) -> Any:
+        theta = self.fractions.not_negative(z)
+        return reduce(add, (theta[name] * of(part) for name, part in self.parts))
+
+    def stress(self, eps: Tensor, z: Values) -> Tensor:
+        found = self._mean(z, lambda part: part.stress(eps, z))
+        if not self.in_series:
+            return found
+        theta, P, shear = self.fractions.not_negative(z), z[INTERFACE], dev(eps)
+        values = {
+            name: value_at(part.G_v, z) for name, part in self.parts if isinstance(part, StokesViscosity)
+        }
+        along = reduce(add, (theta[name] * G_v for name, G_v in values.items()))
+        total = reduce(add, theta.values())
+        across = total * total / reduce(add, (theta[name] / G_v for name, G_v in values.items()))
+        normal_part = P * shear
+        across_interface = dev(normal_part + normal_part.trans - 2 * (normal_part * P))
+        return found - (2 * (along - across)) * across_interface
+
+    def shear_viscosity(self, z: Values) -> ValueOfModulus:
+        return self._mean(z, lambda part: part.shear_viscosity(z))
+
+    def require_dimension(self, dim: int) -> None:
+        for _, part in self.parts:
+            part.require_dimension(dim)
+
+
+def mixed_viscosity(bodies: Sequence[Body]) -> Viscosity | None:
+    """The bodies' viscosity in common; None where no body has one."""
+    parts = tuple((b.name, b.viscosity) for b in bodies if b.viscosity is not None)
+    return MixedViscosity(parts=parts, fractions=Fractions(tuple(b.name for b in bodies))) if parts else None
