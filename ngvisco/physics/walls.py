@@ -112,7 +112,8 @@ class Passage(Wall):
     """Base of the walls that matter crosses: what flows out has its own values.
 
     What flows in has the values that are given here by name.  Whatever is not named goes on beyond the wall
-    as it is inside, so that the wall does not push a body that is under stress.
+    as it is inside, so that the wall does not push a body that is under stress.  A fluid of which nothing is
+    named has the volume and the density of the pressure of an ``Open`` wall.
     """
 
     density: Annotated[Function | None, Quantity("kg/m^3", "> 0", 1.0)] = None
@@ -188,7 +189,9 @@ class Open(Passage):
     Parameters
     ----------
     pressure : number or coefficient function
-        p, averaged over the step.
+        p, averaged over the step.  A fluid whose one strain is its volume and whose referential density is
+        known flows in with the volume and the density that it has at p, where the wall gives no other stress,
+        and no density or values; with an entropy where its temperature is given.
     traction : vector of the mesh's dimension, optional
         f, normal part and all, averaged over the step.
     impedance : pair of numbers

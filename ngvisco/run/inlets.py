@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from ngvisco.errors import NgviscoWarning
 from ngvisco.forms.boundary.wall_terms import Carried
@@ -33,7 +33,8 @@ def inflow_message(step: Step, row: Mapping[str, float]) -> str:
         if name.startswith(("power_", "dissipation_")) and not name.startswith("power_stored_")
     )
     for wall in (term for term in step.terms if isinstance(term, Carried)):
-        given = sorted(strains & wall.given.values.keys())
+        named: Any = step.walls.conditions[wall.name]
+        given = sorted(strains & named.values.keys())
         lost = row[f"dissipation_inflow_{wall.name}"]
         if given and lost > _MATTERS * worked:
             names = ", ".join(given)

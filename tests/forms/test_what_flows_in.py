@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 from netgen.occ import Axis, OCCGeometry, WorkPlane, Z
-from ngsolve import BND, CF, Id, Integrate, Mesh, cos, pi, sin, specialcf, x, y
+from ngsolve import BND, CF, Id, Integrate, Mesh, cos, exp, pi, sin, specialcf, x, y
 from support import assert_balanced
 
 import ngvisco as nv
 from ngvisco.forms.boundary.reactions import WallReactions
+from ngvisco.forms.start.variables import entering
 from ngvisco.geometries import box, disc, sphere, structured_box
 from ngvisco.physics.variables import Jacobian
 
@@ -222,6 +223,55 @@ def test_a_fluid_let_in_at_a_pressure_has_its_density_and_the_velocity_behind_th
         point = run.mesh(place, 0.1)
         assert run.fields["velocity"](point)[0] == pytest.approx(v, rel=0.05)
         assert run.fields["density"](point) == pytest.approx(1.25, rel=0.05)
+
+
+def filled(solver, scheme="backward-euler", grown=1.0, **fluid):
+    """The density and the velocity of a fluid of 1 kg/m^3 and 1 Pa four fillings of its box after it is let
+    in at 1.25^2 Pa: 1.25 and, by the impedance opposite, (1.25^2 - 1)/2.25 = 0.25."""
+    walls = {
+        "left": nv.Open(pressure=1 + (1.25**2 - 1) * grown, backflow=False),
+        "right": nv.Open(pressure=1.0, impedance=(2.25, 0.0)),
+    }
+    model = nv.Model(material=nv.BarotropicFluid(B=1.0, gamma=2.0, **fluid), viscosity=VISCOUS)
+    time = nv.TimeSteps(dt=1.0, scheme=scheme)
+    initial, mesh = nv.Initial(density=1.0), structured_box((2, 0.5), (2, 1))
+    run = nv.Simulation(mesh, model, time=time, walls=walls, initial=initial, solver=solver)
+    assert abs(run.run(32.0).column("closure_relative")).max() < 1e-11
+    return run.fields["density"](run.mesh(1.3, 0.2)), run.fields["velocity"](run.mesh(1.3, 0.2))[0]
+
+
+@pytest.mark.parametrize(
+    ("solver", "scheme", "form"),
+    [
+        pytest.param("split", "backward-euler", "J", marks=[pytest.mark.long, pytest.mark.ci]),
+        ("coupled", "midpoint", "A"),
+    ],
+)
+def test_a_fluid_of_known_density_comes_in_as_its_wall_s_pressure_says(solver, scheme, form):
+    """To 1e-3, also where the pressure grows with the time."""
+    grown = 1 - exp(-nv.time) if form == "A" else 1.0
+    assert filled(solver, scheme, grown, form=form, rho_R=1.0) == pytest.approx((1.25, 0.25), rel=1e-3)
+
+
+@pytest.mark.long
+@pytest.mark.ci
+def test_where_nothing_tells_the_density_it_is_that_of_the_first_inflow():
+    """The control: rho J differs from its start by a few per cent where the shock was, and stays so."""
+    rho, v = filled("split")
+    assert 1.26 < rho < 1.35 and v == pytest.approx(0.25, rel=1e-3)
+
+
+@pytest.mark.parametrize("pressure", [0.0, 1e-6, 0.25, 1e8])
+def test_a_gas_has_a_volume_at_every_pressure(pressure):
+    """That of p = J^-2 Pa, and of none one that stands for a vacuum."""
+    model = nv.Model(material=nv.BarotropicFluid(B=1.0, gamma=2.0, rho_R=3.0))
+    mesh = structured_box((1, 1), (1, 1))
+    given = entering(nv.Open(pressure=pressure), "wall", model, mesh)
+    of, left = (given.values["J"], given.density), mesh.Boundaries("left")
+    J, rho = (Integrate(f, mesh, BND, definedon=left) for f in of)
+    found = J**-2
+    assert found == pytest.approx(pressure, rel=1e-10, abs=1e-11)
+    assert rho == pytest.approx(3.0 / J, rel=1e-12)
 
 
 def test_values_of_rest_let_in_under_a_pressure_are_warned_of():

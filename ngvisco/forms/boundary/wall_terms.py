@@ -182,7 +182,7 @@ class Carried(OnWall):
         self.entropy = entropy_in(model.material)
         self.backflow = isinstance(wall, Open) and wall.backflow
         self.material = model.material
-        self.given = entering(wall, f"walls[{name!r}]", model)
+        self.given = entering(wall, f"walls[{name!r}]", model, walls.mesh)
         """Given values of matter that flows in, functions of place and time, see ``entering``."""
         self.means = self.given
         """The means of ``given`` over the step."""

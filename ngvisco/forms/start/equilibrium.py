@@ -16,7 +16,6 @@ goes on from its checkpoint.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any
 
 import numpy as np
 from ngsolve import (
@@ -26,7 +25,6 @@ from ngsolve import (
     BilinearForm,
     CoefficientFunction,
     GridFunction,
-    Id,
     Integrate,
     LinearForm,
     Norm,
@@ -41,11 +39,12 @@ from ngvisco.forms.mesh.locating import Located, as_points
 from ngvisco.forms.mesh.quadrature import Sampler
 from ngvisco.forms.mesh.symmetry import weighted
 from ngvisco.forms.projections import LocalProjection
+from ngvisco.forms.start.variables import bulk_pressure
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import tested
 from ngvisco.physics.loads import CentralGravity, Gravity, force_of
-from ngvisco.physics.material import conjugates, part_of, rate_power
-from ngvisco.physics.materials.thermal import Thermal, entropy_in
+from ngvisco.physics.material import part_of
+from ngvisco.physics.materials.thermal import Thermal
 from ngvisco.physics.materials.wrapped import carrying
 from ngvisco.physics.parameters import parameters_in, value_at
 from ngvisco.physics.tensors import if_positive
@@ -133,19 +132,10 @@ class Column:
 
     def pressure_of(self, name: str, J: CoefficientFunction, at_rest: bool = False) -> CoefficientFunction:
         """-tr T/3, Pa, of a body, or of the material, "", at F = J^{1/3} I, and ``at_rest`` at theta_R."""
-        material = self.laws[name]
-        z: dict[str, Any] = {}
-        for v in material.variables:
-            own = not v.is_strain and v.name in self.given
-            # an F of its own: the derivative by one variable must not see it within another
-            z[v.name] = self.given[v.name] if own else v.from_distortion(J ** (1 / 3) * Id(3))
-        entropy, thermal = entropy_in(material), part_of(material, Thermal)
-        if entropy is not None and self.theta is not None and thermal is not None:
-            theta = CF(thermal.theta_R) if at_rest else self.theta
-            z[entropy.name] = thermal.start(theta, 1 / J)
-        zero = CF((0.0,) * 9, dims=(3, 3))
-        power = rate_power(material, z, conjugates(material, z), Id(3) / 3, zero)
-        return -(power + material.energy(z))
+        material, theta = self.laws[name], self.theta
+        if at_rest and theta is not None and (thermal := part_of(material, Thermal)) is not None:
+            theta = CF(thermal.theta_R)
+        return bulk_pressure(material, J, self.given, theta)
 
     def solve(self, datum: object, above_rest: float) -> dict[str, GridFunction]:
         """J by the names of bodies, "" of a material alone.

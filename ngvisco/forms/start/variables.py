@@ -7,20 +7,30 @@ from operator import add
 from typing import Self, TypeAlias
 
 import numpy as np
-from ngsolve import CF, VOL, CoefficientFunction, ElementId, Id, Integrate, Mesh
+from ngsolve import CF, L2, VOL, CoefficientFunction, ElementId, Id, Integrate, Mesh, exp
+from ngsolve.fem import NewtonCF
 
 from ngvisco.errors import InitialDataError, ParameterError, UnknownNameError, as_number
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.physics.bodies import AMOUNT, Body
 from ngvisco.physics.loads import as_tensor
-from ngvisco.physics.material import Material, part_of, volume_ratio
+from ngvisco.physics.material import (
+    Material,
+    conjugates,
+    part_of,
+    rate_power,
+    rest_stress_and_modulus,
+    volume_ratio,
+)
 from ngvisco.physics.materials.damaged import DamageSlope
 from ngvisco.physics.materials.thermal import Thermal, entropy_in
 from ngvisco.physics.mixture import Mixture
 from ngvisco.physics.model import Model
 from ngvisco.physics.parameters import Parameter, value_at
-from ngvisco.physics.tensors import log
-from ngvisco.physics.walls import Passage
+from ngvisco.physics.signals import time
+from ngvisco.physics.tensors import if_positive, log
+from ngvisco.physics.variables import Jacobian, LogJacobian, ReciprocalJacobian
+from ngvisco.physics.walls import Open, Passage
 from ngvisco.shapes.fractions import MISSED, fractions, volumes
 from ngvisco.shapes.shape import Shape
 from ngvisco.shapes.shape import as_shape as as_place
@@ -33,6 +43,11 @@ _OVERLAP = 1e-3
 
 _VOLUMES = {"J", "A"}
 """Names of variables that say the volume; a density belongs to it."""
+
+_INVERTED, _STEPS = 1e-12, 100
+"""Pressure, over the bulk modulus and the pressure, at which a volume has been found, and Newton steps."""
+_VACUUM = 14.0
+"""Logarithm of the volume that stands for a vacuum, the pressure zero of a gas."""
 
 _COVERED = 1e-10
 """The share of the volume of the domain or of a cell below which uncovered volume is rounding."""
@@ -143,6 +158,55 @@ def entropy_at(material: Material, theta: CoefficientFunction, values: Given) ->
     return {entropy.name: thermal.start(theta, values["A"])}
 
 
+def bulk_pressure(
+    material: Material, J: CoefficientFunction, given: Given, theta: CoefficientFunction | None = None
+) -> CoefficientFunction:
+    """-tr T/3, Pa, at F = J^{1/3} I; ``given`` has the values of what is no strain, ``theta`` is in K."""
+    z: Values = {}
+    for v in material.variables:
+        own = not v.is_strain and v.name in given
+        # an F of its own: the derivative by one variable must not see it within another
+        z[v.name] = given[v.name] if own else v.from_distortion(J ** (1 / 3) * Id(3))
+    entropy, thermal = entropy_in(material), part_of(material, Thermal)
+    if entropy is not None and theta is not None and thermal is not None:
+        z[entropy.name] = thermal.start(theta, 1 / J)
+    zero = CF((0.0,) * 9, dims=(3, 3))
+    power = rate_power(material, z, conjugates(material, z), Id(3) / 3, zero)
+    return -(power + material.energy(z))
+
+
+def _at_pressure(
+    material: Material, p: CoefficientFunction, theta: CoefficientFunction | None, mesh: Mesh
+) -> Values:
+    """All variables of a fluid under a pressure, Pa, by the inverse of its bulk law."""
+    logarithm = L2(mesh, order=0).TrialFunction()
+    _, modulus = rest_stress_and_modulus(material)
+    # logarithms of large pressures, in which those of gases are linear in that of the volume
+    law, wanted = (
+        log(part + (part * part + 1) ** 0.5)
+        for part in (bulk_pressure(material, exp(logarithm), {}, theta) / modulus, p / modulus)
+    )
+    beyond = if_positive(logarithm - _VACUUM, logarithm - _VACUUM, CF(0.0))
+    excess = law - wanted - beyond
+    # what reads the time is put on the facets once a step; forms that are linearised have no NewtonCF
+    J = exp(NewtonCF(excess, CF(0.0), tol=_INVERTED, maxiter=_STEPS)) + (time - time)
+    return {v.name: v.from_distortion(J ** (1 / 3) * Id(3)) for v in material.variables if v.is_strain}
+
+
+def _comes_in_at_pressure(wall: Passage, material: Material) -> bool:
+    """Whether what flows in is a fluid of known density under the pressure that a wall alone gives."""
+    if not isinstance(wall, Open) or wall.traction is not None or any((*wall.impedance, *wall.stiffness)):
+        return False
+    if wall.density is not None or wall.values or material.referential_density is None:
+        return False
+    volumes = Jacobian, ReciprocalJacobian, LogJacobian
+    strains = [v for v in material.variables if v.is_strain]
+    others = {v.name for v in material.variables if not v.is_strain}
+    if wall.temperature is not None and (entropy := entropy_in(material)) is not None:
+        others -= {entropy.name}
+    return bool(strains) and all(isinstance(v, volumes) for v in strains) and not others
+
+
 @dataclass(frozen=True)
 class Entering:
     """The given state of matter that flows in through a wall: variables by name, density, kg/m^3,
@@ -167,9 +231,9 @@ class Entering:
         return replace(self, values=values, density=density, temperature=theta)
 
 
-def entering(wall: Passage, owner: str, model: Model) -> Entering:
+def entering(wall: Passage, owner: str, model: Model, mesh: Mesh) -> Entering:
     """The given state of matter that flows in through a wall.  Bodies that flow in are at rest but for given
-    values.
+    values; a fluid of known density has the volume of the pressure that its wall gives.
 
     Raises ParameterError for a volume without a density, and for what is given and not used;
     UnknownNameError for unknown names.
@@ -189,6 +253,12 @@ def entering(wall: Passage, owner: str, model: Model) -> Entering:
     elif wall.amounts:
         raise ParameterError(f"{owner}.amounts", dict(wall.amounts), "none where there are no bodies")
     z = given_values(material, given, owner=owner)
+    theta = None
+    if wall.temperature is not None:
+        theta = temperature_for(material, wall.temperature, wall.values, owner)
+    if _comes_in_at_pressure(wall, material):
+        assert isinstance(wall, Open)
+        z = _at_pressure(material, as_shape(f"{owner}.pressure", wall.pressure, ()), theta, mesh)
     density = None
     if wall.density is not None:
         density = as_shape(f"{owner}.density", wall.density, ())
@@ -198,11 +268,8 @@ def entering(wall: Passage, owner: str, model: Model) -> Entering:
                 "that of what flows in, kg/m^3, beside its volume among the values: the material has no "
             )
             raise ParameterError(f"{owner}.density", None, expected + "referential density that tells it")
-        known = starting_values(material, given, Id(3), owner=owner)
+        known = starting_values(material, given | z, Id(3), owner=owner)
         density = CF(value_at(material.referential_density, known)) / volume_ratio(material, known)
-    theta = None
-    if wall.temperature is not None:
-        theta = temperature_for(material, wall.temperature, wall.values, owner)
     return Entering(z, density, theta)
 
 
