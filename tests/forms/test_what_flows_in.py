@@ -164,14 +164,16 @@ def test_a_temperature_that_is_given_has_the_entropy_of_the_volume_that_is_there
     assert Integrate(error * error, run.mesh) ** 0.5 < 1e-6
 
 
-def light_and_stiff(walls, viscosity, **options):
-    """A disc in a medium of a twentieth of its bulk modulus, 0.5 Pa, that has no expression for both."""
+def light_and_stiff(walls, viscosity, dim=2, maxh=0.4, **options):
+    """A disc or ball in a medium of a twentieth of its bulk modulus, 0.5 Pa, that has no expression for
+    both."""
     what = {"viscosity": nv.StokesViscosity(K_v=viscosity, G_v=viscosity)}
     medium = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: 0.25 * (J + 1 / J - 2))
-    disc = nv.Body(name="disc", where=nv.Ball((0.7, 0.5), 0.25), material=ELASTIC, density=2.0, **what)
+    place = nv.Ball((0.7, 0.5, 0.5)[:dim], 0.25)
+    disc = nv.Body(name="disc", where=place, material=ELASTIC, density=2.0, **what)
     model = nv.Model(bodies=[disc, nv.Body(name="medium", material=medium, density=0.5, **what)])
     orders = nv.Discretisation(m=0)
-    return nv.Simulation(box((1, 1), 0.4), model, walls=walls, discretisation=orders, **options)
+    return nv.Simulation(box((1,) * dim, maxh), model, walls=walls, discretisation=orders, **options)
 
 
 @pytest.mark.filterwarnings("ignore::ngvisco.run.body_tables.SmearedWarning")  # in cells of its size
@@ -188,6 +190,23 @@ def test_bodies_of_different_bulk_moduli_fly_out_through_a_window(solver):
     assert 0.4 < mass[-1] / mass[0] < 0.6  # its centre is in the window; cells are of its size
 
 
+@pytest.mark.long
+@pytest.mark.ci
+@pytest.mark.filterwarnings("ignore::ngvisco.run.body_tables.SmearedWarning")
+@pytest.mark.parametrize("solver", ["split", "coupled"])
+def test_a_ball_flies_out_through_a_window_with_its_medium(solver):
+    """In space: uniform motion stays, and as much of the ball has left as in cells of its size there may."""
+    walls = {("left", "right"): nv.Open(backflow=False)}
+    initial, table = nv.Initial(velocity=(0.5, 0.0, 0.0)), nv.Bodies()
+    options = {"dt": 0.2, "initial": initial, "solver": solver, "observers": [table]}
+    run = light_and_stiff(walls, 0.05, 3, 0.8, **options)
+    assert_balanced(run.run(0.4), 1e-11, 1e-12)
+    error = run.fields["velocity"] - CF((0.5, 0.0, 0.0))
+    assert Integrate(error * error, run.mesh) ** 0.5 < 1e-9
+    mass = table.column("disc_mass")
+    assert 0.4 < mass[-1] / mass[0] < 0.9
+
+
 @pytest.mark.parametrize("solver", ["split", "coupled"])
 def test_bodies_of_different_bulk_moduli_have_the_pressure_of_the_window(solver):
     """0.05 Pa; the energy of the medium there, which would be missing, is 0.0025 Pa."""
@@ -198,6 +217,28 @@ def test_bodies_of_different_bulk_moduli_have_the_pressure_of_the_window(solver)
         run.mesh(np.array([0.02, 0.02, 0.1, 0.98]), np.array([0.5, 0.1, 0.9, 0.02]))
     )
     assert pressure == pytest.approx(0.05, rel=0.01)
+
+
+@pytest.mark.parametrize(("solver", "as_body"), [("split", False), ("coupled", True)])
+def test_a_gas_vents_through_a_throttle_as_its_closed_form_says(solver, as_body):
+    """p = rho^2 in a chamber of L = 1 m, from 1 Pa to P outside through Z v = p - P, slow beside its sound:
+    p' = -2 p (p - P)/(Z L).  The mass to 1 %, the flow at the end, of a step as of its mean, to 2 %."""
+    Z, P, gas = 50.0, 0.5, nv.BarotropicFluid(B=1.0, gamma=2.0, rho_R=1.0)
+    model = nv.Model(material=gas, viscosity=VISCOUS)
+    if as_body:
+        model = nv.Model(bodies=[nv.Body(name="gas", material=gas, density=1.0, viscosity=VISCOUS)])
+    run = nv.Simulation(
+        structured_box((1, 0.5), (2, 1)),
+        model,
+        time=nv.TimeSteps(dt=2.0, scheme="sdirk2"),
+        walls={"right": nv.Open(pressure=P, impedance=(Z, 0.0))},
+        solver=solver,
+    )
+    ledger = run.run(40.0)
+    mass = 0.5 * np.sqrt(P / (1 - (1 - P) * np.exp(-2 * P / Z * ledger.column("time"))))
+    assert ledger.column("mass") == pytest.approx(mass, rel=0.01)
+    assert ledger.column("inflow_right")[-1] == pytest.approx((mass[-1] - mass[-2]) / 2.0, rel=0.02)
+    assert abs(ledger.column("closure_relative")).max() < 1e-11
 
 
 def let_in(until, **given):
