@@ -18,12 +18,26 @@ DOWN = nv.Gravity((0.0, -WEIGHT))
 VISCOUS = nv.StokesViscosity(K_v=0.1, G_v=0.1)
 
 
+LOWEST = nv.Discretisation(k=1, m=0)
+
+
 def at_rest(
-    material=ROCK, *, cells=(2, 4), size=(1, 1), loads=(DOWN,), model=None, solver="split", dt=0.05, **given
+    material=ROCK,
+    *,
+    discretisation=None,
+    cells=(2, 4),
+    size=(1, 1),
+    loads=(DOWN,),
+    model=None,
+    solver="split",
+    dt=0.05,
+    **given,
 ):
     of = nv.Model(material=material, viscosity=VISCOUS, loads=loads) if model is None else model
     given = {"equilibrium": "hydrostatic"} | given
-    return nv.Simulation(structured_box(size, cells), of, dt=dt, initial=nv.Initial(**given), solver=solver)
+    mesh, orders = structured_box(size, cells), discretisation or nv.Discretisation()
+    initial = nv.Initial(**given)
+    return nv.Simulation(mesh, of, dt=dt, initial=initial, solver=solver, discretisation=orders)
 
 
 def pressures(run, *heights):
@@ -56,6 +70,20 @@ def test_any_material_bears_its_weight(law, state):
         [RHO, RHO / 2, 0.0], abs=2e-3 * RHO
     )
     assert speed(run) < 1e-4
+
+
+@pytest.mark.parametrize("solver", ["coupled", "split"])
+def test_constants_in_cells_bear_the_weight_under_linear_velocities(solver):
+    """Of the least orders; without the equilibrium the body falls."""
+    run = at_rest(density=RHO, solver=solver, discretisation=LOWEST)
+    assert pressures(run, 0.125, 0.875) == pytest.approx([RHO * 0.875, RHO * 0.125], abs=0.1 * RHO)
+    assert speed(run) < 1e-10
+    assert speed(at_rest(density=RHO, solver=solver, discretisation=LOWEST, equilibrium=None)) > 0.01
+
+
+def test_constants_in_cells_bear_no_weight_under_quadratic_velocities():
+    with pytest.raises(nv.ParameterError, match="m = 0 but for k = 1"):
+        at_rest(density=RHO, discretisation=nv.Discretisation(m=0))
 
 
 def test_in_space_too():

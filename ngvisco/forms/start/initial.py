@@ -73,7 +73,7 @@ class Initial:
         "hydrostatic": the volume J_0, of each body its own, bears the loads at the start (F_0 = J_0^{1/3} I).
         It is the inverse of the bulk law at the pressure of the weight above, with the temperature there.
         The density is rho_R/J_0 of a material with a referential density, and of bodies; else as it is given.
-        Not with m = 0, and not over ranks.
+        Not with m = 0 but for k = 1, and not over ranks.
     datum : str, optional
         With an equilibrium: the wall at which the mean pressure is ``datum_pressure``; where neither this nor
         a point is given it is the place of the least pressure.
