@@ -160,7 +160,7 @@ class Domain:
             field = f"{owner}.refine[{name!r}]"
             local = as_length(field, value) / unit
             if name not in known:
-                raise UnknownNameError("wall", name, known)
+                raise UnknownNameError("wall", name, known, field)
             named = [wall for wall in walls if wall.name == name]
             _check_count(field, value, sum(wall.mass for wall in named), local, dim, dim - 1, unit)
             for wall in named:
@@ -260,7 +260,7 @@ def refine_walls(mesh: Mesh, names: Iterable[str], times: int = 1) -> Mesh:
     known = set(mesh.GetBoundaries())
     for name in names:
         if name not in known:
-            raise UnknownNameError("boundary", name, known)
+            raise UnknownNameError("boundary", name, known, "refine_walls.names")
     order = mesh.GetCurveOrder()
     for _ in range(number):
         near = {v for e in mesh.Elements(BND) if e.mat in names for v in e.vertices}

@@ -220,7 +220,7 @@ def test_bodies_that_overlap_without_order_are_refused():
 def test_keys_of_bodies_are_explained():
     assert "shear" in reference.explain("bodies.0.material.G_e")
     assert "condition" in reference.explain("bodies.0.where")
-    assert "Its centre" in reference.explain("bodies.1.where.centre")
+    assert "Centre" in reference.explain("bodies.1.where.centre")
     assert "kg/m^3" in reference.explain("bodies.N.density")
     with pytest.raises(nv.ParameterError, match="such as"):
         reference.explain("bodies.0.densty")

@@ -145,7 +145,7 @@ def test_the_datum_is_a_wall_a_point_or_the_top():
     [
         ({"equilibrium": "isostatic"}, nv.ParameterError, "hydrostatic"),
         ({"datum": "roof"}, nv.UnknownNameError, "roof"),
-        ({"datum": (0, 1)}, nv.ParameterError, "datum_point"),
+        ({"datum": (0, 1)}, nv.ParameterError, "Initial.datum = \\(0, 1\\): expected a text"),
         ({"datum": "top", "datum_point": (0, 1)}, nv.ParameterError, "None beside a wall"),
         ({"datum_point": (0.5, 2.0)}, nv.ParameterError, "datum"),
         ({"datum_pressure": np.nan}, nv.ParameterError, "finite number"),
