@@ -45,7 +45,7 @@ def run_with(*bodies, maxh=0.1, m=1, dim=2, **options):
     rest = nv.Body(name="rest", material=SOLID, density=1.0)
     named = [nv.Body(name=name, where=where, material=SOLID, density=1.0) for name, where in bodies]
     mesh = box((1.0,) * dim, maxh=maxh)
-    discretisation = nv.Discretisation(m=m)
+    discretisation = nv.Discretisation(k=min(2, m + 1), m=m)
     model = nv.Model(bodies=[*named, rest])
     return nv.Simulation(mesh, model, dt=0.01, discretisation=discretisation, **options)
 
