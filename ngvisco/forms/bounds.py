@@ -1,35 +1,34 @@
-"""Bounds of a state: rho > 0, what its variables say must be positive, a cut-off's; and the limiter of them.
+"""Bounds of a state, rho > 0, positive functions of its variables, a cut-off's bound, and their limiter.
 
 A discontinuous polynomial may be negative at a point of a cell whose mean is positive.  Such a state is
-mended by scaling towards the cell's mean (Zhang and Shu, J. Comput. Phys. 229, 2010),
+corrected by scaling towards the cell's mean (Zhang and Shu, J. Comput. Phys. 229, 2010),
 
     rho <- rho_K + s (rho - rho_K),     z <- z_K + s (z - z_K),     0 <= s < 1,
 
-z the strains, with the largest s of each, up to bisection, for which rho, and all bounds of z, are at least
-``SHARE`` of their values for the means.  Means are those of the forms' rule, so that mass is kept to
-rounding; and one s for all of z makes the stored energy smaller where it is convex, by Jensen's inequality
-for that rule:
+z the strains, each with the largest s, up to bisection, for which rho, and all bounds of z, are at least
+``SHARE`` of their values for the means.  Means are taken with the forms' rule, so that mass is kept to
+rounding.  One s for all of z reduces a convex stored energy, by Jensen's inequality for this rule:
 
     int_K phi(z_K + s (z - z_K)) <= s int_K phi(z) + (1 - s) |K| phi(z_K) <= int_K phi(z).
 
-Of bodies rho = sum rho_i n_i is a function of z, and its bound one of z's.  Parameters have bounds of their
-own (``ngvisco.forms.cell_means``) and are limited first.
+With bodies rho = sum rho_i n_i is a function of z, and its bound a bound of z.  Parameters have their ranges
+(``ngvisco.forms.cell_means``) and are limited first.
 
-What stands for one distortion may part: a tensor's det F from J.  phi(F, J) at det F < J has values below
-those at rest, so that rest energy would become motion.  A state with |det F/J - 1| above that of
-``TimeSteps.drift`` in the mean of a cell is not admitted.
+Variables of one distortion may drift apart: det F of a tensor from J.  phi(F, J) at det F < J is below its
+value at rest, so that rest energy would become motion.  A state with |det F/J - 1| above ``TimeSteps.drift``
+in the mean of a cell is not admitted.
 
-The momentum density rho v has the s of rho (``limit_momentum``): |p|^2/(2 rho) is jointly convex, so that
-the kinetic energy falls too, where rho >= 0 before.  What moves as a whole goes on to do so; where rho is
-limited under a momentum that is kept it does not.
+The momentum density p = rho v has the s of rho (``limit_momentum``): |p|^2/(2 rho) is jointly convex, so that
+the kinetic energy falls too if rho >= 0 before.  A rigid translation stays one, which it would not if rho
+were limited at a fixed momentum.
 
-Only a mean out of bounds is beyond mending; it ends a step.  Two bounds do not count: those of variables for
-which the material's energy is continued (``Material.continued``: a Yosida approximation, J_min), and in a
-cell those of variables that the energy does not read there, phi'_z = 0 in all of it.  Those of
-``Material.where_means_do`` count in cells whose means keep them: they end no step.
+Only a mean out of bounds cannot be corrected; it ends a step.  Two kinds of bounds do not count: bounds of
+variables for which the material's energy is continued (``Material.continued``: a Yosida approximation,
+J_min), and, in a cell where phi'_z = 0, bounds of the variable z.  Bounds in ``Material.where_means_do``
+count in cells whose means keep them: they end no step.
 
-With a cut-off rho_max + width - rho is such a quantity too (paper: Euler-small-est3+++), where the state that
-the bounds are made for, that of a run's start, has it positive.
+A cut-off adds the bound rho_max + width - rho > 0 (paper: Euler-small-est3+++), if the state with which the
+bounds are made, the run's start, keeps it.
 """
 
 from dataclasses import dataclass, replace
@@ -52,39 +51,38 @@ from ngvisco.physics.materials.thermal import temperature
 from ngvisco.physics.variables import Values
 
 OF_CUT_OFF = "rho_max + width - rho"
-"""The name of the bound of a cut-off."""
+"""Name of a cut-off's bound."""
 
 SMALLER = "a smaller step or a finer mesh"
-"""The remedy for a state that is out of its bounds."""
+"""Remedy for a state out of bounds."""
 
 _HALVINGS = 45
-"""The number of halvings of the interval of s, until s is a number to rounding: limited states depend
-continuously on theirs."""
+"""Number of halvings of the interval of s, which determine s to rounding: limited states depend
+continuously on the states before."""
 
-_ON_WALL = 1e-9  # distance below which a point is said to be on a wall, over the size of its cell
+_ON_WALL = 1e-9  # distance below which a point counts as on a wall, over the size of its cell
 _UNREAD = 1e-14  # size of phi' by a variable, over the median size of phi' in the mesh, which counts as zero
 
 
 @dataclass(frozen=True)
 class Violation:
-    """The worst place where a state is out of bounds."""
+    """The place and value of the worst violation of a bound."""
 
     quantity: str
-    """``"rho"``, ``"J"``, ``"det F"``, ..."""
+    """Name of the bounded quantity: ``"rho"``, ``"J"``, ``"det F"``, ..."""
     value: float
-    """Its least value, kg/m^3 for rho, else 1."""
+    """Least value of the quantity, kg/m^3 for rho, else 1."""
     is_mean: bool
-    """Whether it is that of the mean of a cell, and not that at a point."""
+    """Whether the value is a cell's mean, and not a value at a point."""
     cell: int | None
-    """Its number, of the whole mesh; None where that is not known, of meshes distributed not by
-    ``Simulation``."""
+    """Number of the cell in the undistributed mesh; None if ``Simulation`` did not distribute the mesh."""
     point: tuple[float, ...]
-    """A point of the cell, m: its midpoint, or where the value is."""
+    """Point of the value, m, or the midpoint of the cell for a mean."""
     wall: str | None
-    """The nearest boundary, at ``distance``, m, 0 to rounding on it; None in a domain without."""
+    """Nearest boundary, at ``distance``, m, 0 on it; None in a domain without boundary."""
     distance: float
     cells: int
-    """How many cells are out of bounds."""
+    """Number of cells out of bounds."""
 
     def __str__(self) -> str:
         at = ", ".join(f"{round(coordinate, 12) + 0.0:.4g}" for coordinate in self.point)
@@ -99,9 +97,9 @@ class Violation:
 
 @dataclass(frozen=True)
 class _Outside:
-    """Cells that are out of bounds at a point: their numbers, and arrays (cells, bounds) of them.
+    """Cells that are out of bounds at a point: their numbers, and arrays (cells, bounds).
 
-    ``points`` are the sampler's points in these cells and ``owner`` says in which.
+    ``points`` are the sampler's points in these cells, ``owner`` the index of each point's cell.
     """
 
     cells: np.ndarray
@@ -114,16 +112,16 @@ class _Outside:
 
 
 class Bounds:
-    """Finds where the present state of a step is out of bounds, at the sampler's points, and limits it.
+    """Finds violations of bounds by a step's present state, at the sampler's points, and limits the state.
 
-    With ``limits`` only means out of bounds are a ``violation``; without, as of a run without a limiter, all.
+    With ``limits`` only means out of bounds are a ``violation``; without a limiter all values count.
     """
 
     def __init__(self, step: Step, sampler: Sampler, limits: bool = True, most: float = DRIFT) -> None:
         self.step, self.sampler, self.limits, self.most = step, sampler, limits, most
         self._ranks = sampler.ranks
         law = step.model.regularisation
-        self._densest: float | None = None  # the density that a cut-off bounds it by, kg/m^3
+        self._densest: float | None = None  # a cut-off's upper bound of the density, kg/m^3
         if law is not None and law.rho_max is not None:
             densest = law.rho_max + law.width
             self._densest = densest if sampler.extrema(step.now.rho)[1] < densest else None
@@ -131,7 +129,7 @@ class Bounds:
         found = self._bounds(step.now.rho, step.now.z_tensors)
         self.names = tuple(name for _, name, _ in found)
         self._variables = tuple(variable for variable, *_ in found)
-        """The variable that each bound is of; None for rho, "" for several."""
+        """Variable of each bound; None for rho, "" for several variables."""
         self._present = CF(tuple(value for *_, value in found))
         material = step.model.material
         self._where_means_do = np.array([name in material.where_means_do for name in self.names])
@@ -142,16 +140,16 @@ class Bounds:
                 "Discretisation.sharp", True, "False where time.limiter is so, which it is a part of"
             )
         self.refused: tuple[Violation, np.ndarray] | None = None
-        """The last solution that had a ``defect``: where, and its coefficients."""
+        """Violation and coefficients of the last solution with a ``defect``."""
         self.parted: str | None = None
-        """The last ``drift`` that there was."""
+        """Message of the last ``drift``, or None."""
         self.takes_energy = False
-        """Whether more than tensors of linear energies was limited there."""
+        """Whether the last ``limit`` changed more than tensors of linear energies."""
 
     def _bounds(
         self, rho: CoefficientFunction, z: Values
     ) -> list[tuple[str | None, str, CoefficientFunction]]:
-        """Functions that have to be positive: variable, name, and value."""
+        """Functions that have to be positive: tuples of variable, name and value."""
         of_rho = {"rho": rho} if self._densest is None else {"rho": rho, OF_CUT_OFF: self._densest - rho}
         groups = [(None, of_rho), *self.step.model.material.positive(z).items()]
         return [(variable, name, value) for variable, of in groups for name, value in of.items()]
@@ -162,12 +160,12 @@ class Bounds:
 
     @cached_property
     def ranges(self) -> Ranges:
-        """The ranges of the parameters."""
+        """Limiter of the parameters to their ranges."""
         return Ranges(self.step, self.sampler, self._means)
 
     @cached_property
     def stretches(self) -> Stretches:
-        """The tensors of bodies whose energies are linear."""
+        """Limiter of the tensors of bodies with linear energies."""
         return Stretches(self.step, self.sampler, self._means)
 
     @cached_property
@@ -182,7 +180,7 @@ class Bounds:
     def violation(self, everywhere: bool = False) -> Violation | None:
         """The first violation of a bound by the present state, or None.
 
-        With ``everywhere`` also what is out of bounds at points only, and would be limited.
+        With ``everywhere`` violations at points only, which the limiter would correct, count too.
         """
         found = self._outside()
         if found is None:
@@ -194,11 +192,11 @@ class Bounds:
         return self._worst(found, broken, found.means, is_mean=True) if some else None
 
     def defect(self, is_solved: bool = True) -> str | None:
-        """Why the present state is not admissible, in words: what of rho, J, ... or the temperature is not
-        positive, or where there is no number.  The state and what is out of its bounds are ``refused`` then.
+        """Message why the present state is not admissible, or None: rho, J, ... or the temperature is not
+        positive, or a value is not a number.  A state out of bounds is kept as ``refused``.
 
-        One that ``is_solved`` must have a stored energy.  An extrapolated end of a step may get its energy by
-        being limited: ``lack`` asks for it afterwards.
+        A state that ``is_solved`` must have a stored energy.  An extrapolated end of a step may get its
+        energy by the limiter, and ``lack`` checks it afterwards.
         """
         violation = self.violation()
         if violation is not None:
@@ -210,16 +208,16 @@ class Bounds:
         return self.lack() or self.drift() if is_solved else None
 
     def refusal(self) -> str | None:
-        """The ``defect`` of a solved state with what to do about it."""
+        """The ``defect`` of a solved state with its remedy, or None."""
         if (defect := self.defect()) is None:
             return None
         better = remedy(self.step.model.material) if defect == self.parted else SMALLER
         return f"{defect}: take {better}"
 
     def lack(self) -> str | None:
-        """Where the present state, or its stored energy, is no number, in words; None where all are numbers.
+        """Message where the present state, or its stored energy, is not a number; None if all are numbers.
 
-        The density and the variables are looked at as the energy is: what is no number has none.
+        The check of the energy covers the density and the variables: their NaN makes the energy NaN.
         """
         where = self.step.without_energy()
         if self._ranks.any(len(where) > 0):
@@ -240,8 +238,8 @@ class Bounds:
         return self.step.quadrature.each_cell(CF(1.0))
 
     def drift(self) -> str | None:
-        """Which variables that stand for one distortion have parted by more than ``most`` in the mean of a
-        cell, and where, in words; None where none have, and with sources, whose fields may be apart.
+        """Message that variables of one distortion differ by more than ``most`` in the mean of a cell; None
+        if none do, and with sources, whose fields may differ.
         """
         if self.step.sources is not None:
             return None
@@ -260,7 +258,7 @@ class Bounds:
         return None
 
     def cells_outside(self) -> np.ndarray:
-        """Numbers of the cells of the present state that are out of bounds at a point."""
+        """Numbers of the cells in which the present state is out of bounds at a point."""
         found = self._outside()
         return np.zeros(0, dtype=int) if found is None else found.cells
 
@@ -274,19 +272,19 @@ class Bounds:
         )
 
     def limit(self, tau: float = 0.0) -> int:
-        """Limit the present state, whose means are within their bounds; gives the number of cells limited.
+        """Limit the present state, whose means are within their bounds; return the number of limited cells.
 
-        Only rho and z change, and only in cells that are out of bounds at a point.  At the end of a step of
-        length ``tau``, s, bodies are put apart before, where ``Discretisation.sharp`` asks for it.
+        Only rho and z change, and only in cells that are out of bounds at a point.  With
+        ``Discretisation.sharp``, at the end of a step of length ``tau``, s, bodies are separated before.
         """
         if self.sharpening is not None and tau > 0:
             self.sharpening.put_apart(tau)
         self._share.vec[:] = 1.0
         changed, found = self.ranges.limit(), self._outside()
         if found is not None:
-            _ = self._means.owner  # which all ranks make together
+            _ = self._means.owner  # made by all ranks together
             of_density = np.array([variable is None for variable in self._variables])
-            if self.step.model.bodies:  # z has rho in it
+            if self.step.model.bodies:  # rho is a function of z
                 self._scale("z", found, np.ones_like(of_density))
             else:
                 self._scale("rho", found, of_density)
@@ -297,12 +295,12 @@ class Bounds:
         return int(self._ranks.total(len(changed)))
 
     def limit_momentum(self) -> None:
-        """Scale the momentum density that the step starts from as ``limit`` has scaled rho."""
+        """Scale the step's start momentum density by the factors with which ``limit`` scaled rho."""
         momentum, mean = self.step.momentum_old, self._means.momentum()
         momentum.Interpolate(mean + self._share * (momentum - mean))
 
     def _scale(self, name: str, found: _Outside, group: np.ndarray) -> None:
-        """Scale rho or z in the cells where bounds of the ``group`` are broken, until these are kept."""
+        """Scale rho or z in the cells with broken bounds of the ``group``, until the bounds hold."""
         required, outside = found.required & group, (found.broken & group).any(axis=1)
         place = np.full(self.step.mesh.ne, -1)
         place[found.cells[outside]] = np.flatnonzero(outside)
@@ -310,7 +308,7 @@ class Bounds:
         cells, values = place[of], self._means.coefficients(name)
         scaled = np.ones(1, dtype=bool) if name == "rho" else self.step.layout.states.strains
         centre = self._means.of_cells(name)[:, of] * self._means.one[dofs]
-        centre = np.where(scaled[:, None], centre, values[:, dofs])  # parameters have ranges of their own
+        centre = np.where(scaled[:, None], centre, values[:, dofs])  # ``ranges`` limits parameters
         rest = values[:, dofs] - centre
         low, high = np.zeros(len(found.cells)), np.ones(len(found.cells))
         for _ in range(_HALVINGS if outside.any() else 0):
@@ -324,10 +322,10 @@ class Bounds:
             self._share.vec.FV().NumPy()[found.cells[outside]] = low[outside]
 
     def _outside(self) -> _Outside | None:
-        """The cells that are out of bounds at one of the sampler's points; NaN is so."""
+        """The cells that are out of bounds, or NaN, at one of the sampler's points; None without any."""
         values = self.sampler.rows(self._present)
         bad = ~(values > 0)
-        if not self._ranks.any(bad.any()):  # from here on all ranks go together, with no cells perhaps
+        if not self._ranks.any(bad.any()):  # all ranks continue together, even without cells
             return None
         numbers = self.sampler.cells
         cells = np.unique(numbers[bad.any(axis=1)])
@@ -353,9 +351,9 @@ class Bounds:
         )
 
     def _required(self, count: int, points: np.ndarray, owner: np.ndarray) -> np.ndarray:
-        """Which bounds count in which cell, (cells, bounds): not those of variables without a slope."""
+        """Mask of the bounds that count in each cell, (cells, bounds): variables with phi'_z = 0 do not."""
         required = np.ones((count, len(self.names)), dtype=bool)
-        if self.step.energy.projected is not None:  # no values but at the quadrature points
+        if self.step.energy.projected is not None:  # the energy has values at the quadrature points only
             return required
         sizes = np.nan_to_num(np.abs(self.sampler.rows(self._slope)), nan=np.inf)
         every = np.concatenate(self._ranks.gathered(sizes.max(axis=1, initial=0.0)))
@@ -368,7 +366,7 @@ class Bounds:
         return required
 
     def _worst(self, found: _Outside, broken: np.ndarray, values: np.ndarray, is_mean: bool) -> Violation:
-        """The violation of the first bound that is broken, with its least value and place, over all ranks."""
+        """The violation of the first broken bound over all ranks, with its least value and place."""
         mine = self._worst_here(found, broken, values, is_mean) if broken.any() else None
         named = [one for one in self._ranks.gathered(mine) if one is not None]
 
@@ -385,8 +383,7 @@ class Bounds:
     def _worst_here(
         self, found: _Outside, broken: np.ndarray, values: np.ndarray, is_mean: bool
     ) -> tuple[Violation, float]:
-        """The worst violation of this rank, without walls and other ranks' cells, and the size of the cell,
-        m."""
+        """The worst violation on this rank, without wall and number of cells, and the size of the cell, m."""
         bound = int(np.flatnonzero(broken.any(axis=0))[0])
         where = np.flatnonzero(broken[:, bound])
         i = int(where[np.argmin(_or_least(values[where, bound]))])
@@ -411,7 +408,7 @@ class Bounds:
 
 
 def _check_names(material: Material, z: Values) -> None:
-    """Raise UnknownNameError where what must be positive is said of a variable that the material has not."""
+    """Raise UnknownNameError if ``Material.positive`` names a variable that the material lacks."""
     known = [variable.name for variable in material.variables]
     for name in material.positive(z):
         if name and name not in known:
@@ -420,5 +417,5 @@ def _check_names(material: Material, z: Values) -> None:
 
 
 def _or_least(values: Any) -> Any:
-    """The values, with the least of all in place of those that are no numbers."""
+    """The values, with -inf in place of NaN."""
     return np.where(np.isnan(values), -np.inf, values)

@@ -1,22 +1,22 @@
-"""Means over the cells of a state's density, variables and momentum density, by the rule of the forms.
+"""Cell means of a state's density, variables and momentum density, by the rule of the forms.
 
-``Ranges``: parameters stay within the range of their start values.
+``Ranges`` keeps parameters within the range of their start values.
 
 A parameter is transported, dt theta + (v . grad) theta = 0, so that its exact solution stays within the range
-of its start; a discontinuous polynomial overshoots where it jumps.  Where it has left its range at a point of
-a cell, its mean there is put back into the range, if need be, and it is scaled towards its mean (Zhang and
-Shu, J. Comput. Phys. 229, 2010).
+of its start; a discontinuous polynomial overshoots at jumps.  In a cell with a point out of range the
+parameter's mean is clipped to the range, and the parameter is scaled towards its mean (Zhang and Shu, J.
+Comput. Phys. 229, 2010).
 
-``Stretches``: the tensors of bodies stay positive where their energies, linear in them, do not see to it.
+``Stretches`` keeps the tensors of bodies positive whose energies, linear in the tensors, do not ensure it.
 
-Body i carries n_i and X_i = n_i B, and C : (X_i - n_i I) has no least value where X_i is not positive: such
-matter is stretched without end.  Where X_i is not positive at a point of a cell of which the body is a part,
-while its mean is, B goes towards that of the means,
+Body i carries n_i and X_i = n_i B, and C : (X_i - n_i I) has no minimum where X_i is not positive: such
+matter stretches without bound.  In a cell of the body where X_i is not positive at a point but its mean is
+positive, B moves towards the B of the means,
 
     X_i <- s X_i + (1 - s) (n_i/n_iK) X_iK,
 
-with the largest s that leaves ``SHARE`` of the second at each such point.  n_i, the mean of X_i and, with it,
-an energy that is linear in X_i are kept, and so are rho and v: the limiter takes nothing by it.
+with the largest s that leaves ``SHARE`` of the second summand at each such point.  n_i, the mean of X_i, an
+energy linear in X_i, rho and v do not change: this limiter takes no energy.
 """
 
 from functools import cached_property
@@ -36,13 +36,13 @@ from ngvisco.physics.parameters import Parameter
 SHARE = 1e-2
 """The least share of the mean's bounded quantities that a limited cell keeps at every point.
 
-Cells are limited where something is <= 0, not where it is below its share of the mean: a density that falls
-to zero along a line is no reason to change it.
+A cell is limited only if a bounded quantity is <= 0 in it, not if it is below its share of the mean: a
+density that falls to zero along a line stays unchanged.
 """
 
 
 class CellMeans:
-    """Means over the cells of rho and z of a step's present state, and its coefficients by cells."""
+    """Cell means of rho and z of a step's present state, and the state's coefficients by cells."""
 
     def __init__(self, step: Step) -> None:
         self.step = step
@@ -59,7 +59,7 @@ class CellMeans:
         """Coefficients of the constant 1 in the space of every component of z, and of rho."""
 
     def project(self) -> None:
-        """Make them those of the present state."""
+        """Compute the means of the present state."""
         for projection in self._projections:
             projection()
 
@@ -69,7 +69,7 @@ class CellMeans:
         return LocalProjection(target, self.step.quadrature, tested(self.step.momentum_old))
 
     def momentum(self) -> GridFunction:
-        """The momentum density that the step starts from, kg/(m^2 s)."""
+        """Cell means of the step's start momentum density, kg/(m^2 s)."""
         self._of_momentum()
         return self._of_momentum.target
 
@@ -79,18 +79,18 @@ class CellMeans:
         return function.vec.FV().NumPy().reshape(function.dim, -1)
 
     def coefficients(self, name: str) -> np.ndarray:
-        """Coefficients of the present state's ``"rho"`` or ``"z"``, (components, functions), not a copy."""
+        """View of the present coefficients of ``"rho"`` or ``"z"``, (components, functions)."""
         state = self.step.state.vec.FV().NumPy()[self.step.layout.ranges[name]]
-        return state.reshape(1 if name == "rho" else self.step.layout.states.size, -1)  # without cells, too
+        return state.reshape(1 if name == "rho" else self.step.layout.states.size, -1)  # also without cells
 
     def functions(self, cells: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The functions of some cells, (cells,) of bool, and the cell of each."""
+        """Numbers of the functions in the cells of a mask, (cells,), and the cell of each function."""
         chosen = np.flatnonzero(cells[self.owner])
         return chosen, self.owner[chosen]
 
     @cached_property
     def owner(self) -> np.ndarray:
-        """The cell of every function of that space, (functions,)."""
+        """Cell of every function of the scalar space of z, (functions,)."""
         of_cells, space = self.rho.space, self._space
         form = BilinearForm(trialspace=of_cells, testspace=space)
         form += of_cells.TrialFunction() * space.TestFunction() * dx
@@ -98,14 +98,14 @@ class CellMeans:
 
 
 def least_of(values: np.ndarray, owner: np.ndarray, count: int) -> np.ndarray:
-    """The least of every column over the points of every owner, (count, columns); inf without points."""
+    """Minimum of every column over the points of every owner, (count, columns); inf without points."""
     least = np.full((count, values.shape[1]), np.inf)
     np.minimum.at(least, owner, values)
     return least
 
 
 SLACK = 1e-9
-"""The share of a range's width by which values may be out of the range: an iteration leaves so much open."""
+"""Tolerated overshoot over the width of a range, which covers the error of an iteration."""
 
 
 class Ranges:
@@ -124,7 +124,7 @@ class Ranges:
         return bool(self.names) and self.sampler.ranks.any(self._outside()[0].any())
 
     def limit(self) -> np.ndarray:
-        """Put the present state back into its ranges; gives the cells of this rank that were changed."""
+        """Limit the present parameters to their ranges; return the changed cells of this rank."""
         if not self.is_exceeded():
             return np.zeros(0, dtype=int)
         outside, least, largest = self._outside()
@@ -145,7 +145,7 @@ class Ranges:
         return np.flatnonzero(outside.any(axis=0))
 
     def _outside(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Which are out of their ranges, least and largest values, each (parameters, cells)."""
+        """Mask of values out of range, least and largest values, each (parameters, cells)."""
         values = self.sampler.rows(self._values)
         cells, count = self.sampler.cells, self.step.mesh.ne
         least, largest = least_of(values, cells, count), -least_of(-values, cells, count)
@@ -154,7 +154,7 @@ class Ranges:
         return ((least < low - slack) | (largest > high + slack)).T, least.T, largest.T
 
 
-_PART = 0.1  # fraction from which on the body takes part (``Mixture.taking_part``)
+_PART = 0.1  # fraction above which the body takes part (``Mixture.taking_part``)
 
 
 class Stretches:
@@ -176,12 +176,12 @@ class Stretches:
         return any(self.sampler.ranks.any(len(self._outside(X)[0]) > 0) for X in self._amounts)
 
     def limit(self) -> np.ndarray:
-        """Make X_i of the present state positive; gives the cells of this rank that were changed."""
+        """Make X_i of the present state positive; return the changed cells of this rank."""
         changed = [self._limited(X) for X in self._amounts]
         return np.unique(np.concatenate([np.zeros(0, dtype=int), *changed]))
 
     def _outside(self, content: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Points at which X_i of a body that takes part is not positive, cells, B of means, which is."""
+        """Points at which X_i of a participating body is not positive, their cells, and the means' B."""
         signs = self.sampler.rows(self._signs[content])
         points = np.flatnonzero((signs[:, 0] > 0) & ~(signs[:, 1:] > 0).all(axis=1))
         if self.sampler.ranks.any(len(points) > 0):

@@ -39,25 +39,25 @@ Value = TypeVar("Value")
 
 
 class Crossing(Protocol):
-    """A wall that matter crosses, as its term knows it (``ngvisco.forms.boundary.wall_terms.Carried``)."""
+    """A wall that matter crosses, as seen by ``Context``; ``boundary.wall_terms.Carried`` is one."""
 
     indicator: CoefficientFunction
     region: Region
     given: Any
-    """Given values of what flows in, by ``mapped``."""
+    """Given state of the inflow, with a method ``mapped``."""
     means: Any
-    """Their means over the step."""
+    """Means of the given state over the step."""
 
     def continues(self, name: str) -> bool:
-        """Whether nothing of ``"rho"`` or ``"z"`` is given."""
+        """Whether the wall gives no value of ``name``, ``"rho"`` or ``"z"``: the inner value is used."""
         ...
 
 
 class Context:
     """Parameters and known fields of a Rothe step: (rho, m, z)_old to (rho, m, z) by one length tau.
 
-    m is the momentum functional <m, w> = int rho v . w.  The old values are those of a state, or what a
-    time scheme combines of several (``ngvisco.timestepping``).
+    m is the momentum functional <m, w> = int rho v . w.  The old values are a state, or a time scheme's
+    combination of several states (``ngvisco.timestepping``).
     """
 
     def __init__(
@@ -70,15 +70,16 @@ class Context:
         degree: int = 8,
         passages: Sequence[Crossing] = (),
     ) -> None:
-        """``degree`` is that of the forms' rule, at whose
-        points ``momentum_old`` are the values of m_old, kg/(m^2 s), None for rho_old v_old; ``passages`` are
-        the walls that matter crosses.  ``energy`` may be None where the material's energy has an expression.
+        """Make the context; ``energy`` may be None if the material's energy has an expression.
+
+        ``momentum_old`` has the values of m_old, kg/(m^2 s), at the points of the forms' rule, which has the
+        degree ``degree``; None is rho_old v_old.  ``passages`` are the walls that matter crosses.
         """
         self.mesh, self.old = mesh, old
         self.energy = energy or StoredEnergy(model.material, mesh.dim)
         self.rates = Rates(model, mesh.dim, old.layout.symmetry.is_axisymmetric)
         self.lagged: Fields = old
-        """z at the step's start, for what the material says is lagged."""
+        """Fields at the step's start, for the variables that the material lags."""
         self.terms: Sequence[Term] = ()
         """The terms of the step."""
         self._momentum_old = momentum_old
@@ -95,9 +96,9 @@ class Context:
         self.inner = inner_facets(mesh)
         self.h = cell_size(mesh)
         self.crossed, self.passages = self.inner, tuple(passages)
-        """1 on facets that matter crosses, on those between two cells and on such walls; 0 on all others."""
+        """Indicator of facets that matter crosses: 1 between cells and on ``passages``, 0 on other walls."""
         self.reach: CoefficientFunction | None = None
-        """x less the middle of the cell, m, where matter flows in with the value of the cell's middle."""
+        """Position relative to the cell's middle, m; None without inflow, or for z in P_0."""
         if passages:
             self.crossed = self.inner + sum((passage.indicator for passage in passages), CF(0.0))
             if old.layout.unknowns["z"].order:
@@ -107,7 +108,7 @@ class Context:
 
     @property
     def momentum_old(self) -> CoefficientFunction:
-        """m_old, kg/(m^2 s), at the points of the forms' rule."""
+        """Old momentum m_old, kg/(m^2 s), at the points of the forms' rule."""
         return self.old.rho * self.old.v if self._momentum_old is None else self._momentum_old
 
     @momentum_old.setter
@@ -117,9 +118,9 @@ class Context:
     def set_step(
         self, tau: float, end: float, loads_from: float, loads_over: float, loads_tilt: float = 0.0
     ) -> None:
-        """A Rothe step of length ``tau`` (s) whose unknowns belong to the time ``end`` (s).
+        """Set the length ``tau`` (s) of the Rothe step, and the time ``end`` (s) of its unknowns.
 
-        Loads are averaged over ``loads_over`` (s, 0 for a value at one time) from ``loads_from`` (s) on, by
+        Loads are averaged over ``loads_over`` (s, 0 for a value at one time) from ``loads_from`` (s) on, with
         the weight of ``ngvisco.forms.time_means.Rule``.
         """
         self.tau.Set(tau)
@@ -129,7 +130,7 @@ class Context:
     def set_loads(self, begin: float, over: float, tilt: float = 0.0) -> None:
         """Average loads over ``over`` (s, 0 for a value at one time) from ``begin`` (s) on.
 
-        ``tilt`` is that of the weight in the average.
+        ``tilt`` is the tilt of the average's weight.
         """
         for parameter, value in zip(self._window, (begin, over, tilt), strict=True):
             parameter.Set(value)
@@ -147,7 +148,7 @@ class Context:
         return begin, over, tilt
 
     def require_mean(self, what: str, error: float) -> None:
-        """Warn, once, of a mean over the step with an error that is more than the tolerance."""
+        """Warn once if the error of a mean over the step exceeds the tolerance."""
         if error <= TOLERANCE or self._has_warned:
             return
         self._has_warned = True
@@ -160,17 +161,17 @@ class Context:
         )
 
     def rate(self, difference: Value) -> Value:
-        """difference/tau, of coefficient functions, numbers, arrays or matrices: the only place with 1/tau.
+        """Return difference/tau for a function, number, array or matrix: the only place with 1/tau.
 
-        A number gives a coefficient function, which follows the step's length.
+        For a number the result is a coefficient function, which follows the step's length.
         """
         follows = isinstance(difference, (CoefficientFunction, int, float))
         return difference / (self.tau if follows else self.tau.Get())
 
     def given(self, value: CoefficientFunction) -> CoefficientFunction:
-        """A function of place and time that a term reads, at the end of the step: ``value`` itself.
+        """Return a term's function of place and time at the end of the step: ``value``, unchanged.
 
-        It takes arrays to the same function at their points, which they do not combine with otherwise.
+        The context of arrays returns the function's values at their points instead.
         """
         return value
 
@@ -179,9 +180,9 @@ class Context:
     ) -> CoefficientFunction:
         """The mean over ``loads_over`` to ``ngvisco.forms.time_means.TOLERANCE`` (paper: g^k_{delta tau}).
 
-        What reads the time is made anew by every ``set_loads``; anything else is ``value`` itself.  It is for
-        cells, or for the facets of ``walls``.  Where it ``is_even``, all times of the step count the same
-        in every stage of a scheme, as is needed of values that have to stay positive.
+        Every ``set_loads`` updates the mean of a function of time; any other ``value`` is returned as it is.
+        The mean holds in cells, or on the facets of ``walls``.  If it ``is_even``, all times of the step have
+        equal weights in every stage of a scheme, so that the mean of positive values is positive.
         """
         if not may_read_time(value):
             return value
@@ -191,7 +192,7 @@ class Context:
         return _shaped(self._means[key][0], value)
 
     def average_now(self, value: CoefficientFunction) -> CoefficientFunction:
-        """The present mean in cells of a function that no form holds: the function is not made anew."""
+        """The present mean in cells of a function that no form holds, without later updates."""
         if (value, "", False) in self._means or not may_read_time(value):
             return self.average(value)
         return _shaped(self._mean(value, None)[0], value)
@@ -217,7 +218,7 @@ def _shaped(function: GridFunction, value: CoefficientFunction) -> CoefficientFu
 
 
 def cell_size(mesh: Mesh) -> GridFunction:
-    """Cellwise h = |K|^{1/d} times a shape constant: the length in penalties and CFL numbers."""
+    """Size of each cell, h = |K|^{1/d} times a shape constant, for penalties and CFL numbers."""
     size = GridFunction(L2(mesh, order=0))
     with TaskManager():
         size.Set(specialcf.mesh_size)
@@ -225,7 +226,7 @@ def cell_size(mesh: Mesh) -> GridFunction:
 
 
 def from_middle(mesh: Mesh) -> CoefficientFunction:
-    """x - x_K, x_K the middle of the cell, m."""
+    """Position x - x_K, m, relative to the middle x_K of the cell."""
     middle, place = GridFunction(VectorL2(mesh, order=0)), CF((x, y, z)[: mesh.dim])
     with TaskManager():
         middle.Set(place)

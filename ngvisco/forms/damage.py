@@ -1,33 +1,33 @@
-"""The growth of damage after a step, z kept: the second half of a staggered step.
+"""The growth of damage after a step at fixed z, the second half of a staggered step.
 
-In the step (rho, v, z)_old -> (rho, v, z) the damage d and its slope q are carried, to d* and q*.  Then they
-change by a continuous, piecewise linear delta, d = d* + delta and q = q* + G delta, the minimum of
+The step (rho, v, z)_old -> (rho, v, z) carries the damage d and its slope q to d* and q*.  Then they change
+by a continuous, piecewise linear delta, d = d* + delta and q = q* + G delta, the minimum of
 
     int phi(z, d* + delta, q* + G delta) + sum_i m_i eta delta_i^2/(2 tau)      for low <= delta <= high,
 
-m_i lumped masses, G delta = grad delta, or F^T grad delta of the referential slope.  low = 0, so that damage
-never falls, or -d* with a healing (eta is that of healing where delta_i < 0); high = 1 - d*, the least of a
-vertex' cells, so that d <= 1 at all points.  phi is quadratic in (d, q).  With its second derivative H, and r
-the slope at the minimum with that of the viscosity,
+m_i lumped masses, G delta = grad delta, or F^T grad delta for the referential slope.  low = 0, so that damage
+never falls, or -d* with healing, whose viscosity eta holds for delta_i < 0.  high = 1 - d*, the minimum over
+a vertex' cells, so that d <= 1 at all points.  phi is quadratic in (d, q).  With its second derivative H, and
+the slope r at the minimum, including the viscosity's,
 
     E* - E = sum_i m_i eta delta_i^2/tau + delta.H delta/2 - r.delta
 
-exactly: ``dissipation_damage``, a Bregman distance, and the work of what holds delta at d = 1 or d = 0.
-r_i delta_i <= 0 by the signs at the bounds, and 0 where low = 0 holds it: ``bregman_damage`` >= 0 is the sum
-of the two.
+exactly: ``dissipation_damage``, a Bregman distance, and the work of the bounds d = 1 and d = 0.
+r_i delta_i <= 0 by the signs at the bounds, and 0 at low = 0: ``bregman_damage`` >= 0 is the sum of distance
+and work.
 
-In the step itself the conjugates of z are phi'_z(z; d_old, q_old), those of (d, q) phi'_(d,q)(z; d, q)
-(``StoredEnergy``).  So its ``bregman`` is the sum of two distances
+In the step the conjugates of z are phi'_z(z; d_old, q_old), and of (d, q) phi'_(d,q)(z; d, q)
+(``StoredEnergy``).  The step's ``bregman`` is therefore the sum of two distances
 
-    phi(z_old; d_old) - phi(z; d_old) - phi'_z(z; d_old):(z_old - z)   and the same of (d, q) at z,
+    phi(z_old; d_old) - phi(z; d_old) - phi'_z(z; d_old):(z_old - z)   and the one of (d, q) at z,
 
 both >= 0, although phi is not jointly convex.
 
-The growth at a point and the surface of cracks that a step makes are columns: a crack that runs in one step
-has the stress of the step's start, so that the load at which a body breaks depends on the step's length.
+The ledger has the growth at a point and the new surface of cracks of each step: a crack that runs in one step
+has the stress of the step's start, so that the breaking load depends on the step's length.
 
-With heat, what the viscosity of damage dissipates, xi, raises the entropy of each cell by c_K xi tau/theta
-with the c_K by which its energy rises by tau int_K xi, to rounding.
+With heat, the dissipation xi by the viscosity of damage raises the entropy of each cell by c_K xi tau/theta,
+c_K such that the cell's energy rises by tau int_K xi, to rounding.
 """
 
 from __future__ import annotations
@@ -63,24 +63,24 @@ if TYPE_CHECKING:
     from ngvisco.forms.system import Step
 
 DISSIPATION, BREGMAN = "dissipation_damage", "bregman_damage"
-"""Ledger columns of what growing damage dissipates, W, and of what its half of the step does, J a step."""
+"""Ledger columns of the dissipation by growing damage, W, and by its half of the step, J a step."""
 
 GROWTH, CRACKED = "damage_growth", "crack_growth"
-"""Ledger columns of the largest growth of d at a point in a step, and of the surface of cracks that the step
-makes, by their energy over G_c: m^2, in two dimensions m."""
+"""Ledger columns of the largest growth of d at a point in a step, and of the step's new surface of cracks,
+their energy over G_c, in m^2, in two dimensions m."""
 
 
 _POWER, _PRODUCTION = "power_heat_damage", PRODUCTION + "damage"
-"""Columns of the heat that damage makes, W, and of the entropy, W/K."""
+"""Ledger columns of the heat from damage, W, and of its entropy, W/K."""
 
 _NEWTON, _ROUNDING = 10, 1e-15
-"""Steps for the share of entropy in each cell, and what of the energy it may leave open."""
+"""Largest number of Newton steps for c_K, and the accepted defect relative to the energy."""
 
 
 class DamageGrowth:
-    """Lets the damage of a step's present state grow.
+    """Growth of the damage of a step's present state.
 
-    Raises ParameterError for fields that are not linear in a cell, cells that are no straight simplices,
+    Raises ParameterError for fields that are not linear in a cell, cells that are not straight simplices,
     several processes, or a regularisation that diffuses the material's variables.
     """
 
@@ -96,7 +96,7 @@ class DamageGrowth:
         self._vertices = mesh.MapToAllElements({ET.TRIG if mesh.dim == 2 else ET.TET: rule}, VOL)
         self._delta.vec.FV().NumPy()[:] = np.arange(space.ndof)
         self._dofs = np.rint(self._at_vertices(self._delta)).astype(int)
-        """The unknown of delta at every vertex of every cell."""
+        """Numbers of delta's unknowns at every vertex of every cell."""
         self.damage = z[DAMAGE.name]
         self._hessian, self._slope = self._forms(space)
         masses = LinearForm(space)
@@ -141,7 +141,7 @@ class DamageGrowth:
             ranks.warn(message, InputWarning, stacklevel=6)
 
     def _forms(self, space: Any) -> tuple[BilinearForm, LinearForm]:
-        """H, and the slope at delta = 0."""
+        """Forms of the second derivative H, and of the slope at delta = 0."""
         law, step = self.law, self.step
         z = step.now.z_tensors
         taken, _ = substituted(law, lambda expression: expression.at(z)).parts(z)
@@ -165,7 +165,7 @@ class DamageGrowth:
         return hessian, slope
 
     def _along(self, gradient: Any) -> Any:
-        """The carried slope that belongs to a gradient: itself, or F^T times it."""
+        """Carried slope of a gradient: the gradient, or F^T times the gradient."""
         if self.law.area == "actual":
             return gradient
         dim = self.step.mesh.dim
@@ -175,7 +175,7 @@ class DamageGrowth:
         return np.asarray(function(self._vertices)).reshape(-1)
 
     def start(self) -> None:
-        """Make the present damage continuous, by the mean of each vertex' cells, and its slope that of it."""
+        """Make the present damage continuous, by the mean of each vertex' cells, and compute its slope."""
         values, dofs = self._at_vertices(self.damage), self._dofs
         size = len(self._masses)
         sums, counts = np.bincount(dofs, values, size), np.bincount(dofs, minlength=size)
@@ -183,10 +183,10 @@ class DamageGrowth:
         self._add(np.clip(sums / np.maximum(counts, 1), 0.0, 1.0))
 
     def __call__(self, tau: float) -> tuple[dict[str, float], dict[str, float]]:
-        """Let the damage grow over ``tau``, s; by columns dissipations, W, beside ``GROWTH`` and ``CRACKED``,
-        and numerical ones, J.
+        """Let the damage grow over ``tau``, s; return dissipations, W, with ``GROWTH`` and ``CRACKED``, and
+        numerical dissipations, J, by columns.
 
-        Raises StepError where there is no minimum: the energy is not convex in the damage.
+        Raises StepError if there is no minimum, for an energy that is not convex in the damage.
         """
         law, step = self.law, self.step
         H, f = csr(self._hessian.Assemble().mat), self._slope.Assemble().vec.FV().NumPy().copy()
@@ -210,11 +210,11 @@ class DamageGrowth:
         return rates, {BREGMAN: distance}
 
     def _surface(self) -> float:
-        """The energy of cracks, J."""
+        """Energy of cracks, J."""
         return float(self.step.quadrature.integrate_cells(self._of_surface))
 
     def _bounds(self) -> tuple[np.ndarray, np.ndarray]:
-        """Between which delta is at every vertex."""
+        """Lower and upper bounds of delta at every vertex."""
         values, dofs, size = self._at_vertices(self.damage), self._dofs, len(self._masses)
         low, high = np.full(size, -np.inf), np.full(size, np.inf)
         np.minimum.at(high, dofs, 1 - values)
@@ -227,7 +227,7 @@ class DamageGrowth:
 
     @property
     def _rows(self) -> list[int]:
-        """Components of the damage and its slope."""
+        """Numbers of the components of damage and its slope."""
         slices = self.step.layout.states.slices
         return [
             slices[DAMAGE.name].start,
@@ -235,7 +235,7 @@ class DamageGrowth:
         ]
 
     def _z(self) -> np.ndarray:
-        """The present coefficients, (components, functions), as a view."""
+        """View of the present coefficients of z, (components, functions)."""
         values = self.step.state.vec.FV().NumPy()[self.step.layout.ranges["z"]]
         return values.reshape(self.step.layout.states.size, -1)
 
@@ -250,7 +250,7 @@ class DamageGrowth:
 
 
 class _Heat:
-    """The heat that the viscosity of damage makes, as entropy of each cell."""
+    """Heat from the viscosity of damage, added as entropy to each cell."""
 
     def __init__(self, step: Step, entropy: Entropy) -> None:
         self.step, self.entropy, self._place = step, entropy, step.layout.states.slices[entropy.name].start
@@ -261,7 +261,7 @@ class _Heat:
         self._theta = (1 / entropy.unit * theta).Compile()
 
     def __call__(self, xi: GridFunction, tau: float) -> dict[str, float]:
-        """Add the heat ``xi``, J/m^3, to the present state; by columns, W and W/K."""
+        """Add the heat ``xi``, J/m^3, to the present state; return power, W, and entropy, W/K, by columns."""
         state, ranges, unit = self.step.state.vec.FV().NumPy(), self.step.layout.ranges, self.entropy.unit
         s = state[ranges["z"]].reshape(self.step.layout.states.size, -1)[self._place]
         before, wanted, energy = (

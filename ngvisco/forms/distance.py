@@ -1,10 +1,10 @@
-"""The energy of a state and the Bregman distance between two, summed of the terms that have a share.
+"""The energy of a state and the Bregman distance of two states, summed over the terms.
 
     B(a, b) = E(a) - E(b) - E'(b)[a - b] >= 0,    E(rho, m, z) = max_w <m, w> - 1/2 int rho |w|^2 + int phi(z)
 
-(paper: Euler-ED-basic-convexity-calculus): what an implicit step from a to b dissipates, and what the
-numerical dissipation of every time scheme is summed of (``ngvisco.timestepping.integrator``).  A further term
-with an unknown that evolves adds its share of E.
+(paper: Euler-ED-basic-convexity-calculus).  An implicit step from a to b dissipates B(a, b), and the
+numerical dissipation of every time scheme is a sum of such distances (``ngvisco.timestepping.integrator``).
+A further term with an evolving unknown adds its share of E.
 """
 
 from collections.abc import Mapping, Sequence
@@ -23,7 +23,7 @@ ENERGIES = ("kinetic", "stored")
 """Ledger columns of the parts of the energy, J."""
 
 NUMERICAL = ("inertial", "bregman")
-"""Ledger columns of what the scheme dissipates of each, J a step."""
+"""Ledger columns of the numerical dissipation of each part, J a step."""
 
 _METHODS = ("energy", "slope", "distance")
 
@@ -31,8 +31,7 @@ _METHODS = ("energy", "slope", "distance")
 def storing(terms: Sequence[Term]) -> list[Storing]:
     """The terms that have a share of the energy.
 
-    Raises ParameterError for a term that has one of the methods of ``Storing`` and not all: its energy
-    would be lost.
+    Raises ParameterError for a term with some but not all methods of ``Storing``, whose energy would be lost.
     """
     found: list[Storing] = []
     for term in terms:
@@ -53,7 +52,7 @@ def energies(step: Step, u: Fields) -> dict[str, Integrand]:
 
 
 class BregmanDistance:
-    """B(a, b) of states of one step, J, split into the ledger's entries."""
+    """Bregman distance B(a, b) of states of one step, J, by the ledger's columns."""
 
     def __init__(self, step: Step) -> None:
         self.step, layout = step, step.layout
@@ -80,14 +79,14 @@ class BregmanDistance:
         self._slope = EntryIntegrals(step, {"slope": Entry("slope", "monitor", _sum(slopes))})
 
     def __call__(self, a: Evolved, b: Evolved) -> dict[str, float]:
-        """B(a, b) by ledger columns, J (per metre of thickness in plane strain)."""
+        """Distance B(a, b) by ledger columns, J (per metre of thickness in plane strain)."""
         for i, state in enumerate((a, b)):
             self._put(i, state.values)
             self.step.energy.refresh(self.fields[i])
         return self._distance()
 
     def slope(self, b: Evolved, change: Mapping[str, np.ndarray]) -> float:
-        """E'(b) in the direction of a change of coefficients, by name, with m kept, J."""
+        """Derivative E'(b) at fixed m in the direction of a change of coefficients, by name, J."""
         self._put(0, change)
         self._put(1, b.values)
         self.step.energy.refresh(self.fields[1])
@@ -100,7 +99,7 @@ class BregmanDistance:
 
 
 def _by_columns(columns: Sequence[str], entries: Sequence[tuple[Storing, Entry]]) -> dict[str, Integrand]:
-    """The sums of the entries of each column."""
+    """Sum of the entries' integrands in each column."""
     found: dict[str, list[Integrand]] = {name: [] for name in columns}
     for term, entry in entries:
         if entry.name not in found:

@@ -1,21 +1,20 @@
-"""The stress at which a nonlinear flow rule is linearised, kept at the points: an unknown of its own.
+"""The stress at which a nonlinear flow rule is linearised, an unknown that is stored at the nodal points.
 
-Newton's method for z alone takes rate(M(z)) (paper: ED-Euler-large3) along the rule's tangent at M(z).  That
-of yield at next to no viscosity is right within |M| G_m of the solution only: an increment that turns M by an
-angle a lengthens it by a^2/2, which the rule answers by |M| a^2/(2 G_m).  With the stress M* as an unknown
-beside M(z), by
+Newton's method for z alone linearises rate(M(z)) (paper: ED-Euler-large3) at M(z).  For yield at next to no
+viscosity this tangent is right only within |M| G_m of the solution: an increment that turns M by an angle a
+lengthens it by a^2/2, and the rate changes by |M| a^2/(2 G_m).  With the stress M* as an unknown beside M(z),
 
     M* + c rate(M*) = Y,   M(z) = M*,   Pi = (Y - M*)/c,
 
-M* is a function of Y that is no steeper than one and as curved as the rule's level sets, however steep the
-rule is (Yosida).  Newton's method for (z, Y) has in the equations of z, with S = rate'(M*),
+M* is a function of Y with a slope of at most one and the curvature of the rule's level sets, however steep
+the rule is (Yosida).  Newton's method for (z, Y) has in the equations of z, with S = rate'(M*),
 
     Pi = rate(M*) + S (M(z) - M*),
 
-and follows its increment dz by Y = (M + M' dz) + c (Pi + S M' dz), of which the new M* is found point by
-point.  The solution is that of Pi = rate(M(z)) for any c > 0, in Pa s: what creep within a step takes of a
-stress at rest.  What Pi is multiplied by is taken at the iterate where it multiplies S (M(z) - M*): the
-matrix of (z, Y) has rate(M*) times its change only.
+and its increment dz gives Y = (M + M' dz) + c (Pi + S M' dz), from which M* follows point by point.
+The solution satisfies Pi = rate(M(z)) for any c > 0, in Pa s; c is tau times the stress per creep strain at
+rest.  A factor of Pi is evaluated at the iterate where it multiplies S (M(z) - M*): in the matrix of (z, Y)
+its change multiplies rate(M*) only.
 """
 
 from __future__ import annotations
@@ -39,12 +38,12 @@ from ngvisco.physics.pointwise import respond, rest_state
 _OfRate: TypeAlias = Callable[[Flow, CoefficientFunction, Fields], CoefficientFunction]
 _Sampled: TypeAlias = tuple[np.ndarray, np.ndarray]
 STRESS = "stress_"
-"""The beginning of the stresses' names in a checkpoint."""
+"""Prefix of the stresses' names in a checkpoint."""
 
 
 @dataclass(frozen=True)
 class _State:
-    """Coefficients of z; z and zeta at the nodes, M(z), the stress in its place, and the rate there."""
+    """An iterate: coefficients of z; z, zeta, M(z), the stress M* and its rate at the nodes."""
 
     key: np.ndarray
     z: np.ndarray
@@ -55,9 +54,9 @@ class _State:
 
 
 class Stresses:
-    """The stresses of a model whose creep is at nodes, of the state of a step; false where none is.
+    """The stresses M* of a step's state for a model with creep at nodes; false if no flow rule needs one.
 
-    Arrays are (flows, points, components), but z and zeta (components, points).
+    Arrays are (flows, points, components); arrays of z and zeta are (components, points).
     """
 
     def __init__(
@@ -71,12 +70,12 @@ class Stresses:
         self.stress, self.slope = (
             {flow: quadrature.vectors(size, at_nodes=True) for flow in self.flows} for size in (p, p * p)
         )
-        """For forms."""
+        """Grid functions of M* and S by flow, read by forms."""
         self._stiffness = np.array([_stiffness(flow, rates) for flow in self.flows]).reshape(-1, 1, 1)
         self._last: np.ndarray | None = None
         self._slopes = np.zeros((len(self.flows), 0, p, p))
-        self._frozen: _State | None = None  # what the slopes are of
-        self._given: np.ndarray | None = None  # the stresses of the state that is met next
+        self._frozen: _State | None = None  # the iterate of the slopes
+        self._given: np.ndarray | None = None  # the stresses of the next state
         self.start()
         self.state, self._own = state, layout.ranges["z"]
         self._increment = GridFunction(layout.space)
@@ -88,28 +87,28 @@ class Stresses:
         return bool(self.flows)
 
     def begin(self) -> None:
-        """A step begins at the present state."""
+        """Begin a step at the present state."""
         if self:
             M, rules = self._driven(*self._values(self._now))
             with np.errstate(all="ignore"):
                 taken = self._softness * _rates(rules, M)
                 share = np.linalg.norm(M, axis=2) / np.linalg.norm(taken, axis=2)
-            # a scheme's end that is off the graph, as the midpoint rule's, has a rate that means nothing
+            # the end state of a scheme such as the midpoint rule can violate the flow rule: bound its rate
             self._last = np.nan_to_num(np.minimum(share, 1.0)[..., None] * taken / self._softness)
 
     def start(self) -> None:
-        """An iteration begins at the state that is met next: with the rates that the step began with.
+        """Begin an iteration at the next state with the rates at the step's beginning.
 
-        With rate(M(z)) of values that are no solution a steep rule would begin far off.
+        A steep rule's rate(M(z)) is far off for values that are not a solution.
         """
         self._begins = self._last is not None
         self._at: _State | None = None
         self._target: np.ndarray | None = None
 
     def refresh(self, sampled: Callable[[], _Sampled] | None = None) -> None:
-        """Make them those of the present state: where ``follow`` has led, or M(z), with its slope then.
+        """Compute the stresses of the present state: from the target of ``follow``, or M(z) with new slopes.
 
-        ``sampled`` gives its z and zeta at the nodes.
+        ``sampled`` returns z and zeta at the nodes.
         """
         if not self:
             return
@@ -137,7 +136,7 @@ class Stresses:
             self.linearise()
 
     def linearise(self) -> bool:
-        """Make the slopes those of the stresses; whether any is another one."""
+        """Compute the slopes at the present stresses; return whether any has changed."""
         at, before = self._at, self._slopes
         if at is self._frozen or not self:
             return False
@@ -152,13 +151,13 @@ class Stresses:
         return True
 
     def follow(self, increment: Any, length: float) -> None:
-        """Let the next state be the present one without ``length`` times ``increment``, of all unknowns."""
+        """Prepare the stresses for a next state: the present one minus ``length`` times ``increment``."""
         if self:
             self._increment.vec.data = -1.0 * increment
             self.follow_fields(*self._values(self._along), length)
 
     def follow_fields(self, dz: np.ndarray, dzeta: np.ndarray, length: float) -> None:
-        """Follow the increments ``dz`` and ``dzeta`` at the nodes, as far as ``length``."""
+        """Compute the target Y after ``length`` times the increments ``dz`` and ``dzeta`` at the nodes."""
         if self:
             at, old, c = self._at, self._frozen, self._softness
             assert at is not None and old is not None
@@ -169,7 +168,7 @@ class Stresses:
             self._target = at.stress + c * at.rate + length * through
 
     def undo(self) -> None:
-        """The state is again that before the last increment."""
+        """Return to the state before the last increment."""
         if self:
             assert self._before is not None
             self._target = None
@@ -177,16 +176,16 @@ class Stresses:
 
     @property
     def are_stiff(self) -> bool:
-        """Whether a rule, along its slope, takes nine tenths of a stress in a step somewhere on this rank."""
+        """Whether a slope relaxes nine tenths of a stress in a step somewhere on this rank."""
         return bool((self._softness[..., None] * abs(self._slopes)).max(initial=0.0) > 9)
 
     @property
     def functions(self) -> dict[str, GridFunction]:
-        """The grid functions that they are in, by names for a checkpoint."""
+        """The grid functions of the stresses by their names in a checkpoint."""
         return {f"{STRESS}{i}": function for i, function in enumerate(self.stress.values())}
 
     def frozen(self) -> dict[str, np.ndarray]:
-        """The stresses that the slopes are of, by name, coefficients of ``functions``."""
+        """The stresses at which the slopes are evaluated, by name, as coefficients of ``functions``."""
         at = self._frozen
         return {
             name: np.zeros(0) if at is None else at.stress[i].T.ravel()
@@ -194,7 +193,7 @@ class Stresses:
         }
 
     def give(self, arrays: Mapping[str, np.ndarray]) -> None:
-        """Let the next state have these ``frozen`` ones, M(z) where there are none."""
+        """Set the next state's stresses to the ``arrays`` of ``frozen``; without these they become M(z)."""
         if self and arrays.keys() >= self.functions.keys():
             self.start()
             given = [arrays[name].reshape(self.space.size, -1).T for name in self.functions]
@@ -205,14 +204,14 @@ class Stresses:
         return self.space.components(rates.driving(flow, u))
 
     def of(self, flow: Flow) -> tuple[np.ndarray, np.ndarray]:
-        """The stress of a flow, (p, points), and its slope, (points, p, p)."""
+        """The stress of a flow, (p, points), and the slope of its rate, (points, p, p)."""
         assert self._at is not None
         number = self.flows.index(flow)
         return self._at.stress[number].T, self._slopes[number]
 
     @property
     def _softness(self) -> np.ndarray:
-        """c, Pa s, (flows, 1, 1)."""
+        """The coefficients c, Pa s, (flows, 1, 1)."""
         return self._stiffness * self.layout.context.tau.Get()
 
     def _take(self, state: _State) -> None:
@@ -221,7 +220,7 @@ class Stresses:
             values_of(function)[:] = stress.T
 
     def _driven(self, z: np.ndarray, zeta: np.ndarray) -> tuple[np.ndarray, list[PointRate]]:
-        """M(z), and the rules there."""
+        """The stresses M(z) at the nodes, and the flow rules as functions of the stress there."""
         dim = self.rates.dim
         parts = {"z": Array(z, None), "zeta": Array(zeta, None)}
         u = Fields(self.layout, parts, gradient=lambda name: Array(np.zeros((dim, dim, 1)), None))
@@ -250,9 +249,9 @@ def _rates(rules: Sequence[PointRate], M: np.ndarray) -> np.ndarray:
 
 
 class KeptRates(Rates):
-    """``Rates`` by the stresses that are kept, at the nodes: of a solved state, to its last digit.
+    """Rates of a solved state from its stored stresses at the nodes.
 
-    One of z is one of M(z), which a steep rule multiplies.
+    Rounding of z would change M(z), and a steep rule would multiply this change.
     """
 
     def __init__(self, rates: Rates, stresses: Stresses) -> None:
@@ -266,7 +265,7 @@ class KeptRates(Rates):
         return flow.rule.rate(self.stresses.space.tensor(self._stress(flow, u)), None, read)
 
     def _stress(self, flow: Flow, u: Fields) -> Any:
-        """Its components, at the points of u."""
+        """The components of the stress at the points of u."""
         return self.stresses.stress[flow]
 
 
@@ -274,7 +273,7 @@ class LinearisedRates(KeptRates):
     """Rates with the linearised correction S (M(z) - M*), used in the Newton iteration for (z, Y)."""
 
     def __init__(self, rates: Rates, stresses: Stresses, now: Fields | None = None) -> None:
-        """``now`` are the fields of the iterate; None for those of arrays."""
+        """``now`` are the fields of the iterate; None for arrays of values."""
         super().__init__(rates, stresses)
         self._iterate = now
 
@@ -294,19 +293,19 @@ class LinearisedRates(KeptRates):
         return self._along(super().hardening_rate, flow, Pi, u)
 
     def _along(self, of: _OfRate, flow: Flow, Pi: CoefficientFunction, u: Fields) -> CoefficientFunction:
-        """A function of Pi, with its derivative."""
+        """The function ``of`` Pi plus its derivative in the direction of the rate's correction."""
         now = self._now(u)
         if flow not in self.stresses.stress or u is now:
             return of(flow, Pi, u)
         return of(flow, Pi, u) + self._derivative(lambda rate: of(flow, rate, now), Pi, self._off(flow, u))
 
     def _now(self, u: Fields) -> Fields:
-        """The iterate."""
+        """The fields of the iterate."""
         assert self._iterate is not None
         return self._iterate
 
     def _off(self, flow: Flow, u: Fields) -> CoefficientFunction:
-        """The change of the rate from the stress to M(z)."""
+        """The linearised correction S (M(z) - M*) of the rate."""
         kept, p = self.stresses, self.stresses.space.size
         off = kept.components(flow, u, self) - kept.stress[flow]
         return kept.space.tensor(kept.slope[flow].Reshape((p, p)) * off)
@@ -347,7 +346,7 @@ class LinearisedTabulatedRates(LinearisedRates, TabulatedRates):
 
 
 def _stiffness(flow: Flow, rates: TabulatedRates) -> float:
-    """How much stress a creep strain takes at rest, Pa, in the mean of its components."""
+    """Stress per creep strain at rest, Pa, the mean over the components."""
     rest = rest_state(rates.material, rates.dim)[None]
     response, first = respond(rates.material, rates.dim)(rest), rates.tensors.gradients
     first += rates.creep_space.size * rates.flows.index(flow)

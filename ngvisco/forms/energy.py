@@ -1,14 +1,14 @@
-"""The stored energy and its derivative as functions of a step's fields: the one place that asks for them.
+"""The stored energy phi and its derivative as functions of a step's fields, evaluated here only.
 
-Where the material's energy is an expression, so are both.  Otherwise (``Material.response``, e.g. a Yosida
-approximation) they are computed at the quadrature points and kept there: with the state z_k they belong to,
+For an energy with an expression, both are expressions.  Otherwise (``Material.response``, e.g. a Yosida
+approximation) they are computed and stored at the quadrature points: with their state z_k,
 
     phi(z_k),   slope(z) = phi'(z_k) + phi''(z_k) (z - z_k),
 
-which at z = z_k is the slope and has its exact derivative, all that a residual and its Jacobian need.
-``refresh`` makes them those of the present state, and is asked for before every use.  They depend on z
-alone, so that checkpoints need not have them.  Further states (``follow``) have values of their own, and
-sides of cells the means of phi over each.
+which at z = z_k is the slope with its exact derivative, as a residual and its Jacobian need.  ``refresh``
+updates them to the present state and is called before every use.  They depend on z alone, so that
+checkpoints omit them.  Further states (``follow``) have separate values, and sides of cells have means of
+phi.
 """
 
 from dataclasses import dataclass
@@ -30,14 +30,14 @@ from ngvisco.physics.variables import Values
 
 
 class StoredEnergy:
-    """phi and phi' of a material that has an expression for phi."""
+    """Energy phi and slope phi' of a material with an expression for phi."""
 
     failure: str | None = None
-    """Why the energy is not a number somewhere at the state of the last ``refresh``."""
+    """Reason why the energy is not a number at the state of the last ``refresh``, or None."""
     last_failure: str | None = None
-    """The last such failure of any state since it was set to None."""
+    """Last ``failure`` of any state since it was set to None."""
     projected: GridFunction | None = None
-    """The cellwise projection of the energy, where it has no values but at the quadrature points."""
+    """Cellwise projection of an energy with values at the quadrature points only, else None."""
 
     def __init__(self, material: Material, dim: int) -> None:
         self.material, self.dim = material, dim
@@ -50,15 +50,15 @@ class StoredEnergy:
         self.last_failure = f"the stored energy of an iterate was no number{domain}"
 
     def density(self, u: Fields) -> CoefficientFunction:
-        """phi(z), Pa, for integrals by the rule of the forms."""
+        """Energy phi(z), Pa, for integrals by the rule of the forms."""
         return self.material.energy(u.z_tensors)
 
     def slope(self, u: Fields) -> CoefficientFunction:
-        """Components of phi'(z), Pa, for the same."""
+        """Components of phi'(z), Pa, for integrals by the rule of the forms."""
         return self.material.states(self.dim).components(self._conjugates(u))
 
     def _conjugates(self, u: Fields) -> Values:
-        """phi'(z), of lagged variables' values those of the step's start but in their own conjugates."""
+        """Conjugates phi'(z); other variables' conjugates read lagged variables at the step's start."""
         z, lagged = u.z_tensors, self.material.lagged
         if not lagged:
             return conjugates(self.material, z)
@@ -68,7 +68,7 @@ class StoredEnergy:
         return {name: own[name] if name in lagged else of_others[name] for name in z}
 
     def tested_slope(self, u: Fields, w: Fields) -> list[CoefficientFunction]:
-        """phi'(z) : X in summands, X the test function of zeta; with its derivative by z."""
+        """Summands of phi'(z) : X, X the test function of zeta, with their derivative by z."""
         slope = self._conjugates(u)
         return [inner(S, w.zeta_tensors[name]) for name, S in slope.items()]
 
@@ -81,42 +81,42 @@ class StoredEnergy:
         return [states.components(conjugates_along(phi, variables, along)) for along in slopes]
 
     def near(self, u: Fields) -> CoefficientFunction:
-        """phi(z), Pa, for the same, with its derivative by z."""
+        """Energy phi(z), Pa, for integrals by the rule of the forms, with its derivative by z."""
         return self.density(u)
 
     def anywhere(self, u: Fields) -> CoefficientFunction:
-        """phi(z), Pa, to be evaluated at any point."""
+        """Energy phi(z), Pa, for evaluation at any point."""
         return self.density(u)
 
     def on_sides(self, u: Fields) -> CoefficientFunction:
-        """phi(z), Pa, or its mean over a side of a cell, for integrals over sides; see ``refresh_sides``."""
+        """Energy phi(z), Pa, or its mean over a cell's side, for integrals over sides (``refresh_sides``)."""
         return self.density(u)
 
     def refresh_sides(self) -> None:
-        """Make ``on_sides`` that of the present state."""
+        """Update ``on_sides`` to the present state."""
 
     def samples(self, z: Values, sampler: Sampler) -> np.ndarray:
-        """phi(z), Pa, at the sampler's points; no finite number where it has none (``last_failure``)."""
+        """Energy phi(z), Pa, at the sampler's points, not finite where it has no value (``last_failure``)."""
         return sampler.values(self.material.energy(z))
 
     def follow(self, u: Fields) -> None:
-        """Make phi(z) and phi'(z) available at ``u``, the fields of grid functions, too."""
+        """Make phi(z) and phi'(z) available also at ``u``, fields of grid functions."""
 
     def refresh(self, u: Fields | None = None) -> bool:
-        """Make the energy that of ``u``, by default the present state; whether anything changed."""
+        """Update the energy to ``u``, by default the present state; return whether it changed."""
         return False
 
     def require(self) -> None:
-        """``refresh``; raises StepError where the energy is then not a number."""
+        """Update the energy; raise StepError if it is not a number."""
 
 
 class PointwiseEnergy(StoredEnergy):
-    """phi and phi' of a material with a response at points, at the present state and at those followed."""
+    """Energy phi and slope phi' of a material with a response at points, at present and followed states."""
 
     def __init__(
         self, material: Material, response: Respond, quadrature: Quadrature, now: Fields, order: int
     ) -> None:
-        """``quadrature`` is of an even degree; ``order`` is that of the projected energy."""
+        """``quadrature`` has an even degree; ``order`` is the order of the projected energy."""
         super().__init__(material, quadrature.mesh.dim)
         self.response, self.fields = response, now
         self._ranks = Communicator.of(quadrature.mesh)
@@ -137,7 +137,7 @@ class PointwiseEnergy(StoredEnergy):
     def slope(self, u: Fields) -> CoefficientFunction:
         if u is not self.fields and u in self._values:
             return self._values[u].slope
-        now = self._values[self.fields]  # also of trial functions, whose derivative by z is that at the state
+        now = self._values[self.fields]  # serves trial functions too, with the derivative by z at the state
         hessian = self._hessian.Reshape((self._size, self._size))
         return now.slope + hessian * (u.z - now.state)
 
@@ -146,7 +146,7 @@ class PointwiseEnergy(StoredEnergy):
         return [inner(S, w.zeta_tensors[name]) for name, S in slope.items()]
 
     def curved(self, u: Fields, slope: CoefficientFunction) -> list[CoefficientFunction]:
-        # phi'' is that at the state: of its change with z Newton's matrix knows nothing
+        # phi'' at the state: Newton's matrix omits its change with z
         hessian = self._hessian.Reshape((self._size, self._size))
         return [hessian * column(slope, j) for j in range(self.dim)]
 
@@ -164,7 +164,7 @@ class PointwiseEnergy(StoredEnergy):
 
     @cached_property
     def _sides(self) -> tuple[SidePoints, sp.csr_matrix]:
-        """Points of the cells' sides, and the matrix that takes a component of z to them."""
+        """Points of the cells' sides, and the matrix from a component's coefficients to its values there."""
         points = SidePoints(self._quadrature.mesh, self._quadrature.facet_degree, self._quadrature.symmetry)
         return points, points.values(self.fields.layout.scalar_space("z"))
 
@@ -187,7 +187,7 @@ class PointwiseEnergy(StoredEnergy):
 
     def refresh(self, u: Fields | None = None) -> bool:
         u = self.fields if u is None else u
-        # what one rank has met all of them know
+        # all ranks learn of a change or a failure on one rank
         found = self._ranks.gathered((self._refreshed(u), self._own_failure))
         changed = any(one for one, _ in found)
         if changed and u is self.fields:
@@ -196,7 +196,7 @@ class PointwiseEnergy(StoredEnergy):
         return changed
 
     def _refreshed(self, u: Fields) -> bool:
-        """``refresh`` on this rank."""
+        """Update the energy on this rank; return whether it changed."""
         mine = self._values[u]
         mine.state.Interpolate(u.z)
         states = values_of(mine.state)
@@ -207,7 +207,7 @@ class PointwiseEnergy(StoredEnergy):
             self._own_failure = response.failure
             values_of(self._hessian)[:] = response.hessian.reshape(len(response.energy), self._size**2).T
             energy, slope = response.energy, response.slope.T
-        else:  # mostly a state that has been met
+        else:  # mostly a state with known values
             known = (v for v in self._values.values() if v.at is not None and np.array_equal(states, v.at))
             met = next(known, None)
             if met is None:
@@ -233,7 +233,7 @@ def column(matrix: CoefficientFunction, j: int) -> CoefficientFunction:
 
 @dataclass
 class _Values:
-    """phi, the state and phi' at the quadrature points, and the state they were computed at."""
+    """Energy phi, state and slope phi' at the quadrature points, and the state of their computation."""
 
     energy: GridFunction
     state: GridFunction

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def hessian_basis(dim: int) -> np.ndarray:
-    """(dim^2, dim(dim+1)/2): orthonormal basis of symmetric dim x dim matrices, as columns."""
+    """Orthonormal basis of symmetric dim x dim matrices, as columns, (dim^2, dim(dim+1)/2)."""
     columns = []
     for i, j in combinations_with_replacement(range(dim), 2):
         B = np.zeros((dim, dim))
@@ -29,7 +29,7 @@ def hessian_basis(dim: int) -> np.ndarray:
 
 
 class Part:
-    """The part of ``Fields`` that has the attribute's name."""
+    """Descriptor of the part of ``Fields`` with the attribute's name."""
 
     def __set_name__(self, owner: type, name: str) -> None:
         self.name = name
@@ -39,7 +39,7 @@ class Part:
 
 
 class Density(Part):
-    """rho, or its trace: a part, or sum rho_i n_i where amounts of matter are among the variables."""
+    """Density or its trace: a part, or sum rho_i n_i if the variables are amounts of matter."""
 
     def __get__(self, fields: Fields, owner: type) -> CoefficientFunction:
         if self.name in fields.layout.unknowns:
@@ -50,7 +50,7 @@ class Density(Part):
 class Fields:
     """The unknowns of a step (or tests, or known values) under the paper's symbols.
 
-    Everything is lazy: a form takes only what it names.
+    Attributes are evaluated on access: a form contains only the attributes that it names.
     """
 
     v = Part()
@@ -69,11 +69,11 @@ class Fields:
     zeta_delta_hat = Part()
     """Mean of both sides' conjugates in the delta-regularisation."""
     z_slope_hat = Part()
-    """The jump of the slope's normal part over the sum of both sides' weights."""
+    """Jump of the slope's normal part over the sum of both sides' weights."""
     hess_square = Part()
-    """s = |Hs|^2."""
+    """Projected square s = |Hs|^2 of the recovered Hessian."""
     hyper_coefficient = Part()
-    """c_s, the projected coefficient of the hyperstress."""
+    """Projected coefficient c_s of the hyperstress."""
 
     def __init__(
         self,
@@ -85,9 +85,9 @@ class Fields:
     ) -> None:
         """``parts`` are proxies, grid functions or arrays of values by the unknowns' names.
 
-        ``context`` is what is known at the same points, that of the layout's step by default; ``gradient``
-        gives the gradient of a part, NGSolve's by default.  With ``rows = 1`` they are those of one component
-        of v: what is linear in v, a and the hyperstress is the same for all.
+        ``context`` has the known data at the same points, by default the layout's; ``gradient`` returns the
+        gradient of a part, by default NGSolve's.  With ``rows = 1`` the fields have one component of v: forms
+        linear in v, a and the hyperstress are equal for all components.
         """
         self.layout, self.parts = layout, parts
         self.dim: int = layout.mesh.dim
@@ -97,24 +97,24 @@ class Fields:
 
     @property
     def context(self) -> Context:
-        """The data of the step where these values are: old fields, step length, normal, upwinding."""
+        """Data of the step at the fields' points: old fields, step length, normal, upwinding."""
         return self.layout.context if self._context is None else self._context
 
     @cached_property
     def grad_v(self) -> CoefficientFunction:
-        """(grad v)_ij = d_j v_i, dim x dim."""
+        """Velocity gradient (grad v)_ij = d_j v_i, dim x dim."""
         gradient = self.gradient("v")
         return gradient if self.rows == self.dim else gradient.Reshape((self.rows, self.dim))
 
     @cached_property
     def hoop(self) -> CoefficientFunction | None:
-        """v_r/r, the strain rate about the axis of a body of revolution, 1/s; None of other bodies."""
+        """Strain rate v_r/r about the axis of a body of revolution, 1/s; None for other bodies."""
         radius = self.layout.symmetry.radius
         return None if radius is None else (1 / self.context.given(radius)) * self.v[0]
 
     @cached_property
     def L(self) -> CoefficientFunction:
-        """grad v as a 3x3 tensor."""
+        """Velocity gradient as a 3x3 tensor."""
         return embed_gradient(self.grad_v, self.dim, self.hoop)
 
     @cached_property
@@ -135,12 +135,12 @@ class Fields:
 
     @cached_property
     def z_slope(self) -> CoefficientFunction:
-        """The slope of z by its conjugates in the delta-regularisation, (components, dim), 1/m."""
+        """Slope of z from its conjugates in the delta-regularisation, (components, dim), 1/m."""
         return self.parts["z_slope"].Reshape((self.parts["z_slope"].dim // self.dim, self.dim))
 
     @cached_property
     def Pi(self) -> CoefficientFunction:
-        """Creep rate, 3x3, symmetric and trace-free, 1/s (where nu > 0)."""
+        """Creep rate for nu > 0, 3x3, symmetric and trace-free, 1/s."""
         return trace_free_tensors(self.dim).tensor(self.parts["Pi"])
 
     @cached_property
@@ -151,7 +151,7 @@ class Fields:
     @cached_property
     def z_tensors(self) -> Values:
         """Transported variables by name, 3x3 or scalar."""
-        parts = self.parts  # not these fields, which would hold themselves, and all values with them
+        parts = self.parts  # a reference to self would keep the fields and their values alive
         return self.layout.states.tensors(lambda: parts["z"])
 
     @cached_property
@@ -171,14 +171,14 @@ class Fields:
         return self._components("hyperstress")
 
     def hyperstress_normal(self, n: CoefficientFunction) -> CoefficientFunction:
-        """(S n)_ij = S_ijk n_k, dim x dim."""
+        """Normal part (S n)_ij = S_ijk n_k of the hyperstress, dim x dim."""
         basis = hessian_basis(self.dim)
         along = constant(basis.T.reshape(-1, self.dim)) * n  # rows B n, B of the basis
         return self.hyperstress * along.Reshape((basis.shape[1], self.dim))
 
     @cached_property
     def div_hyperstress(self) -> CoefficientFunction:
-        """(div S)_ij = d_k S_ijk in a cell, dim x dim."""
+        """Divergence (div S)_ij = d_k S_ijk of the hyperstress in a cell, dim x dim."""
         basis, dim, rows = hessian_basis(self.dim), self.dim, self.rows
         of_row = basis.reshape(dim, dim, -1).transpose(0, 2, 1).reshape(dim, -1)  # (j, (B, k))
         matrix = np.kron(np.eye(rows), of_row)
@@ -187,13 +187,13 @@ class Fields:
 
     @cached_property
     def normal_derivative(self) -> CoefficientFunction:
-        """The single-valued d_n v on facets, length dim; on a cell's boundary only."""
+        """Single-valued d_n v on facets, length dim; on a cell's boundary only."""
         n = specialcf.normal(self.dim)
         return CF(tuple(self.parts[name] * n for name in self.layout.names_of("normals")[: self.rows]))
 
     @cached_property
     def jump(self) -> CoefficientFunction:
-        """d_n v (facet) - d_n v (cell), length dim; on a cell's boundary only."""
+        """Jump d_n v (facet) - d_n v (cell), length dim; on a cell's boundary only."""
         return self.normal_derivative - self.grad_v * specialcf.normal(self.dim)
 
     def _components(self, name: str) -> CoefficientFunction:
@@ -201,7 +201,7 @@ class Fields:
 
 
 class Tests(Fields):
-    """Tests of the unknowns; of bodies there is none of rho, which has no equation."""
+    """Tests of the unknowns; with bodies rho has no equation and no test."""
 
     rho = Part()
     rho_hat = Part()

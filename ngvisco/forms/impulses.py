@@ -5,25 +5,25 @@ straight cells functions of the velocity's space.  With m the momentum functiona
 
     <m - m_old, e>/tau = sum of forces + thrust of jumps + rest of cells + rest of inertia,
 
-forces -form(u; e) of each load and wall.  The rows of R at coefficients of v that walls hold are not solved,
-and R(u; e), which they alone have, is what these walls do; with it goes what B_h takes of the stress on a
-closed wall (``ngvisco.forms.boundary.reactions``).  Viscous and hyperviscous stresses have no power at e.
-The others are zero for the exact solution, and are the momentum that the scheme makes of nothing:
+with the forces -form(u; e) of each load and wall.  The rows of R at coefficients of v that walls hold are not
+solved.  Their part R(u; e) is the walls' force, with the pressure that B_h omits on a closed wall
+(``ngvisco.forms.boundary.reactions``).  Viscous and hyperviscous stresses have no power at e.  The other
+summands vanish for the exact solution; they are momentum that the scheme creates:
 
 - **inertia**: the skew form has half the continuity equation tested with v . e, which is not in the space of
-  rho; ``MomentumBalance`` gives it back for constants e, and not for rotations;
+  rho; ``MomentumBalance`` compensates for it with constant e, and not with rotations;
 - **facets**: the elastic force B_h(e; z, zeta) has the facets' share
 
       sum_K int_{dK} (e . n) ((z_hat - z) : zeta + phi(z)),
 
-  less what ``TangentForce`` and walls that matter crosses take of it: the thrust of a jump, zero where the
-  trace is where both sides' tangents of phi meet;
-- **cells**: what of B_h(e; z, zeta) is left beside these and the walls' share: the quadrature of phi in
-  cells and on facets, on curved cells the projection of (e . grad) z, and conjugates that are those of
-  another state (``Material.lagged``).
+  less the parts of ``TangentForce`` and of walls that matter crosses: the thrust of a jump, zero if both
+  sides' tangents of phi meet at the trace;
+- **cells**: the rest of B_h(e; z, zeta) without the shares of facets and walls: the quadrature of phi in
+  cells and on facets, on curved cells the projection of (e . grad) z, and conjugates of another state
+  (``Material.lagged``).
 
-Periodic meshes have no rotations: these are no functions on them, and angular momentum is not conserved.
-Bodies of revolution have the translation along their axis alone.
+Rotations are no functions on periodic meshes, on which angular momentum is not conserved.  Bodies of
+revolution have the translation along their axis alone.
 """
 
 from __future__ import annotations
@@ -70,14 +70,14 @@ DEFECTS = ("facets", "cells", "inertia")
 
 
 class Impulses:
-    """Forces on the body at the solution of a step, by what exerts them and by rigid motion.
+    """Forces on the body at the solution of a step, by their cause and by rigid motion.
 
     Attributes
     ----------
     motions : dict of coefficient functions
-        As of ``rigid_motions``, about the origin.
+        The motions of ``rigid_motions`` about the origin.
     names : list of str
-        What exerts a force: loads, walls, further terms.
+        Names of the causes of forces: loads, walls, further terms.
     """
 
     def __init__(self, step: Step) -> None:
@@ -87,21 +87,21 @@ class Impulses:
         self.motions = {name: e for name, e in given.items() if is_whole or name.startswith("force")}
         mesh = step.mesh
         self._space: FESpace = VectorH1(mesh, order=1 if mesh.GetCurveOrder() < 2 else step.discretisation.k)
-        """The space of the motions, in which walls hold nothing."""
+        """Space of the motions, without constraints by walls."""
         self.on_sides: Callable[[], tuple[Fields, SidePoints] | None] = lambda: None
-        """Gives arrays of z, its trace and conjugates at the points of the cells' sides, by which the elastic
-        force is some times faster than by forms; None where there are none."""
+        """Function that returns arrays of z, its trace and conjugates at the points of cells' sides, or None;
+        with arrays the elastic force is some times faster than with forms."""
         self._levers: np.ndarray | None = None
-        """e . n times the weights at these points, (motions, points)."""
+        """Products of e . n and the weights at the sides' points, (motions, points)."""
         self._groups = self._by_groups()
         internal = (_ELASTIC, _ENTERING, _SKEW, _CHANGE)
         self.names = [name for name in self._groups if name not in internal]
-        """Names of what exerts a force; loads come first."""
+        """Names of the causes of forces; loads come first."""
         if self._is_held.any() and HELD_BY_WALLS not in self.names:
             self.names.append(HELD_BY_WALLS)
 
     def _by_groups(self) -> dict[str, _Rows]:
-        """Rows of v by what they are of."""
+        """Rows of v by group."""
         found: dict[str, _Rows] = {}
         test, dim = self._space.TestFunction(), self.step.mesh.dim
         for term in self.step.terms:
@@ -119,7 +119,7 @@ class Impulses:
         return found
 
     def _tests(self, v: CoefficientFunction, gradient: CoefficientFunction | None) -> Tests:
-        """Tests of v, and zero for all other unknowns; without a gradient that of v is zero."""
+        """Tests with v, and zero for all other unknowns; None as ``gradient`` is the zero gradient of v."""
         layout, dim = self.step.layout, self.step.mesh.dim
         zeros = {name: tuple(space.TrialFunction().dims) for name, space in layout.blocks.items()}
         parts = {name: ZeroCF(dims) for name, dims in zeros.items()} | {"v": v}
@@ -131,7 +131,7 @@ class Impulses:
 
     @cached_property
     def _is_held(self) -> np.ndarray:
-        """Which motions have coefficients that walls hold, (motions,)."""
+        """Mask of the motions with coefficients that walls hold, (motions,)."""
         layout = self.step.layout
         every = mask_of(layout.velocity_space((None,) * self.step.mesh.dim).FreeDofs())
         held = every & ~mask_of(layout.blocks["v"].FreeDofs())
@@ -145,7 +145,7 @@ class Impulses:
 
     @cached_property
     def _in_cells(self) -> EntryIntegrals:
-        """Integrals over cells for all groups and motions, by the names of both."""
+        """Integrals over cells for all groups and motions, by the names of group and motion."""
         entries = {}
         for name, rows in self._groups.items():
             for motion, parts in rows.cells.items():
@@ -181,10 +181,9 @@ class Impulses:
         return _coefficients(self._space, self.motions.values())
 
     def __call__(self) -> dict[str, np.ndarray]:
-        """At the present state: by ``names`` and ``DEFECTS`` the forces, N, and torques, N m, of the motions.
+        """Forces, N, and torques, N m, of the motions at the present state, by ``names`` and ``DEFECTS``.
 
-        The state is the solution of the Rothe step that was solved last, with its old state, length and loads
-        in place.
+        The state must be the solution of the last Rothe step, with its old state, length and loads in place.
         """
         self.step.eliminate.refresh_energy()
         none, of_cells = np.zeros(len(self.motions)), self._in_cells()
@@ -206,11 +205,11 @@ class Impulses:
 
     @cached_property
     def _has_arrays(self) -> bool:
-        """Whether the energy has values by arrays."""
+        """Whether arrays can evaluate the energy."""
         return self.step.energy.projected is None
 
     def _by_arrays(self) -> dict[str, np.ndarray]:
-        """The elastic force on facets, where there are arrays: the same formulas, with w = n."""
+        """Elastic force on facets from arrays, if there are any, by the formulas of the forms with w = n."""
         sides = self.on_sides() if self._has_arrays else None
         if sides is None:
             return {}
@@ -227,9 +226,9 @@ class Impulses:
         return {name: self._levers @ np.broadcast_to(g.value, points.count) for name, g in values.items()}
 
     def of_rows(self, rows: np.ndarray) -> np.ndarray:
-        """Forces, N, and torques of what walls do to the rows of v, (motions,).
+        """Forces, N, and torques from walls' reactions in the rows of v, (motions,).
 
-        Over ranks rows are in parts.
+        Over ranks the rows are sums of the ranks' parts.
         """
         return self._ranks.totals(self._velocities @ rows)
 
@@ -241,31 +240,31 @@ class Impulses:
 
 
 def _thrust(u: Fields, phi: CoefficientFunction) -> CoefficientFunction:
-    """(z_hat - z) : zeta + phi on facets that are crossed, Pa."""
+    """Thrust (z_hat - z) : zeta + phi on crossed facets, Pa."""
     return u.context.crossed * (inner(u.z_hat - u.z, u.zeta) + phi)
 
 
 def _where_it_is(phi: CoefficientFunction) -> CoefficientFunction:
-    """The energy on facets, Pa, and 0 where a trace has none: its share then goes from facets to cells."""
+    """Energy on facets, Pa; 0 at a trace without energy, whose share then counts in the defect of cells."""
     return is_number(phi, phi, 0.0)
 
 
 _ROUNDING = 1e-12
 _ELASTIC, _ENTERING, _SKEW, _CHANGE = "elastic force", "entering", "skew form", "change of momentum"
 _THRUST, _PRESSED = "thrust of jumps", "pressed walls"
-"""Groups of rows of v that are no columns by themselves."""
+"""Groups of rows of v without a column."""
 
 
 @dataclass
 class _Rows:
-    """Integrands in cells by motion, and on facets of all cells or of those at some walls."""
+    """Integrands in cells by motion, and on facets of all cells or of the cells at some walls."""
 
     cells: dict[str, list[Integrand]] = field(default_factory=dict)
     facets: list[tuple[CoefficientFunction, list[str] | None]] = field(default_factory=list)
 
 
 def _groups(term: Term, u: Fields, w: Tests) -> dict[str, list[Integrand]]:
-    """The summands of a term's rows of v, left-hand sides, by group or impulse."""
+    """Summands of a term's rows of v, as left-hand sides, by group or impulse."""
     if isinstance(term, Inertia):
         (whole,), skew = term.cells(u, w), term.compensation(u, w)
         return {_CHANGE: [Integrand(whole - skew)], _SKEW: [Integrand(skew)]}
@@ -289,7 +288,7 @@ def _groups(term: Term, u: Fields, w: Tests) -> dict[str, list[Integrand]]:
 
 
 _WITHOUT_FORCE = (Stokes, Hyperviscosity, Continuity, Kinematics, Conjugates, Trace, Upwinding)
-"""Terms without rows of v, or power at rigid motions; of others it is seen in their forms."""
+"""Terms without rows of v, or without power at rigid motions."""
 
 
 def _is_zero(value: CoefficientFunction | None) -> bool:

@@ -1,24 +1,24 @@
-"""L2 projections, each on its own space: no matrix over all unknowns of a step.
+"""L2 projections, each on one space: no matrix over all unknowns of a step.
 
-A facet unknown's mass matrix is one block a facet, a cell unknown's one block a cell, and components
+The mass matrix of a facet unknown has one block per facet, of a cell unknown one block per cell; components
 of a vector share it.
 
-The velocity is that of a momentum functional, int rho v . w = <m, w> for all admissible w: it attains the
-maximum in E(rho, m) = max_w <m, w> - 1/2 int rho |w|^2 over the velocities that the walls admit.  Prescribed
+The velocity of a momentum functional satisfies int rho v . w = <m, w> for all admissible w: it maximises
+<m, w> - 1/2 int rho |w|^2, whose maximum is E(rho, m), over the velocities that the walls admit.  Prescribed
 coefficients are kept, and on oblique and curved walls (v . n, mu) = 0 for all multipliers mu (paper:
-Euler-small-BC-hyper). The mass matrix is that of one scalar component; conjugate gradients with its diagonal
-take 30 to 60 iterations whatever the mesh.  With multipliers they run in the null space of the walls'
-condition C v = 0, by the projection onto it in the inner product of that diagonal D (``WallProjection``),
+Euler-small-BC-hyper).  One scalar mass matrix serves all components; conjugate gradients with its diagonal D
+take 30 to 60 iterations on any mesh.  With multipliers they run in the null space of the walls' condition
+C v = 0, by the projection onto it in the inner product of D (``WallProjection``),
 
     I - D^-1 C^T (C D^-1 C^T)^-1 C.
 
-C D^-1 C^T is no sum over ranks: walls of two ranks share vertices and edges.  There y = D^-1 C^T lambda is
-kept as an unknown, so that y and lambda with C y = g solve
+C D^-1 C^T is not a sum over ranks, since walls of two ranks share vertices and edges.  At shared coefficients
+y = D^-1 C^T lambda is kept as an unknown, so that y and lambda with C y = g solve
 
     D y - C_s^T lambda = 0,   C_s y + C_i D_i^-1 C_i^T lambda = g,
 
-C_s of what ranks share, C_i of the rest: on one process the Schur complement itself.  It is factorised in the
-units in which D and the rows of C have length one.
+with C_s the shared columns and C_i all others: on one process the Schur complement.  The system is factorised
+in units in which D and the rows of C have length one.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ if TYPE_CHECKING:
 
 
 class LocalProjection:
-    """target = cellwise L2 projection of an integrand that may have a part on the cell's boundary."""
+    """Cellwise L2 projection of integrands in cells and on their boundaries to the function ``target``."""
 
     def __init__(self, target: GridFunction, quadrature: Quadrature, integrands: Integrands) -> None:
         self.target, space = target, target.space
@@ -64,7 +64,7 @@ class LocalProjection:
 
 
 class FacetProjection:
-    """target = the mean over every facet of both sides' values, weighted by their shares; of order 0."""
+    """Mean over every facet of both sides' values, weighted by their shares, to ``target``, of order 0."""
 
     def __init__(
         self,
@@ -74,7 +74,7 @@ class FacetProjection:
         value: CoefficientFunction,
         kept: Callable[[np.ndarray], np.ndarray] = lambda values: values,
     ) -> None:
-        """``kept`` makes the values that are kept of those found."""
+        """``kept`` maps the computed values to the stored ones."""
         self.target, self._kept, space = target, kept, target.space
         self._exchange = Exchange.of(space, Communicator.of(space.mesh))
         test = space.TestFunction()
@@ -90,25 +90,27 @@ class FacetProjection:
 
 
 def inverse_mass(space: FESpace, quadrature: Quadrature) -> BaseMatrix:
-    """The inverse mass matrix of cells by the rule of the forms, which ``Mass`` has on straight simplices
-    only, without a weight."""
+    """Inverse of the cells' mass matrix by the rule of the forms.
+
+    ``Mass`` gives it on straight simplices without a weight only.
+    """
     mesh, is_plain = quadrature.mesh, quadrature.symmetry.radius is None
-    # the same on all ranks, also on those without cells
+    # one choice for all ranks, including ranks without cells
     if is_plain and mesh.comm.Max(mesh.GetCurveOrder()) <= 1 and mesh.comm.Min(is_simplicial(mesh)):
         return space.Mass(1).Inverse()
     trial, test = space.TnT()
     mass = BilinearForm(space, symmetric=True, condense=True)
     mass += quadrature.cells(inner(trial, test))
     mass.Assemble()
-    return mass.inner_solve  # all unknowns belong to cells: the inverse, cell by cell
+    return mass.inner_solve  # the inverse, cell by cell: all unknowns belong to cells
 
 
 def project(
     unknown: Unknown, target: GridFunction, quadrature: Quadrature, value: CoefficientFunction
 ) -> None:
-    """Make an unknown that evolves the L2 projection of ``value``, in cells or on the walls that it lives on.
+    """Set an evolving unknown to the L2 projection of ``value``, in cells or on its walls.
 
-    What is prescribed stays.
+    Prescribed coefficients stay.
     """
     if unknown.is_local:
         LocalProjection(target, quadrature, tested(value))()
@@ -125,7 +127,7 @@ def project(
 
 
 def set_traces(layout: Layout, state: GridFunction, context: Context, quadrature: Quadrature) -> None:
-    """Traces of the state: the means of both sides' values of rho, z, ... and d_n v, in L2 of every facet."""
+    """Set the state's traces to the means of both sides' rho, z, ... and d_n v, in L2 of every facet."""
     parts, now = dict(zip(layout.names, state.components, strict=True)), layout.fields(state.components)
     kinds: dict[tuple[str, int], list[Unknown]] = {}
     for name in layout.names_of("facets", "normals"):
@@ -138,7 +140,7 @@ def set_traces(layout: Layout, state: GridFunction, context: Context, quadrature
         trial, test = (f * n if place == "normals" else f for f in space.TnT())
         mass = BilinearForm(space)
         mass += quadrature.facets(trial * test)
-        # free are neither facets of coarser meshes nor identified copies
+        # facets of coarser meshes and identified copies are not free
         inverse = inverse_of(mass.Assemble().mat, space.FreeDofs(), Communicator.of(layout.mesh))
         for unknown in unknowns:
             target, of = parts[unknown.name].vec, unknown.trace_of or ""
@@ -158,10 +160,10 @@ def _release(inverse: BaseMatrix) -> None:
 
 
 class WallProjection:
-    """Projects the free coefficients of v; over ranks vectors of v are summed ones, and all is collective.
+    """Projection of free coefficients of v on the walls' null space; collective, for summed vectors of v.
 
-    ``term`` is that of the multipliers, each of which is of one rank: a wall's facet has one cell.  ``free``
-    is (unknowns of v,) of bool, what is not prescribed.
+    ``term`` has the multipliers; each belongs to one rank, since a wall's facet has one cell.  ``free`` is
+    the mask of coefficients of v that are not prescribed.
     """
 
     def __init__(
@@ -191,7 +193,7 @@ class WallProjection:
         }
         exchange = Exchange.of(space, Communicator.of(layout.mesh))
         exchange = exchange.part(np.concatenate([of_v[free], multipliers]))
-        self._shared = exchange.places  # of the free coefficients of v
+        self._shared = exchange.places  # places among the free coefficients of v
         last = np.count_nonzero(free) + np.arange(len(multipliers))
         exchange = exchange.part(np.concatenate([self._shared, last]))
         self._owned = exchange.owned[: len(self._shared)].astype(float)
@@ -203,7 +205,7 @@ class WallProjection:
         )
 
     def update(self, diagonal: np.ndarray) -> None:
-        """D, of the free coefficients; raises StepError if C has not full rank."""
+        """Set the diagonal D of the free coefficients; raises StepError if C does not have full rank."""
         self._root = np.sqrt(diagonal)
         scaled = self._constraint @ sp.diags(1 / self._root)
         self._length = np.sqrt(np.asarray(scaled.multiply(scaled).sum(axis=1)).ravel())
@@ -216,7 +218,7 @@ class WallProjection:
         self._solver.factorise(sp.bmat(blocks, format="csr"))
 
     def _taken(self, g: np.ndarray) -> np.ndarray:
-        """D^(1/2) y, of C y = g."""
+        """Return D^(1/2) y for C y = g."""
         count = len(self._shared)
         found = self._solver(np.concatenate([np.zeros(count), g / self._length]))
         result: np.ndarray = self._transposed @ found[count:]
@@ -224,27 +226,27 @@ class WallProjection:
         return result
 
     def __call__(self, v: np.ndarray) -> np.ndarray:
-        """The projection of free coefficients."""
+        """Project free coefficients."""
         return v - self._taken(self._constraint @ v) / self._root
 
     def transposed(self, rows: np.ndarray) -> np.ndarray:
-        """The transpose, of rows of free coefficients."""
+        """Apply the transposed projection to rows of free coefficients."""
         return rows - self._root * self._taken(self._constraint @ (rows / self._root**2))
 
     def _through(self, v: np.ndarray) -> np.ndarray:
-        """(v . n, mu) of all coefficients of v, (multipliers,)."""
+        """Values (v . n, mu) for all coefficients of v, (multipliers,)."""
         through: np.ndarray = self._constraint @ v[self.free] + self._prescribed @ v[~self.free]
         return through
 
     def completed(self, v: np.ndarray) -> np.ndarray:
-        """The free ones of all coefficients of v, such that the walls admit them beside those prescribed."""
+        """Free coefficients of v, corrected so that the walls admit them with the prescribed ones."""
         through = self._through(v)
-        if self._of:  # pistons, at the present time
+        if self._of:  # subtract the pistons' v.n at the present time
             through -= self._given.Assemble().vec.FV().NumPy()
         return v[self.free] - self._taken(through) / self._root
 
     def works(self, rows: np.ndarray, v: np.ndarray) -> dict[str, float]:
-        """The work on v of each piston's impulses, which are in rows of free coefficients, by walls, J."""
+        """Work on v of each piston's impulses, given in rows of free coefficients, by walls, J."""
         count, shares = len(self._shared), self._constraint @ (rows / self._root**2)
         found = self._solver(np.concatenate([np.zeros(count), shares / self._length]))
         each = found[count:] / self._length * self._through(v)
@@ -253,14 +255,14 @@ class WallProjection:
 
 _REDUCTION, _CORRECTIONS, _ITERATIONS = 1e-9, 4, 1000
 _ROUNDING, _ENOUGH = 3e-16, 1e-13
-"""Residual that is aimed at and accepted, relative to <m, .>; it enters the energy's closure."""
+"""Target and accepted residual relative to <m, .>; it enters the energy's closure."""
 
 
 class VelocityOfMomentum:
-    """Solves for the velocity in the state of a layout, by rho > 0, kg/m^3, and m, kg/(m^2 s).
+    """Solver for the velocity in a state from rho > 0, kg/m^3, and m, kg/(m^2 s).
 
-    v of the state is both the start value and, where it is prescribed, given; m are values at the points of
-    ``quadrature``; ``term`` is None where there are no multipliers.
+    v of the state is the start value and has the prescribed coefficients.  m has values at the points of
+    ``quadrature``; ``term`` is None without multipliers.
     """
 
     def __init__(
@@ -281,7 +283,7 @@ class VelocityOfMomentum:
         self._load += quadrature.cells(inner(momentum, space.TestFunction()))
         self.free = mask_of(space.FreeDofs())
         self._exchange = Exchange.of(space, Communicator.of(layout.mesh))
-        # what ranks share counts once in products
+        # shared coefficients count once in products
         several = self._exchange.communicator.is_distributed
         self._own = self._exchange.owned if several else slice(None)
         self._own_free = self._exchange.owned[self.free] if several else slice(None)
@@ -289,8 +291,7 @@ class VelocityOfMomentum:
         self._walls = None if term is None else WallProjection(layout, term, quadrature, self.free)
 
     def works(self, rows: np.ndarray, v: np.ndarray) -> dict[str, float]:
-        """The work on v of the impulses of each piston with multipliers, for rows that a call returned, by
-        walls, J."""
+        """Work on v of the impulses of pistons with multipliers, from rows of ``__call__``, by walls, J."""
         if self._walls is None:
             return {}
         ranks = self._exchange.communicator
@@ -298,16 +299,16 @@ class VelocityOfMomentum:
         return {name: float(ranks.total(work)) for name, work in found.items()}
 
     def functional(self) -> np.ndarray:
-        """<m, .> in this rank's cells, (unknowns of v,)."""
+        """Functional <m, .> in this rank's cells, (unknowns of v,)."""
         return self._load.Assemble().vec.FV().NumPy().copy()
 
     def __call__(self, keeps_walls: bool = False) -> np.ndarray:
-        """Solve; returns the rows of int rho v . w - <m, w>, which only walls leave, (unknowns of v,).
+        """Solve; return the rows int rho v . w - <m, w>, nonzero at walls only, (unknowns of v,).
 
-        The v.n of walls with multipliers is that of the present time; the state's where it ``keeps_walls``.
+        v.n on walls with multipliers has the value of the present time, or the state's if it ``keeps_walls``.
 
-        The rows are those of this rank's cells: what ranks share is their sum.  Raises StepError when the
-        linear system is not solved to rounding.
+        The rows are summed over this rank's cells only.  Raises StepError if the linear system is not solved
+        to rounding.
         """
         self._mass.Assemble()
         mass = sp.block_diag([csr(self._mass.mat)] * self._dim, format="csr")
@@ -320,7 +321,7 @@ class VelocityOfMomentum:
             self._walls.update(diagonal)
             project, project_back = self._walls, self._walls.transposed
             if not keeps_walls:
-                v[free] = self._walls.completed(v)  # a start value that the walls admit
+                v[free] = self._walls.completed(v)  # an admissible start value
         full = np.zeros_like(v)
 
         def product(x: np.ndarray, y: np.ndarray) -> float:
@@ -336,7 +337,7 @@ class VelocityOfMomentum:
         size = ranks.norm(momentum[self._own]) or 1.0
         left = np.inf
         for _ in range(_CORRECTIONS):
-            # twice: beside the walls' share of the rows a small rest is rounding, not in the operator's range
+            # twice: rounding of the large rows at walls is not in the operator's range
             residual = project_back(project_back((momentum - exchange.sum(mass @ v))[free]))
             last, left = left, ranks.norm(residual[self._own_free])
             if left <= _ROUNDING * size or not left < 0.5 * last:
@@ -359,5 +360,5 @@ def project_velocity(
     term: Impenetrability | None,
     quadrature: Quadrature,
 ) -> None:
-    """v as the L2 projection of v_0 on the velocities that the walls admit."""
+    """Set v to the L2 projection of v_0 on the velocities that the walls admit."""
     VelocityOfMomentum(layout, state, CF(1.0), CF(v_0), term, quadrature)()

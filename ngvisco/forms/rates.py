@@ -1,7 +1,7 @@
-"""Rates of the transported variables and their power, as the terms of a step ask for them.
+"""Rates of the transported variables and their power, as read by the terms of a step.
 
-``Rates`` writes them with coefficient functions, ``TabulatedRates`` with arrays of values and the constant
-tensors that the rates are made of: a term asks ``u.context.rates`` and need not know which of them it is.
+``Rates`` evaluates them with coefficient functions, ``TabulatedRates`` with arrays of values and the rates'
+constant tensors.  A term reads ``u.context.rates`` and works with either class.
 """
 
 import math
@@ -38,25 +38,25 @@ from ngvisco.physics.tensors import (
 from ngvisco.physics.variables import CONFORMATION, HARDENING, INTERFACE, PRESSURE, TEMPERATURE, Values
 
 Conjugate: TypeAlias = Literal["z", "zeta"]
-"""Whether a rate is taken with tests of z or with conjugates."""
+"""Factor of a rate: tests of z, or conjugates zeta."""
 
 
 class Rates:
-    """rate(z; L, Pi) : G for one model."""
+    """Rates of one model and their products rate(z; L, Pi) : G."""
 
     def __init__(self, model: Model, dim: int, hoop: bool = False) -> None:
-        """With ``hoop`` L has an entry 33 in two dimensions, about an axis."""
+        """With ``hoop``, in a body of revolution, L has an entry 33."""
         self.model, self.material, self.dim, self.hoop = model, model.material, dim, hoop
         self.flows = model.flows
-        """The flows that creep."""
+        """The flow rules with the variables that they relax."""
         self.is_local = all(flow.rule.is_local for flow in self.flows)
-        """Whether all that creeps has its rate at the point."""
+        """Whether all flow rules give the rate as a function of the values at the point."""
         self._has_trace = any(flow.rule.has_trace for flow in self.flows)
 
     def power(self, z: Fields, along: Fields, G: Fields, name: Conjugate) -> Sequence[CoefficientFunction]:
-        """rate(z; grad w, 0) : G in summands, w the velocity of ``along``, G the part ``name`` of ``G``.
+        """Summands of rate(z; grad w, 0) : G, w the velocity of ``along``, G the part ``name`` of ``G``.
 
-        Of densities their production alone: the rest is within their flux.
+        Densities have their production only: their flux contains the rest.
         """
         zero, tensors, values = 0 * along.L, _tensors(G, name), z.z_tensors
         parts = []
@@ -68,10 +68,11 @@ class Rates:
 
     @cached_property
     def creeps_at_nodes(self) -> bool:
-        """Whether creep is integrated by as many points as a field has values in a cell: where a local rule
-        is nonlinear, or relaxes F or its cofactor, which are turned from point to point and cannot at more.
+        """Whether creep is integrated by the nodal rule, one point per field coefficient in a cell.
 
-        Not with rates that are not affine in the variables, of which constant tensors know no stress.
+        This holds if a local rule is nonlinear, or relaxes F or its cofactor, whose rotation a field can
+        follow at no more points.  It does not hold for rates that are not affine in the variables, whose
+        stress constant tensors do not give.
         """
         turns = {variable.name for variable in self.material.variables if variable.kind == "full"}
         asked = any(f.rule.degree != 1 or turns.intersection(f.names) for f in self.flows)
@@ -79,13 +80,13 @@ class Rates:
 
     @cached_property
     def constants(self) -> RateTensors:
-        """The constant tensors of the variables' rates, one Pi for all."""
+        """Constant tensors of the variables' rates, with one Pi for all variables."""
         return RateTensors.of(tuple(self.material.variables), self.dim, self._has_trace, self.hoop)
 
     def creep_power(
         self, z: Fields, Pi: Sequence[CoefficientFunction], G: Fields, name: Conjugate
     ) -> Sequence[CoefficientFunction]:
-        """rate(z; 0, Pi) : G in summands, Pi 3x3, one a flow; the affine parts of a rate vanish at L = 0."""
+        """Summands of rate(z; 0, Pi) : G, one Pi, 3x3, per flow; at L = 0 a rate has no affine part."""
         tensors = _tensors(G, name)
         return [
             inner(self.material.rate(variable, z.z_tensors, 0 * rate, rate), tensors[variable.name])
@@ -95,17 +96,16 @@ class Rates:
         ]
 
     def mandel(self, u: Fields, flow: Flow | None = None) -> CoefficientFunction:
-        """Mandel stress of the projected conjugates, 3x3, Pa; what drives a flow, or of all variables."""
+        """Mandel stress of the projected conjugates, 3x3, Pa, of a flow's variables, or of all variables."""
         names = None if flow is None else flow.names
         return mandel_stress(self.material, u.z_tensors, u.zeta_tensors, self.dim, names)
 
     def creep(self, u: Fields) -> list[CoefficientFunction]:
-        """Pi of every flow, 3x3, 1/s: of a local rule, or the field of its own."""
+        """Rate Pi of every flow, 3x3, 1/s: from a local rule, or the unknown Pi."""
         return [self.local_creep(flow, u) if flow.rule.is_local else u.Pi for flow in self.flows]
 
     def mean_creep(self, u: Fields) -> dict[str, CoefficientFunction]:
-        """sum theta_i Pi_i over the bodies, 3x3, 1/s, or Pi, by what a name has of its branch; none without
-        creep."""
+        """Mean creep rate sum theta_i Pi_i over the bodies, or Pi, 3x3, 1/s, by the suffix of the branch."""
         found: dict[str, CoefficientFunction] = {}
         for flow, Pi in zip(self.flows, self.creep(u), strict=True):
             part, known = flow.share(u.z_tensors) * Pi, found.get(flow.suffix)
@@ -113,35 +113,35 @@ class Rates:
         return found
 
     def local_creep(self, flow: Flow, u: Fields) -> CoefficientFunction:
-        """Pi of a flow at the values at the point, 3x3, 1/s."""
+        """Rate Pi of a flow from the values at the point, 3x3, 1/s."""
         zeta = None if flow.conformation is None else u.zeta_tensors[flow.conformation]
         return flow.rule.rate(self.driving(flow, u), zeta, self.read_values(flow.rule, u, flow))
 
     def driving(self, flow: Flow, u: Fields) -> CoefficientFunction:
-        """The Mandel stress that drives a flow, of a body per its own volume, 3x3, Pa."""
+        """Mandel stress that drives a flow, per volume of the flow's body, 3x3, Pa."""
         M = self.mandel(u, flow)
         return M if flow.body is None else (1 / flow.share(u.z_tensors)) * M
 
     def read_values(self, law: FlowRule | Viscosity, u: Fields, flow: Flow | None = None) -> Values:
-        """The values z that a law may read, with pressure and others where it asks for them.
+        """Values that a law may read: z, and the pressure and other quantities in ``law.reads``.
 
-        ``flow`` is that of a rule that may harden.
+        ``flow`` is the flow of a rule that may harden.
         """
         found = {**u.z_tensors}
         if PRESSURE in law.reads:
             found[PRESSURE] = self.pressure(u)
         if isinstance(law, MixedViscosity) and law.in_series:
             found[INTERFACE] = self._interface(law, u.context.old)
-        if TEMPERATURE in law.reads:  # by the projected conjugates, K
+        if TEMPERATURE in law.reads:  # from the projected conjugates, K
             found[TEMPERATURE] = temperature(self.material, u.zeta_tensors)
         if CONFORMATION in law.reads and flow is not None and flow.conformation is not None:
             found[CONFORMATION] = u.z_tensors[flow.conformation]
-        if HARDENING in law.reads and flow is not None:  # A phi_h'(k), Pa, of a body per its own volume
+        if HARDENING in law.reads and flow is not None:  # A phi_h'(k), Pa, per volume of the body
             found[HARDENING] = flow.matter(u.z_tensors) * u.zeta_tensors[flow.plastic_content.name]
         return found
 
     def _interface(self, law: MixedViscosity, old: Fields) -> CoefficientFunction:
-        """n x n, 3x3: along n the viscosities' mean logarithm changes most, at the step's start."""
+        """Projection n x n, 3x3, on the slope n of the viscosities' mean logarithm at the step's start."""
         states, dim = old.layout.states, old.dim
         theta, weights = law.fractions.at(old.z_tensors), {n: math.log(G) for n, G in law.in_series.items()}
         mean = reduce(add, (weight * theta[name] for name, weight in weights.items()))
@@ -155,14 +155,14 @@ class Rates:
         return (1 / (square(column) + _NO_SLOPE)) * (column * column.trans)
 
     def pressure(self, u: Fields) -> CoefficientFunction:
-        """-tr T/3 by the projected conjugates, Pa."""
+        """Pressure -tr T/3 from the projected conjugates, Pa."""
         zero = 0 * embed_gradient(u.grad_v, u.dim)
         identity = identity_like(zero) + zero
         power = rate_power(self.material, u.z_tensors, u.zeta_tensors, identity, zero)
         return (-1 / 3) * power - self.stored(u)
 
     def hardening_rate(self, flow: Flow, Pi: CoefficientFunction, u: Fields) -> CoefficientFunction:
-        """The growth of the flow's plastic content K by the rate Pi, 1/s."""
+        """Growth rate of the flow's plastic content K at the creep rate Pi, 1/s."""
         return flow.amount(u.z_tensors) * flow.rule.hardening_rate(Pi)
 
     def stored(self, u: Fields) -> CoefficientFunction:
@@ -170,16 +170,15 @@ class Rates:
         return u.context.energy.density(u)
 
     def stored_on_sides(self, u: Fields) -> CoefficientFunction:
-        """phi(z), Pa, or its mean over a side of a cell, for integrals over sides."""
+        """Energy phi(z), Pa, or its mean over a cell's side, for integrals over sides."""
         return u.context.energy.on_sides(u)
 
     def stored_near(self, u: Fields) -> CoefficientFunction:
-        """phi(z), Pa, in cells, with its derivative by z where it is known at one state alone, too."""
+        """Energy phi(z), Pa, in cells, with its derivative by z also for stored values of one state."""
         return u.context.energy.near(u)
 
     def dissipation(self, u: Fields) -> dict[str, CoefficientFunction]:
-        """The power of creep, W/m^3, without that of its gradient term, by what a name has of its branch:
-        the sum over bodies; none without creep."""
+        """Power of creep, W/m^3, without the gradient term, summed over bodies, by the branch's suffix."""
         found: dict[str, CoefficientFunction] = {}
         for flow, power in zip(self.flows, self.powers_of_creep(u), strict=True):
             known = found.get(flow.suffix)
@@ -187,11 +186,11 @@ class Rates:
         return found
 
     def powers_of_creep(self, u: Fields) -> list[CoefficientFunction]:
-        """The power of creep of every flow, W/m^3."""
+        """Power of creep of every flow, W/m^3."""
         return [self.power_of_creep(flow, Pi, u) for flow, Pi in zip(self.flows, self.creep(u), strict=True)]
 
     def power_of_creep(self, flow: Flow, Pi: CoefficientFunction, u: Fields) -> CoefficientFunction:
-        """The power of one flow with the rate Pi, W/m^3, without the part that hardening stores."""
+        """Power of one flow with the rate Pi, W/m^3, without the power that hardening stores."""
         if not flow.rule.is_local:
             power = inner(flow.rule.force(Pi, self.read_values(flow.rule, u, flow)), Pi)
         elif flow.rule.has_trace:
@@ -210,17 +209,16 @@ def _tensors(G: Fields, name: Conjugate) -> Values:
 _ROUNDING = 1e-12
 
 _NO_SLOPE = 1e-100
-"""1/m^8: of what has no slope there is no normal."""
+"""Summand, 1/m^8, by which n x n tends to zero where the slope is zero."""
 
 
 class TabulatedRates(Rates):
-    """Rates for arrays of values and tests of them, the counterpart of ``Rates`` for coefficient
-    functions."""
+    """Rates for arrays of values and tests; ``Rates`` is the counterpart for coefficient functions."""
 
     def __init__(self, model: Model, dim: int, hoop: bool = False) -> None:
         super().__init__(model, dim, hoop)
         self.creep_space = symmetric_tensors(dim) if self._has_trace else trace_free_tensors(dim)
-        """The tensors among which each Pi is, and the forces that drive it."""
+        """Space of the tensors Pi and of their driving forces."""
         self.tensors, variables = self.constants, tuple(model.material.variables)
         creeping = tuple(v.name for v in variables if v.creeps)
         if any(flow.names != creeping for flow in self.flows):
@@ -235,17 +233,17 @@ class TabulatedRates(Rates):
         production = self.tensors.linear - flux
         production[abs(production) < _ROUNDING] = 0.0
         self.production = replace(self.tensors, linear=production)
-        """Production of densities, without the part that is within their flux."""
+        """Rates without the part that the densities' flux contains."""
         shared = model.material.taking_part(states.tensors(lambda: Array(np.ones((states.size, 1)), None)))
         self._shared = {name: states.slices[name] for name in shared}
         self.weighed: RateTensors | None = None
-        """The part of the rates that is multiplied by a variable's weight (``Material.taking_part``)."""
+        """Part of the rates with a variable's weight as a factor (``Material.taking_part``)."""
         if shared:
             self.weighed = self.production - self.production.turning()
             self.tensors, self.production = self.tensors - self.weighed, self.production.turning()
 
     def weights(self, z: np.ndarray) -> np.ndarray:
-        """How far each component takes part, (n, points)."""
+        """Weights with which the components take part, (n, points)."""
         values = self.material.taking_part(self._states.tensors(lambda: Array(z, None)))
         weights = np.ones(z.shape, z.dtype)
         for name, own in self._shared.items():
@@ -253,14 +251,14 @@ class TabulatedRates(Rates):
         return weights
 
     def columns(self, z: np.ndarray) -> np.ndarray:
-        """d rate/dX, (points, n, X), of densities with what is within their flux."""
+        """Derivative d rate/dX, (points, n, X), including the part in the densities' flux."""
         columns = self.tensors.columns(z)
         if self.weighed is not None:
             columns += self.weights(z).T[:, :, None] * self.weighed.columns(z)
         return columns
 
     def slopes(self, z: np.ndarray, X: np.ndarray, zeta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """d rate/dz, (n, n, points), and d^2(zeta : rate)/dX dz, (X, n, points), of the same rate."""
+        """Derivatives d rate/dz, (n, n, points), and d^2(zeta : rate)/dX dz, (X, n, points)."""
         of_rate, of_stress = self.tensors.rate_slope(X), self.tensors.stress_slope(zeta)
         if self.weighed is not None:
             weights, by_z = self.weights(z), np.empty_like(of_rate)
@@ -273,21 +271,21 @@ class TabulatedRates(Rates):
         return of_rate, of_stress
 
     def rate(self, z: Fields, X: np.ndarray, first: int = 0) -> np.ndarray:
-        """rate(z; X), (n, points), for the X from ``first`` on, of densities their production."""
+        """Rates rate(z; X), (n, points), for the X from ``first`` on; for densities their production."""
         found = self.production.rate(z.z.value, X, first)
         if self.weighed is not None:
             found = found + self.weights(z.z.value) * self.weighed.rate(z.z.value, X, first)
         return found
 
     def stress(self, z: Fields, zeta: np.ndarray, first: int, stop: int) -> np.ndarray:
-        """d(zeta : rate)/dX for X = first ... stop - 1, (X, points)."""
+        """Derivatives d(zeta : rate)/dX for X = first ... stop - 1, (X, points)."""
         found = self.production.stress(z.z.value, zeta, first, stop)
         if self.weighed is not None:
             found = found + self.weighed.stress(z.z.value, self.weights(z.z.value) * zeta, first, stop)
         return found
 
     def power(self, z: Fields, along: Fields, G: Fields, name: Conjugate) -> Sequence[Linear]:
-        """rate(z; grad w, 0) : G with either w or G a test."""
+        """Products rate(z; grad w, 0) : G, with w or G a test."""
         tests = G.parts[name]
         if isinstance(tests, Linear):
             return [tests.InnerProduct(Array(self.rate(z, self.entries_of_L(along)), None))]
@@ -297,17 +295,17 @@ class TabulatedRates(Rates):
         return parts if along.hoop is None else [*parts, along.hoop * Array(stress[plane], None)]
 
     def entries_of_L(self, along: Fields) -> np.ndarray:
-        """The X that are entries of L, (gradients, points)."""
+        """Entries of L among the X, (gradients, points)."""
         entries = along.grad_v.value.reshape(self.dim**2, -1)
         return entries if along.hoop is None else np.concatenate([entries, along.hoop.value[None]])
 
     def creep_power(self, z: Fields, Pi: Sequence[Array], G: Fields, name: Conjugate) -> Sequence[Linear]:
-        """rate(z; 0, Pi) : G, with G a test, Pi one a flow."""
+        """Product rate(z; 0, Pi) : G, with a test G and one Pi per flow."""
         rate = self.rate(z, self._components(Pi), self.tensors.gradients)
         return [G.parts[name].InnerProduct(Array(rate, None))]
 
     def mandel(self, u: Fields, flow: Flow | None = None) -> Array:
-        """Mandel stress of the projected conjugates, 3x3, Pa, that drives a flow, by default the first."""
+        """Mandel stress of the projected conjugates, 3x3, Pa, of a flow, by default of the first."""
         size = self.creep_space.size
         first = self.tensors.gradients + size * (0 if flow is None else self.flows.index(flow))
         M = Array(self.stress(u, u.zeta.value, first, first + size), None)
@@ -327,7 +325,7 @@ class TabulatedRates(Rates):
     stored_near = stored_on_sides = stored
 
     def creep_components(self, u: Fields) -> np.ndarray:
-        """Pi of all local rules in components, (flows p, points)."""
+        """Components of the rates Pi of all local rules, (flows p, points)."""
         return self._components(self.creep(u))
 
     def _components(self, Pi: Sequence[Array]) -> np.ndarray:

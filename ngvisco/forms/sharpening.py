@@ -1,24 +1,24 @@
-"""Interfaces between bodies that stay as wide as they are: a conservative correction of a step's end.
+"""Conservative sharpening of interfaces between bodies at the end of a step, which keeps their width.
 
 Transport smears a jump of the amounts n_i over ever more cells.  After each step (``Discretisation.sharp``)
-bodies i and j are put apart in the cells that both are in, in two moves.
+bodies i and j are separated, in the cells that contain both, in two moves.
 
-1. *Between two such cells.*  Through their facet the amount
+1. *Between two mixed cells.*  Through their facet the amount
 
        a = C tau int |v . n| |e . n| / |K_d|  min(n_i |K_d|, n_j |K_r|),    at most 1/8 of either,
 
-   of body i goes to K_r, the one with more of it, and as much of body j comes back; e is the direction in
-   which theta_i grows.  Each takes its tensors with it, a (X/n) of its cell.  An interface that rests is left
-   alone, as it is by upwinding, whose smearing this balances.
-2. *In such a cell* n_i becomes the mean and the slope of the projected indicator of the half-space with that
-   mean beyond a plane across e, scaled until theta_i is in [0, 1]; n_j is the rest of n_i + n_j, and X
-   becomes n (X/n) of the means.
+   of body i goes to K_r, the cell with more of i, and the same amount of body j comes back; e is the
+   direction in which theta_i grows.  Each body takes its tensors with it, a (X/n) of its cell.  An interface
+   at rest does not change, as under upwinding, whose smearing this move balances.
+2. *In a mixed cell* n_i becomes the mean plus the slope of the projected indicator of a half-space that has
+   this mean and a boundary plane across e, scaled until theta_i is in [0, 1]; n_j is the rest of n_i + n_j,
+   and X becomes n (X/n) with the quotient of the means.
 
-N at every point and int n_i, int X_i are kept: masses, sum theta = 1, rho and momentum too, since bodies have
-one density.  Volumetric energies that are one function see N alone, and n f(X/n) = C : (X - n I), f linear in
-X, sees the integrals alone: the stored energy is kept to rounding, and a step's identity is as it was.  Other
-f of degree one in (n, X) would lose by it, but those of bodies are so up to traces of matter: refused.
-What it costs is shape: a body of a few cells becomes somewhat angular along the cells (NOTES).
+The moves keep N at every point, int n_i and int X_i: masses, sum theta = 1, rho and momentum too, since
+bodies have one density.  A common volumetric energy depends on N alone, and n f(X/n) = C : (X - n I), f
+linear in X, on the integrals alone: the stored energy is kept to rounding, and the step's identity holds.
+Other f are refused: of degree one in (n, X) they would lose energy, but the bodies' f have this degree up to
+traces of matter only.  The cost is shape: a body of a few cells becomes somewhat angular along them (NOTES).
 """
 
 from __future__ import annotations
@@ -51,18 +51,18 @@ from ngvisco.physics.bodies import AMOUNT
 from ngvisco.physics.mixture import Mixture
 
 _RATE = 1 / 4
-"""C: half of what upwinding smears at a jump, 1/2 |v . n|; more is sharper and less round."""
+"""Factor C: half of upwinding's smearing at a jump, 1/2 |v . n|; a larger C is sharper and less round."""
 _MOST = 1 / 8
-"""Share of what there is of a body in a cell that goes through one facet."""
+"""Largest share of a body in a cell that goes through one facet."""
 _LEAST = 1e-3
-"""Fraction below which a body is not in a cell."""
+"""Fraction below which a cell does not contain a body."""
 _DEGREE = 20
-"""The degree of the rule at whose points a plane is placed in a cell."""
+"""Degree of the rule that places a plane in a cell."""
 _FIELD = "Discretisation.sharp"
 
 
 def check_sharp(step: Step) -> None:
-    """Raise ParameterError for a model whose interfaces are not sharpened, with the reason."""
+    """Raise ParameterError, with the reason, for a model whose interfaces cannot be sharpened."""
     material, mesh = step.model.material, step.mesh
     if not isinstance(material, Mixture):
         raise ParameterError(_FIELD, True, "False for a model without bodies")
@@ -88,7 +88,7 @@ def check_sharp(step: Step) -> None:
 
 
 class Sharpening:
-    """Puts bodies of a step's present state apart; raises ParameterError where that would not hold."""
+    """Separation of bodies in a step's present state; raises ParameterError for an unsuitable model."""
 
     def __init__(self, step: Step) -> None:
         check_sharp(step)
@@ -120,7 +120,7 @@ class Sharpening:
         self._slopes = np.concatenate([-slopes.sum(axis=1, keepdims=True), slopes], axis=1)  # of lambda
 
     def put_apart(self, tau: float) -> None:
-        """Put bodies of the present state apart at the end of a step of length ``tau``, s."""
+        """Separate bodies of the present state at the end of a step of length ``tau``, s."""
         dofs = self._basis
         state = self.step.state.vec.FV().NumPy()[self.step.layout.ranges["z"]]
         state = state.reshape(self.step.layout.states.size, -1)
@@ -134,18 +134,18 @@ class Sharpening:
         state[:, dofs] = np.einsum("kfc,skc->skf", self._inverse, u)
 
     def _means(self, u: np.ndarray) -> np.ndarray:
-        """Means over the cells of linear functions with values (components, cells, corners)."""
+        """Cell means of linear functions with values (components, cells, corners)."""
         return np.einsum("skc,kc->sk", u, self._masses) / self._masses.sum(axis=1)
 
     def _averaged(self, values: np.ndarray) -> np.ndarray:
-        """Values at the corners of cells, (cells, corners), averaged over those that meet at a vertex."""
+        """Values at corners of cells, (cells, corners), averaged over the corners at each vertex."""
         weights = np.repeat(self._volumes, values.shape[1])
         sums = [np.bincount(self._vertices.ravel(), of) for of in (weights * values.ravel(), weights)]
         found: np.ndarray = (sums[0] / np.maximum(sums[1], np.finfo(float).tiny))[self._vertices]
         return found
 
     def _mixed(self, means: np.ndarray, i: int, j: int) -> np.ndarray:
-        """Cells in which there are bodies i and j, and no other, (cells,) of bool."""
+        """Mask of cells with bodies i and j and no other body, (cells,)."""
         amounts = means[self._amounts]
         least, both = _LEAST * amounts.sum(axis=0), amounts[[i, j]]
         return np.asarray((both > least).all(axis=0) & (both.sum(axis=0) > amounts.sum(axis=0) - least))
@@ -159,7 +159,7 @@ class Sharpening:
         slope = np.where(size > 0, slope / np.where(size > 0, size, 1.0), 0.0)
         facets = self._facets[mixed[self._facets[:, 0]] & mixed[self._facets[:, 2]]]
         (one, corner), other = facets[:, :2].T, facets[:, 2]
-        normal = -self.dim * self._volumes[one, None] * self._slopes[one, corner]  # as long as the facet
+        normal = -self.dim * self._volumes[one, None] * self._slopes[one, corner]  # length = facet's area
         area = np.linalg.norm(normal, axis=1)
         up = 0.5 * ((slope[one] + slope[other]) * normal).sum(axis=1) / area
         opposite = np.arange(path.shape[1]) == corner[:, None]
@@ -179,7 +179,7 @@ class Sharpening:
                 u[component] += (change / mass)[:, None]
 
     def _within(self, u: np.ndarray, i: int, j: int, heights: np.ndarray, mixed: np.ndarray) -> None:
-        """Part bodies i and j in mixed cells by planes across the slope of heights, in place."""
+        """Separate bodies i and j in mixed cells by planes across the slope of heights, in place."""
         means, chosen = self._means(u), np.flatnonzero(mixed & (np.ptp(heights, axis=1) > 0))
         own, both = means[self._amounts[i]], means[self._amounts[i]] + means[self._amounts[j]]
         theta = own[chosen] / both[chosen]
@@ -204,12 +204,12 @@ class Sharpening:
             for component in self._contents[body]:
                 u[component, chosen] = u[n, chosen] * (means[component, chosen] / means[n, chosen])[:, None]
 
-    # --- what cells, vertices and facets are -----------------------------------------------------------
+    # --- arrays of cells, vertices and facets -----------------------------------------------------------
 
     def _of_cells(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Numbers of the functions of each cell, (cells, functions), the matrix that takes values at its
-        corners to coefficients, (cells, functions, corners), and integrals by the rule of the forms of the
-        linear functions that are 1 at one corner, (cells, corners)."""
+        """Arrays of each cell: numbers of its functions, (cells, functions), the matrix from corner values to
+        coefficients, (cells, functions, corners), and the integrals, by the rule of the forms, of linear
+        functions that are 1 at one corner, (cells, corners)."""
         space = self.step.layout.scalar_space("z")
         dofs = _numbers(space)
         function, values = GridFunction(space), np.empty((*self._x.shape[:2], dofs.shape[1]))
@@ -224,8 +224,8 @@ class Sharpening:
         return dofs, inverse, np.einsum("kf,kfc->kc", integrals, inverse)
 
     def _of_vertices_and_facets(self) -> tuple[np.ndarray, np.ndarray]:
-        """Numbers of the vertices of cells, (cells, corners), and facets between two cells, rows of the one,
-        its corner opposite, and the other; identified ones count once."""
+        """Numbers of the cells' vertices, (cells, corners), and facets between two cells: rows of one cell,
+        its corner opposite, and the other cell.  Identified vertices and facets count once."""
         periodic = bool(self.step.walls.periodic)
         nodes, facets = H1(self.mesh, order=1), FacetFESpace(self.mesh, order=0)
         vertices, sides = (_numbers(Periodic(s) if periodic else s) for s in (nodes, facets))
@@ -246,5 +246,5 @@ class Sharpening:
 
 
 def _numbers(space: FESpace) -> np.ndarray:
-    """The unknowns of every cell, (cells, unknowns)."""
+    """Numbers of the unknowns of every cell, (cells, unknowns)."""
     return np.array([space.GetDofNrs(ElementId(VOL, cell)) for cell in range(space.mesh.ne)])

@@ -14,12 +14,12 @@
 | without_energy   | traces without an energy, P_0 on facets           | global         | WithoutEnergy |
 | conjugate_jump   | [z] : [zeta], P_0 on facets                       | global         | ConjugateJump |
 | cell_velocity    | mean of v over a cell                             | local          | CellVelocity |
-| unbalanced_momentum | mean of what v leaves of the continuity equation | local        | UnbalancedMomentum |
+| unbalanced_momentum | mean residual of the continuity equation tested by v | local    | UnbalancedMomentum |
 | stored_mean      | mean of an energy without values on walls         | local          | StoredMean |
-| Pi               | creep rate where nu > 0, continuous P_max(1, m)   | global         | CreepRate |
+| Pi               | creep rate for nu > 0, continuous P_max(1, m)     | global         | CreepRate |
 | rho_delta_hat    | the trace of rho in its diffusion                 | global         | DensityDiffusion |
 | z_slope          | slope of z in its diffusion, P_m                  | local          | FieldDiffusion |
-| zeta_delta_hat   | mean of both sides' conjugates there              | global         | FieldDiffusion |
+| zeta_delta_hat   | mean of both sides' conjugates in diffusion of z  | global         | FieldDiffusion |
 | z_slope_hat      | jump of the slope's normal part                   | global         | FieldDiffusion |
 | wall_stress      | P_{k-2} (2D, k = 3: P_2) on oblique, curved walls | global         | Impenetrability |
 
@@ -72,9 +72,9 @@ class Discretisation:
     m : int
         Order of the discontinuous density and transported variables, 0, 1 or 2.
     quadrature_bonus : int
-        Added to the degree of all quadrature of forms and ledger alike, 0 to 12.
+        Number added to the degree of all quadrature of forms and ledger, 0 to 12.
     sharp : bool
-        Whether bodies of one density are put apart where transport smears their interfaces, with m = 1.
+        Whether smeared interfaces between bodies of one density are sharpened after each step; needs m = 1.
     """
 
     k: Annotated[int, Quantity("1", "from 1 to 3")] = 2
@@ -87,7 +87,7 @@ class Discretisation:
 
 
 class Layout:
-    """The compound space of a Rothe step, its blocks by name, and views of them as fields."""
+    """The compound space of a Rothe step, its blocks by name, and fields of its parts."""
 
     context: Context
     """The data of the step, set by the layout's owner (``ngvisco.forms.system.Step``)."""
@@ -106,8 +106,8 @@ class Layout:
         """``terms`` introduce the unknowns; v_i is prescribed on the boundaries ``dirichlet[i]``.
 
         ``periodic`` identifies the unknowns on identified boundaries.  Raises ParameterError if two terms
-        introduce an unknown of one name, one that evolves has that of a variable of the material, or one is
-        of an order that does not exist.
+        introduce unknowns with one name, an evolving unknown has the name of a variable of the material, or
+        an order does not exist.
         """
         self.mesh, self.discretisation, self.periodic = mesh, discretisation, periodic
         self.symmetry = symmetry
@@ -127,14 +127,14 @@ class Layout:
         self._make(list(self.unknowns))
 
     def on(self, mesh: Mesh) -> Layout:
-        """A layout of the same unknowns on another mesh, none of them prescribed."""
+        """A layout of the same unknowns on another mesh, without prescribed coefficients."""
         other = copy.copy(self)
-        other.mesh, other._dirichlet = mesh, (None,) * mesh.dim  # regions are those of one mesh
+        other.mesh, other._dirichlet = mesh, (None,) * mesh.dim  # a region belongs to one mesh
         other._make(self.names)
         return other
 
     def _make(self, names: Sequence[str]) -> None:
-        """The compound space of these unknowns."""
+        """Make the compound space of the unknowns ``names``."""
         self.blocks = {name: self._space(self.unknowns[name]) for name in names}
         self.names = tuple(names)
         self.space = FESpace(list(self.blocks.values()))
@@ -142,11 +142,11 @@ class Layout:
         self.ranges = {name: slice(r.start, r.stop) for name, r in zip(self.names, ranges, strict=True)}
 
     def count(self) -> int:
-        """The number of unknowns of the whole mesh; collective."""
+        """Number of unknowns on the whole mesh; collective."""
         mesh, ranks = self.mesh, Communicator.of(self.mesh)
         if not ranks.is_distributed:
             return int(self.space.ndof)
-        if self.periodic and isinstance(mesh, MeshPart):  # of identified unknowns parts count more images
+        if self.periodic and isinstance(mesh, MeshPart):  # ranks count more images of identified unknowns
             return ranks.on_first(lambda: int(self.on(mesh.whole).space.ndof))
         return int(self.space.ndofglobal)
 
@@ -158,11 +158,11 @@ class Layout:
 
     @property
     def further(self) -> tuple[str, ...]:
-        """Names of the unknowns that evolve beside the paper's v, rho and z, by further terms."""
+        """Names of the further terms' evolving unknowns, all except the paper's v, rho and z."""
         return tuple(name for name in self.evolving if name not in ("v", "rho", "z"))
 
     def names_of(self, *places: Place) -> list[str]:
-        """The unknowns that live there, in their order."""
+        """Names of the unknowns at these places, in their order."""
         return [name for name in self.names if self.unknowns[name].place in places]
 
     def _space(self, unknown: Unknown) -> FESpace:
@@ -173,7 +173,7 @@ class Layout:
         return self._of_place(unknown, unknown.size)
 
     def scalar_space(self, name: str) -> FESpace:
-        """The scalar space, without constraints, that every component of an unknown lives in."""
+        """Scalar space of every component of an unknown, without constraints."""
         return self._of_place(self.unknowns[name], None)
 
     def _of_place(self, unknown: Unknown, size: int | None) -> FESpace:
@@ -210,17 +210,16 @@ _SPACES = {
     "normals": NormalFacetFESpace,
     "continuous": H1,
 }
-"""Spaces of scalars by the place."""
+"""Spaces of scalars by the unknown's place."""
 
 _DIRICHLET = ("dirichletx", "dirichlety", "dirichletz")
 
 
 @contextmanager
 def _numbered_boundaries(mesh: Mesh) -> Iterator[list[str]]:
-    """Names of their own for all parts of the boundary, for as long as the context lasts.
+    """Give all parts of the boundary different names within the context.
 
-    The components of NGSolve's vector spaces are constrained by names alone, and a wall and an interface may
-    have the same one.
+    NGSolve's vector spaces constrain components by names alone, and a wall and an interface may share a name.
     """
     given = list(mesh.GetBoundaries())
     numbered = [f"part{i}" for i, _ in enumerate(given)]

@@ -11,15 +11,15 @@ Euler-large-viscoelastodyn+disc for F, J, ...):
     conjugates           zeta - phi'(z)                                           = 0
     traces               z_hat - (z_1 + z_2)/2 on facets                          = 0
 
-with Pi = R M the creep rate, or its own equation where nu > 0, and the regularising terms if asked for.
-The old momentum m_old is rho_old v_old for the paper's scheme; others start from combinations of states,
-which are linear in (rho, m, z).
+with the creep rate Pi = R M, or the equation of Pi for nu > 0, and the regularising terms on request.
+The old momentum m_old is rho_old v_old for the paper's scheme; other schemes start from combinations of
+states, which are linear in (rho, m, z).
 ``Step`` owns the spaces, the fields and the compiled forms; it knows no solver and no time loop.
 
 Local unknowns are functions of the others, evaluated exactly at every Newton iterate: zeta, |Hs|^2, its
-coefficient c_s and the hyperstress are unknowns only so that the elements can be condensed.  Newton on all of
-them at once may leave c_s negative and the velocity tangent indefinite; with them recomputed from (v, a, z)
-after every update, it is Newton on the reduced, convex potential.
+coefficient c_s and the hyperstress are unknowns only so that the elements can be condensed.  Newton's method
+for all unknowns at once may leave c_s negative and the velocity tangent indefinite.  Recomputing the local
+unknowns from (v, a, z) after every update gives Newton's method for the reduced, convex potential.
 """
 
 from __future__ import annotations
@@ -98,7 +98,7 @@ from ngvisco.physics.model import Model
 
 
 class Elimination:
-    """The local unknowns of a step, recomputed in the order in which they depend on each other."""
+    """The local unknowns of a step, recomputed in the order of their dependence."""
 
     def __init__(
         self,
@@ -113,9 +113,9 @@ class Elimination:
         parts = dict(zip(layout.names, state.components, strict=True))
         self.projections: dict[str, LocalProjection] = {}
         self.largest = Largest()
-        """The means over facets that grow only, among the iterates of a step."""
+        """Facet means that only grow during the iterates of a step."""
         self._means: list[LocalProjection | FacetProjection] = []
-        """Means over cells and facets, which nothing but a step's equations reads."""
+        """Projections of means over cells and facets, which only a step's equations read."""
         for term in terms:
             if isinstance(term, Projecting):
                 with refused_by_name(term):
@@ -135,14 +135,14 @@ class Elimination:
             self._of_energy = LocalProjection(self.energy.projected, quadrature, load)
 
     def __call__(self) -> None:
-        """Make the local unknowns of the state consistent with its v, a and z."""
+        """Compute all local unknowns of the state from its v, a and z."""
         self.follow()
         self.energy.refresh_sides()
         for mean in self._means:
             mean()
 
     def follow(self) -> None:
-        """Update the local unknowns without the means that nothing but a step's equations reads."""
+        """Update the local unknowns without the means that only a step's equations read."""
         self.refresh_energy()
         for projection in self.projections.values():
             projection()
@@ -150,13 +150,13 @@ class Elimination:
             self.stresses.refresh()
 
     def refresh(self) -> None:
-        """Make an energy and stresses that are kept at the quadrature points those of the present state."""
+        """Update the energy and the stresses that are stored at points to the present state."""
         self.refresh_energy()
         if self.stresses:
             self.stresses.refresh()
 
     def refresh_energy(self) -> None:
-        """Make an energy that is kept at the quadrature points, and its projection, that of the state."""
+        """Update an energy that is stored at the quadrature points, and its projection, to the state."""
         if self.energy.refresh() and self._of_energy is not None:
             self._of_energy()
 
@@ -196,10 +196,10 @@ def equations(model: Model, dim: int, m: int = 1) -> tuple[Term, ...]:
 
 @dataclass(frozen=True)
 class Evolved:
-    """The quantities of a state that have a time derivative: copies of coefficients, by the unknowns' names.
+    """Copies of a state's evolving unknowns: coefficients by the unknowns' names.
 
-    ``momentum`` is rho v at the points of the forms' rule, (dim, points), kg/(m^2 s): for tests w of the
-    velocity its integral against w is the momentum functional.
+    ``momentum`` is rho v at the points of the forms' rule, (dim, points), kg/(m^2 s): its integral against a
+    test w of the velocity is the momentum functional.
     """
 
     values: Mapping[str, np.ndarray]
@@ -214,7 +214,7 @@ class Step:
     sources : Term, optional
         A further term that takes no unknown, for manufactured solutions.
     conditions : mapping of boundary names to Wall objects, optional
-        What holds on walls; slip where nothing is said.
+        Conditions on walls; by default slip.
     terms : sequence of Term, optional
         Further terms of the system.
     symmetry : str
@@ -282,7 +282,7 @@ class Step:
         )
         self.context.terms = self.terms
         self.lagged: GridFunction | None = None
-        """z of ``freeze``, as which conjugates see lagged variables of others; None without such."""
+        """z of the last ``freeze``, whose lagged variables enter other variables' conjugates, or None."""
         if model.material.lagged:
             self.lagged = GridFunction(self.layout.blocks["z"], name="lagged")
             self.context.lagged = Fields(self.layout, {"z": self.lagged})
@@ -291,20 +291,20 @@ class Step:
         self.ranges: dict[str, tuple[float, float]] = {}
         """Least and largest start values of the material's parameters, by name."""
         self.stresses = Stresses(self.tabulated_rates, self.layout, self.quadrature, self.state)
-        """The stresses that flow rules are linearised at."""
+        """Stresses at which flow rules are linearised."""
         kept, rates = KeptRates(self.tabulated_rates, self.stresses), self.tabulated_rates
         self._solved = self._fields(self.state.components, kept) if self.stresses else self.now
-        """The present state, with rates of creep to its last digit."""
+        """Fields of the present state with creep rates from the stored stresses."""
         self._linearised = LinearisedRates(rates, self.stresses, self.now)
         self.residual = self._residual()
         self.eliminate = Elimination(self.layout, self.state, self.quadrature, self.terms, self.stresses)
         law = part_of(model.material, Damaged)
         self.damage = None if law is None else DamageGrowth(self, law)
-        """The growth of damage after a step; None where nothing breaks."""
+        """The growth of damage after a step; None without damage."""
 
     @cached_property
     def whole_residual(self) -> BilinearForm:
-        """``residual`` with the derivative by the unknowns that terms keep, too (``PointTerm.kept``)."""
+        """The residual with the derivative by all unknowns, including ``PointTerm.kept``."""
         return self._residual(keeps=False)
 
     def _residual(self, keeps: bool = True) -> BilinearForm:
@@ -325,29 +325,29 @@ class Step:
         return Tests(self.layout, GivenParts(dict(zip(self.layout.names, test, strict=True)), _NO_EQUATION))
 
     def linearised_fields(self, parts: Sequence[Any]) -> Fields:
-        """Fields of trial functions, with rates of creep along the slopes at the stresses that are kept."""
+        """Fields of trial functions, with creep rates linearised at the stored stresses."""
         return self._fields(parts, self._linearised) if self.stresses else self.layout.fields(parts)
 
     def fields_from(self, old: Fields, momentum: CoefficientFunction) -> Fields:
-        """The present state, in a step from other old fields and another old momentum, kg/(m^2 s)."""
+        """Fields of the present state in a step from other old fields and old momentum, kg/(m^2 s)."""
         u = self.linearised_fields(self.state.components)
         context = copy.copy(u.context)
         context.old, context.momentum_old = old, momentum
         return Fields(self.layout, u.parts, context)
 
     def _fields(self, parts: Sequence[Any], rates: Rates) -> Fields:
-        """Fields with other rates of creep."""
+        """Fields with the creep rates ``rates``."""
         context = copy.copy(self.context)
         context.rates = rates
         return Fields(self.layout, dict(zip(self.layout.names, parts, strict=True)), context)
 
     @property
     def impenetrability(self) -> Impenetrability | None:
-        """The multipliers' term, where there are oblique or curved walls."""
+        """The term of the multipliers on oblique or curved walls, or None."""
         return next((term for term in self.terms if isinstance(term, Impenetrability)), None)
 
     def evolved(self) -> Evolved:
-        """Copies of what the present state evolves by."""
+        """Copies of the present state's evolving unknowns."""
         self._momentum.Interpolate(self.now.rho * self.now.v)
         state, ranges = self.state.vec.FV().NumPy(), self.layout.ranges
         values = {name: state[ranges[name]].copy() for name in self.layout.evolving}
@@ -358,24 +358,24 @@ class Step:
         return self.energy.density(self.now).Compile()
 
     def without_energy(self) -> np.ndarray:
-        """Numbers of this rank's cells that have a point of the rule without a stored energy.
+        """Numbers of this rank's cells with a point of the rule without a stored energy.
 
-        An energy that is kept at the quadrature points says so itself (``StoredEnergy.failure``).
+        It is empty for an energy that is stored at the points, which sets ``StoredEnergy.failure``.
         """
         if self.energy.projected is not None:
             return np.zeros(0, dtype=int)
         return np.flatnonzero(~np.isfinite(self.quadrature.each_cell(self._energy)))
 
     def freeze(self) -> None:
-        """Let the other variables' conjugates see the lagged ones at the present state."""
+        """Set the lagged variables in other variables' conjugates to the present state."""
         if self.lagged is not None:
             values = self.state.vec.FV().NumPy()[self.layout.ranges["z"]]
             self.lagged.vec.FV().NumPy()[:] = values
 
     def start_from(self, parts: Sequence[tuple[float, Evolved]]) -> None:
-        """Let the step start from the sum of weight times state, linear in (rho, m, z) and what else evolves.
+        """Start the step from a weighted sum of states, linear in (rho, m, z) and further evolving unknowns.
 
-        No term reads the velocity of ``old`` then; it is the sum of the velocities.
+        The velocity of ``old`` becomes the sum of the velocities, which no term reads.
         """
         old, ranges = self.state_old.vec.FV().NumPy(), self.layout.ranges
         for name in self.layout.evolving:
@@ -383,7 +383,7 @@ class Step:
         self.momentum_old.vec.FV().NumPy()[:] = sum(weight * part.momentum for weight, part in parts)
 
     def start_from_old(self) -> None:
-        """Let the step start from the state that ``state_old`` holds: m_old = rho_old v_old."""
+        """Start the step from ``state_old``: m_old = rho_old v_old."""
         self.momentum_old.Interpolate(self.old.rho * self.old.v)
 
     def entries(self, fields: Fields | None = None) -> list[Entry]:
@@ -396,14 +396,14 @@ class Step:
         k, m = self.discretisation.k, self.discretisation.m
         if m < k - 1:
             found.append(Entry(UNFELT, "monitor", Integrand(), Unfelt(u, self.quadrature, m)))
-        # of moving walls the power of their reactions
+        # moving walls add the power of their reactions
         return found + [
             Entry(f"power_wall_{name}", "power", Integrand(), partial(self._reaction_power, name))
             for name in self.moving_walls.moving
         ]
 
     def _reaction_power(self, name: str) -> float:
-        """The residual's rows on a moving wall, tested by v, W."""
+        """Power of a moving wall: the residual's rows on it, tested by v, W."""
         residual = self.state.vec.CreateVector()
         self.residual.Apply(self.state.vec, residual)
         return self.moving_walls.reaction_power(residual, name)
@@ -422,7 +422,7 @@ class EntryIntegrals:
         ):
             parts = {name: part for name, part in of_entries.items() if part is not None}
             if parts:
-                together = CF((*parts.values(), 0.0, 0.0)).Compile()  # a vector, however few there are
+                together = CF((*parts.values(), 0.0, 0.0)).Compile()  # a vector, even of one part
                 self._in_cells.append((list(parts), together, integrate))
         facets = {name: e.integrand.facets for name, e in entries.items() if e.integrand.facets is not None}
         self._facets = {name: integrand.Compile() for name, integrand in facets.items()}
@@ -438,8 +438,7 @@ class EntryIntegrals:
         return values | {name: evaluate() for name, evaluate in self._evaluated.items()}
 
     def cells_without(self, name: str) -> np.ndarray:
-        """Numbers of this rank's cells in which an entry's integrand is no number; none where all of its
-        integrals over cells are."""
+        """Numbers of this rank's cells in which an entry's integrand is not a number."""
         for names, together, _ in self._in_cells:
             if name in names:
                 part = together[names.index(name)]

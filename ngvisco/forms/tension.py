@@ -1,4 +1,4 @@
-"""Where a law reads a pressure that is negative: strengths and viscosities are not made for tension."""
+"""Warnings of laws that read a negative pressure: strengths and viscosities do not hold in tension."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from ngvisco.physics.model import Model
 from ngvisco.physics.variables import PRESSURE
 
 _SHARE = 0.02
-"""The share of the largest pressure below which tension is that of a surface, and of its cells."""
+"""Share of the largest pressure below which tension belongs to a surface and its cells."""
 _BORNE = 0.5
-"""Share of the weight that differences of the pressure have to bear at the start."""
+"""Share of the weight that pressure differences must bear at the start."""
 
 
 def readers(model: Model) -> list[str]:
@@ -26,7 +26,7 @@ def readers(model: Model) -> list[str]:
 
 
 class Tension:
-    """Says once in a run that a law reads a negative pressure."""
+    """Warning, once in a run, of a law that reads a negative pressure."""
 
     def __init__(self, step: Step, sampler: Sampler) -> None:
         self.step, self.sampler = step, sampler
@@ -34,7 +34,7 @@ class Tension:
         self._pressure = step.context.rates.pressure(step.now).Compile() if self.laws else None
 
     def __call__(self, t: float) -> None:
-        """Look at the present state, that of ``t``, s."""
+        """Check the present state at the time ``t``, s."""
         if self._pressure is None or self.is_said:
             return
         ranks, p = self.sampler.ranks, self.sampler.values(self._pressure)
@@ -53,7 +53,7 @@ class Tension:
 
 
 def unborne_weight(step: Step, sampler: Sampler) -> str | None:
-    """Where the pressure of a start, which a law reads, does not bear the weight, in words."""
+    """Message of a start whose pressure, read by a law, does not bear the weight; else None."""
     laws, ranks, dim = readers(step.model), sampler.ranks, step.mesh.dim
     loads = (load for load in step.model.loads if isinstance(load, (Gravity, CentralGravity)))
     weight = sum((step.now.rho * force_of(load, dim) for load in loads), CF((0.0,) * dim))

@@ -1,18 +1,18 @@
 """Terms of the system: integrands in cells and on facets, linear in the test functions.
 
-``cells(u, w)`` and ``facets(u, w)`` are functions of the values at a point: of the unknowns u, of what is
-known there (``u.context``) and of the tests w, in which they are linear.  They are written once, with
+``cells(u, w)`` and ``facets(u, w)`` are functions of the values at a point: of the unknowns u, of the known
+data there (``u.context``) and of the tests w, in which they are linear.  They are written once, with
 operations that coefficient functions and arrays share (``ngvisco.physics.tensors``).  With trial and test
-functions of NGSolve for u and w they are the term's form; with arrays of values for u, and tests that only
-record what multiplies them (``ngvisco.physics.arrays.Linear``), they are the rows of a residual, its
-derivative by a complex increment of u, and columns of element matrices.
+functions of NGSolve for u and w they are the term's form.  With arrays of values for u, and tests that only
+record their factors (``ngvisco.physics.arrays.Linear``), they are the rows of a residual, its derivative by a
+complex increment of u, and columns of element matrices.
 
-Place, time and other functions of them are read by ``u.context.given(value)`` (at the end of the step) and
-``u.context.average(value)`` (over the step, in cells).
+``u.context.given(value)`` reads a function of place and time at the end of the step, and
+``u.context.average(value)`` its mean over the step, in cells.
 
-A term that asks for more than values at a point - an integral, another space - states its ``form`` alone.
-What a term reads besides u, w and ``u.context`` has to stay as it is through the run: a number that is taken
-out of a Parameter by ``Get()`` is that of the moment when the form was made.
+A term that needs more than values at a point - an integral, another space - states its ``form`` alone.
+All other data that a term reads must stay constant through the run: ``Parameter.Get()`` is evaluated once,
+when the form is built.
 """
 
 from abc import abstractmethod
@@ -38,36 +38,36 @@ _IN_CELLS = ("velocity", "cells", "continuous")
 class Unknown:
     """An unknown of a step.
 
-    Raises ParameterError for an unknown that evolves and has values neither in cells nor on known walls, or
-    a scale that is no size.
+    Raises ParameterError for an unknown that evolves and has values neither in cells nor on known walls, and
+    for a scale that is not a number >= 0.
 
     Attributes
     ----------
     name : str
     place : str
-        ``"velocity"``: continuous vectors with what walls prescribe; ``"cells"``: discontinuous, local to its
-        cell and condensed; ``"facets"``: on facets; ``"normals"``: on facets, a multiple of the normal;
-        ``"continuous"``: in H1; ``"walls"``: what ``space`` makes.
+        ``"velocity"``: continuous vectors with the walls' constraints; ``"cells"``: discontinuous, local to
+        its cell and condensed; ``"facets"``: on facets; ``"normals"``: on facets, a multiple of the normal;
+        ``"continuous"``: in H1; ``"walls"``: in the space that ``space`` makes.
     order : int
         Polynomial degree.
     size : int or None
         Number of components, None for a scalar.
     trace_of : str or None
-        The unknown in cells that this one is the trace of; ``"v"``, of normal derivatives, is the gradient's.
+        Name of the unknown in cells whose trace this unknown is; ``"v"`` marks a trace of grad v.
     component : int
-        Which component of v a normal derivative belongs to.
+        Number of the component of v whose normal derivative this unknown is.
     space : callable or None
-        Makes the space where ``place`` does not say it; on the mesh of the step or the whole of it.
+        Makes the space if ``place`` does not determine it, on the step's mesh or on the undistributed mesh.
     evolves : bool
-        Whether it has a time derivative, as it must where a term reads its old value: schemes combine its
-        states, errors and increments count it, a transfer carries it over, and ``Initial.values`` starts it.
+        Whether the unknown has a time derivative, as it must if a term reads its old value: schemes combine
+        its states, errors and increments count it, a transfer carries it over, ``Initial.values`` starts it.
     on : CoefficientFunction or None
-        Of one of walls that evolves: 1 on their facets, 0 on all others.
+        Indicator of the wall's facets, 1 there and 0 on all others, for an evolving unknown of a wall.
     is_mean : bool
-        Whether it is a ``CellMean``, a constant in each cell.
+        Whether the unknown is a ``CellMean``, a constant in each cell.
     scale : float
-        A size of it, in its unit, that is not small, >= 0: errors and increments count relative to what the
-        unknown is and to this; 0 for one that is never zero everywhere.  That of v is the run's.
+        Typical size, in the unknown's unit, >= 0: errors and increments count relative to the unknown's size
+        and to this scale; 0 for an unknown that is never zero everywhere.  For v the run sets the scale.
     """
 
     name: str
@@ -96,14 +96,13 @@ class Unknown:
 
     @property
     def is_local(self) -> bool:
-        """Whether it is condensed cell by cell."""
+        """Whether the unknown is condensed cell by cell."""
         return self.place == "cells"
 
 
 @dataclass(frozen=True)
 class Setting:
-    """The setting that unknowns depend on besides the term: dimension, states of the material, orders k and
-    m."""
+    """The data from which a term makes its unknowns: dimension, states of the material, orders k and m."""
 
     dim: int
     states: StateSpace
@@ -113,15 +112,15 @@ class Setting:
 
 @runtime_checkable
 class Introducing(Protocol):
-    """A term that brings unknowns with it: those whose equation it is."""
+    """A term that introduces unknowns, which its equation determines."""
 
     def unknowns(self, setting: Setting) -> tuple[Unknown, ...]:
-        """In the order in which they are stored."""
+        """The unknowns, in the order in which they are stored."""
         ...
 
 
 PRODUCTION = "entropy_production_"
-"""The beginning of the names of the ledger's columns of entropy that a mechanism produces, never negative."""
+"""Prefix of the ledger's columns of entropy production, one a mechanism, never negative."""
 
 
 Kind = Literal["dissipation", "power", "energy", "numerical", "monitor", "production", "flux"]
@@ -131,31 +130,32 @@ Kind = Literal["dissipation", "power", "energy", "numerical", "monitor", "produc
 class Entry:
     """A column of the ledger: a dissipation or power (W), an energy, or a numerical dissipation (J a step).
 
-    ``integrand`` is evaluated at the new state; dissipations, numerical ones and the change of energies enter
-    the energy identity with +, powers with -, monitors not at all; nor do productions of entropy, W/K, and
-    fluxes of mass into the domain, kg/s, which like powers are those of the scheme's stages.
+    ``integrand`` is evaluated at the new state.  Dissipations, numerical dissipations and the change of
+    energies enter the energy identity with +, powers with -.  Monitors, productions of entropy, W/K, and
+    fluxes of mass into the domain, kg/s, do not enter; productions and fluxes are, like powers, taken at the
+    scheme's stages.
     """
 
     name: str
     kind: Kind
     integrand: Integrand
     evaluate: Callable[[], float] | None = None
-    """Gives the value where it is no integral: the reaction of a wall."""
+    """Function that gives a value that is not an integral: the reaction of a wall."""
     is_outside: bool = False
-    """Whether what is dissipated is so beyond a wall, as by a dashpot: no heat of the material."""
+    """Whether the dissipation takes place beyond a wall, as in a dashpot, and does not heat the material."""
     has_sign: bool = True
-    """For a dissipation whether its integrand is nowhere negative, which is checked in every step; False
-    where the sign holds up to the projection of conjugates."""
+    """Whether a dissipation's integrand is nowhere negative, which is checked in every step; False if the
+    sign holds up to the projection of conjugates only."""
 
 
 @runtime_checkable
 class Term(Protocol):
     """One term of the system.
 
-    ``form(u, w)`` is its contribution to R(u; w) = 0 in summands that are assembled one by one: NGSolve
-    evaluates a whole integrand for each pair of components in it, so small summands are many times cheaper to
-    linearise than their sum.  ``entries(u)`` are its columns of the ledger, such that form(u; v, zeta) is the
-    sum of the entries' powers.
+    ``form(u, w)`` is the term's contribution to R(u; w) = 0, in summands that are assembled one by one:
+    NGSolve evaluates a whole integrand for each pair of components in it, so small summands are many times
+    cheaper to linearise than their sum.  ``entries(u)`` are the term's columns of the ledger, such that
+    form(u; v, zeta) is the sum of the entries' powers.
     """
 
     def form(self, u: Fields, w: Fields) -> list[Integrand]: ...
@@ -174,31 +174,31 @@ Kernel = Literal["facet means", "cell means", "conjugates", "density", "diffusio
 class PointTerm:
     """A term that is a function of the values at a point; see the module's docstring.
 
-    Derived classes override ``cells``, ``facets`` or ``nodes``, and ``entries`` where the term has a power.
+    Derived classes override ``cells``, ``facets`` or ``nodes``, and ``entries`` if the term has a power.
 
     Attributes
     ----------
     linearised : bool
-        Whether the split solver takes the term's derivative into its tangent by increments.  Terms that the
-        tangents of transport, elastic force and inertia are of, and small ones, say no.
+        Whether the split solver's tangent by increments includes the term's derivative.  It is False for
+        transport, elastic force and inertia, which have tangents of their own, and for small terms.
     couples : str
-        ``"local"``: its rows of z change with values of their own cell; ``"facet"``: with gradients, and
-        across facets by means of both sides; ``"flow"``: it has rows of v, the walls' unknowns and the creep
-        rate field alone, by its form, as has a class with a ``form`` of its own that says nothing else.
+        ``"local"``: rows of z depend on values of one cell; ``"facet"``: they also depend on gradients
+        and, through facet means, on neighbours; ``"flow"``: the term has rows of v, the walls' unknowns and
+        the creep rate field only, by its form.  ``"flow"`` is the default of a class that defines ``form``.
     kernel : str or None
-        The part of the split solver that has matrices of its own for the term, or solves it for its unknown;
-        None where rows and tangent follow from the integrands.  A derived class with other integrands is
-        another equation, and has none unless it says so.
+        Part of the split solver that has its own matrices for the term, or solves it for its unknown; None
+        if rows and tangent follow from the integrands.  A derived class with other integrands is another
+        equation: its kernel is None unless it sets one.
     coupled_only : str or None
-        Why the term is for the coupled solver alone; None where both take it.
+        Reason why only the coupled solver takes the term; None if both solvers take it.
     is_mass : bool
-        Whether the mass of v is the term's tangent: that of the whole rule, since by fewer points it is
+        Whether the term's tangent is the mass matrix of v, integrated by the whole rule: fewer points make it
         singular.
     kept : tuple of str
-        Unknowns, explicit functions of others, whose change the matrix of Newton's method leaves out of the
-        term: it follows them from iterate to iterate.
+        Unknowns, explicit functions of others, whose change Newton's matrix leaves out of the term: the term
+        follows them from iterate to iterate.
     plane_only : str or None
-        Why there is no such term in a body of revolution; None where ``L`` has all that it asks for.
+        Reason why a body of revolution cannot have the term; None if ``L`` has all that the term reads.
     """
 
     linearised = True
@@ -219,7 +219,7 @@ class PointTerm:
 
     @property
     def impulse(self) -> str:
-        """The ledger's name of the momentum that the term gives to the body, if its rows of v give some."""
+        """Name, in the ledger, of the impulse that the term's rows of v give to the body."""
         return type(self).__name__
 
     def cells(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
@@ -231,15 +231,15 @@ class PointTerm:
         return []
 
     def nodes(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
-        """Summands to be integrated over the cells by as many points as a field has values in one."""
+        """Summands to be integrated over the cells by the nodal rule: one point per field coefficient."""
         return []
 
     def entering_mass(self, u: Fields) -> CoefficientFunction | None:
-        """Mass that flows in through walls beyond (v . n)^- rho, kg/(m^2 s); None where there is none."""
+        """Mass inflow through walls in addition to (v . n)^- rho, kg/(m^2 s), or None."""
         return None
 
     def form(self, u: Fields, w: Fields) -> list[Integrand]:
-        """``cells``, ``facets`` and ``nodes`` for NGSolve."""
+        """The summands of ``cells``, ``facets`` and ``nodes`` as integrands of NGSolve."""
         cells = [Integrand(part) for part in self.cells(u, w)]
         nodes = [Integrand(nodes=part) for part in self.nodes(u, w)]
         return cells + [Integrand(facets=part) for part in self.facets(u, w)] + nodes
@@ -257,18 +257,18 @@ class PointTerm:
         return {}
 
     def entries(self, u: Fields) -> list[Entry]:
-        """Columns of the energy ledger: what it dissipates."""
+        """Columns of the energy ledger: the term's dissipations."""
         parts = [DISSIPATED[place](self, u) for place in PLACES]
         names = dict.fromkeys(name for part in parts for name in part)
         return [Entry(name, "dissipation", Integrand(*(part.get(name) for part in parts))) for name in names]
 
 
 Integrands: TypeAlias = Callable[[CoefficientFunction], Sequence[Integrand]]
-"""Integrands by the test function of a space."""
+"""A linear form: its integrands as a function of the test function of a space."""
 
 
 class CellMean(PointTerm):
-    """int_K (a_K - a) q - int_{dK} b q = 0 for constant q: a_K, an unknown of cells, is a mean.
+    """Equation of a cell mean a_K: int_K (a_K - a) q - int_{dK} b q = 0 for constant q.
 
     a_K is an explicit function of other unknowns, which no solver iterates on.
     """
@@ -278,10 +278,10 @@ class CellMean(PointTerm):
 
     @abstractmethod
     def value(self, u: Fields) -> CoefficientFunction:
-        """a, in a cell."""
+        """The function a in a cell."""
 
     def value_on_sides(self, u: Fields) -> CoefficientFunction | None:
-        """b, on a cell's side."""
+        """The function b on a cell's side, or None for zero."""
         return None
 
     def cells(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
@@ -310,10 +310,10 @@ DISSIPATED: dict[Where, Callable[[PointTerm, Fields], dict[str, CoefficientFunct
 
 
 def dissipations(u: Fields, reader: Term, where: Where = "cells") -> dict[str, CoefficientFunction]:
-    """The dissipation of all terms but ``reader`` in cells or at nodes, W/m^3, or on facets, W/m^2, by the
+    """Dissipation of all terms but ``reader`` in cells or at nodes, W/m^3, or on facets, W/m^2, by the
     ledger's names.
 
-    For a term that turns them into something else, as heat.
+    ``reader`` is a term that turns dissipation into something else, such as heat.
     """
     points = (term for term in u.context.terms if term is not reader and isinstance(term, PointTerm))
     parts = (DISSIPATED[where](term, u) for term in points)
@@ -321,13 +321,13 @@ def dissipations(u: Fields, reader: Term, where: Where = "cells") -> dict[str, C
 
 
 def tested(value: CoefficientFunction) -> Integrands:
-    """int value : test over the cells."""
+    """The linear form int value : test over the cells."""
     return lambda test: [Integrand(inner(value, test))]
 
 
 @runtime_checkable
 class Projecting(Protocol):
-    """A term whose local unknowns are cellwise projections of what is made of others."""
+    """A term whose local unknowns are cellwise projections of functions of other unknowns."""
 
     def projections(self, u: Fields) -> list[tuple[str, Integrands]]:
         """Names and loads of local unknowns, in the order in which they depend on each other."""
@@ -336,15 +336,15 @@ class Projecting(Protocol):
 
 @runtime_checkable
 class Storing(Protocol):
-    """A term with a time derivative, that is with a share E of the energy.
+    """A term with a time derivative, and so with a share E of the energy.
 
-    E is convex in the unknowns that evolve, in (rho, m, z) and those of further terms, m the momentum
-    functional (paper: Euler-ED-basic-convexity-calculus).
+    E is convex in the evolving unknowns: (rho, m, z), m the momentum functional, and the unknowns of further
+    terms (paper: Euler-ED-basic-convexity-calculus).
 
-    ``energy(u)`` is its density in cells or on facets, a share of the ledger's column ``"kinetic"`` or
-    ``"stored"``; ``slope(b, d)`` that of E'(b)[d] with m kept, which asks d for no velocity;
-    ``distance(a, b)`` the Bregman distance E(a) - E(b) - E'(b)[a - b] >= 0, a share of ``"inertial"`` or
-    ``"bregman"``, in a form in which nothing cancels: what a time scheme dissipates is a sum of such.
+    ``energy(u)`` is the density of E in cells or on facets, a share of the ledger's column ``"kinetic"`` or
+    ``"stored"``.  ``slope(b, d)`` is the density of E'(b)[d] at fixed m; it reads no velocity of d.
+    ``distance(a, b)`` is the Bregman distance E(a) - E(b) - E'(b)[a - b] >= 0, a share of ``"inertial"`` or
+    ``"bregman"``, written without cancellation: a time scheme's dissipation is a sum of such distances.
     """
 
     def energy(self, u: Fields) -> Entry: ...
@@ -355,11 +355,11 @@ class Storing(Protocol):
 
 
 class WithheldError(NgviscoError, LookupError):
-    """A term asks for a field that it must not take."""
+    """A term reads a field that is withheld from it."""
 
 
 class GivenParts(dict[str, Any]):
-    """Fields by name; asking for another one raises ``WithheldError`` with ``reason`` about its name."""
+    """Fields by name; another name raises ``WithheldError`` with ``reason``, formatted with that name."""
 
     def __init__(self, fields: dict[str, Any], reason: str) -> None:
         super().__init__(fields)
@@ -371,7 +371,7 @@ class GivenParts(dict[str, Any]):
 
 @contextmanager
 def refused_by_name(term: object) -> Iterator[None]:
-    """Raise ParameterError with the term's name for what it must not take, or the material does not carry."""
+    """Raise ParameterError with the term's name if it reads a withheld field or a missing variable."""
     try:
         yield
     except KeyError as error:

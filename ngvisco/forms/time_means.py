@@ -1,9 +1,9 @@
 """Means over time of loads, tractions and walls' velocities (paper: g^k_{delta tau}, Euler-small-ass-g).
 
 ``rule`` finds times and weights that integrate a function over an interval to ``TOLERANCE`` of its largest
-value: breaks are found by bisection of what the function's choices decide by, and between them Gauss panels
-are halved until halves and whole agree.  It looks at the function at some points of space; what has no
-break that is known (``ngvisco.physics.signals``) is seen where it lasts for a thirtieth of the interval.
+value.  Bisection of the conditions of the function's choices finds breaks, and Gauss panels between breaks
+are halved until halves and whole agree.  The search evaluates the function at some points of space; it finds
+a feature without a known break (``ngvisco.physics.signals``) if this lasts for a thirtieth of the interval.
 All ranks find the same rule.
 """
 
@@ -37,16 +37,16 @@ from ngvisco.parallel.communicator import Communicator
 from ngvisco.physics.signals import breaking, time
 
 TOLERANCE = 1e-10
-"""The tolerance of a mean, relative to the largest value in the interval."""
+"""Tolerance of a mean relative to the largest value in the interval."""
 
 _NODES, _WEIGHTS = (0.5 * values for values in np.polynomial.legendre.leggauss(5))
 _PANELS, _SCANS = 8, 32
-"""Panels of the first look at a piece, and times at which the sign of a condition is asked."""
+"""Numbers of a piece's first panels, and of times at which the sign of a condition is evaluated."""
 _BISECTIONS, _BREAKS, _HALVINGS = 46, 64, 48
-"""Halvings to a break, to rounding; breaks that are followed, and panels halved, at most."""
+"""Bisections of a break, to rounding; largest numbers of breaks and of halved panels."""
 _ROUNDING = 4e-16
-_SHARE = 1.0 / 64  # of the interval: what a panel may be off by is not made less for one that is shorter
-_POINTS = 128  # of space at which a function is looked at, on each rank
+_SHARE = 1.0 / 64  # of the interval: a shorter panel has the tolerance of this length
+_POINTS = 128  # points of space at which a function is evaluated, on each rank
 
 Values = Callable[[float], np.ndarray]
 """Values of a function at this rank's points, at a time, s."""
@@ -54,16 +54,16 @@ Values = Callable[[float], np.ndarray]
 
 @dataclass(frozen=True)
 class Rule:
-    """Times, s, and weights, which sum up to 1; ``error`` is the mean's, relative to the largest value."""
+    """Times, s, and weights with the sum 1; ``error`` of the mean is relative to the largest value."""
 
     times: np.ndarray
     weights: np.ndarray
     error: float = 0.0
 
     def tilted(self, tilt: float, begin: float, length: float) -> Rule:
-        """The rule for the mean by the weight 1 + 12 tilt (s - 1/2), s from 0 to 1 over the interval.
+        """The rule of the mean with the weight 1 + 12 tilt (s - 1/2), s from 0 to 1 over the interval.
 
-        A function that is linear in time has its value at s = 1/2 + tilt for mean.
+        The mean of a function that is linear in time is its value at s = 1/2 + tilt.
         """
         if tilt == 0 or length == 0:
             return self
@@ -83,10 +83,10 @@ def rule(
     knots: Sequence[np.ndarray] = (),
     ranks: Communicator | None = None,
 ) -> Rule:
-    """The rule for the mean over [begin, begin + length], s; of length 0 the value at ``begin``.
+    """The rule of the mean over [begin, begin + length], s; for length 0 it is the value at ``begin``.
 
-    The function may break where one of the conditions changes its sign, and at the knots, s.  The values are
-    those of the points of ``ranks``.
+    The function may break where one of the conditions changes its sign, and at the knots, s.  Each of
+    ``ranks`` has the values at its points.
     """
     if length == 0:
         return Rule(np.array([begin]), np.ones(1))
@@ -94,14 +94,14 @@ def rule(
 
 
 def _gauss(*intervals: tuple[float, float]) -> np.ndarray:
-    """Nodes and weights, (2, n)."""
+    """Gauss nodes and weights of the intervals, (2, n)."""
     parts = [[0.5 * (a + b) + (b - a) * _NODES, (b - a) * _WEIGHTS] for a, b in intervals]
     return np.concatenate(parts, axis=1)
 
 
 _Panel: TypeAlias = tuple[float, float, float, tuple[np.ndarray, np.ndarray], np.ndarray]
-"""[a, b]: minus the size of its error, so that the worst is the least, a, b, the integrals over its halves,
-and how far their sum is from that over the whole."""
+"""Panel [a, b]: minus the size of the error, a, b, the integrals over both halves, and the error.  The error
+is the difference of the halves' sum from the integral over the whole; a heap has the worst panel first."""
 
 
 class _RuleSearch:
@@ -121,7 +121,7 @@ class _RuleSearch:
                 ends.append(s)
         ends.append(1.0)
         pieces = list(pairwise(ends))
-        # the scale first: what is small in one piece need not be resolved where another is large
+        # find the scale first: a small piece need not be resolved beside a large one
         looks = [[self._integral(*ends) for ends in _equal(a, b)] for a, b in pieces]
         found = [self._resolved(a, b, look) for (a, b), look in zip(pieces, looks, strict=True)]
         times, weights = np.concatenate([nodes for nodes, _ in found], axis=1)
@@ -132,13 +132,13 @@ class _RuleSearch:
         return np.asarray(values(self.begin + self.length * s), dtype=float)
 
     def _integral(self, a: float, b: float) -> np.ndarray:
-        """Over [a, b] by Gauss points."""
+        """Integral over [a, b] by Gauss points."""
         found = [self._at(self.values, 0.5 * (a + b) + (b - a) * node) for node in _NODES]
         self.largest = max(self.largest, self.ranks.most(np.abs(found).max(initial=0.0)))
         return (b - a) * sum(w * value for w, value in zip(_WEIGHTS, found, strict=True))
 
     def _resolved(self, a: float, b: float, look: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-        """Nodes and weights of a piece, one panel where that agrees with its look; what they are off by."""
+        """Nodes and weights of a piece, one panel if it agrees with the first panels; and their error."""
         whole = self._integral(a, b)
         off = np.abs(whole - sum(look[1:], look[0]))
         if self._size(off) <= TOLERANCE * (b - a):
@@ -150,7 +150,7 @@ class _RuleSearch:
         while panels:
             size, a, b, halves, off = heappop(panels)
             middle = 0.5 * (a + b)
-            # what is off by so little in total may be off by all of it in one panel
+            # a panel may have the whole of a small total error
             is_small = -size <= TOLERANCE * max(b - a, _SHARE)
             if is_small or self.left <= 0 or not a < middle < b:
                 done.append(_gauss((a, middle), (middle, b)))
@@ -176,9 +176,9 @@ class _RuleSearch:
         return size / self.largest if self.largest else 0.0
 
     def _changes(self, condition: Values) -> set[float]:
-        """Where a condition changes its sign at all points at once, to rounding.
+        """Places s at which a condition changes its sign at all points at once, to rounding.
 
-        A front that moves breaks elsewhere in time at each point: panels are halved for it.
+        A moving front breaks at another time at each point: halving of panels resolves it.
         """
         ends = np.linspace(0.0, 1.0, _SCANS + 1)
         signs = [self._at(condition, s) > 0 for s in ends]
@@ -204,15 +204,15 @@ class _RuleSearch:
 
 
 def _equal(a: float, b: float) -> Iterable[tuple[float, float]]:
-    """The panels of the first look at [a, b]."""
+    """First panels of the piece [a, b]."""
     return pairwise(np.linspace(a, b, _PANELS + 1))
 
 
 class TimeMean:
-    """The mean of a function of place and ``ngvisco.time``, as a function of place.
+    """Mean of a function of place and ``ngvisco.time``, as a function of place.
 
-    ``make`` gives what belongs to the present time as an array, whose mean goes to ``mean``.  The function is
-    looked at on ``walls``, by default in cells.
+    ``make`` returns an array for the present time, whose mean is written to ``mean``.  The rule is found from
+    the function on ``walls``, by default in cells.
     """
 
     def __init__(
@@ -225,16 +225,16 @@ class TimeMean:
     ) -> None:
         self._value, self._make, self._mean = value, make, mean
         self._ranks = Communicator.of(mesh)
-        # none of the rules' points is a midpoint of edges
+        # rules without points at midpoints of edges
         of_kinds = rules(mesh.dim if walls is None else mesh.dim - 1, 4)
         points = mesh.MapToAllElements(of_kinds, VOL if walls is None else walls)
         self._points = points[:: -(-len(points) // _POINTS) or 1]
         self._conditions, self._knots = breaking(value)
 
     def update(self, begin: float, length: float, tilt: float = 0.0) -> float:
-        """Let the mean be that over ``length`` (s) from ``begin`` (s) on; its error, as that of a rule.
+        """Compute the mean over ``length`` (s) from ``begin`` (s) on; return the error of its rule.
 
-        ``tilt`` is that of the weight (``Rule.tilted``), 0 where all times count the same.
+        ``tilt`` is the tilt of the weight (``Rule.tilted``), 0 for equal weights.
         """
         present = time.Get()
 
@@ -259,10 +259,10 @@ class TimeMean:
 
 
 def mean_in_cells(value: CoefficientFunction, mesh: Mesh, degree: int) -> tuple[GridFunction, TimeMean]:
-    """A mean as its projection to polynomials of cells, of half the ``degree`` of the forms' rule.
+    """Mean of a function, projected on polynomials in cells of half the ``degree`` of the forms' rule.
 
-    Integrals by that rule against such polynomials are those of the mean itself: on straight cells rho g.w is
-    one, for densities and velocities of the orders that the rule is made for.
+    Integrals of the projection by this rule against such polynomials equal integrals of the mean: on straight
+    cells rho g.w has such an integral, for densities and velocities of the rule's orders.
     """
     scalar = L2(mesh, order=degree // 2)
     function = GridFunction(VectorValued(scalar, value.dim) if value.dim > 1 else scalar)
@@ -278,7 +278,7 @@ def mean_in_cells(value: CoefficientFunction, mesh: Mesh, degree: int) -> tuple[
 def mean_on_walls(
     value: CoefficientFunction, mesh: Mesh, degree: int, walls: Region
 ) -> tuple[GridFunction, TimeMean]:
-    """Means of a function on facets of walls, zero elsewhere."""
+    """Mean of a function on facets of walls, zero elsewhere."""
     scalar = FacetFESpace(mesh, order=degree // 2)
     space = FESpace([scalar] * value.dim)
     function = GridFunction(space)
@@ -291,7 +291,7 @@ def mean_on_walls(
     on_walls = scalar.GetDofs(walls)
     active = BitArray([bool(flag) for _ in range(value.dim) for flag in on_walls])
     matrix = mass.Assemble().mat
-    # a facet of a wall is on one rank, with all that couples to it
+    # a facet of a wall is on one rank, with all unknowns that couple to it
     inverse = getattr(matrix, "local_mat", matrix).Inverse(active, inverse="umfpack")
 
     def make() -> np.ndarray:

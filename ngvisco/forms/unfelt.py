@@ -1,14 +1,13 @@
-"""Motion that no variable feels: what a velocity of order k has within cells beyond the order m + 1.
+"""Motion that no variable feels: the part of a velocity of order k beyond the order m + 1 within cells.
 
 grad P_{m+1} = P_m: a variable of order m in cells feels the strains of velocities up to the order m + 1.
-For m < k - 1 there are velocities beyond, of which inertia and viscosity alone know; for k, m = 1, 0 or 2, 1
-there are none.  A wave in a box without viscosity, k = 2 and m = 0, has 63 % of its kinetic energy there
-after 2 s, so that a run needs a viscosity or a hyperviscosity that holds it.  With Pi the cellwise projection
-on P_{m+1}
+For m < k - 1 only inertia and viscosity act on the velocities beyond; for k, m = 1, 0 or 2, 1 there are none.
+A wave in a box without viscosity, k = 2 and m = 0, has 63 % of its kinetic energy beyond P_1 after 2 s:
+a run needs a viscosity or a hyperviscosity that damps it.  With the cellwise projection Pi on P_{m+1},
 
     unfelt = 1/2 int rho |v - Pi v|^2 >= 0,
 
-small of order h^{2m + 4} for smooth motion.
+which is of order h^{2m + 4} for smooth motion.
 """
 
 from __future__ import annotations
@@ -29,15 +28,15 @@ from ngvisco.physics.rheology import StokesViscosity
 from ngvisco.physics.tensors import square
 
 UNFELT = "unfelt"
-"""Ledger column of it, J; of runs with m < k - 1."""
+"""Ledger column of the energy of unfelt motion, J, in runs with m < k - 1."""
 _SHARE = 0.1
-"""The share of the kinetic energy from which on a warning is given."""
+"""Share of the kinetic energy above which a warning is given."""
 
 
 def require_held(model: Model, orders: Discretisation) -> None:
-    """Raise ParameterError for m < k - 1 where nothing holds the motion that no variable feels.
+    """Raise ParameterError for m < k - 1 if nothing damps the motion that no variable feels.
 
-    A hyperviscosity holds it, or a viscosity of shear in every body.
+    A hyperviscosity, or a shear viscosity in every body, damps it.
     """
     k, m = orders.k, orders.m
     if m >= k - 1 or model.hyperviscosity is not None:
@@ -53,7 +52,7 @@ def require_held(model: Model, orders: Discretisation) -> None:
 
 
 class Unfelt:
-    """Measures it at the fields of a state, and says once where it is much of the motion."""
+    """Measure of the unfelt motion of a state, with one warning if its share is large."""
 
     def __init__(self, u: Fields, quadrature: Quadrature, m: int) -> None:
         self.quadrature, self.is_said, mesh = quadrature, False, quadrature.mesh
@@ -65,7 +64,7 @@ class Unfelt:
         ).Compile()
 
     def __call__(self) -> float:
-        """J, at the present state."""
+        """Energy of the unfelt motion at the present state, J."""
         self._project()
         unfelt, kinetic = (float(one) for one in np.asarray(self.quadrature.integrate_cells(self._densities)))
         if unfelt > _SHARE * kinetic and not self.is_said:

@@ -1,13 +1,13 @@
-"""Traces on facets: means of both sides, and the speed by which upwinding dissipates.
+"""Traces on facets, means of both sides, and the speed in upwinding.
 
-A trace is the mean of the values on both sides of a facet, and the value itself on a wall.  Transport and
-elastic force use the same trace, whichever side is upstream: with one-sided weights the force of a jump would
+A trace is the mean of the values on both sides of a facet, and the inner value on a wall.  Transport and
+elastic force use the same trace for either flow direction: with one-sided weights the force of a jump would
 be a thrust on the body, of the size of the Bregman distance between both sides
-(``ngvisco.forms.terms.transport``).  Upwinding is a term of its own, in the transport alone,
+(``ngvisco.forms.terms.transport``).  Upwinding is a separate term, in the transport alone,
 
     sum_K int_{dK} |v . n| (a - a_hat) t = 1/2 int |v . n| [a] [t]    over the facets between two cells,
 
-by which the whole flux is that of the upstream side.
+with which the whole flux is the upstream side's.
 """
 
 from abc import abstractmethod
@@ -22,22 +22,22 @@ from ngvisco.physics.tensors import if_positive, inner
 
 
 def mean_share(inner: CoefficientFunction) -> CoefficientFunction:
-    """The share of a side's value in the trace: 1/2 between two cells, 1 on walls."""
+    """Share of a side's value in the trace: 1/2 between two cells, 1 on walls."""
     return 1.0 - 0.5 * inner
 
 
 def speed(u: Fields) -> CoefficientFunction:
-    """|v . n| on facets that matter crosses, 0 on all others, m/s."""
+    """Speed |v . n| on facets that matter crosses, 0 on all others, m/s."""
     through = u.context.crossed * (u.v * u.context.normal)
     return if_positive(through, through, -through)
 
 
 _ACROSS = (0.8125, 0.4875, 0.3195)
-"""A direction to which no facet of a regular mesh is parallel; it tells both sides of a facet apart."""
+"""Direction parallel to no facet of a regular mesh, which distinguishes a facet's sides."""
 
 
 def side(u: Fields) -> CoefficientFunction:
-    """1 on the first side of a facet, -1 on the second, 0 on walls."""
+    """Sign of a facet's side: 1 on the first, -1 on the second, 0 on walls."""
     n = u.context.normal
     along = sum((_ACROSS[i] * n[i] for i in range(1, u.dim)), _ACROSS[0] * n[0])
     one = 1.0 + 0.0 * along
@@ -45,23 +45,23 @@ def side(u: Fields) -> CoefficientFunction:
 
 
 class Largest:
-    """The largest values of means over facets among the iterates of a step, by the means' names.
+    """Largest values of facet means among the iterates of a step, by the means' names.
 
-    What a mean switches off at a facet stays off: an equation whose solution lies where it would be switched
-    on and off again has none.
+    A term that a mean switches off at a facet stays off: an equation that switched on and off at its solution
+    would have none.
     """
 
     def __init__(self) -> None:
         self._values: dict[str, np.ndarray] = {}
         self.growths = 0
-        """How often values have left zero."""
+        """Number of calls in which a value has left zero."""
 
     def begin(self) -> None:
-        """The solution of a step begins."""
+        """Begin the solution of a step."""
         self._values.clear()
 
     def __call__(self, name: str, values: np.ndarray) -> np.ndarray:
-        """The largest values so far, of these too."""
+        """Return the largest values so far, including ``values``."""
         before = self._values.get(name)
         found = values.copy() if before is None else np.maximum(before, values)
         if before is not None and ((found > 0) & ~(before > 0)).any():
@@ -71,18 +71,17 @@ class Largest:
 
 
 class SideMean(PointTerm):
-    """sum_K int_{dK} share (a_hat - a) t = 0: a_hat, an unknown of facets, is a mean of both sides' values.
+    """Equation of a facet mean a_hat of both sides' values: sum_K int_{dK} share (a_hat - a) t = 0.
 
-    a_hat is an explicit function of the cells' unknowns, and of means that stand before it, which no solver
-    iterates on.
+    a_hat is an explicit function of the cells' unknowns and of preceding means; no solver iterates on it.
 
     Attributes
     ----------
     is_linear : bool
-        Whether a is linear in these: Newton's method then has a_hat to rounding.  Otherwise a_hat is one
-        number a facet, and made anew after each increment.
+        Whether a is linear in these unknowns: Newton's method then has a_hat to rounding.  Otherwise a_hat is
+        one number per facet and recomputed after each increment.
     stays : bool
-        Whether a_hat is the largest of all iterates' values in the solution of a step (``Largest``).
+        Whether a_hat is the largest value of all iterates in the solution of a step (``Largest``).
     """
 
     name: str
@@ -92,10 +91,10 @@ class SideMean(PointTerm):
 
     @abstractmethod
     def value(self, u: Fields) -> CoefficientFunction:
-        """a, on a cell's side."""
+        """The function a on a cell's side."""
 
     def difference(self, u: Fields) -> CoefficientFunction:
-        """share (a_hat - a)."""
+        """The integrand's factor share (a_hat - a)."""
         return mean_share(u.context.inner) * (u.parts[self.name] - self.value(u))
 
     def facets(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:

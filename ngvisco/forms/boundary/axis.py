@@ -1,5 +1,4 @@
-"""Conditions on walls, loads and terms of a body of revolution: its axis slips, and nothing pulls matter off
-it."""
+"""Conditions on walls, loads and terms of a body of revolution: the axis slips, and no load crosses it."""
 
 from collections.abc import Iterable
 
@@ -18,9 +17,11 @@ from ngvisco.physics.walls import Slip
 
 
 def require_symmetry(symmetry: Symmetry, walls: Walls, model: Model, terms: Iterable[Term]) -> None:
-    """Raise ParameterError for what no body of revolution has: a term without such a form, a wall at the axis
-    that is not ``Slip``, gravity across it, and cells that go on across r; MeshError where the axis and
-    another wall have one name.
+    """Raise ParameterError for data that a body of revolution cannot have; MeshError if the axis and another
+    wall have one name.
+
+    Refused are a term without an axisymmetric form, an axis that is not ``Slip``, gravity across the axis,
+    and a mesh that is periodic in r.
     """
     if symmetry.largest_radius is None:
         return

@@ -1,9 +1,10 @@
-"""The boundaries of a mesh: their names, directions and identifications, and walls that are refused.
+"""The boundaries of a mesh: their names, directions and identifications; refused walls.
 
-Straight facets where a wall is curved: a continuous velocity with v.n = 0 on every side of a polygon vanishes
-at all corners, and in the limit on the whole wall that the polygon approaches (Babuska): slip turns into no
-slip, and refinement does not help.  Measured on polygons in a disc: with k = 3 rates 1.3 of v and 0.6 of grad
-v; with k = 2, where only the mean of v.n vanishes on each side, 2.4 and 2, and the geometry's error is left.
+Straight facets on a curved wall are refused.  A continuous velocity with v.n = 0 on every side of a polygon
+vanishes at all corners, and in the limit on the whole wall that the polygon approaches (Babuska): slip turns
+into no slip, and refinement does not help.  Measured convergence rates of v and grad v on polygons in a disc:
+1.3 and 0.6 with k = 3; 2.4 and 2, with a remaining error of the geometry, with k = 2, where only the mean of
+v.n vanishes on each side.
 """
 
 from __future__ import annotations
@@ -43,9 +44,9 @@ from ngvisco.forms.mesh.mesh_arrays import (
 from ngvisco.parallel.communicator import Communicator
 
 _PARALLEL = 1e-10
-_FLAT = 1e-4  # rad: of facets in one plane, whose coordinates were rounded
-_CORNER = np.deg2rad(59.0)  # angles above are corners of the domain, not of its approximation
-_CURVED = 0.5  # share of the chords' angles that may be left; straight facets keep all
+_FLAT = 1e-4  # rad: angle of facets in one plane with rounded coordinates
+_CORNER = np.deg2rad(59.0)  # a larger angle is a corner of the domain, not of its approximation
+_CURVED = 0.5  # share of the chords' angles that curved facets may keep; straight facets keep all
 
 
 def check_boundary_names(mesh: Mesh, names: Iterable[str], owner: str = "walls") -> None:
@@ -57,7 +58,7 @@ def check_boundary_names(mesh: Mesh, names: Iterable[str], owner: str = "walls")
 
 
 def axis_parallel_walls(mesh: Mesh) -> tuple[list[list[str]], list[str]]:
-    """For each axis the boundaries normal to it, and the boundaries that are normal to none."""
+    """Names of the boundaries normal to each axis, and of the boundaries normal to no axis."""
     n = specialcf.normal(mesh.dim)
     walls: list[list[str]] = [[] for _ in range(mesh.dim)]
     others: list[str] = []
@@ -71,8 +72,10 @@ def axis_parallel_walls(mesh: Mesh) -> tuple[list[list[str]], list[str]]:
 
 
 def periodic_boundaries(mesh: Mesh) -> set[str]:
-    """Names of the boundaries that the mesh identifies with each other; MeshError for one that is so in a
-    part."""
+    """Names of the boundaries that the mesh identifies with each other.
+
+    Raises MeshError for a boundary of which only a part is identified.
+    """
     names, identified = np.array(mesh.GetBoundaries()), np.zeros_like(boundary_facets(mesh))
     identified[list(periodic_facets(mesh))] = True
     totals = _counts(mesh, identified)
@@ -84,20 +87,20 @@ def periodic_boundaries(mesh: Mesh) -> set[str]:
 
 
 def interior_boundaries(mesh: Mesh) -> set[str]:
-    """Names of boundaries that lie between two cells with all their parts: interfaces, which are no walls.
+    """Names of interfaces, boundaries whose parts all lie between two cells; interfaces are no walls.
 
-    Raises MeshError if a part of the boundary (Netgen: an edge or face of the geometry) does so in a part
-    only.
+    Raises MeshError if a part of the boundary (Netgen: an edge or face of the geometry) lies only partly
+    between two cells.
     """
     names, interfaces = mesh.GetBoundaries(), _interfaces(mesh)
     return {names[i] for i in interfaces} - {name for i, name in enumerate(names) if i not in interfaces}
 
 
 def walls_of(mesh: Mesh, names: Iterable[str]) -> Region:
-    """The boundaries of these names without the parts of them that lie between two cells.
+    """The boundaries with ``names``, without parts that lie between two cells.
 
-    Interfaces between subdomains often have the name that all unnamed boundaries have.  A name of which all
-    parts are interfaces has them all.
+    Interfaces between subdomains often share the name of all unnamed boundaries.  A name whose parts are all
+    interfaces keeps all of them.
     """
     wanted, known = set(names), mesh.GetBoundaries()
     mask = BitArray(len(known))
@@ -111,7 +114,7 @@ def walls_of(mesh: Mesh, names: Iterable[str]) -> Region:
 
 
 def _interfaces(mesh: Mesh) -> set[int]:
-    """Numbers of the boundaries' parts that lie between two cells; MeshError for one that does in a part."""
+    """Numbers of the boundaries' parts that lie between two cells; MeshError for a divided part."""
     totals = _counts(mesh, facets_with_two_sides(mesh) & boundary_facets(mesh))
     for name, (outer, inner) in zip(mesh.GetBoundaries(), totals, strict=True):
         if outer and inner:
@@ -123,7 +126,7 @@ def _interfaces(mesh: Mesh) -> set[int]:
 
 
 def _counts(mesh: Mesh, chosen: np.ndarray) -> np.ndarray:
-    """How many facets of each part of the boundary are not among the chosen ones, and are, (parts, 2)."""
+    """Numbers of unchosen and of chosen facets in each part of the boundary, (parts, 2)."""
     counts = np.zeros((len(mesh.GetBoundaries()), 2), dtype=int)
     if mesh.comm.Sum(int(chosen.any())):
         parts = [element.index for element in mesh.Elements(BND)]
@@ -133,7 +136,7 @@ def _counts(mesh: Mesh, chosen: np.ndarray) -> np.ndarray:
 
 
 def facet_indicator(mesh: Mesh, names: Iterable[str]) -> GridFunction:
-    """1 on the facets of these boundaries (``walls_of``), 0 on all others."""
+    """Indicator of the facets of the boundaries ``names`` (``walls_of``): 1 there, 0 on all others."""
     space = FacetFESpace(mesh, order=0)
     indicator = GridFunction(space)
     indicator.vec.FV().NumPy()[:] = mask_of(space.GetDofs(walls_of(mesh, names)))
@@ -141,7 +144,7 @@ def facet_indicator(mesh: Mesh, names: Iterable[str]) -> GridFunction:
 
 
 def cells_at(mesh: Mesh, walls: Region) -> BitArray:
-    """The cells that have a facet on a part of the boundary."""
+    """The cells with a facet on the region ``walls`` of the boundary."""
     cells = BitArray(mesh.ne)
     cells.Clear()
     for element in walls.Elements():
@@ -154,10 +157,10 @@ def cells_at(mesh: Mesh, walls: Region) -> BitArray:
 def require_curved_cells(mesh: Mesh, walls: Mapping[str, Region]) -> None:
     """Raise MeshError if a wall is bent by small angles between straight facets.
 
-    A polyhedron cannot be told from an approximation of a curved wall with certainty.  What is looked at is
-    the angle between the normals of neighbouring facets of one wall, where they meet: on curved cells it is
-    far smaller than that between the straight facets of the same vertices, on straight ones the same.  Facets
-    of different names are not compared: planes with names of their own may meet at any angle.
+    A polyhedron cannot be distinguished from an approximation of a curved wall with certainty.  The check
+    compares the normals of neighbouring facets of one wall where the facets meet: on curved cells their angle
+    is far smaller than the angle of the straight facets with the same vertices; on straight cells the angles
+    are equal.  Facets of different names are not compared: planes with different names may meet at any angle.
     """
     for name, region in walls.items():
         if angle := bend(mesh, region):
@@ -171,23 +174,26 @@ def require_curved_cells(mesh: Mesh, walls: Mapping[str, Region]) -> None:
 
 
 def bend(mesh: Mesh, wall: Region) -> float:
-    """The largest angle, rad, between straight facets that may stand for a curved wall; 0 of other walls."""
+    """Largest angle, rad, between straight facets that may approximate a curved wall; 0 for other walls."""
     chords, left = _kinks(mesh, wall)
     return max(chords) if sum(left) > _CURVED * sum(chords) else 0.0
 
 
 _Facet: TypeAlias = tuple[np.ndarray, dict[bytes, np.ndarray]]
-"""Outward unit normals of a facet's chord, and at its vertices, by their coordinates."""
+"""Outward unit normals: of a facet's chord, and at the facet's vertices by their coordinates."""
 
 
 def _kinks(mesh: Mesh, wall: Region) -> tuple[list[float], list[float]]:
-    """Angles of neighbouring facets, of their chords and where they meet, but in planes and at corners."""
+    """Angles between neighbouring facets' chords, and between their normals where the facets meet.
+
+    Pairs in a plane and at corners of the domain are left out.
+    """
     near: dict[frozenset[bytes], list[_Facet]] = {}
-    for facets in Communicator.of(mesh).gathered(_facets(mesh, wall)):  # two ranks may have neighbours
+    for facets in Communicator.of(mesh).gathered(_facets(mesh, wall)):  # neighbours may be on two ranks
         for facet in facets:
             for part in combinations(
                 facet[1], mesh.dim - 1
-            ):  # where it meets others: a vertex, an edge in 3D
+            ):  # the common part with a neighbour: a vertex, an edge in 3D
                 near.setdefault(frozenset(part), []).append(facet)
     chords, left = [], []
     for part, both in near.items():
@@ -199,7 +205,7 @@ def _kinks(mesh: Mesh, wall: Region) -> tuple[list[float], list[float]]:
 
 
 def _facets(mesh: Mesh, wall: Region) -> list[_Facet]:
-    """The facets of a wall that this rank has."""
+    """This rank's facets of a wall."""
     n, position = specialcf.normal(mesh.dim), CF((x, y, z)[: mesh.dim])
     outward = np.array([facet_sums(mesh, n[i]) for i in range(mesh.dim)]).T[facets_of_walls(mesh)]
     kind = ET.SEGM if mesh.dim == 2 else ET.TRIG

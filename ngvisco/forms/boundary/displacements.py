@@ -1,7 +1,7 @@
-"""Displacements of walls that matter crosses, and springs that pull them back to where they were.
+"""Displacements of walls that matter crosses, and springs that pull them back.
 
 The displacement w follows the velocity, dw/dt = v, so that w . n is the integral of v . n over time.  The
-mesh does not move: the wall is where the body is at rest, and w is small beside a cell.
+mesh does not move: the wall stays at its place in the body at rest, and w is small beside a cell.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ if TYPE_CHECKING:
 
 
 class Displacement(OnWall):
-    """int (w - w_old)/tau . q - int v . q on one wall; q tests w.
+    """Equation of the displacement w of one wall, int (w - w_old)/tau . q - int v . q = 0, q its test.
 
-    w lives in the traces of v, so that its equation holds at every point.
+    w is in the space of the traces of v, so that the equation holds at every point.
     """
 
     acts_by = "nothing"
@@ -64,14 +64,14 @@ class Displacement(OnWall):
 
 
 class Springs(Displacement):
-    """int K w . u besides, on one wall that is ``Open``; u tests v.
+    """Displacement of an ``Open`` wall with springs, int K w . u, u the test of v.
 
-    Springs to a rigid ground, a foundation that gives: the wall is pulled back by t = -K w,
+    Springs to a rigid ground, an elastic foundation, pull the wall back by t = -K w,
     K = k_p n x n + k_s (I - n x n) in Pa/m.  With w - w_old = tau v
 
         tau int K w . v = E(w) - E(w_old) + E(w - w_old),    E(w) = 1/2 int K w . w,
 
-    what is stored, and what the implicit step dissipates of it.
+    the change of the stored energy, and the dissipation of the implicit step.
     """
 
     acts_by = "springs"
@@ -83,7 +83,7 @@ class Springs(Displacement):
         self.stiffness = wall.stiffness
 
     def _work(self, w: CoefficientFunction, q: CoefficientFunction, u: Fields) -> CoefficientFunction:
-        """K w . q on the wall."""
+        """Work K w . q of the springs on the wall."""
         return self.indicator * (along_and_across(self.stiffness, w, u.context.normal) * q)
 
     def on_body(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
@@ -105,7 +105,7 @@ class Springs(Displacement):
 
 
 def displacement_of(walls: Walls, name: str) -> Displacement | None:
-    """The term of a wall that matter crosses, if its displacement is asked for or it stands on springs."""
+    """The displacement's term of a wall that matter crosses; None without springs and ``displacement``."""
     wall = walls.conditions[name]
     assert isinstance(wall, Passage)
     if isinstance(wall, Open) and any(wall.stiffness):
@@ -114,8 +114,7 @@ def displacement_of(walls: Walls, name: str) -> Displacement | None:
 
 
 def _traces(mesh: Mesh, name: str, order: int) -> FESpace:
-    """The space of traces on a wall of continuous vectors, whichever rank its facets belong to;
-    collective."""
+    """Space of continuous vectors' traces on a wall with facets on any rank; collective."""
     space = H1(mesh, order=order)
     active = space.GetDofs(walls_of(mesh, [name]))
     on_some_rank = Exchange.of(space, Communicator.of(mesh)).sum(mask_of(active).astype(float))

@@ -1,4 +1,4 @@
-"""The common base of terms by which one wall acts on the body: its place, and the momentum that it gives."""
+"""The common base of terms by which one wall acts on the body: the wall's place and the impulse's name."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ if TYPE_CHECKING:
 
 
 class OnWall(PointTerm):
-    """A term by which one wall acts on the body, beside what it constrains."""
+    """A term by which one wall acts on the body, in addition to its constraints."""
 
     couples: Coupling = "flow"
     acts_by: str = "stress"
-    """The kind of the impulse that the term gives, beside the wall's name."""
+    """Kind of the term's impulse, the first part of the impulse's name."""
 
     @property
     def impulse(self) -> str:
-        """The name of the impulse: how the term acts, and on which wall."""
+        """Name of the impulse, from the kind of action and the wall."""
         return f"{self.acts_by}_{self.name}"
 
     def __init__(self, walls: Walls, name: str) -> None:
@@ -32,13 +32,13 @@ class OnWall(PointTerm):
         self.indicator = facet_indicator(walls.mesh, [name])
 
     def on_body(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
-        """Its rows of v, -t . w with the stress t, Pa, on the facets of the wall."""
+        """The term's rows of v, -t . w with the stress t, Pa, on the facets of the wall."""
         return self.facets(u, w)
 
 
 def along_and_across(
     factors: tuple[float, float], a: CoefficientFunction, n: CoefficientFunction
 ) -> CoefficientFunction:
-    """p (a . n) n + s a_t of the factors (p, s)."""
+    """The vector p (a . n) n + s a_t for the factors (p, s)."""
     p, s = factors
     return s * a + ((p - s) * (a * n)) * n

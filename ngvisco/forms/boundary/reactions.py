@@ -1,19 +1,19 @@
-"""The force and torque that the body exerts on its walls, from the equations as they were solved.
+"""The force and torque of the body on its walls, from the residual of the solved step.
 
-With R(u; w) the residual of a step, whose rows of the constrained coefficients of v are not zero but the
-walls' reaction, and with the walls' own terms in it, the force of wall Gamma on the body in direction e is
+The rows of the residual R(u; w) at the constrained coefficients of v are the walls' reaction.  The residual
+contains the walls' terms too.  The force of wall Gamma on the body in direction e is
 
     F_Gamma . e = R(u; w_Gamma) - (terms of Gamma)(u; e) + int (phi - z_f : zeta_f) (w_Gamma . n),
 
-w_Gamma = e at the coefficients that Gamma constrains; the torque is the same with the rotation e x (x - c).
-The last integral, z_f what goes by its flux, is there because the elastic force of the scheme is
-B_h(w; z, zeta) = int T : grad w - int (phi - z_f : zeta_f) (w . n): the same where w.n = 0 on walls.  This is
-the consistent reaction, of the elastic, viscous and hyperviscous stress alike; it converges faster than an
-integral of T n.  Where the trace on a wall has no energy (det B <= 0 beside a barrier), phi is the cell's
-projection of it.
+with w_Gamma = e at the coefficients that Gamma constrains; for the torque e is the rotation e x (x - c).
+The last integral, z_f the variables transported by their flux, is there because the scheme's elastic force is
+B_h(w; z, zeta) = int T : grad w - int (phi - z_f : zeta_f) (w . n), which is int T : grad w if w.n = 0 on
+walls.  This is the consistent reaction of the elastic, viscous and hyperviscous stress; it converges faster
+than an integral of T n.  If the trace on a wall has no energy (det B <= 0 beside a barrier), phi is the
+projection of the energy in the cell.
 
-At a corner where several walls constrain a component of v, it counts for them in the shares of their n_i^2,
-so that each keeps its own pressure, and equally where all n_i are zero.
+If several walls constrain a component of v at a corner, they share its row by their n_i^2, so that each keeps
+its pressure, and equally if all n_i are zero.
 """
 
 from __future__ import annotations
@@ -39,8 +39,7 @@ from ngvisco.physics.walls import HELD
 
 
 class WallReactions:
-    """Force and torque on the walls of a step, by default on all; UnknownNameError for a name that is no
-    wall.
+    """Force and torque on walls of a step, by default on all; UnknownNameError for a name without a wall.
 
     Parameters
     ----------
@@ -65,12 +64,12 @@ class WallReactions:
             interpolate(interpolated, motion)
             self._tests.append(interpolated.vec.FV().NumPy().copy())
         self._weights = self._shares()
-        # over the walls that nothing crosses: of others it is in the residual
+        # on walls that nothing crosses; the residual has this integral on all others
         free = step.layout.velocity_space((None,) * step.mesh.dim)
         closed = facet_indicator(step.mesh, [name for name in walls if name not in step.walls.crossed])
         through = free.TestFunction() * step.context.normal
         self._energy = LinearForm(free)
-        # a trace may have no energy, though all points of the cells' rule have one
+        # a trace may have no energy although all points of the cells' rule have one
         projected, density = GridFunction(L2(step.mesh, order=step.discretisation.m)), step.energy.density
         self._project = LocalProjection(projected, step.quadrature, tested(density(step.now)))
         phi = step.energy.anywhere(step.now)
@@ -80,12 +79,12 @@ class WallReactions:
         self._terms = {name: self._own_terms(name) for name in self.names}
 
     def _shares(self) -> dict[str, np.ndarray]:
-        """How much of each coefficient of v counts for each wall."""
+        """Share of each wall in each coefficient of v, by names of walls."""
         step, mesh, walls = self.step, self.step.mesh, self.step.walls
         space = step.layout.velocity_space((None,) * mesh.dim)
         n, w = specialcf.normal(mesh.dim), space.TestFunction()
         squares = CF(tuple(n[i] * n[i] for i in range(mesh.dim)))
-        hats = np.arange(space.ndof) % (space.ndof // mesh.dim) < mesh.nv  # the others change their sign
+        hats = np.arange(space.ndof) % (space.ndof // mesh.dim) < mesh.nv  # other basis functions change sign
         exchange, masks, claims = Exchange.of(space, self._ranks), {}, {}
         for name, wall in walls.conditions.items():
             own, is_fixed = walls.region([name]), isinstance(wall, HELD)
@@ -103,7 +102,7 @@ class WallReactions:
         }
 
     def _own_terms(self, name: str) -> list[list[CoefficientFunction]]:
-        """For each rigid motion the integrands of the stress that is given, friction and the multiplier."""
+        """Integrands of given stress, friction and multiplier on a wall, for each rigid motion."""
         step, u = self.step, self.step.now
         found = []
         for motion in self.motions.values():
@@ -119,9 +118,9 @@ class WallReactions:
         return found
 
     def of_rows(self, rows: np.ndarray) -> np.ndarray:
-        """Force and torque on each wall, (walls, motions), of what the walls do to the rows of v, N.
+        """Force and torque on each wall, (walls, motions), from the reaction in the rows of v, N.
 
-        Over ranks rows are in parts.
+        Over ranks the rows are sums of the ranks' parts.
         """
         own = np.array([[-(self._weights[n] * test) @ rows for test in self._tests] for n in self.names])
         return self._ranks.totals(own)
@@ -130,9 +129,9 @@ class WallReactions:
         """The components of force, N, and of torque, N m, on each wall (per metre in plane strain, for a body
         of revolution the axial force over 2 pi).
 
-        They are those of the Rothe step that was solved last, and belong to its solution: the state has to
-        be that, with the step's old state, length and loads in place.  Of a scheme with stages or an
-        extrapolated end see ``ngvisco.run.probes.WallForces``.
+        They belong to the solution of the last Rothe step: the state must be this solution, with the step's
+        old state, length and loads in place.  For a scheme with stages or an extrapolated end see
+        ``ngvisco.run.probes.WallForces``.
         """
         step, integrate = self.step, self.step.quadrature.integrate_facets
         residual = step.state.vec.CreateVector()
@@ -148,14 +147,16 @@ class WallReactions:
 
 
 def beside_the_stress(u: Fields, phi: CoefficientFunction) -> CoefficientFunction:
-    """phi - z_f : zeta_f, Pa, z_f what goes by its flux: what B_h(w; z, zeta) takes of T on a closed wall."""
+    """Pressure phi - z_f : zeta_f, Pa, that B_h(w; z, zeta) omits on a closed wall; z_f moves by flux."""
     by_flux = u.layout.states.by_flux
     return phi - inner(masked(u.z, by_flux), u.zeta) if by_flux.any() else phi
 
 
 def rigid_motions(symmetry: Symmetry, dim: int, about: Sequence[float]) -> dict[str, CoefficientFunction]:
-    """The translations and rotations about a point, by the names of force and torque components; of a body of
-    revolution the translation along its axis alone."""
+    """Translations and rotations about a point, by the names of force and torque components.
+
+    A body of revolution has the translation along its axis only.
+    """
     r = [coordinate - c for coordinate, c in zip((x, y, z), about, strict=False)]
     units = [CF(tuple(float(i == j) for i in range(dim))) for j in range(dim)]
     motions = {f"force_{i + 1}": unit for i, unit in enumerate(units)}

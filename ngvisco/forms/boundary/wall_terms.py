@@ -1,19 +1,19 @@
-"""Terms by which walls enter the system: multipliers for v.n = 0, given stresses, and what crosses.
+"""Terms by which walls enter the system: multipliers for v.n = 0, given stresses, and passages of matter.
 
 For smooth fields B_h(w; z, zeta) = int T : grad w - int phi (w . n) (``ngvisco.forms.terms.transport``): on a
-wall that matter crosses the natural condition of the momentum equation would be T n = phi n.  There stands
-besides
+wall that matter crosses the natural condition of the momentum equation would be T n = phi n.  The terms on
+such a wall add
 
     + int_Gamma phi (w . n) + 1/2 int_Gamma j v . w - int_Gamma t . w,
 
-with phi = phi(z), the second of these from the skew form of convection.  The trace on a wall is the body's
-own value: T n is t whatever flows in.  What flows in has the values z_in and rho_in, given or those of the
-middle of the cell, and enters by the transport alone: with a^- = max(-a, 0)
+with phi = phi(z); the second term comes from the skew form of convection.  The trace on a wall is the value
+inside the body, so that T n = t for any inflow.  Inflowing matter has the values z_in and rho_in, which are
+given or taken from the middle of the cell, and enters by the transport alone: with a^- = max(-a, 0)
 
     - int (v . n)^- (z_in - z) : G        in the kinematic equations,
     j = (v . n) rho - (v . n)^- (rho_in - rho)        the flux of mass.
 
-Where z_in is not z, both meet in the cell and dissipate, for convex energies,
+If z_in differs from z, mixing in the cell dissipates, for convex energies,
 
     d = (v . n)^- (phi(z_in) - phi(z) - zeta : (z_in - z)) >= 0.
 
@@ -23,8 +23,8 @@ At w = v the two uses of B_h cancel on these facets too:
                                           + tau int t . v,
     int rho - int rho_old = -tau int j,
 
-exactly, whatever flows in; of a material with heat the entropy changes by its flux besides.  What enters
-brings energy: at an inlet no sign is promised.  Of bodies each density n_i is carried so.
+exactly, for any inflow; with heat, the flux of entropy changes the entropy too.  Inflowing matter brings
+energy, so that the energy has no sign at an inlet.  With bodies each density n_i is carried in this way.
 """
 
 from __future__ import annotations
@@ -51,15 +51,15 @@ from ngvisco.physics.tensors import if_positive, inner
 from ngvisco.physics.walls import NavierFriction, Open, Passage, PrescribedNormal, Traction
 
 HELD_BY_WALLS = "walls"
-"""The ledger's name of the impulse of all walls that hold v or its normal part."""
+"""Name, in the ledger, of the impulse of all walls that hold v or its normal part."""
 
 
 class Impenetrability(PointTerm):
-    """Multiplier form of v.n on oblique and curved walls: int_Gamma lambda (w.n) + mu (v.n), 0 for v.n = 0.
+    """Multiplier form of v.n = 0 on oblique and curved walls: int_Gamma lambda (w.n) + mu (v.n) = 0.
 
-    lambda is the normal stress of the wall, Pa.  Its power int lambda (v.n) vanishes exactly, by the
-    equation's own row mu = lambda, so that it has no entry in the ledger.  Nothing is carried through the
-    wall whatever the pointwise residue of v.n (``Upwinding``).
+    lambda is the normal stress of the wall, Pa.  Its power int lambda (v.n) vanishes exactly by the row
+    mu = lambda, so that the ledger has no entry of it.  Nothing is carried through the wall, whatever the
+    pointwise residue of v.n (``Upwinding``).
     """
 
     couples = "flow"
@@ -68,7 +68,7 @@ class Impenetrability(PointTerm):
         self.indicator = facet_indicator(walls.mesh, walls.multiplied)
         self._walls = walls
         self.pistons = [Piston(walls, name) for name in walls.pistons if name in walls.multiplied]
-        """The functions that give v.n on the walls where it is not 0."""
+        """Terms with the given v.n of the walls on which it is not 0."""
 
     def unknowns(self, setting: Setting) -> tuple[Unknown, ...]:
         if setting.k < 2:
@@ -80,7 +80,7 @@ class Impenetrability(PointTerm):
 
     @property
     def impulse(self) -> str:
-        """The name of the impulse of all walls that hold the body."""
+        """Name of the impulse of all walls that hold the body."""
         return HELD_BY_WALLS
 
     def facets(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
@@ -92,7 +92,7 @@ class Impenetrability(PointTerm):
 
 
 class Piston(OnWall):
-    """-int_Gamma mu V on one oblique or curved wall: v.n = V there, beside ``Impenetrability``.
+    """Right-hand side -int_Gamma mu V of ``Impenetrability`` on one oblique or curved wall: v.n = V.
 
     The power of the wall is -int lambda (v.n).
     """
@@ -106,7 +106,7 @@ class Piston(OnWall):
         self.velocity = as_shape(f"walls[{name!r}].velocity", wall.velocity, ())
 
     def through(self, mu: CoefficientFunction) -> CoefficientFunction:
-        """mu V at the present time."""
+        """Integrand mu V at the present time."""
         return self.indicator * self.velocity * mu
 
     def on_body(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
@@ -121,7 +121,7 @@ class Piston(OnWall):
 
 
 class TangentialStress(OnWall):
-    """-int_Gamma f_t . w_t + int_Gamma c v_t . w_t (paper: rem-f-ne-0) on one wall."""
+    """Traction and friction -int_Gamma f_t . w_t + int_Gamma c v_t . w_t on one wall (paper: rem-f-ne-0)."""
 
     def __init__(self, walls: Walls, name: str) -> None:
         super().__init__(walls, name)
@@ -166,10 +166,10 @@ def _tangential(a: CoefficientFunction, n: CoefficientFunction) -> CoefficientFu
 
 
 class Carried(OnWall):
-    """+ int phi (w . n) + 1/2 int j v . w on one wall and what flows in, see the module's docstring.
+    """Passage of matter through one wall, int phi (w . n) + 1/2 int j v . w and the inflow, see the module.
 
-    With ``backflow`` (``Open``) the second one has what flows out only, 1/2 int rho (v . n)^+ v . w, so that
-    1/2 int rho_in (v . n)^- |v|^2 >= 0 is a dissipation.
+    With ``backflow`` (``Open``) the second integral has the outflow only, 1/2 int rho (v . n)^+ v . w, so
+    that 1/2 int rho_in (v . n)^- |v|^2 >= 0 is a dissipation.
     """
 
     couples = "local"
@@ -183,19 +183,19 @@ class Carried(OnWall):
         self.backflow = isinstance(wall, Open) and wall.backflow
         self.material = model.material
         self.given = entering(wall, f"walls[{name!r}]", model, walls.mesh)
-        """Given values of matter that flows in, functions of place and time, see ``entering``."""
+        """Given state of the inflow, functions of place and time (``entering``)."""
         self.means = self.given
-        """The means of ``given`` over the step."""
+        """Means of ``given`` over the step."""
 
     def continues(self, name: str) -> bool:
-        """Whether nothing of ``"rho"`` or ``"z"`` is given."""
+        """Whether the wall gives no value of ``name``, ``"rho"`` or ``"z"``."""
         return self.given.density is None if name == "rho" else self.given.is_of_density_alone
 
     def entering(self, u: Fields, name: str) -> CoefficientFunction:
-        """The value of ``"rho"`` or ``"z"`` that flows in, on a cell's side.
+        """Inflowing value of ``"rho"`` or ``"z"`` on a cell's side.
 
-        Where nothing is given that is the cell's own value without its slope, with which it would grow from
-        step to step.
+        A quantity that is not given enters with the cell's value without its slope, which would make the
+        value grow from step to step.
         """
         own = self._middle(u, name)
         if self.continues(name):
@@ -204,7 +204,7 @@ class Carried(OnWall):
         if name == "rho":
             return given.density
         inside = u.layout.states.tensors(lambda: own)
-        here = u.context.given(self.indicator)  # means are zero elsewhere, where an energy may be no number
+        here = u.context.given(self.indicator)  # elsewhere means are zero, and the energy may not be a number
         values = {name: inside[name] for name in inside}
         values |= {name: inside[name] + here * (value - inside[name]) for name, value in given.values.items()}
         if given.temperature is not None:
@@ -212,22 +212,22 @@ class Carried(OnWall):
         return u.layout.states.components(values)
 
     def _middle(self, u: Fields, name: str) -> CoefficientFunction:
-        """The value without its slope, that of the middle of the cell."""
+        """Value at the middle of the cell."""
         own, reach = u.parts[name], u.context.reach
         return own if reach is None else own - u.gradient(name) * u.context.given(reach)
 
     def _through(self, u: Fields) -> CoefficientFunction:
-        """v . n on this wall, else 0."""
+        """Normal velocity v . n on this wall, else 0."""
         c = u.context
         return c.given(self.indicator) * (u.v * c.normal)
 
     def _inward(self, u: Fields) -> CoefficientFunction:
-        """(v . n)^- on this wall, else 0."""
+        """Inflow speed (v . n)^- on this wall, else 0."""
         through = self._through(u)
         return if_positive(through, 0.0 * through, -through)
 
     def _added(self, u: Fields, name: str) -> CoefficientFunction:
-        """(v . n)^- times what flows in less what is there, of ``"rho"`` or ``"z"``."""
+        """Inflow speed times the difference of inflowing and inner value, of ``"rho"`` or ``"z"``."""
         return self._inward(u) * (self.entering(u, name) - u.parts[name])
 
     def entering_mass(self, u: Fields) -> CoefficientFunction:
@@ -236,22 +236,22 @@ class Carried(OnWall):
         return u.layout.states.density(self._added(u, "z"))[0]
 
     def _mass_flux(self, u: Fields) -> CoefficientFunction:
-        """j, kg/(m^2 s)."""
+        """Mass flux j, kg/(m^2 s)."""
         return self._through(u) * u.rho - self.entering_mass(u)
 
     def _carried_momentum(self, u: Fields) -> CoefficientFunction:
-        """j, or with ``backflow`` its outward part."""
+        """Mass flux j, or with ``backflow`` its outward part."""
         flux = self._mass_flux(u)
         return if_positive(self._through(u), flux, 0.0 * flux) if self.backflow else flux
 
     def _stored(self, u: Fields) -> CoefficientFunction:
-        """phi(z) on this wall, Pa, else 0: a trace elsewhere may have none.  See ``StoredMean``."""
+        """Energy phi(z), Pa, on this wall, else 0: a trace elsewhere may have none (``StoredMean``)."""
         if StoredMean.name in u.layout.unknowns:
             return u.parts[StoredMean.name] + inner(u.zeta, u.z - self._middle(u, "z"))
         return if_positive(u.context.given(self.indicator), u.context.rates.stored(u), 0.0)
 
     def _stored_outside(self, u: Fields) -> CoefficientFunction:
-        """phi(z_in), Pa; its tangent at z where the energy has no values here."""
+        """Energy phi(z_in), Pa; its tangent at z if the energy has no values on walls."""
         if StoredMean.name in u.layout.unknowns:
             return self._stored(u) + inner(u.zeta, self.entering(u, "z") - u.z)
         outside = {"z": self.entering(u, "z")}
@@ -266,7 +266,7 @@ class Carried(OnWall):
         ]
 
     def half_carried(self, u: Fields, w: Fields) -> CoefficientFunction:
-        """1/2 j v . w: half of the momentum that goes out, all of which it is with inertia's."""
+        """Half of the outgoing momentum, 1/2 j v . w; inertia's skew form has the other half."""
         return 0.5 * self._mass_flux(u) * (w.v * u.v)
 
     def on_body(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
@@ -293,11 +293,11 @@ class Carried(OnWall):
 
 
 class StoredMean(CellMean):
-    """The mean over a cell of a phi that has values at the points of the cells' rule alone, Pa.
+    """Equation of the cell mean of phi, Pa, for an energy with values at the points of the cells' rule only.
 
-    That is so of bodies of different volumetric energies and of Yosida's approximation.  On a wall phi is
-    then the mean and zeta : (z - z_K), z_K the value at the middle of the cell: off by the second power of
-    the cell's size, by which T n is off t.
+    Bodies of different volumetric energies and Yosida's approximation have such energies.  On a wall phi is
+    replaced by the mean plus zeta : (z - z_K), z_K the value at the middle of the cell.  The error, and so
+    T n - t, is of second order in the cell's size.
     """
 
     name = "stored_mean"
@@ -310,7 +310,7 @@ class StoredMean(CellMean):
 
 
 class GivenStress(OnWall):
-    """-int t . w, t = f - p n - Z_p (v . n) n - Z_s v_t, on one wall that is ``Open``."""
+    """Stress -int t . w on one ``Open`` wall, t = f - p n - Z_p (v . n) n - Z_s v_t."""
 
     acts_by = "traction"
 
@@ -325,13 +325,13 @@ class GivenStress(OnWall):
         self.impedance = wall.impedance
 
     def _traction(self, u: Fields) -> CoefficientFunction:
-        """f - p n, averaged over the step, Pa."""
+        """Given part f - p n of the stress, averaged over the step, Pa."""
         c = u.context
         load = -c.average(self.pressure, self.region) * c.normal
         return load if self.f is None else load + c.average(self.f, self.region)
 
     def _resistance(self, u: Fields) -> CoefficientFunction:
-        """Z_p (v . n) n + Z_s v_t, Pa."""
+        """Resistance Z_p (v . n) n + Z_s v_t of the wall, Pa."""
         return along_and_across(self.impedance, u.v, u.context.normal)
 
     def facets(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
@@ -354,10 +354,10 @@ def _beyond(name: str, dissipated: CoefficientFunction) -> Entry:
 
 
 def wall_terms(walls: Walls, model: Model) -> tuple[Term, ...]:
-    """Terms by which walls enter the system; none where the space holds the condition.
+    """Terms by which walls enter the system; a condition that the space imposes needs none.
 
-    Raises ParameterError for a model of which it is not known what crosses a wall, and for a missing density
-    of what flows in.
+    Raises ParameterError for a model whose flux through a crossed wall is not known, and for a missing
+    density of an inflow.
     """
     if walls.crossed and (reason := _not_known(model)) is not None:
         name = walls.crossed[0]
@@ -377,7 +377,7 @@ def wall_terms(walls: Walls, model: Model) -> tuple[Term, ...]:
 
 
 def _not_known(model: Model) -> str | None:
-    """Why nothing can cross a wall with this model, or None."""
+    """Reason why nothing can cross a wall with this model, or None."""
     law = model.regularisation
     if law is not None and law.rho_max is not None:
         return "a cut-off density has fluxes of its own (Regularisation.rho_max)"

@@ -1,10 +1,10 @@
-"""Walls: v.n = 0 with a free tangential part (paper: Euler-small-BC-hyper), or a velocity that is prescribed.
+"""Walls: v.n = 0 with a free tangential part (paper: Euler-small-BC-hyper), or a prescribed velocity.
 
-On a wall parallel to the axes the condition is one component of v, constrained exactly in the space.
-Anything that a wall adds to the system as a form (a multiplier for an oblique or curved wall, friction,
-traction) is a ``Term`` that ``wall_terms`` returns; the step sums it like every other.  Wall terms are
-integrals over cell boundaries with a facetwise indicator of the wall, so that they have the quadrature
-of all facet terms.  On curved geometries the mesh must be curved (``mesh.Curve(order)``): v.n = 0 on
+On a wall parallel to the axes the space constrains one component of v exactly.
+A form that a wall adds to the system (a multiplier for an oblique or curved wall, friction, traction) is a
+``Term`` that ``wall_terms`` returns; the step sums it like every other term.  Wall terms are integrals over
+cell boundaries with a facetwise indicator of the wall, so that they have the quadrature of all facet
+terms.  On curved geometries the mesh must be curved (``mesh.Curve(order)``): v.n = 0 on
 polygons that approach a curved wall locks v (Babuska).
 """
 
@@ -56,22 +56,21 @@ from ngvisco.physics.signals import may_read_time
 from ngvisco.physics.tensors import inner
 from ngvisco.physics.walls import HELD, MOVING, NoSlip, Passage, PrescribedNormal, Slip, Traction, Wall
 
-OPEN = 1e-3  # |V.n|^2/|V|^2 that the geometry's approximation may leave of a tangential velocity
+OPEN = 1e-3  # |V.n|^2/|V|^2 that an approximate geometry may leave in a tangential velocity
 
 
 Conditions: TypeAlias = "Mapping[str | tuple[str, ...], Wall] | Sequence[tuple[str | tuple[str, ...], Wall]]"
 
 
 class Walls:
-    """Which condition holds on which boundary of a mesh, and what the spaces must do for it.
+    """The conditions on the boundaries of a mesh, and the constraints of the spaces that they need.
 
-    ``conditions`` maps boundary names (or tuples of them) to Wall objects, or has pairs of these.  Boundaries
-    that are not named slip; those that the mesh identifies, and interfaces between cells, are no walls, also
-    where they have the name of one.
+    ``conditions`` maps boundary names (or tuples of names) to Wall objects, or is a sequence of such pairs.
+    Unnamed boundaries slip.  Boundaries that the mesh identifies, and interfaces between cells, are no walls,
+    even if they share the name of a wall.
 
-    Raises UnknownNameError for a name that the mesh does not have; ParameterError if a boundary is given two
-    conditions, is periodic or an interface, or the condition is no Wall; MeshError if a wall that has to be
-    curved is not.
+    Raises UnknownNameError for a name that the mesh lacks; ParameterError if a boundary has two conditions,
+    is periodic or an interface, or the condition is no Wall; MeshError for straight facets on a curved wall.
     """
 
     def __init__(self, mesh: Mesh, conditions: Conditions | None = None) -> None:
@@ -94,12 +93,12 @@ class Walls:
         """Walls that matter crosses."""
         closed = [name for name in self.conditions if name not in self.crossed]
         self.pistons = self._having(PrescribedNormal)
-        """Walls that matter crosses by a given v.n."""
+        """Walls that matter crosses with a prescribed v.n."""
         by_components = [*closed, *self.pistons]
         self.axis = [[name for name in group if name in by_components] for group in self.axis]
         fixed = self._having(*HELD)
         self.multiplied = [n for n in self.oblique if n in by_components and n not in fixed]
-        """Oblique or curved walls, where v.n is held by a multiplier."""
+        """Oblique or curved walls, on which a multiplier holds v.n."""
         declared = [name for name, wall in self.conditions.items() if wall.straight]
         bent = [name for name in self.multiplied if name not in declared]
         require_curved_cells(mesh, {name: self.region([name]) for name in bent})
@@ -118,19 +117,19 @@ class Walls:
 
     @property
     def dirichlet(self) -> tuple[Region, ...]:
-        """Where v_i is prescribed, one region for each i."""
+        """Regions on which v_i is prescribed, one for each i."""
         fixed = self._having(*HELD)
         return tuple(self.region([*names, *fixed]) for names in self.axis)
 
     @property
     def homogeneous(self) -> tuple[Region, ...]:
-        """Where v_i = 0: as ``dirichlet`` without what is prescribed and not zero."""
+        """Regions on which v_i = 0: ``dirichlet`` without walls that prescribe another velocity."""
         still = self._having(NoSlip)
         slipping = ([name for name in names if name not in self.pistons] for names in self.axis)
         return tuple(self.region([*names, *still]) for names in slipping)
 
     def region(self, names: Sequence[str]) -> Region:
-        """The walls of these names, without interfaces of the same name."""
+        """Region of the walls with ``names``, without interfaces of the same names."""
         key = tuple(names)
         if key not in self._regions:
             self._regions[key] = walls_of(self.mesh, names)
@@ -139,11 +138,11 @@ class Walls:
     def multiplier_space(self, mesh: Mesh, k: int) -> FESpace:
         """Space of the multiplier of v.n = 0 for velocities in P_k: P_{k-2}, and in 2D P_2 for k = 3.
 
-        On the mesh of the step, or on the whole of which that is a rank's part.  P_{k-1} is the most that the
-        traces v.n allow.  In 3D it has more unknowns than there are normal traces.  In 2D it has as many on a
-        closed curve, and for even k the trace that is the same Legendre polynomial of degree k on every edge
-        is orthogonal to all of it.  On a chain of n edges that ends where v is constrained there are n k - 1
-        traces, so that its edges at such ends have one unknown less.
+        ``mesh`` is the step's mesh or the undistributed one.  The traces v.n allow at most P_{k-1}.  In 3D
+        this space has more unknowns than normal traces.  In 2D the numbers are equal on a closed curve; for
+        even k the trace with the same Legendre polynomial of degree k on every edge is orthogonal to the
+        space.  A chain of n edges with constrained v at its ends has n k - 1 traces, so that its edges at
+        such ends have one unknown less.
         """
         fine = mesh.dim == 2 and k == 3
         order = k - 1 if fine else k - 2
@@ -159,7 +158,7 @@ class Walls:
 
 
 def velocity_of(wall: Wall, dim: int, owner: str) -> CoefficientFunction:
-    """The velocity that a wall prescribes, m/s, or its normal part; ParameterError for what is no such."""
+    """The velocity that a wall prescribes, m/s, or its normal part; ParameterError for an invalid one."""
     assert isinstance(wall, MOVING)
     field = f"{owner}.velocity"
     if isinstance(wall, PrescribedNormal):
@@ -168,7 +167,7 @@ def velocity_of(wall: Wall, dim: int, owner: str) -> CoefficientFunction:
 
 
 def _vertices(region: Region) -> np.ndarray:
-    """Which vertices lie on a boundary, (vertices,), of whichever rank its facets are; collective."""
+    """Mask of the vertices on a boundary with facets on any rank, (vertices,); collective."""
     mesh = region.mesh
     found = np.zeros(mesh.nv)
     found[[v.nr for element in region.Elements() for v in element.vertices]] = 1.0
@@ -191,10 +190,9 @@ def _by_name(conditions: Conditions) -> dict[str, Wall]:
 class MovingWalls:
     """The constrained coefficients of v: zero, or a prescribed wall velocity.
 
-    Of a Rothe step that is its mean over the time that loads are averaged over: the wall is displaced by what
-    it moves in the step, whatever it does within.  The rows of R(u; .) at these coefficients are not zero but
-    the wall's reaction; tested by v they give its power, which is what is missing in R(u; v) = 0 for the
-    energy identity.
+    A Rothe step uses the mean of the wall's velocity over the interval in which loads are averaged: the
+    wall's displacement in the step is exact for any motion within.  The rows of R(u; .) at these coefficients
+    are the wall's reaction; tested by v they give its power, a part of the energy identity.
     """
 
     def __init__(self, walls: Walls, layout: Layout, state: GridFunction) -> None:
@@ -205,7 +203,7 @@ class MovingWalls:
         self._inverses: dict[str, BaseMatrix] = {}
         self.zero = self.constrained(layout, walls.homogeneous)
         self.moving: dict[str, tuple[CoefficientFunction, np.ndarray]] = {}
-        """Velocity and coefficients of v of the walls that move."""
+        """Velocity, and mask of the coefficients of v, for each moving wall."""
         self._means: dict[str, tuple[np.ndarray, TimeMean]] = {}
         taken, dim = self.zero.copy(), walls.mesh.dim
         for name, wall in walls.conditions.items():
@@ -224,13 +222,13 @@ class MovingWalls:
 
     @staticmethod
     def constrained(layout: Layout, regions: Sequence[Region | None]) -> np.ndarray:
-        """Coefficients of v_i on the i-th of these boundaries, as a mask."""
+        """Mask of the coefficients of v_i on the i-th of the regions."""
         free = mask_of(layout.velocity_space(regions).FreeDofs())
         unconstrained = mask_of(layout.velocity_space((None,) * layout.mesh.dim).FreeDofs())
         return unconstrained & ~free
 
     def set_values(self) -> None:
-        """Write the constrained coefficients of v of the Rothe step into the state."""
+        """Write the Rothe step's constrained coefficients of v into the state."""
         context = self.layout.context
         window = context.loads_window
         if window != self._averaged:
@@ -240,7 +238,7 @@ class MovingWalls:
         self._write({name: mean for name, (mean, _) in self._means.items()})
 
     def set_present_values(self) -> None:
-        """Write those of the present ``ngvisco.time`` into the state."""
+        """Write the constrained coefficients of v at the present ``ngvisco.time`` into the state."""
         self._write({})
 
     def _write(self, means: dict[str, np.ndarray]) -> None:
@@ -253,13 +251,13 @@ class MovingWalls:
         return self.interpolate(name, velocity)[mask]
 
     def velocities(self) -> dict[str, np.ndarray]:
-        """Coefficients on every moving wall at the present ``ngvisco.time``, m/s."""
+        """Coefficients of v on every moving wall at the present ``ngvisco.time``, m/s."""
         return {name: self._on_wall(name) for name in self.moving}
 
     def interpolate(self, name: str, velocity: CoefficientFunction) -> np.ndarray:
-        """Coefficients on the wall of a velocity; of its tangential part where nothing crosses the wall.
+        """Coefficients of a velocity on a wall, of its tangential part if nothing crosses the wall.
 
-        Raises ParameterError if the velocity has a normal part there.
+        Raises ParameterError for a normal part of the velocity on such a wall.
         """
         mesh, region = self.walls.mesh, self.walls.region([name])
         if name not in self.walls.crossed:
@@ -282,7 +280,7 @@ class MovingWalls:
         return self._values.vec.FV().NumPy()
 
     def _project(self, name: str, velocity: CoefficientFunction) -> None:
-        """The L2 projection on the wall: ``Set`` counts a vertex twice in a facet that meets its image."""
+        """Project in L2 on the wall, since ``Set`` counts a vertex twice in a facet that meets its image."""
         space, region = self._values.space, self.walls.region([name])
         trial, test = space.TnT()
         if name not in self._inverses:

@@ -1,4 +1,4 @@
-"""Points of space as points of a mesh, where coefficient functions are evaluated, and the walls near them."""
+"""Points of space as points of a mesh, at which coefficient functions are evaluated; the nearest wall."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -13,12 +13,12 @@ from ngvisco.parallel.mesh import MeshPart
 from ngvisco.shapes.places import mesh_points
 
 _PULLS = (1e-9, 1e-6, 1e-4, 1e-3)
-"""Shares of the way to the nearest cell's centre tried for a point on a wall, which rounding, or the
-polynomials of a curved wall, may leave just outside of all cells."""
+"""Shares of the way to a near cell's centre by which a point on a wall is moved, if rounding or a
+curved wall's polynomials leave it just outside of all cells."""
 
 
 def as_points(field: str, value: object, dim: int) -> np.ndarray:
-    """An array of points, (count, dim), m, of a sequence of them.
+    """Convert a sequence of points to an array, (count, dim), m.
 
     Raises ParameterError unless there is at least one, with ``dim`` finite coordinates each.
     """
@@ -33,10 +33,10 @@ def as_points(field: str, value: object, dim: int) -> np.ndarray:
 
 
 def locate(mesh: Mesh, points: np.ndarray, names: Sequence[str]) -> np.ndarray:
-    """The mesh points at ``points``, (count, dim), m; ``names`` are what an error calls them.
+    """The mesh points at ``points``, (count, dim), m; ``names`` are the points' names in errors.
 
-    A point within 1e-3 of a cell's size of the domain counts as one on its wall.  Raises ParameterError for
-    a point that is not in the domain.
+    A point outside the domain counts as a point on its wall within 1e-3 of a cell's size.  Raises
+    ParameterError for a point farther outside.
     """
     found: np.ndarray = mesh(*points.T)
     for number in np.flatnonzero(found["nr"] < 0):
@@ -45,12 +45,12 @@ def locate(mesh: Mesh, points: np.ndarray, names: Sequence[str]) -> np.ndarray:
 
 
 class Located:
-    """Points of space, (count, dim), m, at which functions on a mesh are evaluated; ``names`` are for errors.
+    """Points of space, (count, dim), m, for functions on a mesh; ``names`` are their names in errors.
 
-    Over ranks each rank has points of its own, and each point is in the cell in which it is on one process:
-    what jumps across facets has one value there.  Making one and every evaluation are collective.  Raises
-    ParameterError for a point that is not in the domain, and for a mesh that was distributed otherwise than
-    by ``Simulation``: the whole is not known.
+    Over ranks each rank has its points, and a point lies in the same cell as on one process: a function that
+    jumps across facets has one value at the point.  Construction and evaluation are collective.  Raises
+    ParameterError for a point outside the domain, and for a distributed mesh that ``Simulation`` did not
+    distribute, since the undistributed mesh is not known.
     """
 
     def __init__(self, mesh: Mesh, points: np.ndarray, names: Sequence[str]) -> None:
@@ -89,7 +89,7 @@ class Located:
                 for rank in every
             ]
         mine = mpi.scatter(wanted)
-        self._from: list[np.ndarray] = mpi.scatter(given)  # which of this rank's points each rank has
+        self._from: list[np.ndarray] = mpi.scatter(given)  # for each rank, the points that it evaluates
         self._ends = np.cumsum([len(local) for local, _ in mine])
         self._at = mesh_points(mesh, *(np.concatenate(parts) for parts in zip(*mine, strict=True)))
 
@@ -123,18 +123,18 @@ def _on_wall(mesh: Mesh, point: np.ndarray, name: str) -> Any:
 
 
 def nearest_wall(mesh: Mesh, point: np.ndarray) -> tuple[str | None, float]:
-    """The boundary nearest to ``point``, (dim,), m, and its distance, m; walls as straight as their vertices.
+    """The boundary nearest to ``point``, (dim,), m, and its distance, m, with straight facets.
 
-    (None, inf) for a mesh without boundary.  Over ranks that of the whole mesh; collective.
+    The result is (None, inf) for a mesh without boundary.  Ranks search the whole mesh; collective.
     """
     ranks = Communicator.of(mesh)
-    if isinstance(mesh, MeshPart):  # so that of two at one distance it is the same as on one process
+    if isinstance(mesh, MeshPart):  # choose the same of two equally distant walls as on one process
         return ranks.on_first(lambda: _nearest_wall(mesh.whole, point))
     return min(ranks.gathered(_nearest_wall(mesh, point)), key=lambda one: one[1])
 
 
 def _nearest_wall(mesh: Mesh, point: np.ndarray) -> tuple[str | None, float]:
-    """The nearest of the walls that this rank has."""
+    """The nearest wall on this rank, and its distance."""
     vertices = coordinates(mesh)
     facets = list(mesh.Elements(BND))
     if not facets:
@@ -146,7 +146,7 @@ def _nearest_wall(mesh: Mesh, point: np.ndarray) -> tuple[str | None, float]:
 
 
 def _distance(point: np.ndarray, simplex: np.ndarray) -> float:
-    """From a point to a simplex with these vertices, (count, dim); a quadrilateral counts as its sides."""
+    """Distance from a point to a simplex with these vertices, (count, dim), or to a quadrilateral's sides."""
     origin, edges = simplex[0], simplex[1:] - simplex[0]
     weights = np.linalg.lstsq(edges.T, point - origin, rcond=None)[0]
     is_simplex = len(edges) < len(point)

@@ -1,4 +1,4 @@
-"""Arrays of NGSolve's meshes and spaces, without loops of Python's over cells or unknowns."""
+"""Arrays of NGSolve's meshes and spaces, without Python loops over cells or unknowns."""
 
 from itertools import combinations
 
@@ -40,16 +40,16 @@ _KINDS = {1: (ET.SEGM,), 2: (ET.TRIG, ET.QUAD), 3: (ET.TET, ET.PRISM, ET.PYRAMID
 
 
 def rules(dim: int, degree: int) -> dict[ET, IntegrationRule]:
-    """The rules of a degree of all cells, or facets, of a dimension."""
+    """Rules of one degree for all types of cells, or facets, of dimension ``dim``."""
     return {et: IntegrationRule(et, degree) for et in _KINDS[dim]}
 
 
 SIMPLICES = (10, 12, 20, 21)
-"""Netgen's numbers of triangles and tetrahedra, straight and of second order."""
+"""Netgen's type numbers of straight and second-order triangles and tetrahedra."""
 
 
 def mask_of(bits: BitArray) -> np.ndarray:
-    """A set of unknowns as an array of bool."""
+    """Boolean array of a set of unknowns."""
     ones = CreateVVector(len(bits))
     ones[:] = 1.0
     Projector(bits, True).Project(ones)
@@ -67,7 +67,7 @@ def is_simplicial(mesh: Mesh) -> bool:
 
 
 def vertices(mesh: Mesh) -> np.ndarray:
-    """Vertices of the cells, cell by cell, from 0; (cells, dim + 1) where all are simplices."""
+    """Numbers of the cells' vertices, from 0: (cells, dim + 1) for simplices, else one flat array."""
     if is_simplicial(mesh):
         return _cells(mesh)["nodes"][:, : mesh.dim + 1].astype(np.int64) - 1
     return np.array([v.nr for cell in mesh.Elements(VOL) for v in cell.vertices])
@@ -79,9 +79,9 @@ def coordinates(mesh: Mesh) -> np.ndarray:
 
 
 def rigid_motions(mesh: Mesh, width: int, count: int) -> np.ndarray:
-    """Translations and rotations by the values at the vertices, (n, count).
+    """Coefficients of translations and rotations by their values at the vertices, (n, count).
 
-    Components of v follow each other with ``width`` coefficients each, those of the vertices first.
+    Each component of v has ``width`` consecutive coefficients, the vertices' coefficients first.
     """
     dim, places = mesh.dim, coordinates(mesh).T
     pairs, at = list(combinations(range(dim), 2)), np.arange(mesh.nv)
@@ -94,22 +94,22 @@ def rigid_motions(mesh: Mesh, width: int, count: int) -> np.ndarray:
     return motions
 
 
-_OPPOSED = 1e-6  # of the facet's area: what is left of the normals' sum
+_OPPOSED = 1e-6  # remainder of the normals' sum, over the facet's area
 
 
 def facets_with_two_sides(mesh: Mesh) -> np.ndarray:
-    """Where two cells lie on different sides of a facet, so that their outward normals cancel; (facets,).
+    """Mask of facets with cells on two sides, whose outward normals cancel; (facets,).
 
-    Facets that the mesh identifies with another one have one side each.
+    A facet that the mesh identifies with another one has one side.
     """
     n = specialcf.normal(mesh.dim)
-    # the mean normals of both sides, over twice the area of the facet
+    # the sum of both sides' integrated normals, compared with twice the facet's area
     sums = np.array([facet_sums(mesh, n[i]) for i in range(mesh.dim)])
     return np.linalg.norm(sums, axis=0) <= _OPPOSED * facet_sums(mesh, 1 + 0 * n[0])
 
 
 def facet_sums(mesh: Mesh, value: CoefficientFunction) -> np.ndarray:
-    """Integrals over the facets, of both sides, (facets,); collective."""
+    """Integrals over the facets, summed over both sides, (facets,); collective."""
     q = FacetFESpace(mesh, order=0).TestFunction()
     sums = LinearForm(value * q * dx(element_boundary=True)).Assemble().vec
     sums.Cumulate()  # the other side may belong to another rank
@@ -117,29 +117,29 @@ def facet_sums(mesh: Mesh, value: CoefficientFunction) -> np.ndarray:
 
 
 def facets_of_walls(mesh: Mesh) -> np.ndarray:
-    """The facet of every boundary element, (elements,), as an index into such arrays.
+    """Facet of every boundary element, (elements,), as an index into arrays of facets.
 
-    Not its number as an edge or a face: a mesh that was refined counts those that were divided, too.
+    The index differs from the number of the edge or face: a refined mesh also counts divided ones.
     """
     space = FacetFESpace(mesh, order=0)
     return np.array([space.GetDofNrs(element)[0] for element in mesh.Elements(BND)], dtype=int)
 
 
 def boundary_facets(mesh: Mesh) -> np.ndarray:
-    """Where the mesh has boundary elements: walls, identified boundaries, interfaces; (facets,)."""
+    """Mask of facets with a boundary element: walls, identified boundaries, interfaces; (facets,)."""
     space = FacetFESpace(mesh, order=0)
     return mask_of(space.GetDofs(mesh.Boundaries(".*")))
 
 
 def periodic_facets(mesh: Mesh) -> set[int]:
-    """The boundary facets that the mesh identifies with another one, as indices into such arrays."""
+    """Facets that the mesh identifies with another one, as indices into arrays of facets."""
     kind, space = EDGE if mesh.dim == 2 else FACE, FacetFESpace(mesh, order=0)
     pairs = (pair for pair, _ in mesh.GetPeriodicNodePairs(kind))
     return {facet for pair in pairs for nr in pair for facet in space.GetDofNrs(NodeId(kind, nr))}
 
 
 def inner_facets(mesh: Mesh) -> GridFunction:
-    """1 on facets between two cells, also identified ones and interfaces, 0 on walls."""
+    """Indicator of facets: 1 between two cells, also if identified or interfaces, 0 on walls."""
     indicator = GridFunction(FacetFESpace(mesh, order=0))
     wall = boundary_facets(mesh) & ~facets_with_two_sides(mesh)
     wall[list(periodic_facets(mesh))] = False
@@ -147,7 +147,7 @@ def inner_facets(mesh: Mesh) -> GridFunction:
     return indicator
 
 
-_ORDER = 4  # degree of the points at which the determinant is looked at; curved cells vary inside
+_ORDER = 4  # degree of the points at which the determinant is checked; curved cells vary inside
 _CELLS = {2: (ET.TRIG, ET.QUAD), 3: (ET.TET,)}
 _WORDS = {ET.PYRAMID: "pyramids", ET.PRISM: "prisms", ET.HEX: "hexahedra"}
 
@@ -155,9 +155,9 @@ _WORDS = {ET.PYRAMID: "pyramids", ET.PRISM: "prisms", ET.HEX: "hexahedra"}
 def check_mesh(mesh: Mesh) -> None:
     """Raise MeshError unless the mesh is 2D or 3D, has cells, all of known types, and none is inverted.
 
-    Of orientation two things are looked at.  The determinant of the map from the reference cell keeps its
-    sign and is nowhere zero in a cell; which sign is only a matter of the order of its vertices.  The two
-    cells of an inner facet lie on different sides of it, so that their outward normals cancel.
+    Two conditions check the orientation.  The determinant of the map from the reference cell keeps its sign
+    and is nowhere zero in a cell; the sign itself depends on the order of the vertices only.  The two cells
+    of an inner facet lie on different sides of it, so that their outward normals cancel.
     """
     if mesh.dim not in (2, 3):
         raise MeshError(f"the mesh has dimension {mesh.dim}: expected 2 (plane strain) or 3")

@@ -3,10 +3,10 @@
 The split solver evaluates the transported fields' part of the residual hundreds of times on one mesh.
 A symbolic form evaluates its whole integrand for each component of each test function; here every field
 is carried to the points once, the integrand is formed once, and the transposed matrices test it.  The
-matrices are assembled, once, from the spaces of the step by the rules of its forms, so that they know of
-curved cells, of identified unknowns and of NGSolve's numbering.
+matrices are assembled, once, from the spaces of the step by the rules of its forms, so that they include
+curved cells, identified unknowns and NGSolve's numbering.
 
-Arrays are (components, points), points cell by cell; those of sides side by side, in the cell's own order.
+Arrays are (components, points), with points ordered by cells, and points of sides by the cell's sides.
 """
 
 from collections.abc import Callable
@@ -38,11 +38,11 @@ from ngvisco.errors import MeshError
 from ngvisco.forms.mesh.symmetry import Symmetry
 
 NEGLIGIBLE = 1e-14
-"""Entries smaller than this, relative to the largest, are rounding: a side sees its own facet alone."""
+"""Relative size below which entries are rounding, since a side reads the unknowns of its facet only."""
 
 
 def csr(matrix: BaseMatrix) -> sp.csr_matrix:
-    """An NGSolve sparse matrix as a scipy one, sharing no memory; of a distributed one this rank's part."""
+    """Copy an NGSolve sparse matrix, or this rank's part of a distributed one, to a scipy matrix."""
     values, columns, rows = getattr(matrix, "local_mat", matrix).CSR()
     return sp.csr_matrix(
         (values.NumPy().copy(), columns.NumPy().copy(), np.asarray(rows.NumPy(), dtype=np.int64)),
@@ -65,7 +65,7 @@ class CellPoints:
 
     @cached_property
     def weights(self) -> np.ndarray:
-        """Weight times Jacobian at every point, (points,), m^dim; times r of a body of revolution."""
+        """Weight times Jacobian at every point, (points,), m^dim; times r in a body of revolution."""
         weight = self.symmetry.radius
         return self._measure if weight is None else self._loads(weight)
 
@@ -82,8 +82,7 @@ class CellPoints:
         return self._operator(space, space.TrialFunction())
 
     def gradients(self, space: FESpace) -> list[sp.csr_matrix]:
-        """Matrices that take coefficients of a scalar space to the partial derivatives d_1 ... d_dim at the
-        points."""
+        """Matrices from coefficients of a scalar space to partial derivatives d_1 ... d_dim at the points."""
         return [self._operator(space, grad(space.TrialFunction())[j]) for j in range(self.mesh.dim)]
 
     def _operator(self, space: FESpace, value: CoefficientFunction) -> sp.csr_matrix:
@@ -96,20 +95,20 @@ class CellPoints:
     def function(self, components: int) -> GridFunction:
         """A grid function of vectors at the points, to be used in coefficient functions.
 
-        It has two components at least: a vector of one cannot be differentiated by NGSolve here.
+        It has at least two components: NGSolve cannot differentiate a vector of one component here.
         """
         return GridFunction(VectorValued(self.space, max(2, components)))
 
     def read(self, function: GridFunction, components: int) -> np.ndarray:
-        """The values of such a function, (components, points), as a view."""
+        """Values of a function made by ``function``, (components, points), as a view."""
         return function.vec.FV().NumPy().reshape(function.dim, self.count)[:components]
 
 
 class SidePoints:
     """The points of the rule of degree ``degree`` on every side of every simplex of a mesh.
 
-    NGSolve has no space of values at these points: a matrix is put together from one assembly for each point
-    of the rule, with a rule of that point alone and one constant test on each side.
+    NGSolve has no space of values at these points.  A matrix is composed of one assembly for each point of
+    the rule, with a rule of this point only and one constant test on each side.
     """
 
     def __init__(self, mesh: Mesh, degree: int, symmetry: Symmetry) -> None:
@@ -124,7 +123,7 @@ class SidePoints:
         self.sides = self._tests.ndof
         self._measure = self._loads(CF(1.0))
         self.weights = (np.array(rule.weights)[None] * self._measure).ravel()
-        """Weight times Jacobian, (points,), m^(dim - 1); times r of a body of revolution."""
+        """Weight times Jacobian, (points,), m^(dim - 1); times r in a body of revolution."""
         if symmetry.on_facets is not None:
             self.weights = self.weights * self.sample(symmetry.on_facets)
         self.count = self.weights.size
@@ -133,16 +132,16 @@ class SidePoints:
         return dx(element_boundary=True, intrules={self.shape: rule})
 
     def _loads(self, value: CoefficientFunction) -> np.ndarray:
-        """Values times the facets' Jacobians, (sides, points of a side)."""
+        """Products of a function's values and the facets' Jacobians, (sides, points of a side)."""
         result = np.empty((self.sides, self.per_side))
         for q, rule in enumerate(self.rules):
-            form = LinearForm(self._tests)  # a value that is zero has no test function
+            form = LinearForm(self._tests)  # with its space: a zero value has no test function
             form += value * self._tests.TestFunction() * self._dx(rule)
             result[:, q] = form.Assemble().vec.FV().NumPy()
         return result
 
     def sample(self, value: CoefficientFunction) -> np.ndarray:
-        """A scalar function at the points, (points,)."""
+        """Values of a scalar function at the points, (points,)."""
         return (self._loads(value) / self._measure).ravel()
 
     @cached_property

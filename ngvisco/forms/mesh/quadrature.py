@@ -1,8 +1,8 @@
-"""Quadrature: the one place where degrees are chosen, for the forms and for the ledger alike.
+"""Quadrature of forms and ledger, whose degrees are chosen here only.
 
-The energy identity holds for any quadrature as long as a form and the ledger's integral of the same
-thing use the same one.  ``Quadrature`` hands out both.  Integrands are straight-line programs, interpreted by
-NGSolve or, where asked, compiled to machine code.
+The energy identity holds for any quadrature as long as a form and the ledger's integral of the same integrand
+use one rule.  ``Quadrature`` provides both.  Integrands are straight-line programs, which NGSolve interprets
+or, on request, compiles to machine code.
 """
 
 from __future__ import annotations
@@ -43,25 +43,25 @@ from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.mesh import number_of
 
 SYMMETRIC_DEGREE = 6
-"""Up to it NGSolve's rules of triangles have all symmetries of the triangle.  The two sides of a face number
-its vertices each in their own way: by another rule they would not see the same points, and what the one gives
-would not be what the other takes."""
+"""Highest degree at which NGSolve's rules of triangles have all symmetries of the triangle.  The two sides of
+a face number its vertices differently: with a less symmetric rule they would have different points, and the
+flux out of one cell would not be the flux into the other."""
 _FACET_BASE_ORDER = 5  # order of NGSolve's Integrate on element boundaries without a bonus
 
 
 @dataclass(frozen=True)
 class Quadrature:
-    """Rules of one degree on the cells and one on the facets, and one of the fields' products.
+    """Rules of the cells and of the facets, each of one degree, and a nodal rule for products of fields.
 
     Parameters
     ----------
     volume_degree, facet_degree : int
         Polynomial degrees integrated exactly on straight cells and facets.
     field_order : int
-        Of products of two fields of this order ``nodes`` is exact: on triangles and tetrahedra it has for
-        orders up to one, on triangles for two, as many points as a field has values in a cell.
+        Order of fields whose products ``nodes`` integrates exactly.  Its rule has one point per coefficient
+        of a field in a cell: on triangles up to order two, on tetrahedra up to order one.
     symmetry : Symmetry
-        Of a body of revolution all integrals have the weight r.
+        Symmetry of the mesh; in a body of revolution all integrals have the weight r.
     """
 
     mesh: Mesh
@@ -74,28 +74,28 @@ class Quadrature:
     def for_orders(
         cls, mesh: Mesh, k: int, m: int, bonus: int = 0, symmetry: Symmetry = NO_SYMMETRY
     ) -> Quadrature:
-        """Degrees for velocity order k and field order m.
+        """Return the rules for velocity order k and field order m.
 
-        The terms with the highest degree among the polynomial ones are m~ . (L^T w) and
+        The polynomial terms with the highest degree are m~ . (L^T w) and
         rate(grad w; z) : zeta, of degree m + 2k + (k - 1) and (k - 1) + 2m.  Energies are not
-        polynomial; 2k + m + 1 resolves them at least as well as the fields do.  Rounded up to an even
-        degree: values are kept at the points, and NGSolve has spaces of these for even degrees only.
+        polynomial; 2k + m + 1 resolves them at least as well as the fields do.  The degree is rounded up
+        to an even one, since NGSolve has spaces of values at the points for even degrees only.
         """
         degree = max(2 * k + m + 1, 2 * m + k) + bonus
         degree += degree % 2
-        # a transport's facets want 2m + 1 for its order; see SYMMETRIC_DEGREE
+        # transport on facets needs 2m + 1 for its order; see SYMMETRIC_DEGREE
         of_facets = degree if mesh.dim == 2 else min(degree, SYMMETRIC_DEGREE)
         return cls(mesh, degree, of_facets, m, symmetry)
 
     @property
     def node_order(self) -> int:
-        """Half of the degree of ``nodes``: of degree 2 the points are middles of sides, which may lie on the
-        axis of a body of revolution, where they would have no weight."""
+        """Half of the degree of ``nodes``, raised in a body of revolution: the points of degree 2 are middles
+        of sides, which have no weight on the axis."""
         return 2 if self.symmetry.is_axisymmetric and self.field_order == 1 else self.field_order
 
     @cached_property
     def cell_rules(self) -> dict[Any, IntegrationRule]:
-        """The rule of every type of cell."""
+        """The rules of all types of cells."""
         return rules(self.mesh.dim, self.volume_degree)
 
     @cached_property
@@ -107,7 +107,7 @@ class Quadrature:
         return self._in_cells(integrand) * dx(intrules=self.cell_rules)
 
     def nodes(self, integrand: CoefficientFunction) -> Any:
-        """An integral by the rule of the fields' products."""
+        """The integral over the cells with the nodal rule, for a form."""
         return self._in_cells(integrand) * dx(intrules=self._node_rules)
 
     @cached_property
@@ -130,14 +130,14 @@ class Quadrature:
         return weighted(integrand, self.symmetry.on_facets)
 
     def vectors(self, size: int, at_nodes: bool = False) -> GridFunction:
-        """A function of vectors at the points of ``cells``, or of ``nodes``; ``values_of`` has its values."""
+        """A vector-valued function at the points of ``cells``, or of ``nodes``, read by ``values_of``."""
         order = self.node_order if at_nodes else self.volume_degree // 2
         return GridFunction(VectorValued(IntegrationRuleSpace(self.mesh, order=order), size))
 
     def add(self, form: Any, integrands: Iterable[Integrand], cells: BitArray | None = None) -> None:
         """Add the integrands to an NGSolve form, by the rules of ``cells``, ``facets`` and ``nodes``.
 
-        Those on facets are of all cells, or of ``cells``.
+        Integrands on facets are added on all cells, or on ``cells``.
         """
         for integrand in integrands:
             if integrand.cells is not None:
@@ -148,11 +148,11 @@ class Quadrature:
                 form += self.nodes(compiled(integrand.nodes))
 
     def integrate_cells(self, integrand: CoefficientFunction) -> Any:
-        """Integral over the mesh, by the rule of ``cells``; a float, or a vector of them."""
+        """Integral over the mesh, by the rule of ``cells``; a float, or a vector of floats."""
         return Integrate(self._in_cells(integrand), self.mesh, order=self.volume_degree)
 
     def each_cell(self, integrand: CoefficientFunction) -> np.ndarray:
-        """Integrals of a scalar over the cells of this rank by the same rule, (cells,)."""
+        """Integrals of a scalar over the cells of this rank by the rule of ``cells``, (cells,)."""
         weighed = self._in_cells(integrand)
         of_cells = Integrate(weighed, self.mesh, order=self.volume_degree, element_wise=True)
         return np.array(of_cells.NumPy())
@@ -162,32 +162,32 @@ class Quadrature:
         return Integrate(self._in_cells(integrand), self.mesh, order=2 * self.node_order)
 
     def integrate_facets(self, integrand: CoefficientFunction, cells: BitArray | None = None) -> float:
-        """Integral over all cell boundaries, or those of ``cells``, by the rule of ``facets``."""
+        """Integral over the boundaries of all cells, or of ``cells``, by the rule of ``facets``."""
         order = self.facet_degree - _FACET_BASE_ORDER
         over = dx(element_boundary=True, bonus_intorder=order, definedonelements=cells)
         total = self._on_facets(integrand) * over
-        # NGSolve sums up integrals of coefficient functions over the ranks, but not these
+        # NGSolve sums integrals of coefficient functions over the ranks, but not this kind of integral
         return float(self.mesh.comm.Sum(Integrate(total, self.mesh)))
 
 
 def values_of(function: GridFunction) -> np.ndarray:
-    """The values of a grid function of points, (components, points), not a copy."""
+    """Values of a grid function at points, (components, points), as a view."""
     values = function.vec.FV().NumPy()
     return values.reshape(len(function.components) or 1, -1)
 
 
 VARIABLE = "NGVISCO_COMPILE"
-"""Environment variable: "1" asks for machine code."""
+"""Environment variable for machine code: "1" compiles, "0" does not."""
 
 SCRIPT = "ngscxx"
-"""NGSolve's compiler script, beside the interpreter where pip has put it."""
+"""NGSolve's compiler script; pip installs it beside the interpreter."""
 
 
 def compiled(integrand: CoefficientFunction) -> CoefficientFunction:
-    """The integrand as a program.
+    """Compile an integrand to a program.
 
-    Raises ParameterError when machine code is asked for by something else than "0" or "1", or without a
-    compiler.
+    Raises ParameterError if the environment variable is neither "0" nor "1", or there is no compiler for
+    machine code.
     """
     value = os.environ.get(VARIABLE, "0")
     if value not in ("", "0", "1"):
@@ -211,7 +211,7 @@ class Sampler:
 
     @cached_property
     def points(self) -> np.ndarray:
-        """Mesh points: at vertices (just inside each cell) and at the forms' quadrature points."""
+        """Mesh points at the cells' vertices (just inside each cell) and at the forms' quadrature points."""
         found = {}
         for et, vertices in VERTICES.items():
             if et in self.quadrature.cell_rules:
@@ -231,29 +231,27 @@ class Sampler:
         return result[:, 0] if result.ndim == 2 and result.shape[1] == 1 else result
 
     def rows(self, f: CoefficientFunction, some: np.ndarray | None = None) -> np.ndarray:
-        """Values at the points as (points, components), also of a scalar and without points; of all points or
-        of ``some`` by number."""
+        """Values at all points, or at the points with the numbers ``some``: always (points, components)."""
         points = self.points if some is None else self.points[some]
         return np.asarray(f(points)).reshape(len(points), f.dim)
 
     def coordinates(self, indices: np.ndarray) -> np.ndarray:
-        """Where some of the points are, (indices, dim), m."""
+        """Coordinates of the points with the numbers ``indices``, (indices, dim), m."""
         return self.rows(CF((x, y, z)[: self.mesh.dim]), indices)
 
     def integral(self, values: np.ndarray) -> float:
-        """The integral over the whole mesh of values at this rank's points: of each cell the mean of its
-        points counts."""
+        """Integral over the whole mesh of values at this rank's points, by the mean of each cell's points."""
         volumes = self.quadrature.each_cell(CF(1.0))
         sums, counts = (np.bincount(self.cells, weights, len(volumes)) for weights in (values, None))
         return self.ranks.total(float(volumes @ (sums / np.maximum(counts, 1))))
 
     def extrema(self, f: CoefficientFunction) -> tuple[float, float]:
-        """Minimum and maximum of a scalar, over all ranks."""
+        """Minimum and maximum of a scalar over all ranks."""
         values = self.values(f)
         return self.ranks.least(values), self.ranks.most(values)
 
     def place_of_largest(self, f: CoefficientFunction) -> tuple[float, ...]:
-        """Where a scalar is largest over all ranks, m."""
+        """Coordinates of the point at which a scalar is largest over all ranks, m."""
         values, mine = self.values(f), None
         if len(values):
             at = int(np.argmax(values))
@@ -261,7 +259,7 @@ class Sampler:
         return max(one for one in self.ranks.gathered(mine) if one is not None)[1]
 
     def largest_in_words(self, sizes: np.ndarray, shares: Mapping[str, CoefficientFunction]) -> str:
-        """Where a number at this rank's points is largest over all ranks, and which share is so there."""
+        """Words for the place of the largest of ``sizes`` over all ranks, and for the largest share there."""
         mine, names = None, list(shares)
         if len(sizes):
             at = int(np.argmax(sizes))
@@ -274,7 +272,7 @@ class Sampler:
         return max(one for one in self.ranks.gathered(mine) if one is not None)[1]
 
     def place_of_cells(self, cells: np.ndarray) -> str:
-        """Where the first of some cells is, and how many there are, in words; ``cells`` are this rank's."""
+        """Words for the place of the first of this rank's ``cells``, and for the number on all ranks."""
         mine = None
         if len(cells):
             own = np.flatnonzero(self.cells == cells[0])

@@ -2,14 +2,14 @@
 
 A body of revolution about the line x = 0 that does not swirl is a field of (r, y), r = x, with
 
-    L = grad v + (v_r/r) e x e,    e around the axis: the tensors' third direction,
+    L = grad v + (v_r/r) e x e,    e the unit vector around the axis, the tensors' third direction,
 
-and its integrals are those of three dimensions over 2 pi, int f r dr dy in cells and int f r ds on facets.
-With both the scheme is that of three dimensions restricted to such fields: tests w have the strain w_r/r too,
-and what cancels there cancels here.  Quadrature points lie inside of cells and facets, where r > 0.
+and its integrals are the three-dimensional ones over 2 pi, int f r dr dy in cells and int f r ds on facets.
+The scheme is then the three-dimensional scheme restricted to such fields: tests w have the strain w_r/r too,
+and the same terms cancel.  Quadrature points lie inside cells and facets, where r > 0.
 
-A facet on the axis has no area.  All that is integrated there is zero, v . n = 0 and a trace being the cell's
-own value, but for the equations of the traces themselves: these have a weight there all the same.
+A facet on the axis has no area.  Integrands on it are zero, since v . n = 0 and the trace is the cell's
+value, except for the equations of the traces, which keep a positive weight there.
 """
 
 from __future__ import annotations
@@ -37,15 +37,17 @@ class Symmetry:
     Attributes
     ----------
     largest_radius : float or None
-        Of a body of revolution, m; None of other bodies.
+        Largest distance from the axis of a body of revolution, m; None for other bodies.
     """
 
     largest_radius: float | None = None
 
     @classmethod
     def of(cls, mesh: Mesh, kind: str) -> Symmetry:
-        """The symmetry of this ``kind``; ParameterError for another kind, or in three dimensions, MeshError
-        for r < 0."""
+        """Return the symmetry ``kind``.
+
+        Raises ParameterError for an unknown kind or three dimensions, MeshError for r < 0.
+        """
         if kind not in SYMMETRIES:
             raise ParameterError("Simulation.symmetry", kind, f"one of {', '.join(map(repr, SYMMETRIES))}")
         if kind != AXISYMMETRIC:
@@ -67,12 +69,12 @@ class Symmetry:
 
     @property
     def radius(self) -> CoefficientFunction | None:
-        """The distance from the axis, m, the weight of integrals over cells; None of other bodies."""
+        """Distance from the axis, m, the weight of integrals over cells; None without an axis."""
         return x if self.is_axisymmetric else None
 
     @property
     def on_facets(self) -> CoefficientFunction | None:
-        """The weight of integrals over facets, positive on the axis too."""
+        """Weight of integrals over facets, positive on the axis too; None without an axis."""
         if self.largest_radius is None:
             return None
         return IfPos(x - ON_AXIS * self.largest_radius, x, CF(self.largest_radius))
@@ -82,5 +84,5 @@ NO_SYMMETRY = Symmetry()
 
 
 def weighted(integrand: CoefficientFunction, weight: CoefficientFunction | None) -> CoefficientFunction:
-    """The integrand of an integral with a weight."""
+    """Return an integrand multiplied by a weight; None is the weight 1."""
     return integrand if weight is None else weight * integrand

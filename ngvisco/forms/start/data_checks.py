@@ -1,6 +1,6 @@
-"""Checks of loads, walls and initial data where the forms look: at points and at times.
+"""Checks of loads, walls and initial data at the points and times at which the forms read them.
 
-What cannot be right is refused.  What the model has no place for, or what is hardly meant, is said by an
+Impossible data raise an error.  Data that the model does not use, or that are probably a mistake, give an
 ``InputWarning``.
 """
 
@@ -57,14 +57,14 @@ from ngvisco.physics.tensors import square, tr
 from ngvisco.physics.variables import Distortion
 from ngvisco.physics.walls import HELD, MOVING, PrescribedNormal, Traction
 
-_FLAT = 1e-12  # |a.n|^2/|a|^2 on walls parallel to the axes, whose normals are exact
-_ROUNDING = 1e-20  # of the mean of |a|^2 in the domain: sin(pi x) at x = 1 is 1e-16
+_FLAT = 1e-12  # |a.n|^2/|a|^2 on axis-parallel walls, whose normals are exact
+_ROUNDING = 1e-20  # share of the mean of |a|^2 in the domain: sin(pi x) at x = 1 is 1e-16
 _MATCH = 1e-8
-_DEGREE = 6  # of the rule whose points are looked at on walls
-_STRESS_ROUNDING = 1e-9  # of the stiffness: less of a stress is rounding of the energies' constants
+_DEGREE = 6  # of the rule whose points on walls are checked
+_STRESS_ROUNDING = 1e-9  # share of the stiffness below which a stress is rounding
 _STIFFER = 10.0
-"""Ratio of bulk moduli above which a run is warned: at 20 steps are divided (``demos/collision``); with
-overshoots of a quarter the compliance may be negative from 5 on."""
+"""Ratio of bulk moduli above which a run warns.  At a ratio of 20 steps have to be divided
+(``demos/collision``); from 5 on the compliance may be negative with overshoots of a quarter."""
 
 _SIGNS = {
     "velocity": "",
@@ -76,12 +76,12 @@ _SIGNS = {
     "heat.coefficient": ">= 0",
     "heat.flux": "",
 }
-"""Values of the conditions on walls that are checked, and their range beside finite."""
+"""Checked values of wall conditions, with their sign; all must be finite."""
 _VECTORS = ("velocity", "f", "traction")
 
 
 def check_loads(step: Step, sampler: Sampler, times: Iterable[float]) -> None:
-    """Raise ParameterError for a load or source of heat not finite at a sampling point at a time (s)."""
+    """Raise ParameterError for a load or heat source that is not finite at a sampling point and time (s)."""
     given: list[tuple[str, object, CoefficientFunction, str]] = []
     for body, source in step.model.heat_law.sources:
         owner = "Heat.source" if body is None else f"bodies[{body!r}].heat.source"
@@ -103,11 +103,11 @@ def check_loads(step: Step, sampler: Sampler, times: Iterable[float]) -> None:
 
 
 def check_walls(step: Step, times: Iterable[float]) -> None:
-    """Look at the data of walls at the times (s).
+    """Check the data of walls at the times (s).
 
-    Raises ParameterError for what is not finite, for a friction, a heat transfer coefficient or a
-    temperature (0 too) that is negative somewhere, for a prescribed velocity with a normal part, and for
-    what flows in where density, J, ... are not positive.
+    Raises ParameterError for a value that is not finite, a friction or heat transfer coefficient < 0, a
+    temperature <= 0, a prescribed velocity with a normal part, and an inflow whose density, J, ... are not
+    positive.
     """
     times = list(times)
     for name, wall in step.walls.conditions.items():
@@ -129,7 +129,7 @@ def check_walls(step: Step, times: Iterable[float]) -> None:
 
 
 def _check_incoming(step: Step, term: Carried, t: float) -> None:
-    """Raise ParameterError where what flows in is not finite, or its density, J, ... not positive."""
+    """Raise ParameterError if an inflow is not finite, or its density, J, ... are not positive."""
     material, owner, given = step.model.material, f"walls[{term.name!r}]", term.given
     positive = {}
     if given.temperature is not None:
@@ -140,7 +140,7 @@ def _check_incoming(step: Step, term: Carried, t: float) -> None:
         if variable.name in given.values:
             where, value = f"{owner}.values[{variable.name!r}]", given.values[variable.name]
             _look(step, term.name, value, where, t)
-            if not step.model.bodies:  # whose variables vanish where they are not
+            if not step.model.bodies:  # a body's variables vanish outside it
                 positive[where] = dict(variable.positive(value))
     if {variable.name for variable in material.variables} <= given.values.keys():
         positive[f"{owner}.values"] = dict(material.domain(given.values))
@@ -164,7 +164,7 @@ def _look(
     name: str = "a function",
     value: object = None,
 ) -> None:
-    """Raise ParameterError unless a function is finite, and of its sign, on a wall at the time ``t``."""
+    """Raise ParameterError unless a function is finite and has its sign on a wall at the time ``t``."""
     points = step.mesh.MapToAllElements(rules(step.mesh.dim - 1, _DEGREE), step.walls.region([wall]))
     values = np.asarray(function(points))
     ranks = Communicator.of(step.mesh)
@@ -178,7 +178,7 @@ def _look(
 
 
 def _at(times: Iterable[float]) -> Iterator[float]:
-    """Set the run's time to each of the times, and back in the end."""
+    """Set the run's time to each of the times in turn; restore it at the end."""
     present = time.Get()
     try:
         for t in times:
@@ -189,9 +189,9 @@ def _at(times: Iterable[float]) -> Iterator[float]:
 
 
 def warn_of_own_energy(step: Step, states: np.ndarray | None) -> None:
-    """Warn where a user's own energy is not convex, and how far from these states, (points, .), that is.
+    """Warn if a user-defined energy is not convex, with the distance from the states, (points, .).
 
-    Of a network each of the user's own branches is looked at by itself, and then the sum.
+    In a network each user-defined branch is checked by itself, and then their sum.
     """
     material, ranks = step.model.material, Communicator.of(step.mesh)
     network = part_of(material, Network)
@@ -204,7 +204,7 @@ def warn_of_own_energy(step: Step, states: np.ndarray | None) -> None:
 
 
 def _is_own(material: Material | None) -> bool:
-    """Whether a material is a user's own, or of such a one."""
+    """Whether a material is user-defined or wraps a user-defined one."""
     while isinstance(material, (WithQuadratic, Yosida, Carrying, Damaged, Thermal)):
         material = material.material
     return isinstance(material, (CustomMaterial, IsotropicStrainEnergy))
@@ -221,10 +221,9 @@ def _warn_of_branches(branches: Mapping[str, Material], dim: int) -> None:
 def warn_of_doubts(
     step: Step, sampler: Sampler, values: Given, velocity: VectorLike | None, is_at_rest: bool
 ) -> None:
-    """Say what is doubtful of the start values of variables, by name, of the velocity, and of bodies and
-    walls.
+    """Warn of doubtful start values of variables, by name, and of doubtful velocities, bodies and walls.
 
-    ``is_at_rest`` says whether the strains are those of rest.
+    ``is_at_rest`` states that all strains start at rest.
     """
     messages = [*_moduli(step), *_heat_at_walls(step)]
     if step.sources is None:  # manufactured states need not fit
@@ -236,7 +235,7 @@ def warn_of_doubts(
 
 
 def _normal_parts(step: Step, velocity: VectorLike | None) -> Iterator[str]:
-    """Which parts of tractions and of the start velocity are not used; at the present time."""
+    """Yield warnings of unused normal parts of tractions and of the start velocity, at the present time."""
     conditions, dim = step.walls.conditions, step.mesh.dim
     for name, wall in conditions.items():
         share = 0.0
@@ -250,7 +249,7 @@ def _normal_parts(step: Step, velocity: VectorLike | None) -> Iterator[str]:
     if velocity is None:
         return
     v_0 = as_vector(velocity, dim, "Initial.velocity")
-    # a function of the cells, such as one from an array, has no values on the boundary of its own
+    # a function defined in cells, such as one from an array, has no boundary values by itself
     on_wall = BoundaryFromVolumeCF(v_0)
     closed = [name for name in conditions if name not in step.walls.crossed]
     shares = {name: _normal_share(step, name, v_0, on_wall) for name in closed}
@@ -265,7 +264,7 @@ def _normal_parts(step: Step, velocity: VectorLike | None) -> Iterator[str]:
 def _normal_share(
     step: Step, name: str, a: CoefficientFunction, on_wall: CoefficientFunction | None = None
 ) -> float:
-    """|a.n| over |a| in L2 on a wall; 0 where it is not more than the geometry's approximation leaves."""
+    """Ratio of |a.n| to |a| in L2 on a wall; 0 within the error of the geometry's approximation."""
     b = a if on_wall is None else on_wall
     n = specialcf.normal(step.mesh.dim)
     squares = CF((CF(1.0), b * b, (b * n) * (b * n)))
@@ -279,7 +278,7 @@ def _normal_share(
 
 
 def _heat_at_walls(step: Step) -> Iterator[str]:
-    """At which walls heat comes in that nothing conducts."""
+    """Yield warnings of walls with inflowing heat that nothing conducts."""
     for name, wall in step.walls.conditions.items():
         heat = wall.heat
         comes_in = heat is not None and (heat.flux is not None or heat.temperature is not None)
@@ -291,7 +290,7 @@ def _heat_at_walls(step: Step) -> Iterator[str]:
 
 
 def _mismatches(step: Step, sampler: Sampler, values: Given) -> Iterator[str]:
-    """Which start values are not those of one elastic distortion."""
+    """Yield warnings of start values that contradict the elastic distortion."""
     F = distortion_of(step.model.material, values)
     if F is None:
         return
@@ -312,7 +311,7 @@ def _mismatches(step: Step, sampler: Sampler, values: Given) -> Iterator[str]:
 
 
 def distortion_of(material: Material, values: Given) -> CoefficientFunction | None:
-    """F of the variables' values, by name, where one of them tells it; None otherwise."""
+    """The elastic distortion F, if one of the variables' values, by name, determines it; else None."""
     variable = next((v for v in material.variables if isinstance(v, Distortion)), None)
     if variable is None:
         return None
@@ -324,11 +323,11 @@ def distortion_of(material: Material, values: Given) -> CoefficientFunction | No
 
 
 def _rest_stresses(step: Step) -> Iterator[str]:
-    """Where bodies have different stresses at rest, F = I, and so push each other.
+    """Yield a warning of bodies with different stresses at rest, F = I, which push each other.
 
-    An energy per actual volume has the stress phi(I) I at rest, on top of what its derivatives give: a
-    ``NeoHookean`` body is under tension there, a ``BarotropicFluid`` under pressure.  Alone in its box a body
-    does not feel it; a drop of it in another body is pulled together or driven apart from the first step on.
+    An energy per actual volume has the stress phi(I) I at rest, in addition to its derivatives' stress: a
+    ``NeoHookean`` body is under tension at rest, a ``BarotropicFluid`` under pressure.  A body alone in its
+    box is not affected; a drop in another body contracts or expands from the first step on.
     """
     found = {body.name: rest_stress_and_modulus(body.material) for body in step.model.bodies}
     stresses, stiffnesses = ([each[i] for each in found.values()] for i in range(2))
@@ -344,7 +343,7 @@ def _rest_stresses(step: Step) -> Iterator[str]:
 
 
 def _moduli(step: Step) -> Iterator[str]:
-    """Which bodies' bulk moduli are too different for amounts that overshoot (``Mixture.positive``)."""
+    """Yield a warning of bulk moduli too different for overshooting amounts (``Mixture.positive``)."""
     material, m = step.model.material, step.discretisation.m
     if isinstance(material, Mixture) and m and not material.has_one_volume:
         (soft, least), *_, (stiff, most) = sorted(material.stiffnesses.items(), key=lambda one: one[1])
@@ -361,13 +360,13 @@ _CORNERS = {et: IntegrationRule(VERTICES[et], [0.0] * len(VERTICES[et])) for et 
 
 
 def warn_of_corners(step: Step, times: Sequence[float]) -> None:
-    """Say where the walls' velocities alone change a volume e-fold from the first to the last time, s.
+    """Warn if walls' velocities alone change a volume e-fold from the first to the last time, s; collective.
 
-    Where all edges of a cell at a vertex lie on walls that prescribe v, they give grad v of that cell at the
-    vertex, for any order of v: no pressure can hold div v.  Under a lid of speed U that meets a wall at rest
-    div v = +-U/h there, and as v itself is zero the matter stays: J and rho change by exp(+-U t/h).  A cell
-    that is divided at its midpoint has an edge into the interior at every vertex, and div v is free
-    (``ngvisco.geometries.split_corner_cells``).  Collective; all ranks say the same.
+    If all edges of a cell at a vertex lie on walls that prescribe v, they determine the cell's grad v at the
+    vertex, for any order of v: no pressure can control div v.  Under a lid of speed U that meets a wall at
+    rest, div v = +-U/h at the corner.  As v is zero there, the matter stays, and J and rho change by
+    exp(+-U t/h).  A cell that is divided at its midpoint has an edge into the interior at every vertex, and
+    div v is free (``ngvisco.geometries.split_corner_cells``).  All ranks give the same warning.
     """
     cells, ranks = _corner_cells(step), Communicator.of(step.mesh)
     duration = times[-1] - times[0]
@@ -379,7 +378,7 @@ def warn_of_corners(step: Step, times: Sequence[float]) -> None:
         (int(number[cell]), vertex, tuple(place), of_times)
         for (cell, vertex), place, of_times in zip(cells, places, rates.T, strict=True)
     ]
-    # as on one process: ranks number their vertices in the order of the whole mesh
+    # the order of one process: each rank numbers its vertices in the order of the undistributed mesh
     every = sorted((one for of_rank in ranks.gathered(mine) for one in of_rank), key=lambda one: one[:2])
     rates = np.array([one[3] for one in every]).T
     strains = rates.mean(axis=0) * duration
@@ -396,7 +395,7 @@ def warn_of_corners(step: Step, times: Sequence[float]) -> None:
 
 
 def _corner_cells(step: Step) -> list[tuple[int, int]]:
-    """Cells and their vertices on moving walls at which all their edges lie on walls that prescribe v."""
+    """Pairs of a cell and its vertex on a moving wall whose edges all lie on walls that prescribe v."""
     mesh, conditions = step.mesh, step.walls.conditions
     moving = [
         name for name, wall in conditions.items() if isinstance(wall, MOVING) and isinstance(wall, HELD)
@@ -404,7 +403,7 @@ def _corner_cells(step: Step) -> list[tuple[int, int]]:
     if not moving:
         return []
     held = [name for name, wall in conditions.items() if isinstance(wall, HELD)]
-    # an edge or a vertex may lie on walls by facets of other ranks alone, which these spaces know
+    # an edge or a vertex may lie on walls only by facets of other ranks, which these spaces include
     on_walls = ~mask_of(HCurl(mesh, order=0, dirichlet=step.walls.region(held)).FreeDofs())
     moved = ~mask_of(H1(mesh, order=1, dirichlet=step.walls.region(moving)).FreeDofs())
     found = set()
@@ -419,7 +418,7 @@ def _corner_cells(step: Step) -> list[tuple[int, int]]:
 def _divergences(
     step: Step, cells: Sequence[tuple[int, int]], times: Sequence[float]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The places of these vertices, (cells, dim), m, and div v there in these cells, (times, cells), 1/s."""
+    """Coordinates of the cells' vertices, (cells, dim), m, and div v there, (times, cells), 1/s."""
     mesh, walls = step.mesh, step.moving_walls
     points = mesh.MapToAllElements(_CORNERS, VOL)
     points = points[np.isin(points["nr"], [cell for cell, _ in cells])]

@@ -1,18 +1,17 @@
-"""A body at rest under its weight: the pressure that bears the loads, and the volume that has it.
+"""A body at rest under its weight: the pressure that bears the loads, and the volume at this pressure.
 
-    grad p = f(rho),      p(J) = -tr T/3 of F = J^{1/3} I,      rho = rho_R/J, or as it is given
+    grad p = f(rho),      p(J) = -tr T/3 at F = J^{1/3} I,      rho = rho_R/J, or the given density
 
-p is continuous, of one order more than the variables, by int (grad p - f) . grad q = 0 for all q: where the
-density varies with the height alone that is the weight above, of any domain and layers.  Where it also varies
-along a level no pressure bears it, and the rest is said.  p is known up to a constant, which the datum says.
-J is the projection of the inverse of the bulk law, by Newton's method; of bodies each has its own J at one p.
+p is continuous, one order above the variables, with int (grad p - f) . grad q = 0 for all q.  If the density
+varies with the height alone, p is the weight above, in any domain and layers.  If it also varies along a
+level, no pressure bears all loads, and a warning states the unborne share.  The datum determines the constant
+in p.  J is the projected inverse of the bulk law, by Newton's method; each body has its J at the common p.
 
-With k = 1 and m = 0 the means of p over the cells bear what p bears, as div w is constant there.  Refused is
-m = 0 with other k: of the loads on velocities of order two the best constants leave 20, 10 and 5 % on 2 x 4,
-4 x 8 and 8 x 16 cells (in the dual of H1), and the body moves.  Measured on 1 m of 2 kg/m^3, K_e =
+For k = 1 and m = 0 the cell means of p bear the loads that p bears, as div w is constant in cells.  m = 0
+with another k is refused: of the loads on velocities of order two the best constants leave 20, 10 and 5 % on
+2 x 4, 4 x 8 and 8 x 16 cells (in the dual of H1), and the body moves.  Measured on 1 m of 2 kg/m^3, K_e =
 50 Pa, 1 m/s^2: 0.042 m/s with 2 x 4 cells and 0.011 m/s with 4 x 8, 0.050 m/s without an equilibrium, and 0
-with m = 1.  Over ranks one factorisation of one process makes p: it is started there, and
-goes on from its checkpoint.
+with m = 1.  One process factorises the matrix of p: a run over ranks starts from a checkpoint of one process.
 """
 
 from __future__ import annotations
@@ -52,13 +51,13 @@ from ngvisco.physics.parameters import parameters_in, value_at
 from ngvisco.physics.tensors import if_positive
 
 _ROUNDS, _STEPS = 100, 60
-"""Densities by the pressure, and Newton steps for the volume, at most."""
+"""Largest numbers of iterations of the density, and of Newton steps for the volume."""
 _CONVERGED = 1e-12
-"""Relative change of the pressure, and of J, that ends them."""
+"""Relative change of the pressure, and of J, at which the iterations end."""
 _DIFFERENCE = 1e-5
-"""Relative change of J for the slope of the bulk law."""
+"""Relative change of J in the difference quotient of the bulk law."""
 _UNBORNE = 0.05
-"""Share of the loads that no pressure bears, from which on it is said."""
+"""Share of the loads without a bearing pressure above which a warning is given."""
 
 
 class Column:
@@ -67,13 +66,13 @@ class Column:
     Parameters
     ----------
     given : mapping of names to functions
-        Values of the material's parameters, and of what is no strain.
+        Values of the material's parameters and of variables that are no strains.
     theta : coefficient function or None
         The temperature, K.
     shares : mapping of bodies' names to functions
-        Volume fractions; none of a material alone.
+        Volume fractions; empty for a single material.
     density : coefficient function or None
-        kg/m^3, where it is given; else it follows from rho_R, the bodies', or is 1.
+        Given density, kg/m^3; by default it follows from rho_R or the bodies' densities, else it is 1.
     """
 
     def __init__(
@@ -88,7 +87,7 @@ class Column:
         self.step, self.sampler, self.given, self.theta = step, sampler, given, theta
         self.shares, self.mesh = shares, step.mesh
         self.density: CoefficientFunction | None = None
-        if density is not None:  # as the loads of a step see it
+        if density is not None:  # projected, as in the loads of a step
             self.density = GridFunction(L2(self.mesh, order=step.discretisation.m))
             LocalProjection(self.density, step.quadrature, tested(density))()
         laws = {body.name: body.material for body in step.model.bodies} or {"": step.model.material}
@@ -119,7 +118,7 @@ class Column:
         return weighted(integrand, self.step.layout.symmetry.radius)
 
     def weight(self) -> CoefficientFunction:
-        """f, N/m^3, at t = 0."""
+        """Force density f of the loads, N/m^3, at t = 0."""
         dim, rho = self.mesh.dim, self._rho()
         force = CF((0.0,) * dim)
         for load in self.step.model.loads:
@@ -135,19 +134,21 @@ class Column:
         return self.referential[""] / self.J[""] if self.referential else CF(1.0)
 
     def pressure_of(self, name: str, J: CoefficientFunction, at_rest: bool = False) -> CoefficientFunction:
-        """-tr T/3, Pa, of a body, or of the material, "", at F = J^{1/3} I, and ``at_rest`` at theta_R."""
+        """Pressure -tr T/3, Pa, of a body, or of a single material, "", at F = J^{1/3} I.
+
+        ``at_rest`` takes the reference temperature in place of theta.
+        """
         material, theta = self.laws[name], self.theta
         if at_rest and theta is not None and (thermal := part_of(material, Thermal)) is not None:
             theta = CF(thermal.theta_R)
         return bulk_pressure(material, J, self.given, theta)
 
     def solve(self, datum: object, above_rest: float) -> dict[str, GridFunction]:
-        """J by the names of bodies, "" of a material alone.
+        """Solve for J by the names of bodies, "" for a single material.
 
-        At the datum the pressure is ``above_rest``, Pa, over that at J = 1 and the reference temperature.
-
-        Raises InitialDataError where no volume has the pressure, ParameterError or UnknownNameError for a
-        datum that is no wall and no point of the domain.
+        At the datum the pressure exceeds its value at J = 1 and the reference temperature by ``above_rest``,
+        Pa.  Raises InitialDataError if no volume has the pressure, ParameterError or UnknownNameError for a
+        datum that is neither a wall nor a point of the domain.
         """
         at, rest = self._at(datum), self._mean(lambda name: self.pressure_of(name, CF(1.0), True))
         last = np.zeros(0)
@@ -169,11 +170,11 @@ class Column:
         return self.J
 
     def _mean(self, of: Callable[[str], CoefficientFunction]) -> CoefficientFunction:
-        """The mean over the bodies by their shares."""
+        """Mean of a function of the bodies, weighted by their volume fractions."""
         return sum((share * of(n) for n, share in self.shares.items()), CF(0.0)) if self.shares else of("")
 
     def _bear(self, force: CoefficientFunction) -> None:
-        """Make p the pressure that bears a force, with any constant."""
+        """Solve for the pressure p that bears a force, up to a constant."""
         load = LinearForm(self._weighed(force * grad(self.space.TestFunction())) * dx).Assemble()
         free = self.space.FreeDofs()
         pinned = type(free)(free)
@@ -181,10 +182,10 @@ class Column:
         self.p.vec.data = self._form.mat.Inverse(pinned, inverse="sparsecholesky") * load.vec
 
     def _invert(self, name: str) -> None:
-        """Make J the projected inverse of the bulk law at p."""
+        """Solve for J, the projected inverse of the bulk law at p."""
         J, before = self.J[name], np.zeros(0)
         law, ahead, behind = (self.pressure_of(name, s * J) for s in (1.0, 1 + _DIFFERENCE, 1 - _DIFFERENCE))
-        share = (law - self.pressure) * (2 * _DIFFERENCE) / (behind - ahead)  # of J, by which it grows
+        share = (law - self.pressure) * (2 * _DIFFERENCE) / (behind - ahead)  # relative increment of J
         share = if_positive(share - 1, CF(1.0), if_positive(share + 0.5, share, CF(-0.5)))
         better = (J * (1 + share)).Compile()
         trial = GridFunction(J.space)
@@ -203,7 +204,7 @@ class Column:
         raise InitialDataError("equilibrium", "no volume found", expected)
 
     def _at(self, datum: object) -> Callable[[CoefficientFunction], float]:
-        """A function that evaluates functions at the datum."""
+        """Return a function that evaluates coefficient functions at the datum."""
         ranks, sampler = self.sampler.ranks, self.sampler
         if isinstance(datum, str):
             walls = self.step.walls
@@ -229,7 +230,7 @@ class Column:
         return highest
 
     def _say_what_is_left(self) -> None:
-        """Warn where the loads are no gradient."""
+        """Warn if the loads are not a gradient."""
         force = self.weight()
         left, size = (
             float(Integrate(self._weighed(Norm(f)), self.mesh)) for f in (grad(self.p) - force, force)
@@ -243,7 +244,7 @@ class Column:
 
 
 def require_open(step: Step, F: object, given: Mapping[str, object]) -> None:
-    """Raise ParameterError for an equilibrium without loads, or where strains are given that it tells."""
+    """Raise ParameterError for an equilibrium without loads, or with given strains that it determines."""
     if not step.model.loads:
         raise ParameterError("Initial.equilibrium", "hydrostatic", "loads to be borne, such as Gravity")
     if F is not None:

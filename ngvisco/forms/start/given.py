@@ -1,7 +1,7 @@
-"""Fields from values at points: of functions of Python, of arrays on grids, of fields on another mesh.
+"""Fields from values at points: functions of Python, arrays on grids, fields on another mesh.
 
-The values are taken at the quadrature points of every cell and projected in L2, cell by cell, so that jumps
-may lie between cells, and what is polynomial of the order asked for is met exactly.
+The values at the quadrature points of every cell are projected in L2, cell by cell.  Jumps may lie between
+cells, and polynomials of the field's order are reproduced exactly.
 """
 
 from collections.abc import Callable, Sequence
@@ -16,10 +16,10 @@ from ngvisco.forms.projections import inverse_mass
 
 
 class QuadraturePoints:
-    """The quadrature points of a mesh, and functions that have given values there."""
+    """The quadrature points of a mesh, and functions with given values at these points."""
 
     def __init__(self, quadrature: Quadrature, on: CoefficientFunction | None = None) -> None:
-        """Project in the cells, or with ``on`` on the walls where that is not 0."""
+        """Take the points in the cells, or with ``on`` on the walls where ``on`` is not 0."""
         self.quadrature, self.mesh = quadrature, quadrature.mesh
         if on is None:
             self._space = IntegrationRuleSpace(self.mesh, order=quadrature.volume_degree // 2)
@@ -38,29 +38,29 @@ class QuadraturePoints:
         return loaded
 
     def values(self, f: CoefficientFunction) -> np.ndarray:
-        """Values of a scalar on this mesh, (points,)."""
+        """Values of a scalar function at the points, (points,)."""
         return self._loaded(f) / self.weights
 
     @property
     def cells(self) -> np.ndarray:
-        """Numbers of the cells that the points are in, (points,)."""
+        """Numbers of the cells of the points, (points,)."""
         number = GridFunction(L2(self.mesh, order=0))
         number.vec.FV().NumPy()[:] = np.arange(self.mesh.ne)
         return np.rint(self.values(number)).astype(int)
 
     @property
     def coordinates(self) -> np.ndarray:
-        """Where the points are, (points, dim), m."""
+        """Coordinates of the points, (points, dim), m."""
         return np.array([self.values(c) for c in (x, y, z)[: self.mesh.dim]]).T
 
     def function(self, values: np.ndarray) -> GridFunction:
-        """A function to be used under integrals by this quadrature, with ``values``, (points,)."""
+        """A function with ``values``, (points,), for integrals by this quadrature."""
         result = GridFunction(self._space)
         result.vec.FV().NumPy()[self._here] = values
         return result
 
     def project(self, values: np.ndarray, space: L2, into: GridFunction) -> None:
-        """The cellwise L2 projection of ``values``, (points,), on a discontinuous scalar space."""
+        """Project ``values``, (points,), in L2, cell by cell, on a discontinuous scalar space."""
         load = LinearForm(space)
         load += self.quadrature.cells(self.function(values) * space.TestFunction())
         into.vec.data = inverse_mass(space, self.quadrature) * load.Assemble().vec
@@ -73,10 +73,10 @@ def function_field(mesh: Mesh, function: Callable[..., object], order: int = 2) 
     ----------
     mesh : ngsolve.Mesh
     function : callable
-        Of arrays x, y and in 3D z (m), each of shape (points,): gives an array of that shape, or a sequence
-        (of sequences) of them for a vector (a matrix).
+        Function of arrays x, y and in 3D z (m), each of shape (points,), that returns an array of this
+        shape, or a sequence (of sequences) of such arrays for a vector (a matrix).
     order : int
-        Of the polynomials on the cells, 0 to 6; with jumps between cells.
+        Order of the polynomials in the cells, 0 to 6; they may jump between cells.
 
     Returns
     -------
@@ -86,7 +86,7 @@ def function_field(mesh: Mesh, function: Callable[..., object], order: int = 2) 
     Raises
     ------
     ParameterError
-        If the function gives something else, or values that are not finite.
+        If the function returns something else, or values that are not finite.
     """
     require_type("function_field.mesh", mesh, Mesh)
     if not callable(function):
@@ -118,7 +118,7 @@ def _as_components(given: object, count: int) -> np.ndarray:
 
 
 def _broadcast(given: object, count: int) -> object:
-    """Numbers as constant arrays."""
+    """Replace numbers by constant arrays."""
     if isinstance(given, (list, tuple)):
         return [_broadcast(part, count) for part in given]
     return np.full(count, given) if isinstance(given, (int, float, np.number)) else given
@@ -137,17 +137,17 @@ def grid_field(
     values : array
         Of shape (len(x), len(y)[, len(z)], components...).
     order : int
-        As of ``function_field``.
+        Order of the polynomials in the cells, as in ``function_field``.
     method : str
-        Between grid points: ``"linear"``, ``"nearest"``, ``"cubic"``, ...: as scipy's
-        RegularGridInterpolator.
+        Interpolation between grid points by scipy's RegularGridInterpolator: ``"linear"``, ``"nearest"``,
+        ``"cubic"``, ...
 
     Raises
     ------
     ParameterError
         If shapes do not fit or the domain is not within the grid.
     """
-    from scipy.interpolate import RegularGridInterpolator  # a fifth of the package's time to be imported
+    from scipy.interpolate import RegularGridInterpolator  # takes a fifth of the package's import time
 
     require_type("grid_field.mesh", mesh, Mesh)
     array = np.asarray(values, dtype=float)

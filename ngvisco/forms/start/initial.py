@@ -43,8 +43,8 @@ from ngvisco.physics.tensors import inner, square, tensor_space, trace_free_tens
 
 ScalarLike: TypeAlias = float | CoefficientFunction
 
-_CONTRADICTION = 1e-6  # of rho_0 J_0/rho_R from 1: what is left where one of them is rounded to seven digits
-_LEAST_DENSITY = 1e-30  # kg/m^3; the largest is one over it, as the sizes of domains are from 1e-30 to 1e30 m
+_CONTRADICTION = 1e-6  # deviation of rho_0 J_0/rho_R from 1 by a value that is rounded to seven digits
+_LEAST_DENSITY = 1e-30  # kg/m^3; the largest is its inverse, as sizes of domains are from 1e-30 to 1e30 m
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,35 +56,34 @@ class Initial:
     Parameters
     ----------
     density : number or coefficient function, optional
-        Initial density rho_0; 1 where nothing is said, or rho_R/J_0 for a material with a referential density
-        rho_R.
+        Initial density rho_0; by default 1, or rho_R/J_0 for a material with a referential density rho_R.
     velocity : vector of the mesh's dimension, optional
-        Initial velocity; at rest where nothing is said. It is projected so that v.n = 0 on walls, and v = 0
-        on those without slip; on moving walls it keeps its tangential part.
+        Initial velocity; by default 0. It is projected so that v.n = 0 on walls and v = 0 on walls without
+        slip; on moving walls it keeps its tangential part.
     F : 3x3 coefficient function or array, optional
         Initial elastic distortion, 3x3, det F > 0, from which the start values of all variables are derived
-        (J_0 = det F_0, E_0 = sym F_0 - I, ...); the identity where nothing is said, with a referential
-        density (rho_R/rho_0)^{1/3} I. In 2D its 13, 23, 31, 32 entries are 0.
+        (J_0 = det F_0, E_0 = sym F_0 - I, ...); by default the identity, or (rho_R/rho_0)^{1/3} I with a
+        referential density. In 2D its 13, 23, 31, 32 entries are 0.
     temperature : number or coefficient function, optional
-        Initial temperature of a material that has one; its reference temperature where nothing is said.  Of
-        bodies whose thermal pressures differ it is that of each by itself: in cells that they share they
-        come to one pressure, and to a temperature a little beside it.
+        Initial temperature of a material with heat; by default its reference temperature.  Bodies whose
+        thermal pressures differ have it separately: in shared cells they come to one pressure, and to a
+        slightly different temperature.
     equilibrium : str, optional
-        "hydrostatic": the volume J_0, of each body its own, bears the loads at the start (F_0 = J_0^{1/3} I).
-        It is the inverse of the bulk law at the pressure of the weight above, with the temperature there.
-        The density is rho_R/J_0 of a material with a referential density, and of bodies; else as it is given.
-        Not with m = 0 but for k = 1, and not over ranks.
+        "hydrostatic": the volume J_0, one for each body, bears the loads at the start (F_0 = J_0^{1/3} I).
+        J_0 is the inverse of the bulk law at the pressure of the weight above and the local temperature.
+        The density is rho_R/J_0 for a material with a referential density and for bodies, else the given
+        one. An equilibrium needs one process, and m >= 1 unless k = 1.
     datum : str, optional
-        With an equilibrium: the wall at which the mean pressure is ``datum_pressure``; where neither this nor
-        a point is given it is the place of the least pressure.
+        With an equilibrium, the wall at which the mean pressure is ``datum_pressure``; without a wall and a
+        point the datum is the place of the least pressure.
     datum_point : sequence of numbers, optional
-        The same for a point of the domain.
+        Point of the domain at which the pressure is ``datum_pressure``, m.
     datum_pressure : float
-        Pressure at the datum, over that at J = 1 and the reference temperature, which is zero but for gases
-        and materials with stress at rest.
+        Pressure at the datum relative to the pressure at J = 1 and the reference temperature; the latter is
+        zero except for gases and materials with stress at rest.
     values : mapping of names to coefficient functions, optional
-        Initial values of single variables of the material, by name, in place of the derived ones, and of
-        further terms' unknowns that evolve, else zero.
+        Initial values by name: of variables of the material, which replace the derived ones, and of further
+        terms' evolving unknowns, which are zero by default.
     """
 
     density: Annotated[ScalarLike | None, Quantity("kg/m^3", "> 0", 1.0)] = None
@@ -115,26 +114,26 @@ class Initial:
 
 
 def set_initial(step: Step, initial: Initial, sampler: Sampler) -> CoefficientFunction:
-    """Put the initial data into ``step.state`` and ``step.state_old``, and say what is doubtful of them.
+    """Put the initial data into ``step.state`` and ``step.state_old``, and warn of doubtful data.
 
-    Raises InitialDataError if rho_0 <= 0, det F_0 <= 0, a positive variable is not so, or a value or the
-    stored energy is not finite at a sampling point; or if a tensor does not fit its variable (in plane
-    strain: 13, 23, 31, 32 entries; E not symmetric); or if density and J contradict the material's rho_R;
-    ParameterError if a value has the wrong type or shape; UnknownNameError if ``initial.values`` names
-    neither a variable of the material nor a further unknown that evolves.
+    Raises InitialDataError if rho_0, det F_0 or a positive variable is <= 0, or a value or the stored energy
+    is not finite, at a sampling point; if a tensor does not fit its variable (in plane strain: 13, 23, 31, 32
+    entries; E not symmetric); or if density and J contradict the material's rho_R.  Raises ParameterError if
+    a value has the wrong type or shape; UnknownNameError if ``initial.values`` names neither a variable of
+    the material nor a further unknown that evolves.
 
     Returns
     -------
     CoefficientFunction
-        The initial elastic distortion F_0, 3x3: that of the data, or of a start value that tells it.
+        The initial elastic distortion F_0, 3x3, from the data or from a start value that determines it.
     """
-    if step.sources is None:  # manufactured states are those of one time of many
+    if step.sources is None:  # a manufactured state may read the time
         _require_no_time(initial)
     try:
         values, density, F = _data(step, initial, sampler)
         _project(step, initial, sampler, values, density)
     except InitialDataError:
-        warn_of_own_energy(step, None)  # it may be the reason
+        warn_of_own_energy(step, None)  # a non-convex energy may be the reason
         raise
     warn_of_own_energy(step, sampler.rows(step.now.z))
     strains = {v.name for v in step.model.material.variables if v.is_strain}
@@ -147,7 +146,7 @@ def set_initial(step: Step, initial: Initial, sampler: Sampler) -> CoefficientFu
 def _data(
     step: Step, initial: Initial, sampler: Sampler
 ) -> tuple[Values, CoefficientFunction, CoefficientFunction]:
-    """Start values of the material's variables, the density and the elastic distortion that are meant."""
+    """Start values of the material's variables, the density and the elastic distortion."""
     material = step.model.material
     F = Id(3) if initial.F is None else as_shape("Initial.F", initial.F, (3, 3))
     sampler.require(Det(F), "det F_0", "Initial.F", minimum=0.0)
@@ -184,7 +183,7 @@ def _data(
         sampler.require(theta, "temperature theta_0", "Initial.temperature", minimum=0.0)
         values |= entropy_at(material, theta, values)
     _check_spaces(step, initial.values, values, sampler)
-    low, high = sampler.extrema(density)  # whose products with others are numbers
+    low, high = sampler.extrema(density)  # within these, products do not overflow
     if not _LEAST_DENSITY <= low <= high <= 1 / _LEAST_DENSITY:
         expected = f"kg/m^3 from {_LEAST_DENSITY:g} to {1 / _LEAST_DENSITY:g}"
         raise InitialDataError("density rho_0", f"{low:.6g} to {high:.6g}", expected, "Initial.density")
@@ -196,7 +195,7 @@ def _data(
 def _project(
     step: Step, initial: Initial, sampler: Sampler, values: Values, density: CoefficientFunction
 ) -> None:
-    """The state of these data, and all that follows from it."""
+    """Project the data into the step's state, and start all unknowns that follow from them."""
     material, dim = step.model.material, step.mesh.dim
     parts = dict(zip(step.layout.names, step.state.components, strict=True))
     further = _further(step, initial, sampler)
@@ -210,7 +209,7 @@ def _project(
         bounds = Bounds(step, sampler)
         (bounds if step.model.bodies else bounds.ranges).limit()
         if step.damage is not None:
-            step.damage.start()  # its slope too
+            step.damage.start()  # sets the slope of damage too
         step.freeze()
         if initial.velocity is not None:
             v_0 = as_vector(initial.velocity, dim, "Initial.velocity")
@@ -221,7 +220,7 @@ def _project(
         sampler.require(inner(step.now.z, step.now.z), "material variables", "Initial.values")
         sampler.require(step.now.rho, "projected density rho_0", "Initial.density", minimum=0.0)
         signs = [*(v.positive(z[v.name]) for v in material.variables), material.domain(z)]
-        if step.model.bodies:  # whose variables vanish where they are not
+        if step.model.bodies:  # a body's variables vanish outside it
             signs = list(material.positive(z).values())
         for name, value in ((name, value) for each in signs for name, value in each.items()):
             sampler.require(value, f"projected {name}_0", f"Initial.values[{name!r}]", minimum=0.0)
@@ -239,9 +238,9 @@ def _project(
 
 
 def _ranges(step: Step, parameters: Given, sampler: Sampler) -> dict[str, tuple[float, float]]:
-    """Within which the material's parameters stay, by name: the range of their start values, or their limits.
+    """Ranges of the material's parameters by name: their limits, else the range of their start values.
 
-    Raises InitialDataError for a start out of its limits.
+    Raises InitialDataError for a start value outside its limits.
     """
     ranges = {name: sampler.extrema(value) for name, value in parameters.items()}
     for variable in step.model.material.variables:
@@ -258,7 +257,7 @@ def _ranges(step: Step, parameters: Given, sampler: Sampler) -> dict[str, tuple[
 def _at_rest(
     step: Step, initial: Initial, sampler: Sampler, parameters: Values, shares: Values
 ) -> dict[str, CoefficientFunction]:
-    """Distortions with which the body bears its loads, by bodies' names, "" of a material alone."""
+    """Distortions in equilibrium with the loads, by bodies' names, "" for a single material."""
     material = step.model.material
     require_open(step, initial.F, initial.values)
     if initial.density is not None and material.referential_density is not None:
@@ -279,7 +278,7 @@ def _at_rest(
 def _of_bodies(
     step: Step, initial: Initial, shares: Values, distortions: Mapping[str, CoefficientFunction]
 ) -> Values:
-    """Amounts and tensors of the model's bodies at the start, but for what ``initial.values`` has."""
+    """Start amounts and tensors of the model's bodies, without the variables in ``initial.values``."""
     material = step.model.material
     if not isinstance(material, Mixture):
         return {}
@@ -291,9 +290,9 @@ def _of_bodies(
 
 
 def _check_moduli(step: Step, told: Values, parameters: Given, sampler: Sampler) -> None:
-    """Raise InitialDataError where a modulus of a law is not of its sign somewhere at the start.
+    """Raise InitialDataError if a modulus of a law has the wrong sign somewhere at the start.
 
-    ``parameters`` are what is carried of the values that are ``told``.
+    ``told`` are the parameters' values, ``parameters`` the carried numbers of these values.
     """
     model = step.model
     laws: list[tuple[str, object]] = [
@@ -327,7 +326,7 @@ def _functions_in(value: object) -> Iterator[CoefficientFunction]:
 
 
 def _check_continuation(material: Material, values: Given, sampler: Sampler) -> None:
-    """Raise ParameterError for a ``J_min``, below which an energy is continued, that the start is below."""
+    """Raise ParameterError if J at the start is below ``J_min``, where an energy is continued."""
     for part in () if isinstance(material, Mixture) else _materials_in(material):
         J_min = getattr(part, "J_min", None)
         if J_min is None:
@@ -341,7 +340,7 @@ def _check_continuation(material: Material, values: Given, sampler: Sampler) -> 
 
 
 def _materials_in(part: object) -> Iterator[Material]:
-    """A material, and those that it is made of."""
+    """Yield a material and the materials that it contains."""
     if isinstance(part, (tuple, Material, Body)):
         if isinstance(part, Material):
             yield part
@@ -350,7 +349,7 @@ def _materials_in(part: object) -> Iterator[Material]:
 
 
 def _further(step: Step, initial: Initial, sampler: Sampler) -> Values:
-    """Start values of what evolves beside v, rho and z, as far as they are given."""
+    """Given start values of the evolving unknowns other than v, rho and z."""
     found = {}
     for name in step.layout.further:
         if name in initial.values:
@@ -376,7 +375,7 @@ def _check_density(
 
 
 def _check_spaces(step: Step, given: Given, values: Given, sampler: Sampler) -> None:
-    """Raise InitialDataError when a tensor loses something in the space of its variable.
+    """Raise InitialDataError if a tensor has entries outside the space of its variable.
 
     Values that are not ``given`` by name follow from F.
     """
@@ -396,10 +395,10 @@ def _check_spaces(step: Step, given: Given, values: Given, sampler: Sampler) -> 
 
 
 def _impose_walls(step: Step, v_0: CoefficientFunction) -> None:
-    """Make v.n = 0 hold in the walls' discrete sense: v = 0 where there is no slip, the given tangential
-    part where a wall moves, and on oblique or curved walls the L2 projection with their multiplier.
+    """Impose the walls' discrete conditions: v = 0 without slip, the tangential part of v_0 on moving walls,
+    and on oblique or curved walls v.n = 0 by the L2 projection with their multiplier.
     """
-    # ``Set`` leaves a small v.n in constrained coefficients, which the ledger would show
+    # the interpolation leaves a small v.n in constrained coefficients, which the ledger would show
     step.state.vec.FV().NumPy()[~mask_of(step.layout.space.FreeDofs())] = 0.0
     v = step.state.vec.FV().NumPy()[step.layout.ranges["v"]]
     for name, (_, mask) in step.moving_walls.moving.items():
@@ -407,13 +406,13 @@ def _impose_walls(step: Step, v_0: CoefficientFunction) -> None:
         through = 0.0 if name in step.walls.crossed else v_0 * n
         v[mask] = step.moving_walls.interpolate(name, v_0 - through * n)[mask]
     term = step.impenetrability
-    # on a periodic mesh ``Set`` counts a vertex twice in a cell that meets its own image
+    # on a periodic mesh ``Set`` counts a vertex twice if a cell meets its own image
     if term is not None or step.layout.periodic:
         project_velocity(step.layout, step.state, v_0, term, step.quadrature)
 
 
 def complete(step: Step) -> None:
-    """Start values of traces, conjugates, creep rates and the hyperviscosity's unknowns from v, rho and z."""
+    """Set traces, conjugates, creep rates and the hyperviscosity's unknowns from v, rho and z."""
     parts = dict(zip(step.layout.names, step.state.components, strict=True))
     u, material, dim = step.now, step.model.material, step.mesh.dim
     if step.energy.projected is None:
@@ -439,11 +438,11 @@ def complete(step: Step) -> None:
 
 
 def _recover_hessian(step: Step, term: Hyperviscosity) -> None:
-    """The local projection int Hs : X = lifting of (v, a)."""
+    """Set the recovered Hessian Hs by its local projection, int Hs : X = lifting of (v, a)."""
     parts = dict(zip(step.layout.names, step.state.components, strict=True))
 
     def lifted(test: CoefficientFunction) -> Sequence[Integrand]:
-        # the lifting is tested by hyperstress; its local space is the same as that of hess
+        # the lifting's test is hyperstress, whose local space is the space of hess
         return term.lifting(step.now, Fields(step.layout, {"hyperstress": test}))
 
     LocalProjection(parts["hess"], step.quadrature, lifted)()

@@ -1,4 +1,4 @@
-"""A material's variables by name from what is given of them, at the start or where matter flows in."""
+"""Values of a material's variables by name, from given data at the start or at an inflow."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -42,19 +42,19 @@ _OVERLAP = 1e-3
 """The overlap, over the volume of the smaller of two bodies, below which the bodies only touch."""
 
 _VOLUMES = {"J", "A"}
-"""Names of variables that say the volume; a density belongs to it."""
+"""Names of variables that determine the volume; an inflow with a given volume needs a density."""
 
 _INVERTED, _STEPS = 1e-12, 100
-"""Pressure, over the bulk modulus and the pressure, at which a volume has been found, and Newton steps."""
+"""Accepted defect of the scaled pressure, and largest number of Newton steps, for the volume."""
 _VACUUM = 14.0
-"""Logarithm of the volume that stands for a vacuum, the pressure zero of a gas."""
+"""Logarithm of the volume at zero pressure of a gas, in place of an infinite one."""
 
 _COVERED = 1e-10
 """The share of the volume of the domain or of a cell below which uncovered volume is rounding."""
 
 
 def parameter_values(material: Material, given: Given, owner: str = "Initial") -> Values:
-    """Values of the material's parameters by name, where nothing is given those of the start."""
+    """Values of the material's parameters by name: the given ones, else the parameters' start values."""
     values = {}
     for variable in material.variables:
         if isinstance(variable, Parameter):
@@ -75,7 +75,7 @@ def starting_values(
     further: Iterable[str] = (),
     owner: str = "Initial",
 ) -> Values:
-    """Values of all variables by name: those given, else what the elastic distortion F says.
+    """Values of all variables by name: the given ones, else values that follow from F.
 
     Raises UnknownNameError for a name that is neither a variable's nor among ``further``.
     """
@@ -118,11 +118,11 @@ def given_values(
 def temperature_for(
     material: Material, temperature: object, given: Given, owner: str
 ) -> CoefficientFunction | None:
-    """The temperature, K, that tells the entropy: where None is given the one of reference.
+    """The temperature, K, that determines the entropy; by default the reference temperature.
 
-    None where the material has no entropy, or that is among the values.  Raises ParameterError for a
-    temperature then, for a material whose entropy no temperature tells, and for bodies that have not one of
-    reference.
+    It is None for a material without entropy, and if the values have the entropy.  Raises ParameterError for
+    a temperature in these cases, for an entropy that no temperature determines, and for bodies without a
+    common reference temperature if none is given.
     """
     field, entropy = f"{owner}.temperature", entropy_in(material)
     if entropy is None or entropy.name in given:
@@ -146,8 +146,10 @@ def temperature_for(
 
 
 def entropy_at(material: Material, theta: CoefficientFunction, values: Given) -> Values:
-    """The entropy, by its name, of a temperature, K, and the other variables' values; where bodies meet they
-    share the volume that all have at a point."""
+    """The entropy, by its name, at a temperature, K, and the other variables' values.
+
+    Bodies at one point have a common volume.
+    """
     entropy, thermal = entropy_in(material), part_of(material, Thermal)
     assert entropy is not None
     if isinstance(material, Mixture):
@@ -161,11 +163,11 @@ def entropy_at(material: Material, theta: CoefficientFunction, values: Given) ->
 def bulk_pressure(
     material: Material, J: CoefficientFunction, given: Given, theta: CoefficientFunction | None = None
 ) -> CoefficientFunction:
-    """-tr T/3, Pa, at F = J^{1/3} I; ``given`` has the values of what is no strain, ``theta`` is in K."""
+    """Pressure -tr T/3, Pa, at F = J^{1/3} I; ``given`` has variables that are no strains; theta in K."""
     z: Values = {}
     for v in material.variables:
         own = not v.is_strain and v.name in given
-        # an F of its own: the derivative by one variable must not see it within another
+        # a new F for each variable: the derivative by one variable must not see it within another
         z[v.name] = given[v.name] if own else v.from_distortion(J ** (1 / 3) * Id(3))
     entropy, thermal = entropy_in(material), part_of(material, Thermal)
     if entropy is not None and theta is not None and thermal is not None:
@@ -178,23 +180,23 @@ def bulk_pressure(
 def _at_pressure(
     material: Material, p: CoefficientFunction, theta: CoefficientFunction | None, mesh: Mesh
 ) -> Values:
-    """All variables of a fluid under a pressure, Pa, by the inverse of its bulk law."""
+    """Strains of a fluid at a pressure, Pa, by the inverse of its bulk law."""
     logarithm = L2(mesh, order=0).TrialFunction()
     _, modulus = rest_stress_and_modulus(material)
-    # logarithms of large pressures, in which those of gases are linear in that of the volume
+    # logarithms of large pressures: a gas' are linear in the logarithm of the volume
     law, wanted = (
         log(part + (part * part + 1) ** 0.5)
         for part in (bulk_pressure(material, exp(logarithm), {}, theta) / modulus, p / modulus)
     )
     beyond = if_positive(logarithm - _VACUUM, logarithm - _VACUUM, CF(0.0))
     excess = law - wanted - beyond
-    # what reads the time is put on the facets once a step; forms that are linearised have no NewtonCF
+    # ``time - time`` has J evaluated on facets once a step: linearised forms cannot contain NewtonCF
     J = exp(NewtonCF(excess, CF(0.0), tol=_INVERTED, maxiter=_STEPS)) + (time - time)
     return {v.name: v.from_distortion(J ** (1 / 3) * Id(3)) for v in material.variables if v.is_strain}
 
 
 def _comes_in_at_pressure(wall: Passage, material: Material) -> bool:
-    """Whether what flows in is a fluid of known density under the pressure that a wall alone gives."""
+    """Whether the inflow is a fluid of known density at a pressure that its wall alone determines."""
     if not isinstance(wall, Open) or wall.traction is not None or any((*wall.impedance, *wall.stiffness)):
         return False
     if wall.density is not None or wall.values or material.referential_density is None:
@@ -209,10 +211,9 @@ def _comes_in_at_pressure(wall: Passage, material: Material) -> bool:
 
 @dataclass(frozen=True)
 class Entering:
-    """The given state of matter that flows in through a wall: variables by name, density, kg/m^3,
-    temperature, K.
+    """The given state of an inflow: variables by name, density, kg/m^3, temperature, K.
 
-    All else has the values that are there.
+    Quantities that are not given keep their values inside the wall.
     """
 
     values: Values
@@ -221,22 +222,23 @@ class Entering:
 
     @property
     def is_of_density_alone(self) -> bool:
-        """Whether no variable is given."""
+        """Whether neither a variable nor the temperature is given."""
         return not self.values and self.temperature is None
 
     def mapped(self, function: Callable[[CoefficientFunction], CoefficientFunction]) -> Self:
-        """``function`` of everything that is given."""
+        """Return the state with ``function`` applied to all given quantities."""
         density, theta = (f if f is None else function(f) for f in (self.density, self.temperature))
         values = {name: function(value) for name, value in self.values.items()}
         return replace(self, values=values, density=density, temperature=theta)
 
 
 def entering(wall: Passage, owner: str, model: Model, mesh: Mesh) -> Entering:
-    """The given state of matter that flows in through a wall.  Bodies that flow in are at rest but for given
-    values; a fluid of known density has the volume of the pressure that its wall gives.
+    """The given state of matter that flows in through a wall.
 
-    Raises ParameterError for a volume without a density, and for what is given and not used;
-    UnknownNameError for unknown names.
+    By default bodies enter unstrained; a fluid of known density has its volume at the wall's pressure.
+
+    Raises ParameterError for a volume without a density, and for given values without a use; UnknownNameError
+    for unknown names.
     """
     material, given = model.material, dict(wall.values)
     if isinstance(material, Mixture):
@@ -274,7 +276,7 @@ def entering(wall: Passage, owner: str, model: Model, mesh: Mesh) -> Entering:
 
 
 def _entering_amounts(wall: Passage, owner: str, names: Sequence[str]) -> Values:
-    """n_i of the bodies that flow in."""
+    """Amounts n_i of the inflowing bodies."""
     for name in wall.amounts:
         if name not in names:
             raise UnknownNameError(f"{owner}.amounts", name, names, f"{owner}.amounts[{name!r}]")
@@ -282,7 +284,7 @@ def _entering_amounts(wall: Passage, owner: str, names: Sequence[str]) -> Values
 
 
 def as_shape(field_name: str, value: object, shape: tuple[int, ...]) -> CoefficientFunction:
-    """A coefficient function of this shape, or ParameterError; a number will do for a scalar."""
+    """Return ``value`` as a coefficient function of a shape; raise ParameterError for another shape."""
     expected = {
         0: "a number or a scalar coefficient function",
         1: f"a coefficient function with {len(shape) and shape[0]} components",
@@ -290,7 +292,7 @@ def as_shape(field_name: str, value: object, shape: tuple[int, ...]) -> Coeffici
     }[len(shape)]
     number = as_number(value)
     if not shape and (number is not None or isinstance(value, float)):
-        return CF(float(value))  # type: ignore[arg-type]  # NaN and inf are found where data are sampled
+        return CF(float(value))  # type: ignore[arg-type]  # sampling the data finds NaN and inf
     if len(shape) == 2 and not isinstance(value, CoefficientFunction):
         tensor = as_tensor(value, (shape[0], shape[1]))
         value = value if tensor is None else tensor
@@ -302,7 +304,7 @@ def as_shape(field_name: str, value: object, shape: tuple[int, ...]) -> Coeffici
 
 
 def starting_fractions(mesh: Mesh, bodies: Sequence[Body], order: int) -> Values:
-    """Volume fractions of the bodies, discontinuous P_order that sum to one, by name, from their places.
+    """Volume fractions of the bodies by name, in discontinuous P_order with the sum one, from their places.
 
     Raises ParameterError for bodies of one order that overlap, an empty body, and points that no body covers.
     """
@@ -330,7 +332,7 @@ def starting_fractions(mesh: Mesh, bodies: Sequence[Body], order: int) -> Values
     result: Values = dict(zip(shapes, found, strict=True))
     if rest is not None:
         result[rest.name] = of_none
-    else:  # what is in no body, less than ``_OVERLAP`` of all, is of all in their shares
+    else:  # distribute uncovered volume, below ``_OVERLAP``, by the fractions
         _require_some_body_in_each_cell(mesh, names, of_none)
         known = reduce(add, found)
         result = {name: part / known for name, part in result.items()}
@@ -338,7 +340,7 @@ def starting_fractions(mesh: Mesh, bodies: Sequence[Body], order: int) -> Values
 
 
 def _require_some_body_in_each_cell(mesh: Mesh, names: Sequence[str], rest: CoefficientFunction) -> None:
-    """Raise ParameterError for a cell that is in no body at all: there are no shares to fill it by."""
+    """Raise ParameterError for a cell without a body, which no fractions can fill."""
     size, covered = (np.array(Integrate(f, mesh, VOL, element_wise=True)) for f in (CF(1.0), 1 - rest))
     with Communicator.of(mesh).together(ParameterError):
         if np.any(empty := covered <= _COVERED * size):
@@ -350,7 +352,7 @@ def _require_some_body_in_each_cell(mesh: Mesh, names: Sequence[str], rest: Coef
 
 
 def _require_order(mesh: Mesh, placed: Sequence[Body], shapes: Mapping[str, Shape]) -> None:
-    """Raise ParameterError for two bodies of one order in one place."""
+    """Raise ParameterError for two overlapping bodies of one order."""
     for i, first in enumerate(placed):
         for second in (other for other in placed[i + 1 :] if other.order == first.order):
             a, b = shapes[first.name], shapes[second.name]

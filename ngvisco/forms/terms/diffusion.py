@@ -1,4 +1,4 @@
-"""Diffusion of what the material carries, and what of it comes through walls."""
+"""Diffusion of a variable of the material, and its exchange through walls."""
 
 from collections.abc import Sequence
 
@@ -15,7 +15,7 @@ from ngvisco.physics.tensors import inner
 
 
 class Spreading(Flux):
-    """-div(M grad mu) in the equation of c, mu = zeta_c; dissipates M |grad mu|^2 and the penalty."""
+    """Diffusion -div(M grad mu) in the equation of c, mu = zeta_c; dissipates M |grad mu|^2 + penalty."""
 
     def __init__(self, law: Diffusion) -> None:
         self.law, self.name = law, law.variable
@@ -43,13 +43,13 @@ class Spreading(Flux):
         return {f"dissipation_diffusion_{self.name}": -(self.into(u) * self.potential(u))}
 
     def entries(self, u: Fields) -> list[Entry]:
-        """Besides, how much of it there is."""
+        """The dissipation, and the amount of the variable as a monitor."""
         total = Entry(f"amount_{self.name}", "monitor", Integrand(u.z_tensors[self.name]))
         return [*super().entries(u), total]
 
 
 class ThroughWall(PointTerm):
-    """-int_Gamma h q on one wall, h = flux + coefficient (potential - mu) what comes in."""
+    """Inflow -int_Gamma h q through one wall, h = flux + coefficient (potential - mu)."""
 
     couples = "facet"
 
@@ -60,7 +60,7 @@ class ThroughWall(PointTerm):
         self._indicator = facet_indicator(walls.mesh, [name])
 
     def _inwards(self, u: Fields) -> CoefficientFunction:
-        """h on the wall, zero elsewhere."""
+        """Inflow h on the wall, zero elsewhere."""
         indicator, *values = map(u.context.given, (self._indicator, *self._given))
         potential, coefficient, flux = values
         return indicator * (flux + coefficient * (potential - u.zeta_tensors[self.variable]))
@@ -69,7 +69,7 @@ class ThroughWall(PointTerm):
         return [-(self._inwards(u) * w.z_tensors[self.variable])]
 
     def entries(self, u: Fields) -> list[Entry]:
-        """The power that diffusing matter brings, and the amount that comes in."""
+        """Power and amount of the matter that diffuses in through the wall."""
         name, inwards = f"{self.variable}_{self.name}", self._inwards(u)
         power = Integrand(facets=inwards * u.zeta_tensors[self.variable])
         return [
@@ -79,8 +79,10 @@ class ThroughWall(PointTerm):
 
 
 def diffusion_terms(model: Model, walls: Walls) -> list[Term]:
-    """The terms of the fields that a model lets diffuse; raises ParameterError for a wall that the mesh does
-    not have."""
+    """The terms of a model's diffusion.
+
+    Raises ParameterError for a wall that the mesh lacks.
+    """
     law = model.diffusion
     if law is None:
         return []

@@ -1,14 +1,14 @@
 """Fluxes down the gradient of a potential, through cells and facets.
 
-With the potential mu, the flux j = M grad mu and a test chi of the equation, by an interior penalty
+With the potential mu, the flux j = M grad mu and a test chi, the term is by an interior penalty
 
     int j . grad chi - sum_K int_{dK} (f - f_hat) chi,      f = j . n - p (mu - mu_hat), p = s M/h,
 
-mu_hat and f_hat the means of both sides.  f - f_hat is half of the difference of both sides' f, the mean flux
-less p times half of the jump, opposite on both sides, so that chi = 1 gives zero: what flows is kept to
-rounding.  On walls f_hat = f: nothing flows there.  Incomplete: the term by which it would be symmetric in mu
-and chi is left out.  The flux is consistent for m >= 1; with m = 0 there is the penalty alone, whose flux
-depends on the cells' shapes however fine they are, and which is refused.
+mu_hat and f_hat the means of both sides.  f - f_hat is half of the difference of both sides' f: the mean flux
+less p times half of the jump.  It is opposite on both sides, so that chi = 1 gives zero and the amount is
+conserved to rounding.  On walls f_hat = f: nothing flows there.  The penalty is incomplete: it omits the term
+that would make it symmetric in mu and chi.  The flux is consistent for m >= 1.  m = 0 is refused, since the
+flux by the penalty alone depends on the cells' shapes, however fine the mesh.
 """
 
 from abc import abstractmethod
@@ -25,7 +25,7 @@ from ngvisco.physics.tensors import inner, linear_map
 
 
 def penalty_weight(m: int) -> float:
-    """s of the interior penalty p = s M/h for fields in P_m."""
+    """Factor s of the interior penalty p = s M/h for fields in P_m."""
     return 2.0 * (m + 1) ** 2
 
 
@@ -37,9 +37,9 @@ def component(u: Fields, name: str, of: CoefficientFunction) -> CoefficientFunct
 
 
 class Flux(PointTerm):
-    """The part of the facets; what cells have is said by derived classes.
+    """A flux with its integrands on facets; derived classes define the integrands in cells.
 
-    ``name`` is what its unknowns begin with.
+    ``name`` is the prefix of its unknowns.
     """
 
     name: str
@@ -47,22 +47,22 @@ class Flux(PointTerm):
 
     @abstractmethod
     def potential(self, u: Fields) -> CoefficientFunction:
-        """mu."""
+        """The potential mu."""
 
     @abstractmethod
     def flux(self, u: Fields) -> CoefficientFunction:
-        """j = M grad mu."""
+        """The flux j = M grad mu."""
 
     @abstractmethod
     def size(self, u: Fields) -> CoefficientFunction:
-        """M, of a matrix its largest eigenvalue."""
+        """The mobility M: the largest eigenvalue of a matrix."""
 
     @abstractmethod
     def chi(self, u: Fields, w: Fields) -> CoefficientFunction:
-        """The test."""
+        """The test chi."""
 
     def require_order(self, m: int) -> None:
-        """Raise ParameterError for constants in cells, whose fluxes by a penalty are not consistent."""
+        """Raise ParameterError for m = 0, whose fluxes by a penalty are not consistent."""
         if m == 0:
             expected = (
                 f"1 or 2 where there is a flux of {self.name}: constants in cells have no gradient "
@@ -71,7 +71,7 @@ class Flux(PointTerm):
             raise ParameterError("Discretisation.m", 0, expected)
 
     def into(self, u: Fields) -> CoefficientFunction:
-        """f - f_hat."""
+        """Flux into a cell through its side, f - f_hat."""
         mean = MeanOfFlux(self)
         return u.context.inner * (mean.value(u) - u.parts[mean.name])
 
@@ -80,12 +80,12 @@ class Flux(PointTerm):
 
     @property
     def terms(self) -> list[Term]:
-        """This one with the equations of its means, in the order in which they are solved."""
+        """The flux and the equations of its means, in the order of their solution."""
         return [MeanOfPotential(self), MeanOfFlux(self), self]
 
 
 class MeanOfPotential(SideMean):
-    """The mean of both sides' potentials."""
+    """Equation of mu_hat, the mean of both sides' potentials."""
 
     def __init__(self, flux: Flux) -> None:
         self._flux, self.name = flux, f"{flux.name}_potential_hat"
@@ -99,7 +99,7 @@ class MeanOfPotential(SideMean):
 
 
 class MeanOfFlux(SideMean):
-    """The mean of f of both sides: what their fluxes lack to cancel."""
+    """Equation of f_hat, the mean of both sides' f; it is zero if both sides' fluxes cancel."""
 
     def __init__(self, flux: Flux) -> None:
         self._flux, self.name = flux, f"{flux.name}_flux_hat"

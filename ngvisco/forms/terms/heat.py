@@ -1,14 +1,14 @@
-"""Heat: what is dissipated, supplied and conducted, in the equation of the entropy.
+"""Heat in the equation of the entropy: dissipation, supply and conduction.
 
-The entropy s, a number of its unit u (``ngvisco.physics.materials.thermal``), is a variable of the material
-that is transported by its flux; zeta_s = u theta is its projected conjugate, theta the temperature.  With xi
-what all mechanisms dissipate, chi = q/zeta_s, q the test of s,
+The entropy s, a number in its unit u (``ngvisco.physics.materials.thermal``), is a variable of the material
+that is transported by its flux; zeta_s = u theta is its projected conjugate, theta the temperature.  With the
+dissipation xi of all mechanisms, the test q of s, and chi = q/zeta_s,
 
     int (s - s_old)/tau q - B_h(v; s, q) = int xi chi - a(theta, chi) + int_Gamma h chi.
 
-q = zeta_s gives int xi + int_Gamma h, whatever mesh, step and order: all that is dissipated arrives as heat,
-and the total energy changes by the power of loads and walls alone.  q = 1 gives the production of entropy,
-int xi/theta - a(theta, 1/theta), and what comes with the heat through walls.
+q = zeta_s gives int xi + int_Gamma h for any mesh, step and order: all dissipation becomes heat, and only the
+power of loads and walls changes the total energy.  q = 1 gives the production of entropy,
+int xi/theta - a(theta, 1/theta), and the entropy that the heat carries through walls.
 """
 
 from collections.abc import Mapping, Sequence
@@ -53,16 +53,16 @@ class _OfEntropy(PointTerm):
         return (1 / self.entropy.unit) * self.zeta(u)
 
     def chi(self, u: Fields, w: Fields) -> CoefficientFunction:
-        """q/zeta_s."""
+        """The test of the heat, q/zeta_s."""
         return w.z_tensors[self.entropy.name] / self.zeta(u)
 
     def grad_theta(self, u: Fields) -> CoefficientFunction:
-        """K/m."""
+        """Gradient of the temperature, K/m."""
         return (1 / self.entropy.unit) * component(u, self.entropy.name, u.grad_zeta)
 
 
 class Heating(_OfEntropy):
-    """-int xi q/zeta_s: all that is dissipated, and sources."""
+    """Heating -int xi q/zeta_s by all dissipation and by sources."""
 
     def __init__(self, law: HeatLaw, entropy: Entropy, walls: Walls) -> None:
         super().__init__(law, entropy)
@@ -72,13 +72,13 @@ class Heating(_OfEntropy):
         """The share of the friction heat that goes into each wall."""
 
     def _supplied(self, u: Fields) -> dict[str, CoefficientFunction]:
-        """Sources of heat in cells beside what is dissipated, W/m^3, by the ledger's columns."""
+        """Sources of heat in cells other than dissipation, W/m^3, by the ledger's columns."""
         found = {}
         if self._sources:
             given = u.context.given
             parts = (self.law.share(body, u.z_tensors) * given(source) for body, source in self._sources)
             found["power_heat_source"] = reduce(add, parts)
-        if self.law.numerical_heating:  # what a backward Euler step dissipates, J/m^3
+        if self.law.numerical_heating:  # the dissipation of a backward Euler step, J/m^3
             c, old = u.context, u.context.old
             dv = u.v - (1 / old.rho) * c.momentum_old
             bregman = c.rates.stored(old) - c.rates.stored(u) - inner(u.zeta, old.z - u.z)
@@ -99,7 +99,7 @@ class Heating(_OfEntropy):
     def _rows(
         self, u: Fields, w: Fields, where: Where, others: Mapping[str, CoefficientFunction]
     ) -> Sequence[CoefficientFunction]:
-        """Rows of the entropy for dissipation and other heat at these places."""
+        """Rows of the entropy for dissipation and the heat ``others`` at the places ``where``."""
         heat = [*dissipations(u, self, where).values(), *others.values()]
         return [-(reduce(add, heat) * self.chi(u, w))] if heat else []
 
@@ -113,7 +113,7 @@ class Heating(_OfEntropy):
         return self._rows(u, w, "nodes", {})
 
     def entries(self, u: Fields) -> list[Entry]:
-        """The heat as powers, since it is a part of the energy; entropy, and what produces and brings it."""
+        """Powers of the heat, which is a part of the energy; the entropy, its productions and supplies."""
         places, theta = [dissipations(u, self, place) for place in PLACES], self.theta(u)
         names = dict.fromkeys(name for heat in places for name in heat)
         self._require_all(set(names), u)
@@ -136,7 +136,7 @@ class Heating(_OfEntropy):
         return [*powers, Entry("entropy", "monitor", Integrand(entropy)), *produced]
 
     def _require_all(self, known: set[str], u: Fields) -> None:
-        """Raise ParameterError for a term whose dissipation stands in its columns alone."""
+        """Raise ParameterError for a term whose ``dissipated`` lacks a dissipation of its ledger columns."""
         for term in u.context.terms:
             for entry in () if term is self else term.entries(u):
                 if entry.kind == "dissipation" and entry.name not in known and not entry.is_outside:
@@ -146,9 +146,9 @@ class Heating(_OfEntropy):
 
 
 class HeatThroughWall(_OfEntropy):
-    """-int_Gamma h q/zeta_s on one wall, h what comes in, W/m^2:
+    """Heat -int_Gamma h q/zeta_s through one wall, with the inflow, W/m^2,
 
-    flux + coefficient (temperature - theta).
+    h = flux + coefficient (temperature - theta).
     """
 
     couples = "facet"
@@ -161,7 +161,7 @@ class HeatThroughWall(_OfEntropy):
         self._indicator = facet_indicator(walls.mesh, [name])
 
     def _heat(self, u: Fields) -> CoefficientFunction:
-        """h on the wall, zero elsewhere."""
+        """Inflow h on the wall, zero elsewhere."""
         indicator, *values = map(u.context.given, (self._indicator, *self._given))
         temperature, coefficient, flux = values
         return indicator * (flux + coefficient * (temperature - self.theta(u)))
@@ -178,9 +178,9 @@ class HeatThroughWall(_OfEntropy):
 
 
 class Conduction(_OfEntropy, Flux):
-    """a(theta, chi), chi = q/zeta_s: heat conduction by ``Flux``, with the potential theta.
+    """Heat conduction a(theta, chi), chi = q/zeta_s, by ``Flux`` with the potential theta.
 
-    For chi = 1/theta the term that is left out there doubles one without a sign.
+    The symmetrising term that ``Flux`` leaves out would, for chi = 1/theta, double a term without a sign.
     """
 
     name = "heat"
@@ -189,11 +189,11 @@ class Conduction(_OfEntropy, Flux):
         return self.theta(u)
 
     def flux(self, u: Fields) -> CoefficientFunction:
-        """kappa grad theta, W/m^2."""
+        """Flux kappa grad theta, W/m^2."""
         return self.law.flux(self.theta(u), self.grad_theta(u), u.z_tensors, u.dim)
 
     def size(self, u: Fields) -> CoefficientFunction:
-        """kappa, of a matrix its largest eigenvalue, W/(m K)."""
+        """Conductivity kappa, W/(m K): the largest eigenvalue of a matrix."""
         return self.law.size(self.theta(u), u.z_tensors)
 
     def cells(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
@@ -203,7 +203,7 @@ class Conduction(_OfEntropy, Flux):
         return [inner((1 / zeta) * flux, grad_q), -(along * w.z_tensors[self.entropy.name])]
 
     def entries(self, u: Fields) -> list[Entry]:
-        """No power, for it keeps the heat."""
+        """Production of entropy; conduction has no power, since it conserves heat."""
         theta = self.theta(u)
         cells = inner(self.flux(u), self.grad_theta(u)) / (theta * theta)
         return [Entry(PRODUCTION + "conduction", "production", Integrand(cells, self.into(u) / theta))]

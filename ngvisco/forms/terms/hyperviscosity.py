@@ -2,19 +2,19 @@
 
 (paper: Euler-small-viscoelastodyn+1 with the natural condition hess v : (n x n) = 0 of
 Euler-small-BC-hyper.)  v is only continuous; a is the single-valued normal derivative on facets.  The
-gradient on facets is then single-valued too, g = grad v + (a - d_n v) x n, and the recovered Hessian
+gradient on facets, g = grad v + (a - d_n v) x n, is then single-valued too, and the recovered Hessian
 Hs in P_{k-2}, symmetric in its last two indices, is the projection of its distributional gradient,
 
     int_K Hs : G = -int_K grad v : div G + int_{dK} g : (G n)          for all G,
 
 which on straight cells is int_K hess v : G + int_{dK} (a - d_n v) . (G : n x n): no second derivative
-of a shape function is ever evaluated (assembling those took nine tenths of the time in 3D).
-The potential, convex because Hs is linear in (v, a), is with j = a - d_n v
+of a shape function is ever evaluated (assembling second derivatives took nine tenths of the time in 3D).
+With j = a - d_n v the potential, convex because Hs is linear in (v, a), is
 
     Psi = int psi(|Hs|) + sum_K int_{dK} sigma/(2h) c(|Hs|^2 + |j|^2/h^2 + chi^2) |j|^2,   psi' = c Hs,
 
 where chi, a tenth of a typical |hess v|, keeps a determined where v is nearly affine, and
-c(s) = mu_1 + mu s^{(p-2)/2}.  It is made stationary with multipliers: the hyperstress S of the lifting,
+c(s) = mu_1 + mu s^{(p-2)/2}.  Psi is made stationary with multipliers: the hyperstress S of the lifting,
 and a scalar pair (s, c_s) in P_{2k-4} with s = |Hs|^2, so that all nonlinearity is in scalars (a
 Jacobian that couples all components of Hs, grad v and a costs four times as much to assemble):
 
@@ -42,7 +42,7 @@ from ngvisco.physics.tensors import inner, square
 
 @dataclass(frozen=True)
 class Hyperviscosity(PointTerm):
-    """<Psi'(v, a), (w, b)> with its local unknowns; dissipation <Psi', (v, a)>."""
+    """Derivative <Psi'(v, a), (w, b)> with its local unknowns; its dissipation is <Psi', (v, a)>."""
 
     law: HyperViscosity
     kernel = "hyperviscosity"
@@ -70,7 +70,7 @@ class Hyperviscosity(PointTerm):
         ]
 
     def penalty(self, u: Fields) -> tuple[CoefficientFunction, CoefficientFunction | None]:
-        """sigma/h (c(s~), c'(s~) |j|^2) at s~ = s + |j|^2/h^2 + chi^2; the second is None where c' = 0."""
+        """Penalties sigma/h c(s~) and sigma/h c'(s~) |j|^2, the second None if c' = 0; s~ is ``size``."""
         law, h = self.law, u.context.h
         weight = law.penalty / h
         if law.is_linear:
@@ -79,27 +79,27 @@ class Hyperviscosity(PointTerm):
         return weight * law.coefficient(size, z), weight * law.slope(size, z) * square(u.jump)
 
     def size(self, u: Fields) -> CoefficientFunction:
-        """s~ = s + |j|^2/h^2 + chi^2 on a cell's boundary, 1/(m s)^2."""
+        """Squared size s~ = s + |j|^2/h^2 + chi^2 on a cell's boundary, 1/(m s)^2."""
         c = u.context
         return u.hess_square + square(u.jump) / (c.h * c.h) + c.curvature * c.curvature
 
     def stiffness(self, u: Fields) -> CoefficientFunction:
-        """sigma/h c + sigma/h^3 c' |j|^2: what multiplies j in the equations of v and a."""
+        """Factor sigma/h c + sigma/h^3 c' |j|^2 of j in the equations of v and a."""
         penalty, coupling = self.penalty(u)
         return penalty if coupling is None else penalty + coupling / (u.context.h * u.context.h)
 
     def lifting_in_cells(self, v: Fields, X: Fields) -> list[CoefficientFunction]:
-        """-int grad v : div X, which vanishes for X in P_0."""
+        """Cells' part of the lifting, -int grad v : div X, which vanishes for X in P_0."""
         return [-inner(X.div_hyperstress, v.grad_v)] if v.layout.discretisation.k > 2 else []
 
     def lifting_on_facets(self, v: Fields, X: Fields) -> list[CoefficientFunction]:
-        """int_{dK} (grad v + j x n) : (X n)."""
+        """Facets' part of the lifting, int_{dK} (grad v + j x n) : (X n)."""
         n = v.context.normal
         X_n = X.hyperstress_normal(n)
         return [inner(X_n, v.grad_v), inner(X_n * n, v.jump)]
 
     def lifting(self, v: Fields, X: Fields) -> list[Integrand]:
-        """-int grad v : div X + int_{dK} (grad v + j x n) : (X n)."""
+        """Lifting -int grad v : div X + int_{dK} (grad v + j x n) : (X n)."""
         cells = [Integrand(part) for part in self.lifting_in_cells(v, X)]
         return [Integrand(facets=part) for part in self.lifting_on_facets(v, X)] + cells
 
@@ -127,19 +127,19 @@ class Hyperviscosity(PointTerm):
         return parts if coupling is None else [*parts, -coupling * w.hess_square]
 
     def coefficient_load(self, u: Fields, t: CoefficientFunction) -> Integrand:
-        """int c(s) t + sum_K int_{dK} sigma/h c'(s~)|j|^2 t: the load that c_s is the projection of."""
+        """Load of the projection c_s, int c(s) t + sum_K int_{dK} sigma/h c'(s~)|j|^2 t."""
         _, coupling = self.penalty(u)
         assert coupling is not None
         return Integrand(self.law.coefficient(u.hess_square, u.z_tensors) * t, coupling * t)
 
     def dissipated(self, u: Fields) -> dict[str, CoefficientFunction]:
-        """c(|Hs|^2)|Hs|^2: the paper's mu |hess v|^p."""
+        """Dissipation c(|Hs|^2)|Hs|^2, the paper's mu |hess v|^p."""
         if self.law.is_linear:
             return {_COLUMN: self.law.linear(u.z_tensors) * square(u.parts["hess"])}
         return {_COLUMN: self.law.coefficient(u.hess_square, u.z_tensors) * u.hess_square}
 
     def dissipated_on_facets(self, u: Fields) -> dict[str, CoefficientFunction]:
-        """The penalty's share."""
+        """Dissipation by the penalty."""
         penalty, coupling = self.penalty(u)
         share = penalty * square(u.jump)
         if coupling is None:

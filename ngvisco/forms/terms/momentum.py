@@ -1,4 +1,4 @@
-"""Density and momentum: conservative continuity, skew-symmetric inertia, viscosity, loads.
+"""Equations of density and momentum: conservative continuity, skew-symmetric inertia, viscosity, loads.
 
 Adding -1/2 v.w times the continuity equation to the paper's momentum equation gives, with the mass
 flux m = rho v,
@@ -6,10 +6,10 @@ flux m = rho v,
     int (rho v - m_old)/tau . w - 1/2 (rho - rho_old)/tau v . w
       + 1/2 m . [(L^T w) - (grad w)^T v] + ... = 0,
 
-m_old the old momentum.  With m_old = rho_old v_old, w = v returns exactly the change of kinetic energy plus
+with the old momentum m_old.  For m_old = rho_old v_old, w = v gives exactly the change of kinetic energy plus
 1/2 int rho_old |v - v_old|^2, the remainder of the paper's convexity inequality
-(Euler-ED-basic-convexity-calculus); in general E'(U)[U - u_old] of the kinetic energy
-E(rho, m) = max_w <m, w> - 1/2 int rho |w|^2, which is convex.
+(Euler-ED-basic-convexity-calculus).  For any m_old it gives E'(U)[U - u_old], with the convex kinetic energy
+E(rho, m) = max_w <m, w> - 1/2 int rho |w|^2.
 """
 
 from collections.abc import Sequence
@@ -30,22 +30,22 @@ from ngvisco.physics.variables import Values
 
 @dataclass(frozen=True)
 class Continuity(PointTerm):
-    """int (rho - rho_old)/tau q - rho v . grad q + sum_K int_{dK} j q = 0
+    """Continuity, int (rho - rho_old)/tau q - rho v . grad q + sum_K int_{dK} j q = 0
     (paper: Euler-small-viscoelastodyn+0disc; its delta-term is ``DensityDiffusion``).
 
     j = (v . n) rho_hat + |v . n| (rho - rho_hat), with the mean rho_hat of both sides' densities, is v . n
     times the upstream density.  The flux is the same on both sides of a facet, and zero on walls that nothing
     crosses: q = 1 conserves mass to rounding (paper: Euler-small-est-1+).
 
-    With a cut-off, rho is f(rho) = K(rho) rho in the fluxes, which falls where rho > rho_max: an upwind flux
-    would go on filling full cells.  The flux is then that of Engquist and Osher (Math. Comp. 36, 1981), the
-    rising part f^+ of f upstream and the falling part f^- downstream: with n^- = 1 on the side that the flow
-    enters and 0 on the other, j = (v . n) rho_hat and
+    A cut-off replaces rho in the fluxes by f(rho) = K(rho) rho, which falls where rho > rho_max: an upwind
+    flux would go on filling full cells.  The flux is then Engquist's and Osher's (Math. Comp. 36, 1981),
+    the rising part f^+ of f upstream and the falling part f^- downstream: with n^- = 1 on the side that the
+    flow enters and 0 on the other, j = (v . n) rho_hat and
 
         sum_K int_{dK} [(1 - n^-) (rho_hat - f^+(rho)) - n^- f^-(rho)] q_hat = 0,
 
-    the same as above below the density of the largest f.  A cell of constant density rho_max + width gets
-    nothing, and its density never passes that (paper: Euler-small-est3+++).
+    which is the upwind flux below the density at which f is largest.  No mass enters a cell of constant
+    density rho_max + width, and its density never exceeds this value (paper: Euler-small-est3+++).
     """
 
     regularisation: Regularisation | None = None
@@ -70,7 +70,7 @@ class Continuity(PointTerm):
         return [c.crossed * (u.v * c.normal) * u.rho_hat * w.rho, trace * w.rho_hat]
 
     def _inflow(self, u: Fields) -> CoefficientFunction:
-        """1 on the side that the flow through a facet enters, 0 on the other, 1/2 where nothing flows."""
+        """Inflow indicator: 1 on a facet's side that the flow enters, 0 on the other, 1/2 at rest."""
         through = u.v * u.context.normal
         if MeanFlux.name in u.layout.unknowns:
             through = side(u) * u.parts[MeanFlux.name]
@@ -79,10 +79,10 @@ class Continuity(PointTerm):
 
 
 class MeanFlux(SideMean):
-    """The mean of v . n over a facet, m/s, with the sign of its first side; where a trace is one number.
+    """Equation of the mean of v . n over a facet, m/s, with the sign of the facet's first side.
 
-    The side of upwinding is then one for the whole facet: by sides that differ along it a trace is a mean of
-    both cells, and what leaves a cell would be taken from its neighbour too.
+    Where a trace is one number, this flux gives the whole facet one upwind side: if the side changed along
+    the facet, the trace would be a mean of both cells, and a cell's outflow be taken from its neighbour too.
     """
 
     name = "mean_flux"
@@ -96,7 +96,7 @@ class MeanFlux(SideMean):
 
 @dataclass(frozen=True)
 class Inertia(PointTerm):
-    """(rho v - m_old)/tau . w - 1/2 (rho - rho_old)/tau v . w."""
+    """Inertia (rho v - m_old)/tau . w - 1/2 (rho - rho_old)/tau v . w."""
 
     linearised, is_mass = False, True
 
@@ -109,29 +109,29 @@ class Inertia(PointTerm):
         return [c.rate(inner(change, w.v))]
 
     def compensation(self, u: Fields, w: Fields) -> CoefficientFunction:
-        """-1/2 (rho - rho_old)/tau v . w, what the skew form adds."""
+        """The skew form's summand -1/2 (rho - rho_old)/tau v . w."""
         return u.context.rate(-0.5 * (u.rho - u.context.old.rho) * inner(u.v, w.v))
 
     def energy(self, u: Fields) -> Entry:
-        """1/2 rho |v|^2."""
+        """Kinetic energy 1/2 rho |v|^2."""
         return Entry("kinetic", "energy", Integrand(0.5 * u.rho * square(u.v)))
 
     def slope(self, b: Fields, d: Fields) -> Integrand:
-        """-1/2 |v_b|^2 rho_d, under a momentum functional that is kept."""
+        """Derivative -1/2 |v_b|^2 rho_d of the kinetic energy at a fixed momentum functional."""
         return Integrand(-0.5 * d.rho * square(b.v))
 
     def distance(self, a: Fields, b: Fields) -> Entry:
-        """1/2 rho_a |v_a - v_b|^2; with a the old state what an implicit Euler step dissipates."""
+        """Bregman distance 1/2 rho_a |v_a - v_b|^2; an implicit Euler step from a dissipates it."""
         return Entry("inertial", "numerical", Integrand(0.5 * a.rho * square(a.v - b.v)))
 
 
 @dataclass(frozen=True)
 class Convection(PointTerm):
-    """1/2 m . [(L^T w) - (grad w)^T v] with m = rho v: powerless (paper: calculus-for-kinetic).
+    """Convection 1/2 m . [(L^T w) - (grad w)^T v], m = rho v, without power (paper: calculus-for-kinetic).
 
     With regularisation m = K(rho) rho v + delta |grad rho|^{r-2} grad rho: the paper's compensating term
     - delta |grad rho|^{r-2} (grad v) grad rho takes this shape when -1/2 v.w times the continuity equation
-    is added, and is powerless too.
+    is added, and has no power either.
     """
 
     regularisation: Regularisation | None = None
@@ -144,7 +144,7 @@ class Convection(PointTerm):
 
 
 class CellVelocity(CellMean):
-    """The mean of v over a cell, m/s."""
+    """Equation of the mean of v over a cell, m/s."""
 
     name = "cell_velocity"
 
@@ -156,11 +156,11 @@ class CellVelocity(CellMean):
 
 
 class UnbalancedMomentum(CellMean):
-    """The mean over a cell of what the continuity equation leaves when v tests it, N/m^3:
+    """Equation of the cell mean of the continuity equation's residual under the test v, N/m^3:
 
         int (rho - rho_old)/tau v - rho (v . grad) v + int_{dK} j v,    j the flux of mass through a facet.
 
-    The products of v with constants are no tests of the equation, which rho in P_m does not satisfy for them.
+    The residual is not zero, since products of v with constants are not in the test space P_m.
     """
 
     name = "unbalanced_momentum"
@@ -177,11 +177,11 @@ class UnbalancedMomentum(CellMean):
 
 
 class MomentumBalance(PointTerm):
-    """1/2 R(v . w_K) - 1/2 R(v_K . w), R(q) the continuity equation tested by q, v_K a mean over a cell.
+    """Balance 1/2 R(v . w_K) - 1/2 R(v_K . w), R(q) the continuity equation tested by q, v_K a cell mean.
 
     The skew form of ``Inertia`` and ``Convection`` tested by a constant w is the rate of the momentum less
     1/2 R(v . w), which is not zero: rho in P_m satisfies the equation for tests in P_m only.  This term is
-    skew too, so that it has no power; for a constant w it is 1/2 R(v . w) - 1/2 R(v_K . w), of which the
+    skew too, so that it has no power; for a constant w it is 1/2 R(v . w) - 1/2 R(v_K . w), whose
     second part is zero.  Kinetic energy and momentum then both hold for rho in a discontinuous space and v in
     a continuous one.  R(q) = 0 for the exact solution: the term is consistent.
     """
@@ -201,9 +201,9 @@ class MomentumBalance(PointTerm):
 
 
 def mass_flux(u: Fields) -> CoefficientFunction:
-    """(v . n) rho_hat + |v . n| (rho - rho_hat): the flux of mass through a facet, upwind, kg/(m^2 s).
+    """Upwind mass flux through a facet, (v . n) rho_hat + |v . n| (rho - rho_hat), kg/(m^2 s).
 
-    Less what flows in through walls beyond that.
+    The terms' ``entering_mass`` is subtracted.
     """
     c = u.context
     flux = c.crossed * (u.v * c.normal) * u.rho_hat + speed(u) * (u.rho - u.rho_hat)
@@ -212,13 +212,13 @@ def mass_flux(u: Fields) -> CoefficientFunction:
 
 
 def carried_density(u: Fields, regularisation: Regularisation | None) -> CoefficientFunction:
-    """K(rho) rho; rho itself without a cut-off."""
+    """The density K(rho) rho in fluxes; rho without a cut-off."""
     return u.rho if regularisation is None else regularisation.carried(u.rho)
 
 
 @dataclass(frozen=True)
 class Stokes(PointTerm):
-    """int D(eps(v)) : eps(w) (paper: dissipation-pot)."""
+    """Viscosity int D(eps(v)) : eps(w) (paper: dissipation-pot)."""
 
     viscosity: Viscosity
 
@@ -239,7 +239,7 @@ class Stokes(PointTerm):
 
 @dataclass(frozen=True)
 class Loading(PointTerm):
-    """-int f . w with f = rho g for gravity, averaged over the step (paper: g^k_{delta tau})."""
+    """Load -int f . w with f = rho g for gravity, averaged over the step (paper: g^k_{delta tau})."""
 
     load: Load
     dim: int
@@ -252,11 +252,11 @@ class Loading(PointTerm):
 
     @cached_property
     def vector(self) -> CoefficientFunction:
-        """g (m/s^2), or the body force (N/m^3)."""
+        """Acceleration g, m/s^2, or the body force, N/m^3."""
         return force_of(self.load, self.dim)
 
     def force(self, u: Fields) -> CoefficientFunction:
-        """f, N/m^3."""
+        """Force density f, N/m^3."""
         average = u.context.average(self.vector)
         return u.rho * average if isinstance(self.load, (Gravity, CentralGravity)) else average
 

@@ -1,13 +1,13 @@
 """The regularising terms of the discrete scheme, see ``ngvisco.physics.regularisation``.
 
-Diffusion of the density is a hybrid interior penalty with a trace of its own (u_hat below, free on walls,
-which is the natural condition n . grad u = 0 of BC-disc).  For a flux c grad u,
+Diffusion of the density is a hybrid interior penalty with its own trace u_hat, which is free on walls: the
+natural condition n . grad u = 0 of BC-disc.  For a flux c grad u,
 
     int c grad u . grad w - sum_K int_{dK} c d_n u (w - w_hat)
       + sum_K int_{dK} s/h c_pen (u - u_hat)(w - w_hat),
 
-s = penalty (m + 1)^2.  The test w_hat makes the flux single-valued, so that w = w_hat = 1 conserves mass.
-That of the fields is ``FieldDiffusion``.
+with s = penalty (m + 1)^2.  The test w_hat makes the flux single-valued: w = w_hat = 1 conserves mass.
+``FieldDiffusion`` is the diffusion of the fields.
 """
 
 from collections.abc import Sequence
@@ -28,27 +28,27 @@ from ngvisco.physics.tensors import constant, inner, masked, square
 
 @dataclass(frozen=True)
 class FieldDiffusion(PointTerm):
-    """delta Laplace z in the kinematic equations (paper: Euler-small-viscoelastodyn+2disc, Euler-large-
-    viscoelastodyn+2disc, +3disc, -H, -H+), dissipative for every convex energy.
+    """Diffusion delta Laplace z in the kinematic equations, dissipative for every convex energy (paper:
+    Euler-small-viscoelastodyn+2disc, Euler-large-viscoelastodyn+2disc, +3disc, -H, -H+).
 
     The paper tests by phi'(z), and phi''(z) grad z : grad z >= 0 (Euler-small-calc-Delta).  Here the test is
-    zeta, whose gradient is not phi''(z) grad z: the slope q of z is therefore that of the conjugates,
+    zeta, whose gradient is not phi''(z) grad z.  The slope q of z follows therefore from the conjugates,
 
         sum_K int_K phi''(z) q : Y - grad zeta : Y - sum_K int_{dK} (zeta_hat - zeta) : (Y n) = 0,
 
-    and enters with the adjoint of that lifted gradient,
+    and enters with the adjoint of this lifted gradient,
 
         delta sum_K int_K q : grad G + delta sum_K int_{dK} (s/h b - q n) : G + s/h C (zeta - zeta_hat) : G.
 
-    zeta_hat is the mean of both sides' conjugates with the weights s/h, s = penalty (m + 1)^2, b the jump
-    (q_1 n_1 + q_2 n_2) over the sum of these; on walls zeta_hat = zeta, which is n . grad z = 0 (BC-disc).
-    C is the inverse of phi'' at rest.  For smooth z it is q = grad z; and G = zeta gives, whatever z,
+    zeta_hat is the mean of both sides' conjugates with the weights s/h, s = penalty (m + 1)^2; b is the jump
+    (q_1 n_1 + q_2 n_2) over the sum of the weights.  On walls zeta_hat = zeta, that is n . grad z = 0
+    (BC-disc).  C is the inverse of phi'' at rest.  For smooth z, q = grad z; for any z, G = zeta gives
 
         delta int phi''(z) q : q + delta sum_K int_{dK} s/h C (zeta - zeta_hat) : (zeta - zeta_hat) >= 0.
 
     In directions in which the energy is linear (``Curvature.linear``) phi'' vanishes and zeta is constant:
-    there q is the slope of z itself, by the same form, and has no power.  Parameters do not diffuse; their q
-    is their own slope too, of which zeta's has a part.
+    there q is the slope of z, by the form above, and has no power.  Parameters do not diffuse; q is their
+    slope too, since it contributes to the slope of zeta.
     """
 
     law: Regularisation
@@ -64,12 +64,12 @@ class FieldDiffusion(PointTerm):
 
     @cached_property
     def of_itself(self) -> CoefficientFunction | None:
-        """The projection on what has a slope of its own: linear directions and parameters; None without."""
+        """Projection on linear directions and parameters, whose q is the slope of z; None without them."""
         matrix = self.curvature.of_itself
         return constant(matrix) if matrix.any() else None
 
     def _of_strains(self, value: CoefficientFunction) -> CoefficientFunction:
-        """Components, or their gradients, with zero for those of parameters."""
+        """Components, or their gradients, with the parameters' components set to zero."""
         strains = self.curvature.strains
         return value if strains.all() else masked(value, strains)
 
@@ -104,9 +104,9 @@ class FieldDiffusion(PointTerm):
         return [delta * inner(self._of_strains(across), G), -delta * self._weight(u) * inner(C * jump, G)]
 
     def of_one_component(self, u: Fields, w: Fields) -> list[Integrand]:
-        """The part of the form with constant matrices, the same for all components, without delta and C.
+        """Part of the form with constant matrices, equal for all components, without delta and C.
 
-        The rows of zeta are those of the penalty in the equations of z; that of the slope is without phi''.
+        The rows of zeta are the penalty's rows in the equations of z; the slope's row omits phi''.
         """
         weight, jump, across = self._weight(u), u.zeta_delta_hat - u.zeta, self._across(u)
         facets = [*self.lifting(u, w, jump), inner(across, w.z_slope_hat), -weight * inner(jump, w.zeta)]
@@ -114,12 +114,12 @@ class FieldDiffusion(PointTerm):
         return [Integrand(cells), *(Integrand(facets=part) for part in facets)]
 
     def lifting(self, u: Fields, w: Fields, jump: CoefficientFunction) -> list[CoefficientFunction]:
-        """On facets: that the trace is the mean, and the gradient's part of the ``jump`` to it."""
+        """Facet integrands: the trace's equation, a mean, and the lifting of the ``jump`` to the trace."""
         n = u.context.normal
         return [self._weight(u) * inner(jump, w.zeta_delta_hat), -inner(jump, w.z_slope * n)]
 
     def dissipated(self, u: Fields) -> dict[str, CoefficientFunction]:
-        """The form at G = zeta; where there are strains only, as the square that it is."""
+        """The form at G = zeta, written as a square if all variables are strains."""
         delta = self.law.delta_fields
         if not self.curvature.strains.all():
             return {DELTA_FIELDS: delta * inner(self._of_strains(u.z_slope), u.grad_zeta)}
@@ -136,7 +136,7 @@ class FieldDiffusion(PointTerm):
         return {DELTA_FIELDS: self.law.delta_fields * self._weight(u) * size}
 
     def _curved(self, u: Fields, test: CoefficientFunction) -> list[CoefficientFunction]:
-        """phi''(z) q : Y, of parameters and linear directions q : Y, in summands."""
+        """Summands of phi''(z) q : Y; q : Y for parameters and linear directions."""
         parts = u.context.energy.curved(u, u.z_slope)
         summands = [inner(self._of_strains(part), column(test, j)) for j, part in enumerate(parts)]
         if self.of_itself is not None:
@@ -144,11 +144,11 @@ class FieldDiffusion(PointTerm):
         return summands
 
     def _across(self, u: Fields) -> CoefficientFunction:
-        """The difference of the weighted mean of both sides' slopes and the slope's normal part."""
+        """Difference of the weighted mean of both sides' slopes and the slope's normal part."""
         return self._weight(u) * u.z_slope_hat - u.z_slope * u.context.normal
 
     def _jump(self, u: Fields) -> CoefficientFunction:
-        """zeta_hat - zeta; of parameters z in place of zeta, in linear directions both together."""
+        """Jump zeta_hat - zeta; z replaces zeta for parameters and is added to it in linear directions."""
         jump = u.zeta_delta_hat - self._of_strains(u.zeta)
         return jump if self.of_itself is None else jump - self.of_itself * u.z
 
@@ -157,16 +157,16 @@ class FieldDiffusion(PointTerm):
 
 
 DELTA_FIELDS = "dissipation_delta_fields"
-"""The column of what the diffusion of fields dissipates; only its integral has a sign."""
+"""Ledger column of the dissipation by diffusion of fields; only its integral has a sign."""
 
 
 @dataclass(frozen=True)
 class DensityDiffusion(PointTerm):
-    """div(delta |grad rho|^{r-2} grad rho) in the continuity equation (paper: Euler-small-
+    """Diffusion div(delta |grad rho|^{r-2} grad rho) in the continuity equation (paper: Euler-small-
     viscoelastodyn+0disc): incomplete penalty, c_pen = c(|grad rho|^2 + |rho - rho_hat|^2/h^2 + floor^2).
 
-    Its compensating term in the momentum equation is in ``Convection``, in a skew form, so that it has no
-    power; keeps mass to rounding.  The ledger's ``density_diffusion`` is what it takes from int 1/2 rho^2.
+    ``Convection`` has the compensating term of the momentum equation in a skew form without power.  Diffusion
+    keeps mass to rounding.  The ledger's ``density_diffusion`` is the rate at which it reduces int 1/2 rho^2.
     """
 
     law: Regularisation
@@ -199,14 +199,14 @@ class DensityDiffusion(PointTerm):
 
 @dataclass(frozen=True)
 class VelocityDamping(PointTerm):
-    """epsilon |v|^{p-2} v in the momentum equation (paper: Euler-small-viscoelastodyn+1disc; printed as
-    delta |v|^p in two of the discrete balances)."""
+    """Damping epsilon |v|^{p-2} v in the momentum equation (paper: Euler-small-viscoelastodyn+1disc; printed
+    as delta |v|^p in two of the discrete balances)."""
 
     law: Regularisation
 
     @property
     def impulse(self) -> str:
-        """The name of the impulse, that of the term's dissipation."""
+        """Name of the impulse: the suffix of the dissipation's column."""
         return "epsilon"
 
     def cells(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
@@ -218,7 +218,7 @@ class VelocityDamping(PointTerm):
 
 @dataclass(frozen=True)
 class CutOffVolume(PointTerm):
-    """Where the cut-off K(rho) acts, i.e. rho > rho_max; K itself is in ``Continuity`` and ``Convection``."""
+    """Volume in which the cut-off K(rho) acts, rho > rho_max; ``Continuity`` and ``Convection`` have K."""
 
     law: Regularisation
 
@@ -229,7 +229,7 @@ class CutOffVolume(PointTerm):
 
 
 def regularising_terms(model: Model, dim: int) -> list[Term]:
-    """The terms of a model's regularisation that are not part of another one."""
+    """The terms of a model's regularisation that are not part of another term."""
     terms: list[Term] = []
     law = model.regularisation
     if law is None:

@@ -1,4 +1,4 @@
-"""The trace at which the tangents of both sides meet: the elastic force of a jump leaves no thrust.
+"""The trace at which the tangents of both sides meet, so that a jump's elastic force has no thrust.
 
 For a constant w the elastic force B_h(w; z, zeta) leaves on a facet between two cells
 
@@ -9,14 +9,14 @@ For any other energy the trace of the force is z_hat + b/2 (z_1 - z_2) with
 
     b = int N / (1/2 int [z] : [zeta]),        integrals over the facet,
 
-by which nothing is left: the point of the line through z_1 and z_2 at which the tangents of phi meet.  With
+which removes the thrust: the tangents of phi meet at this point of the line through z_1 and z_2.  With
 zeta = phi'(z) and the Bregman distances D_21 and D_12 between both sides, both >= 0 for a convex energy,
-b = (D_21 - D_12)/(D_21 + D_12) lies in [-1, 1].  Projected conjugates may ask for more; b is bounded, and
-what is left then is seen in the ledger's momentum defect.
+b = (D_21 - D_12)/(D_21 + D_12) lies in [-1, 1].  Projected conjugates may give a larger b; b is bounded, and
+the ledger's momentum defect shows the remaining thrust.
 
-A trace may be where the energy has no value, det B <= 0 beside a barrier of ln det B, while all points of
-the cells' rule are inside.  On such a facet b = 0: its thrust is then in the ledger's momentum defect.
-b jumps there; so a facet on which a trace of any iterate has no energy has b = 0 for the rest of the step.
+The energy may have no value at a trace, as ln det B at det B <= 0, although it has one at all points of the
+cells' rule.  On such a facet b = 0, and its thrust is in the ledger's momentum defect.  Since b jumps there,
+it stays 0 for the rest of the step once a trace of an iterate has no energy.
 
 An energy is not convex in its parameters, and [z] : [zeta] may be zero where a modulus and a strain jump.
 Strains and parameters then have a weight each, b_i = int N D_i / (D_1^2 + D_2^2), D_i half of their share of
@@ -41,14 +41,14 @@ from ngvisco.physics.pointwise import is_affine, respond, rest_state
 from ngvisco.physics.tensors import if_positive, inner, is_number, masked
 
 _ROUNDING = 1e-14
-"""Jumps whose energy is less than this share of the moduli are rounding."""
+"""Share of the moduli below which the energy of a jump is rounding."""
 
 _FARTHEST = 3.0
-"""The largest b; where more is asked for it falls again, to zero where [z] : [zeta] is zero: continuously."""
+"""Largest b; a larger quotient is replaced by a b that falls continuously to zero with [z] : [zeta]."""
 
 
 class OfFacet(SideMean):
-    """The mean of a function over a facet, Pa."""
+    """Equation of the mean of a function over a facet, Pa."""
 
     is_linear = False
 
@@ -57,7 +57,7 @@ class OfFacet(SideMean):
 
 
 class TangentGap(OfFacet):
-    """The mean over a facet of side (phi + (z_hat - z) : zeta), half of N with a sign."""
+    """Equation of the facet mean of side (phi + (z_hat - z) : zeta), half of N with a sign."""
 
     name = "tangent_gap"
 
@@ -67,9 +67,9 @@ class TangentGap(OfFacet):
 
 
 class WithoutEnergy(OfFacet):
-    """How much of a facet has a trace without an energy, of both sides: 0 where all of it has one.
+    """Equation of the share of a facet on which a side's trace has no energy.
 
-    A facet that an iterate had without one stays so in the step.
+    A facet on which any iterate has such a share keeps it for the rest of the step.
     """
 
     name = "without_energy"
@@ -80,14 +80,14 @@ class WithoutEnergy(OfFacet):
 
 
 class ConjugateJump(OfFacet):
-    """The mean over a facet of (z - z_hat) : zeta, a quarter of [z] : [zeta], of some components of z."""
+    """Equation of the facet mean of (z - z_hat) : zeta, a quarter of [z] : [zeta], for components of z."""
 
     def __init__(self, name: str, components: np.ndarray | None = None) -> None:
-        """``components`` are of bool, all where it is None."""
+        """``components`` is a mask of components; None takes all."""
         self.name, self._components = name, components
 
     def jump(self, u: Fields) -> CoefficientFunction:
-        """(z - z_hat) : zeta."""
+        """The integrand (z - z_hat) : zeta."""
         jump = u.z - u.z_hat
         return inner(jump if self._components is None else masked(jump, self._components), u.zeta)
 
@@ -97,16 +97,16 @@ class ConjugateJump(OfFacet):
 
 @dataclass(frozen=True)
 class TangentForce(PointTerm):
-    """- sum_K int_{dK} (w . n) b side (z_hat - z) : zeta in the momentum equation.
+    """Correction - sum_K int_{dK} (w . n) b side (z_hat - z) : zeta in the momentum equation.
 
-    At w = v it is a power of jumps, which ``Upwinding`` has in its dissipation.
+    At w = v it is a power of jumps, which the dissipation of ``Upwinding`` includes.
 
     Attributes
     ----------
     jumps : tuple of ConjugateJump
-        Of the variables that have a weight each.
+        One for each group of variables with a weight.
     scale : float
-        A size of the moduli, Pa.
+        Typical size of the moduli, Pa.
     """
 
     jumps: tuple[ConjugateJump, ...]
@@ -115,11 +115,11 @@ class TangentForce(PointTerm):
 
     @property
     def kept(self) -> tuple[str, ...]:  # type: ignore[override]
-        """The unknowns that the weights are made of, whose slope is steep where a jump is small."""
+        """Unknowns that determine the weights, which vary steeply where a jump is small."""
         return (TangentGap.name, WithoutEnergy.name, *(of.name for of in self.jumps))
 
     def excess(self, u: Fields) -> CoefficientFunction:
-        """side b (z - z_hat) : zeta."""
+        """The integrand side b (z - z_hat) : zeta."""
         gap, means = u.parts[TangentGap.name], [u.parts[of.name] for of in self.jumps]
         squares = reduce(add, (mean * mean for mean in means)) + (_ROUNDING * self.scale) ** 2
         least = gap * gap / _FARTHEST**2
@@ -133,10 +133,10 @@ class TangentForce(PointTerm):
 
 
 def tangents_of(material: Material, dim: int, m: int) -> TangentForce | None:
-    """The force's correction for fields of order ``m``, None for a quadratic energy.
+    """The force's correction for fields of order ``m``, or None for a quadratic energy.
 
-    It is also None for bodies of different U with m >= 1: amounts of a body are then below zero on sides of
-    cells, where this energy has no value.
+    It is also None for bodies of different U with m >= 1: their amounts can be negative on sides of cells,
+    where the energy has no value.
     """
     if m > 0 and material.response(dim) is not None and not material.continued:
         return None

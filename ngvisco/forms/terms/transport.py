@@ -1,16 +1,16 @@
-"""Transport of the material's variables and the elastic force: one bilinear operator used twice; creep.
+"""Transport of the material's variables and the elastic force, one bilinear operator used twice; creep.
 
     B_h(w; z, G) = sum_K int_K (rate(grad w; z) - (w . grad) z) : G
                  - sum_K int_{dK} (w . n) (z_hat - z) : G
 
 with the mean z_hat of both sides' values; on a wall z_hat = z (``ngvisco.forms.upwinding``).  For a density,
-rate = -(div w) z + production, it is
+whose rate is -(div w) z + production, the operator is
 
     B_h(w; z, G) = sum_K int_K z : (w . grad) G + production(grad w; z) : G
                  - sum_K int_{dK} (w . n) z_hat : G,
 
-(w . n) zero on walls that nothing crosses: the flux through a facet is single-valued, so that G = 1 keeps
-int z to rounding where there is no production, and constant conjugates make no force at a jump.
+with (w . n) = 0 on walls that nothing crosses.  The flux through a facet is single-valued: without production
+G = 1 keeps int z to rounding, and constant conjugates make no force at a jump.
 
 The kinematic equations use B_h(v; z, G), the momentum equation the adjoint B_h(w; z, zeta), zeta the
 projected conjugates.  At w = v, G = zeta the two cancel identically, facets included: the elastic power of
@@ -35,11 +35,11 @@ from ngvisco.physics.model import Flow, Model
 from ngvisco.physics.tensors import inner, masked, square, trace_free_tensors
 
 UPWINDING = "dissipation_upwinding"
-"""The ledger's column of what upwinding dissipates."""
+"""Ledger column of the dissipation by upwinding."""
 
 
 def transport_in_cells(along: Fields, u: Fields, G: Fields, name: Conjugate) -> list[CoefficientFunction]:
-    """The cells' part of B_h(w; z, G), w the velocity of ``along``, G the part ``name`` of ``G``."""
+    """Integrands of B_h(w; z, G) in cells, w the velocity of ``along``, G the part ``name`` of ``G``."""
     rates, by_flux = u.context.rates.power(u, along, G, name), u.layout.states.by_flux
     if not by_flux.any():
         return [-inner(u.grad_z * along.v, G.parts[name]), *rates]
@@ -52,7 +52,7 @@ def transport_in_cells(along: Fields, u: Fields, G: Fields, name: Conjugate) -> 
 
 
 def transport_through_facets(along: Fields, u: Fields, G: Fields, name: Conjugate) -> CoefficientFunction:
-    """The facets' part of B_h(w; z, G), of both sides."""
+    """Integrand of B_h(w; z, G) on the boundaries of cells, both sides of a facet."""
     c, by_flux = u.context, u.layout.states.by_flux
     carried = c.crossed * (u.z_hat - u.z)
     if by_flux.any():
@@ -65,11 +65,11 @@ class Kinematics(PointTerm):
     """int (z - z_old)/tau : G - B_h(v; z, G) - int rate(z; 0, Pi) : G = 0  (paper: Euler-small-
     viscoelastodyn+2disc, Euler-large-viscoelastodyn+2disc, +3disc, viscoelastodyn-H, -H+).
 
-    G is the test function of z in the discontinuous P_m.  Keeps: J untouched by creep, tr Pi = 0.
+    G is the test function of z in the discontinuous P_m.  Creep does not change J, since tr Pi = 0.
     With creep and nu = 0 the rate Pi is a function of M at the point, the Mandel stress of the projected
-    conjugates, so that G = zeta gives the dissipation M : Pi >= 0; see ``CreepRate`` for nu > 0.  Of
-    nonlinear rules, and of F, it is integrated by as many points as z has values in a cell: by more, of yield
-    towards its rate-independent limit, more points would hold |M| than there are values to do it.
+    conjugates, so that G = zeta gives the dissipation M : Pi >= 0; see ``CreepRate`` for nu > 0.  Creep of
+    nonlinear rules, and of F, is integrated by the nodal rule, one point per coefficient of z: a finer rule
+    would over-constrain |M| for yield near its rate-independent limit.
     """
 
     model: Model
@@ -96,7 +96,7 @@ class Kinematics(PointTerm):
         return [-transport_through_facets(u, u, w, "z")]
 
     def dissipated(self, u: Fields) -> dict[str, CoefficientFunction]:
-        """Creep's, where it has no equation of its own."""
+        """The dissipation of creep, if the creep rate is not an unknown."""
         rates = u.context.rates
         is_here = rates.flows and rates.is_local and not rates.creeps_at_nodes
         return _dissipation(u) if is_here else {}
@@ -105,22 +105,22 @@ class Kinematics(PointTerm):
         return _dissipation(u) if u.context.rates.creeps_at_nodes else {}
 
     def energy(self, u: Fields) -> Entry:
-        """phi(z)."""
+        """The stored energy phi(z)."""
         return Entry("stored", "energy", Integrand(u.context.energy.density(u)))
 
     def slope(self, b: Fields, d: Fields) -> Integrand:
-        """phi'(z_b):z_d."""
+        """Derivative of the stored energy, phi'(z_b):z_d."""
         return Integrand(inner(b.context.energy.slope(b), d.z))
 
     def distance(self, a: Fields, b: Fields) -> Entry:
-        """phi(z_a) - phi(z_b) - phi'(z_b):(z_a - z_b)."""
+        """Bregman distance phi(z_a) - phi(z_b) - phi'(z_b):(z_a - z_b)."""
         energy = b.context.energy
         bregman = energy.density(a) - energy.density(b) - inner(energy.slope(b), a.z - b.z)
         return Entry("bregman", "numerical", Integrand(bregman))
 
 
 class Trace(SideMean):
-    """sum_K int_{dK} share (z_hat - z) : G_hat = 0: the trace is the mean of both sides."""
+    """Equation of the trace, the mean of both sides: sum_K int_{dK} share (z_hat - z) : G_hat = 0."""
 
     name = "z_hat"
 
@@ -133,9 +133,9 @@ class Trace(SideMean):
 
 @dataclass(frozen=True)
 class Upwinding(PointTerm):
-    """sum_K int_{dK} |v . n| (z - z_hat) : G, that is 1/2 int |v . n| [z] : [G] over the facets.
+    """Upwinding sum_K int_{dK} |v . n| (z - z_hat) : G, that is 1/2 int |v . n| [z] : [G] over the facets.
 
-    With the mean trace in B_h the whole transport is upwind.  Tested by zeta it dissipates
+    With the mean trace in B_h the transport is upwind.  Tested by zeta, the term dissipates
     1/2 int |v . n| [z] : [zeta]; with the power of ``TangentForce`` 1/2 int (|v . n| + b v . n) [z] : [zeta].
     """
 
@@ -155,13 +155,12 @@ class Upwinding(PointTerm):
         return {UPWINDING: lost}
 
     def entries(self, u: Fields) -> list[Entry]:
-        """The dissipation's entries; with projected conjugates they are >= 0 up to the error of the
-        projection."""
+        """Columns of the dissipation, >= 0 up to the error of the conjugates' projection."""
         return [replace(entry, has_sign=False) for entry in super().entries(u)]
 
 
 class MeanConjugates(SideMean):
-    """zeta_hat, the mean of both sides' conjugates: heat of a jump is shared by both sides."""
+    """Equation of zeta_hat, the mean of both sides' conjugates: both sides share the heat of a jump."""
 
     name = "zeta_hat"
 
@@ -174,7 +173,7 @@ class MeanConjugates(SideMean):
 
 @dataclass(frozen=True)
 class Conjugates(PointTerm):
-    """int (zeta - phi'(z)) : X = 0: zeta is the cellwise L2 projection of the conjugates."""
+    """Equation of zeta, the cellwise L2 projection of the conjugates: int (zeta - phi'(z)) : X = 0."""
 
     model: Model
     kernel = "conjugates"
@@ -189,7 +188,7 @@ class Conjugates(PointTerm):
         return [inner(u.zeta, w.zeta), *(-part for part in u.context.energy.tested_slope(u, w))]
 
     def entries(self, u: Fields) -> list[Entry]:
-        """No power; the share of a quadratic regularisation in the stored energy, for information."""
+        """Monitor of the quadratic regularisation's share in the stored energy; the term has no power."""
         material = self.model.material
         if isinstance(material, WithQuadratic):
             added = Integrand(material.added_energy(u.z_tensors))
@@ -198,10 +197,10 @@ class Conjugates(PointTerm):
 
 
 class ElasticForce(PointTerm):
-    """+ B_h(w; z, zeta) in the momentum equation: int T : grad w for smooth fields
+    """Elastic force B_h(w; z, zeta) in the momentum equation: int T : grad w for smooth fields
     (paper: Cauchy-stress-polyconvex in Euler-large-viscoelastodyn+1disc).
 
-    No entry of its own: at w = v it is the rate of the stored energy.
+    The term has no ledger entry: at w = v it is the rate of the stored energy.
     """
 
     linearised = False
@@ -215,15 +214,15 @@ class ElasticForce(PointTerm):
 
 @dataclass(frozen=True)
 class CreepRate(PointTerm):
-    """Creep with a gradient term: its rate Pi is a field of its own.
+    """Equation of the creep rate Pi, a field, for creep with a gradient term.
 
         psi'(Pi) - div(nu |grad Pi|^{q-2} grad Pi) = M,   (n . grad) Pi = 0 on walls
         (paper: ED-Euler-large3, Euler-large-viscoelastodyn+4disc, with + M as the energy balance needs),
-        int psi'(Pi) : P + nu |grad Pi|^{q-2} grad Pi : grad P - M : P = 0, M of the projected conjugates.
+        int psi'(Pi) : P + nu |grad Pi|^{q-2} grad Pi : grad P - M : P = 0, M from projected conjugates.
 
-    psi'(Pi) = G_m Pi in the paper; any flow rule with a potential of Pi gives its own.  Pi is continuous, in
-    the components of an orthonormal basis of R^{3x3}_dev (plane strain in 2D): symmetric and trace-free. P =
-    Pi gives the creep power that the kinematic equations, tested by zeta, take from the stored energy.
+    psi'(Pi) = G_m Pi in the paper; any flow rule with a potential of Pi gives its own psi.  Pi is continuous,
+    symmetric and trace-free, in components of an orthonormal basis of R^{3x3}_dev (plane strain in 2D).
+    P = Pi gives the creep power that the kinematic equations, tested by zeta, take from the stored energy.
     """
 
     rule: FlowRule
@@ -253,16 +252,16 @@ class CreepRate(PointTerm):
 
 
 def _dissipation(u: Fields) -> dict[str, CoefficientFunction]:
-    """Entries of creep, of a network one of each branch."""
+    """Dissipation of creep by ledger names, one a branch of a network."""
     return {f"dissipation_creep{suffix}": of for suffix, of in u.context.rates.dissipation(u).items()}
 
 
 @dataclass(frozen=True)
 class PlasticStraining(PointTerm):
-    """- int A dk/dt q in the equation of the plastic content K = A k, q its test, dk/dt = sqrt(2/3) |Pi|.
+    """Growth - int A dk/dt q in the equation of the plastic content K = A k, q its test.
 
-    Of a body that is - int n_i dk/dt q in that of K_i = n_i k.  q = zeta_K = phi_h'(k) gives the power that
-    hardening stores: ``dissipation_creep`` is without it.
+    The rate is dk/dt = sqrt(2/3) |Pi|; for a body, with K_i = n_i k, the term is - int n_i dk/dt q.
+    q = zeta_K = phi_h'(k) gives the power that hardening stores, which ``dissipation_creep`` excludes.
     """
 
     flow: Flow
