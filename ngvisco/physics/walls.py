@@ -38,6 +38,8 @@ class Wall:
 class Slip(Wall):
     """v.n = 0 and no tangential stress (paper: Euler-small-BC-hyper); the default everywhere.
 
+    Raises ParameterError if a parameter is of another type.
+
     Parameters
     ----------
     straight : bool
@@ -50,12 +52,14 @@ class Slip(Wall):
 
 @dataclass(frozen=True)
 class NoSlip(Wall):
-    """v = 0."""
+    """v = 0.  Raises ParameterError if ``heat`` is no WallHeat."""
 
 
 @dataclass(frozen=True)
 class PrescribedTangential(Wall):
     """v = V on the wall, V tangential: a sliding lid, a rotating cylinder.
+
+    Raises ParameterError if ``velocity`` is no vector.
 
     Parameters
     ----------
