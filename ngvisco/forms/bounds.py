@@ -19,8 +19,8 @@ value at rest, so that rest energy would become motion.  A state with |det F/J -
 in the mean of a cell is not admitted.
 
 The momentum density p = rho v has the s of rho (``limit_momentum``): |p|^2/(2 rho) is jointly convex, so that
-the kinetic energy falls too if rho >= 0 before.  A rigid translation stays one, which it would not if rho
-were limited at a fixed momentum.
+the kinetic energy falls too if rho >= 0 before.  A body in translation stays so; limiting rho at a fixed
+momentum would change its motion.
 
 Only a mean out of bounds cannot be corrected; it ends a step.  Two kinds of bounds do not count: bounds of
 variables for which the material's energy is continued (``Material.continued``: a Yosida approximation,

@@ -6,7 +6,7 @@ straight cells functions of the velocity's space.  With m the momentum functiona
     <m - m_old, e>/tau = sum of forces + thrust of jumps + rest of cells + rest of inertia,
 
 with the forces -form(u; e) of each load and wall.  The rows of R at coefficients of v that walls hold are not
-solved.  Their part R(u; e) is the walls' force, with the pressure that B_h omits on a closed wall
+solved.  Their sum R(u; e) is the walls' force, together with the pressure that B_h omits on a closed wall
 (``ngvisco.forms.boundary.reactions``).  Viscous and hyperviscous stresses have no power at e.  The other
 summands vanish for the exact solution; they are momentum that the scheme creates:
 

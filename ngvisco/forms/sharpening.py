@@ -17,8 +17,8 @@ bodies i and j are separated, in the cells that contain both, in two moves.
 The moves keep N at every point, int n_i and int X_i: masses, sum theta = 1, rho and momentum too, since
 bodies have one density.  A common volumetric energy depends on N alone, and n f(X/n) = C : (X - n I), f
 linear in X, on the integrals alone: the stored energy is kept to rounding, and the step's identity holds.
-Other f are refused: of degree one in (n, X) they would lose energy, but the bodies' f have this degree up to
-traces of matter only.  The cost is shape: a body of a few cells becomes somewhat angular along them (NOTES).
+Other f would lose energy if they had degree one in (n, X); the bodies' f have it up to traces of matter only,
+and are refused.  The cost is shape: a body of a few cells becomes somewhat angular along them (NOTES).
 """
 
 from __future__ import annotations

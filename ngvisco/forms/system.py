@@ -360,7 +360,7 @@ class Step:
     def without_energy(self) -> np.ndarray:
         """Numbers of this rank's cells with a point of the rule without a stored energy.
 
-        It is empty for an energy that is stored at the points, which sets ``StoredEnergy.failure``.
+        The array is empty for an energy that is stored at the points, which sets ``StoredEnergy.failure``.
         """
         if self.energy.projected is not None:
             return np.zeros(0, dtype=int)

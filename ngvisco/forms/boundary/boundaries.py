@@ -2,9 +2,9 @@
 
 Straight facets on a curved wall are refused.  A continuous velocity with v.n = 0 on every side of a polygon
 vanishes at all corners, and in the limit on the whole wall that the polygon approaches (Babuska): slip turns
-into no slip, and refinement does not help.  Measured convergence rates of v and grad v on polygons in a disc:
-1.3 and 0.6 with k = 3; 2.4 and 2, with a remaining error of the geometry, with k = 2, where only the mean of
-v.n vanishes on each side.
+into no slip, and refinement does not help.  Measured convergence rates of v and grad v on polygons in a disc
+are 1.3 and 0.6 with k = 3.  With k = 2 only the mean of v.n vanishes on each side: the rates are 2.4 and 2,
+and the error of the geometry remains.
 """
 
 from __future__ import annotations

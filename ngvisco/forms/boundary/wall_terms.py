@@ -24,7 +24,7 @@ At w = v the two uses of B_h cancel on these facets too:
     int rho - int rho_old = -tau int j,
 
 exactly, for any inflow; with heat, the flux of entropy changes the entropy too.  Inflowing matter brings
-energy, so that the energy has no sign at an inlet.  With bodies each density n_i is carried in this way.
+energy: the balance of an inlet has no sign.  With bodies each density n_i is carried in this way.
 """
 
 from __future__ import annotations

@@ -20,7 +20,7 @@ curved wall's polynomials leave it just outside of all cells."""
 def as_points(field: str, value: object, dim: int) -> np.ndarray:
     """Convert a sequence of points to an array, (count, dim), m.
 
-    Raises ParameterError unless there is at least one, with ``dim`` finite coordinates each.
+    Raises ParameterError for no points, and for a point without ``dim`` finite coordinates.
     """
     expected = f"points of {dim} finite coordinates"
     try:

@@ -139,7 +139,7 @@ def periodic_facets(mesh: Mesh) -> set[int]:
 
 
 def inner_facets(mesh: Mesh) -> GridFunction:
-    """Indicator of facets: 1 between two cells, also if identified or interfaces, 0 on walls."""
+    """Indicator of facets: 1 between two cells, on identified facets and interfaces; 0 on walls."""
     indicator = GridFunction(FacetFESpace(mesh, order=0))
     wall = boundary_facets(mesh) & ~facets_with_two_sides(mesh)
     wall[list(periodic_facets(mesh))] = False

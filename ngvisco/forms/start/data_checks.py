@@ -189,7 +189,7 @@ def _at(times: Iterable[float]) -> Iterator[float]:
 
 
 def warn_of_own_energy(step: Step, states: np.ndarray | None) -> None:
-    """Warn if a user-defined energy is not convex, with the distance from the states, (points, .).
+    """Warn if a user-defined energy is not convex; tell how far from the states, (points, .), it is not.
 
     In a network each user-defined branch is checked by itself, and then their sum.
     """

@@ -190,7 +190,7 @@ def _at_pressure(
     )
     beyond = if_positive(logarithm - _VACUUM, logarithm - _VACUUM, CF(0.0))
     excess = law - wanted - beyond
-    # ``time - time`` has J evaluated on facets once a step: linearised forms cannot contain NewtonCF
+    # with ``time - time`` J is evaluated on facets once a step: linearised forms cannot contain NewtonCF
     J = exp(NewtonCF(excess, CF(0.0), tol=_INVERTED, maxiter=_STEPS)) + (time - time)
     return {v.name: v.from_distortion(J ** (1 / 3) * Id(3)) for v in material.variables if v.is_strain}
 
