@@ -14,7 +14,7 @@ rounding.  One s for all of z reduces a convex stored energy, by Jensen's inequa
 With bodies rho = sum rho_i n_i is a function of z, and its bound a bound of z.  Parameters have their ranges
 (``ngvisco.forms.cell_means``) and are limited first.
 
-Variables of one distortion may drift apart: det F of a tensor from J.  phi(F, J) at det F < J is below its
+Variables of one distortion may drift apart: J differs from det F of a tensor.  phi(F, J) at det F < J is below its
 value at rest, so that rest energy would become motion.  A state with |det F/J - 1| above ``TimeSteps.drift``
 in the mean of a cell is not admitted.
 

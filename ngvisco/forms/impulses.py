@@ -90,7 +90,7 @@ class Impulses:
         """Space of the motions, without constraints by walls."""
         self.on_sides: Callable[[], tuple[Fields, SidePoints] | None] = lambda: None
         """Function that returns arrays of z, its trace and conjugates at the points of cells' sides, or None;
-        with arrays the elastic force is some times faster than with forms."""
+        with arrays the elastic force takes a fraction of the forms' time."""
         self._levers: np.ndarray | None = None
         """Products of e . n and the weights at the sides' points, (motions, points)."""
         self._groups = self._by_groups()

@@ -55,7 +55,7 @@ class Flux(PointTerm):
 
     @abstractmethod
     def size(self, u: Fields) -> CoefficientFunction:
-        """The mobility M: the largest eigenvalue of a matrix."""
+        """The mobility M; for a matrix its largest eigenvalue."""
 
     @abstractmethod
     def chi(self, u: Fields, w: Fields) -> CoefficientFunction:

@@ -193,7 +193,7 @@ class Conduction(_OfEntropy, Flux):
         return self.law.flux(self.theta(u), self.grad_theta(u), u.z_tensors, u.dim)
 
     def size(self, u: Fields) -> CoefficientFunction:
-        """Conductivity kappa, W/(m K): the largest eigenvalue of a matrix."""
+        """Conductivity kappa, W/(m K); for a matrix its largest eigenvalue."""
         return self.law.size(self.theta(u), u.z_tensors)
 
     def cells(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
