@@ -14,9 +14,9 @@ rounding.  One s for all of z reduces a convex stored energy, by Jensen's inequa
 With bodies rho = sum rho_i n_i is a function of z, and its bound a bound of z.  Parameters have their ranges
 (``ngvisco.forms.cell_means``) and are limited first.
 
-Variables of one distortion may drift apart: J differs from det F of a tensor.  phi(F, J) at det F < J is below its
-value at rest, so that rest energy would become motion.  A state with |det F/J - 1| above ``TimeSteps.drift``
-in the mean of a cell is not admitted.
+Variables of one distortion may drift apart: J differs from det F of a tensor.  phi(F, J) at det F < J is
+below its value at rest, so that rest energy would become motion.  A state with |det F/J - 1| above
+``TimeSteps.drift`` in the mean of a cell is not admitted.
 
 The momentum density p = rho v has the s of rho (``limit_momentum``): |p|^2/(2 rho) is jointly convex, so that
 the kinetic energy falls too if rho >= 0 before.  A body in translation stays so; limiting rho at a fixed

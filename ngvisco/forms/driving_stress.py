@@ -176,7 +176,7 @@ class Stresses:
 
     @property
     def are_stiff(self) -> bool:
-        """Whether a slope relaxes nine tenths of a stress in a step somewhere on this rank."""
+        """Whether a rule, by its slope, relaxes nine tenths of a stress in a step somewhere on this rank."""
         return bool((self._softness[..., None] * abs(self._slopes)).max(initial=0.0) > 9)
 
     @property

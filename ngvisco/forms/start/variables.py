@@ -213,7 +213,7 @@ def _comes_in_at_pressure(wall: Passage, material: Material) -> bool:
 class Entering:
     """The given state of an inflow: variables by name, density, kg/m^3, temperature, K.
 
-    Quantities that are not given keep their values inside the wall.
+    A quantity that is not given enters with its value inside the body.
     """
 
     values: Values
