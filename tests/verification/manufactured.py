@@ -8,12 +8,13 @@ v_i = c_i(t) f(x_i) prod_{j != i} g(x_j), and shear components of E and F vanish
 """
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 from unittest.mock import patch
 
 import ngsolve
 import numpy as np
-from ngsolve import CF, CoefficientFunction, specialcf, x, y, z
+from ngsolve import CF, CoefficientFunction, Mesh, specialcf, x, y, z
 
 from ngvisco.forms.context import inner_facets, time
 from ngvisco.forms.fields import Fields
@@ -331,7 +332,7 @@ class Sources:
         return total
 
     def form(self, u: Fields, w: Fields) -> list[Integrand]:
-        force = self.momentum - 0.5 * self.continuity * self.new.v
+        force = self.momentum - 0.5 * self.continuity * self.new.v + self._unbalanced(u.layout.mesh)
         creep = self.creep
         return [
             *([] if self.model.bodies else [Integrand(-self.continuity * w.rho)]),
@@ -340,6 +341,16 @@ class Sources:
             *([] if creep is None else [Integrand(-inner(creep, w.Pi))]),
             *self._through_walls(u, w),
         ]
+
+    def _unbalanced(self, mesh: Mesh) -> CoefficientFunction:
+        """The force of ``MomentumBalance`` by the source s of mass, 1/2 (s v)_K - 1/2 s v_K, N/m^3."""
+        law, source = self.model.regularisation, self.continuity
+        if law is not None and law.bends_the_flux:
+            return CF((0.0,) * self.dim)
+        constants = ngsolve.L2(mesh, order=0)
+        mean = partial(ngsolve.Interpolate, space=constants, bonus_intorder=6)
+        v = self.new.v
+        return CF(tuple(0.5 * (mean(source * v[i]) - source * mean(v[i])) for i in range(self.dim)))
 
     def _through_walls(self, u: Fields, w: Fields) -> list[Integrand]:
         """The delta-terms' fluxes through walls and the traction on curved walls, which the exact fields do
