@@ -37,6 +37,7 @@ STATES = {
     "neo-Hookean, F": (nv.NeoHookean(K_e=K_E, G_e=K_E, epsilon=0.1, elastic_state="F"), STRETCH, 2e-12),
     "stiffness 2 : 100": (nv.LinearElastic(K_e=2 + 98 * band(x), G_e=2 + 98 * band(x)), STRAIN, 1e-6),
     "cracked": (BROKEN, CRACK, 1e-6),
+    "hardening band": (LINEAR, {"values": {"plastic_content": 0.5 * band(x)}}, 2e-13),
     "hot": (nv.Thermal(material=nv.ReferentialNeoHookean(K_e=K_E, G_e=5.0), c=1.0, theta_R=300.0), {}, 1e-13),
 }
 """Material, start, and what of the momentum may change, over that of all and the sound impulse."""
@@ -49,6 +50,8 @@ def thrown(name, m=1, v=(0.05, 0.02), dim=2, **options):
     if name == "hot":
         start["temperature"] = 300 + 30 * band(x)
         options["model"] = {"heat": nv.Heat(conductivity=0.0)}
+    if name == "hardening band":
+        options["model"] = {"creep": nv.Perzyna(sigma_Y=0.5, G_m=0.5, H=10.0)}
     cells = (4, 4) if dim == 2 else (3, 2, 2)
     mesh = structured_box((1.0,) * dim, cells, periodic="xyz"[:dim])
     model = nv.Model(material=material, viscosity=VISCOUS, **options.pop("model", {}))
