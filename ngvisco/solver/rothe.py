@@ -189,7 +189,7 @@ class RotheSolver:
                     break
                 self.newton.reset()  # what was factorised belongs to iterates that have been given up
             else:
-                if self.method == "split" or not (self.step.stresses and self._grows(interval, attempts)):
+                if self.method == "split" or not self._grows(interval, attempts):
                     failed = [attempt.solution for attempt in attempts if not attempt.solution.converged]
                     reason = failed[-1].reason  # shorter steps may have been solved
                     others = dict.fromkeys(note for note in self._met if note not in reason)
@@ -216,7 +216,7 @@ class RotheSolver:
     def _grows(self, interval: Interval, attempts: list[Attempt]) -> bool:
         """Whether steps of growing length, each the start value of the next, lead to the whole one.
 
-        It is steep flow rules that the coupled solver needs them for; else half of the step is cheaper.
+        Steep flow rules and heat that leaves in long steps need them.
         """
         guess, solved, factor = self._start.Copy(), 0.0, _FACTOR
         length = _SHORTEST

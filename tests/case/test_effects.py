@@ -223,6 +223,8 @@ def other(entry, value):
     if isinstance(value, str):
         choices = re.findall(r'"([^"]*)"', entry.type) if entry.type.startswith("one of") else []
         others = [one for one in choices if one != value]
+        if entry.name == "solver.method":  # of few cells "auto" is the coupled solver
+            return "split"
         return others[0] if others else f"1.3*({value})"
     if isinstance(value, list):
         return [other(entry, one) for one in value]

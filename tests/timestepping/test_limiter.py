@@ -152,9 +152,9 @@ def squeezed(material, speed, dt):
 @pytest.mark.filterwarnings("ignore::ngvisco.run.signs.DissipationWarning")  # cells of a sixth of the box
 def test_J_of_a_fluid_passes_zero_by_its_motion_and_comes_back():
     """With J_min; without, the limiter holds the same fluid's J above zero, or the run ends."""
-    ledger = squeezed(nv.BarotropicFluid(B=0.1, gamma=1.4, J_min=0.3), 3.5, 0.025).run(12 * 0.025)
+    ledger = squeezed(nv.BarotropicFluid(B=0.1, gamma=1.4, J_min=0.3), 2.5, 0.05).run(6 * 0.05)
     J = ledger.column("J_min")
-    assert J[0] == pytest.approx(1.0) and J[:5].min() > 0.3 and J.min() < -0.05 and J[-1] > 0.1
+    assert J[0] == pytest.approx(1.0) and J[1] > 0.3 and J[2:5].min() < -0.1 and J[-1] > 0.1
     assert_balanced(ledger, drift=1e-11)
     bounded = squeezed(nv.BarotropicFluid(B=0.1, gamma=1.4), 2.0, 0.05)
     with contextlib.suppress(nv.StepError):
