@@ -87,7 +87,6 @@ def test_swirl_recoils_elastically():
 
 
 @pytest.mark.long
-@pytest.mark.ci
 def test_the_numbers_of_a_creep_test_are_found_within_two_deviations(tmp_path):
     """Four runs with two derivatives each: what they cost in runs alone is in the demo's README."""
     demo = load("creep_test")

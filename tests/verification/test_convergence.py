@@ -99,7 +99,7 @@ def energy_itself(system: Model, dim: int, tau: float, curved: bool = False) -> 
         pytest.param("linear", 2, True, WithoutTraction, "v", id="traction", marks=pytest.mark.ci),
         pytest.param("by B", 2, False, WithoutCreep, "z", id="B"),
         pytest.param("cofactors", 2, False, WithoutCreep, "z", id="cofactors"),
-        pytest.param("two bodies", 2, False, WithoutCreep, "z", id="bodies", marks=pytest.mark.ci),
+        pytest.param("two bodies", 2, False, WithoutCreep, "z", id="bodies"),
         pytest.param("two bodies", 2, False, TakingPartWholly, "z", id="taking part"),
         pytest.param("linear", 3, False, WithoutCreep, "z", id="3D"),
         pytest.param("Yosida", 2, False, energy_itself, "z", id="F"),
