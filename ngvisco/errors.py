@@ -319,15 +319,17 @@ def declared(kind: type) -> dict[str, Declared]:
     return {name: Declared(q.range, _kinds(hints[name]), q.mean) for name, q in quantities.items()}
 
 
-def require_fields(owner: Any) -> None:
+def require_fields(owner: Any, called: str = "") -> None:
     """Raise ParameterError unless every parameter of a dataclass has the type and the range of its
     annotation.
 
-    Parameters whose type admits objects of other packages are not checked.
+    Parameters whose type admits objects of other packages are not checked.  ``called`` is the name of the
+    object in the error, by default that of its class.
     """
+    called = called or type(owner).__name__
     for name, said in declared(type(owner)).items():  # type: ignore[arg-type]
         value = getattr(owner, name)
-        if (taken := said.taken(f"{type(owner).__name__}.{name}", value)) is not value:
+        if (taken := said.taken(f"{called}.{name}", value)) is not value:
             object.__setattr__(owner, name, taken)
 
 

@@ -215,10 +215,11 @@ class Body:
         return {name: rule for name, rule in rules.items() if rule is not None and rule.flows}
 
     def __post_init__(self) -> None:
-        require_fields(self)
-        if not re.fullmatch(r"[A-Za-z]\w{0,59}", self.name, re.ASCII):
+        is_name = isinstance(self.name, str) and re.fullmatch(r"[A-Za-z]\w{0,59}", self.name, re.ASCII)
+        if not is_name:
             raise ParameterError("Body.name", self.name, "a letter, and then letters, digits and _")
         owner = f"bodies[{self.name!r}]"
+        require_fields(self, owner)
         is_place = isinstance(self.where, (CoefficientFunction, Region)) and not isinstance(self.where, type)
         if not (self.where is None or is_place):
             expected = "a function of x, y, z that is > 0 inside, a shape, or None"
