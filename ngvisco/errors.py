@@ -217,7 +217,9 @@ class Declared(NamedTuple):
         for kind in self.kinds:
             if (taken := _taken(kind, self.range, value)) is not None:
                 return taken
-        raise ParameterError(field, value, self.expected)
+        choices = [one for kind in self.kinds if get_origin(kind) is Literal for one in get_args(kind)]
+        hint = nearest(value, map(str, choices)) if isinstance(value, str) else ""
+        raise ParameterError(field, value, self.expected + hint)
 
 
 def _kinds(hint: Any) -> tuple[Any, ...]:

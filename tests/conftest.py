@@ -32,7 +32,7 @@ NOT_QUICK = {
     ),
     *(f"physics/test_{name}.py" for name in ("material_laws", "variables")),
 }
-"""What takes longer in these rooms."""
+"""Modules of these rooms that take longer."""
 
 
 @pytest.hookimpl(tryfirst=True)

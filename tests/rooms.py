@@ -44,7 +44,7 @@ def room_of(module: str) -> str:
 
 
 def floor_of(module: str) -> str:
-    """What READMEs call it: a room of the first level, or a module beside the rooms, without ``ngvisco.``."""
+    """Name of a module in READMEs: a room of the first level, or a module beside it, without ``ngvisco.``."""
     return ".".join(module.split(".")[1:2]) or "ngvisco"
 
 
@@ -74,7 +74,7 @@ def imports_of(
 
 @cache
 def graph(typed: bool = False) -> dict[str, tuple[str, ...]]:
-    """What each module of the package imports of the package; ``typed`` as of ``imports_of``."""
+    """Imports of the package by each of its modules; ``typed`` as of ``imports_of``."""
     return {
         module: tuple(sorted({*imports_of(ast.parse(path.read_text()), module, MODULES, typed)} - {module}))
         for module, path in MODULES.items()
@@ -134,7 +134,7 @@ def readme(room: str) -> Path:
 
 
 def stated(room: str, label: str) -> str:
-    """What a line ``Label: ...`` of a room's README says."""
+    """Text of a line ``Label: ...`` of a room's README."""
     found = re.findall(rf"^{label}: (.*)$", readme(room).read_text(), re.MULTILINE)
     assert len(found) == 1, f"{readme(room).relative_to(ROOT)}: one line '{label}: ...', found {found}"
     return found[0]
@@ -146,7 +146,7 @@ def listed(room: str) -> list[str]:
 
 
 def first_line(path: Path) -> str:
-    """What a module, a room or a page says of itself."""
+    """First sentence of a module, a room or a page about itself."""
     if path.suffix == ".md":
         return path.read_text().partition("\n")[0].lstrip("# ")
     source = path / "__init__.py" if path.is_dir() else path
@@ -162,7 +162,7 @@ def files_of(room: str) -> set[str]:
 
 
 def imported_by(room: str) -> set[str]:
-    """What the files of a room import, as READMEs call it; not those of modules beside the rooms."""
+    """Imports of a room's files, as READMEs call them; not those of modules beside the rooms."""
     modules = [m for m in MODULES if room_of(m) == room and (room != "ngvisco" or m == room)]
     return {floor_of(target) for module in modules for target in graph()[module]} - {floor_of(room)}
 

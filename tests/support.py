@@ -290,7 +290,7 @@ def small_run(mesh: Mesh | float = 0.5, dt: float = 0.02, **options: Any) -> nv.
 
 
 def swirling(mesh: Mesh | float = 0.5, dt: float = 0.02, **options: Any) -> nv.Simulation:
-    """The same from a swirl of 1 m/s, if no other start is given."""
+    """A small run from a swirl of 1 m/s, if no other start is given."""
     if options.get("initial") is None:
         dim = mesh.dim if isinstance(mesh, Mesh) else 2
         options = {"velocity": (*SWIRL, CF(0))[:dim]} | options
@@ -382,7 +382,7 @@ def demo(name: str) -> Any:
 
 
 def assert_sound(ledger: Ledger, material: nv.Material) -> None:
-    """What the paper proves of a run with gravity and creep."""
+    """Assert the paper's claims of a run with gravity and creep."""
     assert_balanced(ledger)
     assert ledger.column("rho_min").min() > 0
     J = ledger.column("J_min")

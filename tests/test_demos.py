@@ -135,9 +135,9 @@ MAXH = {
     **dict.fromkeys(["creep", "creep_finite", "heat", "mooney_rivlin"], 0.6),
     **{"barotropic": 0.25, "cylinder": 2.0, "shear": 1.0, "swirl3d": 0.9, "wave": 0.4},
 }
-"""Of meshes that are soon computed; 0.5 m of other demos."""
+"""Cell sizes of meshes that are soon computed; 0.5 m of other demos."""
 CELLS = {"soft_spot": [4, 2], "collision": [7, 4], "slab": [3, 4], "soft_disc": [3, 4]}
-"""The same of boxes of rows of cells."""
+"""Rows of cells of boxes that are soon computed."""
 SCRIPTS = {"shear": lambda demo: demo.simulation(), "wave": lambda demo: demo.amplitudes(0.02, 2)[0]}
 """The run that the case file describes, where its mesh has no size to choose."""
 DEAR = ("cavity", "collision", "cylinder", "shell", "slab", "soft_disc", "swirl3d")
@@ -252,7 +252,7 @@ def test_shear_demo_has_the_curve_of_the_published_table():
 @pytest.mark.long
 @pytest.mark.ci
 def test_shear_meets_the_whole_table_to_a_thousandth(tmp_path):
-    """By the midpoint rule with 800 steps; the backward Euler scheme is off by a quarter in tau_11."""
+    """The midpoint rule takes 800 steps; the backward Euler scheme is off by a quarter in tau_11."""
     results = load("shear").main(str(tmp_path))
     for scheme, bounds in (("midpoint", (1e-6, 2.5e-4)), ("backward-euler", (1.5e-3, 0.3))):
         run, errors = results[scheme]

@@ -28,7 +28,7 @@ def test_links_lead_to_files_and_headings(path):
 
 
 def anchors(text):
-    """What a page's headings are called in links."""
+    """Names by which links call a page's headings."""
     headings = re.findall(r"^#+ (.*)$", text, re.MULTILINE)
     return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
 

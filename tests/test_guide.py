@@ -16,7 +16,7 @@ RECIPES = {name: None for name, *_ in BLOCK.findall(GUIDE.read_text())}
 
 
 def blocks(name: str) -> list[list[str]]:
-    """What a recipe does, to which file, and the text."""
+    """Blocks of a recipe: action, file and text."""
     return [
         (what, file, text) for recipe, what, file, text in BLOCK.findall(GUIDE.read_text()) if recipe == name
     ]

@@ -77,7 +77,7 @@ def test_wheel_holds_geometries_and_nothing_else_of_the_top_level_and_runs(tmp_p
 
 
 def api_command():
-    """What the package's README says to make pages of the API by."""
+    """Command of the package's README that makes pages of the API."""
     page = (ROOT / "ngvisco" / "README.md").read_text()
     (command,) = re.findall(r"<!-- api begins -->\n```sh\npdoc (.*)\n```", page)
     return shlex.split(command)

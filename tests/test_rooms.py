@@ -35,7 +35,7 @@ def test_every_file_of_a_room_is_in_its_readme(room):
 
 @pytest.mark.parametrize("room", [room for room in ROOMS if room != "ngvisco"])
 def test_readme_of_a_room_is_two_pages(room):
-    """What is longer is a page beside it: measurements in NOTES.md, what users look up under its name."""
+    """Longer texts are pages beside it: measurements in NOTES.md, what users look up under its name."""
     assert len((ROOMS[room] / "README.md").read_text().splitlines()) <= 80
 
 
@@ -94,6 +94,6 @@ def test_levels_of_imports_are_no_more_than_stated(room):
 
 @pytest.mark.parametrize("room", ROOMS)
 def test_update_changes_nothing_but_what_is_not_so(room):
-    """What ``python tests/rooms.py`` would write: the same files in the same order."""
+    """``python tests/rooms.py`` would write the same files in the same order."""
     names = re.findall(r"^1\. `([\w./]+)`", updated(room), re.MULTILINE)
     assert names == listed(room)

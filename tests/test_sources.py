@@ -8,7 +8,8 @@ from pathlib import Path
 from documents import ROOT, tracked
 
 PACKAGE = tracked("ngvisco/*.py")
-SOURCES = [*PACKAGE, *tracked("geometries/*.py"), *tracked("demos/*.py")]
+OTHERS = ("geometries", "demos", "tests")
+SOURCES = [*PACKAGE, *(path for folder in OTHERS for path in tracked(f"{folder}/*.py"))]
 NO_SUBJECT = re.compile(r"(What|Of|That|Those|And|By|As|The same)\b")
 """Words that a docstring without a subject begins with."""
 
@@ -31,6 +32,13 @@ def test_docstrings_begin_with_a_subject_or_a_verb():
         if NO_SUBJECT.match(text)
     ]
     assert not found, "\n".join(found)
+
+
+def test_a_module_is_short_enough_to_be_one_object():
+    long = {
+        str(path.relative_to(ROOT)): n for path in PACKAGE if (n := len(path.read_text().splitlines())) > 450
+    }
+    assert not long
 
 
 def test_a_name_is_that_of_one_class():

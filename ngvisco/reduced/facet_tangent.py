@@ -23,8 +23,8 @@ from ngvisco.forms.fields import Fields
 from ngvisco.forms.term import PointTerm
 from ngvisco.physics.arrays import TINY
 from ngvisco.reduced.coupling import FacetCoupling
-from ngvisco.reduced.evaluation import moved
 from ngvisco.reduced.one_point import OnePoint
+from ngvisco.reduced.point_fields import moved
 
 if TYPE_CHECKING:
     from ngvisco.reduced.residual import Evaluation, ReducedResidual

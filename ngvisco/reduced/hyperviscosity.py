@@ -37,7 +37,7 @@ from ngvisco.forms.system import Step
 from ngvisco.forms.terms.hyperviscosity import Hyperviscosity
 from ngvisco.physics.arrays import Array, contracted
 from ngvisco.physics.variables import Values
-from ngvisco.reduced.evaluation import FACETS, Lazy
+from ngvisco.reduced.point_fields import FACETS, Lazy
 
 
 class SideJumps:

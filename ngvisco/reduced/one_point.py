@@ -13,16 +13,8 @@ from ngvisco.forms.fields import Fields
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import PointTerm
 from ngvisco.physics.arrays import TINY, Array
-from ngvisco.reduced.evaluation import (
-    CELLS,
-    FACETS,
-    NotAtPointsError,
-    lazy_fields,
-    on_sides,
-    shapes_of,
-    slots_of,
-    tests_of,
-)
+from ngvisco.reduced.evaluation import on_sides, shapes_of, slots_of, tests_of
+from ngvisco.reduced.point_fields import CELLS, FACETS, NotAtPointsError, lazy_fields
 from ngvisco.reduced.unknowns import derived_in_cells, in_cells
 
 

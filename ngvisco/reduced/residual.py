@@ -33,7 +33,7 @@ from ngvisco.forms.term import CellMean, GivenParts, Integrand, PointTerm, Term,
 from ngvisco.forms.upwinding import SideMean, mean_share
 from ngvisco.parallel.exchange import Exchange
 from ngvisco.physics.arrays import TINY, Array
-from ngvisco.reduced.couplings import Couplings
+from ngvisco.reduced.declared import Couplings
 from ngvisco.reduced.diffusion import FieldDiffusionRows
 from ngvisco.reduced.evaluation import CellTerms, Coefficients, FacetTerms, Rows
 from ngvisco.reduced.hyperviscosity import HyperValues, MatrixHyperviscosity

@@ -1,4 +1,4 @@
-"""What a Rothe step costs: ``python -m tests.benchmarks [-o DIRECTORY]`` in the project's root.
+"""Cost of a Rothe step: ``python -m tests.benchmarks [-o DIRECTORY]`` in the project's root.
 
 The neo-Hookean swirl (P2 velocity, DG1 fields, p = 4, tau = 0.02 s) in series of meshes, by both solvers,
 with creep by F and by B, and as one body and as two.  Every row is a process of its own, so that its peak
@@ -26,7 +26,7 @@ SIZES = {
     "3D bodies": [0.18],
 }
 FORMS = {"creep": ("F", "B"), "bodies": ("one body", "two bodies")}
-"""What is compared in a series, on each of its meshes."""
+"""Forms that a series compares on each of its meshes."""
 
 LARGEST = 0.07
 """maxh, m, of the finest mesh by default: finer ones, 33,000 and 50,000 tetrahedra, take hours."""

@@ -30,7 +30,7 @@ REFERENCE = ((3, 2), 9, 40, "midpoint")
 SOLID = nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1)
 VISCOSITY = nv.StokesViscosity(K_v=0.01, G_v=0.01)
 CENTRE = np.array([0.6, 0.5])
-"""Of the soft disc at the start, m."""
+"""Centre of the soft disc at the start, m."""
 
 
 def swirl(cells: int, **options: object) -> nv.Simulation:
@@ -51,7 +51,7 @@ def shear_wave(cells: int, **options: object) -> nv.Simulation:
 
 
 def soft_disc(cells: int, **options: object) -> nv.Simulation:
-    """That of Zhao, Freund and Moser in a lid-driven cavity; cells of 1 m/cells, half of it below the lid."""
+    """The disc of Zhao, Freund and Moser in a lid-driven cavity; cells of 1 m/cells, halved at the lid."""
     fluid = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: 25 * (J + 1 / J - 2))
     solid = nv.IsochoricNeoHookean(K_e=50.0, G_e=0.05, elastic_state="B")
     both = {"viscosity": VISCOSITY, "density": 1.0}
@@ -68,7 +68,7 @@ def kinetic(run: nv.Simulation) -> np.ndarray:
 
 
 def displacement(run: nv.Simulation) -> np.ndarray:
-    """Of the disc's centroid, m."""
+    """Displacement of the disc's centroid, m."""
     amount = run.rothe_step.now.z_tensors["n_disc"]
     volume, *moments = run.rothe_step.quadrature.integrate_cells(CF((amount, amount * x, amount * y)))
     return np.array(moments) / volume - CENTRE
@@ -76,7 +76,7 @@ def displacement(run: nv.Simulation) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Problem:
-    """What is run and what is asked of it.
+    """A run, and the numbers that are asked of it.
 
     Attributes
     ----------

@@ -171,7 +171,7 @@ def floor(run: nv.Simulation, method: str) -> float:
 
 
 def direct_floor(run: nv.Simulation) -> float:
-    """The same with a factorisation of the velocity tangent as a whole, where the solver takes two levels."""
+    """Time of a factorisation of the whole velocity tangent, where the solver takes two levels."""
     newton = run.solver.newton
     preconditioner = newton.preconditioner
     solver = DirectSolver(preconditioner.free, symmetric=True)

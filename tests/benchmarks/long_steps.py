@@ -52,7 +52,7 @@ def periodic_mesh(dim: int) -> Mesh:
 
 
 def points(dim: int) -> Iterator[Point]:
-    """Of the grid of ``robustness``, up to ``LARGEST_ELASTIC``."""
+    """Points of the grid of ``robustness`` up to ``LARGEST_ELASTIC``."""
     cell = scales(block("linearised", 1.0, mesh=periodic_mesh(dim))).cell
     viscosities = robustness.VISCOSITIES if dim == 2 else (0.1,)
     for point in product(robustness.STIFFNESS, robustness.RATIOS, viscosities, TAUS[dim]):

@@ -1,4 +1,4 @@
-"""What a step of the split solver costs over ranks: one row a process, printed as JSON by the first rank.
+"""Cost of a step of the split solver over ranks: one row a process, printed as JSON by the first rank.
 
 ``python -m tests.benchmarks.ranks [-o DIRECTORY] [--ranks 0 1 2 4 8] [--cells 13]`` in the project's root, by
 a Python that has petsc4py: the neo-Hookean swirl of ``case`` in a box of n x n x n cubes of six tetrahedra,
@@ -63,7 +63,7 @@ def mesh(n: int, ranks: Communicator) -> Mesh:
 
 
 def measured(n: int, steps: int, coarse: str, two_levels_from: int | None) -> list[dict[str, Any]]:
-    """Of every rank what its steps took; the first one is not timed."""
+    """Costs of the steps on every rank; the first step is not timed."""
     SetNumThreads(1)
     imported = resident("VmRSS")
     linear: list[int] = []

@@ -29,7 +29,7 @@ COLUMNS: dict[str, Callable[[dict], str]] = {
     "GB": lambda row: f"{row['memory']:.2f}",
     "closure": lambda row: f"{row['closure']:.0e}",
 }
-"""What a table says of a row, by its head."""
+"""Texts of a row's cells, by the heads of the columns."""
 
 FITTED = (700, 40_000)
 """Cells between which rows count for the growth exponents, where three of them do: below them a step takes

@@ -41,7 +41,7 @@ def test_exponents_are_fitted():
 
 
 def test_answers_say_what_to_choose_and_how_that_is_to_an_older_table(tmp_path, monkeypatch, capsys):
-    """Of runs whose error and cost are known; then the same twice as fast."""
+    """Runs whose error and cost are known are tabled, then the same runs twice as fast."""
     speed = 1.0
 
     def measured(name, order, cells, steps, scheme):

@@ -165,8 +165,9 @@ WITH = {
     "loads.N.centre": ({}, [-1.0, -1.0], [-2.0, -1.0]),
     "loads.N.exponent": ({}, 0.0, 1.0),
     "loads.N.radius": ({"loads.0.exponent": 1.0}, 1.0, 2.0),
+    "solver.method": ({}, "coupled", "split"),  # "auto" is the coupled solver where cells are few
 }
-"""What else a key needs to have an effect, and two values of it, by key, or key and kind."""
+"""Other values that a key needs to have an effect, and two values of it, by key, or key and kind."""
 
 IN_SECTION = {
     ("domain", "annulus"): {"domain.inner": 0.4},
@@ -184,11 +185,11 @@ IN_SECTION = {
     ("rheology", "ActivatedViscosity"): {"rheology.viscosity.temperature": 310.0},
     ("material", "Gas"): {"material.c": 1e3},
 }
-"""What a kind needs to be admitted, and to be seen."""
+"""Values that a kind needs to be admitted, and to be seen."""
 
 
 def left_by(data, key, place):
-    """What a case leaves: the mesh, a step's state and row; of output the files."""
+    """Results of a case: the mesh, a step's state and row; of output the files."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         case = parse_case(toml.write(data), "case.toml", Path("."))
@@ -223,8 +224,6 @@ def other(entry, value):
     if isinstance(value, str):
         choices = re.findall(r'"([^"]*)"', entry.type) if entry.type.startswith("one of") else []
         others = [one for one in choices if one != value]
-        if entry.name == "solver.method":  # of few cells "auto" is the coupled solver
-            return "split"
         return others[0] if others else f"1.3*({value})"
     if isinstance(value, list):
         return [other(entry, one) for one in value]

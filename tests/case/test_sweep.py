@@ -180,7 +180,7 @@ def name_of(path, table):
 
 
 def faults_of(path, table, key, what, both):
-    """What is wrong with the case that has a wrong value, beyond what is wrong without it."""
+    """Faults of the case with a wrong value that the case without it does not have."""
     value, number = WRONG[what], [k for p, t, k in keys() if (p, t) == (path, table)].index(key)
     # numbers that the schema lets pass are all alike but for the extremes, which are looked at in turns
     extremes = ("huge", "tiny") if both else (("huge", "tiny")[number % 2],)

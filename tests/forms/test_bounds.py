@@ -26,7 +26,7 @@ BY_ALL = nv.CustomMaterial(
         3 * (J - 1) * (J - 1) + 3 * (A - 1) * (A - 1) + square(F) + square(H) + 0.5 * square(H) * square(H)
     ),
 )
-"""The same with Cof F and 1/J."""
+"""Materials of the same kind with Cof F and 1/J."""
 
 MESHES = {
     "triangles": lambda: box((1, 1), 0.4),

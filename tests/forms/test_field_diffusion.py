@@ -61,7 +61,7 @@ class Diffusion:
         return float((self.rows.rows(parts) * zeta).sum()), float(entered)
 
     def interior_penalty(self, z):
-        """What a symmetric interior penalty of z has at G = zeta, for comparison."""
+        """Facet terms of a symmetric interior penalty of z at G = zeta, for comparison."""
         op, side = self.op, self.side
         zeta = self.projected(self.slope(op.z(z)))
         slopes = [op.gradients(op.dz, c) for c in (z, zeta)]

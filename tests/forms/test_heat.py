@@ -200,7 +200,7 @@ def test_what_further_terms_dissipate_is_heat_or_refused(solver):
 
 
 class Feeding(Drag):
-    """What gives energy to the motion, and takes it from the heat."""
+    """A force that gives energy to the motion, and takes it from the heat."""
 
     def cells(self, u, w):
         return [-0.1 * inner(u.v, w.v)]

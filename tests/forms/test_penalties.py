@@ -16,7 +16,7 @@ EXACT = sum(
     8 / (math.pi * n) ** 2 * math.exp(-DIFFUSIVITY * (math.pi * n / LENGTH) ** 2 * UNTIL)
     for n in range(1, 40, 2)
 )
-"""What is left of the difference between the means of both halves, by Fourier's series of a step."""
+"""Difference between the means of both halves, by Fourier's series of a step."""
 
 
 def left(run, field):

@@ -56,7 +56,7 @@ def test_friction_brakes_and_a_traction_pulls():
 
 
 def test_what_flows_in_brings_its_momentum():
-    """Of a fluid at rest inside with an inlet at 0.2 m/s: rho v^2 comes in, per m^2."""
+    """A fluid at rest has an inlet at 0.2 m/s: rho v^2 comes in, per m^2."""
     velocity, density = 0.2, 3.0
     inlet = nv.Inflow(velocity=(velocity, 0.0), density=density)
     _, run = pushed(inlet, nv.Open(), (velocity, 0.0), density)
@@ -80,7 +80,7 @@ def test_loads_pull_where_they_point(load):
 
 
 def test_the_density_is_carried_along_by_the_flow():
-    """Of a soft body that moves as a whole: the ledger's mass knows no place."""
+    """A soft body moves as a whole: the ledger's mass knows no place."""
     model = nv.Model(material=nv.LinearElastic(K_e=1e-3, G_e=1e-3))
     start = nv.Initial(density=1 + 0.3 * sin(2 * pi * x), velocity=(1.0, 0.0))
     mesh = box((1, 1), maxh=0.2, periodic="xy")

@@ -43,7 +43,7 @@ def test_the_time_is_found_in_a_function(value):
 
 @pytest.mark.parametrize("name", MEANS)
 def test_means_are_exact_to_the_tolerance(name):
-    """And to ten roundings of the time over the pulse's length, where that is more."""
+    """The error is also below ten roundings of the time over the pulse's length, where that is more."""
     value, exact = MEANS[name]
     found, error = mean(value)
     assert error <= TOLERANCE
@@ -52,7 +52,7 @@ def test_means_are_exact_to_the_tolerance(name):
 
 @pytest.mark.parametrize("tilt", [-0.2, 0.5])
 def test_a_tilted_mean_of_what_is_linear_in_time_is_its_value(tilt):
-    """That of a pulse is the weight within it: 1 + 12 tilt (0.35 - 0.5), the mean over a tenth at 0.35."""
+    """The mean of a pulse is the weight within it: 1 + 12 tilt (0.35 - 0.5), the mean of a tenth at 0.35."""
     found = []
     for value in (3 * T - 0.1, nv.pulse(0.03, 0.01)):
         function, average = mean_in_cells(CF(value), MESH, 6)
@@ -99,7 +99,7 @@ DT = 0.1
 
 
 def momentum_of(load, scheme="backward-euler", solver="coupled", steps=1):
-    """Of a periodic strip of mass 1 kg along the load, after steps of 0.1 s."""
+    """Momentum of a periodic strip of mass 1 kg along the load, after steps of 0.1 s."""
     model = nv.Model(loads=[nv.Gravity((load, 0))], viscosity=nv.StokesViscosity(K_v=1, G_v=1), **MODEL)
     mesh = box((1, 1), 0.5, periodic=("x",))
     run = nv.Simulation(

@@ -41,7 +41,7 @@ def cells(points: list[tuple[float, float]], corners: list[tuple[int, ...]], edg
 
 
 def free_vertices(mesh: Mesh) -> list[bool]:
-    """Of a velocity that slips on all walls, component by component."""
+    """Vertices that are free for a velocity that slips on all walls, component by component."""
     step = Step(mesh, Model(material=NeoHookean(K_e=1, G_e=1, epsilon=0.1)))
     free = np.array(list(step.layout.velocity_space(step.walls.dirichlet).FreeDofs()))
     return free.reshape(mesh.dim, -1)[:, : mesh.nv].ravel().tolist()
@@ -60,7 +60,7 @@ def free_vertices(mesh: Mesh) -> list[bool]:
     ids=str,
 )
 def test_names_with_signs_of_regular_expressions_mean_themselves(names: tuple[str, str, str, str]) -> None:
-    """As a pattern "a.b" would take "axb" with it, and constrain a wall in a wrong direction."""
+    """A pattern "a.b" would also match "axb", and constrain a wall in a wrong direction."""
     mesh, plain = named_square(names), named_square(("left", "right", "bottom", "top"))
     assert axis_parallel_walls(mesh)[0] == [sorted(set(names[:2])), sorted(set(names[2:]))]
     assert free_vertices(mesh) == free_vertices(plain)

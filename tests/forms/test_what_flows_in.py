@@ -257,7 +257,7 @@ def let_in(until, **given):
 
 
 def test_a_fluid_let_in_at_a_pressure_has_its_density_and_the_velocity_behind_the_shock():
-    """By Rankine and Hugoniot rho = 1.25 and v^2 = (p_2 - p_1)(1/rho_1 - 1/rho_2)."""
+    """Rankine and Hugoniot give rho = 1.25 and v^2 = (p_2 - p_1)(1/rho_1 - 1/rho_2)."""
     run = let_in(1.0)
     v = ((1.25**2 - 1) * (1 - 1 / 1.25)) ** 0.5
     for place in (0.05, 0.3, 0.6):
@@ -304,7 +304,7 @@ def test_where_nothing_tells_the_density_it_is_that_of_the_first_inflow():
 
 @pytest.mark.parametrize("pressure", [0.0, 1e-6, 0.25, 1e8])
 def test_a_gas_has_a_volume_at_every_pressure(pressure):
-    """That of p = J^-2 Pa, and of none one that stands for a vacuum."""
+    """A gas of p = J^-2 Pa has one; where the pressure is none, the volume stands for a vacuum."""
     model = nv.Model(material=nv.BarotropicFluid(B=1.0, gamma=2.0, rho_R=3.0))
     mesh = structured_box((1, 1), (1, 1))
     given = entering(nv.Open(pressure=pressure), "wall", model, mesh)

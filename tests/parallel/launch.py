@@ -41,7 +41,7 @@ def run(*words: str | Path, ranks: int = 1, timeout: float = 900) -> subprocess.
 
 
 def printed(*words: str | Path, ranks: int = 1, timeout: float = 900) -> Any:
-    """What they print in their last line, as JSON."""
+    """Last line that the processes print, as JSON."""
     result = run(*words, ranks=ranks, timeout=timeout)
     assert result.returncode == 0, result.stderr[-2000:]
     return json.loads(result.stdout.splitlines()[-1])

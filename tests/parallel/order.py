@@ -1,4 +1,4 @@
-"""What does not depend on which rank is late: the first rank prints what each came to, as JSON.
+"""Results that do not depend on which rank is late: the first rank prints each of them, as JSON.
 
 Run by ``test_order_of_sums``.  Ranks are late, one after another, with all that NGSolve may add up over
 ranks, and with our own sums.

@@ -92,7 +92,7 @@ def lid(solver: str = "coupled", maxh: float = 0.3) -> nv.Simulation:
 
 
 def window(solver: str = "coupled") -> nv.Simulation:
-    """What flows in and out through walls, values and stress that change in time and place among it."""
+    """A run with walls that let matter in and out, whose values and stress change in time and place."""
     walls = {
         "left": nv.Inflow(velocity=(y * (1 - y), 0.0), density=1 + 0.1 * y, values={"J": 1 + 0.1 * nv.time}),
         "right": nv.Open(

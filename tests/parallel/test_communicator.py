@@ -33,7 +33,7 @@ def test_errors_are_the_same_on_other_ranks(error):
 
 
 def test_processes_that_cannot_meet_are_refused(monkeypatch):
-    """As where mpirun and mpi4py are of different MPIs: each process would do the whole run."""
+    """If mpirun and mpi4py are of different MPIs, each process would do the whole run."""
     monkeypatch.setenv("OMPI_COMM_WORLD_SIZE", "3")
     with pytest.raises(MPIError, match="mpirun started 3 processes"):
         Communicator.world()

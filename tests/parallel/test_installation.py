@@ -1,4 +1,4 @@
-"""What ``ngvisco info --parallel`` says of an installation."""
+"""Report of ``ngvisco info --parallel`` on an installation."""
 
 import sys
 

@@ -111,7 +111,7 @@ ACTS = {
     **dict.fromkeys(("network", "split network"), "dissipation_creep_hard"),
     "cut-off, 3D, split": "cutoff_volume",
 }
-"""What a case is there for, in its last row."""
+"""Column of the last row that shows the mechanism of a case."""
 
 
 def assert_same_ledger(one, several, spare=0):
@@ -170,7 +170,7 @@ def test_ledgers_and_tables_are_those_of_one_process(group, ranks):
 @pytest.mark.long
 @pytest.mark.ci
 def test_small_systems_may_be_over_ranks_too(monkeypatch):
-    """Those of the flow, of fields that diffuse and of the density, which else one rank has the rows of."""
+    """Systems of the flow, of diffusing fields and of the density, of which else one rank has all rows."""
     name = "split, all regularisations"
     one = found(1, name)[name]
     monkeypatch.setenv("PETSC_OPTIONS", "-ngvisco_on_one_rank_up_to 0")
@@ -302,7 +302,7 @@ def test_a_run_goes_on_to_the_bit_with_as_many_ranks(case_file, tmp_path, case, 
 @pytest.mark.long
 @pytest.mark.ci
 def test_a_run_on_ranks_goes_on_changed_and_from_another_mesh(case_file, tmp_path):
-    """As on one process: the ledger, what the change and the transfer cost, the case that is written."""
+    """Ledger, costs of the change and the transfer, and the written case are those of one process."""
     places = {}
     for ranks in (1, 3):
         first, other = tmp_path / f"first {ranks}", tmp_path / f"other {ranks}"
@@ -382,7 +382,7 @@ if ranks.is_first:
 @pytest.mark.long
 @pytest.mark.ci
 def test_a_rank_that_metis_leaves_without_cells_is_refused_on_every_rank(tmp_path):
-    """As it does now and then where there are a cell or two for each."""
+    """METIS leaves a rank without cells now and then where there are a cell or two for each."""
     (tmp_path / "empty.py").write_text(EMPTY)
     result = run("-m", "mpi4py", tmp_path / "empty.py", ranks=3)
     assert result.returncode == 0, result.stderr

@@ -11,7 +11,7 @@ from ngvisco.solver.options import SplitOptions
 
 TWO_LEVELS = nv.NewtonOptions(split=SplitOptions(direct_up_to=(100, 100)))
 _NORMALS = (1.0, 0.6), (-0.4, 1.0), (-1.0, -0.3), (0.2, -1.0)
-"""Of the sides of ``quadrilateral``, a, b, c and d."""
+"""Normals of the sides of ``quadrilateral``, a, b, c and d."""
 
 
 def model(dim: int, mu: float | None = 1e-4) -> nv.Model:

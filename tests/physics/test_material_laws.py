@@ -38,7 +38,7 @@ def at_point(f):
 
 
 def constants(material, F):
-    """As constants; scalars as parameters: NGSolve simplifies a constant 0 away, and its derivative too."""
+    """F as constants and scalars as parameters: NGSolve drops a constant 0 and its derivative."""
     return {
         name: tensor(at_point(z)) if z.dims else Parameter(float(at_point(z)))
         for name, z in {v.name: v.from_distortion(tensor(F)) for v in material.variables}.items()

@@ -31,7 +31,7 @@ def test_an_energy_that_means_something_else_with_arrays_is_found_out():
 
 
 def test_rounding_at_rest_is_no_difference():
-    """As of a run that starts there; one that is resumed later would get other last bits."""
+    """A run that starts at rest and one resumed there would otherwise differ in their last bits."""
     fluid = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: 10 * (J + 1 / J - 2))
     both = {"material": fluid, "viscosity": nv.StokesViscosity(K_v=0.1, G_v=0.1)}
     disc = nv.Body(name="disc", where=nv.Ball((0.4, 0.5), 0.2), density=2.0, **both)

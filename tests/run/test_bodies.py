@@ -116,7 +116,7 @@ def test_ledger_mass_and_energy_hold_and_both_solvers_agree(name):
 
 @pytest.mark.parametrize("name", CASES)
 def test_energies_of_bodies_are_jointly_convex(name):
-    """Of two and three bodies, linear in X or not, with one volumetric energy or several."""
+    """Two and three bodies, linear in X or not, have one volumetric energy or several."""
     material = nv.Model(bodies=CASES[name]()).material
     assert nv.check_convexity(material, dim=2).passed
     if name in ("solid in a fluid", "three, a layer on a layer", "compressible"):
@@ -247,7 +247,7 @@ def test_what_the_bodies_say_is_not_said_of_all(options, match):
 
 
 def test_fields_of_bodies_diffuse_where_their_volumetric_energy_is_one():
-    """What diffuses takes energy by its own column, the mass of no body; others are refused with a remedy."""
+    """Diffusion has a column and changes no body's mass; other bodies are refused with a remedy."""
     diffusing = {"regularisation": nv.Regularisation(delta_fields=1e-2)}
     runs = by_both_solvers(lambda solver: simulation("solid in a fluid", solver, **diffusing), 0.04)
     for run in runs:

@@ -1,4 +1,4 @@
-"""What is measured and drawn of bodies: sums are the ledger's, tables go on without a seam."""
+"""Measures and pictures of bodies: sums are the ledger's, and tables go on without a seam."""
 
 import csv
 import json

@@ -101,7 +101,7 @@ def test_an_energy_is_known_by_its_values_not_by_its_name(tmp_path):
 @pytest.mark.ci
 @pytest.mark.parametrize("solver", ["coupled", "split"])
 def test_bodies_with_heat_go_on_bitwise_and_are_known_by_it(tmp_path, solver):
-    """Of two thermal pressures, whose equilibrium at a point is found anew in every evaluation."""
+    """Two thermal pressures have an equilibrium at a point that every evaluation finds anew."""
     SetNumThreads(1)
 
     def bodies(conductivity=0.1, **options):

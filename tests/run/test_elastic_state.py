@@ -144,7 +144,7 @@ def test_rest_energy_that_drift_frees_does_not_become_motion():
 
 @pytest.mark.filterwarnings("ignore::ngvisco.run.ledger.DefectWarning")
 def test_who_asks_for_more_drift_gets_it():
-    """As where a body is torn at a corner; and who asks for less gets less."""
+    """A body that is torn at a corner needs it; a run that asks for less gets less."""
     assert in_a_closed_box("F", speed=0.5, drift=0.3, halvings=0).run(0.8).rows[-1]["time"] == pytest.approx(
         0.8
     )
@@ -179,7 +179,7 @@ TWO = (
 
 
 def test_means_of_B_lose_no_determinant_and_those_of_rotations_do():
-    """Of two rotations F frees rest energy, B never does, and only what it loses is a drift."""
+    """Means of two rotations free rest energy by F and never by B, and only what F loses is a drift."""
     for sign, (one, other) in zip((-1, 1), TWO, strict=True):
         a, b = np.array(one), np.array(other)
         F, B = 0.5 * (a + b), 0.5 * (a @ a.T + b @ b.T)

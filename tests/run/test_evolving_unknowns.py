@@ -122,7 +122,7 @@ def test_solvers_agree_and_the_ledger_closes_where_it_drives_the_flow(term, sche
 
 
 def test_error_estimate_counts_it():
-    """Of a body at rest nothing else changes: a third of theta_2 - 2 theta_1 + theta_0, over theta_2."""
+    """Nothing else changes in a body at rest: a third of theta_2 - 2 theta_1 + theta_0, over theta_2."""
     model = nv.Model(material=MODEL.material)
     steps = nv.AdaptiveSteps(dt_min=0.05, dt_max=0.05, tolerance=0.5)
     term = Relaxation()

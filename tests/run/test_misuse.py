@@ -241,7 +241,7 @@ volumes(PLANE, [HalfSpace((0, 0, 0), (0, 0, 1))]) | as many as the mesh has
 volumes(box((1, 1, 1), 1), [Polygon(((0, 0), (1, 0), (0, 1)))]) | mesh of the plane
 volumes(PLANE, [Where(1 / (x - x))]) | finite
 """
-"""What is done | what is said of it; lines with two spaces before them go on."""
+"""Misuses | the messages that answer them; lines with two spaces before them continue the message."""
 
 
 @cache
@@ -319,7 +319,7 @@ def test_what_is_no_series_is_said(content, tmp_path):
 
 
 def test_no_state_out_of_turn_stays_in_a_series(mesh, tmp_path):
-    """What an interrupted run wrote as its last state is no longer in the series when it goes on."""
+    """A run that goes on drops from its series the last state that the interrupted run wrote."""
 
     def files():
         return {path.name for path in tmp_path.glob("vtk/*.vtu")}

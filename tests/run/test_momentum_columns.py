@@ -40,7 +40,7 @@ def impulses(ledger: Ledger) -> np.ndarray:
 
 
 def left(ledger: Ledger) -> np.ndarray:
-    """What of the defect is in none of its parts."""
+    """Part of the defect that is in none of its columns."""
     return of(ledger, "momentum_defect") - sum(of(ledger, f"defect_{where}") for where in DEFECTS)
 
 
@@ -125,7 +125,7 @@ def test_the_impulse_of_walls_is_that_of_their_reactions(walls, scheme):
 
 @pytest.mark.parametrize("as_bodies", [False, True])
 def test_a_floor_bears_the_weight(as_bodies):
-    """Of bodies what goes by its flux counts: B_h takes phi - z : zeta of the stress."""
+    """The flux of bodies counts: B_h takes phi - z : zeta of the stress."""
     weight = 1.5
     loads = [nv.Gravity((0.0, -1.0))]
     model = nv.Model(material=SOLID, viscosity=nv.StokesViscosity(K_v=2, G_v=2), loads=loads)
@@ -250,7 +250,7 @@ def test_inertia_keeps_momentum_and_what_it_loses_of_rotations_is_seen():
 
 
 def test_jumps_of_smooth_states_push_nothing():
-    """By the trace at which both tangents meet, and a quadrature that resolves the energy."""
+    """The trace at which both tangents meet has no thrust, nor has a quadrature that resolves the energy."""
     ledger = thrown().run(until=0.1)
     size = ledger.column("momentum_size").max()
     assert abs(of(ledger, "defect_cells")).max() < 1e-9 * size

@@ -1,4 +1,4 @@
-"""What is no number is refused: in the state, its energy, the ledger, what observers note; energy domains."""
+"""Values that are no numbers are refused: in state, energy, ledger and observers; domains of energies."""
 
 import io
 import re

@@ -1,4 +1,4 @@
-"""What a notebook shows: pages that are well formed, tell the numbers, and a frame with the ledger's
+"""Notebook views: pages that are well formed, tell the numbers, and a frame with the ledger's
 columns."""
 
 import sys

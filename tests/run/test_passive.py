@@ -81,7 +81,7 @@ def test_checkpoint_without_the_passive_fields_is_refused(tmp_path):
 
 
 def test_a_passive_field_that_is_not_solved_leaves_the_step_alone(monkeypatch):
-    """The same states and steps as without it, and a column that counts what was not solved."""
+    """States and steps are those without the field, and a column counts what was not solved."""
     monkeypatch.setattr("ngvisco.run.passive.ITERATIONS", 1)
     run, without = simulation(), simulation(passive=())
     with pytest.warns(nv.InputWarning, match="passive fields were not solved in 1 iterations: "):

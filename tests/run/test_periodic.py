@@ -149,7 +149,7 @@ def with_inclusion(dim, interface, maxh):
 
 
 def without_interfaces(mesh):
-    """The same cells in one domain, with the outer walls only."""
+    """Mesh of the same cells in one domain, with the outer walls only."""
     plain = NetgenMesh(dim=mesh.dim)
     points = [(*v.point, 0.0)[:3] for v in mesh.vertices]
     numbers = [plain.Add(MeshPoint(Pnt(*point))) for point in points]
@@ -202,7 +202,7 @@ def test_run_with_an_interface_is_that_on_the_same_cells_without(dim, interface,
 
 
 def test_glued_shapes_without_names_make_a_run():
-    """What Netgen calls ``default`` are then the walls and the interface alike."""
+    """Netgen then calls the walls and the interface ``default`` alike."""
     whole, disc = occ.Rectangle(1, 1).Face(), occ.Circle((0.6, 0.5), 0.2).Face()
     mesh = Mesh(occ.OCCGeometry(occ.Glue([whole - disc, disc]), dim=2).GenerateMesh(maxh=0.3)).Curve(3)
     model = nv.Model(material=nv.NeoHookean(K_e=1, G_e=1, epsilon=0.1), loads=[nv.Gravity((0, -1))])

@@ -165,7 +165,7 @@ def test_cells_are_divided_where_the_norm_of_a_tensor_is_steep():
 
 
 def test_at_rest_nothing_is_steep():
-    """What is there of rates and stresses is rounding."""
+    """Rates and stresses at rest are rounding."""
     material = nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1)
     run = nv.Simulation(box((1, 1), 0.3), nv.Model(material=material, creep=nv.Creep(G_m=5.0)), dt=0.02)
     run.run(0.04)

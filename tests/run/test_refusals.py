@@ -48,7 +48,7 @@ def without_energy():
 
 @cache
 def names():
-    """What the tables' expressions know."""
+    """Names that the tables' expressions know."""
     known = {name: getattr(nv, name) for name in dir(nv)} | vars(variables) | vars(geometries) | globals()
     return known | {"inf": math.inf, "nan": math.nan, "np": np, "sqrt": sqrt}
 

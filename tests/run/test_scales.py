@@ -78,7 +78,7 @@ def test_advice_names_the_scheme_and_is_not_given_for_the_step_that_it_advises()
 
 
 def test_advice_foresees_steps_that_are_hard_to_solve():
-    """By the moduli's ratio, by the densities', by waves that the midpoint rule leaves ringing."""
+    """Advice reads the ratios of moduli and densities, and waves that the midpoint rule leaves ringing."""
     from ngvisco.run.advice import Scales
     from ngvisco.timestepping.scheme import midpoint
 
@@ -278,7 +278,7 @@ def test_a_start_of_the_user_s_own_is_not_warned_of():
 
 
 MODULI = {"K_e": 7.3, "G_e": 0.37}
-"""Of which 1 + 1/3 and their like are not numbers of the machine: zero at rest only to rounding."""
+"""Moduli for which 1 + 1/3 and the like are not numbers of the machine: zero at rest only to rounding."""
 VISCOSITY = nv.StokesViscosity(K_v=0.1, G_v=0.1)
 NEAR_ZERO = ("LinearElastic", "HardeningElastic", "IsotropicStrainEnergy", "OldroydB", "FENEP", "NeoHookean")
 """Materials whose energy at rest is zero, and one whose is not; the others close like it."""
@@ -341,7 +341,7 @@ def test_a_small_motion_is_still_held_to_account(monkeypatch):
 
 
 def test_the_energy_of_a_body_at_rest_is_below_what_rounding_makes_of_it():
-    """That is why its closure is not measured by the energy."""
+    """Therefore its closure is not measured by the energy."""
     run = run_of()
     run.run(0.2)
     assert abs(run.ledger.energy()) <= run.ledger.rounding()

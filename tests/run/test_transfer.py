@@ -85,7 +85,7 @@ def amounts(run):
 
 
 def test_another_mesh_keeps_the_mass_of_each_body():
-    """And the density that of the amounts."""
+    """The density is that of the amounts."""
     source = with_bodies()
     source.run(0.06)
     before, _ = amounts(source)

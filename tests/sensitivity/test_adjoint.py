@@ -55,7 +55,7 @@ class Still:
 
 @pytest.mark.parametrize("scheme", ["backward-euler", "midpoint", "sdirk2"])
 def test_products_of_tangent_and_adjoint_are_equal(scheme, monkeypatch):
-    """Of states that the parameters' differences do not enter."""
+    """Products are of states that the parameters' differences do not enter."""
     of = {name: text for name, text in OF.items() if name != "stress"}
     by_tangent, by_adjoint = directional(run, scheme, of, monkeypatch)
     assert abs(by_adjoint / by_tangent - 1).max() < 1e-9

@@ -14,13 +14,13 @@ from ngvisco.forms.terms.transport import Conjugates
 from ngvisco.geometries import box
 from ngvisco.physics.tensors import exp, inner, sqrt, square, tr
 from ngvisco.physics.variables import Distortion, Variable
-from ngvisco.reduced.couplings import Couplings, term_obstacle
+from ngvisco.reduced.declared import Couplings, term_obstacle
 from tests.parallel.own import Drag
 
 
 @dataclass(frozen=True)
 class DragByForms:
-    """The same, with an operation that arrays do not have, in a form of its own."""
+    """A drag like ``Drag`` in a form of its own, with an operation that arrays do not have."""
 
     c: float
 
@@ -293,7 +293,7 @@ def test_a_term_that_only_forms_can_express_is_refused_by_its_name():
 
 
 def test_every_term_of_a_step_is_taken_exactly_once():
-    """Of all terms that the package's models make."""
+    """Every term that the package's models make is looked at."""
     model = nv.Model(
         material=nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1),
         viscosity=nv.StokesViscosity(K_v=0.1, G_v=0.1),
@@ -313,7 +313,7 @@ def test_every_term_of_a_step_is_taken_exactly_once():
 
 
 class UndeclaredDragByEnergy(DragByEnergy):
-    """The same, which says that it is a function of the values at a point."""
+    """A drag by the energy that declares itself a function of the values at a point."""
 
     couples = "local"
 

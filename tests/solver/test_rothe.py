@@ -69,7 +69,7 @@ class Posed(Problem):
 
 
 class Increments:
-    """What ``iterate`` asks of a split solver: increments of given sizes, by their number."""
+    """Stand-in of a split solver for ``iterate``: increments of given sizes, by their number."""
 
     has_converged, wear = Split.has_converged, lambda self, f, size: None
     is_steep, follow = False, lambda self, f: None
@@ -152,7 +152,7 @@ def test_what_no_part_of_an_increment_mends_has_failed():
 
 @pytest.mark.parametrize(("smallest", "gives_up"), [(0.02, False), (1e-5, True)])
 def test_increments_may_grow_far_from_the_solution(smallest, gives_up):
-    """By three times there; and by no more than a hundredth near it."""
+    """Increments may grow threefold there, and by no more than a hundredth near the solution."""
     grown = 3 * smallest if not gives_up else 0.05
     sizes = (0.3, smallest, grown, 1e-3, 1e-6, 1e-12, 1e-14, 1e-15)
     split = Increments(lambda n: sizes[n])

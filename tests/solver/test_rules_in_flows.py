@@ -60,7 +60,7 @@ GRADIENTS = {"Norton, n = 3": 1e-9, "Eyring": 1e-9, "Bingham": 1e-3, "Voce": 1e-
 @pytest.mark.ci
 @pytest.mark.parametrize("name", GRADIENTS)
 def test_rules_with_a_gradient_close_the_ledger_in_both_solvers_alike(name):
-    """What yields does it in a part of the box; the rest creeps by less than ``rate_floor``."""
+    """A rule that yields does so in a part of the box; the rest creeps by less than ``rate_floor``."""
     powers = []
     for solver in ("split", "coupled"):
         run = sheared(replace(EXAMPLES[name], nu=1e-4, rate_floor=GRADIENTS[name]), MATERIALS["B"], solver)

@@ -23,7 +23,7 @@ def by_the_package(F: Tensor, J: Tensor) -> Tensor:
 
 
 def by_ngsolve(F: Tensor, J: Tensor) -> Tensor:
-    """The same energy in functions that arrays do not take."""
+    """An energy with Cof F in NGSolve's own functions, which arrays do not take."""
     invariants = 0.6 * ngsolve.Trace(F.trans * F) + 0.2 * square(ngsolve.Cof(F))
     return invariants + 0.1 * J * square((1 / J) * F) + volumetric(J)
 

@@ -128,7 +128,7 @@ LARGE, SMALL, SMALLER = (1e5, 9e20, 3e10), (1e-6, 1e3, 1e-9), (1e-8, 1e3, 1e-11)
     ],
 )
 def test_single_precision_does_not_depend_on_the_units(units, levels):
-    """Of 1e10 Pa, 100 km and a thousand years mu is 1e57, which has no number in single precision."""
+    """With 1e10 Pa, 100 km and a thousand years mu is 1e57, which has no number in single precision."""
     newton = TWO_LEVELS if levels == 2 else None
     one, other = in_units_of(1.0, 1.0, 1.0, newton=newton), in_units_of(*units, newton=newton)
     for run in (one, other):

@@ -86,7 +86,7 @@ def test_failures_are_listed_and_finished_runs_are_not_run_again(case_file, tmp_
 
 
 def test_the_table_keeps_rows_of_runs_that_another_command_made(case_file, tmp_path):
-    """By the same keys and by others; not those whose case file was taken away."""
+    """Rows stay for the same keys and for others, but not for runs whose case file was taken away."""
     directory = tmp_path / "study"
     for key, values in (("material.G_e", ("1", "2")), ("time.dt", ("0.01",))):
         study = Study(case_file, [Variation(key, values)], directory)
@@ -163,7 +163,7 @@ def test_a_study_that_is_killed_leaves_no_run_behind(case_file, tmp_path):
 
 
 def test_a_run_that_ended_early_is_listed_as_stopped(case_file, tmp_path):
-    """By whatever left it there: ``ngvisco run``, or a study with an earlier end of the same run."""
+    """Whichever command left the run: ``ngvisco run``, or a study with an earlier end of the same run."""
     out, words = tmp_path / "study", ["--vary", "material.G_e=1"]
     place = out / "material.G_e=1"
     assert main(["run", str(case_file), "-o", str(place), "--set", "material.G_e=1"]) == 0

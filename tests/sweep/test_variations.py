@@ -1,4 +1,4 @@
-"""What is varied: how it is written, which combinations it has, what their runs are called."""
+"""Variations: how they are written, which combinations they have, how their runs are called."""
 
 import pytest
 

@@ -125,7 +125,7 @@ CONTINUED = {
 
 @pytest.mark.parametrize("name", ["J_min", pytest.param("Yosida approximation", marks=pytest.mark.long)])
 def test_a_continued_energy_lets_a_run_pass_J_of_zero(name):
-    """As the paper's discrete scheme does, which admits any (F, J)."""
+    """The paper's discrete scheme admits any (F, J) too."""
     run = cavity(CONTINUED[name])
     run.run(DT)
     step = run.rothe_step

@@ -18,7 +18,7 @@ from ngvisco.geometries import disc
 
 
 def run_to(until, steps, scheme, mesh=0.5, **options):
-    """By the coupled solver, which on few straight cells takes less time; both find the same."""
+    """Run by the coupled solver, which takes less time on few straight cells; both find the same."""
     settings = {
         "viscosity": nv.StokesViscosity(K_v=0.1, G_v=0.1),
         "hyperviscosity": nv.HyperViscosity(mu=1e-4, p=4),

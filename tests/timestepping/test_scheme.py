@@ -24,7 +24,7 @@ def taken(scheme, f, u, tau, newton):
 
 @pytest.mark.parametrize("scheme", [*ALL, THIRD], ids=str)
 def test_stages_take_the_whole_impulse_of_a_load(scheme):
-    """Of one stage all times count the same; of order 2 what is linear in time has its value there."""
+    """All times count the same in one stage; in order 2 what is linear in time has its value there."""
     tilts = np.array(scheme.tilts)
     assert abs(tilts @ scheme.b) <= 1e-15
     assert scheme.stages > 1 or tilts == 0

@@ -324,7 +324,7 @@ def test_relaxed_steps_meet_their_ends_under_a_wall_that_speeds_up():
 
 @pytest.mark.parametrize("scheme", ["backward-euler", "midpoint", "sdirk2"])
 def test_the_estimate_is_the_local_error_of_the_scheme(scheme):
-    """Of a density 1 + t^(p+1) at unequal steps, whose last value is wrong by C tau^(p+1) (p+1)!."""
+    """The last value of a density 1 + t^(p+1) at unequal steps is wrong by C tau^(p+1) (p+1)!."""
     run = simulation(scheme=scheme)
     chosen, step = run.scheme, run.rothe_step
     p, where = chosen.order, step.layout.ranges["rho"]

@@ -103,6 +103,8 @@ class Initial:
     )
 
     def __post_init__(self) -> None:
+        if not isinstance(self.datum, str | None):
+            raise ParameterError("Initial.datum", self.datum, "the name of a wall; a point is datum_point")
         require_fields(self)
         if self.datum is not None and self.datum_point is not None:
             raise ParameterError("Initial.datum_point", self.datum_point, "None beside a wall as datum")
@@ -227,8 +229,8 @@ def _project(
         if not np.isfinite(step.energy.samples(z, sampler)).all():
             found = step.energy.last_failure or "not finite somewhere"
             is_at_rest = initial.F is None and not initial.values and not step.model.bodies
-            key = "Model.material" if is_at_rest else "Initial"
-            raise InitialDataError("stored energy", found, "finite values", key)
+            key, what = ("Model.material", "parameters") if is_at_rest else ("Initial", "start values")
+            raise InitialDataError("stored energy", found, f"{what} of a finite energy", key)
         complete(step)
     theta = temperature(material, step.now.zeta_tensors)
     if theta is not None:

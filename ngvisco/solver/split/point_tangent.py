@@ -19,8 +19,9 @@ import numpy as np
 from ngvisco.algebra import precision
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.term import PointTerm
-from ngvisco.reduced.evaluation import CellTerms, derivative_of, incremented
+from ngvisco.reduced.evaluation import CellTerms
 from ngvisco.reduced.operators import Operators
+from ngvisco.reduced.point_fields import derivative_of, incremented
 from ngvisco.reduced.residual import Evaluation, ReducedResidual
 from ngvisco.reduced.slope import PointwiseSlope
 

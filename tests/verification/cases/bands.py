@@ -25,11 +25,11 @@ principal part of the deviator over sqrt(J_2), which vanishes with plastic flow 
 """
 
 LENGTH, HEIGHT, SEED = 2.0, 1.0, 0.1
-"""Of the block and the seed's radius, m."""
+"""Length and height of the block and the seed's radius, m."""
 BULK, SHEAR, FRICTION, G_M = 1000.0, 500.0, 30.0, 10.0
 """Moduli, Pa, angle of friction, degrees, viscosity of what exceeds the strength, Pa s; cohesion 1 Pa."""
 RATE, DT, END = 1e-3, 0.1, 7.5
-"""Of the shortening, 1/s; steps, s, and when no band has come, s."""
+"""Rate of the shortening, 1/s; steps, s, and the time by which no band has come, s."""
 STIFF = 1e4
 """Pa s/m, of the dashpot by which the wall pushes: its velocity is that times the stress off."""
 DENSITY = 0.01

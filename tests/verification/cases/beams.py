@@ -29,10 +29,10 @@ OMEGA = 3.516 * math.sqrt(FLEXURE / (DENSITY * THICK * LENGTH**4))
 DEFLECTION = DENSITY * THICK * GRAVITY * LENGTH**4 / (8 * FLEXURE)
 """m, m; E' I, N m; 1/s; of the tip at rest, m, under the whole weight."""
 FREQUENCY, MEAN, AMPLITUDE = 1.0995, 63.607e-3, 65.160e-3
-"""Of CSM3, Hz, m, m: its tip swings to and fro by 65.160 mm about -63.607 mm."""
+"""Published values of CSM3, Hz, m, m: its tip swings to and fro by 65.160 mm about -63.607 mm."""
 SHARE = 1e-3
-"""Of ``GRAVITY``, in runs on a mesh of their own: through ``Open`` walls a bar may move by little beside a
-cell.  What comes out is the limit of small deflections."""
+"""Share of ``GRAVITY``, in runs on a mesh of their own: through ``Open`` walls a bar may move by little
+beside a cell.  The result is the limit of small deflections."""
 ROWS_OF_CELLS = (((9, 1), 0.02), ((18, 1), 0.02), ((18, 1), 0.01))
 """Cells along and across, each two triangles, and steps, s."""
 
@@ -101,7 +101,7 @@ BOX, ROWS = (0.45, 0.25), {0.01: (18, 25), 1.0: (12, 25)}
 UNTIL, STEP = 0.54, {0.01: 0.02, 1.0: 0.005}
 """End and steps, s."""
 CENTROID = 0.4
-"""By how much the centroid of a bent beam sinks, over the tip."""
+"""Sinking of the centroid of a bent beam, over that of the tip."""
 
 
 def _clamped(

@@ -11,7 +11,7 @@ from tests.verification.setups import closure
 CASES = Cases("Robustness of the scheme")
 
 SPEED, LENGTH, END = 0.4, 0.2, 0.32
-"""Of the lid, m/s, which damage is smeared over, m, and when the block has broken, s."""
+"""Speed of the lid, m/s, length that damage is smeared over, m, and time when the block has broken, s."""
 LONGEST = 0.04
 
 

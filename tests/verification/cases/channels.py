@@ -36,7 +36,7 @@ def channel_startup(t: np.ndarray, heights: np.ndarray, eta_s: float) -> np.ndar
 
 
 def startup_velocity(eta_s: float) -> CoefficientFunction:
-    """The same as a function of y and ``ngvisco.time``, by the eigenvectors of each sine's equation."""
+    """Velocity at start-up, of y and ``ngvisco.time``, by the eigenvectors of each sine's equation."""
     v = CF(0.0)
     for n in range(1, 16, 2):
         A, steady = _of_sine(n, eta_s)

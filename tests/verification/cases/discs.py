@@ -38,9 +38,9 @@ SIZE, CELLS, RADIUS = (1.4, 0.8), (14, 8), 0.21
 PLACES = {"left": 0.37, "right": 1.03}
 SPEED, REACH = 0.2, 0.36
 BULK, SHEAR, DAMPING = 2.0, 1.0, 0.002
-"""Of the discs, Pa and Pa s; their density is 1 kg/m^3."""
+"""Bulk and shear moduli and viscosity of the discs, Pa and Pa s; their density is 1 kg/m^3."""
 SOFT, LIGHT, THIN = 0.1, 0.05, 0.0002
-"""Of the medium: bulk modulus, Pa, density, kg/m^3, and viscosity, Pa s."""
+"""Bulk modulus, Pa, density, kg/m^3, and viscosity, Pa s, of the medium."""
 TAU, END = 0.05, 2.2
 Scheme = Literal["backward-euler", "midpoint"]
 
@@ -84,7 +84,7 @@ def _gap(table: nv.Bodies) -> float:
 
 
 def taken(run: nv.Simulation) -> np.ndarray:
-    """What each step takes of the energy by the model, and what by the scheme, J/m, (2, steps)."""
+    """Energy that each step takes by the model, and by the scheme, J/m, (2, steps)."""
     ledger = run.ledger
     rates = [ledger.column(entry.name) for entry in ledger.entries if entry.kind == "dissipation"]
     return np.array([ledger.column("dt") * sum(rates), sum(ledger.column(name) for name in NUMERICAL)])[:, 1:]
@@ -164,7 +164,7 @@ for each body, but not jointly so.
 """
 
 MEETING, MET, WRONG, THROWN, LIGHTEST, SHORT = 0.04, 1.4, 0.2, 0.005, 1e-3, (6.25e-4, 3.125e-4)
-"""Of discs that meet: steps, and until when, by backward Euler, the control and the midpoint rule, s; the
+"""Steps of discs that meet, and until when, by backward Euler, the control and the midpoint rule, s; the
 medium's density, kg/m^3; the midpoint rule's steps, s."""
 
 
@@ -174,7 +174,7 @@ _BOUNDS = """- largest rise in a step, backward Euler <= 1e-10: never, but for r
     - bregman's negative parts at points, control >= 1e-5: not jointly convex
     - order of the largest remainder, midpoint >= 2.5: three in theory"""
 STRETCH, EULER, MIDPOINT = 0.05, 0.02, (0.0025, 0.00125)
-"""Of the strip; steps of strip and disc, s."""
+"""Stretch of the strip; steps of strip and disc, s."""
 
 
 def by_fractions(material: Mixture, z: Values) -> dict[str, Any]:
@@ -231,7 +231,7 @@ def _energy_and_slope(simulation: nv.Simulation) -> Any:
 
 
 class Balance:
-    """What a run does to its energy until a time, over a scale, J/m, or its first kinetic energy."""
+    """Changes of a run's energy until a time, over a scale, J/m, or its first kinetic energy."""
 
     def __init__(self, name: str, run: nv.Simulation, until: float, scale: float = 0.0) -> None:
         run.observers.append(distances := Distances())

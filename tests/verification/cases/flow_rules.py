@@ -37,7 +37,7 @@ Rate = Callable[[float, float, float], float]
 
 
 def over(m: float, tension: float) -> float:
-    """What |M| exceeds the size of a uniaxial stress by."""
+    """Excess of |M| over the size of a uniaxial stress."""
     return max(m - math.sqrt(2 / 3) * tension, 0.0)
 
 

@@ -249,7 +249,7 @@ def _damping() -> Measured:
 START, RATE, ENERGY = 300.0, 2.0, 2e4
 """Start, K, shear rate, 1/s, activation energy, J/mol."""
 SPEED, INLET, KAPPA, SOURCE = 1.0, 310.0, 0.5, 10.0
-"""Of a stream: m/s, K, W/(m K), W/m^3."""
+"""Numbers of a stream: m/s, K, W/(m K), W/m^3."""
 
 
 def _stream(cells: int, solver: str) -> nv.Simulation:

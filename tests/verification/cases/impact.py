@@ -26,7 +26,7 @@ CASES = Cases("Bodies and their interfaces")
 
 LENGTH, RADIUS, SPEED = 32.4, 3.2, 0.227
 DENSITY, BULK, SHEAR, YIELD, HARDENING, DASHPOT = 8.93, 130.0, 43.3, 0.4, 0.1, 0.01
-"""Of copper; the dashpot's stress at a strain rate of 0.1/us is a four-hundredth of the yield stress."""
+"""Numbers of copper; at a strain rate of 0.1/us the dashpot has a four-hundredth of the yield stress."""
 LIGHT = 0.05
 """The fluid's density."""
 OUTER, TOP, GROWTH = 9.0, 35.0, 1.15

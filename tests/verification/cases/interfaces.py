@@ -34,7 +34,7 @@ from tests.verification.case import Cases, Measured, Table
 CASES = Cases("Bodies and their interfaces")
 
 MAXH, TAU = 0.0625, 0.01
-"""Of cells, m, and steps, s."""
+"""Size of cells, m, and of steps, s."""
 Carrier = Literal["amounts", "sharp amounts", "rate zero", "reference map"]
 """Conserved amounts of bodies, these put apart after each step, a parameter with rate zero, or a function of
 carried coordinates."""

@@ -67,7 +67,7 @@ def _least(run: nv.Simulation) -> float:
 
 
 def defects_of(material: nv.Material) -> Measured:
-    """As tau and h go to zero, without delta and with delta ~ h^2, and as delta alone does."""
+    """Defects as tau and h go to zero, without delta and with delta ~ h^2, and as delta alone does."""
     plain, together = (RateTable(f"defects as {what} go to zero") for what in ("tau, h", "delta, tau, h"))
     alone = RateTable("defects as delta alone goes to zero, beyond those of delta = 0", "delta, m2/s")
     runs = [_run(material, h, 0.0) for h in LEVELS]
@@ -118,7 +118,7 @@ class PrintedMooneyRivlin(nv.MooneyRivlin):
     - largest |closure| <= 1e-10: both rows are in the balance
     """)
 def _printed() -> Measured:
-    """By the coupled solver: the split one takes rates to be linear in the variables; the printed is not."""
+    """The coupled solver is used: the split one needs rates linear in the variables; the printed is not."""
     table = RateTable("H of the two runs as tau and h go to zero")
     materials = COFACTORS, PrintedMooneyRivlin(K_e=10.0, G_e=3.0, G_mr=2.0, epsilon=0.1, elastic_state="F")
     for h in LEVELS[:3]:

@@ -28,7 +28,7 @@ the air of a cell stiff.  On cells of 100 km the surface has slowed down by a th
 
 KYR = 3.15576e10
 LENGTH, BASE, SURFACE, TOP, HEIGHT = 2.8e6, 6e5, 7e5, 8.5e5, 7e3
-"""Of a wave; the lithosphere's lower and upper face; the air's; the topography, m."""
+"""Length of a wave; the lithosphere's lower and upper face; the air's; the topography, m."""
 ROCK, AIR, FALL, K_ROCK = 3300.0, 3.3, 10.0, 1e13
 VISCOSITIES = {"mantle": 1e21, "lithosphere": 1e23}
 RATE, AGE = -0.2139e-11, 14.8
@@ -38,8 +38,8 @@ CELLS_OF, TAU_KYR, END = (50e3, 25e3), 1.0, 16.0
 WAVE_OF = 2 * math.pi / LENGTH
 MYR, RISEN = 1e3 * KYR, 3.0
 PUBLISHED = 396.0, 441.0
-"""Of the surface at 3 Myr, m, by ASPECT (its manual) and in a digitised curve of Underworld's, as a plume
-rises below it, at first 300 km above the bottom."""
+"""Height of the surface at 3 Myr, m, by ASPECT (its manual) and in a digitised curve of Underworld's, as a
+plume rises below it, at first 300 km above the bottom."""
 
 
 def _layered(
@@ -76,7 +76,7 @@ def _until(end: float, run: nv.Simulation, of: Callable[[nv.Simulation], Any]) -
 
 
 def _height(run: nv.Simulation) -> float:
-    """Of the surface's wave, m, from the fraction of air."""
+    """Height of the surface's wave, m, from the fraction of air."""
     air = run.fields["air_fraction"]
     return -4 / LENGTH * float(Integrate(air * cos(WAVE_OF * x), run.mesh, order=6))
 
@@ -166,7 +166,7 @@ def _rising() -> Measured:
 
 
 # --- sloshing of a fluid ---------------------------------------------------------------------------------
-"""Of small amplitude, and without viscosity, v is the gradient of cos(k x) cosh(k y) in the layer, h deep,
+"""At small amplitude, and without viscosity, v is the gradient of cos(k x) cosh(k y) in the layer, h deep,
 
     omega^2 = g k (1 - r)/(coth(k h) + r coth(k h')),
 
@@ -203,7 +203,7 @@ def mode(ratio: float, shear: float) -> tuple[float, CoefficientFunction]:
         return frequency(ratio), low / math.sinh(K * DEPTH)
 
     def surface(omega: float) -> np.ndarray:
-        """Of A and B the shear stress, and the normal one with weight and inertia of what rises."""
+        """Rows for A and B: the shear stress, and the normal one with weight and inertia of what rises."""
         q = math.sqrt(omega**2 / shear - K**2)
         rise = np.array([math.sinh(K * DEPTH), math.sin(q * DEPTH)])
         stretch = np.array([K * math.cosh(K * DEPTH), q * math.cos(q * DEPTH)])

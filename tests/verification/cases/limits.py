@@ -188,10 +188,11 @@ DELTAS, TAU, STEPS = (1e-2, 1e-3, 1e-4, 1e-5), 0.02, 8
 
 
 def delta_terms(run: nv.Simulation) -> Callable[[], np.ndarray]:
-    """What gives, of the present state, the L2 norms of div(delta |grad rho|^{r-2} grad rho) and of delta
-    Laplace z, and that in L^{r'} of the compensating force delta |grad rho|^{r-2} (grad v) grad rho.
+    """Function that returns norms of the delta-terms in the present state.
 
-    The first two as the scheme has them, by their Riesz representatives in the spaces of rho and z.
+    They are the L2 norms of div(delta |grad rho|^{r-2} grad rho) and of delta Laplace z, and the L^{r'} norm
+    of the compensating force delta |grad rho|^{r-2} (grad v) grad rho.  The first two are taken as the scheme
+    has them, by their Riesz representatives in the spaces of rho and z.
     """
     step, law, u = run.rothe_step, run.model.regularisation, run.rothe_step.now
     assert law is not None

@@ -176,7 +176,7 @@ LABEL = {
 }
 
 AGREES = 1e-6
-"""Of differences of eighth order with the analytic sources, relative."""
+"""Relative size of differences of eighth order with the analytic sources."""
 
 
 def _with_gradient(kind: str, dim: int) -> Measured:
@@ -219,7 +219,7 @@ FIELDS = {"linear": "E", "neo-hookean": "F", "by B": "B"}
 
 
 class Stiffer(Sources):
-    """Those of a psi' that is a tenth larger."""
+    """Sources of a psi' that is a tenth larger."""
 
     @property
     def creep(self) -> CoefficientFunction:

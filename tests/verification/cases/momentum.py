@@ -185,9 +185,9 @@ def _kept() -> Measured:
 RADIUS, ROWS, SPIN_STEP, SPUN = 0.25, 12, 0.02, 0.3
 """m; rows of cells along each side of the unit box; s; s."""
 LIGHT = 0.05
-"""Of the medium, over the disc: density, bulk modulus and viscosity."""
+"""Density, bulk modulus and viscosity of the medium over those of the disc."""
 BULK, SHEAR, THICK = 50.0, 10.0, 1e-3
-"""Of the disc, Pa and Pa s; its density is 1 kg/m^3."""
+"""Bulk and shear modulus, Pa, and viscosity, Pa s, of the disc; its density is 1 kg/m^3."""
 
 
 def spinning_disc(m: int) -> tuple[nv.Simulation, float]:

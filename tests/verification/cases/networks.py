@@ -174,7 +174,7 @@ def compliance(t: np.ndarray, modes: Modes, spring: float) -> np.ndarray:
 
 
 def closed_form(name: str, t: np.ndarray) -> np.ndarray:
-    """The same by the formulas of the literature: Zener's, and Burgers' by its two retardations."""
+    """Moduli by the formulas of the literature: Zener's, and Burgers' by its two retardations."""
     modes, spring, _ = CREEPING[name]
     if name == "zener":
         ((g, tau),) = modes.values()

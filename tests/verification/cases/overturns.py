@@ -27,11 +27,11 @@ softer layer falls, a stiffer one oscillates.  The fluid's depth and inertia do 
 """
 
 DEEP, WIDTH = 1.0, 2.96
-"""Of the layer, as of the fluid, m; one wavelength, that of the least threshold."""
+"""Depth of the layer, as of the fluid, m; one wavelength, that of the least threshold."""
 G, LIGHT_FLUID, STIFF = 1.0, 0.25, 20.0
 """m/s^2; density of the fluid, kg/m^3, where the layer has 1; K_e of both, Pa: 110 to 330 times G."""
 SPEED, THIN_FLUID = 1e-3, 1e-4
-"""Of the first velocity, m/s; of the fluid, Pa s."""
+"""First velocity, m/s; viscosity of the fluid, Pa s."""
 MODULI = (0.5, 0.8, 1.2, 1.5)
 """Shear moduli over the threshold's."""
 TAU, STEPS, CELLS = 0.1, 20, (12, 16)
@@ -108,18 +108,18 @@ def _rayleigh_taylor() -> Measured:
 
 
 # --- Rayleigh–Taylor of viscous layers -----------------------------------------------------------------
-"""Of two viscous layers without inertia: a face at A cos(k x) between a layer of thickness h_1, viscosity
-eta_1 and density rho_1 above another one of h_2, eta_2 and rho_2, between walls that hold, moves with
-K (rho_1 - rho_2) g h_2 A/(2 eta_2), where K is ``factor`` (H. Ramberg, Phys. Earth Planet. Inter. 1, 427,
-1968; T. Gerya, Introduction to Numerical Geodynamic Modelling, 2010, Chapter 16).  Backward Euler multiplies
-A by 1/(1 - s tau) then.
+"""Growth of two viscous layers without inertia: a face at A cos(k x) between a layer of thickness h_1,
+viscosity eta_1 and density rho_1 above another one of h_2, eta_2 and rho_2, between walls that hold, moves
+with K (rho_1 - rho_2) g h_2 A/(2 eta_2), where K is ``factor`` (H. Ramberg, Phys. Earth Planet. Inter. 1,
+427, 1968; T. Gerya, Introduction to Numerical Geodynamic Modelling, 2010, Chapter 16).  Backward Euler then
+multiplies A by 1/(1 - s tau).
 
 Pressures of 9e7 Pa are rounded to 1e-6 Pa where K_e = 1e10 Pa, which moves the weak layer of 1e13 Pa s by
 1e-6 of its velocity: the iteration ends there.
 """
 
 THICK, WAVE_LENGTH, FIRST = 1500.0, 4000.0, 30.0
-"""Of each layer, of a wave, and of the face at first, m."""
+"""Thickness of each layer, length of a wave, and height of the face at first, m."""
 HEAVY, LIGHT, PULL, K_LAYERS = 3000.0, 2900.0, 10.0, 1e10
 STRONG = 1e19
 """Viscosity of the lower layer, Pa s."""

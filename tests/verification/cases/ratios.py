@@ -17,7 +17,7 @@ CASES = Cases("Bodies and their interfaces")
 
 FAR = 1e4
 RATIOS = tuple((a, b) for a in (1 / FAR, 1.0, FAR) for b in (1 / FAR, 1.0, FAR))
-"""Of the moduli and the densities of the first body over the second's."""
+"""Ratios of the moduli and of the densities, those of the first body over the second's."""
 STEP, STEPS, SHORT, STRETCH = 0.02, 8, (4e-3, 2e-3), 0.05
 """s; the step of the midpoint rule's remainder, s; of the strip's second half."""
 Scheme = Literal["backward-euler", "midpoint"]
@@ -76,7 +76,7 @@ def _least(run: nv.Simulation) -> float:
 def table(
     orders: tuple[int, int], schemes: tuple[Scheme, ...], ratios: tuple[tuple[float, float], ...] = RATIOS
 ) -> Iterator[tuple[Balance | None, list[Any]]]:
-    """Of each problem, scheme and ratio the run's balance, None where a step has no solution, and its row."""
+    """Balance and row of each problem, scheme and ratio; no balance where a step has no solution."""
     for problem, make in PROBLEMS.items():
         for scheme in schemes:
             for stiffer, denser in ratios:

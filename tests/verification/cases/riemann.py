@@ -33,7 +33,7 @@ VISCOSITY = {"backward-euler": 1.0, "midpoint": 2.0}
 """K_v + 4/3 G_v in units of rho U h: what ngvisco/timestepping/NOTES.md advises."""
 
 HALF_WIDTH = 0.03
-"""Of the piece of a star region over which is averaged, m: at the end it is 0.25 m wide at least."""
+"""Half width of the averaged piece of a star region, m, which is 0.25 m wide at the end or wider."""
 
 
 def energy(F: CoefficientFunction, H: CoefficientFunction, J: CoefficientFunction) -> CoefficientFunction:
@@ -62,7 +62,7 @@ def star_of_impact(U: float) -> float:
 
 
 def star_of_expansion(U: float) -> float:
-    """That between two pieces that part with U each: a fan into each, U = int c dstretch."""
+    """Star state between two pieces that part with U each: a fan into each, U = int c dstretch."""
 
     def excess(stretch: float) -> float:
         return float(quad(lambda s: math.sqrt(stiffness(s)), 1, stretch)[0]) - U
@@ -196,9 +196,9 @@ CASES.theme = "Heat"
 
 HEAT_CAPACITY, THETA_R, GAMMA = 2.0, 1.0, 1.5
 WARM_SOUND = math.sqrt(SOUND**2 + GAMMA**2 * HEAT_CAPACITY * THETA_R)
-"""The same with heat and without conduction, m/s."""
+"""Speed of sound with heat and without conduction, m/s."""
 SPEED, WIDTH, NU, KAPPA, UNTIL = 0.3 * WARM_SOUND, 0.03, 0.04, 0.02, 0.05
-"""Of the start -SPEED tanh(sin(2 pi (x - 1/2))/(2 pi WIDTH)); it steepens to a shock of about NU/SPEED."""
+"""Start -SPEED tanh(sin(2 pi (x - 1/2))/(2 pi WIDTH)), which steepens to a shock of about NU/SPEED."""
 
 
 def warm(material: nv.Material) -> nv.Material:

@@ -61,8 +61,8 @@ AXES = {"stiffness, Pa": STIFFNESS, "K_e/G_e": RATIOS, "viscosity, Pa s": VISCOS
 
 
 def attempt(kind: str, stiffness: float, ratio: float, viscosity: float, tau: float) -> list[float]:
-    """Of the steps of one configuration: how many were tried, solved at first try, solved, their iterations;
-    largest closure and Courant number.  After one that is not solved the later ones count as not solved."""
+    """Counts of the steps of one configuration: tried, solved at first try, solved, and their iterations;
+    largest closure and Courant number.  After a step that is not solved the later ones count as unsolved."""
     run = block(
         kind,
         tau,

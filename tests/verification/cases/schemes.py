@@ -118,7 +118,7 @@ LENGTHS = {
     "midpoint": (0.04, 0.02, 0.01, 0.005, 0.0025),
     "sdirk2": (0.04, 0.02, 0.01),
 }
-"""Of steps, s."""
+"""Lengths of steps, s."""
 
 
 @CASES("""swirl-schemes

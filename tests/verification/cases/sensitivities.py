@@ -118,7 +118,7 @@ KINDS: dict[str, tuple[Make, str, float]] = {
 
 
 def errors(make: Make, name: str, p: float, scheme: str, solver: str) -> tuple[np.ndarray, float]:
-    """Of each width the largest error of the tangent, and the largest difference of the adjoint from it.
+    """Largest error of the tangent at each width, and largest difference of the adjoint from it.
 
     They are relative to the derivative, or to a thousandth of the number over the parameter.
     """

@@ -128,7 +128,7 @@ modulus of longitudinal waves; a stiff one is a block on a spring, omega^2 = k/r
 BULK, SHEAR = 10.0, 5.0
 MODULUS = BULK + 4 / 3 * SHEAR
 SMALL, CELLS, STEPS = 1e-6, 8, 80
-"""Of the velocity, m/s, cells along the bar, and steps in a period."""
+"""Amplitude of the velocity, m/s, cells along the bar, and steps in a period."""
 STIFFNESSES = (0.05, 1.0, 20.0)
 """k over M."""
 HEAVY, DAMPING = 1e-3, 0.2
@@ -215,7 +215,7 @@ PER_PERIOD, PERIODS = 16, 2
 SIZES = (0.36, 0.25)
 """m: 265 and 984 tetrahedra."""
 TERMS = 16
-"""Of the power series of j_l: its rest is below rounding for arguments up to 6."""
+"""Number of terms of the power series of j_l: its rest is below rounding for arguments up to 6."""
 
 
 def root(degree: int) -> float:

@@ -237,7 +237,7 @@ def estimates(
 
 
 def bounds(kind: str) -> Iterator[Bound]:
-    """Those of ``estimates``."""
+    """Bounds of ``estimates``."""
     for name, label in (COMMON | OWN[kind]).items():
         said = f"{label}: bounded as eps, delta and h decrease, and no norm vanishes"
         yield Bound(f"growth of {name}", "in", (0.8, 1.2), said)
@@ -289,7 +289,7 @@ COUNTS = (8, 16, 32, 64)
 """For tau; delta and epsilon go to zero with the second one."""
 
 LIMIT_SIZES = {"linearised": (1e-2, 1e-3, 1e-4), "finite": (1e-3, 1e-4, 1e-5)}
-"""Of delta and epsilon: sqrt(delta) against moduli, where the energy has it."""
+"""Sizes of delta and epsilon: sqrt(delta) against moduli, where the energy has it."""
 
 DELTA = EPSILON = 1e-2
 """While tau goes to zero, and epsilon while delta does."""
@@ -420,7 +420,7 @@ SOLVED: dict[str, dict[str, dict[str, str]]] = {
 
 
 def limit_bounds(kind: str) -> Iterator[Bound]:
-    """Those of ``sequence``."""
+    """Bounds of ``sequence``."""
     for name, (rate, reason) in RATES.items():
         for field, labels in LIMIT_LABELS[kind].items():
             solved = SOLVED[kind].get(name, {}).get(field)

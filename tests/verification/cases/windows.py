@@ -29,7 +29,7 @@ def _momentum(run: nv.Simulation) -> np.ndarray:
 
 
 def _carried_out(run: nv.Simulation) -> float:
-    """What goes out through the windows of the momentum along the bar, N."""
+    """Momentum along the bar that goes out through the windows, N."""
     v, n = run.fields["velocity"], specialcf.normal(run.mesh.dim)
     return float(Integrate(BoundaryFromVolumeCF(run.fields["density"]) * v[0] * (v * n), run.mesh, BND))
 

@@ -20,8 +20,8 @@ from ngvisco.forms.fields import Fields, Tests
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import GivenParts, PointTerm, Term, refused_by_name
 from ngvisco.physics.arrays import Array
-from ngvisco.reduced.evaluation import NotAtPointsError
 from ngvisco.reduced.one_point import OnePoint, Slots, why
+from ngvisco.reduced.point_fields import NotAtPointsError
 from ngvisco.reduced.unknowns import Unknowns, density_by_forms, in_cells
 
 _FIELDS = {"rho", "grad rho", "z", "grad z"}
