@@ -53,7 +53,7 @@ class _State:
     rate: np.ndarray
 
 
-class Stresses:
+class LinearisationStress:
     """The stresses M* of a step's state for a model with creep at nodes; false if no flow rule needs one.
 
     Arrays are (flows, points, components); arrays of z and zeta are (components, points).
@@ -64,7 +64,7 @@ class Stresses:
     ) -> None:
         self.rates, self.layout, self.space = rates, layout, rates.creep_space
         self.flows = tuple(
-            flow for flow in rates.flows if rates.creeps_at_nodes and not flow.rule.reads_conjugate
+            flow for flow in rates.flows if rates.creep_is_collocated and not flow.rule.reads_conjugate
         )
         p = self.space.size
         self.stress, self.slope = (
@@ -254,7 +254,7 @@ class KeptRates(Rates):
     Rounding of z would change M(z), and a steep rule would multiply this change.
     """
 
-    def __init__(self, rates: Rates, stresses: Stresses) -> None:
+    def __init__(self, rates: Rates, stresses: LinearisationStress) -> None:
         super().__init__(rates.model, rates.dim, rates.hoop)
         self.stresses = stresses
 
@@ -272,7 +272,7 @@ class KeptRates(Rates):
 class LinearisedRates(KeptRates):
     """Rates with the linearised correction S (M(z) - M*), used in the Newton iteration for (z, Y)."""
 
-    def __init__(self, rates: Rates, stresses: Stresses, now: Fields | None = None) -> None:
+    def __init__(self, rates: Rates, stresses: LinearisationStress, now: Fields | None = None) -> None:
         """``now`` are the fields of the iterate; None for arrays of values."""
         super().__init__(rates, stresses)
         self._iterate = now

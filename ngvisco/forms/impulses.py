@@ -185,7 +185,7 @@ class Impulses:
 
         The state must be the solution of the last Rothe step, with its old state, length and loads in place.
         """
-        self.step.eliminate.refresh_energy()
+        self.step.local_unknowns.update_energy()
         none, of_cells = np.zeros(len(self.motions)), self._in_cells()
         by_arrays = self._by_arrays()
         forms = {name: form for name, form in self._on_facets.items() if name not in by_arrays}

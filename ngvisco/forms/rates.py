@@ -67,7 +67,7 @@ class Rates:
         return parts
 
     @cached_property
-    def creeps_at_nodes(self) -> bool:
+    def creep_is_collocated(self) -> bool:
         """Whether creep is integrated by the nodal rule, one point per field coefficient in a cell.
 
         This holds if a local rule is nonlinear, or relaxes F or its cofactor, whose rotation a field can
@@ -76,7 +76,7 @@ class Rates:
         """
         turns = {variable.name for variable in self.material.variables if variable.kind == "full"}
         asked = any(f.rule.degree != 1 or turns.intersection(f.names) for f in self.flows)
-        return self.is_local and asked and not self.constants.bent
+        return self.is_local and asked and not self.constants.nonlinear_variables
 
     @cached_property
     def constants(self) -> RateTensors:

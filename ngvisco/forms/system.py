@@ -44,7 +44,7 @@ from ngvisco.forms.boundary.wall_terms import Carried, Impenetrability, wall_ter
 from ngvisco.forms.boundary.walls import Conditions, MovingWalls, Walls
 from ngvisco.forms.context import Context
 from ngvisco.forms.damage import DamageGrowth
-from ngvisco.forms.driving_stress import KeptRates, LinearisedRates, Stresses
+from ngvisco.forms.driving_stress import KeptRates, LinearisationStress, LinearisedRates
 from ngvisco.forms.energy import PointwiseEnergy, StoredEnergy
 from ngvisco.forms.fields import Fields, Tests
 from ngvisco.forms.mesh.mesh_arrays import check_mesh
@@ -90,14 +90,14 @@ from ngvisco.forms.terms.transport import (
     Upwinding,
 )
 from ngvisco.forms.unfelt import UNFELT, Unfelt
-from ngvisco.forms.upwinding import Largest, SideMean, mean_share
+from ngvisco.forms.upwinding import FacetMean, Largest, mean_share
 from ngvisco.physics.material import part_of
 from ngvisco.physics.materials.damaged import Damaged
 from ngvisco.physics.materials.thermal import entropy_in
 from ngvisco.physics.model import Model
 
 
-class Elimination:
+class LocalUnknowns:
     """The local unknowns of a step, recomputed in the order of their dependence."""
 
     def __init__(
@@ -106,7 +106,7 @@ class Elimination:
         state: GridFunction,
         quadrature: Quadrature,
         terms: Iterable[Term],
-        stresses: Stresses | None = None,
+        stresses: LinearisationStress | None = None,
     ) -> None:
         self.stresses, self.energy = stresses, layout.context.energy
         u = layout.fields(state.components)
@@ -125,7 +125,7 @@ class Elimination:
                             self._means.append(made)
                         else:
                             self.projections[name] = made
-            if isinstance(term, SideMean) and not term.is_linear:
+            if isinstance(term, FacetMean) and not term.is_linear:
                 value = mean_share(u.context.inner), term.value(u)
                 kept = [partial(self.largest, term.name)] if term.stays else []
                 self._means.append(FacetProjection(parts[term.name], quadrature, *value, *kept))
@@ -134,28 +134,28 @@ class Elimination:
             load = tested(self.energy.density(u))
             self._of_energy = LocalProjection(self.energy.projected, quadrature, load)
 
-    def __call__(self) -> None:
+    def update(self) -> None:
         """Compute all local unknowns of the state from its v, a and z."""
-        self.follow()
+        self.update_without_means()
         self.energy.refresh_sides()
         for mean in self._means:
             mean()
 
-    def follow(self) -> None:
+    def update_without_means(self) -> None:
         """Update the local unknowns without the means that only a step's equations read."""
-        self.refresh_energy()
+        self.update_energy()
         for projection in self.projections.values():
             projection()
         if self.stresses:
             self.stresses.refresh()
 
-    def refresh(self) -> None:
+    def update_stored(self) -> None:
         """Update the energy and the stresses that are stored at points to the present state."""
-        self.refresh_energy()
+        self.update_energy()
         if self.stresses:
             self.stresses.refresh()
 
-    def refresh_energy(self) -> None:
+    def update_energy(self) -> None:
         """Update an energy that is stored at the quadrature points, and its projection, to the state."""
         if self.energy.refresh() and self._of_energy is not None:
             self._of_energy()
@@ -290,14 +290,16 @@ class Step:
         """The rates of the variables for arrays of values."""
         self.ranges: dict[str, tuple[float, float]] = {}
         """Least and largest start values of the material's parameters, by name."""
-        self.stresses = Stresses(self.tabulated_rates, self.layout, self.quadrature, self.state)
+        self.stresses = LinearisationStress(self.tabulated_rates, self.layout, self.quadrature, self.state)
         """Stresses at which flow rules are linearised."""
         kept, rates = KeptRates(self.tabulated_rates, self.stresses), self.tabulated_rates
         self._solved = self._fields(self.state.components, kept) if self.stresses else self.now
         """Fields of the present state with creep rates from the stored stresses."""
         self._linearised = LinearisedRates(rates, self.stresses, self.now)
         self.residual = self._residual()
-        self.eliminate = Elimination(self.layout, self.state, self.quadrature, self.terms, self.stresses)
+        self.local_unknowns = LocalUnknowns(
+            self.layout, self.state, self.quadrature, self.terms, self.stresses
+        )
         law = part_of(model.material, Damaged)
         self.damage = None if law is None else DamageGrowth(self, law)
         """The growth of damage after a step; None without damage."""

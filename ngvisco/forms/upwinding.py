@@ -70,7 +70,7 @@ class Largest:
         return found
 
 
-class SideMean(PointTerm):
+class FacetMean(PointTerm):
     """Equation of a facet mean a_hat of both sides' values: sum_K int_{dK} share (a_hat - a) t = 0.
 
     a_hat is an explicit function of the cells' unknowns and of preceding means; no solver iterates on it.

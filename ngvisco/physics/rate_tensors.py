@@ -44,7 +44,7 @@ class RateTensors:
     gradients: int
     """How many of the X are entries of L; the others are components of Pi."""
     dim: int
-    bent: tuple[str, ...] = ()
+    nonlinear_variables: tuple[str, ...] = ()
     """Variables whose rates are not affine in z: the tensors are not theirs."""
 
     @staticmethod
@@ -82,7 +82,7 @@ class RateTensors:
 
         rates, of_mixed = np.array([rates_by(X) for X in np.eye(len(mixed))]), rates_by(mixed)
         result = RateTensors(rates[:, :, 0], rates[:, :, 1 : n + 1] - rates[:, :, :1], g, dim)
-        others, bent = slice(n + 1, None), []
+        others, nonlinear = slice(n + 1, None), []
         for v in variables:
             own = states.slices[v.name]
             if _differ(np.tensordot(mixed, rates[:, own], 1), of_mixed[own]):
@@ -90,8 +90,8 @@ class RateTensors:
                 raise ParameterError(f"{type(v).__name__}.rate", v.name, expected)
             affine = result.rate(values[:, others], mixed[:, None])
             if _differ(affine[own], of_mixed[own, others]):
-                bent.append(v.name)
-        return replace(result, bent=tuple(bent))
+                nonlinear.append(v.name)
+        return replace(result, nonlinear_variables=tuple(nonlinear))
 
     def by_groups(self, groups: Sequence[Sequence[str]], states: StateSpace) -> RateTensors:
         """Rates with a Pi for each group of variables, which are named, in which these alone creep."""

@@ -47,9 +47,11 @@ class Couplings:
     """
 
     def __init__(self, step: Step) -> None:
-        if bent := step.tabulated_rates.tensors.bent:
-            expected = f"the rate of {bent[0]!r} is not linear in the variables, as the split solver needs it"
-            raise ParameterError("Variable.rate", bent[0], expected)
+        if names := step.tabulated_rates.tensors.nonlinear_variables:
+            expected = (
+                f"the rate of {names[0]!r} is not linear in the variables, as the split solver needs it"
+            )
+            raise ParameterError("Variable.rate", names[0], expected)
         self.at_points: list[PointTerm] = []
         self.by_forms: list[Term] = []
         self.of_kernel = defaultdict[str, list[Any]](list)

@@ -19,7 +19,7 @@ from ngvisco.forms.fields import Fields, Tests
 from ngvisco.forms.rates import TabulatedRates
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import PointTerm, Where
-from ngvisco.forms.upwinding import SideMean
+from ngvisco.forms.upwinding import FacetMean
 from ngvisco.physics.arrays import Array, Linear, slots
 from ngvisco.reduced.operators import Operators, SideOperators
 from ngvisco.reduced.point_fields import CELLS, FACETS, derivative_of, incremented, lazy_fields, with_values
@@ -41,7 +41,7 @@ def shapes_of(step: Step) -> dict[str, tuple[int, ...]]:
 
 def on_sides(step: Step) -> list[str]:
     """Unknowns with tests on facets: of cells, and means of both sides."""
-    means = (term.name for term in step.terms if isinstance(term, SideMean))
+    means = (term.name for term in step.terms if isinstance(term, FacetMean))
     density = [name for name in ("rho", "rho_hat") if name in step.layout.unknowns]
     return ["v", *density, "z", *means]
 

@@ -1,6 +1,6 @@
 """dR/dz of terms by which cells act on each other across facets, with the means of both sides put in.
 
-A term on a cell's side reads the cell's own z, its conjugates zeta and means of both sides (``SideMean``),
+A term on a cell's side reads the cell's own z, its conjugates zeta and means of both sides (``FacetMean``),
 which read the same of both cells and means before them.  Along each function of the cells that is read the
 derivative is found at once in all cells, by complex increments at the points; so is that along each function
 of the facets.  With a mean m = sum over both sides of A dz, of both sides' cells, and H dm in the rows of a

@@ -30,7 +30,7 @@ from ngvisco.forms.mesh.mesh_arrays import mask_of
 from ngvisco.forms.mesh.points import SidePoints, csr
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import CellMean, GivenParts, Integrand, PointTerm, Term, WithheldError
-from ngvisco.forms.upwinding import SideMean, mean_share
+from ngvisco.forms.upwinding import FacetMean, mean_share
 from ngvisco.parallel.exchange import Exchange
 from ngvisco.physics.arrays import TINY, Array
 from ngvisco.reduced.declared import Couplings
@@ -284,8 +284,8 @@ class ReducedResidual:
     def __call__(self, x: np.ndarray, anew: bool = False) -> Evaluation:
         """Evaluate at ``x``; where it is real, it and what is derived from it become the step's state.
 
-        ``anew`` linearises flow rules there, ``Stresses``; else their slopes stay.  The forms of NGSolve
-        read the state; with complex x they are taken as linear about it.
+        ``anew`` linearises flow rules there, ``LinearisationStress``; else their slopes stay.  The forms of
+        NGSolve read the state; with complex x they are taken as linear about it.
         """
         c, hyper = self._derived(x)
         inside, on_sides = zip(*self.share(lambda part: part.loads(c, hyper), self.parts), strict=True)
@@ -301,7 +301,7 @@ class ReducedResidual:
             of_v, of_a = np.split(hyper.rows, [c["v"].shape[1]], axis=1)
             rows.append({"v": of_v, "a": of_a})
         if not np.iscomplexobj(x) and "energy" in self.couplings.forms_ask_for:
-            self.step.eliminate.refresh()
+            self.step.local_unknowns.update_stored()
         return Evaluation(x, c, hyper, self._packed(x, rows), (self.cell_terms, self.facet_terms))
 
     def on_sides(self) -> tuple[Fields, SidePoints]:
@@ -338,8 +338,8 @@ class ReducedResidual:
             loads = run(partial(CellPart.trace, term=term, name=name, c=c), self.parts)
             mass, values = self.mass_of(name), self.side_op.of(name)
             c[name] = -mass.solve(mass.exchange.sum(values.summed(np.concatenate(loads, axis=-1))))
-            if isinstance(term, SideMean) and term.stays:
-                c[name] = self.step.eliminate.largest(name, c[name].real)
+            if isinstance(term, FacetMean) and term.stays:
+                c[name] = self.step.local_unknowns.largest(name, c[name].real)
         for mean in self.couplings.of_kernel["cell means"]:
             of_parts = run(partial(CellPart.mean, term=mean, c=c), self.parts)
             c[mean.name] = np.concatenate(of_parts, axis=-1)

@@ -266,7 +266,7 @@ class Bodies(Series):
 
     def _sample(self, simulation: Simulation) -> Any:
         dim = simulation.mesh.dim
-        simulation.rothe_step.eliminate.refresh()
+        simulation.rothe_step.local_unknowns.update_stored()
         totals = np.asarray(simulation.rothe_step.quadrature.integrate_cells(self._integrand), dtype=float)
         values = totals.reshape(self._theta.dim, -1)
         values[:, 2 : 2 + dim] /= np.where(values[:, 1:2] > 0, values[:, 1:2], np.nan)

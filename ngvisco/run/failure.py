@@ -185,8 +185,8 @@ def _advice(simulation: Simulation, violation: Violation | None, courant: float,
         lines.append("an energy that rises faster as the volume goes to zero (material.epsilon, kappa)")
         lines.append("material.J_min or a Yosida approximation, with which a run may pass J = 0")
     variables = model.material.variables
-    winds = next((v for v in variables if isinstance(v, Distortion)), None)
-    if winds is not None and violation.quantity == f"det {winds.name}":
+    distortion = next((v for v in variables if isinstance(v, Distortion)), None)
+    if distortion is not None and violation.quantity == f"det {distortion.name}":
         lines.append('material.elastic_state = "B" where the body flows: F winds up there')
     if any(isinstance(v, LeftCauchyGreen) for v in variables) and model.creep is None:
         lines.append("creep where the body flows, which lets B relax")
@@ -201,11 +201,11 @@ def showing(simulation: Simulation, state: np.ndarray) -> Iterator[None]:
     own = values.copy()
     try:
         values[:] = state
-        step.eliminate.refresh()
+        step.local_unknowns.update_stored()
         yield
     finally:
         values[:] = own
-        step.eliminate.refresh()
+        step.local_unknowns.update_stored()
 
 
 def write_failure(text: Path, fields: Path, simulation: Simulation, report: FailureReport) -> Path:

@@ -243,7 +243,7 @@ class Ledger:
 
         Raises StepError, with the place, for a value that is no number.
         """
-        self.step.eliminate.refresh_energy()
+        self.step.local_unknowns.update_energy()
         self.step.energy.require()
         return self._numbers(self._rates) | self.momentum.forces()
 

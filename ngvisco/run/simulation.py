@@ -299,7 +299,7 @@ class Simulation:
         Mandel, viscous and hyperstress, principal stresses and stretches are present if the model has them
         (``ngvisco.run.fields``), as are the run's passive fields.
         """
-        self.rothe_step.eliminate.refresh()
+        self.rothe_step.local_unknowns.update_stored()
         return {**self._expressions, **self.passive.fields}
 
     @cached_property

@@ -53,7 +53,7 @@ class Follower:
         self.step.stresses.start()
         if stage is not None:
             self.step.stresses.give(stage.stresses)
-        self.step.eliminate.refresh()
+        self.step.local_unknowns.update_stored()
 
     def residual(self, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Residual R at a state with this run's velocities of walls, and the state with these velocities."""
@@ -102,14 +102,14 @@ class Follower:
             time.Set(taken.end)
             step.moving_walls.set_present_values()
         step.stresses.start()
-        step.eliminate()
+        step.local_unknowns.update()
         return self.state.copy(), self._momentum_rows()
 
     def completed(self, state: np.ndarray) -> np.ndarray:
         """Set the present state with dependent unknowns updated, and return its coefficients."""
         self.state[:] = state
         self.step.stresses.start()
-        self.step.eliminate()
+        self.step.local_unknowns.update()
         return self.state.copy()
 
     def impulse(

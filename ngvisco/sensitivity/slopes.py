@@ -111,7 +111,7 @@ class Slopes:
                 for offset in OFFSETS[4]:
                     state[dof] = kept + offset * h
                     if self.step.energy.projected is not None:
-                        self.step.eliminate.refresh()
+                        self.step.local_unknowns.update_stored()
                     values.append(np.ravel(value(at))[0])
                 state[dof] = kept
                 result[dof] = differenced(values, h)

@@ -25,7 +25,7 @@ import numpy as np
 from ngsolve import BaseMatrix, BaseVector, BilinearForm, SetHeapSize
 
 from ngvisco.errors import StepError
-from ngvisco.forms.driving_stress import Stresses
+from ngvisco.forms.driving_stress import LinearisationStress
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.exchange import Exchange
 from ngvisco.parallel.petsc import PETScInverse
@@ -121,13 +121,13 @@ class Newton:
     Parameters
     ----------
     form, state, norm, options
-    eliminate : callable
+    update : callable
         Recomputes the local unknowns of ``state`` from the others.
-    refresh : callable
-        Called before the form is used at a state that ``eliminate`` was not just called at.
+    update_stored : callable
+        Called before the form is used at a state that ``update`` was not just called at.
     exchange : Exchange, optional
         Of the form's space, where it may be distributed.
-    stresses : Stresses, optional
+    stresses : LinearisationStress, optional
         What flow rules are linearised at, unknowns beside those of the state.
     has_energy : callable, optional
         Says whether the state has a stored energy.  An iterate without one is as one without a residual: a
@@ -141,17 +141,17 @@ class Newton:
         form: BilinearForm,
         state: BaseVector,
         norm: BlockNorm,
-        eliminate: Callable[[], None],
+        update: Callable[[], None],
         options: NewtonOptions,
-        refresh: Callable[[], None] = lambda: None,
+        update_stored: Callable[[], None] = lambda: None,
         exchange: Exchange | None = None,
-        stresses: Stresses | None = None,
+        stresses: LinearisationStress | None = None,
         has_energy: Callable[[], bool] = lambda: True,
         growths: Callable[[], int] = lambda: 0,
     ) -> None:
         self.has_energy, self.growths = has_energy, growths
         self.form, self.state, self.norm, self.options = form, state, norm, options
-        self.eliminate, self.refresh, self.stresses = eliminate, refresh, stresses
+        self.update, self.update_stored, self.stresses = update, update_stored, stresses
         self.exchange = exchange or Exchange.of(form.space, Communicator())
         self.jacobian = CondensedJacobian(form, options.inverse, self.exchange.communicator)
         self._residual, self._trial_residual = state.CreateVector(), state.CreateVector()
@@ -173,7 +173,7 @@ class Newton:
 
     def _factorise(self, problem: Problem, residual: BaseVector | None = None) -> None:
         """Factorise within an iteration; evaluate ``residual`` again where slopes of flow rules are new."""
-        self.refresh()
+        self.update_stored()
         slopes_are_new = self.stresses is not None and self.stresses.linearise()
         self.jacobian.factorise(self.state)
         problem.factorised()
@@ -201,7 +201,7 @@ class Newton:
 
     def _iterate(self, problem: Problem, history: list[NewtonIteration]) -> Status:
         options, u = self.options, self.state
-        self.refresh()
+        self.update_stored()
         self.form.Apply(u, self._residual)
         if not self._is_finite(self._residual):
             return Status.NOT_FINITE
@@ -236,7 +236,7 @@ class Newton:
                 if self.stresses:
                     self.stresses.undo()
                 if self.growths() != growths:  # the equations are others, also where the iterate is given up
-                    self.eliminate()
+                    self.update()
                     self.form.Apply(u, self._residual)
                     fresh, renewed, damping = True, True, 1.0
                 elif not fresh:
@@ -262,7 +262,7 @@ class Newton:
         if self.stresses:
             self.stresses.follow(increment, length)
         self.state.data -= length * increment
-        self.eliminate()
+        self.update()
 
     def _following(self, size: float) -> tuple[float, float]:
         """The size of the next increment, of the trial residual, and over that of the one before."""
@@ -308,11 +308,11 @@ class Newton:
         for _ in range(NOISE_SAMPLES):
             change_of = signs.choice((-1.0, 1.0), len(values))
             values *= 1 + np.finfo(float).eps * self.exchange.of_owners(change_of)
-            self.eliminate()
+            self.update()
             self.form.Apply(u, rows)
             rows.data -= self._trial_residual
             self.jacobian.solve(rows, change)
             u.data = kept
             largest = max(largest, self.norm(change, u))
-        self.refresh()
+        self.update_stored()
         return largest

@@ -122,14 +122,14 @@ class RotheSolver:
         return self._made[self.method]
 
     def _new(self) -> Newton | Split:
-        step, norm, options, eliminate = self.step, self.norm, self.options, self.step.eliminate
+        step, norm, options, local = self.step, self.norm, self.options, self.step.local_unknowns
         found: Newton | Split
         if self.method == "split":
             found = Split(step, norm, options, self.exchange)
             reason = found.preconditioner.without_multigrid
         else:
-            more = eliminate.refresh, self.exchange, step.stresses, self._has_energy, self._growths
-            found = Newton(step.residual, step.state.vec, norm, eliminate, options, *more)
+            more = local.update_stored, self.exchange, step.stresses, self._has_energy, self._growths
+            found = Newton(step.residual, step.state.vec, norm, local.update, options, *more)
             reason = "the coupled solver, which takes the steps, factorises all unknowns"
         if options.coarse != "direct" and reason is not None:
             message = f"coarse = {options.coarse!r} of the solver has no effect: {reason}"
@@ -137,7 +137,7 @@ class RotheSolver:
         return found
 
     def _growths(self) -> int:
-        return sum(self.ranks.gathered(self.step.eliminate.largest.growths))
+        return sum(self.ranks.gathered(self.step.local_unknowns.largest.growths))
 
     def _has_energy(self) -> bool:
         if not self.ranks.any(len(self.step.without_energy()) > 0):
@@ -248,7 +248,7 @@ class RotheSolver:
         if isinstance(self.newton, Split):
             self.newton.damps = damps
         self.step.energy.last_failure = None
-        self.step.eliminate.largest.begin()
+        self.step.local_unknowns.largest.begin()
         self.ranks.forget_notes()
         return self._judged(self.newton.solve(self.problem(interval), guess))
 

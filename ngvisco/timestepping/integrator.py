@@ -296,7 +296,7 @@ class Integrator:
 
     def _complete(self) -> None:
         """Update dependent unknowns at an end that is no stage's solution; StepError if it has no energy."""
-        self.step.eliminate.follow()
+        self.step.local_unknowns.update_without_means()
         if (reason := self.step.energy.failure or self.bounds.refusal()) is not None:
             raise StepError(f"at the end of the step {reason}")
 

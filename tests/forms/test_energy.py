@@ -37,7 +37,7 @@ def mismatch(step: Step, *, refreshed: bool = True) -> float:
     """Largest error of Jacobian times direction, against differences of the refreshed residual."""
     randomise(step, 3)
     if refreshed:
-        step.eliminate.refresh()
+        step.local_unknowns.update_stored()
     form, direction = uncondensed(step), random_direction(step, 103)
     base = step.state.vec.CreateVector()
     base.data = step.state.vec
@@ -45,7 +45,7 @@ def mismatch(step: Step, *, refreshed: bool = True) -> float:
 
     def shifted(s: float) -> np.ndarray:
         step.state.vec.data = base + s * direction
-        step.eliminate.refresh()
+        step.local_unknowns.update_stored()
         return residual(form, step.state.vec)
 
     difference = central_difference(shifted, 1e-6)  # less than the way to the kinks of |v . n|

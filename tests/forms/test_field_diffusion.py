@@ -53,7 +53,7 @@ class Diffusion:
         state = self.step.state.vec.FV().NumPy()
         for name, values in parts.items():
             state[self.step.layout.ranges[name]] = values.ravel()
-        self.step.eliminate.refresh()
+        self.step.local_unknowns.update_stored()
         (entry,) = self.term.entries(self.step.now)
         rule = self.step.quadrature
         entered = rule.integrate_cells(entry.integrand.cells)

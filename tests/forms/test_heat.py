@@ -147,9 +147,9 @@ def test_heat_of_upwinding_is_shared_by_both_sides_of_a_facet():
     parts = dict(zip(step.layout.names, step.state.components, strict=True))
     for name in ("v", "z"):
         parts[name].vec.FV().NumPy()[:] += 0.05 * rng.uniform(-1, 1, len(parts[name].vec))
-    step.eliminate.follow()
+    step.local_unknowns.update_without_means()
     set_traces(step.layout, step.state, step.context, step.quadrature)
-    step.eliminate()
+    step.local_unknowns.update()
     (term,) = (term for term in step.terms if isinstance(term, Upwinding))
     (lost,) = term.dissipated_on_facets(step.now).values()
     heat = LinearForm(step.quadrature.facets(lost * L2(run.mesh, order=0).TestFunction())).Assemble()

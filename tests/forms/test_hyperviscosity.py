@@ -55,7 +55,7 @@ def hessian(step: Step) -> CoefficientFunction:
 def make_consistent(step: Step) -> None:
     """Local unknowns from (v, a): the Hessian by lifting, the others by elimination."""
     _recover_hessian(step, hyperviscosity(step))
-    step.eliminate()
+    step.local_unknowns.update()
     if step.model.hyperviscosity.is_linear:
         parts, law = parts_of(step), step.model.hyperviscosity
         parts["hyperstress"].vec.data = (law.mu + law.mu_1) * parts["hess"].vec

@@ -31,7 +31,7 @@ def jumping(material):
     parts["z"].vec.FV().NumPy()[:] = states_of(material, F, 2).T.ravel()
     parts["rho"].Set(CF(1.0))
     complete(step)
-    step.eliminate()
+    step.local_unknowns.update()
     return step
 
 

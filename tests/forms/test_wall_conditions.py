@@ -112,7 +112,7 @@ def test_linearisation_agrees_with_differences(name):
     for vector, size in ((state, 0.02), (direction, 1.0)):
         old = vector.FV().NumPy().copy() if vector is state else 0.0
         vector.FV().NumPy()[:] = old + size * free * rng.standard_normal(len(free))
-    step.eliminate.refresh()  # the stress that creep is linearised at
+    step.local_unknowns.update_stored()  # the stress that creep is linearised at
     full = uncondensed(step)
     product, difference = (
         jacobian_times(full, state, direction),

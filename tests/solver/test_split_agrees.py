@@ -36,7 +36,7 @@ def residual(run):
     """Rows of the coupled system at the state of a run, block by block."""
     step = run.rothe_step
     rows = step.state.vec.CreateVector()
-    step.eliminate.refresh()
+    step.local_unknowns.update_stored()
     step.residual.Apply(step.state.vec, rows)
     free = mask_of(step.layout.space.FreeDofs())
     values = np.where(free, rows.FV().NumPy(), 0.0)

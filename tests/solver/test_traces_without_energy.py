@@ -50,7 +50,7 @@ def test_a_facet_that_an_iterate_had_without_an_energy_stays_so_in_the_step(solv
 
     def facets():
         if solver == "coupled":
-            step.eliminate()
+            step.local_unknowns.update()
         else:
             newton.residual(newton.unknowns.pack())
         return np.flatnonzero(step.state.vec.FV().NumPy()[step.layout.ranges["without_energy"]] > 0)
@@ -60,6 +60,6 @@ def test_a_facet_that_an_iterate_had_without_an_energy_stays_so_in_the_step(solv
     found = facets()
     B_33[:] = at_rest
     assert len(found) == 2 and np.array_equal(facets(), found)
-    assert step.eliminate.largest.growths == 0
-    step.eliminate.largest.begin()
+    assert step.local_unknowns.largest.growths == 0
+    step.local_unknowns.largest.begin()
     assert not len(facets())

@@ -15,7 +15,7 @@ from ngvisco.forms.fields import Fields
 from ngvisco.forms.mesh.quadrature import Quadrature
 from ngvisco.forms.spaces import Layout
 from ngvisco.forms.start.initial import complete
-from ngvisco.forms.system import Elimination, equations
+from ngvisco.forms.system import LocalUnknowns, equations
 from ngvisco.forms.term import Entry, Integrand, Term
 from ngvisco.forms.terms.momentum import Continuity
 from ngvisco.forms.terms.transport import Kinematics, Trace, Upwinding
@@ -301,9 +301,9 @@ class Problem:
         form = BilinearForm(layout.space, condense=True)
         for term in self.terms:
             self.quadrature.add(form, term.form(u, w))
-        eliminate = Elimination(layout, self.state, self.quadrature, self.terms)
+        local = LocalUnknowns(layout, self.state, self.quadrature, self.terms)
         norm = BlockNorm(layout.ranges, dict.fromkeys(set(layout.names) & {"v", "rho", "z"}, 1.0))
-        self.newton = Newton(form, self.state.vec, norm, eliminate, nv.NewtonOptions())
+        self.newton = Newton(form, self.state.vec, norm, local.update, nv.NewtonOptions())
 
     def set(self, name: str, value: CoefficientFunction) -> None:
         """Set the start value of a block."""

@@ -100,8 +100,8 @@ class Walls:
         self.multiplied = [n for n in self.oblique if n in by_components and n not in fixed]
         """Oblique or curved walls, on which a multiplier holds v.n."""
         declared = [name for name, wall in self.conditions.items() if wall.straight]
-        bent = [name for name in self.multiplied if name not in declared]
-        require_curved_cells(mesh, {name: self.region([name]) for name in bent})
+        curved = [name for name in self.multiplied if name not in declared]
+        require_curved_cells(mesh, {name: self.region([name]) for name in curved})
         for name in declared:
             if not bend(mesh, self.region([name])):
                 expected = "False: the wall is not bent by small angles between straight facets"

@@ -420,8 +420,8 @@ def complete(step: Step) -> None:
     if step.energy.projected is None:
         parts["zeta"].Set(material.states(dim).components(conjugates(material, u.z_tensors)))
     else:
-        step.eliminate.refresh()
-        step.eliminate.projections["zeta"]()
+        step.local_unknowns.update_stored()
+        step.local_unknowns.projections["zeta"]()
     rates = step.context.rates
     if "Pi" in parts:
         # the local rate, as psi' may be infinitely steep at zero

@@ -20,7 +20,7 @@ from ngsolve import CoefficientFunction
 from ngvisco.errors import ParameterError
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.term import PointTerm, Setting, Term, Unknown
-from ngvisco.forms.upwinding import SideMean
+from ngvisco.forms.upwinding import FacetMean
 from ngvisco.physics.tensors import inner, linear_map
 
 
@@ -84,7 +84,7 @@ class Flux(PointTerm):
         return [MeanOfPotential(self), MeanOfFlux(self), self]
 
 
-class MeanOfPotential(SideMean):
+class MeanOfPotential(FacetMean):
     """Equation of mu_hat, the mean of both sides' potentials."""
 
     def __init__(self, flux: Flux) -> None:
@@ -98,7 +98,7 @@ class MeanOfPotential(SideMean):
         return self._flux.potential(u)
 
 
-class MeanOfFlux(SideMean):
+class MeanOfFlux(FacetMean):
     """Equation of f_hat, the mean of both sides' f; it is zero if both sides' fluxes cancel."""
 
     def __init__(self, flux: Flux) -> None:

@@ -20,7 +20,7 @@ from ngsolve import CoefficientFunction
 
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.term import CellMean, Entry, Integrand, PointTerm, Setting, Unknown
-from ngvisco.forms.upwinding import SideMean, mean_share, side, speed
+from ngvisco.forms.upwinding import FacetMean, mean_share, side, speed
 from ngvisco.physics.loads import CentralGravity, Gravity, Load, force_of
 from ngvisco.physics.regularisation import Regularisation
 from ngvisco.physics.rheology import Viscosity
@@ -78,7 +78,7 @@ class Continuity(PointTerm):
         return u.context.inner * if_positive(through, zero, if_positive(-through, zero + 1.0, zero + 0.5))
 
 
-class MeanFlux(SideMean):
+class MeanFlux(FacetMean):
     """Equation of the mean of v . n over a facet, m/s, with the sign of the facet's first side.
 
     Where a trace is one number, this flux gives the whole facet one upwind side: if the side changed along

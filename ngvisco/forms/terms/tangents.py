@@ -35,7 +35,7 @@ from ngsolve import CoefficientFunction
 
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.term import PointTerm, Setting, Unknown
-from ngvisco.forms.upwinding import SideMean, side
+from ngvisco.forms.upwinding import FacetMean, side
 from ngvisco.physics.material import Material
 from ngvisco.physics.pointwise import is_affine, respond, rest_state
 from ngvisco.physics.tensors import if_positive, inner, is_number, masked
@@ -47,7 +47,7 @@ _FARTHEST = 3.0
 """Largest b; a larger quotient is replaced by a b that falls continuously to zero with [z] : [zeta]."""
 
 
-class OfFacet(SideMean):
+class OfFacet(FacetMean):
     """Equation of the mean of a function over a facet, Pa."""
 
     is_linear = False

@@ -28,7 +28,7 @@ from ngvisco.forms.fields import Fields
 from ngvisco.forms.rates import Conjugate
 from ngvisco.forms.term import Entry, Integrand, Integrands, PointTerm, Setting, Unknown, tested
 from ngvisco.forms.terms.tangents import TangentForce
-from ngvisco.forms.upwinding import SideMean, speed
+from ngvisco.forms.upwinding import FacetMean, speed
 from ngvisco.physics.flow_rules import FlowRule
 from ngvisco.physics.materials.wrapped import WithQuadratic
 from ngvisco.physics.model import Flow, Model
@@ -81,12 +81,12 @@ class Kinematics(PointTerm):
     def cells(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         c = u.context
         parts = [-part for part in transport_in_cells(u, u, w, "z")]
-        if c.rates.flows and not c.rates.creeps_at_nodes:
+        if c.rates.flows and not c.rates.creep_is_collocated:
             parts += self._creep(u, w)
         return [c.rate(inner(u.z - c.old.z, w.z)), *parts]
 
     def nodes(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
-        return self._creep(u, w) if u.context.rates.creeps_at_nodes else []
+        return self._creep(u, w) if u.context.rates.creep_is_collocated else []
 
     def _creep(self, u: Fields, w: Fields) -> list[CoefficientFunction]:
         rates = u.context.rates
@@ -98,11 +98,11 @@ class Kinematics(PointTerm):
     def dissipated(self, u: Fields) -> dict[str, CoefficientFunction]:
         """The dissipation of creep, if the creep rate is not an unknown."""
         rates = u.context.rates
-        is_here = rates.flows and rates.is_local and not rates.creeps_at_nodes
+        is_here = rates.flows and rates.is_local and not rates.creep_is_collocated
         return _dissipation(u) if is_here else {}
 
     def dissipated_at_nodes(self, u: Fields) -> dict[str, CoefficientFunction]:
-        return _dissipation(u) if u.context.rates.creeps_at_nodes else {}
+        return _dissipation(u) if u.context.rates.creep_is_collocated else {}
 
     def energy(self, u: Fields) -> Entry:
         """The stored energy phi(z)."""
@@ -119,7 +119,7 @@ class Kinematics(PointTerm):
         return Entry("bregman", "numerical", Integrand(bregman))
 
 
-class Trace(SideMean):
+class Trace(FacetMean):
     """Equation of the trace, the mean of both sides: sum_K int_{dK} share (z_hat - z) : G_hat = 0."""
 
     name = "z_hat"
@@ -159,7 +159,7 @@ class Upwinding(PointTerm):
         return [replace(entry, has_sign=False) for entry in super().entries(u)]
 
 
-class MeanConjugates(SideMean):
+class MeanConjugates(FacetMean):
     """Equation of zeta_hat, the mean of both sides' conjugates: both sides share the heat of a jump."""
 
     name = "zeta_hat"
@@ -267,10 +267,10 @@ class PlasticStraining(PointTerm):
     flow: Flow
 
     def cells(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
-        return [] if u.context.rates.creeps_at_nodes else self._rows(u, w)
+        return [] if u.context.rates.creep_is_collocated else self._rows(u, w)
 
     def nodes(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
-        return self._rows(u, w) if u.context.rates.creeps_at_nodes else []
+        return self._rows(u, w) if u.context.rates.creep_is_collocated else []
 
     def _rows(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         rates = u.context.rates

@@ -127,7 +127,7 @@ class PointTangent(_AtPoints):
         super().__init__(residual, terms, residual.couplings.of_state())
         self.nodes = None if residual.node_terms is None else NodeTangent(residual, residual.node_terms)
         rates, count = residual.rates, operators.points.count
-        self._creeps = bool(rates.flows) and rates.is_local and not rates.creeps_at_nodes
+        self._creeps = bool(rates.flows) and rates.is_local and not rates.creep_is_collocated
         self.parts = [(part.cells, terms.part(part.cells)) for part in residual.parts]
         n, X, local = self.components, len(rates.tensors.constant), operators.z.local
         self.rate_slope = np.zeros((count, n, n))
@@ -171,7 +171,7 @@ class PointTangent(_AtPoints):
         g, plane = rates.tensors.gradients, rates.dim**2
         X = np.zeros((columns.shape[2], z.shape[1]))
         X[:g] = rates.entries_of_L(u)
-        if rates.flows and not rates.creeps_at_nodes:
+        if rates.flows and not rates.creep_is_collocated:
             X[g:] = rates.creep_components(u)
         K, force = (each.transpose(2, 0, 1) for each in rates.slopes(z, X, zeta))
         force = force + np.matmul(columns.swapaxes(1, 2), curvature)

@@ -86,7 +86,7 @@ class Split:
     def factorise(self, problem: Problem) -> None:
         """Make the tangent at the present state; raises StepError if it is singular."""
         problem.pose()
-        self.step.eliminate.refresh()
+        self.step.local_unknowns.update_stored()
         with on_arrays():
             self.residual.start()
             self.renew(problem, self.residual(self.unknowns.pack()))
@@ -113,7 +113,7 @@ class Split:
             return Solution(Status.SINGULAR, tuple(history), reason)
         if status is Status.CONVERGED:
             # an energy that is kept at the quadrature points is asked for by the ledger and the output
-            self.step.eliminate.refresh()
+            self.step.local_unknowns.update_stored()
             self._relax()  # now, so that a run that is resumed here begins its next step alike
             return Solution(status, tuple(history))
         wanted = self.options.split.margin * self.options.tolerance
@@ -191,7 +191,7 @@ class Split:
         gained = max(1 - size / last, 0.0) or 1.0
         return self.size(f, coarse=True) <= gained * tolerance
 
-    def wear(self, f: np.ndarray, size: float) -> None:
+    def reset_if_worn(self, f: np.ndarray, size: float) -> None:
         """Let the tangent be made anew for the next increment where this one, f, says that it wears out."""
         options = self.options.split
         slow = self.preconditioner.iterations > options.renewed_after
@@ -343,7 +343,7 @@ def iterate(split: Split, problem: Problem, history: list[NewtonIteration]) -> S
             if split.has_converged(f, size, min(last, best[0])):
                 split.residual.put(new)
                 return Status.CONVERGED
-            split.wear(f, size)
+            split.reset_if_worn(f, size)
             best = min(best, (size, x, f), key=lambda one: one[0])
             x, last = new, size
         elif best[0] == np.inf:
