@@ -1,4 +1,4 @@
-"""Laws that temperature and pressure speed up: the factor of Arrhenius, of flow rules and of viscosities."""
+"""Flow rules and viscosities that temperature and pressure change, by the factors of Arrhenius and WLF."""
 
 import math
 from abc import abstractmethod
@@ -13,12 +13,12 @@ from ngvisco.physics.tensors import Tensor, exp, if_positive
 from ngvisco.physics.variables import PRESSURE, TEMPERATURE, Values
 
 GAS_CONSTANT = 8.31446261815324
-"""J/(mol K)."""
+"""The gas constant R, J/(mol K)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Activation:
-    """a = exp(E/(R theta_R) - (E + p V)/(R theta)): how many times faster than at theta_R and p = 0."""
+    """The factor a = exp(E/(R theta_R) - (E + p V)/(R theta), the rate over the rate at theta_R and p = 0."""
 
     E: Annotated[float, Quantity("J/mol", example=2e5)]
     theta_R: Annotated[float, Quantity("K", "> 0", 300.0)]
@@ -30,11 +30,12 @@ class _Activation:
 
     @property
     def _reads(self) -> set[str]:
-        """Temperature and pressure, as far as they are asked for."""
+        """Names of what the factor reads: the material's temperature, unless given, and the pressure with
+        V."""
         return ({TEMPERATURE} if self.temperature is None else set()) | ({PRESSURE} if self.V else set())
 
     def factor(self, z: Values) -> Any:
-        """a at a point with the values ``z``."""
+        """The factor a at a point with the values ``z``."""
         theta = z[TEMPERATURE] if self.temperature is None else value_at(self.temperature, z)
         barrier = self.E + self.V * z[PRESSURE] if self.V else self.E
         return exp(self.E / (GAS_CONSTANT * self.theta_R) - barrier / (GAS_CONSTANT * theta))
@@ -57,7 +58,7 @@ class _Faster(FlowRule):
         for name in ("nu", "q", "floor", "rate_floor", "reads_conjugate", "has_trace"):
             object.__setattr__(self, name, getattr(self.rule, name))
 
-        # with a factor that is no polynomial; linear in M where the rule is
+        # the factor is no polynomial, so that only a rule that is linear in M keeps its degree
         object.__setattr__(self, "degree", 1.0 if self.rule.degree == 1 else math.inf)
 
     @property
@@ -67,7 +68,7 @@ class _Faster(FlowRule):
 
     @abstractmethod
     def factor(self, z: Values) -> Any:
-        """How many times faster the rule is at a point with the values ``z``."""
+        """The rate over the rate of ``rule``, at a point with the values ``z``."""
 
     @property
     def reads(self) -> frozenset[str]:  # type: ignore[override]
@@ -92,7 +93,7 @@ class _Faster(FlowRule):
 
 @dataclass(frozen=True, kw_only=True)
 class Activated(_Activation, _Faster):
-    """A flow rule whose rate is a = exp(E/(R theta_R) - (E + p V)/(R theta)) times as large (Arrhenius 1889).
+    """A flow rule's rate times a = exp(E/(R theta_R) - (E + p V)/(R theta)) (Arrhenius 1889).
 
     Example::
 
@@ -114,10 +115,10 @@ class Activated(_Activation, _Faster):
     theta_R : float
         Temperature at which the rule is as given.
     V : float
-        Activation volume: how pressure slows it down.
+        Activation volume; where it is > 0, pressure slows creep down.
     temperature : float, optional
         A number, a function of the initial place, which is carried, or an expression of parameters; None is
-        that of the material, which then has heat.
+        the material's temperature, and the material then has heat.
     """
 
     def __post_init__(self) -> None:
@@ -126,10 +127,10 @@ class Activated(_Activation, _Faster):
 
 @dataclass(frozen=True, kw_only=True)
 class WLF(_Faster):
-    """A flow rule whose rate is 1/a_T = 10^{C_1 (theta - theta_R)/(C_2 + theta - theta_R)} times as large.
+    """A flow rule's rate times 1/a_T = 10^{C_1 (theta - theta_R)/(C_2 + theta - theta_R)}.
 
-    The shift of polymers about their glass transition (Williams, Landel, Ferry 1955), by which all relaxation
-    times are a_T times as long.  Towards theta_R - C_2 nothing flows any more, nor does it below.  Raises
+    Williams, Landel and Ferry (1955) shift polymers near their glass transition so: all relaxation times are
+    multiplied by a_T.  The rate vanishes as theta falls to theta_R - C_2, and stays zero below.  Raises
     ParameterError if a parameter is out of its range.
 
     Parameters
@@ -137,9 +138,9 @@ class WLF(_Faster):
     rule : FlowRule
         The rule at theta_R.
     C_1 : float
-        How many decades the shift is far above theta_R.
+        Decades of the shift far above theta_R.
     C_2 : float
-        Distance from theta_R down to where nothing flows.
+        Difference between theta_R and the temperature at which creep stops.
     theta_R : float
         Temperature at which the rule is as given.
     temperature : float, optional
@@ -169,9 +170,9 @@ class WLF(_Faster):
 
 @dataclass(frozen=True, kw_only=True)
 class ActivatedViscosity(_Activation, Viscosity):
-    """A viscosity that is a = exp(E/(R theta_R) - (E + p V)/(R theta)) times thinner (Arrhenius, Andrade).
+    """A viscosity over a = exp(E/(R theta_R) - (E + p V)/(R theta)) (Arrhenius, Andrade).
 
-    With V it grows with the pressure like exp(V p/(R theta)), which is the law of Barus, 1893.
+    With V the viscosity grows with the pressure like exp(V p/(R theta)), which is the law of Barus (1893).
     Raises ParameterError if a parameter is out of its range.
 
     Parameters

@@ -1,8 +1,9 @@
-"""Values at many points as arrays, with derivatives by the chain rule backwards and by complex increments.
+"""Values at many points as arrays, with derivatives by reverse differentiation and by complex increments.
 
-``Array`` has the operations of coefficient functions that energies, laws and terms are written with
-(``ngvisco.physics.tensors``); each acts on all points at once and remembers how to carry derivatives back.
-``Linear`` stands for a test function: it has no value, and records what multiplies it.
+``Array`` has the operations of coefficient functions that energies, laws and terms use
+(``ngvisco.physics.tensors``).  Each operation acts on all points at once and stores the map that carries
+derivatives back to its operands. ``Linear`` stands for a test function: it has no value, and records the
+factors that multiply it.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from typing import Any, Self, TypeAlias
 import numpy as np
 
 TINY = 1e-30
-"""Length of a complex increment, relative to the direction."""
+"""Size of the imaginary increment, as a multiple of the direction."""
 
 Map: TypeAlias = Callable[[np.ndarray], np.ndarray]
 
@@ -24,7 +25,7 @@ Map: TypeAlias = Callable[[np.ndarray], np.ndarray]
 def slope_along(function: Map, at: np.ndarray, direction: np.ndarray) -> np.ndarray:
     """The derivative of an analytic function of arrays in a direction.
 
-    It is the imaginary part of a tiny complex increment: no difference is taken, so that nothing cancels.
+    The derivative is the imaginary part at a tiny complex increment; without a difference no digits cancel.
     """
     return np.ascontiguousarray(function(at + (TINY * 1j) * direction).imag) / TINY
 
@@ -33,7 +34,7 @@ _number = count(1)
 
 
 class _Node(ABC):
-    """The common base of arrays and linear forms: maps of entries, which carry derivatives back."""
+    """The common base of arrays and linear forms: linear maps of entries, each with its transpose."""
 
     __slots__ = ()
     __array_ufunc__ = None  # numpy's numbers leave the operation to these classes
@@ -41,7 +42,7 @@ class _Node(ABC):
 
     @abstractmethod
     def _mapped(self, shape: tuple[int, ...], there: Map, back: Map) -> Self:
-        """A linear map of this one, and that of derivatives by it."""
+        """The image under the linear map ``there``; ``back`` is the transposed map, for derivatives."""
 
     @property
     def rank(self) -> int:
@@ -71,7 +72,7 @@ class _Node(ABC):
         return self._mapped((), lambda a: np.einsum("iip->p", a), lambda g: g * identity)
 
     def __getitem__(self, index: int | tuple[int, int]) -> Self:
-        """The scalars A_ij, or v_i."""
+        """The entry A_ij or v_i, a scalar at each point."""
         shape = self.shape
         if len(shape) != (len(index) if isinstance(index, tuple) else 1):
             raise TypeError(f"no entry {index} of rank {self.rank}")
@@ -84,12 +85,12 @@ class _Node(ABC):
         return self._mapped((), lambda a: a[index], placed)
 
     def mapped(self, matrix: np.ndarray, shape: tuple[int, ...]) -> Self:
-        """matrix @ entries, in row-major order, as a tensor of ``shape``."""
+        """The tensor of ``shape`` whose entries, in row-major order, are ``matrix`` @ these entries."""
         own = self.shape
         return self._mapped(shape, lambda a: _applied(matrix, a, shape), lambda g: _applied(matrix.T, g, own))
 
     def masked(self, mask: np.ndarray) -> Self:
-        """Rows of vectors or matrices with zero where ``mask`` is False."""
+        """The vector or matrix with zeros in the rows where ``mask`` is False."""
         rows = mask.reshape(-1, *(1,) * self.rank)
         return self._mapped(self.shape, lambda a: a * rows, lambda g: g * rows)
 
@@ -99,20 +100,20 @@ class _Node(ABC):
 
 
 class Array(_Node):
-    """Scalars (points,), vectors (n, points) or matrices (n, m, points), with what they were made of.
+    """Scalars (points,), vectors (n, points) or matrices (n, m, points), with the operands they come from.
 
-    Products, quotients and powers mean what they mean for coefficient functions: ``*`` of two vectors is
-    their inner product, of matrices the matrix product.  What is not supported raises TypeError.  Values may
-    be complex: an increment of 1e-30 i carries a derivative along (``slope_along``).
+    Products, quotients and powers are those of coefficient functions: ``*`` is the inner product of two
+    vectors and the matrix product of two matrices.  An operation that is not supported raises TypeError.
+    Values may be complex: an increment of 1e-30 i carries a derivative along (``slope_along``).
     """
 
     __slots__ = ("is_constant", "number", "parents", "shape", "value")
     is_constant: bool
 
     def __init__(self, value: np.ndarray, parents: Sequence[tuple[Array, Any]] | None = ()) -> None:
-        """``parents`` come with the maps that carry a derivative by this one back to them.
+        """``parents`` are operands, each with the map from a derivative by this array to one by the operand.
 
-        An empty sequence is an argument, None a value that nothing is differentiated by.
+        An empty sequence makes an independent argument, None a constant.
         """
         self.value, self.shape = value, value.shape[:-1]
         if parents:
@@ -130,7 +131,7 @@ class Array(_Node):
 
     @staticmethod
     def constant(value: float | np.ndarray) -> Array:
-        """A number or one 3x3 tensor, which nothing is differentiated by."""
+        """A number or one 3x3 tensor, constant in derivatives."""
         return _array(value)
 
     def __add__(self, other: Any) -> Array:
@@ -170,7 +171,7 @@ class Array(_Node):
     def __pow__(self, exponent: float) -> Array:
         if not self.is_scalar or not isinstance(exponent, (int, float)):
             raise TypeError("only scalars have powers, with numbers as exponents")
-        if exponent < 1:  # a power of zero has a value, also where it has no derivative
+        if exponent < 1:  # at zero such a power has a value and no derivative
             return Array(
                 self.value ** float(exponent),
                 [(self, lambda g: exponent * self.value ** float(exponent - 1) * g)],
@@ -188,7 +189,7 @@ class Array(_Node):
         return _array(other) / self
 
     def InnerProduct(self, other: Any) -> Any:
-        """a : b, under the name by which NGSolve's function asks for it."""
+        """The inner product a : b; NGSolve's function ``InnerProduct`` calls the method of this name."""
         if isinstance(other, Linear):
             return other.InnerProduct(self)
         a, b = self, _array(other)
@@ -239,16 +240,16 @@ class Array(_Node):
 
 
 class Linear(_Node):
-    """A linear form in test functions: it has a shape and no value, only maps back to the test functions.
+    """A linear form in test functions: a shape and maps back to the test functions, without a value.
 
-    With a test function in its place, ``Term.cells`` and ``Term.facets`` give an integrand that is linear in
-    the tests; ``slots`` reads off what multiplies each of them.
+    ``Term.cells`` and ``Term.facets`` give an integrand that is linear in the test functions when a
+    ``Linear`` is passed for each of these; ``slots`` reads off the factor of each test function.
     """
 
     def __init__(
         self, shape: tuple[int, ...], parents: Sequence[tuple[Linear, Any]] = (), slot: str | None = None
     ) -> None:
-        """``slot`` is the name of a test function; ``parents`` as those of ``Array``."""
+        """``slot`` is the name of a test function; ``parents`` are as for ``Array``."""
         self.shape, self.parents, self.slot, self.number = shape, parents, slot, next(_number)
 
     def _mapped(self, shape: tuple[int, ...], there: Map, back: Map) -> Linear:
@@ -286,7 +287,7 @@ class Linear(_Node):
         return self * Array(1 / _divisor(other).value, None)
 
     def InnerProduct(self, other: Any) -> Linear:
-        """a : b, under the name by which NGSolve's function asks for it."""
+        """The inner product a : b; NGSolve's function ``InnerProduct`` calls the method of this name."""
         b = _array(other).value
         if b.ndim - 1 != self.rank:
             raise TypeError("the inner product of a scalar and a tensor is not defined")
@@ -303,25 +304,25 @@ _PRODUCTS = {
     (2, 1): ("ik", "k", "i"),
     (2, 2): ("ik", "kj", "ij"),
 }
-"""Indices of the factors and of their product, by ranks."""
+"""Subscripts of the two factors and of their product, by the factors' ranks."""
 
 
 def _subscripts(a: tuple[int, ...], b: tuple[int, ...]) -> tuple[str, str, str]:
-    """The indices of a product of factors of these shapes."""
+    """The subscripts of two factors of the shapes ``a`` and ``b`` and of their product."""
     if (len(a), len(b)) not in _PRODUCTS or (a and b and a[-1] != b[0]):
         raise TypeError(f"shapes {a} and {b} have no product")
     return _PRODUCTS[len(a), len(b)]
 
 
 def _product(left: str, right: str, out: str, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """The sum of a * b over indices that ``out`` lacks, at every point."""
+    """The sum of a * b over the indices that ``out`` lacks, at every point."""
     if out in (left, right) and ("" in (left, right) or left == right):
         return a * b
     return np.einsum(f"{left}p,{right}p->{out}p", a, b)
 
 
 def _applied(matrix: np.ndarray, value: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    # the matrices embed and select: few entries, and real where values may be complex
+    # the matrices embed and select: they have few entries, and are real even where values are complex
     entries = value.reshape(matrix.shape[1], -1)
     result = np.zeros((matrix.shape[0], entries.shape[1]), value.dtype)
     for i, j, factor in _entries(np.asarray(matrix, dtype=float).tobytes(), matrix.shape[1]):
@@ -331,7 +332,7 @@ def _applied(matrix: np.ndarray, value: np.ndarray, shape: tuple[int, ...]) -> n
 
 @lru_cache(maxsize=256)
 def _entries(numbers: bytes, width: int) -> list[tuple[int, int, float]]:
-    """Places and values of what is not zero in a matrix with rows of ``width``."""
+    """Row, column and value of each entry that is not zero in a matrix of ``width`` columns."""
     matrix = np.frombuffer(numbers).reshape(-1, width)
     return [(int(i), int(j), float(matrix[i, j])) for i, j in np.argwhere(matrix)]
 
@@ -344,7 +345,7 @@ def slots(form: Linear) -> dict[str, np.ndarray]:
 
 
 def derivatives(result: Array, arguments: Sequence[Array]) -> list[np.ndarray]:
-    """Derivatives of scalars by each of ``arguments``, in their shapes."""
+    """Derivatives of a scalar ``result`` by each of ``arguments``, in the arguments' shapes."""
     if not result.is_scalar:
         raise TypeError("only scalars are differentiated")
     size, wanted = max(a.value.shape[-1] for a in arguments), {a.number for a in arguments}
@@ -353,11 +354,11 @@ def derivatives(result: Array, arguments: Sequence[Array]) -> list[np.ndarray]:
 
 
 def _backwards(root: Any, seed: np.ndarray) -> Iterator[tuple[Any, np.ndarray]]:
-    """The nodes that a value was made of, itself first, each with the derivative by it, from that by the
-    value."""
+    """Yield ``root`` and the nodes that it depends on, latest first, each with the derivative by the node;
+    ``seed`` is the derivative by ``root``."""
     found, nodes = {root.number: seed}, {root.number: root}
     while nodes:
-        number = max(nodes)  # whatever is made of it has a larger number
+        number = max(nodes)  # every node computed from this one has a larger number
         node, g = nodes.pop(number), found.pop(number)
         yield node, g
         for parent, pull in node.parents:
@@ -377,18 +378,18 @@ def _array(value: Any) -> Array:
 
 
 def _cross(A: np.ndarray, B: np.ndarray) -> np.ndarray:
-    """The symmetric bilinear map with _cross(A, A) = 2 Cof A; _cross(A, B) : C is that of any order."""
+    """The symmetric bilinear map with _cross(A, A) = 2 Cof A; _cross(A, B) : C is symmetric in A, B, C."""
     return _minors(A, B) + _minors(B, A)
 
 
 def _minors(A: np.ndarray, B: np.ndarray) -> np.ndarray:
-    """A_jJ B_kK - A_jK B_kJ at (i, I), for (i, j, k) and (I, J, K) cyclic."""
+    """The tensor with the entries A_jJ B_kK - A_jK B_kJ at (i, I), for (i, j, k) and (I, J, K) cyclic."""
     one, two = (np.roll(np.arange(3), -1), np.roll(np.arange(3), -2))
     return A[one][:, one] * B[two][:, two] - A[one][:, two] * B[two][:, one]
 
 
 def contracted(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Sum over all but the last axis of a * b."""
+    """The sum of a * b over all axes but the last one."""
     axes = "ij"[: a.ndim - 1]
     return _product(axes, axes, "", a, b)
 

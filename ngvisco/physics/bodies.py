@@ -1,7 +1,7 @@
-"""Bodies of different material in one domain: what each of them is and carries, and where it is at the start.
+"""Bodies of different materials in one domain: their laws, their carried densities and their initial places.
 
-Body i carries densities per actual volume by their flux: its amount n_i and, where it has tensors,
-X_i = n_i B, and where it hardens K_i = n_i k.  theta_i = n_i/sum n_j are fractions.
+Body i carries densities per actual volume, transported by their flux: its amount n_i, X_i = n_i B for each
+tensor of its energy, and K_i = n_i k if it hardens.  The volume fractions are theta_i = n_i/sum n_j.
 """
 
 from __future__ import annotations
@@ -24,28 +24,28 @@ from ngvisco.physics.tensors import Tensor, if_positive, sqrt, tr
 from ngvisco.physics.variables import Frame, Values, Variable
 
 TRACE = 1e-3
-"""The amount of an absent body that is left as a trace of matter at rest, over the amount of all matter."""
+"""The amount of a body at rest that is added where the body is absent, over the amount of all matter."""
 
 HARDENING_TRACE = 0.1
-"""The trace of all matter in a body that hardens: K_i and n_i are polynomials each by itself, and K_i/n_i is
-none."""
+"""The share of all matter, N, that is added to the amount n_i of a body that hardens: K_i and n_i are
+independent polynomials, and K_i/n_i is none."""
 
 _HALF = 1 / 5
-"""The fraction at which matter takes half a part."""
+"""The volume fraction theta_i at which chi_i is 1/2."""
 
 AMOUNT = "n_"
-"""The beginning of the name of a body's amount."""
+"""Prefix of the names of the bodies' amounts."""
 
 
 @runtime_checkable
 class Region(Protocol):
-    """A region of space.  The run has shapes for it (``ngvisco.shapes``); physics knows no mesh."""
+    """A region of space; ``ngvisco.shapes`` has the shapes, as physics knows no mesh."""
 
     def level(self, at: Any) -> Any:
         """A number at each place, > 0 inside."""
 
     def inside(self, mesh: Any) -> Any:
-        """The share of a point's surroundings that is inside, in [0, 1]."""
+        """The fraction, in [0, 1], of a point's surroundings that lies inside."""
 
 
 Where: TypeAlias = Tensor | Region
@@ -56,7 +56,7 @@ Where: TypeAlias = Tensor | Region
 class Amount(Variable):
     """n_i, the volume that body i has in its reference state per actual volume: dt n_i + div(n_i v) = 0.
 
-    It is conserved, and with it the mass of the body, int rho_i n_i.  It is no function of a strain.
+    The amount is conserved, and with it the body's mass int rho_i n_i; no strain determines it.
     """
 
     name: str
@@ -64,7 +64,7 @@ class Amount(Variable):
     density: float = 1.0
     """rho_i of the reference state, kg/m^3."""
     share: float = field(default=0.5, compare=False)
-    """The body's share at a point that stands for all states, where there is as much of each body."""
+    """The volume fraction of the body in sampled states, in which all bodies have equal fractions."""
 
     is_conserved = True
 
@@ -82,8 +82,8 @@ class Amount(Variable):
 class Content(Variable):
     """X_i = n_i B of body i, B a tensor J^a F, J^a Cof F, J^a F F^T or J^a Cof(F F^T) of its distortion.
 
-    Its rate is that of ``tensor``, which has the exponent a - 1 and the name of this variable: n_i = 1/J
-    where there is nothing but the body, and the rate is linear.
+    Its rate is the rate of ``tensor``, which has the exponent a - 1 and the name of this variable: n_i = 1/J
+    where the body fills the point, and the rate is linear.
     """
 
     name: str
@@ -112,7 +112,7 @@ class Content(Variable):
 
 @dataclass(frozen=True)
 class Fractions:
-    """theta_i of the amounts of bodies, by name."""
+    """The volume fractions theta_i of bodies, from their amounts."""
 
     bodies: tuple[str, ...]
 
@@ -121,16 +121,17 @@ class Fractions:
         return reduce(add, (z[AMOUNT + name] for name in self.bodies))
 
     def at(self, z: Values) -> dict[str, Any]:
-        """theta_i at a point with the values ``z``, by the bodies' names; their sum is one."""
+        """The fractions theta_i at a point with the values ``z``, by the bodies' names; their sum is one."""
         inverse = 1 / self.total(z)
         return {name: z[AMOUNT + name] * inverse for name in self.bodies}
 
     def not_negative(self, z: Values) -> dict[str, Any]:
-        """Volume fractions, with zero where theta_i < 0, as polynomials beside a jump are."""
+        """Volume fractions with zero for theta_i < 0, by the bodies' names; beside a jump theta_i
+        undershoots."""
         return {name: if_positive(value, value, 0.0 * value) for name, value in self.at(z).items()}
 
     def taking_part(self, z: Values) -> dict[str, Any]:
-        """chi of each body, smooth: 0 where there is none of it, 1/2 at a fifth, 0.996 at a half."""
+        """The factor chi_i of each body, smooth in theta_i: 0 at theta_i <= 0, 1/2 at 1/5, 0.996 at 1/2."""
         found = {}
         for name, theta in self.at(z).items():
             others, own = 1 - theta, (1 / _HALF - 1) * if_positive(theta, theta, 0.0 * theta)
@@ -140,12 +141,12 @@ class Fractions:
         return found
 
     def positive(self, z: Values, body: str) -> Any:
-        """theta_i of one body, smooth and > 0: of what is less than ``TRACE`` about that."""
+        """The fraction theta_i of one body, smoothed to be > 0; about ``TRACE`` where theta_i vanishes."""
         value = z[AMOUNT + body] / self.total(z)
         return 0.5 * (value + sqrt(value * value + 4 * TRACE**2))
 
     def hardened(self, z: Values, body: str) -> Any:
-        """The amount that the plastic strain of a body is that of: n_i, and a trace of N."""
+        """The amount by which K_i is divided for the plastic strain of a body: n_i with a trace of N."""
         return (1 / (1 + HARDENING_TRACE)) * (z[AMOUNT + body] + HARDENING_TRACE * self.total(z))
 
 
@@ -168,37 +169,38 @@ class Body:
         run = nv.Simulation(box((1, 1), maxh=0.3), nv.Model(bodies=[disc, rest]), dt=0.02)
         print(run.advance()["mass_drift"])
 
-    Energies whose stress at rest, F = I, differs from body to body push each other from the start, which an
-    ``InputWarning`` says of bodies that meet.  Raises ParameterError for a name that is none, a part of the
+    Bodies push each other from the start where their energies have different stresses at rest, F = I; an
+    ``InputWarning`` names such bodies that meet.  Raises ParameterError for an invalid name, a part of the
     wrong type, and a density that is missing or not positive.
 
     Parameters
     ----------
     name : str
-        Letters, digits and _; fields and columns of the body begin with it.
+        Letters, digits and _; names of the body's fields and columns begin with it.
     where : Tensor or ngvisco.shapes.Shape, optional
-        Where the body is at the start: a shape, or where a function of x, y, z is > 0; in case files a shape,
-        a condition, or several of which it is the union.  Without a place the body is the rest, what no other
-        covers; one at most may be.
+        Initial place of the body: a shape, or the region where a function of x, y, z is > 0; in case files a
+        shape, a condition, or a list of these, whose union is the place.  A body without a place fills the
+        region that no other body covers; at most one body may do so.
     material : Material
-        Its material, in case files with the keys of [material].
+        The body's material, in case files with the keys of [material].
     viscosity : Viscosity, optional
-        Its viscosity, in case files with the keys of [rheology.viscosity].
+        The body's viscosity, in case files with the keys of [rheology.viscosity].
     creep : FlowRule, optional
-        Its creep, in case files with the keys of [rheology.creep]; None with a network, whose branches have
-        theirs.
+        The body's flow rule, in case files with the keys of [rheology.creep]; None with a network, whose
+        branches have their own rules.
     heat : Heat, optional
-        Its conductivity and heat source, in case files with the keys of [rheology.heat], to which they add by
-        its fraction; the temperature is one for all bodies at a point.
+        The body's conductivity and heat source, in case files with the keys of [rheology.heat]; weighted by
+        the body's fraction, both add to those of [rheology.heat].  All bodies at a point have one
+        temperature.
     density : float, optional
-        Density where J = 1; that of its material where this has rho_R.
+        Density where J = 1; default rho_R of the material.
     order : int
-        Of two bodies that overlap at the start the one of higher order is there; those of the same order must
-        not overlap, and the rest, which is below all others, has none.
+        The body of higher order fills the overlap of two bodies at the start.  Bodies of one order must not
+        overlap.  The body without a place is below all others and has no order.
     """
 
     name: Annotated[str, Quantity(example="disc")]
-    where: Where | None = field(default=None, repr=False)  # of the start alone, not of what the body is
+    where: Where | None = field(default=None, repr=False)  # for the start alone
     material: Material
     viscosity: Viscosity | None = None
     creep: FlowRule | None = None

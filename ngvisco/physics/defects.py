@@ -1,8 +1,8 @@
-"""Defects of the relations between variables that stand for one thing.
+"""Defects of the relations between variables of one distortion.
 
-J is det F and H is Cof F for exact solutions; the discrete ones are transported each by itself and part,
-slowly in a solid and without end where F winds up (``materials.hyperelastic``).  The ledger does not see
-it: the scheme's energy identity takes them for independent variables.
+Exact solutions have J = det F and H = Cof F.  The discrete variables are transported independently and drift
+apart, slowly in a solid and without bound where F winds up (``materials.hyperelastic``).  The ledger does not
+show it: the scheme's energy identity treats F, H and J as independent.
 """
 
 from collections.abc import Collection
@@ -25,11 +25,11 @@ from ngvisco.physics.variables import (
 )
 
 DRIFT = 0.1
-"""|det F/J - 1| in the mean of a cell, above which a step is refused: the stress is wrong by as much."""
+"""The cell mean of |det F/J - 1| above which a step is refused, as the stress has this relative error."""
 
 
 def parted(material: Material, pair: str, rms: float, largest: float) -> str:
-    """The message of a run about a ``pair`` that differs by so much, relatively."""
+    """The message of a run about a ``pair`` of variables with these relative differences."""
     return (
         f"{pair} differ by {rms:.1%} in the mean square, {largest:.1%} at most: the variables no longer "
         "belong to one distortion, and the stress is wrong by as much, though the ledger closes; the remedy "
@@ -38,13 +38,13 @@ def parted(material: Material, pair: str, rms: float, largest: float) -> str:
 
 
 def relative_defects(material: Material, z: Values, traced: Collection[str] = ()) -> dict[str, Tensor]:
-    """Relative defects of the variables' relations by what is compared; empty where there are none.
+    """Relative defects of the variables' relations, by the names of the two sides; empty without relations.
 
-    * ``"det F and J"``: det z J^-n - 1 for every tensor, n by its exponent; ``"det B and 1"`` for n = 0,
-    * ``"H and Cof F"``: |H - Cof F|/|Cof F|, with the factors of J, also for N and B,
+    * ``"det F and J"``: det z J^-n - 1 for every tensor z, n from its exponent; ``"det B and 1"`` for n = 0,
+    * ``"H and Cof F"``: |H - Cof F|/|Cof F| with the factors of J, likewise for N and B,
     * ``"A and J"``: A J - 1, and ``"K and A"``: K/A + ln A.
 
-    Of ``traced`` variables, whose creep rate has a trace, the determinant relaxes and is no function of J.
+    The first omits ``traced`` variables, whose creep rate has a trace: J does not determine their det.
     """
     variables = {v.name: v for v in material.variables}
     found: dict[str, Tensor] = {}
@@ -70,7 +70,7 @@ def relative_defects(material: Material, z: Values, traced: Collection[str] = ()
             partner = next((one for one in own if isinstance(variables[one], of)), None)
             if partner is not None:
                 cofactor = Cof(z[partner])
-                # J^b Cof F of z = J^a F, as a multiple of Cof z; its size is free where J is not known
+                # J^b Cof F is a multiple of Cof z for z = J^a F; the size is free where J is not known
                 scale = sqrt(square(z[name]) / square(cofactor))
                 gap = sqrt(square(z[name] - scale * cofactor) / square(z[name]))
                 found[f"{name} and Cof {partner}"] = gap
@@ -78,14 +78,14 @@ def relative_defects(material: Material, z: Values, traced: Collection[str] = ()
 
 
 def drifts(material: Material, z: Values, traced: Collection[str] = ()) -> dict[str, Tensor]:
-    """det F/J - 1 by the tensors that are carried beside a volume, by what is compared.
+    """The drift det F/J - 1 of each tensor that is carried beside J, by the names of both.
 
-    F is the distortion that a tensor z stands for: det z J^-n is (det F/J)^d, d = 1 of F, 2 of F F^T and of
-    Cof F.  A variable for which the energy is continued has none: there J <= 0 is admitted.
+    F is the distortion of the tensor z: det z J^-n = (det F/J)^d with d = 1 for F and d = 2 for F F^T and Cof
+    F.  Variables in ``Material.continued`` have no drift, as J <= 0 is admitted there.
 
-    Of F F^T it is what det F has lost, at most zero: means of such tensors have larger determinants than
-    these (Minkowski), and their energy lies above that at rest.  Means of F have smaller ones where rotations
-    differ, and free rest energy.
+    For F F^T only the loss of det F counts, and the drift is at most zero: a mean of such tensors has a
+    larger determinant than the tensors (Minkowski), and an energy above rest.  A mean of F has a smaller
+    determinant where rotations differ, and frees rest energy.
     """
     volume = next((v for v in material.variables if isinstance(v, (Jacobian, ReciprocalJacobian))), None)
     if volume is None or volume.name in material.continued:
@@ -102,7 +102,7 @@ def drifts(material: Material, z: Values, traced: Collection[str] = ()) -> dict[
 
 
 def may_part(material: Material, moves: bool) -> str | None:
-    """The message before a run of variables that may part; None where they hardly do.
+    """The warning before a run whose variables may drift apart; None where they hardly do.
 
     ``moves`` says whether walls move.
     """
@@ -116,7 +116,7 @@ def may_part(material: Material, moves: bool) -> str | None:
 
 
 def remedy(material: Material) -> str:
-    """The message that says how the variables of a material are kept together."""
+    """The part of a message that says how to keep the variables of a material together."""
     better = "shorter steps and a finer mesh"
     if not any(v.frame == "relaxed" for v in material.variables):
         return better

@@ -1,4 +1,4 @@
-"""Diffusion of what a material carries, as a solute: down the gradient of its chemical potential."""
+"""Diffusion of a concentration that a material carries, such as a solute, by its chemical potential."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -12,19 +12,19 @@ from ngvisco.physics.parameters import require_fields
 
 @dataclass(frozen=True, kw_only=True)
 class WallExchange:
-    """The flux into the body through a wall: flux + coefficient (potential - mu), mu that inside.
+    """The flux into the body through a wall: flux + coefficient (potential - mu), mu the body's potential.
 
     A large coefficient holds the wall at the potential.  Raises ParameterError if a parameter is out of its
-    range, one of potential and coefficient is given without the other, or nothing is.
+    range, one of potential and coefficient is given without the other, or no parameter is given.
 
     Parameters
     ----------
     potential : float, optional
-        That of the surroundings, with a coefficient; a function of the place and the run's time.
+        Potential of the surroundings, with a coefficient; a function of the place and the run's time.
     coefficient : float, optional
-        How readily the wall lets through; a function of the place and the run's time.
+        Transfer coefficient of the wall; a function of the place and the run's time.
     flux : float, optional
-        What comes in besides, whatever the potential; a function of the place and the run's time.
+        Further flux inwards, independent of the potential; a function of the place and the run's time.
     """
 
     potential: Annotated[Function | None, Quantity("Pa", example=2.0)] = None
@@ -43,19 +43,19 @@ class WallExchange:
 
 @dataclass(frozen=True, kw_only=True)
 class Diffusion:
-    """dc/dt + div(c v) = div(M grad mu), mu = d phi/d c: what a material carries spreads until mu is even.
+    """Diffusion of c until mu = d phi/d c is uniform: dc/dt + div(c v) = div(M grad mu).
 
-    It dissipates M |grad mu|^2.  An energy that reads c beside J swells by it.  Raises ParameterError if a
-    parameter is out of its range.
+    It dissipates M |grad mu|^2.  A material whose energy couples c and J swells with c.  Raises
+    ParameterError if a parameter is out of its range.
 
     Parameters
     ----------
     variable : str
         Name of c among the material's variables, a scalar that is conserved (``Concentration``).
     mobility : float
-        M, of c in its own unit [c] in [c]^2 m^2/(Pa s).
+        M, in [c]^2 m^2/(Pa s) for c in its unit [c].
     walls : mapping of boundary names to WallExchange, optional
-        Walls that it comes through; no flux through others.
+        Walls with exchange; the flux through all others is zero.
     """
 
     variable: Annotated[str, Quantity(example="c")]
@@ -68,7 +68,7 @@ class Diffusion:
         require_fields(self)
 
     def require(self, material: Material) -> None:
-        """Raise ParameterError for a material that does not carry the variable, or not so."""
+        """Raise ParameterError for a material that does not carry the variable as a conserved scalar."""
         known = [v.name for v in material.variables if v.kind == "scalar" and v.is_conserved]
         if self.variable not in known:
             of, carried = type(material).__name__, ", ".join(v.name for v in material.variables)

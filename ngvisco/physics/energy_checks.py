@@ -1,18 +1,18 @@
-"""Checks of an energy: that it is a function of the state alone, the same for all observers, and convex.
+"""Checks that an energy is a function of the state alone, the same for all observers, and convex.
 
 **The state alone.**  The ledger's conjugates are derivatives by the state.  An energy that also depends on
-place, time, a grid function or the mesh has a rate that no term of the equations holds: it is refused.
+place, time, a grid function or the mesh is refused: no term of the equations balances this part of its rate.
 
-**All observers.**  phi(z*) = phi(z) for the values z* that an observer turned by a rotation Q sees: Q F of F
-and its cofactor, Q E Q^T of spatial tensors.  For these phi is then isotropic, which is what makes S E = E S,
-the Cauchy stress symmetric, and B = F F^T enough to know of F.
+**All observers.**  phi(z*) = phi(z) for the values z* that an observer turned by a rotation Q sees: Q F for F
+and likewise for its cofactor, Q E Q^T for spatial tensors.  phi is then isotropic in spatial tensors;
+therefore S E = E S, the Cauchy stress is symmetric, and phi depends on F only through B = F F^T.
 
-**Convexity.**  The scheme never creates energy because every step's Bregman distance
-phi(b) - phi(a) - phi'(a) : (b - a) is >= 0, which is convexity in all strains together, taken as independent
-ones (the discrete J is not exactly det F), at fixed parameters.  ``check_convexity`` evaluates that distance
-for random states a and, for each, b along the eigenvector of the smallest eigenvalue of the Hessian, near and
-farther, and at another random state.  States whose variables fit together (J = det F, ...), as in a motion,
-are cited first: a violation elsewhere matters only as far as the discrete variables part.
+**Convexity.**  The scheme never creates energy because every step's Bregman distance phi(b) - phi(a) -
+phi'(a) : (b - a) is >= 0.  This holds where phi is convex in all strains together at fixed parameters; the
+strains count as independent, as the discrete J is not exactly det F.  ``check_convexity`` evaluates the
+distance for random states a.  For each a the states b lie along the eigenvector of the Hessian's smallest
+eigenvalue, near and farther, and at another random state.  States whose variables fit together as in a motion
+(J = det F, ...) are cited first: a violation elsewhere matters only as far as the variables drift apart.
 """
 
 import warnings
@@ -48,19 +48,19 @@ _OTHERS = {
     ("ReferenceCoordinate", "Jacobian"): "the map of the cells",
     ("ProxyFunction",): "a trial or test function",
 }
-"""NGSolve's names of the leaves of an expression, and what they are."""
+"""NGSolve's names of the leaves of an expression, and the names that messages use."""
 _PAIRINGS = 8
-"""Partners that each sampled state gets where a set of states is asked to be convex."""
+"""Pairs for each sampled state in the check that a set of states is convex."""
 
 
 def check_energy(material: Material) -> None:
     """Raise ParameterError unless ``material.energy`` is a scalar function of the variables' values alone."""
     inner = getattr(material, "material", None)
     if isinstance(inner, Material) and not isinstance(material, Carrying):
-        check_energy(inner)  # a wrapper's energy is made of that of another material
+        check_energy(inner)  # a wrapper derives its energy from the energy of the inner material
         return
     phi, slopes = _of_state(material, *_given(material), material.energy)
-    if max(slopes) <= 1e-14 * max(np.abs(sampled(phi))):  # but for what rounding leaves of sums that vanish
+    if max(slopes) <= 1e-14 * max(np.abs(sampled(phi))):  # sums that vanish leave rounding
         expected = (
             f"an energy that changes with {_names(material)}: this one is a constant, without any stress"
         )
@@ -68,17 +68,17 @@ def check_energy(material: Material) -> None:
 
 
 def check_bound(material: Material, field: str, function: Callable[..., CoefficientFunction]) -> None:
-    """Raise ParameterError unless a bound of an energy is what a bound is.
+    """Raise ParameterError unless ``function`` can bound the domain of an energy.
 
-    It is a scalar function of the variables' values alone, the same for all observers, positive at rest, and
-    positive on a convex set of states.
+    A bound is a scalar function of the variables' values alone, the same for all observers, positive at rest,
+    and positive on a convex set of states.
 
     Parameters
     ----------
     field : str
-        What messages call the bound.
+        Name of the bound in messages.
     function : callable
-        Takes the variables' values by name; the energy has a value where it is > 0.
+        Function of the variables' values, by keyword; the energy has a value where the function is > 0.
     """
     _of_state(material, field, function, lambda z: function(**z))
     sampling = _sampling("check_bound", material, 3, 0.4, 0)
@@ -94,7 +94,7 @@ def check_bound(material: Material, field: str, function: Callable[..., Coeffici
     Q[:, 0] *= np.linalg.det(Q)
     if not np.allclose(at(_turned(material, 3, Q, states)), at(states), rtol=1e-8, equal_nan=True):
         raise ParameterError(field, function, "a function that no rotation of the observer changes")
-    # near the rest too, where all bounds have states that keep them
+    # states near rest too: every bound has admissible states there
     states = np.concatenate([states, *(rest + share * (states - rest) for share in (0.3, 0.1, 0.03))])
     inside = states[at(states) > 0]
     for shift in range(1, _PAIRINGS + 1):
@@ -116,9 +116,9 @@ def _names(material: Material) -> str:
 def _of_state(
     material: Material, field: str, given: object, function: Callable[[Values], CoefficientFunction]
 ) -> tuple[CoefficientFunction, list[float]]:
-    """A function at a state without symmetries, and the sizes of its derivatives there.
+    """The value of ``function`` at a state without symmetries, and absolute entries of its derivatives.
 
-    Raises ParameterError unless it is a real scalar of the variables' values alone.
+    Raises ParameterError unless the function is a real scalar of the variables' values alone.
     """
     names = _names(material)
 
@@ -150,20 +150,21 @@ def _of_state(
 
 
 def _given(material: Material) -> tuple[str, object]:
-    """The parameter that the energy is given by, with its material's name, and its value."""
+    """Name of the parameter that holds the energy, as Material.parameter, and its value."""
     field = material.energy_parameter
     return f"{type(material).__name__}.{field}", getattr(material, field)
 
 
 class StateSampling:
-    """Random states of a material, (states, components), on a mesh of dimension ``dim``."""
+    """Sampling of a material's states, (states, components), on a mesh of dimension ``dim``."""
 
     def __init__(self, material: Material, dim: int, spread: float, rng: np.random.Generator) -> None:
         self.material, self.dim, self.space = material, dim, material.states(dim)
         self._spread, self._rng = spread, rng
 
     def fitting(self) -> np.ndarray:
-        """States of a random F, F - I of the size ``spread``: variables that fit together, as in a motion."""
+        """States of random F with |F_ij - I_ij| <= ``spread``; their variables fit together as in a
+        motion."""
         F = np.eye(3) + self._spread * self._rng.uniform(-1, 1, (_STATES, 3, 3))
         if self.dim == 2:
             F[:, 2, :2] = F[:, :2, 2] = 0
@@ -171,7 +172,7 @@ class StateSampling:
         return states_of(self.material, F, self.dim)
 
     def changed(self, fitting: np.ndarray) -> np.ndarray:
-        """The states with every strain changed on its own: the discrete ones do not fit exactly."""
+        """The states with independent random changes of each strain; discrete strains hardly fit together."""
         states = fitting.copy()
         for variable in self.material.variables:
             part = states[:, self.space.slices[variable.name]]
@@ -184,7 +185,7 @@ class StateSampling:
         return states
 
     def named(self, components: np.ndarray) -> dict[str, np.ndarray]:
-        """Components as scalars and 3x3 arrays by name."""
+        """The values of one state's components, scalars and 3x3 arrays by the variables' names."""
         found = {}
         for name, space in self.space.spaces.items():
             own = components[self.space.slices[name]]
@@ -196,7 +197,7 @@ _STATES = 256
 
 
 def _sampling(owner: str, material: Material, dim: int, spread: float, seed: int) -> StateSampling:
-    """The sampling of states for arguments that have been checked."""
+    """The sampling of states, after a check of the arguments; raises ParameterError."""
     require_type(f"{owner}.material", material, Material)
     require_positive(owner, spread=spread)
     dimension, number = as_integer(dim), as_integer(seed)
@@ -216,18 +217,17 @@ class ConvexityReport:
     """The result of sampling pairs of states a, b."""
 
     samples: int
-    """Pairs with finite energies that were compared."""
+    """Number of compared pairs with finite energies."""
     worst: float = 0.0
     """Smallest [phi(b) - phi(a) - phi'(a):(b - a)]/|b - a|^2, Pa; 0 when the energy passed."""
     point: dict[str, np.ndarray] | None = None
-    """a of the pair that is cited, 3x3 or scalar by name; None when the energy passed."""
+    """State a of the cited pair, 3x3 or scalar values by name; None when the energy passed."""
     direction: dict[str, np.ndarray] | None = None
-    """b - a of that pair."""
+    """The increment b - a of the cited pair."""
     reachable: bool = False
     """Whether a motion can reach a."""
     distance: float = 0.0
-    """The distance of a from the nearest of the ``states`` that were given, else from rest, in the Frobenius
-    norm."""
+    """Frobenius distance of a from the nearest of ``states``, or from rest if none were given."""
     from_run: bool = False
     """Whether ``states`` were given."""
 
@@ -256,21 +256,21 @@ def check_convexity(
 ) -> ConvexityReport:
     """Look for states where a material's energy is not jointly convex.
 
-    Raises ParameterError if an argument is not what is said of it.
+    Raises ParameterError for an argument of the wrong type or out of its range.
 
     Parameters
     ----------
     material : Material
     dim : int
-        Dimension of the mesh it is for; 2 samples plane-strain tensors.
+        Dimension of the run's mesh; 2 samples plane-strain tensors.
     spread : float
-        Size of the sampled region: entries of F - I, and relative changes of the single variables.
+        Size of the sampled region: largest entry of F - I and relative change of each variable.
     seed : int
-        Of the random states.
+        Seed of the random states.
     warn : bool
         Whether to issue a ConvexityWarning with the point where the energy fails.
     states : array (count, components), optional
-        Components of a run's states, to say how far from them the energy fails; default rest.
+        Components of a run's states, from which the report measures distances; default rest.
     """
     sampling = _sampling("check_convexity", material, dim, spread, seed)
     dim = sampling.dim
@@ -282,10 +282,10 @@ def check_convexity(
     a = sampling.changed(fitting)
     other = sampling.fitting()
     b = sampling.changed(other)
-    for end in (other, b):  # at the same parameters
+    for end in (other, b):  # both ends of a pair have the same parameters
         end[:, ~strains] = fitting[:, ~strains]
     steps = [t * spread for t in (1.0, 0.1, -1.0, -0.1)]
-    # (states, increments) in the order in which violations are cited
+    # (reachable, states, increments) in the order in which violations are cited
     rounds: list[tuple[bool, np.ndarray, list[np.ndarray]]] = [(True, fitting, [other - fitting])]
     for reachable, start, far in ((True, fitting, []), (False, a, [b - a])):
         weakest = _weakest_directions(response, start, strains)
@@ -331,12 +331,12 @@ def _weakest_directions(response: Respond, states: np.ndarray, strains: np.ndarr
 def _worst_bregman(
     sampling: StateSampling, response: Respond, a: np.ndarray, increments: Sequence[np.ndarray]
 ) -> tuple[int, float, tuple[np.ndarray, np.ndarray] | None]:
-    """Number of pairs, smallest Bregman distance over |b - a|^2, and its pair (a, b - a) if negative."""
+    """Number of pairs, most negative Bregman distance over |b - a|^2 (else 0), and its pair (a, b - a)."""
     at_a, material = response(a), sampling.material
 
     def bounds(components: CoefficientFunction) -> CoefficientFunction:
-        """Functions that are > 0 where the energy has to be convex: J, the minors of B, ..., but not det F,
-        whose domain is not convex."""
+        """Functions that are > 0 where the energy has to be convex: J, the minors of B, ...; det F is left
+        out, as its positive set is not convex."""
         z = sampling.space.tensors(lambda: components)
         asked = (v for v in material.variables if v.kind != "full" and v.name not in material.continued)
         return CF((1.0, *(value for v in asked for value in v.positive(z[v.name]).values())))
@@ -360,16 +360,16 @@ def _worst_bregman(
 
 @dataclass(frozen=True)
 class IsotropyReport:
-    """The result of sampling states z and turned ones z*."""
+    """The result of comparing energies at states z and at turned states z*."""
 
     samples: int
-    """Pairs with finite energies."""
+    """Number of pairs with finite energies."""
     worst: float = 0.0
     """Largest |phi(z*) - phi(z)|, Pa; 0 when the energy passed."""
     rotation: np.ndarray | None = None
-    """Q of the worst pair, 3x3; None when the energy passed."""
+    """Rotation Q of the worst pair, 3x3; None when the energy passed."""
     point: dict[str, np.ndarray] | None = None
-    """z of the worst pair, 3x3 or scalar by name."""
+    """State z of the worst pair, 3x3 or scalar values by name."""
 
     @property
     def passed(self) -> bool:
@@ -385,17 +385,17 @@ class IsotropyReport:
 def check_isotropy(material: Material, *, dim: int = 3, spread: float = 0.4, seed: int = 0) -> IsotropyReport:
     """Look for a rotation of the observer under which a material's energy changes.
 
-    Raises ParameterError if an argument is not what is said of it.
+    Raises ParameterError for an argument of the wrong type or out of its range.
 
     Parameters
     ----------
     material : Material
     dim : int
-        Dimension of the mesh it is for; in 2 the rotations are those in the plane.
+        Dimension of the run's mesh; with 2 all rotations are in the plane.
     spread : float
         Size of the sampled region, as for ``check_convexity``.
     seed : int
-        Of the random states and rotations.
+        Seed of the random states and rotations.
     """
     sampling = _sampling("check_isotropy", material, dim, spread, seed)
     dim = sampling.dim
@@ -407,14 +407,14 @@ def check_isotropy(material: Material, *, dim: int = 3, spread: float = 0.4, see
         Q[:dim, :dim], R = np.linalg.qr(sampling._rng.standard_normal((dim, dim)))
         Q[:dim, :dim] *= np.sign(np.diag(R))
         Q[:, 0] *= np.linalg.det(Q)
-        with np.errstate(invalid="ignore"):  # infinite at both
+        with np.errstate(invalid="ignore"):  # both energies may be infinite
             change = np.abs(energies_at(material, _turned(material, dim, Q, states), dim) - energy)
         finite = np.isfinite(change)
         samples += int(finite.sum())
         if not finite.any():
             continue
         known = energy[np.isfinite(energy)]
-        # the spread, since a constant in the energy says nothing; and its rounding
+        # relative to the energy's spread, as its constant is arbitrary, and above rounding
         bound = 1e-8 * np.ptp(known) + 1e-13 * np.abs(known).max()
         change = np.where(finite & (change > bound), change, 0.0)
         i = int(np.argmax(change))
@@ -424,7 +424,7 @@ def check_isotropy(material: Material, *, dim: int = 3, spread: float = 0.4, see
 
 
 def _turned(material: Material, dim: int, Q: np.ndarray, states: np.ndarray) -> np.ndarray:
-    """The states that an observer turned by Q sees."""
+    """The given states as an observer turned by Q sees them."""
 
     def turn(state: CoefficientFunction) -> CoefficientFunction:
         z = material.states(dim).tensors(lambda: state)
@@ -435,7 +435,7 @@ def _turned(material: Material, dim: int, Q: np.ndarray, states: np.ndarray) -> 
 
 
 def require_isotropy(material: Material) -> None:
-    """Raise ParameterError with the rotation that shows that a material's energy depends on the observer."""
+    """Raise ParameterError, with a rotation that shows it, if a material's energy depends on the observer."""
     report = check_isotropy(material)
     if not report.passed:
         expected = f"an energy that no rotation of the observer changes: it {report}"
@@ -443,6 +443,6 @@ def require_isotropy(material: Material) -> None:
 
 
 def _text(values: dict[str, np.ndarray], sign: str) -> str:
-    """Arrays by name in one line."""
+    """One line of text with arrays by name."""
     texts = {n: np.array2string(v, precision=3, suppress_small=True) for n, v in values.items()}
     return ", ".join(f"{n}{sign}{text}".replace("\n", "") for n, text in texts.items())
