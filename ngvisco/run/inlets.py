@@ -1,4 +1,4 @@
-"""Warning about given inflow values whose stress differs from the body's stress at the inlet."""
+"""Warnings about inflows whose values do not belong to the stress at the wall."""
 
 from __future__ import annotations
 
@@ -7,26 +7,30 @@ from typing import TYPE_CHECKING, Any
 
 from ngvisco.errors import NgviscoWarning
 from ngvisco.forms.boundary.wall_terms import Carried
+from ngvisco.forms.start.variables import is_let_in_by_pressure
 
 if TYPE_CHECKING:
     from ngvisco.forms.system import Step
 
 _MATTERS = 0.01
-"""Share of all powers that matter may lose where it flows in; a run warns of a larger one."""
+"""Share of all powers that matter may lose where it flows in, and of the mass that may come in with a density
+that nothing determines; a run warns of a larger one."""
 
 
 class InflowWarning(NgviscoWarning):
-    """Given inflow values have another stress than the body inside: a jump stays at the inlet."""
+    """An inflow has another stress than the body inside, or a density that nothing determines."""
 
 
 def inflow_message(step: Step, row: Mapping[str, float]) -> str:
-    """Warning about walls in a ledger's row whose given strains lose much energy; empty for little.
+    """Warning about walls in a ledger's row whose given strains lose much energy, or whose pressure lets in a
+    fluid of unknown density; empty for little.
 
     Bodies and temperatures mix by their nature: their values bring no warning.
     """
     if step.model.bodies:
         return ""
-    strains = {v.name for v in step.model.material.variables if v.is_strain}
+    law = step.model.material
+    strains = {v.name for v in law.variables if v.is_strain}
     worked = sum(
         abs(value)
         for name, value in row.items()
@@ -44,5 +48,13 @@ def inflow_message(step: Step, row: Mapping[str, float]) -> str:
                 f"{lost:.3g} W are lost, {lost / worked:.0%} of all powers, and a jump stays there; give "
                 "values (and a density) that belong to the stress at the wall, or none: then matter comes "
                 "in as it is inside"
+            )
+        entered = row[f"inflow_{wall.name}"] * row["time"]
+        is_open = law.referential_density is None and is_let_in_by_pressure(named, law)
+        if is_open and entered > _MATTERS * row["mass"]:
+            return (
+                f"at t = {row['time']:.4g} s a fluid comes in through {wall.name!r} at a pressure, and with "
+                "the density of the cell inside, since the material has no rho_R that belongs to the "
+                "pressure; give rho_R, or the wall's density and values"
             )
     return ""

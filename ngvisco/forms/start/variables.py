@@ -195,11 +195,11 @@ def _at_pressure(
     return {v.name: v.from_distortion(J ** (1 / 3) * Id(3)) for v in material.variables if v.is_strain}
 
 
-def _comes_in_at_pressure(wall: Passage, material: Material) -> bool:
-    """Whether the inflow is a fluid of known density at a pressure that its wall alone determines."""
+def is_let_in_by_pressure(wall: Passage, material: Material) -> bool:
+    """Whether the inflow is a fluid whose state the wall gives by its pressure alone."""
     if not isinstance(wall, Open) or wall.traction is not None or any((*wall.impedance, *wall.stiffness)):
         return False
-    if wall.density is not None or wall.values or material.referential_density is None:
+    if wall.density is not None or wall.values:
         return False
     volumes = Jacobian, ReciprocalJacobian, LogJacobian
     strains = [v for v in material.variables if v.is_strain]
@@ -258,7 +258,7 @@ def entering(wall: Passage, owner: str, model: Model, mesh: Mesh) -> Entering:
     theta = None
     if wall.temperature is not None:
         theta = temperature_for(material, wall.temperature, wall.values, owner)
-    if _comes_in_at_pressure(wall, material):
+    if material.referential_density is not None and is_let_in_by_pressure(wall, material):
         assert isinstance(wall, Open)
         z = _at_pressure(material, as_shape(f"{owner}.pressure", wall.pressure, ()), theta, mesh)
     density = None
