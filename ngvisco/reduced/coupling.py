@@ -1,4 +1,4 @@
-"""How cells meet across their sides: dense blocks of a cell's own values and of those across each side."""
+"""Dense blocks by which a cell's rows depend on its own values and on those of the cells across its sides."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from ngvisco.reduced.operators import FacetMass, SideOperators
 
 
 class FacetCoupling:
-    """Builds the blocks for weights at the sides' points; the functions there are known once."""
+    """Builds the blocks from weights at the sides' points; basis functions are evaluated there once."""
 
     def __init__(self, sides: SideOperators, mass: FacetMass) -> None:
         z, per = sides.z, sides.points.per_side
@@ -26,7 +26,7 @@ class FacetCoupling:
         first = np.flatnonzero(np.diff(self._facet[order]) == 0)
         one, other = order[first], order[first + 1]
         self.across = np.arange(count)
-        """The side of the other cell, (sides,); itself on the boundary; beyond all sides on another rank."""
+        """The other cell's side, (sides,): on the boundary the side itself, on another rank >= ``count``."""
         self.across[one], self.across[other] = other, one
         side_of = np.zeros(len(mass.unknowns), dtype=np.int64)
         side_of[self._facet] = np.arange(count)
@@ -39,14 +39,14 @@ class FacetCoupling:
         """The cell across each side, (cells, sides)."""
 
     def functions_of(self, mass: FacetMass) -> np.ndarray:
-        """Values of the functions of facets, (sides, points, functions)."""
+        """Values of the facets' basis functions, (sides, points, functions)."""
         shape = self.cells * self.sides, self.per_side, len(mass.shapes)
         return np.ascontiguousarray(mass.shapes.T).reshape(shape)
 
     def tested(self, values: np.ndarray, tests: np.ndarray | None = None) -> np.ndarray:
-        """Integrals over each side of ``values`` (n, points) times functions of it, (sides, n functions).
+        """Integrals over each side of ``values`` (n, points) times test functions, (sides, n functions).
 
-        ``tests`` are (sides, functions, points of a side), by default those of the side's cell.
+        ``tests`` are (sides, functions, points of a side); the default is the basis of the side's cell.
         """
         count = self.cells * self.sides
         parts = values.reshape(len(values), count, self.per_side).transpose(1, 2, 0) * self._weights
@@ -54,7 +54,7 @@ class FacetCoupling:
         return found.transpose(0, 2, 1).reshape(count, len(values) * found.shape[1])
 
     def beyond(self, blocks: np.ndarray) -> np.ndarray:
-        """Values of the other side, (sides, ., .), zero on the boundary."""
+        """Blocks of the other side, (sides, ., .); zero on the boundary."""
         if len(self._border):
             blocks = np.concatenate([blocks, self.halo.swapped(blocks[self._border])])
         return blocks[self.across] * self._inner
@@ -66,17 +66,17 @@ class FacetCoupling:
         from_trace: np.ndarray,
         values: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Derivatives of int (own z + from_trace z_hat) q, where mass z_hat = int to_trace z t of both sides.
+        """Derivatives of int (own z + from_trace z_hat) q, where z_hat solves mass z_hat = int to_trace z t.
 
         Parameters
         ----------
         own, to_trace, from_trace : ndarray, shape (sides' points,)
         values : ndarray, shape (cells, points, functions), optional
-            Of the functions in the place of z at the sides' points; default their own.
+            Values that replace the basis functions of z at the sides' points; default the basis itself.
 
         Returns
         -------
-        of the cell's own values, (cells, q, q), and of those across each side, (cells, sides, q, q)
+        derivatives by the cell's z, (cells, q, q), and by z across each side, (cells, sides, q, q)
         """
         shape, w = self._weights.shape, self._weights
         z = self._z if values is None else values.reshape(self._z.shape)

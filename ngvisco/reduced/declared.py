@@ -1,10 +1,11 @@
-"""Terms of a step by the part of the split solver that evaluates them, as each term declares it.
+"""Sorts a step's terms by the part of the split solver that evaluates them, as each term declares.
 
-A term with a ``kernel`` is taken by the matrices of this name, one that couples by the ``"flow"`` by its
-form, every other one by its integrands at points.  A form has rows of the flow's unknowns only (v, the walls'
-unknowns, the creep rate field), and may read all fields.  Its derivative by the flow's unknowns is in
-Newton's increments, that by rho, z and the others is not: it acts exactly, and takes more iterations the more
-it changes with these.  A term that is not as it declares is refused by its name.
+A term with a ``kernel`` is evaluated by the matrices of this name.  A term with ``couples = "flow"`` is
+evaluated by its form, every other term by its integrands at points.  A form may read all fields, and has rows
+of the flow's unknowns only: v, the walls' unknowns, the creep rate field.  Newton's increments contain the
+form's derivative by the flow's unknowns, and not the derivative by rho, z and other unknowns.  The residual
+is exact; the stronger a form depends on rho and z, the more iterations a step takes.  A term that
+contradicts its declaration is refused by name.
 """
 
 from __future__ import annotations
@@ -25,25 +26,25 @@ from ngvisco.reduced.point_fields import NotAtPointsError
 from ngvisco.reduced.unknowns import Unknowns, density_by_forms, in_cells
 
 _FIELDS = {"rho", "grad rho", "z", "grad z"}
-"""Tests whose rows are those of the fields, and not of the flow."""
+"""Tests of the fields; all other tests belong to the flow."""
 
 
 class Couplings:
-    """Terms by what evaluates them, and the rows of those that are evaluated at points.
+    """The terms, sorted by their evaluation, and the rows of the terms that are evaluated at points.
 
-    Raises ParameterError for a term that is not as it declares, or for the coupled solver alone, and for a
-    variable whose rate is not linear in the variables.
+    Raises ParameterError for a term that contradicts its declaration, for a term that only the coupled solver
+    takes, and for a variable whose rate is not linear in the variables.
 
     Attributes
     ----------
     at_points : list of PointTerm
         Terms that are evaluated by arrays.
     by_forms : list of Term
-        Rows of the flow by forms.
+        Terms with rows of the flow, evaluated by forms.
     of_kernel : dict
-        Terms by the name of the matrices that take them.
+        Terms by the name of the matrices that evaluate them.
     forms_ask_for : set of str
-        Names of what the forms take of the step's ``Context``.
+        Names of the attributes of the step's ``Context`` that the forms read.
     """
 
     def __init__(self, step: Step) -> None:
@@ -78,45 +79,47 @@ class Couplings:
 
     @property
     def continuity(self) -> list[PointTerm]:
-        """The continuity equation where it is linear in rho, by arrays; solved for the trace of rho."""
+        """The continuity equation if it is linear in rho: evaluated by arrays, solved for the trace of
+        rho."""
         return [] if self._is_bent else self.of_kernel["density"]
 
     @property
     def density(self) -> list[Term]:
-        """The continuity equation where it is not linear in rho, by forms."""
+        """The continuity equation if it is not linear in rho: evaluated by forms."""
         return self.of_kernel["density"] if self._is_bent else []
 
     def beside_the_points(self) -> list[Term]:
-        """Terms of the flow whose linearisation by v, wall stress and Pi is taken from their forms."""
-        at_coarse_points = {id(term) for term in self.of_gradients()}  # not by ==, which is the user's
+        """Terms with rows of the flow that are linearised in v, wall stress and Pi through their forms."""
+        at_coarse_points = {id(term) for term in self.of_gradients()}  # a user may define ==
         others = (term for term in self.at_points if term.linearised and id(term) not in at_coarse_points)
         return [*self.by_forms, *(term for term in others if self._of_flow(term))]
 
     def of_gradients(self) -> list[PointTerm]:
-        """Terms with rows of grad w, whose linearisation by v a coarse rule will do for; not what couples v
-        with another unknown of the flow."""
+        """Terms with rows of grad w, and no other unknown of the flow than v: a coarse quadrature rule
+        suffices for their linearisation in v."""
         alone = ({"grad v"}, {"v", "grad v"})
         return [term for term in self.at_points if term.linearised and self._of_flow(term) in alone]
 
     def _of_flow(self, term: PointTerm) -> set[str]:
-        """Tests of the flow that a term at points has rows of."""
+        """Names of the flow's tests in the rows of a term at points."""
         return set(self._slots[id(term)].names) - _FIELDS
 
     @property
     def across_facets(self) -> list[PointTerm]:
-        """Terms by which cells change each other's fields across facets, beside transport."""
+        """Terms other than transport through which a cell acts on its neighbours' fields across facets."""
         return [term for term in self.at_points if term.couples == "facet"]
 
     def components_across_facets(self) -> list[int]:
-        """Components of z whose rows these have."""
+        """Components of z in the rows of the terms ``across_facets``."""
         return sorted(set().union(*(self._slots[id(term)].components for term in self.across_facets)))
 
     def of_inertia(self) -> list[PointTerm]:
-        """Terms whose tangent is the mass of v."""
+        """Terms whose derivative by v is the mass matrix."""
         return [term for term in self.at_points if term.is_mass]
 
     def of_state(self) -> list[PointTerm]:
-        """Terms with rows of z, and stresses, that read z or zeta: not the rates and the elastic force."""
+        """Terms with rows of z that depend on z or zeta, and stresses; not the rates and the elastic
+        force."""
         stresses, found = {id(term) for term in self.of_gradients()}, []
         for term in self.at_points:
             reads = self._slots[id(term)].names
@@ -126,12 +129,12 @@ class Couplings:
         return found
 
     def of_nodes(self) -> list[PointTerm]:
-        """Terms with rows by as many points as a field has values in a cell."""
+        """Terms that are integrated by a collocated rule: one point per coefficient of a field."""
         return [term for term in self.at_points if self._slots[id(term)].at_nodes]
 
 
 def term_obstacle(step: Step) -> str | None:
-    """Why a term of the step cannot be taken, by its name, or None."""
+    """Why the split solver cannot take a term, which the text names; None if it can take all terms."""
     try:
         Couplings(step)
     except ParameterError as error:
@@ -145,7 +148,7 @@ def _refused(term: object, reason: str) -> ParameterError:
 
 
 def _slots_at_points(step: Step, term: PointTerm) -> Slots:
-    """Rows of a term at points; raises ParameterError where arrays do not take it."""
+    """Rows of a term at points; raises ParameterError if the term cannot be evaluated by arrays."""
     try:
         found = OnePoint(step).slots(term)
     except NotAtPointsError as error:
@@ -162,17 +165,17 @@ def _require_arrays(step: Step, term: Any) -> None:
     law, one = term.law, Array(np.ones(1), None)
     z = step.layout.states.tensors(lambda: Array(np.ones((step.layout.states.size, 1)), None))
     try:
-        with np.errstate(all="ignore"):  # all values one need not be in the law's domain
+        with np.errstate(all="ignore"):  # the law may not be defined where all values are one
             found = [*law.moduli(z)]
             found += [law.linear(z)] if law.is_linear else [law.coefficient(one, z), law.slope(one, z)]
-    except Exception as error:  # whatever a law raises at values that it does not know
+    except Exception as error:  # a user's law may raise anything
         raise _refused(term, f"its law does not take arrays: {why(error)}") from error
     if not all(isinstance(value, (int, float, Array)) for value in found):
         raise _refused(term, "its coefficients are not made of the variables' values alone")
 
 
 class _Asked:
-    """A context that remembers what was asked for."""
+    """A context that records the names of the attributes read from it."""
 
     def __init__(self, context: Context) -> None:
         self._context, self.names = context, set[str]()
@@ -183,12 +186,12 @@ class _Asked:
 
 
 def _require_flow_rows(step: Step, term: Term) -> set[str]:
-    """Names of what a term by its form takes of the context.
+    """Names of the attributes of the context that a term's form reads.
 
     Raises
     ------
     ParameterError
-        If it has rows of anything but the flow's unknowns.
+        If the form tests an unknown that does not belong to the flow.
     """
     layout, names = step.layout, Unknowns(step).flow
     trial, test = layout.space.TnT()

@@ -1,16 +1,16 @@
 """delta Laplace z with the slope of z and its traces eliminated, cell by cell and facet by facet.
 
-All that is constant in ``FieldDiffusion`` is the same for every component: matrices of its form, for one.
-What depends on the state is phi''(z) in the cells' equations of the slope,
+The matrices of ``FieldDiffusion`` that are constant are the same for every component, and are assembled for
+one.  Only phi''(z) depends on the state.  It enters the cells' equations of the slope q,
 
     (phi''(z) + P) q_j = L_j (zeta + P z),        rows of z:  delta (sum_j L_j^T q_j + C S (zeta + P z)),
 
-tested by the functions of a cell on the left: L_j the lifted gradient, S the penalty, P the projection on
-the directions in which the energy is linear, C the compliance.  Of parameters, which have no rows, zeta and
-phi'' are left out, and P is one.
+where the left-hand side is tested by the functions of a cell.  L_j is the lifted gradient, S the penalty, P
+the projection on the directions in which the energy is linear, C the compliance.  For parameters, which have
+no rows, zeta and phi'' are left out, and P is one.
 
-Over ranks L_j and S have columns of the cells across shared facets too (``Halo``), and what L_j^T makes of
-these cells' rows goes back to their ranks.
+Over ranks L_j and S also have columns of the cells across shared facets (``Halo``).  Rows that L_j^T gives to
+these cells are sent back to their ranks.
 """
 
 from __future__ import annotations
@@ -30,8 +30,7 @@ from ngvisco.reduced.operators import FacetMass, Operators
 from ngvisco.reduced.slope import PointwiseSlope
 
 _INCREMENT = 6e-6
-"""The increment of z over its size, in central differences of phi''(z) q: the third root of the rounding
-unit."""
+"""Relative increment of z in central differences of phi''(z) q: the cube root of the rounding unit."""
 
 
 class FieldDiffusionRows:
@@ -45,12 +44,12 @@ class FieldDiffusionRows:
         term: FieldDiffusion,
         traces: FacetMass,
     ) -> None:
-        """``traces`` knows the functions of facets and the cells beyond them; its weights are not used."""
+        """``traces`` gives the functions of facets and the cells across them; its weights are not used."""
         self._op, self._slope, self._dim = operators, slope, step.mesh.dim
         self._delta, curvature = term.law.delta_fields, term.curvature
         self._of_itself = curvature.of_itself if curvature.of_itself.any() else None
         self.strains = curvature.strains
-        """Which components diffuse."""
+        """Mask of the components that diffuse."""
         self._compliance = curvature.compliance
         cell, facet = step.layout.scalar_space("z"), step.layout.scalar_space("z_hat")
         names = ("zeta", "z_slope", "zeta_delta_hat", "z_slope_hat")
@@ -71,11 +70,11 @@ class FieldDiffusionRows:
         self._to_jump = -(inverse_of_blocks(jump) @ block("z_slope_hat", "z_slope")).tocsr()
         self._traces, self._ranks = traces.exchange, traces.exchange.communicator
         self.unknowns = HaloUnknowns(traces.halo, operators.z.blocks.shape[2])
-        """Unknowns of one component, with those of the cells beyond."""
+        """Unknowns of one component, including those of other ranks' cells across shared facets."""
         to_means, count, size = self._to_means(traces), self.unknowns.count, cell.ndof
 
         def with_means(test: str) -> sp.csr_matrix:
-            """Rows by zeta in cells, with its means for the traces."""
+            """Rows of ``test`` as a function of zeta in cells, the traces being its means."""
             own = block(test, "zeta")
             return widened(own, own.shape[0], count) + block(test, "zeta_delta_hat") @ to_means
 
@@ -89,7 +88,8 @@ class FieldDiffusionRows:
         self._products = np.einsum("cpk,cpl->cklp", weighted, blocks).reshape(cells, q * q, points)
 
     def _to_means(self, traces: FacetMass) -> sp.csr_matrix:
-        """The matrix that takes zeta in cells, those beyond too, to its means on facets."""
+        """The matrix from zeta in cells, including other ranks' cells across facets, to its means on
+        facets."""
         halo, q = traces.halo, self.unknowns.per_cell
         own = widened(self._to_mean, self._to_mean.shape[0], self.unknowns.count)
         facets = traces.unknowns[traces.of_facets.places]  # (shared facets, functions)
@@ -105,18 +105,18 @@ class FieldDiffusionRows:
         return (own + sp.csr_matrix((others, (rows, columns)), shape=own.shape)).tocsr()
 
     def laplacian(self, inverse_mass: sp.csr_matrix) -> sp.csr_matrix:
-        """delta Laplace of one component, as if phi'' were one: what the rows are near for smooth z.
+        """delta Laplace of one component with phi'' replaced by one: it approximates the rows for smooth z.
 
-        Over ranks in parts, of ``unknowns``.
+        Each rank has the share of its cells, with columns of ``unknowns``.
         """
         square = sum(L.T @ inverse_mass @ L for L in self._lifting)
         penalty = widened(self._penalty, *square.shape)
         return (self._delta * (square + penalty)).tocsr()
 
     def slopes(self, z_values: np.ndarray, c: Coefficients) -> dict[str, np.ndarray]:
-        """The eliminated unknowns by name, (components, functions), of z at the cells' points, z and zeta.
+        """The eliminated unknowns by name, (components, functions), from z at the cells' points, z and zeta.
 
-        With complex z and zeta, increments of them, all is complex.
+        A complex z and zeta, with increments as imaginary parts, give complex unknowns.
         """
         chi = self._potential(c)
         at = np.ascontiguousarray(z_values.real)
@@ -133,7 +133,7 @@ class FieldDiffusionRows:
         return {"z_slope": slope, "zeta_delta_hat": means, "z_slope_hat": normal_parts}
 
     def rows(self, c: Coefficients) -> np.ndarray:
-        """Rows of z, (n, functions), of zeta, z and its slope."""
+        """Rows of z, (n, functions), from zeta, z and its slope."""
         chi = self._potential(c)
         slope = c["z_slope"].reshape(len(chi), self._dim, -1)
         rows = np.sum([apply(A, slope[:, j]) for j, A in enumerate(self._adjoint)], axis=0)
@@ -141,7 +141,7 @@ class FieldDiffusionRows:
         return self._delta * (self._of_strains(rows) + self._compliance @ apply(self._penalty, beyond))
 
     def _potential(self, c: Coefficients) -> np.ndarray:
-        """zeta; of parameters z in its place, in linear directions both together."""
+        """The diffusing potential zeta + P z; for parameters it is z."""
         zeta = self._of_strains(c["zeta"])
         return zeta if self._of_itself is None else zeta + self._of_itself @ c["z"]
 
@@ -160,7 +160,7 @@ class FieldDiffusionRows:
             return np.linalg.inv(matrices)
 
     def _solve(self, inverses: np.ndarray, rows: np.ndarray) -> np.ndarray:
-        """Slopes (dim, n, functions) of rows of the same shape; functions of a cell stand side by side."""
+        """Solve for the slopes, (dim, n, functions), from rows of this shape, cell by cell."""
         dim, n, _ = rows.shape
         q = self._op.z.blocks.shape[2]
         local = rows.reshape(dim, n, -1, q).transpose(2, 1, 3, 0).reshape(len(inverses), n * q, dim)
@@ -168,7 +168,7 @@ class FieldDiffusionRows:
         return np.ascontiguousarray(found.transpose(3, 1, 0, 2)).reshape(rows.shape)
 
     def _changed(self, z: np.ndarray, dz: np.ndarray, q: np.ndarray) -> np.ndarray:
-        """phi'''(z) dz q, tested: the slopes' equations by z, (dim, n, functions)."""
+        """The derivative of the slopes' equations by z: phi'''(z) dz q, tested, (dim, n, functions)."""
         size = float(np.abs(dz).max(initial=0.0))
         if size == 0:
             return np.zeros_like(q)

@@ -1,9 +1,9 @@
-"""Terms of a step by arrays: their values at all points of a rule at once, and the rows that these make.
+"""Evaluates a step's terms by arrays at all points of a quadrature rule, and integrates their rows.
 
-A term's ``cells`` and ``facets`` are evaluated with arrays in place of coefficient functions.  What they give
-is linear in the tests; what multiplies each of these is tested with the functions of its space by the
-matrices of ``Operators`` and ``SideOperators``.  With complex coefficients all values are complex, and the
-imaginary parts of the rows are their derivative.
+A term's ``cells`` and ``facets`` are evaluated with arrays in place of coefficient functions. Their
+integrands are linear in the tests. The factor of each test is integrated against the basis functions of the
+test's space by the matrices of ``Operators`` and ``SideOperators``. Complex coefficients give complex values,
+and the imaginary part of a row is its derivative along the imaginary part of the coefficients.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ from ngvisco.reduced.unknowns import derived_in_cells, in_cells
 from ngvisco.threads import ALONE
 
 Coefficients = Mapping[str, np.ndarray]
-"""Coefficients of unknowns by name, (components, functions); of scalars (functions,)."""
+"""Coefficients of unknowns by name, (components, functions), or (functions,) for a scalar."""
 
 Rows = dict[str, np.ndarray]
-"""Rows of a residual by the tests' unknowns, in the same shapes."""
+"""Rows of a residual by the name of the tested unknown, in the shapes of ``Coefficients``."""
 
 
 def shapes_of(step: Step) -> dict[str, tuple[int, ...]]:
@@ -40,14 +40,14 @@ def shapes_of(step: Step) -> dict[str, tuple[int, ...]]:
 
 
 def on_sides(step: Step) -> list[str]:
-    """Unknowns with tests on facets: of cells, and means of both sides."""
+    """Names of the unknowns with tests on facets: v, the fields in cells, and facet means of both sides."""
     means = (term.name for term in step.terms if isinstance(term, FacetMean))
     density = [name for name in ("rho", "rho_hat") if name in step.layout.unknowns]
     return ["v", *density, "z", *means]
 
 
 def tests_of(step: Step, inside: bool, context: Any) -> Fields:
-    """Tests that record what multiplies them: with gradients in cells, with those of traces on facets."""
+    """Tests that record their factors: in cells with gradients, on facets also for facet means."""
     shapes, d = shapes_of(step), step.mesh.dim
     names = [name for name in in_cells(step.layout) if name in shapes] if inside else on_sides(step)
 
@@ -71,12 +71,13 @@ class Sampled:
 
     def __init__(self, step: Step, operators: Operators) -> None:
         self._step, self._points, self.old = step, operators.points, dict[str, np.ndarray]()
-        # by the function itself and no longer than it lives: a term may make a new one at each evaluation
+        # keyed weakly by the function: a term may make a new function at each evaluation
         self._averages = WeakKeyDictionary[CoefficientFunction, GridFunction]()
         self._given = WeakKeyDictionary[CoefficientFunction, GridFunction]()
 
     def start(self) -> None:
-        """Evaluate what is known through the step: old fields and averaged loads."""
+        """Evaluate the data that are constant during the step: old fields, averaged loads, given
+        functions."""
         step, layout = self._step, self._step.layout
         state = step.state_old.vec.FV().NumPy()
         for name in set(layout.evolving).intersection(in_cells(layout)):
@@ -90,13 +91,13 @@ class Sampled:
 
     @property
     def momentum_old(self) -> np.ndarray | None:
-        """m_old, (dim, points), kg/(m^2 s); it is known at the points of the forms' rule only."""
+        """m_old, (dim, points), kg/(m^2 s); None for a rule other than that of the forms."""
         momentum, dim = self._step.momentum_old, self._step.mesh.dim
         is_known = self._points.count * dim == momentum.space.ndof
         return self._points.read(momentum, dim) if is_known else None
 
     def average(self, value: CoefficientFunction) -> np.ndarray:
-        """(components, points); see ``CellContext.average``."""
+        """Time averages at the points, (components, points); see ``CellContext.average``."""
         with ALONE:
             if value not in self._averages:
                 function = self._points.function(value.dim)
@@ -105,7 +106,7 @@ class Sampled:
         return self._points.read(self._averages[value], value.dim)
 
     def given(self, value: CoefficientFunction) -> np.ndarray:
-        """(components, points); see ``CellContext.given``."""
+        """Values at the end of the step, (components, points); see ``CellContext.given``."""
         with ALONE:
             if value not in self._given:
                 function = self._points.function(value.dim)
@@ -115,9 +116,9 @@ class Sampled:
 
 
 class CellContext:
-    """The data of a step at the points of the cells; the arrays' counterpart of ``Context``.
+    """The data of a step at the points of the cells: ``Context`` for arrays.
 
-    Nothing at points is kept by it: old fields are made anew where they are asked for.
+    Values at points are not stored: each access to an old field evaluates it again.
     """
 
     def __init__(self, step: Step, operators: Operators, rates: TabulatedRates, sampled: Sampled) -> None:
@@ -141,11 +142,11 @@ class CellContext:
         """m_old, kg/(m^2 s)."""
         if (known := self.sampled.momentum_old) is not None:
             return Array(known[:, self._op.places], None)
-        old = self.old  # of a coarser rule, for tangents only
+        old = self.old  # a coarser rule serves tangents only
         return old.rho * old.v
 
     def rate(self, difference: Any) -> Any:
-        """difference/tau, of numbers, arrays of values or linear forms."""
+        """Return difference/tau for a number, an array of values or a linear form."""
         return _rate(self._step, difference)
 
     def average(self, value: CoefficientFunction) -> Array:
@@ -161,18 +162,18 @@ class CellContext:
 
 
 def _put(function: GridFunction, value: CoefficientFunction) -> None:
-    """Values at points; grid functions there have two components at least."""
+    """Interpolate ``value`` at the points; a grid function of points has at least two components."""
     function.Interpolate(CF((value, 0.0)) if value.dim == 1 else value)
 
 
 def _rate(step: Step, difference: Any) -> Any:
-    """``Context.rate`` for arrays, also of a number."""
+    """Return ``Context.rate`` of an array, a linear form or a number."""
     known = Array.constant(difference) if isinstance(difference, (int, float)) else difference
     return step.context.rate(known)
 
 
 class SideContext:
-    """The data of a step on the cells' sides."""
+    """The data of a step at the points of the cells' sides: ``Context`` for arrays."""
 
     def __init__(
         self,
@@ -180,7 +181,7 @@ class SideContext:
         operators: SideOperators,
         given: WeakKeyDictionary[CoefficientFunction, np.ndarray],
     ) -> None:
-        """``given`` are the values of functions at the points of all sides, which are sampled once a step."""
+        """``given`` holds values of functions at the points of all sides, sampled once a step."""
         self._step, self._op, self.known = step, operators, given
         self.normal, self.h = Array(operators.normals, None), Array(operators.h, None)
         self.inner, self.crossed = Array(operators.inner, None), Array(operators.crossed, None)
@@ -188,15 +189,15 @@ class SideContext:
         self.rates, self.terms = step.tabulated_rates, step.terms
 
     def rate(self, difference: Any) -> Any:
-        """difference/tau."""
+        """Return difference/tau."""
         return _rate(self._step, difference)
 
     def start(self) -> None:
-        """Let what is given be that of the step."""
+        """Forget the sampled functions of the last step."""
         self.known.clear()
 
     def given(self, value: CoefficientFunction) -> Array:
-        """A scalar, a vector or a matrix at the end of the step, see ``Context.given``."""
+        """The value of a scalar, a vector or a matrix at the end of the step, see ``Context.given``."""
         with ALONE:
             if value not in self.known:
                 entries = [value[index] for index in np.ndindex(*value.dims)] if value.dims else [value]
@@ -205,12 +206,12 @@ class SideContext:
 
     @property
     def curvature(self) -> float:
-        """See ``Context.curvature``."""
+        """The number ``Context.curvature``."""
         return self._step.context.curvature.Get()
 
 
 class CellTerms:
-    """Integrals over the cells."""
+    """Evaluates the terms' integrals over the cells."""
 
     def __init__(
         self,
@@ -220,29 +221,30 @@ class CellTerms:
         place: Where = "cells",
         sampled: Sampled | None = None,
     ) -> None:
-        """``place`` is "cells" or "nodes": which of the terms' integrals over cells."""
+        """``place`` names the terms' method whose integrands are evaluated, "cells" or "nodes"."""
         self.layout, self.op, self.place, self._step = step.layout, operators, place, step
         self.context = CellContext(step, operators, rates, sampled or Sampled(step, operators))
 
     def part(self, cells: slice) -> CellTerms:
-        """Over some cells; rows are their ``loads``."""
+        """The same integrals over the range ``cells`` only; they have ``loads``, and no ``rows``."""
         operators, known = self.op.part(cells), self.context
         return CellTerms(self._step, operators, known.rates, self.place, known.sampled)
 
     def fields(self, c: Coefficients) -> Fields:
-        """The unknowns with these coefficients at the points."""
+        """The unknowns with the coefficients ``c`` at the points of the cells."""
         names = [*in_cells(self.layout), *derived_in_cells(self.layout)]
         return _in_cells(self.op, c, names, CELLS, self.context)
 
     def slots(self, terms: Iterable[PointTerm], u: Fields) -> dict[str, np.ndarray]:
-        """Factors of each test and its gradient, (..., points)."""
-        tests = tests_of(self._step, True, u.context)  # at the points of u, as often as these stand there
+        """Factors of each test and of its gradient, summed over the terms, (..., points)."""
+        tests = tests_of(self._step, True, u.context)  # u may have its points several times
         return slots_of([part for term in terms for part in getattr(term, self.place)(u, tests)])
 
     def derivatives(
         self, terms: Sequence[PointTerm], u: Fields, **along: np.ndarray
     ) -> dict[str, np.ndarray]:
-        """The slots' derivatives, (..., k, points), in k directions of values as for ``incremented``."""
+        """Derivatives of ``slots`` in k directions, (..., k, points); ``along`` is that of
+        ``incremented``."""
         parts = [
             {name: derivative_of(g, k) for name, g in self.slots(terms, changed).items()}
             for k, changed in incremented(u, **along)
@@ -250,7 +252,7 @@ class CellTerms:
         return {name: np.concatenate([part[name] for part in parts], axis=-2) for name in parts[0]}
 
     def loads(self, terms: Iterable[PointTerm], u: Fields) -> Rows:
-        """Rows of the terms' integrals cell by cell, see ``LocalMatrix.loads``."""
+        """Integrals of the terms over each cell against its basis functions, see ``LocalMatrix.loads``."""
         rows, count = Rows(), len(self.op.weights)
         for name, values in self.slots(terms, u).items():
             unknown = name.removeprefix("grad ")
@@ -264,7 +266,7 @@ class CellTerms:
         return rows
 
     def summed(self, loads: Rows) -> Rows:
-        """Rows of all unknowns, of the loads of all cells."""
+        """Rows of all unknowns, assembled from the loads of all cells."""
         return {name: self.op.of(name)[0].summed(values) for name, values in loads.items()}
 
     def rows(self, terms: Iterable[PointTerm], u: Fields) -> Rows:
@@ -273,7 +275,7 @@ class CellTerms:
 
 
 class FacetTerms:
-    """Integrals over both sides of all facets."""
+    """Evaluates the terms' integrals over both sides of all facets."""
 
     def __init__(
         self,
@@ -287,11 +289,11 @@ class FacetTerms:
         self._tests, self._names = tests_of(step, False, self.context), [*on_sides(step), "zeta"]
 
     def part(self, cells: slice) -> FacetTerms:
-        """Over the sides of some cells; rows are their ``loads``."""
+        """The same integrals over the sides of the range ``cells`` only, for ``loads``."""
         return FacetTerms(self._step, self.op.part(cells), self.context.known)
 
     def fields(self, c: Coefficients) -> Fields:
-        """The unknowns with these coefficients on the sides."""
+        """The unknowns with the coefficients ``c`` at the points of the sides."""
 
         def value(name: str) -> Array:
             return Array(self.op.of(name)(c[name]), None)
@@ -304,28 +306,28 @@ class FacetTerms:
         return lazy_fields(Fields, self.layout, (value, names), (gradient, sloping), FACETS, self.context)
 
     def slots(self, terms: Iterable[PointTerm], u: Fields) -> dict[str, np.ndarray]:
-        """Factors of each test, (..., points)."""
+        """Factors of each test, summed over the terms, (..., points)."""
         return slots_of([part for term in terms for part in term.facets(u, self._tests)])
 
     def loads(self, terms: Iterable[PointTerm], u: Fields) -> Rows:
-        """Rows of the terms' integrals over the facets cell by cell, those of traces left out."""
+        """Integrals over each cell's sides against its basis functions of v, rho and z; traces have none."""
         found = self.slots(terms, u)
         count, names = len(self.op.weights), {"v", "rho", "z"}.intersection(found)
         return {name: self.op.of(name).loads(_full(found[name], count)) for name in names}
 
     def loads_of(self, term: PointTerm, name: str, u: Fields) -> np.ndarray:
-        """Loads of the unknown ``name`` of facets by its own equation, at its value zero."""
+        """Loads of the equation of the facet unknown ``name``, evaluated where this unknown is zero."""
         shape = self.layout.unknowns[name].shape
         found = self.slots([term], with_values(u, **{name: np.zeros((*shape, 1))}))
         return self.op.of(name).loads(_full(found[name], len(self.op.weights)))
 
     def summed(self, loads: Rows) -> Rows:
-        """Rows of all unknowns, of the loads of all cells."""
+        """Rows of all unknowns, assembled from the loads of all cells."""
         return {name: self.op.of(name).summed(values) for name, values in loads.items()}
 
 
 def _in_cells(op: Operators, c: Coefficients, names: Sequence[str], place: str, context: Any) -> Fields:
-    """Values and gradients of the unknowns ``names``; their coefficients are read when one is asked for."""
+    """The unknowns ``names`` at the points; values and gradients are computed at first access."""
 
     def value(name: str) -> Array:
         return Array(op.of(name)[0](c[name]), None)
@@ -338,5 +340,5 @@ def _in_cells(op: Operators, c: Coefficients, names: Sequence[str], place: str, 
 
 
 def _full(values: np.ndarray, count: int) -> np.ndarray:
-    """Values at all points, of values that may be the same at all."""
+    """Broadcast values that may be constant over the points to all ``count`` points."""
     return values if values.shape[-1] == count else np.broadcast_to(values, (*values.shape[:-1], count))

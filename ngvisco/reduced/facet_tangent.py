@@ -1,15 +1,15 @@
-"""dR/dz of terms by which cells act on each other across facets, with the means of both sides put in.
+"""dR/dz of terms by which cells act on each other across facets, with the facet means eliminated.
 
-A term on a cell's side reads the cell's own z, its conjugates zeta and means of both sides (``FacetMean``),
-which read the same of both cells and means before them.  Along each function of the cells that is read the
-derivative is found at once in all cells, by complex increments at the points; so is that along each function
-of the facets.  With a mean m = sum over both sides of A dz, of both sides' cells, and H dm in the rows of a
-side, the side has
+A term on a cell's side reads the cell's z, its conjugates zeta, and facet means of both sides (``FacetMean``).
+A facet mean reads z and zeta of both cells, and earlier means.  Derivatives are taken by complex increments
+at the points, in all cells at once: along each basis function of the cells, and along each basis function of
+the facets.  If a mean is m = sum over both sides of A dz, and the rows of a side change with it by H dm, the
+derivative of the side's rows is
 
     (own + H A) dz + H A(other side) dz(other cell),    summed over the means.
 
-In cells this is what goes by gradients: derivatives by values alone are those at points.  zeta follows z by
-the projection of phi''(z), cell by cell.
+Of the integrals over cells this module takes the part by gradients; the derivative by values alone is that of
+the point tangent.  zeta follows z by the projection of phi''(z), cell by cell.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ if TYPE_CHECKING:
 
 
 class FacetTangent:
-    """The blocks of components of z whose rows the terms have.
+    """Computes the blocks of those components of z that the terms have rows of.
 
     Attributes
     ----------
     rows : list of int
-        These components.
+        Components of z that the terms have rows of.
     columns : list of int
-        Those of z that they change with.
+        Components of z that these rows depend on.
     """
 
     def __init__(
@@ -63,8 +63,10 @@ class FacetTangent:
         self._projecting = np.linalg.solve(tests @ z.blocks, tests)  # (cells, q, points)
 
     def __call__(self, at: Evaluation) -> tuple[np.ndarray, np.ndarray]:
-        """Blocks of a cell's own values, (cells, rows q, columns q), and of those across each of its sides,
-        (cells, sides, rows q, columns q); also sets ``columns``."""
+        """Derivatives of a cell's rows, q functions a component; also sets ``columns``.
+
+        The first array is by the cell's own z, (cells, rows q, columns q), the second by z of the cells
+        across its sides, (cells, sides, rows q, columns q)."""
         r, coupling, q = self.residual, self.coupling, self.coupling.functions
         count, height = coupling.cells * coupling.sides, len(self.rows) * q
         along = [(name, i, a) for name, i in self._read for a in range(q)]
@@ -102,7 +104,7 @@ class FacetTangent:
         return of_cells + here.reshape(by_sides).sum(axis=1), across.reshape(by_sides)
 
     def _of_z(self, at: Evaluation) -> np.ndarray:
-        """Values that the columns read: z itself, and zeta, (cells, read q, columns q)."""
+        """Derivatives by z of the values that the terms read, z and zeta, (cells, read q, columns q)."""
         r, z, q, lagged = self.residual, at.cells.z.value, self.coupling.functions, self.residual.slope.lagged
         cells, size, slope = self.coupling.cells, len(z), r.slope.derivative(z)
         found = np.zeros((cells, len(self._read), q, size, q))
@@ -121,7 +123,8 @@ class FacetTangent:
         return found[:, :, :, self.columns].reshape(cells, len(self._read) * q, len(self.columns) * q)
 
     def _in_cells(self, u: Fields, d: Fields, name: str) -> np.ndarray:
-        """Rows in cells of an increment, (cells, rows q): by gradients, or of gradients of tests."""
+        """Rows in cells of an increment, (cells, rows q): the part by its gradient or with gradients of
+        tests."""
         r = self.residual
         by_all = r.cell_terms.slots(self.terms, moved(u, d, [name])).get("grad z")
         by_gradients = r.cell_terms.slots(self.terms, moved(u, d, [name], values=False)).get("z")
@@ -131,11 +134,11 @@ class FacetTangent:
             rows += sum(D.test(slopes[:, j]) for j, D in enumerate(r.op.dz))
         if by_gradients is not None:
             rows += r.op.z.test(self._change(by_gradients, r.op.points.count))
-        cells, q = self.coupling.cells, self.coupling.functions  # of a rank without cells too
+        cells, q = self.coupling.cells, self.coupling.functions  # a rank may have no cells
         return rows.reshape(len(rows), cells, q).transpose(1, 0, 2).reshape(cells, len(rows) * q)
 
     def _on_sides(self, u: Fields) -> np.ndarray:
-        """Rows of each side, (sides, rows q)."""
+        """Change of the rows of each side with the increment in ``u``, (sides, rows q)."""
         found = self.residual.facet_terms.slots(self.terms, u)
         if "z" not in found:
             return np.zeros(())
@@ -147,7 +150,7 @@ class FacetTangent:
 
 
 class _Mean:
-    """A mean of both sides: its equation, and its functions on facets."""
+    """A facet mean of both sides: its equation, and its basis functions on facets."""
 
     def __init__(
         self,
@@ -165,7 +168,7 @@ class _Mean:
         self._tests = coupling.functions_of(self._mass).transpose(0, 2, 1)
 
     def load(self, u: Fields) -> np.ndarray:
-        """The derivative of its equation along an increment, tested by the functions of each side, (sides,
+        """The derivative of the mean's equation along the increment in ``u``, tested on each side, (sides,
         size)."""
         values = self._terms.slots([self.term], u)[self.name].imag / TINY
         values = np.atleast_2d(values)[self._components]
@@ -173,19 +176,19 @@ class _Mean:
         return self._coupling.tested(full, self._tests)
 
     def solved(self, loads: np.ndarray) -> np.ndarray:
-        """The change of its coefficients with ``loads`` (sides, size, .) of one side's cell."""
+        """The change of the mean's coefficients with ``loads`` (sides, size, .) of one side."""
         parts = loads.reshape(len(loads), len(self._components), self._functions, loads.shape[-1])
         return (-self._mass.inverses[self._facet][:, None] @ parts).reshape(loads.shape)
 
     def function(self, number: int, like: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-        """Coefficients of one of its functions on all facets."""
+        """Coefficients of the mean's basis function ``number`` on all facets."""
         which, place = divmod(number, self._functions)
         values = np.zeros(like[self.name].shape)
         np.atleast_2d(values)[self._components[which], self._mass.unknowns[:, place]] = 1.0
         return {self.name: values}
 
     def of_both(self, blocks: np.ndarray) -> np.ndarray:
-        """On each side the sum of both sides' blocks (sides, ., .)."""
+        """The sum of both sides' blocks, (sides, ., .), on each side."""
         sums = np.zeros((len(self._mass.unknowns), *blocks.shape[1:]))
         np.add.at(sums, self._facet, blocks)
         return self._mass.of_facets.sum(np.moveaxis(sums, 0, -1))[..., self._facet].transpose(2, 0, 1)

@@ -1,13 +1,13 @@
-"""The hyperviscosity with its local unknowns as functions of (v, a), by matrices.
+"""The hyperviscosity as a function of (v, a), by matrices; its local unknowns are eliminated.
 
-Lifting and jump are linear in (v, a) and the same for every component of v; their matrices are assembled
-once, of the term's own form for one component.  What is nonlinear is in scalars on cells
+Lifting and jump are linear in (v, a) and the same for every component of v.  Their matrices are assembled
+once, from the term's form for one component.  All nonlinearity is in scalars on cells
 (``ngvisco.forms.terms.hyperviscosity``):
 
     Hs = lifting(v, a),  s = P |Hs|^2,  c_s = P c(s) + facets,  S = P (c_s Hs),
 
-P the cellwise L2 projections.  Coefficients and penalty are the term's own, at the points of the forms'
-rules.
+where P are the cellwise L2 projections.  Coefficients and penalty are evaluated by the term, at the points of
+the forms' rules.
 """
 
 from __future__ import annotations
@@ -41,14 +41,14 @@ from ngvisco.reduced.point_fields import FACETS, Lazy
 
 
 class SideJumps:
-    """Jumps j = a - d_n v, and what the penalty needs besides, at the sides' points of one rule."""
+    """Jumps j = a - d_n v and the penalty's other arguments, at the sides' points of one rule."""
 
     def __init__(self, hyper: MatrixHyperviscosity, points: SidePoints) -> None:
         mesh = points.mesh
         self.points, self.weights, self._layout = points, points.weights, hyper.step.layout
         matrix = points.operator(hyper.component, lambda u: hyper.fields_of(u).jump[0])
         self.jump = LocalMatrix(matrix, mesh.ne, self.weights)
-        """j of (v, a) side by side."""
+        """The matrix from (v, a), side by side, to j."""
         self.h = np.repeat(hyper.step.context.h.vec.FV().NumPy(), points.count // max(mesh.ne, 1))
         self._context = hyper.step.context
         if not hyper.law.is_linear:
@@ -57,7 +57,7 @@ class SideJumps:
             self._z = LocalMatrix(points.values(hyper.fields), mesh.ne)
 
     def values(self, j: np.ndarray, s: np.ndarray | None, z: np.ndarray) -> Fields:
-        """Jumps, |Hs|^2 and the fields on the sides, of jumps there and of coefficients."""
+        """Fields on the sides: the jumps ``j``, |Hs|^2 from coefficients ``s``, the fields from ``z``."""
         makers = {"z": lambda: Array(self._z(z), None)}
         if s is not None:
             makers["hess_square"] = lambda: Array(self.scalar(s), None)
@@ -69,14 +69,14 @@ class SideJumps:
 
 @dataclass
 class HyperValues:
-    """Values of the hyperviscosity's quantities for some (v, a).
+    """Values of the hyperviscosity's quantities at one (v, a).
 
     Attributes
     ----------
     x : (dim, unknowns of v and a) array
     local : dict
-        Coefficients of the local unknowns by name: "hess" and "hyperstress", (dim components, functions),
-        and where the hyperstress is not linear |Hs|^2, "hess_square", and c_s, "hyper_coefficient".
+        Coefficients of the local unknowns by name: "hess" and "hyperstress", (dim components, functions).
+        If the hyperstress is nonlinear, also |Hs|^2, "hess_square", and c_s, "hyper_coefficient".
     jumps : (dim, sides' points) array
     z : (n, functions) array
         Coefficients of the fields.
@@ -91,7 +91,7 @@ class HyperValues:
 
 
 class MatrixHyperviscosity:
-    """Rows of v and a of one step's hyperviscosity."""
+    """Evaluates the rows of v and a of one step's hyperviscosity."""
 
     def __init__(self, step: Step, term: Hyperviscosity, points: CellPoints, sides: SidePoints) -> None:
         self.step, self.term, self.law = step, term, term.law
@@ -100,14 +100,14 @@ class MatrixHyperviscosity:
         ones = layout.states.tensors(lambda: Array(np.ones((layout.states.size, 1)), None))
         self.is_uniform = all(isinstance(modulus, (int, float)) for modulus in self.law.moduli(ones))
         """Whether the law's moduli are the same everywhere."""
-        # Hs and all that is made of it are cellwise constant for k = 2: one point does
+        # for k = 2 Hs and all functions of it are cellwise constant: one point suffices
         constant = k == 2 and step.mesh.GetCurveOrder() <= 1 and self.is_uniform
         self.points = CellPoints(step.mesh, 0, step.layout.symmetry) if constant else points
         self.fields = L2(step.mesh, order=layout.discretisation.m)
         velocity, normal = layout.scalar_space("v"), NormalFacetFESpace(step.mesh, order=k - 1)
         self.velocities = velocity.ndof
         self.component = FESpace([velocity, Periodic(normal) if layout.periodic else normal])
-        """(v_i, a_i): what is linear in these is the same for every component."""
+        """The space of (v_i, a_i); linear functions of them are the same for every component i."""
         self.squares = L2(step.mesh, order=2 * k - 4)
         self._lifting(k)
         self.sides = SideJumps(self, sides)
@@ -118,19 +118,19 @@ class MatrixHyperviscosity:
             self._z = LocalMatrix(self.points.values(self.fields), step.mesh.ne)
 
     def tensors(self, z: np.ndarray) -> Values:
-        """Values of the variables at the cells' points of this rule, of coefficients."""
+        """Values of the variables at the cells' points of this rule, from their coefficients."""
         return self.step.layout.states.tensors(lambda: Array(self._z(z), None))
 
     def _local(self, matrix: sp.csr_matrix) -> LocalMatrix:
         return LocalMatrix(matrix, self.step.mesh.ne, self.points.weights)
 
     def fields_of(self, parts: Sequence[CoefficientFunction]) -> Fields:
-        """One component of v and a as fields, of the joint space's functions."""
+        """One component of v and a as fields, from the joint space's functions."""
         names = ("v", self.step.layout.names_of("normals")[0])
         return Fields(self.step.layout, dict(zip(names, parts, strict=True)), rows=1)
 
     def _lifting(self, k: int) -> None:
-        """The lifting of (v_i, a_i), by the term's own form."""
+        """Assemble the lifting of (v_i, a_i) from the term's form."""
         step, mesh = self.step, self.step.mesh
         scalar, size = L2(mesh, order=k - 2), hessian_basis(self.dim).shape[1]
         tests = VectorValued(scalar, size)
@@ -141,23 +141,23 @@ class MatrixHyperviscosity:
         self.h_values = self._local(self.points.values(scalar))
         self.h_inverse = inverse_of_blocks(mass_matrix(self.h_values.matrix, self.points.weights))
         self.size, self.h_count = size, scalar.ndof
-        # rows cell by cell, the components of Hs after each other in a cell
+        # rows cell by cell, and in a cell component by component of Hs
         inverse = sp.block_diag([self.h_inverse] * size, format="csr")
         order = np.arange(size * self.h_count).reshape(size, mesh.ne, self.h_values.local)
         self.lift = LocalMatrix((inverse @ loads).tocsr()[order.transpose(1, 0, 2).ravel()], mesh.ne)
 
     def lifted(self, x: np.ndarray) -> np.ndarray:
-        """Hs of x = (v, a) side by side, (dim, .): coefficients (dim size, h_count)."""
+        """Coefficients of Hs, (dim size, h_count), from x = (v, a) side by side, (dim, .)."""
         by_cells = self.lift(x).reshape(self.dim, self.step.mesh.ne, self.size, self.h_values.local)
         return by_cells.swapaxes(1, 2).reshape(self.dim * self.size, self.h_count)
 
     def tested(self, loads: np.ndarray) -> np.ndarray:
-        """Rows of (v, a) side by side of a stress's integrals against the functions of Hs."""
+        """Rows of (v, a), side by side, from a stress's integrals against the functions of Hs."""
         by_components = loads.reshape(self.dim, self.size, self.step.mesh.ne, self.h_values.local)
         return self.lift.test(by_components.swapaxes(1, 2).reshape(self.dim, -1))
 
     def __call__(self, v: np.ndarray, a: np.ndarray, z: np.ndarray) -> HyperValues:
-        """Evaluate for coefficients of v, a (dim, .) and z, real or with an infinitesimal imaginary part."""
+        """Evaluate at coefficients of v, a (dim, .) and z; each may have an infinitesimal imaginary part."""
         law, sides, x = self.law, self.sides, np.concatenate([v, a], axis=1)
         hess, j, tensors = self.lifted(x), sides.jump(x), self.tensors(z)
         at_points, local = self.h_values(hess), {"hess": hess}
@@ -181,5 +181,5 @@ class MatrixHyperviscosity:
 
 
 def value_of(modulus: Any) -> Any:
-    """Numbers or arrays of a number or of an ``Array``."""
+    """Return the number itself, or the values of an ``Array``."""
     return modulus.value if isinstance(modulus, Array) else modulus

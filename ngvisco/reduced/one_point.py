@@ -1,4 +1,4 @@
-"""Which rows a term has, and what they read: seen by evaluating it at one point."""
+"""Finds a term's rows, and the unknowns that they depend on, by evaluating the term at one point."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ from ngvisco.reduced.unknowns import derived_in_cells, in_cells
 
 @dataclass(frozen=True)
 class Slots:
-    """Rows that a term has.
+    """The rows of a term.
 
     Attributes
     ----------
     names : dict of str to bool
-        Names of the tests, and whether their rows read z or zeta.
+        Names of the tests, and whether their rows depend on z or zeta.
     components : frozenset of int
-        Those of z that have rows.
+        Components of z that have rows.
     at_nodes : bool
-        Whether any is by as many points as a field has values in a cell.
+        Whether a row is integrated by a collocated rule: one point per coefficient of a field.
     """
 
     names: dict[str, bool]
@@ -38,7 +38,7 @@ class Slots:
 
 
 class OnePoint:
-    """Fields with all values near one, at one point in a cell and on one side."""
+    """Evaluates terms at one point in a cell and one on a side, with all values near one."""
 
     def __init__(self, step: Step) -> None:
         self.step = step
@@ -47,7 +47,7 @@ class OnePoint:
         self._shapes |= {name: step.layout.unknowns[name].shape for name in ("zeta", *derived)}
 
     def slots(self, term: PointTerm) -> Slots:
-        """Rows of a term; raises NotAtPointsError when it asks for something that arrays do not have."""
+        """Rows of a term; raises NotAtPointsError if the term asks for a value that arrays cannot give."""
 
         def marked(name: str, values: np.ndarray) -> np.ndarray:
             return values.astype(complex) if name in ("z", "zeta") else values
@@ -61,7 +61,7 @@ class OnePoint:
         return Slots(names, frozenset(components), at_nodes)
 
     def read(self, terms: Iterable[PointTerm], names: Iterable[str]) -> list[tuple[str, int]]:
-        """Unknowns among ``names``, and which components of them, the terms' rows change with, also by their
+        """Unknowns among ``names`` and their components on which the terms' rows depend, also through
         gradients."""
         terms, found = list(terms), []
         for name in names:
@@ -80,14 +80,14 @@ class OnePoint:
             return values
 
         rows, _ = self._evaluated(term, increased)
-        return any((g.imag != 0).any() for _, g in rows)  # what is no number is not zero
+        return any((g.imag != 0).any() for _, g in rows)  # NaN counts as a change
 
     def _evaluated(
         self, term: PointTerm, along: Callable[[str, np.ndarray], np.ndarray]
     ) -> tuple[list[tuple[str, np.ndarray]], bool]:
-        """Tests and what multiplies them, in cells and on the side, and whether any stands at nodes.
+        """Tests and their factors, in cells and on the side, and whether a collocated rule has any.
 
-        ``along`` says what a name's values and gradient become.
+        ``along`` maps an unknown's name and its values, or its gradient, to the values to be used.
         """
         step = self.step
         d, layout, random = step.mesh.dim, step.layout, np.random.default_rng(0)
@@ -132,7 +132,7 @@ class OnePoint:
         )
         derived = derived_in_cells(layout)
         try:
-            with np.errstate(all="ignore"):  # such values need not be in a law's domain
+            with np.errstate(all="ignore"):  # a law may not be defined at these values
                 u, w = fields(inside, (*cells, *derived), cells, CELLS), tests_of(step, True, inside)
                 in_all, at_nodes = list(term.cells(u, w)), list(term.nodes(u, w))
                 names = (*on_sides(step), "zeta", *derived)
@@ -143,12 +143,12 @@ class OnePoint:
                 return [each for part in slots for each in part.items()], bool(slots_of(at_nodes))
         except NotAtPointsError:
             raise
-        except Exception as error:  # whatever a term raises at values that it does not know
+        except Exception as error:  # a user's term may raise anything
             raise NotAtPointsError(f"it does not take arrays ({why(error)})") from error
 
 
 def why(error: Exception) -> str:
-    """One line on what a term or a law raised at arrays."""
+    """One line that describes an error which a term or a law raised at arrays."""
     if isinstance(error, AttributeError) and isinstance(error.obj, SimpleNamespace):
         return f"there is no {error.name} by arrays"
     lines = str(error).splitlines() or [""]

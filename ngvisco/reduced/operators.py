@@ -1,6 +1,7 @@
-"""Matrices that take coefficients to values at the points of cells and sides, and masses of facets.
+"""Matrices from coefficients to values at the points of cells and sides, and mass matrices of facets.
 
-The sides of a facet between two ranks are one on each: what both make of it is summed up (``Exchange``).
+If two ranks share a facet, each of them has one side, and both sides' contributions are summed
+(``Exchange``).
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from ngvisco.threads import ALONE
 
 
 class Operators:
-    """Fields at the points of one rule, and tests there."""
+    """Evaluates fields at the cells' points of one rule, and integrates against test functions there."""
 
     def __init__(self, step: Step, order: int) -> None:
         self.layout, self.points = step.layout, CellPoints(step.mesh, order, step.layout.symmetry)
@@ -33,7 +34,7 @@ class Operators:
         self.v, self.dv = self.of("v")
 
     def of(self, name: str) -> tuple[LocalMatrix, list[LocalMatrix]]:
-        """Values of a component of an unknown of cells, and its partial derivatives."""
+        """Matrices of the values, and of the partial derivatives, of one component of an unknown in cells."""
         unknown = self.layout.unknowns[name]
         key = unknown.place, unknown.order
         if key not in self._made and self._whole is not None:
@@ -51,11 +52,11 @@ class Operators:
 
     @property
     def places(self) -> slice:
-        """Where the cells' points stand among those of all cells."""
+        """Range of this part's points among the points of all cells."""
         return slice(self.points.per_cell * self.cells.start, self.points.per_cell * self.cells.stop)
 
     def part(self, cells: slice) -> Operators:
-        """The operators of some cells, see ``LocalMatrix.part``."""
+        """The operators of a range of cells, see ``LocalMatrix.part``."""
         part = copy(self)
         part._whole, part._made, part.cells = self, {}, cells
         part.weights = self.weights[part.places]
@@ -69,7 +70,7 @@ class Operators:
 
 
 class SideOperators:
-    """Fields at the points of the cells' sides, and tests there."""
+    """Evaluates fields at the points of the cells' sides, and integrates against test functions there."""
 
     def __init__(self, step: Step) -> None:
         context, self.layout = step.context, step.layout
@@ -79,15 +80,15 @@ class SideOperators:
         self._made: dict[tuple[str, int], LocalMatrix] = {}
         self.z, self.hat, self.v = map(self.of, ("z", "z_hat", "v"))
         self.inner = np.round(points.sample(context.inner))
-        """1 between two cells, 0 on walls."""
+        """The number 1 between two cells, 0 on walls."""
         self.crossed = self.inner
-        """1 also on walls that matter crosses."""
+        """The number 1 between two cells and on walls that matter crosses, 0 on other walls."""
         if context.crossed is not context.inner:
             self.crossed = np.round(points.sample(context.crossed))
         self.h = np.repeat(context.h.vec.FV().NumPy(), self.z.per_cell)
 
     def of(self, name: str) -> LocalMatrix:
-        """Values of a component of an unknown of cells or facets."""
+        """The matrix of the values of one component of an unknown in cells or on facets."""
         unknown = self.layout.unknowns[name]
         key = unknown.place, unknown.order
         if key not in self._made and self._whole is not None:
@@ -99,11 +100,11 @@ class SideOperators:
 
     @property
     def places(self) -> slice:
-        """Where the points of the cells' sides stand among all."""
+        """Range of this part's points among the points of all cells' sides."""
         return slice(self.z.per_cell * self.cells.start, self.z.per_cell * self.cells.stop)
 
     def part(self, cells: slice) -> SideOperators:
-        """The operators of the sides of some cells, see ``LocalMatrix.part``."""
+        """The operators of the sides of a range of cells, see ``LocalMatrix.part``."""
         part, where = copy(self), slice(self.z.per_cell * cells.start, self.z.per_cell * cells.stop)
         part.__dict__.pop("dz", None)
         part._whole, part._made, part.cells = self, {}, cells
@@ -114,7 +115,7 @@ class SideOperators:
 
     @cached_property
     def dz(self) -> list[LocalMatrix]:
-        """Partial derivatives of a component of z, in its cell."""
+        """Matrices of the partial derivatives of one component of z, taken in the side's cell."""
         if self._whole is not None:
             with ALONE:
                 return [D.part(self.cells) for D in self._whole.dz]
@@ -130,14 +131,15 @@ class SideOperators:
 
 
 class FacetMass:
-    """sum over sides of int weight u t for functions of facets: small blocks, one a facet."""
+    """The mass matrix sum over sides of int weight u t of functions on facets: one small block a facet."""
 
     def __init__(self, values: LocalMatrix, exchange: Exchange) -> None:
-        """``values`` at the sides' points of functions of facets, whose unknowns ``exchange`` shares."""
+        """``values`` evaluates functions on facets at the sides' points; ``exchange`` shares their
+        unknowns."""
         matrix, self.exchange = values.matrix, exchange
         (self.unknowns,) = Blocks(abs(matrix).T @ abs(matrix)).groups or [np.zeros((0, 1), dtype=np.int64)]
         self.of_facets = exchange.part(self.unknowns[:, 0])
-        """The exchange of one value a facet."""
+        """Exchanges one value for each facet."""
         facet_of, place = np.zeros((2, matrix.shape[1]), dtype=np.int64)
         count, size = self.unknowns.shape
         facet_of[self.unknowns], place[self.unknowns] = np.arange(count)[:, None], np.arange(size)
@@ -152,7 +154,7 @@ class FacetMass:
         self.shapes[place[entries.col], entries.row] = entries.data
 
     def summed_blocks(self, matrix: sp.csr_matrix) -> sp.csr_matrix:
-        """A matrix of blocks of facets, of which each rank has its cells' part, with those of other ranks."""
+        """Sum over ranks of a matrix of blocks of facets, of which each rank has the share of its cells."""
         shared = self.unknowns[self.of_facets.places]
         if not len(shared):
             return matrix
@@ -163,21 +165,21 @@ class FacetMass:
         return (matrix + sp.csr_matrix((others.ravel(), (rows, columns)), shape=matrix.shape)).tocsr()
 
     def update(self, weights: np.ndarray) -> None:
-        """Invert the blocks for the weights (points,): ``inverses``, (facets, functions of one, the same)."""
+        """Set ``inverses``, (facets, functions, functions), of the blocks with the weights (points,)."""
         size, count = self.unknowns.shape[1], len(self.unknowns)
         blocks = np.empty((size, size, count))
         for i, j in np.ndindex(size, size):
             blocks[i, j] = np.bincount(self.facet, weights * self.shapes[i] * self.shapes[j], count)
         with self.exchange.communicator.together(np.linalg.LinAlgError):
-            # with what the other rank has of a shared facet
+            # a shared facet's block has a share on the other rank
             self.inverses = np.linalg.inv(self.of_facets.sum(blocks).transpose(2, 0, 1))
 
     def summed(self, values: np.ndarray) -> np.ndarray:
-        """At the sides' points the sum of ``values`` (points,) at both sides' points of the facet."""
+        """The sum of both sides' ``values``, (points,), at each point of a facet."""
         return self.of_facets.sum(np.bincount(self.facet, values, len(self.unknowns)))[self.facet]
 
     def solve(self, loads: np.ndarray) -> np.ndarray:
-        """Inverse times ``loads`` (..., unknowns)."""
+        """Multiply ``loads`` (..., unknowns) by the inverse."""
         result = np.zeros_like(loads)
         local = loads[..., self.unknowns][..., None]
         result[..., self.unknowns] = (self.inverses @ local)[..., 0]

@@ -1,6 +1,7 @@
-"""Fields at points by arrays: values that are made when they are asked for, and increments of them.
+"""Fields as arrays at points: values are computed at first access; and imaginary increments of fields.
 
-An imaginary increment of a value gives the derivative along it, by the imaginary part of what is computed.
+If a value has an infinitesimal imaginary increment, the imaginary part of any result computed from it is the
+derivative of the result along the increment.
 """
 
 from __future__ import annotations
@@ -17,17 +18,17 @@ from ngvisco.forms.spaces import Layout
 from ngvisco.physics.arrays import TINY, Array
 
 TOGETHER = 8192
-"""Points of all directions that are taken together, so that their values stay in the processor's cache."""
+"""Number of points, counted over all directions, in one chunk: its values stay in the processor's cache."""
 CELLS, FACETS = "in cells", "on facets"
 """Places of values, for messages."""
 
 
 class NotAtPointsError(NgviscoError, LookupError):
-    """A term asks for something that there is not at the points of a rule."""
+    """A term asks for a value that does not exist at the points of a rule."""
 
 
 class Lazy(dict[str, Any]):
-    """Values of some names that are made when they are asked for."""
+    """A dictionary whose values are computed at first access, for the given names only."""
 
     def __init__(self, make: Callable[[str], Any], names: Iterable[str], place: str) -> None:
         super().__init__()
@@ -48,13 +49,16 @@ def lazy_fields(
     place: str,
     context: Any,
 ) -> Fields:
-    """Unknowns or tests by what makes values, or gradients, of a name, and of which names it does."""
+    """Unknowns or tests whose values and gradients are computed at first access.
+
+    ``values`` and ``gradients`` are each a function of a name, and the names that it knows.  ``place`` says
+    in error messages where the points lie."""
     parts, slopes = Lazy(*values, place), Lazy(*gradients, f"{place}, as a gradient")
     return kind(layout, parts, context, slopes.__getitem__)
 
 
 def with_values(u: Fields, **given: np.ndarray) -> Fields:
-    """Fields with other values of some unknowns, or of ``grad_v``."""
+    """Fields in which some unknowns, or ``grad_v``, have the ``given`` values."""
     parts = {name: Array(values, None) for name, values in given.items()}
     other = Fields(u.layout, ChainMap(parts, u.parts), u.context, u.gradient)  # type: ignore[arg-type]
     if "grad_v" in parts:
@@ -63,9 +67,9 @@ def with_values(u: Fields, **given: np.ndarray) -> Fields:
 
 
 def moved(u: Fields, d: Fields, names: Iterable[str], values: bool = True) -> Fields:
-    """``u`` with an imaginary increment ``d`` of the unknowns ``names``: of their values and gradients.
+    """``u`` with the imaginary increment ``d`` in the values and gradients of the unknowns ``names``.
 
-    Without ``values`` of their gradients alone.  ``parts`` of the result has what was asked for.
+    Without ``values`` only the gradients are incremented.
     """
     names = frozenset(names)
 
@@ -85,15 +89,15 @@ def moved(u: Fields, d: Fields, names: Iterable[str], values: bool = True) -> Fi
 
 
 def incremented(u: Fields, **along: np.ndarray) -> Iterator[tuple[int, Fields]]:
-    """``u`` with imaginary increments in directions, some at a time, which are counted.
+    """Yield ``u`` with imaginary increments, for several directions at a time, and their number.
 
-    Each direction has the points for itself, all of the next one following: an operation on few points
-    takes no longer on many.
+    The points are repeated for each direction, one direction after the other: an operation on more points
+    takes hardly longer.
 
     Parameters
     ----------
     along
-        Directions (k, ..., points or 1), of unknowns by name or of ``grad_v``.
+        Directions by the name of the unknown, or of ``grad_v``, (k, ..., points or 1).
     """
     first = next(iter(along))
     points = getattr(u, first).value.shape[-1]
@@ -108,12 +112,12 @@ def incremented(u: Fields, **along: np.ndarray) -> Iterator[tuple[int, Fields]]:
 
 
 def derivative_of(values: np.ndarray, directions: int) -> np.ndarray:
-    """(..., directions, points) of what came of ``incremented`` fields."""
+    """Derivatives, (..., directions, points), of values computed from ``incremented`` fields."""
     return values.imag.reshape(*values.shape[:-1], directions, -1) / TINY
 
 
 def _repeated(u: Fields, times: int) -> Fields:
-    """Fields, and the data of the step, at their points ``times`` times over."""
+    """Fields, and the data of the step, with all points repeated ``times`` times."""
 
     def over(value: Array) -> Array:
         return value if value.value.shape[-1] == 1 else Array(np.tile(value.value, times), None)
@@ -124,7 +128,7 @@ def _repeated(u: Fields, times: int) -> Fields:
 
 
 class _Repeated:
-    """A context of cells at points that stand there several times."""
+    """A context of cells with all points repeated ``times`` times."""
 
     def __init__(self, context: Any, times: int, over: Callable[[Array], Array]) -> None:
         self._context, self._times, self._over = context, times, over

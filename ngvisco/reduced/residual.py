@@ -1,13 +1,13 @@
-"""The residual with everything derived put in: a function of (v, wall stress, Pi, a, rho, z) alone.
+"""The residual as a function of the iterated unknowns (v, wall stress, Pi, a, rho, z) alone.
 
-For a given v the kinematic equations are linear but for creep.  The traces, the conjugates zeta, the
-local creep rate, the hyperviscosity's local unknowns and those of the delta-regularised z are functions
-of the iterated unknowns: they are evaluated, never iterated.  All rows follow from the terms themselves
-(``ngvisco.reduced.evaluation``); with an infinitesimal imaginary part in the unknowns they are Newton's whole
-matrix times a direction.
+For a given v the kinematic equations are linear except for creep.  The traces, the conjugates zeta, the
+local creep rate, the hyperviscosity's local unknowns and the slopes of the delta-regularised z are derived
+unknowns: functions of the iterated unknowns, evaluated and never iterated.  All rows follow from the terms
+themselves (``ngvisco.reduced.evaluation``).  An infinitesimal imaginary part in the iterated unknowns gives
+Newton's whole matrix times a direction.
 
-Over ranks each evaluates on its own cells: loads of traces are summed up before these are solved for, rows
-of the flow, of the normal derivatives and of iterated traces at the end; all others are of cells alone.
+Each rank evaluates its own cells.  Ranks sum loads of traces before they solve for the traces, and rows of
+the flow, of the normal derivatives and of iterated traces at the end.  All other rows belong to one cell.
 """
 
 from __future__ import annotations
@@ -43,11 +43,11 @@ from ngvisco.reduced.unknowns import Unknowns
 from ngvisco.threads import Workers
 
 TOGETHER = 24_000
-"""Points of cells that are evaluated together."""
+"""Number of points in cells that one part evaluates together."""
 
 
 class RestrictedForm:
-    """Rows and columns of ``names`` of the given terms, by the terms' own forms."""
+    """The given terms' rows and columns of the unknowns ``names``, assembled from the terms' forms."""
 
     def __init__(self, step: Step, names: Sequence[str], terms: Sequence[Term]) -> None:
         layout, self.names, self.step = step.layout, list(names), step
@@ -56,7 +56,7 @@ class RestrictedForm:
         known = dict(zip(layout.names, step.state.components, strict=True))
         tests = {name: _zero(layout.blocks[name]) for name in layout.names} | test
 
-        def gradient(name: str) -> Any:  # a constant has none for NGSolve
+        def gradient(name: str) -> Any:  # NGSolve has no gradient of a constant
             value = tests[name]
             if name in self.names:
                 return Grad(value)
@@ -76,13 +76,13 @@ class RestrictedForm:
         self.at.vec.FV().NumPy()[:] = np.concatenate([state[ranges[name]] for name in self.names])
 
     def residual(self) -> np.ndarray:
-        """The rows at the present state, block after block; over ranks in parts."""
+        """The rows at the present state, block after block; each rank has the share of its cells."""
         self._load()
         self.form.Apply(self.at.vec, self._rows)
         return self._rows.FV().NumPy().copy()
 
     def jacobian(self) -> sp.csr_matrix:
-        """Their derivative in the unknowns of ``names``."""
+        """The derivative of the rows by the unknowns ``names``."""
         self._load()
         self.form.AssembleLinearization(self.at.vec)
         return csr(self.form.mat)
@@ -94,9 +94,9 @@ def _zero(space: FESpace) -> Any:
 
 
 class RightHandSide:
-    """The rows of a step's source, packed as the unknowns, added to the residual.
+    """The rows of a step's source, packed like the unknowns; they are added to the residual.
 
-    Raises WithheldError for a source that takes unknowns, or has rows that the split solver has not.
+    Raises WithheldError for a source that depends on unknowns, or tests an unknown that is not iterated.
     """
 
     def __init__(self, step: Step) -> None:
@@ -113,12 +113,12 @@ class RightHandSide:
         step.quadrature.add(self._form, integrands)
 
     def start(self) -> None:
-        """Assemble for the present step."""
+        """Assemble the rows for the present step."""
         self.rows = self._form.Assemble().vec.FV().NumPy().copy()
 
 
 def source_obstacle(step: Step) -> str | None:
-    """Why the step's source cannot be assembled before the iteration, or None."""
+    """The reason why the step's source cannot be assembled before the iteration, or None."""
     try:
         if step.sources is not None:
             RightHandSide(step)
@@ -129,19 +129,19 @@ def source_obstacle(step: Step) -> str | None:
 
 @dataclass
 class Evaluation:
-    """All that is known of one set of iterated unknowns.
+    """The residual at one set of iterated unknowns, and the quantities that it was computed from.
 
     Attributes
     ----------
     x : (unknowns,) array
-        Packed.
+        The iterated unknowns, packed.
     coefficients : dict
-        Of the iterated and of the derived unknowns by name, (components, functions).
+        Coefficients of the iterated and of the derived unknowns by name, (components, functions).
     hyper : HyperValues or None
     residual : (unknowns,) array
-        The rows, packed as the unknowns.
+        The rows, packed like the unknowns.
     terms : CellTerms, FacetTerms
-        By which values at points are made.
+        The integrals whose ``fields`` evaluate unknowns at points.
     """
 
     x: np.ndarray
@@ -152,17 +152,17 @@ class Evaluation:
 
     @property
     def cells(self) -> Fields:
-        """Values at the points of all cells, made anew when they are asked for: nothing keeps them."""
+        """Values at the points of all cells, computed at each access and not stored."""
         return self.terms[0].fields(self.coefficients)
 
     @property
     def facets(self) -> Fields:
-        """Values at the points of the cells' sides, made anew when they are asked for."""
+        """Values at the points of the cells' sides, computed at each access and not stored."""
         return self.terms[1].fields(self.coefficients)
 
 
 class CellPart:
-    """Some cells and their sides: what is made at their points fits the cache, and is not kept."""
+    """A range of cells and their sides: values at their points fit the cache, and are not stored."""
 
     def __init__(self, residual: ReducedResidual, cells: slice) -> None:
         self.cells, self.residual = cells, residual
@@ -174,11 +174,11 @@ class CellPart:
         return self.inside.op.z.loads(self.residual.slope(values))
 
     def trace(self, term: PointTerm, name: str, c: Coefficients) -> np.ndarray:
-        """Loads of the mean of both sides ``name``."""
+        """Loads of the equation of the facet mean ``name``."""
         return self.sides.loads_of(term, name, self.sides.fields(c))
 
     def mean(self, term: CellMean, c: Coefficients) -> np.ndarray:
-        """A mean over the cells, (components, cells), of a scalar (cells,)."""
+        """Means over the cells, (components, cells), or (cells,) for a scalar."""
         op, sides = self.inside.op, self.sides.op
         parts = [(term.value(self.inside.fields(c)), op.weights, op.z.per_cell)]
         if (on_sides := term.value_on_sides(self.sides.fields(c))) is not None:
@@ -191,7 +191,7 @@ class CellPart:
         return total / volumes
 
     def loads(self, c: Coefficients, hyper: HyperValues | None) -> tuple[Rows, Rows]:
-        """Loads of all terms at points, in cells and on their sides."""
+        """Loads of all terms that are evaluated at points: in the cells, and on their sides."""
         terms, s = self.residual.at_points, self.sides.fields(c)
         if hyper is not None:
             s.__dict__["jump"] = Array(hyper.jumps[:, self.sides.op.places], None)
@@ -199,9 +199,9 @@ class CellPart:
 
 
 def parts_of(cells: int, points: int) -> list[slice]:
-    """Cells in ranges of as equal sizes as can be, of ``points`` each; an even number of them, or one.
+    """Divide the cells into ranges of nearly equal size: one range, or an even number of ranges.
 
-    They are the same whatever the number of threads.
+    Each cell has ``points`` points.  The ranges do not depend on the number of threads.
     """
     count = -(-cells * points // TOGETHER)
     count = max(count + count % 2, 1) if count > 1 else 1
@@ -210,15 +210,15 @@ def parts_of(cells: int, points: int) -> list[slice]:
 
 
 def _joined(loads: Sequence[Rows]) -> Rows:
-    """Loads of all cells from those of their parts."""
+    """Loads of all cells, joined from the loads of the parts."""
     return {name: np.concatenate([each[name] for each in loads], axis=-1) for name in loads[0]}
 
 
 class ReducedResidual:
-    """R of one step at packed unknowns x, and its derivative."""
+    """Evaluates the residual R of one step at packed unknowns x, and its derivative."""
 
     def __init__(self, step: Step, exchange: Exchange, workers: Workers) -> None:
-        """``exchange`` is that of the step's space; ``workers`` share the parts of the mesh."""
+        """``exchange`` belongs to the step's space; ``workers`` share the parts of the mesh."""
         self.step, self.workers = step, workers
         self.unknowns = u = Unknowns(step)
         self.op = Operators(step, step.quadrature.volume_degree // 2)
@@ -238,7 +238,7 @@ class ReducedResidual:
         self.density = RestrictedForm(step, u.density, couplings.density) if couplings.density else None
         self._density_of_all: RestrictedForm | None = None
         self._of_forms: list[tuple[slice, sp.csr_matrix, np.ndarray]] = []
-        """Rows, their derivative where ``derivative`` was last asked for, and its columns."""
+        """Rows of each form, its derivative at the last call of ``derivative``, and the columns."""
         self.hyper: MatrixHyperviscosity | None = None
         if couplings.of_kernel["hyperviscosity"]:
             points = self.op.points, self.side_op.points
@@ -246,7 +246,7 @@ class ReducedResidual:
         self.right_hand_side = None if step.sources is None else RightHandSide(step)
         self.ranks, self.exchange = exchange.communicator, exchange.part(u.places(u.names))
         """Ranks and exchange of the packed unknowns."""
-        # of one component: those of rho, which bodies have not, lie alike
+        # one component serves all of them, and rho, whose trace has the same layout
         self.trace_mass = self._mass_of_traces(exchange, "z_hat")
         self.diffusion: FieldDiffusionRows | None = None
         if couplings.of_kernel["diffusion"]:
@@ -255,7 +255,7 @@ class ReducedResidual:
         self.at_points = [*couplings.at_points, *couplings.continuity]
         means = couplings.of_kernel["facet means"]
         self.means_of_sides: list[tuple[PointTerm, str]] = [(term, term.name) for term in means]
-        """Equations of means of both sides and their unknowns, in the order in which they are solved."""
+        """Equations of facet means and the names of their unknowns, in the order of solution."""
         self.means_of_sides += [(term, "rho_hat") for term in couplings.continuity]
         orders = {step.layout.unknowns[name].order: name for _, name in self.means_of_sides}
         self._masses = {order: self._mass_of_traces(exchange, name) for order, name in orders.items()}
@@ -266,14 +266,14 @@ class ReducedResidual:
             self.parts = [CellPart(self, cells) for cells in parts_of(step.mesh.ne, self.op.points.per_cell)]
 
     def _mass_of_traces(self, exchange: Exchange, name: str) -> FacetMass:
-        """The mass of the means of both sides that have the order of ``name``."""
+        """The mass matrix of the facet means that have the polynomial order of ``name``."""
         values = self.side_op.of(name)
         mass = FacetMass(values, exchange.part(self.unknowns.places([name])[: values.width]))
         mass.update(self.side_op.weights * mean_share(self.side_op.inner))
         return mass
 
     def start(self) -> None:
-        """Evaluate what is known through the step."""
+        """Evaluate the data that are constant during the step."""
         self.cell_terms.context.sampled.start()
         if self.node_terms is not None:
             self.node_terms.context.sampled.start()
@@ -282,10 +282,10 @@ class ReducedResidual:
             self.right_hand_side.start()
 
     def __call__(self, x: np.ndarray, anew: bool = False) -> Evaluation:
-        """Evaluate at ``x``; where it is real, it and what is derived from it become the step's state.
+        """Evaluate R at ``x``.  A real ``x`` and the unknowns derived from it become the step's state.
 
-        ``anew`` linearises flow rules there, ``LinearisationStress``; else their slopes stay.  The forms of
-        NGSolve read the state; with complex x they are taken as linear about it.
+        With ``anew`` the flow rules are linearised at x (``LinearisationStress``); else their slopes stay.  NGSolve's
+        forms read the state: for a complex x their linearisation about the state is used.
         """
         c, hyper = self._derived(x)
         inside, on_sides = zip(*self.share(lambda part: part.loads(c, hyper), self.parts), strict=True)
@@ -305,31 +305,33 @@ class ReducedResidual:
         return Evaluation(x, c, hyper, self._packed(x, rows), (self.cell_terms, self.facet_terms))
 
     def on_sides(self) -> tuple[Fields, SidePoints]:
-        """z, its trace and its conjugates of the step's state at the points of the cells' sides."""
+        """z, its trace and its conjugates in the step's state, at the points of the cells' sides."""
         state, layout = self.unknowns.state, self.step.layout
         names = ("z", "z_hat", "zeta")
         c = {name: state[layout.ranges[name]].reshape(layout.states.size, -1) for name in names}
         return self.facet_terms.fields(c), self.side_op.points
 
     def share(self, work: Callable[[Any], Any], parts: Sequence[Any]) -> list[Any]:
-        """``work`` of every part, in order, by threads where the energy is by arrays."""
+        """Results of ``work`` on every part, in order; threads share the parts if the energy is an array
+        law."""
         return self.workers.map(work, parts) if self.slope.is_local else [work(part) for part in parts]
 
     def put(self, x: np.ndarray) -> None:
-        """Make ``x``, real, and what is derived from it, the step's state."""
+        """Make a real ``x``, and the unknowns derived from it, the step's state."""
         c, _ = self._derived(x)
         if self.node_terms is not None:
             self._at_nodes(self.node_terms, c, True)
 
     def _at_nodes(self, terms: CellTerms, c: dict[str, np.ndarray], is_real: bool) -> Fields:
-        """Values at the nodes, where stresses follow those of the step's state."""
+        """Values at the nodes; real values also update the linearisation stresses, as the step's state."""
         n = terms.fields(c)
         if is_real:
             self.step.stresses.refresh(lambda: (n.z.value, n.zeta.value))
         return n
 
     def _derived(self, x: np.ndarray) -> tuple[dict[str, np.ndarray], HyperValues | None]:
-        """Coefficients, and the hyperviscosity's values; the state where x is real."""
+        """Coefficients of all unknowns at x, and the hyperviscosity's values; a real x is put into the
+        state."""
         hyper, run = None, self.share
         c = self.unknowns.coefficients(x)
         parts = self.parts if self.slope.is_local else self._whole
@@ -353,9 +355,10 @@ class ReducedResidual:
         return c, hyper
 
     def derivative(self, at: Evaluation) -> Callable[[np.ndarray], np.ndarray]:
-        """The map from directions d, packed, to rows of dR d at an evaluation, which the state has to be.
+        """The map from packed directions d to the rows dR d at an evaluation, whose x has to be the state.
 
-        By complex increments of all arrays; of the terms that only forms have, their linearisations.
+        The derivative is taken by complex increments of all arrays.  Terms that exist as forms only are
+        linearised by NGSolve.
         """
         u = self.unknowns
         self.step.stresses.linearise()
@@ -372,11 +375,11 @@ class ReducedResidual:
         return lambda d: self(at.x + (TINY * 1j) * d).residual.imag / TINY
 
     def mass_of(self, name: str) -> FacetMass:
-        """The mass of a mean of both sides."""
+        """The mass matrix of the facet mean ``name``."""
         return self._masses[self.step.layout.unknowns[name].order]
 
     def _packed(self, x: np.ndarray, rows: list[dict[str, np.ndarray]]) -> np.ndarray:
-        """The sum of rows by unknowns, of what forms have and of the source, also of other ranks' cells."""
+        """Sum the rows by unknown, the forms' rows and the source's rows, over all ranks."""
         u, is_real, result = self.unknowns, not np.iscomplexobj(x), np.zeros_like(x)
         for part in rows:
             for name, values in part.items():

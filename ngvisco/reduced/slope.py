@@ -1,4 +1,5 @@
-"""phi'(z) at the points of a rule and its derivative: by arrays, a material's response, or symbolically."""
+"""phi'(z) at the points of a rule, and its derivative: by arrays, symbolically, or by a material's
+response."""
 
 from __future__ import annotations
 
@@ -13,34 +14,34 @@ from ngvisco.physics.pointwise import ArrayResponse, ExpressionResponse, respond
 
 
 class PointwiseSlope:
-    """phi'(z) at the points of a rule, in components."""
+    """Computes the components of phi'(z) at the points of a rule."""
 
     def __init__(self, step: Step, points: CellPoints) -> None:
         material, dim = step.model.material, step.mesh.dim
         states = step.layout.states
         self.components, self.points, self._step = states.size, points, step
         self.lagged = np.zeros((states.size, 1), dtype=bool)
-        """Components of lagged variables."""
+        """Mask of the components of lagged variables."""
         for name in material.lagged:
             self.lagged[states.slices[name]] = True
         self._frozen: tuple[np.ndarray, np.ndarray] | None = None
         self.response = respond(material, dim)
         self.arrays = self.response.slope if isinstance(self.response, ArrayResponse) else None
-        """The slope by arrays, where these are the energy's."""
+        """The slope as a function of arrays if the energy is an array law, else None."""
 
     @property
     def is_local(self) -> bool:
-        """Whether it is made of z at some points alone, by arrays that threads may share."""
+        """Whether phi' at some points depends on z there alone, so that threads may share the points."""
         return self.arrays is not None and not self.lagged.any()
 
     def __call__(self, z_values: np.ndarray) -> np.ndarray:
-        """phi'(z), (n, points), for z at the points, (n, points), real or with a tiny imaginary part."""
+        """phi'(z), (n, points), for z (n, points) at the points, real or with a tiny imaginary part."""
         if not self.lagged.any():
             return self._whole(z_values)
         return np.where(self.lagged, self._whole(z_values), self._whole(self._seen(z_values)))
 
     def derivative(self, z_values: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
-        """The map dz -> phi''(z) dz at the points, both (n, points), for z as above."""
+        """The map dz -> phi''(z) dz at the points, both (n, points), for z (n, points)."""
         own = self._whole_derivative(z_values)
         if not self.lagged.any():
             return own
@@ -54,7 +55,7 @@ class PointwiseSlope:
         return np.stack([along(np.broadcast_to(e, z_values.shape)) for e in units], axis=1)
 
     def _seen(self, z_values: np.ndarray) -> np.ndarray:
-        """z as the conjugates of what does not lag see it."""
+        """z with the old values of lagged variables, for the conjugates of variables that do not lag."""
         lagged = self._step.lagged
         assert lagged is not None
         values = lagged.vec.FV().NumPy()
@@ -65,7 +66,7 @@ class PointwiseSlope:
         return np.where(self.lagged, self._frozen[1], z_values)
 
     def _whole(self, z_values: np.ndarray) -> np.ndarray:
-        """phi'(z) of all variables at one z."""
+        """phi'(z) of all variables with every component taken from ``z_values``."""
         if np.iscomplexobj(z_values):
             z, dz = np.ascontiguousarray(z_values.real), np.ascontiguousarray(z_values.imag)
             return self._whole(z) + 1j * self._whole_derivative(z)(dz)

@@ -1,4 +1,4 @@
-"""The unknowns that the split solver iterates on, packed into one vector, as are their equations' rows."""
+"""The unknowns that the split solver iterates on, packed into one vector."""
 
 from __future__ import annotations
 
@@ -12,25 +12,25 @@ from ngvisco.parallel.exchange import Exchange
 
 
 def in_cells(layout: Layout) -> list[str]:
-    """Unknowns with values at the points of cells: those that are iterated on, and zeta."""
+    """Names of the iterated unknowns that have values in cells, and zeta."""
     continuous = [name for name in layout.names_of("continuous") if layout.unknowns[name].space is None]
     density = ["rho"] if "rho" in layout.unknowns else []
     return ["v", *density, "z", "zeta", *continuous]
 
 
 def derived_in_cells(layout: Layout) -> list[str]:
-    """Names of the hyperviscosity's unknowns and of means over cells, which have values there too, and no
-    gradients."""
+    """Names of derived unknowns that have values in cells and no gradients: those of the hyperviscosity, and
+    means over cells."""
     constants = [name for name in layout.names_of("cells") if layout.unknowns[name].is_mean]
     return [*(name for name in ("hess", "hess_square") if name in layout.unknowns), *constants]
 
 
 class Unknowns:
-    """Views of the state's blocks and a packed copy of those that are iterated.
+    """Packs the iterated unknowns of the state into one vector, and unpacks them.
 
-    ``flow`` are v, the wall stress and the creep rate field where there are such; ``normals`` the facets'
-    normal derivatives; ``density`` rho, which of bodies is a sum of components of z and no unknown, and its
-    traces where its equation is not linear; then comes z.
+    Blocks in their order: ``flow`` is v, and the wall stress and the creep rate field if the step has them;
+    ``normals`` are the facets' normal derivatives; ``density`` is rho, and its traces if the continuity
+    equation is not linear; then follows z.  With bodies rho is a sum of components of z, and no unknown.
     """
 
     def __init__(self, step: Step) -> None:
@@ -54,12 +54,12 @@ class Unknowns:
         )
 
     def _joint(self, names: list[str]) -> slice:
-        """The slice of blocks that follow each other."""
+        """The slice of several consecutive blocks."""
         return slice(self.slices[names[0]].start, self.slices[names[-1]].stop) if names else slice(0, 0)
 
     @property
     def state(self) -> np.ndarray:
-        """The coefficients of the step's state, for reading and writing; nothing keeps this view."""
+        """The coefficients of the step's state, for reading and writing; do not store this view."""
         return self._step.state.vec.FV().NumPy()
 
     def pack(self) -> np.ndarray:
@@ -67,7 +67,7 @@ class Unknowns:
         return np.concatenate([self.state[self.ranges[name]] for name in self.names])
 
     def unpack(self, x: np.ndarray, derived: Mapping[str, np.ndarray] | None = None) -> None:
-        """Put them into the state, and coefficients of other unknowns, by name."""
+        """Put packed unknowns ``x``, and coefficients of ``derived`` unknowns by name, into the state."""
         for name in self.names:
             self.state[self.ranges[name]] = x[self.slices[name]]
         for name, values in (derived or {}).items():
@@ -75,11 +75,11 @@ class Unknowns:
                 self.state[self.ranges[name]] = values.ravel()
 
     def places(self, names: Iterable[str]) -> np.ndarray:
-        """Where the unknowns ``names`` stand in the state, one after the other."""
+        """Indices of the unknowns ``names`` in the state, one unknown after the other."""
         return np.concatenate([np.arange(self.ranges[n].start, self.ranges[n].stop) for n in names])
 
     def coefficients(self, x: np.ndarray) -> dict[str, np.ndarray]:
-        """The iterated unknowns by name, (components, functions); the normal derivatives together as a."""
+        """The iterated unknowns by name, (components, functions); the normal derivatives together are "a"."""
         result = {name: x[self.slices[name]] for name in self.names if name not in self.normals}
         for name, count in self.components.items():
             result[name] = result[name].reshape(count, -1)
@@ -88,9 +88,9 @@ class Unknowns:
         return result
 
     def scales(self, x: np.ndarray, exchange: Exchange) -> np.ndarray:
-        """The size of each one's block, for lengths; a thousand times that for what v determines.
+        """Scales of the unknowns for lengths: the norm of the block, times 1000 if v determines the block.
 
-        ``exchange`` is that of the packed unknowns.
+        ``exchange`` belongs to the packed unknowns.
         """
         scale = np.ones_like(x)
         for name, where in self.slices.items():
@@ -100,6 +100,6 @@ class Unknowns:
 
 
 def density_by_forms(step: Step) -> bool:
-    """Whether the continuity equation is not linear in rho: with a cut-off or delta-regularisation."""
+    """Whether a cut-off or the delta-regularisation makes the continuity equation nonlinear in rho."""
     law = step.model.regularisation
     return law is not None and law.bends_the_flux
