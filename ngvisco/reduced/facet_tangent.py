@@ -1,10 +1,10 @@
 """dR/dz of terms by which cells act on each other across facets, with the facet means eliminated.
 
-A term on a cell's side reads the cell's z, its conjugates zeta, and facet means of both sides (``FacetMean``).
-A facet mean reads z and zeta of both cells, and earlier means.  Derivatives are taken by complex increments
-at the points, in all cells at once: along each basis function of the cells, and along each basis function of
-the facets.  If a mean is m = sum over both sides of A dz, and the rows of a side change with it by H dm, the
-derivative of the side's rows is
+A term on a cell's side reads the cell's z, its conjugates zeta, and facet means (``FacetMean``). A facet mean
+reads z and zeta of both cells, and earlier means. Derivatives are taken by complex increments at the points,
+in all cells at once: along each basis function of the cells, and along each basis function of the facets. If
+a mean is m = sum over both sides of A dz, and the rows of a side change with it by H dm, the derivative of
+the side's rows is
 
     (own + H A) dz + H A(other side) dz(other cell),    summed over the means.
 

@@ -284,8 +284,8 @@ class ReducedResidual:
     def __call__(self, x: np.ndarray, anew: bool = False) -> Evaluation:
         """Evaluate R at ``x``.  A real ``x`` and the unknowns derived from it become the step's state.
 
-        With ``anew`` the flow rules are linearised at x (``LinearisationStress``); else their slopes stay.  NGSolve's
-        forms read the state: for a complex x their linearisation about the state is used.
+        With ``anew`` the flow rules are linearised at x (``LinearisationStress``); else their slopes stay.
+        NGSolve's forms read the state: for a complex x their linearisation about the state is used.
         """
         c, hyper = self._derived(x)
         inside, on_sides = zip(*self.share(lambda part: part.loads(c, hyper), self.parts), strict=True)
