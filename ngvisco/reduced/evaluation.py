@@ -226,7 +226,7 @@ class CellTerms:
         self.context = CellContext(step, operators, rates, sampled or Sampled(step, operators))
 
     def part(self, cells: slice) -> CellTerms:
-        """The same integrals over the range ``cells`` only; they have ``loads``, and no ``rows``."""
+        """Integrals over the range ``cells`` only; they have ``loads``, and no ``rows``."""
         operators, known = self.op.part(cells), self.context
         return CellTerms(self._step, operators, known.rates, self.place, known.sampled)
 
@@ -289,7 +289,7 @@ class FacetTerms:
         self._tests, self._names = tests_of(step, False, self.context), [*on_sides(step), "zeta"]
 
     def part(self, cells: slice) -> FacetTerms:
-        """The same integrals over the sides of the range ``cells`` only, for ``loads``."""
+        """Integrals over the sides of the range ``cells`` only, for ``loads``."""
         return FacetTerms(self._step, self.op.part(cells), self.context.known)
 
     def fields(self, c: Coefficients) -> Fields:

@@ -1,15 +1,16 @@
-"""The flow's linear operator: dR/d(v, wall stress, Pi, a) with the fields carried along, and its derivatives.
+"""The flow's linear operator dR/d(v, wall stress, Pi, a), with the fields z eliminated.
 
-An increment of v changes z by rate(z; grad dv) - (dv . grad) z, carried by the transport within the step
-(``TransportSweeps``), and dz the elastic force: what remains of Newton's matrix when z is eliminated.
+An increment dv changes the rows of z by rate(z; grad dv) - (dv . grad) z. The transport within the step
+carries this change (``TransportSweeps``), and the resulting dz changes the elastic force. The operator is the
+Schur complement of Newton's matrix when z is eliminated. ``ngvisco.solver.split.point_tangent`` has the
+fields' response to an increment at a point.
 
-At a point the fields follow an increment as in ``ngvisco.solver.split.point_tangent``.
-
-Element matrices are of a coarse rule, but for inertia: a rule that does not see all of P_k
-makes it singular.  They are of v, from v to the fields' rows, and back from the fields to v: a product of the
-operator is three small dense products a cell, whatever the number of points.  In a cell, v's increment is
-ordered by components and functions, (dim, local), its rows by functions and components, (local, dim), the
-fields by functions and components, (q, n): orders in which the matrices come out of their products.
+Element matrices are integrated by a coarse rule, except inertia: the mass matrix is singular for a rule that
+does not determine all of P_k.  There are three of them, from v to v, from v to the fields' rows, and from the
+fields to v.  A product with the operator so costs three small dense products a cell, whatever the number of
+points.  In a cell, an increment of v is ordered by components and functions, (dim, local), rows of v by
+functions and components, (local, dim), fields by functions and components, (q, n): the matrices come out of
+their products in these orders.
 """
 
 from __future__ import annotations
@@ -27,16 +28,16 @@ from ngvisco.solver.split.transport import TransportSweeps
 
 
 class FlowSchurComplement:
-    """The operator at the evaluation of the last ``update``, in element matrices.
+    """The operator at the evaluation of the last ``update``, as element matrices.
 
     Attributes
     ----------
     own : array, (cells, local dim, dim local)
-        Rows of v from v.
+        Maps v to rows of v.
     to_fields : array, (cells, q n, dim local)
-        Rows of the fields from v.
+        Maps v to rows of the fields.
     from_fields : array, (cells, local dim, q n)
-        Rows of v from what the transport makes of the fields' rows.
+        Maps increments of the fields by the transport alone to rows of v.
     """
 
     def __init__(
@@ -50,29 +51,29 @@ class FlowSchurComplement:
         u, self.op = residual.unknowns, points.op
         op, self.dim, self.components = self.op, residual.step.mesh.dim, points.components
         self.nv, self.size = u.slices["v"].stop, u.flow_slice.stop
-        """How many unknowns v has, and the flow, without the normal derivatives."""
+        """Numbers of the unknowns of v, and of the flow without the normal derivatives."""
         self.gradients = residual.rates.tensors.gradients
-        """How many entries of grad v the fields follow."""
+        """Number of entries of grad v on which the fields' rates depend."""
         self.others: RestrictedForm | None = None
         if others := residual.couplings.beside_the_points():
             self.others = RestrictedForm(residual.step, u.flow, others)
         self.leading, self.inertial = residual.couplings.of_gradients(), residual.couplings.of_inertia()
         self._assembled = ElementAssembly(op.v.unknowns, op.v.width)
         self.cells, self.local, self.functions = op.v.cells, op.v.local, op.z.local
-        # of a periodic strip of one cell, which has an unknown twice, by blocks that are filled up with zeros
+        # a periodic strip of one cell has an unknown twice: its blocks are filled up with zeros
         shapes = np.stack([each.blocks.reshape(-1, self.local) for each in (op.v, *op.dv)], axis=1)
         self._shapes = shapes.astype(precision.SINGLE)  # (points, 1 + d, local)
         self._scatter = op.v.scatter.astype(precision.SINGLE)
         rows, of_fields = self.local * self.dim, self.functions * self.components
         self._of_velocity = np.empty((self.cells, rows + of_fields, rows), precision.SINGLE)
-        """Rows of both, one after the other: what an increment of v makes is one product."""
+        """``own`` above ``to_fields``: one product gives both kinds of rows."""
         self.own, self.to_fields = self._of_velocity[:, :rows], self._of_velocity[:, rows:]
         self.from_fields = np.empty((self.cells, rows, of_fields), precision.SINGLE)
 
     def update(self, at: Evaluation, everything: bool = True) -> None:
         """Linearise at an evaluation.
 
-        Without ``everything`` only hyperviscosity and a density equation that is not linear.
+        Without ``everything`` only hyperviscosity and a nonlinear density equation are linearised.
         """
         self.sweep.linearise()
         if self.derivative is not None and at.hyper is not None:
@@ -88,7 +89,8 @@ class FlowSchurComplement:
         self.rest = self._rest()
 
     def _form(self, part: tuple[slice, CellTerms], fine: CellPart, at: Evaluation) -> None:
-        """The element matrices of some cells: by the coarse rule, and inertia's by that of the residual."""
+        """Form the element matrices of some cells: inertia by the residual's rule, the rest by the coarse
+        rule."""
         p, where = self.points.update(part, at), part[0]
         d, n, local, q, per = self.dim, self.components, self.local, self.functions, self.op.v.per_cell
         cells, op = where.stop - where.start, p.terms.op
@@ -103,7 +105,7 @@ class FlowSchurComplement:
         for i in range(d):
             own[:, :, i, i] += mass
         self.own[where] = own.reshape(cells, local * d, d * local)
-        # z's rows from (v, grad v): - rate(z; grad dv) + (dv . grad) z
+        # from (v, grad v) to rows of z: - rate(z; grad dv) + (dv . grad) z
         to_z = np.empty((count, n, d, 1 + d), precision.SINGLE)
         to_z[..., 0] = p.fields.grad_z.value.transpose(2, 0, 1)
         to_z[..., 1:] = -p.columns[:, :, : d * d].reshape(count, n, d, d)
@@ -112,7 +114,7 @@ class FlowSchurComplement:
         right = np.matmul(to_z.reshape(count, n * d, 1 + d), shapes)
         to_fields = np.matmul(z_tests, right.reshape(cells, per, n * d * local))
         self.to_fields[where] = to_fields.reshape(cells, q * n, d * local)
-        # v's rows from z: the elastic force of (1 - tau P K)^{-1} dz
+        # from z to rows of v: the elastic force of (1 - tau P K)^{-1} dz
         force = precision.single(p.force[:, : d * d]).reshape(count, d, d, n).swapaxes(1, 2)
         slopes = shapes[:, 1:]
         if radius is not None:
@@ -125,7 +127,7 @@ class FlowSchurComplement:
         np.matmul(precision.single(back), self.points.resolvent[where], out=self.from_fields[where])
 
     def _mass(self, part: CellPart, at: Evaluation) -> np.ndarray:
-        """The mass of one component of v by inertia, (cells, local, local)."""
+        """The mass matrix of one component of v, (cells, local, local)."""
         along, inside = np.eye(self.dim)[:1, :, None], part.inside
         u, blocks = inside.fields(at.coefficients), inside.op.v.blocks
         inertia = inside.derivatives(self.inertial, u, v=along)["v"][0, 0] * inside.op.weights
@@ -142,11 +144,11 @@ class FlowSchurComplement:
         return A.reshape(-1, 1 + d, d, d, 1 + d)
 
     def _rest(self) -> sp.csr_matrix | None:
-        """Walls, damping, the creep rate field and terms of others, as a matrix."""
+        """The matrix of walls, damping, the creep rate field and users' terms."""
         rest = None if self.others is None else self.others.jacobian()
         if "Pi" not in self.residual.unknowns.flow:
             return rest
-        # what M takes from a creep rate field Pi within the step, coupling to v left out
+        # dM by a creep rate field Pi within the step; the coupling to v is left out
         first, values = self.gradients, self.op.of("Pi")[0].matrix
         C = self.points.stiffness()[:, first:, first:] * self.op.weights[:, None, None]
         size = C.shape[1]
@@ -157,7 +159,7 @@ class FlowSchurComplement:
         return creep if rest is None else (rest + creep).tocsr()
 
     def __call__(self, flow: np.ndarray) -> np.ndarray:
-        """Rows of the flow's unknowns and of a, of an increment of these; over ranks in parts."""
+        """Rows of the flow's unknowns and of a from their increment; each rank has the share of its cells."""
         dv, result = flow[: self.nv].reshape(self.dim, -1), np.zeros(len(flow))
         if self.rest is not None:
             result[: self.size] = self.rest @ flow[: self.size]
@@ -172,16 +174,17 @@ class FlowSchurComplement:
         return result
 
     def _gathered(self, dv: np.ndarray) -> np.ndarray:
-        """The cells' unknowns of dv (dim, .), (cells, dim local, 1)."""
+        """Gather dv, (dim, .), into the cells' unknowns, (cells, dim local, 1)."""
         local = np.take(precision.single(dv.T), self.op.v.unknowns, axis=0)
         return np.ascontiguousarray(local.swapaxes(1, 2)).reshape(self.cells, self.dim * self.local, 1)
 
     def _scattered(self, rows: np.ndarray) -> np.ndarray:
-        """Sums over the cells of their rows (cells, local dim, 1), (dim, .)."""
+        """Sum the cells' rows, (cells, local dim, 1), into rows of v, (dim, .)."""
         return (self._scatter @ rows.reshape(self.cells * self.local, self.dim)).T
 
     def _with_fields(self, dv: np.ndarray) -> np.ndarray:
-        """Rows of v, (dim, .), without hyperviscosity, with the fields carried along."""
+        """Rows of v, (dim, .), from an increment of v, with the fields' response and without
+        hyperviscosity."""
         rows, own = np.matmul(self._of_velocity, self._gathered(dv)), self.dim * self.local
         carried = self.sweep.fields(-rows[:, own:].reshape(-1, self.components))
         of_cells = np.ascontiguousarray(rows[:, :own])
@@ -189,12 +192,15 @@ class FlowSchurComplement:
         return self._scattered(of_cells)
 
     def force(self, dz: np.ndarray) -> np.ndarray:
-        """Rows of v in parts, (dim, .), of what sweeps make of the fields' rows, (cells' unknowns, n)."""
+        """Rows of v, (dim, .), from an increment of z by sweeps, (cells' unknowns, n); each rank its cells'
+        share."""
         fields = dz.reshape(self.cells, self.from_fields.shape[2], 1)
         return self._scattered(np.matmul(self.from_fields, fields))
 
     def force_of(self, dz: np.ndarray) -> np.ndarray:
-        """Rows of v in parts, (dim, .), of an increment of z, (cells' unknowns, n), in double precision."""
+        """Rows of v, (dim, .), from an increment of z, (cells' unknowns, n), in double precision.
+
+        Each rank has the share of its cells."""
         op, p, d, plane = self.op, self.points, self.dim, self.dim**2
         assert p.force is not None
         values = at_points(p.force[:, : self.gradients], op.z(np.ascontiguousarray(dz.T)))
@@ -204,7 +210,7 @@ class FlowSchurComplement:
         return rows
 
     def fields_rows(self, dv: np.ndarray, dPi: np.ndarray | None) -> np.ndarray:
-        """The change of the rows of z, (cells' unknowns, n), by an increment of v (dim, .) and Pi."""
+        """The change of the rows of z, (cells' unknowns, n), by increments of v, (dim, .), and Pi."""
         rows = np.matmul(self.to_fields, self._gathered(dv)).reshape(-1, self.components)
         if dPi is not None and self.points.columns is not None:
             values = at_points(self.points.columns[:, :, self.gradients :], dPi)
@@ -212,17 +218,17 @@ class FlowSchurComplement:
         return rows
 
     def resolved(self, dz: np.ndarray) -> np.ndarray:
-        """(1 - tau P K)^{-1} dz of coefficients dz: both (cells' unknowns, n)."""
-        cells = dz.reshape(*self.points.resolvent.shape[:2], 1)  # of a rank without cells too
+        """Return (1 - tau P K)^{-1} dz for coefficients dz, both (cells' unknowns, n)."""
+        cells = dz.reshape(*self.points.resolvent.shape[:2], 1)  # a rank may have no cells
         return np.matmul(self.points.resolvent, cells).reshape(dz.shape)
 
     def tangent(self, hyper: HyperTangent | None) -> sp.csr_matrix:
-        """The velocity tangent: the operator with the fields predicted inside each cell, as a matrix.
+        """The velocity tangent: a sparse matrix that approximates the operator, cell by cell.
 
-        What a cell's increments change its fields by takes the inverse of the transport's own block, without
-        what neighbours carry over: a sum over the cells.  Of the flow's unknowns and the normal derivatives
-        that ``hyper`` keeps, last; the others are a = E v, with the mean of both sides' d_n v, weighted by
-        the hyperviscosity's coefficient.  Over ranks in parts.
+        The transport is replaced by its block in each cell, without the neighbours' contribution, so that the
+        tangent is a sum over the cells.  Its unknowns are the flow's, and last the normal derivatives that
+        ``hyper`` keeps.  The other normal derivatives are a = E v: the mean of both sides' d_n v, weighted by
+        the hyperviscosity's coefficient.  Each rank has the share of its cells.
         """
         d, local = self.dim, self.local
         rows = self.to_fields.reshape(self.cells * self.functions, self.components * d * local)

@@ -1,10 +1,10 @@
 """The hyperviscosity's derivative in a direction of (v, a), for the flow's linear system, and its tangent.
 
-Of x = (v, a) a cell sees the coefficients of Hs and the jumps at its sides' points: B x in one small dense
-product with all components of v at once, (cells, dim, rows): with points last, sums are as fast as memory.
-The rows are B^T of what the law makes of these.  In the velocity tangent a is eliminated; on facets between
-ranks, of which each sees one side, a stays an unknown of it: its matrix is then the sum of what the ranks'
-cells make of it.
+In a cell the law reads x = (v, a) through B x: the coefficients of Hs, and the jumps at the sides' points.
+One small dense product gives B x for all components of v, (cells, dim, rows); with points last, sums are as
+fast as memory. The rows are B^T times the law's derivative. In the velocity tangent a is eliminated. Only on
+facets between ranks, where each rank has one side, a stays an unknown: the matrix is then a sum over the
+ranks' cells.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from ngvisco.reduced.hyperviscosity import HyperValues, MatrixHyperviscosity, Si
 
 
 class HyperDerivative:
-    """The derivative at the state of the last ``update``."""
+    """Applies the hyperviscosity's derivative at the values of the last ``update``."""
 
     def __init__(self, hyper: MatrixHyperviscosity, penalty_degree: int) -> None:
         step = hyper.step
@@ -44,7 +44,8 @@ class HyperDerivative:
             self._s_points, self._s_sides = (each.astype(self.dtype) for each in squares)
 
     def _together(self) -> LocalMatrix:
-        """B: a cell's coefficients of Hs, components after each other, then its jumps."""
+        """B of the module's docstring: a cell's coefficients of Hs, component by component, then its
+        jumps."""
         parts, first, order = (self.hyper.lift, self.sides.jump), 0, []
         for part in parts:
             order.append(first + np.arange(part.height).reshape(self.cells, part.per_cell))
@@ -53,7 +54,7 @@ class HyperDerivative:
         return LocalMatrix(both[np.concatenate(order, axis=1).ravel()], self.cells, dtype=self.dtype)
 
     def update(self, at: HyperValues) -> None:
-        """Linearise at some values."""
+        """Linearise at the given values."""
         h, law, sides, weights = self.hyper, self.hyper.law, self.sides, self.weights
         shape, hess_square = self.side_weights.shape, at.local.get("hess_square")
         jumps = at.jumps if sides is h.sides else sides.jump(at.x)
@@ -65,7 +66,7 @@ class HyperDerivative:
         self._unit = unit = largest(c)
 
         def rounded(values: np.ndarray, unit: float) -> np.ndarray:
-            """In units of its own: in SI units numbers may leave single precision."""
+            """Scale by ``unit``: in SI units numbers may exceed single precision."""
             return (values / unit).astype(self.dtype)
 
         self._c = rounded(c, unit)[:, None, None]
@@ -79,7 +80,7 @@ class HyperDerivative:
         size, squared = h.term.size(on_sides), sides.h**2
         slope = law.penalty / sides.h * law.slope(size, on_sides.z_tensors).value
         bend = 0.5 * (law.p - 4) * slope / size.value * np.einsum("cip,cip->cp", j, j).ravel()  # c'' |j|^2
-        # second derivatives by s = P |Hs|^2 and q = |j|^2, tested with these: the same both ways
+        # second derivatives by s = P |Hs|^2 and q = |j|^2, a symmetric matrix
         s_slope = law.slope(Array(h.s_values(hess_square), None), h.tensors(at.z)).value
         self._s_slope = rounded(weights * s_slope.reshape(weights.shape), unit / H**2)
         self._ss, self._sq, self._qq = (
@@ -111,7 +112,7 @@ class HyperDerivative:
         return np.float64(self._unit * length) * self.of_component.tested(loads).T
 
     def _bend(self, dH: np.ndarray, dj: np.ndarray, of_H: np.ndarray, of_j: np.ndarray) -> None:
-        """Add what the changes of s = P |Hs|^2 and of q = |j|^2 make, to the loads of Hs and j."""
+        """Add the contributions of the changes of s = P |Hs|^2 and q = |j|^2 to the loads of Hs and j."""
         at_points, at_sides = self._s_points, self._s_sides
         w = (self.weights / self._volume).astype(self.dtype)
         dq = 2 * np.einsum("cip,cip->cp", self._j, dj)
@@ -119,21 +120,22 @@ class HyperDerivative:
         ds = self._projected(_transposed(at_points, tested))
         ds_sides = np.matmul(at_sides, ds)[..., 0]
         of_j += (self._sq * ds_sides + self._qq * dq)[:, None] * self._j
-        # the coefficient's change: c_s = P c(s) + facets
+        # the change of the coefficient c_s = P c(s) + facets
         dc = _transposed(at_points, self._s_slope * np.matmul(at_points, ds)[..., 0])
         dc += _transposed(at_sides, self._ss * ds_sides + self._sq * dq)
         change = np.matmul(at_points, self._projected(dc))[..., 0] * w
         of_H += self._hessian * change[:, None, None]
 
     def _projected(self, loads: np.ndarray) -> np.ndarray:
-        """Coefficients of a projection from its loads, (cells, functions, 1), over the largest weight."""
+        """Coefficients of a projection from its loads, (cells, functions, 1), divided by the largest
+        weight."""
         return (self.hyper.s_inverse @ loads.ravel() * self._volume).reshape(loads.shape).astype(self.dtype)
 
     def tangent_coefficients(self) -> tuple[np.ndarray, np.ndarray]:
         """Coefficients of |Hs|^2, (cells,), and of the penalty, (sides' points,), for ``HyperTangent``.
 
-        They are c + (c - mu_1)(p - 2)/2: in the middle between the smallest and the largest eigenvalue of the
-        second derivative of |.|^p/p, which couples the components of v.
+        They are c + (c - mu_1)(p - 2)/2.  The second derivative of |.|^p/p couples the components of v; the
+        coefficient is the middle between its smallest and its largest eigenvalue.
         """
         h, law, sides = self.hyper, self.hyper.law, self.sides
         in_cells, z_on_sides = h.tensors(self._at.z), self._on_sides.z_tensors
@@ -159,10 +161,10 @@ def _transposed(matrices: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 
 class HyperTangent:
-    """The second derivative in v and the kept a, with a = E v elsewhere, and facets' blocks."""
+    """The tangent in v and the kept unknowns of a, with a = E v elsewhere, and the facets' blocks."""
 
     def __init__(self, derivative: HyperDerivative, kept: np.ndarray) -> None:
-        """``kept`` are the unknowns of a component of a that are not eliminated."""
+        """``kept`` are those unknowns of one component of a that are not eliminated."""
         self.derivative, self.kept = derivative, kept
         values, h = derivative.of_component, derivative.hyper
         self.eliminated = np.setdiff1d(np.arange(values.width - h.velocities), kept)
@@ -176,17 +178,18 @@ class HyperTangent:
         of_each = at_points.reshape(values.cells, h.size * h.h_values.per_cell, values.local)
         weights = np.tile(derivative.weights, (1, h.size))
         self._of_hessians = _squared(of_each, weights).astype(precision.SINGLE)
-        """Cells' matrices of |Hs|^2."""
+        """Element matrices of the quadratic form |Hs|^2."""
         pattern = _squared(abs(self._jump), np.ones(self._jump.shape[:2]))
         self._facets = Blocks(self._in_parts(pattern)[2])
 
     def _in_parts(self, elements: np.ndarray) -> tuple[sp.csr_matrix, sp.csr_matrix, sp.csr_matrix]:
-        """The blocks of a sum over the cells: v and the kept a, these by the other a, and the others."""
+        """Assemble ``elements``; split into blocks: (v, kept a), its coupling to the other a, and the other
+        a."""
         matrix, n = self._assembled(elements), self._assembled.width - len(self.eliminated)
         return matrix[:n, :n], matrix[:n, n:], matrix[n:, n:]
 
     def update(self) -> None:
-        """Form E, the matrix of v and the facets' blocks where the derivative was last updated."""
+        """Form E, the matrix and the facets' blocks at the values of the derivative's last update."""
         cell, penalty = self.derivative.tangent_coefficients()
         of_jumps = _squared(self._jump, self.derivative.side_weights * penalty.reshape(self._jump.shape[:2]))
         _, coupling, facets = self._in_parts(of_jumps)
@@ -195,12 +198,12 @@ class HyperTangent:
         own, coupling, others = self._in_parts(of_jumps + cell[:, None, None] * self._of_hessians)
         cross = (coupling.T + others @ E).tocsr()
         self.matrix = (own + coupling @ E + E.T @ cross).tocsr()
-        # a = E v + (blocks)^{-1} (r - cross v), v with the kept a
+        # a = E v + (blocks)^{-1} (r - cross v), where v includes the kept a
         of_rows = self._facets.inverse(others)
         self.of_velocity, self.of_rows = Rounded(E - of_rows @ cross), Rounded(of_rows)
 
     def bordered(self, matrix: sp.csr_matrix, dim: int) -> sp.csr_matrix:
-        """A matrix of the flow's unknowns, v's components first, with rows and columns of the kept a."""
+        """Append rows and columns of the kept a to a matrix of the flow's unknowns, v's components first."""
         own, each = self.matrix, sp.identity(dim)
         width = own.shape[0] - len(self.kept)
         others, count = matrix.shape[0] - dim * width, dim * len(self.kept)
@@ -210,5 +213,5 @@ class HyperTangent:
 
 
 def _squared(matrices: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """B^T W B of stacked matrices B and weights of their rows, (cells, rows)."""
+    """The products B^T W B of stacked matrices B with weights of their rows, (cells, rows)."""
     return np.matmul(matrices.transpose(0, 2, 1), weights[:, :, None] * matrices)

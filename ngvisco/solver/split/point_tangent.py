@@ -1,12 +1,13 @@
-"""The response of the fields in a cell by itself to an increment X = (grad dv, dPi).
+"""Computes the response of a cell's fields to an increment of X = (grad dv, dPi).
 
-Neither convected nor carried through facets they follow it as
+Without convection and fluxes through facets the fields follow
 
-    dz = tau (1 - tau K)^{-1} (d rate/dX) X,    K = d(rate + creep + terms of z)/dz,
+    dz = tau (1 - tau K)^{-1} (d rate/dX) X,    K = d(rate + creep + terms of z)/dz.
 
-and with the elastic force zeta : rate(z; X) that makes a point's stiffness
-C = tau (zeta : T + (d rate/dX)^T phi'') (1 - tau K)^{-1} (d rate/dX), not symmetric where there is stress or
-creep.  What is integrated at the nodes (``Quadrature.nodes``), as nonlinear creep, has its part of K there.
+With the elastic force zeta : rate(z; X) a point has the stiffness
+C = tau (zeta : T + (d rate/dX)^T phi'') (1 - tau K)^{-1} (d rate/dX), which stress or creep make
+nonsymmetric.  Terms integrated by the collocated rule (``Quadrature.nodes``), as nonlinear creep, contribute
+to K at the nodes.
 """
 
 from __future__ import annotations
@@ -27,14 +28,14 @@ from ngvisco.reduced.slope import PointwiseSlope
 
 
 class _AtPoints:
-    """Values, phi'' and K at the points of one rule, at an evaluation."""
+    """Computes phi'' and K at the points of one rule, at an evaluation."""
 
     tau: float
     rate_slope: np.ndarray
     """K, (points, n, n)."""
 
     def __init__(self, residual: ReducedResidual, terms: CellTerms, asked: list[PointTerm]) -> None:
-        """``asked`` are the terms whose rows of z, and stresses, change with z."""
+        """``asked`` are the terms whose rows of z, or stresses, depend on z."""
         self.residual, self.terms, self.op, self._asked = residual, terms, terms.op, asked
         self.components = residual.step.layout.states.size
         self.slope = PointwiseSlope(residual.step, self.op.points)
@@ -44,7 +45,7 @@ class _AtPoints:
         of_values = np.linalg.solve(tests @ z.blocks, tests)  # (cells, q, points)
         by_points = of_values[:, :, None] * functions[:, None]
         self._projecting = by_points.reshape(z.cells, z.local**2, z.per_cell)
-        """Coefficients of products of values at the points and the cells' functions, (cells, q q, points)."""
+        """Projects values at the points, times each basis function, onto the basis, (cells, q q, points)."""
 
     def _curvature(self, u: Fields) -> np.ndarray:
         """phi'', (points, n, n)."""
@@ -53,8 +54,9 @@ class _AtPoints:
     def _slopes(
         self, terms: CellTerms, u: Fields, curvature: np.ndarray
     ) -> Iterator[tuple[slice, dict[str, np.ndarray]]]:
-        """Derivatives of the asked terms' slots, and of creep, by some components of z, which zeta follows by
-        phi''."""
+        """Yield derivatives of the asked terms' slots, and of creep, by z; zeta follows z by phi''.
+
+        Each item has a range of z's components and the derivatives by them."""
         first, zeta = 0, curvature.transpose(2, 1, 0)
         for k, changed in incremented(u, z=np.eye(self.components)[:, :, None], zeta=zeta):
             some, first = slice(first, first + k), first + k
@@ -64,14 +66,14 @@ class _AtPoints:
         return terms.slots(self._asked, u)
 
     def tested(self, cells: slice) -> np.ndarray:
-        """tau P K of some cells' coefficients, (cells, q q, n n)."""
+        """tau P K for the coefficients of some cells, (cells, q q, n n)."""
         z, n = self.op.z, self.components
         values = self.tau * self.rate_slope.reshape(z.cells, z.per_cell, n * n)[cells]
         kind = np.float64 if abs(values).max(initial=0.0) > 1 else precision.SINGLE
         return self._projecting[cells].astype(kind) @ values.astype(kind)
 
     def rows(self, dz: np.ndarray) -> np.ndarray:
-        """(K dz, .) of coefficients dz, both (cells' unknowns, n)."""
+        """Rows (K dz, .) from coefficients dz, both (cells' unknowns, n)."""
         values = self.op.z(np.ascontiguousarray(dz.T))
         return self.op.z.test(at_points(self.rate_slope, values)).T
 
@@ -83,7 +85,7 @@ class NodeTangent(_AtPoints):
         super().__init__(residual, terms, residual.couplings.of_nodes())
 
     def update(self, at: Evaluation) -> None:
-        """Form K, along the slopes of the flow rules at their stresses, which are made anew."""
+        """Form K from the slopes of the flow rules, linearised anew at their linearisation stresses."""
         self.tau = self.residual.step.context.tau.Get()
         self.residual.step.stresses.linearise()
         u = self.terms.fields(at.coefficients)
@@ -93,7 +95,8 @@ class NodeTangent(_AtPoints):
             self.rate_slope[:, :, some] -= found["z"].transpose(2, 0, 1)
 
     def follow(self, dz: np.ndarray, length: float) -> None:
-        """Let the flow rules' stresses follow ``length`` times an increment of z, coefficients (n, .)."""
+        """Move the linearisation stresses along with ``length`` times an increment of z, coefficients (n,
+        .)."""
         values = self.op.z(dz)
         self.residual.step.stresses.follow_fields(values, at_points(self.curvature, values), length)
 
@@ -105,7 +108,7 @@ class PointValues:
     Attributes
     ----------
     terms : CellTerms
-        Of these cells.
+        Integrals over these cells.
     fields : Fields
     columns : (points, n, X) array
         d rate/dX.
@@ -119,8 +122,7 @@ class PointValues:
 
 
 class PointTangent(_AtPoints):
-    """The tangent at the points of the coarse rule, and the sum of both tangents for an increment in a
-    cell."""
+    """The tangent at the points of the coarse rule, and the resolvent in a cell with the nodes' part."""
 
     def __init__(self, residual: ReducedResidual, operators: Operators) -> None:
         terms = CellTerms(residual.step, operators, residual.rates)
@@ -136,7 +138,7 @@ class PointTangent(_AtPoints):
         self.force: np.ndarray | None = None
         self.columns: np.ndarray | None = None
         if self.nodes is not None or "Pi" in residual.unknowns.flow:
-            # what a steep rule relaxes, and what a creep rate field carries, is asked for at the points
+            # steep rules and creep rate fields need both at the points
             self.force, self.columns = np.zeros((count, X, n)), np.zeros((count, n, X))
 
     def _read(self, terms: CellTerms, u: Fields) -> dict[str, np.ndarray]:
@@ -144,13 +146,13 @@ class PointTangent(_AtPoints):
         return creep | super()._read(terms, u)
 
     def begin(self, at: Evaluation) -> None:
-        """Linearise at an evaluation what is so at once in all cells."""
+        """Start the linearisation at an evaluation: linearise at the nodes of all cells."""
         self.tau = self.residual.step.context.tau.Get()
         if self.nodes is not None:
             self.nodes.update(at)
 
     def update(self, part: tuple[slice, CellTerms], at: Evaluation) -> PointValues:
-        """Form K and its resolvent in some cells; d rate/dX and the force's derivative are given back."""
+        """Form K and its resolvent in some cells; return d rate/dX and the force's derivative."""
         (cells, terms), u = part, part[1].fields(at.coefficients)
         columns, where = self.residual.rates.columns(u.z.value), terms.op.places
         K, force = self._by_fields(terms, u, columns)
@@ -163,9 +165,9 @@ class PointTangent(_AtPoints):
     def _by_fields(self, terms: CellTerms, u: Fields, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """K, (points, n, n), and the force's derivative, (points, X, n); zeta follows z by phi''.
 
-        Rates are constant tensors; creep and terms that read z or zeta are by complex increments of these.
-        -(w . grad z) : zeta, with its share of the facets, is div w times phi'(z) : dz to leading order, and
-        so is what densities have in their flux.
+        Rates are constant tensors; creep, and terms that read z or zeta, are differentiated by complex
+        increments of z and zeta.  To leading order -(w . grad z) : zeta with its facets' part is
+        div w times phi'(z) : dz, and the flux of densities is approximated alike.
         """
         rates, curvature, z, zeta = self.residual.rates, self._curvature(u), u.z.value, u.zeta.value
         g, plane = rates.tensors.gradients, rates.dim**2
@@ -192,7 +194,7 @@ class PointTangent(_AtPoints):
         return K, force
 
     def fields_rows(self, dz: np.ndarray) -> np.ndarray:
-        """(K dz, .) with what the nodes have of it."""
+        """Rows (K dz, .) including the part of the nodes."""
         return self.rows(dz) if self.nodes is None else self.rows(dz) + self.nodes.rows(dz)
 
     def stiffness(self) -> np.ndarray:
@@ -202,9 +204,11 @@ class PointTangent(_AtPoints):
         return self.tau * self.force @ (resolvent @ self.columns)
 
     def _resolvent(self, cells: slice) -> np.ndarray:
-        """(1 - tau P K)^{-1} of some cells' coefficients, (cells, q n, q n), P the projection to their space.
+        """(1 - tau P K)^{-1} for the coefficients of some cells, (cells, q n, q n), P the projection to their
+        space.
 
-        Not of values at points: where some points of a cell yield and others do not, tau K is large at some.
+        It acts on coefficients, not on values at points: tau K may be large at some points of a cell only,
+        those that yield.
         """
         q, n = self.op.z.local, self.components
         tested = self.tested(cells)
@@ -215,14 +219,14 @@ class PointTangent(_AtPoints):
 
 
 def at_points(matrices: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Matrices (points, i, j) times values (j, points): (i, points)."""
+    """Multiply matrices (points, i, j) by values (j, points), to (i, points)."""
     return np.ascontiguousarray(np.matmul(matrices, values.T[:, :, None])[:, :, 0].T)
 
 
 def _resolvents(matrices: np.ndarray) -> np.ndarray:
-    """(1 - N)^{-1} of stacked matrices N: (1 + N)(1 + N^2)(1 + N^4) ... where they are small.
+    """(1 - N)^{-1} of stacked matrices N; for small N by the product (1 + N)(1 + N^2)(1 + N^4) ...
 
-    Products take a fifth of the time of factorisations; what they leave is below 1e-4.
+    Products take a fifth of the time of factorisations; their error is below 1e-4.
     """
 
     def size(matrices: np.ndarray) -> float:
@@ -240,7 +244,7 @@ def _resolvents(matrices: np.ndarray) -> np.ndarray:
 
 
 def radius_of(u: Fields) -> np.ndarray | None:
-    """r of a body of revolution, (points,)."""
+    """The radius r of a body of revolution at the points, (points,); None for other bodies."""
     radius = u.layout.symmetry.radius
     found: np.ndarray | None = None if radius is None else u.context.given(radius).value
     return found

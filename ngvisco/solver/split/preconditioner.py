@@ -1,12 +1,11 @@
-"""P^{-1} R: what the split solver takes for an increment of all unknowns.
+"""Computes P^{-1} R, the split solver's increment of all unknowns.
 
-First the flow's linear system, with the fields by sweeps of the transport, then the linear equations of the
-fields for a given velocity: transport, rates and creep together.  For an increment dz they are
-T dz - (K dz, .) = rows, with the transport T (``TransportSweeps``) and the derivative K of rates and creep
-(``PointTangent``); for drho the transport alone.  Sweeps, and (1 - tau K)^{-1} at every point after them,
-invert these up to tau^2 (products of T and K) and what the sweeps leave: well for Courant numbers and strains
-in a step below a half, and not at all where either is above one.  There they precondition GMRES: near walls
-that start to move at once, one cell of the first step is enough.
+It solves the flow's linear system, with the fields by sweeps of the transport; then the fields' linear
+equations for the increment of the velocity. For dz these are T dz - (K dz, .) = rows, with the transport T
+(``TransportSweeps``) and the derivative K of rates and creep (``PointTangent``); for drho K is left out.
+Sweeps, followed by (1 - tau K)^{-1} in every cell, invert T - K up to tau^2 (products of T and K) and the
+sweeps' remainder. They are accurate if Courant number and strain of a step are below a half, and useless if
+either is above one, even in one cell, as at a wall that starts to move at once. Then they precondition GMRES.
 """
 
 from __future__ import annotations
@@ -33,45 +32,47 @@ from ngvisco.solver.split.point_tangent import PointTangent
 from ngvisco.solver.split.transport import TransportSweeps
 
 TOLERANCE, ITERATIONS = 0.05, 20
-"""The tolerance of z's and rho's increments, and the most iterations of GMRES."""
+"""Tolerance of the increments of z and rho, and the largest number of GMRES iterations for them."""
 ENOUGH, ENOUGH_WHERE_STEEP = 0.15, 0.05
-"""Share of the right side that sweeps alone may leave, without GMRES: Newton's iteration then contracts by
-as much.  Steep are local rules of creep that are not linear."""
+"""Relative residual up to which sweeps alone suffice, without GMRES; Newton's iteration contracts by it.
+
+The second value is for steep rules: local creep rules that are not linear."""
 _LINEAR = 1e-3
-"""Tolerance of the flow's linear systems down to which directions are in single precision."""
+"""GMRES directions of the flow's linear systems are in single precision if the tolerance is above this
+value."""
 _IN_WORDS = {"wall_stress": "stresses of oblique or curved walls", "Pi": "a creep rate field"}
 
 
 class FieldsSystem:
-    """Solves the fields' equations where the operator was last updated."""
+    """Solves the fields' linear equations, linearised at the last update of the operator."""
 
     def __init__(self, operator: FlowSchurComplement, enough: float) -> None:
-        """``enough`` is what sweeps may leave of an increment."""
+        """``enough`` is the relative residual that sweeps alone may leave."""
         self.operator, self.sweep, self.enough = operator, operator.sweep, enough
         self.iterations = ITERATIONS
         self._swept_is_enough: set[Map] = set()
-        """Systems for which one application of the approximate inverse did, at this operator."""
+        """Approximate inverses of which one application was enough since the operator's last update."""
 
     def renew(self) -> None:
-        """Whether sweeps are enough is to be seen again."""
+        """Forget for which systems sweeps were enough."""
         self._swept_is_enough.clear()
 
     def z(self, rows: np.ndarray, tolerance: float) -> np.ndarray:
-        """Increments of z, of rows: both (cells' unknowns, n)."""
+        """Increments of z from rows of z, both (cells' unknowns, n)."""
         return self._solved(self.rows, self.approximate, rows, tolerance)
 
     def density(self, rows: np.ndarray, tolerance: float) -> np.ndarray:
-        """Increments of the density's unknowns, of rows."""
+        """Increments of the density's unknowns from their rows."""
         sweep = self.sweep
         if sweep.of_rho is None:
             return sweep.density(rows)
         return self._solved(sweep.of_rho, sweep.density, rows[:, None], tolerance)[:, 0]
 
     def _solved(self, matrix: Map, approximate: Map, rows: np.ndarray, tolerance: float) -> np.ndarray:
-        """x with matrix(x) = rows up to ``tolerance``, from what the approximate inverse gives.
+        """Solve matrix(x) = rows up to ``tolerance``, with the approximate inverse as preconditioner.
 
-        Residuals are measured by what that makes of them, every column of the values, which may have other
-        units, relative to the first one's.
+        The preconditioned residual is measured column by column, as columns may have different units,
+        relative to the column of the start value.
         """
         enough = self.enough if tolerance >= TOLERANCE else 0.0
         if enough and approximate in self._swept_is_enough:
@@ -84,12 +85,12 @@ class FieldsSystem:
         def mapped(x: np.ndarray) -> np.ndarray:
             return (approximate(matrix(scale * x.reshape(start.shape))) / scale).ravel()
 
-        start = approximate(rows).astype(float)  # squares of single precision's numbers may leave it
+        start = approximate(rows).astype(float)  # squares may exceed single precision
         scale = np.sqrt(squares(start))
         scale[scale == 0] = 1.0
         rest = approximate(rows - matrix(start)).astype(float) / scale
         size = float(np.sqrt(squares(rest).sum()))
-        if not max(tolerance, enough) < size < np.inf:  # good enough, or nothing that is a number
+        if not max(tolerance, enough) < size < np.inf:  # good enough, or not finite
             self._swept_is_enough.add(approximate)
             return start
         most = self.iterations
@@ -97,18 +98,19 @@ class FieldsSystem:
         return start + scale * x.reshape(start.shape)
 
     def approximate(self, rows: np.ndarray) -> np.ndarray:
-        """Increments of z by sweeps and at every point."""
+        """Increments of z by sweeps of the transport, then by the resolvent of rates and creep in each
+        cell."""
         return self.operator.resolved(self.sweep.fields(rows))
 
     def rows(self, dz: np.ndarray) -> np.ndarray:
-        """Rows of z for increments of z, both (cells' unknowns, n)."""
+        """Rows of z from increments of z, both (cells' unknowns, n)."""
         return self.sweep.rows(dz) - self.operator.points.fields_rows(dz)
 
 
 class Preconditioner:
-    """The flow's linear system with the fields by sweeps of the transport, then the fields' own systems.
+    """Solves the flow's linear system with the fields by sweeps of the transport, then the fields' systems.
 
-    The flow's unknowns are v, wall stress, creep rate and the facets' normal derivatives of v, one vector.
+    One vector holds the flow's unknowns: v, wall stress, creep rate and the facets' normal derivatives of v.
     """
 
     def __init__(self, residual: ReducedResidual, options: NewtonOptions) -> None:
@@ -116,15 +118,15 @@ class Preconditioner:
         self.unknowns, self.options, self.dim = unknowns, options.split, step.mesh.dim
         self._coarse = options.coarse
         self.without_multigrid: str | None = None
-        """Why vertices are factorised where the options have a multigrid for them."""
+        """The reason why the vertices are factorised although the options ask for a multigrid."""
         k, m = step.discretisation.k, step.discretisation.m
         thick = step.model.viscosity
         bends = thick is not None and not thick.is_linear
-        # a coarse rule misses where a viscosity is steep, and how moduli of bodies vary within a cell:
-        # increments of a slab then shrink by 0.99 only
+        # a coarse rule misses a steep viscosity, and moduli of bodies that vary within a cell: increments of
+        # a slab then shrink by 0.99 only
         varies = len(step.model.bodies) > 1
-        # on triangles one of degree 2, k - 1, misses convection, where no hyperviscosity holds: at a Courant
-        # number of 0.2 a step takes 16 iterations and seven operators in place of 9 and one
+        # on triangles a rule of degree 2, k - 1, misses convection if there is no hyperviscosity: at a
+        # Courant number of 0.2 a step takes 16 iterations and seven operators instead of 9 and one
         least = k if self.dim == 2 and residual.hyper is None else k - 1
         self.op = residual.op if bends or varies else Operators(step, max(least, m))
         self.sweep = TransportSweeps(residual)
@@ -137,7 +139,7 @@ class Preconditioner:
         self.fields = FieldsSystem(self.operator, ENOUGH_WHERE_STEEP if step.stresses else ENOUGH)
         self.ranks, count = residual.ranks, self.operator.size
         self._size = unknowns.density_slice.start if unknowns.density else unknowns.slices["z"].start
-        """The number of the flow's unknowns with the normal derivatives, which come first."""
+        """Number of the flow's unknowns with the normal derivatives; they come first."""
         self.exchange = residual.exchange.part(np.arange(self._size))
         self._of_velocity = self.exchange.part(np.arange(self.op.v.width))
         places = np.arange(count)
@@ -148,11 +150,12 @@ class Preconditioner:
             places = np.concatenate([places, normals[:, kept].ravel()])
             self.hyper_tangent = HyperTangent(derivative, kept)
         self._of_tangent = self.exchange.part(places)
-        """The exchange of the tangent's unknowns: the flow's and, between ranks, the normal derivatives."""
+        """Exchanges the tangent's unknowns: the flow's, and the normal derivatives on facets between
+        ranks."""
         self.free = np.concatenate([mask_of(step.layout.blocks[name].FreeDofs()) for name in unknowns.flow])
         self._held = np.flatnonzero(~self.free)
         self._whole: Callable[[], Direct] | None = None
-        """Makes a factorisation of the tangent as a whole, where two levels are in its place."""
+        """Makes a solver that factorises the whole tangent; None unless two levels may be replaced by it."""
         self._two_levels: Direct | None = None
         self.solver = self._solver(np.append(self.free, np.ones(len(places) - count, dtype=bool)))
         self._blocks = [unknowns.slices[name] for name in unknowns.flow]
@@ -160,10 +163,10 @@ class Preconditioner:
             self._blocks.append(unknowns.normal_slice)
         self._lengths = [self.exchange.length(where) for where in self._blocks]
         self.iterations = 0
-        """The iterations of the flow's last linear system."""
+        """Number of iterations of the flow's last linear system."""
 
     def _solver(self, free: np.ndarray) -> Direct:
-        """A solver for the velocity tangent with these free unknowns."""
+        """Make a solver for the velocity tangent restricted to the unknowns ``free``."""
         exchange, operator, number = self._of_tangent, self.operator, np.arange(len(free))
         count = int(self.ranks.total(int((free & exchange.owned)[: operator.size].sum())))
         whole = partial(direct_solver, free, exchange, self.unknowns.flow == ["v"])
@@ -183,7 +186,8 @@ class Preconditioner:
         return TwoLevelSolver(free, vertices, others, self._factorised, exchange)
 
     def _factorised(self, free: np.ndarray, matrix: sp.csr_matrix, symmetric: bool) -> Direct:
-        """The solver for the vertices: multigrid where the options say so and the matrix suits it."""
+        """The factorised solver for the vertices: multigrid if the options ask for it and the matrix allows
+        it."""
         solver: Direct
         if self._multigrid:
             solver = SumInverse(free, self._of_tangent, symmetric, self._coarse, self._kernel)
@@ -199,7 +203,7 @@ class Preconditioner:
         return solver
 
     def strengthen(self) -> bool:
-        """Let the tangent be factorised as a whole from the next ``update`` on, if it is not and may be."""
+        """Factorise the whole tangent from the next ``update`` on; return whether this is a change."""
         if self._whole is None or self._two_levels is not None:
             return False
         self._two_levels, self.solver = self.solver, self._whole()
@@ -207,7 +211,7 @@ class Preconditioner:
         return True
 
     def relax(self) -> bool:
-        """Two levels again, from the next ``update`` on; whether there was something else."""
+        """Return to two levels from the next ``update`` on; return whether this is a change."""
         if self._two_levels is None:
             return False
         self.solver.release()
@@ -215,7 +219,7 @@ class Preconditioner:
         return True
 
     def update(self, at: Evaluation) -> None:
-        """Form and factorise everything at an evaluation, which is that of the step's state."""
+        """Form and factorise everything at an evaluation, whose unknowns have to be the step's state."""
         self.linearise(at, everything=True)
         if self.hyper_tangent is not None:
             with self.ranks.together(np.linalg.LinAlgError):
@@ -223,19 +227,21 @@ class Preconditioner:
         self.solver.factorise(self.operator.tangent(self.hyper_tangent))
 
     def linearise(self, at: Evaluation, everything: bool) -> None:
-        """Let the linear operator follow an evaluation, or what changes suddenly; the rest stays."""
+        """Linearise the operator at an evaluation; without ``everything`` only the parts that change
+        suddenly."""
         self.operator.update(at, everything)
         if everything:
             self.fields.renew()
 
     def __call__(self, at: Evaluation, tolerance: float, of_fields: float = TOLERANCE) -> np.ndarray:
-        """The increment, packed; tolerances are those of the flow's linear system and of the fields' own."""
+        """The packed increment; ``tolerance`` holds for the flow's system, ``of_fields`` for the fields'
+        systems."""
         op, operator, dim, u = self.op, self.operator, self.dim, self.unknowns
         of_z = self._rows_of_z(at.residual)
         flow, alone = at.residual[: self._size].copy(), None
         if self._relaxes:
-            # what a steep flow rule takes from a stress that is off it is of the size of its slope: it is
-            # not to be carried to other cells by the transport before it is relaxed, in each cell by itself
+            # the residual of a steep flow rule at a stress off the rule has the size of its slope: relax it
+            # in each cell before the transport carries it to other cells
             alone = operator.points.tau * apply(operator.residual.inverse_mass, of_z.T)
             alone = operator.resolved(np.ascontiguousarray(alone.T))
             of_z = of_z - self.fields.rows(alone)
@@ -260,18 +266,18 @@ class Preconditioner:
         return np.concatenate([dflow, self.fields.density(density, of_fields), dz.T.ravel()])
 
     def _rows_of_z(self, residual: np.ndarray) -> np.ndarray:
-        """(cells' unknowns, n)."""
+        """The rows of z, (cells' unknowns, n)."""
         where = self.unknowns.slices["z"]
         return np.ascontiguousarray(residual[where].reshape(self.unknowns.components["z"], -1).T)
 
     def _flow(self, right: np.ndarray, tolerance: float) -> np.ndarray:
-        """The flow's unknowns by its tangent with the hyperviscosity's own derivative, by GMRES."""
+        """Solve the flow's system by GMRES, preconditioned with the tangent."""
         start = self._block(right)
-        # lengths in units of each block's first increment, so that stresses do not drown velocities
+        # scale each block by its first increment, so that stresses do not dominate velocities
         scale = np.ones_like(start)
         for where, length in zip(self._blocks, self._lengths, strict=True):
             scale[where] = self.exchange.norm(start, where) / np.sqrt(length) or 1.0
-        # single precision does not hold directions apart down to the tolerances of a linear map
+        # single precision cannot keep directions orthogonal at the tolerances of a linear map
         kind = precision.SINGLE if tolerance > _LINEAR else np.float64
         y, self.iterations = gmres(
             lambda y: self._block(self._applied(scale * y)) / scale,
@@ -280,7 +286,7 @@ class Preconditioner:
             directions=self.options.flow_iterations,
             products=self.exchange.products,
         )
-        # sums of directions may have other last bits on each rank, and a resumed run has the owner's
+        # ranks may differ in the last bits of a sum, and a checkpoint stores the owner's value
         return self.exchange.of_owners(y * scale)
 
     def _applied(self, y: np.ndarray) -> np.ndarray:
@@ -289,7 +295,7 @@ class Preconditioner:
         return rows
 
     def _block(self, y: np.ndarray) -> np.ndarray:
-        """The tangent of v solved, with the normal derivatives eliminated from it but between ranks."""
+        """Apply the tangent's inverse; normal derivatives are eliminated from it, except between ranks."""
         tangent, dim, (rows, a) = self.hyper_tangent, self.dim, np.split(y, [len(self.free)])
         if tangent is None:
             return self.solver(rows)

@@ -1,19 +1,18 @@
-"""The split solver: a Rothe step by Newton's method on what the fields and the flow leave of each other.
+"""The split solver: a Rothe step by Newton's method on the flow, from which the fields are eliminated.
 
-(FORMULATION.md, Section 7.)  The coupled residual R(u) = 0 is evaluated with everything that is an
-explicit function of (v, a, rho, z) - traces, conjugates, local creep, the hyperviscosity's local
-unknowns - put in exactly, at the points of cells and sides (``ReducedResidual``).  An increment takes sweeps
-of the transport and one linear system of the flow, into which the change of the fields is carried
-(``FlowSchurComplement``), solved by GMRES (``Preconditioner``): Newton's method but for a coarser rule, a
-fixed number of sweeps, and an operator that is made anew only after long increments or where increments
-shrink too little; in between it follows hyperviscosity, which changes suddenly.
+See FORMULATION.md, Section 7. In the coupled residual R(u) = 0 all explicit functions of (v, a, rho, z) -
+traces, conjugates, local creep, the hyperviscosity's local unknowns - are eliminated exactly, at the points
+of cells and sides (``ReducedResidual``). An increment takes sweeps of the transport, and one linear system of
+the flow with the fields' response to it (``FlowSchurComplement``), solved by GMRES (``Preconditioner``).
+Three things distinguish it from Newton's method: a coarser rule; a fixed number of sweeps; and an operator
+that is renewed only after a long increment or if increments shrink too little. Between renewals the operator
+follows hyperviscosity only, which changes suddenly.
 
-``iterate`` takes x - f(x), f = P^{-1} R, until f is small.  An iterate at which it is no number, or much
-longer than the smallest one, is given up for one nearer to the best.  ``damped`` has a tangent of its own for
-each increment, which is shortened until the next one is shorter.  In Newton-Krylov GMRES takes P^{-1} dR d
-with complex increments of R (``ReducedResidual.derivative``), to which P is the preconditioner.  What needs
-it are creep rate fields (nu > 0), whose coupling to v P leaves out.
-Measurements are in ``ngvisco/solver/NOTES.md``.
+``iterate`` replaces x by x - f(x), f = P^{-1} R, until f is small. If f is not finite, or much longer than
+the smallest increment so far, the iterate is given up for one nearer to the best iterate. ``damped`` makes a
+tangent for each increment, and shortens the increment until the next one is shorter. ``newton_krylov`` solves
+P^{-1} dR d = f by GMRES with complex increments of R (``ReducedResidual.derivative``). Creep rate fields (nu
+> 0) need it: P leaves their coupling to v out. Measurements are in ``ngvisco/solver/NOTES.md``.
 """
 
 from __future__ import annotations
@@ -35,25 +34,28 @@ from ngvisco.solver.split.preconditioner import Preconditioner
 from ngvisco.threads import Workers, on_arrays
 
 _FORCING = {2: 0.03, 3: 0.003}
-"""Tolerances of the flow's linear systems: in 3D a residual costs more directions than are saved by less."""
+"""Tolerances of the flow's linear systems by dimension; in 3D residuals are dear, and fewer of them pay."""
 _STEEP = 0.01
-"""Increment above which the operator of a flow rule is that of the next iterate, stale or not."""
+"""Increment above which the operator of flow rules is renewed at the next iterate, stale or not."""
 TOLERANCE, _DIRECTIONS = 0.01, 40
-"""The tolerance of Newton-Krylov's linear systems, and the most derivatives taken for one."""
+"""Tolerance of Newton-Krylov's linear systems, and the largest number of derivatives for one system."""
 INNER = 3e-4, 1e-6
-"""Tolerances of the flow's and the fields' systems in P, which has to be a linear map: where a flow rule is
-steep, P times the derivative has single eigenvalues of 1e2 to 1e4, which multiply what is not linear."""
+"""Tolerances of the flow's and the fields' systems in P, without and with steep flow rules.
+
+P has to be a linear map. With a steep flow rule P dR has single eigenvalues of 1e2 to 1e4, which multiply the
+nonlinear part of P."""
 _FAR = 0.01
-"""Increment up to which ``growth`` is over the smallest one."""
+"""``growth`` is the ratio of an increment to the smallest one, or to this value if the smallest is below
+it."""
 _WINDOW, _MIN_DAMPING = 4, 0.05
-"""Iterations that shorten an increment to a fifth, or it gives up; smallest step length tried."""
+"""Newton-Krylov gives up if this many iterations do not reduce the increment to a fifth; smallest damping."""
 
 
 class Split:
-    """Solves R(u; .) = 0 for the state of a step; keeps its tangent between solves."""
+    """Solves R(u; .) = 0 for the state of a step; keeps the tangent between solves."""
 
     def __init__(self, step: Step, norm: BlockNorm, options: NewtonOptions, exchange: Exchange) -> None:
-        """``exchange`` is that of the step's space."""
+        """``exchange`` belongs to the step's space."""
         self.step, self.norm, self.options = step, norm, options
         self.is_factorised = False
         workers = Workers(options.threads, exchange.communicator.size)
@@ -62,20 +64,20 @@ class Split:
         self.preconditioner = Preconditioner(self.residual, options)
         self._full = step.state.vec.CreateVector()
         self._turned = 0.0
-        """Relative increment of a creep rate field, the last one."""
+        """The last relative increment of a creep rate field."""
         self._stale = False
-        """Whether the last increment was too long beside that before."""
+        """Whether the last increment was too long relative to the increment before."""
         self.is_fresh = True
-        """Whether the last increment began with a tangent made for it."""
+        """Whether the tangent was renewed for the last increment."""
         self.damps = False
-        """Whether a step is solved by ``damped``."""
+        """Whether ``solve`` uses ``damped``."""
 
     def reset(self) -> None:
         """Drop the tangent, so that the next solve makes a new one."""
         self.is_factorised = False
 
     def give_up(self) -> None:
-        """The last increment is not taken."""
+        """Reject the last increment."""
         self.step.stresses.start()
         self.reset()
 
@@ -84,7 +86,7 @@ class Split:
             self.reset()
 
     def factorise(self, problem: Problem) -> None:
-        """Make the tangent at the present state; raises StepError if it is singular."""
+        """Compute the tangent at the present state; raises StepError if it is singular."""
         problem.pose()
         self.step.local_unknowns.update_stored()
         with on_arrays():
@@ -92,12 +94,12 @@ class Split:
             self.renew(problem, self.residual(self.unknowns.pack()))
 
     def solve(self, problem: Problem, guess: BaseVector) -> Solution:
-        """Iterate from ``guess``; the step's state is then the solution, or some iterate."""
+        """Iterate from ``guess``; the step's state becomes the solution, or an iterate if there is none."""
         history: list[NewtonIteration] = []
         self._turned, self._stale = 0.0, False
         self.step.stresses.start()
         self._relax()
-        self.preconditioner.fields.renew()  # what is known of earlier iterates a resumed run does not know
+        self.preconditioner.fields.renew()  # a resumed run does not know earlier iterates
         self.step.state.vec.data = guess
         problem.pose()
         if not np.isfinite(guess.Norm()):
@@ -106,15 +108,15 @@ class Split:
             with on_arrays(), np.errstate(all="ignore"):  # a diverging iterate is inf or NaN
                 self.residual.start()
                 status = (damped if self.damps else iterate)(self, problem, history)
-        except StepError as error:  # of a factorisation
+        except StepError as error:  # a factorisation failed
             return Solution(Status.SINGULAR, tuple(history), str(error))
         except (FloatingPointError, np.linalg.LinAlgError) as error:
             reason = f"the split solver met a singular block: {error}"
             return Solution(Status.SINGULAR, tuple(history), reason)
         if status is Status.CONVERGED:
-            # an energy that is kept at the quadrature points is asked for by the ledger and the output
+            # ledger and output read the energy stored at the quadrature points
             self.step.local_unknowns.update_stored()
-            self._relax()  # now, so that a run that is resumed here begins its next step alike
+            self._relax()  # a run resumed here has no strengthened solver either
             return Solution(status, tuple(history))
         wanted = self.options.split.margin * self.options.tolerance
         remedy = "a smaller step or the coupled solver"
@@ -123,9 +125,9 @@ class Split:
     def increment(
         self, problem: Problem, x: np.ndarray, at: Evaluation, last: float
     ) -> tuple[np.ndarray, float]:
-        """The increment at the unknowns x, with R there, and its size, infinite where R is no number.
+        """The increment at the unknowns x, and its size, infinite if R is not finite.
 
-        ``last`` is the size of the one before.
+        ``at`` is R evaluated at x, ``last`` the size of the increment before.
         """
         problem.poll()
         options, fresh = self.options.split, not self.is_factorised
@@ -138,7 +140,7 @@ class Split:
             self.preconditioner.linearise(at, self._follows(last))
         f = self.solved(at)
         for better in (lambda: not fresh, self.preconditioner.strengthen):
-            if self.preconditioner.iterations >= options.flow_iterations and better():  # unsolved
+            if self.preconditioner.iterations >= options.flow_iterations and better():  # not solved
                 self.renew(problem, at)
                 f = self.solved(at)
         size = self.size(f)
@@ -146,80 +148,84 @@ class Split:
         return f, size
 
     def is_finite(self, at: Evaluation) -> bool:
-        """Whether all of R is numbers."""
+        """Whether all rows of R are finite."""
         ranks, energy = self.residual.ranks, self.step.energy
         if ranks.all(np.isfinite(at.residual).all()):
             return True
-        slopes = at.coefficients["zeta"]  # no numbers where the energy is none
+        slopes = at.coefficients["zeta"]  # not finite if the energy is undefined
         if energy.projected is None and ranks.any(np.isfinite(at.x).all() and not np.isfinite(slopes).all()):
             energy.lacked(self.step.now)
         return False
 
     def evaluated(self, x: np.ndarray, last: float) -> Evaluation:
-        """R at the unknowns x, with flow rules' slopes there if the operator is to have them.
+        """R at the unknowns x; flow rules are linearised there if the operator is to be renewed at x.
 
-        ``last`` is the size of the increment that led there.
+        ``last`` is the size of the increment that led to x.
         """
         return self.residual(x, self.is_steep and (not self.is_factorised or self._follows(last)))
 
     def _follows(self, last: float) -> bool:
-        """Whether the operator of flow rules is to be that of the iterate; in a step's first one, too: a
-        resumed run knows the state of the last factorisation only."""
+        """Whether the operator of flow rules is to be renewed at the iterate.
+
+        The first iterate of a step renews it too: a resumed run knows the state of the last factorisation
+        only."""
         return self.is_steep and (self._stale or last > _STEEP)
 
     @property
     def is_steep(self) -> bool:
-        """Whether flow rules are linearised at stresses of their own."""
+        """Whether flow rules are linearised at linearisation stresses."""
         return bool(self.step.stresses)
 
     def follow(self, f: np.ndarray, length: float = 1.0) -> None:
-        """Let these follow to where ``length`` times the increment f, from the state, leads."""
+        """Move the linearisation stresses along with ``length`` times the increment f of the state."""
         nodes = self.preconditioner.operator.points.nodes
         if self.is_steep and nodes is not None:
             nodes.follow(-f[self.unknowns.slices["z"]].reshape(self.unknowns.components["z"], -1), length)
 
     def has_converged(self, f: np.ndarray, size: float, last: float) -> bool:
-        """Whether x - f solves the equations: by the size of f, and of the smallest increment before."""
+        """Whether x - f solves the equations, judged by the size of f and of the smallest increment
+        before."""
         options, tolerance = self.options.split, self.options.tolerance
-        # of all increments after f, if the contraction stays what it is; of a first one it is not known
+        # estimates all increments after f from the contraction; that of a first increment is unknown
         contraction = 0.5 if last == np.inf else min(size / last, 1.0)
         if size <= tolerance and size * contraction <= (1 - contraction) * options.margin * tolerance:
             return True
         if not 0.5 * last < size:
             return False
-        # slow by rounding; or slow, and then this and all that would follow are to be small
+        # slow because of rounding; or just slow: then the sum of all further increments has to be small
         gained = max(1 - size / last, 0.0) or 1.0
         return self.size(f, coarse=True) <= gained * tolerance
 
     def reset_if_worn(self, f: np.ndarray, size: float) -> None:
-        """Let the tangent be made anew for the next increment where this one, f, says that it wears out."""
+        """Reset the tangent, so that the next increment renews it, if the increment f shows that it is
+        outdated."""
         options = self.options.split
         slow = self.preconditioner.iterations > options.renewed_after
-        slow |= self._stale and not self.is_steep  # whose operator follows without its preconditioner
+        slow |= self._stale and not self.is_steep  # steep rules renew the operator alone
         worn = slow and size > 1e3 * options.margin * self.options.tolerance
         before, self._turned = self._turned, self.sizes(f)[1] if self.norm.shared else 0.0
-        bends = self._turned > max(options.bends_above, 0.3 * before)  # and the chord does not contract
+        bends = self._turned > max(options.bends_above, 0.3 * before)  # a fixed tangent would not contract
         far = options.renewed_above * (10 if self.is_steep else 1)
         if worn or bends or size > far:
             self.reset()
 
     def solved(self, at: Evaluation) -> np.ndarray:
-        """The increment by the tangent at hand."""
+        """The increment by the present tangent."""
         return self.preconditioner(at, _FORCING[self.step.mesh.dim])
 
     def renew(self, problem: Problem, at: Evaluation) -> None:
-        """Make the tangent anew at an evaluation, which is that of the step's state."""
+        """Compute the tangent at an evaluation, whose unknowns have to be the step's state."""
         self.is_factorised = False
-        self.preconditioner.update(at)  # where it fails there is no tangent
+        self.preconditioner.update(at)  # no tangent remains if this fails
         self.is_factorised = True
         problem.factorised()
 
     def size(self, f: np.ndarray, *states: BaseVector, coarse: bool = False) -> float:
-        """The size of an increment by the norm with the scales of the present state, and of others."""
+        """The norm of an increment, with scales of the present state and of ``states``."""
         return self.sizes(f, *states, coarse=coarse)[0]
 
     def sizes(self, f: np.ndarray, *states: BaseVector, coarse: bool = False) -> tuple[float, float]:
-        """The size of an increment, and the relative increment of a creep rate field."""
+        """The norm of an increment, and the relative increment of a creep rate field."""
         full = self._full.FV().NumPy()
         full[:] = 0.0
         for name in self.unknowns.names:
@@ -228,9 +234,10 @@ class Split:
 
 
 def damped(split: Split, problem: Problem, history: list[NewtonIteration]) -> Status:
-    """Iterate as ``iterate`` does, with a tangent of its own for each increment, which is shortened until the
-    next one is shorter, by the same tangent or by the next: a material that begins to yield gives way to a
-    velocity that the elastic tangent did not know of.
+    """Iterate with a new tangent for each increment, shortened until the next increment is shorter.
+
+    The next increment may be the one by the same tangent or by the next tangent: a material that begins to
+    yield resists a velocity less than the elastic tangent predicts.
     """
     state = split.step.state.vec
     base = state.CreateVector()
@@ -262,12 +269,12 @@ def damped(split: Split, problem: Problem, history: list[NewtonIteration]) -> St
         else:
             damping /= 2
             split.step.stresses.undo()
-            f, size = increment(x)  # the tangent is that of the other end
+            f, size = increment(x)  # the present tangent belongs to the rejected iterate
     return Status.TOO_MANY_ITERATIONS
 
 
 def newton_krylov(split: Split, problem: Problem, x: np.ndarray, history: list[NewtonIteration]) -> Status:
-    """Iterate from ``x``, where the tangent is made anew; the state becomes the solution, or some iterate."""
+    """Iterate from ``x`` by Newton-Krylov; the state becomes the solution, or an iterate if there is none."""
     options, tolerance = split.options.split, split.options.tolerance
     scale, inner = split.unknowns.scales(x, split.residual.exchange), INNER[split.is_steep]
 
@@ -289,7 +296,7 @@ def newton_krylov(split: Split, problem: Problem, x: np.ndarray, history: list[N
         return image
 
     def ends_at(x: np.ndarray, converged: bool) -> Status:
-        """Make x, with the unknowns that it determines, the state."""
+        """Make x, and the unknowns derived from x, the state."""
         split.residual.put(x)
         return Status.CONVERGED if converged else Status.STALLED
 
@@ -317,7 +324,7 @@ def newton_krylov(split: Split, problem: Problem, x: np.ndarray, history: list[N
             split.follow(f)
             return ends_at(x - f, True)
         sizes.append(size)
-        window = _WINDOW * (3 if split.norm.shared else 1)  # increments of Pi rise in between
+        window = _WINDOW * (3 if split.norm.shared else 1)  # increments of Pi may grow temporarily
         before = sizes[max(len(sizes) - 1 - window, 0)]
         if len(sizes) > window and size > max(0.2 * before, options.rounding):
             return ends_at(x, size <= tolerance)
@@ -326,11 +333,11 @@ def newton_krylov(split: Split, problem: Problem, x: np.ndarray, history: list[N
 
 
 def iterate(split: Split, problem: Problem, history: list[NewtonIteration]) -> Status:
-    """Iterate from the present state, which becomes the solution, or some iterate; ``history`` grows."""
+    """Iterate from the present state, which becomes the solution or an iterate; append to ``history``."""
     options = split.options.split
     x = split.unknowns.pack()
     last, halvings = np.inf, 0
-    best = np.inf, x, x  # the smallest increment's size, its iterate, and it
+    best = np.inf, x, x  # the smallest increment: its size, its iterate, itself
     while len(history) < split.options.max_iterations:
         if len(history) > options.slow and last <= options.krylov_below:
             return newton_krylov(split, problem, x, history)

@@ -1,13 +1,13 @@
 """The transport of the fields for a given velocity, and its approximate inverse by sweeps over the cells.
 
-One component of z, and rho, have the scalar matrix T = M/tau + convection + facets with the trace
-eliminated, in dense blocks: of a cell's own values, and of those across its sides (``FacetCoupling``).  A
-flux through a facet sees its own cell's values and the facet's trace, a mean of both sides' values with
-weights of its own.  Sweeps over the cells, each for itself with its neighbours' values (block Jacobi),
-converge like the Courant number; their number is fixed by the velocity of the last ``update``, so that the
-map stays linear, as what solves for rows drawn at random.  With diffusion of z, which cells do not resolve, T
-is factorised, and so is that of components that cells give each other across facets (``Exchanged``).  A
-density equation that is not linear has a Jacobian of its own.
+Each component of z, and rho, has the scalar matrix T = M/tau + convection + facets with the trace eliminated.
+Its dense blocks multiply a cell's own values and the values across its sides (``FacetCoupling``). The flux
+through a facet depends on the cell's values and on the facet's trace, a weighted mean of both sides' values.
+Sweeps over the cells (block Jacobi) solve each cell with its neighbours' last values. They converge like the
+Courant number. ``update`` fixes the number of sweeps for its velocity, by the error of a random field, so
+that the approximate inverse is a linear map. T is factorised for components that diffuse, which sweeps do not
+resolve, and for components that cells exchange across facets (``Exchanged``). A nonlinear density equation
+has its own Jacobian.
 """
 
 from __future__ import annotations
@@ -24,35 +24,36 @@ from ngvisco.reduced.facet_tangent import FacetTangent
 from ngvisco.reduced.residual import Evaluation, ReducedResidual
 
 LEAST, MOST = 3, 30
-"""Sweeps over the cells in which the fields' change is carried into the flow's system."""
+"""Smallest and largest number of sweeps over the cells."""
 SHARE = 0.05
-"""The share of a field that sweeps may leave."""
+"""Relative error of a random field after the sweeps."""
 
 
 class SweptMatrix:
     """A matrix of cells' blocks in single precision, and an approximate inverse by sweeps over the cells."""
 
     def __init__(self, own: np.ndarray, across: np.ndarray, coupling: FacetCoupling) -> None:
-        """Blocks as of ``FacetCoupling.blocks``."""
+        """``own`` and ``across`` are the blocks that ``FacetCoupling.blocks`` returns."""
         count, sides, q, _ = across.shape
         self._coupling, self._own = coupling, own
         self._across = across.transpose(0, 2, 1, 3).reshape(count, q, sides * q)
         self._rows = np.concatenate([own, self._across], axis=2).astype(precision.SINGLE)
 
     def invert(self) -> SweptMatrix:
-        """The cells' own blocks; LinAlgError where one is singular."""
+        """Invert the cells' own blocks; raises LinAlgError if one is singular."""
         inverse = np.linalg.inv(self._own)
         self.cells = inverse.astype(precision.SINGLE)
         self._carried = (-np.matmul(inverse, self._across)).astype(precision.SINGLE)
         return self
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
-        """Rows of coefficients x, both (cells' unknowns, n) or (cells' unknowns,)."""
+        """The matrix times coefficients x, both (cells' unknowns, n) or (cells' unknowns,)."""
         values = self._by_cells(x)
         return np.matmul(self._rows, np.concatenate([values, self._beside(values)], axis=1)).reshape(x.shape)
 
     def swept(self, r: np.ndarray, sweeps: int) -> np.ndarray:
-        """Coefficients of rows r, (cells' unknowns, n) or (cells' unknowns,)."""
+        """Coefficients after ``sweeps`` sweeps for rows r, both (cells' unknowns, n) or (cells'
+        unknowns,)."""
         x = start = np.matmul(self.cells, self._by_cells(r))
         for _ in range(sweeps - 1):
             x = start + self.carried(x)
@@ -67,16 +68,17 @@ class SweptMatrix:
         return values.reshape(*self._own.shape[:2], x.shape[1] if x.ndim == 2 else 1)
 
     def _beside(self, x: np.ndarray) -> np.ndarray:
-        """The neighbours' values side by side, (cells, sides q, n), of values (cells, q, n)."""
+        """The neighbours' values side by side, (cells, sides q, n), from values (cells, q, n)."""
         neighbours = self._coupling.neighbours
         beside = self._coupling.halo.with_others(x)[neighbours]
         return beside.reshape(len(neighbours), neighbours.shape[1] * x.shape[1], x.shape[2])
 
 
 class Exchanged:
-    """The exchange of some components of z between cells across facets, beside transport.
+    """The exchange of some components of z between cells across facets, by other terms than transport.
 
-    These components are factorised, each with its transport; the others' part is known when they are solved.
+    Each of these components is factorised together with its transport.  The other components are solved
+    before them.
     """
 
     def __init__(self, tangent: FacetTangent) -> None:
@@ -100,7 +102,7 @@ class Exchanged:
         )
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
-        """Rows (cells' unknowns, rows) of coefficients x (cells' unknowns, n)."""
+        """The exchange's rows, (cells' unknowns, rows), of coefficients x (cells' unknowns, n)."""
         coupling, q = self._coupling, self._coupling.functions
         by_cells = x[:, self._columns].astype(precision.SINGLE).reshape(coupling.cells, q, len(self._columns))
         values = np.ascontiguousarray(by_cells.swapaxes(1, 2)).reshape(coupling.cells, q * len(self._columns))
@@ -112,7 +114,9 @@ class Exchanged:
         return found.swapaxes(1, 2).reshape(len(x), len(self.rows))
 
     def solve(self, r: np.ndarray, result: np.ndarray) -> None:
-        """Put into ``result``, increments by transport alone, those of the components, of rows r."""
+        """Solve for the exchanged components from rows r, and put them into ``result``.
+
+        ``result`` has the increments of the other components, by transport alone."""
         result[:, self.rows] = 0.0
         rest = r[:, self.rows] - self(result)
         for n, (i, solver) in enumerate(zip(self.rows, self._solvers, strict=True)):
@@ -130,9 +134,10 @@ class TransportSweeps:
         self._tests = np.ascontiguousarray((op.weights.reshape(self._shape) * op.z.blocks).transpose(0, 2, 1))
         self._mass = np.matmul(self._tests, op.z.blocks)
         self._flat: np.ndarray | None = None
-        """Functions of a cell at its sides' points, without their slopes, as they flow in through walls."""
+        """A cell's basis functions at its sides' points without their slopes, as values flow in through
+        walls."""
         self._whole: Direct | None = None
-        """A direct solver for z, where it diffuses."""
+        """A direct solver for the components of z that diffuse."""
         if residual.diffusion is not None:
             self._laplacian = residual.diffusion.laplacian(residual.inverse_mass)
             self._unknowns = residual.diffusion.unknowns
@@ -143,7 +148,7 @@ class TransportSweeps:
             self.exchange = Exchanged(FacetTangent(residual, terms, rows, self.coupling))
         self.of_rho: SweptMatrix | None = None
         self._density: Direct | None = None
-        """A direct solver of a density equation that is not linear, in place of ``of_rho``."""
+        """A direct solver of a nonlinear density equation, used instead of ``of_rho``."""
         if residual.density is not None:
             u = residual.unknowns
             shared = residual.exchange.part(np.arange(u.size)[u.density_slice])
@@ -189,7 +194,7 @@ class TransportSweeps:
         return result
 
     def _without_slopes(self, at: Evaluation) -> np.ndarray:
-        """Functions of a cell at its sides' points, those of its middle."""
+        """A cell's basis functions, evaluated in the cell's middle, at its sides' points."""
         reach = at.facets.context.reach
         if self._flat is None:
             self._flat = flat = self.residual.side_op.z.blocks.copy()
@@ -202,12 +207,13 @@ class TransportSweeps:
         return self._flat
 
     def _count_sweeps(self) -> None:
-        """How many sweeps the present transport takes, by what they leave of a field drawn at random."""
+        """Set the number of sweeps for the present transport, from the error that they leave of a random
+        field."""
         count, q = self._mass.shape[:2]
         x = np.random.default_rng(0).standard_normal((count, q, 1)).astype(precision.SINGLE)
         norm = self.residual.ranks.norm
         size, number = SHARE * norm(x.ravel()), 0
-        # the error of n sweeps is the n-th power of what carries from cell to cell
+        # the error after n sweeps is the n-th power of the map from neighbours' values to a cell's values
         while number < MOST and (number < LEAST or norm(x.ravel()) > size):
             x = self.of_z.carried(x)
             number += 1
@@ -220,12 +226,12 @@ class TransportSweeps:
         return np.matmul(self._tests, along)
 
     def linearise(self) -> None:
-        """Let a density equation that is not linear follow the present state."""
+        """Factorise a nonlinear density equation at the present state."""
         if self._density is not None and self.residual.density is not None:
             self._density.factorise(self.residual.density.jacobian())
 
     def fields(self, r: np.ndarray) -> np.ndarray:
-        """Increments of z before rates and creep, of rows r: both (cells' unknowns, n)."""
+        """Increments of z by transport, without rates and creep, from rows r, both (cells' unknowns, n)."""
         result = self.of_z.swept(r, self.sweeps)
         if self._whole is not None and self.residual.diffusion is not None:
             for i in np.flatnonzero(self.residual.diffusion.strains):
@@ -239,14 +245,15 @@ class TransportSweeps:
         return self.of_z.swept(rows, 1)
 
     def density(self, r: np.ndarray) -> np.ndarray:
-        """Increments of the density's unknowns, of rows (unknowns,), or of (cells' unknowns, .) by sweeps."""
+        """Increments of the density's unknowns from rows (unknowns,); sweeps also take (cells' unknowns,
+        .)."""
         if self._density is not None:
             return self._density(r)
         assert self.of_rho is not None
         return self.of_rho.swept(r, self.sweeps)
 
     def rows(self, x: np.ndarray) -> np.ndarray:
-        """T x, of coefficients x of the fields: both (cells' unknowns, n)."""
+        """T x for coefficients x of the fields, both (cells' unknowns, n)."""
         rows = self.of_z(x)
         if self.residual.diffusion is not None:
             strains = self.residual.diffusion.strains
@@ -258,5 +265,5 @@ class TransportSweeps:
 
 
 def _solved(solver: Direct, unknowns: HaloUnknowns, rows: np.ndarray) -> np.ndarray:
-    """Solve by a factorisation over ranks for rows of this rank's cells."""
+    """Solve, by a factorisation over all ranks, for rows of this rank's cells."""
     return solver(unknowns.of_cells_alone(rows))[: unknowns.of_cells]
