@@ -1,22 +1,22 @@
 """Bodies at one point in equilibrium of pressure, and of temperature where they have heat.
 
-Bodies with the amounts n_i share what there is of y, the volume J and with heat the entropy S, so that their
-energy is least,
+Bodies with the amounts n_i share the volume J and, with heat, the entropy S so that their energy is least.
+With y_i = J_i or (J_i, S_i),
 
     W(n, c) = min over y_i with sum n_i y_i = c of  sum n_i psi_i(y_i),      c = 1, or (1, s):
 
-psi_i'(y_i) is one multiplier m for all, -p or (-p, theta).  W is jointly convex, as a least value of a sum of
-perspectives.  By the envelope theorem dW/dn_i = psi_i - m . y_i and dW/dc = m, and from
-Q dm = dc - sum y_i dn_i, Q = sum n_i psi_i''^-1, its second derivative is a_k . Q^-1 a_l with a_i = -y_i and
-the unit vectors of c.
+All psi_i'(y_i) equal one multiplier m = -p or (-p, theta).  W is jointly convex, as the minimum of a sum of
+perspectives.  By the envelope theorem dW/dn_i = psi_i - m . y_i and dW/dc = m.  From Q dm = dc - sum y_i
+dn_i, Q = sum n_i psi_i''^-1, its second derivative is a_k . Q^-1 a_l, where a is -y_i for n_i and a unit
+vector for a component of c.
 
-Bodies with heat have psi_i = U_i(J) + u_i(S, J) (``Thermal``) and share the entropy s per actual volume:
-dW/ds is the one temperature.  S_i = c_i (ln(theta/theta_R,i) + g_i(J_i)), so that at known volumes
+Bodies with heat have psi_i = U_i(J) + u_i(S, J) (``Thermal``) and share the entropy s per actual volume;
+dW/ds is their common temperature.  S_i = c_i (ln(theta/theta_R,i) + g_i(J_i)), so that at known volumes
 
     ln theta = (s + sum n_i c_i (ln theta_R,i - g_i(J_i)))/sum n_i c_i.
 
-Where all thermal pressures are one function of (J, theta), and all U_i' one of J, all J_i are 1/N and W has
-an expression.
+Where all bodies have the same thermal pressure as a function of (J, theta) and the same U_i'(J), all J_i are
+1/N and W has an expression.
 """
 
 from __future__ import annotations
@@ -33,24 +33,24 @@ from ngvisco.physics.materials.thermal import Entropy, Thermal
 
 _ITERATIONS = 100
 _CONVERGED = 1e-7
-"""Increment, over J_i and psi_S/psi_SS, at which one more step of Newton's, with its square, is the last."""
+"""Newton increment, over J_i and psi_S/psi_SS, below which the iteration ends: the error is its square."""
 _LEAST = 0.2
-"""The least share of J_i that a step leaves."""
+"""The factor by which a step reduces J_i at most."""
 
 _FLAT = 1e-3
-"""The least J_i: a body whose energy is finite at J = 0 gives way to the pressure of another no further."""
+"""The least J_i: a body whose energy is finite at J = 0 is compressed no further by the others."""
 
 Energies = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, ...]]
-"""psi, (points, bodies), and psi', psi'' of values y, (points, bodies, size), at points of these numbers."""
+"""Function of y, (points, bodies, size), and the points' numbers: psi, (points, bodies), psi' and psi''."""
 
 
 def equilibrium(
     energies: Energies, n: np.ndarray, total: np.ndarray, start: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """W, its slope and second derivative by amounts and, of c, what is no volume; NaN where there is none.
+    """W, its slope and second derivative by n_i and, with heat, s; NaN at points without an equilibrium.
 
-    Newton's method for y_i and m from ``start``, (points, bodies, size), where that is finite; n is (points,
-    bodies), ``total``, (points, size), is c.
+    Newton's method finds y_i and m from ``start``, (points, bodies, size), at points where this is finite; n
+    is (points, bodies), and ``total``, (points, size), is c.
     """
     y, shape = start.copy(), (*start.shape, start.shape[2])
     psi, slope, m = np.full(n.shape, np.nan), np.full(y.shape, np.nan), np.full(total.shape, np.nan)
@@ -71,7 +71,7 @@ def equilibrium(
             dm = _times(_inverse(_sum(np.maximum(amounts, 0.0), inverse)), missing)
             step, sizes = _times(inverse, rest + dm[:, None]), at.copy()
             curvatures = np.diagonal(second[active], axis1=2, axis2=3)
-            sizes[..., 1:] = (slope[active] / curvatures)[..., 1:]  # psi_S = theta goes as exp(S/c)
+            sizes[..., 1:] = (slope[active] / curvatures)[..., 1:]  # psi_S = theta is like exp(S/c)
             lowest = np.maximum(_LEAST * at[..., 0], _FLAT) - at[..., 0]
             length = np.where(step[..., 0] < lowest, lowest / step[..., 0], 1.0).min(axis=1)
             length = np.minimum(length, (sizes / abs(step))[..., 1:].min(axis=(1, 2), initial=1.0))
@@ -89,7 +89,7 @@ def equilibrium(
 
 
 def _compliance(y: np.ndarray, excess: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """psi''^-1; without the volume of a body that is at its least and pressed, psi_J > m."""
+    """The inverses psi''^-1, with zeros for the volume of a body that is held at its least, psi_J > m."""
     found = _inverse(second)
     held = (y[..., 0] <= _FLAT) & (excess[..., 0] > 0)
     found[held, 0], found[held, :, 0] = 0.0, 0.0
@@ -98,7 +98,7 @@ def _compliance(y: np.ndarray, excess: np.ndarray, second: np.ndarray) -> np.nda
 
 
 def _inverse(A: np.ndarray) -> np.ndarray:
-    """Inverses of symmetric matrices of one row or two, (..., size, size)."""
+    """Inverses of symmetric 1x1 or 2x2 matrices, (..., size, size)."""
     if A.shape[-1] == 1:
         return 1 / A
     adjoint = A[..., ::-1, ::-1] * np.array([[1, -1], [-1, 1]])
@@ -106,7 +106,7 @@ def _inverse(A: np.ndarray) -> np.ndarray:
 
 
 def _sum(n: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """sum n_i values_i of (points, bodies, ...)."""
+    """The sums of n_i values_i over the bodies; ``values`` are (points, bodies, ...)."""
     return np.einsum("pb,pb...->p...", n, values)
 
 
@@ -115,49 +115,49 @@ def _times(A: np.ndarray, x: np.ndarray) -> np.ndarray:
 
 
 _SAME = 1e-9
-"""Relative difference of thermal pressures that are one function."""
+"""Relative difference below which two thermal pressures count as one function."""
 
 
 @dataclass(frozen=True)
 class MixedHeat:
-    """The thermal energies of bodies."""
+    """Thermal energies of bodies at one temperature."""
 
     parts: Mapping[str, Thermal]
-    """The materials of the bodies by name, which all count their entropies in one unit."""
+    """Materials by the bodies' names, all with the same unit of entropy."""
 
     @property
     def entropy(self) -> Entropy:
-        """The carried one."""
+        """The carried entropy, a variable."""
         return next(iter(self.parts.values())).entropy
 
     @cached_property
     def has_one_pressure(self) -> bool:
-        """Whether the thermal pressure is one function of J and theta."""
+        """Whether all bodies have the same thermal pressure as a function of J and theta."""
         J, theta = np.meshgrid([0.5, 1.0, 2.0], [1.0, 300.0])
         first, *others = (each.pressure(theta, J) for each in self.parts.values())
         return all(abs(other - first).max() <= _SAME * abs(first).max() for other in others)
 
     @property
     def reference_temperature(self) -> float | None:
-        """theta_R, K, where it is that of all."""
+        """The theta_R, K, that all bodies have; None if they differ."""
         found = {each.theta_R for each in self.parts.values()}
         return found.pop() if len(found) == 1 else None
 
     def capacity(self, n: Mapping[str, Any]) -> Any:
-        """sum n_i c_i, J/(m^3 K)."""
+        """The heat capacity sum n_i c_i, J/(m^3 K)."""
         return reduce(add, (each.c * n[name] for name, each in self.parts.items()))
 
     def total(self, n: Mapping[str, Any], log_theta: Any, J: Any) -> Any:
-        """The carried entropy where all bodies have the volume J and a temperature, by its logarithm."""
+        """The carried entropy where all bodies have the volume J and the temperature exp(``log_theta``)."""
         parts = (n[name] * each.entropy_of(log_theta, J) for name, each in self.parts.items())
         return 1 / self.entropy.unit * reduce(add, parts)
 
     def entropies(self, n: Mapping[str, Any], s: Any, J: Any) -> dict[str, Any]:
-        """S_i in the carried one's unit, by name, of which s is the sum where all have the volume J."""
+        """S_i by the bodies' names, in the unit of s = sum n_i S_i, where all bodies have the volume J."""
         unit = self.entropy.unit
         log_theta = unit / self.capacity(n) * (s - self.total(n, 0.0, J))
         return {name: 1 / unit * each.entropy_of(log_theta, J) for name, each in self.parts.items()}
 
     def energy(self, body: str, S: Any, J: Any) -> Any:
-        """u_i(S, J) of a body, Pa."""
+        """The thermal energy u_i(S, J) of a body, Pa."""
         return J * self.parts[body].of_heat({"A": 1 / J, "s": S / J})

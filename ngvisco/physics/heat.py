@@ -1,8 +1,8 @@
-"""Heat of a body: how it is conducted, what is exchanged through walls, and what produces it.
+"""Heat of a body: conduction, exchange through walls, and sources.
 
-A material with a temperature (``ngvisco.physics.materials.thermal``) is heated by all that its mechanisms
-dissipate.  ``Heat`` is what a model says besides, and ``WallHeat`` what a wall does; without them nothing is
-conducted, and walls are insulated.
+A material with a temperature (``ngvisco.physics.materials.thermal``) is heated by the dissipation of all its
+mechanisms.  ``Heat`` adds conduction and sources, ``WallHeat`` the exchange through a wall; without them
+nothing is conducted and walls are insulated.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -27,24 +27,23 @@ Conductivity: TypeAlias = float | Callable[[Any], Any] | Sequence[Sequence[float
 
 @dataclass(frozen=True, kw_only=True)
 class WallHeat:
-    """Heat that comes in through a wall: flux + coefficient (temperature - theta) (Robin, Newton's cooling),
-    less what friction on it leaves to the wall.
+    """The heat flux into the body through a wall: flux + coefficient (temperature - theta) (Robin, Newton's
+    cooling), and the share of the wall's friction heat that the body gets.
 
     A large coefficient holds the wall at the temperature.  A wall without it is insulated.  Raises
     ParameterError if a parameter is out of its range, one of temperature and coefficient is given without the
-    other, or nothing is.
+    other, or no parameter is given.
 
     Parameters
     ----------
     temperature : float, optional
-        That of the surroundings, with a coefficient; a function of the place and the run's time.
+        Temperature of the surroundings, with a coefficient; a function of the place and the run's time.
     coefficient : float, optional
         Heat transfer coefficient; a function of the place and the run's time.
     flux : float, optional
-        Heat that comes in besides, whatever the temperature; a function of the place and the run's time.
+        Further flux inwards, independent of the temperature; a function of the place and the run's time.
     friction_share : float
-        Share of what friction on the wall dissipates that heats the body, default all; the rest goes into the
-        wall.
+        Share of the wall's friction heat that heats the body, default all; the rest goes into the wall.
     """
 
     temperature: Annotated[Function | None, Quantity("K", "> 0", 300.0)] = None
@@ -65,7 +64,7 @@ class WallHeat:
 
 @dataclass(frozen=True, kw_only=True)
 class Heat:
-    """Sources of a body's heat besides its own dissipation, and its conduction.
+    """Conduction of heat in a body, and sources besides its dissipation.
 
     Raises ParameterError if a parameter is out of its range.
 
@@ -76,10 +75,10 @@ class Heat:
         of the temperature, theta -> kappa, written with the functions of ``ngvisco.physics.tensors``; in case
         files an expression of theta.
     source : float, optional
-        Heat that is produced; a function of the place and the run's time.
+        Rate of heat production; a function of the place and the run's time.
     numerical_heating : bool
-        Whether what the time scheme dissipates is heat too, so that the total energy is kept to rounding; of
-        the backward Euler scheme only.
+        Whether the dissipation of the time scheme heats the body too, so that the total energy is kept to
+        rounding; with the backward Euler scheme only.
     """
 
     conductivity: Annotated[Conductivity, Quantity("W/(m K)", example="0.5*(theta/300)**0.7")] = 0.0
@@ -104,11 +103,11 @@ class Heat:
 
     @property
     def conducts(self) -> bool:
-        """Whether heat is conducted at all."""
+        """Whether any heat is conducted."""
         return callable(self.conductivity) or bool(np.any(np.asarray(self.conductivity)))
 
     def size(self, theta: CoefficientFunction) -> Any:
-        """kappa, of a matrix its largest eigenvalue, W/(m K)."""
+        """The conductivity kappa, or its largest eigenvalue for a matrix, W/(m K)."""
         if callable(self.conductivity):
             return self.conductivity(theta)
         if isinstance(self.conductivity, tuple):
@@ -116,14 +115,14 @@ class Heat:
         return self.conductivity
 
     def flux(self, theta: CoefficientFunction, slope: CoefficientFunction, dim: int) -> CoefficientFunction:
-        """kappa grad theta, W/m^2."""
+        """The heat flux kappa grad theta, W/m^2."""
         if isinstance(self.conductivity, tuple):
             return linear_map(np.array(self.conductivity)[:dim, :dim], slope, (dim,))
         return self.size(theta) * slope
 
 
 def _matrix(owner: str, given: object) -> tuple[tuple[float, ...], ...]:
-    """A conductivity that is no number and no function, as rows."""
+    """The rows of a conductivity matrix; raises ParameterError for any other value."""
     try:
         matrix = np.array(given, dtype=float)
     except (TypeError, ValueError):
@@ -141,22 +140,22 @@ def _matrix(owner: str, given: object) -> tuple[tuple[float, ...], ...]:
 
 
 _TEMPERATURES = 10.0 ** np.arange(-3, 5)
-"""K, at which a conductivity is looked at."""
+"""Temperatures, K, at which a conductivity function is checked."""
 
 
 @dataclass(frozen=True)
 class HeatLaw:
-    """The law of heat of a model and, by its fraction, of each body: kappa = kappa_0 + sum theta_i
-    kappa_i."""
+    """The conduction and sources of a model and of its bodies by their fractions: kappa = kappa_0 + sum
+    theta_i kappa_i."""
 
     parts: Mapping[str | None, Heat]
     """Laws by the bodies' names; the key is None for all matter."""
     fractions: Any = None
-    """``ngvisco.physics.bodies.Fractions`` of bodies."""
+    """Volume fractions of the bodies, ``ngvisco.physics.bodies.Fractions``; None without bodies."""
 
     @property
     def conducts(self) -> bool:
-        """Whether heat is conducted at all."""
+        """Whether any heat is conducted."""
         return any(law.conducts for law in self.parts.values())
 
     @property
@@ -165,19 +164,19 @@ class HeatLaw:
 
     @property
     def sources(self) -> list[tuple[str | None, Function]]:
-        """Heat that is produced, W/m^3, and by which body; None for all."""
+        """Pairs of a body's name, None for all matter, and its rate of heat production, W/m^3."""
         return [(name, law.source) for name, law in self.parts.items() if law.source is not None]
 
     def share(self, body: str | None, z: Values) -> Any:
-        """How much of a point with the values ``z`` is a body's."""
+        """The fraction of a body at a point with the values ``z``; 1 without a name."""
         return 1.0 if body is None else self.fractions.not_negative(z)[body]
 
     def size(self, theta: Any, z: Values) -> Any:
-        """kappa, of a matrix its largest eigenvalue, W/(m K)."""
+        """The conductivity kappa, or its largest eigenvalue for a matrix, W/(m K)."""
         return self._sum(z, lambda law: law.size(theta))
 
     def flux(self, theta: Any, slope: Any, z: Values, dim: int) -> Any:
-        """kappa grad theta, W/m^2."""
+        """The heat flux kappa grad theta, W/m^2."""
         return self._sum(z, lambda law: law.flux(theta, slope, dim))
 
     def _sum(self, z: Values, of: Callable[[Heat], Any]) -> Any:

@@ -1,4 +1,4 @@
-"""Loads on the matter: gravity and forces per volume, and what vectors and tensors users may give."""
+"""Loads on the matter, gravity and forces per volume; conversion of users' vectors and tensors."""
 
 import re
 from collections.abc import Sequence
@@ -30,7 +30,7 @@ class Gravity:
     g : sequence of numbers or coefficient functions, or a vector coefficient function
         Acceleration, a component for each dimension; a function of x and of the run's time.
     name : str
-        The ledger's column of its power is power_<name>.
+        The load's power is the ledger's column power_<name>.
     """
 
     g: Annotated[VectorLike, Quantity("m/s^2", example=[0.0, -9.81])]
@@ -68,8 +68,8 @@ class CentralGravity:
     radius : float
         Radius at which the strength holds.
     exponent : float
-        The acceleration goes like r^exponent: 0 is constant (a mantle), 1 that inside a homogeneous ball, -2
-        that outside (-1 in 2D); below 1 the centre must not be in the domain.
+        The acceleration is proportional to r^exponent: 0 for a constant (a mantle), 1 for the inside of a
+        homogeneous ball, -2 for its outside (-1 in 2D); below 1 the centre must not be in the domain.
     name
         As for ``Gravity``.
     """
@@ -99,7 +99,7 @@ Load = Gravity | CentralGravity | BodyForce
 
 
 _NAME = re.compile(r"(?!traction_|wall_)[A-Za-z][A-Za-z0-9_]*")
-"""Names of loads: power_<name> is a column's name, and those of walls are power_traction_<wall> and so on."""
+"""Pattern of loads' names: power_<name> is a column, and walls have columns such as power_traction_<wall>."""
 
 
 def check_name(load: Load) -> None:
@@ -109,11 +109,11 @@ def check_name(load: Load) -> None:
 
 
 def as_vector(value: VectorLike, dim: int, field_name: str) -> CoefficientFunction:
-    """A vector coefficient function of length ``dim``, or ParameterError naming the field."""
+    """A vector coefficient function of length ``dim``; raises ParameterError with the field's name."""
     if isinstance(value, CoefficientFunction):
         vector = value
     else:
-        # also a row or a column of NumPy, (1, n) or (n, 1)
+        # a NumPy array may be a row, (1, n), or a column, (n, 1)
         is_matrix = isinstance(value, np.ndarray) and value.ndim == 2 and 1 in value.shape
         try:
             parts: tuple[Any, ...] = tuple(np.ravel(value) if is_matrix else value)
@@ -139,7 +139,7 @@ def force_of(load: Load, dim: int) -> CoefficientFunction:
 
 
 def as_tensor(value: object, shape: tuple[int, int]) -> CoefficientFunction | None:
-    """An array, or rows of numbers and coefficient functions, as a tensor; None if it is none."""
+    """The tensor of an array, or of rows of numbers and coefficient functions; None for another value."""
     entries: list[Any] = []
     try:
         for row in np.asarray(value) if isinstance(value, np.ndarray) else value:  # type: ignore[attr-defined]

@@ -1,7 +1,7 @@
 """Materials: a list of transported variables and a stored energy; all stresses are derived.
 
-For a material with variables z_i and stored energy phi(z) per actual volume (Pa = J/m^3), the rest
-follows from the energy balance and is never written by hand:
+For a material with variables z_i and stored energy phi(z) per actual volume (Pa = J/m^3), the energy balance
+gives all other quantities, and none is written by hand:
 
 * conjugates        zeta_i = d phi / d z_i
 * Cauchy stress     T : A = sum_i zeta_i : rate_i(z; A, 0) + phi tr A     for all A
@@ -46,18 +46,18 @@ from ngvisco.physics.variables import Values, Variable
 
 
 class StateSpace:
-    """The space that a material's state lives in: all components of its variables, side by side.
+    """The space of a material's states: all components of its variables, side by side.
 
     Attributes
     ----------
     size : int
         Number of components N of a state.
     slices, spaces : dict
-        Where every variable's components stand, and the space that its tensors are in, by its name.
+        Range of every variable's components in a state, and space of its tensors, by its name.
     strains, by_flux : (size,) arrays of bool
-        Which components are strains, no parameters; and which are densities, transported by their flux.
+        Masks of the components of strains (no parameters), and of densities transported by their flux.
     densities : (size,) array
-        rho is their sum times the components, kg/m^3, where amounts of matter are among these; else 0.
+        Mass per unit of each component: rho = sum densities_i z_i, kg/m^3; 0 if z_i is no amount of matter.
     """
 
     def __init__(self, variables: tuple[Variable, ...], dim: int) -> None:
@@ -75,7 +75,7 @@ class StateSpace:
     @staticmethod
     @cache
     def of(variables: tuple[Variable, ...], dim: int) -> StateSpace:
-        """The one of these variables."""
+        """The space of these variables, made once."""
         return StateSpace(variables, dim)
 
     def tensor(self, name: str, components: Tensor) -> Tensor:
@@ -89,15 +89,15 @@ class StateSpace:
         return linear_map(matrix, components, (3, 3))
 
     def tensors(self, components: Callable[[], Tensor]) -> Values:
-        """All values by name, each made where it is first asked for."""
+        """All values by name; each is made at its first access."""
         return _Tensors(self, components)
 
     def density(self, components: Tensor, size: int = 1) -> Tensor:
-        """sum rho_i n_i of components, or of (components, ``size``) entries, a vector of ``size``."""
+        """The density sum rho_i n_i of components; ``size`` densities of (components, ``size``) entries."""
         return linear_map(np.kron(self.densities, np.eye(size)), components, (size,))
 
     def components(self, values: Values) -> Tensor:
-        """All components of values by name, by orthogonal projection."""
+        """The components of values by name, by orthogonal projection."""
         total = None
         for name, space in self.spaces.items():
             matrix = np.zeros((self.size, len(space.columns)))
@@ -109,7 +109,7 @@ class StateSpace:
 
 
 class _Tensors(Mapping[str, Tensor]):
-    """Values by name that are made of the components where they are asked for."""
+    """Values by name; each is made of the components at its first access."""
 
     def __init__(self, space: StateSpace, components: Callable[[], Tensor]) -> None:
         self._space, self._components = space, components
@@ -139,7 +139,7 @@ class Material(ABC):
     """
 
     energy_parameter = "energy"
-    """The parameter that the energy is given by, for messages."""
+    """Name, for messages, of the parameter that gives the energy."""
 
     def __post_init__(self) -> None:
         require_fields(self)
@@ -154,22 +154,22 @@ class Material(ABC):
         """Stored energy per actual volume, Pa, from the variables' values by name."""
 
     def with_elastic_state(self, state: ElasticState) -> Material:
-        """This material by F or by B = F F^T where it has the choice and left it open; else itself."""
+        """The material by F or by B = F F^T, as ``state`` says; itself if it is fixed already."""
         return self
 
     @property
     def conformation(self) -> str | None:
-        """The variable that is a conformation tensor: its conjugate vanishes at rest, z = I.  Or None."""
+        """Name of the conformation tensor, whose conjugate vanishes at rest, z = I; None without one."""
         return None
 
     def conformation_of(self, branch: str) -> str | None:
-        """The conformation tensor's name in a branch, by the branch's name, of a material with branches
+        """Name of the conformation tensor of a branch, by the branch's name, in a material with branches
         (``Network``)."""
         return self.conformation
 
     @property
     def distortions(self) -> dict[str, tuple[str, ...]]:
-        """Names of the tensors of each distortion that there is, by that of its branch; "" of one without.
+        """Names of the tensors of each elastic distortion, by the branch's name; "" without branches.
 
         The tensors of one distortion have one creep rate.
         """
@@ -177,33 +177,33 @@ class Material(ABC):
 
     @property
     def referential_density(self) -> Modulus | None:
-        """rho_R, kg/m^3, where the energy depends on rho = rho_R/J; None (the rule) where it does not.
+        """The density rho_R, kg/m^3, of an energy that depends on rho = rho_R/J; None (the rule) for others.
 
-        The initial density and the initial J then belong together.
+        With rho_R the initial density and the initial J determine one another.
         """
         return None
 
     @property
     def continued(self) -> frozenset[str]:
-        """Names of variables whose bounds (``Variable.positive``) do not bind: the energy goes on beyond.
+        """Names of variables whose bounds (``Variable.positive``) do not bind, as the energy is continued.
 
-        So it is by a Yosida approximation or J_min.  An energy that happens to have values there, such as
-        (J - 1)^2, is not continued: J <= 0 means interpenetration.
+        A Yosida approximation and J_min continue it.  An energy that merely has values there, such as (J -
+        1)^2, is not continued: J <= 0 means interpenetration.
         """
         return frozenset()
 
     def domain(self, z: Values) -> Values:
-        """Scalars that are > 0 where the energy has a value, by what they are; none (the rule) beyond those
-        of the variables.
+        """Scalars that must be > 0 for the energy to have a value, by their names in messages; none (the
+        rule) beyond the variables' bounds.
 
-        The set where all are positive is convex, as where each is concave in z: between a state in it and the
-        mean of a cell, which is in it too, there are states of it alone.
+        The set of states where all are positive is convex, for example if each scalar is concave in z: all
+        states between a state of the set and a cell's mean in the set are in it too.
         """
         return {}
 
     def positive(self, z: Values) -> dict[str, Values]:
-        """Functions of a state that must be > 0: of each variable that is not ``continued``, by its name; of
-        several variables together, by "".
+        """Functions of a state that must be > 0: those of each variable that is not ``continued`` by its
+        name, those of several variables together by "".
         """
         kept = (v for v in self.variables if v.name not in self.continued)
         found = {v.name: v.positive(z[v.name]) for v in kept}
@@ -212,27 +212,27 @@ class Material(ABC):
 
     @property
     def where_means_do(self) -> frozenset[str]:
-        """Names of bounds that bind at the points of cells whose means keep them, and nowhere else."""
+        """Names of bounds that bind only in cells whose means satisfy them."""
         return frozenset()
 
     def at_rest(self, z: Values) -> Values:
-        """The state of F = I with what is no strain of ``z``."""
+        """The state of F = I, with the parameters and concentrations of ``z``."""
         return {v.name: v.from_distortion(IDENTITY) if v.is_strain else z[v.name] for v in self.variables}
 
     @property
     def lagged(self) -> frozenset[str]:
-        """Names of variables that the conjugates of the others see at their values of a step's start.
+        """Names of variables that enter the others' conjugates by their values at a step's start.
 
-        An energy that is convex in these and in the others, but not jointly, so has a Bregman distance >= 0.
+        An energy convex in these and in the others, but not jointly, then has a Bregman distance >= 0.
         """
         return frozenset()
 
     def taking_part(self, z: Values) -> Values:
-        """How far variables are stretched by the flow and creep, in [0, 1], by name; wholly if not named."""
+        """Factors in [0, 1] of sym L and Pi in rates, by the variables' names; 1 if not named."""
         return {}
 
     def rate(self, variable: Variable, z: Values, L: Tensor, Pi: Tensor) -> Tensor:
-        """rate(z; L, Pi) of a variable, without -(tr L) z of a density, which is within its flux."""
+        """rate(z; L, Pi) of a variable; without the part -(tr L) z of a density, which its flux has."""
         share = self.taking_part(z).get(variable.name)
         if share is not None:
             L, Pi = skw(L) + share * sym(L), share * Pi
@@ -240,16 +240,16 @@ class Material(ABC):
         return found + tr(L) * z[variable.name] if variable.by_flux else found
 
     def states(self, dim: int) -> StateSpace:
-        """The space of the states, all components of the variables side by side, on meshes of ``dim``."""
+        """The space of the states on meshes of dimension ``dim``."""
         return StateSpace.of(tuple(self.variables), dim)
 
     def response(self, dim: int) -> Respond | None:
-        """None where ``energy`` is an expression (the rule); otherwise what replaces it, at points."""
+        """The response at points if ``energy`` has no expression; None (the rule) if it has one."""
         return None
 
 
 def check_material(material: Material) -> None:
-    """Raise ParameterError when a material's list of variables does not make sense."""
+    """Raise ParameterError if a material's list of variables makes no sense, with what would be right."""
     field = f"{type(material).__name__}.variables"
     for variable in material.variables:
         if not isinstance(variable, Variable):
@@ -277,26 +277,26 @@ M = TypeVar("M", bound=Material)
 
 
 def part_of(material: object, kind: type[M]) -> M | None:
-    """The material of a kind that a material is, or that it holds; None without one."""
+    """The material of class ``kind`` among a material and the materials that it wraps; None without one."""
     while isinstance(material, Material) and not isinstance(material, kind):
         material = getattr(material, "material", None)
     return material if isinstance(material, kind) else None
 
 
 def conjugates(material: Material, z: Values) -> dict[str, Tensor]:
-    """zeta_i = d phi / d z_i as coefficient functions of the values ``z`` (same shapes as z)."""
+    """The conjugates zeta_i = d phi / d z_i as coefficient functions of the values ``z``, in their shapes."""
     variables = {name: value.MakeVariable() for name, value in z.items()}
     phi = material.energy(variables)
     return {name: phi.Diff(variable) for name, variable in variables.items()}
 
 
 def conjugates_along(phi: Tensor, variables: Values, along: Values) -> dict[str, Tensor]:
-    """phi''(z) times ``along``, values of some variables by name, as coefficient functions by name.
+    """The products phi''(z) ``along`` by name, for a direction ``along`` of some variables by name.
 
-    It is the gradient of a derivative in a direction.  NGSolve 6.2.2608 gives the derivative of a gradient
-    wrongly where phi has a cofactor, the trace of a product or a scalar times a tensor.
+    The product is the gradient of a directional derivative, since NGSolve 6.2.2608 differentiates a gradient
+    wrongly if phi has a cofactor, the trace of a product or a scalar times a tensor.
 
-    ``variables`` are the ones that ``phi`` is a function of, made by ``MakeVariable``.
+    ``variables`` are the arguments of ``phi``, made by ``MakeVariable``.
     """
     change = reduce(add, (phi.Diff(variables[name], direction) for name, direction in along.items()))
     return {name: change.Diff(variable) for name, variable in variables.items()}
@@ -305,8 +305,8 @@ def conjugates_along(phi: Tensor, variables: Values, along: Values) -> dict[str,
 def rate_power(
     material: Material, z: Values, zeta: Values, L: Tensor, Pi: Tensor, names: Sequence[str] | None = None
 ) -> Tensor:
-    """sum_i zeta_i : rate_i(z; L, Pi): power per volume of the conjugates, where given of ``names`` alone,
-    Pa/s."""
+    """The power sum_i zeta_i : rate_i(z; L, Pi) per volume, Pa/s, over all variables or over ``names``
+    alone."""
     total = 0.0 * tr(L)
     for v in material.variables:
         if names is not None and v.name not in names:
@@ -321,9 +321,9 @@ def cauchy_stress(
 ) -> Tensor:
     """Cauchy stress T, 3x3, Pa (paper: Cauchy-stress-polyconvex).
 
-    ``zeta`` defaults to the exact conjugates; the discretisation passes its projected ones.
-    ``phi`` defaults to the expression of the energy.
-    The affine part of a rate (eps(v) of E) is linear in L, so T : A = power(A) + phi tr A.
+    ``zeta`` defaults to the exact conjugates; the discretisation passes projected conjugates. ``phi``
+    defaults to the expression of the energy. The affine part of a rate (eps(v) for E) is linear in L, so T :
+    A = power(A) + phi tr A.
     """
     zeta = conjugates(material, z) if zeta is None else zeta
     zero = constant(np.zeros((3, 3)))
@@ -334,8 +334,8 @@ def cauchy_stress(
 
 
 def rest_stress_and_modulus(material: Material) -> tuple[float, float]:
-    """Mean stress and bulk modulus, Pa: (J phi)' and (J phi)'' by J along F = J^{1/3} I at J = 1, where
-    parameters have their typical values."""
+    """Mean stress and bulk modulus at rest, Pa: (J phi)' and (J phi)'' by J along F = J^{1/3} I at J = 1, for
+    the parameters' typical values."""
     J = CF(1.0).MakeVariable()
     typical = substituted(material, lambda expression: expression.typical)
     z = {v.name: v.from_distortion(J ** (1 / 3) * Id(3)) for v in material.variables}
@@ -347,7 +347,7 @@ def rest_stress_and_modulus(material: Material) -> tuple[float, float]:
 def mandel_stress(
     material: Material, z: Values, zeta: Values, dim: int, names: Sequence[str] | None = None
 ) -> Tensor:
-    """Mandel stress M in R^{3x3}_dev, Pa, of the given conjugates and, where given, of ``names`` alone.
+    """Mandel stress M in R^{3x3}_dev, Pa, from the given conjugates of all variables, or of ``names`` alone.
 
     M is minus the derivative of sum_i zeta_i : rate_i(z; 0, Pi) in symmetric trace-free Pi; for F it is
     sym dev(F^T S_F), paper: Mandel-stress-polyconvex.
@@ -366,7 +366,7 @@ def mandel_stress(
 
 
 def volume_ratio(material: Material, z: Values) -> Tensor:
-    """J by the first scalar that has it, otherwise by the first tensor whose determinant depends on it."""
+    """J from the first scalar that determines it, else from the first tensor whose determinant does."""
     variables = sorted(material.variables, key=lambda v: v.kind != "scalar")
     found = (v.volume_ratio(z[v.name]) for v in variables)
     power, exponent = next(ratio for ratio in found if ratio is not None and abs(ratio[1]) > 1e-12)
@@ -375,9 +375,9 @@ def volume_ratio(material: Material, z: Values) -> Tensor:
 
 @dataclass(frozen=True, kw_only=True)
 class Wrapper(Material):
-    """A material of another one: what it does not say otherwise is that one's.
+    """A material that wraps another one and takes over each property that it does not define.
 
-    Raises ParameterError if ``material`` is none, or a parameter is out of its range.
+    Raises ParameterError if ``material`` is no Material, or a parameter is out of its range.
     """
 
     material: Material

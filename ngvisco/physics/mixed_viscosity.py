@@ -1,4 +1,4 @@
-"""The viscosity of bodies that share a point."""
+"""Viscosity of bodies that share a point."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ from ngvisco.physics.variables import INTERFACE, Values
 
 @dataclass(frozen=True, kw_only=True)
 class MixedViscosity(Viscosity):
-    """sum theta_i D_i eps, and across an interface of Stokes fluids their fluidities' mean.
+    """The stress sum theta_i D_i eps; for shear across an interface of Stokes fluids the fluidities' mean.
 
-    In a cell with an interface of the normal n a shear rate across it is that of layers in series: of the
+    In a cell with an interface of normal n, shear across the interface is that of layers in series.  For the
     part
 
         S(eps) = P eps + P eps^T - 2 P eps P,   P = n x n,
 
-    of dev eps the viscosity is H, 1/H = sum theta_i/G_i; of the rest, which both sides share, it is
-    A = sum theta_i G_i.  D = 2 A dev eps - 2 (A - H) S(dev eps) is symmetric, and D : eps >= 0.  n is that of
-    the step's start.  Where a body has no shear viscosity, or one that is not linear, it is A for all.
+    of dev eps the viscosity is H, 1/H = sum theta_i/G_i; for the rest, which both sides share, it is A = sum
+    theta_i G_i.  D = 2 A dev eps - 2 (A - H) S(dev eps) is symmetric, and D : eps >= 0.  n is taken at the
+    step's start.  If a body has no shear viscosity, or a nonlinear one, the viscosity is A for all parts.
     """
 
     parts: tuple[tuple[str, Viscosity], ...]
-    """Names of the bodies that have a viscosity, and these."""
+    """Pairs of a body's name and its viscosity, for the bodies that have one."""
     fractions: Fractions
 
     @property
@@ -40,7 +40,7 @@ class MixedViscosity(Viscosity):
 
     @cached_property
     def in_series(self) -> dict[str, float]:
-        """Shear viscosities, Pa s, typical ones, by the bodies' names where layers of them are in series."""
+        """Typical shear viscosities, Pa s, by the bodies' names, if layers are in series; else empty."""
         stokes = {name: part for name, part in self.parts if isinstance(part, StokesViscosity)}
         found = {name: typical_value(part.G_v) for name, part in stokes.items()}
         all_are = len(found) == len(self.fractions.bodies) > 1 and min(found.values()) > 0
@@ -78,6 +78,6 @@ class MixedViscosity(Viscosity):
 
 
 def mixed_viscosity(bodies: Sequence[Body]) -> Viscosity | None:
-    """The bodies' viscosity in common; None where no body has one."""
+    """The common viscosity of bodies; None if no body has one."""
     parts = tuple((b.name, b.viscosity) for b in bodies if b.viscosity is not None)
     return MixedViscosity(parts=parts, fractions=Fractions(tuple(b.name for b in bodies))) if parts else None

@@ -1,20 +1,20 @@
 """One material of several bodies that share a point.
 
-Body i has an energy psi_i(B, J) = f_i(B) + U_i(J) per reference volume (``ReferenceEnergy``) and carries the
-densities n_i and X_i = n_i B of its own.  With volume fractions alpha_i in equilibrium of pressure
+Body i has an energy psi_i(B, J) = f_i(B) + U_i(J) per reference volume (``ReferenceEnergy``) and carries its
+densities n_i and X_i = n_i B.  With volume fractions alpha_i in equilibrium of pressure
 
     phi(n, X) = min over alpha_i of sum n_i psi_i(X_i/n_i, alpha_i/n_i) = sum n_i f_i(X_i/n_i) + V(n):
 
-n psi(X/n, alpha/n) is the perspective of a convex function, jointly convex, and a least value over alpha of
-such a sum is convex: phi is so in everything that is carried.  V = sum n_i U_i(1/N), N = sum n_j, where all
-U_i' are one function, else ``ngvisco.physics.equilibrium``.  N f(X/n) is linear, C : (X - n I), where f is.
-Any other f is that of n + eta (N - n), X + eta (N - n) I, an affine map that leaves phi convex: a body that
-is absent is a trace of matter at rest.  Hardening adds w phi_h(K/w), w = (n + delta N)/(1 + delta),
-which is n phi_h(k) where there is nothing but the body.  Bodies with heat have one temperature and one
+n psi(X/n, alpha/n) is the perspective of a convex function and jointly convex, and the minimum of such a sum
+over alpha is convex: phi is convex in all carried densities.  V = sum n_i U_i(1/N), N = sum n_j, if all U_i'
+are one function; else ``ngvisco.physics.equilibrium`` gives V.  n f(X/n) is linear, C : (X - n I), if f is
+linear.  Any other f has the arguments n + eta (N - n), X + eta (N - n) I, an affine map that keeps phi
+convex: an absent body is a trace of matter at rest.  Hardening adds w phi_h(K/w), w = (n + delta N)/(1 +
+delta), which is n phi_h(k) where the body fills the point.  Bodies with heat have one temperature and one
 entropy s, and V(n) becomes W(n, s).
 
-Of the flow body i sees W + chi_i D and chi_i Pi_i, 0 <= chi_i <= 1 by its fraction (``taking_part``): where
-there is none of it, or less than none, it is turned and not stretched, and bears no stress.
+Body i flows by the spin W, the strain rate chi_i D and the creep rate chi_i Pi_i, 0 <= chi_i <= 1 by its
+fraction (``taking_part``): where the fraction is <= 0, its tensors turn, do not stretch, and bear no stress.
 """
 
 from __future__ import annotations
@@ -48,39 +48,39 @@ from ngvisco.physics.tensors import IDENTITY, Tensor, identity_like
 from ngvisco.physics.variables import PRESSURE, Jacobian, Values, Variable
 
 _LIGHTEST = "the density, less half of that of the lightest body"
-"""Matter that is lighter than any of its parts is thrown by forces that its parts bear."""
+"""Name of the bound on the density: the parts' forces would throw matter lighter than all of its parts."""
 
 _SAME = 1e-9
-"""Relative difference of volumetric energies that are one function."""
+"""Relative difference below which two volumetric energies count as one function."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Mixture(Material):
-    """The material of bodies; a ``Model`` makes it.
+    """The common material of bodies; ``Model`` makes it.
 
-    Raises ParameterError for two parameters of one name that are not the same, and for materials whose energy
-    is none per reference volume (``ReferenceEnergy``).
+    Raises ParameterError for two different parameters of one name, and for materials without an energy per
+    reference volume (``ReferenceEnergy``).
     """
 
     bodies: tuple[Body, ...]
-    """Parameters that moduli became by themselves have the body's name before theirs."""
+    """The bodies; a parameter made of a modulus has the body's name as a prefix."""
     carried: tuple[Parameter, ...] = ()
     """Parameters of the model's other laws."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "bodies", tuple(_with_own_names(body) for body in self.bodies))
-        _ = self.parameters  # refused where they differ
+        _ = self.parameters  # raises for two parameters of one name
 
     @cached_property
     def energies(self) -> dict[str, ReferenceEnergy]:
-        """psi_i by the bodies' names, without what heat adds to it."""
+        """The energies psi_i by the bodies' names, without their thermal parts."""
         return {b.name: ReferenceEnergy.of(b.material, f"bodies[{b.name!r}].material") for b in self.bodies}
 
     @cached_property
     def heat(self) -> MixedHeat | None:
-        """The bodies' heat; None of such without.
+        """The bodies' thermal energies; None without heat.
 
-        The entropy counts in the first of the units that are given, else in the largest heat capacity.
+        The entropy's unit is the first one given, else the largest heat capacity.
         """
         parts = {b.name: b.material for b in self.bodies if isinstance(b.material, Thermal)}
         if not parts:
@@ -90,11 +90,11 @@ class Mixture(Material):
         return MixedHeat({name: replace(each, entropy_unit=unit) for name, each in parts.items()})
 
     def amounts(self, z: Values) -> dict[str, Any]:
-        """n_i by the bodies' names."""
+        """The amounts n_i by the bodies' names."""
         return {body.name: z[AMOUNT + body.name] for body in self.bodies}
 
     def require(self) -> None:
-        """Raise ParameterError for an energy that is not convex per reference volume."""
+        """Raise ParameterError for an energy not convex per reference volume, or laws that need one U_i."""
         for body in self.bodies:
             psi = self.energies[body.name]
             psi.require()
@@ -111,24 +111,24 @@ class Mixture(Material):
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Parameters of moduli, of the bodies' own variables and of the model's other laws."""
+        """Parameters of moduli, of the bodies' variables and of the model's other laws."""
         own = (v for body in self.bodies for v in body.material.variables if isinstance(v, Parameter))
         return distinct((*parameters_in(self.bodies), *self.carried, *own))
 
     @property
     def fractions(self) -> Fractions:
-        """theta_i of the amounts."""
+        """The volume fractions theta_i, from the amounts."""
         return Fractions(tuple(body.name for body in self.bodies))
 
     def contents(self, body: str) -> tuple[Content, ...]:
-        """X_i of a body, in the order of its energy's tensors."""
+        """The contents X_i of a body, in the order of its energy's tensors."""
         tensors = self.energies[body].tensors
         own = (replace(v, name=f"{v.name}_{body}", exponent=v.exponent - 1) for v in tensors)
         return tuple(Content(v.name, v.kind, v, 1 / len(self.bodies)) for v in own)
 
     @cached_property
     def plastic_contents(self) -> dict[tuple[str, str | None], PlasticContent]:
-        """K_i of what hardens, by the names of its body and of its branch there, None without branches."""
+        """The plastic contents K_i by body and branch; the branch is None in a body without branches."""
         rules = ((body.name, branch, rule) for body in self.bodies for branch, rule in body.rules.items())
         return {
             (name, branch): PlasticContent.of(name if branch is None else f"{branch}_{name}")
@@ -137,7 +137,7 @@ class Mixture(Material):
         }
 
     def contents_of(self, body: str, branch: str | None) -> tuple[str, ...]:
-        """Names of X_i of a branch of a body, None of a body without branches."""
+        """Names of the contents X_i of a body's branch; ``branch`` is None for a body without branches."""
         material = next(each.material for each in self.bodies if each.name == body)
         names = material.distortions[branch or ""]
         return tuple(X.name for X in self.contents(body) if X.tensor.name in {f"{n}_{body}" for n in names})
@@ -148,7 +148,7 @@ class Mixture(Material):
         return {f"{branch} {body}".strip(): self.contents_of(body, branch) for body, branch in owners}
 
     def densities(self, body: str) -> tuple[Variable, ...]:
-        """Densities that a body carries: X_i, n_i, and K_i where it hardens."""
+        """Densities that a body carries: X_i, n_i, and K_i if the body hardens."""
         hardened = {K.name for (owner, _), K in self.plastic_contents.items() if owner == body}
         own = {X.name for X in self.contents(body)} | {AMOUNT + body} | hardened
         return tuple(v for v in self.variables if v.name in own)
@@ -166,13 +166,13 @@ class Mixture(Material):
         return replace(self, bodies=tuple(bodies))
 
     def with_carried(self, parameters: Sequence[Parameter]) -> Mixture:
-        """A mixture with parameters of the model's other laws, as far as it does not have them yet."""
+        """The mixture with those parameters of the model's other laws that it lacks."""
         more = distinct((*self.parameters, *parameters))[len(self.parameters) :]
         return replace(self, carried=(*self.carried, *more)) if more else self
 
     @cached_property
     def has_one_volume(self) -> bool:
-        """Whether U_i' is one function for all bodies, of J alone: V has an expression."""
+        """Whether U_i' is one function of J for all bodies, so that V has an expression."""
         first, *others = self.energies.values()
         if not others:
             return True
@@ -184,19 +184,18 @@ class Mixture(Material):
 
     @cached_property
     def stiffnesses(self) -> dict[str, float]:
-        """U_i'' at rest by the bodies' names, with what heat adds to it, Pa."""
+        """U_i'' at rest with its thermal part, by the bodies' names, Pa."""
         parts = {} if self.heat is None else self.heat.parts
         of_heat = {name: each.stiffness for name, each in parts.items()}
         return {name: psi.stiffness + of_heat.get(name, 0.0) for name, psi in self.energies.items()}
 
     def positive(self, z: Values) -> dict[str, Values]:
-        """Functions of a state that must be > 0: N; sum n_i/U_i'' at rest where these differ, or there is no
-        common pressure; sum n_i c_i; and n_i, but for half of the amount that f_i or phi_h adds to it, where
-        one is not linear or hardens."""
+        """Functions of a state that must be > 0: N; sum n_i/U_i'', for a common pressure, if bodies differ in
+        U_i; sum n_i c_i; n_i plus half of its trace if an f_i is nonlinear or a body hardens."""
         n, total = self.amounts(z), self.fractions.total(z)
 
         def above(share: float, sizes: Sequence[float]) -> Any:
-            """sum of size_i n_i over the least size, less a share of N."""
+            """The sum of size_i n_i over the least size, less ``share`` times N."""
             each = zip(sizes, n.values(), strict=True)
             return reduce(add, ((size / min(sizes) - share) * amount for size, amount in each))
 
@@ -220,7 +219,7 @@ class Mixture(Material):
 
     @cached_property
     def linear(self) -> tuple[str, ...]:
-        """Names of variables that what is of shear is linear in."""
+        """Names of variables in which the energy of shear and hardening is linear."""
         found = list(self.linear_contents)
         if all(psi.is_linear for psi in self.energies.values()) and not self.plastic_contents:
             found += [AMOUNT + body.name for body in self.bodies]
@@ -228,7 +227,7 @@ class Mixture(Material):
 
     @cached_property
     def linear_contents(self) -> dict[str, str]:
-        """X_i of bodies whose energies are linear in it, by name, and the body's."""
+        """Names of the bodies by the names of their X_i, for energies that are linear in X_i."""
         linear = (name for name, psi in self.energies.items() if psi.is_linear)
         return {X.name: name for name in linear for X in self.contents(name)}
 
@@ -239,8 +238,8 @@ class Mixture(Material):
         return {X.name: share for name, share in shares.items() for X in self.contents(name)}
 
     def filled(self, shares: Mapping[str, Any], F: Tensor | Mapping[str, Tensor]) -> dict[str, Any]:
-        """n_i and X_i where bodies take up these shares of the volume, by name, with the distortion F of all,
-        or with those by their names."""
+        """n_i and X_i by name for volume ``shares`` of the bodies and their distortion F: one for all, or F
+        by the bodies' names."""
         of = F if isinstance(F, Mapping) else dict.fromkeys(shares, F)
         found = {AMOUNT + name: share / Det(of[name]) for name, share in shares.items()}
         for name, share in shares.items():
@@ -253,7 +252,7 @@ class Mixture(Material):
         return {**z, **self.filled(self.fractions.at(z), IDENTITY), **hardening}
 
     def shears(self, z: Values) -> dict[str, Any]:
-        """n_i f_i(X_i/n_i) by the bodies' names, with n_i phi_h(K_i/n_i) where they harden, Pa."""
+        """The energies n_i f_i(X_i/n_i), plus n_i phi_h(K_i/n_i) with hardening, by the bodies' names, Pa."""
         total, found = self.fractions.total(z), {}
         own = {v.name: z[v.name] for v in self.parameters}
         for body in self.bodies:
@@ -281,13 +280,13 @@ class Mixture(Material):
         return found
 
     def volumetric(self, body: str, z: Values) -> Any:
-        """U_i(J), with u_i(S, J) of one with heat, Pa per reference volume, of the values J, S and those of
+        """U_i(J), plus u_i(S, J) for a body with heat, Pa per reference volume; ``z`` has J, S and the
         parameters."""
         found = self.energies[body].volumetric(z)
         return found if self.heat is None else found + self.heat.energy(body, z["S"], z["J"])
 
     def volumes(self, z: Values, J: Any) -> dict[str, Any]:
-        """n_i (U_i + u_i) by the bodies' names, Pa, where all have the volume J and one temperature."""
+        """n_i (U_i + u_i) by the bodies' names, Pa, for bodies of one volume J and one temperature."""
         n = self.amounts(z)
         S = {} if self.heat is None else self.heat.entropies(n, z[self.heat.entropy.name], J)
         return {name: n[name] * self.volumetric(name, {**z, "J": J, "S": S.get(name)}) for name in n}
@@ -307,7 +306,7 @@ class Mixture(Material):
 
 @dataclass(frozen=True)
 class _Part(Material):
-    """A part of an energy, as a function of some variables' values."""
+    """A part of an energy as a material: the function ``of`` of the values of ``transported`` variables."""
 
     of: Callable[[Values], Any]
     transported: tuple[Variable, ...]
@@ -321,7 +320,7 @@ class _Part(Material):
 
 
 class _InEquilibrium:
-    """The energy of bodies with different U_i and its derivatives, for arrays of states."""
+    """The response of bodies with different U_i: energy and derivatives for arrays of states."""
 
     def __init__(self, mixture: Mixture, dim: int) -> None:
         def shear(z: Values) -> Any:
@@ -356,7 +355,7 @@ class _InEquilibrium:
         return Response(result.energy + value, result.slope, result.hessian, failure)
 
     def _start(self, n: np.ndarray, total: np.ndarray) -> np.ndarray:
-        """J, and with heat S, of the bodies where all have one volume and temperature; NaN without such."""
+        """J_i, and S_i with heat, for bodies of one volume and one temperature; NaN where none exist."""
         with np.errstate(all="ignore"):
             N = n.sum(axis=1)
             J = np.where(N > 0, 1 / N, np.nan)
@@ -368,7 +367,7 @@ class _InEquilibrium:
             return np.stack([np.stack([J, S[name]], axis=1) for name in amounts], axis=1)
 
     def _failure(self, n: np.ndarray) -> str | None:
-        """The message about amounts without a common pressure; None where there are none."""
+        """The message about points without a common pressure, with the amounts ``n``; None for no points."""
         if not len(n):
             return None
         common = "pressure" if self.heat is None else "pressure and temperature"
@@ -380,7 +379,7 @@ class _InEquilibrium:
 
 
 def _with_own_names(body: Body) -> Body:
-    """The body with parameters that its moduli became by themselves under names with its own."""
+    """The body, with its name as a prefix of the parameters made of its moduli."""
     names = ("material", "viscosity", "creep")
     apart = told_apart(getattr(body, name) for name in names)
     laws = {name: renamed(law, f"{body.name}_") for name, law in zip(names, apart, strict=True)}

@@ -29,31 +29,31 @@ from ngvisco.physics.variables import TEMPERATURE, Values
 
 @dataclass(frozen=True)
 class Flow:
-    """A flow rule, with a creep rate Pi of its own, of the material, a branch or one of several bodies."""
+    """A flow rule with its own creep rate Pi: the material's, a branch's or a body's."""
 
     rule: FlowRule
     names: tuple[str, ...]
-    """Variables whose rates have its Pi."""
+    """Names of the variables whose rates contain this Pi."""
     conformation: str | None = None
-    """The one among them that is a conformation tensor, if there is one."""
+    """Name of the conformation tensor among them; None without one."""
     branch: str | None = None
-    """The branch of a network that flows."""
+    """Name of the network's branch that flows; None without branches."""
     body: str | None = None
     fractions: Fractions | None = None
-    """Volume fractions of the bodies."""
+    """Volume fractions of the bodies; None without bodies."""
 
     def share(self, z: Values) -> Any:
-        """The body's fraction of the point, > 0: its power per volume is that times its own."""
+        """The body's volume fraction at the point, > 0, the weight of the body's power per volume."""
         return 1.0 if self.fractions is None or self.body is None else self.fractions.positive(z, self.body)
 
     @property
     def suffix(self) -> str:
-        """The end of the names of a branch's columns and fields; empty for other flows."""
+        """The suffix of the names of a branch's columns and fields; empty for other flows."""
         return "" if self.branch is None else f"_{self.branch}"
 
     @property
     def plastic_content(self) -> PlasticContent:
-        """The variable that is made by its hardening: K = A k, of a branch its own, or K_i of a body."""
+        """The variable of its hardening: K = A k of the material or of a branch, or K_i of a body."""
         owner = "_".join(name for name in (self.branch, self.body) if name is not None)
         return PlasticContent.of(owner) if owner else PLASTIC_CONTENT
 
@@ -65,49 +65,48 @@ class Flow:
         return content.strain, z[content.name] / amount
 
     def matter(self, z: Values) -> Any:
-        """A, or N of bodies: the reference volume of all matter per actual volume."""
+        """The reference volume of all matter per actual volume: A, or N of bodies."""
         return z["A"] if self.fractions is None else self.fractions.total(z)
 
     def amount(self, z: Values) -> Any:
-        """A, or n_i of the body, > 0: what makes its dk/dt that of K."""
+        """The factor of dk/dt in the rate of K: A, or n_i > 0 of the body."""
         return self.share(z) * self.matter(z)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Model:
-    """Material and mechanisms of a run.
+    """The material, mechanisms and loads of a run.
 
-    Raises ParameterError if a part is of the wrong type, a flow rule or a viscosity gives energy
-    (``check_rule``, ``check_viscosity``), two loads or two bodies share a name, the energy of a body is none
-    that is convex per reference volume (``ReferenceEnergy``), the material's list of variables makes no
-    sense, or the law of creep needs a conformation tensor that the material does not have; UnknownNameError
-    if a ``WithQuadratic`` names variables that its material does not have in the form for this model.
+    Raises ParameterError if a part is of the wrong type, a flow rule or a viscosity creates energy
+    (``check_rule``, ``check_viscosity``), two loads or two bodies share a name, the energy of a body is not
+    convex per reference volume (``ReferenceEnergy``), the material's list of variables makes no sense, or the
+    law of creep needs a conformation tensor that the material does not have.  Raises UnknownNameError if a
+    ``WithQuadratic`` names variables that its material does not have in this model.
 
     Parameters
     ----------
     material : Material
-        Any modulus of its laws may be a function of the initial place or an expression of carried
-        parameters (``Parameter``); these are then among the variables of ``model.material``.  Isotropic ones
-        at finite strain that leave ``elastic_state`` open are by B = F F^T where there is creep, by F where
-        there is none.
+        Any modulus of its laws may be a function of the initial place or an expression of carried parameters
+        (``Parameter``), which are then among the variables of ``model.material``.  An isotropic material at
+        finite strain that leaves ``elastic_state`` open is by B = F F^T with creep, and by F without.
     viscosity : Viscosity, optional
         Any of ``StokesViscosity``, ``LinearViscosity``, ``PowerLaw``, ``Carreau``, ``Cross``,
         ``ActivatedViscosity``.
     hyperviscosity : HyperViscosity, optional
     creep : FlowRule, optional
-        None (default) is the Kelvin-Voigt rheology, otherwise Jeffreys in the deviatoric part.
+        None (default) is the Kelvin-Voigt rheology; a flow rule makes the deviatoric part Jeffreys'.
     loads : sequence of Gravity, CentralGravity or BodyForce
     regularisation : Regularisation, optional
-        None (default) is none of the paper's regularising terms.
+        The paper's regularising terms; None (default) for none of them.
     heat : Heat, optional
-        How heat is conducted and exchanged, of a material with a temperature (``Thermal``); None (default) is
-        adiabatic: its dissipation heats it, and nothing is conducted.
+        Conduction and sources of heat in a material with a temperature (``Thermal``); None (default) is
+        adiabatic: dissipation heats the material, and nothing is conducted.
     diffusion : Diffusion, optional
-        How something that the material carries spreads, as a solute.
+        Diffusion of a concentration that the material carries, such as a solute.
     bodies : sequence of Body
-        In place of ``material`` and ``viscosity``, which are then those of the bodies' mixture
-        (``ngvisco.physics.mixture``), and of ``creep``, which each body has by itself.  Isotropic materials
-        that leave ``elastic_state`` open are by B.
+        Bodies in place of ``material``, ``viscosity`` and ``creep``: material and viscosity become those of
+        the bodies' mixture (``ngvisco.physics.mixture``), and each body has its own creep.  Isotropic
+        materials that leave ``elastic_state`` open are by B.
     """
 
     material: Material = None  # type: ignore[assignment]
@@ -170,7 +169,7 @@ class Model:
 
     @property
     def flows(self) -> tuple[Flow, ...]:
-        """The flows: of the material, of each branch of a network, or of each body, by their own tensors."""
+        """The flows of the material, of each branch of a network, or of each body, with their tensors."""
         of = self.material
         if (network := part_of(of, Network)) is not None:
             return tuple(
@@ -191,12 +190,12 @@ class Model:
 
     @property
     def traced(self) -> list[str]:
-        """Names of tensors whose creep rate has a trace: their determinants are no functions of J."""
+        """Names of tensors whose creep rate has a trace, so that J does not determine their determinants."""
         return [name for flow in self.flows if flow.rule.has_trace for name in flow.names]
 
     @property
     def _hardening(self) -> tuple[tuple[PlasticContent, Hardening], ...]:
-        """Plastic contents of the material or its branches, with their energies."""
+        """Pairs of plastic content and hardening of the material or of its branches."""
         network = part_of(self.material, Network)
         rules = {None: self.creep} if network is None else {n: b.creep for n, b in network.parts.items()}
         return tuple(
@@ -207,7 +206,7 @@ class Model:
 
     @property
     def heat_law(self) -> HeatLaw:
-        """The heat of the model and its bodies."""
+        """The conduction and the heat sources of the model and its bodies."""
         parts: dict[str | None, Heat] = {None: self.heat or Heat()}
         parts |= {body.name: body.heat for body in self.bodies if body.heat is not None}
         return HeatLaw(parts, self.material.fractions if isinstance(self.material, Mixture) else None)
@@ -233,13 +232,13 @@ class Model:
             raise ParameterError("Model.material", self.material, expected)
 
     def _take_bodies(self) -> None:
-        """Make material, viscosity and creep those of the bodies, where there are such."""
+        """Check the bodies, and take material and viscosity from their mixture, if there are bodies."""
         object.__setattr__(self, "bodies", declared(Model)["bodies"].taken("Model.bodies", self.bodies))
         if not self.bodies:
             return
         for name in ("material", "viscosity", "creep"):
             value = getattr(self, name)
-            # what a model with bodies has already, where this one is made of another one
+            # ``replace`` of a model with bodies passes the mixture's material and viscosity on
             if not (value is None or isinstance(value, (Mixture, MixedViscosity))):
                 raise ParameterError(f"Model.{name}", value, "None with bodies, which have theirs")
         names = [body.name for body in self.bodies]
@@ -269,14 +268,14 @@ class Model:
 
 
 MOST_DENSER = 1e10
-"""Ratio of bodies' densities above which the momentum of the lighter one is below the tolerance, 1e-10, of a
-solver that sees both in one cell."""
+"""Ratio of bodies' densities above which the lighter body's momentum is below the solver's tolerance, 1e-10,
+in a cell with both."""
 
 _NO_TEMPERATURE = "None for a material without a temperature; nv.Thermal(material=...) gives it one"
 
 
 def _faults(body: Body, bodies: Sequence[Body]) -> Iterable[tuple[str, str]]:
-    """Faults of a body beside others: the key, and what would be right."""
+    """Yield the faults of a body beside the others, as pairs of the key and the value that would be right."""
     material, law, heat = body.material, body.creep, body.heat
     if part_of(material, Damaged) is not None:
         yield "material", "a material without damage: that of one body would be the damage of all"
@@ -310,7 +309,7 @@ def _faults(body: Body, bodies: Sequence[Body]) -> Iterable[tuple[str, str]]:
 
 
 def _require_bulk(material: Material) -> None:
-    """Raise ParameterError for a material alone whose bulk modulus is 0, as only a branch's may be."""
+    """Raise ParameterError for a material with the bulk modulus 0 outside of a network's branches."""
     part: object = material
     while (inner := getattr(part, "material", None)) is not None:
         part = inner
@@ -325,8 +324,8 @@ def _require_distinct(field_name: str, names: list[str]) -> None:
 
 
 def default_elastic_state(creep: FlowRule | None, material: Material | None = None) -> ElasticState:
-    """How a material that leaves it open knows of its elastic state: by B where there is creep, also of a
-    branch of its own, else by F."""
+    """The elastic state of a material that leaves it open: B with creep of the material or of a branch, else
+    F."""
     network = part_of(material, Network)
     branches = () if network is None else network.parts.values()
     return "B" if (creep is not None and creep.flows) or any(one.flows for one in branches) else "F"

@@ -1,21 +1,21 @@
 """Parameters that travel with the matter, and moduli that are functions of them.
 
 A parameter theta obeys dt theta + (v . grad) theta = 0.  It is a variable of the material like the strains,
-with a conjugate zeta = d phi/d theta, so that the elastic force has the part that balances d phi/dx, the
+with a conjugate zeta = d phi/d theta.  Therefore the elastic force has the part that balances d phi/dx, the
 Cauchy stress is right and the ledger closes.  An energy that reads the place x instead has a force that
 nothing balances, and is refused (``ngvisco.physics.energy_checks``).
 
-Where a parameter jumps, a cell that the jump has moved into has a mean of both values: of the number that is
-carried.  The mean of theta itself (arithmetic) is wrong by far for a modulus that jumps by orders of
-magnitude: a share of 1e-5 of 1e6 is ten times 1.  ``Parameter.mean`` says what is carried.  Moduli that are
-functions of the place have the mean that their law says: creep moduli G_m, of dashpots in series with
-springs, carry the fluidity 1/G_m; other moduli > 0 their logarithm, and those that may be 0 their eighth
+A cell that a parameter's jump has moved into has the mean of the carried number over both sides.  The mean of
+theta itself (arithmetic) is wrong by far for a modulus that jumps by orders of magnitude: a share of 1e-5 of
+1e6 is ten times 1.  ``Parameter.mean`` chooses the function of theta that is carried.  The law chooses the
+mean of a modulus that is a function of the place: a creep modulus G_m, of a dashpot in series with a spring,
+is carried by its fluidity 1/G_m; other moduli > 0 by their logarithm; moduli that may be 0 by their eighth
 root, whose share of 1e-5 of 1e6 adds 4e-4; temperatures, densities and fluidities are carried themselves.
 
 A parameter is no strain.  phi need not be convex in it, and the ledger's ``bregman`` may have either sign
 where parameters are transported.  Quadratic regularisation, Yosida approximation and the diffusion of the
-fields leave it alone.  It stays within the range of its start values, in a run with a limiter
-(``ngvisco.forms.bounds``).
+fields do not change a parameter.  In a run with a limiter (``ngvisco.forms.bounds``) it stays within the
+range of its start values.
 """
 
 from __future__ import annotations
@@ -42,13 +42,13 @@ from ngvisco.physics.variables import Values, Variable
 T = TypeVar("T")
 
 Mean: TypeAlias = Literal["arithmetic", "geometric", "harmonic", "root"]
-"""The function of a parameter's values whose mean a cell has: theta, ln theta, 1/theta or theta^(1/8)."""
+"""Kind of a parameter's cell mean: the mean of theta, ln theta, 1/theta or theta^(1/8)."""
 
 _SQUARINGS = 3
 """The number of squarings that undo the eighth root."""
 
 _LEAST = 1e-100
-"""1/theta where it is not positive: polynomials beside a jump overshoot."""
+"""The carried 1/theta where its polynomial, which overshoots beside a jump, is not positive."""
 
 
 class ParameterExpression(ABC):
@@ -58,16 +58,16 @@ class ParameterExpression(ABC):
 
     @abstractmethod
     def at(self, z: Values) -> Tensor:
-        """Its value where the parameters have the values ``z``, coefficient functions or arrays."""
+        """The expression's value at the parameters' values ``z``, coefficient functions or arrays."""
 
     @property
     @abstractmethod
     def parameters(self) -> tuple[Parameter, ...]:
-        """The parameters that it reads, each once."""
+        """The parameters in the expression, each once."""
 
     @property
     def typical(self) -> float:
-        """Its value for the parameters' typical ones."""
+        """The expression's value at the parameters' typical values."""
         with_numbers: Any = {p.name: np.float64(p.carried(p.typical)) for p in self.parameters}
         return float(self.at(with_numbers))
 
@@ -134,15 +134,15 @@ class _Operation(ParameterExpression):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class _Modulus(ParameterExpression):
-    """An expression in the place of a number, with what that number has to be."""
+    """An expression in the place of a modulus, with the modulus' name and range."""
 
     name: str
-    """The name of law and parameter, e.g. ``"NeoHookean.G_e"``."""
+    """Name of the law and of its parameter, e.g. ``"NeoHookean.G_e"``."""
     expression: ParameterExpression
     is_positive: bool
-    """Whether it must be > 0; otherwise >= 0."""
+    """Whether the modulus must be > 0; otherwise it must be >= 0."""
     is_own: bool = False
-    """Whether it is a parameter that a function of the place became by itself."""
+    """Whether the expression is a parameter that was made of a function of the place."""
 
     def at(self, z: Values) -> Tensor:
         return self.expression.at(z)
@@ -159,7 +159,7 @@ class _Modulus(ParameterExpression):
 class Parameter(Variable, ParameterExpression):
     """A scalar theta that travels with the matter: dt theta + (v . grad) theta = 0.
 
-    Any modulus of a law may be an expression of parameters, and any energy of one's own a function of them.
+    Any modulus of a law may be an expression of parameters, and a custom energy may be a function of them.
     Raises ParameterError if a parameter is out of its range.
 
     Example::
@@ -176,17 +176,17 @@ class Parameter(Variable, ParameterExpression):
     Parameters
     ----------
     name : str
-        A Python identifier, other than those of the material's variables.
+        A Python identifier, different from the names of the material's variables.
     start : number or Tensor, optional
-        Its value at the start, a function of the place; None where ``Initial.values`` has it.
+        Initial value, a function of the place; None if ``Initial.values`` gives it.
     typical : float
-        A value at which an energy is looked at before a run is known; default that of a ``start`` that is a
-        number, else 0.5; 1 with another mean than the arithmetic one.
+        A value at which energies are checked before a run is known; default ``start`` if this is a number,
+        else 0.5, or 1 with the geometric or the harmonic mean.
     mean : str
-        What a cell has where it jumps: the mean of the parameter itself, ``"arithmetic"``; of its logarithm,
-        ``"geometric"``, neutral between what stands in series and side by side; of its inverse,
-        ``"harmonic"``, for what stands in series; or of its eighth root, ``"root"``, which is nearly the
-        geometric one and admits 0.  The geometric and the harmonic one ask for values > 0.
+        Kind of the mean in a cell where the parameter jumps: of the parameter itself, ``"arithmetic"``; of
+        its logarithm, ``"geometric"``, neutral between layers in series and side by side; of its inverse,
+        ``"harmonic"``, for layers in series; or of its eighth root, ``"root"``, which is nearly the geometric
+        mean and admits 0.  The geometric and the harmonic mean need values > 0.
     """
 
     name: str
@@ -196,7 +196,7 @@ class Parameter(Variable, ParameterExpression):
     mean: Mean = "arithmetic"
     is_strain = False
     limits: ClassVar[tuple[float, float] | None] = None
-    """Within which it stays; None for the range of its start values."""
+    """Range within which the limiter keeps the parameter; None for the range of its start values."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -220,11 +220,11 @@ class Parameter(Variable, ParameterExpression):
                 raise ParameterError(f"Parameter.{name}", value, f"a number > 0, with mean = {self.mean!r}")
 
     def at(self, z: Values) -> Tensor:
-        """The parameter by what is carried of it."""
+        """The parameter from its carried number."""
         carried = z[self.name]
         if self.mean == "geometric":
             return exp(carried)
-        if self.mean == "harmonic":  # 0 at points that overshoot it: 1/theta is no mobility of the wrong sign
+        if self.mean == "harmonic":  # an overshoot must not give a mobility of the wrong sign
             least = 0 * carried + _LEAST
             return 1 / (carried if isinstance(carried, float) else if_positive(carried, carried, least))
         if self.mean == "root":
@@ -233,7 +233,7 @@ class Parameter(Variable, ParameterExpression):
         return carried
 
     def carried(self, value: Any) -> Any:
-        """The number that is carried for a value: theta, ln theta, 1/theta or theta^(1/8)."""
+        """The carried number of a value: theta, ln theta, 1/theta or theta^(1/8)."""
         if self.mean == "geometric":
             return log(value)
         if self.mean == "root":
@@ -248,7 +248,7 @@ class Parameter(Variable, ParameterExpression):
         return 0 * z[self.name]
 
     def from_distortion(self, F: Tensor) -> Tensor:
-        """The typical value: no distortion tells a parameter."""
+        """The typical value, as no distortion determines a parameter."""
         return CF(float(self.carried(np.float64(self.typical))))
 
 
@@ -257,20 +257,19 @@ Modulus: TypeAlias = float | Tensor | ParameterExpression
 
 
 def value_at(modulus: Modulus, z: Values) -> Any:
-    """A modulus where the parameters have the values ``z``; a number is the same everywhere."""
+    """The value of a modulus at the parameters' values ``z``; a number is itself."""
     return modulus.at(z) if isinstance(modulus, ParameterExpression) else modulus
 
 
 def typical_value(modulus: Modulus) -> float:
-    """A number for a modulus: of parameters with their typical values."""
+    """The number of a modulus, with the typical values of its parameters."""
     return modulus.typical if isinstance(modulus, ParameterExpression) else float(modulus)
 
 
 def require_fields(owner: Any) -> None:
-    """Raise ParameterError unless every parameter of a dataclass is of the type and in the range that its
-    annotation says.
+    """Raise ParameterError unless every parameter of a dataclass has the type and range of its annotation.
 
-    Moduli may be functions of the initial place and expressions too, others functions of the actual one.
+    Moduli may also be functions of the initial place and expressions, others functions of the actual place.
     """
     for name, said in declared(type(owner)).items():  # type: ignore[arg-type]
         value, full = getattr(owner, name), f"{type(owner).__name__}.{name}"
@@ -287,8 +286,8 @@ def require_fields(owner: Any) -> None:
 
 
 def _as_modulus(full: str, value: object, said: Declared) -> Modulus:
-    """A number of the range, an expression of parameters, or a function of the initial place, which becomes a
-    parameter of its own with the modulus' name."""
+    """A modulus from a number in its range, an expression of parameters, or a function of the initial place,
+    which becomes a parameter with the modulus' name."""
     is_positive = said.range == "> 0"
     if isinstance(value, _Modulus) or (number := said.number(value)) is not None:
         return value if isinstance(value, _Modulus) else number
@@ -310,7 +309,7 @@ def _as_modulus(full: str, value: object, said: Declared) -> Modulus:
 def parameters_in(values: Iterable[object]) -> tuple[Parameter, ...]:
     """The parameters that laws, materials and expressions read, each once.
 
-    Raises ParameterError if two that are not the same have one name.
+    Raises ParameterError if two different parameters have one name.
     """
     read: list[Parameter] = []
     for value in values:
@@ -322,7 +321,7 @@ def parameters_in(values: Iterable[object]) -> tuple[Parameter, ...]:
 def distinct(parameters: Iterable[Parameter]) -> tuple[Parameter, ...]:
     """The parameters, each once.
 
-    Raises ParameterError if two that are not the same have one name; a start value makes them different, too.
+    Raises ParameterError if two parameters of one name differ, for example in their start values.
     """
     found: dict[str, Parameter] = {}
     for parameter in parameters:
@@ -334,7 +333,7 @@ def distinct(parameters: Iterable[Parameter]) -> tuple[Parameter, ...]:
 
 
 def expressions_in(value: object) -> Iterator[ParameterExpression]:
-    """The expressions among the parameters of a law or a material, and in laws that it holds."""
+    """Yield the expressions among the parameters of a law or a material, and of the laws inside it."""
     if isinstance(value, Variable):
         return
     if isinstance(value, ParameterExpression):
@@ -348,9 +347,9 @@ def expressions_in(value: object) -> Iterator[ParameterExpression]:
 
 
 def substituted(law: T, value_of: Callable[[ParameterExpression], Any]) -> T:
-    """A law or a material with its expressions replaced by what ``value_of`` gives; itself without any.
+    """A law or a material with ``value_of(expression)`` for each expression; itself without expressions.
 
-    Its checks are not run again: values at points are no numbers.
+    The law's checks do not run again, as values at points are no numbers.
     """
 
     def within(part: Any) -> Any:
@@ -376,16 +375,16 @@ def substituted(law: T, value_of: Callable[[ParameterExpression], Any]) -> T:
 
 
 def renamed(law: T, prefix: str) -> T:
-    """A law with ``prefix`` before the names of the parameters that its moduli became by themselves."""
+    """A law with ``prefix`` before the names of the parameters that were made of its moduli."""
 
-    # what has a prefix keeps it
+    # a renamed parameter is not marked as own, so that it gets one prefix only
     return _with_own_names(law, lambda own: prefix + own.name, is_own=False)
 
 
 def told_apart(laws: Iterable[T], taken: Iterable[str] = ()) -> list[T]:
-    """Laws whose own parameters, which moduli became, have numbers where others are called so: A, A_2.
+    """Laws whose parameters made of moduli have distinct names, by numbers where needed: A, A_2.
 
-    Those of one name and the same start value are one parameter; ``taken`` are names of something else.
+    Parameters of one name and the same start value count as one; names in ``taken`` are not used.
     """
     known: dict[str, Parameter | None] = dict.fromkeys(taken)
 
@@ -399,7 +398,7 @@ def told_apart(laws: Iterable[T], taken: Iterable[str] = ()) -> list[T]:
 
 
 def _with_own_names(law: T, name_of: Callable[[Parameter], str], is_own: bool) -> T:
-    """A law whose own parameters, which moduli became by themselves, have other names."""
+    """A law with names by ``name_of`` for the parameters made of its moduli; ``is_own`` keeps their mark."""
 
     def named(expression: ParameterExpression) -> ParameterExpression:
         if not (isinstance(expression, _Modulus) and expression.is_own):
@@ -413,14 +412,14 @@ def _with_own_names(law: T, name_of: Callable[[Parameter], str], is_own: bool) -
 
 
 def moduli_in(value: object) -> Iterator[tuple[str, ParameterExpression, bool]]:
-    """Name, expression and whether it must be > 0 (else >= 0), of every modulus that is an expression."""
+    """Yield name, expression and whether it must be > 0 (else >= 0), for each modulus with an expression."""
     for expression in expressions_in(value):
         if isinstance(expression, _Modulus):
             yield expression.name, expression.expression, expression.is_positive
 
 
 def _is_law(value: object) -> bool:
-    """Whether it is a part of a model that may hold moduli itself."""
+    """Whether ``value`` is a part of a model that may hold moduli."""
     return dataclasses.is_dataclass(value) and not isinstance(value, (type, Variable))
 
 

@@ -1,7 +1,7 @@
 """Energies and their first two derivatives for many states at once, as arrays.
 
-A state is the vector of all components of a material's variables (``StateSpace``).  A material
-whose energy has no expression, such as a Yosida approximation, supplies a ``Respond`` in its place.
+A state is the vector of all components of a material's variables (``StateSpace``).  A material whose energy
+has no expression, such as a Yosida approximation, supplies a ``Respond`` instead.
 
 NGSolve's symbolic derivative of an energy takes 3 microseconds a point (neo-Hookean, 3D), because it is a
 tree of small tensor operations for each point.  Where an energy can be written with arrays
@@ -24,14 +24,14 @@ from ngvisco.physics.response import Respond, Response
 from ngvisco.physics.tensors import Tensor, constant
 
 Both: TypeAlias = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
-"""An energy, (points,), and its slope, at components (N, points)."""
+"""Function of components, (N, points): the energies, (points,), and their slopes, (N, points)."""
 
 _DIFFERENCE = 1e-4
-"""The least share by which a Hessian that is wrong differs from the slope's central differences."""
+"""Relative difference from the slope's central differences above which a Hessian is wrong."""
 
 
 def sampled_energies(material: Material, dim: int) -> str:
-    """Energies at fixed states, Pa, as a text: the same for the same energy, with other libraries too."""
+    """Energies at fixed states, Pa, as a text that is the same with any version of the libraries."""
     rng = np.random.default_rng(2024)
     F = np.eye(3) + 0.25 * rng.uniform(-1, 1, (8, 3, 3))
     if dim == 2:
@@ -40,7 +40,7 @@ def sampled_energies(material: Material, dim: int) -> str:
 
 
 def energies_at(material: Material, states: np.ndarray, dim: int) -> np.ndarray:
-    """Energies, Pa, at states, (n, N); NaN where there is none."""
+    """Energies, Pa, at states, (n, N); NaN outside of the energy's domain."""
     response, space = material.response(dim), material.states(dim)
     if response is not None:
         return response(states).energy
@@ -48,7 +48,7 @@ def energies_at(material: Material, states: np.ndarray, dim: int) -> np.ndarray:
 
 
 def states_of(material: Material, F: np.ndarray, dim: int) -> np.ndarray:
-    """Components of the states that belong to distortions F, (n, 3, 3): (n, N)."""
+    """Components, (n, N), of the states of the distortions F, (n, 3, 3)."""
 
     def components(entries: Tensor) -> Tensor:
         tensor = entries.Reshape((3, 3))
@@ -64,7 +64,7 @@ def rest_state(material: Material, dim: int) -> np.ndarray:
 
 
 def evaluated(function: Callable[[Tensor], Tensor], vectors: np.ndarray) -> np.ndarray:
-    """Values of a function of vectors, (n, values), at n of them; NaN and inf where it has none."""
+    """Values, (n, values), of a function at n vectors; NaN or inf outside of its domain."""
     count, size = vectors.shape
     mesh, points = squares(math.isqrt(max(count, 1) - 1) + 1)
     field = GridFunction(VectorValued(L2(mesh, order=0), size))
@@ -74,20 +74,20 @@ def evaluated(function: Callable[[Tensor], Tensor], vectors: np.ndarray) -> np.n
 
 
 def respond(material: Material, dim: int, linear: Iterable[str] = ()) -> Respond:
-    """The material's own response, or that of its energy by arrays, or by its expression.
+    """The response of a material: its own one, else by arrays, else by the expression of its energy.
 
-    Arrays are taken where they give the energy and the slope of the expression; complex increments of this
-    slope then give the Hessian.
+    Arrays are used if they reproduce the expression's energy and slope; complex increments of the slope then
+    give the Hessian.
 
     Parameters
     ----------
     linear : names, optional
-        Of variables that the energy is linear in together, at fixed others: no increments of them are needed.
+        Names of variables in which the energy is jointly linear: their increments are not needed.
 
     Raises
     ------
     ParameterError
-        If NGSolve gives a wrong second derivative of an energy that arrays do not take.
+        If arrays cannot evaluate the energy and NGSolve's second derivative of it is wrong.
     """
     if (own := material.response(dim)) is not None:
         return own
@@ -99,7 +99,7 @@ def respond(material: Material, dim: int, linear: Iterable[str] = ()) -> Respond
 
 
 class ArrayResponse:
-    """The response of an energy by arrays, its Hessian by complex increments of the slope."""
+    """The response of an energy by arrays, with the Hessian by complex increments of the slope."""
 
     def __init__(self, material: Material, dim: int, both: Both, linear: Iterable[str] = ()) -> None:
         self.both, states = both, material.states(dim)
@@ -119,7 +119,7 @@ class ArrayResponse:
             along = states.T.astype(complex)
             along[m] += 1j * TINY
             hessian[:, m] = hessian[:, :, m] = self.both(along)[1].imag.T / TINY
-        hessian[~np.isfinite(energy)] = np.nan  # as that of a logarithm's expression beyond its pole
+        hessian[~np.isfinite(energy)] = np.nan  # like a logarithm's expression beyond its pole
         return Response(energy, np.ascontiguousarray(slope.T), hessian)
 
 
@@ -159,7 +159,7 @@ class ExpressionResponse:
         return where_energy_is(found[0], found[1:])
 
     def _values(self, function: CoefficientFunction, states: np.ndarray, width: int) -> np.ndarray:
-        """Values of a function of the state at states; outside the energy's domain there are NaN and inf."""
+        """Values, (n, width), of a function of the state; NaN or inf outside of the energy's domain."""
         found = np.empty((len(states), width))
         for start in range(0, len(states), len(self.points)):
             some = states[start : start + len(self.points)]
@@ -169,12 +169,12 @@ class ExpressionResponse:
         return found
 
     def _sampled(self) -> np.ndarray:
-        """Random states about rest, and about ones."""
+        """Random states near rest, and near the vector of ones."""
         away = 0.1 * np.random.default_rng(0).standard_normal((20, self.size))
         return np.concatenate([1.0 + away, rest_state(self.material, self.dim) + away])
 
     def agrees(self, both: Both) -> bool:
-        """Whether arrays give the energy and the slope that the expression has, where it has them."""
+        """Whether arrays reproduce the expression's energy and slope, at states where these are finite."""
         states = self._sampled()
         expected = self._values(self._first, states, 1 + self.size)
         energy, slope = both(np.ascontiguousarray(states.T))
@@ -186,7 +186,7 @@ class ExpressionResponse:
         return True
 
     def check(self) -> None:
-        """Raise ParameterError where the Hessian is not the difference of the slope."""
+        """Raise ParameterError if the Hessian differs from central differences of the slope."""
         states, step = self._sampled(), 1e-5
         along = np.random.default_rng(1).standard_normal(states.shape)
         ahead, behind = (self._values(self._first, states + s * step * along, 1 + self.size) for s in (1, -1))
@@ -209,26 +209,26 @@ class ExpressionResponse:
 
 @cache
 def squares(cells: int) -> tuple[Any, Any]:
-    """A mesh of ``cells`` x ``cells`` squares, to hold states as cellwise constants, and its midpoints."""
+    """A mesh of ``cells`` x ``cells`` squares, whose cellwise constants hold states, and its midpoints."""
     mesh = MakeStructured2DMesh(quads=True, nx=cells, ny=cells)
     return mesh, mesh.MapToAllElements({ET.QUAD: IntegrationRule([(0.5, 0.5)], [1.0])}, VOL)
 
 
 CHUNK = 2048
-"""Points at a time, so that what is made on the way stays in the processor's cache."""
+"""Number of points at a time, so that intermediate arrays stay in the processor's cache."""
 
 
 def where_energy_is(energy: np.ndarray, slope: np.ndarray) -> np.ndarray:
-    """The slope, (n, points), changed to NaN where the energy, (points,), is no number.
+    """The slope, (n, points), set to NaN where the energy, (points,), is not finite.
 
-    A logarithm's derivative goes on beyond its pole: an iterate that has passed one is told by this.
+    A logarithm's derivative is finite beyond its pole: NaN marks an iterate that has passed the pole.
     """
     slope[:, ~np.isfinite(energy)] = np.nan
     return slope
 
 
 def energy_and_slope(material: Material, dim: int) -> Both | None:
-    """phi(z), (points,), and phi'(z), both by arrays; None where the energy does not allow for them."""
+    """phi(z), (points,), and phi'(z), both by arrays; None if arrays cannot evaluate the energy."""
     states = material.states(dim)
     parts = [(name, where, states.spaces[name]) for name, where in states.slices.items()]
 
@@ -252,14 +252,14 @@ def energy_and_slope(material: Material, dim: int) -> Both | None:
         return energy.value
 
     try:
-        both(np.ones((states.size, 1)))  # which need not be in the energy's domain
-    except Exception:  # whatever an energy raises at values that it does not know
+        both(np.ones((states.size, 1)))  # a state that need not be in the energy's domain
+    except Exception:  # an energy may raise any error for arrays
         return None
     return both
 
 
 def is_affine(slope: Map, rest: np.ndarray) -> bool:
-    """Whether phi'(z), by arrays, is affine in z, by its values at some states about ``rest``, (N,)."""
+    """Whether ``slope``, phi'(z) by arrays, is affine in z, from its values near ``rest``, (N,)."""
     rng = np.random.default_rng(0)
     base, step = (0.1 * rng.uniform(-1, 1, (len(rest), 8)) for _ in range(2))
     base += rest[:, None]

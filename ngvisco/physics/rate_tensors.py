@@ -4,9 +4,9 @@ Rates are affine in z and linear in L and Pi (ngvisco.physics.variables), so tha
 
     rate(z; X)_n = sum_x X_x (C_xn + sum_m T_xnm z_m)
 
-in components, with constants that are read off here by evaluating the rates at unit arguments.  L has the
-dim^2 entries L_ij, row by row, about an axis L_33 besides, and Pi the components of the trace-free tensors
-(of the symmetric ones by a law of creep with a trace).
+in components.  The constants are found by evaluating the rates at unit arguments.  L has the dim^2 entries
+L_ij, row by row, and L_33 about an axis.  Pi has the components of trace-free tensors (of symmetric tensors
+for a law of creep with a trace).
 """
 
 from __future__ import annotations
@@ -37,26 +37,26 @@ _ROUNDING = 1e-10
 
 @dataclass(frozen=True)
 class RateTensors:
-    """C (X, n) and T (X, n, n) of the module's docstring, and T's non-zero entries one by one."""
+    """The tensors C (X, n) and T (X, n, n) of the module's docstring, and lists of their non-zero entries."""
 
     constant: np.ndarray
     linear: np.ndarray
     gradients: int
-    """How many of the X are entries of L; the others are components of Pi."""
+    """Number of entries of L among the X; the others are components of Pi."""
     dim: int
     nonlinear_variables: tuple[str, ...] = ()
-    """Variables whose rates are not affine in z: the tensors are not theirs."""
+    """Names of variables whose rates are not affine in z, to which the tensors do not apply."""
 
     @staticmethod
     @cache
     def of(
         variables: tuple[Variable, ...], dim: int, has_trace: bool = False, hoop: bool = False
     ) -> RateTensors:
-        """Read off at z = 0 and at unit vectors of the components; ``has_trace`` is that of Pi, with ``hoop``
-        L_33 is not zero in two dimensions.
+        """The tensors from the rates at z = 0 and at unit vectors; ``has_trace`` says whether Pi may have a
+        trace, ``hoop`` whether L_33 may be nonzero in two dimensions.
 
-        Raises ParameterError for a variable whose rate is not linear in L and Pi, by its name: stresses
-        would not belong to it.
+        Raises ParameterError, with the variable's name, for a rate that is not linear in L and Pi: no stress
+        belongs to it.
         """
         states, space = StateSpace.of(variables, dim), (trace_free_tensors, symmetric_tensors)[has_trace](dim)
         n, plane = states.size, dim * dim
@@ -64,7 +64,7 @@ class RateTensors:
         random = np.random.default_rng(0)
         mixed = random.standard_normal(g + space.size)
         at_rest = states.components({v.name: v.from_distortion(IDENTITY) for v in variables})
-        count = (2 + int(np.sqrt(n))) ** 2  # z = 0, the unit vectors, and others
+        count = (2 + int(np.sqrt(n))) ** 2  # z = 0, the unit vectors, and random states
         values = evaluated(lambda z: at_rest, np.zeros((count, n))).T
         values = values + 0.1 * random.standard_normal(values.shape)
         values[:, : n + 1] = np.eye(n, n + 1, 1)
@@ -94,7 +94,7 @@ class RateTensors:
         return replace(result, nonlinear_variables=tuple(nonlinear))
 
     def by_groups(self, groups: Sequence[Sequence[str]], states: StateSpace) -> RateTensors:
-        """Rates with a Pi for each group of variables, which are named, in which these alone creep."""
+        """The tensors with one Pi for each group of variables' names, by which only this group creeps."""
         g, size = self.gradients, len(self.constant) - self.gradients
         masks = np.zeros((len(groups), states.size))
         for mask, names in zip(masks, groups, strict=True):
@@ -106,11 +106,11 @@ class RateTensors:
 
     @property
     def trace(self) -> tuple[int, ...]:
-        """Which of the X are on the diagonal of L."""
+        """Indices of the X that are diagonal entries of L."""
         return (*range(0, self.dim**2, self.dim + 1), *range(self.dim**2, self.gradients))
 
     def turning(self) -> RateTensors:
-        """The part of the antisymmetric L alone."""
+        """The part of the rates by the antisymmetric part of L."""
         dim = self.dim
         g = dim * dim
         constant, linear = np.zeros_like(self.constant), np.zeros_like(self.linear)
@@ -123,13 +123,13 @@ class RateTensors:
         return replace(self, constant=self.constant - other.constant, linear=self.linear - other.linear)
 
     def columns(self, z: np.ndarray) -> np.ndarray:
-        """d rate/dX at values z (n, points): (points, n, X)."""
+        """d rate/dX, (points, n, X), at values z, (n, points)."""
         columns = np.einsum("xnm,mp->pnx", self.linear, z, optimize=True)
         columns += self.constant.T[None]
         return columns
 
     def rate(self, z: np.ndarray, X: np.ndarray, first: int = 0) -> np.ndarray:
-        """rate(z; X), (n, points), of the X (X, points) from ``first`` on."""
+        """rate(z; X), (n, points), for X (X, points), whose first entry has the index ``first``."""
         out = np.zeros((self.linear.shape[1], z.shape[1]), np.result_type(z, X))
         self._sum(z, first, first + len(X), lambda x, n: (out[n], X[x]))
         return out
@@ -147,7 +147,7 @@ class RateTensors:
         stop: int,
         places: Callable[[int, int], tuple[np.ndarray, np.ndarray]],
     ) -> None:
-        """Add (C_xn + sum_m T_xnm z_m) times the second of ``places`` (x - first, n) to the first of them."""
+        """Add (C_xn + sum_m T_xnm z_m) factor to target, with target, factor = ``places`` (x - first, n)."""
         for (x, n), C in self._entries[0]:
             if first <= x < stop:
                 target, factor = places(x - first, n)
@@ -161,7 +161,7 @@ class RateTensors:
                 target += product
 
     def rate_slope(self, X: np.ndarray) -> np.ndarray:
-        """d rate(z; X)/dz, (n, n, points), of all X (X, points)."""
+        """d rate(z; X)/dz, (n, n, points), for X (X, points)."""
         size = self.linear.shape[1]
         return (self._slopes[0] @ X).reshape(size, size, -1)
 
@@ -171,20 +171,20 @@ class RateTensors:
 
     @cached_property
     def _entries(self) -> list[list[tuple[tuple[int, ...], float]]]:
-        """The places and values of what is not zero in C and in T."""
+        """Indices and values of the non-zero entries of C and of T."""
         return [
             [(tuple(i), float(A[tuple(i)])) for i in np.argwhere(A)] for A in (self.constant, self.linear)
         ]
 
     @cached_property
     def _slopes(self) -> tuple[sp.csr_matrix, sp.csr_matrix]:
-        """T as matrices, from X to (n, m) and from n to (x, m)."""
+        """T as sparse matrices, from X to (n, m) and from n to (X, m)."""
         T = self.linear
         by_X, by_zeta = T.transpose(1, 2, 0), T.transpose(0, 2, 1)
         return tuple(sp.csr_matrix(A.reshape(-1, A.shape[2])) for A in (by_X, by_zeta))
 
 
 def _differ(a: np.ndarray, b: np.ndarray) -> bool:
-    """Whether values differ by more than rounding; where both are no numbers they are not compared."""
+    """Whether values differ by more than rounding; pairs of which neither is finite are not compared."""
     asked = np.isfinite(a) | np.isfinite(b)
     return bool((~(abs(a - b) <= _ROUNDING * (1 + abs(a) + abs(b))) & asked).any())

@@ -1,13 +1,13 @@
 """The regularisations of the paper's discrete scheme, each off by default.
 
-(paper: Euler-small-viscoelastodyn+disc, Euler-large-viscoelastodyn+disc.)  Those that change the stored
-energy are materials of their own: ``WithQuadratic`` and ``Yosida`` wrap any material, also one another, and
-the linear continuation of a singular part is the parameter ``J_min`` of the materials that have one.
+(paper: Euler-small-viscoelastodyn+disc, Euler-large-viscoelastodyn+disc.)  Regularisations of the stored
+energy are materials: ``WithQuadratic`` and ``Yosida`` wrap any material, also one another, and the parameter
+``J_min`` continues the singular part of an energy linearly.
 
-The diffusion of the fields needs phi''(z) at rest, and the directions in which it vanishes: some energies
-are linear in some variables (in K = ln J / J the one with -epsilon ln J, many in B = F F^T), whose conjugate
-is a constant.  In the others phi'' is positive definite, with ``WithQuadratic`` for every convex energy.
-Parameters are no strains: phi'' is that by the strains.
+The diffusion of the fields needs phi''(z) at rest and the directions in which it vanishes.  Some energies are
+linear in some variables (with -epsilon ln J in K = ln J / J, many in B = F F^T), whose conjugates are
+constant.  In all other variables phi'' has to be positive definite; ``WithQuadratic`` makes it so for every
+convex energy. phi'' has the derivatives by the strains alone, not by parameters.
 """
 
 import math
@@ -37,25 +37,25 @@ class Regularisation:
         Diffusion of the density by the r-Laplacian, div(delta |grad rho|^{r-2} grad rho), with its
         compensating term in the momentum equation: it moves mass without power.
     r : float
-        Its exponent; the paper's analysis has r > 3.
+        Exponent of the r-Laplacian; the paper's analysis has r > 3.
     delta_fields : float
-        Diffusion of all transported variables; phi'' at rest has to be positive definite in those that the
-        energy is not linear in, as ``WithQuadratic`` makes it.
+        Diffusion of all transported variables.  phi'' at rest has to be positive definite in all variables in
+        which the energy is not linear; ``WithQuadratic`` makes it so.
     epsilon : float
         Friction epsilon |v|^{p-2} v in the momentum equation.
     p : float
-        Exponent of that friction; the paper takes that of the hyperviscosity.
+        Exponent of the friction; the paper takes the exponent of the hyperviscosity.
     rho_max : float, optional
-        Density above which the paper's cut-off acts; none where nothing is said. A density that starts at
-        most at rho_max + width stays so: with m = 0 by the scheme, with m > 0 by the limiter.
+        Density above which the paper's cut-off acts; default no cut-off. A density that starts at or below
+        rho_max + width stays there: with m = 0 by the scheme, with m > 0 by the limiter.
     width : float
-        The cut-off falls from 1 to 0 over this width; the paper has 1.
+        Width of density over which the cut-off falls from 1 to 0; the paper has 1.
     penalty : float
         Weight of the diffusions' interior penalty.
     gradient_floor : float
-        |grad rho| below which the r-Laplacian's penalty is constant.
+        |grad rho| below which the penalty of the r-Laplacian is constant.
     floor : float
-        |v| and |grad rho|, in SI units, below which powers that are no even integers are smoothed.
+        |v| and |grad rho|, in SI units, below which powers other than even integers are smoothed.
     """
 
     delta_density: Annotated[float, Quantity("m^2/s (kg/m^4)^(2-r)", ">= 0", 1e-6)] = 0.0
@@ -81,33 +81,33 @@ class Regularisation:
 
     @property
     def bends_the_flux(self) -> bool:
-        """Whether the flux of mass is not rho v: it is cut off, or the density diffuses."""
+        """Whether the flux of mass differs from rho v, by the cut-off or by diffusion of the density."""
         return self.rho_max is not None or self.delta_density > 0
 
     def require_gradients(self, name: str, m: int) -> None:
-        """Raise ParameterError for a diffusion, ``name``, of fields of order m = 0."""
+        """Raise ParameterError, with the diffusion's ``name``, for fields of order m = 0."""
         if m == 0:
             raise ParameterError(
                 f"Regularisation.{name}", getattr(self, name), "0 with m = 0, which has no gradients"
             )
 
     def penalty_weight(self, m: int) -> float:
-        """s = penalty (m + 1)^2, for polynomials of degree m."""
+        """The penalty's weight s = penalty (m + 1)^2 for polynomials of degree m."""
         return self.penalty * (m + 1) ** 2
 
     def diffusivity(self, gradient_square: Scalar) -> Scalar:
-        """delta |grad rho|^{r-2}, m^2/s, of |grad rho|^2."""
+        """The diffusivity delta |grad rho|^{r-2}, m^2/s, from |grad rho|^2."""
         return self.delta_density * power_of_square(gradient_square, 0.5 * (self.r - 2), self.floor)
 
     def friction(self, speed_square: Tensor) -> Tensor:
-        """epsilon |v|^{p-2} of |v|^2."""
+        """The friction coefficient epsilon |v|^{p-2}, from |v|^2."""
         return self.epsilon * power_of_square(speed_square, 0.5 * (self.p - 2), self.floor)
 
     def cut_off(self, rho: Tensor) -> Tensor:
         """The cut-off K(rho) (paper: cut-off).
 
-        1 on [0, rho_max], 0 below 0 and above rho_max + width, and 1 - 3 s^2 + 2 s^3 with
-        s = (rho - rho_max)/width between: C1 but for the jump at 0, where K(rho) rho is Lipschitz.
+        K is 1 on [0, rho_max], 0 below 0 and above rho_max + width, and 1 - 3 s^2 + 2 s^3 with s = (rho -
+        rho_max)/width between: C1 but for the jump at 0, where K(rho) rho is Lipschitz.
         """
         if self.rho_max is None:
             return CF(1.0)
@@ -117,30 +117,30 @@ class Regularisation:
 
     @property
     def densest_flow(self) -> float:
-        """The density at which K(rho) rho is largest, kg/m^3; infinite without a cut-off."""
+        """The density that maximises K(rho) rho, kg/m^3; infinite without a cut-off."""
         if self.rho_max is None:
             return math.inf
         c = 6 * self.rho_max / self.width
         return self.rho_max + self.width * (1 - c + math.sqrt((c - 1) ** 2 + 32)) / 16
 
     def carried(self, rho: Tensor) -> Tensor:
-        """K(rho) rho, what the velocity carries; rho itself without a cut-off."""
+        """The density K(rho) rho that the velocity carries; rho itself without a cut-off."""
         return rho if self.rho_max is None else self.cut_off(rho) * rho
 
     def rising(self, rho: Tensor) -> Tensor:
-        """The non-decreasing part of K(rho) rho: that of min(rho, ``densest_flow``)."""
+        """The non-decreasing part of K(rho) rho: K(s) s with s = min(rho, ``densest_flow``)."""
         return if_positive(self.densest_flow - rho, self.carried(rho), self.carried(CF(self.densest_flow)))
 
     def falling(self, rho: Tensor) -> Tensor:
-        """The non-increasing part: K(rho) rho is ``rising`` + ``falling``."""
+        """The non-increasing part of K(rho) rho, which is ``rising`` + ``falling``."""
         return self.carried(rho) - self.rising(rho)
 
 
 _SPREAD = 0.2
-"""The spread of the states at which an energy is tested for being linear."""
+"""The spread of the sampled states in the test for linear directions."""
 
 _ZERO = 1e-10
-"""The size of an entry of phi'' that counts as zero, over its largest entry."""
+"""Size of an entry of phi'' below which it counts as zero, over the largest entry."""
 
 
 @dataclass(frozen=True)
@@ -148,22 +148,22 @@ class Curvature:
     """The part of phi'' that does not depend on the state."""
 
     linear: np.ndarray
-    """The orthogonal projection on the directions n of strains with phi''(z) n = 0 for all z, (N, N)."""
+    """Orthogonal projection, (N, N), to the directions n of strains with phi''(z) n = 0 for all z."""
     strains: np.ndarray
-    """Which components are those of strains, (N,)."""
+    """Mask of the components of strains, (N,)."""
     compliance: np.ndarray
-    """For the strains the inverse of phi''(rest) + ``linear`` (in Pa), positive definite, (N, N)."""
+    """Inverse of phi''(rest) + ``linear`` (in Pa) on the strains, positive definite, (N, N)."""
 
     @property
     def of_itself(self) -> np.ndarray:
-        """The projection on ``linear`` directions and parameters, (N, N)."""
+        """Projection to the ``linear`` directions and the parameters, (N, N)."""
         return self.linear + np.diag(np.where(self.strains, 0.0, 1.0))
 
 
 def curvature_of(material: Material, dim: int) -> Curvature:
     """The curvature of a material's energy on meshes of dimension ``dim``.
 
-    Raises ParameterError where phi'' at rest is not positive definite in the directions that it has at all.
+    Raises ParameterError if phi'' at rest is not positive definite in all other directions.
     """
     sampling = StateSampling(material, dim, _SPREAD, np.random.default_rng(0))
     fitting, strains = sampling.fitting(), sampling.space.strains
@@ -174,7 +174,7 @@ def curvature_of(material: Material, dim: int) -> Curvature:
     hessians = hessians[np.isfinite(hessians).all(axis=(1, 2))]
     sizes = np.abs(hessians).max(axis=(1, 2), keepdims=True)
     scaled = hessians / np.where(sizes > 0, sizes, 1.0)
-    # the kernel of the sum of non-negative matrices is that of all of them; others are looked at
+    # non-negative matrices and their mean have one common kernel; for others the kernel is checked
     values, vectors = np.linalg.eigh(scaled.mean(axis=0))
     kernel = vectors[:, np.abs(values) <= _ZERO]
     if np.abs(scaled @ kernel).max(initial=0.0) > _ZERO:

@@ -15,14 +15,14 @@ class Response:
     slope: np.ndarray
     hessian: np.ndarray
     failure: str | None = None
-    """Why some entries are NaN; None where all is well."""
+    """The reason why some entries are NaN; None if all are finite."""
 
     @property
     def finite(self) -> np.ndarray:
-        """Where energy and derivatives are numbers, (n,) of bool."""
+        """Mask of the states whose energy and derivatives are finite, (n,)."""
         matrices = np.isfinite(self.hessian).all(axis=(1, 2))
         return np.isfinite(self.energy) & np.isfinite(self.slope).all(axis=1) & matrices
 
 
 Respond: TypeAlias = Callable[[np.ndarray], Response]
-"""The response at states of shape (n, N)."""
+"""Function of states, (n, N), that gives their response."""

@@ -1,7 +1,7 @@
 """Dissipative mechanisms of the velocity: viscosities and hyperviscosity.
 
 A viscosity is a stress D(eps; z), the derivative by eps of a convex potential (paper: dissipation-pot).  An
-isotropic one is G_v(s) of the squared shear rate s = 2 |dev eps|^2, with G_v(s) sqrt(s) rising.
+isotropic viscosity has G_v(s) of the squared shear rate s = 2 |dev eps|^2, with G_v(s) sqrt(s) rising.
 """
 
 from abc import ABC, abstractmethod
@@ -31,18 +31,18 @@ from ngvisco.physics.tensors import (
 from ngvisco.physics.variables import Values
 
 ValueOfModulus: TypeAlias = float | Tensor
-"""A number, or what an expression of parameters gives at every point."""
+"""The value of a modulus: a number, or the values of an expression of parameters at points."""
 
 
 class Viscosity(ABC):
     """A viscous stress D(eps), the derivative of a convex potential of the strain rate, with D(0) = 0.
 
-    ``Model`` refuses one whose power is negative or which is not monotone, by samples.  Raises ParameterError
-    for a parameter of a dataclass outside the range of its annotation.
+    ``Model`` samples a viscosity and refuses it if its power is negative or its stress is not monotone.
+    Raises ParameterError for a parameter of a dataclass outside the range of its annotation.
     """
 
     reads: frozenset[str] = frozenset()
-    """Which of ``PRESSURE`` and ``TEMPERATURE`` it finds among the values ``z``."""
+    """Names of ``PRESSURE`` and ``TEMPERATURE`` if the law reads them from the values ``z``."""
     is_linear: bool = False
     """Whether D is linear in eps."""
 
@@ -51,34 +51,34 @@ class Viscosity(ABC):
 
     @abstractmethod
     def stress(self, eps: Tensor, z: Values) -> Tensor:
-        """D(eps), 3x3, Pa, for the strain rate eps(v), 3x3, 1/s, at a point with the values ``z``."""
+        """The stress D(eps), 3x3, Pa, for the strain rate eps, 3x3, 1/s, at a point with the values ``z``."""
 
     def bulk_dissipation(self, eps: Tensor, z: Values) -> Tensor:
-        """D(eps) : sph eps, W/m^3: the power of the viscous pressure."""
+        """The power of the viscous pressure, D(eps) : sph eps, W/m^3."""
         return inner(self.stress(eps, z), sph(eps))
 
     def shear_dissipation(self, eps: Tensor, z: Values) -> Tensor:
-        """D(eps) : dev eps, W/m^3; with ``bulk_dissipation`` this is D(eps) : eps >= 0."""
+        """The power in shear, D(eps) : dev eps, W/m^3; plus ``bulk_dissipation`` it is D(eps) : eps >= 0."""
         return inner(self.stress(eps, z), dev(eps))
 
     @abstractmethod
     def shear_viscosity(self, z: Values) -> ValueOfModulus:
-        """G_v, Pa s, at eps = 0 and a point with the values ``z``."""
+        """The shear viscosity G_v, Pa s, at eps = 0 and a point with the values ``z``."""
 
     def require_dimension(self, dim: int) -> None:
-        """Raise ParameterError where the stress of plane flows is none of plane strain."""
+        """Raise ParameterError if the stress of a plane flow in ``dim`` = 2 is not one of plane strain."""
         return None
 
 
 class IsotropicViscosity(Viscosity):
-    """D(eps) = K_v (tr eps) I + 2 G_v(s) dev eps, s = 2 |dev eps|^2, the square of the shear rate.
+    """D(eps) = K_v (tr eps) I + 2 G_v(s) dev eps with the squared shear rate s = 2 |dev eps|^2.
 
-    Its potential K_v (tr eps)^2/2 + int_0^s G_v/2 ds is convex where G_v(s) sqrt(s) rises.
+    The potential K_v (tr eps)^2/2 + int_0^s G_v/2 ds is convex where G_v(s) sqrt(s) rises.
     """
 
     @abstractmethod
     def moduli(self, s: Any, z: Values) -> tuple[ValueOfModulus, ValueOfModulus]:
-        """K_v and G_v, Pa s, at the squared shear rate s, 1/s^2, and a point with the values ``z``."""
+        """K_v and G_v, Pa s, at a squared shear rate s, 1/s^2, and a point with the values ``z``."""
 
     def stress(self, eps: Tensor, z: Values) -> Tensor:
         shear = dev(eps)
@@ -86,11 +86,11 @@ class IsotropicViscosity(Viscosity):
         return (K_v * tr(eps)) * identity_like(eps) + (2 * G_v) * shear
 
     def bulk_dissipation(self, eps: Tensor, z: Values) -> Tensor:
-        """K_v (tr eps)^2, W/m^3."""
+        """The power K_v (tr eps)^2, W/m^3."""
         return self.moduli(2 * square(dev(eps)), z)[0] * tr(eps) * tr(eps)
 
     def shear_dissipation(self, eps: Tensor, z: Values) -> Tensor:
-        """2 G_v |dev eps|^2, W/m^3."""
+        """The power 2 G_v |dev eps|^2, W/m^3."""
         s = 2 * square(dev(eps))
         return self.moduli(s, z)[1] * s
 
@@ -123,10 +123,10 @@ class StokesViscosity(IsotropicViscosity):
 
 @dataclass(frozen=True, kw_only=True)
 class PowerLaw(IsotropicViscosity):
-    """G_v = consistency (s + floor^2)^{(n-1)/2}: the law of Ostwald and de Waele, 1925.
+    """The power law G_v = consistency (s + floor^2)^{(n-1)/2} (Ostwald 1925, de Waele 1923).
 
-    Thinning for n < 1, thickening for n > 1; consistency floor^{n-1} at rest.  Raises ParameterError if a
-    parameter is out of its range.
+    The fluid thins for n < 1 and thickens for n > 1; at rest G_v = consistency floor^{n-1}.  Raises
+    ParameterError if a parameter is out of its range.
 
     Parameters
     ----------
@@ -152,7 +152,7 @@ class PowerLaw(IsotropicViscosity):
 
 @dataclass(frozen=True, kw_only=True)
 class _BetweenPlateaus(IsotropicViscosity):
-    """G_v = G_inf + (G_0 - G_inf) share(s), which is 1 at rest.
+    """G_v = G_inf + (G_0 - G_inf) share(s) with share(0) = 1.
 
     Parameters
     ----------
@@ -163,7 +163,7 @@ class _BetweenPlateaus(IsotropicViscosity):
     G_inf : float
         Shear viscosity at large shear rates.
     relaxation : float
-        Time whose inverse is the shear rate at which the viscosity begins to change.
+        Inverse of the shear rate at which the viscosity begins to change.
     """
 
     K_v: Annotated[Modulus, Quantity("Pa s", ">= 0", 0.01)]
@@ -173,7 +173,7 @@ class _BetweenPlateaus(IsotropicViscosity):
 
     @abstractmethod
     def share(self, s: Any) -> Any:
-        """The share of G_0 - G_inf that is left at the squared shear rate s."""
+        """The share of G_0 - G_inf in G_v at the squared shear rate s."""
 
     def moduli(self, s: Any, z: Values) -> tuple[ValueOfModulus, ValueOfModulus]:
         least = value_at(self.G_inf, z)
@@ -189,9 +189,9 @@ class Carreau(_BetweenPlateaus):
     Parameters
     ----------
     G_inf : float
-        Shear viscosity at large shear rates; for n > 1 it is passed.
+        Shear viscosity at large shear rates, for n < 1; for n > 1 the viscosity grows without bound.
     n : float
-        Exponent of the power law in between.
+        Exponent of the power law between the plateaus.
     """
 
     n: Annotated[float, Quantity("1", "in (0, 5]", 0.5)]
@@ -209,11 +209,11 @@ class Cross(_BetweenPlateaus):
     Parameters
     ----------
     relaxation : float
-        Time whose inverse is the shear rate at which the viscosity is in the middle of both.
+        Inverse of the shear rate at which the viscosity is (G_0 + G_inf)/2.
     m : float
-        How steep it falls; above 1 the shear stress would fall with the shear rate.
+        Exponent of the fall; above 1 the shear stress would fall with the shear rate.
     floor : float
-        Shear rate below which powers of it are smoothed.
+        Shear rate below which its powers are smoothed.
     """
 
     m: Annotated[float, Quantity("1", "in (0, 1]", 0.8)]
@@ -228,9 +228,9 @@ class Cross(_BetweenPlateaus):
 class LinearViscosity(Viscosity):
     """Any linear viscosity D eps, with D symmetric, positive semidefinite (paper: Euler-small-ass-D).
 
-    Directions that D prefers are those of space, not of the matter, and do not turn with it.  Both parts of
-    the ledger's viscous dissipation can be of either sign where D couples sph eps with dev eps; their sum is
-    D eps : eps >= 0.  Raises ParameterError for another shape, what is not finite, and a D that is not
+    Preferred directions of D are fixed in space and do not turn with the matter.  Where D couples sph eps
+    with dev eps, both parts of the ledger's viscous dissipation can have either sign; their sum is D eps :
+    eps >= 0.  Raises ParameterError for a D of another shape, with entries that are not finite, or not
     symmetric or not positive semidefinite, with the entries or the strain rate that show it.
 
     Example::
@@ -246,11 +246,11 @@ class LinearViscosity(Viscosity):
     Parameters
     ----------
     D : array_like
-        Viscous stress D eps(v): 6x6 or 3x3x3x3, symmetric and positive semidefinite.
+        Tensor of the viscous stress D eps(v): 6x6 or 3x3x3x3, symmetric and positive semidefinite.
     notation : str
-        How D is written, entries in the order 11, 22, 33, 23, 13, 12: "voigt" has the D_ijkl themselves,
-        "mandel" those of an orthonormal basis, "tensor" is 3x3x3x3. An isotropic D has D_11 = K_v + 4/3 G_v
-        in both, and D_44 = G_v in Voigt's, 2 G_v in Mandel's.
+        Notation of D, with the entries in the order 11, 22, 33, 23, 13, 12: "voigt" has the D_ijkl
+        themselves, "mandel" the entries in an orthonormal basis, "tensor" is 3x3x3x3.  An isotropic D has
+        D_11 = K_v + 4/3 G_v in both, and D_44 = G_v in Voigt's, 2 G_v in Mandel's.
     """
 
     D: Annotated[ArrayLike, Quantity("Pa s", example=np.eye(6).tolist())]
@@ -270,7 +270,7 @@ class LinearViscosity(Viscosity):
 
     @cached_property
     def mandel(self) -> np.ndarray:
-        """D in Mandel's notation, (6, 6), Pa s: in an orthonormal basis, with the eigenvalues of D."""
+        """D in Mandel's notation, (6, 6), Pa s: its basis is orthonormal, so that it has D's eigenvalues."""
         shape = (3, 3, 3, 3) if self.notation == "tensor" else (6, 6)
         expected = f"{'x'.join(map(str, shape))} finite numbers in the notation {self.notation!r}"
         try:
@@ -291,12 +291,13 @@ class LinearViscosity(Viscosity):
 
     @property
     def K_v(self) -> float:
-        """Bulk viscosity of the isotropic part: the mean pressure of eps = I over tr eps, Pa s."""
+        """Bulk viscosity of the isotropic part, Pa s: the mean normal stress of eps = I over tr eps."""
         return float(self.mandel[:3, :3].sum()) / 9
 
     @property
     def G_v(self) -> float:
-        """Shear viscosity of the isotropic part: half the mean of D over deviatoric eps of size 1, Pa s."""
+        """Shear viscosity of the isotropic part, Pa s: half the mean of eps : D eps over deviatoric eps,
+        |eps| = 1."""
         return (float(np.trace(self.mandel)) - 3 * self.K_v) / 10
 
     def shear_viscosity(self, z: Values) -> ValueOfModulus:
@@ -322,11 +323,11 @@ _BASIS = symmetric_tensors(3).columns[:, [0, 3, 5, 4, 2, 1]]
 """Mandel's orthonormal basis of symmetric tensors, (9, 6): 11, 22, 33, 23, 13, 12."""
 
 _TOLERANCE = 1e-12
-"""The tolerance of symmetry and of eigenvalues, over the largest entry: it covers rounding in the input."""
+"""Tolerance for symmetry and eigenvalues, over the largest entry; it admits rounding in the input."""
 
 
 def full_tensor(mandel: np.ndarray) -> np.ndarray:
-    """D_ijkl, (3, 3, 3, 3), of a matrix in Mandel's notation."""
+    """The tensor D_ijkl, (3, 3, 3, 3), of a matrix in Mandel's notation."""
     return (_BASIS @ mandel @ _BASIS.T).reshape(3, 3, 3, 3)
 
 
@@ -352,7 +353,7 @@ class HyperViscosity:
     Parameters
     ----------
     mu : float
-        Hyperviscosity: mu |hess v|^p is its dissipation.
+        Hyperviscosity, which dissipates mu |hess v|^p.
     p : float
         Exponent; the paper's analysis has p > 3.
     mu_1 : float
@@ -360,7 +361,7 @@ class HyperViscosity:
     penalty : float
         Weight of the interior penalty in the lifted form.
     floor : float
-        |hess v| below which powers that are no even integers are smoothed.
+        |hess v| below which powers other than even integers are smoothed.
     """
 
     mu: Annotated[Modulus, Quantity("W/m^3 (m s)^p", "> 0", 1e-5)]
@@ -379,20 +380,20 @@ class HyperViscosity:
         return self.p == 2
 
     def moduli(self, z: Values) -> tuple[ValueOfModulus, ValueOfModulus]:
-        """mu and mu_1 where the variables have the values ``z``."""
+        """mu and mu_1 at a point with the values ``z``."""
         return value_at(self.mu, z), value_at(self.mu_1, z)
 
     def linear(self, z: Values) -> ValueOfModulus:
-        """c of p = 2, Pa s m^2."""
+        """The coefficient c = mu + mu_1 for p = 2, Pa s m^2."""
         mu, mu_1 = self.moduli(z)
         return mu + mu_1
 
     def coefficient(self, s: Scalar, z: Values) -> Scalar:
-        """c(s) = mu_1 + mu s^{(p-2)/2} for s = |hess v|^2, a coefficient function or an array."""
+        """The coefficient c(s) = mu_1 + mu s^{(p-2)/2}, s = |hess v|^2 a coefficient function or an array."""
         mu, mu_1 = self.moduli(z)
         power = mu * power_of_square(s, 0.5 * (self.p - 2), self.floor)
         return power if isinstance(mu_1, (int, float)) and mu_1 == 0 else power + mu_1
 
     def slope(self, s: Scalar, z: Values) -> Scalar:
-        """c'(s) = mu (p-2)/2 s^{(p-4)/2}."""
+        """The derivative c'(s) = mu (p-2)/2 s^{(p-4)/2}."""
         return 0.5 * (self.p - 2) * self.moduli(z)[0] * power_of_square(s, 0.5 * (self.p - 4), self.floor)

@@ -1,7 +1,7 @@
-"""Functions of the run's time that loads and walls are made of: steps, pulses, tables.
+"""Functions of the run's time for loads and walls: steps, pulses, tables.
 
-Their means over a step are exact: the rule in time (``ngvisco.forms.time_means``) knows where they break.
-Of any other function it looks for the signs of what its ``IfPos`` decides by.
+Their means over a step are exact, as the rule in time (``ngvisco.forms.time_means``) knows their breaks. For
+any other function the rule looks for sign changes of the arguments of its ``IfPos``.
 """
 
 import csv
@@ -15,13 +15,13 @@ from ngsolve.meshes import MakeStructured2DMesh
 from ngvisco.errors import ParameterError, as_number
 
 time = Parameter(0.0)
-"""Time in seconds, to be used in what depends on it; its value is the end of the last step."""
+"""Time in seconds, for functions that depend on it; its value is the end of the last step."""
 
 _PLACES = (0.1, 0.35, 0.6, 0.9)
 
 
 def reads_time(function: CoefficientFunction) -> bool:
-    """Whether a function has other values at other times; other parameters of NGSolve's are numbers."""
+    """Whether a function changes with the run's time; other parameters of NGSolve's count as numbers."""
     if not may_read_time(function):
         return False
     present, found = time.Get(), []
@@ -35,19 +35,19 @@ def reads_time(function: CoefficientFunction) -> bool:
 
 
 def sampled(function: CoefficientFunction) -> list[float]:
-    """The values at places in cells of different sizes; inf and NaN together where there is none."""
+    """The values at places in cells of two sizes; [inf, nan] for a function that cannot be evaluated."""
     found = []
     for cells in (1, 3):
         mesh = MakeStructured2DMesh(quads=False, nx=cells, ny=cells)
         try:
             found += [function(mesh(place, 0.5 * place)) for place in _PLACES]
-        except Exception:  # NGSolve's own, for what cannot be evaluated on any mesh
+        except Exception:  # NGSolve's errors for functions that no mesh can evaluate
             return [np.inf, np.nan]
     return found
 
 
 def one_value(found: list[float]) -> bool:
-    """Whether values are the same but for rounding."""
+    """Whether values are equal up to rounding."""
     return bool(np.allclose(found, found[0], rtol=1e-12, atol=0.0, equal_nan=True))
 
 
@@ -56,9 +56,9 @@ _knots: dict[bytes, np.ndarray] = {}
 
 
 def step(at: float) -> CoefficientFunction:
-    """0 before the time ``at`` (s), 1 from it on.
+    """A function of time that is 0 before the time ``at`` (s) and 1 from then on.
 
-    Raises ParameterError if ``at`` is no finite number.
+    Raises ParameterError if ``at`` is not a finite number.
     """
     if (number := as_number(at)) is None:
         raise ParameterError("step.at", at, "a finite number, s")
@@ -66,9 +66,9 @@ def step(at: float) -> CoefficientFunction:
 
 
 def pulse(begin: float, duration: float) -> CoefficientFunction:
-    """1 from ``begin`` (s) on for ``duration`` (s), else 0.
+    """A function of time that is 1 from ``begin`` (s) for ``duration`` (s), else 0.
 
-    Raises ParameterError if ``begin`` is no finite number, or ``duration`` no positive one.
+    Raises ParameterError if ``begin`` is not a finite number, or ``duration`` not a positive number.
     """
     start, length = as_number(begin), as_number(duration)
     if start is None:
@@ -81,18 +81,17 @@ def pulse(begin: float, duration: float) -> CoefficientFunction:
 def table(
     source: str | PathLike[str] | Sequence[float], values: Sequence[float] | Sequence[Sequence[float]] = ()
 ) -> CoefficientFunction:
-    """A function of time by a table: straight lines between its rows, constant before and after them.
+    """A function of time from a table: linear between rows, constant before the first and after the last row.
 
-    Raises ParameterError if the file cannot be read, a row is not of finite numbers, or times do not
-    increase.
+    Raises ParameterError if the file cannot be read, a number is not finite, or times do not increase.
 
     Parameters
     ----------
     source : path or sequence of float
-        A CSV file, of numbers with at most one line of names before them, the first column the time (s); or
-        the times, s.
-    values : sequence of float, or of rows of them
-        With times as ``source``: the value of each time, or several.
+        A CSV file of numbers, with at most one line of names before them and the time (s) in the first
+        column; or the times, s.
+    values : sequence of float, or of rows of float
+        With times as ``source``: one value for each time, or a row of values.
 
     Returns
     -------
@@ -108,7 +107,7 @@ def table(
     knots = [times[0], *times, times[-1]]
     begin, end = float(times[0]), float(times[-1])
     within = IfPos(time - begin, IfPos(end - time, time, end), begin)
-    # a spline is zero from its last knot on
+    # a spline vanishes from its last knot on
     parts = [
         IfPos(end - time, BSpline(2, knots, [float(v) for v in column])(within), float(column[-1]))
         for column in columns.T
@@ -117,14 +116,14 @@ def table(
 
 
 def read_table(path: str | PathLike[str]) -> np.ndarray:
-    """The rows of a CSV file as ``table`` has them, (rows, 1 + values); raises ParameterError."""
+    """The rows of a CSV file for ``table``, (rows, 1 + values); raises ParameterError."""
     return _checked(f"table {fspath(path)!r}", _rows_of(fspath(path)))
 
 
 def breaking(function: CoefficientFunction) -> tuple[list[CoefficientFunction], list[np.ndarray]]:
-    """Discontinuities of a function of time: the functions by whose sign it chooses, and times of tables, s.
+    """Discontinuities of a function of time: arguments of its ``IfPos``, and times of tables, s.
 
-    The times are those of all tables that were made: a rule with more breaks than it needs is right, too.
+    The times come from all tables ever made, as a rule with too many breaks is right, too.
     """
     return list(_choices(function)), list(_knots.values()) if "bspline" in str(function) else []
 
@@ -141,9 +140,9 @@ def _choices(function: CoefficientFunction) -> Iterator[CoefficientFunction]:
 
 
 def may_read_time(function: CoefficientFunction) -> bool:
-    """Whether a function has a parameter of NGSolve's in it, as the run's time is."""
+    """Whether a function contains a parameter of NGSolve's; the run's time is one."""
     said = str(function)
-    return "ParameterCoefficientFunction" in said or "ParameterCF" in said  # of 2*t, say
+    return "ParameterCoefficientFunction" in said or "ParameterCF" in said  # 2*t, for example
 
 
 def _checked(name: str, rows: np.ndarray) -> np.ndarray:
@@ -181,7 +180,7 @@ def _rows_of(path: str) -> np.ndarray:
             rows.append([float(part) for part in parts])
         except ValueError:
             if number == lines[0][0]:
-                continue  # the columns' names
+                continue  # line of the columns' names
             expected = f"numbers in line {number} of {path!r}"
             raise ParameterError("table", ",".join(parts), expected) from None
         if len(rows[-1]) != len(rows[0]):

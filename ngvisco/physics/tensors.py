@@ -1,8 +1,8 @@
-"""Tensor algebra on 3x3 coefficient functions, and the spaces of tensors that fields live in.
+"""Tensor algebra on 3x3 coefficient functions, and the spaces of the fields' tensors.
 
 All tensors are 3x3.  On a mesh of two dimensions, in plane strain and about an axis, a tensor keeps its 33
-entry and has zero 13, 23, 31, 32 entries.  That subspace is closed under every operation used here; its
-fields are stored by their components in an orthonormal basis.  What energies are written with also takes
+entry and has zero 13, 23, 31, 32 entries.  This subspace is closed under every operation used here; fields
+store components in an orthonormal basis of it.  The functions that energies use also accept
 ``ngvisco.physics.arrays``.
 """
 
@@ -24,12 +24,12 @@ Scalar = TypeVar("Scalar", CoefficientFunction, np.ndarray)
 
 
 def sym(A: Tensor) -> Tensor:
-    """Symmetric part (A + A^T)/2."""
+    """The symmetric part (A + A^T)/2."""
     return 0.5 * (A + A.trans)
 
 
 def skw(A: Tensor) -> Tensor:
-    """Skew part (A - A^T)/2; W = skw(grad v) is the spin (paper: ZJ)."""
+    """The skew part (A - A^T)/2; W = skw(grad v) is the spin (paper: ZJ)."""
     return 0.5 * (A - A.trans)
 
 
@@ -54,12 +54,12 @@ def dev(A: Tensor) -> Tensor:
 
 
 def inner(A: Tensor, B: Tensor) -> Tensor:
-    """A : B (or a . b)."""
+    """The inner product A : B (or a . b)."""
     return InnerProduct(A, B)
 
 
 def square(A: Tensor) -> Tensor:
-    """|A|^2 = A : A."""
+    """The squared Frobenius norm |A|^2 = A : A."""
     return InnerProduct(A, A)
 
 
@@ -91,13 +91,13 @@ def cof(A: Tensor) -> Tensor:
 
 
 def constant(array: np.ndarray) -> Tensor:
-    """An array of numbers as a coefficient function of its shape; the same one for the same numbers."""
+    """An array of numbers as a coefficient function of its shape; equal arrays give one object."""
     return _constant(np.asarray(array, dtype=float).tobytes(), array.shape)
 
 
 @lru_cache(maxsize=1024)
 def _constant(numbers: bytes, shape: tuple[int, ...]) -> Tensor:
-    """Each different number is made once: NGSolve takes a tenth of a millisecond to make one of Python's."""
+    """``constant``, each distinct number made once: NGSolve takes 0.1 ms to make one of Python's numbers."""
     values, which = np.unique(np.frombuffer(numbers), return_inverse=True)
     made = [CF(float(value)) for value in values]
     return CF(tuple(made[i] for i in which.ravel()), dims=shape)
@@ -112,7 +112,7 @@ def linear_map(matrix: np.ndarray, A: Tensor, shape: tuple[int, ...]) -> Tensor:
 
 
 def masked(A: Tensor, mask: np.ndarray) -> Tensor:
-    """A vector, or a matrix by its rows, with zero where ``mask`` is False."""
+    """A vector or a matrix with zeros in the rows where ``mask`` is False."""
     if hasattr(A, "masked"):
         return A.masked(mask)
     return constant(np.diag(mask.astype(float))) * A
@@ -121,7 +121,7 @@ def masked(A: Tensor, mask: np.ndarray) -> Tensor:
 def log_det(A: Tensor) -> Tensor:
     """ln det A of a symmetric positive definite 3x3 tensor; NaN for every other one.
 
-    The sum of the logarithms of the pivots: det A alone is positive for two negative eigenvalues too.
+    It is the sum of the pivots' logarithms, as det A alone is positive for two negative eigenvalues too.
     """
     a, b, c = (A[i, i] for i in range(3))
     d, e, f = (A[i, j] for i, j in ((0, 1), (0, 2), (1, 2)))
@@ -136,13 +136,13 @@ def if_positive(a: Tensor, then: Tensor | float, otherwise: Tensor | float) -> T
 
 
 def is_number(a: Tensor, then: Tensor | float, otherwise: Tensor | float) -> Tensor:
-    """``then`` where the scalar a is a number, ``otherwise`` where it is none."""
+    """``then`` where the scalar a is not NaN, ``otherwise`` where it is NaN."""
     return if_positive(1.0 + a * a, then, otherwise)
 
 
 def embed_gradient(grad: Tensor, dim: int, hoop: Tensor | None = None) -> Tensor:
-    """The 3x3 velocity gradient (grad v)_ij = d_j v_i from the dim x dim one, in 2D with ``hoop`` as entry
-    33, zero in plane strain."""
+    """The 3x3 velocity gradient, (grad v)_ij = d_j v_i, from the dim x dim gradient; in 2D ``hoop`` is its
+    entry 33, zero in plane strain."""
     if dim == 3:
         return grad
     if hasattr(grad, "mapped"):
@@ -156,11 +156,11 @@ def embed_gradient(grad: Tensor, dim: int, hoop: Tensor | None = None) -> Tensor
 _COLUMNS, _HOOP = np.eye(3, 2), np.eye(9)[:, 8:]
 _EMBEDDING = np.zeros((9, 4))
 _EMBEDDING[(0, 1, 3, 4), (0, 1, 2, 3)] = 1.0
-"""The embedding of the entries of a 2x2 matrix in a 3x3 one."""
+"""Matrix (9, 4) that embeds the entries of a 2x2 matrix in a 3x3 matrix."""
 
 
 def is_even(power: float) -> bool:
-    """Whether |.|^(power - 2) is a polynomial, which ``power_of_square`` does not smooth."""
+    """Whether |.|^(power - 2) is a polynomial; ``power_of_square`` smooths all other powers."""
     half = 0.5 * power - 1
     return abs(half - round(half)) < 1e-14 and 0 <= round(half) <= 8
 
@@ -168,8 +168,8 @@ def is_even(power: float) -> bool:
 def power_of_square(s: Scalar, exponent: float, floor: float) -> Scalar:
     """s^exponent for s = |.|^2 >= 0, a coefficient function or an array; differentiable at s = 0.
 
-    Small integer exponents are exact.  Otherwise (floor^2 + s)^exponent, because the derivative of a
-    real power is NaN at zero; ``floor`` has the units of |.| and is far below any value of interest.
+    Small integer exponents are exact.  Others give (floor^2 + s)^exponent, as the derivative of a real power
+    is NaN at zero; ``floor`` has the units of |.| and is far below any value of interest.
     """
     rounded = round(exponent)
     if abs(exponent - rounded) < 1e-14 and 0 <= rounded <= 8:
@@ -208,7 +208,7 @@ class TensorSpace:
 
     @cached_property
     def columns(self) -> np.ndarray:
-        """The basis as a (9, size) array, tensors in row-major order; (1, 1) of scalars."""
+        """The basis as a (9, size) array, tensors in row-major order; (1, 1) for scalars."""
         return np.ones((1, 1)) if self.is_scalar else np.array(self.basis).reshape(len(self.basis), 9).T
 
     def tensor(self, components: Tensor) -> Tensor:
@@ -219,7 +219,7 @@ class TensorSpace:
         return linear_map(self.columns, components, (3, 3))
 
     def components(self, value: Tensor) -> Tensor:
-        """Components of the orthogonal projection of a 3x3 tensor (or scalar) to this space."""
+        """Components of the orthogonal projection of a 3x3 tensor (or scalar) onto this space."""
         if self.is_scalar:
             return value.mapped(np.ones((1, 1)), (1,)) if hasattr(value, "mapped") else CF((value,))
         return linear_map(self.columns.T, value, (self.size,))
@@ -239,24 +239,24 @@ def _pairs(dim: int) -> list[tuple[int, int]]:
 
 
 def full_tensors(dim: int) -> TensorSpace:
-    """All 3x3 tensors (9 components); in plane strain the block one (5)."""
+    """The space of all 3x3 tensors (9 components); in plane strain of block tensors (5 components)."""
     return _space("full", [_unit(*pair) for pair in _pairs(dim)])
 
 
 def symmetric_tensors(dim: int) -> TensorSpace:
-    """Symmetric tensors: 6 components, 4 in plane strain; off-diagonal basis (e_ij + e_ji)/sqrt 2."""
+    """The space of symmetric tensors: 6 components, 4 in plane strain; basis e_ii, (e_ij + e_ji)/sqrt 2."""
     pairs = [(i, j) for i, j in _pairs(dim) if i <= j]
     basis = [_unit(i, j) if i == j else (_unit(i, j) + _unit(j, i)) / math.sqrt(2) for i, j in pairs]
     return _space("symmetric", basis)
 
 
 def vectors(dim: int) -> TensorSpace:
-    """Vectors of the mesh's dimension, each the first column of a tensor."""
+    """The space of vectors of the mesh's dimension, each stored in the first column of a tensor."""
     return _space("vector", [_unit(i, 0) for i in range(dim)])
 
 
 def trace_free_tensors(dim: int) -> TensorSpace:
-    """R^{3x3}_dev: symmetric and trace-free; 5 components, 3 in plane strain."""
+    """The space R^{3x3}_dev of symmetric trace-free tensors: 5 components, 3 in plane strain."""
     off = [(i, j) for i, j in _pairs(dim) if i < j]
     basis = [(_unit(i, j) + _unit(j, i)) / math.sqrt(2) for i, j in off]
     basis.append((_unit(0, 0) - _unit(1, 1)) / math.sqrt(2))

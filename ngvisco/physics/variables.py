@@ -1,8 +1,8 @@
 """Transported variables and their kinematic rates.
 
-A variable z obeys  dt z + (v . grad) z = rate(z; L, Pi)  with L = grad v, L_ij = d_j v_i, and the
-inelastic distortion rate Pi (symmetric, tr Pi = 0).  Every rate is linear in z, in L and in Pi
-(jointly affine), which is all that the discretisation and the derived stresses use.
+A variable z obeys  dt z + (v . grad) z = rate(z; L, Pi)  with L = grad v, L_ij = d_j v_i, and the inelastic
+distortion rate Pi (symmetric, tr Pi = 0).  Every rate is affine in z and linear in (L, Pi); the
+discretisation and the derived stresses use nothing else.
 
 | variable      | rate                                  | paper                          |
 |---------------|---------------------------------------|--------------------------------|
@@ -18,12 +18,12 @@ inelastic distortion rate Pi (symmetric, tr Pi = 0).  Every rate is linear in z,
 | J^a F F^T     | L B + B L^T + a (tr L) B - 2 sym(Pi B) | none, see ``LeftCauchyGreen``  |
 | J^b Cof F F^T | (2 + b)(tr L) N - 2 sym(N L) + 2 sym(Pi N) | none, see ``CofactorLeftCauchyGreen`` |
 
-The two last ones are for isotropic energies: they do not know of the rotation in F.  Their Pi is the creep
-rate in the actual frame, that of F the one in the relaxed frame; one material has variables of one frame.
+The last two are for isotropic energies, as they do not contain the rotation of F.  Their Pi is the creep rate
+in the actual frame, the Pi of F that in the relaxed frame.  A material's variables are of one frame.
 
-The cofactor rows are the paper's (Cof' F)(L F - F Pi) written out: d/dt (J F^-T) with tr Pi = 0.
-The paper's line for Mooney-Rivlin prints (Cof' F)((grad v)H - H Pi) - (7/6)(div v)H, which is a slip:
-differentiating H = J^{-7/6} Cof F gives the row above with b = -7/6.
+The cofactor rows are the paper's (Cof' F)(L F - F Pi) written out, d/dt (J F^-T) with tr Pi = 0.  For
+Mooney-Rivlin the paper prints (Cof' F)((grad v)H - H Pi) - (7/6)(div v)H, which is a slip: the derivative of
+H = J^{-7/6} Cof F is the row above with b = -7/6.
 """
 
 from abc import ABC, abstractmethod
@@ -41,12 +41,12 @@ Values = Mapping[str, Tensor]
 Frame: TypeAlias = Literal["relaxed", "actual"]
 
 PRESSURE, TEMPERATURE, HARDENING, CONFORMATION = "pressure", "temperature", "hardening", "conformation"
-"""Under which names ``Values`` have, for the laws that read them, -tr T/3, Pa, theta, K, what hardening adds
-to the yield stress, Pa, and the conformation tensor of what flows."""
+"""Names, in ``Values`` for laws, of the pressure -tr T/3, Pa, the temperature, K, the growth of the yield
+stress by hardening, Pa, and the conformation tensor of the flow."""
 
 INTERFACE = "interface"
-"""Under which name the viscosity of several bodies finds n x n, 3x3, n the normal of their interface at the
-start of a step; zero where there is none."""
+"""Name, in ``Values`` for the viscosity of several bodies, of n x n, 3x3, with the normal n of their
+interface at a step's start; zero away from interfaces."""
 
 
 @dataclass(frozen=True)
@@ -54,18 +54,18 @@ class Variable(ABC):
     """A transported variable."""
 
     name: str
-    """Key under which energies find it, e.g. ``"F"``."""
+    """Key of the variable in ``Values``, e.g. ``"F"``."""
     kind: str
     """``"scalar"``, ``"symmetric"`` or ``"full"`` (3x3), or ``"vector"``, the first column of a tensor."""
 
     is_strain = True
-    """Whether the energy has to be convex in it, together with the other strains; not of parameters."""
+    """Whether the energy has to be convex in it, jointly with the other strains; False for parameters."""
     is_conserved = False
-    """Whether rate(z; L, Pi) = -(tr L) z, without a production, so that int z is kept."""
+    """Whether rate(z; L, Pi) = -(tr L) z, without a production, so that int z is conserved."""
     density = 0.0
-    """The density of one unit of the variable, kg/m^3; 0 for a variable that is no amount of matter."""
+    """Mass density per unit of the variable, kg/m^3; 0 for a variable that is no amount of matter."""
     own_scale: ClassVar[float | None] = None
-    """Its size beside which small increments count by themselves; None: by those of all variables."""
+    """Size with which the variable's increments are compared; None for the sizes of all variables."""
 
     def __post_init__(self) -> None:
         if not (isinstance(self.name, str) and self.name.isidentifier()):
@@ -75,11 +75,11 @@ class Variable(ABC):
 
     @abstractmethod
     def rate(self, z: Values, L: Tensor, Pi: Tensor) -> Tensor:
-        """dt z + (v . grad) z, in 1/s, for the values ``z`` of all variables, L and Pi (3x3)."""
+        """The rate dt z + (v . grad) z, in 1/s, for the values ``z`` of all variables, L and Pi (3x3)."""
 
     @abstractmethod
     def from_distortion(self, F: Tensor) -> Tensor:
-        """Initial value that belongs to an elastic distortion F (3x3, det F > 0)."""
+        """The variable's value for an elastic distortion F (3x3, det F > 0)."""
 
     @property
     def requires(self) -> tuple[str, ...]:
@@ -87,42 +87,42 @@ class Variable(ABC):
         return ()
 
     def positive(self, value: Tensor) -> Values:
-        """The scalars of the variable's value that must stay > 0, by what they are (``"det F"``).
+        """Scalars of the variable's value that must stay > 0, by their names in messages (``"det F"``).
 
-        The implicit equations of a long step have solutions of the wrong sign too; a step that ends in
-        one is refused (paper: the local non-interpenetration of Euler-large-ass-phi).
+        The implicit equations of a long step also have solutions of the wrong sign; a step that ends in such
+        a solution is refused (paper: the local non-interpenetration of Euler-large-ass-phi).
         """
         return {}
 
     @property
     def by_flux(self) -> bool:
-        """Whether it is a density, rate = -(tr L) z and a production: -(tr L) z is part of its flux."""
+        """Whether it is a density, with -(tr L) z in its rate, which its flux then contains."""
         return self.is_conserved
 
     @property
     def is_positive_definite(self) -> bool:
-        """Whether it is a symmetric tensor with eigenvalues > 0, and no density, which is 0 elsewhere."""
+        """Whether it is a symmetric tensor with eigenvalues > 0; no density is, as densities may vanish."""
         return False
 
     @property
     def creeps(self) -> bool:
-        """Whether the rate depends on Pi; functions of J do not, since tr Pi = 0."""
+        """Whether the rate depends on Pi; rates of functions of J do not, since tr Pi = 0."""
         return self.kind != "scalar"
 
     @property
     def frame(self) -> Frame | None:
-        """Where the rate's Pi lives, of F in the relaxed configuration; None for what does not creep.
+        """The frame of the rate's Pi, for F the relaxed configuration; None if the variable does not creep.
 
-        That of E and of F F^T lives in the actual one: it is Q Pi Q^T with the polar factor Q of F.
+        The Pi of E and of F F^T is in the actual frame: it is Q Pi Q^T with the polar factor Q of F.
         """
         return "actual" if self.creeps else None
 
     def turned(self, value: Tensor, Q: Tensor) -> Tensor:
-        """The value that an observer turned by the rotation Q (3x3) sees."""
+        """The value as an observer turned by the rotation Q (3x3) sees it."""
         return Q * value * Q.trans if self.creeps else value
 
     def volume_ratio(self, value: Tensor) -> tuple[Tensor, float] | None:
-        """(d, n) with d = J^n for a variable that belongs to a distortion of determinant J, or None."""
+        """The pair (d, n) with d = J^n, J the determinant of the distortion; None for other variables."""
         return None
 
 
@@ -130,8 +130,8 @@ class Variable(ABC):
 class SmallStrain(Variable):
     """Small elastic strain E with the Zaremba-Jaumann rate (paper: ZJ, Euler-small-flow-rule).
 
-    The energy balance needs E_ZJ = eps(v) - Pi with G_m Pi = + dev S; the paper prints G_m Pi = - dev T in
-    Euler-small-flow-rule, yet merges it rightly into E_ZJ = eps(v) - R dev T.
+    The energy balance needs E_ZJ = eps(v) - Pi with G_m Pi = + dev S.  The paper prints G_m Pi = - dev T in
+    Euler-small-flow-rule, but E_ZJ = eps(v) - R dev T, with the right sign, after eliminating Pi.
     """
 
     name: str = "E"
@@ -147,15 +147,15 @@ class SmallStrain(Variable):
 
 @dataclass(frozen=True)
 class DistortionTensor(Variable):
-    """J^exponent times a tensor of the elastic distortion F; a symmetric one is positive definite.
+    """J^exponent times a tensor of the elastic distortion F; symmetric tensors are positive definite.
 
-    Raises ParameterError if the exponent is no finite number.
+    Raises ParameterError if the exponent is not a finite number.
     """
 
     exponent: float = 0.0
 
     degree = 1
-    """The determinant of the tensor is J to this power."""
+    """Power of J that is the tensor's determinant, without J^exponent."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -165,7 +165,7 @@ class DistortionTensor(Variable):
     @staticmethod
     @abstractmethod
     def tensor(F: Tensor) -> Tensor:
-        """The tensor of F, without the power of J."""
+        """The tensor of F, without J^exponent."""
 
     def from_distortion(self, F: Tensor) -> Tensor:
         return Det(F) ** float(self.exponent) * self.tensor(F) if self.exponent else self.tensor(F)
@@ -236,9 +236,9 @@ class LeftCauchyGreen(DistortionTensor):
 
         dB/dt = L B + B L^T + a (tr L) B - 2 J^a F Pi_R F^T,   a = exponent.
 
-    Pi_R is coaxial with F^T F where the energy is isotropic (G_m Pi_R = M is so).  With the polar
-    decomposition F = V Q, Pi = Q Pi_R Q^T is then coaxial with V, and F Pi_R F^T = V Pi V = Pi V^2: the creep
-    term is -Pi B - B Pi, with Pi symmetric, trace-free and of the same size, G_m Pi = dev 2 sym(zeta B).
+    If the energy is isotropic, Pi_R is coaxial with F^T F, as M = G_m Pi_R is.  With the polar decomposition
+    F = V Q, Pi = Q Pi_R Q^T is then coaxial with V, and F Pi_R F^T = V Pi V = Pi V^2.  The creep term is -Pi
+    B - B Pi, where Pi is symmetric and trace-free with |Pi| = |Pi_R|, and G_m Pi = dev 2 sym(zeta B).
 
     B is positive definite and det B = J^(3a + 2); |J^(a/2) F|^2 = tr B.
     """
@@ -261,7 +261,7 @@ class LeftCauchyGreen(DistortionTensor):
 
 @dataclass(frozen=True)
 class CofactorLeftCauchyGreen(DistortionTensor):
-    """N = J^exponent Cof(F F^T), what ``LeftCauchyGreen`` is to F for the cofactor of F.
+    """N = J^exponent Cof(F F^T), which replaces the cofactor of F as ``LeftCauchyGreen`` replaces F.
 
     Cof(F F^T) = J^2 (F F^T)^-1, and from dB/dt = (L - Pi) B + B (L - Pi)^T follows
     dB^-1/dt = -B^-1 (L - Pi) - (L - Pi)^T B^-1, so that with b = exponent
@@ -288,7 +288,7 @@ class CofactorLeftCauchyGreen(DistortionTensor):
 
 @dataclass(frozen=True)
 class Jacobian(Variable):
-    """J = det F (paper: DT-det-extended); creep leaves it alone because tr Pi = 0."""
+    """J = det F (paper: DT-det-extended); creep does not change it because tr Pi = 0."""
 
     name: str = "J"
     kind: str = "scalar"
@@ -328,7 +328,7 @@ class ReciprocalJacobian(Variable):
 
 @dataclass(frozen=True)
 class Concentration(Variable):
-    """An amount per actual volume, as of a solute: dc/dt = -(tr L) c, conserved; zero at the start."""
+    """An amount per actual volume, such as a solute's: dc/dt = -(tr L) c, conserved; zero at the start."""
 
     name: str = "c"
     kind: str = "scalar"
@@ -344,7 +344,7 @@ class Concentration(Variable):
 
 @dataclass(frozen=True)
 class LogJacobian(Variable):
-    """K = ln J / J (paper: exa-neo-Hookean-ref); reads A = 1/J."""
+    """K = ln J / J (paper: exa-neo-Hookean-ref); its rate reads A = 1/J."""
 
     name: str = "K"
     kind: str = "scalar"

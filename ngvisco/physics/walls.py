@@ -1,5 +1,5 @@
-"""Conditions on a wall.  A wall is impenetrable, v.n = 0, and has a condition for v's tangential part; matter
-crosses the walls that are a ``Passage``.
+"""Conditions on walls.  A wall is impenetrable, v.n = 0, and has a condition for the tangential part of v;
+matter crosses only walls of the class ``Passage``.
 
 The tangential part of a vector is a_t = a - (a.n) n.  Names of walls are the mesh's boundary names.
 """
@@ -23,11 +23,11 @@ class Wall:
     Parameters
     ----------
     heat : WallHeat, optional
-        Heat through the wall, of materials with a temperature; insulated where nothing is said.
+        Heat through the wall, for materials with a temperature; default insulated.
     """
 
     straight = False
-    """Whether straight facets are meant, see ``Slip``."""
+    """Whether the facets of the wall are meant to be straight, see ``Slip``."""
     heat: WallHeat | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
@@ -36,15 +36,15 @@ class Wall:
 
 @dataclass(frozen=True)
 class Slip(Wall):
-    """v.n = 0 and no tangential stress (paper: Euler-small-BC-hyper); the default everywhere.
+    """v.n = 0 and no tangential stress (paper: Euler-small-BC-hyper); the default for every wall.
 
-    Raises ParameterError if a parameter is of another type.
+    Raises ParameterError if a parameter is of the wrong type.
 
     Parameters
     ----------
     straight : bool
-        Straight facets of this wall are meant, though they meet at an angle. Those that meet at less than 60
-        degrees are refused otherwise: where they approach a curved wall, slip turns into no slip.
+        Whether the wall is meant to have straight facets that meet at an angle.  If False, facets that meet
+        at less than 60 degrees are refused: if they approximate a curved wall, slip turns into no slip.
     """
 
     straight: Annotated[bool, Quantity(example=True)] = False
@@ -52,20 +52,20 @@ class Slip(Wall):
 
 @dataclass(frozen=True)
 class NoSlip(Wall):
-    """v = 0.  Raises ParameterError if ``heat`` is no WallHeat."""
+    """v = 0 on the wall.  Raises ParameterError if ``heat`` is no WallHeat."""
 
 
 @dataclass(frozen=True)
 class PrescribedTangential(Wall):
-    """v = V on the wall, V tangential: a sliding lid, a rotating cylinder.
+    """v = V on the wall with V tangential, as on a sliding lid or a rotating cylinder.
 
-    Raises ParameterError if ``velocity`` is no vector.
+    Raises ParameterError if ``velocity`` is not a vector.
 
     Parameters
     ----------
     velocity : vector of the mesh's dimension
-        V, the velocity of the wall, a function of x and of the run's time, of which each step has the mean.
-        V.n must vanish up to the geometry's approximation: walls are not open.
+        Velocity V of the wall, a function of x and of the run's time; each step takes its mean.  V.n must
+        vanish up to the geometry's approximation, as the wall is not open.
     """
 
     velocity: Annotated[VectorLike, Quantity("m/s", example=["0.1*y", "-0.1*x"])]
@@ -80,10 +80,10 @@ class Traction(Wall):
     Parameters
     ----------
     f : vector of the mesh's dimension
-        Tangential traction, a component for each dimension, averaged over the step; its normal part has no
+        Tangential traction, a component for each dimension, averaged over the step.  A normal part has no
         power and is left out with a warning.
     friction : float
-        Traction -friction v_t besides.
+        Coefficient of the further traction -friction v_t.
     straight
         As for ``Slip``.
     """
@@ -102,7 +102,7 @@ class NavierFriction(Wall):
     Parameters
     ----------
     coefficient : number or coefficient function
-        Tangential stress is -coefficient v_t; it may depend on x.
+        Coefficient of the tangential stress -coefficient v_t; it may depend on x.
     straight
         As for ``Slip``.
     """
@@ -113,11 +113,11 @@ class NavierFriction(Wall):
 
 @dataclass(frozen=True, kw_only=True)
 class Passage(Wall):
-    """Base of the walls that matter crosses: what flows out has its own values.
+    """Base of the walls that matter crosses; matter flows out with its own values.
 
-    What flows in has the values that are given here by name.  Whatever is not named goes on beyond the wall
-    as it is inside, so that the wall does not push a body that is under stress.  A fluid of which nothing is
-    named has the volume and the density of the pressure of an ``Open`` wall.
+    Matter flows in with the values given here by name.  A variable without a value has its inner value beyond
+    the wall too, so that the wall does not push a body under stress.  A fluid without any value flows in
+    through an ``Open`` wall with the volume and the density of the wall's pressure.
     """
 
     density: Annotated[Function | None, Quantity("kg/m^3", "> 0", 1.0)] = None
@@ -133,32 +133,32 @@ class Passage(Wall):
 
 @dataclass(frozen=True, kw_only=True)
 class Inflow(Passage):
-    """v = V on the wall, V with a normal part: an inlet.
+    """v = V on the wall with a normal part of V, as at an inlet.
 
     Raises ParameterError if a parameter is out of its range.
 
     Parameters
     ----------
     velocity : vector of the mesh's dimension
-        V, a function of x and of the run's time, of which each step has the mean; matter leaves where
-        V.n > 0.
+        Velocity V, a function of x and of the run's time; each step takes its mean.  Matter leaves where V.n
+        > 0.
     density : number or coefficient function, optional
-        Density of what flows in, averaged over the step; that inside where nothing is said.  Where J or A is
-        among the values the density is rho_R/J, of a material with a referential density rho_R; others need
-        one.
+        Density of the inflow, averaged over the step; default the density inside.  If J or A is among
+        ``values``, the density of a material with a referential density rho_R is rho_R/J, and any other
+        material needs a density.
     values : mapping of names to coefficient functions, optional
-        The material's variables of what flows in, by name, averaged over the step; those inside of variables
-        that are not named.  Variables of one distortion, as F and J, belong together.
+        Values of the material's variables in the inflow, by name, averaged over the step; default the inner
+        values.  Values of variables of one distortion, such as F and J, must fit together.
     amounts : mapping of names to coefficient functions, optional
-        With bodies, which of them flow in, at rest: by their names n_i, the volumes that they have at rest in
-        a unit of volume, 0 where nothing is said. The density is sum rho_i n_i.  Without amounts the bodies
-        that are inside go on beyond the wall.
+        Bodies that flow in, at rest: amounts n_i by the bodies' names, the volumes at rest per actual volume,
+        0 for bodies without a name here.  The density is sum rho_i n_i.  Without amounts the bodies inside
+        flow in.
     temperature : number or coefficient function, optional
-        Of what flows in, of a material that has one; where nothing is said its entropy is that inside.
+        Temperature of the inflow, for a material with heat; default the entropy inside.
     displacement : bool
-        Whether the field ``displacement_NAME``, NAME the wall's, is a result: w with dw/dt = v, zero at the
+        Whether the field ``displacement_NAME`` of the wall NAME is a result: w with dw/dt = v, zero at the
         start (in scripts ``Initial.values["displacement_NAME"]``), so that w.n is the integral of v.n over
-        time.  The mesh does not move: w is to be small beside a cell where it stands for the wall's place.
+        time.  The mesh does not move: a w that stands for the wall's place has to be small beside a cell.
     """
 
     velocity: Annotated[VectorLike, Quantity("m/s", example=["y*(1 - y)", 0.0])]
@@ -166,17 +166,17 @@ class Inflow(Passage):
 
 @dataclass(frozen=True, kw_only=True)
 class PrescribedNormal(Passage):
-    """v.n = V on the wall, a piston: the tangential part of v is free and has no stress.
+    """v.n = V on the wall, as on a piston; the tangential part of v is free, without tangential stress.
 
-    The mesh does not move: where V < 0 the piston presses, and what it moves comes in through the wall, where
-    V > 0 it pulls, and as much leaves.  Its power and the mass that it sweeps are in the ledger.  On walls
-    parallel to an axis v.n is a component of v and is V at every point, on others in the mean by the walls'
-    multipliers (FORMULATION 12).  Raises ParameterError if a parameter is out of its range.
+    The mesh does not move: where V < 0 the piston presses and matter comes in through the wall; where V > 0
+    it pulls and matter leaves.  The ledger has its power and the mass that it sweeps.  On walls parallel to
+    an axis v.n is a component of v and equals V at every point; on others it equals V in the mean, by the
+    walls' multipliers (FORMULATION 12).  Raises ParameterError if a parameter is out of its range.
 
     Parameters
     ----------
     velocity : number or coefficient function
-        V along the outward normal, a function of x and of the run's time, of which each step has the mean.
+        Velocity V along the outward normal, a function of x and of the run's time; each step takes its mean.
     density, values, amounts, temperature, displacement
         As for ``Inflow``.
     """
@@ -186,27 +186,27 @@ class PrescribedNormal(Passage):
 
 @dataclass(frozen=True, kw_only=True)
 class Open(Passage):
-    """The stress is given and v is free: (T + D) n = f - p n - Z_p (v.n) n - Z_s v_t - k_p (w.n) n - k_s w_t.
+    """A wall of given stress and free v: (T + D) n = f - p n - Z_p (v.n) n - Z_s v_t - k_p (w.n) n - k_s w_t.
 
     Raises ParameterError if a parameter is out of its range.
 
     Parameters
     ----------
     pressure : number or coefficient function
-        p, averaged over the step.  A fluid whose one strain is its volume and whose referential density is
-        known flows in with the volume and the density that it has at p, where the wall gives no other stress,
-        and no density or values; with an entropy where its temperature is given.
+        Pressure p, averaged over the step.  If the wall gives no other stress, no density and no values, a
+        fluid flows in with its volume and density at p.  Its only strain has to be the volume, its
+        referential density has to be known, and with an entropy the wall has to give a temperature.
     traction : vector of the mesh's dimension, optional
-        f, normal part and all, averaged over the step.
+        Traction f, with its normal part, averaged over the step.
     impedance : pair of numbers
-        Z_p and Z_s: a dashpot along and across the normal. With density times the speeds of pressure and
-        shear waves, plane waves leave.
+        Z_p and Z_s of dashpots along and across the normal.  Plane waves leave if these are the density times
+        the speeds of pressure and shear waves.
     stiffness : pair of numbers
-        k_p and k_s: springs along and across the normal to a rigid ground, a foundation that gives; w is the
-        displacement, a result of walls on springs in any case.
+        k_p and k_s of springs along and across the normal to a rigid ground, an elastic foundation.  w is the
+        displacement, always a result of walls on springs.
     backflow : bool
-        Whether the kinetic energy of what flows in is taken from it, -rho (v.n) |v|^2/2 where v.n < 0:
-        without that a given stress may feed such a flow without bound.
+        Whether the kinetic energy that an inflow brings, -rho (v.n) |v|^2/2 where v.n < 0, is taken from the
+        flow: otherwise a given stress may feed an inflow without bound.
     density, values, amounts, temperature, displacement
         As for ``Inflow``.
     """
@@ -219,6 +219,6 @@ class Open(Passage):
 
 
 MOVING = PrescribedTangential, Inflow, PrescribedNormal
-"""Walls whose velocity is given, or its normal part."""
+"""Classes of walls with a given velocity, or a given normal part of it."""
 HELD = NoSlip, PrescribedTangential, Inflow
-"""Walls on which all of v is prescribed."""
+"""Classes of walls on which v is prescribed in full."""

@@ -1,4 +1,4 @@
-"""Flow rules: how fast a material creeps."""
+"""Flow rules, the laws of a material's creep rate."""
 
 from ngvisco.physics.flow_rules.conformation import PTT, Giesekus
 from ngvisco.physics.flow_rules.laws import Composite, Creep, CreepLaw, DruckerPrager, Eyring, Norton, Perzyna

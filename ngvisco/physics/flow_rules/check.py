@@ -20,16 +20,16 @@ from ngvisco.physics.tensors import trace_free_tensors
 from ngvisco.physics.variables import CONFORMATION, HARDENING, INTERFACE, PRESSURE, TEMPERATURE, Values
 
 _SIZES = 10.0 ** np.arange(-9, 13)
-"""|M|, Pa, of the samples; rules do not tell their scale."""
+"""Sizes |M|, Pa, of the samples; the scale of a rule is not known."""
 _ROUNDING = 1e-10
 _INVERSE = 1e-3
-"""The relative difference of psi'(rate(M)) and M that is accepted: both are smoothed near zero."""
+"""Accepted relative difference of psi'(rate(M)) and M, which are both smoothed near zero."""
 
 
 def values_at_rest(material: Material, parameters: Mapping[str, float] | None = None) -> Values:
-    """Values of a material's variables at F = I as arrays of one point, with those of ``parameters``.
+    """Values of a material's variables at F = I, as arrays of one point, with the values ``parameters``.
 
-    With no pressure, no hardening and, of a material with heat, its reference temperature.
+    Pressure and hardening are zero; a material with heat has its reference temperature.
     """
     states, components = material.states(3), rest_state(material, 3)[:, None]
     for name in states.slices.keys() & (parameters or {}).keys():
@@ -45,7 +45,7 @@ def values_at_rest(material: Material, parameters: Mapping[str, float] | None = 
 
 
 def _readable(name: str, law: FlowRule | Viscosity, material: Material) -> dict[str, Any]:
-    """``values_at_rest`` for a law; raises ParameterError where it reads a temperature that there is not."""
+    """``values_at_rest`` for a law; raises ParameterError if the temperature that it reads is missing."""
     z = dict(values_at_rest(material))
     if TEMPERATURE in law.reads and entropy_in(material) is None:
         expected = (
@@ -59,7 +59,7 @@ def _readable(name: str, law: FlowRule | Viscosity, material: Material) -> dict[
 def check_viscosity(law: Viscosity, material: Material) -> None:
     """Raise ParameterError for a viscosity whose stress has a negative power, or falls with the strain rate.
 
-    By samples of eps of 22 sizes, each with one that is a thousandth larger, in 8 directions, at rest.
+    The samples are eps of 22 sizes in 8 directions, each with an eps a thousandth larger, at rest.
     """
     name = type(law).__name__
     z = _readable(name, law, material)
@@ -81,9 +81,9 @@ def check_viscosity(law: Viscosity, material: Material) -> None:
 
 
 def check_rule(rule: FlowRule, material: Material) -> None:
-    """Raise ParameterError for a rule that gives energy, or whose rate or potential makes no sense.
+    """Raise ParameterError for a rule that creates energy, or whose rate or potential makes no sense.
 
-    By samples of M of 22 sizes in 8 directions, at rest; where a rule overflows it is not asked.
+    The samples are M of 22 sizes in 8 directions, at rest; samples at which the rule overflows do not count.
     """
     name = type(rule).__name__
     z = _readable(name, rule, material)
@@ -121,7 +121,7 @@ def check_rule(rule: FlowRule, material: Material) -> None:
 
 @contextmanager
 def _naming(field: str, law: object) -> Iterator[None]:
-    """Within: whatever a function of the user raises is a ParameterError."""
+    """Context in which any error of a user's function is turned into a ParameterError."""
     try:
         yield
     except Exception as error:

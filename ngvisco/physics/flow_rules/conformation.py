@@ -1,4 +1,4 @@
-"""Flow rules of conformation tensors: polymers by Giesekus, and by Phan-Thien and Tanner.
+"""Flow rules of conformation tensors: polymer fluids of Giesekus, and of Phan-Thien and Tanner.
 
 B is the conformation tensor of a material such as ``OldroydB``, zeta its conjugate.  With the energy of
 ``OldroydB``, zeta = G_e (I - B^-1), lambda = G_m/(4 G_e), the relaxation of B is
@@ -9,8 +9,8 @@ B is the conformation tensor of a material such as ``OldroydB``, zeta its conjug
 | ``Giesekus``        | (1 - alpha) zeta + alpha B zeta | -(B - I + alpha (B - I)^2)/lambda            |
 | ``PTT``             | f(tr B) zeta                    | -f(tr B) (B - I)/lambda                      |
 
-The power 2 sym(zeta B) : Pi of each is >= 0 for every symmetric zeta and every positive definite B: it is a
-sum of tr(zeta B zeta), |B zeta|^2 and tr((B^{1/2} zeta B^{1/2})^2) with factors that are not negative.
+The power 2 sym(zeta B) : Pi of each rule is >= 0 for every symmetric zeta and every positive definite B: it
+is a sum of tr(zeta B zeta), |B zeta|^2 and tr((B^{1/2} zeta B^{1/2})^2) with factors >= 0.
 """
 
 from __future__ import annotations
@@ -46,16 +46,16 @@ class _OfConformation(FlowRule):
 class Giesekus(_OfConformation):
     """Pi = 2/G_m ((1 - alpha) zeta + alpha sym(B zeta)), the fluid of Giesekus (1982).
 
-    Its drag depends on the direction: the viscosity falls with the shear rate, and there is a second normal
-    stress difference, N_2/N_1 -> -alpha/2 at vanishing rates.  alpha = 0 is ``Creep(law="conformation")``.
-    Raises ParameterError if a parameter is out of its range.
+    The drag depends on the direction: the viscosity falls with the shear rate, and the second normal stress
+    difference has N_2/N_1 -> -alpha/2 at vanishing rates.  alpha = 0 is ``Creep(law="conformation")``. Raises
+    ParameterError if a parameter is out of its range.
 
     Parameters
     ----------
     G_m : float
         Creep modulus: twice the viscosity of the polymer at vanishing rates.
     alpha : float
-        Mobility factor; 0.1 to 0.4 in use, and thinning without a maximum of the stress up to 0.5.
+        Mobility factor; 0.1 to 0.4 are usual, and up to 0.5 the shear stress has no maximum.
     """
 
     alpha: Annotated[float, Quantity("1", "in [0, 1]", 0.2)]
@@ -70,19 +70,19 @@ class Giesekus(_OfConformation):
 class PTT(_OfConformation):
     """Pi = 2/G_m f(tr B) zeta, the fluid of Phan-Thien and Tanner (1977) without slip of its network.
 
-    f = 1 + epsilon (tr B - 3), linear, or exp(epsilon (tr B - 3)): stretched chains are lost faster, so that
-    the viscosity falls with the shear rate and that in extension stays finite.  The slip parameter xi of
-    their law is 0: B is carried by the velocity as all tensors here are.  Raises ParameterError if a
-    parameter is out of its range.
+    f = 1 + epsilon (tr B - 3), linear, or exp(epsilon (tr B - 3)).  Stretched chains leave the network
+    faster, so that the shear viscosity falls with the shear rate and the extensional viscosity stays finite.
+    The slip parameter xi of the published law is 0: the velocity carries B like all tensors here.  Raises
+    ParameterError if a parameter is out of its range.
 
     Parameters
     ----------
     G_m : float
         Creep modulus: twice the viscosity of the polymer at vanishing rates.
     epsilon : float
-        How fast stretched chains are lost; below 1/3 of the linear form, whose f is then positive.
+        Growth of f with the chains' stretch; < 1/3 for the linear form, so that f > 0.
     form : str
-        "linear" or "exponential".
+        Form of f, "linear" or "exponential".
     """
 
     epsilon: Annotated[float, Quantity("1", ">= 0", 0.25)]

@@ -1,4 +1,4 @@
-"""The flow rules: the paper's linear one, powers, jumps, yield, and sums of them."""
+"""The flow rules: the paper's linear rule, powers, Eyring's jumps, yield, and sums of rules."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from ngvisco.physics.variables import HARDENING, PRESSURE, Values
 
 CreepLaw: TypeAlias = Literal["mandel", "conformation", "leonov"]
 DrivenBy: TypeAlias = Literal["mandel", "conformation"]
-"""Along what a rule flows: along M, or along 2 zeta of a conformation tensor, by the same size of M."""
+"""Direction of the rate: M, or 2 zeta of a conformation tensor with the factor that M would have."""
 
 
 class _Driven(GradientRule):
-    """A rule whose rate is a number times M, or by ``law`` times 2 zeta, which has a trace."""
+    """A rule whose rate is a scalar times M or, by ``law``, times 2 zeta, which has a trace."""
 
     law: DrivenBy
 
@@ -39,7 +39,7 @@ class _Driven(GradientRule):
         return self.law == "conformation"
 
     def along(self, M: Tensor, zeta: Tensor | None) -> Tensor:
-        """M, or 2 zeta, Pa."""
+        """The direction of the rate, M or 2 zeta, Pa."""
         if zeta is None or self.law == "mandel":
             return M
         return 2 * zeta
@@ -49,29 +49,29 @@ class _Driven(GradientRule):
 class Creep(GradientRule):
     """Maxwellian creep G_m Pi - div(nu |grad Pi|^{q-2} grad Pi) = M (paper: ED-Euler-large3).
 
-    ``law`` says what drives Pi; the others than the paper's need a conformation tensor B with the conjugate
-    zeta (``OldroydB``, ``FENEP``), are local (nu = 0), and agree with it at small elastic strains:
+    ``law`` chooses the driving stress of Pi.  The last two need a conformation tensor B with the conjugate
+    zeta (``OldroydB``, ``FENEP``), are local (nu = 0), and agree with the first at small elastic strains:
 
-    * ``"mandel"``: G_m Pi = M; of small strains E_ZJ = eps(v) - R dev S (paper:
+    * ``"mandel"``: G_m Pi = M; for small strains E_ZJ = eps(v) - R dev S (paper:
       Euler-small-viscoelastodyn+2),
     * ``"conformation"``: G_m Pi = 2 zeta, with a trace, so that det B relaxes too (Oldroyd-B, FENE-P),
     * ``"leonov"``: G_m Pi = M/2 + dev zeta (Leonov).
 
-    The sign is that of the energy balance; the paper's flow rules print G_m Pi = -M.
-    A steady flow with the strain rate eps has dev T = G_m dev eps.  With the usual shear modulus G (G_e of
-    the small-strain materials, 2 G_e of the neo-Hookean ones, 2 (G_e + G_mr) of the Mooney-Rivlin ones) the
-    stress relaxes like exp(-t/lambda), with the Maxwell time lambda = G_m/(2 G).  Raises ParameterError if a
-    parameter is out of its range.
+    The sign follows from the energy balance; the paper's flow rules print G_m Pi = -M. A steady flow with the
+    strain rate eps has dev T = G_m dev eps.  The stress relaxes like exp(-t/lambda) with the Maxwell time
+    lambda = G_m/(2 G), where G is the usual shear modulus (G_e for small-strain materials, 2 G_e for
+    neo-Hookean ones, 2 (G_e + G_mr) for Mooney-Rivlin).  Raises ParameterError if a parameter is out of its
+    range.
 
     Parameters
     ----------
     G_m : float
         Creep modulus: twice the usual viscosity eta of the Maxwell dashpot, G_m = 2 eta; with the usual shear
-        modulus G the relaxation time of shear is G_m/(2 G). Infinite is no creep (Kelvin-Voigt).
+        modulus G the relaxation time of shear is G_m/(2 G). An infinite G_m gives no creep (Kelvin-Voigt).
     floor : float
-        |grad Pi| below which powers that are no even integers are smoothed.
+        |grad Pi| below which powers other than even integers are smoothed.
     law : str
-        "mandel" (the paper), or "conformation" or "leonov" of a conformation tensor's fluid.
+        Driving stress: "mandel" (the paper); "conformation" or "leonov" with a conformation tensor.
     """
 
     G_m: Annotated[Modulus, Quantity("Pa s", "> 0", 5.0, "harmonic")]
@@ -82,7 +82,7 @@ class Creep(GradientRule):
 
     def __post_init__(self) -> None:
         if isinstance(self.G_m, float) and self.G_m == math.inf:
-            replace(self, G_m=1.0)  # which looks at the others
+            replace(self, G_m=1.0)  # checks the other parameters
         else:
             super().__post_init__()
         if self.law != "mandel" and self.nu != 0:
@@ -90,7 +90,7 @@ class Creep(GradientRule):
 
     @property
     def R(self) -> float:
-        """Reciprocal creep modulus 1/G_m, 1/(Pa s); where G_m is an expression, of its typical value."""
+        """Reciprocal creep modulus 1/G_m, 1/(Pa s); of the typical value if G_m is an expression."""
         return 1 / typical_value(self.G_m)
 
     def rate(self, M: Tensor, zeta: Tensor | None, z: Values) -> Tensor:
@@ -101,7 +101,7 @@ class Creep(GradientRule):
         return R * (2 * zeta if self.law == "conformation" else 0.5 * M + dev(zeta))
 
     def psi(self, Pi: Tensor, z: Values) -> Tensor:
-        """G_m |Pi|^2/2, W/m^3."""
+        """The potential G_m |Pi|^2/2, W/m^3."""
         return (0.5 * value_at(self.G_m, z)) * square(Pi)
 
     @property
@@ -119,11 +119,11 @@ class Creep(GradientRule):
 
 @dataclass(frozen=True, kw_only=True)
 class Norton(_Driven):
-    """Power-law creep Pi = A |M|^{n-1} M, of the potential A |M|^{n+1}/(n+1) (Norton 1929, Glen 1955).
+    """Power-law creep Pi = A |M|^{n-1} M, with the potential A |M|^{n+1}/(n+1) (Norton 1929, Glen 1955).
 
-    A law of uniaxial tests, strain rate B sigma^n, has A = (3/2)^{(n+1)/2} B.  With n = 1 it is ``Creep``
-    with G_m = 1/A.  By ``law`` = "conformation" Pi = A |M|^{n-1} 2 zeta: a fluid whose relaxation time falls
-    with its stress.  Raises ParameterError if a parameter is out of its range.
+    A uniaxial law, strain rate B sigma^n, has A = (3/2)^{(n+1)/2} B.  n = 1 is ``Creep`` with G_m = 1/A.
+    ``law`` = "conformation" gives Pi = A |M|^{n-1} 2 zeta, a fluid whose relaxation time falls with the
+    stress.  Raises ParameterError if a parameter is out of its range.
 
     Parameters
     ----------
@@ -132,9 +132,9 @@ class Norton(_Driven):
     n : float
         Exponent of the stress.
     rate_floor : float
-        |Pi| below which psi is smoothed at zero, with nu > 0; far below the rates of interest.
+        |Pi| below which psi is smoothed at zero, if nu > 0; far below the rates of interest.
     law : str
-        "mandel", or "conformation" of a conformation tensor's fluid.
+        Direction of Pi: "mandel", or "conformation" for a fluid by a conformation tensor.
     """
 
     A: Annotated[Modulus, Quantity("1/s/Pa^n", "> 0", 0.1, "arithmetic")]
@@ -155,31 +155,31 @@ class Norton(_Driven):
         return size * self.along(M, zeta)
 
     def psi(self, Pi: Tensor, z: Values) -> Tensor:
-        """n/(n+1) A^{-1/n} |Pi|^{(n+1)/n}, W/m^3."""
+        """The potential n/(n+1) A^{-1/n} |Pi|^{(n+1)/n}, W/m^3."""
         n = float(self.n)
         factor = (n / (n + 1)) * value_at(self.A, z) ** (-1 / n)
         return factor * power_of_square(square(Pi), 0.5 * (n + 1) / n, self.rate_floor)
 
 
 _SMALL = 1e-4
-"""(|M|/sigma_0)^2 below which sinh x/x is its series, whose error is then 2e-16."""
+"""(|M|/sigma_0)^2 below which sinh x/x is evaluated by its series, with an error of 2e-16."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Eyring(GradientRule):
-    """Pi = A sinh(|M|/sigma_0) M/|M|, of the potential A sigma_0 (cosh(|M|/sigma_0) - 1) (Eyring 1936).
+    """Pi = A sinh(|M|/sigma_0) M/|M|, with the potential A sigma_0 (cosh(|M|/sigma_0) - 1) (Eyring 1936).
 
-    Linear below sigma_0, with G_m = sigma_0/A, and exponential above: glassy polymers, and rocks at low
-    temperatures.  Raises ParameterError if a parameter is out of its range.
+    The rule is linear below sigma_0, with G_m = sigma_0/A, and exponential above, as for glassy polymers and
+    for rocks at low temperatures.  Raises ParameterError if a parameter is out of its range.
 
     Parameters
     ----------
     A : float
-        Rate of the jumps.
+        Rate of the thermal jumps.
     sigma_0 : float
-        Stress that biases them.
+        Stress that biases the jumps by the factor e.
     rate_floor : float
-        |Pi| below which psi is smoothed at zero, with nu > 0; far below A.
+        |Pi| below which psi is smoothed at zero, if nu > 0; far below A.
     """
 
     A: Annotated[Modulus, Quantity("1/s", "> 0", 0.1, "arithmetic")]
@@ -194,19 +194,19 @@ class Eyring(GradientRule):
         return value_at(self.A, z) / sigma * ratio * M
 
     def psi(self, Pi: Tensor, z: Values) -> Tensor:
-        """sigma_0 (|Pi| arsinh(|Pi|/A) - sqrt(|Pi|^2 + A^2) + A), W/m^3."""
+        """The potential sigma_0 (|Pi| arsinh(|Pi|/A) - sqrt(|Pi|^2 + A^2) + A), W/m^3."""
         A, size = value_at(self.A, z), sqrt(square(Pi) + self.rate_floor**2)
         hypotenuse = sqrt(size * size + A * A)
         return value_at(self.sigma_0, z) * (size * log((size + hypotenuse) / A) - hypotenuse + A)
 
 
 def norm(A: Tensor) -> Tensor:
-    """|A|, with a derivative, zero, at A = 0."""
+    """The norm |A|, smoothed so that its derivative at A = 0 is zero."""
     return sqrt(square(A) + TINY_STRESS**2)
 
 
 def positive(a: Tensor) -> Tensor:
-    """a where it is positive, 0 elsewhere."""
+    """The positive part of a."""
     return if_positive(a, a, 0 * a)
 
 
@@ -216,37 +216,37 @@ class Perzyna(_Driven):
 
         Pi = 1/G_m (|M| - s)^+ ((|M| - s)^+/s)^{n-1} M/|M|,   s = sqrt(2/3) sigma_Y,
 
-    of the potential s^2/(G_m (n + 1)) ((|M| - s)^+/s)^{n+1}.  Nothing flows up to the stress sigma_Y in
-    tension, sigma_Y/sqrt(3) in shear.  For G_m -> 0 that is rate-independent perfect plasticity.
+    with the potential s^2/(G_m (n + 1)) ((|M| - s)^+/s)^{n+1}.  The material does not creep up to the stress
+    sigma_Y in tension, sigma_Y/sqrt(3) in shear.  G_m -> 0 is rate-independent perfect plasticity.
 
     With H or Q it hardens: sigma_Y grows by H k + Q (1 - exp(-b k)) with the plastic strain k, which the
-    matter carries (the field ``plastic_strain``), and the work of it is stored
+    matter carries (the field ``plastic_strain``), and the work of hardening is stored
     (``ngvisco.physics.flow_rules.rule``).
 
-    By ``law`` = "conformation" M/|M| is 2 zeta/|M|: with ``OldroydB`` the elastoviscoplastic fluid of
-    Saramito (2007), and with n that of Herschel and Bulkley (Saramito 2009), of the yield stress
+    ``law`` = "conformation" replaces M/|M| by 2 zeta/|M|.  With ``OldroydB`` this is the elastoviscoplastic
+    fluid of Saramito (2007), and for n > 1 of Herschel-Bulkley type (Saramito 2009), with the yield stress
     sigma_Y/sqrt(3) in shear and the relaxation time G_m/(4 G_e).  Raises ParameterError if a parameter is out
-    of its range, or a rule of this law hardens.
+    of its range, or H or Q is not 0 with this law.
 
     Parameters
     ----------
     sigma_Y : float
         Uniaxial yield stress.
     G_m : float
-        Viscosity of what exceeds it: twice the plastic viscosity of a Bingham fluid.
+        Viscosity of the overstress: twice the plastic viscosity of a Bingham fluid.
     n : float
         Exponent of the overstress.
     H : float
         Linear hardening: slope of the uniaxial yield stress by the plastic strain.
     Q : float
-        Hardening that saturates (Voce 1948): by how much the yield stress grows altogether.
+        Saturating hardening (Voce 1948): total growth of the yield stress.
     b : float
-        How fast it does: 1/b is the plastic strain at which 63 per cent of Q are there.
+        Rate of the saturation: the growth is 63 per cent of Q at the plastic strain 1/b.
     rate_floor : float
-        |Pi| below which psi is smoothed at zero, with nu > 0: what does not yield flows by less than it.  A
+        |Pi| below which psi is smoothed at zero, if nu > 0; matter below yield creeps by less.  A
         thousandth of the rates of interest; one much smaller may need more iterations than there are.
     law : str
-        "mandel", or "conformation" of a conformation tensor's fluid.
+        Direction of Pi: "mandel", or "conformation" for a fluid by a conformation tensor.
     """
 
     sigma_Y: Annotated[Modulus, Quantity("Pa", "> 0", 2.0)]
@@ -277,7 +277,7 @@ class Perzyna(_Driven):
         return frozenset() if self.hardening is None else frozenset({HARDENING})
 
     def threshold(self, z: Values) -> Tensor | float:
-        """|M| at which it yields, s, Pa."""
+        """The threshold s of |M| for yield, Pa."""
         sigma_Y = value_at(self.sigma_Y, z)
         return math.sqrt(2 / 3) * (sigma_Y if self.hardening is None else sigma_Y + z[HARDENING])
 
@@ -293,7 +293,7 @@ class Perzyna(_Driven):
         return float(ratio ** (1 / self.n))
 
     def psi(self, Pi: Tensor, z: Values) -> Tensor:
-        """s |Pi| + n/(n+1) (G_m s^{n-1})^{1/n} |Pi|^{(n+1)/n}, W/m^3."""
+        """The potential s |Pi| + n/(n+1) (G_m s^{n-1})^{1/n} |Pi|^{(n+1)/n}, W/m^3."""
         n, s, size = float(self.n), self.threshold(z), square(Pi)
         viscous = (value_at(self.G_m, z) * s ** (n - 1)) ** (1 / n)
         smooth = power_of_square(size, 0.5 * (n + 1) / n, self.rate_floor)
@@ -302,13 +302,13 @@ class Perzyna(_Driven):
 
 @dataclass(frozen=True, kw_only=True)
 class DruckerPrager(FlowRule):
-    """Viscoplasticity of frictional matter, whose strength grows with its pressure p (Drucker, Prager 1952).
+    """Viscoplasticity of frictional matter, whose strength grows with the pressure p (Drucker, Prager 1952).
 
         Pi = 1/G_m (|M| - s)^+ M/|M|,   s = sqrt(2) (c cos phi + p sin phi)^+,   p = -tr T/3,
 
-    so that sqrt(J_2) = |M|/sqrt(2) is held to c cos phi + p sin phi, as in plane strain by Mohr and Coulomb.
-    It does not dilate: tr Pi = 0, which has no potential together with this s, but M : Pi >= 0 always.  It is
-    local.  Raises ParameterError if a parameter is out of its range.
+    so that sqrt(J_2) = |M|/sqrt(2) is limited to c cos phi + p sin phi, as by Mohr and Coulomb in plane
+    strain. The material does not dilate: tr Pi = 0.  With this s the rule then has no potential, but M : Pi
+    >= 0 always.  The rule is local.  Raises ParameterError if a parameter is out of its range.
 
     Parameters
     ----------
@@ -317,7 +317,7 @@ class DruckerPrager(FlowRule):
     friction_angle : float
         Angle phi of internal friction, degrees.
     G_m : float
-        Viscosity of what exceeds the strength.
+        Viscosity of the overstress.
     """
 
     cohesion: Annotated[Modulus, Quantity("Pa", ">= 0", 1.0)]
@@ -340,15 +340,15 @@ class DruckerPrager(FlowRule):
 
 @dataclass(frozen=True, kw_only=True)
 class Composite(FlowRule):
-    """Pi = sum of the rates of several rules under one stress, such as diffusion and dislocation creep.
+    """Sum of the rates of several rules under one stress, such as diffusion and dislocation creep.
 
-    Its potential of Pi has no closed form, so that it is local.  Raises ParameterError if a parameter is out
-    of its range.
+    The potential of Pi has no closed form, so that the rule is local.  Raises ParameterError if a parameter
+    is out of its range.
 
     Parameters
     ----------
     rules : sequence of FlowRule
-        At least one, each local (nu = 0).
+        The rules, at least one, each local (nu = 0).
     """
 
     rules: tuple[FlowRule, ...]

@@ -1,6 +1,6 @@
-"""The stress of a flow rule by what it and its rate make together: M with M + c rate(M) = Y, at many points.
+"""The resolvent of a flow rule: the stress M with M + c rate(M) = Y, at many points.
 
-It is unique for a monotone rate and c > 0, and no steeper in Y than one, whatever the rule (Yosida).
+M is unique for a monotone rate and c > 0, and |dM| <= |dY| for every such rule (Yosida).
 """
 
 from collections.abc import Callable
@@ -11,12 +11,12 @@ import numpy as np
 from ngvisco.physics.arrays import TINY
 
 PointRate: TypeAlias = Callable[[np.ndarray], np.ndarray]
-"""Components of Pi, (points, p), of those of M; analytic."""
+"""Analytic function from components of M to components of Pi, both (points, p)."""
 
 _ITERATIONS, _HALVINGS = 50, 20
 _LAST, _NEAR, _TURNED = 1e-8, 1e-12, 1e-10
-"""Increment of |M| that is the last one, that of all components at which it is found, and what of Y may be
-off the direction of a rule that is no multiple of M."""
+"""Relative increments of |M| and of all components below which Newton's method ends, and share of Y across M
+up to which the rate counts as a multiple of M."""
 
 
 def slope_of(rate: PointRate, M: np.ndarray) -> np.ndarray:
@@ -31,8 +31,8 @@ def resolved(
 ) -> tuple[np.ndarray, np.ndarray]:
     """M with M + c rate(M) = Y, Pa, and rate(M), 1/s, (points, p), for c in Pa s.
 
-    By Newton's method within a bracket along Y, from |M| = ``start``, (points,), or |Y|.  Where the
-    rate is no multiple of its stress, Newton's method for all components goes on from there.
+    Newton's method within a bracket along Y starts from |M| = ``start``, (points,), or |Y|.  If the rate is
+    no multiple of its stress, Newton's method for all components continues from the result.
     """
     size = np.linalg.norm(Y, axis=1)
     along = Y / np.where(size > 0, size, 1.0)[:, None]
@@ -44,7 +44,7 @@ def resolved(
         low, high = np.where(defect < 0, s, low), np.where(defect < 0, high, s)
         newton = s - defect / (1 + c * value.imag / TINY)
         length = abs(newton - s)
-        # down an exponential Newton's method goes in steps of one length
+        # on an exponential Newton's steps have one length: then the bracket is halved
         taken = (newton >= low) & (newton <= high) & (length <= 0.5 * moved)
         middle = np.where(high < np.inf, 0.5 * (low + high), 2 * s)  # above Y: a rate that gives energy
         s, moved = np.where(found, s, np.where(taken, newton, middle)), np.where(taken, length, np.inf)
@@ -61,7 +61,7 @@ def resolved(
 
 
 def _by_components(rate: PointRate, Y: np.ndarray, c: float, M: np.ndarray) -> np.ndarray:
-    """M by Newton's method for all components, all points at once, each with a step length of its own."""
+    """M by Newton's method for all components, for all points at once, each with its own step length."""
     wrong = M + c * rate(M) - Y
     for _ in range(_ITERATIONS):
         slope = np.eye(M.shape[1]) + c * slope_of(rate, M)

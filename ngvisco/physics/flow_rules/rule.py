@@ -1,23 +1,23 @@
-"""Flow rules: the creep rate Pi as a function of what drives it, and hardening.
+"""Flow rules: the creep rate Pi as a function of its driving stress, and hardening.
 
 A rule is local, Pi = rate(M, zeta, z) at every point, or has a gradient term,
 
     psi'(Pi) - div(nu |grad Pi|^{q-2} grad Pi) = M,   (n . grad) Pi = 0 on walls   (paper: ED-Euler-large3)
 
-with psi(Pi) the potential whose derivative is the inverse of M -> rate(M).  Both are written with the
-operations of ``ngvisco.physics.tensors``, for coefficient functions and arrays alike; derivatives are never
-written.
+with the potential psi(Pi) whose derivative is the inverse of M -> rate(M).  A rule defines rate and psi with
+the operations of ``ngvisco.physics.tensors``, for coefficient functions and arrays alike, and never their
+derivatives.
 
-A rule that hardens has a yield stress that grows with the plastic strain k that has been.  The matter carries
-k, and what yield stores of its work is an energy phi_h(k) per reference volume beside the elastic one.  Per
-actual volume, with A = 1/J, the matter carries the density K = A k and has the energy A phi_h(K/A), the
-perspective of phi_h, jointly convex in (A, K); k has no pressure of its own:
+The yield stress of a rule that hardens grows with the accumulated plastic strain k, which the matter carries.
+The stored part of the work of yield is an energy phi_h(k) per reference volume beside the elastic energy.
+Per actual volume, with A = 1/J, the matter carries the density K = A k and has the energy A phi_h(K/A), the
+perspective of phi_h, jointly convex in (A, K); k causes no pressure:
 
     dk/dt + (v . grad) k = sqrt(2/3) |Pi|,    sigma_Y(k) = sigma_Y + A phi_h'(k).
 
-M and sigma_Y are per actual area.  Of the power M : Pi the part A phi_h'(k) dk/dt is stored.  At the yield
-stress the rest, which is dissipated, is sqrt(2/3) sigma_Y |Pi| with the yield stress of the virgin material,
-whatever k.
+M and sigma_Y are per actual area.  The part A phi_h'(k) dk/dt of the power M : Pi is stored, and the rest is
+dissipated.  At the yield stress the dissipation is sqrt(2/3) sigma_Y |Pi| with the yield stress sigma_Y of
+the virgin material, for every k.
 """
 
 from __future__ import annotations
@@ -37,17 +37,17 @@ from ngvisco.physics.tensors import Tensor, exp, is_even, power_of_square, squar
 from ngvisco.physics.variables import Values, Variable
 
 TINY_STRESS = 1e-100
-"""|M|, Pa, below which powers of it are smoothed at zero, where they have no derivative."""
+"""|M|, Pa, below which its powers are smoothed, as they have no derivative at zero."""
 
 SMALL_STRAIN = 1e-2
-"""Elastic shear strain at which a rule is asked for its relaxation time."""
+"""Elastic shear strain at which the relaxation time of a rule is evaluated."""
 
 
 @dataclass(frozen=True)
 class PlasticContent(Variable):
-    """K = A k >= 0, carried by its flux: k is the length of the path of plastic strains, uniaxial.
+    """K = A k >= 0, transported by its flux; k is the accumulated plastic strain, in uniaxial measure.
 
-    dK/dt + div(K v) = A dk/dt, A = 1/J; of body i that is n_i k with the amount n_i of the body.
+    dK/dt + div(K v) = A dk/dt with A = 1/J; for body i the amount n_i replaces A.
     """
 
     name: str = "plastic_content"
@@ -66,12 +66,11 @@ class PlasticContent(Variable):
         return self.name.replace("content", "strain", 1)
 
     def rate(self, z: Values, L: Tensor, Pi: Tensor) -> Tensor:
-        """The rate by the content's flux alone: the growth by yield is not linear in Pi, and is a part of a
-        term."""
+        """The rate by the content's flux alone: the growth by yield is not linear in Pi, and is in a term."""
         return -tr(L) * z[self.name]
 
     def from_distortion(self, F: Tensor) -> Tensor:
-        """Zero: whatever was before a start is in its yield stress."""
+        """Zero; hardening before the start is part of the initial yield stress."""
         return CF(0.0)
 
 
@@ -80,7 +79,7 @@ PLASTIC_CONTENT = PlasticContent()
 
 @dataclass(frozen=True, kw_only=True)
 class Hardening:
-    """phi_h(k) = H k^2/2 + Q (k + (exp(-b k) - 1)/b): linear, and that of Voce (1948) which saturates.
+    """phi_h(k) = H k^2/2 + Q (k + (exp(-b k) - 1)/b): linear hardening and Voce's (1948), which saturates.
 
     phi_h is an energy per reference volume, Pa, convex in k.  H and Q, Pa, may be expressions of parameters.
     """
@@ -90,7 +89,7 @@ class Hardening:
     b: float
 
     def energy(self, amount: Tensor, content: Tensor, z: Values) -> Tensor:
-        """A phi_h(K/A), Pa per actual volume, of the amount A and the content K; ``z`` has the parameters."""
+        """The energy A phi_h(K/A), Pa, for A = ``amount``, K = ``content`` and the parameters in ``z``."""
         k = content / amount
         phi = (0.5 * value_at(self.H, z)) * (k * k)
         if self.Q != 0:
@@ -101,47 +100,47 @@ class Hardening:
 class FlowRule(ABC):
     """A law of a material's creep rate Pi; derived classes are frozen dataclasses that give ``rate``.
 
-    A rule with a gradient term declares ``nu`` and gives ``psi`` as well; ``Model`` refuses a rule whose
-    power M : Pi is negative, whose Pi is not symmetric and trace-free, or whose psi' is not the inverse of
-    ``rate``, by samples.  Raises ParameterError for a parameter outside the range of its annotation.
+    A rule with a gradient term declares ``nu`` and gives ``psi`` as well.  ``Model`` samples a rule and
+    refuses it if its power M : Pi is negative, its Pi is not symmetric and trace-free, or its psi' is not the
+    inverse of ``rate``.  Raises ParameterError for a parameter outside the range of its annotation.
     """
 
     nu: float = 0.0
     """Coefficient of the gradient term, such that nu |grad Pi|^q is W/m^3; 0 is a local rule."""
     q: float = 4.0
-    """Its exponent, > 1."""
+    """Exponent of the gradient term, > 1."""
     floor: float = 1e-10
-    """Regularisation of |grad Pi| at zero for exponents that are no even integers, 1/(m s), > 0."""
+    """Regularisation of |grad Pi| at zero for exponents other than even integers, 1/(m s), > 0."""
     rate_floor: float = 1e-9
-    """|Pi| below which ``psi`` is smoothed at zero where it is no even power, 1/s, > 0."""
+    """|Pi| below which a ``psi`` without an even power is smoothed at zero, 1/s, > 0."""
     reads_conjugate: bool = False
-    """Whether ``rate`` reads zeta: the material then needs a conformation tensor, and the rule is local."""
+    """Whether ``rate`` reads zeta; the material then needs a conformation tensor, and the rule is local."""
     reads: frozenset[str] = frozenset()
-    """Which of ``PRESSURE``, ``TEMPERATURE``, ``HARDENING``, ``CONFORMATION`` of ``variables`` it reads."""
+    """Names among ``PRESSURE``, ``TEMPERATURE``, ``HARDENING`` and ``CONFORMATION`` that ``rate`` reads."""
     has_trace: bool = False
-    """Whether tr Pi is not zero: the determinant of B is then not that of a distortion."""
+    """Whether tr Pi may differ from zero; J then does not determine det B."""
     degree: float = math.inf
-    """The power of |M| that the rate grows as, 1 of a linear rule; infinite of one that grows otherwise."""
+    """Power of |M| with which the rate grows, 1 for a linear rule; infinite if it is no power."""
 
     def __post_init__(self) -> None:
         require_fields(self)
 
     @abstractmethod
     def rate(self, M: Tensor, zeta: Tensor | None, z: Values) -> Tensor:
-        """Pi, 3x3, 1/s, of the Mandel stress M, 3x3, Pa, at a point with the values ``z``.
+        """The creep rate Pi, 3x3, 1/s, for the Mandel stress M, 3x3, Pa, at a point with the values ``z``.
 
-        ``zeta`` is the conjugate of the conformation tensor, 3x3, Pa; None where the material has none.
+        ``zeta`` is the conjugate of the conformation tensor, 3x3, Pa; None for a material without one.
         """
 
     def psi(self, Pi: Tensor, z: Values) -> Tensor:
-        """The potential of Pi, 3x3, W/m^3, whose derivative by Pi is M; convex, where nu > 0.
+        """The potential psi(Pi), W/m^3, for Pi, 3x3, with the derivative M; convex, and needed if nu > 0.
 
-        Raises ParameterError for a rule that does not give it.
+        Raises ParameterError for a rule without a potential.
         """
         raise ParameterError(f"{type(self).__name__}.nu", self.nu, "0: the rule gives no potential psi(Pi)")
 
     def force(self, Pi: Tensor, z: Values) -> Tensor:
-        """psi'(Pi), 3x3, Pa."""
+        """The derivative psi'(Pi), 3x3, Pa."""
         if isinstance(Pi, Array):
             variable = Array(Pi.value)
             return Array(derivatives(self.psi(variable, z), [variable])[0], None)
@@ -150,40 +149,39 @@ class FlowRule(ABC):
 
     @property
     def flows(self) -> bool:
-        """Whether Pi is not zero always."""
+        """Whether Pi can differ from zero."""
         return True
 
     @property
     def is_local(self) -> bool:
-        """Whether Pi is a function of the values at a point, without a field of its own."""
+        """Whether Pi is a function of the values at a point, so that it needs no field."""
         return self.nu == 0 or not self.flows
 
     @property
     def hardening(self) -> Hardening | None:
-        """The energy that a rule that reads ``HARDENING`` stores of its power; None for other rules."""
+        """The stored energy of hardening, for a rule that reads ``HARDENING``; None for other rules."""
         return None
 
     def hardening_rate(self, Pi: Tensor) -> Tensor:
-        """dk/dt of its hardening, 1/s: of a local rule by |Pi|, else smoothed as ``psi`` is."""
+        """The rate dk/dt, 1/s, from |Pi|; smoothed like ``psi`` for a rule with a gradient term."""
         size, floor = square(Pi), TINY_STRESS if self.is_local else self.rate_floor
         return math.sqrt(2 / 3) * (size * power_of_square(size, -0.5, floor))
 
     def gradient_coefficient(self, s: Tensor) -> Tensor:
-        """nu s^{(q-2)/2} for s = |grad Pi|^2."""
+        """The coefficient nu s^{(q-2)/2} for s = |grad Pi|^2."""
         return self.nu * power_of_square(s, 0.5 * (self.q - 2), self.floor)
 
     def overstress(self, rate: float, z: Values) -> float:
-        """The excess of |M| over the yield stress at |Pi| = ``rate``, 1/s, over the yield stress; 0 for a
-        rule without one.
+        """The overstress at |Pi| = ``rate``, 1/s, over the yield stress; 0 for a rule without a yield stress.
 
-        ``z`` are arrays of one point; a strength by pressure counts as that without any.
+        ``z`` are arrays of one point; a strength that depends on pressure is taken at p = 0.
         """
         return 0.0
 
     def relaxation_time(self, shear: float, z: Values) -> float:
-        """Elastic strain over its rate, s, in shear by ``SMALL_STRAIN``; ``inf`` where it does not flow.
+        """The elastic strain over its creep rate, s, in shear by ``SMALL_STRAIN``; ``inf`` without creep.
 
-        ``shear`` is the modulus G of shear, Pa; ``z`` are arrays of one point.
+        ``shear`` is the shear modulus G, Pa; ``z`` are arrays of one point.
         """
         strain = np.zeros((3, 3, 1))
         strain[0, 1] = strain[1, 0] = SMALL_STRAIN
@@ -194,12 +192,12 @@ class FlowRule(ABC):
 
 @dataclass(frozen=True, kw_only=True)
 class GradientRule(FlowRule):
-    """A rule that may have a gradient term: it gives ``psi``.
+    """A rule that may have a gradient term, as it gives ``psi``.
 
     Parameters
     ----------
     nu : float
-        Gradient of the creep rate: nu |grad Pi|^q is its dissipation.
+        Coefficient of the creep rate's gradient, which dissipates nu |grad Pi|^q.
     q : float
         Exponent of the creep rate's gradient; the paper's analysis has q > 3.
     """
