@@ -1,1 +1,1 @@
-"""The command ``ngvisco``: a thin layer over ngvisco.case and ngvisco.run."""
+"""The command ``ngvisco``: a thin layer over ``ngvisco.case`` and ``ngvisco.run``."""

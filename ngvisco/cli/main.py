@@ -1,6 +1,6 @@
-"""Arguments and messages of the command ``ngvisco``.
+"""The arguments and messages of the command ``ngvisco``.
 
-What a user can cause never shows a traceback, and has an exit code of ``ngvisco.cli.streams``.
+A fault that a user can cause gives a message and an exit code of ``ngvisco.cli.streams``, never a traceback.
 """
 
 import argparse
@@ -45,11 +45,11 @@ columns of DATA are those of the case's ledger, probes, forces, integrals and bo
 report, a table with the covariance, and a picture of data, fit and residuals."""
 
 _FEW_THREADS = 8
-"""Threads that may be asked for on any machine; NGSolve's wait actively, and hundreds of them never end."""
+"""Number of threads allowed on any machine; hundreds of NGSolve's threads, which wait actively, never end."""
 
 
 def parser() -> argparse.ArgumentParser:
-    """The command line's grammar."""
+    """The parser of the command line."""
     from ngvisco import __version__
 
     top = argparse.ArgumentParser(
@@ -69,7 +69,7 @@ def parser() -> argparse.ArgumentParser:
     text = "threads of assembly; with 1 (default) a resumed run is the uninterrupted one bit for bit"
     running.add_argument("--threads", type=_threads, default=1, metavar="N", help=text)
     running.add_argument("--quiet", action="store_true", help="no progress on the terminal (log.txt has it)")
-    # of a study's runs: its end, however it comes, is theirs
+    # for the runs of a study: they end when the study ends, for whatever reason
     running.add_argument("--ends-with-stdin", action="store_true", help=argparse.SUPPRESS)
 
     run = commands.add_parser(
@@ -146,7 +146,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def _add_sensitivities(commands: Any, parents: list[argparse.ArgumentParser]) -> None:
-    """``gradient`` and ``fit``."""
+    """Add the commands ``gradient`` and ``fit``."""
     text = "derivatives of what a case gives by its numbers: exact ones, of the scheme"
     gradient = commands.add_parser("gradient", help=text, description=text, parents=parents)
     text = 'a number, e.g. --of "kinetic at 0.5" or "PROBE.velocity_1 until 0.5", its integral (repeatable)'
@@ -173,7 +173,7 @@ def _add_sensitivities(commands: Any, parents: list[argparse.ArgumentParser]) ->
 def _threads(text: str) -> int:
     try:
         value = int(text)
-    except ValueError:  # thousands of digits among them
+    except ValueError:  # also for thousands of digits
         value = 0
     if value < 1:
         raise argparse.ArgumentTypeError(f"{text}: expected a whole number >= 1")
@@ -188,7 +188,7 @@ def _names(text: str) -> list[str]:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
-    # BLAS threads of an oversubscribed machine slow the sparse solver down, and change its sums
+    # if they exceed the processors, BLAS threads slow down the sparse solver, and change its sums
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     options = parser().parse_args(arguments)
     streams.make_safe()
@@ -198,11 +198,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 _DISTRIBUTED = ("run", "resume")
-"""Commands for several processes that mpirun started, besides ``info --parallel``."""
+"""Commands that mpirun may start on several processes, as it may ``info --parallel``."""
 
 
 def _on_ranks(options: argparse.Namespace) -> int:
-    """Run the command on all processes of mpirun; the first one speaks, and all end with one code."""
+    """Run the command on all processes of mpirun; only the first one prints, and all end alike."""
     from ngvisco.parallel.communicator import Communicator, MPIError
 
     try:
@@ -218,7 +218,7 @@ def _on_ranks(options: argparse.Namespace) -> int:
     else:
         try:
             code = _ended(options)
-        except Exception as error:  # a fault of ours: its traceback is what a report needs
+        except Exception as error:  # a fault of the program: a report needs the traceback
             traceback.print_exception(error)
             code = FAILED
     sys.stdout.flush()
@@ -226,34 +226,34 @@ def _on_ranks(options: argparse.Namespace) -> int:
 
 
 def _ended(options: argparse.Namespace) -> int:
-    """Run the chosen command; what it raises becomes a message and an exit code."""
+    """Run the chosen command; turn an exception into a message and an exit code."""
     try:
         code = _command(options.command)(options)
         sys.stdout.flush()
         return code
     except KeyboardInterrupt:
         return _say("interrupted before a step was finished; what was written is kept", INTERRUPTED)
-    except BrokenPipeError:  # the reader of our output is gone
+    except BrokenPipeError:  # no process reads the output any more
         streams.give_up(sys.stdout)
         return BAD_FILE
     except MemoryError:
         return _say("not enough memory: take a coarser mesh (see ngvisco check)", FAILED)
     except OSError as error:
-        streams.give_up(sys.stdout)  # what is left in it would fail again when Python ends
+        streams.give_up(sys.stdout)  # unwritten output would fail again when Python ends
         where = f"{error.filename}: " if error.filename else ""
         return _say(f"{where}{error.strerror or error}", BAD_FILE)
     except Exception as error:
         from ngvisco.errors import CheckpointError, MeshError, NgviscoError, StepError
 
         if not isinstance(error, NgviscoError):
-            raise  # a fault of ours: its traceback is what a report needs
+            raise  # a fault of the program: a report needs the traceback
         code = BAD_FILE if isinstance(error, (CheckpointError, MeshError)) else BAD_INPUT
         said = "\n".join([str(error), *getattr(error, "__notes__", [])])
         return _say(said, FAILED if isinstance(error, StepError) else code)
 
 
 def _command(name: str) -> Callable[[argparse.Namespace], int]:
-    # imported late: NGSolve takes a second, and --help needs none of it
+    # a late import: NGSolve takes a second, and --help does not need it
     from ngvisco.cli import parallel, pictures, report, run, sensitivity
 
     table: dict[str, Callable[[argparse.Namespace], int]] = {
@@ -267,11 +267,11 @@ def _command(name: str) -> Callable[[argparse.Namespace], int]:
 
 
 def _notices() -> Callable[..., None]:
-    """Warnings in the words of the command: where in the code one arose helps no user of case files."""
+    """Print warnings as messages of the command: the line of code does not help a user of case files."""
     from ngvisco.notices import Notices
 
     def say(message: object, *where: object, **options: object) -> None:
-        from ngvisco.case.faults import in_case  # late, as the commands
+        from ngvisco.case.faults import in_case  # a late import, as for the commands
 
         streams.complain(f"warning: {in_case(str(message))}")
 

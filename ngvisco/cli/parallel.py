@@ -1,4 +1,4 @@
-"""``ngvisco info --parallel``: what distributed runs need, whether it is there, and a step on three ranks."""
+"""The command ``ngvisco info --parallel``: checks MPI and PETSc, and computes a step on three ranks."""
 
 import argparse
 import importlib
@@ -20,11 +20,11 @@ _STARTERS = ("mpirun", "mpiexec")
 
 
 def info(options: argparse.Namespace) -> int:
-    """Say what there is, and try it: on the ranks of this run, or on three of its own."""
+    """Print the installed packages, and test them on this command's ranks, or on three new ones."""
     if options.directory is not None:
         raise ParameterError("info", options.directory, "a run directory or --parallel")
     ranks, starter = Communicator.world(), _starter()
-    complete, lines = _found()  # on all ranks alike: the first import of petsc4py is collective
+    complete, lines = _found()  # on all ranks: the first import of petsc4py is collective
     if complete and starter is not None and not ranks.is_distributed:
         return _started(starter)
     if ranks.is_first:
@@ -35,9 +35,9 @@ def info(options: argparse.Namespace) -> int:
 
 
 def _started(starter: str) -> int:
-    """Start this command again on ranks; returns its exit code."""
+    """Start this command on several ranks; return its exit code."""
     command = [starter, "-n", str(_RANKS), sys.executable, "-m", "ngvisco", "info", "--parallel"]
-    # more ranks than processors, and root, are no reason to refuse a test
+    # allow more ranks than processors, and root: this is a test only
     allowed = dict.fromkeys(
         ("OMPI_ALLOW_RUN_AS_ROOT", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM", "OMPI_MCA_rmaps_base_oversubscribe"), "1"
     ) | {"PRTE_MCA_rmaps_default_mapping_policy": ":oversubscribe"}
@@ -55,7 +55,7 @@ def _started(starter: str) -> int:
 
 
 def _tried(ranks: Communicator) -> int:
-    """A step of a small body by each linear solver that there is; raises what fails."""
+    """Compute a step of a small body by each installed linear solver; exceptions are passed on."""
     for name in ("direct", *(name for name in ("gamg", "hypre") if obstacle(name) is None)):
         case = parse_case(_CASE, "info --parallel", Path(), [f"solver.coarse={name}"])
         run = case.simulation(case.mesh())
@@ -76,17 +76,18 @@ rheology.viscosity = { K_v = 0.1, G_v = 0.1 }
 initial.velocity = ["0.1*sin(pi*x)*cos(pi*y)", 0]
 solver.method = "split"
 """
-"""A body of as many cells as its velocities are not factorised as a whole."""
+"""A case with so many cells that the velocities are not factorised as a whole."""
 
 
 def _starter() -> str | None:
-    """Where this installation's mpirun is: beside Python, then on the path."""
+    """Path of this installation's mpirun: beside Python, or else on the search path; None if there is
+    none."""
     folders = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")])
     return next((found for name in _STARTERS if (found := shutil.which(name, path=folders))), None)
 
 
 def _found() -> tuple[bool, list[str]]:
-    """Whether MPI and PETSc are there with what is needed of them, and lines that say what is."""
+    """Whether MPI, and PETSc with MUMPS, are installed; and lines with the versions or the missing parts."""
     lines, complete = [], True
     try:
         mpi = importlib.import_module("mpi4py.MPI")

@@ -1,4 +1,4 @@
-"""``ngvisco plot`` and ``ngvisco scene``: what a run looks like."""
+"""The commands ``ngvisco plot`` and ``ngvisco scene``, which draw a run."""
 
 import argparse
 from pathlib import Path
@@ -18,7 +18,8 @@ from ngvisco.sweep.study import read_table
 
 
 def plot(options: argparse.Namespace) -> int:
-    """Energies, history and fields as pictures into the run directory, an animation, or a comparison."""
+    """Draw energies, history and fields of a run into its directory, or an animation, or a comparison of
+    runs."""
     runs = _runs(options)
     if len(runs) > 1:
         return _compare(options, runs)
@@ -33,7 +34,7 @@ def plot(options: argparse.Namespace) -> int:
         print(path)
         return 0
     results, chosen, lines = _load(out, options)
-    require_space(section, results.mesh.dim)  # before anything is drawn
+    require_space(section, results.mesh.dim)  # raise before anything is drawn
     energies, history, states = (
         out / f"{name}.{options.format}" for name in ("energies", "history", "fields")
     )
@@ -47,7 +48,7 @@ def plot(options: argparse.Namespace) -> int:
 
 
 def _runs(options: argparse.Namespace) -> dict[str, Path]:
-    """Run directories by label: those that are named, or those of a study."""
+    """The named run directories, or all run directories of a study, by label."""
     places = [Path(text) for text in options.directory]
     if len(places) == 1 and (places[0] / "sweep.csv").exists():
         names = [outcome.name for outcome in read_table(places[0] / "sweep.csv")]
@@ -70,7 +71,7 @@ def _compare(options: argparse.Namespace, runs: dict[str, Path]) -> int:
 
 
 def scene(options: argparse.Namespace) -> int:
-    """The states of the VTK series, or one checkpoint, as one HTML file in the run directory."""
+    """Write one HTML file into the run directory, of all states in the VTK series or of one checkpoint."""
     place = RunDirectory(options.directory)
     path, title = place.path / "scene.html", place.case().sections.title or "ngvisco"
     if options.step is None and read_pvd(place.vtk / "fields.pvd"):
@@ -85,7 +86,7 @@ def scene(options: argparse.Namespace) -> int:
 def _load(
     directory: Path, options: argparse.Namespace
 ) -> tuple[Results, dict[str, CoefficientFunction], list[CoefficientFunction]]:
-    """The state of a run, the fields to draw, and those whose steps outline bodies."""
+    """The state of a run, the fields to draw, and the fields whose jumps outline bodies."""
     SetNumThreads(1)
     results = cases.load(directory, options.step)
     fields = results.fields

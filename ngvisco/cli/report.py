@@ -1,4 +1,4 @@
-"""``ngvisco check``, ``info``, ``list``, ``explain``, ``new``: what a case, a run, a case file may have."""
+"""The commands ``ngvisco check``, ``info``, ``list``, ``explain`` and ``new``, which print text."""
 
 import argparse
 import json
@@ -29,11 +29,11 @@ from ngvisco.threads import computing
 from ngvisco.timestepping.scheme import SCHEMES
 
 _STEPS, _SECONDS = 12, 30.0
-"""Steps that are taken for the estimate of time, fewer where they take longer than this."""
+"""Largest number of steps, and of seconds, for the estimate of time."""
 
 
 def check(options: argparse.Namespace) -> int:
-    """Validate a case, mesh it and say what it needs; nothing is written."""
+    """Validate a case, mesh it, and print its size, scales and cost; write no file."""
     SetNumThreads(1)
     case = cases.load_case(options.case, options.settings)
     mesh = case.mesh()
@@ -64,7 +64,7 @@ def check(options: argparse.Namespace) -> int:
             f"time       adaptive steps from {run.dt:g} s on to t = {case.until:g} s, {least} at least, of "
             f"dt_max = {adaptive.dt_max:g} s"
         )
-    sys.stdout.flush()  # a step that is hard to solve takes minutes: what is known is read before
+    sys.stdout.flush()  # show these lines now: a hard step takes minutes
     writing, start = _output(case, run), scales(run)
     try:
         first, later, count = _measure(run, steps)
@@ -86,7 +86,7 @@ def check(options: argparse.Namespace) -> int:
 
 
 def _say_scales(found: Scales) -> None:
-    """Scales, numbers and advice, by the steps that have been taken."""
+    """Print scales, dimensionless numbers and advice after the steps taken so far."""
     fast, slow = found.speeds
     speed = f"v {found.velocity:.3g} m/s so far" if found.velocity > 0 else "v not known before it moves"
     edges = f"L {found.length:.3g} m"
@@ -107,7 +107,7 @@ def _say_scales(found: Scales) -> None:
 
 
 def _output(case: cases.Case, run: Simulation) -> tuple[float, int] | None:
-    """Seconds for a file of the VTK series, by writing one, and how many the run writes; None without one."""
+    """Seconds for a file of the VTK series, measured, and the number of files; None without a series."""
     with tempfile.TemporaryDirectory() as place:
         series = [one for one in case.observers(Path(place), case.until) if isinstance(one, VTKSeries)]
         if not series:
@@ -120,9 +120,9 @@ def _output(case: cases.Case, run: Simulation) -> tuple[float, int] | None:
 
 
 def _measure(run: Simulation, steps: int) -> tuple[float, float, int]:
-    """Seconds of the first step and of a usual later one, by taking some of them; nothing is written.
+    """Measure the seconds of the first step, and the median of later steps; also return their number.
 
-    The median, since a single step may take ten times the others' iterations.
+    A mean would not do: a single step may take ten times as many iterations as the others.
     """
     spent: list[float] = []
     with computing():
@@ -134,7 +134,7 @@ def _measure(run: Simulation, steps: int) -> tuple[float, float, int]:
 
 
 def _peak() -> float:
-    """Largest memory of this process so far, MB."""
+    """The largest memory of this process so far, MB."""
     if sys.platform == "win32":
         return float("nan")
     import resource
@@ -151,7 +151,7 @@ def _duration(seconds: float) -> str:
 
 
 def info(options: argparse.Namespace) -> int:
-    """Say what a run directory holds."""
+    """Print the content and the state of a run directory."""
     if options.directory is None:
         raise ParameterError("info", None, "a run directory, or --parallel")
     place = RunDirectory(options.directory)
@@ -188,13 +188,13 @@ def info(options: argparse.Namespace) -> int:
 
 
 def explain(options: argparse.Namespace) -> int:
-    """Say what a key of a case file means."""
+    """Print the meaning of a key of a case file."""
     print(reference.explain(options.key))
     return 0
 
 
 def new(options: argparse.Namespace) -> int:
-    """Print an annotated case."""
+    """Print an annotated case file, or the names of the demos."""
     if options.name is None:
         for name, path in template.demos().items():
             title = path.read_text(encoding="utf-8").split("\n")[0].partition("=")[2].strip().strip('"')
@@ -212,12 +212,12 @@ _FORMS: dict[str, Callable[[], str]] = {
 
 
 def _by_kind(choice: object) -> dict[str, type[Section]]:
-    """The sections of a choice by their kinds."""
+    """The sections of a union type by the names of their kinds."""
     return {model.__name__: model for model in models_in(choice)}
 
 
 def listing(options: argparse.Namespace) -> int:
-    """Say what a case file can name, or every key."""
+    """Print the kinds that a case file can name, or all keys."""
     if options.form is not None:
         print(_FORMS[options.form](), end="")
         return 0

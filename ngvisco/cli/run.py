@@ -1,4 +1,4 @@
-"""``ngvisco run``, ``resume`` and ``sweep``: progress on the terminal, signals."""
+"""The commands ``ngvisco run``, ``resume`` and ``sweep``, with progress on the terminal and signals."""
 
 import argparse
 import math
@@ -25,7 +25,7 @@ from ngvisco.sweep import Outcome, Study, Variation
 
 
 class StopOnSignal(Stopping, Observer):
-    """Signals end a run between two iterations of a step."""
+    """Ends a run on a signal, between two iterations of a step."""
 
     def __init__(self) -> None:
         super().__init__(lambda: None)
@@ -39,7 +39,7 @@ class StopOnSignal(Stopping, Observer):
 
 
 class ProgressBar(Progress):
-    """One line that is redrawn: time, step, energy, closure, remaining time."""
+    """Redraws one line with time, step, energy, closure and remaining time."""
 
     def start(self, simulation: Simulation) -> None:
         self._set_out(simulation)
@@ -53,7 +53,7 @@ class ProgressBar(Progress):
         self._draw(simulation, row)
 
     def rejected(self, simulation: Simulation, rejection: Rejection) -> None:
-        """A line of its own, above the bar."""
+        """Print a line about the rejected step above the bar."""
         streams.write(
             f"\r\x1b[Krejected dt {rejection.tau:.4g} s at t {rejection.time:.4g} s: {rejection.reason}\n"
         )
@@ -78,7 +78,7 @@ class ProgressBar(Progress):
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run a case."""
+    """Run a case, and print its end."""
     _end_with_stdin(options)
     SetNumThreads(options.threads)
     case = cases.load_case(options.case, options.settings)
@@ -90,7 +90,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def resume(options: argparse.Namespace) -> int:
-    """Go on with a run."""
+    """Continue a run from its last checkpoint."""
     _end_with_stdin(options)
     SetNumThreads(options.threads)
     directory = Path(options.directory)
@@ -120,12 +120,12 @@ def _end_time(text: str) -> float:
 
 
 def _end_with_stdin(options: argparse.Namespace) -> None:
-    """Stop as by SIGTERM when standard input is closed: the process that began this one has died."""
+    """Stop like on SIGTERM when standard input is closed, as the process that started this one has died."""
     if not options.ends_with_stdin:
         return
 
     def wait() -> None:
-        # not by sys.stdin, whose lock a thread that waits would still hold when Python ends
+        # not sys.stdin: a waiting thread would hold its lock when Python ends
         while os.read(0, 1024):
             pass
         os.kill(os.getpid(), signal.SIGTERM)
@@ -140,7 +140,7 @@ def _terminal(options: argparse.Namespace, until: float) -> list[Observer]:
 
 
 class _Lines(Progress):
-    """A line a step, on a standard output that may be gone."""
+    """Prints one line a step, also to a standard output that nobody reads."""
 
     def _print(self, line: str) -> None:
         streams.write(line + "\n")
@@ -149,7 +149,7 @@ class _Lines(Progress):
 def _close(directory: Path, result: Simulation, stop: StopOnSignal) -> int:
     if message := result.ledger.unclosed:
         streams.complain(message)
-    received = int(result.ranks.most(stop.received))  # a signal may have met one rank
+    received = int(result.ranks.most(stop.received))  # the signal may have reached one rank only
     if received:
         name = signal.Signals(received).name
         streams.write(
@@ -167,7 +167,7 @@ def _close(directory: Path, result: Simulation, stop: StopOnSignal) -> int:
 
 
 def sweep(options: argparse.Namespace) -> int:
-    """Run a study; a line for each run that ends."""
+    """Run a study, and print a line for each finished run."""
     SetNumThreads(1)
     variations = [Variation.parse(text) for text in options.vary]
     directory = Path(options.output or Path("results") / f"{Path(options.case).stem}-sweep")

@@ -1,4 +1,5 @@
-"""``ngvisco gradient`` and ``ngvisco fit``: derivatives of a case by its numbers, and numbers from data."""
+"""The commands ``ngvisco gradient`` and ``ngvisco fit``: derivatives by numbers of a case, and fits to
+data."""
 
 import argparse
 import csv
@@ -20,7 +21,7 @@ from ngvisco.sensitivity.gradient import gradient as differentiated
 
 
 def gradient(options: argparse.Namespace) -> int:
-    """Differentiate what a case gives by some of its numbers."""
+    """Differentiate results of a case by some of its numbers, and write the derivatives."""
     case, simulation = _simulation(options)
     out = _directory(options, "gradient.csv", "gradient")
 
@@ -38,7 +39,7 @@ def gradient(options: argparse.Namespace) -> int:
 
 
 def fit(options: argparse.Namespace) -> int:
-    """Fit some of a case's numbers to data."""
+    """Fit some of a case's numbers to data, and write report, table and picture."""
     case, simulation = _simulation(options)
     out = _directory(options, "fit.txt", "fit")
     found = fitted(
@@ -64,7 +65,7 @@ def fit(options: argparse.Namespace) -> int:
 
 
 def _simulation(options: argparse.Namespace) -> tuple[Case, Simulation]:
-    """The case at its start, with its tables, which are not written."""
+    """The case, and its simulation at the start, whose tables are not written to files."""
     SetNumThreads(options.threads)
     case = cases.load_case(options.case, options.settings)
     if case.refinement is not None:

@@ -1,5 +1,5 @@
-"""Exit codes; signals that let a run come to an end by itself; and standard output, which may be closed, full
-or of another encoding, and never ends a run."""
+"""Exit codes; signals that ask a run to stop; output that survives a closed or full stream or its
+encoding."""
 
 import contextlib
 import os
@@ -18,10 +18,10 @@ INTERRUPTED = 130  # 128 + n: stopped by signal n, with a checkpoint
 
 
 def make_safe() -> None:
-    """Let standard output and error take every text, and be there even where the shell closed them."""
+    """Make standard output and error accept every text, and reopen them if the shell closed them."""
     for name in ("stdout", "stderr"):
         stream = getattr(sys, name)
-        if stream is None:  # started with >&-
+        if stream is None:  # the shell started the command with >&-
             setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115 (for the process)
         elif hasattr(stream, "reconfigure"):
             with contextlib.suppress(ValueError):
@@ -32,13 +32,13 @@ _silent = False
 
 
 def be_silent() -> None:
-    """Drop what is written and complained from here on: another rank says it."""
+    """Drop all later output and messages, as another rank prints them."""
     global _silent
     _silent = True
 
 
 def write(text: str) -> None:
-    """Write to standard output at once; where that cannot be, the text is lost and nothing else."""
+    """Write to standard output and flush; if this fails, drop the text."""
     if _silent:
         return
     try:
@@ -49,7 +49,7 @@ def write(text: str) -> None:
 
 
 def complain(message: str) -> None:
-    """Print a message to standard error, its lines after the command's name."""
+    """Print a message to standard error, with the command's name before each line."""
     if _silent:
         return
     try:
@@ -59,7 +59,7 @@ def complain(message: str) -> None:
 
 
 def give_up(stream: Any) -> None:
-    """Send what is left, and what follows, to nowhere: Python would fail on it when it ends."""
+    """Redirect a stream to the null device: Python would fail on unwritten text when it ends."""
     with contextlib.suppress(OSError, ValueError):
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, stream.fileno())
@@ -67,7 +67,9 @@ def give_up(stream: Any) -> None:
 
 
 class Stopping:
-    """Within: SIGINT and SIGTERM call ``stop`` and are noted; a second one ends the process as usual."""
+    """A context in which the first SIGINT or SIGTERM calls ``stop``; a second one ends the process as usual.
+
+    ``received`` is the number of the signal, 0 without one."""
 
     def __init__(self, stop: Callable[[], None]) -> None:
         self.stop, self.received = stop, 0

@@ -1,20 +1,19 @@
 """The coupled solver: damped Newton iteration with a reused factorisation, statically condensed.
 
-A Jacobian is assembled and factorised only where it is needed: at the start of a run and whenever the
-contraction of the last increment, theta = |d_{i+1}|/|d_i|, is worse than ``refresh``.  In between,
-increments come from the factorisation at hand.  Damping is the natural monotonicity test of affine
-invariant Newton methods: a step of length lambda is taken when the next increment by the same
-factorisation is shorter by the factor 1 - lambda/4.  The test is invariant under scaling of the
-equations, so residuals in different units are never compared.  Both increments are measured by the same
-scales, the larger of those before and after the step: a step that is far too long would otherwise
-pass the test because it makes the scale grow.
+A Jacobian is assembled and factorised at the start of a run, and if the contraction of the last increment,
+theta = |d_{i+1}|/|d_i|, is worse than ``refresh``.  Other increments come from the present factorisation.
+Damping is the natural monotonicity test of affine invariant Newton methods: a step of length lambda is taken
+if the next increment by the same factorisation is shorter by the factor 1 - lambda/4.  The test is invariant
+under scaling of the equations, so residuals in different units are never compared.  Both increments are
+measured with the same scale, the larger one of before and after the step: otherwise a step that is far too
+long would pass the test because it makes the scale grow.
 
-Rounding.  The residual sums parts that cancel: near F = I those of the elastic force have the size of the
-modulus G, and their rounding leaves a force of eps G/h that the stiffness of a strain does not resist where
-it moves the body as a whole: v is known to eps G tau/(rho h) only.  How large that is, the problem itself
-tells: the state is perturbed by one unit in the last place of every number, and what this changes in the
-increment cannot be iterated away.  Where a fresh Jacobian no longer advances the iteration, it ends with an
-increment of that size, or one below the tolerance with the norm's coarse floor.
+Rounding. The residual sums parts that cancel. Near F = I the parts of the elastic force have the size of the
+modulus G, and their rounding leaves a force of eps G/h. No stiffness resists this force if it moves the body
+as a whole, so that v is known to eps G tau/(rho h) only. This noise is measured: the state is perturbed by
+one unit in the last place of every number, and iterations cannot remove the change of the increment. If a
+fresh Jacobian no longer advances the iteration, it ends with an increment as large as the noise, or with one
+below the tolerance in the norm with the coarse floor.
 """
 
 from __future__ import annotations
@@ -33,13 +32,15 @@ from ngvisco.solver.options import NewtonOptions
 from ngvisco.solver.problem import BlockNorm, NewtonIteration, Problem, Solution, Status, unconverged
 
 NOISE_SAMPLES, NOISE_MARGIN, NOISE_CAP = 2, 10.0, 100.0
-"""Perturbations of the state by rounding, of which the largest change of the increment counts; a stalled
-increment that is accepted, in units of that change: both are random, of a few modes; and the largest one, in
+"""Number of perturbations of the state by rounding, of which the largest change of the increment is the
+noise; the largest stalled increment that is accepted, in units of the noise, as both are random; and in
 tolerances."""
 NEAR = 10.0
-"""The factor without a measurement: rounding of a stiff pressure moves slow velocities so much."""
+"""Stalled increment, in tolerances, accepted without measuring: rounding of a stiff pressure moves slow
+velocities so much."""
 HEAP_SIZES = (500_000_000, 2_000_000_000)
-"""NGSolve's memory for a cell's matrix, bytes, tried where its own is too small: k = 3, m = 2 in 3D."""
+"""Heap sizes for a cell's matrix, bytes, tried if NGSolve's default is too small, as for k = 3, m = 2 in
+3D."""
 _UNITS = (
     "; a cell's own unknowns are eliminated without scaling: where moduli and volume/dt are twenty orders "
     "apart, as in SI in geodynamics, take units in which they are near one, or the split solver"
@@ -50,7 +51,7 @@ class CondensedJacobian:
     """The factorised linearisation of a condensed form; applies its inverse to full residuals."""
 
     def __init__(self, form: BilinearForm, inverse: str, ranks: Communicator) -> None:
-        """``inverse`` is NGSolve's solver; on several ranks it is PETSc's MUMPS."""
+        """``inverse`` names NGSolve's sparse solver; several ranks use PETSc's MUMPS."""
         self.form, self.inverse_type, self.ranks = form, inverse, ranks
         self.free = form.space.FreeDofs(True)
         self.inverse: BaseMatrix | None = None
@@ -65,12 +66,12 @@ class CondensedJacobian:
         except Exception as error:
             self.forget()
             message = f"the linearised step has no factorisation: {str(error).strip()}"
-            if "CalcLU" in message:  # of a cell, whose rows and columns NGSolve does not scale
+            if "CalcLU" in message:  # NGSolve does not scale a cell's rows and columns
                 message += _UNITS
             raise StepError(message) from error
 
     def assemble(self, state: BaseVector) -> None:
-        """With as much memory as it takes, of ``HEAP_SIZES`` at most."""
+        """Assemble at ``state``, with NGSolve's heap enlarged up to ``HEAP_SIZES`` if necessary."""
         for size in (*HEAP_SIZES, None):
             try:
                 self.form.AssembleLinearization(state)
@@ -90,13 +91,13 @@ class CondensedJacobian:
         self._rhs = state.CreateVector()
 
     def forget(self) -> None:
-        """Drop the factorisation, so that the next one is new; collective."""
+        """Drop the factorisation, so that the next one is new; all ranks have to call this."""
         if isinstance(self.inverse, PETScInverse):
             self.inverse.release()
         self.inverse = None
 
     def solve(self, residual: BaseVector, increment: BaseVector) -> None:
-        """increment = Jacobian^{-1} residual, all blocks."""
+        """Set increment = Jacobian^{-1} residual in all blocks."""
         form, rhs = self.form, self._rhs
         rhs.data = residual
         rhs.data += form.harmonic_extension_trans * residual
@@ -105,7 +106,7 @@ class CondensedJacobian:
         increment.data += form.inner_solve * rhs
 
     def solve_transposed(self, load: BaseVector, solution: BaseVector) -> None:
-        """solution = Jacobian^{-T} load, all blocks; of one process."""
+        """Set solution = Jacobian^{-T} load in all blocks; for one process only."""
         form, rhs = self.form, self._rhs
         rhs.data = load
         rhs.data += form.harmonic_extension.T * load
@@ -124,16 +125,16 @@ class Newton:
     update : callable
         Recomputes the local unknowns of ``state`` from the others.
     update_stored : callable
-        Called before the form is used at a state that ``update`` was not just called at.
+        Called before the form is evaluated at a state for which ``update`` was not called last.
     exchange : Exchange, optional
-        Of the form's space, where it may be distributed.
+        Exchange of the form's space, if ranks may share the space.
     stresses : LinearisationStress, optional
-        What flow rules are linearised at, unknowns beside those of the state.
+        Stresses at which flow rules are linearised, unknowns in addition to the state.
     has_energy : callable, optional
-        Says whether the state has a stored energy.  An iterate without one is as one without a residual: a
-        logarithm's derivative goes on beyond its pole.
+        Says whether the state has a stored energy.  An iterate without energy counts as one without a
+        residual, as the derivative of a logarithm goes on beyond its pole.
     growths : callable, optional
-        Counts changes of the equations that evaluations make (``ngvisco.forms.upwinding.Largest``).
+        Counts changes of the equations that evaluations cause (``ngvisco.forms.upwinding.Largest``).
     """
 
     def __init__(
@@ -159,7 +160,7 @@ class Newton:
 
     @property
     def is_factorised(self) -> bool:
-        """Whether the next solve begins with a factorisation at hand."""
+        """Whether the next solve can begin with the present factorisation."""
         return self.jacobian.inverse is not None
 
     def reset(self) -> None:
@@ -172,7 +173,7 @@ class Newton:
         self._factorise(problem)
 
     def _factorise(self, problem: Problem, residual: BaseVector | None = None) -> None:
-        """Factorise within an iteration; evaluate ``residual`` again where slopes of flow rules are new."""
+        """Factorise within an iteration; evaluate ``residual`` again if slopes of flow rules have changed."""
         self.update_stored()
         slopes_are_new = self.stresses is not None and self.stresses.linearise()
         self.jacobian.factorise(self.state)
@@ -181,7 +182,7 @@ class Newton:
             self.form.Apply(self.state, residual)
 
     def solve(self, problem: Problem, guess: BaseVector) -> Solution:
-        """Iterate from ``guess``; ``state`` is then the solution, or some iterate where there is none."""
+        """Iterate from ``guess``; ``state`` becomes the solution, or an iterate if there is none."""
         history: list[NewtonIteration] = []
         self.state.data = guess
         problem.pose()
@@ -191,7 +192,7 @@ class Newton:
                 self.reset()
         try:
             status = self._iterate(problem, history)
-        except StepError as error:  # of a factorisation
+        except StepError as error:  # a factorisation failed
             return Solution(Status.SINGULAR, tuple(history), str(error))
         if status is Status.CONVERGED:
             return Solution(status, tuple(history))
@@ -215,17 +216,17 @@ class Newton:
             size = self.norm(self._increment, self._base, u)
             next_size = contraction = np.inf
             renewed = False
-            # the energy first: where there is none, the residual is no number either, and hides why
+            # the energy first: without an energy the residual is not finite either, and hides the reason
             if self.has_energy() and self._is_finite(self._trial_residual):
                 next_size, contraction = self._following(size)
-                # where points have begun or ceased to yield the next increment is a matter of their slopes
+                # points that begin or cease to yield need new slopes for the next increment
                 renewed = bool(self.stresses) and not contraction <= 1 - damping / 4
                 if renewed:
                     self._factorise(problem, self._trial_residual)
                     next_size, contraction = self._following(size)
             history.append(NewtonIteration(size, contraction, damping, fresh))
             is_shorter = contraction <= 1 - damping / 4
-            # not where the residual is no number: the next increment is then an old one
+            # if the residual is not finite, the next increment is an old one
             stalled = fresh and options.refresh < contraction < np.inf
             if damping == 1.0 and (next_size <= options.tolerance or (stalled and self._is_rounding())):
                 if contraction < 1:
@@ -235,7 +236,7 @@ class Newton:
                 u.data = self._base
                 if self.stresses:
                     self.stresses.undo()
-                if self.growths() != growths:  # the equations are others, also where the iterate is given up
+                if self.growths() != growths:  # the equations stay changed although the iterate is given up
                     self.update()
                     self.form.Apply(u, self._residual)
                     fresh, renewed, damping = True, True, 1.0
@@ -258,33 +259,35 @@ class Newton:
         return Status.TOO_MANY_ITERATIONS
 
     def _follow(self, increment: BaseVector, length: float) -> None:
-        """Take ``length`` times an increment from the state, with what is determined by it."""
+        """Subtract ``length`` times an increment from the state; update stresses and local unknowns."""
         if self.stresses:
             self.stresses.follow(increment, length)
         self.state.data -= length * increment
         self.update()
 
     def _following(self, size: float) -> tuple[float, float]:
-        """The size of the next increment, of the trial residual, and over that of the one before."""
+        """The size of the next increment, from the trial residual, and its ratio to the last increment."""
         self.jacobian.solve(self._trial_residual, self._next)
-        # NaN where an increment is not finite, which passes no test
+        # NaN if an increment is not finite: it passes no test
         contraction = self.norm(self._next, self._base, self.state) / size if size != 0 else 0.0
         return self.norm(self._next, self.state), contraction
 
     def _set_increment(self, problem: Problem, fresh: bool) -> None:
-        """The increment of the present residual, by a Jacobian of the present state if ``fresh``."""
+        """Compute the increment of the present residual; if ``fresh``, with a Jacobian at the present
+        state."""
         if fresh:
             self._factorise(problem, self._residual)
         self.jacobian.solve(self._residual, self._increment)
 
     def _is_finite(self, residual: BaseVector) -> bool:
-        """Whether its size is a number.  NGSolve's norm would add what ranks share as it comes."""
+        """Whether the residual is finite on all ranks; NGSolve's norm would sum shared entries in any
+        order."""
         values = residual.FV().NumPy()
         with np.errstate(over="ignore", invalid="ignore"):
             return self.exchange.communicator.all(np.isfinite(values @ values))
 
     def _is_rounding(self) -> bool:
-        """Whether the next increment is no larger than what rounding leaves of it."""
+        """Whether the next increment is no larger than rounding errors."""
         tolerance = self.options.tolerance
         if self.norm(self._next, self.state, coarse=True) <= tolerance:
             return True
@@ -294,16 +297,17 @@ class Newton:
         return size <= NEAR * tolerance or size <= NOISE_MARGIN * self._noise()
 
     def _noise(self) -> float:
-        """How much the present increment changes where the state does by one unit in the last place.
+        """The change of the present increment if every number of the state changes by one unit in the last
+        place.
 
-        The change of the state itself, by far the smaller one, is not counted apart.  A derivative that is
-        wrong does not show here, nor a fold or a kink of the equations: their increments stay what they are.
+        It includes the change of the state itself, which is by far smaller.  A wrong derivative, a fold or a
+        kink of the equations does not enlarge it: their increments do not change with the rounding.
         """
         u = self.state
         kept, rows, change = (u.CreateVector() for _ in range(3))
         values = u.FV().NumPy()
         kept.data = u
-        signs = np.random.default_rng(0)  # a run does the same again
+        signs = np.random.default_rng(0)  # a repeated run gets the same bits
         largest = 0.0
         for _ in range(NOISE_SAMPLES):
             change_of = signs.choice((-1.0, 1.0), len(values))

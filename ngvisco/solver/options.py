@@ -1,6 +1,6 @@
-"""Options of the solvers; numbers that no run chooses stand where they act.
+"""Options of the solvers; a number that no run chooses is defined in the module that uses it.
 
-Pairs are values in 2D and in 3D.  Measurements behind the defaults are in ``ngvisco/solver/NOTES.md``.
+A pair has the values in 2D and in 3D.  ``ngvisco/solver/NOTES.md`` has the measurements behind the defaults.
 """
 
 from __future__ import annotations
@@ -31,46 +31,49 @@ Share = Annotated[float, Quantity("1", "in (0, 1)")]
 
 @dataclass(frozen=True, kw_only=True)
 class SplitOptions:
-    """The split solver's choice, iteration and linear systems."""
+    """Options of the split solver: its choice, its iteration and its linear systems."""
 
     chosen_from: Pair = (60, 10)
-    """Cells from which ``method = "auto"`` takes it: from there it is the faster one (tests/benchmarks)."""
+    """Number of cells from which ``method = "auto"`` takes the split solver, the faster one from there on
+    (tests/benchmarks)."""
     margin: Positive = 0.1
-    """The error that may be left, in tolerances, when the last increment, which is below one, has been added:
-    by the contraction of the last iterations."""
+    """Largest error, in tolerances, after the last increment has been added, estimated from the contraction;
+    the increment itself has to be below one tolerance."""
     slow: Count = 24
-    """Iterations after which Newton-Krylov takes over."""
+    """Number of iterations after which Newton-Krylov takes over."""
     growth: Positive = 4.0
-    """The ratio of an increment to the smallest one above which the iterate is given up for one half as far
-    from the best one."""
+    """Ratio of an increment to the smallest increment, above which the iterate is given up; the next iterate
+    is half as far from the best one."""
     halvings: Count = 5
-    """The largest number of such steps."""
+    """Largest number of iterates that are given up."""
     renewed_after: Count = 20
-    """Iterations for the flow's linear system after which operator and preconditioner are made anew, which
-    takes as long as 30 to 65 of them."""
+    """Number of GMRES iterations for the flow above which operator and preconditioner are renewed; the
+    renewal takes as long as 30 to 65 iterations."""
     renewed_above: Positive = 0.05
-    """Increment after which they are; below, only hyperviscosity, which changes suddenly, is followed."""
+    """Increment above which operator and preconditioner are renewed; below it only hyperviscosity, which
+    changes suddenly, is linearised again."""
     stale_above: Positive = 0.2
-    """Share of the increment before, above which they are too.  For a steep flow rule, whose operator is made
-    anew by itself, ten times the one and half of the other."""
+    """Ratio of an increment to the one before, above which operator and preconditioner are renewed.  With a
+    steep flow rule only the operator is renewed then, and ``renewed_above`` counts tenfold."""
     bends_above: Positive = 0.03
-    """Relative increment of a creep rate field after which it is, where the one before was not three times as
-    large."""
+    """Relative increment of a creep rate field above which operator and preconditioner are renewed, unless
+    the increment before was more than three times as large."""
     rounding: Positive = 1e-8
-    """Increment, relative to the smallest velocities, from which a stall may be rounding."""
+    """Increment up to which Newton-Krylov does not stop for slow progress, which rounding may cause."""
     flow_iterations: Count = 30
-    """Iterations for the flow's linear system at most."""
+    """Largest number of GMRES iterations for the flow's linear system."""
     direct_up_to: Pair = (3_000, 3_000)
-    """Unknowns of v up to which its tangent is factorised as a whole; above, two levels are faster."""
+    """Number of unknowns of v up to which the whole velocity tangent is factorised; above it two levels are
+    faster."""
     direct_at_most: Pair = (100_000, 15_000)
-    """Unknowns of v up to which it is so in what is left of a step, where ``flow_iterations`` by two levels
-    do not solve the flow's system."""
+    """Number of unknowns of v up to which the whole tangent is factorised for the rest of a step if
+    ``flow_iterations`` with two levels do not solve the flow's system."""
     krylov_below: Positive = 0.05
-    """Increment up to which Newton-Krylov takes over: farther off half of the step is solved at once."""
+    """Increment up to which Newton-Krylov takes over; with larger increments the attempt fails, and the time
+    loop halves the step."""
     penalty_degree: Count = 4
-    """The degree of the rule for the derivative of the hyperviscosity's penalty, for k = 2 on straight cells:
-    right for p = 4, where it takes (P_1 jumps)^4.  For k = 3 and on curved cells the rule is that of the
-    forms."""
+    """Degree of the quadrature rule for the derivative of the hyperviscosity's penalty, for k = 2 on straight
+    cells: exact for p = 4, (P_1 jumps)^4.  For k = 3 and on curved cells the forms' rule is used."""
 
     def __post_init__(self) -> None:
         require_fields(self)
@@ -78,32 +81,33 @@ class SplitOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class NewtonOptions:
-    """Tolerances of the iteration, in the norm of ``ngvisco.solver.problem``, and the parts of the solvers.
+    """Tolerances of the iteration, in the norm of ``ngvisco.solver.problem``, and the choice of solvers.
 
     Parameters
     ----------
     tolerance : float
         The iteration ends when a relative increment is below it; that increment is still added.
     max_iterations : int
-        Residual evaluations of one attempt to solve a step, after which it has failed.
+        Number of residual evaluations after which an attempt to solve a step has failed.
     refresh : float
-        Contraction above which the Jacobian is made anew.
+        Contraction above which the Jacobian is renewed.
     min_damping : float
         Smallest damping of a Newton step that is tried.
     inverse : str
-        Sparse direct solver of the coupled solver, "umfpack", and "pardiso" (``pip install mkl``) or "mumps"
-        where the installation has them.
+        Sparse direct solver of the coupled solver: "umfpack", or, if the installation has it, "pardiso"
+        (``pip install mkl``) or "mumps".
     coarse : str
-        What solves for the velocities of the vertices in the split solver's two levels: "direct", or for more
-        vertices than can be factorised PETSc's multigrid, "gamg" or "hypre". A warning says where it has no
-        part in a run.
+        Solver for the vertices' velocities in the split solver's two levels: "direct", or for more vertices
+        than can be factorised one of PETSc's multigrids, "gamg" or "hypre".  A warning says if a run does not
+        use the multigrid.
     method : str
-        "coupled", all unknowns at once (small meshes), "split", the fields as functions of the velocity
-        (large ones), or "auto", which chooses one by the mesh and asks the other one where a step is not
-        solved; both solve the same equations.
+        "coupled" solves for all unknowns at once (small meshes), "split" for the velocity, with the fields
+        as its functions (large meshes).  "auto" chooses one of them by the mesh, and tries the other one
+        if a step is not solved.  Both solve the same equations.
     threads : int or None
-        Threads that share the cells in the split solver, by default the environment's NGVISCO_THREADS, or all
-        processors, of which ranks have equal parts. A state's bits do not depend on them.
+        Number of threads that share the cells in the split solver.  The default is the environment's
+        NGVISCO_THREADS, or all processors, divided equally among the ranks.  A state's bits do not depend on
+        this number.
 
     Raises
     ------
@@ -126,7 +130,7 @@ class NewtonOptions:
         if self.tolerance < _ROUNDING:
             expected = f"at least {_ROUNDING:g}, which rounding leaves"
             raise ParameterError("NewtonOptions.tolerance", self.tolerance, expected)
-        # sparsecholesky returns nonsense for nonsymmetric matrices, silently
+        # sparsecholesky silently returns nonsense for nonsymmetric matrices
         if not is_available(self.inverse):
             have = ", ".join(filter(is_available, get_args(Inverse)))
             expected = f"{have}: this installation of NGSolve has no other one ready"
@@ -144,7 +148,7 @@ class NewtonOptions:
 
 @cache
 def is_available(inverse: str) -> bool:
-    """Whether NGSolve, as it is installed, has this sparse direct solver: found by asking it for one."""
+    """Whether the installed NGSolve has this sparse direct solver, found by trying it."""
     if inverse == "umfpack":
         return True
     try:

@@ -1,20 +1,20 @@
-"""The problem of a nonlinear solver, the measure of its increments, and its answer.
+"""The problem that a nonlinear solver is given, the norm of its increments, and the solution it returns.
 
-A solver is made for equations R(u) = 0 whose parameters a ``Problem`` sets.  It answers with a ``Solution``,
-also where it finds none: it raises for a fault of the program only.
+A solver is made for equations R(u) = 0 whose parameters a ``Problem`` sets. It returns a ``Solution`` also if
+it finds none, with the reason, and raises only for a fault of the program.
 
 The norm of an increment is
 
     |d| = max over the unknowns u that evolve of |d_u|_2 / scale_u
 
-in coefficients, with scale_v = |v|_2 + f sqrt(n) h/tau and scale_u = |u|_2 + f sqrt(n) s_u, where n is the
-number of the block's coefficients and h the smallest cell size: a velocity counts by the strain that it makes
-in the step; s_u is the unknown's scale, 0 of rho and 1 of z.  The other unknowns are functions of these; the
-trace of a density that diffuses by an r-Laplacian, a nonlinear one, counts like rho.  A creep rate field Pi
-changes z by tau Pi only, which leaves it open in a short step: with nu > 0 it counts by
-s |dPi|_2/(|Pi|_2 + |dPi|_2 + f sqrt(n)/tau).  A variable with an ``own_scale``, as the entropy, counts once
-more by itself.  The floor f and the share s are below; a stalled iteration is asked about with a larger
-floor, but for Pi.
+of coefficients, with scale_v = |v|_2 + f sqrt(n) h/tau and scale_u = |u|_2 + f sqrt(n) s_u. Here n is the
+number of the block's coefficients and h the smallest cell size, so that a velocity counts by the strain that
+it makes in the step; s_u is the unknown's scale, 0 for rho and 1 for z. The other unknowns are functions of
+the evolving ones. The trace of a density that diffuses by an r-Laplacian is a nonlinear function, and counts
+like rho. A creep rate field Pi changes z by tau Pi only, so that a short step does not determine it: with nu
+> 0 it counts by s |dPi|_2/(|Pi|_2 + |dPi|_2 + f sqrt(n)/tau). A variable with an ``own_scale``, as the
+entropy, also counts by itself. f is ``FLOOR`` and s is ``SHARE``; a stalled iteration is judged with the
+larger ``COARSE_FLOOR``, except for Pi.
 """
 
 from __future__ import annotations
@@ -33,10 +33,9 @@ from ngvisco.parallel.exchange import Exchange
 FLOOR = 1e-9
 """Small strains and velocities converge relatively to themselves, as the ledger needs."""
 COARSE_FLOOR = 1e-3
-"""The floor by which a stalled iteration is judged: near a state of rest the other floor is below
-rounding."""
+"""Floor by which a stalled iteration is judged: near a state of rest ``FLOOR`` is below rounding."""
 SHARE = 1e-4
-"""The weight of the relative increment of a creep rate field; steps stall where it is 1."""
+"""Weight of the relative increment of a creep rate field; with the weight 1 steps stall."""
 
 
 class BlockNorm:
@@ -45,11 +44,11 @@ class BlockNorm:
     Parameters
     ----------
     ranges : mapping of block names to slices of the coefficient vector
-    units : mapping of the counted blocks' names to the size that one unit of the floor f has there
+    units : mapping from the names of the blocks that count to the scale s_u, or h/tau, of the floor f
     exchange : Exchange, optional
-        Of the vectors' space, where it may be distributed.
+        Exchange of the vectors' space, if ranks may share the space.
     shared : collection of str
-        Those blocks that count by ``SHARE`` of their relative increment.
+        Names of the blocks that count by ``SHARE`` times their relative increment.
     """
 
     def __init__(
@@ -62,7 +61,7 @@ class BlockNorm:
         self.ranges, self.units, self.shared = ranges, units, tuple(shared)
         self._ranks = Communicator() if exchange is None else exchange.communicator
         self._own: dict[str, slice | np.ndarray] = {name: ranges[name] for name in units}
-        if exchange is not None and self._ranks.is_distributed:  # what ranks share counts once
+        if exchange is not None and self._ranks.is_distributed:  # a shared coefficient counts once
             for name in units:
                 self._own[name] = np.flatnonzero(exchange.owned[ranges[name]]) + ranges[name].start
 
@@ -72,17 +71,18 @@ class BlockNorm:
         self._counts = {name: count(ranges[name]) for name in units}
 
     def __call__(self, increment: BaseVector, *states: BaseVector, coarse: bool = False) -> float:
-        """|increment| with the scales of the largest of ``states`` in each block."""
+        """Return |increment|; in each block the largest of ``states`` gives the scale."""
         return self.sizes(increment, *states, coarse=coarse)[0]
 
     def sizes(self, increment: BaseVector, *states: BaseVector, coarse: bool = False) -> tuple[float, float]:
-        """|increment|, and the relative increment of the shared blocks, in [0, 1]; 0 where there is none."""
+        """Return |increment|, and the relative increment of the shared block, in [0, 1]; 0 without such a
+        block."""
         sizes, turned, floor = [], 0.0, COARSE_FLOOR if coarse else FLOOR
         vectors = [u.FV().NumPy() for u in (increment, *states)]
         parts = [[vector[own] for vector in vectors] for own in self._own.values()]
         with np.errstate(over="ignore", invalid="ignore"):  # a diverging iterate is inf or NaN here
             squares = np.array([[part @ part for part in of_block] for of_block in parts])
-            norms = np.sqrt(self._ranks.totals(squares))  # of all blocks in one reduction
+            norms = np.sqrt(self._ranks.totals(squares))  # one reduction for all blocks
             for (name, unit), (own, *of_states) in zip(self.units.items(), norms, strict=True):
                 one = unit * np.sqrt(self._counts[name])
                 if name in self.shared:
@@ -96,7 +96,7 @@ class BlockNorm:
 
 
 class Status(Enum):
-    """How an attempt ended; the value says it in words."""
+    """The way an attempt ended, in words."""
 
     CONVERGED = "converged"
     TOO_MANY_ITERATIONS = "too many iterations"
@@ -108,7 +108,7 @@ class Status(Enum):
 
 @dataclass(frozen=True)
 class NewtonIteration:
-    """One line of a solver's history: increment and contraction in the norm of this module."""
+    """One line of a solver's history; increment and contraction are in the norm of this module."""
 
     increment: float
     contraction: float
@@ -118,14 +118,14 @@ class NewtonIteration:
 
 @dataclass(frozen=True)
 class Solution:
-    """The end of an attempt; its values are in the state that the solver was made for.
+    """The end of an attempt; the state that the solver was made for has the values.
 
     Attributes
     ----------
     status : Status
     history : tuple of NewtonIteration
     reason : str
-        Why it failed, with figures and what may help; empty where it converged.
+        Reason of a failure, with figures and a remedy; empty after convergence.
     """
 
     status: Status
@@ -140,7 +140,7 @@ class Solution:
 def unconverged(
     status: Status, history: Sequence[NewtonIteration], solver: str, wanted: float, remedy: str
 ) -> Solution:
-    """The end of an attempt that has found no increment as small as wanted."""
+    """The ``Solution`` of an attempt whose increments stayed above ``wanted``."""
     last = history[-1].increment if history else np.inf
     ended = f"{status.value}; {len(history)} iterations, last increment {last:.1e}, wanted {wanted:.0e}"
     return Solution(status, tuple(history), f"{solver} did not converge ({ended}): take {remedy}")
@@ -148,7 +148,7 @@ def unconverged(
 
 @dataclass(frozen=True)
 class Attempt:
-    """One entry of a step's history: from which start values a solution was sought, and what came of it."""
+    """One entry of a step's history: the name of the start values, and the end of the attempt."""
 
     start: str
     solution: Solution
@@ -160,30 +160,30 @@ def iterations(attempts: Iterable[Attempt]) -> list[NewtonIteration]:
 
 
 class Problem(Protocol):
-    """A choice of the parameters of the equations that a solver was made for."""
+    """Parameters of the equations that a solver was made for."""
 
     def pose(self) -> None:
-        """Give the equations these parameters, and the state the values that they prescribe."""
+        """Set the parameters in the equations, and prescribed values in the state."""
 
     def poll(self) -> None:
-        """Called before each iteration, by all ranks; raises StopRequested to give the step up."""
+        """Hook before each iteration, called by all ranks; raises StopRequested to give up the step."""
         return
 
     def factorised(self) -> None:
-        """Called when the derivative has been factorised at the present state; nothing by default."""
+        """Hook after a factorisation of the derivative at the present state; does nothing by default."""
         return
 
 
 @dataclass(frozen=True)
 class Interval:
-    """A Rothe step in time, s: its length, where it begins and ends, and over what its loads are averaged.
+    """A Rothe step in time, s: its length, its begin and end, and the interval over which loads are averaged.
 
-    In the average times count by the weight 1 + 12 ``loads_tilt`` (s - 1/2), s from 0 to 1 over that
-    interval.
+    The average of loads has the weight 1 + 12 ``loads_tilt`` (s - 1/2), where s runs from 0 to 1 over the
+    interval of loads.
 
-    For the paper's scheme ``tau`` = end - begin, and loads are averaged over the same.  A stage of another
-    scheme may start from a combination of states, which belongs to no time: ``begin`` is then that of the
-    state which is its start value.
+    For the paper's scheme ``tau`` = end - begin, and loads are averaged from begin to end. A stage of another
+    scheme may start from a combination of states, which belongs to no time: then ``begin`` is the time of the
+    state that is its start value.
     """
 
     tau: float
@@ -194,7 +194,7 @@ class Interval:
     loads_tilt: float = 0.0
 
     def shortened(self, fraction: float) -> Interval:
-        """The step with a part of the length, as a start value of the whole one."""
+        """The step with a ``fraction`` of the length, whose solution is a start value for the whole step."""
         end = self.end if fraction == 1.0 else self.begin + fraction * (self.end - self.begin)
         over = fraction * self.loads_over
         return Interval(fraction * self.tau, self.begin, end, self.loads_from, over, self.loads_tilt)

@@ -27,23 +27,24 @@ from ngvisco.threads import on_arrays
 _PARAMETERS = ("tau", "end", "loads_from", "loads_over", "loads_tilt")
 
 _FACTORISED_AT = {"state": None, "state_old": None, "lagged": "z"}
-"""States that a factorisation depends on, and the unknown that each is of; a checkpoint numbers whole
-states."""
+"""States that a factorisation depends on, and the unknown that each is restricted to; a checkpoint stores
+whole states."""
 
 _TOO_FAST = 0.8
-"""Courant number down to which the split solver slows a start value: where tau grad v is above one the
+"""Courant number to which the split solver reduces a faster start value: if tau grad v is above one, the
 linearised rates of the variables lead away from the solution."""
 
 _SHORTEST, _FACTOR, _LENGTHS = 0.25 / 8**3, 4.0, 20
-"""The shortest part of a step that leads to it by growing lengths, the factor between two, and how many."""
+"""Steps of growing length: the shortest fraction of the step, the factor between two lengths, their
+number."""
 
 _TOO_FAR = 0.5
-"""Change of the velocity, |dv| tau/h, above which extrapolation leads it too far: after the first of some
-long steps."""
+"""Change of the velocity, |dv| tau/h, above which extrapolated values are not tried, as after the first of
+several long steps."""
 
 _DAMPED = "from the last state, damped"
-"""The last attempt where a flow rule creeps: of yield with little inertia increments are else as long as the
-velocity, to and fro."""
+"""Name of the last attempt with a flow rule: in yield with little inertia undamped increments jump to and fro
+by the size of the velocity."""
 
 
 class RotheSolver:
@@ -54,8 +55,8 @@ class RotheSolver:
     step : Step
     options : NewtonOptions
     defect : callable, optional
-        Says what is wrong with a solution (rho <= 0, J <= 0, no number), or None if nothing is.  The
-        equations of a long step have solutions of negative density too; they are not accepted.
+        Returns the defect of a solution (rho <= 0, J <= 0, not finite) in words, or None.  The equations of
+        a long step also have solutions of negative density; they are not accepted.
     """
 
     def __init__(
@@ -70,29 +71,29 @@ class RotheSolver:
         self.h_min = self.ranks.least(step.context.h.vec.FV().NumPy())
         self.norm = _norm(step, self.exchange)
         self.turns = Turns(step, options, self.ranks)
-        """Which of the two solvers takes the steps."""
+        """Chooses the solver that takes the steps."""
         self._made: dict[str, Newton | Split] = {}
         self.interrupted: Callable[[], bool] = lambda: False
-        """Whether the step is to be given up; asked before each iteration."""
+        """Whether to give up the step; called before each iteration."""
         self._last_tau: float | None = None
         self._factorised = {name: np.zeros(len(step.state.vec)) for name in self._vectors()}
         self._factorised_at: Interval | None = None
         self._stresses: dict[str, np.ndarray] = {}
-        """Stresses that flow rules are linearised at, at the last factorisation."""
+        """Linearisation stresses of flow rules at the last factorisation."""
         self._start = step.state.vec.CreateVector()
         self._met: list[str] = []
-        """Why energies of a step's iterates were no numbers, of all attempts."""
+        """Reasons why energies of a step's iterates were not finite, of all attempts."""
         self.extrapolation = Extrapolation(step)
 
     @property
     def method(self) -> str:
-        """``"coupled"`` or ``"split"``, whichever takes the steps now."""
+        """The solver that takes the steps now, ``"coupled"`` or ``"split"``."""
         return self.turns.method
 
     def turn(self) -> str:
-        """Let the other solver take the next steps; what that means, in words.
+        """Let the other solver take the next steps; return a sentence about it for the user.
 
-        Raises StepError where the other solver is not to be asked, with the reason why.
+        Raises StepError with the reason if the other solver may not be tried.
         """
         if self.turns.obstacle is not None:
             raise StepError(f"the {self.turns.other} solver is not asked: {self.turns.obstacle}")
@@ -101,22 +102,23 @@ class RotheSolver:
         return said
 
     def accept(self) -> None:
-        """The step that was solved is accepted."""
+        """Accept the step that was solved last."""
         before = self.method
         self.turns.accept()
         if self.method != before:
             self.newton.reset()
 
     def workers(self) -> AbstractContextManager[None]:
-        """Within: NGSolve's for the coupled solver; none for the other.
+        """A context with NGSolve's threads for the coupled solver, and without them for the split solver.
 
-        It works on arrays; sums that NGSolve shares among threads have other last bits in every run.
+        The split solver works on arrays; sums that NGSolve's threads share differ in the last bits from run
+        to run.
         """
         return nullcontext() if self.method == "coupled" else on_arrays()
 
     @property
     def newton(self) -> Newton | Split:
-        """Made with the first step: what looks at a run without going on with it needs no matrices."""
+        """The present solver, created at the first access: a run that is only read needs no matrices."""
         if self.method not in self._made:
             self._made[self.method] = self._new()
         return self._made[self.method]
@@ -148,7 +150,7 @@ class RotheSolver:
         return False
 
     def on_sides(self) -> tuple[Fields, SidePoints] | None:
-        """Arrays of the state at the points of the cells' sides, where the solver has such; else None."""
+        """Arrays of the state at the points of the cells' sides with the split solver; else None."""
         return self.newton.residual.on_sides() if isinstance(self.newton, Split) else None
 
     def problem(self, interval: Interval) -> RotheProblem:
@@ -156,7 +158,7 @@ class RotheSolver:
         return RotheProblem(self, interval)
 
     def solve(self, interval: Interval) -> list[Attempt]:
-        """Solve the step from ``step.old``; ``step.state``, the start value, becomes its solution.
+        """Solve the step from ``step.old``; ``step.state``, the start value, becomes the solution.
 
         Parameters
         ----------
@@ -165,13 +167,13 @@ class RotheSolver:
         Returns
         -------
         list of Attempt
-            The step's history, the last entry being the solution.
+            The step's history; the last entry is the solution.
 
         Raises
         ------
         StepError
-            When it has no solution with positive rho and J, or none is found; the state is then the start
-            value again, and the error has the history.
+            If no solution with positive rho and J is found.  The state is then the start value again, and the
+            error has the history.
         """
         self._start.data = self.step.state.vec
         self.step.stresses.begin()
@@ -187,11 +189,11 @@ class RotheSolver:
                 attempts.append(Attempt(name, self._attempt(interval, guess, name == _DAMPED)))
                 if attempts[-1].solution.converged:
                     break
-                self.newton.reset()  # what was factorised belongs to iterates that have been given up
+                self.newton.reset()  # the factorisation belongs to iterates that have been given up
             else:
                 if self.method == "split" or not self._grows(interval, attempts):
                     failed = [attempt.solution for attempt in attempts if not attempt.solution.converged]
-                    reason = failed[-1].reason  # shorter steps may have been solved
+                    reason = failed[-1].reason  # steps of growing length may have been solved
                     others = dict.fromkeys(note for note in self._met if note not in reason)
                     raise StepError("; ".join([reason, *others]), attempts)
         except BaseException:  # also an interrupt: never leave an iterate behind
@@ -201,7 +203,7 @@ class RotheSolver:
         return attempts
 
     def _guesses(self, interval: Interval) -> Iterator[tuple[str, BaseVector]]:
-        """Start values in the order in which they are tried, with what a history calls them."""
+        """Yield the start values in the order of the attempts, with their names for the history."""
         if self.method == "split":
             guess = self.extrapolation.guess(interval.end)
             if guess is not None and self._courant(interval, (guess - self._start).Evaluate()) <= _TOO_FAR:
@@ -214,9 +216,9 @@ class RotheSolver:
             yield _DAMPED, guess
 
     def _grows(self, interval: Interval, attempts: list[Attempt]) -> bool:
-        """Whether steps of growing length, each the start value of the next, lead to the whole one.
+        """Whether steps of growing length lead to the whole step, each solution being the next start value.
 
-        Steep flow rules and heat that leaves in long steps need them.
+        Steep flow rules, and heat that leaves in long steps, need them.
         """
         guess, solved, factor = self._start.Copy(), 0.0, _FACTOR
         length = _SHORTEST
@@ -241,7 +243,7 @@ class RotheSolver:
         return values
 
     def _courant(self, interval: Interval, values: BaseVector) -> float:
-        """|v| tau/h of the fastest coefficient and the smallest cell."""
+        """The Courant number |v| tau/h of the largest coefficient and the smallest cell."""
         return self.ranks.most(abs(self._velocity(values)).max(initial=0.0)) * interval.tau / self.h_min
 
     def _attempt(self, interval: Interval, guess: BaseVector, damps: bool = False) -> Solution:
@@ -253,19 +255,21 @@ class RotheSolver:
         return self._judged(self.newton.solve(self.problem(interval), guess))
 
     def return_to(self, values: BaseVector) -> None:
-        """Make ``values`` the present state, which the solutions since then do not lead on from."""
+        """Make ``values`` the present state, and drop the solutions found since."""
         self.step.state.vec.data = values
         self.reset()
 
     def reset(self) -> None:
-        """Drop what is kept of earlier steps, as where the state has been set by other means."""
+        """Drop the data kept of earlier steps; needed after the state has been set by other means."""
         self.extrapolation.drop()
         self.newton.reset()
 
     def state_dict(self) -> tuple[dict[str, float], dict[str, np.ndarray]]:
-        """The data by which the next step depends on earlier ones: where the Jacobian at hand was factorised.
+        """Data of earlier steps that the next step depends on, among them the state of the last
+        factorisation.
 
-        A restart factorises there again, so that it goes on bit for bit as the run that wrote it.
+        A resumed run factorises there again, so that it continues bit for bit like the run that wrote the
+        data.
         """
         numbers, arrays = self.extrapolation.state_dict()
         numbers |= self.turns.state_dict()
@@ -277,7 +281,7 @@ class RotheSolver:
         return numbers, arrays | self._stresses
 
     def load_state_dict(self, numbers: dict[str, float], arrays: dict[str, np.ndarray]) -> None:
-        """Take up what ``state_dict`` gave; state, old state and time are left as they are."""
+        """Restore the data that ``state_dict`` gave; state, old state and time do not change."""
         self.turns.load_state_dict(numbers)
         self.newton.reset()
         self.extrapolation.load_state_dict(numbers, arrays)
@@ -300,27 +304,27 @@ class RotheSolver:
     def _set(self, values: dict[str, np.ndarray]) -> None:
         for name, vector in self._vectors().items():
             vector[:] = values[name]
-        self.step.start_from_old()  # by numerical heating, of backward Euler, the derivative has m_old too
+        self.step.start_from_old()  # the numerical heating of backward Euler brings m_old into the derivative
 
     def _part(self, name: str) -> slice:
-        """Where such a vector's numbers stand in a state's."""
+        """Range of the vector's numbers in the numbers of a whole state."""
         unknown = _FACTORISED_AT[name]
         return slice(None) if unknown is None else self.step.layout.ranges[unknown]
 
     def remember(self, interval: Interval) -> None:
-        """The derivative has been factorised at the present state, in a step over this interval."""
+        """Store the present state as the state of the last factorisation, in a step over this interval."""
         self._factorised_at, self._stresses = interval, self.step.stresses.frozen()
         for name, values in self._vectors().items():
             self._factorised[name][self._part(name)] = values
 
     def _judged(self, solution: Solution) -> Solution:
-        """The solution, which has failed too where its energy is no number or rho or J is not positive."""
+        """The solution, turned into a failure if its energy is not finite, or rho or J is not positive."""
         energy = self.step.energy
         if not solution.converged:
             self._met += filter(None, [energy.last_failure])
             parts = solution.reason, energy.last_failure, *self.ranks.noted()
             return replace(solution, reason="; ".join(filter(None, parts)))
-        reason = energy.failure  # of the last increment, which is added without a test
+        reason = energy.failure  # the last increment is added without a test
         if reason is None and (defect := self.defect()) is not None:
             reason = defect
         return solution if reason is None else Solution(Status.INADMISSIBLE, solution.history, reason)
@@ -328,13 +332,13 @@ class RotheSolver:
 
 @dataclass(frozen=True)
 class RotheProblem(Problem):
-    """R(u) = 0 of a solver's step over an interval from the old state."""
+    """The equations R(u) = 0 of a solver's step over an interval."""
 
     solver: RotheSolver
     interval: Interval
 
     def pose(self) -> None:
-        """Set the step's parameters, the time, velocities of walls there, and the norm's units."""
+        """Set the step's parameters, the time, the walls' velocities at this time, and the norm's units."""
         solver, at = self.solver, self.interval
         solver.step.context.set_step(at.tau, at.end, at.loads_from, at.loads_over, at.loads_tilt)
         solver.step.moving_walls.set_values()
@@ -342,12 +346,12 @@ class RotheProblem(Problem):
         solver.norm.units |= dict.fromkeys(solver.norm.shared, 1 / at.tau)
 
     def poll(self) -> None:
-        """Give the step up where the run is asked to stop."""
+        """Give up the step if the run was asked to stop."""
         if self.solver.ranks.any(self.solver.interrupted()):
             raise StopRequested("the run was asked to stop")
 
     def factorised(self) -> None:
-        """Keep what a restart has to know."""
+        """Keep the data that a resumed run needs."""
         self.solver.remember(self.interval)
 
 
@@ -355,14 +359,14 @@ def _norm(step: Step, exchange: Exchange) -> BlockNorm:
     """The norm of the step's increments."""
     units = {name: step.layout.unknowns[name].scale for name in step.layout.evolving}
     if "rho_delta_hat" in step.layout.ranges:
-        units["rho_delta_hat"] = 0.0  # its equation is cubic where the density is flat
+        units["rho_delta_hat"] = 0.0  # where the density is flat its equation is cubic, without a linear part
     shared = {"Pi"} & set(step.layout.ranges)
     units |= dict.fromkeys(shared, 0.0)
     ranges, states = dict(step.layout.ranges), step.layout.states
     z = ranges["z"]
     count = (z.stop - z.start) // states.size
     for variable in step.model.material.variables:
-        if variable.own_scale is not None:  # of a scalar
+        if variable.own_scale is not None:  # a scalar variable
             begin = z.start + states.slices[variable.name].start * count
             ranges[variable.name] = slice(begin, begin + count)
             units[variable.name] = variable.own_scale

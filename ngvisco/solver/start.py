@@ -9,20 +9,19 @@ from ngvisco.forms.system import Step
 from ngvisco.parallel.communicator import Communicator
 
 FARTHEST = 3.0
-"""Distance of the step's end from the last solution, in units of that between the two."""
+"""Largest time from the last solution to the step's end, relative to the time between the two solutions."""
 
 LARGEST_CHANGE = 0.5
-"""The largest change of density and elastic variables, in units of their size: it keeps them in the energy's
-domain."""
+"""Largest relative change of density and elastic variables: it keeps them in the energy's domain."""
 
 
 class Extrapolation:
-    """Keeps the last two solutions; part of what a restart has to know."""
+    """Keeps the last two solutions, which a checkpoint stores, and extrapolates them."""
 
     def __init__(self, step: Step) -> None:
         self.step, self._ranks = step, Communicator.of(step.mesh)
         self._kept: list[tuple[float, np.ndarray]] = []
-        """Times, s, and coefficients."""
+        """Times, s, and coefficients of the solutions."""
 
     @property
     def is_empty(self) -> bool:
@@ -30,16 +29,17 @@ class Extrapolation:
         return not self._kept
 
     def keep(self, time: float) -> None:
-        """``step.state`` is the solution at ``time``, s."""
+        """Keep ``step.state`` as the solution at ``time``, s."""
         self._kept = [*self._kept[-1:], (time, self.step.state.vec.FV().NumPy().copy())]
 
     def drop(self) -> None:
-        """Forget: the states at hand do not follow from each other."""
+        """Forget the kept solutions, as the next state will not follow from them."""
         self._kept.clear()
 
     def _change(self, time: float, where: slice) -> np.ndarray | None:
-        """The change of some coefficients from the last solution to ``time``; None where that is too far, or
-        nothing is known to extrapolate from."""
+        """The change of some coefficients from the last solution to ``time``.
+
+        None if ``time`` is too far from the last solution, or if fewer than two solutions are kept."""
         if len(self._kept) < 2:
             return None
         (earlier, before), (last, now) = self._kept
@@ -49,8 +49,10 @@ class Extrapolation:
         return reach * (now[where] - before[where])
 
     def guess(self, time: float) -> BaseVector | None:
-        """The state extrapolated to ``time``, s; None if there is nothing to do so from, or it would change
-        what evolves, but for v, by more than ``LARGEST_CHANGE`` of their size."""
+        """The state extrapolated to ``time``, s, or None.
+
+        None if ``_change`` is None, or if an evolving unknown other than v would change by more than
+        ``LARGEST_CHANGE`` relative to its size."""
         change = self._change(time, slice(None))
         if change is None:
             return None
@@ -65,11 +67,11 @@ class Extrapolation:
         return guess
 
     def state_dict(self) -> tuple[dict[str, float], dict[str, np.ndarray]]:
-        """Numbers and arrays for a restart."""
+        """Numbers and arrays that a checkpoint stores."""
         kept = list(zip(("earlier", "last"), self._kept, strict=False))
         return {f"{name}_time": t for name, (t, _) in kept}, {name: u.copy() for name, (_, u) in kept}
 
     def load_state_dict(self, numbers: dict[str, float], arrays: dict[str, np.ndarray]) -> None:
-        """Take up what ``state_dict`` gave."""
+        """Restore the data that ``state_dict`` gave."""
         names = [name for name in ("earlier", "last") if name in arrays]
         self._kept = [(numbers[f"{name}_time"], np.array(arrays[name])) for name in names]

@@ -1,7 +1,7 @@
-"""Which of the two solvers takes the steps: one is chosen at the start, and "auto" asks the other one too.
+"""Chooses the solver that takes the steps: one at the start, and with "auto" the other one after a failure.
 
-Where a step is not solved by the one, however short it is made, the other one takes the next ``WAIT`` steps,
-and after each return twice as many.
+If the present solver does not solve a step, however short, the other one takes the next ``WAIT`` steps. After
+each return to the first solver this number doubles.
 """
 
 from __future__ import annotations
@@ -17,34 +17,34 @@ from ngvisco.reduced.residual import source_obstacle
 from ngvisco.solver.options import NewtonOptions
 
 WAIT = 16
-"""Steps that the other solver takes before the first one is asked again."""
+"""Number of steps that the other solver takes before the first one is tried again."""
 
 AT_MOST = (300_000, 60_000)
-"""Unknowns after condensation, in 2D and in 3D, that the coupled solver is asked to factorise in place of the
-split one: within some seconds and a few GB."""
+"""Largest number of unknowns after condensation, in 2D and in 3D, with which the coupled solver takes over
+from the split one: its factorisation takes some seconds and a few GB."""
 
 
 class Turns:
-    """The solver at hand, and when the first one is asked again.
+    """Holds the present solver, and the number of steps until the first solver is tried again.
 
-    Raises ParameterError where a solver is asked for that cannot take the step.
+    Raises ParameterError if the options name a solver that cannot take the step.
     """
 
     def __init__(self, step: Step, options: NewtonOptions, ranks: Communicator) -> None:
         self.step, self.options, self.ranks = step, options, ranks
         self.first = chosen_method(step, options)
         self.method = self.first
-        """``"coupled"`` or ``"split"``."""
+        """The present solver, ``"coupled"`` or ``"split"``."""
         self._left, self._wait = 0, WAIT
 
     @property
     def other(self) -> str:
-        """The solver that is not at hand."""
+        """The solver that does not take the steps at present."""
         return "coupled" if self.method == "split" else "split"
 
     @cached_property
     def obstacle(self) -> str | None:
-        """Why the other solver than the first one is not asked; None where it is."""
+        """The reason why only the first solver is tried; None if the other one may be tried."""
         if self.options.method != "auto":
             return f"solver.method is {self.options.method!r}"
         if self.first == "coupled":
@@ -56,7 +56,7 @@ class Turns:
         return None
 
     def turn(self) -> str:
-        """Take the other solver; what that means, in words."""
+        """Take the other solver; return a sentence about it for the user."""
         self.method = self.other
         self._left = self._wait
         return (
@@ -64,7 +64,7 @@ class Turns:
         )
 
     def accept(self) -> None:
-        """A step was accepted: the first solver is asked again where it has waited for long enough."""
+        """Count an accepted step; return to the first solver if it has waited for long enough."""
         if self.method == self.first:
             return
         self._left -= 1
@@ -72,14 +72,14 @@ class Turns:
             self.method, self._wait = self.first, 2 * self._wait
 
     def state_dict(self) -> dict[str, float]:
-        """The data that a restart needs, where the first solver has ever failed."""
+        """Numbers that a checkpoint stores; none if the first solver has never failed."""
         if self.method == self.first and self._wait == WAIT:
             return {}
         is_other = float(self.method != self.first)
         return {"turned": is_other, "turn_left": float(self._left), "turn_wait": float(self._wait)}
 
     def load_state_dict(self, numbers: dict[str, float]) -> None:
-        """Take up what ``state_dict`` gave."""
+        """Restore the data that ``state_dict`` gave."""
         self.method = self.first
         if numbers.get("turned") and self.obstacle is None:
             self.method = self.other
@@ -87,14 +87,14 @@ class Turns:
 
 
 def split_obstacle(step: Step, ranks: Communicator) -> str | None:
-    """Why the split solver cannot take a step; None where it can."""
+    """The reason why the split solver cannot take a step; None if it can."""
     if not ranks.all(is_simplicial(step.mesh)):
         return "the split solver needs a mesh of triangles or tetrahedra only"
     return source_obstacle(step) or term_obstacle(step)
 
 
 def chosen_method(step: Step, options: NewtonOptions) -> str:
-    """``"coupled"`` or ``"split"``.
+    """The solver with which a run begins, ``"coupled"`` or ``"split"``.
 
     Raises
     ------
