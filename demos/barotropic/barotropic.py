@@ -13,7 +13,7 @@ from ngvisco.geometries import box
 from ngvisco.run.pictures import figure
 
 RHO_R, GAMMA, A = 1.0, 1.4, 1 / 1.4
-"""p = A rho^GAMMA, so that the speed of sound at RHO_R is 1 m/s."""
+"""The law is p = A rho^GAMMA, so that the speed of sound at RHO_R is 1 m/s."""
 
 
 def simulation(
@@ -24,13 +24,14 @@ def simulation(
     loads = [nv.Gravity((-gravity, 0.0))] if gravity else []
     model = nv.Model(material=fluid, viscosity=nv.StokesViscosity(K_v=1e-4, G_v=1e-4), loads=loads)
     initial = nv.Initial(density=RHO_R, velocity=(1e-3 * sin(pi * x), 0.0), values=fluid.start(RHO_R, RHO_R))
-    # upwinding is smoothed on the scale of the sound, not of the flow, which stops twice a period
+    # smooth upwinding on the scale of the sound: the flow's velocity vanishes twice a period
     time = nv.TimeSteps(dt=dt, scheme=scheme, velocity_scale=1.0)
     return nv.Simulation(box((1, 0.2), maxh=maxh), model, time=time, initial=initial, **options)
 
 
 def sound_speed(ledger) -> float:
-    """From the time between the first two minima of the kinetic energy: half a period, pi/(k c), k = pi/m."""
+    """The speed of sound c, m/s; two minima of the kinetic energy are half a period apart, pi/(k c), k =
+    pi/m."""
     t, kinetic = ledger.column("time"), ledger.column("kinetic")
     minima = []
     for i in range(1, len(t) - 1):

@@ -1,4 +1,4 @@
-"""A neo-Hookean body fills a cavity whose lid starts at full speed, up to its corners; and a smooth lid.
+"""A neo-Hookean body in a cavity under a lid that starts at full speed up to the corners, and a smooth lid.
 Run with ``python demos/cavity/cavity.py [output directory]``; needs the extra ``plots``.
 """
 
@@ -16,14 +16,14 @@ LIDS = {"full": (1.0, 0.0), "smooth": (16 * x**2 * (1 - x) ** 2, 0.0)}
 
 
 def simulation(lid: str = "full", maxh: float = 0.1, dt: float = 0.02, **options) -> nv.Simulation:
-    """1 m x 1 m; the lid moves from the start on, the other walls hold the body."""
+    """A cavity of 1 m x 1 m; the lid moves from the start on, the other walls hold the body."""
     model = nv.Model(
         material=nv.NeoHookean(K_e=20.0, G_e=0.05, epsilon=0.1, elastic_state="F"),
         viscosity=nv.StokesViscosity(K_v=0.01, G_v=0.01),
         hyperviscosity=nv.HyperViscosity(mu=1e-5, p=4),
     )
     walls = {"top": nv.PrescribedTangential(LIDS[lid]), ("left", "right", "bottom"): nv.NoSlip()}
-    # corners where the body is torn lose det F, which ends other runs
+    # at the corners, where the body is torn, det F drifts from J, which would end a run
     return nv.Simulation(box((1, 1), maxh=maxh), model, dt=dt, drift=1.0, walls=walls, **options)
 
 

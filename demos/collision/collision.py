@@ -15,11 +15,11 @@ from ngvisco.run.frames import averaged, outline, read_frame, read_series_files
 from ngvisco.run.pictures import figure
 
 EMPTY_SPACE = 0.918
-"""Share of its momentum that such a disc keeps at a wall in empty space, by a Lagrangian method."""
+"""Share of its momentum that a disc thrown at a wall in empty space keeps, by a Lagrangian method."""
 
 
 def thrown(X: float) -> CF:
-    """A solenoidal velocity: nearly 0.2 m/s in a disc about (X, 0), none farther than 0.36 m from there."""
+    """A solenoidal velocity: nearly 0.2 m/s in a disc about (X, 0), and zero from a distance of 0.36 m on."""
     q = ((x - X) ** 2 + y**2) / 0.36**2
     f, slope = IfPos(1 - q, 1 - q**4, 0.0), 16 / 0.36**2 * IfPos(1 - q, 1 - q**4, 0.0) * q**3
     return 0.2 * CF((f**2 - y**2 * slope, (x - X) * y * slope))
@@ -35,7 +35,7 @@ def simulation(cells: tuple[int, int] = (14, 8), dt: float = 0.05, **options) ->
         nv.Body(name="disc", where=nv.Ball((0.37, 0.0), 0.21), material=solid, viscosity=damped, density=1.0),
     )
     options |= {"initial": nv.Initial(velocity=thrown(0.37) - thrown(1.03))}
-    options |= {"discretisation": nv.Discretisation(k=1, m=0)}  # less than nothing has no pressure
+    options |= {"discretisation": nv.Discretisation(k=1, m=0)}  # constants: no negative amounts
     mesh, model = structured_box((0.7, 0.4), cells), nv.Model(bodies=bodies)
     time = nv.TimeSteps(dt=dt, scheme="midpoint", velocity_scale=5.0)
     return nv.Simulation(mesh, model, time=time, **options)
@@ -49,7 +49,7 @@ def main(directory: str = "results/collision", until: float = 2.2, **options) ->
 
 
 def draw(out: Path, table: nv.Bodies) -> None:
-    """Both discs, by their mirror images, and the momentum of the quarter of them that is solved for."""
+    """Draw both discs, by mirror images of the computed quarter, and the momentum of the quarter."""
     (fig, axes), files = figure(2, 3, (14, 6.4)), read_series_files(out / "vtk")
     for axis, i in zip(axes.ravel(), np.linspace(0, len(files) - 1, 5).astype(int), strict=False):
         frame = read_frame(files[i][1])

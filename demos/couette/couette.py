@@ -16,12 +16,12 @@ R_I, R_O, OMEGA, G, ETA = 1.0, 2.0, 0.2, 10.0, 1.0  # m, m, 1/s, Pa, Pa s
 
 
 def shear_stress(r: np.ndarray) -> np.ndarray:
-    """tau_rt = 2 eta A R_i^2/r^2 for v_t = A (r - R_i^2/r), A = Omega R_o^2/(R_o^2 - R_i^2)."""
+    """The stress tau_rt = 2 eta A R_i^2/r^2 of v_t = A (r - R_i^2/r), A = Omega R_o^2/(R_o^2 - R_i^2)."""
     return 2 * ETA * OMEGA * R_O**2 / (R_O**2 - R_I**2) * R_I**2 / r**2
 
 
 def simulation(maxh: float = 0.35, dt: float = 0.1, **options) -> nv.Simulation:
-    """Rest until the outer wall turns with Omega; the Maxwell time is eta/G = 0.1 s."""
+    """A fluid at rest until the outer wall turns with Omega; the Maxwell time is eta/G = 0.1 s."""
     model = nv.Model(
         material=nv.LinearElastic(K_e=20.0, G_e=G),
         viscosity=nv.StokesViscosity(K_v=0.01, G_v=0.01),
@@ -33,7 +33,7 @@ def simulation(maxh: float = 0.35, dt: float = 0.1, **options) -> nv.Simulation:
 
 
 def profile(run: nv.Simulation, r: np.ndarray) -> np.ndarray:
-    """tau_rt of the elastic stress, the mean over a circle of radius r."""
+    """Means of tau_rt, from the elastic stress, over circles of the radii r."""
     angles = np.linspace(0, 2 * np.pi, 48, endpoint=False)
     result, c, s = [], np.cos(angles), np.sin(angles)
     for radius in r:

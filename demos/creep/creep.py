@@ -1,4 +1,4 @@
-"""A sheared layer of a Jeffreys material relaxes: elastic strain is creep's to dissipate.
+"""A sheared layer of a Jeffreys material relaxes: creep dissipates the energy of elastic strain.
 
 The linearised model; the initial shear strain varies in space, so that the layer also moves.
 Run with ``python demos/creep/creep.py [output directory]``; needs the extra ``plots``.
@@ -13,7 +13,7 @@ from ngvisco.geometries import box
 
 
 def simulation(maxh: float = 0.15, dt: float = 0.05, gravity: float = 0.0, **options) -> nv.Simulation:
-    """The demo's run: 2 m x 1 m, Maxwell time G_m/(2 G_e) = 0.5 s."""
+    """A layer of 2 m x 1 m with the Maxwell time G_m/(2 G_e) = 0.5 s."""
     model = nv.Model(
         material=nv.LinearElastic(K_e=10.0, G_e=5.0),
         viscosity=nv.StokesViscosity(K_v=0.02, G_v=0.02),

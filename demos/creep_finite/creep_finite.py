@@ -1,4 +1,4 @@
-"""A body that sinks and creeps at finite strain: what remains is where its matter came from.
+"""A heavy spot sinks in a body that creeps at finite strain; passive fields keep where matter came from.
 
 Run with ``python demos/creep_finite/creep_finite.py [output directory]``; needs the extra ``plots``.
 """
@@ -12,7 +12,7 @@ from ngvisco.geometries import box
 
 
 def simulation(maxh: float = 0.1, dt: float = 0.2, gravity: float = 2.0, **options) -> nv.Simulation:
-    """1 m x 1 m; a heavy blob in a lighter body of the same Jeffreys material, Maxwell time 0.1 s."""
+    """A body of 1 m x 1 m with a heavy blob, all of one Jeffreys material with the Maxwell time 0.1 s."""
     model = nv.Model(
         material=nv.ReferentialNeoHookean(K_e=40.0, G_e=5.0),
         viscosity=nv.StokesViscosity(K_v=0.5, G_v=0.5),

@@ -1,4 +1,4 @@
-"""A creep test: modulus and viscosity of a layer are found from a noisy record of its surface's displacement.
+"""A creep test: a fit of a layer's modulus and viscosity to a noisy record of its surface's displacement.
 Run with ``python demos/creep_test/creep_test.py [output directory]``; needs the extra ``plots``.
 """
 
@@ -16,7 +16,8 @@ SURFACE = "integral of top.velocity_1"
 
 
 def simulation(maxh: float = 0.25, G_e: float = 1.0, G_m: float = 2.0, **options) -> nv.Simulation:
-    """1 m x 1 m, periodic in x; from the start the surface is pulled by 0.1 Pa.  Both numbers are a guess."""
+    """A layer of 1 m x 1 m, periodic in x, pulled by 0.1 Pa from the start; the default numbers are a
+    guess."""
     model = nv.Model(
         material=nv.NeoHookean(K_e=10, G_e=G_e, epsilon=0.1),
         viscosity=nv.StokesViscosity(K_v=0.2, G_v=0.2),
@@ -29,7 +30,7 @@ def simulation(maxh: float = 0.25, G_e: float = 1.0, G_m: float = 2.0, **options
 
 
 def record(until: float, maxh: float) -> dict[str, np.ndarray]:
-    """The displacement of the surface of the true layer twice a second, with noise."""
+    """Displacements of the true layer's surface twice a second, with noise."""
     times = np.arange(0.5, until + 1e-9, 0.5)
     of = [f"top.velocity_1 until {t:.1f}" for t in times]
     run = simulation(maxh, *TRUE.values())

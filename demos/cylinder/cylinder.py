@@ -11,22 +11,22 @@ import ngvisco as nv
 from ngvisco.geometries import block_with_hole
 
 BETA, WI = 0.59, 0.2
-"""Share of the solvent in the viscosity, 1 Pa s; the relaxation time, s: the cylinder's radius over the mean
-velocity is 1 s."""
+"""Share of the solvent in the viscosity of 1 Pa s; the relaxation time, s, which is the Weissenberg number,
+as the cylinder's radius over the mean velocity is 1 s."""
 
 PUBLISHED = {0.0: 132.36, 0.1: 130.36, 0.2: 126.63, 0.3: 123.19, 0.4: 120.59}
 """The drag, N/m, by the relaxation time (Fan, Tanner, Phan-Thien 1999; Hulsen, Fattal, Kupferman 2005)."""
 
 
 def simulation(maxh: float = 0.9, dt: float = 0.125, wi: float = WI, **options) -> nv.Simulation:
-    """From rest; creeping, Re = 0.01."""
+    """A creeping flow from rest, Re = 0.01."""
     chains, grown, r = 1 - BETA, 1 - exp(-6 * nv.time), y - 2
     model = nv.Model(
         material=nv.OldroydB(K_e=2e4, G_e=chains / (2 * wi)),
         viscosity=nv.StokesViscosity(K_v=0.0, G_v=BETA),
         creep=nv.Creep(G_m=2 * chains, law="conformation"),
     )
-    rate = -0.75 * r * grown  # of shear in the flow between plates, whose stress it is at both ends
+    rate = -0.75 * r * grown  # shear rate, and shear stress, of the flow between plates, which both ends have
     B = CF((1 + 2 * (wi * rate) ** 2, wi * rate, 0, wi * rate, 1, 0, 0, 0, 1), dims=(3, 3))
     profile = 1.5 * (1 - r * r / 4) * grown
     walls = {

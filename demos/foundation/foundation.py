@@ -1,4 +1,4 @@
-"""An elastic beam on ground that gives, springs and dashpots, is pressed down in its middle.
+"""An elastic beam on ground of springs and dashpots is pressed down in its middle.
 Run with ``python demos/foundation/foundation.py [output directory]``; needs the extra ``plots``.
 """
 
@@ -18,7 +18,7 @@ PRESSED, WIDTH = 6e-3, 0.3  # Pa, m
 
 
 def theory(at: np.ndarray, modes: int = 40) -> np.ndarray:
-    """E' I w'''' + k w = -p, with the shear of Timoshenko, between walls that it slides on: by cosines."""
+    """The solution of E' I w'''' + k w = -p with Timoshenko's shear, between sliding walls, by cosines."""
     lame, s, q = K_E - 2 * G_E / 3, (np.arange(4000) + 0.5) * LENGTH / 4000, np.arange(modes) * np.pi / LENGTH
     flexure = 4 * G_E * (lame + G_E) / (lame + 2 * G_E) * HEIGHT**3 / 12
     bending = flexure * q**4 / (1 + flexure * q**2 / (5 / 6 * G_E * HEIGHT))
@@ -28,7 +28,7 @@ def theory(at: np.ndarray, modes: int = 40) -> np.ndarray:
 
 
 def simulation(maxh: float = 0.2, dt: float = 0.25, **options) -> nv.Simulation:
-    """The beam at rest, pressed from t = 0 on."""
+    """A beam that starts at rest, pressed from t = 0 on."""
     pressure = PRESSED * exp(-(((x - LENGTH / 2) / WIDTH) ** 2))
     walls = {
         "bottom": nv.Open(stiffness=(SPRING, 0.0), impedance=(DASHPOT, 0.0), density=1.0),

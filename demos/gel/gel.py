@@ -1,4 +1,4 @@
-"""A damped gel: a layer is pushed sideways and rings down, by its loss factor at the frequency of the ring.
+"""A damped gel layer is pushed sideways and rings down by its loss factor at the frequency of the ring.
 Run with ``python demos/gel/gel.py [output directory]``; needs the extra ``plots``.
 """
 
@@ -17,12 +17,12 @@ TIMES = {"soon": 0.2, "at its peak": 1.7, "late": 15.0}  # s; 1/omega is between
 
 
 def modulus(s: complex, tau: float) -> complex:
-    """G(s), Pa, the complex modulus at s = i omega; G is that of the longest times."""
+    """The modulus G(s), Pa, which for s = i omega is the complex modulus; G is its limit for long times."""
     return G * (1 + SHARE * s * tau / (1 + s * tau))
 
 
 def exact(tau: float, t: np.ndarray) -> tuple[complex, np.ndarray]:
-    """s, 1/s, of the root of rho s² + k² G(s) = 0 that rings, and the top's velocity over its first."""
+    """The root s, 1/s, of rho s² + k² G(s) = 0 that rings, and the top's velocity over its initial value."""
     polynomial = K**2 * G / RHO * np.array([0, 0, tau * (1 + SHARE), 1]) + np.array([tau, 1, 0, 0])
     roots = np.roots(polynomial)
     shares = roots * (1 + roots * tau) / np.polyval(np.polyder(polynomial), roots)
@@ -30,7 +30,7 @@ def exact(tau: float, t: np.ndarray) -> tuple[complex, np.ndarray]:
 
 
 def simulation(tau: float = 1.7, maxh: float = 0.5, dt: float = DT, **options) -> nv.Simulation:
-    """A layer 1 m high on a rigid ground, in plane strain, with a wall above that it slides along."""
+    """A layer, 1 m high, in plane strain between a rigid ground and a wall along which it slides."""
     gel = nv.prony_network(nv.LinearElastic(K_e=2000.0, G_e=G), prony=[[SHARE, tau]], of="G_inf")
     initial = nv.Initial(density=RHO, velocity=(A * sin(pi / 2 * y), 0))
     options |= {"walls": {"bottom": nv.NoSlip()}, "initial": initial, "scheme": "midpoint"}

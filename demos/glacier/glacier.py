@@ -13,19 +13,19 @@ import ngvisco as nv
 from ngvisco.geometries import channel
 from ngvisco.run.pictures import figure
 
-SLOPE = (1.0, -3.0)  # gravity, m/s^2, along the bed and into it
+SLOPE = (1.0, -3.0)  # gravity along the bed and into the bed, m/s^2
 
 
 def exact(n: float, height: np.ndarray) -> np.ndarray:
-    """v, m/s, of the shear stress 1 - y, Pa, and the shear rate 4 (1 - y)^n, 1/s."""
+    """The velocity v, m/s, with the shear stress 1 - y, Pa, and the shear rate 4 (1 - y)^n, 1/s."""
     return 4 / (n + 1) * (1 - (1 - height) ** (n + 1))
 
 
 def simulation(n: float = 3.0, maxh: float = 0.15, dt: float = 0.2, **options) -> nv.Simulation:
-    """1 m deep, periodic along the slope, at rest on its bed and without traction above."""
+    """A layer, 1 m deep, periodic along the slope, without slip on its bed and without traction above."""
     model = nv.Model(
         material=nv.ReferentialNeoHookean(K_e=300.0, G_e=25.0),
-        creep=nv.Norton(A=2.0 ** (1.5 - n / 2), n=n),  # 4 tau^n in shear by tau
+        creep=nv.Norton(A=2.0 ** (1.5 - n / 2), n=n),  # shear rate 4 tau^n at the stress tau
         loads=[nv.Gravity(SLOPE)],
     )
     options |= {"walls": {"bottom": nv.NoSlip()}, "initial": nv.Initial(velocity=(y, 0))}

@@ -1,4 +1,4 @@
-"""A swirling block in an insulated box comes to rest: all of its motion is heat in the end.
+"""A swirling block in an insulated box comes to rest: all of its kinetic energy becomes heat.
 Run with ``python demos/heat/heat.py [output directory]``; needs the extra ``plots``.
 """
 
@@ -12,7 +12,7 @@ from ngvisco.geometries import box
 
 
 def simulation(maxh: float = 0.2, dt: float = 0.02, **options) -> nv.Simulation:
-    """1 m x 1 m, 1 m/s; c = 0.01 J/(m^3 K), so that it warms by 25 K."""
+    """A block of 1 m x 1 m that swirls at 1 m/s; with c = 0.01 J/(m^3 K) it warms by 25 K."""
     gel = nv.IsochoricNeoHookean(K_e=20.0, G_e=1.0)
     model = nv.Model(
         material=nv.Thermal(material=gel, c=0.01, theta_R=300.0, expansion=1e-4),

@@ -1,4 +1,4 @@
-"""A Mooney-Rivlin block set in rotation inside its box: it recoils elastically.
+"""A Mooney-Rivlin block, set in rotation inside its box, recoils elastically.
 Run with ``python demos/mooney_rivlin/mooney_rivlin.py [output directory]``; needs the extra ``plots``.
 """
 
@@ -14,7 +14,7 @@ from ngvisco.geometries import box
 def simulation(
     G_mr: float = 2.5, maxh: float = 0.25, dt: float = 0.02, gravity: float = 0.0, **options
 ) -> nv.Simulation:
-    """1 m x 1 m, at most 0.5 m/s at the start; G_e + G_mr = 5 Pa whatever G_mr."""
+    """A block of 1 m x 1 m with up to 0.5 m/s at the start; G_e + G_mr = 5 Pa for every G_mr."""
     model = nv.Model(
         material=nv.ReferentialMooneyRivlin(K_e=20.0, G_e=5.0 - G_mr, G_mr=G_mr),
         viscosity=nv.StokesViscosity(K_v=0.1, G_v=0.1),

@@ -10,11 +10,12 @@ from ngsolve import IfPos, exp, x, y
 import ngvisco as nv
 from ngvisco.geometries import channel
 
-SPEED, LENGTH = 0.4, 0.15  # of the lid, m/s, and over which a crack is smeared, m
+SPEED, LENGTH = 0.4, 0.15  # speed of the lid, m/s; width of a crack, m
 
 
 def simulation(maxh: float = 0.11, dt: float = 0.02, **options) -> nv.Simulation:
-    """1 m x 1 m, periodic in x, below a lid; the notch of 0.4 m is the damage of a crack that is there."""
+    """A block of 1 m x 1 m, periodic in x, below a lid; the notch of 0.4 m is the damage of an initial
+    crack."""
     beyond = IfPos(x - 0.7, x - 0.7, IfPos(0.3 - x, 0.3 - x, 0))
     notch = 0.99 * exp(-((beyond**2 + (y - 0.5) ** 2) ** 0.5) / LENGTH)
     rubber = nv.ReferentialNeoHookean(K_e=20.0, G_e=5.0)

@@ -1,4 +1,4 @@
-"""A plume: gas that is heated above the floor of a closed box expands, rises and spreads below the lid.
+"""A plume: gas, heated above the floor of a closed box, expands, rises and spreads below the lid.
 Run with ``python demos/plume/plume.py [output directory]``; needs the extra ``plots``.
 """
 
@@ -16,7 +16,7 @@ from ngvisco.run.pictures import figure
 
 
 def simulation(maxh: float = 0.08, dt: float = 0.05, **options) -> nv.Simulation:
-    """1 m x 1.5 m, gamma = 1.4, 96 Pa at 300 K, 10 m/s^2; 6 W within 0.1 m."""
+    """A box of 1 m x 1.5 m with gas: gamma = 1.4, 96 Pa at 300 K, 10 m/s^2; a source of 6 W, 0.1 m wide."""
     model = nv.Model(
         material=nv.Thermal(c=0.8, gruneisen=0.4, theta_R=300.0, rho_R=1.0),
         viscosity=nv.StokesViscosity(K_v=0.005, G_v=0.005),
@@ -24,7 +24,7 @@ def simulation(maxh: float = 0.08, dt: float = 0.05, **options) -> nv.Simulation
         loads=[nv.Gravity((0.0, -10.0))],
     )
     walls = {"bottom": nv.NoSlip(), "top": nv.NoSlip()}
-    start = nv.Initial(density=exp(-y / 9.6))  # an atmosphere of 300 K at rest
+    start = nv.Initial(density=exp(-y / 9.6))  # an atmosphere at rest at 300 K
     options = {"walls": walls, "initial": start, "solver": "split", "scheme": "midpoint"} | options
     return nv.Simulation(box((1, 1.5), maxh=maxh), model, dt=dt, **options)
 
@@ -37,7 +37,7 @@ def main(directory: str = "results/plume", until: float = 3.0, **options) -> nv.
 
 
 def draw(out: Path, ledger: Ledger) -> None:
-    """The temperature at four times, and what becomes of the heat that is not internal energy."""
+    """Draw the temperature at four times, and the energies of motion and height over time."""
     (fig, axes), files = figure(1, 5, (17, 4.8)), read_series_files(out / "vtk")
     *frames, last = axes.ravel()
     for axis, i in zip(frames, np.linspace(0, len(files) - 1, 5).astype(int)[1:], strict=True):

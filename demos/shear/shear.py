@@ -17,13 +17,14 @@ TIMES = (0.01, 0.02, 0.1, 0.25, 0.5, 1.0, 2.0)  # s
 
 
 def exact(t: np.ndarray) -> np.ndarray:
-    """Rows of tau_12 and tau_11 at the times t."""
+    """The exact tau_12 and tau_11, one row for each of the times t."""
     r, c, w, decay = RATE * ETA / G, np.cos(RATE * t), np.sin(RATE * t), np.exp(-G * t / ETA)
     return RATE * ETA / (1 + r**2) * np.array([1 - decay * (c - r * w), r - decay * (r * c + w)]).T
 
 
 def simulation(dt: float = DT, scheme: str = "midpoint", **options) -> nv.Simulation:
-    """2 m x 1 m, periodic in x; the fields are uniform, so that four cells with k = 1, m = 0 hold them."""
+    """A body of 2 m x 1 m, periodic in x; its fields are uniform, so that four cells with k = 1, m = 0
+    suffice."""
     model = nv.Model(material=nv.LinearElastic(K_e=200.0, G_e=G), creep=nv.Creep(G_m=2 * ETA))
     options["walls"] = {"top": nv.PrescribedTangential((RATE, 0.0)), "bottom": nv.NoSlip()}
     options |= {"initial": nv.Initial(velocity=(RATE * y, 0)), "discretisation": nv.Discretisation(k=1, m=0)}
@@ -31,14 +32,14 @@ def simulation(dt: float = DT, scheme: str = "midpoint", **options) -> nv.Simula
 
 
 def stress(run: nv.Simulation) -> tuple[float, float]:
-    """tau_12 and tau_11 of dev S = 2 G dev E, Pa."""
+    """The components tau_12 and tau_11 of dev S = 2 G dev E, Pa."""
     E = np.reshape(run.fields["E"](run.mesh(0.4, 0.4)), (3, 3))
     return 2 * G * E[0, 1], 2 * G * (E[0, 0] - np.trace(E) / 3)
 
 
 def main(directory: str = "results/shear") -> dict[str, tuple[nv.Simulation, np.ndarray]]:
     Path(directory).mkdir(parents=True, exist_ok=True)
-    SetNumThreads(1)  # a second one only waits on four cells
+    SetNumThreads(1)  # a second thread only waits on four cells
     (fig, ((left, right),)), results, s = figure(1, 2, (11, 4.6)), {}, np.linspace(0, 2)
     for scheme, color, mark in (("midpoint", "C0", "o"), ("backward-euler", "C3", "x")):
         run, rows = simulation(scheme=scheme), []

@@ -12,7 +12,7 @@ from ngvisco.geometries import annulus
 
 
 def simulation(maxh: float = 0.15, dt: float = 0.05, **options) -> nv.Simulation:
-    """1 m < r < 2 m, both walls slip; density 1 + 0.5 exp(-|x - (0, 1.6)|^2/0.25^2) kg/m^3.
+    """The annulus 1 m < r < 2 m with slip; density 1 + 0.5 exp(-|x - (0, 1.6)|^2/0.25^2) kg/m^3.
 
     The Maxwell time is 0.005 s.
     """
@@ -28,7 +28,7 @@ def simulation(maxh: float = 0.15, dt: float = 0.05, **options) -> nv.Simulation
 
 
 def depth(run: nv.Simulation) -> float:
-    """Mean radius of what is denser than the mean by 10 % and more, m."""
+    """Mean radius, m, of the matter that is at least 10 % denser than the mean."""
     rho = run.fields["density"]
     mean = Integrate(rho, run.mesh) / Integrate(1, run.mesh)
     r = sqrt(x * x + y * y)

@@ -17,19 +17,19 @@ KYR = 3.15576e10  # s
 
 
 def simulation(cells: tuple[int, int] = (15, 20), dt: float = KYR, **options) -> nv.Simulation:
-    """7.5 km x 5 km, a slab of 4.5 km x 0.5 km held at the left; g = 10 m/s^2 for 20 kyr."""
+    """A box of 7.5 km x 5 km, a slab of 4.5 km x 0.5 km held at the left; g = 10 m/s^2 for 20 kyr."""
     fluid = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: 5e10 * (J + 1 / J - 2))
     slab = nv.Body(
         name="slab",
         where=nv.Block((0.0, 2250.0), (4500.0, 2750.0)),
-        material=nv.ReferentialNeoHookean(K_e=1e11, G_e=5e9),  # half the shear modulus, 1e10 Pa
-        creep=nv.Creep(G_m=2e24),  # twice the viscosity, 1e24 Pa s
+        material=nv.ReferentialNeoHookean(K_e=1e11, G_e=5e9),  # G_e is half of the shear modulus, 1e10 Pa
+        creep=nv.Creep(G_m=2e24),  # G_m is twice the viscosity, 1e24 Pa s
         density=3300.0,
     )
     weak = nv.StokesViscosity(K_v=0.0, G_v=1e18)
     medium = nv.Body(name="medium", material=fluid, viscosity=weak, density=2800.0)
     gravity = nv.Gravity((0.0, -10 * IfPos(20 * KYR - nv.time, 1.0, 0.0)))
-    # in SI the coupled solver takes a cell's matrix, from volume/dt to modulus times volume, for singular
+    # in SI a cell's matrix, from volume/dt to modulus times volume, seems singular to the coupled solver
     options = {"walls": {"left": nv.NoSlip()}, "solver": "split"} | options
     mesh = structured_box((7500.0, 5000.0), cells)
     return nv.Simulation(mesh, nv.Model(bodies=[slab, medium], loads=[gravity]), dt=dt, **options)

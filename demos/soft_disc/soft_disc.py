@@ -1,4 +1,4 @@
-"""A soft disc in a lid-driven cavity (Sugiyama et al. 2011): a body carried round by a fluid.
+"""A soft disc in a lid-driven cavity (Sugiyama et al. 2011): a fluid carries a body round.
 Run with ``python demos/soft_disc/soft_disc.py [output directory]``; needs the extra ``plots``.
 """
 
@@ -15,17 +15,17 @@ from ngvisco.run.pictures import figure
 
 
 def simulation(cells=(20, 22), dt: float = 0.05, K_e: float = 50.0, **options) -> nv.Simulation:
-    """1 m x 1 m; density 1 kg/m^3, viscosity 0.01 Pa s, shear modulus of the disc 0.1 Pa; a lid of 1 m/s."""
+    """A box of 1 m x 1 m, 1 kg/m^3, 0.01 Pa s, with a disc of shear modulus 0.1 Pa and a lid of 1 m/s."""
     fluid = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: K_e / 2 * (J + 1 / J - 2))
     solid = nv.IsochoricNeoHookean(K_e=K_e, G_e=0.05, elastic_state="B")
     both = {"viscosity": nv.StokesViscosity(K_v=0.01, G_v=0.01), "density": 1.0}
     disc = nv.Body(name="disc", where=nv.Ball((0.6, 0.5), 0.2), material=solid, **both)
     model = nv.Model(bodies=[nv.Body(name="fluid", material=fluid, **both), disc])
     options["walls"] = {"top": nv.PrescribedTangential((1.0, 0.0)), ("left", "right", "bottom"): nv.NoSlip()}
-    # velocities of order 3 do not lock where volumes are stiff; the lid's start is damped by two Euler steps
+    # velocities of order 3 do not lock with a stiff volume; two Euler steps damp the lid's start
     options = {"time": nv.TimeSteps(dt=dt, scheme="midpoint", startup=2), **options}
     options = {"discretisation": nv.Discretisation(k=3)} | options
-    # rows become flat towards the lid, below which the disc is a film
+    # flat rows at the lid, where the disc becomes a film
     mesh = structured_box((1, 1), cells, grading={"y": 0.3}, split_corners=True)
     return nv.Simulation(mesh, model, **options)
 
@@ -40,7 +40,7 @@ def main(directory: str = "results/soft_disc", until: float = 8.0, **options) ->
 
 
 def draw(out: Path, X: np.ndarray, Y: np.ndarray) -> None:
-    """The disc and the speed at seven times, and the path of the disc's centroid."""
+    """Draw the disc and the speed at seven times, and the path of the disc's centroid."""
     fig, axes = figure(2, 4, (15, 7.6))
     files = read_series_files(out / "vtk")
     chosen = np.linspace(0, len(files) - 1, 7).round().astype(int)

@@ -1,4 +1,4 @@
-"""A soft spot below a surface is found from how the surface moves: fifty numbers by the adjoint.
+"""Finds a soft spot below a surface from the surface's displacements: fifty numbers by adjoints.
 Run with ``python demos/soft_spot/soft_spot.py [output directory]``; needs the extra ``plots``.
 """
 
@@ -13,9 +13,10 @@ from ngvisco.geometries import structured_box
 
 COLUMNS, ROWS, STATIONS = 10, 5, 19
 NOISE, SMOOTH, UNTIL = 2e-5, 3.0, 2.0
-"""Standard deviation of displacements, m; weight of ln(G_i/G_j) of neighbours; end, s."""
+"""Standard deviation of displacements, m; weight of ln(G_i/G_j) for neighbouring blocks; end of the run,
+s."""
 TRUE = 3 - 2 * exp(-(((x - 2.6) / 0.5) ** 2) - ((y - 0.7) / 0.25) ** 2)
-"""The stiffness that is to be found, Pa."""
+"""The stiffness of the ground that gives the data, Pa."""
 
 
 def blocks() -> list:
@@ -26,7 +27,7 @@ def blocks() -> list:
 
 
 def simulation(stiffness=3.0, cells=(COLUMNS, ROWS), **options) -> nv.Simulation:
-    """4 m x 1 m on a rigid ground; the surface is pulled by up to 0.02 Pa, and comes to rest within 2 s."""
+    """A layer of 4 m x 1 m on a rigid ground, pulled at its surface by up to 0.02 Pa; it rests after 2 s."""
     model = nv.Model(
         material=nv.LinearElastic(K_e=10, G_e=stiffness), viscosity=nv.StokesViscosity(K_v=1.0, G_v=1.0)
     )
@@ -38,7 +39,7 @@ def simulation(stiffness=3.0, cells=(COLUMNS, ROWS), **options) -> nv.Simulation
 
 
 def field(numbers) -> object:
-    """The stiffness of blocks, Pa, of its logarithms over 3 Pa."""
+    """The stiffness, Pa, constant in blocks, from the logarithms of its values over 3 Pa."""
     values = (3 * np.exp(numbers)).reshape(ROWS, COLUMNS).tolist()
 
     def cascade(parts: list, coordinate, width: float):
@@ -51,14 +52,14 @@ def field(numbers) -> object:
 
 
 def displacements() -> dict[str, float]:
-    """Measurements at the stations, with noise, of a ground with a spot of a third of the stiffness."""
+    """Displacements at the stations, with noise, of the true ground."""
     run, of = simulation(TRUE), [f"s{i}.velocity_1 until {UNTIL}" for i in range(STATIONS)]
     values = nv.gradient(run, UNTIL, of=of, by=["viscosity.G_v"]).values
     return dict(zip(of, values + NOISE * np.random.default_rng(1).standard_normal(STATIONS), strict=True))
 
 
 def linearised(numbers: np.ndarray, data: dict[str, float]) -> tuple[np.ndarray, np.ndarray]:
-    """The residuals over the noise, and their derivatives by the fifty numbers: one adjoint a station."""
+    """Residuals over the noise, and their derivatives by the fifty numbers, with one adjoint a station."""
     run = simulation(nv.Parameter("stiffness", start=field(numbers)))
     found = nv.gradient(run, UNTIL, of=list(data), method="adjoint")
     densities = [found.density(name, "stiffness") for name in data]
@@ -68,7 +69,7 @@ def linearised(numbers: np.ndarray, data: dict[str, float]) -> tuple[np.ndarray,
 
 
 def differences() -> np.ndarray:
-    """The matrix of Tikhonov's term: differences of neighbouring blocks, (pairs, blocks)."""
+    """The matrix of Tikhonov's term, which takes differences of neighbouring blocks, (pairs, blocks)."""
     unit = np.eye(COLUMNS * ROWS).reshape(ROWS, COLUMNS, -1)
     pairs = [np.diff(unit, axis=axis).reshape(-1, COLUMNS * ROWS) for axis in (0, 1)]
     return SMOOTH * np.concatenate(pairs)
@@ -76,7 +77,7 @@ def differences() -> np.ndarray:
 
 def main(directory: str = "results/soft_spot", iterations: int = 4) -> np.ndarray:
     data, numbers, smooth = displacements(), np.zeros(COLUMNS * ROWS), differences()
-    for _ in range(iterations):  # Gauss and Newton
+    for _ in range(iterations):  # Gauss-Newton
         off, J = linearised(numbers, data)
         print(f"half the sum of squares of {STATIONS} residuals: {0.5 * off @ off:.5g}")
         rows, right = np.vstack([J, smooth]), np.concatenate([off, smooth @ numbers])

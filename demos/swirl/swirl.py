@@ -1,4 +1,4 @@
-"""A neo-Hookean block set in rotation inside its box, under gravity: it recoils elastically.
+"""A neo-Hookean block, set in rotation inside its box under gravity, recoils elastically.
 Run with ``python demos/swirl/swirl.py [output directory]``; needs the extra ``plots``.
 """
 
@@ -12,7 +12,7 @@ from ngvisco.geometries import box
 
 
 def simulation(maxh: float = 0.1, dt: float = 0.02, gravity: float = 1.0, **options) -> nv.Simulation:
-    """The demo's run: 1 m x 1 m, plane strain."""
+    """A block of 1 m x 1 m in plane strain."""
     model = nv.Model(
         material=nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1),
         viscosity=nv.StokesViscosity(K_v=0.01, G_v=0.01),
@@ -28,7 +28,7 @@ def main(directory: str = "results/swirl", until: float = 1.0, maxh: float = 0.1
     run = simulation(maxh)
     shown = {"J": "J", "von Mises stress, Pa": "von_mises", "density, kg/m³": "density"}
     ledgers = {"midpoint": nv.record(run, directory, until, show=shown)}
-    # shorter steps: by longer ones J and det F, each transported on its own, come to differ by a per cent
+    # in longer steps J and det F, which are transported separately, would drift apart by more than 1 %
     ledgers["backward Euler"] = simulation(maxh, dt=0.00625, scheme="backward-euler").run(until)
     nv.plot_schemes(ledgers, Path(directory) / "schemes.png")
     return run

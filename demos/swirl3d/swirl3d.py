@@ -1,4 +1,4 @@
-"""The swirl in three dimensions: a neo-Hookean cube that creeps, set in rotation about its z axis.
+"""The swirl in three dimensions: a neo-Hookean cube creeps and rotates about its z axis.
 
 Run with ``python demos/swirl3d/swirl3d.py [output directory]``; needs the extra ``plots``.
 """

@@ -1,4 +1,4 @@
-"""Where a swirling block is felt: its kinetic energy's derivatives by stiffness and density, place by place.
+"""Derivatives of a swirling block's kinetic energy by stiffness and density at each place.
 Run with ``python demos/swirl_sensitivity/swirl_sensitivity.py``; needs the extra ``plots``.
 """
 
@@ -12,7 +12,7 @@ from ngvisco.geometries import box
 
 
 def simulation(maxh: float = 0.15, stiffness=5.0, dt: float = 0.02, **options) -> nv.Simulation:
-    """The demo swirl without hyperviscosity: 1 m x 1 m, plane strain."""
+    """The demo swirl without hyperviscosity: a block of 1 m x 1 m in plane strain."""
     model = nv.Model(
         material=nv.NeoHookean(K_e=10.0, G_e=stiffness, epsilon=0.1),
         viscosity=nv.StokesViscosity(K_v=0.01, G_v=0.01),

@@ -1,4 +1,4 @@
-"""Standing elastic wave, with and without hyperviscosity: rho s^2 + (G_v k^2 + mu k^4) s + G_e k^2 = 0.
+"""A standing elastic wave with and without hyperviscosity: rho s^2 + (G_v k^2 + mu k^4) s + G_e k^2 = 0.
 Run with ``python demos/wave/wave.py [output directory]``; needs the extra ``plots``.
 """
 
@@ -16,7 +16,7 @@ K, G_E, G_V, A, DT = 2.0, 1.0, 0.02, 1e-4, 0.04  # wave number 1/m, Pa, Pa s, m/
 
 
 def dispersion(mu: float) -> complex:
-    """s in 1/s: the decay is -Re s, the phase speed |Im s|/k."""
+    """The exact rate s, 1/s, of which -Re s is the decay and |Im s|/k the phase speed."""
     return complex(np.roots([1.0, G_V * K**2 + mu * K**4, G_E * K**2])[0])
 
 
@@ -35,7 +35,7 @@ def amplitudes(mu: float, steps: int, scheme: str = "midpoint") -> tuple[nv.Simu
 
 
 def exponent(a: np.ndarray) -> complex:
-    """s, 1/s, of a_n+1 = (z + z*) a_n - |z|^2 a_n-1 with z = exp(s dt): what the wave in the run does."""
+    """The rate s, 1/s, of the computed wave, a_n+1 = (z + z*) a_n - |z|^2 a_n-1 with z = exp(s dt)."""
     b = np.linalg.lstsq(np.array([a[2:-1], a[1:-2]]).T, a[3:], rcond=None)[0]
     return complex(np.log(np.roots([1.0, -b[0], -b[1]])[0]) / DT)
 

@@ -1,4 +1,4 @@
-"""A sheared body yields where it is weak: a band of plastic strain grows out of the soft spot.
+"""A sheared body yields where it is weak: a band of plastic strain grows from the soft spot.
 
 Run with ``python demos/yield/yield.py [output directory]``; needs the extra ``plots``.
 """
@@ -12,7 +12,8 @@ from ngvisco.geometries import channel
 
 
 def simulation(maxh: float = 0.1, dt: float = 0.02, **options) -> nv.Simulation:
-    """1 m x 1 m, periodic in x, under a lid of 0.2 m/s; the yield stress is least, 0.6 Pa, in the middle."""
+    """A body of 1 m x 1 m, periodic in x, under a lid of 0.2 m/s; its yield stress is least, 0.6 Pa, in the
+    middle."""
     sigma_Y = 0.8 + 0.1 * (cos(2 * pi * x) + cos(2 * pi * y))
     model = nv.Model(
         material=nv.ReferentialNeoHookean(K_e=50.0, G_e=5.0),
