@@ -76,7 +76,8 @@ class RotheSolver:
         self.interrupted: Callable[[], bool] = lambda: False
         """Whether to give up the step; called before each iteration."""
         self._last_tau: float | None = None
-        self._factorised = {name: np.zeros(len(step.state.vec)) for name in self._vectors()}
+        self._factorised: dict[str, np.ndarray] = {}
+        """States of the last factorisation, which nothing writes to."""
         self._factorised_at: Interval | None = None
         self._stresses: dict[str, np.ndarray] = {}
         """Linearisation stresses of flow rules at the last factorisation."""
@@ -269,7 +270,7 @@ class RotheSolver:
         factorisation.
 
         A resumed run factorises there again, so that it continues bit for bit like the run that wrote the
-        data.
+        data.  The arrays are not copies.
         """
         numbers, arrays = self.extrapolation.state_dict()
         numbers |= self.turns.state_dict()
@@ -277,8 +278,7 @@ class RotheSolver:
             return numbers, arrays
         numbers |= {name: getattr(self._factorised_at, name) for name in _PARAMETERS}
         numbers["last_tau"] = self._last_tau
-        arrays |= {name: values.copy() for name, values in self._factorised.items()}
-        return numbers, arrays | self._stresses
+        return numbers, arrays | self._factorised | self._stresses
 
     def load_state_dict(self, numbers: dict[str, float], arrays: dict[str, np.ndarray]) -> None:
         """Restore the data that ``state_dict`` gave; state, old state and time do not change."""
@@ -314,6 +314,7 @@ class RotheSolver:
     def remember(self, interval: Interval) -> None:
         """Store the present state as the state of the last factorisation, in a step over this interval."""
         self._factorised_at, self._stresses = interval, self.step.stresses.frozen()
+        self._factorised = {name: np.zeros(len(self.step.state.vec)) for name in self._vectors()}
         for name, values in self._vectors().items():
             self._factorised[name][self._part(name)] = values
 

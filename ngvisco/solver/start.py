@@ -21,7 +21,7 @@ class Extrapolation:
     def __init__(self, step: Step) -> None:
         self.step, self._ranks = step, Communicator.of(step.mesh)
         self._kept: list[tuple[float, np.ndarray]] = []
-        """Times, s, and coefficients of the solutions."""
+        """Times, s, and coefficients of the solutions; the arrays are not written to."""
 
     @property
     def is_empty(self) -> bool:
@@ -67,9 +67,9 @@ class Extrapolation:
         return guess
 
     def state_dict(self) -> tuple[dict[str, float], dict[str, np.ndarray]]:
-        """Numbers and arrays that a checkpoint stores."""
+        """Numbers and arrays that a checkpoint stores; the arrays are not copies."""
         kept = list(zip(("earlier", "last"), self._kept, strict=False))
-        return {f"{name}_time": t for name, (t, _) in kept}, {name: u.copy() for name, (_, u) in kept}
+        return {f"{name}_time": t for name, (t, _) in kept}, {name: u for name, (_, u) in kept}
 
     def load_state_dict(self, numbers: dict[str, float], arrays: dict[str, np.ndarray]) -> None:
         """Restore the data that ``state_dict`` gave."""

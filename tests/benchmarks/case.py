@@ -179,8 +179,7 @@ def direct_floor(run: nv.Simulation) -> float:
         at = newton.residual(newton.unknowns.pack())
         began = time.perf_counter()
         preconditioner.operator.update(at)
-        preconditioner.hyper_tangent.update()
-        solver.factorise(preconditioner.operator.tangent(preconditioner.hyper_tangent))
+        solver.factorise(preconditioner.operator.tangent(at, preconditioner.hyper_tangent))
         solver(at.residual[: preconditioner.operator.size])
         return time.perf_counter() - began
 

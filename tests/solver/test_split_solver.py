@@ -239,8 +239,10 @@ def test_two_levels_take_as_many_iterations_on_finer_meshes():
     for maxh in (0.3, 0.15, 0.075):
         run = simulation(maxh=maxh, newton=TWO_LEVELS)
         run.advance()
-        p = run.solver.newton.preconditioner
-        matrix, steps = p.operator.tangent(p.hyper_tangent), []
+        split = run.solver.newton
+        p, at, steps = split.preconditioner, split.residual(split.unknowns.pack()), []
+        p.linearise(at, True)
+        matrix = p.operator.tangent(at, p.hyper_tangent)
         p.solver.factorise(matrix)
         r = np.where(p.free, np.random.default_rng(0).standard_normal(len(p.free)), 0.0)
         operator = LinearOperator(

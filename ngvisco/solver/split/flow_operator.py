@@ -222,24 +222,28 @@ class FlowSchurComplement:
         cells = dz.reshape(*self.points.resolvent.shape[:2], 1)  # a rank may have no cells
         return np.matmul(self.points.resolvent, cells).reshape(dz.shape)
 
-    def tangent(self, hyper: HyperTangent | None) -> sp.csr_matrix:
+    def tangent(self, at: Evaluation, hyper: HyperTangent | None) -> sp.csr_matrix:
         """The velocity tangent: a sparse matrix that approximates the operator, cell by cell.
 
-        The transport is replaced by its block in each cell, without the neighbours' contribution, so that the
-        tangent is a sum over the cells.  Its unknowns are the flow's, and last the normal derivatives that
-        ``hyper`` keeps.  The other normal derivatives are a = E v: the mean of both sides' d_n v, weighted by
-        the hyperviscosity's coefficient.  Each rank has the share of its cells.
+        ``at`` is the evaluation of the last ``update``.  The transport is replaced by its block in each cell,
+        without the neighbours' contribution, so that the tangent is a sum over the cells.  Its unknowns are the
+        flow's, and last the normal derivatives that ``hyper`` keeps.  The other normal derivatives are a = E v:
+        the mean of both sides' d_n v, weighted by the hyperviscosity's coefficient.  Each rank has the share of
+        its cells.
         """
         d, local = self.dim, self.local
         rows = self.to_fields.reshape(self.cells * self.functions, self.components * d * local)
         fields = self.sweep.in_cells(rows).reshape(self.to_fields.shape)
         cells = (self.own - self.from_fields @ fields).reshape(self.cells, local, d, d, local)
         blocks = [[self._assembled(cells[:, :, i, k]) for k in range(d)] for i in range(d)]
-        if hyper is not None:
+        own = None
+        if hyper is not None and at.hyper is not None:
+            with self.residual.ranks.together(np.linalg.LinAlgError):
+                own = hyper.update(at.hyper)
             n = self.op.v.width
             for i in range(d):
-                blocks[i][i] = blocks[i][i] + hyper.matrix[:n, :n]
+                blocks[i][i] = blocks[i][i] + own[:n, :n]
         matrix = widened(sp.bmat(blocks, format="csr"), self.size, self.size)
         if self.rest is not None:
             matrix = (matrix + self.rest).tocsr()
-        return matrix if hyper is None or not len(hyper.kept) else hyper.bordered(matrix, d)
+        return matrix if hyper is None or not len(hyper.kept) else hyper.bordered(matrix, own, d)

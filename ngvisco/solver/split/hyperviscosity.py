@@ -17,6 +17,7 @@ import scipy.sparse as sp
 from ngvisco.algebra import precision
 from ngvisco.algebra.local import LocalMatrix
 from ngvisco.algebra.sparse import Blocks, ElementAssembly, Rounded, largest
+from ngvisco.forms.fields import Fields
 from ngvisco.forms.mesh.points import SidePoints
 from ngvisco.physics.arrays import Array
 from ngvisco.reduced.hyperviscosity import HyperValues, MatrixHyperviscosity, SideJumps, value_of
@@ -57,10 +58,8 @@ class HyperDerivative:
         """Linearise at the given values."""
         h, law, sides, weights = self.hyper, self.hyper.law, self.sides, self.weights
         shape, hess_square = self.side_weights.shape, at.local.get("hess_square")
-        jumps = at.jumps if sides is h.sides else sides.jump(at.x)
-        on_sides = sides.values(jumps, hess_square, at.z)
-        self._at, self._on_sides = at, on_sides
-        c = value_of(law.linear(h.tensors(at.z))) if law.is_linear else self._coefficient()
+        on_sides = self._on_sides(at)
+        c = value_of(law.linear(h.tensors(at.z))) if law.is_linear else self._coefficient(at)
         c = weights * np.broadcast_to(c, h.points.count).reshape(weights.shape)
         penalty = np.broadcast_to(value_of(h.term.stiffness(on_sides)), sides.h.shape)
         self._unit = unit = largest(c)
@@ -74,7 +73,7 @@ class HyperDerivative:
         if hess_square is None:
             return
         hessian = h.h_values(at.local["hess"]).reshape(h.dim, h.size, *weights.shape).transpose(2, 0, 1, 3)
-        j = jumps.reshape(h.dim, *shape).swapaxes(0, 1)
+        j = on_sides.jump.value.reshape(h.dim, *shape).swapaxes(0, 1)
         H, J = largest(hessian), largest(j)
         self._hessian, self._j = rounded(hessian, H), rounded(j, J)
         size, squared = h.term.size(on_sides), sides.h**2
@@ -92,9 +91,13 @@ class HyperDerivative:
             )
         )
 
-    def _coefficient(self) -> np.ndarray:
+    def _on_sides(self, at: HyperValues) -> Fields:
+        jumps = at.jumps if self.sides is self.hyper.sides else self.sides.jump(at.x)
+        return self.sides.values(jumps, at.local.get("hess_square"), at.z)
+
+    def _coefficient(self, at: HyperValues) -> np.ndarray:
         """c_s at the cells' points."""
-        return self.hyper.s_values(self._at.local["hyper_coefficient"])
+        return self.hyper.s_values(at.local["hyper_coefficient"])
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
         """The rows' derivative in the direction x = (v, a) side by side, (dim, unknowns)."""
@@ -131,18 +134,18 @@ class HyperDerivative:
         weight."""
         return (self.hyper.s_inverse @ loads.ravel() * self._volume).reshape(loads.shape).astype(self.dtype)
 
-    def tangent_coefficients(self) -> tuple[np.ndarray, np.ndarray]:
+    def tangent_coefficients(self, at: HyperValues) -> tuple[np.ndarray, np.ndarray]:
         """Coefficients of |Hs|^2, (cells,), and of the penalty, (sides' points,), for ``HyperTangent``.
 
         They are c + (c - mu_1)(p - 2)/2.  The second derivative of |.|^p/p couples the components of v; the
         coefficient is the middle between its smallest and its largest eigenvalue.
         """
-        h, law, sides = self.hyper, self.hyper.law, self.sides
-        in_cells, z_on_sides = h.tensors(self._at.z), self._on_sides.z_tensors
+        h, law, sides, values = self.hyper, self.hyper.law, self.sides, self._on_sides(at)
+        in_cells, z_on_sides = h.tensors(at.z), values.z_tensors
         if law.is_linear:
             c, on_sides = law.linear(in_cells), value_of(law.linear(z_on_sides))
         else:
-            c, on_sides = self._coefficient(), law.coefficient(h.term.size(self._on_sides), z_on_sides).value
+            c, on_sides = self._coefficient(at), law.coefficient(h.term.size(values), z_on_sides).value
 
         def mean(values: Any) -> np.ndarray:
             at_points = np.broadcast_to(value_of(values), h.points.count).reshape(self.weights.shape)
@@ -172,13 +175,7 @@ class HyperTangent:
         number = np.empty_like(order)
         number[order] = np.arange(len(order))
         self._assembled = ElementAssembly(number[values.unknowns], values.width)
-        lifted, self._jump = np.split(values.blocks, [h.lift.per_cell], axis=1)
-        lifted = lifted.reshape(values.cells, h.size, h.h_values.local, values.local)
-        at_points = h.h_values.blocks[:, None] @ lifted
-        of_each = at_points.reshape(values.cells, h.size * h.h_values.per_cell, values.local)
-        weights = np.tile(derivative.weights, (1, h.size))
-        self._of_hessians = _squared(of_each, weights).astype(precision.SINGLE)
-        """Element matrices of the quadratic form |Hs|^2."""
+        self._lifted, self._jump = np.split(values.blocks, [h.lift.per_cell], axis=1)
         pattern = _squared(abs(self._jump), np.ones(self._jump.shape[:2]))
         self._facets = Blocks(self._in_parts(pattern)[2])
 
@@ -188,23 +185,35 @@ class HyperTangent:
         matrix, n = self._assembled(elements), self._assembled.width - len(self.eliminated)
         return matrix[:n, :n], matrix[:n, n:], matrix[n:, n:]
 
-    def update(self) -> None:
-        """Form E, the matrix and the facets' blocks at the values of the derivative's last update."""
-        cell, penalty = self.derivative.tangent_coefficients()
+    def _of_hessians(self, cell: np.ndarray) -> np.ndarray:
+        """Element matrices of the quadratic form |Hs|^2 with coefficients (cells,)."""
+        derivative, h = self.derivative, self.derivative.hyper
+        count, width = len(cell), self._lifted.shape[2]
+        of_each = h.h_values.blocks[:, None] @ self._lifted.reshape(count, h.size, h.h_values.local, width)
+        weights = np.tile(cell[:, None] * derivative.weights, (1, h.size))
+        return _squared(of_each.reshape(count, weights.shape[1], width), weights)
+
+    def update(self, at: HyperValues) -> sp.csr_matrix:
+        """Form E and the facets' blocks at some values, and the matrix of v and the kept a, which is returned."""
+        cell, penalty = self.derivative.tangent_coefficients(at)
         of_jumps = _squared(self._jump, self.derivative.side_weights * penalty.reshape(self._jump.shape[:2]))
         _, coupling, facets = self._in_parts(of_jumps)
         E = -(self._facets.inverse(facets) @ coupling.T).tocsr()
         self.E_t = Rounded(E.T)
-        own, coupling, others = self._in_parts(of_jumps + cell[:, None, None] * self._of_hessians)
+        own, coupling, others = self._in_parts(of_jumps + self._of_hessians(cell))
         cross = (coupling.T + others @ E).tocsr()
-        self.matrix = (own + coupling @ E + E.T @ cross).tocsr()
+        matrix: sp.csr_matrix = (own + coupling @ E + E.T @ cross).tocsr()
         # a = E v + (blocks)^{-1} (r - cross v), where v includes the kept a
         of_rows = self._facets.inverse(others)
         self.of_velocity, self.of_rows = Rounded(E - of_rows @ cross), Rounded(of_rows)
+        return matrix
 
-    def bordered(self, matrix: sp.csr_matrix, dim: int) -> sp.csr_matrix:
-        """Append rows and columns of the kept a to a matrix of the flow's unknowns, v's components first."""
-        own, each = self.matrix, sp.identity(dim)
+    def bordered(self, matrix: sp.csr_matrix, own: sp.csr_matrix, dim: int) -> sp.csr_matrix:
+        """Append rows and columns of the kept a to a matrix of the flow's unknowns, v's components first.
+
+        ``own`` is the matrix of one component of v and of the kept a.
+        """
+        each = sp.identity(dim)
         width = own.shape[0] - len(self.kept)
         others, count = matrix.shape[0] - dim * width, dim * len(self.kept)
         right = sp.vstack([sp.kron(each, own[:width, width:]), sp.csr_matrix((others, count))])

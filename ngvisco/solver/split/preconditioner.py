@@ -221,10 +221,7 @@ class Preconditioner:
     def update(self, at: Evaluation) -> None:
         """Form and factorise everything at an evaluation, whose unknowns have to be the step's state."""
         self.linearise(at, everything=True)
-        if self.hyper_tangent is not None:
-            with self.ranks.together(np.linalg.LinAlgError):
-                self.hyper_tangent.update()
-        self.solver.factorise(self.operator.tangent(self.hyper_tangent))
+        self.solver.factorise(self.operator.tangent(at, self.hyper_tangent))
 
     def linearise(self, at: Evaluation, everything: bool) -> None:
         """Linearise the operator at an evaluation; without ``everything`` only the parts that change
