@@ -194,7 +194,7 @@ class HyperTangent:
         return _squared(of_each.reshape(count, weights.shape[1], width), weights)
 
     def update(self, at: HyperValues) -> sp.csr_matrix:
-        """Form E and the facets' blocks at some values, and the matrix of v and the kept a, which is returned."""
+        """Form E and the facets' blocks at some values; return the matrix of v and the kept a."""
         cell, penalty = self.derivative.tangent_coefficients(at)
         of_jumps = _squared(self._jump, self.derivative.side_weights * penalty.reshape(self._jump.shape[:2]))
         _, coupling, facets = self._in_parts(of_jumps)
