@@ -71,7 +71,7 @@ class Posed(Problem):
 class Increments:
     """Stand-in of a split solver for ``iterate``: increments of given sizes, by their number."""
 
-    has_converged, mark_jacobian_stale = Split.has_converged, lambda self, f, size: None
+    has_converged, reset_if_worn = Split.has_converged, lambda self, f, size: None
     is_steep, follow = False, lambda self, f: None
 
     def __init__(self, sizes):
