@@ -48,7 +48,7 @@ from ngvisco.physics.tensors import IDENTITY, Tensor, identity_like
 from ngvisco.physics.variables import PRESSURE, Jacobian, Values, Variable
 
 _LIGHTEST = "the density, less half of that of the lightest body"
-"""Name of the bound on the density: the parts' forces would throw matter lighter than all of its parts."""
+"""Name of the bound on the density; forces of the bodies would throw matter lighter than every body."""
 
 _SAME = 1e-9
 """Relative difference below which two volumetric energies count as one function."""

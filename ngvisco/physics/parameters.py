@@ -382,7 +382,7 @@ def renamed(law: T, prefix: str) -> T:
 
 
 def told_apart(laws: Iterable[T], taken: Iterable[str] = ()) -> list[T]:
-    """Laws whose parameters made of moduli have distinct names, by numbers where needed: A, A_2.
+    """The laws, with distinct names for the parameters made of their moduli, numbered if needed: A, A_2.
 
     Parameters of one name and the same start value count as one; names in ``taken`` are not used.
     """

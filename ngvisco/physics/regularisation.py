@@ -7,7 +7,7 @@ energy are materials: ``WithQuadratic`` and ``Yosida`` wrap any material, also o
 The diffusion of the fields needs phi''(z) at rest and the directions in which it vanishes.  Some energies are
 linear in some variables (with -epsilon ln J in K = ln J / J, many in B = F F^T), whose conjugates are
 constant.  In all other variables phi'' has to be positive definite; ``WithQuadratic`` makes it so for every
-convex energy. phi'' has the derivatives by the strains alone, not by parameters.
+convex energy. phi'' is the second derivative by the strains, not by parameters.
 """
 
 import math

@@ -296,8 +296,7 @@ class LinearViscosity(Viscosity):
 
     @property
     def G_v(self) -> float:
-        """Shear viscosity of the isotropic part, Pa s: half the mean of eps : D eps over deviatoric eps,
-        |eps| = 1."""
+        """Shear viscosity of the isotropic part, Pa s: half the mean of e : D e over e = dev e of size 1."""
         return (float(np.trace(self.mandel)) - 3 * self.K_v) / 10
 
     def shear_viscosity(self, z: Values) -> ValueOfModulus:

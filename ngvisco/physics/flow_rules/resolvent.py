@@ -46,7 +46,7 @@ def resolved(
         length = abs(newton - s)
         # on an exponential Newton's steps have one length: then the bracket is halved
         taken = (newton >= low) & (newton <= high) & (length <= 0.5 * moved)
-        middle = np.where(high < np.inf, 0.5 * (low + high), 2 * s)  # above Y: a rate that gives energy
+        middle = np.where(high < np.inf, 0.5 * (low + high), 2 * s)  # no bracket: the rate gives energy
         s, moved = np.where(found, s, np.where(taken, newton, middle)), np.where(taken, length, np.inf)
         found |= taken & (length <= _LAST * size)
         if found.all():

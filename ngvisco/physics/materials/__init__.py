@@ -1,4 +1,4 @@
-"""Constitutive laws, each is a list of variables and an energy."""
+"""Constitutive laws; each is a list of variables and an energy."""
 
 from ngvisco.physics.materials.custom import CustomMaterial
 from ngvisco.physics.materials.damaged import Damaged

@@ -1,4 +1,4 @@
-"""A material of the user's own: variables and an energy given in a script."""
+"""A material that a user defines: variables and an energy given in a script."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -16,14 +16,14 @@ from ngvisco.physics.variables import Values, Variable
 
 @dataclass(frozen=True, kw_only=True)
 class CustomMaterial(Material):
-    """phi = stored_energy(**values) for any list of transported variables.
+    """A material with phi = stored_energy(**values) for any list of transported variables.
 
     A run samples the energy and warns where it is not jointly convex, see ``check_convexity``.  Raises
-    ParameterError if ``transported`` is no list of variables, or the energy raises, returns anything but a
-    real scalar, or reads anything but the variables (the position, the time, a grid function, ...); if a
-    bound is no such function, or not positive at rest and on a convex set; or if a rotation Q of the observer
-    changes the energy, which the message then has: phi(Q F) = phi(F); of a spatial tensor, E or B = F F^T,
-    this is isotropy.
+    ParameterError if ``transported`` is not a list of variables; if the energy or a bound raises an error,
+    returns anything but a real scalar, or reads anything but the variables (the position, the time, a grid
+    function, ...); if a bound is not positive at rest and on a convex set; or if a rotation Q of the observer
+    changes the energy, with this rotation in the message.  phi(Q F) = phi(F) is required; for a spatial
+    tensor, E or B = F F^T, this is isotropy.
 
     Example::
 
@@ -44,18 +44,18 @@ class CustomMaterial(Material):
     Parameters
     ----------
     transported : sequence of Variable
-        E.g. ``(Distortion(), Jacobian())``.
+        Transported variables, e.g. ``(Distortion(), Jacobian())``.
     stored_energy : callable
-        Takes the variables' values by name and returns the energy per actual volume, Pa, e.g.
-        ``lambda F, J: 5 * square(F) / J ** (2/3) + 10 * (J - 1) ** 2``.  Convex jointly in all of
-        them if the ledger's Bregman column is to be >= 0.
+        Function of the variables' values, by keyword, that returns the energy per actual volume, Pa, e.g.
+        ``lambda F, J: 5 * square(F) / J ** (2/3) + 10 * (J - 1) ** 2``.  Joint convexity makes the ledger's
+        Bregman column >= 0.
     bounds : mapping of names to callables, optional
-        Where the energy has a value: functions of the variables' values by name that are > 0 there, e.g.
-        ``{"room to stretch": lambda B, J: 3.05 - tr(B)}``.  Each is concave, or positive on a convex set at
-        least.  The limiter and the refusal of steps keep them as they keep J > 0.
+        Functions of the variables' values, by keyword, that are > 0 where the energy has a value, e.g.
+        ``{"room to stretch": lambda B, J: 3.05 - tr(B)}``.  Each is concave, or at least positive on a convex
+        set.  The limiter and the refusal of steps keep them > 0, like J.
     rho_R : float, optional
-        Referential density, kg/m^3, > 0.  Where given, the initial density has to be rho_R/J, and one of the
-        two follows from the other.
+        Referential density, kg/m^3, > 0.  With it the initial density is rho_R/J: it determines J, or J
+        determines it.
     """
 
     energy_parameter = "stored_energy"
@@ -109,6 +109,6 @@ class CustomMaterial(Material):
         return self.stored_energy(**self._told(z))
 
     def _told(self, z: Values) -> Values:
-        """The values as the functions know them, parameters in place of what is carried of them."""
+        """The values with parameters instead of their carried numbers, as users' functions take them."""
         means = (v for v in self.transported if isinstance(v, Parameter) and v.mean != "arithmetic")
         return {**z, **{v.name: v.at(z) for v in means}}

@@ -1,20 +1,20 @@
-"""Materials that break: a damage d, 0 where they are intact and 1 where they are broken, degrades the energy.
+"""Materials that break: a damage d, 0 for intact and 1 for broken matter, degrades the energy.
 
-Per actual volume, with A = 1/J of a material at finite strain and 1 of a linearised one,
+Per actual volume, with A = 1/J for a material at finite strain and A = 1 for a linearised one,
 
     phi = g(d) a(z) + c(z) + A G_c (w(d) + l^2 |q|^2) / (c_w l),     g(d) = (1 - k)(1 - d)^2 + k,
 
-q the gradient of d, a the part of the energy that damage takes (all of it, or what is no volumetric
-compression, c).  ``AT2`` has w = d^2, c_w = 2 (Ambrosio and Tortorelli), ``AT1`` w = d, c_w = 8/3, which is
-elastic up to a threshold: the density of a crack's surface times G_c (Pham et al., Int. J. Damage Mech. 20,
-2011).
+where q is the gradient of d, a is the degraded part of the energy and c the rest: c = 0, or the energy of
+volumetric compression.  The last term is G_c times the density of a crack's surface (Pham et al., Int. J.
+Damage Mech. 20, 2011).  ``AT2`` has w = d^2, c_w = 2 (Ambrosio and Tortorelli); ``AT1`` has w = d, c_w = 8/3,
+and is elastic up to a threshold.
 
-The matter carries d and its slope.  The actual one, q = grad d with dq/dt + (v . grad) q = -L^T q, has a
-conjugate that gives the stress of the gradient term.  The referential one, q = F^T grad d with F the
-distortion since the start (creep included), stays what it is at the matter's point, dq/dt + (v . grad) q = 0:
-its term has no stress, and a crack that is stretched keeps its energy.  phi is convex in z for given (d, q)
-and in (d, q) for given z, but not jointly: the conjugates of z are those at the damage of the step's start
-(``Material.lagged``), and damage itself grows after it, z kept (``ngvisco.forms.damage``; the staggered
+The matter carries d and its gradient.  The actual gradient, q = grad d with dq/dt + (v . grad) q = -L^T q,
+has a conjugate that gives the stress of the gradient term.  The referential gradient, q = F^T grad d with the
+distortion F since the start (creep included), is constant at a point of the matter, dq/dt + (v . grad) q = 0:
+its term has no stress, and a stretched crack keeps its energy.  phi is convex in z for given (d, q) and in
+(d, q) for given z, but not jointly.  Therefore the conjugates of z use the damage at the step's start
+(``Material.lagged``), and damage grows after the step, with z fixed (``ngvisco.forms.damage``; the staggered
 scheme of Roubicek, arXiv:2510.10355).
 """
 
@@ -35,7 +35,7 @@ from ngvisco.physics.variables import Jacobian, LogJacobian, ReciprocalJacobian,
 
 @dataclass(frozen=True)
 class DamageVariable(Parameter):
-    """d in [0, 1], carried by the matter: 0 intact, 1 broken.  Moduli may be expressions of it."""
+    """The damage d in [0, 1], carried by the matter: 0 intact, 1 broken.  Moduli may be expressions of d."""
 
     name: str = "damage"
     start: float = 0.0
@@ -44,7 +44,7 @@ class DamageVariable(Parameter):
 
 @dataclass(frozen=True)
 class DamageSlope(Variable):
-    """q = grad d, 1/m, as the first column of a tensor: dq/dt = -L^T q."""
+    """The gradient q = grad d, 1/m, as the first column of a tensor: dq/dt = -L^T q."""
 
     name: str = "grad_damage"
     kind: str = "vector"
@@ -56,7 +56,7 @@ class DamageSlope(Variable):
         return -L.trans * z[self.name]
 
     def from_distortion(self, F: Tensor) -> Tensor:
-        """Zero: that of the start's damage is made of it."""
+        """Zero; the run computes the gradient of the initial damage."""
         return 0 * F
 
     def turned(self, value: Tensor, Q: Tensor) -> Tensor:
@@ -65,7 +65,7 @@ class DamageSlope(Variable):
 
 @dataclass(frozen=True)
 class ReferentialDamageSlope(DamageSlope):
-    """q = F^T grad d, 1/m, F the distortion since the start: dq/dt = 0."""
+    """The gradient q = F^T grad d, 1/m, with the distortion F since the start: dq/dt = 0."""
 
     name: str = "referential_grad_damage"
 
@@ -78,7 +78,7 @@ class ReferentialDamageSlope(DamageSlope):
 
 @dataclass(frozen=True)
 class WholeDistortion(Variable):
-    """F since the start, elastic and creep together: dF/dt = L F.  No energy reads it."""
+    """The distortion F since the start, elastic and creep together: dF/dt = L F.  No energy reads it."""
 
     name: str = "whole_F"
     kind: str = "full"
@@ -104,16 +104,16 @@ REFERENTIAL_SLOPE, WHOLE_F = ReferentialDamageSlope(), WholeDistortion()
 class Damaged(Wrapper):
     """A material that breaks, by a phase field of its damage d in [0, 1] (module's docstring).
 
-    The energy of the material without damage is counted from that at rest, where its stress has to vanish.  A
-    crack that has fully formed costs G_c for its area, with d = exp(-|x|/l) (AT2) or (1 - |x|/2l)^2 (AT1)
-    across it.  With ``area="actual"`` x and l are lengths of the actual place: at J = 1 G_c is per deformed
-    area of the crack.  Where the matter is stretched by lambda across a crack, that is G_c/lambda per area of
-    the reference state, and a crack that was there before has (1 + 1/lambda^2)/2 of its energy left.  With
-    ``area="reference"`` x and l are lengths of the body at its start, G_c is per reference area, and the
-    crack keeps its energy.  The body carries its distortion since the start beside its variables then.
-    Without a healing d never falls at the matter's point.  Raises ParameterError if a parameter is out of its
-    range, or the material has stress at rest, an energy without an expression, or no volume of its own to
-    tell compression by; or for ``"reference"`` with a material of small strain, which has one area.
+    The energy of the intact material is counted from rest, where its stress has to vanish.  A fully formed
+    crack has the energy G_c times its area, and d = exp(-|x|/l) (AT2) or (1 - |x|/2l)^2 (AT1) across it.
+    With ``area="actual"`` x and l are lengths in the actual place, and at J = 1 G_c is per deformed area of
+    the crack.  In matter that is stretched by lambda across the crack, this is G_c/lambda per reference area,
+    and a crack from before the stretch keeps (1 + 1/lambda^2)/2 of its energy.  With ``area="reference"`` x
+    and l are lengths of the body at its start, G_c is per reference area, and the crack keeps its energy; the
+    body then also carries its distortion since the start.  Without healing d never falls at a point of the
+    matter.  Raises ParameterError if a parameter is out of its range, if the material has stress at rest, an
+    energy without an expression, or no volume that defines compression, or for ``"reference"`` with a
+    material of small strain, which has one area.
 
     Example::
 
@@ -126,26 +126,26 @@ class Damaged(Wrapper):
     Parameters
     ----------
     material : Material
-        The material without damage; at finite strain A = 1/J is carried beside its variables.
+        The intact material; at finite strain A = 1/J is carried beside its variables.
     G_c : float
-        Energy of a crack for its area, the one that ``area`` names.
+        Energy of a crack per area, deformed or reference area by ``area``.
     length : float
-        The length l that a crack is smeared over; cells of half of it or less resolve it.
+        Width l of a smeared crack; cells of l/2 or less resolve it.
     law : str
-        ``"AT2"``, damage from the first load on, or ``"AT1"``, from a threshold on.
+        ``"AT2"``, with damage from the first load on, or ``"AT1"``, with damage above a threshold.
     area : str
-        Lengths and areas that G_c and l count: ``"actual"``, of the deformed body, or ``"reference"``, of the
-        body at its start.
+        State in which G_c and l measure areas and lengths: ``"actual"``, the deformed body, or
+        ``"reference"``, the body at its start.
     part : str
-        ``"all"`` of the energy is degraded, or ``"tensile"``: not that of volumetric compression.
+        Degraded energy: ``"all"``, or ``"tensile"``, all but the energy of volumetric compression.
     viscosity : float
-        eta of the dissipation eta (dd/dt)^2 of growing damage.
+        Coefficient eta of the dissipation eta (dd/dt)^2 of growing damage.
     healing_viscosity : float, optional
-        That of falling damage; None (default) where nothing heals.
+        Coefficient eta of falling damage; None (default) for no healing.
     floor : float
-        k, the share of the degraded energy that a broken material keeps.
+        Share k of the degraded energy that a broken material keeps.
     breaking : sequence of str, optional
-        Those of a ``Network`` that break, by name; None (default) for all of the material.
+        Names of the branches of a ``Network`` that break; None (default) for the whole material.
     """
 
     G_c: Annotated[float, Quantity("J/m^2", "> 0", 0.1)]
@@ -158,7 +158,7 @@ class Damaged(Wrapper):
     floor: Annotated[float, Quantity("1", "in (0, 1)", 1e-6)] = 1e-6
     breaking: Annotated[tuple[str, ...] | None, Quantity(example=["slow"])] = None
     _rest: float | None = field(init=False, repr=False, default=None)
-    """phi at rest without damage, Pa; None where moduli differ from place to place."""
+    """Energy phi at rest without damage, Pa; None if moduli differ from place to place."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -180,7 +180,7 @@ class Damaged(Wrapper):
         self._check_rest()
 
     def _check_branches(self) -> None:
-        """Raise ParameterError or UnknownNameError for names that are none of the material's branches."""
+        """Raise ParameterError or UnknownNameError for names of branches that the material does not have."""
         if self.breaking is None:
             return
         if not isinstance(self.material, Network):
@@ -198,7 +198,7 @@ class Damaged(Wrapper):
         return Branches(network=self.material, names=self.breaking)
 
     def _check_rest(self) -> None:
-        """Raise ParameterError where the material's variables have no spherical states, or stress at rest."""
+        """Raise ParameterError for a variable without known spherical states, or for stress at rest."""
         for v in self.material.variables:
             known = isinstance(v, (SmallStrain, Jacobian, ReciprocalJacobian, LogJacobian, Parameter))
             if not known and v.volume_ratio(CF((1, 0, 0, 0, 1, 0, 0, 0, 1), dims=(3, 3))) is None:
@@ -217,7 +217,7 @@ class Damaged(Wrapper):
 
     @property
     def is_linearised(self) -> bool:
-        """Whether the material is one of small strains, whose volume does not change."""
+        """Whether the material is of small strain, so that its volume does not change."""
         return all(isinstance(v, SmallStrain) for v in self.material.variables)
 
     @property
@@ -228,7 +228,7 @@ class Damaged(Wrapper):
 
     @property
     def slope(self) -> DamageSlope:
-        """The gradient of the damage that the matter carries."""
+        """The damage gradient that the matter carries, actual or referential."""
         return SLOPE if self.area == "actual" else REFERENTIAL_SLOPE
 
     @property
@@ -243,21 +243,21 @@ class Damaged(Wrapper):
         return None
 
     def degradation(self, d: Any) -> Any:
-        """g(d)."""
+        """The degradation g(d)."""
         return (1 - self.floor) * (1 - d) * (1 - d) + self.floor
 
     @property
     def surface(self) -> tuple[float, float]:
-        """G_c/(c_w l) and G_c l/c_w, which multiply w(d) and |q|^2, Pa and Pa m^2."""
+        """The factors G_c/(c_w l) of w(d), Pa, and G_c l/c_w of |q|^2, Pa m^2."""
         weight = self.G_c / (2 if self.law == "AT2" else 8 / 3)
         return weight / self.length, weight * self.length
 
     def weight(self, z: Values) -> Any:
-        """Reference volume per actual volume, A; 1 of a linearised material."""
+        """Reference volume per actual volume, A; 1 for a linearised material."""
         return 1.0 if self.is_linearised else z["A"]
 
     def parts(self, z: Values) -> tuple[Tensor, Tensor | None]:
-        """a(z), what damage takes of the energy, and c(z), what it leaves (None: nothing), Pa."""
+        """The degraded part a(z) of the energy and the rest c(z), None if there is none, Pa."""
         own = {v.name: z[v.name] for v in self.material.variables}
         whole = self._breaking.energy(own)
         left = None if self.breaking is None else self.material.energy(own) - whole
@@ -265,7 +265,7 @@ class Damaged(Wrapper):
             if self.part == "all":
                 return whole, left
             compressed = self._breaking.energy({name: sph(E) for name, E in own.items()})
-            compression = -tr(next(iter(own.values())))  # of all branches the same
+            compression = -tr(next(iter(own.values())))  # one trace for all branches
         else:
             rest = self._spherical_energy(own, 1 + 0 * z["A"]) if self._rest is None else self._rest
             whole = whole - rest * z["A"]
@@ -277,7 +277,7 @@ class Damaged(Wrapper):
         return whole - kept, kept if left is None else kept + left
 
     def _spherical_energy(self, z: Values, J: Any) -> Any:
-        """phi without damage at F = J^{1/3} I; ``z`` tells arrays from coefficient functions."""
+        """phi without damage at F = J^{1/3} I; ``z`` gives parameters, and decides on arrays or functions."""
         found: dict[str, Any] = {}
         for v in self.material.variables:
             if isinstance(v, Parameter):
@@ -286,7 +286,7 @@ class Damaged(Wrapper):
                 found[v.name] = log(J) / J
             else:
                 ratio = v.volume_ratio(CF(1.0) if v.kind == "scalar" else IDENTITY)
-                assert ratio is not None  # as checked when the material was made
+                assert ratio is not None  # ``_check_rest`` has checked it
                 power = ratio[1] if v.kind == "scalar" else ratio[1] / 3
                 size = J if power == 1 else J ** float(power)
                 found[v.name] = size if v.kind == "scalar" else size * identity_like(z[v.name])

@@ -1,9 +1,9 @@
-"""Fluids: barotropic ones, and viscoelastic ones by a conformation tensor (Oldroyd-B, Leonov, FENE-P).
+"""Barotropic fluids, and viscoelastic fluids by a conformation tensor (Oldroyd-B, Leonov, FENE-P).
 
-B = J^{-2/3} F F^T is the conformation tensor of dissolved chains.  Energies of it have a barrier at
-det B = 0 and their least value at B = I, so that B relaxes to I without being told its determinant.  What
-fluid it is says ``Creep(law=...)``; with the relaxation time lambda = G_m/(4 G_e) and the viscosity
-eta = 2 G_e lambda = G_m/2 the relaxation of B is
+B = J^{-2/3} F F^T is the conformation tensor of dissolved chains.  Their energies have a barrier at det B = 0
+and their least value at B = I, so that B relaxes to I without a constraint on its determinant.
+``Creep(law=...)`` chooses the fluid; with the relaxation time lambda = G_m/(4 G_e) and the viscosity eta = 2
+G_e lambda = G_m/2 the relaxation of B is
 
 | law            | Pi                   | relaxation of B in ``OldroydB``          | fluid             |
 |----------------|----------------------|------------------------------------------|-------------------|
@@ -11,7 +11,7 @@ eta = 2 G_e lambda = G_m/2 the relaxation of B is
 | "leonov"       | (M/2 + dev zeta)/G_m | -(B^2 - I - tr(B - B^-1)/3 B)/(2 lambda) | Leonov            |
 | "mandel"       | M/G_m                | -(B^2 - (tr B/3) B)/lambda               | the paper's creep |
 
-T(I) = 0.  The solvent is the model's ``StokesViscosity``.
+T(I) = 0.  The model's ``StokesViscosity`` is the solvent's viscosity.
 """
 
 from __future__ import annotations
@@ -40,9 +40,9 @@ class BarotropicFluid(Material):
 
         p = a rho^gamma,   a = (gamma - 1) B / rho_R^gamma,
 
-    and phi = B A^gamma with A = 1/J = rho/rho_R.  ``from_state_equation`` is the material from a.  The speed
-    of sound is c^2 = gamma p/rho, the bulk modulus gamma p.  Convex in J and in A.  There is no shear
-    modulus, and creep does nothing.  Raises ParameterError if a parameter is out of its range.
+    and phi = B A^gamma with A = 1/J = rho/rho_R.  ``from_state_equation`` makes the material from a.  The
+    speed of sound is sqrt(gamma p/rho), the bulk modulus gamma p.  phi is convex in J and in A.  Without a
+    shear modulus creep has no effect.  Raises ParameterError if a parameter is out of its range.
 
     Parameters
     ----------
@@ -51,11 +51,11 @@ class BarotropicFluid(Material):
     gamma : float
         Adiabatic exponent.
     form : str
-        The variable that is carried, "J" or "A" = 1/J.
+        The carried variable, "J" or "A" = 1/J.
     J_min : float, optional
-        With form = "J": the energy is continued linearly below this J (paper: rem-neo-Hookean-ref).
+        J below which the energy is continued linearly, with form = "J" (paper: rem-neo-Hookean-ref).
     rho_R : float, optional
-        Density where J = 1; with it the initial density and J follow from one another.
+        Density where J = 1; it determines the initial density from J, or J from the density.
     """
 
     B: Annotated[Modulus, Quantity("Pa", "> 0", 1.0)]
@@ -84,7 +84,7 @@ class BarotropicFluid(Material):
         Parameters
         ----------
         a : float
-            Of the state equation p = a rho^gamma.
+            Coefficient of the state equation p = a rho^gamma.
         gamma, rho_R, form, J_min
             As for ``BarotropicFluid``.
         """
@@ -114,7 +114,7 @@ class BarotropicFluid(Material):
         return inverse_power(self.B, self.gamma, z["J"], self.J_min)
 
     def start(self, rho_0: float | Tensor, rho_R: float) -> dict[str, Tensor]:
-        """Initial value of the variable that belongs to rho_0, for ``Initial(values=...)``."""
+        """The variable's initial value for the density rho_0, as ``Initial(values=...)`` takes it."""
         return {self.form: CF(rho_R / rho_0 if self.form == "J" else rho_0 / rho_R)}
 
 
@@ -122,18 +122,18 @@ class BarotropicFluid(Material):
 class OldroydB(Material):
     """phi(B, J) = K_e/2 (J - 2 + 1/J) + G_e (tr B - ln det B - 3), B = J^{-2/3} F F^T.
 
-    The energy of Hookean dumbbells, and of Leonov's fluid; see the module's docstring.  Strictly convex in
-    B and in J, so jointly; singular as det B -> 0+ and J -> 0+.  dev T = 2 G_e dev B.  Raises ParameterError
-    if a parameter is not a finite positive number.
+    This is the energy of Hookean dumbbells, and of Leonov's fluid; see the module's docstring.  It is
+    strictly convex in B and in J, so jointly, and singular as det B -> 0+ and J -> 0+.  dev T = 2 G_e dev B.
+    Raises ParameterError if a parameter is not a finite positive number.
 
     Parameters
     ----------
     K_e : float
-        Bulk modulus, the usual one.  0 of a branch alone.
+        Bulk modulus.  0 is for branches of a network only.
     G_e : float
         Elastic modulus of shear: half the usual shear modulus.
     J_min : float, optional
-        The part that is singular at J = 0 is continued linearly below this J.
+        J below which the part singular at J = 0 is continued linearly.
     """
 
     K_e: Annotated[Modulus, Quantity("Pa", ">= 0", 10.0)]
@@ -155,7 +155,7 @@ class OldroydB(Material):
         return volume + self.G_e * self.chains(z["B"])
 
     def chains(self, B: Tensor) -> Tensor:
-        """The chains' energy over G_e."""
+        """The energy of the chains over G_e."""
         return tr(B) - log_det(B) - 3
 
 
@@ -163,11 +163,11 @@ class OldroydB(Material):
 class FENEP(OldroydB):
     """phi(B, J) = K_e/2 (J - 2 + 1/J) - G_e [(b - 3) ln((b - tr B)/(b - 3)) + ln det B], B = J^{-2/3} F F^T.
 
-    Dumbbells of a finite length (FENE-P, with Peterlin's closure): zeta_B = G_e (f I - B^-1) with
-    f = (b - 3)/(b - tr B), which is 1 at rest, so that -(f B - I)/lambda is the relaxation by the law
-    ``conformation``.  Convex in (B, J), strictly; singular as tr B -> b, det B -> 0+ and J -> 0+:
-    b - tr B > 0 is kept as J > 0 is, by the limiter or by shorter steps.
-    ``OldroydB`` is the limit b -> infinity.  Raises ParameterError if a parameter is out of its range.
+    The chains are dumbbells of finite length (FENE-P, with Peterlin's closure): zeta_B = G_e (f I - B^-1)
+    with f = (b - 3)/(b - tr B), which is 1 at rest.  The relaxation by the law ``conformation`` is -(f B -
+    I)/lambda.  phi is strictly convex in (B, J), and singular as tr B -> b, det B -> 0+ and J -> 0+. Like J >
+    0, the limiter or shorter steps keep b - tr B > 0.  ``OldroydB`` is the limit b -> infinity.  Raises
+    ParameterError if a parameter is out of its range.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Gent's rubber elasticity: chains of a finite length, by one parameter more than neo-Hookean."""
+"""Gent's rubber elasticity: chains of finite length, with one more parameter than neo-Hookean materials."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from ngvisco.physics.variables import Distortion, LeftCauchyGreen, Values
 class Gent(IsotropicElastic):
     """phi(H, J) = K_e/2 (J - 2 + 1/J) - G_e J_m ln(1 - (|H|^2 - 3)/J_m), H = J^{-1/3} F (Gent 1996).
 
-    By B = J^{-2/3} F F^T with tr B for |H|^2.  Convex in (H, J) and in (B, J), since -ln is convex and falls,
-    and |H|^2 is convex; J_m + 3 - |H|^2 > 0 is kept as J > 0 is, by the limiter or by shorter steps.  At rest
-    it is ``ReferentialNeoHookean``, and for J_m -> infinity its chains are linear in tr B.  In uniaxial
-    stretch lambda without a change of volume T_11 - T_22 = 2 G_e f (lambda^2 - 1/lambda) with
-    f = J_m/(J_m + 3 - |H|^2).  T(I) = 0.  Raises ParameterError if a parameter is out of its range.
+    By B = J^{-2/3} F F^T, |H|^2 is tr B.  phi is convex in (H, J) and in (B, J), since -ln is convex and
+    falls and |H|^2 is convex.  Like J > 0, the limiter or shorter steps keep J_m + 3 - |H|^2 > 0.  At rest
+    the law agrees with ``ReferentialNeoHookean``, and for J_m -> infinity the chains' energy is linear in tr
+    B.  In uniaxial stretch lambda at constant volume T_11 - T_22 = 2 G_e f (lambda^2 - 1/lambda) with f =
+    J_m/(J_m + 3 - |H|^2).  T(I) = 0.  Raises ParameterError if a parameter is out of its range.
 
     Parameters
     ----------
     K_e : float
-        Bulk modulus, the usual one.  0 of a branch alone.
+        Bulk modulus.  0 is for branches of a network only.
     J_m : float
-        The largest |H|^2 - 3, at which chains are stretched wholly: some 30 to 100 for rubber.
+        Largest |H|^2 - 3, at which the chains are fully stretched: some 30 to 100 for rubber.
     J_min : float, optional
-        The part that is singular at J = 0 is continued linearly below this J.
+        J below which the part singular at J = 0 is continued linearly.
     """
 
     K_e: Annotated[Modulus, Quantity("Pa", ">= 0", 10.0)]
@@ -51,5 +51,5 @@ class Gent(IsotropicElastic):
         return volume - self.G_e * self.J_m * log((1 / self.J_m) * self._slack(z))
 
     def _slack(self, z: Values) -> Tensor:
-        """J_m + 3 - |H|^2."""
+        """The distance J_m + 3 - |H|^2 from full stretch."""
         return (self.J_m + 3) - self.first_invariant(z)

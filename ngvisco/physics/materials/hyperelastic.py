@@ -1,18 +1,18 @@
 """Neo-Hookean and Mooney-Rivlin materials, by F as in the paper or by B = F F^T.
 
-**F or B.**  F = V Q.  Creep relaxes the stretch V; the rotation Q stays, and in a flow that goes on
-neighbouring points have turned by ever more different angles.  A space of fixed h cannot follow: the mean of
-two rotations has a determinant below one, so that F and J part, while the ledger still closes.  B has no Q,
-and isotropic energies need nothing else: they are linear in it or convex.
+**F or B.**  F = V Q.  Creep relaxes the stretch V; the rotation Q stays, and in a lasting flow the angles of
+neighbouring points differ more and more.  A space of fixed h cannot represent this: the mean of two rotations
+has a determinant below one, so that det F and J drift apart while the ledger still closes.  B does not
+contain Q, and suffices for isotropic energies, which are linear or convex in B.
 
-**Actual and referential.**  The paper's own energies are per actual volume.  The referential ones are
-K_e/2 (J - 1 + c)^2 + G_e |F_iso|^2 + s(J) per *referential* volume, F_iso = J^{-1/3} F, and phi is that over
-J (paper: exa-neo-Hookean-ref): convex neither in F nor in (F, J), but in the variables that are chosen here.
-They are stationary at rest, so that T(I) = 0.  (|H|^2/J = tr(J^{-2/3} F F^T)/J is not convex in that tensor
-and J, so that all referential ones have B = J^{-5/3} F F^T.)
+**Actual and referential.**  The paper's energies are per actual volume.  The referential energies are K_e/2
+(J - 1 + c)^2 + G_e |F_iso|^2 + s(J) per *referential* volume, F_iso = J^{-1/3} F, and phi is this energy over
+J (paper: exa-neo-Hookean-ref), convex neither in F nor in (F, J) but in the variables chosen here. They are
+stationary at rest, so that T(I) = 0.  (|H|^2/J = tr(J^{-2/3} F F^T)/J is not convex in J^{-2/3} F F^T and J,
+so that all referential materials have B = J^{-5/3} F F^T.)
 
-**J_min** continues the part that is singular at J = 0 linearly below it (paper: rem-neo-Hookean-ref), which
-keeps it convex and C1, and is inactive as long as J >= J_min.
+**J_min** is the J below which the part singular at J = 0 is continued linearly (paper: rem-neo-Hookean-ref).
+The continuation is convex and C1, and has no effect as long as J >= J_min.
 """
 
 import math
@@ -38,9 +38,9 @@ from ngvisco.physics.variables import (
 
 
 def continued(s: Callable[[Any], Any], slope: Callable[[Any], Any], J: Tensor, J_min: float | None) -> Tensor:
-    """s(J), linear below ``J_min`` (None: nowhere); ``slope`` is s'.
+    """The function s(J), continued linearly below ``J_min`` (None: nowhere); ``slope`` is s'.
 
-    s is never evaluated below J_min, not even in the branch that is thrown away.
+    s is never evaluated below J_min, not even in the branch of the condition that is not used.
     """
     if J_min is None:
         return s(J)
@@ -49,22 +49,22 @@ def continued(s: Callable[[Any], Any], slope: Callable[[Any], Any], J: Tensor, J
 
 
 def continued_in_J(J_min: float | None) -> frozenset[str]:
-    """``Material.continued`` of an energy whose terms that end at J = 0 all go on below ``J_min``."""
+    """``Material.continued`` of an energy whose terms singular in J are all continued below ``J_min``."""
     return frozenset() if J_min is None else frozenset({"J"})
 
 
 def minus_log(epsilon: Any, J: Tensor, J_min: float | None) -> Tensor:
-    """-epsilon ln J (paper: neo-Hookean-potential-actual)."""
+    """The term -epsilon ln J (paper: neo-Hookean-potential-actual)."""
     return continued(lambda a: -epsilon * log(a), lambda a: -epsilon / a, J, J_min)
 
 
 def inverse_power(epsilon: Any, kappa: float, J: Tensor, J_min: float | None) -> Tensor:
-    """epsilon / J^kappa, convex for kappa >= 0 (paper: exa-polyconvex-general)."""
+    """The term epsilon / J^kappa, convex for kappa >= 0 (paper: exa-polyconvex-general)."""
     return continued(lambda a: epsilon * a**-kappa, lambda a: -epsilon * kappa * a ** (-kappa - 1), J, J_min)
 
 
 def referential_volume(K_e: Any, epsilon: Any, kappa: float, J: Tensor, J_min: float | None) -> Tensor:
-    """[K_e/2 (J - 1 + c)^2 + epsilon/J^kappa]/J with c = kappa epsilon/K_e."""
+    """The volumetric energy [K_e/2 (J - 1 + c)^2 + epsilon/J^kappa]/J with c = kappa epsilon/K_e."""
     is_without = isinstance(epsilon, (int, float)) and epsilon == 0
     rest = 1.0 if is_without else 1 - kappa * epsilon / K_e
     volume = 0.5 * K_e * (J - 2 * rest) + inverse_power(0.5 * K_e * rest * rest, 1.0, J, J_min)
@@ -78,7 +78,7 @@ class IsotropicElastic(Material):
     Parameters
     ----------
     elastic_state : str, optional
-        Variables of the distortion "F" or of "B" = F F^T, for a body that flows; B where there is creep.
+        Variables by the distortion "F", or by "B" = F F^T for bodies that flow; default B with creep, else F.
     K_e : float
         Bulk modulus.
     G_e : float
@@ -91,14 +91,14 @@ class IsotropicElastic(Material):
 
     by_F: ClassVar[Variable] = Distortion("H", exponent=-5 / 6)
     by_B: ClassVar[Variable] = LeftCauchyGreen(exponent=-5 / 3)
-    """The tensor that |F|^2 is written by, with F and with B."""
+    """The tensors that express |F|^2, by F and by B."""
 
     def with_elastic_state(self, state: ElasticState) -> Self:
         return self if self.elastic_state is not None else replace(self, elastic_state=state)
 
     @property
     def is_by_B(self) -> bool:
-        """Whether the variables are left Cauchy-Green tensors; not so as long as nothing is said."""
+        """Whether the variables are left Cauchy-Green tensors; False while ``elastic_state`` is open."""
         return self.elastic_state == "B"
 
     @property
@@ -106,7 +106,7 @@ class IsotropicElastic(Material):
         return (self.by_B if self.is_by_B else self.by_F, Jacobian())
 
     def first_invariant(self, z: Values) -> Tensor:
-        """|F|^2 times the variable's power of J."""
+        """The invariant |F|^2 times the tensor's power of J."""
         return tr(z["B"]) if self.is_by_B else square(z[self.by_F.name])
 
 
@@ -116,28 +116,28 @@ class NeoHookean(IsotropicElastic):
 
         phi(F, J) = K_e/2 (J - 1 + epsilon/K_e)^2 + G_e J^{-2/3} |F|^2 - epsilon ln J
 
-    or, with ``kappa``, epsilon/J^kappa in place of -epsilon ln J and kappa epsilon/K_e in place of
-    epsilon/K_e, which keeps the minimum at J = 1 (paper: exa-polyconvex-general, its last sentence).
+    With ``kappa``, epsilon/J^kappa replaces -epsilon ln J and kappa epsilon/K_e replaces epsilon/K_e, which
+    keeps the minimum at J = 1 (paper: last sentence of exa-polyconvex-general).
 
-    Jointly convex in (F, J) (paper: convexity-neo-Hookean), strictly in J; it blows up as J -> 0+.  Its
-    minimum is on SO(3).  Stress at rest is hydrostatic, T(I, 1) = phi(I, 1) I = (3 G_e + epsilon^2/(2 K_e)) I
-    (with kappa: (3 G_e + epsilon + (kappa epsilon)^2/(2 K_e)) I): an energy per *actual* volume, which a body
-    with a fixed shape does not feel.  In simple shear F = I + gamma e1 x e2, T_12 is 2 G_e gamma.
+    phi is jointly convex in (F, J) (paper: convexity-neo-Hookean), strictly in J, and blows up as J -> 0+.
+    Its minimum is on SO(3).  The stress at rest is phi(I, 1) I = (3 G_e + epsilon^2/(2 K_e)) I (with kappa:
+    (3 G_e + epsilon + (kappa epsilon)^2/(2 K_e)) I), since the energy is per *actual* volume; a body of fixed
+    shape does not feel it.  In simple shear F = I + gamma e1 x e2, T_12 is 2 G_e gamma.
 
-    With ``elastic_state="B"`` it is linear in B = J^{-2/3} F F^T and convex in (B, J), strictly in J.  Raises
-    ParameterError if a parameter is not a finite positive number, or ``elastic_state`` is another.
+    With ``elastic_state="B"`` phi is linear in B = J^{-2/3} F F^T and convex in (B, J), strictly in J.
+    Raises ParameterError if a modulus is not positive, or ``elastic_state`` is neither "F" nor "B".
 
     Parameters
     ----------
     K_e : float
-        Bulk modulus; the usual one is K_e + epsilon, with kappa K_e + kappa (kappa + 1) epsilon.
+        Modulus; the bulk modulus is K_e + epsilon, or with kappa K_e + kappa (kappa + 1) epsilon.
     epsilon : float
         Weight of the term that is singular at J = 0.
     kappa : float, optional
-        Exponent of epsilon/J^kappa, which stands for -epsilon ln J without it; the paper has kappa >= 1.
+        Exponent of epsilon/J^kappa, which replaces -epsilon ln J; the paper has kappa >= 1.
     J_min : float, optional
-        The singular term is continued linearly below this J (paper: rem-neo-Hookean-ref); G_e J^{-2/3} |F|^2
-        stays as it is.
+        J below which the singular term is continued linearly (paper: rem-neo-Hookean-ref), but not G_e
+        J^{-2/3} |F|^2.
     """
 
     epsilon: Annotated[Modulus, Quantity("Pa", "> 0", 0.1)]
@@ -152,14 +152,14 @@ class NeoHookean(IsotropicElastic):
         return continued_in_J(self.J_min if self.is_by_B else None)
 
     def first_invariant(self, z: Values) -> Tensor:
-        """J^{-2/3} |F|^2."""
+        """The invariant J^{-2/3} |F|^2."""
         return tr(z["B"]) if self.is_by_B else z["J"] ** (-2 / 3) * square(z["F"])
 
     def energy(self, z: Values) -> Tensor:
         return self._volumetric(z["J"]) + self.G_e * self.first_invariant(z)
 
     def _volumetric(self, J: Tensor) -> Tensor:
-        """K_e/2 (J - 1 + c)^2 + s(J), with c such that the minimum is at J = 1."""
+        """The volumetric energy K_e/2 (J - 1 + c)^2 + s(J), with c such that the minimum is at J = 1."""
         K_e, epsilon, kappa = self.K_e, self.epsilon, self.kappa
         c = epsilon / K_e if kappa is None else kappa * epsilon / K_e
         quadratic = 0.5 * K_e * (J - 1 + c) * (J - 1 + c)
@@ -176,9 +176,9 @@ class MooneyRivlin(NeoHookean):
               + 2/(3 sqrt 3) G_mr J^{-2} |H|^3
 
     The second invariant of F_iso, |H|^2 J^{-4/3}, is not convex; its power 3/2, |H|^3/J^2, is the perspective
-    of the cube (Hartmann and Neff 2003, which the paper cites).  Its factor makes the two agree to second
-    order at rest.  Jointly convex in (F, H, J); minimum on SO(3); blows up as J -> 0+.  Stress at rest is
-    T = phi(rest) I with phi(rest) = 3 G_e + 2 G_mr + epsilon^2/(2 K_e).
+    of the cube (Hartmann and Neff 2003, cited by the paper).  The factor makes both agree to second order at
+    rest.  phi is jointly convex in (F, H, J), has its minimum on SO(3), and blows up as J -> 0+.  The stress
+    at rest is T = phi(rest) I with phi(rest) = 3 G_e + 2 G_mr + epsilon^2/(2 K_e).
 
     With ``elastic_state="B"`` the two invariants are tr B and (tr N)^{3/2}, N = J^{-4/3} Cof(F F^T), and phi
     is jointly convex in (B, N, J).  Raises ParameterError if a parameter is out of its range.
@@ -207,23 +207,23 @@ class MooneyRivlin(NeoHookean):
 class ReferentialNeoHookean(IsotropicElastic):
     """phi(H, J) = K_e/2 (J - 2 + 1/J) + G_e |H|^2, H = J^{-5/6} F (paper: exa-neo-Hookean-ref).
 
-    With epsilon > 0 the referential term epsilon/J^kappa is added, i.e. epsilon/J^{kappa + 1} to phi, and
-    J - 2 + 1/J becomes (J - 1 + c)^2/J with c = kappa epsilon/K_e, so that T(I) stays 0.
+    With epsilon > 0 phi has the further term epsilon/J^{kappa + 1}, epsilon/J^kappa per referential volume,
+    and J - 2 + 1/J becomes (J - 1 + c)^2/J with c = kappa epsilon/K_e, so that T(I) = 0 still.
 
-    Jointly convex in (H, J), strongly in H (the paper's rem-neo-Hookean-ref), and it blows up as J -> 0+.
-    T_12 = 2 G_e gamma in simple shear.  By B it is linear in B, and strictly convex in J.  Raises
+    phi is jointly convex in (H, J), strongly in H (the paper's rem-neo-Hookean-ref), and blows up as J -> 0+.
+    T_12 = 2 G_e gamma in simple shear.  By B phi is linear in B, and strictly convex in J.  Raises
     ParameterError if a parameter is out of its range.
 
     Parameters
     ----------
     K_e : float
-        Bulk modulus; the usual one is K_e + kappa (kappa + 1) epsilon.  0 only of a branch without epsilon.
+        Modulus; the bulk modulus is K_e + kappa (kappa + 1) epsilon.  0 is for branches without epsilon.
     epsilon : float
         Weight of the term epsilon/J^kappa per referential volume, which is singular at J = 0.
     kappa : float
-        Exponent of that term.
+        Exponent of the term epsilon/J^kappa.
     J_min : float, optional
-        All terms singular in J are continued linearly below it (paper: rem-neo-Hookean-ref).
+        J below which all terms singular in J are continued linearly (paper: rem-neo-Hookean-ref).
     """
 
     K_e: Annotated[Modulus, Quantity("Pa", ">= 0", 10.0)]
@@ -251,14 +251,14 @@ class ReferentialNeoHookean(IsotropicElastic):
 class IsochoricNeoHookean(ReferentialNeoHookean):
     """phi(H, J) = K_e/2 (J - 2 + 1/J) + G_e |H|^2/J, H = J^{-1/3} F (paper: exa-neo-Hookean-ref).
 
-    ``ReferentialNeoHookean`` by the isochoric part of F.  Jointly convex in (H, J), though not strongly
-    (|H|^2/J is the perspective of a square).  By B the two are the same.
-    Raises ParameterError if a parameter is out of its range.
+    This is ``ReferentialNeoHookean`` in the isochoric part of F.  phi is jointly convex in (H, J), but not
+    strongly (|H|^2/J is the perspective of a square).  By B both materials are the same. Raises
+    ParameterError if a parameter is out of its range.
 
     Parameters
     ----------
     J_min : float, optional
-        The terms singular in J alone are continued linearly below it.
+        J below which the terms singular in J alone are continued linearly.
     """
 
     by_F = Distortion("H", exponent=-1 / 3)
@@ -273,18 +273,18 @@ class IsochoricNeoHookean(ReferentialNeoHookean):
 
 @dataclass(frozen=True, kw_only=True)
 class LogarithmicNeoHookean(IsotropicElastic):
-    """neo-Hookean-potential-actual per referential volume, with -epsilon ln J (paper: exa-neo-Hookean-ref).
+    """The neo-Hookean energy per referential volume with -epsilon ln J (paper: exa-neo-Hookean-ref).
 
         phi(H, A, K) = K_e/2 (1/A - 2(1 - c) + (1 - c)^2 A) + G_e |H|^2 - epsilon K,   c = epsilon/K_e,
 
     with H = J^{-5/6} F, A = 1/J and K = ln J/J.  -(ln J)/J is not convex in J, but linear in K, whose rate
-    (tr L)(A - K) closes with that of A.  Jointly convex in (H, A, K), strongly in H, strictly in A, and it
+    (tr L)(A - K) needs A only.  phi is jointly convex in (H, A, K), strongly in H and strictly in A, and
     blows up as A -> 0+.  T(I) = 0.  Raises ParameterError if a parameter is not a finite positive number.
 
     Parameters
     ----------
     K_e : float
-        Bulk modulus; the usual one is K_e + epsilon.
+        Modulus; the bulk modulus is K_e + epsilon.
     epsilon : float
         Weight of -epsilon ln J per referential volume, which is singular at J = 0.
     """
@@ -303,7 +303,7 @@ class LogarithmicNeoHookean(IsotropicElastic):
 
 @dataclass(frozen=True, kw_only=True)
 class _WithCofactor(IsotropicElastic):
-    """Adds G_mr |N|^2, N = J^{-7/6} Cof F, or by B tr N, N = J^{-7/3} Cof(F F^T), to the class after it.
+    """Mix-in that adds G_mr |N|^2, N = J^{-7/6} Cof F, or by B G_mr tr N, N = J^{-7/3} Cof(F F^T).
 
     Parameters
     ----------
@@ -330,10 +330,10 @@ class _WithCofactor(IsotropicElastic):
 class ReferentialMooneyRivlin(_WithCofactor, ReferentialNeoHookean):
     """phi(H, N, J) = K_e/2 (J - 2 + 1/J) + G_e |H|^2 + G_mr |N|^2 (paper: exa-Mooney–Rivlin-ref),
 
-    H = J^{-5/6} F and N = J^{-7/6} Cof F: the compressible Mooney-Rivlin material with the invariants of
-    F_iso, per referential volume.  N's rate is not the paper's printed one, see ``variables``.  Jointly
-    convex, strongly in (H, N); blows up as J -> 0+.  T(I) = 0.  Raises ParameterError if a parameter is out
-    of its range.
+    with H = J^{-5/6} F and N = J^{-7/6} Cof F: the compressible Mooney-Rivlin material in the invariants of
+    F_iso, per referential volume.  The rate of N differs from the paper's misprint, see ``variables``.  phi
+    is jointly convex, strongly in (H, N), and blows up as J -> 0+.  T(I) = 0.  Raises ParameterError if a
+    parameter is out of its range.
     """
 
     K_e: Annotated[Modulus, Quantity("Pa", ">= 0", 10.0)]
@@ -341,11 +341,11 @@ class ReferentialMooneyRivlin(_WithCofactor, ReferentialNeoHookean):
 
 @dataclass(frozen=True, kw_only=True)
 class LogarithmicMooneyRivlin(_WithCofactor, LogarithmicNeoHookean):
-    """``LogarithmicNeoHookean`` with a part of the cofactor (paper: exa-Mooney–Rivlin-ref).
+    """``LogarithmicNeoHookean`` with a cofactor term (paper: exa-Mooney–Rivlin-ref).
 
         phi(H, N, A, K) = K_e/2 (1/A - 2(1 - c) + (1 - c)^2 A) + G_e |H|^2 + G_mr |N|^2 - epsilon K,
 
     c = epsilon/K_e, H = J^{-5/6} F, N = J^{-7/6} Cof F, A = 1/J, K = ln J/J: the paper's referential
-    Mooney-Rivlin energy.  Jointly convex, strongly in (H, N), strictly in A, and it blows up as A -> 0+.
+    Mooney-Rivlin energy.  phi is jointly convex, strongly in (H, N), strictly in A, and blows up as A -> 0+.
     T(I) = 0.  Raises ParameterError if a parameter is out of its range.
     """

@@ -18,16 +18,16 @@ from ngvisco.physics.variables import SmallStrain, Values, Variable
 class LinearElastic(Material):
     """phi(E) = 3/2 K_e |sph E|^2 + G_e |dev E|^2 (paper: St.Venenat-Kirchhoff-linear).
 
-    Strongly convex.  No stress at rest: T(0) = 0.  The moduli are the usual bulk and shear moduli
-    of linear elasticity, S = K_e (tr E) I + 2 G_e dev E; T = S + phi I.  Raises ParameterError if a modulus
-    is not a finite positive number.
+    phi is strongly convex, and T(0) = 0.  The moduli are the usual bulk and shear moduli of linear
+    elasticity: S = K_e (tr E) I + 2 G_e dev E, and T = S + phi I.  Raises ParameterError if a modulus is not
+    a finite positive number.
 
     Parameters
     ----------
     K_e : float
-        Elastic bulk modulus: the usual one.  0 of a branch alone.
+        Elastic bulk modulus.  0 is for branches of a network only.
     G_e : float
-        Elastic shear modulus: the usual one.
+        Elastic shear modulus.
     """
 
     K_e: Annotated[Modulus, Quantity("Pa", ">= 0", 10.0)]
@@ -46,16 +46,15 @@ class LinearElastic(Material):
 class IsotropicStrainEnergy(Material):
     """phi(E) = strain_energy(E) for any convex isotropic function of E (paper: Euler-small-ass-phi).
 
-    Isotropy is needed, not only convexity: S E = E S is what makes the spin part of the
-    Zaremba-Jaumann rate powerless (paper: E:WS=E:SW), so that T = S + phi I is symmetric.  Raises
-    ParameterError if it is no function of E alone with real values, or not isotropic: the message then has
-    the rotation that shows it.
+    Isotropy is needed besides convexity: because S E = E S, the spin part of the Zaremba-Jaumann rate has no
+    power (paper: E:WS=E:SW), and T = S + phi I is symmetric.  Raises ParameterError if the energy is not a
+    real function of E alone, or not isotropic; the message then has a rotation that shows it.
 
     Parameters
     ----------
     strain_energy : callable
-        Maps E (3x3 coefficient function) to the energy density, Pa, e.g.
-        ``lambda E: 0.5*K*Trace(E)**2 + G*square(dev(E)) + c*square(dev(E))**2``.
+        Function of E (3x3 coefficient function) with the energy density, Pa, as value, e.g. ``lambda E:
+        0.5*K*Trace(E)**2 + G*square(dev(E)) + c*square(dev(E))**2``.
     """
 
     energy_parameter = "strain_energy"
@@ -80,17 +79,17 @@ class IsotropicStrainEnergy(Material):
 class HardeningElastic(LinearElastic):
     """phi(E) = 3/2 K_e |sph E|^2 + G_e |dev E|^2 + K_h/s |tr E|^s + 2 G_h/s |dev E|^s, s > 2.
 
-    The St Venant-Kirchhoff-type energy with the growth above quadratic that the paper's analysis of
-    large strains allows for (paper: rem-general-phi).  Strongly convex and isotropic.  T(0) = 0; at small
-    strains K_e and G_e are the usual bulk and shear moduli, and the tangent ones grow like |E|^{s-2}.
+    This energy of St Venant-Kirchhoff type grows faster than quadratically, which the paper's analysis of
+    large strains admits (paper: rem-general-phi).  It is strongly convex and isotropic.  T(0) = 0; at small
+    strains K_e and G_e are the usual bulk and shear moduli, and the tangent moduli grow like |E|^{s-2}.
     Raises ParameterError if a parameter is out of its range.
 
     Parameters
     ----------
     K_e : float
-        Elastic bulk modulus at zero strain: the usual one.
+        Elastic bulk modulus at zero strain.
     G_e : float
-        Elastic shear modulus at zero strain: the usual one.
+        Elastic shear modulus at zero strain.
     K_h : float
         Bulk hardening modulus.
     G_h : float
@@ -98,7 +97,7 @@ class HardeningElastic(LinearElastic):
     s : float
         Exponent of the hardening.
     floor : float
-        Strain below which |E|^s is smoothed, where s is not an even integer.
+        Strain below which |E|^s is smoothed if s is not an even integer.
     """
 
     K_h: Annotated[Modulus, Quantity("Pa", ">= 0", 10.0)]

@@ -1,14 +1,13 @@
-"""Networks: several materials in parallel that share one volume, each branch with a flow rule of its own.
+"""Networks of materials in parallel that share one volume, each branch with its own flow rule.
 
-A network of branches i with the energies phi_i(z_i, J), z_i the tensors of the branch's own distortion, has
+A network of branches i with energies phi_i(z_i, J), z_i the tensors of the branch's distortion, has
 
     phi = sum_i phi_i(z_i, J),   Pi_i = rate_i(M_i),   M_i the Mandel stress of phi_i alone.
 
-The stress is the sum of the branches' stresses, and so is the dissipation sum_i M_i : Pi_i, each term of
-which is >= 0.  phi is convex in all that is carried where every phi_i is.  J = det F, 1/J and other functions
-of the volume, which no creep changes, are carried once.  A branch without a flow rule is a spring: beside
-Maxwell branches it is the standard linear solid, several Maxwell branches are a Prony series (1795), and two
-of them a fluid of Burgers (1935).
+The stress is the sum of the branches' stresses, and the dissipation is sum_i M_i : Pi_i with each term >= 0.
+phi is jointly convex if every phi_i is.  J = det F, 1/J and other functions of the volume, which creep does
+not change, are carried once.  A branch without a flow rule is a spring.  A spring and a Maxwell branch make
+the standard linear solid, several Maxwell branches a Prony series (1795), and two a fluid of Burgers (1935).
 """
 
 from __future__ import annotations
@@ -28,18 +27,18 @@ from ngvisco.physics.variables import SmallStrain, Values, Variable
 
 @dataclass(frozen=True, kw_only=True)
 class Branch:
-    """A branch of a ``Network``: a material, and how it creeps.
+    """A branch of a ``Network``: a material and its flow rule.
 
     Raises ParameterError for a part of the wrong type.
 
     Parameters
     ----------
     material : Material
-        Its energy is a part of the network's.  Tensors are those of the branch's own distortion; J and 1/J
-        are one for all branches.  Moduli of the branch alone may be zero: K_e = 0 of a branch that does not
-        resist changes of volume.
+        Material whose energy is a part of the network's energy.  Its tensors are those of the branch's
+        distortion; J and 1/J are shared by all branches.  K_e may be 0 for a branch that does not resist
+        changes of volume.
     creep : FlowRule, optional
-        How fast the branch relaxes; None (default) is a spring.  It is local (nu = 0).
+        Flow rule of the branch, local (nu = 0); None (default) makes the branch a spring.
     """
 
     material: Material
@@ -50,12 +49,12 @@ class Branch:
 
     @property
     def flows(self) -> bool:
-        """Whether the branch relaxes."""
+        """Whether the branch creeps."""
         return self.creep is not None and self.creep.flows
 
 
 class _Parts(dict[str, Branch]):
-    """Branches by name, for good: a material can be a key."""
+    """Branches by name, immutable and hashable, so that a material can be a dictionary's key."""
 
     def __hash__(self) -> int:  # type: ignore[override]
         return hash(tuple(self.items()))
@@ -66,15 +65,15 @@ class _Parts(dict[str, Branch]):
 
 @dataclass(frozen=True, kw_only=True)
 class Network(Material):
-    """Materials in parallel: one volume, and for each branch tensors and a flow rule of its own.
+    """Materials in parallel, with one volume, and with tensors and a flow rule for each branch.
 
-    The branch ``slow`` of a material with the variable B carries ``B_slow``; its hardening carries
-    ``plastic_content_slow``.  Branches that leave ``elastic_state`` open are by B = F F^T where any branch
-    flows.  The bulk modulus is the sum of those of the branches; of the materials with ``K_e`` those of small
-    strain, ``Referential...``, ``IsochoricNeoHookean``, ``OldroydB`` and ``FENEP`` may have K_e = 0 here.
-    Raises ParameterError for a name that is none, no branches, a part of the wrong type, a flow rule with a
-    gradient term or that needs a conformation tensor which its branch does not have, materials with heat,
-    damage or branches of their own, materials without a common volume, and a network without a bulk modulus.
+    A branch ``slow`` of a material with the variable B carries ``B_slow``; its hardening carries
+    ``plastic_content_slow``.  If any branch flows, branches that leave ``elastic_state`` open are by B = F
+    F^T. The bulk modulus is the sum of the branches' moduli; K_e = 0 is allowed for branches of small strain,
+    ``Referential...``, ``IsochoricNeoHookean``, ``OldroydB`` and ``FENEP``.  Raises ParameterError for an
+    invalid name, no branches, a part of the wrong type, a flow rule with a gradient term, a flow rule that
+    needs a conformation tensor which its branch does not have, materials with heat, damage or branches,
+    materials without a common volume, and a network without a bulk modulus.
 
     Example::
 
@@ -90,7 +89,7 @@ class Network(Material):
     Parameters
     ----------
     branches : mapping of str to Branch
-        By names, identifiers.
+        Branches by their names, which are identifiers.
     """
 
     branches: Mapping[str, Branch]
@@ -106,7 +105,7 @@ class Network(Material):
                 field = f"Network.branches[{name!r}].{part}"
                 raise ParameterError(field, attrgetter(part)(branch), fault)
         object.__setattr__(self, "branches", _Parts(self.branches))
-        _ = self.variables  # refused where they do not go together
+        _ = self.variables  # raises if variables of branches contradict each other
         self._check_names()
         self._check_volume()
 
@@ -122,7 +121,7 @@ class Network(Material):
         return replace(self, branches=made)
 
     def own(self, name: str) -> dict[str, Variable]:
-        """The variables that a branch alone carries, by the names that its material has for them."""
+        """The variables that only this branch carries, by their names in the branch's material."""
         found = (v for v in self.parts[name].material.variables if v.creeps)
         return {v.name: replace(v, name=f"{v.name}_{name}") for v in found}
 
@@ -155,7 +154,7 @@ class Network(Material):
         for name, branch in self.parts.items():
             own = {v.name: new.name for v, new in self._renamed(name)}
             found |= {own[one] for one in branch.material.continued if one in own}
-        # the energy ends where that of one branch does
+        # a shared variable is continued only if the energies of all branches are
         ends = {v.name for b in self.parts.values() for v in b.material.variables if not v.creeps}
         for shared in ends:
             with_it = [b.material for b in self.parts.values() if _carries(b.material, shared)]
@@ -169,13 +168,13 @@ class Network(Material):
         return next((density for density in given if density is not None), None)
 
     def values_of(self, name: str, z: Values) -> dict[str, Tensor]:
-        """The values of a branch's variables by the names of its material."""
+        """The values of a branch's variables, by their names in the branch's material."""
         own = self.own(name)
         material = self.parts[name].material
         return {v.name: z[own[v.name].name if v.name in own else v.name] for v in material.variables}
 
     def energy_of(self, name: str, z: Values) -> Tensor:
-        """phi_i of a branch, Pa."""
+        """The energy phi_i of a branch, Pa."""
         return self.parts[name].material.energy(self.values_of(name, z))
 
     def domain(self, z: Values) -> Values:
@@ -190,14 +189,14 @@ class Network(Material):
         return ((v, own[v.name]) for v in self.parts[name].material.variables if v.name in own)
 
     def _check_names(self) -> None:
-        """Raise ParameterError for names of variables that meet."""
+        """Raise ParameterError if two variables of the branches have one name."""
         names = [v.name for v in self.variables]
         if twice := [name for name in names if names.count(name) > 1]:
             expected = f"other names: two variables of the branches would be {twice[0]!r}"
             raise ParameterError("Network.branches", list(self.parts), expected)
 
     def _check_volume(self) -> None:
-        """Raise ParameterError for small strains beside large ones, and where nothing bears pressure."""
+        """Raise ParameterError for small strains beside large ones, and for a bulk modulus <= 0."""
         small = {
             n: any(isinstance(v, SmallStrain) for v in b.material.variables) for n, b in self.parts.items()
         }
@@ -211,7 +210,7 @@ class Network(Material):
 
 @dataclass(frozen=True, kw_only=True)
 class Branches(Material):
-    """The energy of some branches of a network, as a function of all its variables."""
+    """The energy of some branches of a network, as a function of all variables of the network."""
 
     network: Network
     names: tuple[str, ...]
@@ -229,7 +228,7 @@ def _carries(material: Material, name: str) -> bool:
 
 
 def _faults(branch: Branch) -> Iterator[tuple[str, str]]:
-    """Faults of a branch: the key, and what would be right."""
+    """Yield the faults of a branch, as pairs of the key and the value that would be right."""
     material, rule = branch.material, branch.creep
     check_material(material)
     if part_of(material, Network) is not None:

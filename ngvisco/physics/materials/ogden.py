@@ -1,15 +1,15 @@
 """Ogden's rubber elasticity: powers of the principal stretches, with any exponents.
 
-sigma_i, the singular values of a tensor A, give sum sigma_i^alpha = tr C^s, C = A^T A, s = alpha/2.  It is a
-smooth function of the invariants of C; formulas for the eigenvalues are not, where two of these are equal, as
-at rest.  For s = k + r with 0 < r < 1
+The singular values sigma_i of a tensor A give sum sigma_i^alpha = tr C^s, C = A^T A, s = alpha/2.  tr C^s is
+a smooth function of the invariants of C; formulas for eigenvalues are not smooth where two of them are equal,
+as at rest.  For s = k + r with 0 < r < 1
 
     x^r = c_0 + c_1 x + sum_j w_j x/(t_j + x),    t_j = exp(j h),
 
-a quadrature of Stieltjes' integral of x^r, so that tr C^s is a sum of rational functions of the invariants.
-By least squares over stretches from 1/10 to 10, with value and two derivatives right at rest, 13 terms are
-right to 1e-6 of x^r.  Symbolic derivatives of one such exponent take 8 times as long as those of Oldroyd's
-energy (0.2 ms for 0.03 ms a point); exponents that are even are exact, and cheap.
+is a quadrature of Stieltjes' integral for x^r, which makes tr C^s a sum of rational functions of the
+invariants. The weights come from least squares over stretches from 1/10 to 10, with exact value and two exact
+derivatives at rest; 13 terms have a relative error of 1e-6.  Symbolic derivatives for one such exponent take
+8 times as long as those of Oldroyd's energy (0.2 ms and 0.03 ms a point); even exponents are exact and cheap.
 """
 
 from __future__ import annotations
@@ -39,15 +39,15 @@ from ngvisco.physics.variables import (
 )
 
 _WIDTH, _TERMS, _RANGE = 1.15, 6, 4.7
-"""h, the largest j, and the largest |ln x|."""
+"""The spacing h, the largest j, and the largest |ln x| of the fit."""
 _EXACT = 1e6
-"""The weight of what holds at rest."""
+"""Least-squares weight of the conditions at rest."""
 _NODES = np.exp(_WIDTH * np.arange(-_TERMS, _TERMS + 1))
 
 
 @cache
 def _weights(r: float) -> np.ndarray:
-    """(c_0, c_1, w_j) of x^r."""
+    """The coefficients (c_0, c_1, w_j) of x^r."""
     x = np.exp(np.linspace(-_RANGE, _RANGE, 40 * len(_NODES)))[:, None]
     parts = np.hstack([np.ones_like(x), x, x / (x + _NODES)]) / x**r
     t = _NODES
@@ -58,12 +58,12 @@ def _weights(r: float) -> np.ndarray:
 
 
 def _vector(factors: np.ndarray, value: Tensor) -> Tensor:
-    """A scalar times a vector of numbers."""
+    """The vector ``factors`` times a scalar."""
     return linear_map(np.asarray(factors)[:, None], value, (len(factors),))
 
 
 def powers_of_stretches(invariants: tuple[Tensor, Tensor, Tensor], weights: Mapping[float, float]) -> Tensor:
-    """sum_s a_s tr C^s for a_s by s > 0, from I_1 = tr C, I_2 = tr Cof C and I_3 = det C."""
+    """sum_s a_s tr C^s for ``weights`` a_s by s > 0, from I_1 = tr C, I_2 = tr Cof C and I_3 = det C."""
     one, two, three = invariants
     sums = [3.0, one, one * one - 2 * two]  # tr C^k
     while len(sums) < max(weights) + 3:
@@ -76,7 +76,7 @@ def powers_of_stretches(invariants: tuple[Tensor, Tensor, Tensor], weights: Mapp
             continue
         constant_part, linear_part, *of_nodes = factor * _weights(s - k)
         parts.append(float(linear_part) * sums[k + 1] + float(constant_part) * sums[k])
-        # tr C^{k+1} (t + C)^{-1} by the theorem of Cayley and Hamilton, times its determinant
+        # tr C^{k+1} (t + C)^{-1}, times det(t + C), by the theorem of Cayley and Hamilton
         mixed = (sums[k + 1], one * sums[k + 1] - sums[k + 2], three * sums[k])
         powers = (_NODES**2, _NODES, np.ones_like(_NODES))
         tops += [_vector(of_nodes * power, each) for power, each in zip(powers, mixed, strict=True)]
@@ -91,14 +91,14 @@ def powers_of_stretches(invariants: tuple[Tensor, Tensor, Tensor], weights: Mapp
 class Ogden(Material):
     """phi = K_e/2 (J - 2 + 1/J) + sum_p mu_p/alpha_p (sum_i lambda_i^alpha_p - 3) (Ogden 1972).
 
-    lambda_i are the principal stretches of F_iso = J^{-1/3} F: the singular values of H = F_iso, and where
-    alpha_p < 0 those of N = J^{-2/3} Cof F to the power -alpha_p.  Jointly convex in (H, N, J) for
-    |alpha_p| >= 1, by B and its cofactor for |alpha_p| >= 2, and mu_p alpha_p > 0 (Ball 1977).  The usual
-    shear modulus at rest is sum mu_p alpha_p/2.  In uniaxial stretch lambda without a change of volume
-    T_11 - T_22 = sum mu_p (lambda^alpha_p - lambda^{-alpha_p/2}).  T(I) = 0.
+    lambda_i are the principal stretches of F_iso = J^{-1/3} F, the singular values of H = F_iso; for
+    alpha_p < 0, lambda_i^alpha_p is a singular value of N = J^{-2/3} Cof F to the power -alpha_p.  If
+    mu_p alpha_p > 0, phi is jointly convex in (H, N, J) for |alpha_p| >= 1, and by B and its cofactor for
+    |alpha_p| >= 2 (Ball 1977).  The shear modulus at rest is sum mu_p alpha_p/2.  In uniaxial stretch lambda
+    at constant volume T_11 - T_22 = sum mu_p (lambda^alpha_p - lambda^{-alpha_p/2}).  T(I) = 0.
 
-    Exponents that are not even are right to 1e-6 for stretches from 1/10 to 10.  Raises ParameterError for
-    moduli and exponents of different numbers, none, equal exponents, and those for which phi is not convex.
+    Powers with exponents other than even integers have an error of 1e-6 for stretches from 1/10 to 10. Raises
+    ParameterError for no moduli, unequal numbers of moduli and exponents, equal exponents, or no convexity.
 
     Example::
 
@@ -110,16 +110,16 @@ class Ogden(Material):
     Parameters
     ----------
     elastic_state : str, optional
-        Variables of the distortion "F" or of "B" = F F^T, for a body that flows; B where there is creep and
-        all |alpha_p| >= 2.
+        Variables of the distortion "F", or of "B" = F F^T for a body that flows; default B with creep and all
+        |alpha_p| >= 2, else F.
     K_e : float
-        Bulk modulus, the usual one.  0 of a branch alone.
+        Bulk modulus.  0 is for branches of a network only.
     mu : tuple of float
-        Moduli mu_p, of the sign of alpha_p.
+        Moduli mu_p, with the signs of alpha_p.
     alpha : tuple of float
         Exponents alpha_p.
     J_min : float, optional
-        The part that is singular at J = 0 is continued linearly below this J.
+        J below which the part singular at J = 0 is continued linearly.
     """
 
     elastic_state: Annotated[ElasticState | None, Quantity(example="F")] = None
@@ -180,5 +180,5 @@ class Ogden(Material):
 
     @property
     def _signs(self) -> list[int]:
-        """The sign of the exponents that each tensor is for."""
+        """The sign of the exponents that each tensor serves."""
         return [sign for sign in (1, -1) if any(alpha * sign > 0 for alpha in self.alpha)]

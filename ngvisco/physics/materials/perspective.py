@@ -1,14 +1,14 @@
 """Energies per referential volume or per mass, as convex energies per actual volume: perspectives.
 
-With A = 1/J = rho/rho_R an energy psi per referential volume, J/m^3, is phi = A psi per actual one, and an
-energy per mass, J/kg, is phi = rho psi = rho_R A psi (paper: rem-referential, and the remark after
-ED-Euler-large that T = rho psi'(F) F^T then).  Written in F, Cof F and J a polyconvex psi makes no convex phi
-(paper: exa-neo-Hookean-ref).  Written in A and A F, A Cof F it does:
+With A = 1/J = rho/rho_R, an energy psi per referential volume, J/m^3, gives phi = A psi per actual volume.
+An energy psi per mass, J/kg, gives phi = rho psi = rho_R A psi (paper: rem-referential, and the remark after
+ED-Euler-large that then T = rho psi'(F) F^T).  In F, Cof F and J a polyconvex psi gives no convex phi (paper:
+exa-neo-Hookean-ref), but in A, A F and A Cof F it does:
 
     phi(A, G, N) = A psi(G/A, N/A, 1/A),   G = A F,  N = A Cof F,
 
-is the perspective of psi, which is convex where psi is.  So every polyconvex energy of the Lagrangian theory
-is an energy of this one.
+is the perspective of psi, which is convex where psi is.  Therefore every polyconvex energy of the Lagrangian
+theory can be used here.
 """
 
 from __future__ import annotations
@@ -48,10 +48,10 @@ from ngvisco.physics.variables import (
 class PerReferentialVolume(Material):
     """phi = psi/J with the energy psi of another material per referential volume (paper: rem-referential).
 
-    T = psi'(F) F^T/J, so that a body at rest is free of stress where psi is stationary there.  Jointly convex
-    in A = 1/J and in A times the material's tensors where psi is convex in these and J.  Raises
-    ParameterError for a material with other variables, or one whose energy is not an expression (``Yosida``,
-    which goes around this one).
+    T = psi'(F) F^T/J, so that there is no stress at rest if psi is stationary there.  phi is jointly convex
+    in A = 1/J and A times the material's tensors if psi is convex in the tensors and J.  Raises
+    ParameterError for a material with other variables, or with an energy that has no expression (put
+    ``Yosida`` around this wrapper instead).
 
     Example::
 
@@ -65,10 +65,10 @@ class PerReferentialVolume(Material):
     Parameters
     ----------
     material : Material
-        psi, of J = det F and tensors J^a F, J^a Cof F, J^a F F^T, J^a Cof(F F^T); of what is carried the
-        tensor X becomes AX = X/J.
+        Material of psi, with variables J = det F and tensors J^a F, J^a Cof F, J^a F F^T, J^a Cof(F F^T); AX
+        = X/J is carried in the place of a tensor X.
     rho_R : float, optional
-        Density where J = 1; with it the initial density and J follow from one another.
+        Density where J = 1; it determines the initial density from J, or J from the density.
     """
 
     material: Material
@@ -104,7 +104,7 @@ class PerReferentialVolume(Material):
         return self.rho_R
 
     def _own(self, z: Values) -> Values:
-        """Values of psi's variables."""
+        """The values of psi's variables, by name."""
         J = 1 / z["A"]
         own = {v.name: z[v.name] for v in self.material.variables if not v.is_strain}
         for v in self.material.variables:
@@ -113,7 +113,7 @@ class PerReferentialVolume(Material):
         return own
 
     def domain(self, z: Values) -> Values:
-        # a perspective too, which is concave where that of psi is
+        # perspectives of psi's bounds, concave where these are
         return {name: z["A"] * value for name, value in self.material.domain(self._own(z)).items()}
 
     def energy(self, z: Values) -> Tensor:
@@ -122,18 +122,18 @@ class PerReferentialVolume(Material):
 
 @dataclass(frozen=True, kw_only=True)
 class PerMass(PerReferentialVolume):
-    """phi = rho psi with the energy psi of another material, taken per mass (paper: T = rho psi'(F) F^T).
+    """phi = rho psi with the energy psi of another material per mass (paper: T = rho psi'(F) F^T).
 
-    Its moduli and its energy are read as J/kg.  rho = rho_R A, A being carried by the continuity equation.
-    Convexity, variables and errors are those of ``PerReferentialVolume``.
-    Raises ParameterError if a parameter is out of its range.
+    The moduli and the energy of psi are in J/kg.  rho = rho_R A, and A obeys the continuity equation.
+    Convexity, variables and errors are as for ``PerReferentialVolume``. Raises ParameterError if a parameter
+    is out of its range.
 
     Parameters
     ----------
     material : Material
-        psi, J/kg.
+        Material of psi, J/kg.
     rho_R : float
-        Density where J = 1; with it the initial density and J follow from one another.
+        Density where J = 1; it determines the initial density from J, or J from the density.
     """
 
     rho_R: Annotated[Modulus, Quantity("kg/m^3", "> 0", 1000.0, "arithmetic")]
@@ -143,30 +143,30 @@ class PerMass(PerReferentialVolume):
 
 
 _ROUNDING = 1e-9
-"""The size of rounding in a second derivative, over the largest one."""
+"""Size of rounding in a second derivative, over the largest second derivative."""
 _VOLUMES = np.linspace(0.5, 2.0, 31)
-"""J at which volumetric energies are compared."""
+"""The values of J at which volumetric energies are compared."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ReferenceEnergy(Material):
-    """psi(B, J) = J phi(z) of a material, Pa: of a body, whose energy is one per reference volume.
+    """The energy psi(B, J) = J phi(z) of a body's material, Pa per reference volume.
 
-    Where a tensor of phi has a power of J that makes it a density, such as J^{-5/3} F F^T, psi is that of J
-    times the tensor.  Bodies share a point by n psi(X/n, alpha/n) (``ngvisco.physics.mixture``), which is
-    convex where psi is.  Raises ParameterError for variables other than J, 1/J, ln J/J, tensors of F times
-    powers of J and parameters, without one of the first three, and for a material without an expression.
+    If a tensor of phi is a density by its power of J, such as J^{-5/3} F F^T, psi reads J times the tensor.
+    Bodies share a point by n psi(X/n, alpha/n) (``ngvisco.physics.mixture``), which is convex where psi is.
+    Raises ParameterError for variables other than J, 1/J, ln J/J, tensors of F times powers of J and
+    parameters, for a material without one of the first three, and for an energy without an expression.
     """
 
     material: Material
     owner: str = field(compare=False)
-    """The name of the energy in messages."""
+    """Name of the material's key in messages."""
     is_gas: bool = False
-    """Whether it is heat that makes it strictly convex in J, as of a gas and a stiffened one."""
+    """Whether only heat makes the energy strictly convex in J, as for a gas and a stiffened gas."""
 
     @classmethod
     def of(cls, material: Material, owner: str) -> ReferenceEnergy:
-        """The energy of a body's material, without the part that heat adds to it."""
+        """The energy of a body's material without its thermal part."""
         if not isinstance(material, Thermal):
             return cls(material=material, owner=owner)
         return cls(material=material.isothermal_material, owner=owner, is_gas=material.material is None)
@@ -193,7 +193,7 @@ class ReferenceEnergy(Material):
 
     @property
     def tensors(self) -> tuple[DistortionTensor, ...]:
-        """The variables of psi, by the names that the material has for them."""
+        """The tensors that psi reads, with the names of the material's variables."""
         found = (v for v in self.material.variables if isinstance(v, DistortionTensor))
         return tuple(replace(v, exponent=v.exponent + 1) if _is_density(v) else v for v in found)
 
@@ -216,14 +216,14 @@ class ReferenceEnergy(Material):
         return J * substituted(self.material, lambda expression: expression.at(z)).energy(own)
 
     def volumetric(self, z: Values) -> Tensor:
-        """U(J) = psi(I, J), Pa."""
+        """The volumetric energy U(J) = psi(I, J), Pa."""
         J: Any = z["J"]
         identity = J.constant(np.eye(3)) if hasattr(J, "constant") else IDENTITY
         return self.energy({**z, **{v.name: identity for v in self.tensors}})
 
     @cached_property
     def _sampled(self) -> tuple[np.ndarray, np.ndarray]:
-        """Second derivatives at states, (states, n, n), and which components are those of tensors."""
+        """Second derivatives at sampled states, (states, n, n), and the mask of tensors' components."""
         sampling = StateSampling(self, 3, 0.3, np.random.default_rng(0))
         hessian = respond(self, 3)(sampling.changed(sampling.fitting())[:64]).hessian
         tensors = np.zeros(hessian.shape[1], dtype=bool)
@@ -233,14 +233,14 @@ class ReferenceEnergy(Material):
 
     @cached_property
     def is_linear(self) -> bool:
-        """Whether psi = C : B + U(J)."""
+        """Whether psi is linear in its tensors, psi = C : B + U(J)."""
         hessian, tensors = self._sampled
         hessian = hessian[:, :, self.states(3).strains]
         return bool(abs(hessian[:, tensors]).max(initial=0.0) <= _ROUNDING * abs(hessian).max())
 
     @cached_property
     def pressures(self) -> np.ndarray:
-        """U'(J) at ``_VOLUMES``, Pa; parameters have their typical values."""
+        """U'(J) at ``_VOLUMES``, Pa, for the parameters' typical values."""
         at = self.states(3).slices["J"].start
         states = np.tile(rest_state(self, 3), (len(_VOLUMES), 1))
         states[:, at] = _VOLUMES
@@ -248,12 +248,12 @@ class ReferenceEnergy(Material):
 
     @cached_property
     def stiffness(self) -> float:
-        """U''(1), Pa; parameters have their typical values."""
+        """U''(1), Pa, for the parameters' typical values."""
         return float(np.interp(1.0, _VOLUMES, np.gradient(self.pressures, _VOLUMES)))
 
     @cached_property
     def reads_parameters_in_volume(self) -> bool:
-        """Whether U' changes with a parameter."""
+        """Whether U' depends on a parameter."""
         hessian, _ = self._sampled
         mixed = hessian[:, self.states(3).slices["J"].start] * ~self.states(3).strains
         return bool(abs(mixed).max(initial=0.0) > _ROUNDING * abs(hessian).max())
@@ -280,5 +280,5 @@ class ReferenceEnergy(Material):
 
 
 def _is_density(variable: Variable) -> bool:
-    """Whether it is a tensor of which a power of J makes one per actual volume."""
+    """Whether a variable is a tensor times a power of J that makes it a density per actual volume."""
     return isinstance(variable, DistortionTensor) and variable.exponent <= -1.0

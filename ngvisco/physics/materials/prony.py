@@ -1,4 +1,4 @@
-"""Prony series: networks that are given by shares of a modulus and relaxation times."""
+"""Prony series: networks given by shares of a modulus and relaxation times."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ from ngvisco.physics.materials.network import Branch, Network
 from ngvisco.physics.parameters import Modulus
 
 SPRING = "spring"
-"""The name of the branch that does not relax; the others are ``mode_1``, ``mode_2``, ..."""
+"""Name of the branch that does not relax; the others are ``mode_1``, ``mode_2``, ..."""
 _SHEAR, _BULK = ("G_e", "G_mr", "G_h"), ("K_e", "K_h", "epsilon")
-"""Moduli that a share is taken of, and those of the volume, which are the spring's alone."""
+"""Names of moduli that are shared among the branches, and of volume moduli, which only the spring has."""
 
 
 def prony_network(
@@ -41,12 +41,13 @@ def prony_network(
 ) -> Network:
     """A network whose shear modulus relaxes as G(t) = G_inf + sum g_i G exp(-t/tau_i), G = G_0 or G_inf.
 
-    A spring ``spring`` with the whole bulk modulus, and Maxwell branches ``mode_1``, ``mode_2``, ... in the
-    order of the table.  Of ``OldroydB`` and ``FENEP`` the branches have the law ``conformation``, so that a
-    finite step of shear relaxes by the same series; of others the series is that of small strains.  With E,
-    or C_1 and C_2, all times are shorter by the factor of Arrhenius (``Activated``) or of Williams, Landel
-    and Ferry (``WLF``), which is 1 at theta_R.  Raises ParameterError for a table that is none, shares of G_0
-    whose sum is above 1, a material whose moduli are not known, and one that bears no pressure.
+    The network has a spring ``spring`` with the whole bulk modulus, and Maxwell branches ``mode_1``,
+    ``mode_2``, ... in the order of the table.  Branches of ``OldroydB`` and ``FENEP`` have the law
+    ``conformation``, so that the series also holds for a finite step of shear; for other materials the series
+    holds at small strains.  With E, or C_1 and C_2, all times are divided by the factor of Arrhenius
+    (``Activated``) or of Williams, Landel and Ferry (``WLF``), which is 1 at theta_R.  Raises ParameterError
+    for an invalid table, shares of G_0 whose sum is above 1, a material whose moduli are not known, and a
+    material that bears no pressure.
 
     Example::
 
@@ -59,23 +60,23 @@ def prony_network(
     Parameters
     ----------
     material : Material
-        Its moduli are those of ``of``: ``LinearElastic``, ``HardeningElastic``, ``ReferentialNeoHookean``,
+        Material with the moduli ``of``: ``LinearElastic``, ``HardeningElastic``, ``ReferentialNeoHookean``,
         ``IsochoricNeoHookean``, ``ReferentialMooneyRivlin``, ``OldroydB`` or ``FENEP``.
     prony : array
         Rows of a share g_i > 0 and a relaxation time tau_i > 0 at theta_R; ``read_prony`` reads them from a
-        file, in a case file that is { file = "table.csv" }.
+        file, which a case file names by { file = "table.csv" }.
     of : str
-        What the shares are of and the material is: "G_0", of the shortest times, which leaves
-        G_inf = (1 - sum g_i) G_0, or "G_inf", of the longest, with G_0 = (1 + sum g_i) G_inf.
+        Modulus to which the shares and the material refer: "G_0", at the shortest times, with G_inf = (1 -
+        sum g_i) G_0, or "G_inf", at the longest times, with G_0 = (1 + sum g_i) G_inf.
     E : float, optional
         Activation energy of all relaxation times.
     C_1, C_2 : float, optional
-        Of the shift log10 a_T = -C_1 (theta - theta_R)/(C_2 + theta - theta_R), in place of E.
+        Constants of the shift log10 a_T = -C_1 (theta - theta_R)/(C_2 + theta - theta_R), instead of E.
     theta_R : float
-        Temperature at which the times are as given.
+        Temperature to which the times of the table belong.
     temperature : float, optional
-        A number, a function of the initial place, or an expression of parameters; None is that of the
-        material, which then has heat around the network.
+        A number, a function of the initial place, or an expression of parameters; None is the material's
+        temperature, and ``Thermal`` then has to wrap the network.
     """
     rows = _table(prony)
     shear, law = _shear_modulus(material)
@@ -102,9 +103,9 @@ def prony_network(
 
 
 def read_prony(path: str | os.PathLike[str]) -> np.ndarray:
-    """Rows (g_i, tau_i), (n, 2), of a CSV file; lines of words and those that begin with # are left out.
+    """The rows (g_i, tau_i), (n, 2), of a CSV file; lines of words and lines that begin with # are skipped.
 
-    Raises ParameterError for a file that cannot be read, or whose rows are not two numbers.
+    Raises ParameterError for a file that cannot be read, or with rows other than two numbers.
     """
     rows = []
     try:
@@ -133,7 +134,7 @@ def _table(prony: Any) -> np.ndarray:
 
 
 def _shear_modulus(material: Any) -> tuple[Any, Literal["mandel", "conformation"]]:
-    """The usual shear modulus at rest, Pa, and the law of creep."""
+    """The shear modulus at rest, Pa, and the law of creep."""
     if isinstance(material, LinearElastic):
         return material.G_e, "mandel"
     if isinstance(material, OldroydB):
@@ -149,7 +150,7 @@ def _shear_modulus(material: Any) -> tuple[Any, Literal["mandel", "conformation"
 
 
 def _scaled(material: Any, share: float, keeps_bulk: bool) -> Material:
-    """A material with a share of the moduli of shear, and all or nothing of those of the volume."""
+    """The material with a share of its shear moduli, and with its volume moduli or none of them."""
     changes = {name: share * getattr(material, name) for name in _SHEAR if hasattr(material, name)}
     if not keeps_bulk:
         changes |= {name: 0.0 for name in _BULK if hasattr(material, name)}

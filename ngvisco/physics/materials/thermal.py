@@ -1,24 +1,25 @@
-"""Materials with heat: the entropy is one more variable, and the energy the internal one.
+"""Materials with heat, whose variables include the entropy and whose energy is the internal energy.
 
-The entropy s per actual volume is conserved but for what is produced, ds/dt = -(tr L) s + ..., so that it is
+The entropy s per actual volume is conserved up to its production, ds/dt = -(tr L) s + ..., so that it is
 transported like A = 1/J.  Its conjugate is the temperature, theta = d phi/d s.  With S = s/A per reference
 volume and a heat capacity c at constant volume
 
     phi = phi_m + A c theta_R (exp(S/c - g) - 1) [+ A c theta_R g],    theta = theta_R exp(S/c - g) > 0,
 
-where g is Gamma (J - 1) with the term in brackets (``expansion``), or Gamma ln J without it (``gruneisen``).
-Both are perspectives of convex functions of (S, J): jointly convex with phi_m, the energy without heat.
+where phi_m is the energy without heat, and g is Gamma (J - 1) with the term in brackets (``expansion``), or
+Gamma ln J without it (``gruneisen``).  Both added energies are perspectives of convex functions of (S, J), so
+that phi is jointly convex if phi_m is.
 
-Of a material that breaks, ``Thermal(material=Damaged(part="all"))``, damage takes the thermal stress too.
-With the degradation g(d), the energy a that damage takes, T = theta_R exp(S/c) and the bulk modulus K at rest
+In a material that breaks, ``Thermal(material=Damaged(part="all"))``, damage degrades the thermal stress too.
+With the degradation g(d), the degraded energy a, T = theta_R exp(S/c) and the bulk modulus K at rest
 
     phi = g (a + A h + A e) + A (c (T - theta_R) - e) + ...,
     h = c T (exp(-g_J) - 1) + c theta_R g_J,   g_J = Gamma (J - 1),
     e = (Gamma c)^2 (T - theta_R)^2/(2 (K + Gamma^2 c T)),
 
-the same where d = 0, and a function of S alone where d = 1: a broken body has no thermal stress.  e is the
-elastic energy of what is clamped at J = 1 and heated.  So a + A h + A e, which drives the damage, is zero
-where a body expands freely, to second order in the thermal strain, and positive elsewhere.
+which is the energy above for d = 0, and a function of S alone for d = 1: a broken body has no thermal stress.
+e is the elastic energy of a body that is clamped at J = 1 and heated.  Therefore a + A h + A e, which drives
+damage, is zero in a freely expanding body, to second order in the thermal strain, and else positive.
 """
 
 import math
@@ -38,9 +39,9 @@ from ngvisco.physics.variables import ReciprocalJacobian, Values, Variable
 
 @dataclass(frozen=True)
 class Entropy(Variable):
-    """The entropy per actual volume in a unit of its own, that of a heat capacity: ds/dt = -(tr L) s.
+    """The entropy per actual volume, counted in ``unit``, a heat capacity, J/(m^3 K): ds/dt = -(tr L) s.
 
-    The conjugate of the number s is ``unit`` theta, Pa; ``unit`` in J/(m^3 K).
+    The conjugate of the number s is ``unit`` theta, Pa.
     """
 
     name: str = "s"
@@ -49,17 +50,17 @@ class Entropy(Variable):
 
     is_conserved = True
     own_scale = 1e4
-    """In heat capacities; of it 1e-9 is 3 mK at 300 K, of which rounding leaves 1e-11.
+    """Size of s for tolerances, in heat capacities: 1e-9 of it is 3 mK at 300 K, and rounding is 1e-11 of it.
 
-    Beside A = 1 an increment of 1e-10 of all variables is, where temperatures differ by a hundredth, 1e-8 of
-    the energy above theta_R.
+    Where temperatures differ by a hundredth, an increment of 1e-10 in all variables, beside A = 1, changes
+    the energy above theta_R by 1e-8.
     """
 
     def rate(self, z: Values, L: Tensor, Pi: Tensor) -> Tensor:
         return -tr(L) * z[self.name]
 
     def from_distortion(self, F: Tensor) -> Tensor:
-        """Zero: a start has a temperature (``Initial.temperature``)."""
+        """Zero; ``Initial.temperature`` gives the initial entropy."""
         return CF(0.0)
 
 
@@ -70,13 +71,13 @@ def entropy_in(material: Material) -> Entropy | None:
 
 @dataclass(frozen=True, kw_only=True)
 class Thermal(Material):
-    """A material that has a temperature: its energy is the internal one, phi(z, s), and theta = d phi/d s.
+    """A material with a temperature: phi(z, s) is its internal energy, and theta = d phi/d s.
 
-    With ``expansion`` the thermal pressure is Gamma c (theta - theta_R) with Gamma c = K ``expansion``, K the
-    (isothermal) bulk modulus at rest of the material without heat.  With ``gruneisen`` it is Gamma c theta/J,
-    that of an ideal gas with the adiabatic exponent 1 + Gamma where there is no other material, and less
-    ``p_infinity`` that of a stiffened one, as liquids are.  Raises ParameterError if a parameter is out of
-    its range, parameters contradict one another, or the material has heat already.
+    With ``expansion`` the thermal pressure is Gamma c (theta - theta_R) with Gamma c = K ``expansion``, where
+    K is the (isothermal) bulk modulus at rest of the material without heat.  With ``gruneisen`` the thermal
+    pressure is Gamma c theta/J.  Without another material this is an ideal gas with the adiabatic exponent 1
+    + Gamma; less ``p_infinity`` it is a stiffened gas, a model of liquids.  Raises ParameterError if a
+    parameter is out of its range, parameters contradict one another, or the material has heat already.
 
     Example::
 
@@ -91,22 +92,22 @@ class Thermal(Material):
     Parameters
     ----------
     material : Material, optional
-        The material without heat, whatever its variables; A = 1/J is carried beside them where it is none of
-        them.  None for a gas, which has no other pressure than that of heat.
+        The material without heat; A = 1/J is carried too if its variables lack it.  None for a gas, which has
+        thermal pressure only.
     c : float
         Heat capacity at constant volume, per referential volume.
     theta_R : float
         Reference temperature, at which the entropy is zero where J = 1.
     expansion : float, optional
-        Thermal expansion of the volume, three times that of a length.
+        Thermal expansion of volume, three times the linear thermal expansion.
     gruneisen : float, optional
         Grueneisen's parameter Gamma, in place of ``expansion``.
     p_infinity : float
-        Of a stiffened gas, whose pressure is Gamma c theta/J - p_infinity; default 0, an ideal gas.
+        Stiffening pressure of a gas with the pressure Gamma c theta/J - p_infinity; default 0, an ideal gas.
     rho_R : float, optional
         Density where J = 1; with it the initial density and J follow from one another.
     entropy_unit : float, optional
-        What the carried entropy counts in; default c.
+        Unit of the carried entropy; default c.
     """
 
     material: Material | None = None
@@ -118,7 +119,7 @@ class Thermal(Material):
     rho_R: Annotated[Modulus | None, Quantity("kg/m^3", "> 0", 1000.0, "arithmetic")] = None
     entropy_unit: Annotated[float | None, Quantity("J/(m^3 K)", "> 0", 3.6e6)] = None
     _Gamma: float = field(init=False, repr=False, default=0.0)
-    """Grueneisen's parameter, Gamma in the module's docstring."""
+    """Grueneisen's parameter, which is Gamma in the module's docstring."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -149,7 +150,7 @@ class Thermal(Material):
         object.__setattr__(self, "_Gamma", Gamma)
 
     def _check_damage(self, material: Material) -> None:
-        """Raise ParameterError for a thermal stress that would stay where a material has broken."""
+        """Raise ParameterError for a thermal stress that a broken material would keep."""
         if self.gruneisen:
             expected = "None for a material that breaks, whose thermal stress is by its expansion"
             raise ParameterError("Thermal.gruneisen", self.gruneisen, expected)
@@ -210,7 +211,7 @@ class Thermal(Material):
         )
 
     def of_heat(self, z: Values) -> Tensor:
-        """The energy less that of the material without heat, Pa."""
+        """The energy without the energy of ``isothermal_material``, Pa."""
         A, heat, J = z["A"], self.c * self.theta_R, 1 / z["A"]
         unit = self.entropy.unit / self.c
         if self.coupling and self.isothermal_material.lagged:
@@ -222,7 +223,7 @@ class Thermal(Material):
         return phi
 
     def taken(self, z: Values) -> tuple[Tensor, Tensor]:
-        """The heat's energy that damage takes, A (h + e), and A e of the module's docstring, Pa."""
+        """The degraded thermal energy A (h + e) of the module's docstring, and A e, Pa."""
         A, heat, J = z["A"], self.c * self.theta_R, 1 / z["A"]
         ratio = exp(self.entropy.unit / self.c * z["s"] * J)
         bulk = self.coupling / self.expansion if self.expansion else 1.0
@@ -232,52 +233,51 @@ class Thermal(Material):
         return A * h + clamped, clamped
 
     def _degradation(self, z: Values) -> Any:
-        """g(d) of a material that breaks."""
+        """The degradation g(d) of a material that breaks."""
         damaged: Any = self.isothermal_material
         return damaged.degradation(z["damage"])
 
     @property
     def isothermal_material(self) -> Material:
-        """The material without its heat."""
+        """The material without heat."""
         return self.material or _Stiffening(self.p_infinity)
 
     @property
     def is_absolute(self) -> bool:
-        """Whether the thermal pressure is that of a gas, c Gamma theta/J, in place of
-        c Gamma (theta - theta_R)."""
+        """Whether the thermal pressure is c Gamma theta/J, as of a gas, and not c Gamma (theta - theta_R)."""
         return self.gruneisen is not None
 
     @property
     def coupling(self) -> float:
-        """c Gamma, Pa/K."""
+        """The coupling c Gamma, Pa/K."""
         return self.c * self._Gamma
 
     def g(self, J: Any) -> Any:
-        """g of the module's docstring."""
+        """The function g(J) of the module's docstring."""
         return self._Gamma * (log(J) if self.is_absolute else J - 1)
 
     def entropy_of(self, log_theta: Any, J: Any) -> Any:
-        """S, J/(m^3 K), of the logarithm of the temperature in K."""
+        """The entropy S, J/(m^3 K), from the logarithm of the temperature in K and J."""
         return self.c * (log_theta - math.log(self.theta_R) + self.g(J))
 
     def start(self, theta: Any, A: Any) -> Tensor:
-        """The carried entropy of a temperature theta, K, and A = 1/J."""
+        """The carried entropy at a temperature theta, K, and A = 1/J."""
         return 1 / self.entropy.unit * A * self.entropy_of(log(theta), 1 / A)
 
     def pressure(self, theta: Any, J: Any = 1.0) -> Any:
-        """The thermal pressure, of a gas the whole, Pa."""
+        """The thermal pressure, Pa, which is the whole pressure of a gas."""
         of_heat = self.coupling * (theta / J if self.is_absolute else theta - self.theta_R)
         return of_heat - self.p_infinity
 
     @property
     def stiffness(self) -> float:
-        """-J d pressure/d J at rest, Pa."""
+        """The thermal bulk modulus -J d pressure/d J at rest, Pa."""
         return self.coupling * self.theta_R if self.is_absolute else 0.0
 
 
 @dataclass(frozen=True)
 class _Stiffening(Material):
-    """A stiffened gas without its heat: p_infinity (J - 1) per reference volume."""
+    """A stiffened gas without heat, with the energy p_infinity (J - 1) per reference volume."""
 
     p_infinity: float
 
@@ -290,15 +290,15 @@ class _Stiffening(Material):
 
 
 def temperature(material: Material, zeta: Values) -> Tensor | None:
-    """theta, K, by the conjugates' values; None of a material without heat."""
+    """The temperature theta, K, from the conjugates' values; None for a material without heat."""
     entropy = entropy_in(material)
     return None if entropy is None else zeta[entropy.name] / entropy.unit
 
 
 def warming(material: Material, entropy: Entropy) -> float:
-    """d theta/d s close to rest, K, where parameters have their typical values."""
+    """The derivative d theta/d s near rest, K, for the parameters' typical values."""
     typical = substituted(material, lambda expression: expression.typical)
-    s = CF(1e-6).MakeVariable()  # a zero would be taken for a constant
+    s = CF(1e-6).MakeVariable()  # NGSolve would take a zero for a constant
     z = {v.name: v.from_distortion(Id(3)) for v in material.variables} | {entropy.name: s}
     slope = conjugates_along(typical.energy(z), {entropy.name: s}, {entropy.name: CF(1.0)})
     return float(np.mean(sampled(slope[entropy.name]))) / entropy.unit

@@ -1,5 +1,5 @@
-"""Materials whose energy is another one's: regularised as in the paper's discrete scheme, or with parameters
-and a plastic strain that are carried beside its variables."""
+"""Materials that wrap another material: regularisations of the paper's discrete scheme, and carried
+parameters and plastic strains."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ from ngvisco.physics.variables import ReciprocalJacobian, Values, Variable
 
 @dataclass(frozen=True, kw_only=True)
 class Carrying(Wrapper):
-    """phi(z, theta) + A phi_h(K/A): a material with its moduli at the parameters theta that it carries, and
-    the energy of a plastic strain k = K/A, where there is one; A = 1/J is then carried too.
+    """phi(z, theta) + A phi_h(K/A): a material with moduli of carried parameters theta, and with the energy
+    of a carried plastic strain k = K/A if it hardens; then A = 1/J is carried too.
 
-    A ``Model`` makes it where a modulus of one of its laws is no number, or its flow rule hardens.
+    ``Model`` makes this wrapper if a modulus of its laws is not a number, or a flow rule hardens.
     """
 
     carried: tuple[Parameter, ...] = ()
-    """Parameters of the material's moduli and of the model's other laws that are no variables of its own."""
+    """Parameters of the material's moduli and of the model's other laws that the material does not carry."""
     hardening: tuple[tuple[PlasticContent, Hardening], ...] = ()
-    """Plastic contents that are carried, one of each branch that hardens, with their energies."""
+    """Pairs of a carried plastic content and its energy, one for each branch that hardens."""
 
     @property
     def variables(self) -> tuple[Variable, ...]:
@@ -63,10 +63,10 @@ def carrying(
     parameters: Sequence[Parameter],
     hardening: tuple[tuple[PlasticContent, Hardening], ...] = (),
 ) -> Material:
-    """The material with these among its variables, and this hardening in place of any other.
+    """The material with ``parameters`` among its variables, and with ``hardening`` as its only hardening.
 
-    What wraps a material as regularised wraps that one.  Raises ParameterError for a parameter of the name of
-    another one that the material has.
+    Regularising wrappers stay outside.  Raises ParameterError for a parameter with the name of a different
+    parameter of the material.
     """
     if isinstance(material, (WithQuadratic, Yosida)):
         return replace(material, material=carrying(material.material, parameters, hardening))
@@ -83,19 +83,19 @@ def carrying(
 class WithQuadratic(Wrapper):
     """phi + sqrt(delta)/2 sum_i |z_i|^2 (paper: varphi-regularized).
 
-    Makes a convex energy strongly convex.  At rest it adds a stress of the order of sqrt(delta).  The
-    ledger has the added energy within ``stored``, and alone as ``stored_quadratic``.  Raises ParameterError
-    or UnknownNameError for a delta that is not positive, or a name that the material does not have.
+    The added term makes a convex energy strongly convex, and adds a stress of the order of sqrt(delta) at
+    rest. The ledger has the added energy within ``stored``, and alone as ``stored_quadratic``.  Raises
+    ParameterError for a delta that is not positive, and UnknownNameError for an unknown variable.
 
     Parameters
     ----------
     material : Material
         The material that is regularised.
     delta : float
-        sqrt(delta)/2 |z|^2 is added to the energy.
+        Coefficient of the term sqrt(delta)/2 |z|^2 that is added to the energy.
     only : tuple of str, optional
-        Variables for which it is added, no parameters; all strains where nothing is said (paper:
-        rem-neo-Hookean-ref omits those in which phi is strongly convex already).
+        Names of the variables in the added term, no parameters; default all strains (paper:
+        rem-neo-Hookean-ref omits variables in which phi is strongly convex already).
     """
 
     delta: Annotated[float, Quantity("Pa^2", "> 0", 1e-6)]
@@ -120,12 +120,12 @@ class WithQuadratic(Wrapper):
 
     @property
     def _regularised(self) -> list[str]:
-        """Names of the variables that the energy is added for."""
+        """Names of the variables in the added term."""
         return list(self.only or (v.name for v in self.variables if v.is_strain))
 
     @property
     def conformation(self) -> str | None:
-        return None  # at rest there is a stress of the added energy
+        return None  # the added energy has a stress at rest
 
     def conformation_of(self, branch: str) -> str | None:
         return None
@@ -150,7 +150,7 @@ class WithQuadratic(Wrapper):
         return respond
 
     def added_energy(self, z: Values) -> Tensor:
-        """sqrt(delta)/2 sum_i |z_i|^2, Pa."""
+        """The added energy sqrt(delta)/2 sum_i |z_i|^2, Pa."""
         squares = [inner(z[name], z[name]) for name in self._regularised]
         return 0.5 * self.delta**0.5 * reduce(add, squares)
 
@@ -159,19 +159,19 @@ class WithQuadratic(Wrapper):
 class Yosida(Wrapper):
     """phi_eps(z) = min over y of phi(y) + |z - y|^2/(2 eps), over all strains jointly, at fixed parameters.
 
-    Convex where phi is, phi_eps <= phi, with the slope phi_eps'(z) = (z - y)/eps = phi'(y), whose Lipschitz
-    constant is at most 1/eps.  It is finite for all z, also for J <= 0.  At rest stress and stiffness change
-    by O(eps): K becomes K/(1 + eps K) for phi = K z^2/2.
+    phi_eps is convex where phi is, phi_eps <= phi, and the slope phi_eps'(z) = (z - y)/eps = phi'(y) has a
+    Lipschitz constant of at most 1/eps.  phi_eps is finite for all z, also for J <= 0.  Stress and stiffness
+    at rest change by O(eps): for phi = K z^2/2, K becomes K/(1 + eps K).
 
-    y is found by a damped Newton iteration at every quadrature point, from a start value that depends on
-    z alone.  There is no expression: ``energy`` raises, and the Cauchy stress for output has the cellwise L2
-    projection of phi_eps.  Raises ParameterError if eps is not a finite positive number or ``material`` is
-    none.
+    A damped Newton iteration finds y at every quadrature point, from a start value that depends on z alone.
+    phi_eps has no expression: ``energy`` raises an error, and the Cauchy stress for output uses the cellwise
+    L2 projection of phi_eps.  Raises ParameterError if eps is not a finite positive number or ``material`` is
+    no Material.
 
     Parameters
     ----------
     material : Material
-        The material that is regularised: its energy convex, or at least |z|^2/(2 eps) + phi so.
+        The material that is regularised; phi, or at least |z|^2/(2 eps) + phi, has to be convex.
     eps : float
         Width of the approximation, the paper's epsilon.
     """
@@ -198,15 +198,15 @@ class Yosida(Wrapper):
 _MAX_ITERATIONS = 200
 _MAX_HALVINGS = 40
 _CONVERGED = 1e-8
-"""Relative size of the last Newton increment: quadratic convergence takes it to rounding."""
+"""Relative size of the last Newton increment; by quadratic convergence the error is then rounding."""
 _ROUNDING = 1e-12
-"""Relative size of a residual that is rounding, where no step makes it smaller."""
+"""Relative size below which a residual that no step reduces is rounding."""
 _SHARE = 0.1
-"""The least share that a step leaves of a variable that must stay positive; and its smallest start value."""
+"""The factor by which a step reduces a positive variable at most, and its least start value."""
 
 
 class _Approximation:
-    """phi_eps and its derivatives, from the minimisers y."""
+    """The response phi_eps and its derivatives, from the minimisers y."""
 
     def __init__(self, material: Yosida, dim: int) -> None:
         self.eps = material.eps
@@ -214,11 +214,11 @@ class _Approximation:
         self.rest = rest_state(material, dim)
         space = material.states(dim)
         self.weights = np.where(space.strains, material.eps, 0.0)
-        """eps of every component: 0 for parameters, which are not minimised over."""
+        """eps for every component: 0 for parameters, which are fixed in the minimisation."""
         scalars = (v for v in material.variables if v.kind == "scalar" and v.positive(CF(1.0)))
         places = (space.slices[v.name].start for v in scalars)
         self.positive = [i for i in places if not self._goes_on(i)]
-        """Where y must be kept positive: J or A in an energy that is singular at 0 or undefined below."""
+        """Components of y that must stay positive: J or A of an energy singular at 0 or undefined below."""
 
     def _goes_on(self, i: int) -> bool:
         states = np.tile(self.rest, (3, 1))
@@ -236,12 +236,12 @@ class _Approximation:
             S, H = at_y.slope[solved], at_y.hessian[solved]
             root = np.sqrt(self.weights)
             system = np.eye(size) + root[:, None] * H * root
-            # for a convex energy all are 1 and more
+            # a convex energy has eigenvalues >= 1
             definite = np.linalg.eigvalsh(system)[:, 0] > 0
             where, z, S, H = (a[definite] for a in (where, z, S, H))
             H = np.linalg.solve(np.eye(size) + H * self.weights, H)
             H = 0.5 * (H + H.transpose(0, 2, 1))
-            # phi'(y) loses no digits for small eps, as (z - y)/eps does; corrected for the rounding in y
+            # phi'(y) loses no digits for small eps, unlike (z - y)/eps; the next lines correct rounding in y
             rest = z - y[solved][definite] - self.weights * S
             S = S + np.einsum("nij,nj->ni", H, rest)
             energy[where] = at_y.energy[solved][definite] + 0.5 * (S * S) @ self.weights
@@ -265,10 +265,10 @@ class _Approximation:
         return None
 
     def _minimise(self, z: np.ndarray) -> tuple[np.ndarray, Response, np.ndarray]:
-        """The minimisers y, the inner response there, and where they were found.
+        """The minimisers y, the inner response at y, and the mask of points where y was found.
 
-        Newton for r(y) = y - z + eps phi'(y) = 0, eps = 0 for parameters.  r' >= I where phi is convex, so
-        that halving the step until |r| decreases converges from everywhere.
+        Newton's method solves r(y) = y - z + eps phi'(y) = 0, with eps = 0 for parameters.  r' >= I for a
+        convex phi, so that halving the step until |r| decreases converges from every start.
         """
         y, at_y = self._start(z)
         energy, slope, hessian = at_y.energy, at_y.slope, at_y.hessian
@@ -305,7 +305,7 @@ class _Approximation:
         return y, Response(energy, slope, hessian), solved
 
     def _start(self, z: np.ndarray) -> tuple[np.ndarray, Response]:
-        """z moved into the domain; the rest state where that is not enough."""
+        """The start y: z moved into the domain, or the rest state where z is still outside."""
         y = z.copy()
         y[:, self.positive] = np.maximum(y[:, self.positive], _SHARE)
         at_y = self.inner(y)
@@ -316,13 +316,13 @@ class _Approximation:
         return y, at_y
 
     def _admitted(self, y: np.ndarray, d: np.ndarray) -> np.ndarray:
-        """The longest step, 1 at most, that leaves a share of what must stay positive."""
+        """The step length, 1 at most, by which positive components keep at least the share ``_SHARE``."""
         y, d = y[:, self.positive], d[:, self.positive]
         return np.where(d < 0, (_SHARE - 1) * y / d, 1.0).min(axis=1, initial=1.0)
 
 
 def _solve(matrices: np.ndarray, rhs: np.ndarray) -> np.ndarray:
-    """Solutions of many small systems; NaN of the singular ones."""
+    """Solutions of many small systems; NaN for singular systems."""
     solution, regular = np.full_like(rhs, np.nan), np.abs(np.linalg.det(matrices)) > 0
     solution[regular] = np.linalg.solve(matrices[regular], rhs[regular][:, :, None])[:, :, 0]
     return solution
