@@ -189,7 +189,7 @@ def test_what_a_template_offers_is_admitted():
         ("material", ["material.G_e [LinearElastic]"]),
         ("NeoHookean", ["neo-Hookean energy", "half the usual shear modulus"]),
         ("rheology.creep.G_m", ["G_m = 2 eta", "relaxation time of shear is G_m/(2 G)"]),
-        ("K_E", ["the usual one is K_e + epsilon (LogarithmicMooneyRivlin, LogarithmicNeoHookean)"]),
+        ("K_E", ["the bulk modulus is K_e + epsilon (LogarithmicMooneyRivlin, LogarithmicNeoHookean)"]),
         ("gravity", ["Gravity: Gravity acceleration", 'kind = "Gravity"']),
         ("foundation", ["walls.NAME.stiffness [Open]"]),
         ("Bingham", ["Perzyna: Viscoplasticity with the yield condition"]),
