@@ -1,4 +1,4 @@
-"""The cases: the report's themes in its order, and what finds the cases of the modules."""
+"""The verification cases: the report's themes in their order, and functions that find and select cases."""
 
 from collections.abc import Sequence
 from importlib import import_module
@@ -33,7 +33,7 @@ THEMES = (
     "The models against each other",
     "Sensitivities",
 )
-"""Headings of the report, in its order; within one cases stand module by module."""
+"""Headings of the report in their order; under a heading cases are sorted by modules."""
 
 
 def all_cases() -> tuple[Case, ...]:
@@ -48,9 +48,9 @@ def all_cases() -> tuple[Case, ...]:
 
 
 def select(cases: Sequence[Case], names: Sequence[str] = (), reduced: bool = False) -> tuple[Case, ...]:
-    """The cases asked for: all of them, the reduced set, or those with the given names or name beginnings.
+    """Select all cases, the reduced set, or the cases with the given names or beginnings of names.
 
-    Raises UnknownNameError for a name that no case has, with the nearest one.
+    Raises UnknownNameError, with the nearest name, for a name that no case has.
     """
     for name in names:
         if not any(_matches(case, name) for case in cases):
@@ -60,5 +60,6 @@ def select(cases: Sequence[Case], names: Sequence[str] = (), reduced: bool = Fal
 
 
 def _matches(case: Case, name: str) -> bool:
-    """``limit-tau`` stands for ``limit-tau-linearised`` and ``limit-tau-finite``."""
+    """Whether a case has the name, or a name that begins with it and a dash, as ``limit-tau`` selects
+    ``limit-tau-finite``."""
     return case.name == name or case.name.startswith(f"{name}-")

@@ -14,28 +14,29 @@ from tests.verification.setups import fluid, followed, layers
 CASES = Cases("Exact solutions: flow rules")
 
 # --- a shear band --------------------------------------------------------------------------------------
-"""``DruckerPrager`` does not dilate, and beside its friction that makes the material unstable: it flows in a
-band, from the seed to the free surface.  Its angle to the direction of the largest compression lies between
-45 - phi/2 (Coulomb) and 45 (Roscoe 1970, no dilatancy).  Where the band begins, Rudnicki and Rice (1975) have
+"""``DruckerPrager`` does not dilate. Together with friction this makes the material unstable: it flows in a
+band from the seed to the free surface. The band's angle to the direction of the largest compression lies
+between 45 - phi/2 (Coulomb) and 45 (Roscoe 1970, no dilatancy). For its onset Rudnicki and Rice (1975) give
 
     45 - arcsin(a)/2,   a = ((2/3)(1 + nu)(beta + mu) - N (1 - 2 nu))/sqrt(4 - 3 N^2),
 
-mu = sin phi of the friction, beta = 0 of the dilatancy, nu Poisson's number, N = 0 the intermediate
-principal part of the deviator over sqrt(J_2), which vanishes with plastic flow in plane strain.
+with mu = sin phi for friction, beta = 0 for dilatancy, and nu Poisson's number.  N = 0 is the intermediate
+principal value of the deviator over sqrt(J_2), which vanishes with plastic flow in plane strain.
 """
 
 LENGTH, HEIGHT, SEED = 2.0, 1.0, 0.1
 """Length and height of the block and the seed's radius, m."""
 BULK, SHEAR, FRICTION, G_M = 1000.0, 500.0, 30.0, 10.0
-"""Moduli, Pa, angle of friction, degrees, viscosity of what exceeds the strength, Pa s; cohesion 1 Pa."""
+"""Moduli, Pa, angle of friction, degrees, viscosity of the stress above the strength, Pa s; cohesion 1 Pa."""
 RATE, DT, END = 1e-3, 0.1, 7.5
-"""Rate of the shortening, 1/s; steps, s, and the time by which no band has come, s."""
+"""Rate of the shortening, 1/s; step, s; time at which a run without a band is given up, s."""
 STIFF = 1e4
-"""Pa s/m, of the dashpot by which the wall pushes: its velocity is that times the stress off."""
+"""Impedance of the dashpot with which the wall pushes, Pa s/m: the stress over it is the error of the
+velocity."""
 DENSITY = 0.01
 ROSCOE, COULOMB = 45.0, 45.0 - FRICTION / 2
 AT = np.linspace(0.25, 0.85, 25)
-"""Heights at which the band is looked for, m, away from the seed and the surface."""
+"""Heights, m, away from the seed and the surface, at which the band is located."""
 
 
 def rudnicki_rice(friction: float) -> float:
@@ -67,8 +68,9 @@ def load(run: nv.Simulation) -> float:
 
 
 def band(run: nv.Simulation) -> tuple[float, np.ndarray, float]:
-    """Angle of the band, degrees, its place at the heights ``AT``, m, by the mean along the block with the
-    weight |Pi|^4, and its rate over the median there."""
+    """The band's angle, degrees, its place, m, and its rate over the median, at the heights ``AT``.
+
+    The place is the mean along the block with the weight |Pi|^4."""
     along = np.linspace(0, LENGTH, 801)[1:-1]
     X, Y = np.meshgrid(along, AT)
     Pi = run.fields["creep_rate"](run.mesh(X.ravel(), Y.ravel()))
@@ -80,8 +82,8 @@ def band(run: nv.Simulation) -> tuple[float, np.ndarray, float]:
 
 
 @CASES(f"""drucker-prager-band
-    Frictional matter that does not dilate shears in a band, whose angle at the largest load is that at which
-      theory has it begin.
+    Frictional matter that does not dilate shears in a band; at the largest load the band has the angle of its
+      onset in theory.
     label: Rudnicki and Rice 1975, Roscoe 1970, Vermeer 1990
     setting: Plane strain: a quarter of a block, 2 m x 1 m, E, K = {BULK:g}, G = {SHEAR:g} Pa, cohesion 1 Pa
       but half of it at the seed of {SEED} m in the corner, phi = {FRICTION:g} degrees, G_m = {G_M:g} Pa s,
@@ -127,53 +129,54 @@ def _band() -> Measured:
 
 
 # --- pinch-and-swell -----------------------------------------------------------------------------------
-"""A layer |y| < h/2 + A cos(k x) of viscosity R eta in a medium of eta is stretched at the rate e.  For small
-A the Stokes equations of v = (e x, -e y) + (U(y) sin k x, V(y) cos k x) are, with the stresses S cos k x
-= sigma_yy and T sin k x = sigma_xy of the perturbation and a = eta/n along the stretching,
+"""A layer |y| < h/2 + A cos(k x) of viscosity R eta in a medium of viscosity eta is stretched at the rate e.
+The perturbed velocity is v = (e x, -e y) + (U(y) sin k x, V(y) cos k x).  With the perturbation's stresses
+sigma_yy = S cos k x and sigma_xy = T sin k x, and a = eta/n, the Stokes equations for small A are
 
     U' = T/eta + k V,   V' = -k U,   S' = -k T,   T' = k S + 4 a k^2 U,
 
 for creep by |stress|^n, whose tangent along the stretching is n times softer than across it (Fletcher 1974;
-R. B. Smith, Geol. Soc. Am. Bull. 88, 312, 1977).  At the face U, V and S go on and T jumps by
-4 e (R - 1) eta k A, as the layer bears more tension; on it dA/dt = V - e A.  A layer in nothing has dA/dt =
-(n - 1) e A where k h is small; one of n = 1 does not neck.
+R. B. Smith, Geol. Soc. Am. Bull. 88, 312, 1977).  U, V and S are continuous at the face; T jumps there by
+4 e (R - 1) eta k A, as the layer bears more tension.  The face moves by dA/dt = V - e A.  A layer without a
+medium has dA/dt = (n - 1) e A for small k h; with n = 1 it does not neck.
 """
 
 WAVE, TOP, FIRST = 0.9, 3.5, 0.02
 """k h, the distance of the moving wall from the layer's middle, and A, m; h = 1 m, e = 1/s, eta = 1 Pa s."""
 HALF = math.pi / WAVE
 ELASTIC, RHO, LIGHTER = 1000.0, 1e-3, 1e-2
-"""Shear modulus over the layer's viscosity times e, its density, kg/m^3, and the medium's over it."""
+"""Shear modulus over the layer's viscosity times e; density of the layer, kg/m^3; ratio of the medium's to
+it."""
 LAYERS = (1.0, 50.0), (3.0, 50.0), (10.0, 50.0), (5.0, 20.0)
-"""n and R."""
+"""Pairs of n and R."""
 CELLS, TAU, STEPS, FROM = (0.25, 0.125), 1e-3, 10, 5
-"""m; s; the growth is that after ``FROM`` steps."""
+"""Cells, m; step, s; number of steps; the growth is measured after ``FROM`` steps."""
 DASHPOT = 1e5
-"""Pa s/m: the velocity of the wall to the right is that times the stress off."""
+"""Impedance of the right wall, Pa s/m: the stress over it is the error of the wall's velocity."""
 
 
 def growth(
     n: float, ratio: float, wave: float, top: float, strain_rate: float = 1.0, fold: bool = False
 ) -> float:
-    """(dA/dt)/(|e| A) of a layer of thickness one below a wall at ``top`` that the perturbation stops at.
+    """(dA/dt)/(|e| A) of a layer of thickness one, with a wall at ``top`` where the perturbation vanishes.
 
-    ``fold`` has both faces of the layer go the same way, as they do where e < 0 shortens it.
+    With ``fold`` both faces of the layer move in the same direction, as in shortening, e < 0.
     """
     k = wave
 
     def through(thickness: float, along: float, across: float) -> np.ndarray:
-        """(U, V, S, T) after this thickness by that before."""
+        """The matrix that maps (U, V, S, T) before the thickness to (U, V, S, T) after it."""
         rows = [[0, k, 0, 1 / across], [-k, 0, 0, 0], [0, 0, 0, -k], [4 * along * k * k, 0, k, 0]]
         return np.asarray(expm(thickness * np.array(rows)))
 
-    layer = through(0.5, ratio / n, ratio)[:, [1, 3] if fold else [0, 2]]  # what is odd at y = 0 vanishes
+    layer = through(0.5, ratio / n, ratio)[:, [1, 3] if fold else [0, 2]]  # odd functions vanish at y = 0
     medium = through(top - 0.5, 1.0, 1.0)[:2]
     c = np.linalg.solve(medium @ layer, -4 * strain_rate * (ratio - 1) * k * medium[:, 3])
     return float((layer @ c)[1] - strain_rate) / abs(strain_rate)
 
 
 def stretched(n: float, ratio: float, maxh: float) -> nv.Simulation:
-    """Half a wave above the layer's middle: planes of symmetry but for what leaves and enters."""
+    """Half a wave above the layer's middle, between planes of symmetry, an outlet and an inlet."""
     shear, light = ELASTIC * ratio, LIGHTER * RHO
     creep = nv.Norton(A=math.sqrt(2) / (2 * math.sqrt(2) * ratio) ** n, n=n)
     of_layer = nv.ReferentialNeoHookean(K_e=2 * shear, G_e=shear / 2)
@@ -196,7 +199,7 @@ def stretched(n: float, ratio: float, maxh: float) -> nv.Simulation:
 
 
 def _amplitude(run: nv.Simulation) -> float:
-    """A by the layer's fraction, m, of the wave that is longer by the strain."""
+    """The amplitude A, m, from the layer's fraction, with the wave's length increased by the strain."""
     theta, k = run.fields["layer_fraction"], WAVE * math.exp(-run.t)
     sums = [float(Integrate(theta * f, run.mesh, order=6)) for f in (1.0, cos(k * x))]
     mean, square = math.sin(k * HALF) / k, HALF / 2 + math.sin(2 * k * HALF) / (4 * k)
@@ -205,7 +208,7 @@ def _amplitude(run: nv.Simulation) -> float:
 
 @CASES(f"""necking
     A stiff layer that creeps by a power law, stretched in a soft light medium, necks at the rate of linear
-      theory; one with a linear law does not.
+      theory; a layer with a linear law does not neck.
     label: benchmark: Smith (1977)
     setting: Norton's rule with n = 1, 3, 10 and 50 times the medium's viscosity at the mean rate, n = 5 and
       20 times; layer of 1 m, k h = {WAVE}, A = {FIRST} m; a fluid of a hundredth of its density; a quarter of

@@ -1,8 +1,8 @@
 """Bars under their weight: Turek and Hron's CSM3 (2006), and a slab that flows.
 
-By Euler and Bernoulli a beam of length L and height a deflects by q L^4/(8 E' I) at its tip under a weight q
-per length (E' = E/(1 - nu^2) in plane strain, I = a^3/12).  It swings about that state with omega =
-3.516 sqrt(E' I/(rho a L^4)), less by the medium that it moves.
+By the theory of Euler and Bernoulli the tip of a beam of length L and height a deflects by q L^4/(8 E' I)
+under a weight q per length (E' = E/(1 - nu^2) in plane strain, I = a^3/12). The beam swings about this state
+with omega = 3.516 sqrt(E' I/(rho a L^4)); the mass of a medium lowers the frequency.
 """
 
 import math
@@ -21,20 +21,20 @@ CASES = Cases("Bodies and their interfaces")
 
 
 YOUNG, POISSON, DENSITY, GRAVITY = 1.4e6, 0.4, 1e3, 2.0
-"""Pa; kg/m^3; m/s^2."""
+"""Young's modulus, Pa, and Poisson's number; density, kg/m^3; gravity, m/s^2."""
 K_E, G_E = YOUNG / (3 * (1 - 2 * POISSON)), YOUNG / (2 * (1 + POISSON))
 LENGTH, THICK = 0.35, 0.02
 FLEXURE = YOUNG / (1 - POISSON**2) * THICK**3 / 12
 OMEGA = 3.516 * math.sqrt(FLEXURE / (DENSITY * THICK * LENGTH**4))
 DEFLECTION = DENSITY * THICK * GRAVITY * LENGTH**4 / (8 * FLEXURE)
-"""m, m; E' I, N m; 1/s; of the tip at rest, m, under the whole weight."""
+"""Length and height, m; E' I, N m; frequency, 1/s; deflection of the tip at rest under the weight, m."""
 FREQUENCY, MEAN, AMPLITUDE = 1.0995, 63.607e-3, 65.160e-3
-"""Published values of CSM3, Hz, m, m: its tip swings to and fro by 65.160 mm about -63.607 mm."""
+"""Frequency, Hz, mean and amplitude, m, published for CSM3: the tip swings by 65.160 mm about -63.607 mm."""
 SHARE = 1e-3
-"""Share of ``GRAVITY``, in runs on a mesh of their own: through ``Open`` walls a bar may move by little
-beside a cell.  The result is the limit of small deflections."""
+"""Share of ``GRAVITY`` in runs on a mesh of the bar alone: through ``Open`` walls a bar may move by a small
+part of a cell only. The result is the limit of small deflections."""
 ROWS_OF_CELLS = (((9, 1), 0.02), ((18, 1), 0.02), ((18, 1), 0.01))
-"""Cells along and across, each two triangles, and steps, s."""
+"""Cells along and across, of two triangles each, and step, s."""
 
 
 def _undamped(t: np.ndarray, static: float, omega: float) -> np.ndarray:
@@ -42,7 +42,7 @@ def _undamped(t: np.ndarray, static: float, omega: float) -> np.ndarray:
 
 
 def _between_windows(cells: tuple[int, int], dt: float) -> tuple[np.ndarray, np.ndarray]:
-    """Times until 1 s, and the tip's deflection under the whole weight, m."""
+    """Times until 1 s, and the tip's deflection scaled to the whole weight, m."""
     tip = nv.Probes([(LENGTH, THICK / 2)], ["velocity"])
     weight = nv.Gravity((0.0, -SHARE * GRAVITY))
     run = nv.Simulation(
@@ -61,8 +61,9 @@ def _between_windows(cells: tuple[int, int], dt: float) -> tuple[np.ndarray, np.
 
 
 @CASES(f"""bar-between-windows
-    A clamped bar on a mesh of its own, whose other sides are free, bends and swings as beam theory says, and
-      in the limit of small deflections near to Turek and Hron's CSM3.
+    A clamped bar with three free sides, on a mesh of the bar alone, bends and swings as in beam theory; in
+    the
+      limit of small deflections it is close to Turek and Hron's CSM3.
     label: benchmark: beams after Euler and Bernoulli; Turek and Hron 2006, CSM3
     setting: {LENGTH:g} m x {THICK:g} m, E = {YOUNG:g} Pa, nu = {POISSON:g}, {DENSITY:g} kg/m3,
       {SHARE:g} of {GRAVITY:g} m/s2; row of 9 and of 18 cells, k = 3, m = 2, midpoint, 1 s in steps of 0.02
@@ -95,13 +96,13 @@ def _free_bar() -> Measured:
 
 
 AIR, THIN = 1.0, {0.01: 0.01, 1.0: 0.05}
-"""Density of the medium, kg/m^3, and by the share of the weight its viscosity, Pa s.  Both have one bulk
-modulus: with 1 kPa in the medium the first step's iteration stalls."""
+"""Density of the medium, kg/m^3, and its viscosity, Pa s, by the share of the weight. Bar and medium have the
+same bulk modulus: with 1 kPa in the medium the first step's iteration stalls."""
 BOX, ROWS = (0.45, 0.25), {0.01: (18, 25), 1.0: (12, 25)}
 UNTIL, STEP = 0.54, {0.01: 0.02, 1.0: 0.005}
-"""End and steps, s."""
+"""End and step, s."""
 CENTROID = 0.4
-"""Sinking of the centroid of a bent beam, over that of the tip."""
+"""Deflection of a bent beam's centroid over the deflection of its tip."""
 
 
 def _clamped(
@@ -115,8 +116,10 @@ def _clamped(
     steps: nv.TimeSteps,
     until: float,
 ) -> tuple[nv.Simulation, nv.Bodies]:
-    """A run until a time, s, and its table: a bar of length and height ``bar`` about the height ``middle``,
-    m, clamped at the left wall of a box.  ``of_bar`` and ``of_medium`` are what bodies have beside names."""
+    """Run until a time, s, and return the run and its table.
+
+    A bar of length and height ``bar`` about the height ``middle``, m, is clamped at the left wall of a box.
+    ``of_bar`` and ``of_medium`` are the keyword arguments of the bodies."""
     (length, thick), table = bar, nv.Bodies()
     where = nv.Block((-length, middle - thick / 2), (length, middle + thick / 2))
     bodies = nv.Body(name="bar", where=where, **of_bar), nv.Body(name="medium", **of_medium)
@@ -132,8 +135,8 @@ def _clamped(
 
 
 @CASES(f"""csm3-in-a-light-medium
-    Turek and Hron's CSM3 as a body that swings through a light medium, the whole of its deflection, on two
-      rows of cells.
+    Turek and Hron's CSM3, as a body that swings through a light medium with its full deflection, has about
+      the published frequency and mean on two rows of cells.
     label: benchmark: Turek and Hron 2006, CSM3
     setting: Bar as of bar-between-windows in a box of {BOX[0]:g} m x {BOX[1]:g} m, clamped at its left wall;
       medium of {AIR:g} kg/m3 with the bar's bulk modulus and 0.05 (0.01) Pa s; 600 (900) triangles,
@@ -182,23 +185,25 @@ def _csm3() -> Measured:
 
 
 # --- a viscoelastic slab bends in a weak medium, and recovers its shape without gravity -------------------
-"""After T. Gerya, Introduction to Numerical Geodynamic Modelling (2010).  The slab's Maxwell time is 3 Myr,
-that of the medium, 1e18 Pa s/1e11 Pa, four months: in steps of a thousand years it is a fluid, and so it is
-taken here.  What bends is the weight in the medium; its elastic end is the beam's, of an incompressible body
-(E' = 4 G), with Timoshenko's shear (kappa = 5/6): the mean is q L^4/(20 E' I) + q L^2/(3 kappa G a).
+"""A benchmark after T. Gerya, Introduction to Numerical Geodynamic Modelling (2010). The slab's Maxwell time
+is 3 Myr. The medium's Maxwell time, 1e18 Pa s/1e11 Pa, is four months: in steps of a thousand years the
+medium is a fluid, and is modelled as one. The slab's weight in the medium bends it. Its elastic limit is the
+deflection of an incompressible beam (E' = 4 G) with Timoshenko's shear (kappa = 5/6), in the mean q L^4/(20
+E' I) + q L^2/(3 kappa G a).
 """
 
 KYR, SLAB, HIGH, OF_ROCK, OF_ALL = 3.15576e10, 4500.0, 500.0, 1e10, 1e11
-"""s; m, m; shear modulus of the slab, and both bodies' bulk modulus, Pa."""
+"""A thousand years, s; length and height, m; shear modulus of the slab, and both bulk moduli, Pa."""
 HEAVY, LIGHTER, FALL, LOADED = 3300.0, 2800.0, 10.0, 20.0
-"""Densities, kg/m^3, gravity, m/s^2, and until when, kyr."""
+"""Densities, kg/m^3; gravity, m/s^2, and its end, kyr."""
 Q = (HEAVY - LIGHTER) * FALL * HIGH
 AT_REST = Q * SLAB**4 / (20 * 4 * OF_ROCK * HIGH**3 / 12) + Q * SLAB**2 / (3 * 5 / 6 * OF_ROCK * HIGH)
 
 
 @CASES(f"""slab-recovery
-    A viscoelastic slab in a weak medium bends under its weight, no farther than its elastic end, and goes
-      back when gravity ends.
+    A viscoelastic slab in a weak medium bends under its weight, less than its elastic limit, and recovers
+    when
+      gravity ends.
     label: benchmark: Gerya (2010)
     setting: Box 7500 m x 5000 m, slab {SLAB:g} m x {HIGH:g} m; densities {HEAVY:g} and {LIGHTER:g} kg/m3,
       viscosities 1e24 and 1e18 Pa s, G = {OF_ROCK:g} Pa in the slab, K_e = {OF_ALL:g} Pa; g = {FALL:g} m/s2
@@ -223,7 +228,7 @@ def _bending() -> Measured:
         {**rock, "creep": nv.Creep(G_m=2e24)},
         {**weak, "material": fluid(OF_ALL)},
         CF((0.0, -FALL)) * IfPos(LOADED * KYR - nv.time, 1.0, 0.0),
-        # twenty times the velocity of the slab: facets turn round within 1e-12 m/s
+        # twenty times the slab's velocity, as upwind sides change within 1e-12 m/s
         nv.TimeSteps(dt=KYR, velocity_scale=1e-8),
         50 * KYR,
     )

@@ -1,4 +1,4 @@
-"""Damage by steps: the load at which a notched block breaks, by steps of one length and by chosen ones."""
+"""The load at which a notched block breaks by damage, with steps of constant length and with chosen steps."""
 
 import numpy as np
 from ngsolve import CF, IfPos, exp, sqrt, x, y
@@ -11,14 +11,14 @@ from tests.verification.setups import closure
 CASES = Cases("Robustness of the scheme")
 
 SPEED, LENGTH, END = 0.4, 0.2, 0.32
-"""Speed of the lid, m/s, length that damage is smeared over, m, and time when the block has broken, s."""
+"""Speed of the lid, m/s; length over which damage is smeared, m; time at which the block has broken, s."""
 LONGEST = 0.04
 
 
 def _broken(dt: float, growth: float | None = None) -> tuple[list[float], nv.Simulation]:
-    """Steps, largest growth of the damage and of the crack in one, and the largest load, N; the run.
+    """The number of steps, the largest growths of damage and crack in one, the largest load, N, and the run.
 
-    The lid moves by ``SPEED``, so that its power is the load times that.
+    The lid moves with ``SPEED``, so that its power is the load times ``SPEED``.
     """
     beyond = sqrt((x - 0.5) ** 2) - 0.2
     notch = 0.99 * exp(-sqrt(IfPos(beyond, beyond, 0.0) ** 2 + (y - 0.5) ** 2) / LENGTH)
@@ -43,12 +43,13 @@ def _broken(dt: float, growth: float | None = None) -> tuple[list[float], nv.Sim
 
 
 @CASES("""damage-steps
-    The load at which a notched block breaks converges at first order in the step's length, and as well in the
-    growth of damage that a step may have, to the same value.
+    The load at which a notched block breaks converges at first order in the step's length, and to the same
+    value in the largest growth of damage that a step may have.
     label: Roubicek arXiv:2510.10355, the staggered scheme; FORMULATION 13
     setting: A block of 1 m, G = 10 Pa, sheared by 0.4/s, notch of 0.4 m, AT2 with G_c = 0.02 J/m2, l = 0.2 m;
-      steps of 0.04 s to 0.005 s, and chosen ones of 0.04 s at most whose growth at a point is at most 0.1 to
-      0.025.
+      steps of 0.04 s to 0.005 s, and chosen steps of at most 0.04 s, in which damage at a point grows by at
+      most
+      0.1 to 0.025.
     - order in dt of the load, by the last three in [0.7, 1.9]: first order of the staggering, below two; 1.5
       before the first run, which found 1.494
     - loads in the limits of both, relative difference <= 0.02: the two last of each, continued at first
@@ -71,7 +72,7 @@ def _steps() -> Measured:
             runs.append(run)
     loads = np.array([found["dt, s", dt][3] for dt in fixed])
     steps = np.diff(loads)
-    limit = loads[-1] + steps[-1]  # of first order
+    limit = loads[-1] + steps[-1]  # the extrapolation is of first order
     of_growth = [found["growth", growth][3] for growth in chosen]
     order = float(np.log2(steps[-2] / steps[-1]))
     yield "order in dt of the load, by the last three", order

@@ -22,10 +22,12 @@ CASES = Cases("Exact solutions: rheology")
 
 
 def channel_startup(t: np.ndarray, heights: np.ndarray, eta_s: float) -> np.ndarray:
-    """v(t, y) of an Oldroyd-B fluid of density 1 under a unit force from rest, (times, heights).
+    """The velocity v(t, y), (times, heights), of an Oldroyd-B fluid of density 1 under a unit force from
+    rest.
 
-    rho v_t = eta_s v_yy + tau_y + 1, lambda tau_t = eta_p v_y - tau (Waters and King 1970), for each sine in
-    y an equation for two numbers with constant coefficients, solved by the matrix exponential.
+    The equations are rho v_t = eta_s v_yy + tau_y + 1, lambda tau_t = eta_p v_y - tau (Waters and King
+    1970).  For each sine in y they are two linear equations with constant coefficients, solved by the matrix
+    exponential.
     """
     v = np.zeros((len(t), len(heights)))
     for n in range(1, 80, 2):
@@ -36,7 +38,8 @@ def channel_startup(t: np.ndarray, heights: np.ndarray, eta_s: float) -> np.ndar
 
 
 def startup_velocity(eta_s: float) -> CoefficientFunction:
-    """Velocity at start-up, of y and ``ngvisco.time``, by the eigenvectors of each sine's equation."""
+    """Velocity at start-up as a function of y and ``ngvisco.time``, by the eigenvectors of each sine's
+    equation."""
     v = CF(0.0)
     for n in range(1, 16, 2):
         A, steady = _of_sine(n, eta_s)
@@ -58,7 +61,7 @@ def _of_sine(n: int, eta_s: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _waters_king(is_open: bool) -> Measured:
-    """Where the channel is open an inlet moves as the series says, by a fluid at rest before it."""
+    """The start-up in a channel; an open channel has an inlet with the velocity of the series."""
     eta_s, until, heights = 0.1, 4.0, np.linspace(0.05, 0.95, 19)
     at = 0 * heights + (1.0 if is_open else 0.11)
     walls: Any = {"bottom": nv.NoSlip(), "top": nv.NoSlip()}
@@ -96,8 +99,8 @@ OPEN = """a channel of 2 m x 1 m, at whose left end the velocity is that of the 
           comes in, at whose right end there is no stress; 168 triangles, a height from each end"""
 for name, is_open in (("waters-king", False), ("waters-king-in-and-out", True)):
     CASES(f"""{name}
-        The start-up of plane channel flow of an Oldroyd-B fluid overshoots as the series
-          says{", also between an inlet and an outlet" * is_open}.
+        The start-up of plane channel flow of an Oldroyd-B fluid overshoots as in the series
+          solution{", also between an inlet and an outlet" * is_open}.
         label: Waters and King 1970
         setting: Density 1, body force 1 N/m3, eta_s = 0.1 and eta_p = 1 Pa s, lambda = 1 s, K_e = 200 Pa;
           {OPEN if is_open else "channel of height 1 m, cells of 0.15 m"}; 40, 80 and 160 steps until 4 s.
@@ -109,24 +112,26 @@ for name, is_open in (("waters-king", False), ("waters-king-in-and-out", True)):
 
 
 # --- an Oldroyd-B fluid past a cylinder that blocks half of a channel ----------------------------------
-"""Half of the channel by symmetry, radius and mean velocity 1; fluid comes in with the stretch of the flow
-between plates, and leaves under that flow's stress.  A Weissenberg number Wi is the relaxation time, s; each
-run starts from the state of the one before.
+"""Half of the channel by symmetry, with radius and mean velocity 1. The fluid enters with the stretch of the
+flow between plates, and leaves under the stress of this flow. The Weissenberg number Wi is the relaxation
+time, s; each run starts from the last state of the run before.
 
-What ends runs of larger Wi is that det B turns negative at points of some cells, first at the channel's wall.
+Runs of larger Wi end because det B turns negative at points of some cells, first at the channel's wall.
 """
 
 BETA, DENSITY, BULK, DT = 0.59, 0.01, 2e4, 0.25
-"""The solvent's share of the viscosity, which is 1 Pa s; kg/m^3: Re = 0.01; Pa; s."""
+"""The solvent's share of the viscosity of 1 Pa s; density, kg/m^3, with Re = 0.01; bulk modulus, Pa; step,
+s."""
 PUBLISHED = {0.3: 123.193, 0.4: 120.596, 0.5: 118.836, 0.6: 117.775}
-"""Drag, N/m, by Wi: Hulsen, Fattal and Kupferman 2005."""
+"""Published drag, N/m, by Wi (Hulsen, Fattal and Kupferman 2005)."""
 NEWTONIAN = 132.358
 LENGTHS = (-4.0, -2.0, 4.0, 8.0)
-"""Where the channel begins and ends, and its finer part, m."""
+"""The ends of the channel and of its finer part, m."""
 
 
 def half_channel() -> Mesh:
-    """Its upper half: cells of 0.07 m at the cylinder, 0.25 m near it at wall and axis, else 0.8 m."""
+    """The channel's upper half, with cells of 0.07 m at the cylinder, 0.25 m near it at wall and axis, else
+    0.8 m."""
     outline = WorkPlane().MoveTo(LENGTHS[0], 0.0)
     for s in LENGTHS[1:]:
         outline.LineTo(s, 0.0)
@@ -151,9 +156,9 @@ def half_channel() -> Mesh:
 
 
 def _past_cylinder(mesh: Mesh, wi: float, forces: nv.WallForces) -> nv.Simulation:
-    """From rest, of which nothing is left where it goes on from another one."""
+    """The simulation, with an inflow that grows from rest; in a continued run the growth has ended."""
     chains, grown = 1 - BETA, 1 - exp(-6 * nv.time)
-    rate = -0.75 * y * grown  # of shear in the flow between plates
+    rate = -0.75 * y * grown  # shear rate of the flow between plates
     B = CF((1 + 2 * (wi * rate) ** 2, wi * rate, 0, wi * rate, 1, 0, 0, 0, 1), dims=(3, 3))
     profile = 1.5 * (1 - y * y / 4) * grown
     return nv.Simulation(
@@ -178,7 +183,7 @@ def _past_cylinder(mesh: Mesh, wi: float, forces: nv.WallForces) -> nv.Simulatio
 
 @CASES(f"""oldroyd-b-past-a-cylinder
     The drag of an Oldroyd-B fluid on a cylinder that blocks half of a channel falls with the Weissenberg
-      number as is published.
+      number as published.
     label: Hulsen, Fattal, Kupferman 2005; Fan, Tanner, Phan-Thien 1999
     setting: Channel 4 m wide from x = {LENGTHS[0]:g} to {LENGTHS[-1]:g} m, half of it, radius and mean
       velocity 1, viscosity 1 Pa s of which the solvent has {BETA:g}, K_e = {BULK:g} Pa, Re = {DENSITY:g}; k =

@@ -1,7 +1,7 @@
 """Columns at rest under their weight: rock in a box, and one so soft that its density grows by half.
 
-Of phi = K/2 (J - 2 + 1/J) the pressure is K (1 - J).  With rho = rho_R/J it grows by rho_R g/J a metre, so
-that J = sqrt(1 - 2 rho_R g s/K) at the depth s.
+The energy phi = K/2 (J - 2 + 1/J) has the pressure K (1 - J).  With rho = rho_R/J the pressure grows by
+rho_R g/J a metre, so that J = sqrt(1 - 2 rho_R g s/K) at the depth s.
 """
 
 import numpy as np
@@ -17,15 +17,15 @@ from tests.verification.setups import stokes
 CASES = Cases("Bodies and their interfaces")
 
 DEPTH, GRAVITY, DENSITY = 1e4, 9.81, 2700.0
-"""m, m/s^2, kg/m^3."""
+"""Depth, m; gravity, m/s^2; density, kg/m^3."""
 BULK, SHEAR, VISCOSITY = 5e10, 3e10, 1e9
-"""Pa, Pa, Pa s, of rock."""
+"""Bulk and shear modulus, Pa, and viscosity, Pa s, of rock."""
 SOFT = 1e9
-"""Pa: the bulk modulus of a column whose density grows by 46 % to its base."""
+"""Bulk modulus, Pa, of a column whose density grows by 46 % to its base."""
 BASE = DENSITY * GRAVITY * DEPTH
-"""265 MPa."""
+"""Pressure at the base, 265 MPa."""
 STEPS, STEP = 20, 5.0
-"""Steps of so many seconds: a wave of compression goes through the rock in 1.9 s."""
+"""Number and length of the steps, s: a wave of compression goes through the rock in 1.9 s."""
 
 
 def _rock(equilibrium: str | None, density: CF, cells: tuple[int, int] = (4, 8)) -> nv.Simulation:
@@ -51,8 +51,9 @@ def _fastest(run: nv.Simulation) -> float:
 
 
 @CASES(f"""rock-at-rest
-    Ten kilometres of rock, uniform, in two layers, and so soft that their density grows by half, start
-      with the pressure of what lies above, and stay at rest.
+    Ten kilometres of rock - uniform, in two layers, or so soft that the density grows by half - start with
+    the
+      pressure of the overlying weight, and stay at rest.
     label: benchmark: hydrostatic equilibrium of a compressible column
     setting: Box of {DEPTH / 1e3:g} km x {DEPTH / 1e3:g} km with slip, K = {BULK:g} Pa, G = {SHEAR:g} Pa,
       viscosity {VISCOSITY:g} Pa s, {DENSITY:g} kg/m3 (2000 over 3000 in layers of 5 km), {GRAVITY:g} m/s2;

@@ -28,10 +28,10 @@ from tests.verification.setups import SWIRL, fluid, stokes
 CASES = Cases("Bodies and their interfaces")
 
 # --- two discs that meet -------------------------------------------------------------------------------
-"""There is one velocity field: what keeps two bodies apart is that it is continuous, and what lets them part
-is that the film of the medium between them opens again.  The mesh is its own image under a turn by a half
-about the middle, and so is the motion: momentum and places of both are opposite to rounding, until limiters
-decide differently at a threshold.
+"""There is one velocity field. Its continuity keeps two bodies apart, and they can part because the film of
+the medium between them opens again. The mesh is its own image under half a turn about the middle, and so is
+the motion: momenta and places of both discs are opposite to rounding, until limiters decide differently at a
+threshold.
 """
 
 SIZE, CELLS, RADIUS = (1.4, 0.8), (14, 8), 0.21
@@ -46,7 +46,8 @@ Scheme = Literal["backward-euler", "midpoint"]
 
 
 def thrown(X: float) -> CoefficientFunction:
-    """Solenoidal, nearly uniform in a disc about (X, H/2), and zero farther than ``REACH`` from there."""
+    """A solenoidal velocity, nearly uniform in a disc about (X, H/2), and zero from the distance ``REACH``
+    on."""
     Y = SIZE[1] / 2
     r2 = (x - X) ** 2 + (y - Y) ** 2
     left = IfPos(REACH**8 - r2**4, 1 - r2**4 / REACH**8, 0.0)
@@ -59,7 +60,7 @@ def discs(
 ) -> tuple[nv.Simulation, nv.Bodies]:
     """The run at its start, and its table.
 
-    ``thickness`` is that of all viscosities over the setting's, ``light`` the medium's density, kg/m^3."""
+    ``thickness`` multiplies all viscosities; ``light`` is the medium's density, kg/m^3."""
     thin, thick = (stokes(thickness * viscosity) if thickness else None for viscosity in (THIN, DAMPING))
     solid = nv.ReferentialNeoHookean(K_e=BULK, G_e=SHEAR / 2)
     bodies = [nv.Body(name="medium", material=fluid(SOFT), viscosity=thin, density=light)]
@@ -79,19 +80,19 @@ def discs(
 
 
 def _gap(table: nv.Bodies) -> float:
-    """The least, m."""
+    """The smallest gap between the discs, m."""
     return float((table.column("right_x_min") - table.column("left_x_max")).min())
 
 
 def taken(run: nv.Simulation) -> np.ndarray:
-    """Energy that each step takes by the model, and by the scheme, J/m, (2, steps)."""
+    """Energy that the model, and the scheme, dissipate in each step, J/m, (2, steps)."""
     ledger = run.ledger
     rates = [ledger.column(entry.name) for entry in ledger.entries if entry.kind == "dissipation"]
     return np.array([ledger.column("dt") * sum(rates), sum(ledger.column(name) for name in NUMERICAL)])[:, 1:]
 
 
 class Overlap(nv.Observer):
-    """Notes int theta_1 theta_2 over the area of a disc, step by step."""
+    """Records int theta_1 theta_2 over the area of a disc, step by step."""
 
     def __init__(self) -> None:
         self.values: list[float] = []
@@ -103,8 +104,9 @@ class Overlap(nv.Observer):
 
 
 @CASES(f"""discs-that-meet (reduced)
-    Two elastic discs that are thrown at each other meet, do not overlap, and part again; what they lose is
-      what is dissipated.
+    Two elastic discs, thrown at each other, meet, do not overlap, and part again; the energy that they lose
+    is
+      dissipated.
     label: benchmark: after Sulsky, Chen and Schreyer (1994)
     setting: Discs of {RADIUS:g} m, 1 kg/m3, K_e = {BULK:g} Pa, G = {SHEAR:g} Pa, {DAMPING:g} Pa s, at
       {SPEED:g} m/s each; box of {SIZE[0]:g} m x {SIZE[1]:g} m, medium of {LIGHT:g} kg/m3, {SOFT:g} Pa and
@@ -155,17 +157,17 @@ def _collision() -> Measured:
 # --- bodies without a load -----------------------------------------------------------------------------
 """Bodies without a load lose energy: by backward Euler in every step, by the midpoint rule to third order.
 
-The energy of bodies is jointly convex in all that they carry, so that ``bregman``, what backward Euler takes
-in a step, is >= 0 at every point, and so is what the limiter takes.  Negative parts are summed for
-themselves: a signed sum would hide them.
+The energy of bodies is jointly convex in all their variables. Therefore ``bregman``, the energy that backward
+Euler dissipates in a step, is >= 0 at every point, and so is the energy that the limiter removes. Negative
+parts are summed separately: a signed sum would hide them.
 
-The control is an energy by fractions, sum theta_i f_i(X/N) N of one tensor X = sum X_i for all: convex in X
-for each body, but not jointly so.
+The control is an energy by fractions, sum theta_i f_i(X/N) N with one tensor X = sum X_i for all bodies: it
+is convex in X for each body, but not jointly convex.
 """
 
 MEETING, MET, WRONG, THROWN, LIGHTEST, SHORT = 0.04, 1.4, 0.2, 0.005, 1e-3, (6.25e-4, 3.125e-4)
-"""Steps of discs that meet, and until when, by backward Euler, the control and the midpoint rule, s; the
-medium's density, kg/m^3; the midpoint rule's steps, s."""
+"""Steps and ends, s, of discs that meet, for backward Euler, the control and the midpoint rule; the medium's
+density, kg/m^3; the midpoint rule's steps, s."""
 
 
 _BOUNDS = """- largest rise in a step, backward Euler <= 1e-10: never, but for rounding and tolerance
@@ -178,7 +180,7 @@ STRETCH, EULER, MIDPOINT = 0.05, 0.02, (0.0025, 0.00125)
 
 
 def by_fractions(material: Mixture, z: Values) -> dict[str, Any]:
-    """N f_i(X/N) theta_i by the bodies' names, Pa, with X = sum X_i, that of a fluid n I."""
+    """N f_i(X/N) theta_i by the bodies' names, Pa, with X = sum X_i; a fluid has the tensor n I."""
     fractions, shears = material.fractions, _SHEARS
     theta, total = fractions.at(z), fractions.total(z)
     own = {name: material.contents(name) for name in fractions.bodies}
@@ -193,7 +195,7 @@ _SHEARS = Mixture.shears
 
 @contextmanager
 def control() -> Iterator[None]:
-    """Bodies with the energy ``by_fractions``, which is not convex: upwinding gives energy, and says so."""
+    """Bodies with the energy ``by_fractions``, which is not convex: upwinding releases energy, and warns."""
     with patch.object(Mixture, "shears", by_fractions), warnings.catch_warnings():
         warnings.simplefilter("ignore", DissipationWarning)
         yield
@@ -231,7 +233,7 @@ def _energy_and_slope(simulation: nv.Simulation) -> Any:
 
 
 class Balance:
-    """Changes of a run's energy until a time, over a scale, J/m, or its first kinetic energy."""
+    """Changes of a run's energy until a time, relative to a scale, J/m, or to the initial kinetic energy."""
 
     def __init__(self, name: str, run: nv.Simulation, until: float, scale: float = 0.0) -> None:
         run.observers.append(distances := Distances())
@@ -248,7 +250,7 @@ class Balance:
 def _stiff_in_soft(
     mesh: Mesh, where: Any, start: nv.Initial, scheme: Scheme, tau: float, bulk: float = 10.0, **options: Any
 ) -> nv.Simulation:
-    """Two bodies, stiff : soft 100 : 1; ``bulk`` is K_e of the stiff one, Pa."""
+    """Two bodies with the ratio 100 : 1 of stiffnesses; ``bulk`` is K_e of the stiff one, Pa."""
     stiff, soft = (nv.ReferentialNeoHookean(K_e=K, G_e=G) for K, G in ((bulk, 50.0), (10.0, 0.5)))
     bodies = (
         nv.Body(name="stiff", where=where, material=stiff, density=1.0),
@@ -259,7 +261,8 @@ def _stiff_in_soft(
 
 
 def translated(strained: str, scheme: Scheme = "backward-euler", tau: float = EULER) -> Balance:
-    """Carried through a periodic strip, one of the bodies is stretched: energies over the elastic excess."""
+    """Energies, over the elastic excess, of two bodies carried through a periodic strip, one of them
+    stretched."""
     mesh = MakeStructured2DMesh(quads=False, nx=6, ny=1, periodic_x=True, mapping=lambda s, t: (s, t / 6))
     inside, is_stiff = (x - 0.25) * (0.75 - x), strained == "stiff"
     stretch = 1 + STRETCH * IfPos(inside, float(is_stiff), float(not is_stiff))
@@ -271,7 +274,7 @@ def translated(strained: str, scheme: Scheme = "backward-euler", tau: float = EU
 
 
 def turned(scheme: Scheme, tau: float, until: float, bulk: float = 10.0, maxh: float = 0.2) -> Balance:
-    """A stiff disc in a soft solid, both turned by an eddy at first."""
+    """A stiff disc in a soft solid, both with the velocity of an eddy at the start."""
     start, where = nv.Initial(velocity=0.5 * CF(SWIRL)), nv.Ball((0.5, 0.5), 0.25)
     run = _stiff_in_soft(box((1, 1), maxh), where, start, scheme, tau, bulk)
     return Balance(f"{scheme}, K_e = {bulk:g} Pa", run, until)
@@ -291,8 +294,8 @@ def _balanced(euler: list[Balance], midpoint: list[Balance], controls: list[Bala
 
 
 @CASES(f"""unloaded-translation (reduced)
-    Two bodies of different stiffness in rigid translation, one of them strained, never gain energy by
-      backward Euler; with an energy mixed by fractions they do.
+    Two bodies of different stiffness in rigid translation, one of them strained, never gain energy with
+      backward Euler; with an energy mixed by fractions they gain energy.
     label: FORMULATION.md, Section 9
     setting: Periodic strip of 1 m x 1/6 m, 12 triangles, at 1 m/s; G_e = 50 and 0.5 Pa, K_e = 10 Pa, 1 kg/m3;
       a stretch of {STRETCH:g}; tau = {EULER:g} s until 0.5 s, midpoint with {MIDPOINT[0]:g} and
@@ -313,8 +316,8 @@ def _translation() -> Measured:
 
 
 @CASES(f"""unloaded-disc
-    A stiff disc in a soft solid, both turned by an eddy and then left alone, never gain energy by backward
-      Euler; the midpoint rule leaves a remainder of third order.
+    A stiff disc in a soft solid, both started with an eddy and not loaded, never gain energy with backward
+      Euler; the midpoint rule has an energy error of third order.
     label: FORMULATION.md, Section 9
     setting: Unit box (slip), cells of 0.2 m, disc of 0.25 m; the strip's bodies; K_e of the disc four times
       that, too; tau = {EULER:g} s until 0.3 s, midpoint with {MIDPOINT[0]:g} and {MIDPOINT[1]:g} s until
@@ -334,8 +337,8 @@ def _disc() -> Measured:
 
 
 @CASES(f"""unloaded-collision
-    Two elastic discs that are thrown at each other in a light medium, all without viscosity, never gain
-      energy by backward Euler; the midpoint rule leaves a remainder of third order.
+    Two elastic discs, thrown at each other in a light medium, all without viscosity, never gain energy with
+      backward Euler; the midpoint rule has an energy error of third order.
     label: FORMULATION.md, Section 9
     setting: The discs of discs-that-meet in a medium of {LIGHTEST:g} kg/m3 without viscosity, bulk moduli 20
       : 1, k = 1, m = 0; tau = {MEETING:g} s until {MET:g} s, midpoint with {SHORT[0]:g} and {SHORT[1]:g} s
@@ -366,18 +369,19 @@ def _unloaded_collision() -> Measured:
 
 
 # --- a jelly that drops --------------------------------------------------------------------------------
-"""To 5 s it comes by the bounds of the tensors (``Mixture.positive``): without these X has an eigenvalue of
--136 at 4.84 s in four cells at the floor, where half is jelly, and velocities rise from 0.2 to 19 m/s."""
+"""The run reaches 5 s only with the bounds on the tensors (``Mixture.positive``). Without them X has an
+eigenvalue of -136 at 4.84 s in four cells at the floor, which are half jelly, and velocities rise from 0.2 to
+19 m/s."""
 
 K_JELLY, G_JELLY, VISCOSITY = 50.0, 1.0, 1e-3
-"""K_e of both, G_e of the jelly, Pa; of both, Pa s."""
+"""K_e of both bodies, and G_e of the jelly, Pa; viscosity of both bodies, Pa s."""
 THOUSANDTH, R_JELLY, GRAVITY = 1e-3, 0.2, 1.0
-"""Density of the medium, kg/m^3; m; m/s^2."""
+"""Density of the medium, kg/m^3; radius of the jelly, m; gravity, m/s^2."""
 TAU_JELLY, SETTLED, FALLING = 0.005, 5.0, 0.2
 
 
 def dropped(until: float) -> tuple[nv.Simulation, nv.Bodies]:
-    """The run until a time, s, and its table."""
+    """Run until a time, s, and return the run and its table."""
     jelly, thin = nv.Ball((0.5, 0.5), R_JELLY), stokes(VISCOSITY)
     solid = nv.ReferentialNeoHookean(K_e=K_JELLY, G_e=G_JELLY)
     bodies = (
@@ -389,7 +393,7 @@ def dropped(until: float) -> tuple[nv.Simulation, nv.Bodies]:
         box((1, 1), 0.1),
         nv.Model(bodies=bodies, loads=(nv.Gravity((0.0, -GRAVITY)),)),
         time=nv.TimeSteps(dt=TAU_JELLY, velocity_scale=1.0),
-        discretisation=nv.Discretisation(k=3),  # P_2 locks where volumes are stiff
+        discretisation=nv.Discretisation(k=3),  # velocities of order 2 lock with stiff volumes
         observers=[table],
     )
     run.run(until)
@@ -397,8 +401,8 @@ def dropped(until: float) -> tuple[nv.Simulation, nv.Bodies]:
 
 
 @CASES(f"""jelly-in-a-light-medium
-    A jelly in a medium of a thousandth of its density drops as free fall says, bounces and settles; no step
-      is repeated, and the total energy never rises by backward Euler.
+    A jelly in a medium of a thousandth of its density drops in free fall, bounces and settles; no step is
+      repeated, and with backward Euler the total energy never rises.
     label: FORMULATION.md, Section 9
     setting: Unit box (slip), jelly of {R_JELLY:g} m in its middle, G_e = {G_JELLY:g} Pa, K_e = {K_JELLY:g} Pa
       in both, densities 1 and {THOUSANDTH:g} kg/m3, {VISCOSITY:g} Pa s, g = {GRAVITY:g} m/s2; 230 triangles,

@@ -30,14 +30,14 @@ from tests.verification.setups import around, elastic
 
 CASES = Cases("Exact solutions: flow rules")
 
-# --- at a point: the rates once more, in NumPy and by the literature's formulas, which SciPy integrates ---
+# --- at a point: the rates by the literature's formulas in NumPy, integrated by SciPy ------------------
 
 Rate = Callable[[float, float, float], float]
-"""|Pi|, 1/s, of |M|, Pa, the plastic strain k and the pressure p, Pa."""
+"""|Pi|, 1/s, as a function of |M|, Pa, the plastic strain k and the pressure p, Pa."""
 
 
 def over(m: float, tension: float) -> float:
-    """Excess of |M| over the size of a uniaxial stress."""
+    """Excess of |M| over the norm of a uniaxial stress."""
     return max(m - math.sqrt(2 / 3) * tension, 0.0)
 
 
@@ -77,12 +77,14 @@ SHEAR_RATE, UNTIL, STEPS = 1.0, 1.0, (20, 40)
 
 
 def final_stress(kind: str, rate: Rate, factor: float) -> float:
-    """T_12 after start-up of shear by the equations of the tensor and of k, with a factor of the rate."""
+    """T_12 after start-up of shear, by the equations of the tensor and of k; ``factor`` multiplies the
+    rate."""
 
     def derivative(_: float, values: np.ndarray) -> np.ndarray:
         A, k = values[:9].reshape(3, 3), values[9]
         M = mandel(kind, A)
-        # that of the linearised model has the energy per actual volume in it, the other none at J = 1
+        # M of the linearised model includes the energy per actual volume; at finite strain, J = 1, it does
+        # not
         p = -G * float((deviator(A) ** 2).sum()) if kind == "linearised" else 0.0
         m = float(np.linalg.norm(M))
         size = factor * rate(m, k, p)
@@ -128,11 +130,11 @@ def _point() -> Measured:
 
 
 MIDPOINT = {"linear": True, "Norton, n = 3": True, "Bingham": False, "linear hardening": False}
-"""Rules, and whether their rate has a derivative; those with yield begin to flow within a step."""
+"""Rules, and whether their rate has a derivative; rules with yield begin to flow within a step."""
 
 
 @CASES("""flow-rules-midpoint
-    The midpoint rule is of second order with creep, and with yield too, although that begins within a step.
+    The midpoint rule is of second order with creep, and also with yield, which begins within a step.
     label: Euler-small-flow-rule, ED-Euler-large3
     setting: As flow-rules-startup; 10 to 80 steps of the midpoint rule, order over all of them.
     - least order of a rate with a derivative >= 1.85: second order
@@ -157,7 +159,7 @@ def _midpoint() -> Measured:
 
 
 @CASES("""norton-relaxation
-    A stress relaxes by power-law creep as the closed form says.
+    A stress relaxes by power-law creep as in the closed form.
     label: Euler-small-flow-rule
     setting: n = 3, A = 0.3/(s Pa^3), G = 1 Pa; a box that cannot move, stretched by 0.5, until 1 s.
     - rate of |E| >= 0.85: implicit Euler
@@ -180,19 +182,19 @@ def _relaxation() -> Measured:
 
 
 @CASES("""viscoplastic-flow-curve
-    The shear stress of a steady flow is that of Bingham's and Perzyna's fluids at its rate.
+    The shear stress of a steady flow equals that of Bingham's and Perzyna's fluids at the same rate.
     label: Bingham 1916, Perzyna 1966
     setting: sigma_Y = 1.5 Pa, G_m = 0.2 Pa s, G = 200 Pa; a channel of 1 m sheared by 0.1 in 20 steps.
     - largest relative error of T_12 <= 1e-3: what is elastic turns by (T_12/G)^2 and less
     - closure
     """)
 def _flow_curve() -> Measured:
-    """T_12 = sigma_Y/sqrt(3) + G_m rate/2 of Bingham's fluid, and the like with an exponent."""
+    """T_12 = sigma_Y/sqrt(3) + G_m rate/2 of Bingham's fluid, and the analogue with an exponent."""
     sigma_Y, G_m, rows, mesh = 1.5, 0.2, [], channel(1, 1, maxh=1.0)
     s, material = math.sqrt(2 / 3) * sigma_Y, nv.LinearElastic(K_e=200.0, G_e=200.0)
     for n, rate in product((1.0, 2.5), (0.1, 1.0, 10.0)):
         rule = nv.Perzyna(sigma_Y=sigma_Y, G_m=G_m, n=n)
-        # sheared by a tenth: a hundred times the shear at which it yields
+        # a shear of a tenth is a hundred times the shear at yield
         _, values = sheared(material, 0.005 / rate, 0.1 / rate, rate=rate, creep=rule, mesh=mesh)
         exact = (s + s * (G_m * rate / math.sqrt(2) / s) ** (1 / n)) / math.sqrt(2)
         rows.append([n, rate, values[-1, 1], exact, abs(values[-1, 1] / exact - 1)])
@@ -202,8 +204,8 @@ def _flow_curve() -> Measured:
 
 
 # --- steady flows between walls ------------------------------------------------------------------------
-"""The fluid is an elastoviscoplastic one: Bingham's flow rule (``Perzyna``, n = 1) in a stiff elastic body,
-no viscosity of the state.  What is elastic is of the size of stress/G."""
+"""The fluid is elastoviscoplastic: Bingham's flow rule (``Perzyna``, n = 1) in a stiff elastic body without
+viscosity.  Elastic effects have the size of stress/G."""
 
 TAU_Y, ETA, STIFF = 0.2, 0.1, 100.0
 """Yield stress in shear, Pa, plastic viscosity, Pa s, modulus of shear, Pa."""
@@ -216,11 +218,11 @@ def bingham(kind: str, loads: tuple[nv.BodyForce, ...] = ()) -> nv.Model:
 
 
 FORCE = 1.0
-"""Along the channel, N/m^3."""
+"""Body force along the channel, N/m^3."""
 
 
 def profile(y: np.ndarray, tau_Y: float) -> np.ndarray:
-    """v_1 over 0 <= y <= 1: a plug where the shear stress FORCE (1/2 - y) is below tau_Y."""
+    """The velocity v_1 for 0 <= y <= 1, with a plug where the shear stress FORCE (1/2 - y) is below tau_Y."""
     sheared = 0.5 - tau_Y / FORCE
     near = np.minimum(np.minimum(y, 1 - y), sheared)
     return FORCE / (2 * ETA) * near * (2 * sheared - near)
@@ -257,11 +259,11 @@ def _channel(kind: str) -> Measured:
 
 
 R_I, R_O, R_Y = 1.0, 2.0, 1.5
-"""Radii of the walls and of where the shear stress TAU_Y R_Y^2/r^2 is at yield, m."""
+"""Radii, m, of the walls, and of the circle on which the shear stress TAU_Y R_Y^2/r^2 is at yield."""
 
 
 def turning(r: np.ndarray) -> np.ndarray:
-    """The angular velocity, 1/s, of the shear stress TAU_Y R_Y^2/r^2."""
+    """The angular velocity, 1/s, with the shear stress TAU_Y R_Y^2/r^2."""
     torque = TAU_Y * R_Y**2
     r = np.minimum(r, R_Y)
     return torque / (2 * ETA) * (1 / r**2 - 1 / R_Y**2) - TAU_Y / ETA * np.log(R_Y / r)
@@ -308,8 +310,9 @@ for kind in BINGHAMS:
         - closure
         """)(partial(_channel, kind))
     CASES(f"""bingham-couette-{kind}
-        Bingham's fluid around a turning cylinder in {NAMES[kind]} flows as the closed form says, and rests
-          beyond the radius of yield.
+        Bingham's fluid around a turning cylinder in {NAMES[kind]} flows by its closed form, and rests beyond
+        the
+          radius of yield.
         label: Bingham 1916, Reiner and Riwlin 1927
         setting: The same fluid between 1 m, turning at {OMEGA:.4f}/s, and 2 m; yield ends at 1.5 m; 0.01
           kg/m3, 8 steps of 0.1 s from the velocity of a linear fluid without stress, by the split solver; h =
@@ -332,7 +335,7 @@ for kind in BINGHAMS:
     - closure
     """)
 def _norton_creep() -> Measured:
-    """Shear by a traction on the wall: rate = 2 A (sqrt(2) tau)^(n-1) tau."""
+    """Shear by a traction on the wall, with rate = 2 A (sqrt(2) tau)^(n-1) tau."""
     A = 0.3
     rows: list[list[Any]] = []
     for kind, n, tau in product(BINGHAMS, (1.0, 3.0, 5.0), (0.5, 1.0, 2.0)):
@@ -347,7 +350,7 @@ def _norton_creep() -> Measured:
         run.run(0.1 / exact)
         found = float(run.fields["velocity"](run.mesh(0.4, 1.0))[0])
         rows.append([kind, n, tau, found, exact, abs(found / exact - 1)])
-    pairs = zip(rows[::3], rows[2::3], strict=True)  # tractions that are four times each other
+    pairs = zip(rows[::3], rows[2::3], strict=True)  # tractions with the ratio of four
     exponents = [abs(math.log(b[3] / a[3]) / math.log(4) - a[1]) for a, b in pairs]
     yield "largest relative error of the rate", max(row[-1] for row in rows)
     yield "largest error of the exponent", max(exponents)

@@ -21,7 +21,7 @@ CASES = Cases("Exact solutions: layers and fronts")
 def _stokes(creeping: bool) -> Measured:
     """Viscosity 1e-2 Pa s, as a Stokes viscosity or as the creep of a Maxwell fluid (lambda = 1 ms)."""
     eta, top, begin, end = 1e-2, 0.1, 0.25, 1.0
-    # exact fluid at t = 0.25 s: the wall's jump has become a layer of 0.05 m
+    # exact for a fluid at t = 0.25 s: the jump at the wall has become a layer of 0.05 m
     profile, exact = (top * erf(y / (2 * math.sqrt(eta * t))) for t in (begin, end))
     table, curves = RateTable("error of v_1 at t = 1 s, relative to 0.1 m/s", "tau, s"), []
     ys = np.linspace(0.0, 1 - 1e-12, 41)
@@ -32,7 +32,7 @@ def _stokes(creeping: bool) -> Measured:
             creep=nv.Creep(G_m=2 * eta) if creeping else None,
         )
         walls: Conditions = {"bottom": nv.NoSlip(), "top": nv.PrescribedTangential((top, 0.0))}
-        # a Maxwell fluid starts with the stress of the layer it starts with
+        # a Maxwell fluid starts with the stress of its initial layer
         slope = profile.Diff(y) * (eta / 20.0 if creeping else 0.0)
         E_0 = CF((0, slope, 0, slope, 0, 0, 0, 0, 0), dims=(3, 3))
         initial = nv.Initial(velocity=(profile, 0.0), values={"E": E_0})
@@ -71,7 +71,8 @@ for name, what, creeping in (
 def _lagrangian(times: list[float], line: np.ndarray, cells: int = 400) -> np.ndarray:
     """rho at the places ``line``, (times, places), of a periodic tube, by ordinary differential equations.
 
-    lambda' = d_X v, v' = d_X (P + (K_v + 4/3 G_v) lambda'/lambda), P = dW/dlambda of F = diag(lambda, 1, 1).
+    They are lambda' = d_X v, v' = d_X (P + (K_v + 4/3 G_v) lambda'/lambda), P = dW/dlambda of F =
+    diag(lambda, 1, 1).
     """
     X = np.arange(cells) / cells
 
@@ -97,8 +98,8 @@ def _steepest(profiles: np.ndarray, line: np.ndarray) -> float:
 
 
 @CASES("""pulse-neo-hookean
-    In a strong compression pulse with a steep front rho det F stays rho_0 in the limit, though rho and J and
-      det F are transported apart, and rho meets the Lagrangian solution.
+    In a strong compression pulse with a steep front rho det F tends to rho_0, although rho, J and det F are
+      transported separately, and rho tends to the Lagrangian solution.
     label: 1/J-continuity-eq, DT-det-extended
     setting: Periodic tube of 1 m, v = sin(2 pi x) m/s at first, K_e = 1 Pa, G_e = 0.5 Pa, K_v = G_v =
       0.02 Pa s, until 0.4 s; 10, 20, 40, 80 cells with twice as many steps. Reference: the ordinary
@@ -180,7 +181,7 @@ for kind in KINDS:
     claim = "F = R(t), to first order in tau" if finite else "E = 0 and v, for any step"
     rate = "H in tau >= 0.85: implicit Euler" if finite else "[v; E] in h >= 1.5: v.n = 0 on curved cells, P2"
     CASES(f"""rotation-{kind}
-        A disc in rigid rotation stays so: {claim}.
+        A disc stays in rigid rotation: {claim}.
         label: {"ED-Euler-large2" if finite else "ZJ"}
         setting: Disc of radius 1 m with slip (curved cells), 1 turn in 2 pi s, K_e = 10 Pa, G_e = 5 Pa, K_v =
           G_v = 0.1 Pa s, centripetal body force; a quarter of a turn in 8, 16, 32 steps, h = 0.4
@@ -216,7 +217,7 @@ def _couette(kind: str, sizes: tuple[float, float]) -> Measured:
 
 for kind, name in NAMES.items():
     finite = kind != "linearised"
-    sizes = (0.7, 0.35) if finite else (0.5, 0.25)  # a finite-strain step costs ten times as much
+    sizes = (0.7, 0.35) if finite else (0.5, 0.25)  # a step at finite strain costs ten times as much
     CASES(f"""couette-{kind}
         The shear stress of a Maxwell fluid between cylinders in {name} is eta times that of the closed form.
         label: {"Euler-small-flow-rule" if not finite else "ED-Euler-large3"}

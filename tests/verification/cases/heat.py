@@ -1,4 +1,4 @@
-"""Heat against theory: expansion, waves, conduction, flows that carry it and flows that heat."""
+"""Heat against theory: expansion, waves, conduction, transport by a flow, and heating by a flow."""
 
 import math
 from typing import Any
@@ -17,7 +17,7 @@ CASES = Cases("Heat")
 
 # --- bodies at rest and waves --------------------------------------------------------------------------
 
-# an elastic body whose heat matters: COUPLING^2 THETA_R/C is a quarter of its stiffness
+# an elastic body with strong thermal coupling: COUPLING^2 THETA_R/C is a quarter of its stiffness
 STIFFNESS, C, THETA_R, COUPLING = 4.0, 2.0, 5.0, 0.6
 SMALL = 1e-4
 IDEAL = nv.Thermal(c=2.5, gruneisen=0.4, theta_R=1.0)
@@ -25,7 +25,7 @@ IDEAL = nv.Thermal(c=2.5, gruneisen=0.4, theta_R=1.0)
 
 
 def _elastic(conductivity: float = 0.0, warm: bool = True) -> nv.Model:
-    """A body with a stiffness for waves of ``STIFFNESS``, with heat or without."""
+    """A body, with heat or without, whose waves have the stiffness ``STIFFNESS``."""
     K = STIFFNESS - 4 / 3 * 2.0
     cold = nv.LinearElastic(K_e=K, G_e=2.0)
     if not warm:
@@ -35,7 +35,7 @@ def _elastic(conductivity: float = 0.0, warm: bool = True) -> nv.Model:
 
 
 @CASES("""heat-clamped (reduced)
-    A clamped body that is heated does not move, and has the pressure K beta dtheta.
+    A heated clamped body does not move, and has the pressure K beta dtheta.
     label: Duhamel and Neumann's law; heat-energy of FORMULATION
     setting: Box of 1 m with walls all around, 3 W/m^3 for 1 s, c = 2 J/(m^3 K); midpoint rule.
     - error of the pressure K beta dtheta, relative <= 1e-8: of the step alone; set after a first run
@@ -66,7 +66,7 @@ def _period(
     density: CoefficientFunction | None = None,
     mode: CoefficientFunction | None = None,
 ) -> float:
-    """Four times the first zero of int rho v . mode of a standing wave, without more said of 2 m."""
+    """The period: four times the first zero of int rho v . mode of a standing wave, 2 m long by default."""
     mode = sin(pi * x) if mode is None else mode
     start = nv.Initial(density=1.0 if density is None else None, velocity=(SMALL * mode, 0.0))
     mesh = structured_box((1, 0.2), (10, 2))
@@ -80,8 +80,10 @@ def _period(
 
 
 def _beside(other: nv.Thermal, bulk: float, rho: float) -> tuple[float, float]:
-    """Periods, measured and exact, of an ideal gas beside another body of the density rho with the bulk
-    modulus ``bulk``, half of the box each: Z_1 cot(omega/(2 c_1)) + Z_2 cot(omega/(2 c_2)) = 0."""
+    """Measured and exact periods of an ideal gas beside a body of density rho and bulk modulus ``bulk``.
+
+    Each fills half of the box; the exact frequency solves Z_1 cot(omega/(2 c_1)) + Z_2 cot(omega/(2 c_2)) =
+    0."""
     speeds, impedances = np.sqrt([1.4, bulk / rho]), np.sqrt([1.4, bulk * rho])
 
     def excess(omega: float) -> float:
@@ -99,19 +101,20 @@ def _beside(other: nv.Thermal, bulk: float, rho: float) -> tuple[float, float]:
 
 
 def _stiffened() -> tuple[nv.Model, float]:
-    """A stiffened gas, p + p_inf = Gamma c theta/J, at p = 0; how far a wave of it leaves its isentrope."""
+    """Deviation from the isentrope of a wave in a stiffened gas, p + p_inf = Gamma c theta/J, at p = 0."""
     Gamma, c, pressure = 3.4, 2.5, 3.4 * 2.5
     model = nv.Model(material=nv.Thermal(c=c, gruneisen=Gamma, theta_R=1.0, p_infinity=pressure))
     start = nv.Initial(density=1.0, velocity=(0.1 * sin(pi * x), 0.0))
     run = nv.Simulation(box((1, 0.2), maxh=0.1), model, dt=0.005, initial=start, scheme="midpoint")
-    run.run(0.08)  # a quarter of its period of 0.327 s: the densities differ most
+    run.run(0.08)  # a quarter of the period of 0.327 s, when the densities differ most
     found = [(run.fields[n](run.mesh(x0, 0.1)) for n in ("pressure", "density")) for x0 in (0.05, 0.95)]
     return model, max(abs((p + pressure) / pressure / rho ** (1 + Gamma) - 1) for p, rho in found)
 
 
 @CASES("""heat-sound
-    Without conduction waves are isentropic, faster than isothermal ones, and so in a gas beside another or a
-    liquid.
+    Without conduction waves are isentropic, and faster than isothermal ones, also in a gas beside another gas
+    or
+    a liquid.
     label: c^2 = (M + (Gamma c)^2 theta_R/c)/rho, gamma p/rho of an ideal gas
     setting: Standing waves in a box of 1 m, 1e-4 m/s, cells of 0.1 m, steps of 0.01 s, midpoint rule;
       gases as bodies have 1 Pa, 1 K and half of the box each.
@@ -140,7 +143,8 @@ def _sound() -> Measured:
 
 
 def _slab_error(h: float, solver: str) -> float:
-    """Error of a slab that cools in its slowest mode, cos(b x) with b tan b = Bi, insulated at x = 0."""
+    """The error for a slab, insulated at x = 0, that cools in its slowest mode, cos(b x) with b tan b =
+    Bi."""
     kappa, c, coefficient, around = 0.4, 2.0, 0.6, 300.0
     b = brentq(lambda b: b * math.tan(b) - coefficient / kappa, 1e-3, 1.5)
     material = nv.Thermal(material=nv.LinearElastic(K_e=1e3, G_e=1e3), c=c, theta_R=around)
@@ -160,7 +164,7 @@ def _slab_error(h: float, solver: str) -> float:
 
 
 @CASES("""heat-slab
-    A slab cools through a wall in its slowest mode, at second order, by both solvers.
+    A slab cools through a wall in its slowest mode; the error is of second order with both solvers.
     label: Carslaw and Jaeger, b tan b = Bi; heat-wall
     setting: Slab of 1 m, Bi = 1.5, 50 K above its surroundings, until 0.4 s; dt = h/5, midpoint rule.
     - rate of the error >= 1.8: 2 by P1
@@ -178,7 +182,7 @@ def _slab() -> Measured:
 
 
 @CASES("""heat-brinkman
-    Viscous heating of plane Couette flow between plates that cool.
+    Viscous heating of plane Couette flow between cooling plates follows the closed form.
     label: Brinkman 1951; heat-entropy
     setting: Periodic channel of 1 m, eta V^2/kappa = 8 K, plates with 100 W/(m^2 K), until 0.5 s.
     - rate of the error >= 1.7: 2 by P1; set after a first run
@@ -213,7 +217,7 @@ def _thermoelastic(kappa: float) -> complex:
 
 
 @CASES("""heat-thermoelastic
-    Thermoelastic damping and dispersion, from adiabatic to isothermal waves.
+    Waves have the thermoelastic damping and dispersion of the linear theory, from adiabatic to isothermal.
     label: Zener 1937; Chadwick 1960: (rho s^2 + M k^2)(c s + kappa k^2) + (Gamma c)^2 theta_R s k^2 = 0
     setting: Standing waves of 2 m started in their modes, until 0.5 s; five conductivities.
     - largest error of velocity and temperature, of their amplitudes <= 5e-3: (omega dt)^2/12 omega T =
@@ -249,7 +253,7 @@ def _damping() -> Measured:
 START, RATE, ENERGY = 300.0, 2.0, 2e4
 """Start, K, shear rate, 1/s, activation energy, J/mol."""
 SPEED, INLET, KAPPA, SOURCE = 1.0, 310.0, 0.5, 10.0
-"""Numbers of a stream: m/s, K, W/(m K), W/m^3."""
+"""Numbers of a stream: velocity, m/s, temperature, K, conductivity, W/(m K), and source, W/m^3."""
 
 
 def _stream(cells: int, solver: str) -> nv.Simulation:
@@ -271,8 +275,9 @@ def _stream(cells: int, solver: str) -> nv.Simulation:
 
 
 @CASES(f"""heat-carried-through
-    A stream brings heat through an inlet, is heated on its way, and takes it out: its temperature, and the
-      balances of energy and entropy.
+    A stream brings heat through an inlet, is heated on its way, and takes heat out: its temperature agrees
+    with
+      the closed form, and energy and entropy balance.
     label: heat-entropy; c V theta' = q + kappa theta'' with the conditions of Danckwerts (1953)
     setting: 1 m x 0.25 m, {SPEED:g} m/s, inlet {INLET:g} K, c = {C:g} J/(m3 K), kappa = {KAPPA:g} W/(m K),
       source {SOURCE:g} W/m3; 4, 8 and 16 cells along, backward Euler until 12 s, where it is steady.
@@ -285,8 +290,10 @@ def _stream(cells: int, solver: str) -> nv.Simulation:
     - closure
     """)
 def _heated_stream() -> Measured:
-    """c V theta' = q + kappa theta'' from 0 to 1 with c V (theta - theta_in) = kappa theta' at 0 and
-    theta' = 0 at 1, as nothing is conducted beyond the walls (Danckwerts 1953)."""
+    """The solution of c V theta' = q + kappa theta'' from 0 to 1.
+
+    The conditions are c V (theta - theta_in) = kappa theta' at 0 and theta' = 0 at 1, as no heat is conducted
+    beyond the walls (Danckwerts 1953)."""
     rise, length, volume, rows = SOURCE / (C * SPEED), KAPPA / (C * SPEED), 0.25, []
     along = x - length * exp((x - 1) / length)
 
@@ -326,14 +333,14 @@ def _faster(theta: float) -> float:
 
 
 def _fluid(_t: float, u: np.ndarray) -> np.ndarray:
-    """c theta' = K rate^(n+1)/a."""
+    """The warming of a fluid by c theta' = K rate^(n+1)/a."""
     return np.array([K * RATE ** (N + 1) / _faster(u[0]) / C])
 
 
 def _body(_t: float, u: np.ndarray) -> np.ndarray:
-    """F' = L F - F Pi, Pi = a A |M|^(n-1) M, c theta' = M : Pi, of the elastic distortion in simple shear.
+    """The warming of a creeping body in simple shear by F' = L F - F Pi and c theta' = M : Pi.
 
-    M = F^T T F^-T, T = 2 G dev F F^T, since J = 1.
+    Pi = a A |M|^(n-1) M, M = F^T T F^-T, T = 2 G dev F F^T, since J = 1.
     """
     F, theta = u[:9].reshape(3, 3), u[9]
     L = np.zeros((3, 3))
@@ -363,7 +370,8 @@ def _warmed(dt: float, solver: str, material: nv.Material, **laws: Any) -> float
 
 
 @CASES("""heat-shear
-    Adiabatic shear of a power-law fluid and of a body that creeps: heat weakens both.
+    In adiabatic shear a power-law fluid and a creeping body, both weakened by heat, warm as the equations
+    say.
     label: heat-entropy; c theta' = tau rate with Arrhenius's factor, by SciPy's LSODA
     setting: Homogeneous shear at 2/s for 1 s from 300 K, E = 20 kJ/mol; two cells, midpoint rule.
     - largest relative error of the warming, 0.05 s <= 2e-3: (rate dt)^2/12 = 8e-4

@@ -30,8 +30,11 @@ POINTS = 24
 
 @dataclass(frozen=True)
 class Plates:
-    """Two plates 1 m apart: what makes one with a ``WallHeat``, the order of the derivative of W that is zero
-    there beside W and Theta, critical wave number, 1/m, and Rayleigh number, and two below and above it."""
+    """Two plates 1 m apart, and the onset of convection between them.
+
+    The fields are a function that makes a plate with a ``WallHeat``; the order of the derivative of W that
+    vanishes there, like W and Theta; the critical wave number, 1/m, and Rayleigh number; and two Rayleigh
+    numbers, below and above it."""
 
     wall: Callable[..., Any]
     derivative: int
@@ -45,13 +48,15 @@ NO_SLIP = Plates(nv.NoSlip, 1, 3.117, 1707.762, (1600.0, 1800.0))
 
 
 def _mode(plates: Plates, Ra: float) -> tuple[float, Polynomial, Polynomial]:
-    """Growth, W and Theta of the mode exp(growth t) (W, Theta)(y) cos(k x) that grows most, nu = kappa/c = 1,
-    by collocation of (D^2 - k^2 - s)(D^2 - k^2) W = Ra k^2 Theta, (D^2 - k^2 - s) Theta = -W."""
+    """Growth, W and Theta of the fastest mode exp(growth t) (W, Theta)(y) cos(k x), for nu = kappa/c = 1.
+
+    They are found by collocation of (D^2 - k^2 - s)(D^2 - k^2) W = Ra k^2 Theta, (D^2 - k^2 - s) Theta =
+    -W."""
     n, k = POINTS, plates.wave
     points = np.cos(np.pi * np.arange(n + 1) / n)
     weights = np.r_[2, np.ones(n - 1), 2] * (-1.0) ** np.arange(n + 1)
     D = np.outer(weights, 1 / weights) / (points[:, None] - points + np.eye(n + 1))
-    D = 2 * (D - np.diag(D.sum(axis=1)))  # of values at Chebyshev's points
+    D = 2 * (D - np.diag(D.sum(axis=1)))  # acts on values at Chebyshev's points
     one, zero = np.eye(n + 1), np.zeros((n + 1, n + 1))
     laplace = D @ D - k * k * one
     A = np.block([[laplace @ laplace, -Ra * k * k * one], [one, laplace]])
@@ -79,9 +84,9 @@ def _at_height(polynomial: Polynomial) -> CoefficientFunction:
 
 
 def _rolls(plates: Plates, Ra: float, amplitude: float) -> np.ndarray:
-    """Amplitudes step by step, 0.01 s each, of half of a roll that starts in its mode, m/s.
+    """Amplitudes, m/s, of half of a roll that starts in its mode, in steps of 0.01 s.
 
-    A nearly incompressible fluid: expansion 3e-3/K, 1 K between the plates, g/K_e < 1e-3/m, of isentropic
+    The fluid is nearly incompressible: expansion 3e-3/K, 1 K between the plates, g/K_e < 1e-3/m, isentropic
     slope 2e-3 K/m.
     """
     expansion, K_e, c, middle = 3e-3, 1e9, 1e7, 10.0
@@ -110,24 +115,25 @@ def _rolls(plates: Plates, Ra: float, amplitude: float) -> np.ndarray:
     run = nv.Simulation(
         mesh,
         model,
-        # upwinding is smooth above the roll's velocity, so that it is linear in it
+        # upwinding is smoothed above the roll's velocity, so that it is linear in the velocity
         time=nv.TimeSteps(dt=0.01, scheme="midpoint", velocity_scale=100.0),
         initial=start,
         walls=walls,
         solver="coupled",
         discretisation=nv.Discretisation(k=3, m=2),
-        newton=nv.NewtonOptions(tolerance=1e-7),  # pressures round to 1e-16 K_e
+        newton=nv.NewtonOptions(tolerance=1e-7),  # pressures are rounded to 1e-16 K_e
     )
     rising = run.fields["velocity"][1] * cos(k * x) * W
     return followed(run, 15, lambda run: Integrate(rising, mesh, order=10))[1][1:]
 
 
 def _onset(plates: Plates) -> Measured:
-    """Growth below and above the onset, of half of the difference of two runs: linear in the roll."""
+    """Growth below and above the onset, of half of the difference of two runs, which is linear in the
+    roll."""
     rows, size = [], plates.wave**2 + math.pi**2
     for Ra in plates.numbers:
         roll = 0.5 * (_rolls(plates, Ra, 0.05) - _rolls(plates, Ra, -0.05))
-        # a line, since sound that the midpoint rule does not damp stays in the differences of steps
+        # fit a line, as undamped sound remains in the differences of steps
         found = 100 * float(np.polyfit(np.arange(10), np.log(roll[-10:]), 1)[0])
         expected = _mode(plates, Ra)[0]
         rows.append([Ra, found, expected, abs(found - expected) / size])
@@ -168,7 +174,7 @@ KIND = "with heat"
 
 
 class WithoutItsHeat(Sources):
-    """Sources that do not know that what dissipates is heat, nor that heat is conducted."""
+    """Sources that include neither the heat of dissipation nor the conduction of heat."""
 
     def heating(self, Pi: CoefficientFunction) -> CoefficientFunction:
         return CF(0.0)

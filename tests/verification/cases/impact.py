@@ -1,9 +1,9 @@
 """A copper bar thrown at a rigid wall (Taylor 1948): its length, its foot, and where its energy goes.
 
-Units are mm, us and GPa, so that 1 g/cm^3 is the unit of density.  Around the bar is a light fluid with its
-volumetric energy: bodies then have a common pressure in closed form, and what is light and does not change
-its volume gives way as air does.  It does so only where cells let it: of triangles with one velocity of order
-one and one dilatation each a rectangle's two lock, four that meet in its middle do not.
+Units are mm, us and GPa, so that 1 g/cm^3 is the unit of density. The bar is surrounded by a light fluid with
+the bar's volumetric energy: then bodies have a common pressure in closed form, and a light fluid that keeps
+its volume gives way like air. The cells have to allow it: of triangles with velocities of order one and one
+dilatation each, two in a rectangle lock, and four that meet in its middle do not.
 """
 
 import math
@@ -33,12 +33,12 @@ OUTER, TOP, GROWTH = 9.0, 35.0, 1.15
 """The domain, and by how much rows grow away from the bar."""
 END = 80.0
 WAVE, BEHIND = 4.0, 20.0
-"""When the elastic wave has gone 18.3 mm, and from where on nothing has met it."""
+"""Time when the elastic wave has gone 18.3 mm, and the place beyond which it has not come."""
 Pattern = Literal["crossed", "diagonal"]
 
 
 class Rows(NamedTuple):
-    """Rows of rectangles across the bar and along it, how they grow away from the foot, and the step."""
+    """Rows of rectangles across and along the bar, the growth of rows away from the foot, and the step."""
 
     across: int
     along: int
@@ -53,7 +53,7 @@ COARSE, FINE = Rows(3, 15, 1.0, 0.5), Rows(4, 16, 1.1, 1.0)
 
 
 def rectangles(r: Sequence[float], h: Sequence[float], pattern: Pattern) -> Mesh:
-    """Rows between the lines ``r`` and ``h``, each rectangle of four triangles or of two."""
+    """The mesh of rectangles between the lines ``r`` and ``h``, each of four or of two triangles."""
     mesh = NetgenMesh(dim=2)
     at = {(i, j): mesh.Add(MeshPoint(Pnt(a, b, 0))) for i, a in enumerate(r) for j, b in enumerate(h)}
     mesh.SetMaterial(1, "domain")
@@ -87,7 +87,8 @@ def rectangles(r: Sequence[float], h: Sequence[float], pattern: Pattern) -> Mesh
 
 
 def _lines(inner: float, cells: int, growth: float, outer: float) -> Iterator[float]:
-    """Lines of rows that grow from the first one to ``inner``, and by ``GROWTH`` beyond it to ``outer``."""
+    """Lines between rows that grow from the first one to ``inner``, and by ``GROWTH`` from there to
+    ``outer``."""
     sizes = [growth**i for i in range(cells)]
     yield from (inner * part / sum(sizes) for part in accumulate(sizes, initial=0.0))
     last = inner * sizes[-1] / sum(sizes)
@@ -124,7 +125,7 @@ def thrown(rows: Rows, pattern: Pattern = "crossed") -> tuple[nv.Simulation, nv.
 
 
 def _ahead(pattern: Pattern) -> float:
-    """How far off its speed is at ``WAVE`` what no wave has reached, over the speed."""
+    """Relative error of the speed, at the time ``WAVE``, of matter that no wave has reached."""
     run, _ = thrown(COARSE, pattern)
     run.run(WAVE)
     inside, integrate = IfPos(RADIUS - x, IfPos(y - BEHIND, 1.0, 0.0), 0.0), run.rothe_step.quadrature
@@ -134,8 +135,8 @@ def _ahead(pattern: Pattern) -> float:
 
 
 @CASES(f"""taylor-bar
-    A copper bar thrown at a rigid wall without friction ends as long and with a foot as wide as in the
-      published computations; its kinetic energy becomes heat.
+    A copper bar, thrown at a rigid frictionless wall, has the final length and foot of the published
+      computations; its kinetic energy becomes heat.
     label: benchmark: Taylor (1948), Wilkins and Guinan (1973)
     setting: {LENGTH:g} mm, radius {RADIUS:g} mm, {1e3 * SPEED:g} m/s; K = {BULK:g}, G = {SHEAR:g},
       sigma_Y = {YIELD:g}, H = {HARDENING:g} GPa, {DENSITY:g} g/cm3, in a fluid of {LIGHT:g} g/cm3 with its

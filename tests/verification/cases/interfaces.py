@@ -1,8 +1,8 @@
-"""How far interfaces between bodies smear: rigid rotation, Zalesak's disc, a vortex and back.
+"""The smearing of interfaces between bodies: rigid rotation, Zalesak's disc, a vortex and back.
 
-By the package's own terms and limiters.  The flows are incompressible and steady but for a factor of time,
-v = c(t) w.  Their transport matrix is M/tau + |c| K^+-, with K of the flow or of its reverse, linearised once
-from the terms of the equations; a step is one sparse solve.
+The package's terms and limiters transport the bodies.  The flows are incompressible and steady except for a
+factor of time, v = c(t) w.  The transport matrix is M/tau + |c| K^+-, with K of the flow or of the reversed
+flow, linearised once from the terms of the equations; a step is one sparse solve.
 """
 
 import math
@@ -34,18 +34,18 @@ from tests.verification.case import Cases, Measured, Table
 CASES = Cases("Bodies and their interfaces")
 
 MAXH, TAU = 0.0625, 0.01
-"""Size of cells, m, and of steps, s."""
+"""Size of cells, m, and length of steps, s."""
 Carrier = Literal["amounts", "sharp amounts", "rate zero", "reference map"]
-"""Conserved amounts of bodies, these put apart after each step, a parameter with rate zero, or a function of
-carried coordinates."""
+"""Ways to transport a body: conserved amounts, sharpened amounts, a parameter with rate zero, or a function
+of transported coordinates."""
 
 
 @dataclass(frozen=True)
 class Test:
-    """A body, the function > 0 inside it, and a flow c(t) w that brings it back to where it was.
+    """A body, a function that is > 0 inside it, and a flow c(t) w that brings the body back to its place.
 
-    ``perimeter`` is the length of its boundary, m, ``flow`` w, m/s, ``end`` in s: where it is 1 s c = 1, else
-    the flow goes there and back.
+    ``perimeter`` is the length of the boundary, m, ``flow`` is w, m/s.  If ``end`` is 1 s, c = 1; else the
+    flow goes forth and back.
     """
 
     level: Callable[[CoefficientFunction, CoefficientFunction], CoefficientFunction]
@@ -55,11 +55,11 @@ class Test:
 
 
 def carried(test: Test, mesh: Mesh, m: int, carrier: Carrier) -> tuple[float, float, float, float, float]:
-    """A body after its flow, on cells of ``MAXH``; the ends of steps are limited.
+    """Errors of a body after its flow, on cells of ``MAXH``; each step ends with the limiter.
 
-    The L1 distance of its fraction from the exact one over its area; the area where the fraction is from 0.05
-    to 0.95 over the length of the interface, in cells' sizes; its least and largest value, and the relative
-    change of the area.
+    They are the L1 distance of the fraction from the exact one, over the body's area; the width of the
+    interface in cells, from the area with fractions of 0.05 to 0.95; the fraction's least and largest value;
+    and the relative change of the area.
     """
     shape, fluid = Where(test.level(x, y)), nv.BarotropicFluid(B=1.0, gamma=1.4)
     exact = shape.inside(mesh, max(m, 1))
@@ -102,7 +102,7 @@ def carried(test: Test, mesh: Mesh, m: int, carrier: Carrier) -> tuple[float, fl
 
 
 class _Transport:
-    """Steps of some scalar variables by a given flow, by the midpoint rule."""
+    """Transports scalar variables by a given flow with the midpoint rule."""
 
     def __init__(self, step: Step, flow: tuple[CoefficientFunction, ...], names: list[str]) -> None:
         self.step, self._factor = step, np.nan
@@ -111,7 +111,7 @@ class _Transport:
         self._per = space.ndof // size, hat.ndof // size
         self._components = [step.layout.states.slices[name].start for name in names]
         mass, one = self._matrix(flow, 1.0), self._matrix(flow, 2.0)
-        self._mass = (mass[0] - one[0]) * 2.0  # rows of z: M/tau + K at tau = 1 and 2
+        self._mass = (mass[0] - one[0]) * 2.0  # rows of z are M/tau + K; evaluated at tau = 1 and 2
         self._flows = {1.0: self._matrix(flow, 1.0), -1.0: self._matrix(tuple(-v for v in flow), 1.0)}
 
     def _matrix(self, flow: tuple[CoefficientFunction, ...], tau: float) -> list[sp.csr_matrix]:
@@ -138,7 +138,7 @@ class _Transport:
         return [matrix[rows, columns].tocsc() for rows in (own, trace) for columns in (own, trace)]
 
     def advance(self, factor: float) -> None:
-        """One step by ``factor`` times the flow."""
+        """Make one step with ``factor`` times the flow."""
         if factor != self._factor:
             self._factor, self._solve = factor, self._factorised(factor)
         values = self.step.state.vec.FV().NumPy()[self.step.layout.ranges["z"]]
@@ -167,7 +167,7 @@ def _ball(X: CoefficientFunction, Y: CoefficientFunction) -> CoefficientFunction
 
 
 def _slotted(X: CoefficientFunction, Y: CoefficientFunction) -> CoefficientFunction:
-    """Zalesak's: the same with a slot of 0.05 m from below to y = 0.3 m."""
+    """Zalesak's disc: a disc with a slot of 0.05 m from below to y = 0.3 m."""
     slot = _least(_least(X + 0.025, 0.025 - X), 0.3 - Y)
     return _least(_ball(X, Y), -slot)
 
@@ -229,7 +229,8 @@ for name, what, (of_amounts, width, of_map, sharp, thick) in (
     ("vortex", "a disc after a vortex of 1 s there and 1 s back", (0.5, 3.5, 0.3, (0.14, 0.25), (1.0, 1.6))),
 ):
     CASES(f"""interface-{name}{" (reduced)" * (name == "rotation")}
-        Of {what} the fraction stays near [0, 1], the area is kept, the interface smears over a few cells.
+        The fraction of {what} stays near [0, 1], its area is conserved, its interface smears over a few
+        cells.
         label: benchmarks: rigid rotation, Zalesak (1979), LeVeque (1996)
         setting: Cells of {MAXH} m, 100 steps a second by the midpoint rule, limited; amounts of two bodies
           for m = 0, 1, 2, sharp ones, a parameter with rate zero, and a function of the carried coordinates.

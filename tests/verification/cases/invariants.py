@@ -28,20 +28,20 @@ from tests.verification.setups import (
 CASES = Cases("Dependent variables")
 
 # --- variables that depend on each other ---------------------------------------------------------------
-"""J -> det F, H -> Cof F, A -> 1/J, K -> ln J/J as delta, tau, h -> 0.
+"""The limits J -> det F, H -> Cof F, A -> 1/J, K -> ln J/J as delta, tau, h -> 0.
 
-The scheme transports them independently, as the paper does; they are consistent in the limit only.
+The scheme transports these variables separately, as the paper does; they are consistent in the limit only.
 """
 
 COFACTORS = nv.MooneyRivlin(K_e=10.0, G_e=3.0, G_mr=2.0, epsilon=0.1, elastic_state="F")
 LOGARITHMIC = nv.LogarithmicNeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1)
 DURATION, LEVELS, DELTAS = 0.096, (0.8, 0.4, 0.2, 0.1), (1e-1, 1e-2, 1e-3, 1e-4)
 STEP = 0.02
-"""tau / h: the first waves take 0.3 s"""
+"""The ratio tau / h; the first waves take 0.3 s."""
 
 
 def defects(run: nv.Simulation) -> dict[str, float]:
-    """L2 distances of each dependent variable and what it should be."""
+    """L2 distances of each dependent variable from its formula."""
     fields = run.fields
     pairs: dict[str, tuple[CoefficientFunction, CoefficientFunction]] = {}
     if "F" in fields:
@@ -54,7 +54,7 @@ def defects(run: nv.Simulation) -> dict[str, float]:
 
 
 def _run(material: nv.Material, h: float, delta: float, **options: Any) -> nv.Simulation:
-    """The block at its end, tau proportional to h."""
+    """The block after its run, with tau proportional to h."""
     law = nv.Regularisation(delta_density=delta, delta_fields=delta) if delta else None
     mesh = square_mesh(h)
     run = block("finite", STEP * h, mesh=mesh, of=material, regularisation=law, speed=0.5, **options)
@@ -67,7 +67,7 @@ def _least(run: nv.Simulation) -> float:
 
 
 def defects_of(material: nv.Material) -> Measured:
-    """Defects as tau and h go to zero, without delta and with delta ~ h^2, and as delta alone does."""
+    """Defects as tau and h go to zero, without delta and with delta ~ h^2, and as only delta goes to zero."""
     plain, together = (RateTable(f"defects as {what} go to zero") for what in ("tau, h", "delta, tau, h"))
     alone = RateTable("defects as delta alone goes to zero, beyond those of delta = 0", "delta, m2/s")
     runs = [_run(material, h, 0.0) for h in LEVELS]
@@ -90,17 +90,17 @@ def defects_of(material: nv.Material) -> Measured:
 
 @dataclass(frozen=True)
 class PrintedCofactor(Cofactor):
-    """Cof F by the row that the paper prints, (Cof' F)(L F - F Pi), with F where ours has H."""
+    """Cof F with the paper's printed row, (Cof' F)(L F - F Pi), which has F where the package has H."""
 
     def rate(self, z: Values, L: CoefficientFunction, Pi: CoefficientFunction) -> CoefficientFunction:
         F = z["F"]
         change = L * F - F * Pi
-        return Cof(F + change) - Cof(F) - Cof(change)  # Cof is quadratic: its derivative
+        return Cof(F + change) - Cof(F) - Cof(change)  # the derivative of Cof, which is quadratic
 
 
 @dataclass(frozen=True, kw_only=True)
 class PrintedMooneyRivlin(nv.MooneyRivlin):
-    """With that row."""
+    """The Mooney-Rivlin material with the printed row."""
 
     @property
     def variables(self) -> tuple[Variable, ...]:
@@ -108,8 +108,8 @@ class PrintedMooneyRivlin(nv.MooneyRivlin):
 
 
 @CASES(f"""dependent-cofactor-printed
-    The row of H as it is printed, with F^k in it, and ours, with H^k, are two schemes of first order for one
-      equation: their difference vanishes with their distances from Cof F.
+    The row of H as printed in the paper, with F^k, and the package's row, with H^k, are two schemes of first
+      order for one equation: their difference vanishes like their distances from Cof F.
     label: Euler-large-viscoelastodyn-H, H-flow-rule
     setting: {SETTING}; MooneyRivlin, creep with G_m = 2 Pa s, 0.5 m/s; h = 0.8, 0.4 and 0.2 m with tau = 0.02
       h, until {DURATION} s.
@@ -118,7 +118,8 @@ class PrintedMooneyRivlin(nv.MooneyRivlin):
     - largest |closure| <= 1e-10: both rows are in the balance
     """)
 def _printed() -> Measured:
-    """The coupled solver is used: the split one needs rates linear in the variables; the printed is not."""
+    """Uses the coupled solver: the printed rate is not linear in the variables, as the split solver
+    requires."""
     table = RateTable("H of the two runs as tau and h go to zero")
     materials = COFACTORS, PrintedMooneyRivlin(K_e=10.0, G_e=3.0, G_mr=2.0, epsilon=0.1, elastic_state="F")
     for h in LEVELS[:3]:
@@ -142,7 +143,7 @@ for name, (a, b), label, of in (
     ("reciprocal", ("A - 1/J", "K - ln J/J"), "DT-det-inverse, exa-neo-Hookean-ref", LOGARITHMIC),
 ):
     CASES(f"""dependent-{name}
-        {a} and {b} vanish as delta, tau and h go to zero, though each variable is transported on its own.
+        {a} and {b} vanish as delta, tau and h go to zero, although the variables are transported separately.
         label: {label}
         setting: {SETTING}; {type(of).__name__}, 0.5 m/s; h = 0.8, 0.4, 0.2 m with tau = 0.02 h and delta =
           0.1 h² or 0 (then also h = 0.1 m), until {DURATION} s; delta alone from 0.1 to 1e-4 at h = 0.4 m.
@@ -159,7 +160,7 @@ SPATIAL = (
     cos(pi * x) * sin(pi * y) * cos(pi * z),
     -2 * cos(pi * x) * cos(pi * y) * sin(pi * z),
 )
-"""Free of divergence, with slip on the walls of the unit cube, and no plane motion."""
+"""A three-dimensional velocity without divergence that slips on the walls of the unit cube."""
 
 
 @CASES(f"""dependent-cofactor-3d
@@ -167,7 +168,7 @@ SPATIAL = (
     label: DT-det-extended, H-flow-rule, rem-polyconvex-general
     setting: A cube of 1 m with slip, density 1 + 0.2 cos(pi x) kg/m3, MooneyRivlin with K_e = 10 Pa, K_v =
       G_v = 0.1 Pa s, v = 0.5 (sin cos cos, cos sin cos, -2 cos cos sin) m/s of pi x, pi y, pi z; 12, 96 and
-      768 tetrahedra, of which twelve do not see the motion, with 3, 6, 12 steps until {DURATION} s.
+      768 tetrahedra, of which twelve cannot resolve the motion, with 3, 6, 12 steps until {DURATION} s.
     - last rate of [J - det F; H - Cof F] >= 0.8: first order in tau ~ h
     - closure
     - least J in [0.5, 0.99]: far from folding over, but squeezed
@@ -176,7 +177,7 @@ def _in_space() -> Measured:
     table, least = RateTable("defects as tau and h go to zero, in 3D"), []
     for h, mesh in refinements(3, 1.0, 3):
         initial = nv.Initial(density=1 + 0.2 * cos(pi * x), velocity=CF(tuple(0.5 * v for v in SPATIAL)))
-        # the mesh is refined in place: everything of a run is read off at once
+        # the mesh is refined in place: read all results of a run at once
         run = block("finite", DURATION * h / 3, mesh=mesh, of=COFACTORS, initial=initial)
         run.run(DURATION)
         table.add(h, **defects(run))
@@ -218,7 +219,8 @@ RHO_MAX = 1.0
 def converging(
     kind: str, law: nv.Regularisation | None, maxh: float, tau: float, m: int
 ) -> tuple[nv.Simulation, str]:
-    """Matter of density 1 runs into the middle of a soft tube at 3 m/s; up to 0.3 s, or why it ended."""
+    """Run matter of density 1 into the middle of a soft tube at 3 m/s until 0.3 s; also return an early end's
+    reason."""
     soft = nv.LinearElastic(K_e=1.0, G_e=0.5)
     model = nv.Model(
         material=soft if kind == "linearised" else nv.NeoHookean(K_e=1.0, G_e=0.5, epsilon=0.1),
@@ -246,11 +248,12 @@ CUT_OFF_RUNS = (
     ("m = 1, delta", 1e-3, 1 / 16, 0.01, 1),
     ("no cut-off", 1e-3, 1 / 16, 0.01, 1),
 )
-"""Name, delta, h, tau and m."""
+"""Name, delta, h, tau and m of each run."""
 
 
 def cut_off(kind: str) -> Measured:
-    """The tube with the cut-off, the delta-term resolved, too weak and absent; and without a cut-off."""
+    """The tube with the cut-off and a delta-term that is resolved, too weak or absent; and without a
+    cut-off."""
     rows, curves = [], []
     for name, delta, maxh, tau, m in CUT_OFF_RUNS:
         rho_max = None if name == "no cut-off" else RHO_MAX
@@ -276,7 +279,7 @@ def cut_off(kind: str) -> Measured:
 
 
 def positivity(kind: str) -> Measured:
-    """Smallest rho and J of a strong compression and extension under refinement of h and tau together."""
+    """Smallest rho and J in a strong compression and extension, with h and tau refined together."""
     rows, curves = [], []
     for h, tau in ((0.5, 0.02), (0.25, 0.01), (0.125, 0.005)):
         initial = nv.Initial(density=1.0, velocity=CF((sin(pi * x) * cos(pi * x), 0.0)) * 4)
@@ -304,8 +307,9 @@ for kind in KINDS:
         - closure
         """)(partial(mass, kind))
     CASES(f"""cut-off-{kind}
-        With the cut-off 0 < rho <= rho_max + 1 in {KINDS[kind]}, with any delta and without, for m = 0 and m
-          = 1, in a problem whose density would otherwise pass it.
+        With the cut-off 0 < rho <= rho_max + 1 holds in {KINDS[kind]}, with any delta and without, for m = 0
+        and
+          m = 1, in a problem whose density exceeds it without the cut-off.
         label: {"cut-off, Euler-small-est3+++" if not finite else "cut-off, Euler-large-est"}
         setting: A soft tube of 1 m x 0.125 m (K_e = 1 Pa, G_e = 0.5 Pa, K_v = G_v = 0.1 Pa s), density 1, v =
           3 sin(2 pi x) m/s, until 0.3 s; rho_max = {RHO_MAX:g}; delta = 0, 1e-4 and 1e-3 (r = 4), h = 1/8 and
@@ -345,7 +349,8 @@ EXPONENTS = (1.5, 2.0, 2.5, 3.0, 3.5, 4.0)
 
 
 def hyperviscous(kind: str) -> Measured:
-    """mu -> 0 for p = 2 and p = 4 against no hyperviscosity; p from 1.5 to 4; and finer meshes."""
+    """Runs with mu -> 0, p = 2 and 4, against a run without hyperviscosity; with p from 1.5 to 4; on finer
+    meshes."""
     rows = []
 
     def run_of(p: float | None, mu: float, maxh: float = MAXH) -> nv.Simulation:
@@ -379,8 +384,9 @@ def hyperviscous(kind: str) -> Measured:
 
 for kind in KINDS:
     CASES(f"""hyperviscosity-{kind}
-        In {KINDS[kind]} runs with mu -> 0 go to the run without hyperviscosity, and the energy closes for
-          exponents p <= 3 too, where the analysis does not apply.
+        In {KINDS[kind]} runs with mu -> 0 tend to the run without hyperviscosity, and the energy also closes
+        for
+          exponents p <= 3, for which the paper has no analysis.
         label: Euler-small-viscoelastodyn+1, {LABELS[kind]}
         setting: {SETTING}, creep with G_m = 2 Pa s; cells of {MAXH} m, {STEPS} steps of {TAU} s; mu = 1e-3 to
           1e-6 with p = 4 and 2, p = 1.5 to 4 with mu = 1e-3, and cells of 0.5 to 0.125 m with mu = 1e-4.

@@ -18,28 +18,29 @@ CASES = Cases("Bodies and their interfaces")
 
 # --- topography between rock and light air instead of a free surface -----------------------------------
 """The first case of Crameri et al. (Geophys. J. Int. 189, 38, 2012): 7 km of topography, a wave of 2800 km,
-on 100 km of lithosphere and 600 km of mantle relaxes as exp(-0.2139e-11 t/s), to 1/e in 14.8 kyr; the
-analytic rate of these layers below a free surface.  Their air has no density; here it has a thousandth of the
-rock's.
+on 100 km of lithosphere and 600 km of mantle relaxes as exp(-0.2139e-11 t/s), to 1/e in 14.8 kyr. This is the
+analytic rate of these layers below a free surface. The air of the benchmark has no density; here it has a
+thousandth of the rock's density.
 
-In a cell that the surface cuts the viscosity is the sum of fraction times viscosity: a trace of rock makes
-the air of a cell stiff.  On cells of 100 km the surface has slowed down by a third at 5 kyr.
+The viscosity in a cell cut by the surface is the sum of fraction times viscosity: a trace of rock makes the
+cell's air stiff.  On cells of 100 km the surface has slowed down by a third at 5 kyr.
 """
 
 KYR = 3.15576e10
 LENGTH, BASE, SURFACE, TOP, HEIGHT = 2.8e6, 6e5, 7e5, 8.5e5, 7e3
-"""Length of a wave; the lithosphere's lower and upper face; the air's; the topography, m."""
+"""Length of a wave; heights of the lithosphere's lower and upper face, and of the air's; the topography,
+m."""
 ROCK, AIR, FALL, K_ROCK = 3300.0, 3.3, 10.0, 1e13
 VISCOSITIES = {"mantle": 1e21, "lithosphere": 1e23}
 RATE, AGE = -0.2139e-11, 14.8
-"""1/s; the time in which topography falls to 1/e, kyr."""
+"""Analytic rate, 1/s; time in which topography falls to 1/e, kyr."""
 CELLS_OF, TAU_KYR, END = (50e3, 25e3), 1.0, 16.0
-"""m; kyr."""
+"""Sizes of cells, m; step and end, kyr."""
 WAVE_OF = 2 * math.pi / LENGTH
 MYR, RISEN = 1e3 * KYR, 3.0
 PUBLISHED = 396.0, 441.0
-"""Height of the surface at 3 Myr, m, by ASPECT (its manual) and in a digitised curve of Underworld's, as a
-plume rises below it, at first 300 km above the bottom."""
+"""Height, m, of the surface at 3 Myr above a rising plume that starts 300 km above the bottom: by ASPECT (its
+manual), and from a digitised curve of Underworld's."""
 
 
 def _layered(
@@ -62,12 +63,12 @@ def _layered(
         time=time,
         initial=nv.Initial(F=at_rest(K_ROCK, FALL * weight)),
         walls={"bottom": nv.NoSlip()},
-        newton=nv.NewtonOptions(tolerance=1e-8),  # of 2e10 Pa of pressure rounding leaves 1e-3 Pa
+        newton=nv.NewtonOptions(tolerance=1e-8),  # the rounding of a pressure of 2e10 Pa is 1e-3 Pa
     )
 
 
 def _until(end: float, run: nv.Simulation, of: Callable[[nv.Simulation], Any]) -> np.ndarray:
-    """Times, s, until one, with what a function gives: steps that find no solution are halved."""
+    """Times, s, until an end, and values of a function then; steps without a solution are halved."""
     found = [(run.t, *np.ravel(of(run)))]
     while run.t < end * (1 - 1e-9):
         run.advance()
@@ -119,8 +120,9 @@ def _relaxation() -> Measured:
 
 
 def _profile(run: nv.Simulation) -> np.ndarray:
-    """Heights of the surface at 57 places from the axis on, m, a sum of twelve cosines, from the fraction of
-    air, and that of the plume's centroid."""
+    """Heights, m, of the surface at 57 places, starting at the axis, and of the plume's centroid.
+
+    The surface is a sum of twelve cosines, computed from the fraction of air."""
     air, plume, half = run.fields["air_fraction"], run.fields["plume_fraction"], LENGTH / 2
     at, waves = np.linspace(0.0, 1.0, 57), range(1, 13)
     integrands = (air, *(air * cos(k * math.pi / half * x) for k in waves), plume, plume * y)
@@ -130,7 +132,7 @@ def _profile(run: nv.Simulation) -> np.ndarray:
 
 
 @CASES(f"""topography-of-a-plume
-    A plume that rises below a lithosphere lifts the surface under light air as far as other codes say.
+    A plume that rises below a lithosphere lifts the surface under light air as high as in other codes.
     label: benchmark: Crameri et al. (2012), case 2
     setting: Half of {LENGTH / 1000.0:g} km, slip but for the bottom; layers as above with a flat surface, air
       of 1e19 Pa s; plume of 3200 kg/m3 and 1e20 Pa s, 50 km about 300 km above the bottom; cells of 50 km,
@@ -166,44 +168,48 @@ def _rising() -> Measured:
 
 
 # --- sloshing of a fluid ---------------------------------------------------------------------------------
-"""At small amplitude, and without viscosity, v is the gradient of cos(k x) cosh(k y) in the layer, h deep,
+"""At small amplitude, and without viscosity, v is the gradient of cos(k x) cosh(k y) in the layer of depth h,
+and
 
     omega^2 = g k (1 - r)/(coth(k h) + r coth(k h')),
 
-r and h' the medium's density over the layer's and its height: g k tanh(k h) for r -> 0.  In an incompressible
-gel of shear modulus G the vertical displacement is [A sinh(k y) + B sin(q y)] cos(k x), q^2 = rho omega^2/G -
-k^2; the surface has no shear stress and bears the medium: two equations, whose determinant vanishes.
+where r is the medium's density over the layer's, and h' the medium's height; the limit for r -> 0 is
+g k tanh(k h).  In an incompressible gel of shear modulus G the vertical displacement is
+[A sinh(k y) + B sin(q y)] cos(k x) with q^2 = rho omega^2/G - k^2.  The surface has no shear stress and bears
+the medium: two equations, whose determinant vanishes.
 
-With r = 1e-3 this is so while the surface stays within a small part of a cell.  Where it moves by a fifth of
-one the mean density of a cell of the medium turns negative within 0.2 of a period.  With r = 1e-2 it goes on.
+With r = 1e-3 the formula is met while the surface moves by a small part of a cell. If the surface moves by a
+fifth of a cell, the mean density of a cell of the medium turns negative within 0.2 of a period. With r = 1e-2
+the run continues.
 """
 
 DEPTH, GRAVITY, BULK, OF_LAYER = 0.5, 1.0, 100.0, 1e-3
-"""m, in a unit box; m/s^2; K_e of both, Pa; viscosity of the layer, of density 1, Pa s."""
+"""Depth in a unit box, m; gravity, m/s^2; both K_e, Pa; viscosity, Pa s, of the layer, whose density is 1."""
 K, IN_A_PERIOD = math.pi, 40
-"""Wave number, 1/m, and steps in a period."""
+"""Wave number, 1/m, and number of steps in a period."""
 STILL, THIN, MOVING = (1e-3, 1e-3, 1e-3), (1e-3, 1e-4, 1e-3), (1e-2, 1e-3, 5e-2)
 """Density, kg/m^3, and viscosity, Pa s, of the medium; velocity of the surface, m/s: 6e-4 m and 0.03 m."""
 SHEARS = (0.1, 0.3)
 """Shear moduli of gels, Pa: rho g h is 0.5 Pa."""
 RUNS = ((8, STILL), (12, STILL), (16, STILL), (12, THIN), (8, MOVING), (12, MOVING))
-"""Rows of the mesh, whose edges lie in the surface of those that are still, and what moves."""
+"""Rows of structured meshes, with edges in the surface, for small motion, and settings for large motion."""
 
 
 def frequency(ratio: float) -> float:
-    """omega, 1/s."""
+    """The frequency omega, 1/s, of the fluid layer."""
     coth = 1 / math.tanh(K * DEPTH)
     return math.sqrt(GRAVITY * K * (1 - ratio) / (coth + ratio * coth))
 
 
 def mode(ratio: float, shear: float) -> tuple[float, CoefficientFunction]:
-    """omega, 1/s, and the velocity in the layer, 1 at the surface, m/s."""
+    """The frequency omega, 1/s, and the velocity in the gel, m/s, 1 at the surface."""
     if not shear:
         low = CF((-sin(K * x) * cosh(K * y), cos(K * x) * sinh(K * y)))
         return frequency(ratio), low / math.sinh(K * DEPTH)
 
     def surface(omega: float) -> np.ndarray:
-        """Rows for A and B: the shear stress, and the normal one with weight and inertia of what rises."""
+        """Equations for A and B: the shear stress, and the normal stress with weight and inertia of lifted
+        matter."""
         q = math.sqrt(omega**2 / shear - K**2)
         rise = np.array([math.sinh(K * DEPTH), math.sin(q * DEPTH)])
         stretch = np.array([K * math.cosh(K * DEPTH), q * math.cos(q * DEPTH)])
@@ -211,7 +217,7 @@ def mode(ratio: float, shear: float) -> tuple[float, CoefficientFunction]:
         above = GRAVITY * (1 - ratio) - ratio * omega**2 / (K * math.tanh(K * (1 - DEPTH)))
         return np.array([[2 * K**2, K**2 - q**2] * rise, above * rise + 2 * shear * stretch - inside])
 
-    omegas = np.linspace(1.001, 4, 400) * K * math.sqrt(shear)  # from q = 0 on
+    omegas = np.linspace(1.001, 4, 400) * K * math.sqrt(shear)  # search from q = 0 on
     values = [np.linalg.det(surface(omega)) for omega in omegas]
     first = int(np.argmax(np.sign(values) != np.sign(values[0])))
     omega = float(brentq(lambda w: np.linalg.det(surface(w)), omegas[first - 1], omegas[first]))
@@ -225,7 +231,7 @@ def mode(ratio: float, shear: float) -> tuple[float, CoefficientFunction]:
 def sloshing(
     rows: int, ratio: float, viscosity: float, speed: float, shear: float = 0.0
 ) -> tuple[np.ndarray, float, Curve]:
-    """Omega and damping of the share of the first velocity in v over a period, rejected steps, the share."""
+    """Frequency, damping, rejected steps, and the projection of v on the first velocity, over a period."""
     above, body = y - DEPTH, fluid(BULK)
     layer = nv.ReferentialNeoHookean(K_e=BULK, G_e=shear / 2) if shear else body
     bodies = (
@@ -238,7 +244,7 @@ def sloshing(
         structured_box((1, 1), (rows // 2, rows)) if speed == STILL[-1] else box((1, 1), 1.3 / rows),
         nv.Model(bodies=bodies, loads=(nv.Gravity((0.0, -GRAVITY)),)),
         time=nv.TimeSteps(dt=2 * math.pi / omega / IN_A_PERIOD, scheme="sdirk2"),
-        discretisation=nv.Discretisation(k=3),  # P_2 locks where volumes are stiff
+        discretisation=nv.Discretisation(k=3),  # velocities of order 2 lock with stiff volumes
         initial=nv.Initial(
             F=at_rest(BULK, GRAVITY * IfPos(above, ratio, 1.0) * above),
             velocity=speed * IfPos(above, high, low),
@@ -261,8 +267,9 @@ def _swings(curves: list[Curve]) -> Plot:
 
 
 @CASES(f"""sloshing
-    A layer beside a medium of a thousandth of its density sloshes with the frequency of linear theory while
-      the surface lies on edges of cells, beside one of a hundredth also where it moves through them.
+    A layer below a medium sloshes with the frequency of linear theory: with a thousandth of its density while
+    the
+      surface lies on edges of cells, with a hundredth also if the surface moves through cells.
     label: benchmark: omega^2 = g k tanh(k h)
     setting: Unit box (slip), layer of {DEPTH:g} m and {OF_LAYER:g} Pa s, K_e = {BULK:g} Pa in both, g =
       {GRAVITY:g} m/s2, first mode; medium of 1e-3 in density, 1e-3 and 1e-4 Pa s, 1e-3 m/s, structured
@@ -289,8 +296,9 @@ def _sloshing() -> Measured:
 
 
 @CASES(f"""sloshing-of-a-gel
-    An elastic layer beside a medium of a thousandth of its density sloshes with the frequency of linear
-      theory, that of its weight and its stiffness together.
+    An elastic layer below a medium of a thousandth of its density sloshes with the frequency of linear
+    theory,
+      which includes its weight and its stiffness.
     label: benchmark: an incompressible elastic layer on a slippery bed, under gravity
     setting: As sloshing, with a neo-Hookean layer, G = {SHEARS[0]:g} and {SHEARS[1]:g} Pa; medium of 1e-3 in
       density, 1e-3 Pa s; structured meshes of 8 and 16 rows.

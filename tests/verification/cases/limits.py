@@ -37,13 +37,13 @@ CASES = Cases("Stability for every step length")
 # --- stability: four decades of tau, without and with a load -------------------------------------------
 
 TAUS, LONG = (1e-3, 1e-2, 1e-1, 1.0, 10.0), 5
-"""s; steps of each."""
+"""Lengths of steps, s, and number of steps of each length."""
 
 
 def energies(
     kind: str, gravity: float, mesh: Mesh | None = None, taus: Sequence[float] = TAUS, steps: int = LONG
 ) -> Measured:
-    """Energy, with the weight's potential, after every step, for every tau."""
+    """Energies, including the weight's potential, after every step, for every tau."""
     rows, curves, rises, remainders, unsolved = [], [], [], [], 0
 
     def energy(run: nv.Simulation) -> float:
@@ -52,7 +52,7 @@ def energies(
 
     for tau in taus:
         law = nv.HyperViscosity(mu=1e-5, p=4)
-        # F and J part in steps longer than the motion: that ends no run here
+        # in steps longer than the motion F and J drift apart, which must not end a run here
         run = block(kind, tau, mesh=mesh, gravity=gravity, creep=2.0, hyperviscosity=law, drift=1.0)
         found = [energy(run)]
         for _ in range(steps):
@@ -83,7 +83,7 @@ BOUNDS = """- largest relative rise of the energy in a step <= 1e-12: rounding
     - closure
     - smallest numerical dissipation of a step, relative >= -1e-13: convexity of kinetic and stored energy"""
 BALANCES = {"linearised": "Euler-ED-basic-energy-balance-disc", "finite": "Euler-large-energy-balance-disc"}
-"""Labels."""
+"""Labels of the balances."""
 
 for gravity, kind in product((0.0, 2.0), KINDS):
     what = "kinetic, stored and the weight's potential energy" if gravity else "kinetic plus stored energy"
@@ -105,7 +105,7 @@ DURATION = 0.16
 
 
 def in_tau(kind: str) -> Measured:
-    """Runs with tau, tau/2, ... against the next finer one, and what they dissipate numerically."""
+    """Differences of runs with tau, tau/2, ... from the next finer run, and their numerical dissipation."""
     table, losses, _ = _halved(lambda tau: block(kind, tau, creep=2.0, gravity=1.0), (8, 16, 32, 64, 128))
     yield from table.lasts("last rate of {}")
     yield "last rate of the numerical dissipation", losses.last("inertial_and_bregman")
@@ -116,7 +116,7 @@ def in_tau(kind: str) -> Measured:
 def _halved(
     make: Callable[[float], nv.Simulation], counts: Sequence[int], duration: float = DURATION
 ) -> tuple[RateTable, RateTable, list[nv.Simulation]]:
-    """Distances to the next finer run, numerical dissipation, and the runs."""
+    """Yield differences from the next finer run, the numerical dissipation, and the runs."""
     table = RateTable(f"distance to the run with half the step, t = {duration} s", "tau, s")
     losses = RateTable("numerical dissipation until then, relative to the initial energy", "tau, s")
     runs: list[nv.Simulation] = []
@@ -133,7 +133,8 @@ def _halved(
 
 
 class Fading(nv.Observer):
-    """Halves the strain of what takes no part after each step: at the rate 1/tau, which has no limit."""
+    """Halves the strain of traces after each step, which is a relaxation at the rate 1/tau, without a
+    limit."""
 
     def step(self, simulation: nv.Simulation, row: dict[str, float]) -> None:
         step, material = simulation.rothe_step, simulation.model.material
@@ -167,11 +168,11 @@ def smeared(tau: float, fades: bool = False) -> nv.Simulation:
 QUARTIC = nv.CustomMaterial(
     transported=(SmallStrain(),), stored_energy=lambda E: 5 * square(E) + 50 * square(E) * square(E)
 )
-"""5 |E|^2 + 50 |E|^4 Pa: at |E| = 0.3, which the swirl reaches, both are of one size."""
+"""The energy 5 |E|^2 + 50 |E|^4 Pa; at |E| = 0.3, which the swirl reaches, both terms have the same size."""
 
 
 def in_yosida(kind: str, of: nv.Material) -> Measured:
-    """Runs with the Yosida approximations of the energy, of decreasing size, against its own."""
+    """Differences of runs with Yosida approximations of the energy from the run with the energy itself."""
     table = RateTable(f"distance to epsilon = 0, t = {DURATION} s", "epsilon, 1/Pa")
     runs = {}
     for size in (0.0, 1e-2, 1e-3, 1e-4, 1e-5):
@@ -188,11 +189,11 @@ DELTAS, TAU, STEPS = (1e-2, 1e-3, 1e-4, 1e-5), 0.02, 8
 
 
 def delta_terms(run: nv.Simulation) -> Callable[[], np.ndarray]:
-    """Function that returns norms of the delta-terms in the present state.
+    """Make a function that returns norms of the delta-terms in the present state.
 
     They are the L2 norms of div(delta |grad rho|^{r-2} grad rho) and of delta Laplace z, and the L^{r'} norm
-    of the compensating force delta |grad rho|^{r-2} (grad v) grad rho.  The first two are taken as the scheme
-    has them, by their Riesz representatives in the spaces of rho and z.
+    of the compensating force delta |grad rho|^{r-2} (grad v) grad rho.  The first two are computed as in the
+    scheme, from their Riesz representatives in the spaces of rho and z.
     """
     step, law, u = run.rothe_step, run.model.regularisation, run.rothe_step.now
     assert law is not None
@@ -220,7 +221,7 @@ def delta_terms(run: nv.Simulation) -> Callable[[], np.ndarray]:
 
 
 def in_delta_terms(kind: str) -> Measured:
-    """Norms in L2(I x Omega) of the delta-terms, and the gradients that they leave bounded."""
+    """Norms in L2(I x Omega) of the delta-terms, and of the gradients, which stay bounded."""
     slopes = RateTable("largest gradients of rho, in L4, and of z, in L2", "delta")
     title = "delta-terms of rho and z in L2(I x Omega), compensating force in L4(I; L4/3(Omega))"
     table, powers = RateTable(title, "delta"), np.array([2, 2, 4])
@@ -255,7 +256,7 @@ for kind in KINDS:
     setting = f"{SETTING}, creep with G_m = 2 Pa s, gravity 1 m/s2, until {DURATION} s"
     CASES(f"""limit-tau-{kind}{" (reduced)" * (not finite)}
         As tau -> 0 {KINDS[kind]} converges at first order, and the energy inequality becomes an equality:
-          what the scheme dissipates numerically vanishes like tau.
+          the numerical dissipation vanishes like tau.
         label: {LABELS[kind]}, Euler-{"large" if finite else "small"}-energy-balance-stress
         setting: {setting}; cells of 0.5 m; 8 to 128 steps, each run compared with the one of half the step.
         - last rate of v >= 0.85: implicit Euler is of first order{"; ED-Euler-large1-polyconvex" * finite}
@@ -264,8 +265,8 @@ for kind in KINDS:
         - closure
         """)(partial(in_tau, kind))
     CASES(f"""limit-yosida-{kind}
-        As epsilon -> 0 the solutions of {KINDS[kind]} with the Yosida approximation of the stored energy go
-          to those with the energy itself.
+        As epsilon -> 0 the solutions of {KINDS[kind]} with the Yosida approximation of the stored energy tend
+          to the solutions with the energy itself.
         label: varphi-regularized{", ED-Euler-large-polyconvex-eps" * finite}
         setting: {setting}; cells of 0.35 m, 8 steps; epsilon from 1e-2 to 1e-5 1/Pa.
         - last rate of [v; rho; z] >= 0.9: the approximation is of first order in epsilon
@@ -286,8 +287,8 @@ for kind in KINDS:
 
 
 CASES(f"""limit-yosida-quartic
-    As epsilon -> 0 the solutions with the Yosida approximation of an energy that grows like |E|^4 go to those
-      with the energy itself.
+    As epsilon -> 0 the solutions with the Yosida approximation of an energy that grows like |E|^4 tend to the
+      solutions with the energy itself.
     label: rem-general-phi, varphi-regularized
     setting: As limit-yosida-linearised, with the energy 5 |E|^2 + 50 |E|^4 Pa until {DURATION} s.
     - last rate of [v; rho; z] >= 0.9: the approximation is of first order in epsilon
@@ -296,8 +297,8 @@ CASES(f"""limit-yosida-quartic
 
 
 @CASES(f"""limit-tau-bodies
-    What is spread thin takes part in the flow by its fraction, not by the step: as tau -> 0 the result
-      converges; with a relaxation of traces in each step it does not.
+    Thinly spread matter takes part in the flow by its fraction, whatever the step: as tau -> 0 the result
+      converges; with a relaxation of traces in each step it does not converge.
     label: FORMULATION.md, Section 9
     setting: Disc of 0.2 m, G_e = 1 Pa, in a fluid that turns with 1 m/s at first, K_e = 10 Pa and 0.1 Pa s in
       both; cells of 0.25 m, 16 to 256 steps until {2 * DURATION} s, each run compared with the one of half
@@ -358,7 +359,8 @@ def _small_strain() -> Measured:
 
 
 def _kelvin_voigt(kind: str) -> Measured:
-    """G_m -> infinity is Kelvin–Voigt; with creep the deviatoric stress relaxes under a lasting load."""
+    """Measure the limit G_m -> infinity, and the deviatoric stress under a lasting load with and without
+    creep."""
     options: dict[str, Any] = {"mesh": square_mesh(0.35), "of": elastic(kind, 10.0, 5.0)}
     table = RateTable("distance to Kelvin–Voigt at t = 0.16 s", "1/G_m, 1/(Pa s)")
     runs = {}
@@ -369,7 +371,7 @@ def _kelvin_voigt(kind: str) -> Measured:
             table.add(1 / G_m, **separation(runs[G_m], runs[None]))
     deviators = []
     for creep in (2.0, None):
-        # uniform density: what is left then is the stress of the settled body, not a slow overturn
+        # uniform density: the settled body has a static stress, and no slow overturn
         run = block(kind, 0.25, creep=creep, gravity=2.0, initial=nv.Initial(density=1.0), **options)
         run.run(4.0)
         S = dev(run.fields["cauchy_stress"])
@@ -382,8 +384,8 @@ def _kelvin_voigt(kind: str) -> Measured:
 
 for kind in KINDS:
     CASES(f"""kelvin-voigt-{kind}
-        In {KINDS[kind]} a Jeffreys material goes to the Kelvin–Voigt one as G_m -> infinity; with creep the
-          deviatoric stress under a lasting load relaxes, without it stays.
+        In {KINDS[kind]} a Jeffreys material tends to the Kelvin–Voigt material as G_m -> infinity; with creep
+          the deviatoric stress under a lasting load relaxes, without creep it stays.
         label: {"Euler-small-viscoelastodyn+2" if kind == "linearised" else "ED-Euler-large3"}
         setting: The block of the other cases with K_e = 10 Pa, shear modulus 5 Pa, 0.2 m/s; cells of 0.35 m;
           8 steps of 0.02 s with G_m = 10 to 1e4 Pa s; 16 steps of 0.25 s under gravity 2 m/s2 from rest and

@@ -43,30 +43,31 @@ for kind, name, label in (
     ("neo-hookean", "finite", "DT-det-extended, ED-Euler-large2"),
 ):
     CASES(f"""manufactured-transport-{name}{" (reduced)" * (kind == "linear")}
-        Density and fields alone, with the exact velocity, converge with order m + 1 in 2D.
+        Density and fields, with the exact velocity, converge with order m + 1 in 2D.
         label: {label}
         setting: Unit square, 0.4 m refined twice, two steps of 0.25 s (CFL up to 3), m = 0, 1, 2.
         {each(f"- rate of [rho; z], m = {m} >= {m + 0.85}: order m + 1" for m in (0, 1, 2))}
         """)(partial(_transport, kind))
 
 V_RATES = {(2, 0): 1.0, (2, 1): 1.7, (2, 2): 1.7, (3, 0): 1.0, (3, 1): 1.7, (3, 2): 2.3}
-"""Asked of v with p = 4 in 2D: 2 for k = 2 (FORMULATION.md, Section 5), above 2 for k = 3, and no more than
-the fields it is coupled to."""
+"""Required rates of v with p = 4 in 2D: 2 for k = 2 (FORMULATION.md, Section 5), above 2 for k = 3, and no
+more than the rates of the fields coupled to v."""
 MOMENTUM = {"linear": "Euler-small-viscoelastodyn+1disc", "neo-hookean": "Euler-large-viscoelastodyn+1disc"}
 CARRIED = {
     "linear": "Euler-small-viscoelastodyn+0disc, Euler-small-viscoelastodyn+2disc",
     "neo-hookean": "DT-det-extended, ED-Euler-large2",
 }
-"""Labels of the equations of v, and of rho and z."""
+"""Labels of the equations of v, and of those of rho and z."""
 _SHARP = 1.7
-"""Asked for order 2, where theory has no more: v for k = 2, and what is carried by it."""
+"""Required rate if theory gives order 2 only: for v with k = 2, and for fields transported by v."""
 
 
 def _least(dim: int, k: int, m: int) -> tuple[float, float]:
-    """The rates asked for, of v and of the fields.
+    """The required rates of v and of the fields.
 
-    In 2D m + 1, less 0.3.  In 3D with k = 3 or m = 2 what theory has: m + 1/2 of upwind transport on any
-    mesh; for v, whose momentum has a stress of that order, min(k, m + 1/2); and no more than 2 with k = 2.
+    In 2D the rate is m + 1, less 0.3.  In 3D with k = 3 or m = 2 it is that of theory: m + 1/2 for upwind
+    transport on any mesh; min(k, m + 1/2) for v, whose momentum has a stress of order m + 1/2; and at most 2
+    with k = 2.
     """
     if dim == 3 and (k == 3 or m == 2):
         least = min(m + 0.5, _SHARP) if k == 2 else min(m + 0.5, k)
@@ -76,7 +77,7 @@ def _least(dim: int, k: int, m: int) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class Series:
-    """Meshes on which one order k is measured, for fields of ``degrees``, m."""
+    """Meshes on which an order k is measured, with fields of the orders ``degrees``, m."""
 
     dim: int
     k: int
@@ -88,7 +89,7 @@ MESHES = {
     2: (0.4, 3, "unit square, 0.4 m refined twice"),
     3: (1.0, 3, "unit cube, 12 tetrahedra refined twice to 768"),
 }
-"""Size of the first, m, how many, and what they are."""
+"""Size of the first mesh's cells, m, number of meshes, and their description."""
 
 
 def _measure(kind: str, series: Series) -> Measured:
@@ -138,18 +139,18 @@ for kind in NAMES:
 
 
 _BODIES = {(2, 0): 1.0, (2, 1): 2.7, (3, 2): 3.3}
-"""Asked of v for two bodies without hyperviscosity, by k and m."""
+"""Required rates of v for two bodies without hyperviscosity, by k and m."""
 
 _ABOVE_Z, _AS_ELSEWHERE = "order k + 1, but one above z at most", "order m + 1, less 0.3 as elsewhere"
 
 
 @CASES(f"""manufactured-bodies
-    Two bodies of other stiffness, viscosity, creep and density that share every point converge in space:
+    Two bodies of different stiffness, viscosity, creep and density that share every point converge in space:
       amounts and tensors with order m + 1.
     label: FORMULATION.md, Section 9
     setting: Fractions of 0.15 to 0.36 and 0.64 to 0.85; each with its own tensor, creep and viscosity, one
       volumetric energy, gravity; unit square, 0.4 m refined twice, two steps of 0.05 s.  The control's
-      sources stretch what there is of a body as a whole.
+      sources stretch the amount of a body as a whole.
     {each(f"- rate of v, k = {k}, m = {m} >= {v}: {_ABOVE_Z}" for (k, m), v in _BODIES.items())}
     {each(f"- rate of [rho; z], k = {k}, m = {m} >= {m + 0.7}: {_AS_ELSEWHERE}" for k, m in _BODIES)}
     - rate of z, control <= 1.0: another equation
@@ -176,11 +177,11 @@ LABEL = {
 }
 
 AGREES = 1e-6
-"""Relative size of differences of eighth order with the analytic sources."""
+"""Relative error of differences of eighth order against the analytic sources."""
 
 
 def _with_gradient(kind: str, dim: int) -> Measured:
-    """Sources against finite differences, and rates in space."""
+    """Compare the sources with finite differences, and measure rates in space."""
     sources = Sources(model(kind, dim, 4.0, True, nu=NU), dim, 0.05)
     differences, control = (
         mismatch(coefficients(kind, 4.0, True, nu), sources, kind, 0.3, box((1,) * dim, 1.0))
@@ -201,8 +202,8 @@ for kind in NAMES:
     for dim in (2, 3):
         name = NAMES[kind]
         CASES(f"""creep-gradient-{dim}d-{name}{" (reduced)" * (dim == 2 and kind == "linear")}
-            With nu > 0 the whole system of {KINDS[name]} with all its terms converges in space in {dim}D, the
-              creep rate too; its source is the independent residual.
+            With nu > 0 the whole system of {KINDS[name]} with all its terms converges in space in {dim}D,
+              including the creep rate; the source of the creep rate agrees with an independent residual.
             label: {LABEL[kind]}, {LABELS[kind]}
             setting: {TERMS}, nu = {NU} with q = 4; {MESHES[dim][2]}; k = 2, m = 1, two steps of 0.05 s with
               the discrete time derivative in the sources; Pi of order 1 with (n . grad) Pi = 0.
@@ -219,7 +220,7 @@ FIELDS = {"linear": "E", "neo-hookean": "F", "by B": "B"}
 
 
 class Stiffer(Sources):
-    """Sources of a psi' that is a tenth larger."""
+    """Sources with a psi' that is a tenth larger."""
 
     @property
     def creep(self) -> CoefficientFunction:
@@ -230,7 +231,7 @@ class Stiffer(Sources):
 
 @CASES(f"""creep-gradient-flow-rules
     With nu > 0 and a creep rate that varies in space, flow rules whose potential is not quadratic converge in
-      space, by E, by F and by B; their sources are the literature's formulas.
+      space, by E, by F and by B; their sources agree with the literature's formulas.
     label: Euler-small-flow-rule, ED-Euler-large3, Euler-large-viscoelastodyn+4disc
     setting: Norton (n = 3), Eyring, Perzyna (n = 2, psi smoothed below |Pi| = 1e-4/s); |Pi| from 0 at a
       point, where psi'' of the first is infinite and psi' of the last jumps, to 0.6/s; nu = {NU}, q = 4;
@@ -243,7 +244,8 @@ class Stiffer(Sources):
     - largest rate of Pi, control with psi' a tenth off <= 1.0: an error stays
     """)
 def _of_rules() -> Measured:
-    """Rates in space for every rule and material, and the rules against their formulas by differences."""
+    """Measure rates in space for every rule and material; compare the rules with their formulas by
+    differences."""
     t, mesh, largest, least, controls = 0.3, box((1, 1), 1.0), 0.0, np.inf, []
     found: dict[str, list[float]] = {name: [] for name in ("v", "rho", "z", "Pi")}
     for rule in NONLINEAR:
@@ -275,11 +277,11 @@ G_E, G_M, Q = 1.0, 2.0, 4.0
 DIRECTION = np.array([[1.0, 0.5, 0.0], [0.5, -0.4, 0.0], [0.0, 0.0, -0.6]])
 DIRECTION /= np.linalg.norm(DIRECTION)
 STRENGTH = 0.3
-"""nu, W/m^3 (m s)^4: it halves the creep rate at the centre."""
+"""The coefficient nu, W/m^3 (m s)^4, which halves the creep rate at the centre."""
 
 
 def profile(square: Any) -> Any:
-    """The strain's size for r^2, of an array or a coefficient function."""
+    """The strain's amplitude as a function of r^2, which is an array or a coefficient function."""
     return 0.5 - 2.0 * square + 1.2 * square * square
 
 
@@ -288,8 +290,8 @@ def radial_creep(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Nodes r and values a(r) of Pi = a(r) D in the unit disc or ball for a driving stress M = m(r) D.
 
-    a minimises int (G_m a^2/2 + nu |a'|^q/q - m a) r^{d-1} dr: here by linear elements and a damped Newton
-    iteration, in NumPy, with nothing of the package's forms or spaces.
+    a minimises int (G_m a^2/2 + nu |a'|^q/q - m a) r^{d-1} dr. It is computed with linear elements and a
+    damped Newton iteration in NumPy, independently of the package's forms and spaces.
     """
     points, weights = np.polynomial.legendre.leggauss(4)
     r, h, share = np.linspace(0.0, 1.0, intervals + 1), 1 / intervals, 0.5 * (points + 1)
@@ -298,7 +300,7 @@ def radial_creep(
     mass, size = G_M * np.einsum("cp,ap,bp->abc", volume, shapes, shapes), volume.sum(axis=1)
 
     def gathered(of_cells: np.ndarray) -> np.ndarray:
-        """Sums of (2, cells) over the nodes."""
+        """Sum values at the cells' ends, (2, cells), over the nodes."""
         return np.append(of_cells[0], 0.0) + np.append(0.0, of_cells[1])
 
     load = gathered(np.stack([(volume * driving(at) * s).sum(axis=1) for s in shapes]))
@@ -328,10 +330,10 @@ def radial_creep(
 
 
 def solved(dim: int, maxh: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
-    """Pi (points, 9), r and weights at quadrature points after one step of 1e-8 s, in which nothing moves.
+    """Pi, (points, 9), r and weights at quadrature points after one step of 1e-8 s, in which nothing moves.
 
-    The last is the cells' size, (|Omega|/cells)^(1/dim), m: a mesher's 0.4 m makes twice as many cells of a
-    ball as its 0.8 m, not eight times.
+    The last value is the cells' size, (|Omega|/cells)^(1/dim), m: for a ball a mesher makes only twice as
+    many cells with 0.4 m as with 0.8 m, not eight times.
     """
     mesh = disc(1.0, maxh) if dim == 2 else sphere(1.0, maxh)
     square = x * x + y * y + (z * z if dim == 3 else 0.0)
@@ -352,7 +354,7 @@ def solved(dim: int, maxh: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, f
 
 
 def independent(dim: int, sizes: tuple[float, ...]) -> Measured:
-    """Pi of M = m(r) D against the minimiser in one dimension."""
+    """Compare Pi for M = m(r) D with the minimiser in one dimension."""
 
     def driving(r: np.ndarray) -> np.ndarray:
         return np.asarray(2 * G_E * profile(r * r))
@@ -375,8 +377,8 @@ def independent(dim: int, sizes: tuple[float, ...]) -> Measured:
 for dim, sizes, largest, rate in ((2, (0.5, 0.25, 0.125), 2e-3, 1.7), (3, (0.8, 0.4, 0.3), 0.06, 1.5)):
     shape = "disc" if dim == 2 else "ball"
     CASES(f"""creep-gradient-{shape}
-        The creep rate of a driving stress that varies along the radius of a {shape} is the minimiser of its
-          potential, found in one dimension without the package.
+        For a driving stress that varies along the radius of a {shape} the creep rate is the minimiser of its
+          potential, computed in one dimension without the package.
         label: ED-Euler-large3, Euler-large-viscoelastodyn+4disc
         setting: Unit {shape}, E = (0.5 - 2 r² + 1.2 r⁴) D, G_e = 1 Pa, G_m = 2 Pa s, nu = {STRENGTH}, q = 4;
           one step of 1e-8 s; k = 2, m = 2, curved cells of {", ".join(map(str, sizes))} m.

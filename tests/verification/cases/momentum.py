@@ -1,4 +1,4 @@
-"""Unloaded bodies in a periodic box keep their momentum, whatever jumps they carry."""
+"""Unloaded bodies in a periodic box conserve momentum with all kinds of jumps; a disc that spins."""
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -17,16 +17,16 @@ from tests.verification.setups import fluid, stokes
 CASES = Cases("Momentum")
 
 CELLS, STEP, STEPS, SPEED = 16, 0.02, 5, 0.05
-"""Rows of cells along each side of the unit box; s; m/s."""
+"""Rows of cells along each side of the unit box; step, s; number of steps; velocity, m/s."""
 MODULUS, DENSITY = 10.0, 1.0
-"""Pa, kg/m^3."""
+"""Modulus, Pa, and density, kg/m^3."""
 SHORT = 0.005
-"""The step of a body that breaks, s: its step is staggered."""
+"""Step, s, of a body that breaks, whose steps are staggered."""
 
 
 @dataclass(frozen=True)
 class Thrown:
-    """A body and its start; ``share`` is what may change of the momentum over ∫ρ|v| and the sound impulse."""
+    """A body and its start; ``share`` bounds the change of momentum over ∫ρ|v| and the sound impulse."""
 
     make: Callable[[], dict[str, Any]]
     start: Mapping[str, Any]
@@ -38,7 +38,7 @@ class Thrown:
 
 
 def _band(f: CoefficientFunction) -> CoefficientFunction:
-    """1 in the middle of [0, 1], else 0."""
+    """The function that is 1 in the middle of [0, 1], else 0."""
     return IfPos(f - 0.25, IfPos(0.75 - f, 1.0, 0.0), 0.0)
 
 
@@ -55,7 +55,7 @@ def _broken(material: nv.Material, law: Literal["AT1", "AT2"] = "AT2") -> dict[s
 
 
 def _bodies(modulus: float) -> dict[str, Any]:
-    """A stiff disc in a soft solid of one volumetric energy, at rest; the disc is thrown."""
+    """A thrown stiff disc in a soft solid at rest, with one volumetric energy."""
     disc, rest = (nv.IsochoricNeoHookean(K_e=50.0, G_e=G) for G in (modulus, 0.1))
     place = nv.Ball((0.5, 0.5), 0.25)
     return {
@@ -89,7 +89,7 @@ THROWN = {
 
 
 def change_of_momentum(body: Thrown) -> tuple[nv.Simulation, float]:
-    """A run, and how much its momentum has changed, over ∫ρ|v| and the sound impulse."""
+    """A run, and the change of its momentum over ∫ρ|v| and the sound impulse."""
     made, start = body.make(), dict(body.start)
     if "material" in made:
         made["viscosity"], start["density"] = stokes(0.05), DENSITY
@@ -113,14 +113,14 @@ def change_of_momentum(body: Thrown) -> tuple[nv.Simulation, float]:
 
 
 def momentum(run: nv.Simulation) -> np.ndarray:
-    """∫ρv, kg m/s."""
+    """The momentum ∫ρv, kg m/s."""
     now = run.rothe_step.now
     return np.array(Integrate(now.rho * now.v, run.mesh, order=8))
 
 
 @contextmanager
 def without_tangents() -> Iterator[None]:
-    """Within: a facet's trace is the mean of both sides, whatever the energy."""
+    """A context in which a facet's trace is the mean of both sides for every energy."""
     kept = TangentForce.excess
     try:
         TangentForce.excess = lambda self, u: 0.0 * self.jumps[0].jump(u)  # type: ignore[method-assign]
@@ -141,8 +141,9 @@ _BOUNDS = "\n    ".join(
 
 
 @CASES(f"""momentum-of-jumps
-    Unloaded bodies in a periodic box keep their momentum, whatever jumps they carry: of strains, stretches,
-      moduli, heat, cracks, and another body.
+    Unloaded bodies in a periodic box conserve momentum with jumps of strains, stretches, moduli, heat and
+    cracks,
+      and with another body.
     label: FORMULATION.md, Section 4
     setting: Unit box, {CELLS} x {CELLS} x 2 triangles, thrown at {SPEED:g} m/s; {MODULUS:g} Pa, {DENSITY:g}
       kg/m3, 0.05 Pa s; {STEPS} steps of {STEP:g} s, of bodies that break {SHORT:g} s. Changes over ∫ρ|v| and
@@ -183,7 +184,7 @@ def _kept() -> Measured:
 
 # --- a disc that spins --------------------------------------------------------------------------------------
 RADIUS, ROWS, SPIN_STEP, SPUN = 0.25, 12, 0.02, 0.3
-"""m; rows of cells along each side of the unit box; s; s."""
+"""Radius, m; rows of cells along each side of the unit box; step, s; end, s."""
 LIGHT = 0.05
 """Density, bulk modulus and viscosity of the medium over those of the disc."""
 BULK, SHEAR, THICK = 50.0, 10.0, 1e-3
@@ -220,8 +221,8 @@ def spinning_disc(m: int) -> tuple[nv.Simulation, float]:
 
 
 @CASES(f"""spinning-disc
-    A disc that spins in a light medium keeps its angular momentum as well as its cells turn: no form keeps
-      that and the energy for m < 2.
+    A disc that spins in a light medium conserves angular momentum as accurately as its cells rotate: no form
+      conserves both angular momentum and energy for m < 2.
     label: FORMULATION.md, Section 3
     setting: Unit box (slip), {ROWS} x {ROWS} x 2 triangles; disc of {RADIUS:g} m, {BULK:g} and {SHEAR:g} Pa,
       1 kg/m3, {THICK:g} Pa s, at 1 rad/s, in a fluid of {LIGHT:g} of these without shear; midpoint rule,

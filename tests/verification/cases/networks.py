@@ -21,19 +21,20 @@ CASES = Cases("Exact solutions: rheology")
 
 BULK = 100.0
 SPRING, MODES = 0.5, {"fast": (2.0, 0.1), "middle": (1.0, 1.0), "slow": (0.5, 10.0)}
-"""The shear modulus of the spring, Pa; of the Maxwell branches shear modulus, Pa, and relaxation time, s."""
+"""The spring's shear modulus, Pa, and the Maxwell branches' shear moduli, Pa, and relaxation times, s."""
 
 Modes = Mapping[str, tuple[float, float]]
 
 
 def solid(kind: str, modes: Modes = MODES, spring: float = SPRING) -> nv.Network:
-    """Maxwell branches, and a spring if it has a modulus, of the linearised model or by tensors B."""
+    """A network of Maxwell branches, and of a spring if it has a modulus, in the linearised model or with
+    tensors B."""
 
     def branch(shear: float, bulk: float, time: float | None = None) -> nv.Branch:
         if kind == "linearised":
             material: nv.Material = nv.LinearElastic(K_e=bulk, G_e=shear)
             law = None if time is None else nv.Creep(G_m=2 * shear * time)
-        else:  # chains of Hooke, in equilibrium with no shape but the present one: B - I relaxes
+        else:  # Hookean chains, whose equilibrium is the present shape: B - I relaxes
             material = nv.OldroydB(K_e=bulk, G_e=shear / 2)
             law = None if time is None else nv.Creep(G_m=2 * shear * time, law="conformation")
         return nv.Branch(material=material, creep=law)
@@ -45,12 +46,12 @@ def solid(kind: str, modes: Modes = MODES, spring: float = SPRING) -> nv.Network
 
 
 def relaxation(t: np.ndarray, modes: Modes = MODES, spring: float = SPRING) -> np.ndarray:
-    """G(t) = G_inf + sum g_i exp(-t/tau_i), Pa."""
+    """The relaxation modulus G(t) = G_inf + sum g_i exp(-t/tau_i), Pa."""
     return np.asarray(spring + sum(g * np.exp(-t / tau) for g, tau in modes.values()))
 
 
 def complex_modulus(omega: float, modes: Modes = MODES, spring: float = SPRING) -> complex:
-    """G* = G_inf + sum g_i i omega tau_i/(1 + i omega tau_i), Pa."""
+    """The complex modulus G* = G_inf + sum g_i i omega tau_i/(1 + i omega tau_i), Pa."""
     return spring + sum(g * 1j * omega * tau / (1 + 1j * omega * tau) for g, tau in modes.values())
 
 
@@ -59,7 +60,7 @@ def _mesh() -> Mesh:
 
 
 def _stretched(kind: str, strain: float, steps: int, until: float) -> tuple[np.ndarray, np.ndarray]:
-    """Times and ``stresses`` of a channel that is sheared at once and held."""
+    """Times and ``stresses`` of a channel that is sheared suddenly and held."""
     F = CF((1, strain, 0, 0, 1, 0, 0, 0, 1), dims=(3, 3))
     walls: Conditions = {("top", "bottom"): nv.NoSlip()}
     model = nv.Model(material=solid(kind))
@@ -70,8 +71,9 @@ def _stretched(kind: str, strain: float, steps: int, until: float) -> tuple[np.n
 
 
 @CASES("""network-relaxation (reduced)
-    The stress of a network after a step of strain relaxes as its Prony series says; at finite strain, with
-      chains of Hooke in its branches, the shear stress and the first normal stress difference do so together.
+    The stress of a network after a step of strain relaxes by its Prony series; at finite strain, with Hookean
+      chains in its branches, the shear stress and the first normal stress difference relax by the same
+      series.
     label: Prony 1795; Lodge 1956
     setting: G_inf = 0.5 Pa, g = 2, 1, 0.5 Pa with tau = 0.1, 1, 10 s; a channel that holds a shear of 0.001
       (linearised) and of 1 (by B), until 2 s by 50 and 100 steps of the midpoint rule.
@@ -106,7 +108,7 @@ def _relaxation() -> Measured:
 
 
 def _oscillated(omega: float, steps: int, periods: int = 1, from_rest: bool = False) -> complex:
-    """G* by the shear stress of the last period, of a shear of 1e-3 sin(omega t)."""
+    """The complex modulus G* from the last period's shear stress, for a shear of 1e-3 sin(omega t)."""
     size, dt = 1e-3, 2 * math.pi / omega / steps
     rate = size * omega * cos(omega * nv.time)
     material = solid("linearised")
@@ -116,7 +118,7 @@ def _oscillated(omega: float, steps: int, periods: int = 1, from_rest: bool = Fa
         E_12 = 0.5 * size * complex(modulus).imag * (not from_rest)
         values[f"E_{name}"] = CF((0, E_12, 0, E_12, 0, 0, 0, 0, 0), dims=(3, 3))
     walls: Conditions = {"top": nv.PrescribedTangential((rate, 0.0)), "bottom": nv.NoSlip()}
-    # without inertia to speak of: rho omega^2 is far below the moduli
+    # inertia is negligible: rho omega^2 is far below the moduli
     initial = nv.Initial(velocity=(size * omega * y, 0), density=1e-6 / (1 + omega**2), values=values)
     model = nv.Model(material=material)
     run = nv.Simulation(_mesh(), model, dt=dt, walls=walls, initial=initial, scheme="midpoint")
@@ -126,7 +128,7 @@ def _oscillated(omega: float, steps: int, periods: int = 1, from_rest: bool = Fa
 
 
 @CASES("""network-moduli
-    Storage and loss moduli of a network over four decades of frequency are those of its Prony series.
+    Storage and loss moduli of a network over four decades of frequency agree with its Prony series.
     label: Ferry 1980
     setting: The network of network-relaxation, linearised, in a channel whose wall oscillates by a shear of
       0.001, omega = 0.03 to 300 rad/s; a period in 32 and 64 steps of the midpoint rule, from the state of
@@ -156,13 +158,14 @@ CREEPING: dict[str, tuple[Modes, float, str]] = {
     "zener": ({"slow": (3.0, 0.5)}, 1.0, "the standard linear solid"),
     "burgers": ({"fast": (2.0, 0.2), "slow": (1.0, 2.0)}, 0.0, "the fluid of Burgers"),
 }
-"""Maxwell branches, and the spring beside them, Pa."""
+"""The Maxwell branches, and the modulus of the parallel spring, Pa."""
 
 
 def compliance(t: np.ndarray, modes: Modes, spring: float) -> np.ndarray:
-    """J(t), 1/Pa: the strain under a unit stress, by the branches' strains as a linear system.
+    """The creep compliance J(t), 1/Pa, from a linear system for the branches' strains.
 
-    A unit stress is spring e + sum g_i e_i, of e_i' = e' - e_i/tau_i; of it e' follows.
+    J is the strain e under the unit stress spring e + sum g_i e_i. With e_i' = e' - e_i/tau_i this determines
+    e'.
     """
     g, tau = (np.array([mode[i] for mode in modes.values()]) for i in (0, 1))
     total = spring + g.sum()
@@ -174,7 +177,7 @@ def compliance(t: np.ndarray, modes: Modes, spring: float) -> np.ndarray:
 
 
 def closed_form(name: str, t: np.ndarray) -> np.ndarray:
-    """Moduli by the formulas of the literature: Zener's, and Burgers' by its two retardations."""
+    """The compliance by formulas of the literature: Zener's, and Burgers' with two retardation times."""
     modes, spring, _ = CREEPING[name]
     if name == "zener":
         ((g, tau),) = modes.values()
@@ -220,7 +223,7 @@ def _creep(name: str) -> Measured:
 
 for name, of in CREEPING.items():
     CASES(f"""network-creep-{name}
-        Under a constant shear stress {of[2]} creeps as its compliance says.
+        Under a constant shear stress {of[2]} creeps by its compliance.
         label: Zener 1948; Burgers 1935
         setting: The linearised model, a channel under a traction of 0.001 Pa from the elastic strain on,
           until 4 s by 40, 80, 160 steps of backward Euler, extrapolated twice; no inertia to speak of.
@@ -235,7 +238,7 @@ STANDING = (1, 2, 4)
 
 
 def attenuated(number: int, t: np.ndarray, modes: Modes, spring: float) -> np.ndarray:
-    """The amplitude of v = cos(k pi y) of a standing shear wave, by the branches' stresses."""
+    """The amplitude of v = cos(k pi y) in a standing shear wave, from the branches' stresses."""
     g = np.array([*(mode[0] for mode in modes.values()), spring])
     decay = np.array([*(1 / mode[1] for mode in modes.values()), 0.0])
     k = number * math.pi
@@ -245,7 +248,7 @@ def attenuated(number: int, t: np.ndarray, modes: Modes, spring: float) -> np.nd
 
 
 def _waves() -> Measured:
-    """At omega tau = sqrt(G_inf/G_0) the loss is the largest; waves below and above it are less damped."""
+    """Measure waves below, at and above omega tau = sqrt(G_inf/G_0), where the loss is largest."""
     table = []
     modes, spring = {"slow": (1.0, 0.1)}, 4.0
     for number in STANDING:
@@ -271,7 +274,7 @@ def _waves() -> Measured:
 
 
 CASES("""network-attenuation
-    Standing shear waves in a standard linear solid are damped by their frequency as its complex modulus says.
+    Standing shear waves in a standard linear solid are damped by its complex modulus at their frequency.
     label: Zener 1948
     setting: G_inf = 4 Pa beside g = 1 Pa, tau = 0.1 s; a periodic channel with slip, v_1 = 0.001 cos(k pi y),
       k = 1, 2, 4, over four periods by 120 and 240 steps of the midpoint rule, four cells a half wave.
@@ -283,7 +286,7 @@ CASES("""network-attenuation
 
 
 def start_up(t: np.ndarray, rate: float, modes: Modes) -> np.ndarray:
-    """Rows (T_12, N_1) of Oldroyd-B fluids in parallel, at a constant shear rate."""
+    """Rows (T_12, N_1) for Oldroyd-B fluids in parallel at a constant shear rate."""
     shear, normal = np.zeros_like(t), np.zeros_like(t)
     for g, tau in modes.values():
         shear += g * tau * rate * (1 - np.exp(-t / tau))
@@ -292,7 +295,8 @@ def start_up(t: np.ndarray, rate: float, modes: Modes) -> np.ndarray:
 
 
 @CASES("""network-startup
-    The start-up of shear of an Oldroyd-B fluid of two modes is the sum of theirs.
+    The stresses of an Oldroyd-B fluid with two modes in start-up of shear are the sums of the modes'
+    stresses.
     label: Bird, Armstrong, Hassager 1987
     setting: g = 2, 0.5 Pa with tau = 0.2, 2 s, by B; shear rate 1/s until 4 s in a channel, by 80 and 160
       steps of the midpoint rule.

@@ -14,31 +14,31 @@ CASES = Cases("Bodies and their interfaces")
 
 # --- Rayleigh–Taylor of an elastic layer over a fluid --------------------------------------------------
 """A layer of thickness h and shear modulus G hangs on a rigid ceiling over a fluid that is lighter by drho.
-For an incompressible layer a pressure p cos(k x) on its free face lifts that by
+For an incompressible layer a pressure p cos(k x) on the free face lifts the face by
 
     w = p/(2 G k) (sinh a cosh a - a)/(cosh^2 a + a^2),    a = k h,
 
-so that the face is in neutral equilibrium with the weight drho g w of what it displaces where
+so that the face is in neutral equilibrium with the weight drho g w of the displaced matter if
 
-    drho g h/G = 2 a (cosh^2 a + a^2)/(sinh a cosh a - a),
+    drho g h/G = 2 a (cosh^2 a + a^2)/(sinh a cosh a - a).
 
-least at a = 2.12, where it is 6.22 (Mora, Phou, Fromental and Pomeau, Phys. Rev. Lett. 113, 178301, 2014).  A
+The minimum is 6.22 at a = 2.12 (Mora, Phou, Fromental and Pomeau, Phys. Rev. Lett. 113, 178301, 2014).  A
 softer layer falls, a stiffer one oscillates.  The fluid's depth and inertia do not matter for the threshold.
 """
 
 DEEP, WIDTH = 1.0, 2.96
-"""Depth of the layer, as of the fluid, m; one wavelength, that of the least threshold."""
+"""Depth of the layer and of the fluid, m; wavelength with the least threshold, m."""
 G, LIGHT_FLUID, STIFF = 1.0, 0.25, 20.0
-"""m/s^2; density of the fluid, kg/m^3, where the layer has 1; K_e of both, Pa: 110 to 330 times G."""
+"""Gravity, m/s^2; density of the fluid, kg/m^3, with 1 for the layer; both K_e, Pa, 110 to 330 times G."""
 SPEED, THIN_FLUID = 1e-3, 1e-4
-"""First velocity, m/s; viscosity of the fluid, Pa s."""
+"""Initial velocity, m/s; viscosity of the fluid, Pa s."""
 MODULI = (0.5, 0.8, 1.2, 1.5)
-"""Shear moduli over the threshold's."""
+"""Shear moduli over the modulus at the threshold."""
 TAU, STEPS, CELLS = 0.1, 20, (12, 16)
 
 
 def threshold(a: float) -> float:
-    """drho g h/G of neutral equilibrium at k h = a."""
+    """The number drho g h/G of neutral equilibrium at k h = a."""
     return 2 * a * (math.cosh(a) ** 2 + a * a) / (math.sinh(a) * math.cosh(a) - a)
 
 
@@ -47,11 +47,11 @@ CRITICAL = (1 - LIGHT_FLUID) * G * DEEP / threshold(2 * math.pi / WIDTH * DEEP)
 
 
 def _grown(ratio: float) -> tuple[np.ndarray, float]:
-    """v_y : cos(k x) over its first value, and s^2 in 1/s^2, of which exp(s t) is the motion.
+    """The projection of v_y on cos(k x) over its initial value, and s^2, 1/s^2, of the motion exp(s t).
 
-    From hydrostatic rest, J = 1 at the face, and a solenoidal velocity.  The values obey a_n+1 + a_n-1 =
-    (q + 1/q) a_n with q = (1 + s tau/2)/(1 - s tau/2), the midpoint rule's factor, from which (s tau/2)^2 =
-    (c - 2)/(c + 2) for c = q + 1/q, of either sign.
+    The run starts from hydrostatic rest, J = 1 at the face, with a solenoidal velocity. The projections obey
+    a_n+1 + a_n-1 = (q + 1/q) a_n with q = (1 + s tau/2)/(1 - s tau/2), the midpoint rule's factor, from which
+    (s tau/2)^2 = (c - 2)/(c + 2) for c = q + 1/q, of either sign.
     """
     k, height = 2 * pi / WIDTH, y - DEEP
     solid = nv.ReferentialNeoHookean(K_e=STIFF, G_e=ratio * CRITICAL / 2)
@@ -59,7 +59,7 @@ def _grown(ratio: float) -> tuple[np.ndarray, float]:
         nv.Body(name="layer", where=height, material=solid, density=1.0),
         nv.Body(name="fluid", material=fluid(STIFF), density=LIGHT_FLUID, viscosity=stokes(THIN_FLUID)),
     )
-    s = 1 - IfPos(height, height, -height) / DEEP  # 0 at the walls, 1 at the face
+    s = 1 - IfPos(height, height, -height) / DEEP  # zero at the walls, one at the face
     slope = 6 * s * (1 - s) * IfPos(height, -1.0, 1.0) / DEEP
     velocity = SPEED * CF((-slope / k * sin(k * x), s * s * (3 - 2 * s) * cos(k * x)))
     run = nv.Simulation(
@@ -78,8 +78,9 @@ def _grown(ratio: float) -> tuple[np.ndarray, float]:
 
 
 @CASES(f"""rayleigh-taylor-elastic
-    A heavy elastic layer that hangs over a light fluid falls where it is softer than the threshold of linear
-      theory, and oscillates where it is stiffer.
+    A heavy elastic layer that hangs over a light fluid falls if it is softer than the threshold of linear
+    theory,
+      and oscillates if it is stiffer.
     label: benchmark: Mora et al. (2014)
     setting: Layer and fluid {DEEP:g} m deep, one wavelength of {WIDTH:g} m, densities 1 and {LIGHT_FLUID:g}
       kg/m3, g = {G:g} m/s2, G_c = {CRITICAL:.4f} Pa; both bodies K_e = {STIFF:g} Pa, the fluid {THIN_FLUID:g}
@@ -108,30 +109,30 @@ def _rayleigh_taylor() -> Measured:
 
 
 # --- Rayleigh–Taylor of viscous layers -----------------------------------------------------------------
-"""Growth of two viscous layers without inertia: a face at A cos(k x) between a layer of thickness h_1,
-viscosity eta_1 and density rho_1 above another one of h_2, eta_2 and rho_2, between walls that hold, moves
-with K (rho_1 - rho_2) g h_2 A/(2 eta_2), where K is ``factor`` (H. Ramberg, Phys. Earth Planet. Inter. 1,
-427, 1968; T. Gerya, Introduction to Numerical Geodynamic Modelling, 2010, Chapter 16).  Backward Euler then
-multiplies A by 1/(1 - s tau).
+"""Growth of two viscous layers without inertia. A layer of thickness h_1, viscosity eta_1 and density rho_1
+lies above a layer of h_2, eta_2 and rho_2, between walls without slip. The face at A cos(k x) between them
+moves with the velocity K (rho_1 - rho_2) g h_2 A/(2 eta_2), where K is ``factor`` (H. Ramberg, Phys. Earth
+Planet. Inter. 1, 427, 1968; T. Gerya, Introduction to Numerical Geodynamic Modelling, 2010, Chapter 16).
+Backward Euler then multiplies A by 1/(1 - s tau).
 
-Pressures of 9e7 Pa are rounded to 1e-6 Pa where K_e = 1e10 Pa, which moves the weak layer of 1e13 Pa s by
-1e-6 of its velocity: the iteration ends there.
+With K_e = 1e10 Pa pressures of 9e7 Pa are rounded to 1e-6 Pa.  This changes the velocity of the weak layer,
+1e13 Pa s, by 1e-6, where the iteration ends.
 """
 
 THICK, WAVE_LENGTH, FIRST = 1500.0, 4000.0, 30.0
-"""Thickness of each layer, length of a wave, and height of the face at first, m."""
+"""Thickness of each layer, length of a wave, and initial amplitude of the face, m."""
 HEAVY, LIGHT, PULL, K_LAYERS = 3000.0, 2900.0, 10.0, 1e10
 STRONG = 1e19
 """Viscosity of the lower layer, Pa s."""
 RATIOS = (1.0, 1e-3, 1e-6)
-"""Viscosities of the upper layer over it."""
+"""Viscosities of the upper layer over the lower layer's."""
 SIZES, TAU_OVERTURN, OVERTURNING = (250.0, 125.0), 5e10, 4
-"""m, s."""
+"""Sizes of cells, m; step, s."""
 WAVE = 2 * math.pi / WAVE_LENGTH
 
 
 def factor(ratio: float) -> float:
-    """K of the text above with h_1 = h_2 and eta_1/eta_2 = ``ratio``."""
+    """The factor K of the text above for h_1 = h_2 and eta_1/eta_2 = ``ratio``."""
     f = WAVE * THICK
     of = math.cosh(2 * f) - 1 - 2 * f * f
     straight, sheared = math.sinh(2 * f) - 2 * f, math.sinh(2 * f) + 2 * f
@@ -141,7 +142,7 @@ def factor(ratio: float) -> float:
 
 
 def overturn(ratio: float, maxh: float) -> nv.Simulation:
-    """Half a wave, from hydrostatic rest, J = 1 at the top."""
+    """Half a wave that starts from hydrostatic rest, J = 1 at the top."""
 
     def face(s: float) -> float:
         return THICK + FIRST * math.cos(WAVE * s)
@@ -164,7 +165,7 @@ def overturn(ratio: float, maxh: float) -> nv.Simulation:
 
 
 def _of_face(run: nv.Simulation) -> float:
-    """Amplitude of the face, m: what the lower layer's fraction says."""
+    """Amplitude of the face, m, from the lower layer's fraction."""
     return 4 / WAVE_LENGTH * float(Integrate(run.fields["lower_fraction"] * cos(WAVE * x), run.mesh, order=6))
 
 

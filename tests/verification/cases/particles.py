@@ -1,4 +1,4 @@
-"""A soft particle in shear: an elastic disc in a fluid of its viscosity keeps its shape and goes round."""
+"""A soft particle in shear: an elastic disc in a fluid of equal viscosity keeps its shape and rotates."""
 
 import math
 from functools import partial
@@ -16,15 +16,16 @@ from tests.verification.setups import fluid, stokes
 CASES = Cases("Bodies and their interfaces")
 
 SIZE, REFINED, CELLS, OUTER = 12.0, (3.4, 3.0), 8, 1.5
-"""Periodic cell and fine part about the disc, radii; cells across the disc; size of cells beyond, radii."""
+"""Sizes of the periodic cell and of the fine part, in radii; cells across the disc; size of other cells,
+radii."""
 CAPILLARY, BULK, REYNOLDS, TAU, STRAINS = 0.2, 50.0, 0.05, 0.1, 18.0
 D, ANGLE = 0.1875, 34.4
-"""An ellipse with uniform fields (Eshelby), D = Ca sin 2 theta = Ca (1 - D^2)/(1 + D^2), here
-.1866, in this cell .1875; degrees."""
+"""Deformation and angle, degrees, of an ellipse with uniform fields (Eshelby), D = Ca sin 2 theta =
+Ca (1 - D^2)/(1 + D^2): 0.1866 for this Ca, and 0.1875 in this periodic cell."""
 
 
 def refined(h: float) -> ngsolve.Mesh:
-    """A square about the origin, periodic in x, with cells of a size h about the disc."""
+    """A square about the origin, periodic in x, with cells of the size h around the disc."""
     outer = WorkPlane().MoveTo(-SIZE / 2, -SIZE / 2).Rectangle(SIZE, SIZE).Face()
     inner = WorkPlane().MoveTo(-REFINED[0] / 2, -REFINED[1] / 2).Rectangle(*REFINED).Face()
     inner.faces.maxh = h
@@ -95,8 +96,8 @@ for name, what, of_d, (slow, fast), (small, large), (thin, thick) in (
     ("soft-disc-in-shear-sharp", ", bodies put apart", 0.06, (0.44, 0.48), (0.965, 0.995), (1.1, 1.6)),
 ):
     CASES(f"""{name}
-        A neo-Hookean disc in a fluid of its viscosity takes the shape of the closed form and keeps it over
-          more than a revolution, while its matter goes round.
+        A neo-Hookean disc in a fluid of equal viscosity takes the shape of the closed form and keeps it over
+          more than a revolution, while its matter rotates.
         label: benchmark: Eshelby's uniform fields
         setting: Ca = {CAPILLARY:g}, Re = {REYNOLDS:g}, K_e = {BULK:g} mu gamma, a cell of {SIZE:g} a squared,
           {CELLS} cells across the disc, gamma tau = {TAU:g}, midpoint rule until {STRAINS:g} strains{what}.

@@ -18,12 +18,14 @@ from tests.verification.setups import followed
 CASES = Cases("Exact solutions: rheology")
 
 G_E, G_M = 0.5, 2.0
-"""Half the shear modulus, Pa, and the creep modulus, Pa s: G = 1 Pa, a relaxation time of 1 s."""
+"""Half the shear modulus, Pa, and the creep modulus, Pa s, so that G = 1 Pa and the relaxation time is 1
+s."""
 ALPHA, EPSILON = 0.3, 0.25
 
 
 def giesekus(Wi: float) -> tuple[float, float, float]:
-    """(T_12, N_1, N_2) by the closed form of Giesekus (1982), J. Non-Newtonian Fluid Mech. 11, 69."""
+    """The stresses (T_12, N_1, N_2) by the closed form of Giesekus (1982), J. Non-Newtonian Fluid Mech. 11,
+    69."""
     s = 16 * ALPHA * (1 - ALPHA) * Wi**2
     chi = np.sqrt((np.sqrt(1 + s) - 1) / (0.5 * s))
     f = (1 - chi) / (1 + (1 - 2 * ALPHA) * chi)
@@ -36,7 +38,8 @@ def _loss(form: str, stretch: float) -> float:
 
 
 def ptt(form: str) -> Callable[[float], tuple[float, float, float]]:
-    """c_22 = c_33 = 1, c_12 = Wi/f and c_11 = 1 + 2 (Wi/f)^2, with f of tr c - 3 (Phan-Thien 1978)."""
+    """The stresses by c_22 = c_33 = 1, c_12 = Wi/f, c_11 = 1 + 2 (Wi/f)^2, f a function of tr c - 3
+    (Phan-Thien 1978)."""
 
     def stresses(Wi: float) -> tuple[float, float, float]:
         f = brentq(lambda f: f - _loss(form, 2 * (Wi / f) ** 2), 1.0, 2 + 2 * Wi)
@@ -61,8 +64,9 @@ def _normal_differences(run: nv.Simulation) -> tuple[float, float, float]:
 
 
 @CASES("""polymers-shear
-    The stresses of fluids of Giesekus, and of Phan-Thien and Tanner, in steady shear are those of their
-      closed forms: they thin, and the first one has a second normal stress difference.
+    Fluids of Giesekus, and of Phan-Thien and Tanner, have the stresses of their closed forms in steady shear:
+    both
+      thin, and Giesekus' fluid has a second normal stress difference.
     label: Giesekus 1982; Phan-Thien 1978
     setting: Channel of 1 m between a resting and a sliding wall, G = 1 Pa, lambda = 1 s, K_e = 100 Pa, Wi =
       0.5 to 8, 60 steps of 0.5 s.
@@ -90,7 +94,7 @@ def _shear() -> Measured:
 
 
 def extension(form: str, rate: float) -> float:
-    """T_11 - T_22 in planar extension: c_11 = f/(f - 2 rate), c_22 = f/(f + 2 rate), c_33 = 1."""
+    """T_11 - T_22 in planar extension, with c_11 = f/(f - 2 rate), c_22 = f/(f + 2 rate), c_33 = 1."""
 
     def stretched(f: float) -> tuple[float, float]:
         return f / (f - 2 * rate), f / (f + 2 * rate)
@@ -101,11 +105,12 @@ def extension(form: str, rate: float) -> float:
 
 
 @CASES("""polymers-extension
-    The extensional viscosity of fluids of Phan-Thien and Tanner stays finite at all rates, with the values of
-      their closed form; that of Oldroyd's fluid has none at Wi = 1/2.
+    The extensional viscosity of fluids of Phan-Thien and Tanner is finite at all rates, and has the values of
+      their closed form; Oldroyd's fluid has no finite one at Wi = 1/2.
     label: Phan-Thien, Tanner 1977
-    setting: A box of 1 m that a planar extension flows through, v = rate (x, -y) on its walls, where what
-      comes in is what is inside; lambda = 1 s, Wi = 0.3, 1, 3, until 20 s by steps of 0.1 s.
+    setting: A box of 1 m that a planar extension flows through, v = rate (x, -y) on its walls, where entering
+      matter
+      has the state inside; lambda = 1 s, Wi = 0.3, 1, 3, until 20 s by steps of 0.1 s.
     - largest error of T_11 − T_22 <= 1e-5: relative; a steady state has no error of time
     - closure
     """)
@@ -128,8 +133,9 @@ def _extension() -> Measured:
 
 
 @CASES("""saramito-shear
-    Saramito's elastoviscoplastic fluid in steady shear has the stresses that rheoTool's issue 121 has for it,
-      and is a solid below its yield stress.
+    Saramito's elastoviscoplastic fluid in steady shear has the stresses given in rheoTool's issue 121, and is
+    a
+      solid below its yield stress.
     label: Saramito 2007; rheoTool, issue 121
     setting: G = 1 Pa, lambda = 1 s, a yield stress of 1 Pa in shear, K_e = 100 Pa; a channel at a shear rate
       of 1/s until 60 s by steps of 0.5 s; and one that holds a shear of 0.5 until 10 s.

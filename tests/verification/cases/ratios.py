@@ -17,14 +17,15 @@ CASES = Cases("Bodies and their interfaces")
 
 FAR = 1e4
 RATIOS = tuple((a, b) for a in (1 / FAR, 1.0, FAR) for b in (1 / FAR, 1.0, FAR))
-"""Ratios of the moduli and of the densities, those of the first body over the second's."""
+"""Ratios of the moduli and of the densities, each of the first body over the second one."""
 STEP, STEPS, SHORT, STRETCH = 0.02, 8, (4e-3, 2e-3), 0.05
-"""s; the step of the midpoint rule's remainder, s; of the strip's second half."""
+"""Step, s; number of steps; the midpoint rule's steps, s; stretch of the strip's second half."""
 Scheme = Literal["backward-euler", "midpoint"]
 
 
 def _bodies(where: object, stiffer: float, denser: float) -> tuple[nv.Body, ...]:
-    """K_e = 10 Pa, G_e = 1 Pa and 1 kg/m^3 of the second; times their ratios of the first, which is there."""
+    """Two bodies: the second has K_e = 10 Pa, G_e = 1 Pa and 1 kg/m^3, the first has these times the
+    ratios."""
     first = nv.ReferentialNeoHookean(K_e=10 * stiffer, G_e=stiffer)
     return (
         nv.Body(name="first", where=where, material=first, density=denser),
@@ -35,7 +36,7 @@ def _bodies(where: object, stiffer: float, denser: float) -> tuple[nv.Body, ...]
 def carried(
     stiffer: float, denser: float, scheme: Scheme, k: int = 1, m: int = 0, tau: float = STEP
 ) -> nv.Simulation:
-    """Two bodies in rigid translation through a periodic strip; the first is stretched."""
+    """Two bodies in rigid translation through a periodic strip; the first one is stretched."""
     mesh = MakeStructured2DMesh(quads=False, nx=6, ny=1, periodic_x=True, mapping=lambda s, t: (s, t / 6))
     inside = (x - 0.25) * (0.75 - x)
     stretch = 1 + STRETCH * IfPos(inside, 1.0, 0.0)
@@ -47,7 +48,7 @@ def carried(
 def stirred(
     stiffer: float, denser: float, scheme: Scheme, k: int = 1, m: int = 0, tau: float = STEP
 ) -> nv.Simulation:
-    """A disc in a solid, both turned by an eddy at first."""
+    """A disc in a solid, both with the velocity of an eddy at the start."""
     bodies = _bodies(nv.Ball((0.5, 0.5), 0.25), stiffer, denser)
     return _run(box((1, 1), 0.35), bodies, nv.Initial(velocity=0.5 * CF(SWIRL)), scheme, k, m, tau)
 
@@ -64,7 +65,7 @@ PROBLEMS = {"strip": carried, "disc": stirred}
 
 
 def _least(run: nv.Simulation) -> float:
-    """The least value in a step of each dissipation and of the scheme's columns, over the energies."""
+    """The smallest value in a step of each dissipation and of the scheme's columns, over the energies."""
     ledger = run.ledger
     names = [entry.name for entry in ledger.entries if entry.kind == "dissipation"]
     rates = [ledger.column(name)[1:].min() for name in names]
@@ -76,7 +77,7 @@ def _least(run: nv.Simulation) -> float:
 def table(
     orders: tuple[int, int], schemes: tuple[Scheme, ...], ratios: tuple[tuple[float, float], ...] = RATIOS
 ) -> Iterator[tuple[Balance | None, list[Any]]]:
-    """Balance and row of each problem, scheme and ratio; no balance where a step has no solution."""
+    """Balance and row of each problem, scheme and ratio; without a balance if a step has no solution."""
     for problem, make in PROBLEMS.items():
         for scheme in schemes:
             for stiffer, denser in ratios:
@@ -106,8 +107,9 @@ HEAD = (
 
 
 @CASES(f"""bodies-of-any-ratio
-    With k = 1 and m = 0 two bodies of any ratio of stiffnesses and of densities are solved, and unloaded
-      ones gain no energy by backward Euler, entry by entry; by the midpoint rule to third order.
+    With k = 1 and m = 0 steps of two bodies with any ratio of stiffnesses and of densities have solutions;
+    unloaded
+      bodies gain no energy with backward Euler, entry by entry, and with the midpoint rule to third order.
     label: FORMULATION.md, Section 9
     setting: K_e = 10 Pa, G_e = 1 Pa and 1 kg/m3, of the first body times {1 / FAR:g}, 1 and {FAR:g}, moduli
       and densities each by itself; a strip of 12 triangles, carried with 1 m/s, the first body stretched by
@@ -137,6 +139,6 @@ def _any_ratio() -> Measured:
         found.append(np.log2(both[0].remainder / both[1].remainder))
     yield "least order of the largest remainder, midpoint", min(found)
     yield Table("k = 1, m = 0", HEAD, rows)
-    further = tuple((stiffer, 1.0) for stiffer in (1.0, 0.1))  # a step of 0.01 takes longer than all others
+    further = tuple((stiffer, 1.0) for stiffer in (1.0, 0.1))  # 0.01 would be slowest
     second = [row for _, row in table((2, 1), ("backward-euler",), further)]
     yield Table("k = 2, m = 1 beside it", HEAD, second)

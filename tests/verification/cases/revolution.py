@@ -1,4 +1,4 @@
-"""Bodies of revolution: the radial modes of a free ball, which its meridian's half disc is a mesh of.
+"""Bodies of revolution: the radial modes of a free ball on a mesh of its meridian's half disc.
 
 The displacement of nS0 is j_1(k r) along the radius, k = omega/c_p, with no traction on r = 1:
 tan k = k/(1 - (c_p/c_s)^2 k^2/4) (Lamb 1882).  At the axis v_r/r is a third of the dilatation.
@@ -21,18 +21,18 @@ K_E, G_E = 1.0, 0.5
 SIZES = (0.5, 0.25)
 PERIODS, PER_PERIOD, FASTEST = 1, 24, 1e-5
 BRACKETS = ((1.8, 3.1), (4.8, 6.2))
-"""Roots k of 0S0 and 1S0."""
+"""Brackets of the roots k of 0S0 and 1S0."""
 TERMS = 24
 
 
 def root(n: int) -> float:
-    """k of nS0, 1/m."""
+    """The wave number k of nS0, 1/m."""
     ratio = (K_E + 4 / 3 * G_E) / G_E
     return float(brentq(lambda k: math.tan(k) * (1 - ratio * k * k / 4) - k, *BRACKETS[n], xtol=1e-14))
 
 
 def mode(n: int) -> CoefficientFunction:
-    """3 j_1(k r)/(k r) x, a power series, which is smooth at the centre."""
+    """The velocity 3 j_1(k r)/(k r) x as a power series, which is smooth at the centre."""
     square, radial, term = root(n) ** 2 * (x * x + y * y), CF(0.0), CF(1.0)
     for i in range(TERMS):
         radial = radial + term
@@ -41,8 +41,9 @@ def mode(n: int) -> CoefficientFunction:
 
 
 def oscillation(n: int, maxh: float) -> tuple[nv.Simulation, complex, np.ndarray]:
-    """Follow, by midpoint, from the mode's velocity and no strain: the run, s = -decay + i frequency, and
-    v : mode over the first."""
+    """Run a mode by the midpoint rule, starting with its velocity and no strain.
+
+    Returns the run, s = -decay + i frequency, and the projection of v on the mode over its initial value."""
     shape, omega = mode(n), root(n) * math.sqrt(K_E + 4 / 3 * G_E)
     tau = 2 * math.pi / omega / PER_PERIOD
     run = nv.Simulation(
@@ -59,8 +60,9 @@ def oscillation(n: int, maxh: float) -> tuple[nv.Simulation, complex, np.ndarray
 
 
 @CASES(f"""radial-modes
-    An elastic ball without traction on its surface swings in its radial modes 0S0 and 1S0 with Lamb's
-      frequencies, as a body of revolution; it does not move along its axis.
+    An elastic ball without traction on its surface, computed as a body of revolution, swings in its radial
+    modes
+      0S0 and 1S0 with Lamb's frequencies, and does not move along its axis.
     label: Euler-small-viscoelastodyn+; Lamb 1882
     setting: R = 1 m, rho = 1 kg/m3, K_e = {K_E:g} Pa, G_e = {G_E:g} Pa, no viscosity; curved triangles of a
       half disc, maxh = {SIZES[0]:g} and {SIZES[1]:g} m, k = 2, m = 1; midpoint, {PER_PERIOD} steps a period;

@@ -21,19 +21,19 @@ from tests.verification.setups import KINDS, elastic, followed, stokes
 CASES = Cases("Exact solutions: rheology")
 
 # --- Jeffreys and Maxwell bodies in shear --------------------------------------------------------------
-"""In a homogeneous simple shear every field equation is an ODE for the tensor (E, or F and J), which SciPy
+"""In homogeneous simple shear the field equations are an ODE for the tensor (E, or F and J), which SciPy
 integrates independently of the package's variables and rates."""
 
 BY_B = "finite-b"
-"""The finite-strain model with the material by B = F F^T instead of F: the same differential equation."""
+"""Name of the finite-strain model with B = F F^T instead of F, which has the same differential equation."""
 NAMES = {**KINDS, BY_B: "the finite-strain model by B"}
 G, LAMBDA, G_V = 1.0, 1.0, 0.25
-"""Shear modulus Pa, relaxation time s, viscosity beside the Maxwell element Pa s; its own is G LAMBDA."""
+"""Shear modulus, Pa, relaxation time, s, and parallel viscosity, Pa s; the Maxwell element's is G LAMBDA."""
 G_M = 2 * G * LAMBDA
 
 
 def material(kind: str) -> nv.Material:
-    """Shear modulus G in all of ``NAMES``."""
+    """The elastic material of a kind in ``NAMES``, with the shear modulus G."""
     return elastic(kind, 50.0, G)
 
 
@@ -42,7 +42,7 @@ def deviator(A: np.ndarray) -> np.ndarray:
 
 
 def tensor_rate(kind: str, A: np.ndarray, rate: float, Pi: np.ndarray) -> np.ndarray:
-    """E' = eps + W E - E W - Pi, or F' = L F - F Pi, for a shear rate."""
+    """The rate E' = eps + W E - E W - Pi, or F' = L F - F Pi, at a shear rate."""
     L = np.zeros((3, 3))
     L[0, 1] = rate
     W = (L - L.T) / 2
@@ -50,12 +50,12 @@ def tensor_rate(kind: str, A: np.ndarray, rate: float, Pi: np.ndarray) -> np.nda
 
 
 def mandel(kind: str, A: np.ndarray) -> np.ndarray:
-    """dev S, S = 2 G dev E, or dev(F^T S_F), F^T S_F = G J^(-5/3) F^T F, where J stays 1."""
+    """The driving stress: dev S, S = 2 G dev E, or dev(F^T S_F), F^T S_F = G J^(-5/3) F^T F with J = 1."""
     return 2 * G * deviator(A) if kind == "linearised" else deviator(G * A.T @ A)
 
 
 def shear_stress(kind: str, values: np.ndarray) -> np.ndarray:
-    """The elastic stress of the flattened tensor: 2 G dev E, or G dev(F F^T)."""
+    """The elastic stress 2 G dev E, or G dev(F F^T), of a flattened tensor."""
     A = values.reshape(3, 3)
     return 2 * G * deviator(A) if kind == "linearised" else deviator(G * A @ A.T)
 
@@ -70,7 +70,7 @@ def _jeffreys_rate(kind: str, values: np.ndarray, rate: float) -> np.ndarray:
 
 
 def startup_ode(kind: str, rate: float, t: np.ndarray) -> np.ndarray:
-    """Rows (T_12, T_11 - T_22) of the elastic stress at constant shear rate."""
+    """Rows (T_12, T_11 - T_22) of the elastic stress at a constant shear rate."""
     found = solve_ivp(
         lambda _, A: _jeffreys_rate(kind, A, rate), (0, t[-1]), start(kind), t_eval=t, rtol=1e-10, atol=1e-12
     )
@@ -79,7 +79,7 @@ def startup_ode(kind: str, rate: float, t: np.ndarray) -> np.ndarray:
 
 
 def creep_ode(kind: str, traction: float, t: np.ndarray) -> np.ndarray:
-    """Rows (shear, T_12) at constant shear stress, traction = G_V rate + T_12."""
+    """Rows (shear, T_12) at a constant shear stress, traction = G_V rate + T_12."""
 
     def derivative(_: float, values: np.ndarray) -> np.ndarray:
         rate = (traction - shear_stress(kind, values[:9])[0, 1]) / G_V
@@ -133,8 +133,9 @@ def _creep(kind: str) -> Measured:
 
 
 def _upper_convected(kind: str) -> Measured:
-    """F Pi F^T is (b^2 - tr b/3 b) G/G_m, the upper-convected (b - I)/(2 lambda) to first order in b - I: the
-    fluids agree as Wi = lambda rate -> 0."""
+    """Compare with the upper-convected Maxwell fluid, with which the fluid agrees as Wi = lambda rate -> 0.
+
+    F Pi F^T is (b^2 - tr b/3 b) G/G_m, the upper-convected (b - I)/(2 lambda) to first order in b - I."""
     table, against_ode = RateTable("deviation at t = 4 s, relative", "Wi"), 0.0
     for wi in (0.4, 0.2, 0.1, 0.05):
         rate, until, dt = wi / LAMBDA, 4.0, 0.1
@@ -155,7 +156,7 @@ def _upper_convected(kind: str) -> Measured:
 
 for name, kind in (("upper-convected", "finite"), ("upper-convected-b", BY_B)):
     CASES(f"""{name}
-        A Maxwell fluid of {NAMES[kind]} in shear is the upper-convected Maxwell fluid in the limit of small
+        A Maxwell fluid of {NAMES[kind]} in shear tends to the upper-convected Maxwell fluid for small
           Weissenberg numbers, with a deviation of second order.
         label: ED-Euler-large2, ED-Euler-large3
         setting: The channel of jeffreys-startup without G_v; lambda = {LAMBDA:g} s, Wi = 0.4 to 0.05, until
@@ -197,23 +198,25 @@ WEISSENBERG = (0.5, 1.0, 2.0, 4.0)
 EXTENSIBILITY = 30.0
 
 Stresses = Callable[[float], tuple[float, float]]
-"""(T_12, N_1) in Pa for a Weissenberg number."""
+"""A function that gives (T_12, N_1), Pa, for a Weissenberg number."""
 
 
 def oldroyd(wi: float) -> tuple[float, float]:
-    """eta rate and 2 eta lambda rate^2: no shear thinning."""
+    """The stresses eta rate and 2 eta lambda rate^2, without shear thinning."""
     return 2 * G_E * wi, 4 * G_E * wi**2
 
 
 def leonov(wi: float) -> tuple[float, float]:
-    """From c_12^2 + c_22^2 = 1, Wi c_22 = c_12 (c_11 + c_22)/2 and det c = 1: with s = c_22^2,
-    s = (sqrt(1 + 4 Wi^2) - 1)/(2 Wi^2), c_12 = Wi s, c_11 = (2 - s)/sqrt s."""
+    """The stresses from c_12^2 + c_22^2 = 1, Wi c_22 = c_12 (c_11 + c_22)/2 and det c = 1.
+
+    The solution is c_12 = Wi s, c_11 = (2 - s)/sqrt s with s = c_22^2 = (sqrt(1 + 4 Wi^2) - 1)/(2 Wi^2)."""
     s = (np.sqrt(1 + 4 * wi**2) - 1) / (2 * wi**2)
     return float(2 * G_E * wi * s), float(4 * G_E * (1 - s) / np.sqrt(s))
 
 
 def fenep(wi: float) -> tuple[float, float]:
-    """f c - I = the convected rate of c, so that c_22 = 1/f, c_12 = Wi/f^2, c_11 = (1 + 2 Wi^2/f^2)/f."""
+    """The stresses from f c - I = convected rate of c: c_22 = 1/f, c_12 = Wi/f^2, c_11 = (1 + 2
+    Wi^2/f^2)/f."""
     b = EXTENSIBILITY
     # the root with tr c < b lies above the pole
     pole = brentq(lambda f: b * f**3 - 3 * f**2 - 2 * wi**2, 1e-6, 10 + 2 * wi**2)
@@ -260,7 +263,7 @@ for name, (*_, claim) in FLUIDS.items():
 
 
 @CASES("""leonov-shear
-    A Leonov fluid in steady shear has the stresses of its closed form; its shear stress has a bound.
+    A Leonov fluid in steady shear has the stresses of its closed form; its shear stress is bounded.
     label: Leonov 1976
     setting: The same channel, Wi = 0.5 to 2, until 12 s, extrapolated twice from tau = 0.1 s.
     - relative error of [T_12; N_1], extrapolated <= 0.02: two extrapolations
@@ -268,7 +271,8 @@ for name, (*_, claim) in FLUIDS.items():
     - closure
     """)
 def _leonov() -> Measured:
-    """Extrapolated: Pi is trace-free, so that what the start-up's steps lose of det B = 1 stays lost."""
+    """Measure extrapolated stresses: Pi is trace-free, so that an error of det B = 1 in the start-up
+    remains."""
     material, dt, until = nv.OldroydB(K_e=100.0, G_e=G_E), 0.1, 12.0
     rows = []
     for wi in WEISSENBERG[:3]:

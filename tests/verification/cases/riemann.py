@@ -1,4 +1,4 @@
-"""Riemann problems of an elastic solid against exact star states, and with heat against a method of lines."""
+"""Riemann problems of an elastic solid: exact star states, and with heat a method of lines as reference."""
 
 import math
 from dataclasses import dataclass
@@ -21,48 +21,50 @@ CASES = Cases("Exact solutions: waves")
 
 A, B, C = 1.0, 0.5, 4.0
 D = A + 2 * B
-"""Pa: W = A/2 (|F|^2 - 3) + B/2 (|Cof F|^2 - 3) + C/2 (J - 1)^2 - D ln J, without stress at F = I."""
+"""Moduli, Pa, of W = A/2 (|F|^2 - 3) + B/2 (|Cof F|^2 - 3) + C/2 (J - 1)^2 - D ln J, stress-free at F = I."""
 
 SOUND = math.sqrt(A + 2 * B + C + D)
 """Speed of longitudinal waves at rest for a density of 1 kg/m3, m/s."""
 
 CELLS, PASSAGES = 200, 0.15
-"""Cells of the strip, and the end in passages of a wave through it."""
+"""Number of cells in the strip, and the end, in passages of a wave through the strip."""
 
 VISCOSITY = {"backward-euler": 1.0, "midpoint": 2.0}
-"""K_v + 4/3 G_v in units of rho U h: what ngvisco/timestepping/NOTES.md advises."""
+"""K_v + 4/3 G_v in units of rho U h, as ngvisco/timestepping/NOTES.md advises."""
 
 HALF_WIDTH = 0.03
-"""Half width of the averaged piece of a star region, m, which is 0.25 m wide at the end or wider."""
+"""Half width, m, of the averaged piece of a star region, which is at least 0.25 m wide at the end."""
 
 
 def energy(F: CoefficientFunction, H: CoefficientFunction, J: CoefficientFunction) -> CoefficientFunction:
-    """W/J, Pa: jointly convex."""
+    """The energy W/J, Pa, which is jointly convex."""
     W = A / 2 * (square(F) - 3) + B / 2 * (square(H) - 3) + C / 2 * (J - 1) * (J - 1) - D * log(J)
     return W / J
 
 
 def stress(stretch: Any) -> Any:
-    """dW/d(stretch) of F = diag(stretch, 1, 1), Pa: the Piola stress, and in uniaxial strain Cauchy's."""
+    """dW/d(stretch), Pa, for F = diag(stretch, 1, 1): Piola's stress, which equals Cauchy's in uniaxial
+    strain."""
     return A * stretch + 2 * B * stretch + C * (stretch - 1) - D / stretch
 
 
 def stiffness(stretch: float) -> float:
-    """Its slope, Pa."""
+    """The derivative of ``piola`` by the stretch, Pa."""
     return A + 2 * B + C + D / stretch**2
 
 
 def star_of_impact(U: float) -> float:
-    """The stretch between two bodies that meet with U each, rho = 1: one shock into each of them.
+    """The stretch between two bodies that meet with U each, rho = 1, with one shock into each body.
 
-    [P] = -S [v] and [v] = -S [stretch] give U^2 = [P] [stretch]; as P'' < 0 for stretches below 1 too, shocks
-    compress and expansions are fans.
+    [P] = -S [v] and [v] = -S [stretch] give U^2 = [P] [stretch].  As P'' < 0, also for stretches below 1,
+    shocks compress and expansions are fans.
     """
     return float(brentq(lambda stretch: U * U - stress(stretch) * (stretch - 1), 0.3, 1 - 1e-9))
 
 
 def star_of_expansion(U: float) -> float:
-    """Star state between two pieces that part with U each: a fan into each, U = int c dstretch."""
+    """The star state between two pieces that part with U each, with a fan into each piece, U = int c
+    dstretch."""
 
     def excess(stretch: float) -> float:
         return float(quad(lambda s: math.sqrt(stiffness(s)), 1, stretch)[0]) - U
@@ -79,9 +81,9 @@ def strip(
     heat: Any = None,
     **options: Any,
 ) -> nv.Simulation:
-    """A periodic strip of two rows with a start velocity along it, at its end; nu = K_v + 4/3 G_v.
+    """Run a periodic strip of two rows from a velocity along the strip; nu = K_v + 4/3 G_v.
 
-    ``heat`` is what makes a material one with heat, and its conductivity; speed dt/h is one half, or less.
+    ``heat`` is a function that adds heat to a material, and the conductivity; speed dt/h is at most one half.
     """
     h = 1 / cells
     material: nv.Material = nv.CustomMaterial(
@@ -107,17 +109,17 @@ def strip(
 
 @dataclass(frozen=True)
 class Star:
-    """A star region: its middle, m, its exact stretch, and relative errors of what is there."""
+    """A star region: its middle, m, its exact stretch, and relative errors of the state there."""
 
     middle: float
     stretch: float
     errors: dict[str, float]
     drift: float
-    """rho J/rho_0 - 1."""
+    """The defect rho J/rho_0 - 1."""
 
 
 def stars(run: nv.Simulation, mach: float) -> list[Star]:
-    """The star regions of impact, in the middle, and of expansion, at the ends."""
+    """The star regions of the impact, in the middle, and of the expansion, at the ends."""
     U, fields, found = mach * SOUND, run.fields, []
     for middle, stretch in ((0.5, star_of_impact(U)), (0.0, star_of_expansion(U))):
         where = IfPos(x - middle + HALF_WIDTH, IfPos(middle + HALF_WIDTH - x, 1.0, 0.0), 0.0)
@@ -140,7 +142,7 @@ def stars(run: nv.Simulation, mach: float) -> list[Star]:
 
 
 def solved(mach: float, cells: int, scheme: str = "backward-euler") -> nv.Simulation:
-    """A strip whose left half runs into its right half, which parts from it behind, at its end."""
+    """Run a strip whose left half runs into its right half; the halves part at the strip's ends."""
     U = mach * SOUND
     jump, nu = IfPos(x - 0.5, -U, U), VISCOSITY[scheme] * U / cells
     return strip(cells, jump, nu, PASSAGES / SOUND, SOUND, scheme=scheme)
@@ -198,22 +200,25 @@ HEAT_CAPACITY, THETA_R, GAMMA = 2.0, 1.0, 1.5
 WARM_SOUND = math.sqrt(SOUND**2 + GAMMA**2 * HEAT_CAPACITY * THETA_R)
 """Speed of sound with heat and without conduction, m/s."""
 SPEED, WIDTH, NU, KAPPA, UNTIL = 0.3 * WARM_SOUND, 0.03, 0.04, 0.02, 0.05
-"""Start -SPEED tanh(sin(2 pi (x - 1/2))/(2 pi WIDTH)), which steepens to a shock of about NU/SPEED."""
+"""Start velocity -SPEED tanh(sin(2 pi (x - 1/2))/(2 pi WIDTH)), which steepens to a shock of width
+NU/SPEED."""
 
 
 def warm(material: nv.Material) -> nv.Material:
-    """Per reference volume, of mass 1, in uniaxial strain: e = W(stretch) + c (theta - theta_R) + Gamma c
-    theta_R (stretch - 1), P = W' - Gamma c (theta - theta_R)."""
+    """Energy and stress per reference volume, of mass 1, in uniaxial strain.
+
+    e = W(stretch) + c (theta - theta_R) + Gamma c theta_R (stretch - 1), P = W' - Gamma c (theta -
+    theta_R)."""
     expansion = GAMMA * HEAT_CAPACITY / rest_stress_and_modulus(material)[1]
     return nv.Thermal(material=material, c=HEAT_CAPACITY, theta_R=THETA_R, expansion=expansion)
 
 
 def _lagrangian(n: int, is_heated: bool = True) -> dict[str, np.ndarray]:
-    """Places of n cells and what is in them at the end; rho_0 = 1, velocities on their left sides.
+    """Places of n cells and their states at the end; rho_0 = 1; velocities belong to the cells' left sides.
 
-    v' = d/dX (P + sigma), stretch' = dv/dX, c theta' = -Gamma c theta stretch' + sigma stretch' +
-    d/dX (kappa theta_X/stretch), sigma = nu (dv/dX)/stretch: second order in X, Heun's steps in time.
-    ``is_heated`` False leaves out what sigma heats: for the negative control.
+    v' = d/dX (P + sigma), stretch' = dv/dX, c theta' = -Gamma c theta stretch' + sigma stretch' + d/dX (kappa
+    theta_X/stretch), sigma = nu (dv/dX)/stretch: second order in X, Heun's steps in time. ``is_heated=False``
+    leaves out the heat of sigma, for the negative control.
     """
     d = 1 / n
     X = d * np.arange(n)
@@ -250,7 +255,8 @@ def _lagrangian(n: int, is_heated: bool = True) -> dict[str, np.ndarray]:
 
 
 def _start(at: Any, m: Any) -> Any:
-    """The start velocity, m/s, of a coordinate, by functions of its kind."""
+    """The start velocity, m/s, of a coordinate; ``m`` is the module with exp and sin for the coordinate's
+    type."""
     return SPEED * (2 / (1 + m.exp(m.sin(2 * np.pi * (at - 0.5)) / (np.pi * WIDTH))) - 1)
 
 
@@ -261,8 +267,8 @@ def _samples(reference: dict[str, np.ndarray], places: np.ndarray) -> dict[str, 
 
 
 @CASES("""heat-impact
-    Impact and parting of an elastic body that is heated by compression and viscosity and conducts: profiles
-      with entropy are those of a Lagrangian method of lines in numpy.
+    In an impact and a parting of an elastic body, with heat of compression and viscosity and with conduction,
+      profiles and entropy agree with a Lagrangian method of lines in numpy.
     label: heat-entropy, heat-temperature, ED-Euler-large2
     setting: A periodic strip of 1 m, 25, 50, 100 x 2 rows; W of riemann-elastic, c = 2 J/(m^3 K), Gamma = 1.5
       by expansion, 1 K; -0.3 c_s tanh over 0.03 m, nu = 0.04 Pa s, kappa = 0.02 W/(m K), until 0.05 s,
@@ -307,7 +313,7 @@ def _profiles() -> Measured:
 
 
 def _behind_a_shock(stretch: float) -> tuple[float, float]:
-    """Temperature and P on the Hugoniot curve of the body at rest: e = P (stretch - 1)/2, linear in theta."""
+    """Temperature and P on the Hugoniot curve of the body at rest, e = P (stretch - 1)/2, linear in theta."""
     d = stretch - 1
     W = (A / 2 + B) * (stretch * stretch - 1) + C / 2 * d**2 - D * math.log(stretch)
     heat = stress(stretch) * d / 2 - W - GAMMA * HEAT_CAPACITY * THETA_R * d
@@ -331,7 +337,8 @@ def _warm_speed(stretch: float) -> float:
 
 @CASES("""heat-riemann
     Star states of an impact and of a parting at 20 % of the sound speed agree with the shock relations,
-      energy's among them, and with the integral over the isentropic fan.
+    including
+      the energy's, and with the integral over the isentropic fan.
     label: heat-entropy; Rankine and Hugoniot
     setting: The body of heat-impact without conduction, jumps of the velocity, K_v + 4/3 G_v = 2 rho U h,
       midpoint rule; means 0.06 to 0.08 m from the planes, close to which viscosity has heated the body.

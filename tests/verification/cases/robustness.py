@@ -21,7 +21,7 @@ CASES = Cases("Robustness of the scheme")
 
 STIFFNESS = (1.0, 1e2, 1e4, 1e6)
 RATIOS = (2.0, 1e4)
-"""K_e/G_e: compressible, nearly incompressible."""
+"""Ratios K_e/G_e: compressible and nearly incompressible."""
 
 VISCOSITIES = (0.0, 0.1, 10.0)
 TAUS = (1e-3, 1e-2, 1e-1, 1.0, 10.0)
@@ -29,8 +29,8 @@ STEPS = 3
 
 
 DRIFT = (1 + 0.5 * sin(2 * pi * x) * cos(2 * pi * y), 0.5 - 0.5 * cos(2 * pi * x) * sin(2 * pi * y))
-"""An eddy that the mean flow carries: what is left of it when a long step has damped it still has its
-Courant number."""
+"""An eddy carried by a mean flow: after a long step has damped the eddy, the mean flow still has the Courant
+number."""
 
 
 @cache
@@ -40,7 +40,7 @@ def drifting_mesh() -> Mesh:
 
 
 class FirstTry(FixedStepper):
-    """Fixed steps that note whether Newton converged from the old state without any help."""
+    """Fixed steps that record whether Newton converged from the old state in the first attempt."""
 
     def __init__(self, dt: float) -> None:
         super().__init__(dt)
@@ -61,8 +61,10 @@ AXES = {"stiffness, Pa": STIFFNESS, "K_e/G_e": RATIOS, "viscosity, Pa s": VISCOS
 
 
 def attempt(kind: str, stiffness: float, ratio: float, viscosity: float, tau: float) -> list[float]:
-    """Counts of the steps of one configuration: tried, solved at first try, solved, and their iterations;
-    largest closure and Courant number.  After a step that is not solved the later ones count as unsolved."""
+    """Counts for the steps of one configuration: tried, solved at the first try, solved, and iterations.
+
+    Also has the largest closure and Courant number.  After a step without a solution later steps count as
+    unsolved."""
     run = block(
         kind,
         tau,
@@ -113,8 +115,9 @@ def measure(kind: str) -> Measured:
 
 for kind in KINDS:
     CASES(f"""robustness-{kind}
-        In {KINDS[kind]} steps are solved over six decades of stiffness, four of tau, viscosity 0 to 10 Pa s,
-          compressible to nearly incompressible, at CFL numbers up to 20 and beyond.
+        In {KINDS[kind]} steps have solutions over six decades of stiffness and four of tau, with viscosities
+        of
+          0 to 10 Pa s, compressible to nearly incompressible, at CFL numbers up to 20 and beyond.
         label: {LABELS[kind]}
         setting: A periodic box of 1 m x 1 m, density 1 + 0.2 cos(2 pi x), an eddy of 0.5 m/s in a mean flow
           of (1, 0.5) m/s, cells of 0.4 m, three steps of each of
@@ -134,8 +137,9 @@ SCHEMES = ("backward-euler", "midpoint", "sdirk2")
 
 
 def cavity(scheme: str, limiter: bool) -> nv.Simulation:
-    """The body of demos/cavity at its end, or where it ends; without a limiter steps are not tried in other
-    ways."""
+    """The body of demos/cavity at the end of its run, or when the run fails.
+
+    Without a limiter a step has one attempt only."""
     steps = None if limiter else nv.AdaptiveSteps(dt_min=DT, dt_max=DT)
     time = nv.TimeSteps(dt=DT, scheme=scheme, limiter=limiter, adaptive=steps, drift=1.0)  # type: ignore[arg-type]
     of = nv.NeoHookean(K_e=20.0, G_e=0.05, epsilon=0.1, elastic_state="F")
@@ -146,8 +150,9 @@ def cavity(scheme: str, limiter: bool) -> nv.Simulation:
 
 
 @CASES(f"""limited-cavity
-    A body under a lid that starts at full speed, up to its corners, is torn there: cells whose means are
-      positive are limited, mass and the energy's balance kept, and the run goes on.
+    A body under a lid that starts at full speed up to its corners is torn there: cells with positive means
+    are
+      limited, mass is conserved, the energy balance closes, and the run continues.
     label: Zhang and Shu, J. Comput. Phys. 229 (2010); paper: Euler-large-ass-phi
     setting: demos/cavity: a unit box of 230 triangles, the lid at 1 m/s from t = 0 on, other walls without
       slip; neo-Hookean, K_e = 20, G_e = 0.05, epsilon = 0.1 Pa, viscosities 0.01 Pa s, mu = 1e-5, p = 4; 20

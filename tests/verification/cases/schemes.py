@@ -1,5 +1,4 @@
-"""Time schemes: waves and their energy, what they dissipate of a swirl, orders against exact solutions of
-shear and flow and against manufactured ones."""
+"""Time schemes: energies of waves, dissipation of a swirl, orders by exact and manufactured solutions."""
 
 import cmath
 import math
@@ -34,7 +33,7 @@ def growth(scheme: str, z: complex) -> complex:
 
 
 def _standing(scheme: str) -> Measured:
-    """Five periods without any viscosity: what the scheme leaves of amplitude and energy."""
+    """Amplitude and energy after five periods without viscosity."""
     k, periods = 2.0, 5
     omega, table = k * math.sqrt(G_E), RateTable("largest error of the amplitude; energy drift", "tau, s")
     deviation = 0.0
@@ -58,8 +57,9 @@ def _standing(scheme: str) -> Measured:
 
 
 CASES("""standing-wave
-    A small elastic standing wave follows cos(k x) cos(c_s k t); its energy drifts by the implicit step's own
-      damping only, which vanishes like tau.
+    A small elastic standing wave follows cos(k x) cos(c_s k t); only the implicit step's damping changes its
+    energy,
+      and vanishes like tau.
     label: Euler-small-viscoelastodyn+; Underworld3
     setting: Strip of one wave length, k = 2 1/m, G_e = 1 Pa, no viscosity, five periods of 20, 40, 80 steps.
     - deviation from the scheme's own formula <= 2e-3: the error in space
@@ -82,8 +82,9 @@ for scheme in SECOND_ORDER:
 
 
 @CASES(f"""hundred-periods
-    Over 100 periods of an elastic wave the midpoint rule keeps the energy; what its phase is off by is the
-      scheme's own formula.
+    Over 100 periods of an elastic wave the midpoint rule conserves the energy; its phase error follows the
+    scheme's
+      formula.
     label: {LABEL}
     setting: The strip of standing-wave without viscosity; 100 periods of 20 steps.
     - midpoint: relative energy drift <= 1e-6: R is of rounding for a linear wave
@@ -122,8 +123,9 @@ LENGTHS = {
 
 
 @CASES("""swirl-schemes
-    Of a swirl's kinetic energy at 0.2 s the midpoint rule with 0.02 s is nearer to the limit than backward
-      Euler with a thirtieth of that step, and dissipates nothing of its own.
+    A swirl's kinetic energy at 0.2 s with the midpoint rule and steps of 0.02 s is nearer to the limit than
+    with
+      backward Euler and a thirtieth of the step; the midpoint rule dissipates no energy.
     label: Euler-large-viscoelastodyn+disc, and beyond the paper
     setting: The demo's swirl, cells of 0.25 m; three schemes, eleven steps' lengths.
     - error of midpoint, dt = 0.04 s <= 0.04: second order
@@ -160,13 +162,13 @@ def channel_velocity(y: np.ndarray, t: float, nu: float, speed: float) -> np.nda
     """Couette start-up of a Newtonian fluid whose upper wall moves at speed sin²(t): Fourier's series."""
     n = np.arange(1, 200)[:, None]
     decay, modes = nu * (math.pi * n) ** 2, np.sin(math.pi * n * y)
-    # of the wall's acceleration sin(2 t): int_0^t exp(-decay (t - s)) sin(2 s) ds
+    # by the wall's acceleration sin(2 t): int_0^t exp(-decay (t - s)) sin(2 s) ds
     memory = (decay * math.sin(2 * t) - 2 * math.cos(2 * t) + 2 * np.exp(-decay * t)) / (decay**2 + 4)
     return speed * (math.sin(t) ** 2 * y + (2 * (-1.0) ** n / (math.pi * n) * modes * memory).sum(axis=0))
 
 
 def _couette(scheme: str) -> Measured:
-    """A lid that is accelerated smoothly over a Newtonian channel, against Fourier's series."""
+    """Compare a smoothly accelerated lid over a Newtonian channel with Fourier's series."""
     nu, speed, until = 0.2, 0.1, 1.5
     table = RateTable("largest error of v_1 on a line, relative to the wall's speed", "tau, s")
     y = np.linspace(0.05, 0.95, 19)
@@ -190,7 +192,7 @@ def _couette(scheme: str) -> Measured:
 
 
 def _manufactured(scheme: str, kind: str) -> Measured:
-    """One mesh, sources that drive all terms; differences of runs with halved steps."""
+    """Differences of runs with halved steps, on one mesh, with sources that drive all terms."""
     counts, duration = (4, 8, 16, 32), 0.1
     runs = [
         free_solution(kind, n, duration, p=2.0, driven=True, scheme=scheme, velocity_scale=3e3)
@@ -230,7 +232,7 @@ for scheme in SECOND_ORDER:
 
 
 ORDERS = {"backward-euler": (1, 0.85), "midpoint": (2, 1.9), "sdirk2": (2, 1.9)}
-"""Order in time, and the rate asked for."""
+"""Order in time, and the required rate."""
 
 for scheme, (order, least) in ORDERS.items():
     for kind in MODELS:

@@ -1,4 +1,4 @@
-"""Sensitivities: derivatives of runs by their parameters against central differences of whole runs."""
+"""Sensitivities: derivatives of runs by their parameters compared with central differences of whole runs."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ Make = Callable[..., nv.Simulation]
 
 @cache
 def mesh() -> Mesh:
-    """The unit box, of few triangles."""
+    """The unit box with few triangles."""
     return box((1, 1), maxh=0.5)
 
 
@@ -57,7 +57,7 @@ def simulation(model: nv.Model, scheme: str, solver: Any, **options: Any) -> nv.
 
 
 def swirl(**parts: Any) -> Callable[[float, str, str], nv.Simulation]:
-    """A run whose parts of the model are functions of the parameter."""
+    """A run in which parts of the model are functions of the parameter."""
 
     def make(p: float, scheme: str, solver: str) -> nv.Simulation:
         made = {name: part(p) if callable(part) else part for name, part in parts.items()}
@@ -118,9 +118,10 @@ KINDS: dict[str, tuple[Make, str, float]] = {
 
 
 def errors(make: Make, name: str, p: float, scheme: str, solver: str) -> tuple[np.ndarray, float]:
-    """Largest error of the tangent at each width, and largest difference of the adjoint from it.
+    """The tangent's largest error for each width of differences, and the adjoint's largest distance from the
+    tangent.
 
-    They are relative to the derivative, or to a thousandth of the number over the parameter.
+    Errors are relative to the derivative, or to a thousandth of the number over the parameter if larger.
     """
     found = nv.gradient(make(p, scheme, solver), UNTIL, of=OF, by=[name])
     adjoint = nv.gradient(make(p, scheme, solver), UNTIL, of=OF, by=[name], method="adjoint")
@@ -134,8 +135,9 @@ def errors(make: Make, name: str, p: float, scheme: str, solver: str) -> tuple[n
 
 
 @CASES("""sensitivities
-    Tangents of a run are what central differences of whole runs tend to, for every kind of parameter, by both
-    solvers and all schemes, and adjoints are the same.
+    Tangents of a run are the limits of central differences of whole runs, for every kind of parameter, with
+    both
+    solvers and all schemes, and adjoints agree with tangents.
     label: issue 56; central differences
     setting: A swirl in the unit box, few triangles, three steps of 0.02 s by backward Euler, midpoint and
     SDIRK2; energies, a dissipation until then, velocity and stress at a point; differences of widths 1e-2 to
@@ -152,7 +154,7 @@ def _kinds() -> Measured:
                 found, difference = errors(make, name, p, scheme, solver)
                 rows.append([kind, solver, scheme, *found, difference])
                 worst, adjoint = max(worst, found.min()), max(adjoint, difference)
-                if found[0] > 1e-6:  # else it is linear in the parameter
+                if found[0] > 1e-6:  # otherwise the result is linear in the parameter
                     ratio = min(ratio, found[0] / found[1])
                 if solver == "coupled" and scheme == "midpoint":
                     curves.append(Curve(kind, WIDTHS, found))
@@ -165,7 +167,8 @@ def _kinds() -> Measured:
 
 
 @CASES("""sensitivities-control
-    Without the derivative by the old state, R_y, tangent and adjoint are wrong: the case above would see it.
+    Without the derivative by the old state, R_y, tangent and adjoint are wrong, and the case above would
+    fail.
     label: issue 56; negative control
     setting: As above, the elastic modulus, midpoint.
     - error without R_y of [the tangent; the adjoint] >= 0.1: of the number that changes most

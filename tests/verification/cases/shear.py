@@ -1,4 +1,4 @@
-"""Shear against closed forms: a Maxwell body that relaxes and oscillates, simple shear."""
+"""Shear against closed forms: relaxation and oscillation of a Maxwell body, simple shear."""
 
 import math
 from typing import Any
@@ -21,7 +21,7 @@ CASES = Cases("Exact solutions: shear and relaxation")
 
 MYR = 1e6 * 365.25 * 24 * 3600
 SHEAR, ETA_ROCK, TAU_0, UNTIL, SIDE = 1e10, 1e22, 20e6, 0.25 * MYR, 100e3
-"""Pa, Pa s, Pa, s, m."""
+"""Shear modulus, Pa; viscosity, Pa s; initial stress, Pa; end, s; side of the box, m."""
 
 
 @CASES("""maxwell-relaxation (reduced)
@@ -34,7 +34,7 @@ SHEAR, ETA_ROCK, TAU_0, UNTIL, SIDE = 1e10, 1e22, 20e6, 0.25 * MYR, 100e3
     - relative error at 250 kyr, extrapolated <= 0.01: two extrapolations
     """)
 def _relaxation() -> Measured:
-    """dev S_11 after every step, from the uniform deviator diag(1, -1, 0) tau_0."""
+    """Measure dev S_11 after every step, starting from the uniform deviator diag(1, -1, 0) tau_0."""
     exact, formula = TAU_0 * math.exp(-SHEAR * UNTIL / ETA_ROCK), 0.0
     E = CF((1, 0, 0, 0, -1, 0, 0, 0, 0), dims=(3, 3)) * (TAU_0 / (2 * SHEAR))
     table = RateTable("relative error of the stress at 250 kyr", "tau / 250 kyr")
@@ -64,8 +64,9 @@ AMPLITUDE, OMEGA = 1e-3, PI / 2
 @CASES("""oscillatory-shear
     Oscillatory shear of a Maxwell material at De = pi/2 follows the closed form.
     label: Euler-small-viscoelastodyn+2; Underworld3
-    setting: eta = mu = 1, omega = pi/2, shear rate 1e-3 sin(omega t) (small, so that the spin has no part),
-      with a body force that takes inertia away; two periods; 40, 80, 160 steps.
+    setting: eta = mu = 1, omega = pi/2, shear rate 1e-3 sin(omega t) (small, so that the spin does not
+      matter),
+      with a body force that cancels inertia; two periods; 40, 80, 160 steps.
     - rate in tau >= 0.9: implicit Euler
     - error, extrapolated <= 2e-3: two extrapolations
     - closure
@@ -108,7 +109,7 @@ TABLE = {
     1.0: (18.747691, 2.362833),
     2.0: (25.079664, 5.231418),
 }
-"""t, s: (tau_12, tau_11), Pa; after Farrington et al. 2014."""
+"""The stresses (tau_12, tau_11), Pa, by the time, s, after Farrington et al. 2014."""
 
 
 def sheared(
@@ -124,8 +125,9 @@ def sheared(
     scheme: str = "backward-euler",
     law: CreepLaw = "mandel",
 ) -> tuple[nv.Simulation, np.ndarray]:
-    """A channel of 1 m x 1 m between a resting wall and one that slides at ``rate``: the run, and rows of
-    the time and ``stresses``."""
+    """Run a channel of 1 m x 1 m between a resting wall and a wall that slides at ``rate``.
+
+    Returns the run, and rows of the time and ``stresses``."""
     model = nv.Model(
         material=material,
         creep=creep if G_m is None else nv.Creep(G_m=G_m, law=law),
@@ -141,13 +143,13 @@ def sheared(
 
 
 def stresses(run: nv.Simulation) -> tuple[float, float, float]:
-    """T_12, T_11 - T_22, T_11 - tr T/3 of the elastic Cauchy stress at a point."""
+    """Return T_12, T_11 - T_22, T_11 - tr T/3 of the elastic Cauchy stress at a point."""
     T = np.reshape(run.fields["cauchy_stress"](run.mesh(0.4, 0.4)), (3, 3))
     return float(T[0, 1]), float(T[0, 0] - T[1, 1]), float(T[0, 0] - np.trace(T) / 3)
 
 
 @CASES("""jaumann-shear
-    The stresses of a Zaremba–Jaumann Maxwell fluid in simple shear are those of the closed form.
+    The stresses of a Zaremba–Jaumann Maxwell fluid in simple shear follow the closed form.
     label: ZJ, Euler-small-flow-rule; Farrington et al. 2014
     setting: Channel between a resting and a sliding wall (0.3 m/s), mu = eta = 100; extrapolated twice from
       steps 0.01 s (t <= 0.1 s) and 0.125 s and their halves and quarters.
@@ -188,8 +190,9 @@ def _neo_hookean() -> Measured:
 
 
 @CASES("""jaumann-start-up
-    Start-up shear of a Zaremba–Jaumann Maxwell fluid at W = lambda rate = 5, turned by five radians, is eta
-      rate/(1 + W²) [1 − exp(−t/lambda) (cos rate t − W sin rate t)].
+    The start-up stress of a sheared Zaremba–Jaumann Maxwell fluid at W = lambda rate = 5, turned by five
+    radians,
+      is eta rate/(1 + W²) [1 − exp(−t/lambda) (cos rate t − W sin rate t)].
     label: ZJ, Euler-small-flow-rule
     setting: Channel with a sliding wall, 5 m/s, G = 20 Pa, eta = 20 Pa s, until 2 s by the midpoint rule, 50,
       100 and 200 steps; with a viscosity of 20 Pa s, without which the flow is unstable where its stress
@@ -200,8 +203,11 @@ def _neo_hookean() -> Measured:
     - closure
     """)
 def _start_up() -> Measured:
-    """Errors are over the viscous stress eta rate/sqrt(1 + W^2) that the oscillation is about; the midpoint
-    rule's for exp(a t), a = (-1 + iW)/lambda, is (|a| tau)^2/12 times |a| t exp(-t/lambda)."""
+    """Measure errors relative to the viscous stress eta rate/sqrt(1 + W^2), about which the stress
+    oscillates.
+
+    The midpoint rule's error for exp(a t), a = (-1 + iW)/lambda, is (|a| tau)^2/12 times |a| t
+    exp(-t/lambda)."""
     modulus, rate, until = 20.0, 5.0, 2.0
     size = modulus * rate / math.sqrt(1 + rate**2)
     table = RateTable("largest error over the time, relative to eta rate/sqrt(1 + W²)", "tau, s")

@@ -35,12 +35,12 @@ PATH = np.array(
 )
 """Time, s, and centroid of the disc in the cavity, m, by ``immersed.computed(CAVITY, 128, ...)``.
 
-On 64 x 64 cells it is at most 0.0098 m away from that (at 5.5 to 6 s).
+The path on 64 x 64 cells differs from it by at most 0.0098 m (at 5.5 to 6 s).
 """
 
 
 def model_of(problem: Problem, K_e: float) -> nv.Model:
-    """Fluid and neo-Hookean disc of bulk modulus ``K_e``, Pa."""
+    """The fluid and the neo-Hookean disc, both with the bulk modulus ``K_e``, Pa."""
     solid = nv.IsochoricNeoHookean(K_e=K_e, G_e=problem.shear_modulus / 2, elastic_state="B")
     viscosity, ball = stokes(problem.viscosity), nv.Ball(problem.centre, problem.radius)
     return nv.Model(
@@ -60,7 +60,7 @@ def cavity(cells: tuple[int, int], K_e: float, until: float) -> nv.Bodies:
         model_of(CAVITY, K_e),
         time=nv.TimeSteps(dt=0.05, scheme="midpoint", startup=2),
         walls=walls,
-        discretisation=nv.Discretisation(k=3),  # P_2 locks where volumes are stiff
+        discretisation=nv.Discretisation(k=3),  # velocities of order 2 lock with stiff volumes
         observers=[table],
     )
     run.run(until)
@@ -81,8 +81,9 @@ CELLS = (10, 11), (14, 16), (20, 22)
 
 
 @CASES("""soft-disc-cavity
-    A soft disc is carried round a lid-driven cavity along the path that another method for the incompressible
-      problem gives; it keeps its mass and nearly its volume, and how stiff the volume is matters little.
+    A soft disc in a lid-driven cavity follows the path that another method for the incompressible problem
+    gives; its
+      mass is conserved and its volume nearly so, and the stiffness of the volume matters little.
     label: benchmark: Zhao, Freund and Moser (2008), Sugiyama et al. (2011)
     setting: Unit box, lid at 1 m/s from t = 0 on; density 1 kg/m3, viscosity 0.01 Pa s, disc of radius 0.2 m
       at (0.6, 0.5) m with a shear modulus of 0.1 Pa, K_e = 50 Pa; 10, 14 and 20 columns of 11, 16 and 22
@@ -141,12 +142,13 @@ def _carried() -> Measured:
 
 
 TAYLOR_GREEN = Problem(centre=(0.5, 0.5), radius=0.2, shear_modulus=1.0, viscosity=1e-3, vortex=0.05)
-"""Zhao, Freund and Moser (2008); their box is periodic, of which its walls are planes of symmetry."""
+"""The problem of Zhao, Freund and Moser (2008), whose periodic box has planes of symmetry at these walls."""
 
 
 @CASES("""soft-disc-vortex
-    A disc in a Taylor-Green vortex is stretched and swings back: its elastic energy over time is that of
-      another method for the incompressible problem, and the ledger closes.
+    A disc in a Taylor-Green vortex is stretched and swings back: its elastic energy over time agrees with
+    another
+      method for the incompressible problem, and the ledger closes.
     label: benchmark: Zhao, Freund and Moser (2008), Jain, Kamrin and Mani (2019)
     setting: A quarter of the unit box with planes of symmetry, psi = 0.05 sin 2 pi x sin 2 pi y m2/s, density
       1 kg/m3, viscosity 0.001 Pa s, disc of radius 0.2 m about the middle, shear modulus 1 Pa, K_e = 50 Pa;

@@ -20,11 +20,12 @@ CASES = Cases("Exact solutions: waves")
 
 K_E, G_E, G_V, K_V, MU = 2.0, 1.0, 0.02, 0.01, 1e-3
 AMPLITUDE = 1e-2
-"""m/s: strains of at most 1 %, and well above the width of the smoothed upwinding (1e-4 m/s)."""
+"""Amplitude, m/s: strains are at most 1 %, and it is well above the width of smoothed upwinding, 1e-4 m/s."""
 
 
 def dispersion(k: float, wave: str, mu: float) -> complex:
-    """s of rho s² + (D k² + mu k⁴) s + M k² = 0, rho = 1: the decay is −Re s, the phase speed |Im s|/k."""
+    """The root s of rho s² + (D k² + mu k⁴) s + M k² = 0, rho = 1; the decay is −Re s, the phase speed |Im
+    s|/k."""
     M = G_E if wave == "shear" else K_E + 4 / 3 * G_E
     D = G_V if wave == "shear" else K_V + 4 / 3 * G_V
     return complex(np.roots([1.0, D * k**2 + mu * k**4, M * k**2])[0])
@@ -65,7 +66,8 @@ def standing_wave(
 
 
 def exponent(a: np.ndarray, dt: float) -> complex:
-    """s of a_n+1 = (z + z*) a_n − |z|² a_n-1: an implicit step multiplies by z = 1/(1 − s tau)."""
+    """The rate s from a_n+1 = (z + z*) a_n − |z|² a_n-1, as an implicit step multiplies by z = 1/(1 − s
+    tau)."""
     b = np.linalg.lstsq(np.array([a[2:-1], a[1:-2]]).T, a[3:], rcond=None)[0]
     return complex((1 - 1 / np.roots([1.0, -b[0], -b[1]])[0]) / dt)
 
@@ -120,25 +122,26 @@ for kind in KINDS:
 
 
 # --- a bar on springs ----------------------------------------------------------------------------------
-"""One end of an elastic bar is free, the other stands on springs, without and with a dashpot.  Of small
-amplitude and length 1 it has u = cos(q x) sin(omega t), omega = q sqrt(M/rho), M q sin q = k cos q, M the
-modulus of longitudinal waves; a stiff one is a block on a spring, omega^2 = k/rho.
+"""One end of an elastic bar is free, the other end stands on springs, without and with a dashpot. A bar of
+length 1 has small motions u = cos(q x) sin(omega t) with omega = q sqrt(M/rho) and M q sin q = k cos q, where
+M is the modulus of longitudinal waves. A stiff bar is a block on a spring, omega^2 = k/rho.
 """
 
 BULK, SHEAR = 10.0, 5.0
 MODULUS = BULK + 4 / 3 * SHEAR
 SMALL, CELLS, STEPS = 1e-6, 8, 80
-"""Amplitude of the velocity, m/s, cells along the bar, and steps in a period."""
+"""Amplitude of the velocity, m/s; number of cells along the bar, and of steps in a period."""
 STIFFNESSES = (0.05, 1.0, 20.0)
-"""k over M."""
+"""Spring constants k over M."""
 HEAVY, DAMPING = 1e-3, 0.2
-"""k over M of the block, and its damping over the critical one."""
+"""The block's k over M, and its damping over the critical damping."""
 
 
 def _bar(
     k: float, c: float, q: float, omega: float, scheme: Literal["midpoint", "backward-euler"] = "midpoint"
 ) -> tuple[nv.Simulation, np.ndarray, np.ndarray]:
-    """A run over a period from the velocity cos(q x), times, and the share of that in v over the start's."""
+    """A run over a period from the velocity cos(q x); times; and the projection of v on it, over the initial
+    value."""
     share = nv.Integrals({"share": f"velocity_1*cos({q!r}*x)"})
     run = nv.Simulation(
         structured_box((1, 1 / CELLS), (CELLS, 1)),
@@ -157,8 +160,9 @@ def _bar(
 
 
 @CASES(f"""bar-on-springs (reduced)
-    A bar on a foundation that gives swings with the frequency of the closed form, from soft springs to hard
-      ones; a heavy block on springs with a dashpot is a damped oscillator.
+    A bar on an elastic foundation swings with the frequency of the closed form, from soft springs to hard
+    springs;
+      a heavy block on springs with a dashpot is a damped oscillator.
     label: benchmark: M q sin qL = k cos qL; the damped oscillator
     setting: Bar of 1 m, K_e = {BULK:g} Pa, G_e = {SHEAR:g} Pa, density 1, left end free, right end on springs
       of {", ".join(f"{k:g}" for k in STIFFNESSES)} M/L, block with {HEAVY:g} M/L and a dashpot of
@@ -176,7 +180,7 @@ def _foundation() -> Measured:
         omega = q * MODULUS**0.5
         run, t, v = _bar(k, 0.0, q, omega)
         (fitted,), _ = curve_fit(lambda t, w: np.cos(w * t), t, v, p0=(omega,))
-        # without the midpoint rule's share: tan(omega_tau tau/2) = omega tau/2
+        # undo the midpoint rule's phase error: tan(omega_tau tau/2) = omega tau/2
         error = abs(2 / run.dt * math.tan(fitted * run.dt / 2) / omega - 1)
         energy = run.ledger.column("kinetic") + run.ledger.column("stored")
         springs = run.ledger.column("stored_springs_right").max()
@@ -199,27 +203,27 @@ def _foundation() -> Measured:
 
 
 # --- toroidal modes of a ball --------------------------------------------------------------------------
-"""A toroidal displacement turns every shell about an axis, each of its parts by another angle.  It is
-tangential to the sphere and changes no volume, so that a wall with slip is a free surface for it.  In a
-homogeneous ball of radius R with shear speed c the velocity of mode nTl about z is
+"""A toroidal displacement rotates the parts of a shell about an axis by different angles. It is tangential to
+the sphere and changes no volume, so that a wall with slip acts like a free surface. In a homogeneous ball of
+radius R with shear speed c the velocity of mode nTl about z is
 
     v = j_l(k r)/r^l  Q_l(r, z)  (-y, x, 0),      r^{l-1} P_l'(z/r) = Q_l,      omega = k c,
 
-and tau_{r phi} = 0 at r = R is (l - 1) j_l(x) = x j_{l+1}(x) for x = k R (Lamb 1882; Dahlen and Tromp,
-Theoretical Global Seismology, 1998, Section 8.6).  The least roots are 2.5011, 3.8647, 5.0946.
+and tau_{r phi} = 0 at r = R means (l - 1) j_l(x) = x j_{l+1}(x) for x = k R (Lamb 1882; Dahlen and Tromp,
+Theoretical Global Seismology, 1998, Section 8.6).  The smallest roots are 2.5011, 3.8647, 5.0946.
 """
 
 FASTEST = 1e-2
-"""m/s, of the fastest point: strains of half a per cent."""
+"""Velocity, m/s, of the fastest point: strains are half a per cent."""
 PER_PERIOD, PERIODS = 16, 2
 SIZES = (0.36, 0.25)
-"""m: 265 and 984 tetrahedra."""
+"""Sizes of cells, m, of meshes with 265 and 984 tetrahedra."""
 TERMS = 16
-"""Number of terms of the power series of j_l: its rest is below rounding for arguments up to 6."""
+"""Number of terms of the power series of j_l; the remainder is below rounding for arguments up to 6."""
 
 
 def root(degree: int) -> float:
-    """The least x > 0 of (l - 1) j_l(x) = x j_{l+1}(x)."""
+    """The smallest x > 0 with (l - 1) j_l(x) = x j_{l+1}(x)."""
 
     def traction(x: float) -> float:
         return (degree - 1) * spherical_jn(degree, x) - x * spherical_jn(degree + 1, x)
@@ -228,7 +232,8 @@ def root(degree: int) -> float:
 
 
 def mode(degree: int) -> CoefficientFunction:
-    """The velocity of 0Tl in the unit ball, not normalised; a power series, which is smooth at the centre."""
+    """The velocity of 0Tl in the unit ball, not normalised, as a power series, which is smooth at the
+    centre."""
     k, square = root(degree), x * x + y * y + z * z
     radial, power = CF(0.0), CF(1.0)
     for n in range(TERMS):
@@ -240,8 +245,9 @@ def mode(degree: int) -> CoefficientFunction:
 
 
 def oscillation(degree: int, maxh: float, material: nv.Material) -> tuple[nv.Simulation, complex, np.ndarray]:
-    """Two periods by the midpoint rule from the mode's velocity and no strain: the run, s = -decay + i
-    frequency, and v : mode over the first."""
+    """Run two periods by the midpoint rule, starting with a mode's velocity and no strain.
+
+    Returns the run, s = -decay + i frequency, and the projection of v on the mode over its initial value."""
     mesh, shape = sphere(1.0, maxh), mode(degree)
     fastest = max(abs(shape(mesh(0.02 * i, 0.0, 0.02 * j))[1]) for i in range(35) for j in range(35))
     tau = 2 * math.pi / root(degree) / PER_PERIOD
@@ -259,8 +265,9 @@ def oscillation(degree: int, maxh: float, material: nv.Material) -> tuple[nv.Sim
 
 
 @CASES(f"""toroidal-modes
-    An elastic ball that a wall with slip encloses swings in its toroidal modes 0T2, 0T3 and 0T4 with the
-      frequencies of a free one; the midpoint rule keeps their energy.
+    An elastic ball, enclosed by a wall with slip, swings in its toroidal modes 0T2, 0T3 and 0T4 with the
+    frequencies
+      of a free ball; the midpoint rule conserves their energy.
     label: Euler-small-viscoelastodyn+; Lamb 1882
     setting: R = 1 m, rho = 1 kg/m3, K_e = {K_E:g} Pa, G_e = {G_E:g} Pa, no viscosity; curved tetrahedra, maxh
       = {SIZES[0]:g} and {SIZES[1]:g} m, k = 2, m = 1; midpoint, {PER_PERIOD} steps a period, two periods; the
@@ -293,7 +300,7 @@ def _toroidal() -> Measured:
     coarse, best = SIZES
     for degree in degrees:
         yield f"relative error of 0T{degree}", errors[degree, best]
-    # the meshes' cells are smaller by (984/265)^(1/3) = 1.55
+    # the finer mesh's cells are smaller by (984/265)^(1/3) = 1.55
     gains = [errors[degree, coarse] / errors[degree, best] for degree in degrees]
     yield "least ratio of the errors of both meshes", min(gains)
     yield "difference of finite and small strain, 0T2", abs(abs(finite.imag) / rows[0][2] - 1)
@@ -314,7 +321,7 @@ def _strain(t: float) -> CoefficientFunction:
 
 
 class _Cells(nv.Observer):
-    """How many cells each step has."""
+    """Records the number of cells in each step."""
 
     def __init__(self) -> None:
         self.counts: list[int] = []
@@ -324,8 +331,9 @@ class _Cells(nv.Observer):
 
 
 @CASES(f"""refined-pulse
-    Meshes that follow a pulse give the error of a mesh that is as fine everywhere with a third of its cells;
-      mass is kept, and what changes of mesh take of the energy is little and closes.
+    Meshes that follow a pulse have the error of a mesh that is fine everywhere, with a third of its cells;
+    mass is
+      conserved, and changes of mesh take little energy, which the ledger has.
     label: beyond the paper
     setting: Strip of 4 m x 0.25 m, K_e = 4 Pa, rho = 1 kg/m3, strain 1e-4 exp(-((x - 0.6)/0.15)^2) that runs
       to the right for 1.2 s, midpoint rule with dt = 0.002 s; cells of 0.25 m halved twice where the pressure

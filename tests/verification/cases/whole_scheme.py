@@ -1,4 +1,4 @@
-"""The whole scheme at once, as the paper's proof has it: estimates, limits in turn; also in space."""
+"""The whole scheme, as in the paper's proof: estimates, limits in turn, also in three dimensions."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
@@ -36,7 +36,7 @@ CASES = Cases("The whole scheme")
 
 GRAVITY, RHO_MAX, MU, NU = 1.0, 2.0, 1e-4, 1e-2
 EXPONENT = 4
-"""p, q and r."""
+"""Exponents p, q and r."""
 
 WHOLE = (
     f"{SETTING}; creep with G_m = 2 Pa s, gravity {GRAVITY:g} m/s2, hyperviscosity mu = {MU:g}, cut-off at "
@@ -47,7 +47,7 @@ WHOLE = (
 
 
 def whole(kind: str, dt: float, mesh: Mesh, delta: float, epsilon: float) -> nv.Simulation:
-    """The block of ``WHOLE``, not run yet; a delta or epsilon of 0 leaves its terms out."""
+    """The block of ``WHOLE`` before its run; with a delta or epsilon of 0 the terms are left out."""
     law = nv.Regularisation(
         delta_density=delta, delta_fields=delta, epsilon=epsilon, r=EXPONENT, p=EXPONENT, rho_max=RHO_MAX
     )
@@ -71,7 +71,7 @@ SIZES = (1e-1, 1e-2, 1e-3, 1e-4)
 
 
 class Norms:
-    """Norms over the time and the domain of one run, by name; ``after`` every step."""
+    """Norms over time and domain of one run, by name; call ``after`` after every step."""
 
     def __init__(self, run: nv.Simulation) -> None:
         self.run, step = run, run.rothe_step
@@ -80,10 +80,10 @@ class Norms:
         self._over_time: dict[str, tuple[float, float]] = {}
         self.largest: dict[str, float] = {}
         self.gronwall = 0.0
-        """The largest of gravity's power over the paper's bound M (1 + |p/sqrt(rho)|^2) |g|."""
+        """The largest ratio of gravity's power to the paper's bound M (1 + |p/sqrt(rho)|^2) |g|."""
 
     def advance(self) -> None:
-        """A step of the run, and its share of all norms."""
+        """Make a step of the run, and add its contribution to all norms."""
         self._previous.vec.data = self.run.rothe_step.state.vec
         self.run.advance()
         self._densities(self.run.rothe_step.now)
@@ -96,7 +96,7 @@ class Norms:
         self.largest[name] = max(value, self.largest.get(name, 0.0))
 
     def _sum(self, name: str, value: float, p: float) -> None:
-        """A norm in L^p(I)."""
+        """The norm in L^p(I) of values of the steps."""
         self._over_time[name] = (self._over_time.get(name, (0.0, p))[0] + self.run.dt * value**p, p)
 
     def _densities(self, u: Fields) -> None:
@@ -133,7 +133,7 @@ class Norms:
         self.gronwall = max(self.gronwall, row["power_gravity"] / bound)
 
     def _parts(self, u: Fields) -> Mapping[str, tuple[CoefficientFunction, CoefficientFunction]]:
-        """|z_i|^2 and |slope of z_i|^2 of every variable."""
+        """The squares |z_i|^2 and |slope of z_i|^2 of every variable."""
         found = {}
         for name, where in u.layout.states.slices.items():
             value = sum((u.z[i] * u.z[i] for i in range(where.start + 1, where.stop)), u.z[where.start] ** 2)
@@ -143,7 +143,7 @@ class Norms:
         return found
 
     def values(self) -> dict[str, float]:
-        """All norms, those over the time and the dissipated ones too."""
+        """All norms, including norms over time and dissipated energies."""
         ledger, tau = self.run.ledger, self.run.dt
         found = dict(self.largest)
         found |= {name: total ** (1 / p) for name, (total, p) in self._over_time.items()}
@@ -169,7 +169,7 @@ COMMON = {
     "‖∂t rho‖ Lp(Lr)": "Euler-small-est-time-derivatives+++",
     "‖∂t z‖ Lp(L2)": "Euler-small-est-time-derivatives+++",
 }
-"""Norms, and the labels of what bounds them without epsilon and delta."""
+"""Norms that are bounded independently of epsilon and delta, and the labels of their bounds."""
 
 OWN = {
     "linearised": {
@@ -203,13 +203,13 @@ POWERS = {
     },
     "cofactors": {"‖∇H‖ L2": (0.75, "Euler-large-est3-H")},
 }
-"""Norms that may grow like a power of 1/delta, this power, and the label."""
+"""Norms that may grow like a power of 1/delta, the power, and the label."""
 
 
 def estimates(
     kind: str, meshes: Mapping[float, Mesh] | None = None, sizes: Sequence[float] = SIZES, steps: int = STEPS
 ) -> Measured:
-    """All norms for a sequence of epsilon = delta, on meshes by their h, m (default: of ``MESHES``)."""
+    """All norms for a sequence of epsilon = delta, on meshes by their h, m (default ``MESHES``)."""
     meshes = meshes or {h: square_mesh(h) for h in MESHES}
     found: dict[tuple[float, float], dict[str, float]] = {}
     gronwall, densest = 0.0, 0.0
@@ -254,13 +254,14 @@ WHAT = {
     "linearised": "Euler-small-est, Euler-small-est+, Euler-small-est++, Euler-small-est+++",
     "finite": "Euler-large-est, Euler-large-est+, Euler-large-est-Lp",
 }
-"""Labels of all estimates together."""
+"""Labels of all estimates, joined."""
 
 for kind in KINDS:
     CASES(f"""whole-estimates-{kind}
-        With all terms of the scheme of {KINDS[kind]} at once its a-priori estimates hold, also as the mesh is
-          refined: norms neither grow over the last decade of epsilon = delta nor over the last refinement,
-          and those that may grow like a power of 1/delta grow no faster.
+        With all terms of the scheme of {KINDS[kind]} the a-priori estimates hold, also under refinement of
+        the
+          mesh: norms neither grow over the last decade of epsilon = delta nor over the last refinement;
+          norms that may grow like a power of 1/delta grow no faster.
         label: {WHAT[kind]}
         setting: {WHOLE}; h = 0.5, 0.25 and 0.125 m, {STEPS} steps of {TAU} s; epsilon = delta from 0.1 to
           1e-4.  Rates of change are measured in L2, which bounds the dual norms; slopes of z are those of the
@@ -272,7 +273,7 @@ for kind in KINDS:
 COFACTOR_MESHES = (0.5, 0.25)
 
 CASES(f"""whole-estimates-cofactors
-    With Cof F among the variables the a-priori estimates of the finite-strain model hold, and that of Cof F:
+    With Cof F among the variables the a-priori estimates of the finite-strain model hold, also for Cof F:
       sup ‖H‖ is bounded, and ‖∇H‖ grows no faster than delta^(-3/4).
     label: Euler-large-est3-H, rem-polyconvex-general
     setting: {WHOLE}; MooneyRivlin with G_e = 3 Pa, G_mr = 2 Pa; h = 0.5 and 0.25 m, {STEPS} steps of {TAU} s;
@@ -286,21 +287,22 @@ CASES(f"""whole-estimates-cofactors
 DURATION = 0.08
 LIMIT_MESHES = (0.35, 0.175)
 COUNTS = (8, 16, 32, 64)
-"""For tau; delta and epsilon go to zero with the second one."""
+"""Numbers of steps for tau -> 0; delta and epsilon go to zero with the second number."""
 
 LIMIT_SIZES = {"linearised": (1e-2, 1e-3, 1e-4), "finite": (1e-3, 1e-4, 1e-5)}
-"""Sizes of delta and epsilon: sqrt(delta) against moduli, where the energy has it."""
+"""Sizes of delta and epsilon; sqrt(delta) has to be small compared with moduli if the energy contains it."""
 
 DELTA = EPSILON = 1e-2
-"""While tau goes to zero, and epsilon while delta does."""
+"""Size of delta while tau goes to zero, and of epsilon while tau and delta go to zero."""
 
 
 def fields(run: Simulation) -> dict[str, CoefficientFunction]:
-    """v, rho, z, p and p x v, slopes of v, rho, z, and the Cauchy stress; at finite strain Pi and Mandel's.
+    """Fields: v, rho, z, p, p x v, slopes of v, rho, z, the Cauchy stress; at finite strain Pi and Mandel's
+    stress.
 
-    The second gradient of v is that which the scheme recovers (FORMULATION.md, Section 5).
-    The energy in the stress is projected in every run, as a Yosida approximation has it (it has no values but
-    at the quadrature points): else its projection would be seen in the distance to the limit.
+    The second gradient of v is the one that the scheme recovers (FORMULATION.md, Section 5).
+    The energy in the stress is projected in every run, as for a Yosida approximation, which has values at the
+    quadrature points only: otherwise the projection would contribute to the distance from the limit.
     """
     step = run.rothe_step
     u, energy = step.now, GridFunction(L2(run.mesh, order=step.discretisation.m))
@@ -313,7 +315,7 @@ def fields(run: Simulation) -> dict[str, CoefficientFunction]:
 
 
 def separation(one: Simulation, other: Simulation) -> dict[str, float]:
-    """L2 distances of the ``fields`` of two runs on one mesh, and the largest one of the density."""
+    """L2 distances of the ``fields`` of two runs on one mesh, and the largest distance of the densities."""
     a, b = fields(one), fields(other)
     found = {name: distance(a[name], b[name], one.mesh) for name in a}
     return found | {"rho in C": max(map(abs, one.sampler.extrema(a["rho"] - b["rho"])))}
@@ -325,7 +327,7 @@ def sequence(
     numbers: Sequence[int] = COUNTS,
     sizes: Sequence[float] = (),
 ) -> Measured:
-    """Limits in tau, in delta, and without it in epsilon, on meshes by their h, m."""
+    """Limits in tau, in delta, and, without delta, in epsilon, on meshes by their h, m."""
     meshes, sizes = meshes or {h: square_mesh(h) for h in LIMIT_MESHES}, sizes or LIMIT_SIZES[kind]
     densest: list[float] = []
     least: dict[str, dict[str, float]] = {}
@@ -359,7 +361,7 @@ RATES = {
     "delta": (0.45, "sqrt(delta): the stress of sqrt(delta)/2 |z|^2 and the size of the delta-terms"),
     "epsilon": (0.9, "terms and an approximation of first order in epsilon"),
 }
-"""On a fixed mesh all norms are equivalent: slopes have the rates of the functions."""
+"""Measure the limits; on a fixed mesh all norms are equivalent, so that slopes have the functions' rates."""
 
 LIMIT_LABELS: dict[str, dict[str, str]] = {
     "linearised": {
@@ -416,7 +418,7 @@ SOLVED: dict[str, dict[str, dict[str, str]]] = {
         "epsilon": dict.fromkeys(("T", "M"), "Euler-larger-polyconvex-stress++"),
     },
 }
-"""The equations that a limit solves, at the field that each is of."""
+"""The equations that a limit solves, by the name of a field."""
 
 
 def limit_bounds(kind: str) -> Iterator[Bound]:
@@ -435,12 +437,13 @@ LIMITS = {
     "linearised": "Euler-small-viscoelastodyn+disc, Euler-small-converge+, Euler-small-viscoelastodyn+eps",
     "finite": "Euler-large-viscoelastodyn+disc, ED-Euler-large-polyconvex-eta, ED-Euler-large-polyconvex-eps",
 }
-"""Labels of all limits together."""
+"""Labels of all limits, joined."""
 
 for kind in KINDS:
     CASES(f"""whole-sequence-{kind}
-        With all terms of the scheme of {KINDS[kind]} at once its solutions converge as tau -> 0; these, then,
-          as delta -> 0 with epsilon kept; and those as epsilon -> 0: the paper's sequence.
+        With all terms of the scheme of {KINDS[kind]} the solutions converge as tau -> 0; the limits converge
+        as
+          delta -> 0 with fixed epsilon; and these limits converge as epsilon -> 0: the paper's sequence.
         label: {LIMITS[kind]}
         setting: {WHOLE}; h = 0.35 and 0.175 m, until {DURATION} s; {COUNTS[0]} to {COUNTS[-1]} steps with
           delta = epsilon = {DELTA:g}, then {COUNTS[1]} with delta from {LIMIT_SIZES[kind][0]:g} to
@@ -448,11 +451,11 @@ for kind in KINDS:
           {LIMIT_SIZES[kind][-1]:g}.  The least rate of both meshes counts.
         {each(limit_bounds(kind))}
         explanation: With 8 to 32 steps the last rate of the density's largest distance was 0.76 at finite
-          strain, with 64 it is 0.88: the bound stayed, the steps became shorter.
+          strain, with 64 steps it is 0.88: the bound was kept, and shorter steps were taken.
         """)(partial(sequence, kind))
 
 
-# --- in three dimensions, small: the plane's measurements on other meshes ------------------------------
+# --- three dimensions, small meshes: the measurements of the plane -------------------------------------
 
 CASES.theme = "Three dimensions"
 
@@ -461,9 +464,9 @@ CUBE = (
     "where there is any, along -z; "
 )
 COARSE, FINE = 1.0, 0.5
-"""Sizes of the cells, m: 12 and 28 tetrahedra."""
+"""Sizes of the cells, m, of meshes with 12 and 28 tetrahedra."""
 SPACE_TAUS = {"linearised": (1e-3, 1e-1, 10.0), "finite": (1e-3, 1e-2, 1e-1)}
-"""s; at finite strain no longer ones, for the time that they take."""
+"""Lengths of steps, s; longer steps at finite strain would take too much time."""
 SPACE_SIZES = (1e-2, 1e-3)
 
 
@@ -483,21 +486,21 @@ def _limits(kind: str) -> Measured:
 for kind in KINDS:
     finite = kind == "finite"
     CASES(f"""space-stability-{kind}
-        In three dimensions too energy never rises in a step of {KINDS[kind]}.
+        In three dimensions, too, the energy of {KINDS[kind]} never rises in a step.
         label: {plane.BALANCES[kind]}
         setting: {CUBE}cells of {FINE} m, three steps each of tau = 1e-3,
           {"0.01 and 0.1" if finite else "0.1 and 10"} s.
         {plane.BOUNDS}
         """)(partial(_stable, kind))
     CASES(f"""space-estimates-{kind}
-        In three dimensions too the estimates of {KINDS[kind]} hold with all its terms.
+        In three dimensions, too, the estimates of {KINDS[kind]} hold with all its terms.
         label: {"Euler-large-est, Euler-large-est+" if finite else "Euler-small-est, Euler-small-est+"}
         setting: {CUBE}all terms of the scheme; cells of {COARSE} and {FINE} m, four steps of
           {TAU} s, epsilon = delta = 1e-2 and 1e-3.
         {each(bounds(kind))}
         """)(partial(_estimated, kind))
     CASES(f"""space-limits-{kind}
-        In three dimensions too {KINDS[kind]} converges as tau, delta and epsilon -> 0 in turn.
+        In three dimensions, too, {KINDS[kind]} converges as tau, delta and epsilon -> 0 in turn.
         label: {LABELS[kind]}, {"ED-Euler-large-polyconvex-eta" if finite else "Euler-small-converge+"}
         setting: {CUBE}all terms of the scheme; cells of {FINE} m, until {DURATION} s; 8 to 64 steps,
           then delta, then epsilon of {"1e-4 and 1e-5" if finite else "1e-2 and 1e-3"}.

@@ -1,4 +1,4 @@
-"""Creeping flow that goes on: what F loses and B keeps, over a hundred Maxwell times."""
+"""Creeping flow over a hundred Maxwell times, by F, which winds up, and by B, which does not."""
 
 import warnings
 from typing import Literal
@@ -17,11 +17,12 @@ from tests.verification.case import Cases, Measured, RateTable, Table
 CASES = Cases("Creeping flow at finite strain")
 
 K_E, G_E, G_M, VISCOSITY = 20.0, 0.05, 0.005, 0.01
-"""Pa, Pa, Pa s, Pa s; the Maxwell time G_M/(4 G_E) is 0.025 s in shear, 0.05 s by the stress's square."""
+"""Moduli, Pa, Pa, Pa s, and viscosity, Pa s; the Maxwell time G_M/(4 G_E) is 0.025 s in shear, and 0.05 s for
+the square of the stress."""
 
 
 def material(state: Literal["F", "B", "none"], G_e: float = G_E) -> nv.Material:
-    """phi = K/2 (J - 1)^2 + G_e (tr(J^(-2/3) F F^T) - 3) by F, by B, or without shear."""
+    """The material phi = K/2 (J - 1)^2 + G_e (tr(J^(-2/3) F F^T) - 3) by F, by B, or without shear."""
 
     def volume(J: CoefficientFunction) -> CoefficientFunction:
         return K_E / 2 * (J - 1) * (J - 1)
@@ -42,7 +43,7 @@ def material(state: Literal["F", "B", "none"], G_e: float = G_E) -> nv.Material:
 def lid(
     of: nv.Material, maxh: float, dt: float, creep: nv.Creep | None, viscosity: float = VISCOSITY
 ) -> nv.Simulation:
-    """A unit box under a lid with the speed 16 x^2 (1 - x)^2 m/s, ramped up until 0.2 s."""
+    """A unit box under a lid with the speed 16 x^2 (1 - x)^2 m/s, which is ramped up until 0.2 s."""
     model = nv.Model(material=of, viscosity=nv.StokesViscosity(K_v=VISCOSITY, G_v=viscosity), creep=creep)
     speed = IfPos(time - 0.2, 1, time / 0.2) * 16 * x * x * (1 - x) * (1 - x)
     others = ("left", "right", "bottom")
@@ -58,12 +59,13 @@ TABLE: tuple[tuple[Literal["F", "B"], float, float, tuple[float, ...]], ...] = (
     ("B", 0.1, 0.02, (0.5, 1.0, 4.0)),
     ("B", 0.05, 0.02, (1.0,)),
 )
-"""Form, cell size in m, step in s, times in s."""
+"""Elastic state, size of cells, m, step, s, and times, s."""
 
 
 @CASES(f"""winding-lid
-    A creeping body under a lid: det(J^(−2/3) F Fᵀ) is one by B over 80 Maxwell times; by F it is lost within
-      twenty, whatever step and mesh, with a ledger that closes, and the run ends by that name.
+    In a creeping body under a lid det(J^(−2/3) F Fᵀ) stays one over 80 Maxwell times by B; by F it drifts
+    from one
+      within twenty, for every step and mesh, with a ledger that closes, and the run's error says so.
     label: ED-Euler-large2, ED-Euler-large3
     setting: Unit box, K_e = {K_E:g} Pa, G_e = {G_E:g} Pa, G_m = {G_M:g} Pa s (Maxwell time 0.05 s), viscosity
       {VISCOSITY:g} Pa s, lid 16 x²(1 − x)² m/s ramped until 0.2 s.
@@ -112,8 +114,9 @@ def _side_by_side() -> Measured:
 
 
 @CASES("""creeping-cavity
-    Cavity flow by B over a hundred Maxwell times keeps det B, and its stress is that of the Navier–Stokes
-      flow of the same viscosity in the limit of a small Maxwell time.
+    Cavity flow by B keeps det B over a hundred Maxwell times, and for small Maxwell times its stress tends to
+    that
+      of the Navier–Stokes flow of equal viscosity.
     label: ED-Euler-large3
     setting: The same box and lid, cells of 0.125 m, 100 steps of 0.05 s, G_m = 0.02 Pa s, Maxwell times 0.05,
       0.025 and 0.0125 s.
@@ -124,11 +127,12 @@ def _side_by_side() -> Measured:
     - closure
     """)
 def _cavity() -> Measured:
-    """Small Maxwell times at one viscosity: the stress of the Navier-Stokes flow of G_v + G_m/2."""
+    """Compare stresses for small Maxwell times at one viscosity with the Navier-Stokes flow of G_v +
+    G_m/2."""
     G_m, maxh, dt, until = 0.02, 0.125, 0.05, 5.0
     viscous = lid(material("none"), maxh, dt, None, VISCOSITY + G_m / 2)
     viscous.run(until)
-    # not at the lid's corners, where the strain rate of the exact flow has no bound
+    # leave out the lid's corners, where the strain rate of the exact flow is unbounded
     inside = IfPos(y - 0.8, 0.0, 1.0) * CF((1.0,) * 9, dims=(3, 3))
     weight, expected = (_cell_means(A, viscous) for A in (inside, G_m * dev(sym(viscous.rothe_step.now.L))))
     table, rows = (
@@ -139,7 +143,7 @@ def _cavity() -> Measured:
         run = lid(material("B", G_m / (4 * maxwell_time)), maxh, dt, nv.Creep(G_m=G_m))
         run.run(until)
         low, high = run.sampler.extrema(Det(run.fields["B"]))
-        # functions of another mesh object: the two meshes are the same, cell by cell
+        # functions on another mesh object with the same cells in the same order
         off = weight * (_cell_means(dev(run.fields["cauchy_stress"]), run) - expected)
         table.add(maxwell_time, stress=float(np.linalg.norm(off) / np.linalg.norm(weight * expected)))
         rows.append([maxwell_time, until / maxwell_time, low, high, max(1 - low, high - 1)])
@@ -152,7 +156,7 @@ def _cavity() -> Measured:
 
 
 def _cell_means(A: CoefficientFunction, run: nv.Simulation) -> np.ndarray:
-    """Means over cells times the root of the volume, (9, cells): an L2 product of means."""
+    """Means over cells times the root of the volume, (9, cells), so that their products are L2 products."""
     volume = Integrate(CF(1), run.mesh, element_wise=True).NumPy()
     parts = [Integrate(A[i, j], run.mesh, element_wise=True).NumPy() for i in range(3) for j in range(3)]
     return np.array(parts) / np.sqrt(volume)

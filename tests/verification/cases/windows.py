@@ -1,4 +1,4 @@
-"""Bodies under stress between windows: what goes through an open wall does not push them."""
+"""Bodies under stress between windows: matter that crosses an open wall does not push them."""
 
 from typing import Any
 
@@ -29,7 +29,7 @@ def _momentum(run: nv.Simulation) -> np.ndarray:
 
 
 def _carried_out(run: nv.Simulation) -> float:
-    """Momentum along the bar that goes out through the windows, N."""
+    """Flux of the momentum along the bar through the windows, N."""
     v, n = run.fields["velocity"], specialcf.normal(run.mesh.dim)
     return float(Integrate(BoundaryFromVolumeCF(run.fields["density"]) * v[0] * (v * n), run.mesh, BND))
 
@@ -43,7 +43,7 @@ RUNS: list[tuple[str, Any, Any, int]] = (
 
 
 @CASES("""bar-pulled-at-both-ends
-    A bar that is pulled at both ends by one traction stays where it is, whatever comes in there.
+    A bar, pulled at both ends by equal tractions, stays in its place, although matter enters at the ends.
     label: none, Newton's third law
     setting: A bar of 1 x 0.55 m (3D: x 0.5 m) between slip and Open walls with a traction of 0.5 Pa, K_e =
       10, G_e = 5 Pa, K_v = G_v = 0.3 Pa s, density 1; an unstructured mesh that is no mirror image of
@@ -91,7 +91,7 @@ INNER, OUTER, PRESSED = 1.0, 2.0, 0.02
 
 
 def _ring(is_whole: bool, maxh: float) -> Mesh:
-    """A ring, or a quarter of it between the axes, with curved cells."""
+    """A ring, or a quarter of a ring between the axes, with curved cells."""
     ring = Circle((0, 0), OUTER).Face() - Circle((0, 0), INNER).Face()
     if not is_whole:
         ring = ring * WorkPlane().Rectangle(2 * OUTER, 2 * OUTER).Face()
@@ -105,7 +105,8 @@ def _ring(is_whole: bool, maxh: float) -> Mesh:
 
 
 @CASES("""ring-under-pressure
-    A quarter of a ring under internal pressure widens as Lame says, and a whole one does so where it is.
+    A quarter of a ring under internal pressure widens by Lame's formula; a whole ring does so, and stays in
+    its place.
     label: Lame 1852
     setting: Radii 1 and 2 m, pressure 0.02 Pa inside, linear elastic, K_e = 10, G_e = 5 Pa, K_v = G_v = 1
       Pa s, plane strain; Open walls inside and outside, slip on the axes; cells of 0.4 m (whole: 0.5 m),
@@ -142,7 +143,7 @@ def _ring_under_pressure() -> Measured:
 
 
 @CASES("""stretched-between-windows
-    A block that a piston stretches to twice its length, its sides open, has the stress of uniaxial tension.
+    A block with open sides, stretched by a piston to twice its length, has the stress of uniaxial tension.
     label: none, neo-Hookean uniaxial tension
     setting: A cube of 1 m, held by slip on three sides, pulled by PrescribedNormal at 0.1 m/s on the
       fourth, the other two Open: the matter goes out through the piston's window and comes in through the
@@ -180,7 +181,7 @@ def _stretched() -> Measured:
 
 
 @CASES("""maxwell-body-that-comes-in (reduced)
-    Pure shear of a Maxwell body is uniform also where it comes in.
+    Pure shear of a Maxwell body is uniform, also at inlets.
     label: none, Maxwell 1867
     setting: A square of 1 m whose walls are Inflow by (x, -y)/s: matter comes in above and below. K_e = 200
       MPa, G_m = 2 G_e = 200 MPa, a Maxwell time of 1 s; cells of 0.5 m, 80 steps of midpoint until 8 s.
@@ -210,15 +211,16 @@ def _maxwell() -> Measured:
 
 
 PLATE, FOUNDATION = (200e3, 30e3), 3300 * 9.81
-"""Half a wave and the thickness, m; what is displaced below weighs so much, Pa/m."""
+"""Half a wave and the thickness, m; weight of the displaced matter below, Pa/m."""
 K_PLATE, G_PLATE, YEAR = 1e11, 5e10, 3.15576e7
 
 
 def _plate(eta: float, times: np.ndarray) -> np.ndarray:
-    """Heights of the lower and upper face at the load's crest, over the load, m/Pa, at times, years.
+    """Heights of the lower and upper face at the load's crest, over the load, m/Pa, at times in years.
 
-    Loads s cos(q x) on both faces of a layer move them by C a s, +-s cos(q x) by C c s (Airy 1863), 1/C the
-    modulus of plane strain; G is that of Maxwell's body, by Laplace's transform in times of relaxation.
+    Loads s cos(q x) on both faces of a layer move them by C a s, loads +-s cos(q x) by C c s (Airy 1863),
+    where 1/C is the modulus of plane strain. G is the modulus of Maxwell's body, in a Laplace transform with
+    times in relaxation times.
     """
     q, height = np.pi / PLATE[0], PLATE[1]
     a = 2 / q * (np.cosh(q * height) - 1) / (np.sinh(q * height) + q * height)
@@ -241,9 +243,9 @@ def _plate(eta: float, times: np.ndarray) -> np.ndarray:
 
 
 @CASES(f"""plate-on-a-foundation
-    A plate on a foundation that gives sinks under a load at once as an elastic body does, and then as it
-      relaxes towards the load over the foundation's stiffness; the face without springs tells its
-      displacement too.
+    A plate on an elastic foundation sinks under a load, first like an elastic body, and then relaxes towards
+    the
+      load over the foundation's stiffness; the face without springs also has a field of displacement.
     label: none, Airy 1863
     setting: Half a wave of {PLATE[0] / 1e3:g} km of a plate of {PLATE[1] / 1e3:g} km, K_e = 100, G_e = 50
       GPa, viscosity 1e21 or 1e25 Pa s, between slip walls; Open above under a pressure p cos(pi x/L), and
@@ -282,7 +284,7 @@ def _plate_on_a_foundation() -> Measured:
 
 
 def _crests(run: nv.Simulation) -> list[float]:
-    """Amplitudes of the cosine in the displacements of the lower and the upper face, m."""
+    """The cosine's amplitudes in the displacements of the lower and the upper face, m."""
     wave = cos(np.pi / PLATE[0] * x)
     return [
         2 / PLATE[0] * Integrate(run.fields[f"displacement_{name}"][1] * wave, run.mesh.Boundaries(name))
