@@ -33,8 +33,11 @@ from typing import Any
 import numpy as np
 from ngsolve import (
     CF,
+    VOL,
     BilinearForm,
+    BitArray,
     CoefficientFunction,
+    ElementId,
     GridFunction,
     Mesh,
 )
@@ -309,8 +312,23 @@ class Step:
         """The residual with the derivative by all unknowns, including ``PointTerm.kept``."""
         return self._residual(keeps=False)
 
-    def _residual(self, keeps: bool = True) -> BilinearForm:
-        """R(u; w) as one nonlinear form with element-local unknowns to be condensed."""
+    def residual_at(self, coefficients: np.ndarray) -> BilinearForm:
+        """The residual over the cells that have one of ``coefficients``, a mask of those of v.
+
+        The rows of these coefficients are those of the whole residual.
+        """
+        velocity, cells = self.layout.blocks["v"], BitArray(self.layout.mesh.ne)
+        for cell in range(self.layout.mesh.ne):
+            cells[cell] = bool(coefficients[list(velocity.GetDofNrs(ElementId(VOL, cell)))].any())
+        return self._residual(cells=cells)
+
+    @cached_property
+    def _residual_at_moving_walls(self) -> BilinearForm:
+        masks = [mask for _, mask in self.moving_walls.moving.values()]
+        return self.residual_at(np.logical_or.reduce(masks))
+
+    def _residual(self, keeps: bool = True, cells: BitArray | None = None) -> BilinearForm:
+        """R(u; w) over all cells or ``cells`` as a nonlinear form with its element-local unknowns."""
         u, w = self.linearised_fields(self.layout.space.TrialFunction()), self.tests()
         form = BilinearForm(self.layout.space, condense=True)
         state = dict(zip(self.layout.names, self.state.components, strict=True))
@@ -318,7 +336,7 @@ class Step:
             kept = {name: state[name] for name in getattr(term, "kept", ()) if keeps}
             at = Fields(self.layout, {**u.parts, **kept}, u.context) if kept else u
             with refused_by_name(term):
-                self.quadrature.add(form, term.form(at, w))
+                self.quadrature.add(form, term.form(at, w), cells)
         return form
 
     def tests(self) -> Tests:
@@ -407,7 +425,7 @@ class Step:
     def _reaction_power(self, name: str) -> float:
         """Power of a moving wall: the residual's rows on it, tested by v, W."""
         residual = self.state.vec.CreateVector()
-        self.residual.Apply(self.state.vec, residual)
+        self._residual_at_moving_walls.Apply(self.state.vec, residual)
         return self.moving_walls.reaction_power(residual, name)
 
 

@@ -77,6 +77,8 @@ class WallReactions:
         flux = if_positive(closed, self._beside, 0.0) * through
         step.quadrature.add(self._energy, [Integrand(facets=flux)])
         self._terms = {name: self._own_terms(name) for name in self.names}
+        shared = sum((self._weights[name] for name in self.names), np.zeros(space.ndof))
+        self._residual = step.residual_at(shared != 0)
 
     def _shares(self) -> dict[str, np.ndarray]:
         """Share of each wall in each coefficient of v, by names of walls."""
@@ -135,7 +137,7 @@ class WallReactions:
         """
         step, integrate = self.step, self.step.quadrature.integrate_facets
         residual = step.state.vec.CreateVector()
-        step.residual.Apply(step.state.vec, residual)
+        self._residual.Apply(step.state.vec, residual)
         self._project()
         self._energy.Assemble()
         rows = residual.FV().NumPy()[step.layout.ranges["v"]] + self._energy.vec.FV().NumPy()

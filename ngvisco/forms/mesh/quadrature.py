@@ -102,13 +102,13 @@ class Quadrature:
     def _facet_rules(self) -> dict[Any, IntegrationRule]:
         return rules(self.mesh.dim - 1, self.facet_degree)
 
-    def cells(self, integrand: CoefficientFunction) -> Any:
-        """The integral over the cells with the common rule, for a form."""
-        return self._in_cells(integrand) * dx(intrules=self.cell_rules)
+    def cells(self, integrand: CoefficientFunction, cells: BitArray | None = None) -> Any:
+        """The integral over all cells, or over ``cells``, with the common rule, for a form."""
+        return self._in_cells(integrand) * dx(intrules=self.cell_rules, definedonelements=cells)
 
-    def nodes(self, integrand: CoefficientFunction) -> Any:
-        """The integral over the cells with the nodal rule, for a form."""
-        return self._in_cells(integrand) * dx(intrules=self._node_rules)
+    def nodes(self, integrand: CoefficientFunction, cells: BitArray | None = None) -> Any:
+        """The integral over all cells, or over ``cells``, with the nodal rule, for a form."""
+        return self._in_cells(integrand) * dx(intrules=self._node_rules, definedonelements=cells)
 
     @cached_property
     def _node_rules(self) -> dict[Any, IntegrationRule]:
@@ -135,17 +135,17 @@ class Quadrature:
         return GridFunction(VectorValued(IntegrationRuleSpace(self.mesh, order=order), size))
 
     def add(self, form: Any, integrands: Iterable[Integrand], cells: BitArray | None = None) -> None:
-        """Add the integrands to an NGSolve form, by the rules of ``cells``, ``facets`` and ``nodes``.
+        """Add the integrands to an NGSolve form on all cells, or on ``cells``.
 
-        Integrands on facets are added on all cells, or on ``cells``.
+        The rules are those of ``cells``, ``facets`` and ``nodes``.
         """
         for integrand in integrands:
             if integrand.cells is not None:
-                form += self.cells(compiled(integrand.cells))
+                form += self.cells(compiled(integrand.cells), cells)
             if integrand.facets is not None:
                 form += self.facets(compiled(integrand.facets), cells)
             if integrand.nodes is not None:
-                form += self.nodes(compiled(integrand.nodes))
+                form += self.nodes(compiled(integrand.nodes), cells)
 
     def integrate_cells(self, integrand: CoefficientFunction) -> Any:
         """Integral over the mesh, by the rule of ``cells``; a float, or a vector of floats."""

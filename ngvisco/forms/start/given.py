@@ -5,6 +5,7 @@ cells, and polynomials of the field's order are reproduced exactly.
 """
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 from ngsolve import L2, CoefficientFunction, GridFunction, LinearForm, Mesh, VectorValued, x, y, z
@@ -23,7 +24,7 @@ class QuadraturePoints:
         self.quadrature, self.mesh = quadrature, quadrature.mesh
         if on is None:
             self._space = IntegrationRuleSpace(self.mesh, order=quadrature.volume_degree // 2)
-            self._integral = quadrature.cells
+            self._integral: Callable[[CoefficientFunction], Any] = quadrature.cells
         else:
             self._space = IntegrationRuleSpaceSurface(self.mesh, order=quadrature.facet_degree // 2)
             self._integral = quadrature.walls
