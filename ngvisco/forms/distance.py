@@ -15,8 +15,9 @@ import numpy as np
 from ngsolve import FESpace, GridFunction
 
 from ngvisco.errors import ParameterError
+from ngvisco.forms.entry_integrals import EntryIntegrals
 from ngvisco.forms.fields import Fields
-from ngvisco.forms.system import EntryIntegrals, Evolved, Step
+from ngvisco.forms.system import Evolved, Step
 from ngvisco.forms.term import Entry, GivenParts, Integrand, Storing, Term, refused_by_name
 
 ENERGIES = ("kinetic", "stored")
@@ -67,7 +68,7 @@ class BregmanDistance:
         terms = storing(step.terms)
         parts_of = _by_columns(NUMERICAL, [(term, term.distance(a, b)) for term in terms])
         entries = {name: Entry(name, "numerical", part) for name, part in parts_of.items()}
-        self._distance = EntryIntegrals(step, entries)
+        self._distance = EntryIntegrals(step.quadrature, entries)
         moved = GivenParts(
             {**parts[0]}, "its slope asks for the change of {name}, where the momentum is kept"
         )
@@ -76,7 +77,7 @@ class BregmanDistance:
         for term in terms:
             with refused_by_name(term):
                 slopes.append(term.slope(b, d))
-        self._slope = EntryIntegrals(step, {"slope": Entry("slope", "monitor", _sum(slopes))})
+        self._slope = EntryIntegrals(step.quadrature, {"slope": Entry("slope", "monitor", _sum(slopes))})
 
     def __call__(self, a: Evolved, b: Evolved) -> dict[str, float]:
         """Distance B(a, b) by ledger columns, J (per metre of thickness in plane strain)."""

@@ -52,10 +52,11 @@ from ngvisco.forms.boundary.boundaries import cells_at, facet_indicator
 from ngvisco.forms.boundary.on_wall import OnWall
 from ngvisco.forms.boundary.reactions import beside_the_stress, rigid_motions
 from ngvisco.forms.boundary.wall_terms import HELD_BY_WALLS, Carried
+from ngvisco.forms.entry_integrals import EntryIntegrals
 from ngvisco.forms.fields import Fields, Tests
 from ngvisco.forms.mesh.mesh_arrays import mask_of
 from ngvisco.forms.mesh.points import SidePoints
-from ngvisco.forms.system import EntryIntegrals, Step
+from ngvisco.forms.system import Step
 from ngvisco.forms.term import Entry, Integrand, PointTerm, Term, refused_by_name
 from ngvisco.forms.terms.hyperviscosity import Hyperviscosity
 from ngvisco.forms.terms.momentum import Continuity, Convection, Inertia, MomentumBalance, Stokes
@@ -155,7 +156,7 @@ class Impulses:
                 )
                 sums = (reduce(add, each) if each else None for each in (cells, nodes))
                 entries[f"{name}.{motion}"] = Entry(name, "monitor", Integrand(next(sums), nodes=next(sums)))
-        return EntryIntegrals(self.step, entries)
+        return EntryIntegrals(self.step.quadrature, entries)
 
     @cached_property
     def _on_facets(self) -> dict[str, LinearForm]:

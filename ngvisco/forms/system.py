@@ -25,14 +25,13 @@ unknowns from (v, a, z) after every update gives Newton's method for the reduced
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
 from ngsolve import (
-    CF,
     VOL,
     BilinearForm,
     BitArray,
@@ -427,40 +426,3 @@ class Step:
         residual = self.state.vec.CreateVector()
         self._residual_at_moving_walls.Apply(self.state.vec, residual)
         return self.moving_walls.reaction_power(residual, name)
-
-
-class EntryIntegrals:
-    """Integrals of entries at the present state of a step, compiled together."""
-
-    def __init__(self, step: Step, entries: Mapping[str, Entry]) -> None:
-        self.step = step
-        quadrature = step.quadrature
-        self._in_cells: list[tuple[list[str], CoefficientFunction, Callable[[CoefficientFunction], Any]]] = []
-        for of_entries, integrate in (
-            ({name: e.integrand.cells for name, e in entries.items()}, quadrature.integrate_cells),
-            ({name: e.integrand.nodes for name, e in entries.items()}, quadrature.integrate_nodes),
-        ):
-            parts = {name: part for name, part in of_entries.items() if part is not None}
-            if parts:
-                together = CF((*parts.values(), 0.0, 0.0)).Compile()  # a vector, even of one part
-                self._in_cells.append((list(parts), together, integrate))
-        facets = {name: e.integrand.facets for name, e in entries.items() if e.integrand.facets is not None}
-        self._facets = {name: integrand.Compile() for name, integrand in facets.items()}
-        self._evaluated = {name: e.evaluate for name, e in entries.items() if e.evaluate is not None}
-
-    def __call__(self) -> dict[str, float]:
-        values: dict[str, float] = {}
-        for names, together, integrate in self._in_cells:
-            for name, total in zip(names, integrate(together), strict=False):
-                values[name] = values.get(name, 0.0) + float(total)
-        for name, integrand in self._facets.items():
-            values[name] = values.get(name, 0.0) + self.step.quadrature.integrate_facets(integrand)
-        return values | {name: evaluate() for name, evaluate in self._evaluated.items()}
-
-    def cells_without(self, name: str) -> np.ndarray:
-        """Numbers of this rank's cells in which an entry's integrand is not a number."""
-        for names, together, _ in self._in_cells:
-            if name in names:
-                part = together[names.index(name)]
-                return np.flatnonzero(~np.isfinite(self.step.quadrature.each_cell(part)))
-        return np.zeros(0, dtype=int)

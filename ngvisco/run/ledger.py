@@ -23,8 +23,9 @@ from ngsolve import CF, CoefficientFunction, Det, sqrt
 
 from ngvisco.errors import InitialDataError, NgviscoWarning, ParameterError, StepError, UnknownNameError
 from ngvisco.forms.distance import ENERGIES, NUMERICAL, energies
+from ngvisco.forms.entry_integrals import EntryIntegrals
 from ngvisco.forms.mesh.quadrature import Sampler
-from ngvisco.forms.system import EntryIntegrals, Step
+from ngvisco.forms.system import Step
 from ngvisco.forms.term import Entry, Integrand, Kind
 from ngvisco.physics.defects import parted, relative_defects
 from ngvisco.physics.materials.thermal import entropy_in, temperature
@@ -132,9 +133,9 @@ class Ledger:
         integrands = {**energies(step, step.now), "mass": Integrand(step.now.rho)} | self.momentum.densities()
         of_state = {name: Entry(name, "monitor", value) for name, value in integrands.items()}
         of_state |= {e.name: e for e in self.entries if e.kind == "monitor"}
-        self.state = EntryIntegrals(step, of_state)
+        self.state = EntryIntegrals(step.quadrature, of_state)
         """Energies, mass and monitors at the present state, by columns."""
-        self._rates = EntryIntegrals(step, {e.name: e for e in self.entries if e.kind in _RATES})
+        self._rates = EntryIntegrals(step.quadrature, {e.name: e for e in self.entries if e.kind in _RATES})
         theta = temperature(step.model.material, step.now.zeta_tensors)
         self._warned: set[type[NgviscoWarning]] = set()
         cause = partial(cause_of_negative_power, step, sampler)
