@@ -1,4 +1,4 @@
-"""Case files: a run described in TOML, validated completely before anything is computed."""
+"""Case files: descriptions of runs in TOML, validated completely before anything is computed."""
 
 from ngvisco.case.build import Case, load_case
 from ngvisco.case.directory import RunDirectory, RunDirectoryError

@@ -1,4 +1,4 @@
-"""From a case file to a simulation."""
+"""The build of a simulation from a case file."""
 
 from __future__ import annotations
 
@@ -48,20 +48,20 @@ from ngvisco.shapes.shape import Shape, Union, Where
 def load_case(path: str | os.PathLike[str], settings: Sequence[str] = ()) -> Case:
     """Read and validate a case file.
 
-    Raises CaseError with every fault found: its line, key path, value, what is allowed and the nearest match.
+    Raises CaseError with every fault found: line, key path, value, allowed values and the nearest match.
 
     Parameters
     ----------
     path : path of a TOML file
     settings : sequence of str
-        Overrides ``key.path=value``, as of the command line's ``--set``.
+        Overrides ``key.path=value``, as by ``--set`` on the command line.
     """
     source = require_path("load_case.path", path)
     return parse_case(text_of(source), str(source), source.parent, settings)
 
 
 def parse_case(text: str, source: str, directory: Path, settings: Sequence[str] = ()) -> Case:
-    """Read a case from a text, as ``load_case`` does from a file; relative paths in the text start at
+    """The case of a text, validated as by ``load_case``; relative paths in the text start at
     ``directory``."""
     sections, locator = sections_of(text, source, directory, settings)
     return Case(sections, source, directory, locator)
@@ -69,7 +69,7 @@ def parse_case(text: str, source: str, directory: Path, settings: Sequence[str] 
 
 @dataclass(frozen=True)
 class Case:
-    """A validated case; makes the mesh, the simulation and the observers that it describes."""
+    """A validated case, which makes the mesh, the simulation and the observers that it describes."""
 
     sections: CaseSections
     source: str
@@ -78,7 +78,7 @@ class Case:
 
     @cached_property
     def blame(self) -> Blame:
-        """Turns errors into faults of its keys."""
+        """The object that turns errors into faults of the case's keys."""
         return Blame(self.sections, self.source, self.locator)
 
     @property
@@ -88,7 +88,7 @@ class Case:
 
     @property
     def refinement(self) -> Refinement | None:
-        """How the mesh follows a field; None for one that stays."""
+        """The refinement by which the mesh follows a field; None for a fixed mesh."""
         adapt = self.sections.domain.adapt  # type: ignore[attr-defined]
         return None if adapt is None else made(adapt)
 
@@ -103,7 +103,7 @@ class Case:
     def resolved(self) -> str:
         """The case as TOML with every default written out and the mesh file's path made absolute.
 
-        Other files are those that a run directory has copies of, ``files``.
+        Paths of other files are those of the run directory's copies, ``files``.
         """
         data, files = self._settled()
         for table, file in files:
@@ -114,11 +114,11 @@ class Case:
 
     @property
     def hash(self) -> str:
-        """SHA-256 of all that the solution depends on: not of title, end time and output."""
+        """SHA-256 of all parts that the solution depends on, without title, end time and output."""
         data, files = self._settled()
         for table, file in files:
             table["path"] = _digest_of(file)
-        for name in ("title", "units", "output", "domain"):  # the mesh has a hash of its own
+        for name in ("title", "units", "output", "domain"):  # versions.json has the mesh's hash
             del data[name]
         if self.refinement is not None:
             data["adapt"] = str(self.refinement)
@@ -129,14 +129,14 @@ class Case:
 
     @property
     def files(self) -> dict[str, Path]:
-        """Files of bodies' shapes and Python's materials, by the names that they have in a run directory."""
+        """Files of bodies' shapes and Python's materials, by the names of their copies in a run directory."""
         return {_copy_of(file): file for _, file in self._settled()[1]}
 
     def _settled(self) -> tuple[dict[str, Any], list[tuple[dict[str, Any], Path]]]:
-        """The case's data, and those of its tables that have files, with these: shapes, Python's materials.
+        """The case's data, and pairs of a table and its file, for shapes and Python's materials.
 
-        With what the case leaves to the model: whether its material is by F or by B, and the density where no
-        referential one says what it is.
+        The data include defaults that depend on the model: F or B for the material, and the density of a
+        material without a referential density.
         """
         data = self.sections.model_dump()
         files = []
@@ -188,7 +188,7 @@ class Case:
             return Model(**parts)
 
     def _check_place(self, dim: int) -> None:
-        """Raise CaseError for a function of z, or a body's place that reads it, in two dimensions."""
+        """Raise CaseError for a function or a body's place that reads z in two dimensions."""
         for path, part in tables_of(self.sections) if dim == 2 else ():
             for name, kind in values_of(type(part)).items():
                 parsed = parse_region if kind is RegionText else parse
@@ -208,7 +208,7 @@ class Case:
             return Body(name=part.name, density=part.density, order=part.order, **values)
 
     def _shapes(self, number: int) -> list[tuple[tuple[str, ...], Shape]]:
-        """Shapes of which a body's place is the union, with their key paths; none for the rest."""
+        """Key paths and shapes whose union is a body's place; none for a body without a place."""
         where: Any = self.sections.bodies[number].where
         place: tuple[str, ...] = ("bodies", str(number), "where")
         parts = [] if where is None else [(place, where)]
@@ -256,7 +256,7 @@ class Case:
         return run
 
     def _check_bodies(self, mesh: Mesh) -> None:
-        """Raise CaseError for a body that is nowhere in the mesh, or whose place does not fit it."""
+        """Raise CaseError for a body without volume in the mesh, or with a place that does not fit it."""
         for i, body in enumerate(self.sections.bodies):
             volume = 0.0
             for path, shape in self._shapes(i):
@@ -267,7 +267,7 @@ class Case:
                     raise ParameterError(f"bodies[{body.name!r}].where", body.where, MISSED)
 
     def observers(self, directory: str | os.PathLike[str], until: float | None = None) -> list[Observer]:
-        """Ledger, VTK series, tables and checkpoints, which come last, in a run directory."""
+        """The observers for ledger, VTK series, tables and, last, checkpoints in a run directory."""
         out, vtk, checkpoint = Path(directory), self.sections.output.vtk, self.sections.output.checkpoint
         chosen: list[Observer] = [LedgerCSV(out / "ledger.csv")]
         if vtk.enabled:
@@ -302,12 +302,12 @@ class Case:
     def _all_made(
         self, table: Section, names: Iterable[str], path: tuple[str, ...], dim: int
     ) -> dict[str, Any]:
-        """Make the objects that the named sections of a table describe, as far as the sections are there."""
+        """Make the objects of the named sections of a table, without missing sections."""
         parts = {name: getattr(table, name) for name in names}
         return {n: self._made(part, (*path, n), dim) for n, part in parts.items() if part is not None}
 
     def _made(self, part: Section, path: tuple[str, ...], dim: int) -> Any:
-        """Make the object that a section describes, with coefficient functions for its expressions."""
+        """Make the object of a section, with coefficient functions for its expressions."""
         with self.blame.located(*path):
             values, fields = parameters(part), field_names(type(part))
             for name, value in values.items():
@@ -322,7 +322,7 @@ class Case:
             return part.completed(type(part).target(**values))
 
     def _function(self, value: Any, path: tuple[str, ...], dim: int) -> Any:
-        """The number, or the coefficient function or functions, that a key's value stands for."""
+        """The number or the coefficient functions of a key's value."""
         is_vector = isinstance(value, list) and not any(isinstance(part, list) for part in value)
         if is_vector and len(value) != dim:
             message = f"{value!r:.60}: expected an array of {dim} components, not {len(value)}"
@@ -334,7 +334,7 @@ class Case:
 
 
 def _texts_in(value: Any, path: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], str]]:
-    """Key path and text of those in arrays and tables of a value."""
+    """Yield key path and text of each text in a value, in its arrays and in its tables."""
     if isinstance(value, str):
         yield path, value
     parts = value if isinstance(value, dict) else dict(enumerate(value)) if isinstance(value, list) else {}
@@ -343,7 +343,7 @@ def _texts_in(value: Any, path: tuple[str, ...]) -> Iterator[tuple[tuple[str, ..
 
 
 def _settle_state(values: dict[str, Any], state: str) -> None:
-    """Write the ``elastic_state`` into a material's table that leaves it open, and into those within."""
+    """Write ``elastic_state`` into a material's table, and into nested tables, where it is open."""
     if values.get("elastic_state", "") is None:
         values["elastic_state"] = state
     if values.get("material") is not None:  # a gas has none
@@ -353,7 +353,7 @@ def _settle_state(values: dict[str, Any], state: str) -> None:
 
 
 def _digest_of(file: Path) -> str:
-    """SHA-256 of a file's content; raises CaseError where there is none."""
+    """SHA-256 of a file's content; raises CaseError for a file that cannot be read."""
     try:
         return hashlib.sha256(file.read_bytes()).hexdigest()
     except OSError as error:
@@ -361,13 +361,13 @@ def _digest_of(file: Path) -> str:
 
 
 def _copy_of(file: Path) -> str:
-    """The name of another file in a run directory, which has copies of them."""
+    """The name of a file's copy in a run directory."""
     folder = "laws" if file.suffix == ".py" else "shapes"
     return f"{folder}/{_digest_of(file)[:16]}{file.suffix.lower()}"
 
 
 def samples(case: CaseSections, run: Path) -> dict[tuple[str, ...], Series]:
-    """Probes, lines, forces, integrals, bodies and their contours by the keys that describe them."""
+    """Series of probes, lines, forces, integrals, bodies and contours, by their key paths in the case."""
     output, found = case.output, dict[tuple[str, ...], Series]()
 
     def file(name: str) -> Path:

@@ -1,6 +1,6 @@
-"""The names that a case file may use.  A new material, mechanism, load, wall or geometry is one name here.
+"""The names that a case file may use; a new material, mechanism, load, wall or geometry is one name here.
 
-Keys of a section are the parameters of the dataclass or function, read from its annotations.
+The keys of a section are the parameters of its dataclass or function, read from the annotations.
 """
 
 from collections.abc import Callable, Mapping
@@ -53,8 +53,8 @@ WRAPPERS: Kinds = {
     "Prony": materials.prony_network,
     **_of(materials, "Damaged Yosida WithQuadratic"),
 }
-"""Materials of another one, [material.material], or of several, [material.branches.NAME.material]: of those
-above, and of wrappers before them here."""
+"""Materials that wrap another material, [material.material], or several, [material.branches.NAME.material];
+each may wrap the materials above and the wrappers before it."""
 MECHANISMS: Kinds = {
     "diffusion": diffusion.Diffusion,
     "hyperviscosity": rheology.HyperViscosity,
@@ -70,7 +70,7 @@ FLOW_RULE_WRAPPERS: Kinds = {
     **_of(activation, "Activated WLF"),
     "Composite": flow_rules.Composite,
 }
-"""Rules of other ones: of those above, and of wrappers before them here."""
+"""Flow rules that wrap other rules; each may wrap the rules above and the wrappers before it."""
 VISCOSITIES: Kinds = {
     "StokesViscosity": rheology.StokesViscosity,
     **_of(rheology, "Carreau Cross"),
@@ -85,7 +85,7 @@ LOADS: Kinds = _of(loads, "BodyForce CentralGravity Gravity")
 WALLS: Kinds = _of(
     walls, "Inflow NavierFriction NoSlip Open PrescribedNormal PrescribedTangential Slip Traction"
 )
-"""Walls that a case does not name are Slip."""
+"""Kinds of [walls.NAME]; a wall without a table is Slip."""
 SHAPES: Kinds = {
     **_of(shape, "Ball Block"),
     "ClosedSurface": ClosedSurface,
@@ -93,7 +93,7 @@ SHAPES: Kinds = {
     "Image": Image,
     **_of(shape, "Polygon Subdomain"),
 }
-"""Where bodies are at the start, besides conditions on x, y, z."""
+"""Kinds of shapes for bodies' initial places, besides conditions on x, y, z."""
 SECTIONS: Kinds = {
     "discretisation": Discretisation,
     "initial": Initial,
@@ -104,4 +104,4 @@ KINDS: Kinds = {
     **{**GEOMETRIES, **MATERIALS, **WRAPPERS, **MECHANISMS, **CREEPS, **ALL_VISCOSITIES},
     **{**LOADS, **WALLS, **SHAPES, **SECTIONS},
 }
-"""All of them."""
+"""All kinds of the catalogue by name."""

@@ -1,10 +1,10 @@
-"""A run directory: everything that a run needs to be understood, resumed and read.
+"""A run directory: all files that are needed to understand, resume and read a run.
 
 | file          | holds                                                                     |
 |---------------|---------------------------------------------------------------------------|
-| case.toml     | the case as resolved: every default written out                           |
+| case.toml     | the resolved case, with every default written out                         |
 | versions.json | versions, commit, machine, the mesh file's hash                           |
-| mesh.vol      | the mesh; every run uses the one read back from this file                 |
+| mesh.vol      | the mesh; every run uses the mesh read back from this file                |
 | ledger.csv    | the energy ledger, a row a step                                           |
 | run.h5        | ledger and checkpoints (ngvisco.run.checkpoint)                           |
 | vtk/          | the VTK series                                                            |
@@ -12,15 +12,15 @@
 | bodies.csv    | mass, centroid, energies, ... of each body, a row a step                   |
 | contours/     | outlines of bodies, as CSV and for ParaView                                |
 | samples/      | probes, lines, forces on walls, integrals over the domain, as CSV         |
-| log.txt       | what was done when                                                        |
-| failed.txt    | of a run that ended at a step: where and why, and what to change; of one  |
-|               | that ended at its first step this and failed.vtu are all that stays       |
-| failed.vtu    | the solution that was refused there, else the last state (ranks: .pvtu)   |
-| lock          | there while a process runs; released by the system even when it is killed |
+| log.txt       | a dated log of the run                                                    |
+| failed.txt    | for a run that failed at a step: place, reason and remedy; after a failed |
+|               | first step only this file and failed.vtu stay                             |
+| failed.vtu    | the refused solution of this step, else the last state (ranks: .pvtu)     |
+| lock          | exists while a process runs; the system releases it even after a kill     |
 
-The whole case is built before the directory is touched, so that a case that is refused leaves nothing
-behind and removes nothing.  The first three files are complete before the first step.  A resumed run reads
-them, never the user's case.
+The whole case is built before the directory is touched, so that a refused case leaves nothing behind and
+removes nothing.  The first three files are complete before the first step.  A resumed run reads these three,
+never the user's case.
 """
 
 import contextlib
@@ -46,7 +46,7 @@ from ngvisco.run.pictures import FORMATS
 
 
 class RunDirectoryError(NgviscoError, RuntimeError):
-    """A run directory that cannot be used: results in it, in use, or not one at all."""
+    """A directory that cannot be used, as it holds results, is in use, or is no run directory."""
 
 
 _RESULTS = (
@@ -57,7 +57,7 @@ _RESULTS = (
     *(f"contours/contours*.{kind}" for kind in ("csv", "vtu", "pvd")),
     *("samples/*.csv", "case.until-step-*.toml", "shapes/*.stl", "shapes/*.png", "log.txt"),
 )
-"""Patterns of the files that runs leave, but for those of failures."""
+"""Patterns of the files that runs leave, except for reports of failures."""
 _FAILURES = ("failed.txt", "failed.vtu", "failed.pvtu", "failed_p*.vtu")
 
 
@@ -77,19 +77,19 @@ class RunDirectory:
 
     @property
     def results(self) -> list[Path]:
-        """Files of an earlier run, but for ``failures``."""
+        """Files of an earlier run, without ``failures``."""
         return [path for pattern in _RESULTS for path in self.path.glob(pattern)]
 
     @property
     def failures(self) -> list[Path]:
-        """Files that a failed attempt has left."""
+        """Report files of a failed run."""
         return [path for pattern in _FAILURES for path in self.path.glob(pattern)]
 
     @contextlib.contextmanager
     def locked(self) -> Iterator[None]:
-        """Hold the directory, made if missing; raises RunDirectoryError when another process does.
+        """Lock the directory, created if missing; raises RunDirectoryError if another process has locked it.
 
-        The lock's file is there only while it is held, and a directory that stayed empty is removed.
+        The lock file exists only while the lock is held, and a created directory that stays empty is removed.
         """
         made = not self.path.exists()
         self.path.mkdir(parents=True, exist_ok=True)
@@ -102,7 +102,7 @@ class RunDirectory:
                 with contextlib.suppress(OSError):  # Windows keeps open files
                     self.lock_file.unlink()
                 if made:
-                    with contextlib.suppress(OSError):  # it has results in it
+                    with contextlib.suppress(OSError):  # a directory with results stays
                         self.path.rmdir()
 
     def clear(self) -> None:
@@ -111,15 +111,15 @@ class RunDirectory:
             path.unlink()
 
     def keep_failure(self) -> None:
-        """Remove all but the report of a run that made no step, for the corrected case to run here."""
+        """Remove all but the report of a run without a step, so that the corrected case can run here."""
         for path in self.results:
             path.unlink()
         for folder in (self.vtk, *(self.path / name for name in ("samples", "shapes", "laws"))):
-            with contextlib.suppress(OSError):  # missing, or with files of the user's
+            with contextlib.suppress(OSError):  # a missing folder, or one with a user's files
                 folder.rmdir()
 
     def prepare(self, case: Case, image: bytes, origin: Mapping[str, Any] | None = None) -> None:
-        """Write case, mesh (a .vol file's content) and versions of a new run, and where it starts from."""
+        """Write case, mesh (``image`` is a .vol file's content), versions and origin of a new run."""
         write_atomically(self.case_file, case.resolved.encode())
         for name, file in case.files.items():
             (self.path / name).parent.mkdir(exist_ok=True)
@@ -141,7 +141,7 @@ class RunDirectory:
             )
 
     def read_versions(self) -> dict[str, Any]:
-        """The record of versions; raises RunDirectoryError."""
+        """The record in versions.json; raises RunDirectoryError."""
         try:
             record = json.loads(self.versions_file.read_text(encoding="utf-8"))
         except (OSError, ValueError) as error:
@@ -151,11 +151,11 @@ class RunDirectory:
         return record
 
     def write_versions(self, record: Mapping[str, Any]) -> None:
-        """Write the record of versions, whole or not at all."""
+        """Write versions.json, whole or not at all."""
         write_atomically(self.versions_file, (json.dumps(record, indent=2) + "\n").encode())
 
     def ledger(self) -> dict[str, np.ndarray]:
-        """The columns of the ledger in run.h5, a row at least; raises CheckpointError."""
+        """The columns of the ledger in run.h5, with at least one row; raises CheckpointError."""
         ledger = read_ledger(self.run_file)
         if not len(ledger.get("time", ())):
             raise CheckpointError(f"{self.run_file}: its ledger is empty")
@@ -174,7 +174,7 @@ class RunDirectory:
         return load_case(self.case_file)
 
     def mesh(self) -> Mesh:
-        """The mesh of the run; raises MeshError if the file is not the one that was written."""
+        """The initial mesh of the run; raises MeshError if the file has changed since the run wrote it."""
         require_whole(self.mesh_file)
         found = hashlib.sha256(self.mesh_file.read_bytes()).hexdigest()
         if found != self.read_versions().get("mesh_sha256"):
@@ -182,7 +182,7 @@ class RunDirectory:
         return mesh_in(self.mesh_file)
 
     def chosen_mesh(self) -> ChosenMesh | None:
-        """The mesh of the last state where that is not the one of the start."""
+        """The mesh of the last state; None if it is the initial mesh."""
         return mesh_of_checkpoints(self.run_file) if self.run_file.exists() else None
 
     def present_mesh(self) -> Mesh:
@@ -200,7 +200,7 @@ def _held(path: Path) -> Iterator[TextIO]:
                 file.seek(0)
                 holder = file.read().strip() or "another process"
                 raise RunDirectoryError(f"{path.parent}: in use by {holder}; wait for it or stop it")
-            # a holder removes the file before it lets go: this may be one that is no longer there
+            # a holder removes the file before it unlocks it: this file may be deleted already
             with contextlib.suppress(FileNotFoundError):
                 if os.path.samestat(os.fstat(file.fileno()), path.stat()):
                     file.truncate(0)
@@ -209,7 +209,7 @@ def _held(path: Path) -> Iterator[TextIO]:
 
 
 def versions() -> dict[str, Any]:
-    """Versions, commit and machine, for the record."""
+    """Versions, commit and machine, for versions.json."""
     packages = ("ngvisco", "ngsolve", "netgen-mesher", "numpy", "scipy", "h5py", "pydantic")
     return {
         **{name: version(name) for name in packages},

@@ -1,6 +1,6 @@
-"""The faults of a case file: what pydantic and ngvisco found wrong, in the words of its user.
+"""The faults of a case file, which are errors of pydantic and ngvisco in the user's words.
 
-``faults_of`` has what is wrong with the file by itself, ``Blame`` what ngvisco raises while a case is built.
+``faults_of`` collects the faults of the file itself; ``Blame`` locates errors while a case is built.
 """
 
 import difflib
@@ -30,7 +30,7 @@ from ngvisco.run.ranks import abort_alone
 
 @dataclass(frozen=True)
 class Fault:
-    """One fault: the key's path in the file, what is wrong, and the line if it is known."""
+    """One fault: the key's path in the file, a message, and the line if it is known."""
 
     key: str
     message: str
@@ -38,7 +38,7 @@ class Fault:
 
 
 class CaseError(NgviscoError, ValueError):
-    """A case file that cannot be run as it is; ``faults`` lists all that was found."""
+    """The error of a case file that cannot be run; ``faults`` lists all faults found."""
 
     def __init__(self, source: str, faults: Sequence[Fault]) -> None:
         self.source, self.faults = source, tuple(faults)
@@ -67,18 +67,18 @@ _WORDS = {
     "less_than_equal": "expected a number <= {le:g}",
     "literal_error": "expected {expected}",
 }
-"""Messages in place of pydantic's, by the type of its error."""
+"""Messages that replace those of pydantic, by the type of its error."""
 
 
 class Locator:
-    """Lines of keys: of the file, or of the command line where a key was set there."""
+    """Finds the line of a key in the file, or notes that the key was set on the command line."""
 
     def __init__(self, lines: dict[tuple[str, ...], int], overridden: Iterable[tuple[str, ...]] = ()) -> None:
         self.lines, self.overridden = lines, list(overridden)
         self.data: Any = {}
-        """The values that the user wrote."""
+        """The data as the user wrote them."""
         self.converted: list[tuple[str, Any]] = []
-        """The values that were converted to SI units, by their last keys."""
+        """Pairs of last key and written value, for values that were converted to SI units."""
 
     def fault(self, path: tuple[str, ...], message: str) -> Fault:
         """A fault at a key path."""
@@ -103,7 +103,7 @@ def faults_of(error: ValidationError, model: type[Section], locator: Locator) ->
         if one["type"] == "union_tag_invalid":
             path = (*path, one["ctx"]["discriminator"].strip("'"))
         if isinstance(raised, ParameterError):
-            parts = names_in(raised.field)  # NeoHookean.G_e in [material] is G_e there
+            parts = names_in(raised.field)  # NeoHookean.G_e is the key G_e in [material]
             path = (*path, *parts[1:]) if path else tuple(parts)
             written = given(locator.data, path) if is_dataclass(raised.value) else None
             message = refused(raised.value if written is None else written, raised)
@@ -114,7 +114,7 @@ def faults_of(error: ValidationError, model: type[Section], locator: Locator) ->
 
 
 def names_in(field: str) -> list[str]:
-    """The names and indices in that of a parameter, ``walls['top'].f`` or ``Composite.rules[0].nu``."""
+    """The names and indices in a name like ``walls['top'].f`` or ``Composite.rules[0].nu``."""
     return re.sub(r"\[[\"']?(.*?)[\"']?\]", r".\1", field).split(".")
 
 
@@ -143,7 +143,7 @@ def _message(one: Any, raised: object, path: tuple[str, ...], here: str, known: 
 
 
 def shown(value: object) -> str:
-    """A value as a file's user knows it: a table as TOML has it."""
+    """The text of a value for messages; a table is in TOML."""
     if isinstance(value, BaseModel):
         value = value.model_dump(exclude_none=True)
     text = value_text(value) if isinstance(value, (dict, bool)) else repr(value)
@@ -151,12 +151,12 @@ def shown(value: object) -> str:
 
 
 def refused(value: object, error: ParameterError) -> str:
-    """The message of a refused value: the value found, or that it is missing, and the one expected."""
+    """The message of a refused value: the found value or "is missing", and the expected value."""
     return f"{'is missing' if value is None else shown(value)}: expected {in_case(error.expected)}"
 
 
 def in_case(text: str) -> str:
-    """A text with what it names of Python, as ``nv.Slip(straight=True)``, as a case file has it."""
+    """A message with names of Python, such as ``nv.Slip(straight=True)``, replaced by a case file's keys."""
     words = {"None": "nothing", "True": "true", "False": "false", "coefficient function": "expression"}
 
     def key(named: re.Match[str]) -> str:
@@ -178,7 +178,7 @@ def in_case(text: str) -> str:
 
 @cache
 def _places() -> dict[str, tuple[str, str | None]]:
-    """The tables that hold the parameters of classes and functions, by their names, and their kinds."""
+    """Table and kind of each class or function of the schema, by its name."""
     found: list[tuple[int, str, str, str | None]] = [(0, "Model", "rheology", None)]
 
     def look(model: type[Section], path: tuple[str, ...]) -> None:
@@ -190,17 +190,17 @@ def _places() -> dict[str, tuple[str, str | None]]:
                 look(inner, (*path, name, *place_in(field.annotation)))
 
     look(CaseSections, ())
-    # the last one stays: that of the class's own name, and of these the highest
+    # of several tables the last stays: one with the class's own name, and the nearest to the top
     nearest = sorted(found, key=lambda one: one[0], reverse=True)
     return {name: (path, kind) for _, name, path, kind in nearest}
 
 
 _OTHER = 100
-"""Levels by which a table that has another name than its class is farther away."""
+"""Levels by which a table counts as deeper if its name differs from its class's name."""
 
 
 def _resolve(model: type[Section], location: tuple[Any, ...]) -> tuple[tuple[str, ...], str, list[str]]:
-    """Key path without the unions' tags, the table that holds the key, and that table's keys."""
+    """Key path without the unions' tags, the table that holds the key, and the table's keys."""
     path: list[str] = []
     models, here, known = [model], "the case", list(model.model_fields)
     for part in location:
@@ -208,7 +208,7 @@ def _resolve(model: type[Section], location: tuple[Any, ...]) -> tuple[tuple[str
         chosen = [one for one in models if one.__name__ == part]
         if chosen not in ([], models) and part not in fields:
             models = chosen
-        elif not str(part).startswith("<"):  # which form a value has, which is no key
+        elif not str(part).startswith("<"):  # a tag in <> names the form of a value and is no key
             here, known = ".".join(path) or "the case", list(fields)
             if part in fields:
                 models = models_in(fields[part].annotation)
@@ -217,7 +217,7 @@ def _resolve(model: type[Section], location: tuple[Any, ...]) -> tuple[tuple[str
 
 
 def numbers_out_of_range(sections: Section, locator: Locator) -> list[Fault]:
-    """Faults of the numbers that were given, but are none or leave none in products with others."""
+    """Faults of given numbers that are not finite, or whose products would underflow or overflow."""
     found = []
     for path, part in tables_of(sections):
         for name in part.model_fields_set:
@@ -233,7 +233,7 @@ LEAST = 1e-60
 
 
 def tables_of(part: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Section]]:
-    """Key path and section of every table of a case."""
+    """Yield key path and section of every table of a case."""
     if isinstance(part, Section):
         yield path, part
         inner: Iterable[tuple[Any, Any]] = [(name, getattr(part, name)) for name in type(part).model_fields]
@@ -246,13 +246,13 @@ def tables_of(part: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str
 
 
 def has_key(sections: Any, key: tuple[str, ...]) -> bool:
-    """Whether the table at a path has such a key, given or not."""
+    """Whether the schema of the table at a path has a key, given or not."""
     table = given(sections, key[:-1])
     return isinstance(table, Section) and key[-1] in type(table).model_fields
 
 
 def given(sections: Any, key: tuple[str, ...]) -> Any:
-    """The value of a key in a case; None where the case does not have the key."""
+    """The value of a key in a case; None if the case does not have the key."""
     value = sections
     for part in key:
         if isinstance(value, list):
@@ -264,7 +264,7 @@ def given(sections: Any, key: tuple[str, ...]) -> Any:
 
 @dataclass(frozen=True)
 class Blame:
-    """Finds the keys of a case that errors speak of."""
+    """Finds the keys of a case to which errors refer."""
 
     sections: CaseSections
     source: str
@@ -276,14 +276,14 @@ class Blame:
 
     @contextmanager
     def located(self, *path: str) -> Iterator[None]:
-        """Turn ngvisco's errors into faults of a section (or of the one that the error names)."""
+        """Context that turns errors into faults of a section, or of the key that the error names."""
         try:
             yield
-        except (CaseError, PETScError):  # what the installation lacks is no fault of a section
+        except (CaseError, PETScError):  # a missing PETSc is no fault of a section
             raise
         except NgviscoError as error:
             raise self.error(*self._fault(error, path)) from error
-        except Exception as error:  # NGSolve and Netgen raise bare exceptions for what they refuse
+        except Exception as error:  # NGSolve and Netgen raise bare exceptions
             abort_alone(error)
             raise self.error(path, f"{type(error).__name__}: {error}") from error
 
@@ -302,18 +302,18 @@ class Blame:
         return key, str(error)
 
     def _written(self, key: tuple[str, ...], value: object) -> object:
-        """The value that the file has under a key, or the one that was made of it."""
+        """The value of a key in the file; ``value``, which was made of it, for a missing key or tables."""
         there = given(self.sections, key)
         is_whole = there is None or (isinstance(there, list) and any(isinstance(p, Section) for p in there))
         return value if is_whole else there
 
 
 def key_of(field: str, path: tuple[str, ...], sections: Any, value: object = None) -> tuple[str, ...]:
-    """The key of a parameter that is named as in ``Gravity.g``, ``walls['top'].f`` or
+    """The key of a parameter named like ``Gravity.g``, ``walls['top'].f`` or
     ``bodies['disc'].NeoHookean.K_e``.
 
-    ``path`` is that of the section from which the object with the parameter was made; where several tables
-    may be meant it is the one that has the ``value``.
+    ``path`` is the section of the object with the parameter; among several matching tables the one with
+    ``value`` is chosen.
     """
     names = names_in(field)
     for length in (2, 1):
@@ -338,13 +338,13 @@ _ALIASES = {
     "stops": ("time", "until"),
     "passive": ("output", "passive"),
 }
-"""Keys of the parts of a simulation that no table makes."""
+"""Keys of parameters that belong to no table's class."""
 
 
 def _reached(node: Any, path: tuple[str, ...], names: Sequence[str]) -> list[tuple[str, ...]]:
-    """The keys that names lead to from a part of a case: names of keys, of members, and of classes of tables.
+    """The keys reached from a part of a case by names of keys, of members, and of tables' classes.
 
-    A name that leads nowhere ends the way; without a first step there is no key.
+    The search ends at the first name that is not found; without any found name there is no key.
     """
     if not names:
         return []

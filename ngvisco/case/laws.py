@@ -1,7 +1,7 @@
-"""Laws of case files that are written as texts: energies and laws of the temperature, materials of them.
+"""Laws that a case file gives as texts: energies, laws of the temperature, and materials made of them.
 
-A text is an expression as in ``ngvisco.expressions``, of scalars and 3x3 tensors, and is computed by
-this package, never by Python.  Written are
+A text is an expression of ``ngvisco.expressions``, of scalars and 3x3 tensors, and is evaluated by this
+package, never by Python.  An expression may contain
 
 * numbers, the variables' names, the parameters' names, ``pi`` and the identity ``I``; not x, y, z or t;
 * entries of a tensor, ``F[0, 1]`` with indices 0, 1, 2;
@@ -40,11 +40,11 @@ from ngvisco.physics.variables import (
 )
 
 EnergyText = NewType("EnergyText", str)
-"""A text that ``parse_energy`` takes."""
+"""A text for ``parse_energy``."""
 
 _IDENTITY = "I"
 _RESERVED = (*CONSTANTS, _IDENTITY)
-"""Names that neither a variable nor a parameter can have."""
+"""Names that variables and parameters cannot have."""
 
 _VARIABLES: dict[str, Variable] = {
     "F": Distortion(),
@@ -85,7 +85,7 @@ class EnergyExpression:
 
 
 def parse_law(text: str) -> Callable[[Any], Any]:
-    """Check the text of a law theta -> value; raises ExpressionError as ``parse_energy``."""
+    """The law theta -> value of a text; raises ExpressionError like ``parse_energy``."""
     law = parse_energy(text, (Entropy(name="theta"),), what="a law of the temperature")
     return lambda theta: law(theta=theta)
 
@@ -96,19 +96,19 @@ def parse_energy(
     parameters: Mapping[str, float] | None = None,
     what: str = "an energy",
 ) -> EnergyExpression:
-    """Check an energy's text completely.
+    """The energy of a text, after a complete check.
 
-    Raises ExpressionError with the position and what is allowed: for syntax, unknown names and functions,
-    scalars in place of tensors and the like, constant parts that are no finite numbers, a tensor as the
-    result, and a text that reads none of the variables.
+    Raises ExpressionError, with the position and the allowed forms, for wrong syntax, unknown names and
+    functions, operands of the wrong rank, constant parts that are not finite, a tensor as the result, and a
+    text without any of the variables.
 
     Parameters
     ----------
     variables : sequence of Variable
-        Their names are scalars or tensors by their kinds.
+        Variables of the energy, scalars or tensors by their kinds.
     parameters : mapping of names to numbers, optional
     what : str
-        What errors call it.
+        Name of the energy in errors.
     """
     constants = {name: float(value) for name, value in (parameters or {}).items()}
     stand_ins = {v.name: x if v.kind == "scalar" else IDENTITY for v in variables}
@@ -129,27 +129,27 @@ def custom_material(
     per: Literal["volume", "referential volume", "mass"] = "volume",
     rho_R: Annotated[float | None, Quantity("kg/m^3", "> 0", 1000.0)] = None,
 ) -> Material:
-    """A material of the user's own: any variables, and an energy as an expression of them.
+    """A custom material: any variables, and an energy as an expression of them.
 
-    Raises ParameterError for what is no variable, no energy (with the position in the text), or an energy
-    that depends on the observer (with the rotation that shows it).
+    Raises ParameterError for an invalid variable, an invalid energy (with the position in the text), or an
+    energy that depends on the observer (with the rotation that shows it).
 
     Parameters
     ----------
     variables : sequence of str
-        What is carried: F, H = cof(F), B = F*trans(F), N = cof(F*trans(F)), J = det(F), A = 1/J, K =
-        log(J)/J, the small strain E; with a power of J as in "H = J**(-5/6)*F"; and amounts per actual
-        volume, conserved, zero unless the start says otherwise, as a solute's "c = amount".
+        Carried variables: F, H = cof(F), B = F*trans(F), N = cof(F*trans(F)), J = det(F), A = 1/J, K =
+        log(J)/J, the small strain E; a tensor with a power of J, "H = J**(-5/6)*F"; and conserved amounts per
+        actual volume, such as a solute's "c = amount", zero unless [initial] gives them.
     energy : str
-        Stored energy of the variables; by per = "mass" in J/kg.
+        Stored energy as an expression of the variables; in J/kg with per = "mass".
     parameters : mapping of names to numbers, optional
-        Numbers that the energy reads by name, as they stand.
+        Numbers that the energy reads by name, without conversion of units.
     per : str
-        What the energy is per: "volume" (the actual one), "referential volume" or "mass"; by the latter two
-        what is carried are the tensors over J, and A = 1/J.
+        Measure to which the energy refers: "volume" (actual), "referential volume" or "mass"; with the last
+        two the carried variables are the tensors over J, and A = 1/J.
     rho_R : float, optional
-        Density where J = 1, which an energy per mass needs; with it the initial density and J follow from one
-        another.
+        Density where J = 1, needed by an energy per mass; it determines the initial density from J, or J from
+        the density.
     """
     carried = tuple(_variable(text) for text in require_names("Custom.variables", variables))
     for name in {v.name for v in carried} & set(_RESERVED):
@@ -177,16 +177,16 @@ def isotropic_strain_energy(
     energy: Annotated[EnergyText, Quantity("Pa", example="5*tr(E)**2 + 5*norm2(dev(E))")],
     parameters: Annotated[Mapping[str, float] | None, Quantity("any", example={"G": 5.0})] = None,
 ) -> IsotropicStrainEnergy:
-    """Any convex isotropic energy phi(E) of the small strain, as an expression of E.
+    """A material with any convex isotropic energy phi(E) of the small strain, as an expression of E.
 
-    Raises ParameterError for what is no energy (with the position in the text), or one that is not isotropic.
+    Raises ParameterError for an invalid energy (with the position in the text) or one that is not isotropic.
 
     Parameters
     ----------
     energy : str
         Stored energy per actual volume of the small strain E, isotropic and convex.
     parameters : mapping of names to numbers, optional
-        Numbers that the energy reads by name, as they stand.
+        Numbers that the energy reads by name, without conversion of units.
     """
     expression = _energy("IsotropicStrainEnergy", energy, (SmallStrain(),), parameters)
     try:
@@ -216,7 +216,7 @@ def _energy(
 
 
 def _variable(text: str) -> Variable:
-    """The variable of a name or of a definition; raises ParameterError."""
+    """The variable of a name or of a definition such as "H = J**(-5/6)*F"; raises ParameterError."""
     plain = re.sub(r"\s", "", text)
     if plain.endswith("=amount") and (name := plain.removesuffix("=amount")).isidentifier():
         return Concentration(name=name)

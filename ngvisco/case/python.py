@@ -1,4 +1,4 @@
-"""Materials that a case file takes from a Python file, which it names: the one code that a case executes."""
+"""Materials from a Python file that a case file names, the only code that a case executes."""
 
 import functools
 import hashlib
@@ -13,7 +13,7 @@ from ngvisco.errors import ParameterError, Quantity
 from ngvisco.physics.material import Material
 
 KIND = "Python"
-"""The kind of such a material in the catalogue."""
+"""The kind of these materials in the catalogue."""
 
 
 def python_material(
@@ -21,17 +21,17 @@ def python_material(
     law: Annotated[str, Quantity(example="Gel")],
     parameters: Annotated[Mapping[str, float] | None, Quantity("any", example={"K": 10.0})] = None,
 ) -> Material:
-    """A material of the user's own, by a class or function of a Python file, which the case executes.
+    """A custom material, by a class or function of a Python file, which the case executes.
 
-    Raises ParameterError for a file that cannot be read or executed, a name that it has not, what is no
-    material, and parameters that it does not take or refuses.
+    Raises ParameterError for a file that cannot be read or executed, a missing name, a result that is no
+    material, and parameters that the class or function does not take or refuses.
 
     Parameters
     ----------
     path : str
         The Python file, relative to the case file; a run directory has a copy.
     law : str
-        The name in it of a class derived from ngvisco.Material, or of a function that returns one.
+        Name in this file of a class derived from ngvisco.Material, or of a function that returns a material.
     parameters : mapping of names to numbers, optional
         Arguments of the class or function, in SI units.
     """
@@ -59,7 +59,7 @@ def python_material(
 
 
 def tables_of_python(data: Any) -> list[dict[str, Any]]:
-    """Tables of a case's data that are such materials."""
+    """The tables of a case's data that describe materials of this kind."""
     if isinstance(data, list):
         return [found for part in data for found in tables_of_python(part)]
     if not isinstance(data, dict):
@@ -69,7 +69,7 @@ def tables_of_python(data: Any) -> list[dict[str, Any]]:
 
 
 def content_of(path: str) -> bytes:
-    """The content of a Python file; raises ParameterError where it cannot be read."""
+    """The content of a Python file; raises ParameterError if it cannot be read."""
     try:
         return Path(path).read_bytes()
     except OSError as error:
@@ -84,13 +84,13 @@ def _is_own(value: Any, module: ModuleType) -> bool:
 
 @functools.cache
 def _module(path: str, content: bytes) -> ModuleType:
-    """The executed file; once for the same content, so that its classes are the same ones."""
+    """The module of an executed file; equal contents are executed once, so that classes are identical."""
     module = ModuleType(f"case_{hashlib.sha256(content).hexdigest()[:16]}")
     module.__file__ = path
-    sys.modules[module.__name__] = module  # where dataclasses look up the names of annotations
+    sys.modules[module.__name__] = module  # dataclasses look up annotations' names here
     try:
         exec(compile(content, path, "exec"), module.__dict__)
-    except Exception as error:  # whatever a file of the user's raises
+    except Exception as error:  # a user's file may raise any error
         expected = f"a Python file that can be executed: {type(error).__name__}: {error}"
         raise ParameterError(f"{KIND}.path", path, expected) from error
     return module

@@ -1,4 +1,4 @@
-"""Case files as sections: read, overridden, with the numbers of files, in SI units, and checked."""
+"""Reading of a case file: overrides, numbers from files, SI units, and validation as sections."""
 
 import tomllib
 import warnings
@@ -19,12 +19,12 @@ MAX_FILE_SIZE = 1_000_000
 
 
 def text_of(path: Path) -> str:
-    """A case file's text; raises CaseError."""
+    """The text of a case file; raises CaseError."""
 
     def refused(message: str, line: int | None = None) -> CaseError:
         return CaseError(str(path), [Fault("", message, line)])
 
-    if path.exists() and not (path.is_file() or path.is_dir()):  # a pipe would be waited for
+    if path.exists() and not (path.is_file() or path.is_dir()):  # reading a pipe would wait
         raise refused("cannot be read: it is a pipe or a device, and no file")
     try:
         with path.open("rb") as file:
@@ -42,11 +42,11 @@ def text_of(path: Path) -> str:
 def sections_of(
     text: str, source: str, directory: Path, settings: Sequence[str]
 ) -> tuple[CaseSections, Locator]:
-    """The sections of a case file's text, and where its keys are; raises CaseError with every fault found."""
+    """The sections of a case file's text and the locator of its keys; raises CaseError with every fault."""
     overridden = []
     try:
         data = tomllib.loads(text)
-    except ValueError as error:  # a number of thousands of digits among them
+    except ValueError as error:  # also for a number of thousands of digits
         raise CaseError(source, [Fault("", f"not TOML: {error}")]) from error
     except RecursionError as error:
         raise CaseError(source, [Fault("", "not TOML: too deeply nested")]) from error
@@ -65,7 +65,7 @@ def sections_of(
         locator.data, locator.converted = data, converter.converted
         if converter.faults:
             raise CaseError(source, [locator.fault(*fault) for fault in converter.faults])
-        if converter.scales:  # what is no unit is left to the schema
+        if converter.scales:  # the schema refuses the remaining keys
             kept = {name: u for name, u in data["units"].items() if name not in SI or not isinstance(u, str)}
             data = data | {"units": kept}
         sections = CaseSections.model_validate(data, context=converter)
@@ -84,7 +84,7 @@ def sections_of(
 
 
 def plain_velocities(data: Any, path: tuple[str, ...] = ()) -> list[str]:
-    """Keys of a case whose values are velocities without a unit of their own, and not zero."""
+    """Keys of a case whose values are velocities other than zero without their own unit."""
     if isinstance(data, list):
         return [key for i, part in enumerate(data) for key in plain_velocities(part, (*path, str(i)))]
     if not isinstance(data, dict):

@@ -1,7 +1,7 @@
-"""The reference of case files, made from the schema: every key with type, unit, default, meaning, example.
+"""The reference of case files, from the schema: every key with type, unit, default, meaning and example.
 
-A path such as ``walls.NAME.velocity`` has NAME for a name that the user gives and N for the index of an array
-of tables; keys that only some kinds of a section have are listed with these kinds.
+In a path such as ``walls.NAME.velocity``, NAME stands for a name that the user gives and N for the index of
+an array of tables.  Keys that only some kinds of a section have are listed with these kinds.
 """
 
 import difflib
@@ -30,7 +30,7 @@ from ngvisco.run import passive
 
 @dataclass(frozen=True)
 class KeyEntry:
-    """One key as a user sees it, with the kinds of its section that have it; none for all.
+    """One key of the reference, with the kinds of its section that have it; no kinds if all have it.
 
     A table of keys has no example.
     """
@@ -46,24 +46,24 @@ class KeyEntry:
 
     @property
     def name(self) -> str:
-        """The path with dots."""
+        """The key's path, joined by dots."""
         return ".".join(self.path)
 
     @property
     def default_text(self) -> str:
-        """The default as TOML has it, in words where there is none."""
+        """The default in TOML; "required" or "none" without a default."""
         if self.required:
             return "required"
         return "none" if self.default is None else toml.value_text(self.default)
 
     @property
     def is_table(self) -> bool:
-        """Whether it is a table of keys, not a key itself."""
+        """Whether the entry is a table of keys."""
         return self.example is None
 
     @property
     def example_text(self) -> str:
-        """A line of a case file."""
+        """The example as a line of a case file."""
         return f"{self.path[-1]} = {toml.value_text(self.example)}"
 
 
@@ -90,7 +90,7 @@ _SAME_KEYS = {
     ("rheology", "creep", "rule"): ("rheology", "creep"),
     ("rheology", "creep", "rules", "N"): ("rheology", "creep"),
 }
-"""Tables that have the keys of another one, which are listed there."""
+"""Tables with the keys of another table, under which these keys are listed."""
 
 
 def _walk(model: type[Section], path: tuple[str, ...], kinds: tuple[str, ...]) -> Iterator[KeyEntry]:
@@ -121,13 +121,13 @@ def _walk_kinds(models: list[type[Section]], path: tuple[str, ...]) -> Iterator[
         required = all(model.model_fields[tag].is_required() for model in models)
         kinds = f"one of {', '.join(names)}"
         default = None if required else names[0]
-        yield KeyEntry((*path, tag), (), kinds, "", required, default, "Which one", names[0])
+        yield KeyEntry((*path, tag), (), kinds, "", required, default, "Kind of the table", names[0])
     for model in models:
         yield from _walk(model, path, () if tag is None else (model.__name__,))
 
 
 def type_text(annotation: Any) -> str:
-    """A schema's type in words."""
+    """The words for a type of the schema."""
     plain = {
         float: "number",
         int: "whole number",
@@ -156,15 +156,15 @@ def type_text(annotation: Any) -> str:
 
 
 def explain(path: str) -> str:
-    """Explain a key, a section with its keys, a kind or a field of the output, or say where a word occurs.
+    """The explanation of a key, a section, a kind or a field of the output, or the places of a word.
 
-    Raises ParameterError with the nearest known paths.
+    Raises ParameterError, with the nearest known paths, for an unknown path.
 
     Parameters
     ----------
     path : str
-        As in messages and in ``--set``: ``time.dt``, ``walls.top.velocity``, ``loads.0.g``, ``material``, or
-        a kind: ``NeoHookean``, ``material.NeoHookean``; in any case of letters, where that is one of them.
+        Path as in messages and in ``--set``, ``time.dt``, ``walls.top.velocity``, ``loads.0.g``,
+        ``material``, or a kind, ``NeoHookean``, ``material.NeoHookean``; case of letters does not matter.
     """
     every = entries()
     wanted = tuple(part for part in path.strip().strip(".").split(".") if part)
@@ -182,7 +182,7 @@ def explain(path: str) -> str:
         own = [entry for entry in every if entry.path[:-1] == kinds[last]]
         tag = [replace(entry, example=last) for entry in own if entry.path[-1] in TAGS]
         return "\n\n".join([_said_of(last), *cards([*tag, *(entry for entry in own if last in entry.kinds)])])
-    # a name alone is that of a key in all tables that have it
+    # a name alone stands for this key in every table that has it
     exact = [e for e in every if matches(e.path, wanted)] or [e for e in every if e.path[-1:] == wanted]
     below = [e for e in every if len(e.path) > len(wanted) and matches(e.path[: len(wanted)], wanted)]
     if wanted and below:
@@ -198,19 +198,19 @@ def explain(path: str) -> str:
 
 
 def _said_of(kind: str) -> str:
-    """A kind, and what it is."""
+    """A kind and its summary."""
     return f"{kind}: {summary(KINDS[kind])}"
 
 
 def _fields(name: str) -> list[tuple[str, str]]:
-    """Fields of the output of this name, and what their modules say of them."""
+    """Names and descriptions of the output's fields with this name, from their modules' docstrings."""
     tables = f"{output.__doc__}{passive.__doc__}"
     rows = re.findall(r"^\| (\w+) +\| (.*\S) +\| [^|]*\|$", tables, re.M)
     return [(name, what) for named, what in rows if named == re.sub(r"_\d$", "_i", name)]
 
 
 def _mentions(every: Sequence[KeyEntry], kinds: Sequence[str], wanted: tuple[str, ...]) -> list[str]:
-    """Kinds and keys of which a word is said; none where it is said of many."""
+    """Kinds and keys whose descriptions contain a word; none if there are ``_MANY``."""
     if len(wanted) != 1:
         return []
     word = re.compile(rf"\b{re.escape(wanted[0])}", re.IGNORECASE)
@@ -224,19 +224,19 @@ _MANY = 40
 
 
 def listing() -> str:
-    """Every key in a line of its own, table by table."""
+    """All keys, one to a line, table by table."""
     return "\n".join(line(entry) for entry in entries())
 
 
 def matches(path: tuple[str, ...], wanted: tuple[str, ...]) -> bool:
-    """Whether a user's path is this one: NAME stands for any name, N for an index."""
+    """Whether a user's path ``wanted`` fits ``path``, with NAME for any name and N for any index."""
     return len(path) == len(wanted) and all(
         a == b or a == "NAME" or (a == "N" and b.isdigit()) for a, b in zip(path, wanted, strict=True)
     )
 
 
 def line(entry: KeyEntry) -> str:
-    """A key in one line; of a table its name and what it is."""
+    """The line of a key; for a table its name and meaning."""
     if entry.is_table:
         return f"[{entry.name}]  {entry.meaning}"
     unit = f", {entry.unit}" if entry.unit not in ("", "1") else ""
@@ -245,7 +245,7 @@ def line(entry: KeyEntry) -> str:
 
 
 def cards(every: Sequence[KeyEntry]) -> list[str]:
-    """Keys with all that is known of them, on lines of their own; kinds that differ by words share a card."""
+    """Cards with all properties of the keys; kinds that differ only in words share a card."""
     groups: dict[tuple[str, ...], list[KeyEntry]] = {}
     for entry in every:
         groups.setdefault((entry.name, entry.type, entry.unit, entry.default_text), []).append(entry)
@@ -267,7 +267,7 @@ def _card(group: list[KeyEntry]) -> str:
 
 
 def markdown() -> str:
-    """The whole reference as a page."""
+    """The whole reference as a Markdown page."""
     every = entries()
     parts = [_HEAD]
     for section in dict.fromkeys(entry.path[0] for entry in every):
@@ -291,21 +291,21 @@ def _row(entry: KeyEntry) -> str:
 _HEAD = """\
 # Keys of a case file
 
-Written by `ngvisco list --markdown`; `ngvisco explain KEY` says the same of one key, and `ngvisco new NAME`
-prints a case to start from. NAME stands for a name of one's own (a wall's, a variable's), N for the index of
-an array of tables. A key with kinds in italics belongs to these only. An expression is a text of `x`, `y`,
+Written by `ngvisco list --markdown`; `ngvisco explain KEY` explains one key, and `ngvisco new NAME` prints a
+case to start from. NAME stands for a name that you choose (a wall's, a variable's), N for the index of an
+array of tables. A key with kinds in italics belongs to these kinds only. An expression is a text of `x`, `y`,
 `z` (m), `t` (s), `pi`, numbers, `+ - * / **`, `sin cos tan asin acos atan atan2 exp log sqrt abs sinh cosh
-tanh min max` and `a if x < 1 else b`. A text with a number and its unit, `"5 km"`, may stand for any number
-that has a unit; `[units]` chooses those of plain numbers.
+tanh min max` and `a if x < 1 else b`. A text with a number and its unit, `"5 km"`, may replace any number
+that has a unit; `[units]` chooses the units of plain numbers.
 
-An expression of the variables, as `energy` is, reads the names in `variables` and `parameters`, `pi`, the
+An expression of the variables, such as `energy`, reads the names in `variables` and `parameters`, `pi`, the
 identity `I` and entries `F[0, 1]`, with `tr det norm2 dot cof inv trans sym dev sph` of tensors (`norm2(A)`
 is A : A) and `exp log sqrt abs sinh cosh tanh min max` of scalars.
 """
 
 
 class _Described(GenerateJsonSchema):
-    """With meanings, units and examples of the keys; numbers that have a unit may be texts with it."""
+    """A schema generator that adds meanings, units and examples, and admits texts for numbers with a unit."""
 
     def model_schema(self, schema: core_schema.ModelSchema) -> dict[str, Any]:
         node, model = super().model_schema(schema), schema["cls"]
@@ -328,7 +328,7 @@ def json_schema() -> dict[str, Any]:
 
 
 def _with_quantities(node: Any) -> Any:
-    """A property's schema in which numbers may be texts with a unit."""
+    """The schema of a property whose numbers may also be texts with a unit."""
     if isinstance(node, dict):
         if node.get("type") == "number":
             quantity = {"type": "string", "pattern": r"^\s*[+-]?[0-9.]+([eE][+-]?[0-9]+)?\s*[A-Za-z]"}
@@ -350,7 +350,7 @@ _SAME = re.compile(r"As for (\w+)")
 @cache
 def meanings(owner: Any) -> Mapping[str, str]:
     """Descriptions of parameters in the docstring of a class or function, by name, without the final stop."""
-    from docstring_parser import DocstringStyle, parse  # no run needs it
+    from docstring_parser import DocstringStyle, parse  # runs do not need this package
 
     found = {}
     for each in reversed(inspect.getmro(owner) if inspect.isclass(owner) else (owner,)):
@@ -365,7 +365,7 @@ def meanings(owner: Any) -> Mapping[str, str]:
 
 
 def summary(owner: Any) -> str:
-    """The first line of a docstring, without the final stop."""
+    """The first line of an object's docstring, without the final stop."""
     return (inspect.getdoc(owner) or "").split("\n")[0].replace("``", "").removesuffix(".")
 
 

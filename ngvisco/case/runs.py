@@ -1,9 +1,9 @@
-"""Runs of cases in their directories: from the start, from another run, from a checkpoint; what they hold.
+"""Runs of cases in their directories, from the start, another run or a checkpoint, and their results.
 
-A run may go on with a changed case.  The directory's case.toml becomes that one; the case before is kept as
-``case.until-step-N.toml``, and versions.json lists the changes with their step, time and settings.  run.h5
-still says by the hash of which case it was written until its first checkpoint after the change, so that a
-change that was interrupted is taken up.
+A run may be resumed with a changed case.  case.toml in the directory is then the changed case; the earlier
+case is kept as ``case.until-step-N.toml``, and versions.json lists the changes with step, time and settings.
+Until the first checkpoint after a change run.h5 has the hash of the earlier case, so that a change that was
+interrupted can be completed.
 """
 
 from __future__ import annotations
@@ -48,8 +48,8 @@ _FIXED = (
     "bodies",
     "output.passive",
 )
-"""Keys that a resumed run cannot change.  Of bodies only numbers of materials and mechanisms can change;
-another mesh or other unknowns need a new run, which takes over the fields of this one."""
+"""Keys that a resumed run cannot change.  Bodies can change only numbers of materials and mechanisms. Another
+mesh or other unknowns need a new run, which takes over the fields of this run."""
 
 
 def run(
@@ -60,23 +60,23 @@ def run(
     observers: Sequence[Observer] = (),
     source: str | os.PathLike[str] | None = None,
 ) -> Simulation:
-    """Run a case into a new run directory.  Raises RunDirectoryError, CaseError, StepError, OSError.
+    """Run a case in a new run directory.  Raises RunDirectoryError, CaseError, StepError or OSError.
 
     Parameters
     ----------
     force : bool
-        Remove the results of an earlier run first, rather than refuse.
+        Whether to remove the results of an earlier run first; otherwise they are an error.
     observers : sequence of Observer
-        Besides those that write the directory.
+        Observers beside those that write the directory.
     source : path, optional
-        A run directory whose last state is taken over in place of the case's initial one, time included
+        A run directory whose last state, with its time, replaces the case's initial state
         (``ngvisco.run.transfer``).
     """
     place, ranks = RunDirectory(directory), Communicator.world()
     require_petsc(ranks)
     if not force:
         ranks.on_first(place.refuse_results)
-    # all that can be wrong with the case is found here, before anything is written or removed
+    # every fault of the case is found here, before anything is written or removed
     notes, image = [f"run: {case.sections.title or case.source}"], b""
     with _noting_warnings(notes.append):
 
@@ -119,18 +119,18 @@ def resume(
     observers: Sequence[Observer] = (),
     settings: Sequence[str] = (),
 ) -> Simulation:
-    """Go on with the run in a directory, from its last checkpoint (or its start, if it has none).
+    """Resume the run in a directory from its last checkpoint, or from its start without one.
 
-    ``until`` (s) replaces the case's end time; steps of one length end at the nearest multiple of dt where
-    that is no farther than a thousandth of dt.  ``settings`` change the case from here on, as far as
-    ``changed`` lets them; the directory keeps the case as it was too.
+    ``until`` (s) replaces the case's end time; steps of one length end at the nearest multiple of dt if it is
+    within a thousandth of dt.  ``settings`` change the case from now on, as far as ``changed`` admits; the
+    directory also keeps the earlier case.
     """
     place, ranks = RunDirectory(directory), Communicator.world()
     require_petsc(ranks)
     case = place.case()
 
     def prepare() -> None:
-        if not place.is_prepared:  # killed while it was
+        if not place.is_prepared:  # the run was killed while preparing
             place.prepare(case, mesh_image(case.mesh()))
 
     with ranks.held_by_first(place.locked()):
@@ -138,7 +138,7 @@ def resume(
         new = changed(place, case, settings) if settings else case
         if new.resolved != case.resolved:
             simulation = new.simulation(_mesh_of_first(new, ranks, place.present_mesh))
-            if ranks.on_first(place.run_file.exists):  # what it raises is raised before anything is written
+            if ranks.on_first(place.run_file.exists):  # errors come before anything is written
                 before = ranks.on_first(lambda: _pending_change(place, case)) or case.hash
                 resume_changed(simulation, place.run_file, {"case": before})
             _check_times(
@@ -179,7 +179,7 @@ def _go(
             one.until = end
     _check_times(place, case, simulation, end)
     log = Log(place.log_file, end, case.sections.output.log_every)
-    # an end time given to resume is an output time of its own
+    # an end time given to ``resume`` is an output time too
     simulation.observers += [*case.observers(place.path, end), log, *observers]
     if ranks.is_distributed:
         notes.append(f"on {ranks.size} ranks, {ranks.size - 1} of them with cells")
@@ -187,7 +187,7 @@ def _go(
         notes.append(f"from the checkpoint of step {simulation.number}, t = {simulation.t:g} s")
 
     def begin() -> None:
-        for path in place.failures:  # of an attempt before
+        for path in place.failures:  # of an earlier attempt
             path.unlink()
         for note in notes:
             log.write(note)
@@ -195,7 +195,7 @@ def _go(
     ranks.on_first(begin)
     write = log.write if ranks.is_first else (lambda line: None)
     parts: Iterator[tuple[Simulation, float]] = iter([(simulation, max(end, simulation.t))])
-    if case.refinement is not None:  # the run on each of its meshes, and until when
+    if case.refinement is not None:  # one part, with its end time, for each mesh
         last = max(end, simulation.t)
         parts = stretches(simulation, case.refinement, last, place.mesh(), place.chosen_mesh())
     try:
@@ -203,7 +203,7 @@ def _go(
             for simulation, stop in parts:
                 simulation.run(stop, [time for time in case.output_times(end) if time <= stop])
     except BaseException as error:
-        with contextlib.suppress(OSError):  # a full disk is what may have ended the run
+        with contextlib.suppress(OSError):  # a full disk may have ended the run
             write(f"ended by {type(error).__name__}: {error}")
         if isinstance(error, StepError) and error.report is not None:
             with contextlib.suppress(OSError):
@@ -218,7 +218,7 @@ def _go(
 
 
 def _taken_over(old: Simulation, origin: dict[str, Any], simulation: Simulation) -> str:
-    """Put a simulation into the state of another one; a line for the log of what that did."""
+    """Set a simulation to the state of another one, and return a line about it for the log."""
     done = transfer(old, simulation)
     return (
         f"from step {origin['step']} of {origin['directory']}, t = {simulation.t:g} s: density times "
@@ -227,7 +227,7 @@ def _taken_over(old: Simulation, origin: dict[str, Any], simulation: Simulation)
 
 
 def _mesh_of_first(case: Case, ranks: Communicator, make: Callable[[], Mesh]) -> Mesh:
-    """The mesh that the first rank makes, distributed; its error is raised on every rank."""
+    """The distributed mesh, made by the first rank; its error is raised on every rank."""
     made: list[Mesh] = []
     ranks.on_first(lambda: made.append(make()))
     with case.blame.located("domain"):
@@ -235,7 +235,7 @@ def _mesh_of_first(case: Case, ranks: Communicator, make: Callable[[], Mesh]) ->
 
 
 def _check_times(place: RunDirectory, case: Case, simulation: Simulation, end: float) -> None:
-    """Raise RunDirectoryError or ParameterError for times that the simulation's steps do not meet."""
+    """Raise RunDirectoryError or ParameterError for end and output times that no step ends at."""
     if simulation.t > end * (1 + 1e-12):
         raise _reached(place, simulation)
     for name, value in [("until", end), *(("stops", stop) for stop in case.output_times(end))]:
@@ -248,7 +248,7 @@ def _reached(place: RunDirectory, simulation: Simulation) -> RunDirectoryError:
 
 
 def changed(place: RunDirectory, case: Case, settings: Sequence[str]) -> Case:
-    """The directory's case with settings; raises CaseError under the key of a setting that may not change."""
+    """The directory's case with settings; raises CaseError for the key of a setting that may not change."""
     new = parse_case(case.resolved, case.source, case.directory, settings)
     for key in _FIXED:
         if _fixed_value(new, key) != _fixed_value(case, key):
@@ -278,13 +278,13 @@ def _fixed_value(case: Case, key: str) -> Any:
 
 
 def _write_change(place: RunDirectory, case: Case, new: Case, settings: Sequence[str]) -> None:
-    """Put the changed case into the directory, and keep the one before."""
+    """Write the changed case into the directory, and keep the earlier case."""
     step, time = 0, 0.0
     if place.run_file.exists():
         ledger = place.ledger()
         step, time = int(ledger["step"][-1]), float(ledger["time"][-1])
     record = place.read_versions()
-    before = _pending_change(place, case) or case.hash  # a change that no checkpoint has reached is replaced
+    before = _pending_change(place, case) or case.hash  # a change without a checkpoint is replaced
     change = {"step": step, "time": time, "settings": list(settings), "from": before, "to": new.hash}
     record["changes"] = [*record.get("changes", []), change]
     write_atomically(place.path / f"case.until-step-{step}.toml", case.resolved.encode())
@@ -293,14 +293,14 @@ def _write_change(place: RunDirectory, case: Case, new: Case, settings: Sequence
 
 
 def _pending_change(place: RunDirectory, case: Case) -> str | None:
-    """Hash of the case that run.h5 was written with, where the last change has not reached it yet."""
+    """Hash of the case in run.h5, if the last change has no checkpoint yet; else None."""
     changes = place.read_versions().get("changes", [])
     if not changes or changes[-1]["to"] != case.hash or changes[-1]["from"] == case.hash:
         return None
     try:
         with h5py.File(place.run_file) as file:
             found = file.attrs.get("case")
-    except OSError:  # whoever reads it next says why
+    except OSError:  # the next reader raises the error
         return None
     return str(found) if found == changes[-1]["from"] else None
 
@@ -314,7 +314,7 @@ class Results:
     case : Case
     ledger : dict of arrays, by column
     simulation : Simulation
-        At the checkpoint's state.
+        The simulation at the checkpoint's state.
     """
 
     case: Case
@@ -322,7 +322,7 @@ class Results:
     simulation: Simulation
 
     def frame(self) -> Any:
-        """The ledger as a pandas frame, with the step as index; NotebookError where pandas is missing."""
+        """The ledger as a pandas frame, with the step as index; raises NotebookError without pandas."""
         return data_frame(self.ledger)
 
     def _repr_html_(self) -> str:
@@ -339,12 +339,12 @@ class Results:
 
     @property
     def fields(self) -> dict[str, CoefficientFunction]:
-        """``simulation.fields``: velocity and density as grid functions, what is derived from them."""
+        """The fields of the simulation by name: velocity, density and derived fields."""
         return self.simulation.fields
 
 
 def load(directory: str | os.PathLike[str], step: int | None = None) -> Results:
-    """The ledger and the state of the last (or a given) checkpoint of a run directory.
+    """The ledger, and the state of the last checkpoint or of the one at ``step``, of a run directory.
 
     Raises RunDirectoryError, CaseError, CheckpointError or MeshError.
     """
@@ -358,7 +358,7 @@ def load(directory: str | os.PathLike[str], step: int | None = None) -> Results:
 
 
 class Log(Progress):
-    """Progress lines with the date, appended to a run's log file."""
+    """Observer that appends dated progress lines to a run's log file."""
 
     def __init__(self, path: Path, until: float, every: int = 1) -> None:
         super().__init__(until, every)
@@ -373,7 +373,7 @@ class Log(Progress):
 
 @contextlib.contextmanager
 def _noting_warnings(note: Callable[[str], None]) -> Iterator[None]:
-    """Within: warnings are given to ``note`` too, each as a line."""
+    """Context in which ``note`` also gets each warning, as a line."""
     shown = warnings.showwarning
 
     def show(message: Warning | str, category: type[Warning], *where: Any, **options: Any) -> None:

@@ -1,7 +1,7 @@
 """The schema of a case file: its sections, made from the dataclasses and functions of the catalogue."""
 
 # mypy: disable-error-code="valid-type, call-arg"
-# sections are made at run time, and defaults given by position
+# sections are made at run time, and defaults are given by position
 
 from __future__ import annotations
 
@@ -27,36 +27,36 @@ from ngvisco.run.refinement import Refinement
 
 _MAX_OUTPUT_TIMES = 100_000
 _MAX_STEPS = 100_000_000
-"""Steps above which a run has no end: ten of the smallest a second make a hundred days."""
+"""Largest number of steps: at ten of the smallest steps a second a run would take a hundred days."""
 
 Adapt = section(Refinement)
 HeatCapacity = section(Thermal, is_whole=False, without=("p_infinity",))
 
 
 class Meshed(Section):
-    """The keys that every geometry has besides its own."""
+    """The keys that every geometry has beside its parameters."""
 
     symmetry: Literal["none", "axisymmetric"] = Field(
         "none",
-        description="In two dimensions plane strain, or a body of revolution about x = 0, in the half plane "
-        "x >= 0: integrals are then its own over 2 pi",
+        description="Plane strain in two dimensions, or a body of revolution about x = 0 in the half plane "
+        "x >= 0, with integrals over the body divided by 2 pi",
     )
     adapt: Adapt | None = Field(
-        None, description="Divide the cells where a field is steep, and choose them anew as it moves"
+        None, description="Division of cells where a field is steep, chosen again as the field moves"
     )
 
 
 class Heated(Section):
-    """The keys that every material has besides its own."""
+    """The keys that every material has beside its parameters."""
 
     thermal: HeatCapacity | None = Field(
         None,
-        description="Its heat, where the material has a temperature: the table's other keys are of the "
-        "material without",
+        description="Heat of a material with a temperature; the other keys of its table describe the "
+        "material without heat",
     )
 
     def completed(self, made: MaterialObject) -> MaterialObject:
-        """The material, with its heat if it has any."""
+        """The material, with heat if the table has ``thermal``."""
         if self.thermal is None:
             return made
         try:
@@ -71,7 +71,7 @@ Creep = laws(FlowRule, catalogue.FLOW_RULES, catalogue.FLOW_RULE_WRAPPERS)
 
 
 def _branches(material: Any) -> dict[Any, Any]:
-    """The type of a network's branches, each of which has a material."""
+    """The schema's type of a network's branches, for the type of their materials."""
     branch: Any = section(Branch, types={MaterialObject: material, FlowRule: Creep})
     return {Mapping[str, Branch]: dict[str, branch]}
 
@@ -104,7 +104,7 @@ Discretisation, Initial, Solver, TimeSteps = (
 
 
 class Time(TimeSteps):  # type: ignore[misc]
-    """Step length and end."""
+    """Step length and end time."""
 
     until: Annotated[float, Quantity("s", "> 0", 1.0)] = Field(
         description="End of the run, a multiple of dt where steps have one length"
@@ -114,7 +114,7 @@ class Time(TimeSteps):  # type: ignore[misc]
     def _ends(self) -> Time:
         if not 0 < self.until < math.inf:
             raise ParameterError("Time.until", self.until, "a finite number > 0")
-        # adaptive steps grow: dt is the first one's length, and dt_max says how many there are at least
+        # adaptive steps grow: dt is the first step's length, and dt_max bounds the number of steps from below
         longest = self.dt if self.adaptive is None else self.adaptive.dt_max
         if self.until / longest > _MAX_STEPS:
             least = self.until / _MAX_STEPS
@@ -137,7 +137,7 @@ Where = Annotated[
     | Annotated[list[Shape], Tag("<shapes>")],
     Discriminator(_form_of_place),
 ]
-"""A condition on x, y, z, a shape, or several of them, of which it is the union."""
+"""A body's place: a condition on x, y, z, a shape, or a list of shapes for their union."""
 
 
 Body: Any = section(
@@ -166,10 +166,10 @@ def _check_name(name: str) -> str:
 
 
 Names = Annotated[list[str], Field(min_length=1), AfterValidator(_check_once)]
-"""Some of what there is; all of it where the key is left out."""
+"""A selection by name; a key that is left out selects everything."""
 Components = Annotated[Names | None, Quantity(example=["velocity", "F_12"])]
 Count = Annotated[int, Field(ge=1)]
-_COMPONENTS = "Fields or components of them; without this key as for output.vtk.fields"
+_COMPONENTS = "Names of fields or of their components; default as for output.vtk.fields"
 
 
 class VTK(Section):
@@ -185,7 +185,7 @@ class VTK(Section):
     )
     fields: Annotated[Names | None, Quantity(example=["velocity", "density"])] = Field(
         None,
-        description="Which fields; without this key all but creep_rate, mandel_stress, viscous_stress, "
+        description="Names of fields; default all but creep_rate, mandel_stress, viscous_stress, "
         "hyperstress_1 (to 3), principal_stresses, principal_stretches",
     )
     subdivision: int = Field(
@@ -197,7 +197,7 @@ class Checkpoint(Section):
     """Checkpoints in run.h5."""
 
     every: Count = Field(10, description="A checkpoint every so many steps, and at the end")
-    keep: Count = Field(2, description="How many checkpoints run.h5 holds")
+    keep: Count = Field(2, description="Number of checkpoints in run.h5")
 
 
 class Table(Section):
@@ -215,41 +215,41 @@ class NamedTable(Table):
 
 
 class Probe(NamedTable):
-    """Fields at a point over time."""
+    """A table of fields at a point over time."""
 
     point: Annotated[list[float], Quantity("m", example=[0.5, 0.5])] = Field(
-        description="Where, a coordinate for each dimension"
+        description="The point, a coordinate for each dimension"
     )
     fields: Components = Field(None, description=_COMPONENTS)
 
 
 class Line(NamedTable):
-    """Fields along a line over time."""
+    """A table of fields along a line over time."""
 
     start: Annotated[list[float], Quantity("m", example=[0.0, 0.5])] = Field(
         description="One end, a coordinate for each dimension"
     )
     end: Annotated[list[float], Quantity("m", example=[1.0, 0.5])] = Field(description="The other end")
     points: int = Field(
-        101, ge=2, le=100_000, description="How many points, equally spaced, the ends among them"
+        101, ge=2, le=100_000, description="Number of equally spaced points, both ends included"
     )
     fields: Components = Field(None, description=_COMPONENTS)
     every: Count = Field(10, description="A row every so many steps, and at the end")
 
 
 class Forces(Table):
-    """Forces and torques on walls over time."""
+    """A table of forces and torques on walls over time."""
 
     walls: Annotated[Names | None, Quantity(example=["left"])] = Field(
-        None, description="Names of walls; all without this key"
+        None, description="Names of walls; default all"
     )
     about: Annotated[list[float] | None, Quantity("m", example=[0.5, 0.5])] = Field(
-        None, description="The point that torques refer to; the origin without this key"
+        None, description="Reference point of torques; default the origin"
     )
 
 
 class DomainIntegral(NamedTable):
-    """The integral of an expression of the fields over the domain, over time."""
+    """A table over time of the integral of an expression of the fields over the domain."""
 
     of: Annotated[str, Quantity(example="density*velocity_1")] = Field(
         description="An expression of x, y, z, t and fields' components"
@@ -257,7 +257,7 @@ class DomainIntegral(NamedTable):
 
 
 class BodyTable(Table):
-    """Each body over time."""
+    """A table of each body over time."""
 
     measures: Annotated[
         list[Literal["deformation", "outline", "turning", "stress", "traction", "gap"]],
@@ -275,13 +275,13 @@ class Contour(Table):
     """Outlines of bodies over time."""
 
     bodies: Annotated[Names | None, Quantity(example=["disc"])] = Field(
-        None, description="Names of bodies; without this key all that have a place"
+        None, description="Names of bodies; default all bodies with a place"
     )
     every: Count = Field(10, description="Outlines every so many steps, and at the end")
 
 
 class Output(Section):
-    """The files that are written into the run directory."""
+    """The files that a run writes into its directory."""
 
     vtk: VTK = Field(VTK(), description="The VTK series, for ParaView")
     checkpoint: Checkpoint = Field(Checkpoint(), description="Checkpoints in run.h5")
@@ -324,37 +324,37 @@ class Output(Section):
 class Units(Section):
     """The units of plain numbers, which are converted before the case is validated."""
 
-    length: str = Field("m", description="Of lengths, and of x, y, z in expressions")
-    time: str = Field("s", description="Of times, and of t in expressions")
-    velocity: str = Field("m/s", description="Of velocities")
-    acceleration: str = Field("m/s^2", description="Of accelerations")
-    density: str = Field("kg/m^3", description="Of densities")
-    pressure: str = Field("Pa", description="Of stresses and elastic moduli")
-    viscosity: str = Field("Pa s", description="Of viscosities and the creep modulus")
+    length: str = Field("m", description="Unit of lengths, and of x, y, z in expressions")
+    time: str = Field("s", description="Unit of times, and of t in expressions")
+    velocity: str = Field("m/s", description="Unit of velocities")
+    acceleration: str = Field("m/s^2", description="Unit of accelerations")
+    density: str = Field("kg/m^3", description="Unit of densities")
+    pressure: str = Field("Pa", description="Unit of stresses and elastic moduli")
+    viscosity: str = Field("Pa s", description="Unit of viscosities and the creep modulus")
 
 
 class CaseSections(Section):
-    """A whole case file."""
+    """All sections of a case file."""
 
     title: Annotated[str, Quantity(example="A block under gravity")] = Field(
-        "", description="What the case is, for logs and pictures"
+        "", description="Title of the case, for logs and pictures"
     )
-    units: Units = Field(Units(), description="Units of plain numbers; SI where nothing is said")
+    units: Units = Field(Units(), description="Units of plain numbers; default SI")
     domain: Domain = Field(description="The domain and its mesh")
     material: Material | None = Field(None, description="The material: its variables and its stored energy")
     bodies: list[Body] = Field(
-        [], description="Bodies of different material, each an element of the array, in place of [material]"
+        [], description="Bodies of different materials, each an element of the array, instead of [material]"
     )
-    time: Time = Field(description="Step length and end")
+    time: Time = Field(description="Step length and end time")
     walls: dict[str, Wall] = Field(
-        {}, description="What holds on the walls, by name; Slip where nothing is said"
+        {}, description="Conditions on the walls, by the walls' names; default Slip"
     )
     rheology: Rheology = Field(Rheology(), description="Dissipative mechanisms, each a table of its own")
     loads: list[Load] = Field([], description="Forces, each an element of the array")
     initial: Initial = Field(Initial(), description="The state at t = 0")
     discretisation: Discretisation = Field(Discretisation(), description="Orders in space")
     solver: Solver = Field(Solver(), description="Method and tolerances of a step's solver")
-    output: Output = Field(Output(), description="What the run directory gets")
+    output: Output = Field(Output(), description="Files of the run directory")
 
     @model_validator(mode="after")
     def _consistent(self) -> CaseSections:

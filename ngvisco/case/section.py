@@ -1,8 +1,8 @@
-"""Sections of a case file, made from dataclasses and functions: the machinery of the schema.
+"""Sections of a case file, made from dataclasses and functions.
 
-Each section is a strict pydantic model whose fields are the parameters of a dataclass or function, with what
-their annotations say of them (``Quantity``).  What a dataclass refuses is a fault of its section, with the
-parameter's name.
+Each section is a strict pydantic model whose fields are the parameters of a dataclass or function, with the
+unit, range and example of their annotations (``Quantity``).  An error of a dataclass becomes a fault of its
+section, with the parameter's name.
 """
 
 import dataclasses
@@ -49,16 +49,16 @@ TAGS = ("geometry", "kind")
 
 
 class Section(BaseModel):
-    """A table of a case file: unknown keys and wrong types are refused.
+    """A table of a case file, which refuses unknown keys and wrong types.
 
-    The context of a validation, if there is one, converts the table's data before (``ngvisco.case.units``).
+    The context of a validation, if given, first converts the table's data (``ngvisco.case.units``).
     """
 
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
     target: ClassVar[Any] = None
-    """The class or function whose parameters it holds."""
+    """The class or function whose parameters the section holds."""
     is_checked: ClassVar[bool] = False
-    """Whether what it describes can be made of it alone, and is, to check it."""
+    """Whether validation makes the section's object, to check it; the section alone must suffice."""
 
     @model_validator(mode="before")
     @classmethod
@@ -75,7 +75,7 @@ class Section(BaseModel):
         return self
 
     def completed(self, made: Any) -> Any:
-        """Complete the object by the keys that are no constructor parameters."""
+        """Complete the object by the keys that are no parameters of the target."""
         return made
 
 
@@ -90,11 +90,11 @@ _TYPES: dict[Any, Any] = {
     Mapping[str, CoefficientFunction]: dict[str, TensorValue],
     Mapping[str, float]: dict[str, float],
 }
-"""The schema's types of parameters by their type hints."""
+"""The schema's types by the type hints of parameters."""
 
 
 def _annotation(hint: Any, types: Mapping[Any, Any]) -> Any:
-    """The schema's type for a parameter's type hint; None if a case file cannot give it."""
+    """The schema's type for a parameter's type hint; None if a case file cannot give the parameter."""
     if hint in types:
         return types[hint]
     origin, arguments = get_origin(hint), get_args(hint)
@@ -105,7 +105,7 @@ def _annotation(hint: Any, types: Mapping[Any, Any]) -> Any:
             others = functools.reduce(operator.or_, (part for part in arguments if part is not NoneType))
             inner = _annotation(others, types)
             return None if inner is None else inner | None
-        # what only Python has, a path or a class, is left out
+        # parts that only Python can give, such as a path or a class, are left out
         parts = [inner for inner in (_annotation(part, types) for part in arguments) if inner is not None]
         return functools.reduce(operator.or_, parts) if parts else None
     if origin in (Sequence, list, tuple):
@@ -125,13 +125,13 @@ def section(
 ) -> type[Section]:
     """The section that holds the parameters of a dataclass or function.
 
-    ``tag`` is a key and the value by which it chooses this section, as ``("kind", "NeoHookean")``; it may be
-    left out where the section ``is_default``.  ``types`` are the schema's types of parameters that are laws.
-    ``base`` has the keys besides, ``without`` the parameters that are no keys.  An object that is not
-    ``is_whole`` cannot be made of the section alone.
+    ``tag`` is a key and the value that chooses this section, such as ``("kind", "NeoHookean")``; the key may
+    be left out if the section ``is_default``.  ``types`` are the schema's types of parameters that are laws.
+    ``base`` has further keys, and ``without`` names parameters that are no keys.  If not ``is_whole``, the
+    section alone does not suffice to make the object.
     """
     types = {**_TYPES, **types}
-    # of a dataclass its fields', each with the names that its own class's module knows
+    # hints of a dataclass's fields are resolved with the names of each class's own module
     hints, said = get_type_hints(target), get_type_hints(target, include_extras=True)
     fields: dict[str, Any] = {}
     if tag is not None:
@@ -154,7 +154,7 @@ def section(
         fields[name] = (annotation, default)
     model = create_model(tag[1] if tag else target.__name__, __base__=base, **fields)
     model.target = staticmethod(target)
-    # functions make materials; those of geometries make meshes, which takes long, and paths are relative
+    # functions make materials, or meshes, which take long; relative paths are not resolved yet
     returned = hints.get("return")
     is_material = isinstance(returned, type) and issubclass(returned, MaterialObject)
     is_made_at_once = is_whole and (dataclasses.is_dataclass(target) or is_material)
@@ -165,25 +165,25 @@ def section(
 
 
 def models_in(annotation: Any) -> list[type[Section]]:
-    """The sections that a schema's type holds."""
+    """The sections in a type of the schema."""
     if isinstance(annotation, type) and issubclass(annotation, Section):
         return [annotation]
     return list(dict.fromkeys(found for part in get_args(annotation) for found in models_in(part)))
 
 
 def place_in(annotation: Any) -> tuple[str, ...]:
-    """The part of a path between a table's name and its keys: nothing, a name, or an index."""
+    """The part of a path between a table's name and its keys: empty, NAME, or N for an index."""
     origin = get_origin(annotation)
     return ("NAME",) if origin is dict else ("N",) if origin is list else ()
 
 
 def owner_of(model: type[Section]) -> Any:
-    """The class or function whose parameters a section holds; itself where there is none."""
+    """The class or function whose parameters a section holds; else the section itself."""
     return model.target or model
 
 
 def quantity(model: type[Section], name: str) -> Quantity:
-    """Unit, range and example of a key; the unit is "1" of a number of which nothing is said."""
+    """Unit, range and example of a key; without an annotation a number has the unit "1"."""
     field = model.model_fields[name]
     said = [part for part in field.metadata if isinstance(part, Quantity)]
     is_number = {int, float} & set(_parts(field.annotation))
@@ -191,7 +191,7 @@ def quantity(model: type[Section], name: str) -> Quantity:
 
 
 def _parts(annotation: Any) -> Iterator[Any]:
-    """A schema's type and those of which it is made."""
+    """Yield a type of the schema and all its parts."""
     yield annotation
     for part in get_args(annotation):
         yield from _parts(part)
@@ -199,7 +199,7 @@ def _parts(annotation: Any) -> Iterator[Any]:
 
 @functools.cache
 def values_of(model: type[Section]) -> dict[str, type[Value]]:
-    """The keys of a section that take more than numbers and texts, and what they take."""
+    """The keys of a section with values other than numbers and texts, and their kinds of value."""
     found = {}
     for name, field in model.model_fields.items():
         for part in _parts(field.annotation):
@@ -209,15 +209,15 @@ def values_of(model: type[Section]) -> dict[str, type[Value]]:
 
 
 def field_names(model: type[Section]) -> set[str]:
-    """The keys of a section that take functions of space and time."""
+    """The keys of a section whose values may be functions of space and time."""
     return {name for name, value in values_of(model).items() if issubclass(value, FieldValue)}
 
 
 def parameters(part: Section) -> dict[str, Any]:
-    """The parameters that a section holds, by name, without its other keys; None is left to the default.
+    """The parameters of a section's target by name; other keys and values of None are left out.
 
-    A section within it becomes the object that it describes; functions of space and time, and sections of
-    them, stay as they are.
+    A nested section becomes its object; functions of space and time, and sections with such functions, are
+    not converted.
     """
     model, values = type(part), {}
     known = inspect.signature(model.target).parameters
@@ -237,7 +237,7 @@ def parameters(part: Section) -> dict[str, Any]:
 
 
 def made(part: Section) -> Any:
-    """Make the object that a section without functions of time describes."""
+    """Make the object of a section without functions of space and time."""
     return part.completed(type(part).target(**parameters(part)))
 
 
@@ -246,7 +246,7 @@ _TYPES[Mapping[str, WallExchange]] = dict[str, section(WallExchange)]  # type: i
 
 
 def tagged(key: str, table: Mapping[str, Any], base: type[Section] = Section) -> Any:
-    """One of the sections of a table, by ``key``, with the keys of ``base`` besides."""
+    """The choice among the sections of a table by ``key``, each with the further keys of ``base``."""
     return _choice(key, [section(target, (key, name), base=base) for name, target in table.items()])
 
 
@@ -259,10 +259,10 @@ def laws(
     of: Callable[[Any], Mapping[Any, Any]] = lambda choice: {},
     without: Mapping[str, Collection[str]] = MappingProxyType({}),
 ) -> Any:
-    """One of the laws of a class, by ``kind``, or a wrapper of those before it; with ``base``'s keys, and
-    ``without`` these of some kinds.  ``of`` gives the types of a wrapper's parameters that hold such a law.
+    """The choice by ``kind`` among the laws of a class and the wrappers, which wrap the laws before them.
 
-    Where ``has_default`` it is the first one of the table where no kind is said.
+    All have the keys of ``base``, but no keys for the parameters ``without``.  ``of`` gives the types of a
+    wrapper's parameters that hold laws.  If ``has_default``, the first law of the table needs no kind.
     """
     first = next(iter(table)) if has_default else None
 

@@ -1,4 +1,4 @@
-"""Case files to start from: a demo's, with every key explained and every optional one shown."""
+"""Annotated case files: a demo's case with every key explained and every optional key shown."""
 
 import re
 from collections.abc import Iterator
@@ -10,18 +10,18 @@ from ngvisco.case.section import TAGS
 from ngvisco.errors import UnknownNameError
 
 _COLUMN = 46
-"""Where the comments begin."""
+"""The column at which comments begin."""
 _TABLE = re.compile(r"^\[\[?([A-Za-z_][\w.-]*)\]", re.M)
 _KIND = re.compile(rf'^(?:{"|".join(TAGS)})\s*=\s*"(.*?)"', re.M)
 _HEAD = """\
 # A case for ngvisco, to be changed: the demo {}.  Run it by: ngvisco run FILE
-# What is said of a key is also what `ngvisco explain KEY` says; SI units.
+# `ngvisco explain KEY` explains a key.  Values are in SI units.
 # Editors complete keys by a schema: run `ngvisco list --schema > case.schema.json` and write
 # `#:schema ./case.schema.json` into the first line."""
 
 
 def demos() -> dict[str, Path]:
-    """Case files of the demos by name: those of the package, or of the clone that it stands in."""
+    """Case files of the demos by name, in the package or in the clone that contains it."""
     package = Path(__file__).resolve().parents[1]
     for place in (package / "demos", package.parent / "demos"):
         if place.is_dir():
@@ -30,10 +30,10 @@ def demos() -> dict[str, Path]:
 
 
 def template(name: str) -> str:
-    """An annotated case file that runs as the demo ``name`` does.
+    """An annotated case file that runs like the demo ``name``.
 
-    Each key has its unit and meaning beside it; optional keys and tables follow as comments with their
-    defaults, or with an example where there is none.  Raises UnknownNameError if there is no such demo.
+    Each key has its unit and meaning beside it; optional keys and tables follow as comments, with the default
+    or else an example as value.  Raises UnknownNameError if there is no such demo.
     """
     known = demos()
     if name not in known:
@@ -50,7 +50,7 @@ def template(name: str) -> str:
 
 
 def _annotated(block: str, every: list[KeyEntry]) -> Iterator[str]:
-    """The lines of a table, with what is said of their keys, and its other keys as comments."""
+    """Yield the lines of a table with their keys' meanings, and the table's other keys as comments."""
     header, kind = _TABLE.match(block), _KIND.search(block)
     path = tuple(header[1].split(".")) if header else ()
     own = [entry for entry in every if matches(_shape(entry.path)[:-1], path)]
@@ -60,7 +60,7 @@ def _annotated(block: str, every: list[KeyEntry]) -> Iterator[str]:
         entry = found.pop(line.split("=")[0].strip(), None) if re.match(r"\w+\s*=", line) else None
         if entry is None:
             yield line
-        elif line.count("[") == line.count("]"):  # it ends in its line
+        elif line.count("[") == line.count("]"):  # the value ends in this line
             yield _beside(line, _note(entry))
         else:
             yield f"# {_note(entry)}"
@@ -72,7 +72,7 @@ def _annotated(block: str, every: list[KeyEntry]) -> Iterator[str]:
 
 
 def _absent(path: tuple[str, ...], own: list[KeyEntry]) -> Iterator[str]:
-    """A table that the demo has not, as comments with examples."""
+    """Yield a table that the demo lacks, as comments with examples."""
     kind = next((entry.example for entry in own if entry.path[-1] == "kind"), None)
     title = ".".join(_shape(path))
     yield ""
@@ -93,12 +93,12 @@ def _note(entry: KeyEntry) -> str:
 
 
 def _beside(line: str, note: str) -> str:
-    """A line with a note at its end, before the comment that it may have."""
+    """A line with a note at its end, before the line's own comment."""
     code, mark, comment = line.partition(" # ")
     return f"{code.rstrip():{_COLUMN}s} # {note}" + (f"; here {comment}" if mark else "")
 
 
 def _commented(entry: KeyEntry) -> str:
-    """A key as a comment, with its default, or with the example where that is nothing."""
+    """A key as a comment, with its default, or with the example if the default is empty."""
     value = entry.example if entry.default in (None, [], {}) else entry.default
     return _beside(f"# {entry.path[-1]} = {toml.value_text(value)}", _note(entry))

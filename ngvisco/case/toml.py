@@ -1,4 +1,4 @@
-"""TOML in and out: lines of keys, overrides by key path, and a writer for resolved cases."""
+"""TOML: line numbers of keys, overrides by key path, and a writer for resolved cases."""
 
 import json
 import re
@@ -13,7 +13,7 @@ _INLINE = re.compile(rf"[{{,]\s*({_KEY})\s*=")
 
 
 def key_lines(text: str) -> dict[tuple[str, ...], int]:
-    """The line of each table and key; members of arrays of tables have their index in the path."""
+    """Line numbers of tables and keys by path; members of arrays of tables have their index in the path."""
     lines: dict[tuple[str, ...], int] = {}
     counts: dict[tuple[str, ...], int] = {}
     table: tuple[str, ...] = ()
@@ -38,7 +38,7 @@ def key_lines(text: str) -> dict[tuple[str, ...], int]:
 
 
 def _indexed(table: tuple[str, ...], counts: dict[tuple[str, ...], int]) -> tuple[str, ...]:
-    """[loads.x] after [[loads]] belongs to the last of the loads."""
+    """The table's path with indices of arrays: [loads.x] after [[loads]] belongs to the last load."""
     path: tuple[str, ...] = ()
     for part in table:
         path = (*path, part)
@@ -52,7 +52,7 @@ def _split(path: str) -> tuple[str, ...]:
 
 
 def line_of(lines: dict[tuple[str, ...], int], path: tuple[str, ...]) -> int | None:
-    """The line of a key, or of the nearest table that holds it."""
+    """The line of a key, or of the nearest table around it."""
     for length in range(len(path), 0, -1):
         if path[:length] in lines:
             return lines[path[:length]]
@@ -60,7 +60,7 @@ def line_of(lines: dict[tuple[str, ...], int], path: tuple[str, ...]) -> int | N
 
 
 def parse_override(setting: str) -> tuple[tuple[str, ...], Any]:
-    """``key.path=value`` with a TOML value; anything else is a text; ``loads[0].g`` is ``loads.0.g``.
+    """Key path and value of ``key.path=value``; a value that is not TOML is a text, and [0] in a key is .0.
 
     Raises ValueError if there is no ``=`` or no key.
     """
@@ -75,10 +75,9 @@ def parse_override(setting: str) -> tuple[tuple[str, ...], Any]:
 
 
 def override(data: dict[str, Any], path: tuple[str, ...], value: Any) -> None:
-    """Set a value in nested tables, making tables that are missing; arrays take an index.
+    """Set a value in nested tables, and make missing tables; a path enters an array by an index.
 
-    Raises ValueError if the path leads through something that is no table, or to an index that does not
-    exist.
+    Raises ValueError if the path leads through a value that is no table, or to an index that does not exist.
     """
     node: Any = data
     for depth, part in enumerate(path):
@@ -97,7 +96,7 @@ def override(data: dict[str, Any], path: tuple[str, ...], value: Any) -> None:
 
 
 def write(data: dict[str, Any]) -> str:
-    """TOML of nested tables of numbers, texts, booleans and arrays; None is left out."""
+    """The TOML text of nested tables of numbers, texts, booleans and arrays; None is left out."""
     lines: list[str] = []
     _write_table(data, (), lines)
     return "\n".join(lines).lstrip("\n") + "\n"
@@ -127,7 +126,7 @@ def _key(key: str) -> str:
 
 
 def value_text(value: Any) -> str:
-    """A value as TOML has it; a table stands in one line."""
+    """The TOML text of a value; a table is written in one line."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, (int, float)):

@@ -1,11 +1,11 @@
-"""Units of a case file: converted at the door, by pint, to the SI units of everything behind it.
+"""Units of a case file, which pint converts to SI units before validation.
 
-Two ways, which may be mixed.  ``[units]`` says in which units plain numbers are: ``length = "km"`` is for
-all keys that are lengths and for x, y, z in expressions, ``time = "kyr"`` for all that are times and for t.
-What is not named there is in SI units; nothing is derived from another (with km and kyr a velocity is in m/s
-still, unless ``velocity`` is named).  And any number may be a text with its own unit, ``dt = "10 yr"``,
-``g = [0, "-9.81 m/s^2"]``.  An energy that is written as an expression of the material's variables has its
-value in the unit of ``pressure``, and is multiplied as a whole; one per mass is in J/kg.
+A case gives units in two ways, which may be mixed.  ``[units]`` has the units of plain numbers: ``length =
+"km"`` holds for all lengths and for x, y, z in expressions, ``time = "kyr"`` for all times and for t.
+Quantities without a unit there are in SI units; no unit is derived from others (with km and kyr a velocity is
+still in m/s, unless ``velocity`` is given).  Any number may also be a text with its own unit, ``dt = "10
+yr"``, ``g = [0, "-9.81 m/s^2"]``.  An energy given as an expression of the material's variables is in the
+unit of ``pressure``, and is converted as a whole; an energy per mass is in J/kg.
 """
 
 import ast
@@ -26,19 +26,19 @@ from ngvisco.physics.materials import read_prony
 from ngvisco.physics.signals import read_table
 
 SI: dict[str, str] = {name: field.default for name, field in Units.model_fields.items()}
-"""Quantities that ``[units]`` may name, with the SI unit of each."""
+"""SI units of the quantities that ``[units]`` may name."""
 
 _NUMBER = r"([+-]?\d{1,2}(?:\.\d{1,9})?)"
 _POWER = re.compile(rf"(?:\*\*|\^)\s*(?:{_NUMBER}|\(\s*{_NUMBER}\s*(?:/\s*\d{{1,2}}\s*)?\))(?![\w.])")
 _CHAIN = re.compile(r"(?:\*\*|\^)[^*^/()A-Za-z]*(?:\*\*|\^)|\d\s*(?:\*\*|\^)")
 _LARGEST_POWER = 100.0
-"""The largest product of all exponents of a unit: pint computes with whole numbers of any length."""
+"""Bound on the product of a unit's exponents, as pint computes with whole numbers of any length."""
 
 _QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*([A-Za-zµμ°Å].{0,80})\s*")
 
 
 class UnitError(ValueError):
-    """A unit that is unknown or of another dimension than the key's; ``key`` if another is at fault."""
+    """The error of an unknown unit or a wrong dimension; ``key`` is the faulty key if it is another."""
 
     def __init__(self, message: str, key: str | None = None) -> None:
         self.key = key
@@ -47,13 +47,13 @@ class UnitError(ValueError):
 
 @cache
 def _registry() -> Any:
-    import pint  # takes a third of a second, and most cases need none of it
+    import pint  # the import takes a third of a second, and most cases do not need it
 
     return pint.UnitRegistry(cache_folder=None)
 
 
 def factor(unit: str, wanted: str) -> float:
-    """How many of ``wanted`` (SI) one ``unit`` is.  Raises UnitError, also for degC, whose zero is none."""
+    """The value of one ``unit`` in ``wanted`` (SI).  Raises UnitError, also for an offset as in degC."""
     value = converted(1.0, unit, wanted)
     if not 0 < value < math.inf or converted(0.0, unit, wanted) != 0.0:
         raise UnitError(f"{unit!r} cannot be converted to {wanted}")
@@ -61,7 +61,7 @@ def factor(unit: str, wanted: str) -> float:
 
 
 def converted(number: float, unit: str, wanted: str) -> float:
-    """``number`` of a ``unit`` in ``wanted`` (SI).  Raises UnitError."""
+    """A ``number`` in ``unit``, converted to the SI unit ``wanted``.  Raises UnitError."""
     import pint
 
     _require_small_powers(unit)
@@ -70,18 +70,18 @@ def converted(number: float, unit: str, wanted: str) -> float:
         value = units.Quantity(number, units.parse_units(unit)).to(units.parse_units(wanted)).magnitude
     except pint.DimensionalityError as error:
         raise UnitError(f"{unit!r} has not the dimension of {wanted}") from error
-    except Exception as error:  # pint's parser raises many kinds
+    except Exception as error:  # pint's parser raises many kinds of errors
         raise UnitError(f"{unit!r} is no unit that is known") from error
     return float(value)
 
 
 def has_unit(value: object) -> bool:
-    """Whether a value of a case file is a number with a unit of its own."""
+    """Whether a value of a case file is a text with a number and its unit."""
     return isinstance(value, str) and not _is(parse, value) and _QUANTITY.fullmatch(value) is not None
 
 
 def seconds(text: str) -> float:
-    """A time in s of a text: a number of seconds, or a number with its unit, "140 kyr".
+    """The time, s, of a text, which is a number of seconds or a number with its unit, "140 kyr".
 
     Raises UnitError for any other text.
     """
@@ -94,7 +94,7 @@ def seconds(text: str) -> float:
 
 
 def _require_small_powers(unit: str) -> None:
-    """Raise UnitError for powers of numbers, powers of powers, and exponents that no unit has."""
+    """Raise UnitError for powers of numbers, powers of powers, and exponents that are too large."""
     powers = [match[1] or match[2] for match in _POWER.finditer(unit)]
     are_plain = len(powers) == len(re.findall(r"\*\*|\^", unit)) and not _CHAIN.search(unit)
     if not are_plain or math.prod(max(abs(float(power)), 1.0) for power in powers) > _LARGEST_POWER:
@@ -102,18 +102,18 @@ def _require_small_powers(unit: str) -> None:
 
 
 class Converter:
-    """Converts the numbers of sections to SI units, those of files among them, before these are validated.
+    """Converts the numbers of sections, also numbers from files, to SI units before validation.
 
     Attributes
     ----------
     faults : list of (key path, message)
-        Of ``[units]``.
+        Faults of the table ``[units]``.
     converted : list of (key, value)
-        What was replaced.
+        Keys and written values of converted numbers.
     """
 
     def __init__(self, chosen: Any, directory: Path = Path()) -> None:
-        """``chosen`` is the table ``[units]``, or what stands in its place; files are in ``directory``."""
+        """``chosen`` is the value of ``[units]``, a table if it is right; files are in ``directory``."""
         self._directory = directory
         self.faults: list[tuple[tuple[str, ...], str]] = []
         self.converted: list[tuple[str, Any]] = []
@@ -126,7 +126,7 @@ class Converter:
                     self.faults.append((("units", name), f"{error}; expected a unit such as {SI[name]}"))
 
     def __call__(self, model: type[Section], data: dict[str, Any]) -> dict[str, Any]:
-        """A section's data with numbers in SI units; tables in it are sections of their own."""
+        """The data of a section with numbers in SI units; nested tables are converted separately."""
         result = dict(data)
         for name, value in data.items():
             if name not in model.model_fields:
@@ -138,8 +138,8 @@ class Converter:
                 result[name] = Wrong(f"{error.value!r:.60}: expected {error.expected}")
                 continue
             except UnitError as error:
-                key = error.key or name  # of an exponent of the unit, or this one
-                if key == name or not isinstance(data.get(key), (list, dict)):  # which the schema refuses
+                key = error.key or name  # an exponent of the unit may be at fault
+                if key == name or not isinstance(data.get(key), (list, dict)):  # the schema refuses others
                     result[key] = Wrong(f"{data.get(key)!r:.60}: {error}")
                 continue
             if found is not value and found != value:
@@ -153,7 +153,7 @@ class Converter:
             is_region = isinstance(value, str) and _is(parse_region, value)
             return self._in_si_places(value) if is_region else value
         if annotation is EnergyText:
-            # its value is in units of the case, its variables are numbers; [units] has none per mass, in J/kg
+            # the energy's value is in units of the case, its variables are numbers; [units] has no J/kg
             scale = 1.0 if data.get("per") == "mass" else self._scale(unit)
             return value if scale == 1.0 or not isinstance(value, str) else f"({value})*{scale!r}"
         is_function = values_of(model).get(name, NumberValues) is not NumberValues
@@ -162,7 +162,7 @@ class Converter:
         return self._value(value, _with_exponents(unit, model, data), is_function)
 
     def _of_files(self, value: Any, kind: type[Value]) -> Any:
-        """A value with the numbers of its tables of time, ``{ file = "load.csv" }``."""
+        """A value in which tables of time, ``{ file = "load.csv" }``, are replaced by their numbers."""
         if issubclass(kind, FieldValue) and isinstance(value, list):
             return [self._of_files(part, kind) for part in value]
         if not isinstance(value, dict) or "file" not in value or not set(value) <= {"file", "column"}:
@@ -173,7 +173,7 @@ class Converter:
         return read_prony(self._directory / value["file"]).tolist() if is_rows else value
 
     def _in_si_places(self, text: str) -> str:
-        """Rewrite a function so that it takes x, y, z in m and t in s."""
+        """An expression rewritten for x, y, z in m and t in s."""
         length, time = self.scales.get("length", 1.0), self.scales.get("time", 1.0)
         if length == time == 1.0:
             return text
@@ -196,7 +196,7 @@ class Converter:
                 raise UnitError("a pure number is expected, without a unit")
             return converted(float(match[1]), match[2].strip(), unit)
         if isinstance(value, bool) or not isinstance(value, (int, float)):
-            return value  # the schema says what is wrong with it
+            return value  # the schema refuses it
         return value if scale == 1.0 else value * scale
 
     def _scale(self, unit: str) -> float:
@@ -205,7 +205,7 @@ class Converter:
 
 
 def _is(parsed: Callable[[str], object], text: str) -> bool:
-    """Whether a text is an expression."""
+    """Whether ``parsed`` accepts a text."""
     try:
         parsed(text)
     except ExpressionError:
@@ -214,7 +214,7 @@ def _is(parsed: Callable[[str], object], text: str) -> bool:
 
 
 class _Scaled(ast.NodeTransformer):
-    """Coordinates and time of an expression, from SI units into the case's."""
+    """Rewrites an expression in the case's units for coordinates and time in SI units."""
 
     def __init__(self, length: float, time: float) -> None:
         self._scales = {"x": length, "y": length, "z": length, "t": time}
@@ -225,7 +225,7 @@ class _Scaled(ast.NodeTransformer):
 
 
 def _with_exponents(unit: str, model: type[Section], data: dict[str, Any]) -> str:
-    """A unit whose exponents are keys of the section, with their values."""
+    """A unit with the values of the section's keys in place of exponents that name keys."""
 
     def exponent(match: re.Match[str]) -> str:
         name = match[2]
@@ -238,7 +238,7 @@ def _with_exponents(unit: str, model: type[Section], data: dict[str, Any]) -> st
 
 
 def _numbers_of(directory: Path, file: Any, column: Any = None) -> dict[str, Any]:
-    """Times and values of a file; of its values' columns the one with the number ``column``, from 1 on."""
+    """Times and values of a CSV file; ``column`` chooses one column of values, counted from 1."""
     if not isinstance(file, str):
         raise ParameterError("file", file, "the path of a CSV file, relative to the case file")
     rows = read_table(directory / file)

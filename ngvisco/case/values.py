@@ -1,6 +1,6 @@
-"""Values of case files that are more than a number: functions of place and time, moduli, regions, arrays.
+"""Kinds of values in case files: functions of place and time, moduli, regions, arrays.
 
-Each is a class with a check of what a case file has, what may stand there in words, and its JSON Schema.
+Each kind is a class with a check, a description in words, and a JSON Schema.
 """
 
 from abc import ABC, abstractmethod
@@ -18,7 +18,7 @@ from ngvisco.physics.signals import table
 
 
 class Value(ABC):
-    """A kind of value that a key may have, with its check."""
+    """Base of the kinds of values."""
 
     words: ClassVar[str]
     json: ClassVar[dict[str, Any]]
@@ -26,11 +26,11 @@ class Value(ABC):
     @staticmethod
     @abstractmethod
     def check(value: Any) -> Any:
-        """The value; raises ValueError for one that may not stand there."""
+        """The value; raises ValueError if it is not of this kind."""
 
     @classmethod
     def made(cls, value: Any) -> Any:
-        """Make the object that a value stands for, where that needs nothing but the value."""
+        """Make the object of a value, if it needs nothing but the value; else return the value."""
         return value
 
     @classmethod
@@ -43,7 +43,7 @@ class Value(ABC):
 
 
 def is_table(value: Any) -> bool:
-    """Whether a value is a table of time, which a case that was read has in place of its file."""
+    """Whether a value is a table of time, which replaces the file's name when a case is read."""
     return isinstance(value, dict) and set(value) == {"times", "values"}
 
 
@@ -56,7 +56,7 @@ def _checked_number(value: Any, alternative: str = "an expression in quotes") ->
 
 
 class FieldValue(Value):
-    """A function of place and time, of which ``as_function`` makes a coefficient function."""
+    """A function of place and time, which ``as_function`` turns into a coefficient function."""
 
 
 class ScalarValue(FieldValue):
@@ -73,7 +73,7 @@ class ScalarValue(FieldValue):
 
 
 class VectorValue(FieldValue):
-    """A vector field: its components, each of which may be a table of time, or one such table for all."""
+    """A vector field: an array of components, which may be tables of time, or one table of time for all."""
 
     words = "array of numbers or expressions"
     json: ClassVar = {"type": ["array", "object"], "items": {"type": ["number", "string", "object"]}}
@@ -107,7 +107,7 @@ class RowsValue(FieldValue):
 
 
 class TensorValue(FieldValue):
-    """A tensor field, or a variable, which may be a scalar."""
+    """A scalar or tensor field."""
 
     words = "number, expression, or three rows of three of them"
     json: ClassVar = {"type": ["number", "string", "array"]}
@@ -118,7 +118,7 @@ class TensorValue(FieldValue):
 
 
 class NumberValues(Value):
-    """Finite numbers in arrays of arrays."""
+    """Arrays of finite numbers, or of such arrays."""
 
     words, json = "array of numbers", {"type": "array", "items": {}}
 
@@ -137,7 +137,7 @@ class NumberValues(Value):
 
 
 class ModulusValue(Value):
-    """A modulus: a number, or a function of the initial place, which then travels with the matter."""
+    """A modulus: a number, or a function of the initial place, which the matter then carries."""
 
     words, json = ScalarValue.words, ScalarValue.json
 
@@ -186,11 +186,11 @@ class RegionText(Value):
 
 
 class Wrong(str):
-    """Stands for a value whose unit is wrong, which no key takes, and says why."""
+    """A message in the place of a value with a wrong unit, which every key refuses."""
 
 
 def as_function(value: Any) -> Any:
-    """The value of a ``FieldValue`` as a coefficient function; arrays of rows are 3x3 matrices."""
+    """The coefficient function of a ``FieldValue``; arrays of rows are 3x3 matrices."""
     if not isinstance(value, list):
         return _scalar(value)
     if isinstance(value[0], list):
@@ -206,5 +206,5 @@ def _scalar(value: Any) -> CoefficientFunction:
 
 @cache
 def _of_text(text: str) -> CoefficientFunction:
-    """One function for one text: what laws read by it is then carried once."""
+    """The coefficient function of a text, made once: laws with equal texts share one parameter."""
     return parse(text).coefficient()
