@@ -1,6 +1,6 @@
-"""One NGSolve thread in each test process: sums have a fixed order, and processes share the cores.
+"""Each test process has one NGSolve thread: sums have a fixed order, and processes share the cores.
 
-Three tiers: `-m quick` is a part of the default one, which is all that is not marked `long`.
+There are three tiers.  The default tier is all tests without the mark `long`; `-m quick` is a part of it.
 """
 
 import os
@@ -24,7 +24,7 @@ QUICK = {
     *(f"solver/test_{name}.py" for name in ("newton", "split_derivative")),
     *(f"test_{name}.py" for name in ("documents", "expressions", "notices", "readme", "rooms", "threads")),
 }
-"""Rooms and modules of the edit loop: one or more of each room, 75 s of processor time in all."""
+"""Rooms and modules of the edit loop, at least one for each room; 75 s of processor time in all."""
 NOT_QUICK = {
     *(
         f"forms/test_{name}.py"
@@ -32,12 +32,12 @@ NOT_QUICK = {
     ),
     *(f"physics/test_{name}.py" for name in ("material_laws", "variables")),
 }
-"""Modules of these rooms that take longer."""
+"""Modules of the edit loop's rooms that take too long for it."""
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items):
-    """Mark what is quick, before `-m` chooses."""
+    """Mark the quick tests, before `-m` selects tests."""
     for item in items:
         path = item.path.relative_to(HERE)
         names = {path.as_posix(), path.parts[0]}
@@ -47,5 +47,5 @@ def pytest_collection_modifyitems(items):
 
 @pytest.fixture
 def rng() -> np.random.Generator:
-    """Random numbers that are the same in every run."""
+    """A random number generator with a fixed seed."""
     return np.random.default_rng(20240)

@@ -8,7 +8,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 
 def tracked(pattern: str) -> list[Path]:
-    """Files of the project that match, in a clone those that git knows or would take."""
+    """Files of the project that match a pattern; in a clone, files that git tracks or would add."""
     command = ["git", "ls-files", "--cached", "--others", "--exclude-standard", "--", pattern]
     names = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout.split("\n")
     return [path for path in sorted({ROOT / name for name in names if name}) if path.is_file()]
@@ -17,7 +17,7 @@ def tracked(pattern: str) -> list[Path]:
 def marked_blocks(path: Path) -> dict[str, list[str]]:
     """Python blocks after ``<!-- NAME: a test executes this block -->``, by name in the file's order.
 
-    Blocks of one name are parts of one program.
+    Blocks with the same name are parts of one program.
     """
     found = re.findall(
         r"<!-- (\w+): a test executes this block -->\n+```python\n(.*?)```", path.read_text(), re.DOTALL

@@ -1,4 +1,4 @@
-"""An example of every flow rule, by the class; stresses of order 1 to 10 Pa, rates of order 1/s."""
+"""An example of every flow rule, by its class, with stresses of order 1 to 10 Pa and rates of order 1/s."""
 
 import ngvisco as nv
 

@@ -1,6 +1,6 @@
-"""All materials of the package against the paper: one example of each form, and the table of them.
+"""Examples of all materials of the package, one of each form, and the table of materials.
 
-The table of MATERIALS.md is ``table()``; a test runs every example.
+``table()`` is the table of MATERIALS.md; a test runs every example.
 """
 
 import math
@@ -26,7 +26,7 @@ from ngvisco.physics.variables import (
 
 @dataclass(frozen=True)
 class Example:
-    """A row of the table: a material, its energy in words, where it stands; what the paper lacks: None."""
+    """A row of the table: a material, its energy as text, its convexity, and the paper's label, or None."""
 
     material: Material
     constructor: str
@@ -198,7 +198,7 @@ _ISOTROPIC = (
 
 
 def _isotropic(elastic_state: Literal["F", "B"]) -> Iterator[Example]:
-    """The isotropic materials at finite strain in their form by F or by B = J^a F F^T."""
+    """Examples of the isotropic materials at finite strain by F or by B = J^a F F^T."""
     for material, options, by_F, by_B, paper in _ISOTROPIC:
         words = [options] if options else []
         words += ['elastic_state="B"'] if elastic_state == "B" else []

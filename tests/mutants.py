@@ -1,8 +1,8 @@
-"""Terms with a wrong sign or factor, and the tests of the default suite that see each.
+"""Mutants: terms with a wrong sign or factor, and for each the test of the default suite that fails.
 
-``python tests/mutants.py [names]`` makes each change to a copy of the sources and runs its test there, which
-has to fail; ``tests/test_mutants.py`` does so where it is asked for long tests, and says always whether each
-change still fits.
+``python tests/mutants.py [names]`` makes each change in a copy of the sources and runs its test there, which
+has to fail. ``tests/test_mutants.py`` does this among the long tests, and in the default suite checks that
+each change still fits the sources.
 """
 
 from __future__ import annotations

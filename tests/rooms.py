@@ -1,8 +1,8 @@
-"""The package as rooms: what each folder's README says, and what its files import.
+"""The package as rooms: statements of each folder's README, and imports of its files.
 
-``python tests/rooms.py`` brings the READMEs' lists of files up to date, when files come, move or go.  A
-new file gets the first line of its docstring; files stand after those that they import.  What a room may
-import and does not is taken back, as are levels that it no longer has; to allow more is a decision, by hand.
+``python tests/rooms.py`` updates the READMEs' lists of files when files are added, moved or removed. A new
+file gets the first line of its docstring; a file is listed after the files that it imports. The program
+removes allowed imports and levels that a room no longer needs; allowing more is a decision, made by hand.
 Then it prints the modules, lines and levels of each room.
 """
 
@@ -21,7 +21,8 @@ TOPS = {
     "ngvisco.geometries": ROOT / "geometries",
     "tests.verification": ROOT / "tests" / "verification",
 }
-"""Where the rooms' sources are; ``geometries`` stands beside ``ngvisco`` in a clone, and in it in a wheel."""
+"""Folders of the rooms' sources; ``geometries`` is beside ``ngvisco`` in a clone, and inside it in a
+wheel."""
 
 
 def _modules() -> dict[str, Path]:
@@ -39,20 +40,21 @@ ROOMS = {name: path.parent for name, path in MODULES.items() if path.name == "__
 
 
 def room_of(module: str) -> str:
-    """The package that a module lies in, itself if it is one."""
+    """The package of a module; a package is its own."""
     return module if module in ROOMS else module.rpartition(".")[0]
 
 
 def floor_of(module: str) -> str:
-    """Name of a module in READMEs: a room of the first level, or a module beside it, without ``ngvisco.``."""
+    """Name of a module's room in READMEs: a room of the first level, or a module beside rooms, without
+    ``ngvisco.``."""
     return ".".join(module.split(".")[1:2]) or "ngvisco"
 
 
 def imports_of(
     tree: ast.Module, module: str, known: dict[str, Path] | set[str], typed: bool = False
 ) -> Iterator[str]:
-    """Modules that a file imports when it runs, also inside functions; where ``typed`` also what only a type
-    checker reads."""
+    """Modules that a file imports when it runs, also inside functions; if ``typed``, also imports for type
+    checkers only."""
     todo: list[ast.AST] = [tree]
     while todo:
         node = todo.pop()
@@ -74,7 +76,7 @@ def imports_of(
 
 @cache
 def graph(typed: bool = False) -> dict[str, tuple[str, ...]]:
-    """Imports of the package by each of its modules; ``typed`` as of ``imports_of``."""
+    """Imports of the package's modules by each module; ``typed`` is that of ``imports_of``."""
     return {
         module: tuple(sorted({*imports_of(ast.parse(path.read_text()), module, MODULES, typed)} - {module}))
         for module, path in MODULES.items()
@@ -82,7 +84,7 @@ def graph(typed: bool = False) -> dict[str, tuple[str, ...]]:
 
 
 def cycle_in(imports: dict[str, tuple[str, ...]]) -> list[str] | None:
-    """A chain of imports that ends where it begins, or None."""
+    """A cycle of imports, or None."""
     state: dict[str, str] = {}
 
     def visit(module: str, above: list[str]) -> list[str] | None:
@@ -101,7 +103,7 @@ def cycle_in(imports: dict[str, tuple[str, ...]]) -> list[str] | None:
 
 
 def circles_in(imports: dict[str, tuple[str, ...]]) -> list[set[str]]:
-    """Modules that all lead to each other, in sets of two or more."""
+    """Sets of two or more modules that import each other, directly or not."""
     reached: dict[str, set[str]] = {}
     for module in imports:
         todo, found = list(imports[module]), set[str]()
@@ -146,7 +148,7 @@ def listed(room: str) -> list[str]:
 
 
 def first_line(path: Path) -> str:
-    """First sentence of a module, a room or a page about itself."""
+    """The first line of a module's or a room's docstring, or the title of a page."""
     if path.suffix == ".md":
         return path.read_text().partition("\n")[0].lstrip("# ")
     source = path / "__init__.py" if path.is_dir() else path
@@ -155,25 +157,25 @@ def first_line(path: Path) -> str:
 
 
 def files_of(room: str) -> set[str]:
-    """Names of the project's files and folders in a room, but tests; folders end in a slash."""
+    """Names of the project's files and folders in a room, without tests; folders end in a slash."""
     inside = [path.relative_to(ROOMS[room]) for path in tracked(f"{ROOMS[room].relative_to(ROOT)}/*")]
     inside = [path for path in inside if not path.name.startswith("test_")]
     return {f"{path.parts[0]}/" if len(path.parts) > 1 else path.name for path in inside} - {"README.md"}
 
 
 def imported_by(room: str) -> set[str]:
-    """Imports of a room's files, as READMEs call them; not those of modules beside the rooms."""
+    """Imports of a room's files, by their names in READMEs; modules beside the rooms are left out."""
     modules = [m for m in MODULES if room_of(m) == room and (room != "ngvisco" or m == room)]
     return {floor_of(target) for module in modules for target in graph()[module]} - {floor_of(room)}
 
 
 def chain_of(room: str) -> list[str]:
-    """The longest chain of imports in a room and its inner rooms, without their doors (``__init__``)."""
+    """The longest chain of imports in a room and its inner rooms, without their ``__init__`` modules."""
     return longest_chain(graph(), {m for m in MODULES if m.startswith(f"{room}.") and m not in ROOMS})
 
 
 def updated(room: str) -> str:
-    """The README with its lists as they should be."""
+    """The README with updated lists."""
     text = readme(room).read_text()
     body = section(readme(room), "Files")
     items = {

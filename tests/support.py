@@ -1,4 +1,4 @@
-"""Small tools of the unit tests: constant tensors in and out of NGSolve, random states, differences."""
+"""Tools of the unit tests: constant tensors to and from NGSolve, random states, differences, small runs."""
 
 import importlib.util
 import re
@@ -45,7 +45,7 @@ from ngvisco.run.stepping import Rejection
 
 @cache
 def one_triangle() -> Mesh:
-    """A mesh of one element, to evaluate constant coefficient functions on."""
+    """A mesh of one element, for evaluating constant coefficient functions."""
     mesh = NetgenMesh(dim=2)
     corners = [mesh.Add(MeshPoint(Pnt(x, y, 0))) for x, y in ((0, 0), (1, 0), (0, 1))]
     mesh.Add(FaceDescriptor(surfnr=1, domin=1, bc=1))
@@ -60,7 +60,7 @@ def tensor(array: np.ndarray) -> CoefficientFunction:
 
 
 def value(f: CoefficientFunction) -> np.ndarray:
-    """The value of a constant coefficient function, in its shape."""
+    """The value of a constant coefficient function, as an array of its shape."""
     flat = np.asarray(f(one_triangle()(0.3, 0.3)))
     return flat.reshape(tuple(f.dims))
 
@@ -84,19 +84,19 @@ def random_rotation(rng: np.random.Generator) -> np.ndarray:
 
 
 def plane_strain(A: np.ndarray) -> np.ndarray:
-    """``A`` with zero 13, 23, 31, 32 entries."""
+    """A copy of ``A`` with zero 13, 23, 31, 32 entries."""
     A = A.copy()
     A[:2, 2] = A[2, :2] = 0.0
     return A
 
 
 def central_difference(f: Callable[[float], np.ndarray], h: float) -> np.ndarray:
-    """f'(0) to fourth order in h."""
+    """The derivative f'(0) by differences of fourth order in h."""
     return (8 * (f(h) - f(-h)) - (f(2 * h) - f(-2 * h))) / (12 * h)
 
 
 def uncondensed(step: Step, integrands: list[Integrand] | None = None) -> BilinearForm:
-    """A form with all its unknowns global: of ``integrands``, or of all terms of the step."""
+    """A form without condensed unknowns, of ``integrands``, or of all terms of the step."""
     form = BilinearForm(step.layout.space, check_unused=False)
     if integrands is None:
         trial, test = step.layout.space.TnT()
@@ -107,7 +107,7 @@ def uncondensed(step: Step, integrands: list[Integrand] | None = None) -> Biline
 
 
 def residual(form: BilinearForm, state: BaseVector) -> np.ndarray:
-    """R(state; .) as an array of coefficients."""
+    """The residual R(state; .) as an array of coefficients."""
     result = state.CreateVector()
     form.Apply(state, result)
     return result.FV().NumPy().copy()
@@ -181,7 +181,7 @@ def small_box(dim: int) -> Mesh:
 
 @cache
 def step_of(case: Case) -> Step:
-    """The case's step; tests share it, so that each must set all its fields by ``randomise``."""
+    """The step of a case; tests share it, so that each test must set all fields by ``randomise``."""
     step = Step(small_box(case.dim), case.model, nv.Discretisation(k=case.k, m=case.m))
     step.context.tau.Set(0.3)
     step.context.set_loads(0.2, 0.3)
@@ -228,14 +228,14 @@ def parts_of(step: Step) -> dict[str, GridFunction]:
 
 
 def block(step: Step, array: np.ndarray, name: str) -> np.ndarray:
-    """The coefficients of one unknown in an array of all."""
+    """The coefficients of one unknown in an array of all coefficients."""
     return array[step.layout.ranges[name]]
 
 
 # --- runs --------------------------------------------------------------------------------------------
 
 EXAMPLES: dict[str, nv.Material] = {example.constructor: example.material for example in examples()}
-"""One of every material of the catalogue, by its constructor."""
+"""An example of every material of the catalogue, by its constructor."""
 OF_EACH_KIND = (
     "LinearElastic",
     "NeoHookean",
@@ -244,12 +244,12 @@ OF_EACH_KIND = (
     "BarotropicFluid",
     'BarotropicFluid(form="A")',
 )
-"""Materials of every kind of variable."""
+"""Materials that cover every kind of variable."""
 ALL_BY_CI = [
     pytest.param(name, marks=() if name in OF_EACH_KIND else (pytest.mark.long, pytest.mark.ci))
     for name in EXAMPLES
 ]
-"""Names of all materials, of which one of each kind is run by default."""
+"""Names of all materials; the default suite runs one of each kind."""
 SWIRL = (sin(pi * x) * cos(pi * y), -cos(pi * x) * sin(pi * y))
 A_BODY = """\
 [domain]
@@ -262,19 +262,20 @@ K_e = 10
 G_e = 5
 epsilon = 0.1
 """
-"""A box and a material of a case file."""
+"""The box and the material of a case file."""
 A_FALL = '[[loads]]\nkind = "Gravity"\ng = [0, -1]\n'
 A_SWIRL = '[initial]\nvelocity = ["sin(pi*x)*cos(pi*y)", "-cos(pi*x)*sin(pi*y)"]\n'
 TWO_STEPS = "[time]\ndt = 0.02\nuntil = 0.04\n"
 NO_VTK = "[output.vtk]\nenabled = false\n"
-"""Further tables of one."""
+"""Further tables of a case file."""
 OF_MODELS, OF_STARTS = ({field.name for field in fields(given)} for given in (nv.Model, nv.Initial))
 
 
 def small_run(mesh: Mesh | float = 0.5, dt: float = 0.02, **options: Any) -> nv.Simulation:
-    """A run in the unit square, or on another mesh; six triangles if no ``maxh`` is given.
+    """A run in the unit square, with six triangles by default, or on another mesh.
 
-    ``options`` are those of ``Model``, whose material is neo-Hookean by default, ``Initial``, ``Simulation``.
+    ``options`` are passed to ``Model``, with a neo-Hookean material by default, ``Initial`` and
+    ``Simulation``.
     """
     mesh = mesh if isinstance(mesh, Mesh) else box((1, 1), mesh)
     model, start = (
@@ -290,7 +291,7 @@ def small_run(mesh: Mesh | float = 0.5, dt: float = 0.02, **options: Any) -> nv.
 
 
 def swirling(mesh: Mesh | float = 0.5, dt: float = 0.02, **options: Any) -> nv.Simulation:
-    """A small run from a swirl of 1 m/s, if no other start is given."""
+    """A small run that starts with a swirl of 1 m/s by default."""
     if options.get("initial") is None:
         dim = mesh.dim if isinstance(mesh, Mesh) else 2
         options = {"velocity": (*SWIRL, CF(0))[:dim]} | options
@@ -299,32 +300,32 @@ def swirling(mesh: Mesh | float = 0.5, dt: float = 0.02, **options: Any) -> nv.S
 
 
 def state(run: nv.Simulation) -> np.ndarray:
-    """All coefficients, a copy."""
+    """A copy of all coefficients."""
     found: np.ndarray = run.rothe_step.state.vec.FV().NumPy().copy()
     return found
 
 
 def evolved(run: nv.Simulation) -> dict[str, np.ndarray]:
-    """Coefficients of v, rho, which bodies have not, and z."""
+    """Coefficients of v, of rho (without bodies), and of z."""
     state, ranges = run.rothe_step.state.vec.FV().NumPy(), run.rothe_step.layout.ranges
     return {name: state[ranges[name]].copy() for name in ("v", "rho", "z") if name in ranges}
 
 
 def assert_same(run: nv.Simulation, other: nv.Simulation, of: float = 1e-9) -> None:
-    """Coefficients of v, rho and z agree to ``of`` of the largest of each."""
+    """Assert that coefficients of v, rho and z agree up to ``of`` times the largest of each."""
     first, second = evolved(run), evolved(other)
     for name, values in first.items():
         assert np.abs(values - second[name]).max() <= of * np.abs(values).max(), name
 
 
 def assert_balanced(ledger: Ledger, bound: float = 1e-10, drift: float = 1e-12) -> None:
-    """The ledger closes, and mass is kept."""
+    """Assert that the ledger closes and mass is conserved."""
     assert np.abs(ledger.column("closure_relative")).max() <= bound
     assert np.abs(ledger.column("mass_drift")).max() <= drift
 
 
 def assert_closed(run: nv.Simulation, until: float, bound: float = 1e-12) -> Ledger:
-    """Run on to a time and return the ledger: it closes, and mass is kept."""
+    """Run to a time, assert that the ledger closes and mass is conserved, and return the ledger."""
     ledger = run.run(until)
     assert_balanced(ledger, bound, min(bound, 1e-11))
     return ledger
@@ -333,8 +334,10 @@ def assert_closed(run: nv.Simulation, until: float, bound: float = 1e-12) -> Led
 def assert_goes_on(
     make: Callable[..., nv.Simulation], path: Path, until: float, *steps: int
 ) -> nv.Simulation:
-    """A run by ``make`` with observers that goes on from checkpoints of ``steps``, -1 that of the last but
-    one, has the uninterrupted one's ledger and state, bit by bit; returns the latter."""
+    """Assert that a run resumed from checkpoints equals the uninterrupted run bit by bit; return the latter.
+
+    ``make`` makes a run with observers; ``steps`` are the steps of the checkpoints, -1 for the last but
+    one."""
     whole = make(observers=[nv.Checkpoints(path, every=1, keep=99)])
     whole.run(until)
     for step in steps:
@@ -342,7 +345,7 @@ def assert_goes_on(
         again.restore(path, step=step if step > 0 else whole.number + step)
         again.run(until)
         assert state(whole).tobytes() == state(again).tobytes()
-        for name in whole.ledger.columns:  # NaN where there is nothing to say
+        for name in whole.ledger.columns:  # NaN marks numbers that are not defined
             np.testing.assert_array_equal(again.ledger.column(name), whole.ledger.column(name))
         for name, array in {} if whole.passive is None else whole.passive.arrays().items():
             assert np.array_equal(array, again.passive.arrays()[name])
@@ -352,7 +355,8 @@ def assert_goes_on(
 def by_both_solvers(
     make: Callable[[str], nv.Simulation], until: float, bound: float = 1e-12
 ) -> list[nv.Simulation]:
-    """Runs of ``make(solver)`` to a time: their ledgers close, mass is kept, and they agree."""
+    """Assert that runs of ``make(solver)`` to a time agree, with closed ledgers and conserved mass; return
+    the runs."""
     runs = []
     for solver in ("split", "coupled"):
         nv.time.Set(0.0)
@@ -363,7 +367,7 @@ def by_both_solvers(
 
 
 class Rejections(nv.Observer):
-    """Keeps what steps were rejected for."""
+    """Records the reasons of rejected steps."""
 
     def __init__(self) -> None:
         self.seen: list[Rejection] = []
@@ -373,7 +377,7 @@ class Rejections(nv.Observer):
 
 
 def demo(name: str) -> Any:
-    """The module of a demo's script."""
+    """Import the module of a demo's script."""
     script = Path(__file__).resolve().parents[1] / "demos" / name / f"{name}.py"
     spec = importlib.util.spec_from_file_location(f"demo_{name}", script)
     module = importlib.util.module_from_spec(spec)
@@ -431,7 +435,7 @@ WALLS = {
         (),
     ),
 }
-"""Mesh, walls, initial state and loads, of which what can change in time does."""
+"""Mesh, walls, initial state and loads, which change in time as far as they can."""
 
 
 def required(section: tuple[str, ...], kind: str | None = None) -> dict[str, Any]:
@@ -442,10 +446,10 @@ def required(section: tuple[str, ...], kind: str | None = None) -> dict[str, Any
 
 
 def faults(table: str, texts: Mapping[str, str]) -> list[Any]:
-    """Case files and what is said of them, by lines NAME | OLD -> NEW | MESSAGE.
+    """Case files and the messages about them, from lines NAME | OLD -> NEW | MESSAGE.
 
-    NAME is that of a text, in which OLD is replaced; + LINES stand at its end.  "; " parts lines, names of
-    texts stand for them, and lines with two spaces before them go on.
+    NAME names a text, in which OLD is replaced by NEW; + LINES appends lines. "; " separates lines. The name
+    of a text stands for the text. A line that begins with two spaces continues the line before.
     """
     found = []
     for line in re.sub(r"^#.*\n", "", table, flags=re.M).replace("\n  ", " ").splitlines():

@@ -1,8 +1,8 @@
 """Cost of a Rothe step: ``python -m tests.benchmarks [-o DIRECTORY]`` in the project's root.
 
-The neo-Hookean swirl (P2 velocity, DG1 fields, p = 4, tau = 0.02 s) in series of meshes, by both solvers,
-with creep by F and by B, and as one body and as two.  Every row is a process of its own, so that its peak
-memory is its own.  Times compare within one call only: ratios are what is meant to be quoted.
+The neo-Hookean swirl (P2 velocity, DG1 fields, p = 4, tau = 0.02 s) is computed on series of meshes, with
+both solvers, with creep by F and by B, and as one body and as two. Each row is a separate process, so that
+its peak memory is measured. Times are comparable within one call only: quote ratios.
 """
 
 import argparse
@@ -29,13 +29,13 @@ FORMS = {"creep": ("F", "B"), "bodies": ("one body", "two bodies")}
 """Forms that a series compares on each of its meshes."""
 
 LARGEST = 0.07
-"""maxh, m, of the finest mesh by default: finer ones, 33,000 and 50,000 tetrahedra, take hours."""
+"""The finest mesh's maxh, m, by default; finer meshes, 33,000 and 50,000 tetrahedra, take hours."""
 
 
 def measure(
     dim: int, maxh: float, method: str, threads: int, steps: int, timeout: float, creeping: str = ""
 ) -> dict:
-    """One row, from a process of its own."""
+    """One row, computed in a separate process."""
     words = [str(dim), str(maxh), method, str(threads), str(steps), *([creeping] if creeping else [])]
     command = [sys.executable, "-m", "tests.benchmarks.case", *words]
     try:
@@ -73,7 +73,7 @@ def main(arguments: list[str] | None = None) -> int:
         for maxh, creeping in product(sizes, forms):
             rows.append(measure(dim, maxh, method, chosen.threads, chosen.steps, chosen.timeout, creeping))
             print(markdown(rows[-1:]).splitlines()[-1], flush=True)
-        if series in ("2D", "3D"):  # two threads over one, in the middle of the series
+        if series in ("2D", "3D"):  # two threads over one thread, in the middle of the series
             middle, others = sizes[len(sizes) // 2], 3 - chosen.threads
             rows.append(measure(dim, middle, method, others, chosen.steps, chosen.timeout))
             print(markdown(rows[-1:]).splitlines()[-1], flush=True)

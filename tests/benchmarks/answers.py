@@ -1,10 +1,10 @@
 """Error over seconds by order, cells, step and scheme: ``python -m tests.benchmarks.answers [PROBLEM ...]``.
 
-The kinetic energy at the end of a run against that of a finer one, with steps of half the length by the
-midpoint rule and velocities of degree 3; of the soft disc its centroid's distance, over the way that it has
-gone, from the path that another method has (``tests/verification/cases/soft_disc.py``).  Seconds are the
-processor's, of one thread, set-up left out; only their ratios within one call travel.  Of each problem's
-runs those are marked that no cheaper one beats.
+The error is that of the kinetic energy at the end, against a finer run with the midpoint rule, half of the
+smallest step and velocities of degree 3. For the soft disc it is the distance of the centroid, over the
+length of its path, from the path by another method (``tests/verification/cases/soft_disc.py``). Seconds are
+processor time of one thread without the set-up; only their ratios within one call are comparable. A table
+marks a problem's runs for which no cheaper run has a smaller error.
 """
 
 import argparse
@@ -25,12 +25,12 @@ from tests.verification.cases.soft_disc import PATH
 
 SCHEMES = ("backward-euler", "midpoint")
 REFERENCE = ((3, 2), 9, 40, "midpoint")
-"""Orders, cells a side, steps and scheme of the finer run."""
+"""Orders, cells a side, number of steps and scheme of the finer run."""
 
 SOLID = nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1)
 VISCOSITY = nv.StokesViscosity(K_v=0.01, G_v=0.01)
 CENTRE = np.array([0.6, 0.5])
-"""Centre of the soft disc at the start, m."""
+"""The soft disc's centre at the start, m."""
 
 
 def swirl(cells: int, **options: object) -> nv.Simulation:
@@ -63,7 +63,7 @@ def soft_disc(cells: int, **options: object) -> nv.Simulation:
 
 
 def kinetic(run: nv.Simulation) -> np.ndarray:
-    """J."""
+    """The kinetic energy, J."""
     return np.array([run.ledger.rows[-1]["kinetic"]])
 
 
@@ -76,20 +76,20 @@ def displacement(run: nv.Simulation) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Problem:
-    """A run, and the numbers that are asked of it.
+    """A problem: how to make a run, and the numbers that are compared.
 
     Attributes
     ----------
     make : callable
-        A run of so many cells a side.
+        Makes a run with a number of cells a side.
     answer : callable
-        Numbers at its end.
+        Returns the numbers at the end of a run.
     until : float
-        s.
+        End of the run, s.
     orders, cells, steps : tuple
-        k and m, cells a side, and numbers of steps.
+        The pairs k and m, the cells a side, and the numbers of steps.
     exact : array, optional
-        The answer; by default that of ``REFERENCE``.
+        The exact answer; the default is the answer of ``REFERENCE``.
     """
 
     make: Callable[..., nv.Simulation]
@@ -119,7 +119,7 @@ PROBLEMS = {
 def measured(
     name: str, order: tuple[int, int], cells: int, steps: int, scheme: str
 ) -> tuple[np.ndarray, float]:
-    """The answer and seconds."""
+    """The answer of a run, and its seconds."""
     problem, (k, m) = PROBLEMS[name], order
     discretisation = nv.Discretisation(k=k, m=m)
     run = problem.make(cells, dt=problem.until / steps, scheme=scheme, discretisation=discretisation)
@@ -129,7 +129,7 @@ def measured(
 
 
 def rows_of(name: str) -> list[dict]:
-    """A problem's runs, the cheapest first; "best" where no cheaper one has a smaller error."""
+    """A problem's runs, the cheapest first; a run is "best" if no cheaper run has a smaller error."""
     problem = PROBLEMS[name]
     exact = measured(name, *REFERENCE)[0] if problem.exact is None else problem.exact
     size, rows = float(np.linalg.norm(exact)), []
@@ -159,7 +159,7 @@ def markdown(rows: list[dict]) -> str:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Print a table of each problem, and ratios to an older one."""
+    """Print a table for each problem, and ratios to an older table."""
     parser = argparse.ArgumentParser(prog="python -m tests.benchmarks.answers")
     parser.add_argument(
         "problems", nargs="*", metavar="PROBLEM", help=f"of {', '.join(PROBLEMS)}: default all"

@@ -1,7 +1,7 @@
 """The cost of a second branch: ``python -m tests.benchmarks.branches [--steps N]`` in the project's root.
 
-Swirls of networks of one and of two branches that creep, of one mesh and by one solver, take steps by turns:
-the ratio of their processor times is that of one run, whatever else the machine does.
+Swirls of networks with one and with two creeping branches, on one mesh and with one solver, take steps in
+turn. Other work on the machine then hardly affects the ratio of their processor times.
 """
 
 import argparse
@@ -15,12 +15,12 @@ import ngvisco as nv
 from ngvisco.geometries import box
 
 PROBLEMS = ((2, 0.1, "split"), (2, 0.25, "coupled"), (3, 0.35, "split"), (3, 0.7, "coupled"))
-"""Dimension, size of cells and solver."""
+"""Dimension, size of cells and solver of each row."""
 HEAD = ("dim", "cells", "solver", "one branch, s", "two, s", "ratio", "iterations", "of two")
 
 
 def network(count: int) -> nv.Network:
-    """One or two neo-Hookean branches that creep; the first has the volume."""
+    """A network of one or two creeping neo-Hookean branches; the first one has the volumetric energy."""
     moduli = ((10.0, 5.0, 5.0), (0.0, 2.0, 1.0))[:count]
     made = {
         f"mode_{i}": nv.Branch(material=nv.ReferentialNeoHookean(K_e=K_e, G_e=G_e), creep=nv.Creep(G_m=G_m))
@@ -41,7 +41,7 @@ def swirl(dim: int, maxh: float, solver: str, count: int) -> nv.Simulation:
 
 
 def measured(dim: int, maxh: float, solver: str, steps: int) -> tuple[object, ...]:
-    """A row of the table."""
+    """Measure a row of the table."""
     runs = [swirl(dim, maxh, solver, count) for count in (1, 2)]
     seconds, iterations = [0.0, 0.0], [0, 0]
     for _ in range(steps):
@@ -62,7 +62,7 @@ def rows(steps: int, problems: Sequence[tuple[int, float, str]] = PROBLEMS) -> I
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """The command."""
+    """Run the command, and print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--steps", type=int, default=5, help="steps of each run after its first")
     options = parser.parse_args(arguments)

@@ -1,4 +1,4 @@
-"""One row of the benchmark; prints it as JSON."""
+"""Measures one row of the benchmark, and prints it as JSON."""
 
 import json
 import resource
@@ -14,22 +14,22 @@ from ngvisco.geometries import box, structured_box
 from ngvisco.reduced.residual import ReducedResidual
 
 DIRECT_UP_TO = 5_000
-"""Cells up to which the split solver's tangent is factorised as a whole too, for comparison."""
+"""Number of cells up to which the split solver's whole tangent is also factorised, for comparison."""
 
 
 FIFTY_THOUSAND = 0.0405
-"""Size of cells of the largest mesh, see `domain`."""
+"""Size of cells in the largest mesh, see ``domain``."""
 
 
 STRUCTURED = {1 / n: n for n in (4, 13, 17)}
-"""Cubes along an edge of the box, each of six tetrahedra, by the size of a cube."""
+"""Number of cubes of six tetrahedra along an edge of the box, by the size of a cube."""
 
 
 def domain(dim: int, maxh: float) -> Mesh:
-    """The unit box; structured where the size says so, see `STRUCTURED`.
+    """The unit box, structured for sizes in ``STRUCTURED``.
 
-    Netgen's boxes jump from 45 to 95 thousand cells: for 50,552 of them, one a hundredth taller is meshed
-    with twice the size and refined.
+    Netgen's boxes jump from 45 to 95 thousand cells.  For 50,552 cells a box that is taller by a hundredth is
+    meshed with twice the size and refined.
     """
     if dim == 3 and maxh in STRUCTURED:
         return structured_box((1, 1, 1), (STRUCTURED[maxh],) * 3)
@@ -41,7 +41,7 @@ def domain(dim: int, maxh: float) -> Mesh:
 
 
 def bodies(which: str, dim: int) -> list[nv.Body]:
-    """A ball of another stiffness in the middle, or one body that carries its stiffness."""
+    """A body with a ball of another stiffness in its middle, or one body that transports its stiffness."""
 
     def body(name: str, G_e: float | nv.Parameter, **place: Any) -> nv.Body:
         material = nv.ReferentialNeoHookean(K_e=10.0, G_e=G_e)
@@ -54,16 +54,17 @@ def bodies(which: str, dim: int) -> list[nv.Body]:
 
 
 def swirl_on(mesh: Mesh, newton: nv.NewtonOptions) -> nv.Simulation:
-    """The swirl without creep by the split solver in a box that may be distributed, with options."""
+    """The swirl without creep, with the split solver, in a box that may be distributed."""
     return _swirl(mesh, "", solver="split", dt=0.02, newton=newton)
 
 
 def swirl(
     dim: int, maxh: float, method: str, creeping: str = "", dt: float = 0.02, scheme: str = "backward-euler"
 ) -> nv.Simulation:
-    """``creeping`` is "F" or "B": with creep, the elastic state by F or by B; "" is without creep.
+    """The benchmark's swirl.
 
-    "one body" and "two bodies" are of as many unknowns: the one has a parameter where the two have a second
+    ``creeping`` is "F" or "B" for creep with the elastic state by F or by B, and "" for no creep.  "one body"
+    and "two bodies" have the same number of unknowns: one body has a parameter, two bodies have a second
     amount.
     """
     return _swirl(domain(dim, maxh), creeping, solver=method, dt=dt, scheme=scheme)
@@ -125,7 +126,7 @@ def main(dim: int, maxh: float, method: str, threads: int, steps: int, creeping:
 
 
 def timed_parts(split: Any) -> dict[str, float]:
-    """Seconds by parts of the split solver's work from now on; it grows."""
+    """Seconds by parts of the split solver's work from now on; the dictionary grows with the run."""
     seconds = dict.fromkeys(("residuals", "assembly", "factorisation", "solves"), 0.0)
     preconditioner = split.preconditioner
 
@@ -151,7 +152,8 @@ def timed_parts(split: Any) -> dict[str, float]:
 
 
 def floor(run: nv.Simulation, method: str) -> float:
-    """One assembly and factorisation of the tangent, and one solve: what no implicit step is without."""
+    """Time of one assembly and factorisation of the tangent, and one solve, which every implicit step
+    needs."""
     step, newton = run.rothe_step, run.solver.newton
     with TaskManager():
         if method == "coupled":
@@ -171,7 +173,7 @@ def floor(run: nv.Simulation, method: str) -> float:
 
 
 def direct_floor(run: nv.Simulation) -> float:
-    """Time of a factorisation of the whole velocity tangent, where the solver takes two levels."""
+    """Time of a factorisation of the whole velocity tangent, if the solver takes two levels."""
     newton = run.solver.newton
     preconditioner = newton.preconditioner
     solver = DirectSolver(preconditioner.free, symmetric=True)

@@ -1,13 +1,13 @@
 """Runs that were hard to solve: ``python -m tests.benchmarks.hard_starts [NAME ...]`` in the project's root.
 
-A row for each: iterations of the first step, their median and most, steps taken in parts, steps that the
-coupled solver was asked for, limited cells, and the dearest step over the median, of processor time.  With
-``--before CHECKOUT``, another clone, possibly an older one, the same runs are measured with its code first,
-and cells are "before → after".  A run that takes more than ``--seconds`` of processor time is ended, and its
-row has the steps that it took until then.  The table of ``ngvisco/timestepping/NOTES.md`` is made so.
+Each row has the iterations of the first step, their median and maximum, the steps that were divided, the
+steps for which the coupled solver was tried, the limited cells, and the ratio of the slowest step to the
+median, in processor time. With ``--before CHECKOUT``, another clone, the runs are first measured with its
+code, and entries are "before → after". A run that exceeds ``--seconds`` of processor time is stopped, and its
+row has the steps until then. This program makes the table of ``ngvisco/timestepping/NOTES.md``.
 
-Each run is a process of its own, which knows ngvisco by its public names alone, as all versions have them;
-meshes are handed over in files.
+Each run is a separate process, which uses only ngvisco's public names, as all versions have them.  Meshes are
+passed in files.
 """
 
 import argparse
@@ -37,9 +37,9 @@ SOLID = {"K_e": 10.0, "G_e": 5.0, "epsilon": 0.1}
 
 
 def _simulation(nv: Any, mesh: Mesh, material: dict[str, Any], p: float | None, **options: Any) -> Any:
-    """A neo-Hookean body, of viscosity 0.01 Pa s, with a hyperviscosity of exponent p; dt = 0.02 s.
+    """A neo-Hookean body with a viscosity of 0.01 Pa s and a hyperviscosity of exponent p; dt = 0.02 s.
 
-    F may part from J: versions that end a run where it does are told not to.
+    F may drift from J: versions that end a run for this drift get the option that allows it.
     """
     creep = options.pop("creep", None)
     given = {"dt": 0.02} | {name: options.pop(name) for name in ("dt", "scheme") if name in options}
@@ -55,7 +55,7 @@ def _simulation(nv: Any, mesh: Mesh, material: dict[str, Any], p: float | None, 
 
 
 def _cavity(nv: Any, mesh: Mesh, p: float, creep: float | None = None) -> Any:
-    """The body of demos/cavity under a lid that has full speed at once."""
+    """The body of demos/cavity under a lid that suddenly has full speed."""
     others = tuple(sorted(set(mesh.GetBoundaries()) - {"top"}))
     lid = nv.PrescribedTangential((1.0, *(0.0,) * (mesh.dim - 1)))
     material = {"K_e": 20.0, "G_e": 0.05, "epsilon": 0.1, "elastic_state": "F" if creep is None else "B"}
@@ -68,7 +68,7 @@ def _released(nv: Any, mesh: Mesh, p: float) -> Any:
 
 
 def _rough(nv: Any, mesh: Mesh, p: float) -> Any:
-    """Velocity that jumps by 2 m/s, and density by a half, along lines."""
+    """A body whose velocity jumps by 2 m/s, and whose density by a half, along lines."""
     inside = IfPos(x - 0.1, 1.0, 0.0) * IfPos(0.9 - x, 1.0, 0.0)
     velocity = CF((inside * IfPos(y - 0.5, 1.0, -1.0), 0.0))
     initial = nv.Initial(density=1 + 0.5 * IfPos(x - 0.5, 1.0, 0.0), velocity=velocity)
@@ -82,7 +82,7 @@ def _shear_wave(nv: Any, mesh: Mesh) -> Any:
 
 
 def _impact(nv: Any, mesh: Mesh, scheme: str) -> Any:
-    """Halves of a bar that meet at a fifth of the speed of sound, c dt/h = 0.8."""
+    """Two halves of a bar that meet with a fifth of the speed of sound, c dt/h = 0.8."""
     speed = 0.2 * float(np.sqrt(50 / 3))
     material = nv.NeoHookean(**SOLID, elastic_state="F")
     nu = speed * 0.01
@@ -140,7 +140,7 @@ RUNS: dict[str, Run] = {
 
 
 def take_steps(name: str, mesh_file: str) -> None:
-    """Print what each step of the run takes, a line of JSON for it."""
+    """Print the costs of each step of the run, as a line of JSON."""
     import ngvisco as nv
 
     make, _, steps = RUNS[name]
@@ -183,7 +183,7 @@ def measured(name: str, checkout: Path, seconds: int) -> list[str]:
     of_steps = [json.loads(line) for line in ended.stdout.splitlines() if line.startswith("{")]
     taken = str(len(of_steps))
     if len(of_steps) < steps:
-        # the system ends what uses up its time by a signal
+        # the system ends a process that uses up its time by a signal
         why = f"more than {seconds} s" if ended.returncode < 0 else "fails"
         taken += f", then {why}"
     if not of_steps:
@@ -196,7 +196,7 @@ def measured(name: str, checkout: Path, seconds: int) -> list[str]:
 
 
 def main(arguments: Sequence[str]) -> None:
-    """Print the table, a row as soon as it is known."""
+    """Print the table, each row when it is complete."""
     parser = argparse.ArgumentParser(prog="python -m tests.benchmarks.hard_starts")
     parser.add_argument("names", nargs="*", metavar="NAME", help="beginnings of runs' names; default: all")
     parser.add_argument("--before", type=Path, metavar="CHECKOUT", help="a clone to be measured first")

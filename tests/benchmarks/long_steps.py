@@ -1,9 +1,9 @@
 """Long steps: ``python -m tests.benchmarks.long_steps [NAME ...]`` in the project's root.
 
-A grid of stiffness, K_e/G_e, viscosity and step, a row for each run: steps that were solved, those taken in
-parts, iterations, limited cells, the Courant numbers v dt/h and c dt/h, the dearest step over the median, of
-processor time, and why it ended.  NAMEs are beginnings of "2D, linearised", "3D, finite" and the like.
-Cavities, recoils, impacts and released loads are in ``hard_starts``.
+The runs are a grid of stiffness, K_e/G_e, viscosity and step. A row has the steps that were solved and the
+steps that were divided, iterations, limited cells, the Courant numbers v dt/h and c dt/h, the ratio of the
+slowest step to the median in processor time, and the reason of an early end. NAMEs are beginnings of names
+like "2D, linearised" and "3D, finite". Cavities, recoils, impacts and released loads are in ``hard_starts``.
 """
 
 import os
@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from functools import cache
 from itertools import product
 
-os.environ.setdefault("NGS_NUM_THREADS", "1")  # further ones wait actively, and processor time counts it
+os.environ.setdefault("NGS_NUM_THREADS", "1")  # further threads wait actively, which processor time counts
 os.environ.setdefault("NGVISCO_THREADS", "1")
 
 import numpy as np
@@ -28,7 +28,8 @@ from tests.verification.setups import KINDS, block, elastic
 LARGEST_ELASTIC = 100.0
 """Courant number c dt/h of longitudinal waves up to which a point of the grid counts."""
 TAUS = {2: (0.014, 0.14, 0.4, 1.0), 3: (0.03, 0.3, 1.0, 3.0)}
-"""s, by dimension: flow Courant numbers to 10, those of waves as near to 100 as the stiffnesses allow."""
+"""Steps, s, by dimension: Courant numbers of the flow up to 10, of waves as close to 100 as stiffnesses
+allow."""
 STEPS = 8
 DRIFT_IN_SPACE = (
     1 + 0.5 * sin(2 * pi * x) * cos(2 * pi * y) * cos(2 * pi * z),
@@ -77,7 +78,7 @@ def drifting(kind: str, dim: int, point: Point) -> nv.Simulation:
 
 
 def row(run: nv.Simulation, steps: int = STEPS) -> list[object]:
-    """Take steps of dt, each of as many parts as it needs; what they took, by ``COLUMNS`` but the first."""
+    """Make steps of dt, divided if necessary, and return their costs by ``COLUMNS`` without the first."""
     elastic_courant = scales(run).numbers["Courant of longitudinal waves, c dt/h"]
     seconds, solved, parts, failure = [], 0, 0, ""
     for number in range(1, steps + 1):
@@ -100,7 +101,7 @@ def row(run: nv.Simulation, steps: int = STEPS) -> list[object]:
 
 
 def main(names: list[str]) -> None:
-    """Print the table, a row as soon as it is known."""
+    """Print the table, each row when it is complete."""
     print("| " + " | ".join(COLUMNS) + " |", "|" + "---|" * len(COLUMNS), sep="\n")
     for kind, dim in product(KINDS, (2, 3)):
         family = f"{dim}D, {kind}"

@@ -1,10 +1,10 @@
 """Cost of a step of the split solver over ranks: one row a process, printed as JSON by the first rank.
 
-``python -m tests.benchmarks.ranks [-o DIRECTORY] [--ranks 0 1 2 4 8] [--cells 13]`` in the project's root, by
-a Python that has petsc4py: the neo-Hookean swirl of ``case`` in a box of n x n x n cubes of six tetrahedra,
-by mpirun with so many ranks with cells and the first one, or by one process without MPI (0), in turn.
-Times compare within one call, and only up to as many ranks as there are processors; iterations, messages,
-bytes and memory do in all.
+Run ``python -m tests.benchmarks.ranks [-o DIRECTORY] [--ranks 0 1 2 4 8] [--cells 13]`` in the project's
+root, with a Python that has petsc4py. It computes the neo-Hookean swirl of ``case`` in a box of n x n x n
+cubes of six tetrahedra, in turn with mpirun on each number of ranks with cells, and the first rank in
+addition; 0 means one process without MPI. Times are comparable within one call, for as many ranks as
+processors at most; iterations, messages, bytes and memory are comparable in all calls.
 """
 
 import argparse
@@ -33,19 +33,19 @@ METHODS = ("direct", "gamg", "hypre")
 
 
 def resident(field: str = "VmHWM") -> float:
-    """This process's memory, GB: by default the largest so far."""
+    """Memory of this process, GB; by default the largest so far."""
     with Path("/proc/self/status").open() as lines:
         return next(float(line.split()[1]) for line in lines if line.startswith(field)) / 1e6
 
 
 def newton(coarse: str, unknowns: int | None) -> nv.NewtonOptions:
-    """Two levels with this solver for the vertices, from so many unknowns of v if not the default."""
+    """Options with this solver for the vertices, and two levels from a number of unknowns of v on."""
     split = SplitOptions() if unknowns is None else SplitOptions(direct_up_to=(unknowns, unknowns))
     return nv.NewtonOptions(coarse=coarse, split=split)
 
 
 def timed(waits: list[float], owner: type, name: str) -> None:
-    """Add up the processor time of a method, in which a rank waits for others."""
+    """Add up the processor time of a method in which a rank waits for others."""
     method = getattr(owner, name)
 
     def wrapped(*arguments: Any) -> Any:
@@ -58,7 +58,7 @@ def timed(waits: list[float], owner: type, name: str) -> None:
 
 
 def mesh(n: int, ranks: Communicator) -> Mesh:
-    """The box in parts; the whole mesh is on the first rank alone, as of a mesh file."""
+    """The distributed box; only the first rank has the whole mesh, as with a mesh file."""
     return distributed(structured_box((1, 1, 1), (n, n, n)) if ranks.is_first else None, ranks)
 
 
@@ -117,10 +117,11 @@ def measured(n: int, steps: int, coarse: str, two_levels_from: int | None) -> li
 
 
 def started(ranks: int, words: list[str], prefix: list[str], timeout: float) -> list[dict[str, Any]]:
-    """The rows of a run by so many ranks with cells, 0: without MPI; one that says why where it failed."""
+    """The rows of a run by a number of ranks with cells (0 is without MPI), or a row with the reason of a
+    failure."""
     command = [sys.executable, "-m", "tests.benchmarks.ranks", "--child", *words]
     environment = os.environ | {"NGS_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-    # in containers one is root, and ranks may be more than the processors
+    # a container's user is root, and there may be more ranks than processors
     allowed = (
         "OMPI_ALLOW_RUN_AS_ROOT",
         "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM",
@@ -129,7 +130,7 @@ def started(ranks: int, words: list[str], prefix: list[str], timeout: float) -> 
     environment |= dict.fromkeys(allowed, "1")
     if ranks:
         command[1:1] = ["-m", "mpi4py"]
-        # the first rank sleeps: others give way only where they are more than the processors
+        # the first rank sleeps; other ranks have to yield only if they exceed the processors
         gives_way = ["--mca", "mpi_yield_when_idle", str(int(ranks > (os.cpu_count() or 1)))]
         mpirun = shutil.which("mpirun")
         if mpirun is None:
@@ -156,7 +157,7 @@ def of_step(row: dict[str, Any], name: str) -> float:
 
 
 def by_ranks(rows: list[dict[str, Any]]) -> dict[tuple[int, str], list[dict[str, Any]]]:
-    """The rows of each run, those of ranks with cells."""
+    """The rows of each run, for ranks with cells."""
     runs: dict[tuple[int, str], list[dict[str, Any]]] = {}
     for row in rows:
         if row.get("own cells"):
@@ -165,9 +166,10 @@ def by_ranks(rows: list[dict[str, Any]]) -> dict[tuple[int, str], list[dict[str,
 
 
 def difference(a: list[dict[str, float]], b: list[dict[str, float]]) -> float:
-    """The largest of two ledgers' columns but their iterations, relative to each one's size or 1e-3.
+    """The largest difference of two ledgers' columns, without iterations, relative to a column's size or
+    1e-3.
 
-    Infinite where one of them alone is no number.
+    It is infinite if only one of two entries is a number.
     """
     energy, found = a[0]["kinetic"] + a[0]["stored"], 0.0
     for name in (name for name in a[0] if "iterations" not in name):
@@ -180,10 +182,10 @@ def difference(a: list[dict[str, float]], b: list[dict[str, float]]) -> float:
 
 
 def markdown(rows: list[dict[str, Any]]) -> str:
-    """A table of runs, medians of the steps after the first one, of the rank that has most.
+    """A table of runs with medians of the steps after the first one, for the rank that has most.
 
-    ``busy`` is processor time without waiting for messages and reductions: where others have processors too,
-    wall time is theirs as well.
+    ``busy`` is processor time without waiting for messages and reductions; wall time would include other work
+    on the processors.
     """
     runs = by_ranks(rows)
     head = (

@@ -1,4 +1,4 @@
-"""The benchmark's rows as a table, and the ratios that they make."""
+"""The benchmark's rows as a table, and their ratios."""
 
 import argparse
 import json
@@ -29,18 +29,18 @@ COLUMNS: dict[str, Callable[[dict], str]] = {
     "GB": lambda row: f"{row['memory']:.2f}",
     "closure": lambda row: f"{row['closure']:.0e}",
 }
-"""Texts of a row's cells, by the heads of the columns."""
+"""Texts of a row's entries, by the heads of the columns."""
 
 FITTED = (700, 40_000)
-"""Cells between which rows count for the growth exponents, where three of them do: below them a step takes
-the interpreter's time, and the largest mesh, refined, is of another kind."""
+"""Numbers of cells between which rows, if there are three, count for growth exponents: with fewer cells a
+step takes the interpreter's time, and the largest mesh, which is refined, is of another kind."""
 
 
 def markdown(rows: list[dict]) -> str:
-    """A Markdown table: seconds a step, split into parts where the solver has them, and GB.
+    """A Markdown table with seconds a step, divided into parts if the solver has them, and GB.
 
-    "floor" is one assembly, factorisation and solve with the solver's own tangent, "direct" the same with a
-    factorisation of it as a whole; "step" is the mean of those after the first.
+    "floor" is one assembly, factorisation and solve with the solver's tangent; "direct" is that with a
+    factorisation of the whole tangent; "step" is the mean of the steps after the first.
     """
     head = ["case", *COLUMNS]
     lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
@@ -57,7 +57,7 @@ def markdown(rows: list[dict]) -> str:
 
 
 def summary(rows: list[dict]) -> str:
-    """Ratios within the call, and exponents of cost and memory in the number of cells."""
+    """Ratios within a call, and exponents of cost and memory in the number of cells."""
     done = [row for row in rows if "failed" not in row]
     lines = []
     creeping = {(r["dim"], r["maxh"], r["creeping"]): r["step"] for r in done if r.get("creeping")}
@@ -96,10 +96,10 @@ def summary(rows: list[dict]) -> str:
 
 
 def against(rows: list[dict], older: list[dict], keys: Sequence[str], quantities: Sequence[str]) -> str:
-    """Quantities over those of an older table's row of the same keys, and their geometric means.
+    """Ratios of a row's quantities to those of an older table's row with the same keys, and geometric means.
 
     Rows that only one of the tables has, or that failed in one, are named at the end; without an older table
-    there is nothing to say.
+    the text is empty.
     """
     if not older:
         return ""
@@ -133,18 +133,18 @@ def _mean(ratios: np.ndarray) -> float:
 
 
 def add_files(parser: argparse.ArgumentParser) -> None:
-    """Options of where a table goes and of the one that it is compared with."""
+    """Add options for a table's directory, and for the table that it is compared with."""
     parser.add_argument("-o", "--output", type=Path, metavar="DIRECTORY", help="keeps rows and tables there")
     parser.add_argument("--against", type=Path, metavar="JSON", help="rows of an older call: prints ratios")
 
 
 def read(path: Path | None) -> list[dict]:
-    """Rows that ``write`` has kept; none without a path."""
+    """Rows that ``write`` has stored; none without a path."""
     return [] if path is None else json.loads(path.read_text())
 
 
 def write(directory: Path | None, name: str, rows: list[dict], text: str) -> None:
-    """Keep rows and text, where a directory is given."""
+    """Store rows and text if a directory is given."""
     if directory is not None:
         directory.mkdir(parents=True, exist_ok=True)
         (directory / f"{name}.json").write_text(json.dumps(rows, indent=1))

@@ -1,4 +1,4 @@
-"""The command as a user runs it: in this process, or in one of its own where that is what is tested."""
+"""The command as a user runs it, in this process, or in a new process if a test needs one."""
 
 import contextlib
 import io
@@ -47,18 +47,18 @@ def start(*arguments, **options):
 
 
 def command(*arguments):
-    """Run to the end in this process; nothing that a user does may raise."""
+    """Run the command in this process; no user input may raise an exception."""
     out, err = io.StringIO(), io.StringIO()
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
         try:
             code = main([str(argument) for argument in arguments])
-        except SystemExit as refused:  # by the grammar of the command line
+        except SystemExit as refused:  # the command line's parser exits
             code = refused.code
     return code, out.getvalue(), err.getvalue()
 
 
 def wait_for(condition, process, seconds=60):
-    """Until ``condition()`` holds; fails when the process ends before."""
+    """Wait until ``condition()`` holds; fail if the process ends before."""
     for _ in range(seconds * 50):
         if condition():
             return

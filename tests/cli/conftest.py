@@ -10,7 +10,7 @@ import command as cli
 
 @pytest.fixture(scope="session")
 def finished(tmp_path_factory):
-    """The directory of an uninterrupted run of the small case, 4 steps; not to be changed."""
+    """The directory of an uninterrupted run of the small case, 4 steps; tests must not change it."""
     place = tmp_path_factory.mktemp("finished")
     (place / "case.toml").write_text(cli.CASE)
     code, _, err = cli.command("run", place / "case.toml", "-o", place / "run", "--quiet")

@@ -1,4 +1,4 @@
-"""The first of three ranks waits for sums of the others, who are late; it prints what it got and took."""
+"""The first of three ranks waits for sums of late ranks; it prints the sums and the time that it took."""
 
 import json
 import time

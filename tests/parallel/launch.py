@@ -1,4 +1,4 @@
-"""Scripts under mpirun, by a Python that has petsc4py: this one, or that of NGVISCO_PARALLEL_PYTHON."""
+"""Runs scripts under mpirun with a Python that has petsc4py: this one, or NGVISCO_PARALLEL_PYTHON."""
 
 import json
 import os
@@ -19,14 +19,14 @@ MPIRUN = shutil.which("mpirun", path=FOLDERS)
 
 @cache
 def has_petsc() -> bool:
-    """Whether distributed runs can be started here; where they must be, as in CI, it is an error if not."""
+    """Whether distributed runs can be started here; an error if not, where they are required, as in CI."""
     found = MPIRUN is not None and run("-c", "import ngsolve, mpi4py.MPI, petsc4py.PETSc").returncode == 0
     assert found or "NGVISCO_REQUIRE_PETSC" not in os.environ, "no mpirun, mpi4py or petsc4py"
     return found
 
 
 def run(*words: str | Path, ranks: int = 1, timeout: float = 900) -> subprocess.CompletedProcess[str]:
-    """Run Python with these words, on one rank without mpirun; for no longer than so many seconds."""
+    """Run Python with arguments, on one rank without mpirun, for a limited number of seconds."""
     allowed = (
         "OMPI_ALLOW_RUN_AS_ROOT",
         "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM",
@@ -41,7 +41,7 @@ def run(*words: str | Path, ranks: int = 1, timeout: float = 900) -> subprocess.
 
 
 def printed(*words: str | Path, ranks: int = 1, timeout: float = 900) -> Any:
-    """Last line that the processes print, as JSON."""
+    """The last line of the processes' output, read as JSON."""
     result = run(*words, ranks=ranks, timeout=timeout)
     assert result.returncode == 0, result.stderr[-2000:]
     return json.loads(result.stdout.splitlines()[-1])

@@ -1,4 +1,4 @@
-"""A matrix factorised by PETSc time and again: prints what memory grew by, and what one takes, GB."""
+"""Factorises a matrix by PETSc many times; prints the growth of memory, and a factorisation's memory, GB."""
 
 import numpy as np
 import scipy.sparse as sp

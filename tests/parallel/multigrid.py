@@ -1,8 +1,9 @@
-"""Iterations of conjugate gradients by GAMG for the velocities at vertices, with rigid motions and without.
+"""Counts iterations of conjugate gradients with GAMG for the vertices' velocities, with and without rigid
+motions.
 
-Run by ``test_multigrid_over_ranks``.  The matrix and the cycle with rigid motions are those of the split
-solver.  Then what this does with a matrix that is not positive definite: the residual of its solution, and
-its words.
+``test_multigrid_over_ranks`` runs this script.  The matrix and the cycle with rigid motions are those of the
+split solver.  The script also solves with a matrix that is not positive definite, and prints the residual of
+the solution, and the message.
 """
 
 import json

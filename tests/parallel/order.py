@@ -1,7 +1,7 @@
-"""Results that do not depend on which rank is late: the first rank prints each of them, as JSON.
+"""Computes results that must not depend on the rank that is late; the first rank prints them as JSON.
 
-Run by ``test_order_of_sums``.  Ranks are late, one after another, with all that NGSolve may add up over
-ranks, and with our own sums.
+``test_order_of_sums`` runs this script. Ranks are late, one after another, in all sums of NGSolve over ranks,
+and in sums of the package.
 """
 
 import hashlib
@@ -19,7 +19,7 @@ from ngvisco.parallel.exchange import Exchange, Interpolation
 from ngvisco.parallel.mesh import distributed
 
 LATE = [0]
-"""The rank that is late."""
+"""Number of the rank that is late."""
 
 
 def made_late(cls: type, name: str, seconds: float) -> None:

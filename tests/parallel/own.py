@@ -1,4 +1,4 @@
-"""Small cases with what users bring along, an energy, a term, a tableau, and with the choices of schemes."""
+"""Small cases with a user's energy, term and tableau, and with all choices of schemes."""
 
 from dataclasses import dataclass
 
@@ -27,7 +27,7 @@ ADAPTIVE = nv.AdaptiveSteps(dt_min=1e-4, dt_max=0.1, tolerance=1e-2)
 
 @dataclass(frozen=True)
 class Drag(PointTerm):
-    """int c rho v . w: a resistance of the body's surroundings, which no solver of ours has heard of."""
+    """The term int c rho v . w, a resistance of the surroundings, which is not part of the package."""
 
     c: float  # 1/s
 

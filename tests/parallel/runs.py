@@ -1,6 +1,6 @@
-"""Runs of small cases by one process or several; the first rank prints their ledgers as JSON.
+"""Runs small cases by one or several processes; the first rank prints their ledgers as JSON.
 
-Run by ``test_runs``.  Everything is as in a script for one process: ``Simulation`` distributes the mesh.
+``test_runs`` runs this script.  The cases are scripts for one process: ``Simulation`` distributes the mesh.
 """
 
 import json
@@ -68,14 +68,14 @@ def disc(solver: str) -> nv.Simulation:
 def regularised(
     solver: str, dim: int, law: nv.Regularisation, maxh: float, density: CoefficientFunction | None = None
 ) -> nv.Simulation:
-    """A swirl in which half of the body is above the density of the cut-off."""
+    """A swirl in which the density of half of the body exceeds the cut-off's."""
     model = nv.Model(material=NEO_HOOKEAN, viscosity=VISCOSITY, regularisation=law, loads=[gravity(dim)])
     initial = nv.Initial(velocity=(*SWIRL, 0.0)[:dim], density=density)
     return nv.Simulation(box((1,) * dim, maxh=maxh), model, dt=0.02, initial=initial, solver=solver)
 
 
 def crowded(solver: str) -> nv.Simulation:
-    """A jump of the density near the largest that a cut-off lets be, beyond which it is limited."""
+    """A jump of the density near the cut-off's largest density, beyond which the density is limited."""
     law = nv.Regularisation(delta_density=1e-4, delta_fields=1e-4, rho_max=1.0, width=0.25)
     return regularised(solver, 2, law, 0.25, density=1 + 0.2 * IfPos(x - 0.5, 1, 0))
 
@@ -92,7 +92,7 @@ def lid(solver: str = "coupled", maxh: float = 0.3) -> nv.Simulation:
 
 
 def window(solver: str = "coupled") -> nv.Simulation:
-    """A run with walls that let matter in and out, whose values and stress change in time and place."""
+    """A run with walls that matter crosses; their values and stresses change in time and place."""
     walls = {
         "left": nv.Inflow(velocity=(y * (1 - y), 0.0), density=1 + 0.1 * y, values={"J": 1 + 0.1 * nv.time}),
         "right": nv.Open(
@@ -105,7 +105,7 @@ def window(solver: str = "coupled") -> nv.Simulation:
 
 
 def channel(solver: str = "coupled", **options) -> nv.Simulation:
-    """Periodic along a force, between a sliding lid and a floor; what leaves it comes in again."""
+    """A channel, periodic along a force, between a sliding lid and a floor; leaving matter enters again."""
     walls = {"top": nv.PrescribedTangential((0.5, 0.0)), "bottom": nv.NoSlip()}
     loads = [nv.Gravity((3.0, 0.0))]
     hyper = nv.HyperViscosity(mu=1e-4, p=4)
@@ -116,7 +116,7 @@ def channel(solver: str = "coupled", **options) -> nv.Simulation:
 
 
 def crystal(solver: str, law: nv.Regularisation | None = None) -> nv.Simulation:
-    """A cell of a body that repeats itself in all directions, and drifts along a diagonal."""
+    """A cell of a body that is periodic in all directions, and drifts along a diagonal."""
     hyper = None if law else nv.HyperViscosity(mu=1e-4, p=4)
     model = nv.Model(material=NEO_HOOKEAN, viscosity=VISCOSITY, hyperviscosity=hyper, regularisation=law)
     wave = (1 + sin(2 * pi * y), 2 + cos(2 * pi * x), 1.0)
@@ -142,7 +142,7 @@ def creep(
 
 
 def limited() -> nv.Simulation:
-    """A body under a lid of full speed, near whose corners cells are limited in the ninth step."""
+    """A body under a lid of full speed; near the lid's corners cells are limited in the ninth step."""
     model = nv.Model(
         material=nv.NeoHookean(K_e=20.0, G_e=0.05, epsilon=0.1),
         viscosity=nv.StokesViscosity(K_v=0.01, G_v=0.01),
@@ -158,7 +158,7 @@ FLUID = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: 4 *
 
 
 def bodies(solver: str, maxh: float = 0.4) -> nv.Simulation:
-    """A disc and a layer in a fluid: what overshoots of their amounts is limited in every step."""
+    """A disc and a layer in a fluid; overshoots of their amounts are limited in every step."""
     disc = {"where": nv.Ball((0.6, 0.5), 0.25), "order": 1, "viscosity": VISCOSITY}
     parts = [
         nv.Body(name="disc", material=STIFF, density=2.0, **disc),
@@ -180,7 +180,7 @@ def bodies(solver: str, maxh: float = 0.4) -> nv.Simulation:
 
 
 def parameters(solver: str) -> nv.Simulation:
-    """A modulus and a viscosity that are carried along; they overshoot and are limited."""
+    """A transported modulus and a transported viscosity, which overshoot and are limited."""
     theta = nv.Parameter("theta", start=0.5 + 0.4 * sin(3 * x) * cos(2 * y))
     model = nv.Model(
         material=nv.NeoHookean(K_e=10.0, G_e=1 + 4 * theta, epsilon=0.1),
@@ -191,7 +191,8 @@ def parameters(solver: str) -> nv.Simulation:
 
 
 def network(solver: str) -> nv.Simulation:
-    """A spring, chains by conformation and a branch that yields and hardens, each with columns of its own."""
+    """A network of a spring, chains by conformation and a branch that yields and hardens, each with its
+    columns."""
     branches = {
         "spring": nv.Branch(material=STIFF),
         "chains": nv.Branch(
@@ -208,7 +209,7 @@ def network(solver: str) -> nv.Simulation:
 
 
 def heated(solver: str) -> nv.Simulation:
-    """A swirl that warms by all that dissipates, with conduction and a wall that cools."""
+    """A swirl that is heated by all dissipations, with conduction and a cooling wall."""
     material = nv.Thermal(material=STIFF, c=3.0, expansion=0.1, theta_R=1.0)
     model = nv.Model(
         material=material,
@@ -224,7 +225,7 @@ def heated(solver: str) -> nv.Simulation:
 
 
 def revolved(solver: str) -> nv.Simulation:
-    """A body of revolution that yields in a vortex, between a friction and an open wall."""
+    """A body of revolution that yields in a vortex, between a wall with friction and an open wall."""
     model = nv.Model(
         material=nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, elastic_state="B"),
         viscosity=VISCOSITY,
@@ -246,7 +247,8 @@ def revolved(solver: str) -> nv.Simulation:
 
 
 def observed(dim: int) -> nv.Simulation:
-    """With tables of points on facets, where fields jump, in cells, on walls; of forces and integrals."""
+    """A run with tables of points on facets, where fields jump, in cells and on walls, of forces, and of
+    integrals."""
     middle = (0.5,) * dim
     tables = [
         nv.Probes({"middle": middle, "corner": (0.0,) * dim, "in a cell": (0.3,) * dim}),
@@ -267,7 +269,7 @@ def yosida(solver: str) -> nv.Simulation:
 
 
 def carried(dim: int) -> nv.Simulation:
-    """With passive fields of all kinds (but the block does not creep), looked at by a table."""
+    """A run with a table of passive fields of all kinds that a block without creep has."""
     names = [name for name in NAMES if dim == 2 or name != "creep_strain"]
     run = creep(passive=names) if dim == 2 else block(passive=names)
     run.observers = [nv.Probes({"p": (0.3,) * dim}, fields=names)]
@@ -319,10 +321,10 @@ CASES |= {
 }
 CASES |= OF_DENSITY | walls.CASES | own.CASES
 STEPS = {"limited": 9, **dict.fromkeys(OF_DENSITY, 2)} | walls.STEPS
-"""Where there are not three."""
+"""Numbers of steps of cases that do not take three."""
 
 LINEAR: list[int] = []
-"""Iterations of the split solver's linear systems of the flow."""
+"""Numbers of iterations of the split solver's linear systems of the flow."""
 
 
 def counted(self: Preconditioner, at: Evaluation, *tolerances: float) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Small cases with walls that no component of v belongs to: oblique, curved, and some of them moving."""
+"""Small cases with walls that are not normal to an axis: oblique, curved, and partly moving walls."""
 
 import numpy as np
 from netgen.occ import Axis, Box, OCCGeometry, Pnt, WorkPlane, X, Z
@@ -24,14 +24,14 @@ def model(dim: int, mu: float | None = 1e-4) -> nv.Model:
 
 
 def simulation(mesh: Mesh, solver: str, mu: float | None = 1e-4, **options) -> nv.Simulation:
-    """With a table of what the body exerts on its walls."""
+    """A run with a table of the body's forces on its walls."""
     forces = nv.WallForces(about=(0.1,) * mesh.dim)
     options = {"dt": 0.02, "observers": [forces]} | options
     return nv.Simulation(mesh, model(mesh.dim, mu), solver=solver, **options)
 
 
 def slip_disc(solver: str, maxh: float = 0.4, **options) -> nv.Simulation:
-    """A swirl that slides along a circle, and is not quite one about its centre."""
+    """A swirl that slides along a circle, whose centre is not exactly the swirl's."""
     start = nv.Initial(velocity=(-y + 0.3 * x * y, x + 0.2))
     return simulation(round_disc(1.0, maxh=maxh), solver, initial=start, **options)
 
@@ -43,7 +43,7 @@ def turned(solver: str) -> nv.Simulation:
 
 
 def quadrilateral(solver: str, k: int = 2) -> nv.Simulation:
-    """Four oblique walls: slip, a moving one, one at rest, friction."""
+    """A body between four oblique walls: slip, moving, at rest, with friction."""
     corners = [_corner(i) for i in range(4)]
     face = WorkPlane().MoveTo(*corners[-1])
     for corner in corners:
@@ -66,7 +66,7 @@ def quadrilateral(solver: str, k: int = 2) -> nv.Simulation:
 
 
 def _corner(i: int) -> tuple[float, float]:
-    """Where n . x = 1/2 on side i and on the next one."""
+    """The corner of side i and the next one, each with n . x = 1/2."""
     (a, b), (c, d) = _NORMALS[i], _NORMALS[(i + 1) % 4]
     return (d - b) / (2 * (a * d - b * c)), (a - c) / (2 * (a * d - b * c))
 
@@ -76,26 +76,26 @@ def _side(place) -> int:
 
 
 def ball(solver: str, maxh: float = 1.2, **options) -> nv.Simulation:
-    """Turns within its wall about an axis beside its middle."""
+    """A ball that turns within its wall about an axis beside its middle."""
     start = nv.Initial(velocity=(-y, x + 0.1, 0.1 * x))
     return simulation(sphere(1.0, maxh=maxh), solver, initial=start, **options)
 
 
 def turned_ball(solver: str, **options) -> nv.Simulation:
-    """Its wall begins to turn about it."""
+    """A ball whose wall begins to turn around it."""
     walls = {"wall": nv.PrescribedTangential((-0.3 * y, 0.3 * x, 0.0))}
     return simulation(sphere(1.0, maxh=1.2), solver, walls=walls, **options)
 
 
 def leaning(solver: str, maxh: float = 0.6, **options) -> nv.Simulation:
-    """A block turned about two axes; one wall of it slides, one is at rest, four are of slip."""
+    """A block, rotated about two axes; one wall slides, one is at rest, four have slip."""
     block = Box(Pnt(0, 0, 0), Pnt(1, 1, 1))
     for face, name in zip(block.faces, ("left", "right", "front", "back", "bottom", "top"), strict=True):
         face.name = name
     about_z, about_x = 30.0, 25.0
     turned = block.Rotate(Axis((0, 0, 0), Z), about_z).Rotate(Axis((0, 0, 0), X), about_x)
     sine, cosine = np.sin(np.deg2rad([about_z, about_x])), np.cos(np.deg2rad([about_z, about_x]))
-    along = -sine[0], cosine[0] * cosine[1], cosine[0] * sine[1]  # the right wall, which the axis of y was
+    along = -sine[0], cosine[0] * cosine[1], cosine[0] * sine[1]  # the rotated axis y, in the right wall
     walls = {"right": nv.PrescribedTangential(tuple(0.1 * each for each in along)), "bottom": nv.NoSlip()}
     mesh = Mesh(OCCGeometry(turned).GenerateMesh(maxh=maxh, parallel_meshing=False))
     return simulation(mesh, solver, walls=walls, **options)

@@ -1,4 +1,4 @@
-"""The run that is differentiated in the tests of this folder, and what is asked of it."""
+"""The run that the tests of this folder differentiate, and its results and parameters."""
 
 from ngsolve import cos, pi, sin, x, y
 
@@ -53,6 +53,6 @@ def started(model, density=1.0, scheme="midpoint", solver="coupled", mesh=MESH, 
 
 
 def differences(name, h, of=OF, **options):
-    """Central differences of whole runs by one of ``AT``."""
+    """Central differences of whole runs by a parameter of ``AT``."""
     up, down = (measure(run(AT | {name: AT[name] + s * h}, **options), UNTIL, of) for s in (1, -1))
     return (up - down) / (2 * h)

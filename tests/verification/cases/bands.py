@@ -91,10 +91,10 @@ def band(run: nv.Simulation) -> tuple[float, np.ndarray, float]:
       side; steps of {DT} s until the load falls; h = 0.1, 0.07, 0.05 m; a line through the places of |Pi|^4
       at 25 heights.
     - excess of the angle over Coulomb's and Roscoe's, degrees <= 3.0: theory
-    - distance to Rudnicki and Rice's angle, degrees <= 3.0: without friction: 6.2
+    - distance to Rudnicki and Rice's angle, degrees <= 3.0: it is 6.2 without friction
     - change of the angle on the finest mesh, degrees <= 3.0: converges
-    - rate in the band over the median in [4, 40]: it is a band, and the block still flows beside it
-    - least power of creep, W/m3 >= 0.0: M : Pi
+    - rate in the band over the median in [4, 40]: a band forms, and the block still flows beside it
+    - least power of creep, W/m3 >= 0.0: M : Pi >= 0
     - closure
     """)
 def _band() -> Measured:
@@ -215,9 +215,9 @@ def _amplitude(run: nv.Simulation) -> float:
       a wave's cell, planes of symmetry, fluid that enters at {TOP} m with the mean flow, the right side
       pulled at the mean rate; shear modulus {ELASTIC:g} times the stress; backward Euler, {STEPS} steps of a
       strain of {TAU:g}, growth over those after {FROM}; cells of 0.25 and 0.125 m.
-    - largest distance of a growth rate from theory's <= 0.15: a face of a cell's width
+    - largest distance of a growth rate from theory's <= 0.15: the face is as wide as a cell
     - largest distance for n = 5, R = 20 <= 0.15: stated before any run of it
-    - relative error of the largest one, n = 10 <= 0.03: 6 per unit of strain
+    - relative error of the largest one, n = 10 <= 0.03: it grows with 6 per unit of strain
     - distance on finer cells over that on coarser <= 0.8: it falls
     - least distance to theory's with another n >= 0.7: the negative control
     - closure

@@ -52,13 +52,14 @@ def _broken(dt: float, growth: float | None = None) -> tuple[list[float], nv.Sim
       0.1 to 0.025.
     - order in dt of the load, by the last three in [0.7, 1.9]: first order of the staggering, below two; 1.5
       before the first run, which found 1.494
-    - loads in the limits of both, relative difference <= 0.02: the two last of each, continued at first
-      order; 0.01 before the first run, which found 0.014 (two growths alone are not yet in the limit)
-    - load with a growth of 0.05 over that in the limit in [1.005, 1.08]: from above, about by the growth, and
-      not exact; set after runs on cells of 0.15 m
+    - loads in the limits of both, relative difference <= 0.02: extrapolated at first order from the last
+      two of each; 0.01 before the first run, which found 0.014 (two growths alone are not yet in the limit)
+    - load with a growth of 0.05 over that in the limit in [1.005, 1.08]: larger, about by the growth, and not
+      exact; set after runs on cells of 0.15 m
     - error with a growth of 0.025 over that with 0.05 <= 0.8: half in the limit
-    - largest growth of the damage in a step over what it may have in [0.9, 1]: it is used, and the shortest
-      step was never asked for
+    - largest growth of the damage in a step over what it may have in [0.9, 1]: steps use the allowed growth,
+      and
+      the shortest step never occurs
     - closure
     """)
 def _steps() -> Measured:

@@ -62,12 +62,12 @@ def _fastest(run: nv.Simulation) -> float:
     - error |pressure at the top| over that at the base <= 0.001: nothing lies above
     - |pressure under the layers over their weight, less one| <= 0.001: 245 MPa, kinked between cells
     - error of rest: fastest rock in 100 s, m/s <= 1e-8: the residual of equilibrium
-    - error of rest: fastest layers, m/s <= 1e-8: their boundary is one of cells
-    - error of rest: fastest soft column, m/s <= 0.01: J is linear in cells, and not so the exact one
+    - error of rest: fastest layers, m/s <= 1e-8: their boundary lies between cells
+    - error of rest: fastest soft column, m/s <= 0.01: J is linear in cells, the exact J is not
     - fastest rock without equilibrium, m/s in [0.1, 981]: the finding: it sags by metres
-    - largest error |J/sqrt(1 - 2 rho_R g s/K) - 1| on 32 rows <= 2e-4: the base
-      has 0.685
-    - |rate of the mean error of J, less 2| <= 0.2: linear in cells, no worse and no better
+    - largest error |J/sqrt(1 - 2 rho_R g s/K) - 1| on 32 rows <= 2e-4: J is 0.685
+      at the base
+    - |rate of the mean error of J, less 2| <= 0.2: second order for J linear in cells
     - closure
     - drift
     """)

@@ -112,12 +112,12 @@ class Overlap(nv.Observer):
       {SPEED:g} m/s each; box of {SIZE[0]:g} m x {SIZE[1]:g} m, medium of {LIGHT:g} kg/m3, {SOFT:g} Pa and
       {THIN:g} Pa s; {2 * CELLS[0] * CELLS[1]} triangles, midpoint, tau = {TAU:g} s until {END:g} s.
     - least gap, m in [0, 0.1]: less than a cell between them
-    - how far they part again, m in [0.05, 0.3]: with 0.5 to 0.92 of their speed for 1 s, and back again a
-      part of it
-    - coefficient of restitution in [0.5, 0.92]: a Lagrangian disc at a wall in empty space has 0.918, of
-      which the viscous medium, of 0.15 of the mass, takes a part; 0.613 of an earlier run was known
+    - how far they part again, m in [0.05, 0.3]: with 0.5 to 0.92 of their speed for 1 s, minus a part that
+      they come back
+    - coefficient of restitution in [0.5, 0.92]: a Lagrangian disc at a wall in empty space has 0.918; the
+      viscous medium, with 0.15 of the mass, takes a part; 0.613 was known from an earlier run
     - energy lost less that dissipated, over the first <= 1e-10: the sum of the closures
-    - dissipated by scheme and limiter over all <= 0.05: the rest is in its columns
+    - dissipated by scheme and limiter over all <= 0.05: viscosity dissipates the rest
     - largest overlap over a disc's area <= 0.02: a shared layer of part of a cell
     - change of the total momentum over a disc's <= 0.05: symmetry; walls do not push
     - largest asymmetry of places, m <= 5e-3: a twentieth of a cell

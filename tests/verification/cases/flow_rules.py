@@ -109,8 +109,8 @@ def _sheared(kind: str, rule: nv.FlowRule, steps: int, scheme: str = "backward-e
     label: Euler-small-flow-rule, ED-Euler-large2, ED-Euler-large3
     setting: G = {G:g} Pa, channel of 1 m x 1 m, shear rate 1/s until 1 s; 20 and 40 steps of backward Euler,
       extrapolated to none.
-    - largest error, extrapolated <= 5e-3: second order in tau but where yield begins
-    - least distance to rates smaller by a fifth >= 1e-2: a wrong rate is told from the right
+    - largest error, extrapolated <= 5e-3: second order in tau, except where yield begins
+    - least distance to rates smaller by a fifth >= 1e-2: a wrong rate must be detected
     - closure
     """)
 def _point() -> Measured:
@@ -138,8 +138,9 @@ MIDPOINT = {"linear": True, "Norton, n = 3": True, "Bingham": False, "linear har
     label: Euler-small-flow-rule, ED-Euler-large3
     setting: As flow-rules-startup; 10 to 80 steps of the midpoint rule, order over all of them.
     - least order of a rate with a derivative >= 1.85: second order
-    - least order with yield >= 1.6: in one step the rate has a kink: an error of second order that wavers
-      with the place of it
+    - least order with yield >= 1.6: in one step the rate has a kink, whose error is of second order and
+      varies
+      with the kink's place
     - closure
     """)
 def _midpoint() -> Measured:
@@ -185,7 +186,7 @@ def _relaxation() -> Measured:
     The shear stress of a steady flow equals that of Bingham's and Perzyna's fluids at the same rate.
     label: Bingham 1916, Perzyna 1966
     setting: sigma_Y = 1.5 Pa, G_m = 0.2 Pa s, G = 200 Pa; a channel of 1 m sheared by 0.1 in 20 steps.
-    - largest relative error of T_12 <= 1e-3: what is elastic turns by (T_12/G)^2 and less
+    - largest relative error of T_12 <= 1e-3: elastic effects are (T_12/G)^2 at most
     - closure
     """)
 def _flow_curve() -> Measured:
@@ -305,8 +306,8 @@ for kind in BINGHAMS:
           0.125, 0.0625 m; v and T_12 at 81 points, in the mean square.
         - error of v on the finest mesh <= 0.01: v'' jumps: h^2 v''/8 = 0.005
         - error of T_12 on the finest mesh <= 0.02: T_12 of order one, m = 1
-        - rate of v >= 1.3: two, less what the place of the kink makes
-        - distance to a yield stress larger by a tenth >= 0.05: a wrong one is told from it
+        - rate of v >= 1.3: two, reduced by the place of the kink
+        - distance to a yield stress larger by a tenth >= 0.05: a wrong stress must be detected
         - closure
         """)(partial(_channel, kind))
     CASES(f"""bingham-couette-{kind}
@@ -320,7 +321,7 @@ for kind in BINGHAMS:
         - largest error of v on the finer mesh, of the wall's <= 0.03: eight cells in the gap
         - largest relative error of the shear stress where it flows <= 0.05: P2 velocity, P1 stress
         - error of v on the finer / on the coarser mesh <= 0.6: converges
-        - error of rest: largest |v| beyond 1.6 m, of the wall's <= 0.01: rigid
+        - error of rest: largest |v| beyond 1.6 m, of the wall's <= 0.01: the fluid is rigid there
         - closure
         """)(partial(_couette, kind))
 
@@ -330,7 +331,7 @@ for kind in BINGHAMS:
     label: Norton 1929
     setting: A = 0.3/(s Pa^n), n = 1, 3, 5, G = {STIFF:g} Pa, tractions of 0.5, 1 and 2 Pa on the wall of a
       channel, 10 steps to a shear of 0.1, linearised and finite strain by B.
-    - largest relative error of the rate <= 2e-3: elastic: (stress/G)^2 and less
+    - largest relative error of the rate <= 2e-3: elastic effects are (stress/G)^2 at most
     - largest error of the exponent <= 2e-3: the same
     - closure
     """)

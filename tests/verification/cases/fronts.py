@@ -187,7 +187,7 @@ for kind in KINDS:
           G_v = 0.1 Pa s, centripetal body force; a quarter of a turn in 8, 16, 32 steps, h = 0.4
           m{"." if finite else "; and h = 0.8, 0.4, 0.2 m with 8 steps."}
         - rate of {rate}
-        - error of v, largest / smallest over tau <= 1.1: the mesh's error alone, for any step
+        - error of v, largest / smallest over tau <= 1.1: only the mesh has an error, for any step
         - closure
         """)(partial(_rotation, kind))
 

@@ -38,9 +38,10 @@ def _elastic(conductivity: float = 0.0, warm: bool = True) -> nv.Model:
     A heated clamped body does not move, and has the pressure K beta dtheta.
     label: Duhamel and Neumann's law; heat-energy of FORMULATION
     setting: Box of 1 m with walls all around, 3 W/m^3 for 1 s, c = 2 J/(m^3 K); midpoint rule.
-    - error of the pressure K beta dtheta, relative <= 1e-8: of the step alone; set after a first run
-    - error of the temperature with half of the step, of that with the whole <= 0.3: a quarter by a scheme of
-      second order
+    - error of the pressure K beta dtheta, relative <= 1e-8: the step's error only; set after a first run
+    - error of the temperature with half of the step, of that with the whole <= 0.3: a scheme of second order
+      has a
+      quarter
     - closure
     """)
 def _clamped() -> Measured:
@@ -118,7 +119,7 @@ def _stiffened() -> tuple[nv.Model, float]:
     label: c^2 = (M + (Gamma c)^2 theta_R/c)/rho, gamma p/rho of an ideal gas
     setting: Standing waves in a box of 1 m, 1e-4 m/s, cells of 0.1 m, steps of 0.01 s, midpoint rule;
       gases as bodies have 1 Pa, 1 K and half of the box each.
-    - largest relative error of a period <= 1e-3: (omega dt)^2/12 = 3e-4 of the step
+    - largest relative error of a period <= 1e-3: the step's error is (omega dt)^2/12 = 3e-4
     - isothermal over isentropic period in [1.1, 1.115]: theory: 1.1068; (omega dt)^2/12 in both
     - a wave of the stiffened gas off its isentrope, relative <= 1e-3: (pi h)^2/8 of 2 %, P1
     """)
@@ -282,10 +283,10 @@ def _stream(cells: int, solver: str) -> nv.Simulation:
     setting: 1 m x 0.25 m, {SPEED:g} m/s, inlet {INLET:g} K, c = {C:g} J/(m3 K), kappa = {KAPPA:g} W/(m K),
       source {SOURCE:g} W/m3; 4, 8 and 16 cells along, backward Euler until 12 s, where it is steady.
     - error of the temperature over its rise <= 2e-3: cells, and mixing at the inlet, 5e-4
-    - error with an inlet that holds the temperature >= 0.05: another condition is told apart
+    - error with an inlet that holds the temperature >= 0.05: another condition must be detected
     - what mixing at the inlet takes over theory, less one <= 0.05: c V dtheta^2/(2 theta): entropy is
       carried, and none made where streams mix
-    - what is left of the entropy's balance <= 1e-10: to rounding, as the energy's
+    - what is left of the entropy's balance <= 1e-10: it closes to rounding, like the energy's
     - difference of the solvers over the rise <= 1e-8: the same equations
     - closure
     """)

@@ -146,9 +146,10 @@ def _ahead(pattern: Pattern) -> float:
     - radius of the foot, mm in [6.7, 7.3]: 7.0 to 7.2 are published
     - heat of yielding over the first kinetic energy in [0.75, 0.98]: hardening keeps a twentieth to a tenth
     - energy lost less that dissipated, over the first kinetic energy <= 1e-8: the sum of the closures
-    - what is left of the motion inside cells, over all <= 0.02: there is none of order one
-    - error of the speed ahead of the wave, crossed <= 0.1: no wave has come there
-    - distance of the speed ahead of the wave, one diagonal, control >= 0.05: it locks; stated after
+    - what is left of the motion inside cells, over all <= 0.02: velocities of order one have no such motion
+    - error of the speed ahead of the wave, crossed <= 0.1: no wave has arrived there
+    - distance of the speed ahead of the wave, one diagonal, control >= 0.05: the mesh locks; stated after the
+      first run
     - change of the mass <= 1e-10: conserved
     - closure
     """)

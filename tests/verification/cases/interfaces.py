@@ -236,13 +236,14 @@ for name, what, (of_amounts, width, of_map, sharp, thick) in (
           for m = 0, 1, 2, sharp ones, a parameter with rate zero, and a function of the carried coordinates.
         - L1 error of amounts, m = 1 <= {of_amounts}: five cells across the body
         - width of amounts, m = 1, cells <= {width}: a few cells
-        - largest excess over [0, 1] <= 0.3: what a P_1 beside a jump does; stated after
-        - change of the area, m = 1 <= 1e-4: conserved but for div v of the given velocity
+        - largest excess over [0, 1] <= 0.3: a P_1 function overshoots beside a jump; stated after the first
+          run
+        - change of the area, m = 1 <= 1e-4: conserved except for div v of the given velocity
         - L1 error of sharp amounts in [{sharp[0]}, {sharp[1]}]: stated after a trial; a P_1 beside a jump
           cannot do better
         - width of sharp amounts, cells in [{thick[0]}, {thick[1]}]: it does not grow, and is no narrower than
           its start
-        - excess of sharp amounts over [0, 1] <= 0.05: a step's
+        - excess of sharp amounts over [0, 1] <= 0.05: the overshoot of one step
         - change of the area, sharp amounts <= 1e-4: conserved but for div v of the given velocity
-        - L1 error of the reference map, m = 1 <= {of_map}: sharp for ever
+        - L1 error of the reference map, m = 1 <= {of_map}: it stays sharp
         """)(partial(_smear, name))

@@ -114,7 +114,7 @@ class PrintedMooneyRivlin(nv.MooneyRivlin):
     setting: {SETTING}; MooneyRivlin, creep with G_m = 2 Pa s, 0.5 m/s; h = 0.8, 0.4 and 0.2 m with tau = 0.02
       h, until {DURATION} s.
     - last rate of [difference; ours; printed] >= 0.8: first order in tau ~ h
-    - difference over the sum of the defects <= 2.0: one, but for the two runs' own F
+    - difference over the sum of the defects <= 2.0: one, if both runs had the same F
     - largest |closure| <= 1e-10: both rows are in the balance
     """)
 def _printed() -> Measured:
@@ -316,11 +316,12 @@ for kind in KINDS:
           1/16 m, tau = 0.01 to 0.1 s.
         - largest rho in [{RHO_MAX + 0.5}, {RHO_MAX + 1}]: the paper's bound, which is nearly reached
         - smallest rho in [1e-3, 0.5]: positive, with distance; matter leaves half of the tube
-        - share of the volume where the cut-off acts in [0.05, 0.5]: the case is built so that it must, in the
-          half to which matter goes
+        - share of the volume where the cut-off acts in [0.05, 0.5]: the case is built so that it acts, in the
+          half to which matter flows
         - runs that ended early <= 0: no step is refused
-        - largest rho without the cut-off in [{RHO_MAX + 1}, 4]: the case is built so that it must; all of the
-          tube in a quarter of it
+        - largest rho without the cut-off in [{RHO_MAX + 1}, 4]: the case is built so that it exceeds the
+          bound; 4 is all
+          of the tube in a quarter of it
         - closure
         """)(partial(cut_off, kind))
     of_J = """- smallest J in [0.3, 0.95]: as for the density
@@ -332,7 +333,8 @@ for kind in KINDS:
         setting: A block of 1 m x 1 m with slip, density 1 kg/m3, compressed in its middle and extended at its
           sides by v = 2 sin(2 pi x) m/s at first; {SETTING.split("; ", 1)[1]}; hyperviscosity mu = 1e-4, p =
           4; h = 0.5 to 0.125 m with tau = 0.04 h, until 0.2 s.
-        - smallest rho in [0.3, 0.95]: an extension by a factor of two at most, and by a twentieth
+        - smallest rho in [0.3, 0.95]: the body is extended by a twentieth at least, and by a factor of two at
+          most
         - fall of min rho from the coarser to the finest mesh in [-0.1, 0.05]: no trend to 0, and converging
         {of_J if finite else ""}
         - closure
@@ -390,7 +392,7 @@ for kind in KINDS:
         label: Euler-small-viscoelastodyn+1, {LABELS[kind]}
         setting: {SETTING}, creep with G_m = 2 Pa s; cells of {MAXH} m, {STEPS} steps of {TAU} s; mu = 1e-3 to
           1e-6 with p = 4 and 2, p = 1.5 to 4 with mu = 1e-3, and cells of 0.5 to 0.125 m with mu = 1e-4.
-        - last rate of v as mu -> 0, [p = 4; p = 2] >= 0.8: a smooth solution on a fixed mesh: its size
+        - last rate of v as mu -> 0, [p = 4; p = 2] >= 0.8: order mu, for a smooth solution on a fixed mesh
         - closure
         - smallest rho in [0.3, 0.95]: positive, with distance, but extended
         """)(partial(hyperviscous, kind))

@@ -137,8 +137,10 @@ def _profile(run: nv.Simulation) -> np.ndarray:
     setting: Half of {LENGTH / 1000.0:g} km, slip but for the bottom; layers as above with a flat surface, air
       of 1e19 Pa s; plume of 3200 kg/m3 and 1e20 Pa s, 50 km about 300 km above the bottom; cells of 50 km,
       SDIRK2, tau = 0.05 Myr until 3 Myr.
-    - height at 3 Myr over the lower published one in [0.9, 1.22]: a tenth below all, and above all
-    - height at 3 Myr over the higher published one in [0.81, 1.1]: a tenth above all, and below all
+    - height at 3 Myr over the lower published one in [0.9, 1.22]: a tenth below the lowest and above the
+      highest published one
+    - height at 3 Myr over the higher published one in [0.81, 1.1]: a tenth above the highest and below the
+      lowest published one
     - where it is highest, from the axis, m <= 5e4: on the axis, within a cell
     - drift
     - closure
@@ -302,7 +304,7 @@ def _sloshing() -> Measured:
     label: benchmark: an incompressible elastic layer on a slippery bed, under gravity
     setting: As sloshing, with a neo-Hookean layer, G = {SHEARS[0]:g} and {SHEARS[1]:g} Pa; medium of 1e-3 in
       density, 1e-3 Pa s; structured meshes of 8 and 16 rows.
-    - error of the frequency, 16 rows <= 0.02: the fluid's 0.01, twice: shear too ends there
+    - error of the frequency, 16 rows <= 0.02: twice the fluid's 0.01, as shear also ends at the surface
     - least frequency over that without elasticity in [1.05, 1.15]: the layer is elastic; 1.103 by theory
     - drift
     - closure

@@ -153,7 +153,7 @@ _ABOVE_Z, _AS_ELSEWHERE = "order k + 1, but one above z at most", "order m + 1, 
       sources stretch the amount of a body as a whole.
     {each(f"- rate of v, k = {k}, m = {m} >= {v}: {_ABOVE_Z}" for (k, m), v in _BODIES.items())}
     {each(f"- rate of [rho; z], k = {k}, m = {m} >= {m + 0.7}: {_AS_ELSEWHERE}" for k, m in _BODIES)}
-    - rate of z, control <= 1.0: another equation
+    - rate of z, control <= 1.0: the control solves another equation
     """)
 def _bodies() -> Measured:
     for k, m in _BODIES:

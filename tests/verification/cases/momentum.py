@@ -229,7 +229,7 @@ def spinning_disc(m: int) -> tuple[nv.Simulation, float]:
       {SPUN:g} s by {SPIN_STEP:g} s.
     - angular momentum at the end over the start, k = 2, m = 1 in [0.998, 1.002]: second order in space
     - angular momentum at the end over the start, k = 1, m = 0 in [0.97, 1.03]: first order
-    - share of the loss that is inertia's, m = 0 in [0.9, 1.1]: walls and viscosity have little of it
+    - share of the loss that is inertia's, m = 0 in [0.9, 1.1]: walls and viscosity cause little of the loss
     - closure
     """)
 def _spun() -> Measured:

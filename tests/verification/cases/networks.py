@@ -80,7 +80,7 @@ def _stretched(kind: str, strain: float, steps: int, until: float) -> tuple[np.n
     - largest error of [G(t), linearised; G(t), by B; N_1/strain², by B] <= 2e-3: relative to G(t); the
       fastest branch has five steps in its relaxation time, (dt/tau)²/12 is 3e-3 of its own part
     - least rate in the step >= 1.8: second order
-    - least distance to a network without one of its branches >= 0.02: each is seen
+    - least distance to a network without one of its branches >= 0.02: each branch must be detected
     - closure
     """)
 def _relaxation() -> Measured:
@@ -133,9 +133,10 @@ def _oscillated(omega: float, steps: int, periods: int = 1, from_rest: bool = Fa
     setting: The network of network-relaxation, linearised, in a channel whose wall oscillates by a shear of
       0.001, omega = 0.03 to 300 rad/s; a period in 32 and 64 steps of the midpoint rule, from the state of
       the exact oscillation; at 1 rad/s also from rest, after seven periods.
-    - largest error of [G'; G''] <= 8e-3: relative; (omega dt)²/12 with 64 steps is 8e-4, of the loss more
+    - largest error of [G'; G''] <= 8e-3: relative; (omega dt)²/12 with 64 steps is 8e-4, and more for the
+      loss
     - least rate in the step >= 1.8: second order
-    - error of G* from rest <= 0.02: what the slowest branch has left of its start after 38 s
+    - error of G* from rest <= 0.02: the slowest branch still has a part of its start after 38 s
     - closure
     """)
 def _moduli() -> Measured:
@@ -229,7 +230,7 @@ for name, of in CREEPING.items():
           until 4 s by 40, 80, 160 steps of backward Euler, extrapolated twice; no inertia to speak of.
         - largest relative error, extrapolated <= 2e-3: two extrapolations from a fifth of a relaxation time
         - rate in the step >= 0.85: implicit Euler
-        - distance of two exact forms <= 1e-10: by a linear system, and by the literature
+        - distance of two exact forms <= 1e-10: the linear system agrees with the literature
         - closure
         """)(partial(_creep, name))
 
@@ -278,9 +279,9 @@ CASES("""network-attenuation
     label: Zener 1948
     setting: G_inf = 4 Pa beside g = 1 Pa, tau = 0.1 s; a periodic channel with slip, v_1 = 0.001 cos(k pi y),
       k = 1, 2, 4, over four periods by 120 and 240 steps of the midpoint rule, four cells a half wave.
-    - largest error of the amplitude <= 0.02: of the start's; (omega dt)²/12 of 25 radians is 0.023 of
-      phase, and half of the start is left there
-    - least distance of the last amplitude to that without loss >= 0.3: damping is seen
+    - largest error of the amplitude <= 0.02: relative to the start; (omega dt)²/12 of 25 radians is
+      0.023 of phase, and half of the amplitude is left then
+    - least distance of the last amplitude to that without loss >= 0.3: damping must be detected
     - closure
     """)(_waves)
 

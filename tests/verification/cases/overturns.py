@@ -86,8 +86,9 @@ def _grown(ratio: float) -> tuple[np.ndarray, float]:
       kg/m3, g = {G:g} m/s2, G_c = {CRITICAL:.4f} Pa; both bodies K_e = {STIFF:g} Pa, the fluid {THIN_FLUID:g}
       Pa s; {2 * CELLS[0] * CELLS[1]} triangles, midpoint, tau = {TAU:g} s, {STEPS} steps from hydrostatic
       rest.
-    - s^2 at 0.8 of the threshold, 1/s^2 in [0.1, 0.3]: it falls; a fifth of the layer's without elasticity
-    - s^2 at 1.2 of the threshold, 1/s^2 in [-0.3, -0.1]: it is held, by as much
+    - s^2 at 0.8 of the threshold, 1/s^2 in [0.1, 0.3]: the layer falls, with a fifth of s^2 without
+      elasticity
+    - s^2 at 1.2 of the threshold, 1/s^2 in [-0.3, -0.1]: the layer oscillates, with the opposite s^2
     - relative error of the threshold <= 0.06: eight cells through the layer, K_e/G of more than a hundred,
       s^2 nearly linear in G
     - drift

@@ -105,8 +105,9 @@ for name, what, of_d, (slow, fast), (small, large), (thin, thick) in (
         - angle off {ANGLE:g} degrees <= 2: the same
         - rate of going round in [{slow}, {fast}]: slower than a rigid disc; the closed form in a
           cell of 6 a has 0.462
-        - area within fraction 1/2 in [{small}, {large}]: it loses what it smears; 2 % were the goal; stated
-          after
+        - area within fraction 1/2 in [{small}, {large}]: the disc loses smeared area; 2 % were the goal;
+          stated
+          after the first run
         - width of the interface, cells in [{thin}, {thick}]: by the fourth root of the strain, or constant
         - change of the mass <= 1e-10: conserved
         - closure

@@ -69,10 +69,10 @@ def oscillation(n: int, maxh: float) -> tuple[nv.Simulation, complex, np.ndarray
       the step's own factor is undone.
     - relative error of 0S0 <= 1e-3: four quadratic cells in a radius
     - relative error of 1S0 <= 1e-2: four quadratic cells in a radius
-    - least of both errors >= 1e-8: nobody has the frequency of the mesh exactly
+    - least of both errors >= 1e-8: a smaller error would not be the mesh's
     - least ratio of the errors of both meshes >= 3.0: order h^2 at least: 2^2 = 4
-    - change of the momentum along the axis, over its size <= 1e-3: the mesh is not its own image
-    - change of the energy <= 1e-4: a linear problem, but for the upwinding
+    - change of the momentum along the axis, over its size <= 1e-3: the mesh is not symmetric
+    - change of the energy <= 1e-4: the problem is linear except for upwinding
     - closure
     """)
 def _radial() -> Measured:

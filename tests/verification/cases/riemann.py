@@ -156,12 +156,12 @@ def solved(mach: float, cells: int, scheme: str = "backward-euler") -> nv.Simula
       A/2 |F|^2 + B/2 |Cof F|^2 + C/2 (J - 1)^2 -
       D ln J by F, Cof F and J, a user's energy; K_v + 4/3 G_v = rho U h, of midpoint twice that; c dt/h =
       0.5.
-    - largest error of a star state <= 0.01: asked for
+    - largest error of a star state <= 0.01: the required accuracy
     - error |rho J/rho_0 - 1| by backward Euler <= 0.01: of order dt
     - error |rho J/rho_0 - 1| by midpoint <= 5e-4: of order dt^2
     - most iterations <= 60.0: one attempt for each step
-    - rejected steps of backward Euler <= 0.0: nor halved
-    - rejected steps of the midpoint rule <= 0.0: nor where the flow turns round at rest
+    - rejected steps of backward Euler <= 0.0: no step is divided
+    - rejected steps of the midpoint rule <= 0.0: also where the flow reverses at rest
     - closure
     """)
 def _measure() -> Measured:
@@ -275,7 +275,7 @@ def _samples(reference: dict[str, np.ndarray], places: np.ndarray) -> dict[str, 
       midpoint rule; the reference has 400 and 800 cells and is extrapolated.
     - rate of [density; temperature; velocity; entropy] >= 1.8: 2 by P1 and the midpoint rule
     - largest error at 100 cells <= 2e-3: set after the entropy was seen: 6e-4
-    - error of the reference's own step, of the entropy <= 5e-4: a third of it is extrapolated away
+    - error of the reference's own step, of the entropy <= 5e-4: extrapolation removes a third of it
     - error of the entropy without its heat in the reference >= 0.1: the negative control
     - closure
     """)

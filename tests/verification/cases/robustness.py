@@ -126,7 +126,7 @@ for kind in KINDS:
         - share of the steps solved at the first try >= 0.9: a scheme for daily use
         - share of the steps solved >= 0.98: a scheme for daily use
         - largest |closure| <= 1e-10: wherever a step is solved
-        - largest CFL number in [20, 60]: what the grid is to cover; 1.5 m/s for 10 s in cells of 0.4 m
+        - largest CFL number in [20, 60]: the grid's range; 1.5 m/s for 10 s in cells of 0.4 m
         """)(partial(measure, kind))
 
 
@@ -161,7 +161,7 @@ def cavity(scheme: str, limiter: bool) -> nv.Simulation:
     - latest time reached without, s in [0.02, 0.3]: the finding: it ends, after the first step
     - closure
     - largest |mass drift| <= 1e-11: rounding, and the transport's tolerance
-    - most iterations of a solve <= 30.0: an impulsive start and none harder after it
+    - most iterations of a solve <= 30.0: the impulsive start is the hardest step
     """)
 def _measured() -> Measured:
     rows, curves = [], []

@@ -87,7 +87,7 @@ for scheme in SECOND_ORDER:
       formula.
     label: {LABEL}
     setting: The strip of standing-wave without viscosity; 100 periods of 20 steps.
-    - midpoint: relative energy drift <= 1e-6: R is of rounding for a linear wave
+    - midpoint: relative energy drift <= 1e-6: R has the size of rounding for a linear wave
     - midpoint: deviation from its formula <= 0.03: the error in space, 100 periods long
     - sdirk2: relative loss of energy in [0.12, 0.14]: its formula: 0.131
     - closure

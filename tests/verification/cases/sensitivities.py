@@ -142,9 +142,9 @@ def errors(make: Make, name: str, p: float, scheme: str, solver: str) -> tuple[n
     setting: A swirl in the unit box, few triangles, three steps of 0.02 s by backward Euler, midpoint and
     SDIRK2; energies, a dissipation until then, velocity and stress at a point; differences of widths 1e-2 to
     1e-5 of the parameter, tolerance of the solver 1e-12.
-    - largest error of a tangent at its best width <= 1e-6: differences have 1e-8 at best, by the solver
+    - largest error of a tangent at its best width <= 1e-6: the solver limits differences to 1e-8 at best
     - least ratio of the errors at the first two widths >= 20: central differences are of second order
-    - largest difference of adjoint and tangent <= 1e-7: differences of R by the parameter are in both
+    - largest difference of adjoint and tangent <= 1e-7: both contain differences of R by the parameter
     """)
 def _kinds() -> Measured:
     rows, curves, worst, ratio, adjoint = [], [], 0.0, np.inf, 0.0
@@ -171,7 +171,7 @@ def _kinds() -> Measured:
     fail.
     label: issue 56; negative control
     setting: As above, the elastic modulus, midpoint.
-    - error without R_y of [the tangent; the adjoint] >= 0.1: of the number that changes most
+    - error without R_y of [the tangent; the adjoint] >= 0.1: relative to the number that changes most
     """)
 def _control() -> Measured:
     make, name, p = KINDS["elastic modulus"]

@@ -94,7 +94,7 @@ CELLS = (10, 11), (14, 16), (20, 22)
     - largest change of the disc's volume <= 0.01: pressures of 0.5 Pa over K_e
     - largest change of the disc's mass <= 1e-11: conserved amounts
     - closure
-    - distance of the paths with K_e = 50 and 200 Pa until 3 s, m <= 0.01: half the first
+    - distance of the paths with K_e = 50 and 200 Pa until 3 s, m <= 0.01: half of the first bound
     """)
 def _carried() -> Measured:
     tables = [cavity(cells, 50.0, 8.0) for cells in CELLS]
@@ -160,7 +160,7 @@ TAYLOR_GREEN = Problem(centre=(0.5, 0.5), radius=0.2, shear_modulus=1.0, viscosi
     - elastic energy: least order of the error >= 0.8: one at interfaces
     - elastic energy: time of its peak, error, s <= 0.03: a step and a half of the table
     - kinetic energy: error over its start, cells of 0.025 m <= 0.05: as above
-    - kinetic energy: least order of the error >= 1.0: as of the disc's places
+    - kinetic energy: least order of the error >= 1.0: as for the disc's place
     """)
 def _oscillating() -> Measured:
     times, k, a = np.linspace(0.0, 1.0, 51), 2 * pi, TAYLOR_GREEN.vortex * 2 * pi

@@ -277,7 +277,7 @@ def oscillation(degree: int, maxh: float, material: nv.Material) -> tuple[nv.Sim
     - relative error of 0T4 <= 2e-2: eight quadratic cells in a diameter
     - least ratio of the errors of both meshes >= 2.0: order h^2 at least: 1.55^2 = 2.4
     - difference of finite and small strain, 0T2 <= 1e-3: strains of half a per cent
-    - change of the energy <= 1e-4: a linear problem, but for the upwinding
+    - change of the energy <= 1e-4: the problem is linear except for upwinding
     - closure
     """)
 def _toroidal() -> Measured:
@@ -340,7 +340,7 @@ class _Cells(nv.Observer):
       varies by 2 % of its range, chosen every 0.03 s, beside 0.125 and 0.0625 m.
     - cells over those of the fine mesh <= {1 / 3}: a third
     - error over that of the fine mesh <= 1.0: the same error
-    - relative error of v <= 0.01: of the fine mesh, half of it
+    - relative error of v <= 0.01: the fine mesh has half of it
     - energy that transfers take, over all <= 1e-3: one part in a thousand
     - energy that one transfer gives, over all <= 1e-12: projections give none
     - largest |mass drift| <= 1e-13: exact

@@ -70,9 +70,9 @@ TABLE: tuple[tuple[Literal["F", "B"], float, float, tuple[float, ...]], ...] = (
     setting: Unit box, K_e = {K_E:g} Pa, G_e = {G_E:g} Pa, G_m = {G_M:g} Pa s (Maxwell time 0.05 s), viscosity
       {VISCOSITY:g} Pa s, lid 16 x²(1 − x)² m/s ramped until 0.2 s.
     - largest error |det B − 1| <= 0.03: first order in tau, 0.02 s, at the lid's corners
-    - runs by F that ended by name in [3, 3]: each of them: det F is off J by 10 % in a cell
-    - the last of these ended at, s in [0.1, 1]: two and twenty Maxwell times
-    - the first of these ended at, s in [0.1, 1]: two Maxwell times, what the lid needs to turn anything
+    - runs by F that ended by name in [3, 3]: all three runs: det F deviates from J by 10 % in a cell
+    - the last of these ended at, s in [0.1, 1]: from two to twenty Maxwell times
+    - the first of these ended at, s in [0.1, 1]: two Maxwell times, which the lid needs to turn matter
     - runs by F that warned before in [3, 3]: each of them
     - closure
     """)

@@ -49,9 +49,9 @@ RUNS: list[tuple[str, Any, Any, int]] = (
       10, G_e = 5 Pa, K_v = G_v = 0.3 Pa s, density 1; an unstructured mesh that is no mirror image of
       itself, cells of 0.23 m (3D: 0.6 m), steps of 0.05 s until 5 s. The impulse of sound is traction x
       area x length/c.
-    - change of the momentum along the bar, of the impulse of sound <= 1e-4: what matter takes along
-      through the windows while the bar is set in motion; with values of rest at the ends it was 5e-2 and
-      grew as exp(t/2)
+    - change of the momentum along the bar, of the impulse of sound <= 1e-4: matter carries this
+      momentum through the windows while the bar is set in motion; with values of rest at the ends it was 5e-2
+      and grew as exp(t/2)
     - change by Euler's scheme, without what matter takes along, of the impulse of sound <= 1e-8:
       nothing pushes
     - change of the momentum from 3 s to 5 s, of the impulse of sound <= 1e-8: nothing pushes
@@ -253,8 +253,8 @@ def _plate(eta: float, times: np.ndarray) -> np.ndarray:
       4000 years (1e25 Pa s: 1000 years), so long that it is quasi-static.
     - sinking of the [lower; upper] face under 5 MPa over the closed form's, off by <= 0.005: steps of two
       thirds of the fastest time, half a percent of the thickness
-    - sinking of the [lower; upper] face under 50 MPa over the closed form's, off by <= 0.051: by its share of
-      the thickness, which the closed form takes for small
+    - sinking of the [lower; upper] face under 50 MPa over the closed form's, off by <= 0.051: the closed form
+      neglects the displacement over the thickness
     - closure
     """)
 def _plate_on_a_foundation() -> Measured:
