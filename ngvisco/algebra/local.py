@@ -3,6 +3,9 @@
 Rows are values, for instance at points, with an equal number in each cell; a row has unknowns of its own cell
 only.  The product for all components of a field is one small dense product in each cell, which is many times
 faster than a sparse product for each component.
+
+On straight cells values at all points of a rule follow from those at a few of them, the nodes, by one matrix
+for all cells, as polynomials do: blocks of the nodes are stored, a fraction of those of the points.
 """
 
 from __future__ import annotations
@@ -12,11 +15,23 @@ from functools import cached_property
 from math import prod
 
 import numpy as np
+import scipy.linalg as la
 import scipy.sparse as sp
+
+SAMPLE, NEGLIGIBLE = 100, 1e-12
+"""Number of cells among whose rows nodes are chosen, and relative size of rounding."""
 
 
 class LocalMatrix:
-    """A sparse matrix with dense blocks for cells, and its transpose with weighted rows."""
+    """A sparse matrix with dense blocks for cells, and its transpose with weighted rows.
+
+    Attributes
+    ----------
+    nodal : (cells, unknowns of a cell, nodes of a cell) array
+        Transposed blocks of the rows at the nodes.
+    shape : (nodes of a piece, rows of a piece) array or None
+        Interpolates from the nodes; None if all rows are nodes.
+    """
 
     def __init__(
         self,
@@ -24,8 +39,21 @@ class LocalMatrix:
         cells: int,
         weights: np.ndarray | None = None,
         dtype: type = np.float64,
+        pieces: int = 0,
     ) -> None:
-        """Split a matrix by cells; ``weights``, (rows,), of a quadrature rule multiply rows in tests."""
+        """Split a matrix by cells.
+
+        Parameters
+        ----------
+        matrix : csr_matrix
+        cells : int
+        weights : (rows,) array, optional
+            Weights of a quadrature rule, which multiply rows in tests.
+        dtype : type
+        pieces : int
+            Number of equal parts of a cell's rows, its sides, each with nodes at the same places; by default
+            all rows are nodes.
+        """
         self.cells, self.weights = cells, weights
         self.height, self.width = matrix.shape
         self.per_cell = self.height // cells if cells else 0  # a rank may have no cells
@@ -46,8 +74,9 @@ class LocalMatrix:
         self.unknowns = np.zeros((cells, self.local), dtype=np.int64)
         self.unknowns[counts > 0] = unknown[first[counts > 0], None]
         self.unknowns[of_cell, place] = unknown
-        self._blocks = np.zeros((cells, self.local, self.per_cell), dtype)
-        self._blocks[cell, place[position], row] = entries.data
+        blocks = np.zeros((cells, self.local, self.per_cell), dtype)
+        blocks[cell, place[position], row] = entries.data
+        self.nodal, self.shape = _nodes(blocks, pieces)
         # coefficients of a discontinuous space are ordered by cells
         self._in_order = np.array_equal(self.unknowns.ravel(), np.arange(self.width))
         self._first = 0
@@ -57,22 +86,44 @@ class LocalMatrix:
         """Rows of some cells as a view.  A part computes ``loads``; only the whole matrix sums them up."""
         part, rows = copy(self), slice(self.per_cell * cells.start, self.per_cell * cells.stop)
         part.__dict__.pop("scatter", None)
-        part.unknowns, part._blocks, part._first = self.unknowns[cells], self._blocks[cells], cells.start
+        part.unknowns, part.nodal, part._first = self.unknowns[cells], self.nodal[cells], cells.start
         part.cells, part.height = len(part.unknowns), len(part.unknowns) * self.per_cell
         part.weights = None if self.weights is None else self.weights[rows]
         return part
 
     @property
     def blocks(self) -> np.ndarray:
-        """Dense blocks, (cells, rows of a cell, unknowns of a cell)."""
-        return self._blocks.transpose(0, 2, 1)
+        """Dense blocks, (cells, rows of a cell, unknowns of a cell), made anew."""
+        return self.from_nodes(self.nodal).transpose(0, 2, 1)
+
+    def from_nodes(self, values: np.ndarray) -> np.ndarray:
+        """Interpolate ``values``, (..., nodes of a cell), to all rows of a cell."""
+        if (shape := self.shape) is None:
+            return values
+        found = values.reshape(-1, len(shape)) @ shape.astype(values.dtype, copy=False)
+        return found.reshape(*values.shape[:-1], values.shape[-1] // len(shape) * shape.shape[1])
+
+    def to_nodes(self, values: np.ndarray) -> np.ndarray:
+        """Apply the transpose of ``from_nodes`` to ``values``, (..., rows of a cell)."""
+        if (shape := self.shape) is None:
+            return values
+        found = values.reshape(-1, shape.shape[1]) @ shape.T.astype(values.dtype, copy=False)
+        return found.reshape(*values.shape[:-1], values.shape[-1] // shape.shape[1] * len(shape))
 
     @property
     def matrix(self) -> sp.csr_matrix:
         """The matrix in sparse form."""
-        columns = np.repeat(self.unknowns, self.per_cell, axis=0)
-        ends = self.local * np.arange(self.height + 1)
-        matrix = sp.csr_matrix((self.blocks.ravel(), columns.ravel(), ends), (self.height, self.width))
+        return self._sparse(self.blocks)
+
+    @property
+    def at_nodes(self) -> sp.csr_matrix:
+        """The rows at the nodes in sparse form."""
+        return self._sparse(self.nodal.transpose(0, 2, 1))
+
+    def _sparse(self, blocks: np.ndarray) -> sp.csr_matrix:
+        columns, height = np.repeat(self.unknowns, blocks.shape[1], axis=0), self.cells * blocks.shape[1]
+        ends = self.local * np.arange(height + 1)
+        matrix = sp.csr_matrix((blocks.ravel(), columns.ravel(), ends), (height, self.width))
         matrix.sum_duplicates()
         matrix.eliminate_zeros()
         return matrix
@@ -81,7 +132,7 @@ class LocalMatrix:
     def scatter(self) -> sp.csr_matrix:
         """Sparse matrix that sums the cells' loads, (width, cells times unknowns of a cell)."""
         places = np.arange(self.unknowns.size)
-        ones = np.ones(self.unknowns.size, self._blocks.dtype)
+        ones = np.ones(self.unknowns.size, self.nodal.dtype)
         return sp.csr_matrix((ones, (self.unknowns.ravel(), places)), shape=(self.width, places.size))
 
     def __call__(self, rows: np.ndarray) -> np.ndarray:
@@ -89,15 +140,14 @@ class LocalMatrix:
         if np.iscomplexobj(rows):
             return self(rows.real.copy()) + 1j * self(rows.imag.copy())  # real products use BLAS
         parts = rows.reshape(prod(rows.shape[:-1]), self.width)
-        result = np.empty((len(parts), self.height))
-        by_cells = result.reshape(len(parts), self.cells, self.per_cell).transpose(1, 0, 2)
+        nodes = np.empty((len(parts), self.cells, self.nodal.shape[2]))
         if self._in_order:
             first, count = self.local * self._first, self.local * self.cells
             local = parts[:, first : first + count].reshape(len(parts), self.cells, self.local)
         else:
             local = parts[:, self.unknowns]
-        np.matmul(local.transpose(1, 0, 2), self._blocks, out=by_cells)
-        return result.reshape(*rows.shape[:-1], self.height)
+        np.matmul(local.transpose(1, 0, 2), self.nodal, out=nodes.transpose(1, 0, 2))
+        return self.from_nodes(nodes).reshape(*rows.shape[:-1], self.height)
 
     def test(self, values: np.ndarray) -> np.ndarray:
         """Apply the transpose to weighted ``values``, (..., height) -> (..., width)."""
@@ -111,8 +161,8 @@ class LocalMatrix:
         if self.weights is not None:
             parts = parts * self.weights
         local = np.empty((len(parts), self.cells, self.local))
-        by_cells = parts.reshape(len(parts), self.cells, self.per_cell).transpose(1, 0, 2)
-        np.matmul(by_cells, self.blocks, out=local.transpose(1, 0, 2))
+        nodes = self.to_nodes(parts.reshape(len(parts), self.cells, self.per_cell))
+        np.matmul(nodes.transpose(1, 0, 2), self.nodal.swapaxes(1, 2), out=local.transpose(1, 0, 2))
         return local.reshape(*values.shape[:-1], self.unknowns.size)
 
     def summed(self, loads: np.ndarray) -> np.ndarray:
@@ -126,11 +176,49 @@ class LocalMatrix:
         return flat.reshape(*loads.shape[:-1], self.width)
 
     def by_cells(self, columns: np.ndarray) -> np.ndarray:
-        """Apply the matrix to ``columns``, (width, n) -> (cells, n, rows of a cell)."""
-        local = np.take(np.ascontiguousarray(columns, self._blocks.dtype), self.unknowns, axis=0)
-        return np.matmul(local.swapaxes(1, 2), self._blocks)
+        """Apply the matrix at the nodes to ``columns``, (width, n) -> (cells, n, nodes of a cell)."""
+        local = np.take(np.ascontiguousarray(columns, self.nodal.dtype), self.unknowns, axis=0)
+        return np.matmul(local.swapaxes(1, 2), self.nodal)
 
     def tested(self, values: np.ndarray) -> np.ndarray:
-        """Apply the transpose without weights, (cells, n, rows of a cell) -> (width, n)."""
-        local = np.matmul(self._blocks, values.swapaxes(1, 2))
+        """Apply its transpose without weights, (cells, n, nodes of a cell) -> (width, n)."""
+        local = np.matmul(self.nodal, values.swapaxes(1, 2))
         return self.scatter @ local.reshape(self.unknowns.size, values.shape[1])
+
+
+def squared(nodal: np.ndarray, shape: np.ndarray | None, weights: np.ndarray) -> np.ndarray:
+    """B^T W B of stacked matrices B = shape^T nodal with ``weights`` (cells, rows) of their rows.
+
+    ``nodal`` are (cells, nodes, columns); ``shape`` interpolates as that of ``LocalMatrix``.
+    """
+    if shape is None:
+        return np.matmul(nodal.swapaxes(1, 2), weights[:, :, None] * nodal)
+    cells, count, columns = nodal.shape
+    nodes, points = shape.shape
+    products = (shape[:, None] * shape).reshape(nodes**2, points).T
+    masses = (weights.reshape(-1, points) @ products).reshape(cells, count // nodes, nodes, nodes)
+    weighted = np.matmul(masses, nodal.reshape(cells, count // nodes, nodes, columns))
+    return np.matmul(nodal.swapaxes(1, 2), weighted.reshape(nodal.shape))
+
+
+def _nodes(blocks: np.ndarray, pieces: int) -> tuple[np.ndarray, np.ndarray | None]:
+    """Transposed blocks (cells, unknowns, nodes) of the nodes of the ``pieces`` of each cell, and the matrix
+    that interpolates from these; of all rows, and None, where rows of a cell do not follow from few."""
+    cells, local, count = blocks.shape
+    if not pieces or not cells:
+        return blocks, None
+    by_pieces = blocks.reshape(cells, local, pieces, count // pieces)
+    some = by_pieces[np.linspace(0, cells - 1, min(cells, SAMPLE)).astype(int)]
+    triangle, order = la.qr(some.reshape(-1, count // pieces), mode="r", pivoting=True)
+    diagonal = abs(np.diag(triangle))
+    rank = int((diagonal > 100 * NEGLIGIBLE * diagonal.max(initial=0.0)).sum())
+    if not 0 < rank < len(order):
+        return blocks, None
+    shape = np.zeros((rank, len(order)), blocks.dtype)
+    shape[:, order[:rank]] = np.eye(rank)
+    shape[:, order[rank:]] = la.solve_triangular(triangle[:rank, :rank], triangle[:rank, rank:])
+    nodal = by_pieces[..., order[:rank]]
+    error = abs(nodal @ shape - by_pieces).max(axis=(1, 2, 3))
+    if (error > NEGLIGIBLE * abs(blocks).max(axis=(1, 2))).any():
+        return blocks, None
+    return np.ascontiguousarray(nodal).reshape(cells, local, pieces * rank), shape

@@ -47,14 +47,16 @@ class SideJumps:
         mesh = points.mesh
         self.points, self.weights, self._layout = points, points.weights, hyper.step.layout
         matrix = points.operator(hyper.component, lambda u: hyper.fields_of(u).jump[0])
-        self.jump = LocalMatrix(matrix, mesh.ne, self.weights)
+        self.jump = LocalMatrix(matrix, mesh.ne, self.weights, pieces=points.per_cell)
         """The matrix from (v, a), side by side, to j."""
         self.h = np.repeat(hyper.step.context.h.vec.FV().NumPy(), points.count // max(mesh.ne, 1))
         self._context = hyper.step.context
         if not hyper.law.is_linear:
-            self.scalar = LocalMatrix(points.values(hyper.squares), mesh.ne, self.weights)
+            self.scalar = LocalMatrix(
+                points.values(hyper.squares), mesh.ne, self.weights, pieces=points.per_cell
+            )
         if not hyper.is_uniform:
-            self._z = LocalMatrix(points.values(hyper.fields), mesh.ne)
+            self._z = LocalMatrix(points.values(hyper.fields), mesh.ne, pieces=points.per_cell)
 
     def values(self, j: np.ndarray, s: np.ndarray | None, z: np.ndarray) -> Fields:
         """Fields on the sides: the jumps ``j``, |Hs|^2 from coefficients ``s``, the fields from ``z``."""
@@ -115,14 +117,14 @@ class MatrixHyperviscosity:
             self.s_values = self._local(self.points.values(self.squares))
             self.s_inverse = inverse_of_blocks(mass_matrix(self.s_values.matrix, self.points.weights))
         if not self.is_uniform:
-            self._z = LocalMatrix(self.points.values(self.fields), step.mesh.ne)
+            self._z = LocalMatrix(self.points.values(self.fields), step.mesh.ne, pieces=1)
 
     def tensors(self, z: np.ndarray) -> Values:
         """Values of the variables at the cells' points of this rule, from their coefficients."""
         return self.step.layout.states.tensors(lambda: Array(self._z(z), None))
 
     def _local(self, matrix: sp.csr_matrix) -> LocalMatrix:
-        return LocalMatrix(matrix, self.step.mesh.ne, self.points.weights)
+        return LocalMatrix(matrix, self.step.mesh.ne, self.points.weights, pieces=1)
 
     def fields_of(self, parts: Sequence[CoefficientFunction]) -> Fields:
         """One component of v and a as fields, from the joint space's functions."""

@@ -44,7 +44,7 @@ class Operators:
         elif key not in self._made:
             space, points = self.layout.scalar_space(name), self.points
             value, *slopes = (
-                LocalMatrix(matrix, points.mesh.ne, self.weights)
+                LocalMatrix(matrix, points.mesh.ne, self.weights, pieces=1)
                 for matrix in (points.values(space), *points.gradients(space))
             )
             self._made[key] = value, slopes
@@ -127,7 +127,8 @@ class SideOperators:
         return [self._local(slope(j)) for j in range(points.mesh.dim)]
 
     def _local(self, matrix: sp.csr_matrix) -> LocalMatrix:
-        return LocalMatrix(matrix, self.points.mesh.ne, self.points.weights)
+        points = self.points
+        return LocalMatrix(matrix, points.mesh.ne, points.weights, pieces=points.per_cell)
 
 
 class FacetMass:

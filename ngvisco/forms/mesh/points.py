@@ -121,6 +121,8 @@ class SidePoints:
         self.per_side = len(self.rules)
         self._tests = Discontinuous(FacetFESpace(mesh, order=0))
         self.sides = self._tests.ndof
+        self.per_cell = self.sides // max(mesh.ne, 1)
+        """Number of sides of a cell."""
         self._measure = self._loads(CF(1.0))
         self.weights = (np.array(rule.weights)[None] * self._measure).ravel()
         """Weight times Jacobian, (points,), m^(dim - 1); times r in a body of revolution."""

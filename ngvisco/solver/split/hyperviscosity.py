@@ -15,7 +15,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ngvisco.algebra import precision
-from ngvisco.algebra.local import LocalMatrix
+from ngvisco.algebra.local import LocalMatrix, squared
 from ngvisco.algebra.sparse import Blocks, ElementAssembly, Rounded, largest
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.mesh.points import SidePoints
@@ -46,13 +46,13 @@ class HyperDerivative:
 
     def _together(self) -> LocalMatrix:
         """B of the module's docstring: a cell's coefficients of Hs, component by component, then its
-        jumps."""
-        parts, first, order = (self.hyper.lift, self.sides.jump), 0, []
-        for part in parts:
-            order.append(first + np.arange(part.height).reshape(self.cells, part.per_cell))
-            first += part.height
-        both = sp.vstack([part.matrix for part in parts], format="csr")
-        return LocalMatrix(both[np.concatenate(order, axis=1).ravel()], self.cells, dtype=self.dtype)
+        jumps at the nodes of its sides."""
+        parts = (self.hyper.lift.matrix, self.sides.jump.at_nodes)
+        numbers = np.arange(sum(part.shape[0] for part in parts))
+        of_parts = np.split(numbers, [parts[0].shape[0]])
+        order = [each.reshape(self.cells, len(each) // max(self.cells, 1)) for each in of_parts]
+        both = sp.vstack(parts, format="csr")[np.concatenate(order, axis=1).ravel()]
+        return LocalMatrix(both, self.cells, dtype=self.dtype)
 
     def update(self, at: HyperValues) -> None:
         """Linearise at the given values."""
@@ -104,14 +104,15 @@ class HyperDerivative:
         length, h = largest(x), self.hyper
         split, rows = h.lift.per_cell, (self.cells, h.dim * h.size)
         values = self.of_component.by_cells(x.T / length)
-        dj = values[..., split:]
+        dj = self.sides.jump.from_nodes(values[..., split:])
         dH = np.matmul(values[..., :split].reshape(*rows, h.h_values.local), self._at_points)
         dH = dH.reshape(self.cells, h.dim, h.size, h.h_values.per_cell)
         of_H, of_j = self._c * dH, self._penalty[:, None] * dj
         if not h.law.is_linear:
             self._bend(dH, dj, of_H, of_j)
         tested = np.matmul(of_H.reshape(*rows, h.h_values.per_cell), self._at_points.swapaxes(1, 2))
-        loads = np.concatenate([tested.reshape(self.cells, h.dim, split), of_j], axis=2)
+        at_nodes = self.sides.jump.to_nodes(of_j)
+        loads = np.concatenate([tested.reshape(self.cells, h.dim, split), at_nodes], axis=2)
         return np.float64(self._unit * length) * self.of_component.tested(loads).T
 
     def _bend(self, dH: np.ndarray, dj: np.ndarray, of_H: np.ndarray, of_j: np.ndarray) -> None:
@@ -176,7 +177,7 @@ class HyperTangent:
         number[order] = np.arange(len(order))
         self._assembled = ElementAssembly(number[values.unknowns], values.width)
         self._lifted, self._jump = np.split(values.blocks, [h.lift.per_cell], axis=1)
-        pattern = _squared(abs(self._jump), np.ones(self._jump.shape[:2]))
+        pattern = squared(abs(self._jump), None, np.ones(self._jump.shape[:2]))
         self._facets = Blocks(self._in_parts(pattern)[2])
 
     def _in_parts(self, elements: np.ndarray) -> tuple[sp.csr_matrix, sp.csr_matrix, sp.csr_matrix]:
@@ -191,12 +192,13 @@ class HyperTangent:
         count, width = len(cell), self._lifted.shape[2]
         of_each = h.h_values.blocks[:, None] @ self._lifted.reshape(count, h.size, h.h_values.local, width)
         weights = np.tile(cell[:, None] * derivative.weights, (1, h.size))
-        return _squared(of_each.reshape(count, weights.shape[1], width), weights)
+        return squared(of_each.reshape(count, weights.shape[1], width), None, weights)
 
     def update(self, at: HyperValues) -> sp.csr_matrix:
         """Form E and the facets' blocks at some values; return the matrix of v and the kept a."""
         cell, penalty = self.derivative.tangent_coefficients(at)
-        of_jumps = _squared(self._jump, self.derivative.side_weights * penalty.reshape(self._jump.shape[:2]))
+        weights, jumps = self.derivative.side_weights, self.derivative.sides.jump
+        of_jumps = squared(self._jump, jumps.shape, weights * penalty.reshape(weights.shape))
         _, coupling, facets = self._in_parts(of_jumps)
         E = -(self._facets.inverse(facets) @ coupling.T).tocsr()
         self.E_t = Rounded(E.T)
@@ -219,8 +221,3 @@ class HyperTangent:
         right = sp.vstack([sp.kron(each, own[:width, width:]), sp.csr_matrix((others, count))])
         below = sp.hstack([sp.kron(each, own[width:, :width]), sp.csr_matrix((count, others))])
         return sp.bmat([[matrix, right], [below, sp.kron(each, own[width:, width:])]], format="csr")
-
-
-def _squared(matrices: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """The products B^T W B of stacked matrices B with weights of their rows, (cells, rows)."""
-    return np.matmul(matrices.transpose(0, 2, 1), weights[:, :, None] * matrices)
