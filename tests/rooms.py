@@ -40,7 +40,7 @@ ROOMS = {name: path.parent for name, path in MODULES.items() if path.name == "__
 
 
 def room_of(module: str) -> str:
-    """The package of a module; a package is its own."""
+    """The package that contains a module; for a package, the package itself."""
     return module if module in ROOMS else module.rpartition(".")[0]
 
 

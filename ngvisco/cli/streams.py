@@ -1,5 +1,4 @@
-"""Exit codes; signals that ask a run to stop; output that survives a closed or full stream or its
-encoding."""
+"""Exit codes, signals that ask a run to stop, and output that survives a closed, full or unsuited stream."""
 
 import contextlib
 import os

@@ -118,8 +118,7 @@ class Couplings:
         return [term for term in self.at_points if term.is_mass]
 
     def of_state(self) -> list[PointTerm]:
-        """Terms with rows of z that depend on z or zeta, and stresses; not the rates and the elastic
-        force."""
+        """Terms, except rates and the elastic force, with rows of z or stresses that depend on z or zeta."""
         stresses, found = {id(term) for term in self.of_gradients()}, []
         for term in self.at_points:
             reads = self._slots[id(term)].names

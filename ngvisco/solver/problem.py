@@ -44,7 +44,7 @@ class BlockNorm:
     Parameters
     ----------
     ranges : mapping of block names to slices of the coefficient vector
-    units : mapping from the names of the blocks that count to the scale s_u, or h/tau, of the floor f
+    units : mapping from the counted blocks' names to s_u, or for v h/tau, which multiply the floor f
     exchange : Exchange, optional
         Exchange of the vectors' space, if ranks may share the space.
     shared : collection of str

@@ -43,8 +43,8 @@ _TOO_FAR = 0.5
 several long steps."""
 
 _DAMPED = "from the last state, damped"
-"""Name of the last attempt with a flow rule: in yield with little inertia undamped increments jump to and fro
-by the size of the velocity."""
+"""Name of the last attempt for flow rules; in yield with little inertia, undamped increments would alternate
+with the size of the velocity."""
 
 
 class RotheSolver:

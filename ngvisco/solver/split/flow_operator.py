@@ -148,7 +148,7 @@ class FlowSchurComplement:
         rest = None if self.others is None else self.others.jacobian()
         if "Pi" not in self.residual.unknowns.flow:
             return rest
-        # dM by a creep rate field Pi within the step; the coupling to v is left out
+        # the change of M with a creep rate field Pi in a step; the coupling to v is left out
         first, values = self.gradients, self.op.of("Pi")[0].matrix
         C = self.points.stiffness()[:, first:, first:] * self.op.weights[:, None, None]
         size = C.shape[1]

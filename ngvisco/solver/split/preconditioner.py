@@ -34,7 +34,8 @@ from ngvisco.solver.split.transport import TransportSweeps
 TOLERANCE, ITERATIONS = 0.05, 20
 """Tolerance of the increments of z and rho, and the largest number of GMRES iterations for them."""
 ENOUGH, ENOUGH_WHERE_STEEP = 0.15, 0.05
-"""Relative residual up to which sweeps alone suffice, without GMRES; Newton's iteration contracts by it.
+"""Relative residual up to which sweeps alone suffice, without GMRES; Newton's iteration contracts by this
+factor.
 
 The second value is for steep rules: local creep rules that are not linear."""
 _LINEAR = 1e-3
@@ -155,7 +156,7 @@ class Preconditioner:
         self.free = np.concatenate([mask_of(step.layout.blocks[name].FreeDofs()) for name in unknowns.flow])
         self._held = np.flatnonzero(~self.free)
         self._whole: Callable[[], Direct] | None = None
-        """Makes a solver that factorises the whole tangent; None unless two levels may be replaced by it."""
+        """Makes a solver that factorises the whole tangent, if it may replace the two levels; else None."""
         self._two_levels: Direct | None = None
         self.solver = self._solver(np.append(self.free, np.ones(len(places) - count, dtype=bool)))
         self._blocks = [unknowns.slices[name] for name in unknowns.flow]

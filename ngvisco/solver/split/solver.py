@@ -167,8 +167,8 @@ class Split:
     def _follows(self, last: float) -> bool:
         """Whether the operator of flow rules is to be renewed at the iterate.
 
-        The first iterate of a step renews it too: a resumed run knows the state of the last factorisation
-        only."""
+        The first iterate of a step also renews the operator: a resumed run knows the state of the last
+        factorisation only."""
         return self.is_steep and (self._stale or last > _STEEP)
 
     @property

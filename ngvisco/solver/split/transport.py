@@ -52,7 +52,7 @@ class SweptMatrix:
         return np.matmul(self._rows, np.concatenate([values, self._beside(values)], axis=1)).reshape(x.shape)
 
     def swept(self, r: np.ndarray, sweeps: int) -> np.ndarray:
-        """Coefficients after ``sweeps`` sweeps for rows r, both (cells' unknowns, n) or (cells'
+        """Solve approximately for rows r by a number of sweeps; r is (cells' unknowns, n) or (cells'
         unknowns,)."""
         x = start = np.matmul(self.cells, self._by_cells(r))
         for _ in range(sweeps - 1):

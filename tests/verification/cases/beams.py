@@ -29,7 +29,7 @@ OMEGA = 3.516 * math.sqrt(FLEXURE / (DENSITY * THICK * LENGTH**4))
 DEFLECTION = DENSITY * THICK * GRAVITY * LENGTH**4 / (8 * FLEXURE)
 """Length and height, m; E' I, N m; frequency, 1/s; deflection of the tip at rest under the weight, m."""
 FREQUENCY, MEAN, AMPLITUDE = 1.0995, 63.607e-3, 65.160e-3
-"""Frequency, Hz, mean and amplitude, m, published for CSM3: the tip swings by 65.160 mm about -63.607 mm."""
+"""Published for CSM3: frequency, Hz; mean and amplitude, m. The tip swings by 65.160 mm about -63.607 mm."""
 SHARE = 1e-3
 """Share of ``GRAVITY`` in runs on a mesh of the bar alone: through ``Open`` walls a bar may move by a small
 part of a cell only. The result is the limit of small deflections."""

@@ -150,7 +150,7 @@ _BOUNDS = "\n    ".join(
       the sound impulse.
     {_BOUNDS}
     - without the tangents' trace, neo-Hookean by B >= 1e-8: the control
-    - least dissipation of upwinding over the largest, of all that are convex >= 0: the sign
+    - least dissipation of upwinding over the largest, of all that are convex >= 0: it dissipates
     - closure
     """)
 def _kept() -> Measured:
