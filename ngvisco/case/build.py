@@ -31,7 +31,9 @@ from ngvisco.expressions import ExpressionError, parse, parse_region
 from ngvisco.forms.boundary.boundaries import check_boundary_names
 from ngvisco.forms.context import time
 from ngvisco.physics.bodies import Body
-from ngvisco.physics.model import Model, default_elastic_state
+from ngvisco.physics.material import ElasticState, Material, part_of
+from ngvisco.physics.materials.network import Network
+from ngvisco.physics.model import Model, open_state
 from ngvisco.physics.walls import Wall
 from ngvisco.run.body_tables import Bodies
 from ngvisco.run.checkpoint import Checkpoints
@@ -147,12 +149,28 @@ class Case:
         files += [(table, Path(table["path"])) for table in tables_of_python(data)]
         if self.sections.material is None:
             return data, files
-        creep, material = self.sections.rheology.creep, made(self.sections.material)
+        material = made(self.sections.material)
         if data["initial"]["density"] is None and material.referential_density is None:
             data["initial"]["density"] = 1.0
-        state = default_elastic_state(None if creep is None else made(creep), material)
-        _settle_state(data["material"], state)
+        state, _ = self._open_state(material)
+        _settle_state(data["material"], material.with_elastic_state(state))
         return data, files
+
+    def _open_state(self, material: Material) -> tuple[ElasticState, str]:
+        sections: Any = self.sections
+        creep = sections.rheology.creep
+        return open_state(None if creep is None else made(creep), material, sections.discretisation.m)
+
+    @property
+    def carried(self) -> str:
+        """The material's variables, with the elastic state that the case leaves open; empty with bodies."""
+        if self.sections.material is None:
+            return ""
+        given = made(self.sections.material)
+        state, reason = self._open_state(given)
+        by_F, by_B = given.with_elastic_state("F").variables, given.with_elastic_state("B").variables
+        names = ", ".join(v.name for v in (by_B if state == "B" else by_F))
+        return names if by_F == by_B else f"{names}: elastic_state = {state!r}, the default, as {reason}"
 
     @property
     def _mesh_path(self) -> Path:
@@ -181,11 +199,9 @@ class Case:
             parts["bodies"] = tuple(self._body(i, dim) for i in range(len(sections.bodies)))
         else:
             with self.blame.located("material"):
-                material = made(sections.material)
-                state = default_elastic_state(parts.get("creep"), material)
-                parts["material"] = material.with_elastic_state(state)
+                parts["material"] = made(sections.material)
         with self.blame.located("bodies" if sections.bodies else "loads"):
-            return Model(**parts)
+            return Model(**parts).at_order(sections.discretisation.m)
 
     def _check_place(self, dim: int) -> None:
         """Raise CaseError for a function or a body's place that reads z in two dimensions."""
@@ -342,14 +358,18 @@ def _texts_in(value: Any, path: tuple[str, ...]) -> Iterator[tuple[tuple[str, ..
         yield from _texts_in(part, (*path, str(key)))
 
 
-def _settle_state(values: dict[str, Any], state: str) -> None:
-    """Write ``elastic_state`` into a material's table, and into nested tables, where it is open."""
+def _settle_state(values: dict[str, Any], material: Any) -> None:
+    """Write the material's ``elastic_state`` into its table, and into nested tables, where it is open."""
+    network = part_of(material, Network)
+    branches = {} if network is None else network.parts
     if values.get("elastic_state", "") is None:
-        values["elastic_state"] = state
+        while not hasattr(material, "elastic_state"):  # a wrapper, as that of heat, or a Prony series
+            material = next(iter(branches.values()), material).material
+        values["elastic_state"] = material.elastic_state
     if values.get("material") is not None:  # a gas has none
-        _settle_state(values["material"], state)
-    for branch in (values.get("branches") or {}).values():
-        _settle_state(branch["material"], state)
+        _settle_state(values["material"], material)
+    for name, branch in (values.get("branches") or {}).items():
+        _settle_state(branch["material"], branches[name].material)
 
 
 def _digest_of(file: Path) -> str:

@@ -53,6 +53,8 @@ def check(options: argparse.Namespace) -> int:
             f"adapt      by {adapt.field}, anew every {adapt.every:g} s: from {first.ne} cells to about "
             f"{most}; all sizes and times here are those of the start"
         )
+    if case.carried:
+        print(f"carried    {case.carried}")
     print(f"unknowns   {layout.space.ndof}, of which {condensed} are solved for after condensation")
     adaptive = case.sections.time.adaptive
     if adaptive is None:
@@ -162,6 +164,8 @@ def info(options: argparse.Namespace) -> int:
         f"{name} {record[name]}" for name in ("ngvisco", "ngsolve", "commit") if record.get(name)
     )
     print(f"versions   {versions or 'none recorded'}; started {record.get('started', 'never')}")
+    if case.carried:
+        print(f"carried    {case.carried}")
     print(f"scheme     {case.sections.time.scheme}, dt {case.sections.time.dt:g} s")
     if not place.run_file.exists():
         print(f"state      nothing computed; start with: ngvisco resume {place.path}")

@@ -1,9 +1,10 @@
 """The model of a run: a material, its dissipative mechanisms and its loads."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from copy import copy
+from dataclasses import dataclass, field, replace
 from operator import attrgetter
-from typing import Any
+from typing import Any, Self
 
 from ngvisco.errors import ParameterError, declared, require_fields
 from ngvisco.physics.bodies import Body, Fractions
@@ -80,8 +81,7 @@ class Model:
     Raises ParameterError if a part is of the wrong type, a flow rule or a viscosity creates energy
     (``check_rule``, ``check_viscosity``), two loads or two bodies share a name, the energy of a body is not
     convex per reference volume (``ReferenceEnergy``), the material's list of variables makes no sense, or the
-    law of creep needs a conformation tensor that the material does not have.  Raises UnknownNameError if a
-    ``WithQuadratic`` names variables that its material does not have in this model.
+    law of creep needs a conformation tensor that the material does not have.
 
     Parameters
     ----------
@@ -136,8 +136,9 @@ class Model:
             raise ParameterError("Model.creep", self.creep, "None with a Network, whose branches have theirs")
         if self.creep is not None and self.creep.reads_conjugate and self.material.conformation is None:
             raise ParameterError("Model.creep", self.creep, "a material with a conformation tensor")
-        state = "B" if self.bodies else default_elastic_state(self.creep, self.material)
-        material = self.material.with_elastic_state(state)
+        material = self.material
+        if self.bodies or _flows(self.creep, material):
+            material = material.with_elastic_state("B")
         if isinstance(material, Mixture):
             material = material.with_carried(carried)
         else:
@@ -166,6 +167,21 @@ class Model:
             check_rule(flow.rule, material)
         if self.viscosity is not None:
             check_viscosity(self.viscosity, material)
+
+    def at_order(self, m: int) -> Self:
+        """The model in which no elastic state is open, for variables of order ``m``.
+
+        What is open becomes "B" for m = 0, else "F" (``open_state`` has the reason).
+        """
+        state, _ = open_state(self.creep, self.material, m)
+        if self.bodies:
+            return self
+        material = self.material.with_elastic_state(state)
+        if material.variables != self.material.variables:
+            return replace(self, material=material)
+        settled = copy(self)  # the energy is the same: no check is repeated
+        object.__setattr__(settled, "material", material)
+        return settled
 
     @property
     def flows(self) -> tuple[Flow, ...]:
@@ -323,9 +339,18 @@ def _require_distinct(field_name: str, names: list[str]) -> None:
         raise ParameterError(field_name, names, "distinct names")
 
 
-def default_elastic_state(creep: FlowRule | None, material: Material | None = None) -> ElasticState:
-    """The elastic state of a material that leaves it open: B with creep of the material or of a branch, else
-    F."""
+def open_state(creep: FlowRule | None, material: Material, m: int) -> tuple[ElasticState, str]:
+    """The elastic state of a material that leaves it open, with variables of order ``m``, and the reason.
+
+    "B" where there is creep, also of a branch of its own, since F winds up there.  "B" for m = 0: in cells of
+    constants det F and J part faster than in others, and F frees rest energy as they part.
+    """
+    if _flows(creep, material):
+        return "B", "there is creep"
+    return ("B", "m = 0") if m == 0 else ("F", "there is no creep, and m >= 1")
+
+
+def _flows(creep: FlowRule | None, material: Material) -> bool:
     network = part_of(material, Network)
     branches = () if network is None else network.parts.values()
-    return "B" if (creep is not None and creep.flows) or any(one.flows for one in branches) else "F"
+    return (creep is not None and creep.flows) or any(one.flows for one in branches)

@@ -362,8 +362,8 @@ def _identity(simulation: Simulation) -> dict[str, Any]:
         "format": FORMAT,
         "ngvisco": version() or "0+unknown",
         "mesh": _mesh_hash(mesh),
+        "material": _material_signature(material),  # before the spaces, which follow from it
         "spaces": spaces + (", about an axis" if layout.symmetry.is_axisymmetric else ""),
-        "material": _material_signature(material),
         "bodies": ", ".join(f"{v.name.removeprefix(AMOUNT)} of {v.density!r} kg/m^3" for v in amounts),
         "scheme": _scheme_signature(simulation),
         "energies": sampled_energies(material, simulation.mesh.dim),

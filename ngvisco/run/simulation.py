@@ -157,7 +157,7 @@ class Simulation:
         """Arguments of the simulation other than mesh, model and observers."""
         self.arguments |= dict(discretisation=discretisation, newton=newton, passive=passive)
         self.arguments |= dict(sources=sources, terms=terms, symmetry=symmetry)
-        self.mesh, self.model = mesh, model
+        self.mesh, self.model = mesh, (model := model.at_order(discretisation.m))
         self.dt, self.given_velocity_scale = float(time.dt), time.velocity_scale
         self.stepper = time.stepper()
         self.rothe_step = Step(mesh, model, discretisation, sources, walls, terms, symmetry)

@@ -170,6 +170,20 @@ def test_settings_override_keys_and_are_named_in_faults():
             case(CASE, setting)
 
 
+def test_elastic_state_is_resolved_by_orders_without_creep():
+    """A run directory keeps the choice; a law of one form has that one."""
+    still = CASE.replace("[rheology.creep]\nG_m = 5\n", "")
+    for m, state in ((0, "B"), (1, "F")):
+        found = case(still, f"discretisation.m={m}", f"discretisation.k={m + 1}")
+        assert tomllib.loads(found.resolved)["material"]["elastic_state"] == state
+        assert [v.name for v in found.model(2).material.variables] == [state, "J"]
+        assert f"elastic_state = '{state}', the default" in found.carried
+        assert case(found.resolved).hash == found.hash and "default" not in case(found.resolved).carried
+    ogden = case(CASE, "material={kind='Ogden', K_e=10, mu=[1.0], alpha=[1.3]}")
+    assert tomllib.loads(ogden.resolved)["material"]["elastic_state"] == "F"
+    assert case(ogden.resolved).hash == ogden.hash
+
+
 def test_elastic_state_is_resolved_by_creep_unless_it_is_given():
     creeping, still = case(CASE), case(CASE.replace("[rheology.creep]\nG_m = 5\n", ""))
     found = [tomllib.loads(c.resolved)["material"]["elastic_state"] for c in (creeping, still)]

@@ -98,6 +98,7 @@ def test_check_reports_and_writes_nothing(case_file, capsys, monkeypatch):
     printed = capsys.readouterr().out
     for pattern in (
         r"\d+ cells",
+        r"carried +F, J: elastic_state = 'F', the default, as there is no creep, and m >= 1",
         r"unknowns +\d+",
         r"4 steps of 0.02 s",
         r"scales +L 1 m, h 0\.\d+ m, v [\d.]+ m/s so far, waves 4.84 and 3.16 m/s",

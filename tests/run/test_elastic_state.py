@@ -1,6 +1,7 @@
 """The elastic state by F and by B = F F^T: the same material where nothing winds up; what each one loses."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -48,11 +49,85 @@ def test_model_with_creep_is_by_B_and_one_without_by_F(name):
 
 def test_wrapped_materials_take_the_form_of_their_model():
     inner = TWO_FORMED["NeoHookean"]()
-    wrapped = nv.WithQuadratic(material=nv.Yosida(material=inner, eps=1e-3), delta=0.1, only=("B",))
+    wrapped = nv.WithQuadratic(material=nv.Yosida(material=inner, eps=1e-3), delta=0.1)
     found = nv.Model(material=wrapped, creep=nv.Creep(G_m=1.0)).material
     assert found.material.material.elastic_state == "B"
-    with pytest.raises(nv.UnknownNameError, match="for elastic_state = 'F' 'B'"):
-        nv.Model(material=wrapped)
+
+
+def test_who_names_variables_of_one_form_asks_for_it():
+    """B without creep and F with creep, as the names of ``only`` say; names of both forms are refused."""
+    inner = nv.Yosida(material=TWO_FORMED["MooneyRivlin"](), eps=1e-3)
+    for names, creep, state in (
+        (("B",), None, "B"),
+        (("F", "J"), nv.Creep(G_m=1.0), "F"),
+        (("J",), None, None),
+    ):
+        wrapped = nv.WithQuadratic(material=inner, delta=0.1, only=names)
+        assert nv.Model(material=wrapped, creep=creep).material.material.material.elastic_state == state
+    with pytest.raises(nv.ParameterError, match="variables of one form"):
+        nv.WithQuadratic(material=inner, delta=0.1, only=("F", "B"))
+    with pytest.raises(nv.UnknownNameError, match="'B'"):
+        nv.WithQuadratic(material=TWO_FORMED["NeoHookean"](elastic_state="F"), delta=0.1, only=("B",))
+
+
+OPEN = {
+    **TWO_FORMED,
+    "Ogden": lambda **state: nv.Ogden(K_e=10.0, mu=(5.0, -0.5), alpha=(2.5, -2.0), **state),
+    "Damaged": lambda **s: nv.Damaged(material=TWO_FORMED["ReferentialNeoHookean"](**s), G_c=1.0, length=0.5),
+    "Thermal": lambda **s: nv.Thermal(
+        material=TWO_FORMED["ReferentialNeoHookean"](**s), c=1.0, theta_R=300.0
+    ),
+    "WithQuadratic": lambda **s: nv.WithQuadratic(material=TWO_FORMED["NeoHookean"](**s), delta=0.1),
+    "Network": lambda **s: nv.Network(
+        branches={n: nv.Branch(material=TWO_FORMED["ReferentialNeoHookean"](**s)) for n in ("one", "two")}
+    ),
+}
+
+
+@pytest.mark.parametrize("name", OPEN)
+def test_what_no_one_asked_for_is_by_B_for_constants_in_cells(name):
+    model = nv.Model(material=OPEN[name](), viscosity=nv.StokesViscosity(K_v=0.1, G_v=0.1))
+    for m, state in ((0, "B"), (1, "F"), (2, "F")):
+        given = OPEN[name](elastic_state=state)
+        assert names(model.at_order(m).material) == names(nv.Model(material=given).material)
+        for asked in "FB":
+            by = nv.Model(material=OPEN[name](elastic_state=asked))
+            assert names(by.at_order(m).material) == names(by.material)
+        made = model.at_order(m)  # a choice that was made stays, in other orders too
+        assert names(made.at_order(0 if m else 1).material) == names(made.material)
+    # replaced parts do not close what is open
+    assert names(replace(model, loads=(nv.Gravity((0, -1)),)).at_order(0).material) != names(model.material)
+
+
+def test_ogden_of_small_exponents_has_no_B():
+    rubber = nv.Ogden(K_e=10.0, mu=(5.0,), alpha=(1.3,))
+    assert names(nv.Model(material=rubber).at_order(0).material) == ["H", "J"]
+
+
+def small(m, material=None, **options):
+    material = TWO_FORMED["ReferentialNeoHookean"]() if material is None else material
+    orders = nv.Discretisation(k=m + 1, m=m)
+    start = nv.Initial(velocity=(0.1 * sin(pi * x), 0))
+    mesh = structured_box((1, 1), (2, 2))
+    given = {"dt": 0.1, "initial": start, "discretisation": orders} | options
+    return nv.Simulation(mesh, nv.Model(material=material), **given)
+
+
+def test_a_run_keeps_its_choice_over_checkpoints_and_other_orders(tmp_path):
+    first = small(0, observers=[nv.Checkpoints(tmp_path / "run.h5", every=1)])
+    first.run(0.2)
+    assert names(first.model.material) == names(first.rothe_step.model.material) == ["B", "J"]
+    again = small(0)
+    again.restore(tmp_path / "run.h5")
+    asked = small(0, TWO_FORMED["ReferentialNeoHookean"](elastic_state="B"))
+    asked.restore(tmp_path / "run.h5")
+    for run in (again, asked):
+        assert np.array_equal(run.rothe_step.state.vec, first.rothe_step.state.vec)
+    with pytest.raises(nv.CheckpointError, match="elastic_state='B'"):
+        small(0, TWO_FORMED["ReferentialNeoHookean"](elastic_state="F")).restore(tmp_path / "run.h5")
+    other = first.on(first.mesh, discretisation=nv.Discretisation(k=2, m=1), observers=())
+    assert names(other.model.material) == ["B", "J"]
+    nv.transfer(first, other)
 
 
 # --- what a step loses -------------------------------------------------------------------------------
@@ -154,9 +229,11 @@ def test_who_asks_for_more_drift_gets_it():
     assert drift(strict) <= 0.01 and strict.t < 0.6
 
 
-@pytest.mark.parametrize("m", [0, 1])
-def test_by_B_the_wave_in_a_box_stays_below_its_start(m):
-    run = in_a_closed_box("B", m)
+@pytest.mark.parametrize(("state", "m"), [(None, 0), ("B", 1)])
+def test_by_B_the_wave_in_a_box_stays_below_its_start(state, m):
+    """B is the default for m = 0."""
+    run = in_a_closed_box(state, m)
+    assert names(run.model.material) == ["B", "J"]
     ledger = run.run(1.2)
     kinetic = ledger.column("kinetic")
     assert kinetic.max() == kinetic[0] and 0.4 * kinetic[0] < kinetic[-1]

@@ -78,7 +78,7 @@ class IsotropicElastic(Material):
     Parameters
     ----------
     elastic_state : str, optional
-        Variables by the distortion "F", or by "B" = F F^T for bodies that flow; default B with creep, else F.
+        Variables by the distortion "F", or by "B" = F F^T; default B with creep or m = 0, else F.
     K_e : float
         Bulk modulus.
     G_e : float

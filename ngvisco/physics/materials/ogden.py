@@ -110,7 +110,7 @@ class Ogden(Material):
     Parameters
     ----------
     elastic_state : str, optional
-        Variables of the distortion "F", or of "B" = F F^T for a body that flows; default B with creep and all
+        Variables by the distortion "F", or by "B" = F F^T; default B with creep or m = 0, and all
         |alpha_p| >= 2, else F.
     K_e : float
         Bulk modulus.  0 is for branches of a network only.

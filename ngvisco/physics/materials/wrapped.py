@@ -12,9 +12,9 @@ from typing import Annotated
 import numpy as np
 from ngsolve import CF
 
-from ngvisco.errors import NgviscoError, Quantity, UnknownNameError
+from ngvisco.errors import NgviscoError, ParameterError, Quantity, UnknownNameError
 from ngvisco.physics.flow_rules.rule import Hardening, PlasticContent
-from ngvisco.physics.material import ElasticState, Material, Wrapper
+from ngvisco.physics.material import Material, Wrapper
 from ngvisco.physics.parameters import Parameter, distinct, substituted
 from ngvisco.physics.pointwise import respond, rest_state
 from ngvisco.physics.response import Respond, Response
@@ -85,7 +85,8 @@ class WithQuadratic(Wrapper):
 
     The added term makes a convex energy strongly convex, and adds a stress of the order of sqrt(delta) at
     rest. The ledger has the added energy within ``stored``, and alone as ``stored_quadratic``.  Raises
-    ParameterError for a delta that is not positive, and UnknownNameError for an unknown variable.
+    ParameterError for a delta that is not positive and for names of different forms, and UnknownNameError for
+    an unknown variable.
 
     Parameters
     ----------
@@ -95,7 +96,8 @@ class WithQuadratic(Wrapper):
         Coefficient of the term sqrt(delta)/2 |z|^2 that is added to the energy.
     only : tuple of str, optional
         Names of the variables in the added term, no parameters; default all strains (paper:
-        rem-neo-Hookean-ref omits variables in which phi is strongly convex already).
+        rem-neo-Hookean-ref omits variables in which phi is strongly convex already).  Names that the material
+        has by F alone, or by B alone, choose an open ``elastic_state``.
     """
 
     delta: Annotated[float, Quantity("Pa^2", "> 0", 1e-6)]
@@ -104,19 +106,15 @@ class WithQuadratic(Wrapper):
     def __post_init__(self) -> None:
         super().__post_init__()
         forms = [self.material.with_elastic_state("F"), self.material.with_elastic_state("B")]
-        known = {v.name for form in forms for v in form.variables if v.is_strain}
-        for name in self.only or ():
-            if name not in known:
-                raise UnknownNameError("material variable", name, known, "WithQuadratic.only")
-
-    def with_elastic_state(self, state: ElasticState) -> WithQuadratic:
-        material = self.material.with_elastic_state(state)
-        names = [v.name for v in material.variables]
-        for name in self.only or ():
-            if name not in names:
-                kind = f"material variable for elastic_state = {state!r}"
-                raise UnknownNameError(kind, name, names, "WithQuadratic.only")
-        return replace(self, material=material)
+        strains = [{v.name for v in form.variables if v.is_strain} for form in forms]
+        known, named = strains[0] | strains[1], set(self.only or ())
+        for name in sorted(named - known):
+            raise UnknownNameError("material variable", name, known, "WithQuadratic.only")
+        having = [form for form, names in zip(forms, strains, strict=True) if named <= names]
+        if not having:
+            raise ParameterError("WithQuadratic.only", self.only, "variables of one form, by F or by B")
+        if len(having) == 1:  # who names its variables asks for this form
+            object.__setattr__(self, "material", having[0])
 
     @property
     def _regularised(self) -> list[str]:
