@@ -33,7 +33,7 @@ from ngvisco.errors import NgviscoError, listed, nearest
 from ngvisco.physics.signals import time
 from ngvisco.physics.tensors import cof, det, dev, exp, if_positive, inner, log, sph, sqrt, square, sym, tr
 
-Value: TypeAlias = float | CoefficientFunction
+Evaluated: TypeAlias = float | CoefficientFunction
 
 MAX_LENGTH = 2000
 MAX_DEPTH = 80
@@ -45,7 +45,7 @@ _LARGEST_WHOLE_POWER = 16
 
 COORDINATES = ("x", "y", "z")
 CONSTANTS = {"pi": math.pi}
-_SYMBOLS: dict[str, Value] = {"x": ngsolve.x, "y": ngsolve.y, "z": ngsolve.z, "t": time, **CONSTANTS}
+_SYMBOLS: dict[str, Evaluated] = {"x": ngsolve.x, "y": ngsolve.y, "z": ngsolve.z, "t": time, **CONSTANTS}
 NAMES = tuple(_SYMBOLS)
 
 
@@ -357,7 +357,7 @@ def is_tensor(value: Any) -> bool:
     return not (isinstance(value, float) or value.is_scalar)
 
 
-def _power(a: Value, b: Value) -> Value:
+def _power(a: Evaluated, b: Evaluated) -> Evaluated:
     is_array = not isinstance(a, (float, CoefficientFunction))  # arrays define powers
     if is_array or (isinstance(a, float) and isinstance(b, float)):
         return a**b
@@ -368,7 +368,7 @@ def _power(a: Value, b: Value) -> Value:
     return CF(a) ** CF(b)
 
 
-def _less(a: Value, b: Value) -> Value:
+def _less(a: Evaluated, b: Evaluated) -> Evaluated:
     """Indicator that is 1 where a < b, and 0 elsewhere."""
     if isinstance(a, float) and isinstance(b, float):
         return 1.0 if a < b else 0.0

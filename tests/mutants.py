@@ -94,8 +94,8 @@ MUTANTS = [
         ),
         (
             "growth of the plastic strain",
-            "return [-rates.hardening_rate(self.flow, Pi, u) * w.z_tensors",
-            "return [rates.hardening_rate(self.flow, Pi, u) * w.z_tensors",
+            "return [-rates.hardening_rate(self.mechanism, Pi, u) * G",
+            "return [rates.hardening_rate(self.mechanism, Pi, u) * G",
             SIGNS + "test_plastic_strain_grows_by_the_equivalent_rate",
         ),
     ),

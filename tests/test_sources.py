@@ -41,10 +41,20 @@ def test_a_module_is_short_enough_to_be_one_object():
     assert not long
 
 
-def test_a_name_is_that_of_one_class():
+def type_names(path: Path) -> Iterator[str]:
+    """Names of the classes and of the modules' aliases of types; those of variables are in capitals."""
+    for node in ast.walk(tree := ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.ClassDef):
+            yield node.name
+    for node in tree.body:
+        targets = getattr(node, "targets", [getattr(node, "target", None)])
+        if isinstance(node, ast.Assign | ast.AnnAssign):
+            yield from (t.id for t in targets if isinstance(t, ast.Name) and re.match("_?[A-Z]+[a-z]", t.id))
+
+
+def test_a_name_is_that_of_one_class_or_alias():
     places: dict[str, list[str]] = {}
     for path in PACKAGE:
-        for node in ast.parse(path.read_text(encoding="utf-8")).body:
-            if isinstance(node, ast.ClassDef):
-                places.setdefault(node.name, []).append(str(path.relative_to(ROOT)))
+        for name in type_names(path):
+            places.setdefault(name, []).append(str(path.relative_to(ROOT)))
     assert {name: paths for name, paths in places.items() if len(paths) > 1} == {}

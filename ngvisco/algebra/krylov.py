@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-Map = Callable[[np.ndarray], np.ndarray]
+Operator = Callable[[np.ndarray], np.ndarray]
 Products = Callable[[np.ndarray, np.ndarray], np.ndarray]
 """Inner products of n vectors, (n, unknowns), with one vector, as an array (n,)."""
 
@@ -17,7 +17,7 @@ _ORTHOGONAL = 0.5
 
 
 def gmres(
-    operator: Map, right: np.ndarray, *, rtol: float, directions: int, products: Products = np.matmul
+    operator: Operator, right: np.ndarray, *, rtol: float, directions: int, products: Products = np.matmul
 ) -> tuple[np.ndarray, int]:
     """Solve |right - operator(x)| <= ``rtol`` |right| by GMRES.  Return x and the number of directions.
 
@@ -74,9 +74,9 @@ def gmres(
 
 
 def conjugate_gradients(
-    operator: Map,
+    operator: Operator,
     right: np.ndarray,
-    inverse: Map,
+    inverse: Operator,
     product: Callable[[np.ndarray, np.ndarray], float],
     reduction: float,
     iterations: int,

@@ -16,13 +16,12 @@ from ngvisco.case import catalogue
 from ngvisco.case.section import Section, laws, parameters, section, tagged
 from ngvisco.case.values import RegionText
 from ngvisco.errors import ParameterError, Quantity
-from ngvisco.physics.bodies import Body as BodyObject
-from ngvisco.physics.bodies import Where as Place
+from ngvisco.physics.bodies import Body, StartPlace
 from ngvisco.physics.flow_rules import FlowRule
-from ngvisco.physics.heat import Heat as HeatObject
-from ngvisco.physics.material import Material as MaterialObject
+from ngvisco.physics.heat import Heat
+from ngvisco.physics.material import Material
 from ngvisco.physics.materials import Branch, Thermal
-from ngvisco.physics.rheology import Viscosity as ViscosityObject
+from ngvisco.physics.rheology import Viscosity
 from ngvisco.run.refinement import Refinement
 
 _MAX_OUTPUT_TIMES = 100_000
@@ -67,7 +66,7 @@ class Heated(Section):
             raise ParameterError(key, error.value, error.expected) from error
 
 
-Creep = laws(FlowRule, catalogue.FLOW_RULES, catalogue.FLOW_RULE_WRAPPERS)
+CreepSection = laws(FlowRule, catalogue.FLOW_RULES, catalogue.FLOW_RULE_WRAPPERS)
 
 
 def _branches(material: Any) -> dict[Any, Any]:
@@ -77,8 +76,8 @@ def _branches(material: Any) -> dict[Any, Any]:
 
 
 Domain = tagged("geometry", catalogue.GEOMETRIES, Meshed)
-Material = laws(
-    MaterialObject,
+MaterialSection = laws(
+    Material,
     catalogue.MATERIALS,
     catalogue.WRAPPERS,
     has_default=False,
@@ -86,13 +85,15 @@ Material = laws(
     of=_branches,
     without={"Gas": ("expansion",)},
 )
-Load = tagged("kind", catalogue.LOADS)
-Wall = tagged("kind", catalogue.WALLS)
-Shape = tagged("kind", catalogue.SHAPES)
-Viscosity = laws(ViscosityObject, catalogue.VISCOSITIES, catalogue.VISCOSITY_WRAPPERS)
-_MECHANISMS: dict[str, Any] = {"viscosity": Viscosity}
-_MECHANISMS |= {name: section(target) for name, target in catalogue.MECHANISMS.items()} | {"creep": Creep}
-Heat = _MECHANISMS["heat"]
+LoadSection = tagged("kind", catalogue.LOADS)
+WallSection = tagged("kind", catalogue.WALLS)
+ShapeSection = tagged("kind", catalogue.SHAPES)
+ViscositySection = laws(Viscosity, catalogue.VISCOSITIES, catalogue.VISCOSITY_WRAPPERS)
+_MECHANISMS: dict[str, Any] = {"viscosity": ViscositySection}
+_MECHANISMS |= {name: section(target) for name, target in catalogue.MECHANISMS.items()} | {
+    "creep": CreepSection
+}
+HeatSection = _MECHANISMS["heat"]
 Rheology: Any = create_model(
     "Rheology",
     __base__=Section,
@@ -131,23 +132,23 @@ def _form_of_place(value: Any) -> str:
     return "<text>" if isinstance(value, str) else "<shapes>" if isinstance(value, list) else "<shape>"
 
 
-Where = Annotated[
+BodyPlace = Annotated[
     Annotated[RegionText, Tag("<text>")]
-    | Annotated[Shape, Tag("<shape>")]
-    | Annotated[list[Shape], Tag("<shapes>")],
+    | Annotated[ShapeSection, Tag("<shape>")]
+    | Annotated[list[ShapeSection], Tag("<shapes>")],
     Discriminator(_form_of_place),
 ]
 """A body's place: a condition on x, y, z, a shape, or a list of shapes for their union."""
 
 
-Body: Any = section(
-    BodyObject,
+BodySection: Any = section(
+    Body,
     types={
-        Place: Where,
-        MaterialObject: Material,
-        ViscosityObject: Viscosity,
-        FlowRule: Creep,
-        HeatObject: Heat,
+        StartPlace: BodyPlace,
+        Material: MaterialSection,
+        Viscosity: ViscositySection,
+        FlowRule: CreepSection,
+        Heat: HeatSection,
     },
     is_whole=False,
 )
@@ -176,7 +177,7 @@ class VTK(Section):
     """The VTK series."""
 
     enabled: bool = Field(True, description="Whether the VTK series is written")
-    every: Count = Field(10, description="A file every so many steps")
+    every: AtLeastOne = Field(10, description="A file every so many steps")
     interval: Annotated[float | None, Quantity("s", "> 0", 0.1)] = Field(
         None,
         gt=0,
@@ -203,7 +204,7 @@ class Checkpoint(Section):
 class Table(Section):
     """A table over time."""
 
-    every: Count = Field(1, description="A row every so many steps, and at the end")
+    every: AtLeastOne = Field(1, description="A row every so many steps, and at the end")
 
 
 class NamedTable(Table):
@@ -234,7 +235,7 @@ class Line(NamedTable):
         101, ge=2, le=100_000, description="Number of equally spaced points, both ends included"
     )
     fields: Components = Field(None, description=_COMPONENTS)
-    every: Count = Field(10, description="A row every so many steps, and at the end")
+    every: AtLeastOne = Field(10, description="A row every so many steps, and at the end")
 
 
 class Forces(Table):
@@ -277,7 +278,7 @@ class Contour(Table):
     bodies: Annotated[Names | None, Quantity(example=["disc"])] = Field(
         None, description="Names of bodies; default all bodies with a place"
     )
-    every: Count = Field(10, description="Outlines every so many steps, and at the end")
+    every: AtLeastOne = Field(10, description="Outlines every so many steps, and at the end")
 
 
 class Output(Section):
@@ -299,7 +300,7 @@ class Output(Section):
     contours: Contour | None = Field(
         None, description="Lines of fraction 1/2 over time, in contours/: contours.csv, and .vtu for ParaView"
     )
-    log_every: Count = Field(1, description="A line in log.txt every so many steps")
+    log_every: AtLeastOne = Field(1, description="A line in log.txt every so many steps")
     passive: Annotated[list[str], AfterValidator(_check_once), Quantity(example=["reference_map"])] = Field(
         [], description="Further fields to carry along: F_tot, reference_map, creep_strain"
     )
@@ -350,7 +351,7 @@ class CaseSections(Section):
         {}, description="Conditions on the walls, by the walls' names; default Slip"
     )
     rheology: Rheology = Field(Rheology(), description="Dissipative mechanisms, each a table of its own")
-    loads: list[Load] = Field([], description="Forces, each an element of the array")
+    loads: list[LoadSection] = Field([], description="Forces, each an element of the array")
     initial: Initial = Field(Initial(), description="The state at t = 0")
     discretisation: Discretisation = Field(Discretisation(), description="Orders in space")
     solver: Solver = Field(Solver(), description="Method and tolerances of a step's solver")

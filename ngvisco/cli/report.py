@@ -225,7 +225,7 @@ def listing(options: argparse.Namespace) -> int:
     if options.form is not None:
         print(_FORMS[options.form](), end="")
         return 0
-    materials = _by_kind(schema.Material)
+    materials = _by_kind(schema.MaterialSection)
     of_another = {name: materials.pop(name) for name in catalogue.WRAPPERS}
     mechanisms = {name: schema.Rheology.model_fields[name].annotation for name in catalogue.MECHANISMS}
     groups = (
@@ -233,10 +233,10 @@ def listing(options: argparse.Namespace) -> int:
         ("materials: [material] kind =", materials),
         ("materials of another one, [material.material]: [material] kind =", of_another),
         ("mechanisms: [rheology.NAME]", {name: models_in(part)[0] for name, part in mechanisms.items()}),
-        ("flow rules: [rheology.creep] kind =", _by_kind(schema.Creep)),
-        ("viscosities: [rheology.viscosity] kind =", _by_kind(schema.Viscosity)),
-        ("loads: [[loads]] kind =", _by_kind(schema.Load)),
-        ("walls: [walls.NAME] kind =", _by_kind(schema.Wall)),
+        ("flow rules: [rheology.creep] kind =", _by_kind(schema.CreepSection)),
+        ("viscosities: [rheology.viscosity] kind =", _by_kind(schema.ViscositySection)),
+        ("loads: [[loads]] kind =", _by_kind(schema.LoadSection)),
+        ("walls: [walls.NAME] kind =", _by_kind(schema.WallSection)),
     )
     for title, models in groups:
         print(title)

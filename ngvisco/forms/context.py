@@ -35,7 +35,7 @@ from ngvisco.physics.signals import may_read_time, time
 
 __all__ = ["Context", "cell_size", "inner_facets", "time"]
 
-Value = TypeVar("Value")
+Difference = TypeVar("Difference")
 
 
 class Crossing(Protocol):
@@ -160,7 +160,7 @@ class Context:
             stacklevel=2,
         )
 
-    def rate(self, difference: Value) -> Value:
+    def rate(self, difference: Difference) -> Difference:
         """Return difference/tau for a function, number, array or matrix: the only place with 1/tau.
 
         For a number the result is a coefficient function, which follows the step's length.

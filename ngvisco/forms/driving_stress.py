@@ -32,10 +32,10 @@ from ngvisco.forms.rates import Conjugate, Rates, TabulatedRates
 from ngvisco.forms.spaces import Layout
 from ngvisco.physics.arrays import TINY, Array
 from ngvisco.physics.flow_rules.resolvent import PointRate, resolved, slope_of
-from ngvisco.physics.model import Flow
+from ngvisco.physics.model import CreepMechanism
 from ngvisco.physics.pointwise import respond, rest_state
 
-_OfRate: TypeAlias = Callable[[Flow, CoefficientFunction, Fields], CoefficientFunction]
+_OfRate: TypeAlias = Callable[[CreepMechanism, CoefficientFunction, Fields], CoefficientFunction]
 _Sampled: TypeAlias = tuple[np.ndarray, np.ndarray]
 STRESS = "stress_"
 """Prefix of the stresses' names in a checkpoint."""
@@ -43,7 +43,7 @@ STRESS = "stress_"
 
 @dataclass(frozen=True)
 class _State:
-    """An iterate: coefficients of z; z, zeta, M(z), the stress M* and its rate at the nodes."""
+    """An iterate: coefficients of z; z, zeta, M(z), the stress M* and its rate at collocation points."""
 
     key: np.ndarray
     z: np.ndarray
@@ -54,26 +54,27 @@ class _State:
 
 
 class LinearisationStress:
-    """The stresses M* of a step's state for a model with creep at nodes; false if no flow rule needs one.
+    """The stresses M* of a step's state for a model with collocated creep; false if no flow rule needs one.
 
-    Arrays are (flows, points, components); arrays of z and zeta are (components, points).
+    Arrays are (mechanisms, points, components); arrays of z and zeta are (components, points).
     """
 
     def __init__(
         self, rates: TabulatedRates, layout: Layout, quadrature: Quadrature, state: GridFunction
     ) -> None:
         self.rates, self.layout, self.space = rates, layout, rates.creep_space
-        self.flows = tuple(
-            flow for flow in rates.flows if rates.creep_is_collocated and not flow.rule.reads_conjugate
+        self.mechanisms = tuple(
+            each for each in rates.mechanisms if rates.creep_is_collocated and not each.rule.reads_conjugate
         )
         p = self.space.size
         self.stress, self.slope = (
-            {flow: quadrature.vectors(size, at_nodes=True) for flow in self.flows} for size in (p, p * p)
+            {each: quadrature.vectors(size, collocated=True) for each in self.mechanisms}
+            for size in (p, p * p)
         )
-        """Grid functions of M* and S by flow, read by forms."""
-        self._stiffness = np.array([_stiffness(flow, rates) for flow in self.flows]).reshape(-1, 1, 1)
+        """Grid functions of M* and S by mechanism, read by forms."""
+        self._stiffness = np.array([_stiffness(each, rates) for each in self.mechanisms]).reshape(-1, 1, 1)
         self._last: np.ndarray | None = None
-        self._slopes = np.zeros((len(self.flows), 0, p, p))
+        self._slopes = np.zeros((len(self.mechanisms), 0, p, p))
         self._frozen: _State | None = None  # the iterate of the slopes
         self._given: np.ndarray | None = None  # the stresses of the next state
         self.start()
@@ -81,10 +82,10 @@ class LinearisationStress:
         self._increment = GridFunction(layout.space)
         parts = (dict(zip(layout.names, each.components, strict=True)) for each in (state, self._increment))
         self._now, self._along = ([each["z"], each["zeta"]] for each in parts)
-        self._sampled = quadrature.vectors(layout.states.size, at_nodes=True)
+        self._sampled = quadrature.vectors(layout.states.size, collocated=True)
 
     def __bool__(self) -> bool:
-        return bool(self.flows)
+        return bool(self.mechanisms)
 
     def begin(self) -> None:
         """Begin a step at the present state."""
@@ -108,7 +109,7 @@ class LinearisationStress:
     def refresh(self, sampled: Callable[[], _Sampled] | None = None) -> None:
         """Compute the stresses of the present state: from the target of ``follow``, or M(z) with new slopes.
 
-        ``sampled`` returns z and zeta at the nodes.
+        ``sampled`` returns z and zeta at the collocation points.
         """
         if not self:
             return
@@ -157,15 +158,15 @@ class LinearisationStress:
             self.follow_fields(*self._values(self._along), length)
 
     def follow_fields(self, dz: np.ndarray, dzeta: np.ndarray, length: float) -> None:
-        """Compute the target Y after ``length`` times the increments ``dz`` and ``dzeta`` at the nodes."""
+        """Compute the target Y after ``length`` times the increments ``dz`` and ``dzeta`` there."""
         if self:
             at, old, c = self._at, self._frozen, self._softness
             assert at is not None and old is not None
             M, rules = self._driven(old.z + (TINY * 1j) * dz, old.zeta + (TINY * 1j) * dzeta)
             off = at.M + M.imag / TINY - at.stress
             read = _rates(rules, old.stress).imag / TINY
-            through = off + c * (np.einsum("fnij,fnj->fni", self._slopes, off) + read)
-            self._target = at.stress + c * at.rate + length * through
+            increment = off + c * (np.einsum("fnij,fnj->fni", self._slopes, off) + read)
+            self._target = at.stress + c * at.rate + length * increment
 
     def undo(self) -> None:
         """Return to the state before the last increment."""
@@ -199,19 +200,19 @@ class LinearisationStress:
             given = [arrays[name].reshape(self.space.size, -1).T for name in self.functions]
             self._given = np.stack(given)
 
-    def components(self, flow: Flow, u: Fields, rates: Rates) -> Any:
-        """Components of the stress M(z) that drives a flow."""
-        return self.space.components(rates.driving(flow, u))
+    def components(self, mechanism: CreepMechanism, u: Fields, rates: Rates) -> Any:
+        """Components of the stress M(z) that drives a mechanism."""
+        return self.space.components(rates.driving(mechanism, u))
 
-    def of(self, flow: Flow) -> tuple[np.ndarray, np.ndarray]:
-        """The stress of a flow, (p, points), and the slope of its rate, (points, p, p)."""
+    def of(self, mechanism: CreepMechanism) -> tuple[np.ndarray, np.ndarray]:
+        """The stress of a mechanism, (p, points), and the slope of its rate, (points, p, p)."""
         assert self._at is not None
-        number = self.flows.index(flow)
+        number = self.mechanisms.index(mechanism)
         return self._at.stress[number].T, self._slopes[number]
 
     @property
     def _softness(self) -> np.ndarray:
-        """The coefficients c, Pa s, (flows, 1, 1)."""
+        """The coefficients c, Pa s, (mechanisms, 1, 1)."""
         return self._stiffness * self.layout.context.tau.Get()
 
     def _take(self, state: _State) -> None:
@@ -220,18 +221,18 @@ class LinearisationStress:
             values_of(function)[:] = stress.T
 
     def _driven(self, z: np.ndarray, zeta: np.ndarray) -> tuple[np.ndarray, list[PointRate]]:
-        """The stresses M(z) at the nodes, and the flow rules as functions of the stress there."""
+        """The stresses M(z) at the collocation points; the flow rules as functions of the stress there."""
         dim = self.rates.dim
         parts = {"z": Array(z, None), "zeta": Array(zeta, None)}
         u = Fields(self.layout, parts, gradient=lambda name: Array(np.zeros((dim, dim, 1)), None))
-        M = np.stack([self.components(flow, u, self.rates).value.T for flow in self.flows])
-        return M, [self._rule(flow, u) for flow in self.flows]
+        M = np.stack([self.components(each, u, self.rates).value.T for each in self.mechanisms])
+        return M, [self._rule(each, u) for each in self.mechanisms]
 
-    def _rule(self, flow: Flow, u: Fields) -> PointRate:
-        read = self.rates.read_values(flow.rule, u, flow)
+    def _rule(self, mechanism: CreepMechanism, u: Fields) -> PointRate:
+        read = self.rates.read_values(mechanism.rule, u, mechanism)
 
         def rate(M: np.ndarray) -> np.ndarray:
-            Pi = flow.rule.rate(self.space.tensor(Array(M.T, None)), None, read)
+            Pi = mechanism.rule.rate(self.space.tensor(Array(M.T, None)), None, read)
             return np.broadcast_to(self.space.components(Pi).value, M.T.shape).T
 
         return rate
@@ -249,7 +250,7 @@ def _rates(rules: Sequence[PointRate], M: np.ndarray) -> np.ndarray:
 
 
 class KeptRates(Rates):
-    """Rates of a solved state from its stored stresses at the nodes.
+    """Rates of a solved state from its stored stresses at collocation points.
 
     Rounding of z would change M(z), and a steep rule would multiply this change.
     """
@@ -258,15 +259,15 @@ class KeptRates(Rates):
         super().__init__(rates.model, rates.dim, rates.hoop)
         self.stresses = stresses
 
-    def local_creep(self, flow: Flow, u: Fields) -> CoefficientFunction:
-        if flow not in self.stresses.stress:
-            return super().local_creep(flow, u)
-        read = self.read_values(flow.rule, u, flow)
-        return flow.rule.rate(self.stresses.space.tensor(self._stress(flow, u)), None, read)
+    def local_creep(self, mechanism: CreepMechanism, u: Fields) -> CoefficientFunction:
+        if mechanism not in self.stresses.stress:
+            return super().local_creep(mechanism, u)
+        read = self.read_values(mechanism.rule, u, mechanism)
+        return mechanism.rule.rate(self.stresses.space.tensor(self._stress(mechanism, u)), None, read)
 
-    def _stress(self, flow: Flow, u: Fields) -> Any:
+    def _stress(self, mechanism: CreepMechanism, u: Fields) -> Any:
         """The components of the stress at the points of u."""
-        return self.stresses.stress[flow]
+        return self.stresses.stress[mechanism]
 
 
 class LinearisedRates(KeptRates):
@@ -281,34 +282,42 @@ class LinearisedRates(KeptRates):
         self, z: Fields, Pi: Sequence[CoefficientFunction], G: Fields, name: Conjugate
     ) -> Sequence[CoefficientFunction]:
         off = [
-            self._off(flow, z) if flow in self.stresses.stress else 0 * rate
-            for flow, rate in zip(self.flows, Pi, strict=True)
+            self._off(each, z) if each in self.stresses.stress else 0 * rate
+            for each, rate in zip(self.mechanisms, Pi, strict=True)
         ]
         return [*super().creep_power(z, Pi, G, name), *super().creep_power(self._now(z), off, G, name)]
 
-    def power_of_creep(self, flow: Flow, Pi: CoefficientFunction, u: Fields) -> CoefficientFunction:
-        return self._along(super().power_of_creep, flow, Pi, u)
+    def power_of_creep(
+        self, mechanism: CreepMechanism, Pi: CoefficientFunction, u: Fields
+    ) -> CoefficientFunction:
+        return self._along(super().power_of_creep, mechanism, Pi, u)
 
-    def hardening_rate(self, flow: Flow, Pi: CoefficientFunction, u: Fields) -> CoefficientFunction:
-        return self._along(super().hardening_rate, flow, Pi, u)
+    def hardening_rate(
+        self, mechanism: CreepMechanism, Pi: CoefficientFunction, u: Fields
+    ) -> CoefficientFunction:
+        return self._along(super().hardening_rate, mechanism, Pi, u)
 
-    def _along(self, of: _OfRate, flow: Flow, Pi: CoefficientFunction, u: Fields) -> CoefficientFunction:
+    def _along(
+        self, of: _OfRate, mechanism: CreepMechanism, Pi: CoefficientFunction, u: Fields
+    ) -> CoefficientFunction:
         """The function ``of`` Pi plus its derivative in the direction of the rate's correction."""
         now = self._now(u)
-        if flow not in self.stresses.stress or u is now:
-            return of(flow, Pi, u)
-        return of(flow, Pi, u) + self._derivative(lambda rate: of(flow, rate, now), Pi, self._off(flow, u))
+        if mechanism not in self.stresses.stress or u is now:
+            return of(mechanism, Pi, u)
+        return of(mechanism, Pi, u) + self._derivative(
+            lambda rate: of(mechanism, rate, now), Pi, self._off(mechanism, u)
+        )
 
     def _now(self, u: Fields) -> Fields:
         """The fields of the iterate."""
         assert self._iterate is not None
         return self._iterate
 
-    def _off(self, flow: Flow, u: Fields) -> CoefficientFunction:
+    def _off(self, mechanism: CreepMechanism, u: Fields) -> CoefficientFunction:
         """The linearised correction S (M(z) - M*) of the rate."""
         kept, p = self.stresses, self.stresses.space.size
-        off = kept.components(flow, u, self) - kept.stress[flow]
-        return kept.space.tensor(kept.slope[flow].Reshape((p, p)) * off)
+        off = kept.components(mechanism, u, self) - kept.stress[mechanism]
+        return kept.space.tensor(kept.slope[mechanism].Reshape((p, p)) * off)
 
     @staticmethod
     def _derivative(of: Callable[[Any], Any], Pi: Any, off: Any) -> Any:
@@ -318,10 +327,10 @@ class LinearisedRates(KeptRates):
 
 
 class LinearisedTabulatedRates(LinearisedRates, TabulatedRates):
-    """Linearised rates by arrays, in one or several directions of an increment at each node."""
+    """Linearised rates by arrays, in one or several directions of an increment at each collocation point."""
 
-    def _stress(self, flow: Flow, u: Fields) -> Array:
-        stress, _ = self.stresses.of(flow)
+    def _stress(self, mechanism: CreepMechanism, u: Fields) -> Array:
+        stress, _ = self.stresses.of(mechanism)
         return Array(np.tile(stress, u.z.value.shape[-1] // max(stress.shape[1], 1)), None)
 
     def _now(self, u: Fields) -> Fields:
@@ -329,9 +338,9 @@ class LinearisedTabulatedRates(LinearisedRates, TabulatedRates):
         parts = {name: Array(u.parts[name].value.real, None) for name in ("z", "zeta")}
         return Fields(u.layout, parts, u.context, lambda name: Array(u.gradient(name).value.real, None))
 
-    def _off(self, flow: Flow, u: Fields) -> Array:
-        stress, slope = self.stresses.of(flow)
-        M = self.stresses.components(flow, u, self).value
+    def _off(self, mechanism: CreepMechanism, u: Fields) -> Array:
+        stress, slope = self.stresses.of(mechanism)
+        M = self.stresses.components(mechanism, u, self).value
         off = M.reshape(len(stress), -1, max(stress.shape[1], 1)) - stress[:, None]
         changed = np.einsum("nij,jtn->itn", slope, off, optimize=True)
         return self.stresses.space.tensor(Array(changed.reshape(M.shape), None))
@@ -345,11 +354,11 @@ class LinearisedTabulatedRates(LinearisedRates, TabulatedRates):
         return Array(found[0] + 1j * found[1] if len(found) > 1 else found[0], None)
 
 
-def _stiffness(flow: Flow, rates: TabulatedRates) -> float:
+def _stiffness(mechanism: CreepMechanism, rates: TabulatedRates) -> float:
     """Stress per creep strain at rest, Pa, the mean over the components."""
     rest = rest_state(rates.material, rates.dim)[None]
     response, first = respond(rates.material, rates.dim)(rest), rates.tensors.gradients
-    first += rates.creep_space.size * rates.flows.index(flow)
+    first += rates.creep_space.size * rates.mechanisms.index(mechanism)
     own = slice(first, first + rates.creep_space.size)
     columns = rates.columns(rest.T)[0]
     _, of_stress = rates.slopes(rest.T, np.zeros((columns.shape[1], 1)), response.slope.T)

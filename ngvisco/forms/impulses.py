@@ -115,7 +115,7 @@ class Impulses:
                     spin = CF(tuple(e[i].Diff(place) for i in range(dim) for place in (x, y, z)[:dim]))
                     tests = self._tests(e, spin.Reshape((dim, dim)) if motion.startswith("torque") else None)
                     for name, parts in _groups(term, self.step.now, tests).items():
-                        if rows := [p for p in parts if not (_is_zero(p.cells) and _is_zero(p.nodes))]:
+                        if rows := [p for p in parts if not (_is_zero(p.cells) and _is_zero(p.collocated))]:
                             found.setdefault(name, _Rows()).cells.setdefault(motion, []).extend(rows)
         return found
 
@@ -150,9 +150,13 @@ class Impulses:
         entries = {}
         for name, rows in self._groups.items():
             for motion, parts in rows.cells.items():
-                cells, nodes = (
+                integrands = (
                     [value for part in parts if (value := getattr(part, place)) is not None]
-                    for place in ("cells", "nodes")
+                    for place in ("cells", "collocated")
+                )
+                sums = (reduce(add, each) if each else None for each in integrands)
+                entries[f"{name}.{motion}"] = Entry(
+                    name, "monitor", Integrand(next(sums), collocated=next(sums))
                 )
                 sums = (reduce(add, each) if each else None for each in (cells, nodes))
                 entries[f"{name}.{motion}"] = Entry(name, "monitor", Integrand(next(sums), nodes=next(sums)))
@@ -161,13 +165,13 @@ class Impulses:
     @cached_property
     def _on_facets(self) -> dict[str, LinearForm]:
         step, walls = self.step, self.step.walls
-        u, through = step.now, self._space.TestFunction() * step.context.normal
+        u, normal_test = step.now, self._space.TestFunction() * step.context.normal
         facets = {name: rows.facets for name, rows in self._groups.items() if rows.facets}
         phi = _where_it_is(step.energy.anywhere(u))
-        facets[_THRUST] = [(_thrust(u, phi) * through, None)]
+        facets[_THRUST] = [(_thrust(u, phi) * normal_test, None)]
         if closed := [name for name in walls.conditions if name not in walls.crossed]:
             at_walls = facet_indicator(step.mesh, closed) * beside_the_stress(u, phi)
-            facets[_PRESSED] = [(at_walls * through, closed)]
+            facets[_PRESSED] = [(at_walls * normal_test, closed)]
         forms = {}
         for name, integrands in facets.items():
             forms[name] = LinearForm(self._space)

@@ -183,7 +183,7 @@ class WallProjection:
         multiplier = layout.blocks["wall_stress"]
         self._given = LinearForm(multiplier)
         for piston in term.pistons:
-            self._given += quadrature.facets(piston.through(multiplier.TestFunction()))
+            self._given += quadrature.facets(piston.prescribed(multiplier.TestFunction()))
         self._of = {
             piston.name: np.array(
                 [number for one in piston.region.Elements() for number in multiplier.GetDofNrs(one)],
@@ -233,23 +233,23 @@ class WallProjection:
         """Apply the transposed projection to rows of free coefficients."""
         return rows - self._root * self._taken(self._constraint @ (rows / self._root**2))
 
-    def _through(self, v: np.ndarray) -> np.ndarray:
+    def _normal_velocity(self, v: np.ndarray) -> np.ndarray:
         """Values (v . n, mu) for all coefficients of v, (multipliers,)."""
-        through: np.ndarray = self._constraint @ v[self.free] + self._prescribed @ v[~self.free]
-        return through
+        result: np.ndarray = self._constraint @ v[self.free] + self._prescribed @ v[~self.free]
+        return result
 
     def completed(self, v: np.ndarray) -> np.ndarray:
         """Free coefficients of v, corrected so that the walls admit them with the prescribed ones."""
-        through = self._through(v)
+        rows = self._normal_velocity(v)
         if self._of:  # subtract the pistons' v.n at the present time
-            through -= self._given.Assemble().vec.FV().NumPy()
-        return v[self.free] - self._taken(through) / self._root
+            rows -= self._given.Assemble().vec.FV().NumPy()
+        return v[self.free] - self._taken(rows) / self._root
 
     def works(self, rows: np.ndarray, v: np.ndarray) -> dict[str, float]:
         """Work on v of each piston's impulses, given in rows of free coefficients, by walls, J."""
         count, shares = len(self._shared), self._constraint @ (rows / self._root**2)
         found = self._solver(np.concatenate([np.zeros(count), shares / self._length]))
-        each = found[count:] / self._length * self._through(v)
+        each = found[count:] / self._length * self._normal_velocity(v)
         return {name: float(each[of].sum()) for name, of in self._of.items()}
 
 

@@ -21,7 +21,7 @@ from ngvisco.physics.flow_rules.rule import FlowRule
 from ngvisco.physics.material import StateSpace, mandel_stress, rate_power
 from ngvisco.physics.materials.thermal import temperature
 from ngvisco.physics.mixed_viscosity import MixedViscosity
-from ngvisco.physics.model import Flow, Model
+from ngvisco.physics.model import CreepMechanism, Model
 from ngvisco.physics.pointwise import ArrayResponse, respond
 from ngvisco.physics.rate_tensors import RateTensors
 from ngvisco.physics.rheology import Viscosity
@@ -47,11 +47,11 @@ class Rates:
     def __init__(self, model: Model, dim: int, hoop: bool = False) -> None:
         """With ``hoop``, in a body of revolution, L has an entry 33."""
         self.model, self.material, self.dim, self.hoop = model, model.material, dim, hoop
-        self.flows = model.flows
+        self.mechanisms = model.mechanisms
         """The flow rules with the variables that they relax."""
-        self.is_local = all(flow.rule.is_local for flow in self.flows)
+        self.is_local = all(each.rule.is_local for each in self.mechanisms)
         """Whether all flow rules give the rate as a function of the values at the point."""
-        self._has_trace = any(flow.rule.has_trace for flow in self.flows)
+        self._has_trace = any(each.rule.has_trace for each in self.mechanisms)
 
     def power(self, z: Fields, along: Fields, G: Fields, name: Conjugate) -> Sequence[CoefficientFunction]:
         """Summands of rate(z; grad w, 0) : G, w the velocity of ``along``, G the part ``name`` of ``G``.
@@ -75,7 +75,7 @@ class Rates:
         stress constant tensors do not give.
         """
         turns = {variable.name for variable in self.material.variables if variable.kind == "full"}
-        asked = any(f.rule.degree != 1 or turns.intersection(f.names) for f in self.flows)
+        asked = any(f.rule.degree != 1 or turns.intersection(f.names) for f in self.mechanisms)
         return self.is_local and asked and not self.constants.nonlinear_variables
 
     @cached_property
@@ -86,46 +86,50 @@ class Rates:
     def creep_power(
         self, z: Fields, Pi: Sequence[CoefficientFunction], G: Fields, name: Conjugate
     ) -> Sequence[CoefficientFunction]:
-        """Summands of rate(z; 0, Pi) : G, one Pi, 3x3, per flow; at L = 0 a rate has no affine part."""
+        """Summands of rate(z; 0, Pi) : G, one Pi, 3x3, per mechanism; at L = 0 a rate has no affine part."""
         tensors = _tensors(G, name)
         return [
             inner(self.material.rate(variable, z.z_tensors, 0 * rate, rate), tensors[variable.name])
-            for flow, rate in zip(self.flows, Pi, strict=True)
+            for each, rate in zip(self.mechanisms, Pi, strict=True)
             for variable in self.material.variables
-            if variable.name in flow.names
+            if variable.name in each.names
         ]
 
-    def mandel(self, u: Fields, flow: Flow | None = None) -> CoefficientFunction:
-        """Mandel stress of the projected conjugates, 3x3, Pa, of a flow's variables, or of all variables."""
-        names = None if flow is None else flow.names
+    def mandel(self, u: Fields, mechanism: CreepMechanism | None = None) -> CoefficientFunction:
+        """Mandel stress of the projected conjugates, 3x3, Pa, of the variables of a mechanism, or of all."""
+        names = None if mechanism is None else mechanism.names
         return mandel_stress(self.material, u.z_tensors, u.zeta_tensors, self.dim, names)
 
     def creep(self, u: Fields) -> list[CoefficientFunction]:
-        """Rate Pi of every flow, 3x3, 1/s: from a local rule, or the unknown Pi."""
-        return [self.local_creep(flow, u) if flow.rule.is_local else u.Pi for flow in self.flows]
+        """Rate Pi of every mechanism, 3x3, 1/s: from a local rule, or the unknown Pi."""
+        return [self.local_creep(each, u) if each.rule.is_local else u.Pi for each in self.mechanisms]
 
     def mean_creep(self, u: Fields) -> dict[str, CoefficientFunction]:
         """Mean creep rate sum theta_i Pi_i over the bodies, or Pi, 3x3, 1/s, by the suffix of the branch."""
         found: dict[str, CoefficientFunction] = {}
-        for flow, Pi in zip(self.flows, self.creep(u), strict=True):
-            part, known = flow.share(u.z_tensors) * Pi, found.get(flow.suffix)
-            found[flow.suffix] = part if known is None else known + part
+        for mechanism, Pi in zip(self.mechanisms, self.creep(u), strict=True):
+            part, known = mechanism.share(u.z_tensors) * Pi, found.get(mechanism.suffix)
+            found[mechanism.suffix] = part if known is None else known + part
         return found
 
-    def local_creep(self, flow: Flow, u: Fields) -> CoefficientFunction:
-        """Rate Pi of a flow from the values at the point, 3x3, 1/s."""
-        zeta = None if flow.conformation is None else u.zeta_tensors[flow.conformation]
-        return flow.rule.rate(self.driving(flow, u), zeta, self.read_values(flow.rule, u, flow))
+    def local_creep(self, mechanism: CreepMechanism, u: Fields) -> CoefficientFunction:
+        """Rate Pi of a mechanism from the values at the point, 3x3, 1/s."""
+        zeta = None if mechanism.conformation is None else u.zeta_tensors[mechanism.conformation]
+        return mechanism.rule.rate(
+            self.driving(mechanism, u), zeta, self.read_values(mechanism.rule, u, mechanism)
+        )
 
-    def driving(self, flow: Flow, u: Fields) -> CoefficientFunction:
-        """Mandel stress that drives a flow, per volume of the flow's body, 3x3, Pa."""
-        M = self.mandel(u, flow)
-        return M if flow.body is None else (1 / flow.share(u.z_tensors)) * M
+    def driving(self, mechanism: CreepMechanism, u: Fields) -> CoefficientFunction:
+        """Mandel stress that drives a mechanism, per volume of its body, 3x3, Pa."""
+        M = self.mandel(u, mechanism)
+        return M if mechanism.body is None else (1 / mechanism.share(u.z_tensors)) * M
 
-    def read_values(self, law: FlowRule | Viscosity, u: Fields, flow: Flow | None = None) -> Values:
+    def read_values(
+        self, law: FlowRule | Viscosity, u: Fields, mechanism: CreepMechanism | None = None
+    ) -> Values:
         """Values that a law may read: z, and the pressure and other quantities in ``law.reads``.
 
-        ``flow`` is the flow of a rule that may harden.
+        ``mechanism`` is that of a rule that may harden.
         """
         found = {**u.z_tensors}
         if PRESSURE in law.reads:
@@ -134,10 +138,10 @@ class Rates:
             found[INTERFACE] = self._interface(law, u.context.old)
         if TEMPERATURE in law.reads:  # from the projected conjugates, K
             found[TEMPERATURE] = temperature(self.material, u.zeta_tensors)
-        if CONFORMATION in law.reads and flow is not None and flow.conformation is not None:
-            found[CONFORMATION] = u.z_tensors[flow.conformation]
-        if HARDENING in law.reads and flow is not None:  # A phi_h'(k), Pa, per volume of the body
-            found[HARDENING] = flow.matter(u.z_tensors) * u.zeta_tensors[flow.plastic_content.name]
+        if CONFORMATION in law.reads and mechanism is not None and mechanism.conformation is not None:
+            found[CONFORMATION] = u.z_tensors[mechanism.conformation]
+        if HARDENING in law.reads and mechanism is not None:  # A phi_h'(k), Pa, per volume of the body
+            found[HARDENING] = mechanism.matter(u.z_tensors) * u.zeta_tensors[mechanism.plastic_content.name]
         return found
 
     def _interface(self, law: MixedViscosity, old: Fields) -> CoefficientFunction:
@@ -161,9 +165,11 @@ class Rates:
         power = rate_power(self.material, u.z_tensors, u.zeta_tensors, identity, zero)
         return (-1 / 3) * power - self.stored(u)
 
-    def hardening_rate(self, flow: Flow, Pi: CoefficientFunction, u: Fields) -> CoefficientFunction:
-        """Growth rate of the flow's plastic content K at the creep rate Pi, 1/s."""
-        return flow.amount(u.z_tensors) * flow.rule.hardening_rate(Pi)
+    def hardening_rate(
+        self, mechanism: CreepMechanism, Pi: CoefficientFunction, u: Fields
+    ) -> CoefficientFunction:
+        """Growth rate of the mechanism's plastic content K at the creep rate Pi, 1/s."""
+        return mechanism.amount(u.z_tensors) * mechanism.rule.hardening_rate(Pi)
 
     def stored(self, u: Fields) -> CoefficientFunction:
         """phi(z), Pa."""
@@ -180,26 +186,30 @@ class Rates:
     def dissipation(self, u: Fields) -> dict[str, CoefficientFunction]:
         """Power of creep, W/m^3, without the gradient term, summed over bodies, by the branch's suffix."""
         found: dict[str, CoefficientFunction] = {}
-        for flow, power in zip(self.flows, self.powers_of_creep(u), strict=True):
-            known = found.get(flow.suffix)
-            found[flow.suffix] = power if known is None else known + power
+        for mechanism, power in zip(self.mechanisms, self.powers_of_creep(u), strict=True):
+            known = found.get(mechanism.suffix)
+            found[mechanism.suffix] = power if known is None else known + power
         return found
 
     def powers_of_creep(self, u: Fields) -> list[CoefficientFunction]:
-        """Power of creep of every flow, W/m^3."""
-        return [self.power_of_creep(flow, Pi, u) for flow, Pi in zip(self.flows, self.creep(u), strict=True)]
+        """Power of creep of every mechanism, W/m^3."""
+        return [
+            self.power_of_creep(each, Pi, u) for each, Pi in zip(self.mechanisms, self.creep(u), strict=True)
+        ]
 
-    def power_of_creep(self, flow: Flow, Pi: CoefficientFunction, u: Fields) -> CoefficientFunction:
-        """Power of one flow with the rate Pi, W/m^3, without the power that hardening stores."""
-        if not flow.rule.is_local:
-            power = inner(flow.rule.force(Pi, self.read_values(flow.rule, u, flow)), Pi)
-        elif flow.rule.has_trace:
-            power = -rate_power(self.material, u.z_tensors, u.zeta_tensors, 0 * Pi, Pi, flow.names)
+    def power_of_creep(
+        self, mechanism: CreepMechanism, Pi: CoefficientFunction, u: Fields
+    ) -> CoefficientFunction:
+        """Power of one mechanism with the rate Pi, W/m^3, without the power that hardening stores."""
+        if not mechanism.rule.is_local:
+            power = inner(mechanism.rule.force(Pi, self.read_values(mechanism.rule, u, mechanism)), Pi)
+        elif mechanism.rule.has_trace:
+            power = -rate_power(self.material, u.z_tensors, u.zeta_tensors, 0 * Pi, Pi, mechanism.names)
         else:
-            power = inner(Pi, self.mandel(u, flow))
-        if flow.rule.hardening is None:
+            power = inner(Pi, self.mandel(u, mechanism))
+        if mechanism.rule.hardening is None:
             return power
-        return power - u.zeta_tensors[flow.plastic_content.name] * self.hardening_rate(flow, Pi, u)
+        return power - u.zeta_tensors[mechanism.plastic_content.name] * self.hardening_rate(mechanism, Pi, u)
 
 
 def _tensors(G: Fields, name: Conjugate) -> Values:
@@ -221,8 +231,8 @@ class TabulatedRates(Rates):
         """Space of the tensors Pi and of their driving forces."""
         self.tensors, variables = self.constants, tuple(model.material.variables)
         creeping = tuple(v.name for v in variables if v.creeps)
-        if any(flow.names != creeping for flow in self.flows):
-            names = (flow.names for flow in self.flows)
+        if any(each.names != creeping for each in self.mechanisms):
+            names = (each.names for each in self.mechanisms)
             self.tensors = self.tensors.by_groups(tuple(names), StateSpace.of(variables, dim))
         self._states = states = model.material.states(dim)
         found = respond(model.material, dim)
@@ -300,14 +310,14 @@ class TabulatedRates(Rates):
         return entries if along.hoop is None else np.concatenate([entries, along.hoop.value[None]])
 
     def creep_power(self, z: Fields, Pi: Sequence[Array], G: Fields, name: Conjugate) -> Sequence[Linear]:
-        """Product rate(z; 0, Pi) : G, with a test G and one Pi per flow."""
+        """Product rate(z; 0, Pi) : G, with a test G and one Pi per mechanism."""
         rate = self.rate(z, self._components(Pi), self.tensors.gradients)
         return [G.parts[name].InnerProduct(Array(rate, None))]
 
-    def mandel(self, u: Fields, flow: Flow | None = None) -> Array:
-        """Mandel stress of the projected conjugates, 3x3, Pa, of a flow, by default of the first."""
+    def mandel(self, u: Fields, mechanism: CreepMechanism | None = None) -> Array:
+        """Mandel stress of the projected conjugates, 3x3, Pa, of a mechanism, by default of the first."""
         size = self.creep_space.size
-        first = self.tensors.gradients + size * (0 if flow is None else self.flows.index(flow))
+        first = self.tensors.gradients + size * (0 if mechanism is None else self.mechanisms.index(mechanism))
         M = Array(self.stress(u, u.zeta.value, first, first + size), None)
         tensor = -self.creep_space.tensor(M)
         return dev(tensor) if self._has_trace else tensor
@@ -325,7 +335,7 @@ class TabulatedRates(Rates):
     stored_near = stored_on_sides = stored
 
     def creep_components(self, u: Fields) -> np.ndarray:
-        """Components of the rates Pi of all local rules, (flows p, points)."""
+        """Components of the rates Pi of all local rules, (mechanisms p, points)."""
         return self._components(self.creep(u))
 
     def _components(self, Pi: Sequence[Array]) -> np.ndarray:

@@ -50,7 +50,7 @@ from ngsolve import (
 from ngvisco.errors import ParameterError, Quantity, require_fields
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.mesh.symmetry import NO_SYMMETRY, Symmetry
-from ngvisco.forms.term import Introducing, Place, Setting, Unknown
+from ngvisco.forms.term import Introducing, Setting, SpaceKind, Unknown
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.mesh import MeshPart
 from ngvisco.physics.material import Material, StateSpace
@@ -161,7 +161,7 @@ class Layout:
         """Names of the further terms' evolving unknowns, all except the paper's v, rho and z."""
         return tuple(name for name in self.evolving if name not in ("v", "rho", "z"))
 
-    def names_of(self, *places: Place) -> list[str]:
+    def names_of(self, *places: SpaceKind) -> list[str]:
         """Names of the unknowns at these places, in their order."""
         return [name for name in self.names if self.unknowns[name].place in places]
 

@@ -192,7 +192,7 @@ def equations(model: Model, dim: int, m: int = 1) -> tuple[Term, ...]:
     terms.append(Upwinding(tangents))
     if model.creep is not None and not model.creep.is_local:
         terms.append(CreepRate(model.creep))
-    terms += [PlasticStraining(flow) for flow in model.flows if flow.rule.hardening is not None]
+    terms += [PlasticStraining(each) for each in model.mechanisms if each.rule.hardening is not None]
     return (*terms, *regularising_terms(model, dim))
 
 

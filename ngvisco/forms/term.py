@@ -29,7 +29,7 @@ from ngvisco.forms.mesh.integrand import Integrand
 from ngvisco.physics.material import StateSpace
 from ngvisco.physics.tensors import inner
 
-Place = Literal["velocity", "cells", "facets", "normals", "continuous", "walls"]
+SpaceKind = Literal["velocity", "cells", "facets", "normals", "continuous", "walls"]
 
 _IN_CELLS = ("velocity", "cells", "continuous")
 
@@ -71,7 +71,7 @@ class Unknown:
     """
 
     name: str
-    place: Place
+    place: SpaceKind
     order: int = 0
     size: int | None = None
     trace_of: str | None = None
@@ -163,18 +163,21 @@ class Term(Protocol):
     def entries(self, u: Fields) -> list[Entry]: ...
 
 
-Where: TypeAlias = Literal["cells", "facets", "nodes"]
-PLACES: tuple[Where, ...] = ("cells", "facets", "nodes")
+PointRule: TypeAlias = Literal["cells", "facets", "collocated"]
+PLACES: tuple[PointRule, ...] = ("cells", "facets", "collocated")
 """The places of integration, as ``Integrand`` names them."""
 
 Coupling = Literal["local", "facet", "flow"]
 Kernel = Literal["facet means", "cell means", "conjugates", "density", "diffusion", "hyperviscosity"]
 
 
+_RENAMED = {"nodes": "collocated", "dissipated_at_nodes": "dissipated_collocated"}
+
+
 class PointTerm:
     """A term that is a function of the values at a point; see the module's docstring.
 
-    Derived classes override ``cells``, ``facets`` or ``nodes``, and ``entries`` if the term has a power.
+    Derived classes override ``cells``, ``facets`` or ``collocated``, and ``entries`` if the term has a power.
 
     Attributes
     ----------
@@ -212,6 +215,9 @@ class PointTerm:
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
         own = vars(cls)
+        for before, now in _RENAMED.items():
+            if before in own:
+                raise ParameterError(f"{cls.__name__}.{before}", "a method of this name", f"the name {now}")
         if not {*PLACES, "form"}.isdisjoint(own):
             cls.kernel = own.get("kernel")
         if "form" in own:
@@ -230,8 +236,8 @@ class PointTerm:
         """Summands to be integrated over the boundaries of all cells, both sides of an inner facet."""
         return []
 
-    def nodes(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
-        """Summands to be integrated over the cells by the nodal rule: one point per field coefficient."""
+    def collocated(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
+        """Summands to be integrated over the cells by the collocated rule: one point per coefficient."""
         return []
 
     def entering_mass(self, u: Fields) -> CoefficientFunction | None:
@@ -239,10 +245,10 @@ class PointTerm:
         return None
 
     def form(self, u: Fields, w: Fields) -> list[Integrand]:
-        """The summands of ``cells``, ``facets`` and ``nodes`` as integrands of NGSolve."""
+        """The summands of ``cells``, ``facets`` and ``collocated`` as integrands of NGSolve."""
         cells = [Integrand(part) for part in self.cells(u, w)]
-        nodes = [Integrand(nodes=part) for part in self.nodes(u, w)]
-        return cells + [Integrand(facets=part) for part in self.facets(u, w)] + nodes
+        collocated = [Integrand(collocated=part) for part in self.collocated(u, w)]
+        return cells + [Integrand(facets=part) for part in self.facets(u, w)] + collocated
 
     def dissipated(self, u: Fields) -> dict[str, CoefficientFunction]:
         """Dissipation in cells, W/m^3, by the ledger's names."""
@@ -252,8 +258,8 @@ class PointTerm:
         """Dissipation on the boundaries of all cells, W/m^2, by the ledger's names."""
         return {}
 
-    def dissipated_at_nodes(self, u: Fields) -> dict[str, CoefficientFunction]:
-        """Dissipation integrated at the nodal points, W/m^3, by the ledger's names."""
+    def dissipated_collocated(self, u: Fields) -> dict[str, CoefficientFunction]:
+        """Dissipation integrated by the collocated rule, W/m^3, by the ledger's names."""
         return {}
 
     def entries(self, u: Fields) -> list[Entry]:
@@ -302,16 +308,16 @@ class CellMean(PointTerm):
         return [(self.name, load)]
 
 
-DISSIPATED: dict[Where, Callable[[PointTerm, Fields], dict[str, CoefficientFunction]]] = {
+DISSIPATED: dict[PointRule, Callable[[PointTerm, Fields], dict[str, CoefficientFunction]]] = {
     "cells": lambda term, u: term.dissipated(u),
     "facets": lambda term, u: term.dissipated_on_facets(u),
-    "nodes": lambda term, u: term.dissipated_at_nodes(u),
+    "collocated": lambda term, u: term.dissipated_collocated(u),
 }
 
 
-def dissipations(u: Fields, reader: Term, where: Where = "cells") -> dict[str, CoefficientFunction]:
-    """Dissipation of all terms but ``reader`` in cells or at nodes, W/m^3, or on facets, W/m^2, by the
-    ledger's names.
+def dissipations(u: Fields, reader: Term, where: PointRule = "cells") -> dict[str, CoefficientFunction]:
+    """Dissipation of all terms but ``reader`` by the ledger's names, W/m^3 in cells or at collocation points,
+    W/m^2 on facets.
 
     ``reader`` is a term that turns dissipation into something else, such as heat.
     """

@@ -48,7 +48,7 @@ _ROUNDING = 4e-16
 _SHARE = 1.0 / 64  # of the interval: a shorter panel has the tolerance of this length
 _POINTS = 128  # points of space at which a function is evaluated, on each rank
 
-Values = Callable[[float], np.ndarray]
+TimeFunction = Callable[[float], np.ndarray]
 """Values of a function at this rank's points, at a time, s."""
 
 
@@ -70,16 +70,16 @@ class Rule:
         factors = 1 + 12 * tilt * ((self.times - begin) / length - 0.5)
         return Rule(self.times, self.weights * factors, self.error * (1 + 6 * abs(tilt)))
 
-    def mean(self, values: Values) -> np.ndarray:
+    def mean(self, values: TimeFunction) -> np.ndarray:
         """The weighted sum of the values."""
         return sum(w * values(float(t)) for t, w in zip(self.times, self.weights, strict=True))
 
 
 def rule(
-    values: Values,
+    values: TimeFunction,
     begin: float,
     length: float,
-    conditions: Sequence[Values] = (),
+    conditions: Sequence[TimeFunction] = (),
     knots: Sequence[np.ndarray] = (),
     ranks: Communicator | None = None,
 ) -> Rule:
@@ -107,11 +107,11 @@ is the difference of the halves' sum from the integral over the whole; a heap ha
 class _RuleSearch:
     """A search for a rule, in s = (t - begin)/length."""
 
-    def __init__(self, values: Values, begin: float, length: float, ranks: Communicator) -> None:
+    def __init__(self, values: TimeFunction, begin: float, length: float, ranks: Communicator) -> None:
         self.values, self.begin, self.length, self.ranks = values, begin, length, ranks
         self.largest, self.left = 0.0, _HALVINGS
 
-    def found(self, conditions: Sequence[Values], knots: Sequence[np.ndarray]) -> Rule:
+    def found(self, conditions: Sequence[TimeFunction], knots: Sequence[np.ndarray]) -> Rule:
         breaks = {float((t - self.begin) / self.length) for of_table in knots for t in of_table}
         for condition in conditions:
             breaks |= self._changes(condition)
@@ -128,7 +128,7 @@ class _RuleSearch:
         error = self._size(sum(off for _, off in found[1:]) + found[0][1])
         return Rule(self.begin + self.length * times, weights, error)
 
-    def _at(self, values: Values, s: float) -> np.ndarray:
+    def _at(self, values: TimeFunction, s: float) -> np.ndarray:
         return np.asarray(values(self.begin + self.length * s), dtype=float)
 
     def _integral(self, a: float, b: float) -> np.ndarray:
@@ -175,7 +175,7 @@ class _RuleSearch:
         size = self.ranks.most(float(np.abs(values).max(initial=0.0)))
         return size / self.largest if self.largest else 0.0
 
-    def _changes(self, condition: Values) -> set[float]:
+    def _changes(self, condition: TimeFunction) -> set[float]:
         """Places s at which a condition changes its sign at all points at once, to rounding.
 
         A moving front breaks at another time at each point: halving of panels resolves it.
@@ -250,7 +250,7 @@ class TimeMean:
             time.Set(present)
         return found.error
 
-    def _at_points(self, function: CoefficientFunction) -> Values:
+    def _at_points(self, function: CoefficientFunction) -> TimeFunction:
         def values(t: float) -> np.ndarray:
             time.Set(t)
             return np.asarray(function(self._points)) if len(self._points) else np.zeros(0)

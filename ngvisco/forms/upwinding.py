@@ -28,8 +28,8 @@ def mean_share(inner: CoefficientFunction) -> CoefficientFunction:
 
 def speed(u: Fields) -> CoefficientFunction:
     """Speed |v . n| on facets that matter crosses, 0 on all others, m/s."""
-    through = u.context.crossed * (u.v * u.context.normal)
-    return if_positive(through, through, -through)
+    v_n = u.context.crossed * (u.v * u.context.normal)
+    return if_positive(v_n, v_n, -v_n)
 
 
 _ACROSS = (0.8125, 0.4875, 0.3195)

@@ -247,7 +247,7 @@ class Linear(_Node):
     """
 
     def __init__(
-        self, shape: tuple[int, ...], parents: Sequence[tuple[Linear, Any]] = (), slot: str | None = None
+        self, shape: tuple[int, ...], parents: Sequence[tuple[Linear, Any]] = (), test: str | None = None
     ) -> None:
         """``slot`` is the name of a test function; ``parents`` are as for ``Array``."""
         self.shape, self.parents, self.slot, self.number = shape, parents, slot, next(_number)
@@ -337,11 +337,11 @@ def _entries(numbers: bytes, width: int) -> list[tuple[int, int, float]]:
     return [(int(i), int(j), float(matrix[i, j])) for i, j in np.argwhere(matrix)]
 
 
-def slots(form: Linear) -> dict[str, np.ndarray]:
+def factors_of_tests(form: Linear) -> dict[str, np.ndarray]:
     """The factors of the test functions in a scalar linear form, by the functions' names."""
     if form.shape:
         raise TypeError("an integrand is a scalar")
-    return {node.slot: g for node, g in _backwards(form, np.ones(1)) if node.slot is not None}
+    return {node.test: g for node, g in _backwards(form, np.ones(1)) if node.test is not None}
 
 
 def derivatives(result: Array, arguments: Sequence[Array]) -> list[np.ndarray]:

@@ -21,7 +21,7 @@ from ngvisco.physics.material import Material, part_of
 from ngvisco.physics.materials.network import Network
 from ngvisco.physics.rheology import Viscosity
 from ngvisco.physics.tensors import Tensor, if_positive, sqrt, tr
-from ngvisco.physics.variables import Frame, Values, Variable
+from ngvisco.physics.variables import CreepFrame, Values, Variable
 
 TRACE = 1e-3
 """The amount of a body at rest that is added where the body is absent, over the amount of all matter."""
@@ -48,7 +48,7 @@ class Region(Protocol):
         """The fraction, in [0, 1], of a point's surroundings that lies inside."""
 
 
-Where: TypeAlias = Tensor | Region
+StartPlace: TypeAlias = Tensor | Region
 """A function of x, y, z that is > 0 inside, or a shape."""
 
 
@@ -103,7 +103,7 @@ class Content(Variable):
         return self.tensor.positive(value)
 
     @property
-    def frame(self) -> Frame | None:
+    def frame(self) -> CreepFrame | None:
         return self.tensor.frame
 
     def turned(self, value: Tensor, Q: Tensor) -> Tensor:

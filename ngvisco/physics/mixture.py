@@ -330,9 +330,9 @@ class _InEquilibrium:
         self.parameters = [slices[v.name].start for v in mixture.parameters]
         self.amounts = {b.name: slices[AMOUNT + b.name].start for b in mixture.bodies}
         self.shared = [] if self.heat is None else [slices[self.heat.entropy.name].start]
-        self.shears = respond(_Part(shear, mixture.variables), dim, mixture.linear)
+        self.shears = respond(_MixturePart(shear, mixture.variables), dim, mixture.linear)
         of_volume = (Jacobian("J"), *(Entropy("S") for _ in self.shared), *mixture.parameters)
-        parts = (_Part(partial(mixture.volumetric, name), of_volume) for name in self.amounts)
+        parts = (_MixturePart(partial(mixture.volumetric, name), of_volume) for name in self.amounts)
         self.volumes = [respond(part, dim) for part in parts]
 
     def __call__(self, states: np.ndarray) -> Response:

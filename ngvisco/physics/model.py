@@ -158,13 +158,13 @@ class Model:
             self.diffusion.require(material)
         for part in (body.material for body in self.bodies) if self.bodies else (material,):
             _require_bulk(part)
-        for flow in self.flows:
-            if flow.rule.reads_conjugate and flow.conformation is None:
+        for mechanism in self.mechanisms:
+            if mechanism.rule.reads_conjugate and mechanism.conformation is None:
                 expected = (
                     f"a rule that reads no conformation tensor: {type(self.material).__name__} has none"
                 )
-                raise ParameterError(f"branches[{flow.branch!r}].creep", flow.rule, expected)
-            check_rule(flow.rule, material)
+                raise ParameterError(f"branches[{mechanism.branch!r}].creep", mechanism.rule, expected)
+            check_rule(mechanism.rule, material)
         if self.viscosity is not None:
             check_viscosity(self.viscosity, material)
 
@@ -189,16 +189,16 @@ class Model:
         of = self.material
         if (network := part_of(of, Network)) is not None:
             return tuple(
-                Flow(branch.creep, of.distortions[name], of.conformation_of(name), name)
+                CreepMechanism(branch.creep, of.distortions[name], of.conformation_of(name), name)
                 for name, branch in network.parts.items()
                 if branch.creep is not None and branch.creep.flows and of.distortions[name]
             )
         if not isinstance(of, Mixture):
             names = tuple(v.name for v in of.variables if v.creeps)
-            flow = Flow(self.creep, names, of.conformation) if self.creep is not None else None
-            return (flow,) if flow is not None and flow.rule.flows else ()
+            mechanism = CreepMechanism(self.creep, names, of.conformation) if self.creep is not None else None
+            return (mechanism,) if mechanism is not None and mechanism.rule.flows else ()
         return tuple(
-            Flow(rule, names, branch=branch, body=body.name, fractions=of.fractions)
+            CreepMechanism(rule, names, branch=branch, body=body.name, fractions=of.fractions)
             for body in self.bodies
             for branch, rule in body.rules.items()
             if (names := of.contents_of(body.name, branch))

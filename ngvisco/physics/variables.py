@@ -38,7 +38,7 @@ from ngvisco.physics.tensors import IDENTITY, Tensor, skw, sym, tr
 
 Values = Mapping[str, Tensor]
 
-Frame: TypeAlias = Literal["relaxed", "actual"]
+CreepFrame: TypeAlias = Literal["relaxed", "actual"]
 
 PRESSURE, TEMPERATURE, HARDENING, CONFORMATION = "pressure", "temperature", "hardening", "conformation"
 """Names, in ``Values`` for laws, of the pressure -tr T/3, Pa, the temperature, K, the growth of the yield
@@ -183,7 +183,7 @@ class DistortionTensor(Variable):
         return self.kind == "symmetric" and not self.by_flux
 
     @property
-    def frame(self) -> Frame | None:
+    def frame(self) -> CreepFrame | None:
         return "actual" if self.kind == "symmetric" else "relaxed"
 
     def turned(self, value: Tensor, Q: Tensor) -> Tensor:

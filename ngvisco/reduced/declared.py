@@ -21,7 +21,7 @@ from ngvisco.forms.fields import Fields, Tests
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import GivenParts, PointTerm, Term, refused_by_name
 from ngvisco.physics.arrays import Array
-from ngvisco.reduced.one_point import OnePoint, Slots, why
+from ngvisco.reduced.one_point import OnePoint, TermRows, why
 from ngvisco.reduced.point_fields import NotAtPointsError
 from ngvisco.reduced.unknowns import Unknowns, density_by_forms, in_cells
 
@@ -57,7 +57,7 @@ class Couplings:
         self.by_forms: list[Term] = []
         self.of_kernel = defaultdict[str, list[Any]](list)
         self.forms_ask_for: set[str] = set()
-        self._is_bent, self._slots = density_by_forms(step), dict[int, Slots]()
+        self._is_bent, self._rows = density_by_forms(step), dict[int, TermRows]()
         for term in step.terms:
             if term is not step.sources:
                 self._take(step, term)
@@ -74,7 +74,7 @@ class Couplings:
             self.forms_ask_for |= _require_flow_rows(step, term)
             self.by_forms.append(term)
         else:
-            self._slots[id(term)] = _slots_at_points(step, term)
+            self._rows[id(term)] = _rows_at_points(step, term)
             self.at_points.append(term)
 
     @property
@@ -121,7 +121,7 @@ class Couplings:
         """Terms, except rates and the elastic force, with rows of z or stresses that depend on z or zeta."""
         stresses, found = {id(term) for term in self.of_gradients()}, []
         for term in self.at_points:
-            reads = self._slots[id(term)].names
+            reads = self._rows[id(term)].names
             is_stress = id(term) in stresses and any(reads.values())
             if term.linearised and (reads.get("z") or is_stress):
                 found.append(term)
@@ -149,7 +149,7 @@ def _refused(term: object, reason: str) -> ParameterError:
 def _slots_at_points(step: Step, term: PointTerm) -> Slots:
     """Rows of a term at points; raises ParameterError if the term cannot be evaluated by arrays."""
     try:
-        found = OnePoint(step).slots(term)
+        found = OnePoint(step).rows(term)
     except NotAtPointsError as error:
         reason = f"{error}; with rows of the flow alone it is taken by its form: say couples = 'flow'"
         raise _refused(term, reason) from error

@@ -18,9 +18,9 @@ from ngsolve import CF, CoefficientFunction, GridFunction
 from ngvisco.forms.fields import Fields, Tests
 from ngvisco.forms.rates import TabulatedRates
 from ngvisco.forms.system import Step
-from ngvisco.forms.term import PointTerm, Where
+from ngvisco.forms.term import PointRule, PointTerm
 from ngvisco.forms.upwinding import FacetMean
-from ngvisco.physics.arrays import Array, Linear, slots
+from ngvisco.physics.arrays import Array, Linear, factors_of_tests
 from ngvisco.reduced.operators import Operators, SideOperators
 from ngvisco.reduced.point_fields import CELLS, FACETS, derivative_of, incremented, lazy_fields, with_values
 from ngvisco.reduced.unknowns import derived_in_cells, in_cells
@@ -52,18 +52,18 @@ def tests_of(step: Step, inside: bool, context: Any) -> Fields:
     names = [name for name in in_cells(step.layout) if name in shapes] if inside else on_sides(step)
 
     def value(name: str) -> Linear:
-        return Linear(shapes[name], slot=name)
+        return Linear(shapes[name], test=name)
 
     def gradient(name: str) -> Linear:
-        return Linear((*shapes[name], d), slot=f"grad {name}")
+        return Linear((*shapes[name], d), test=f"grad {name}")
 
     sloping = gradient, names if inside else []
     return lazy_fields(Tests, step.layout, (value, names), sloping, CELLS if inside else FACETS, context)
 
 
-def slots_of(parts: Sequence[Linear]) -> dict[str, np.ndarray]:
+def factors_of(parts: Sequence[Linear]) -> dict[str, np.ndarray]:
     """Factors of the tests in a sum of linear forms, (..., points), by the tests' names."""
-    return slots(sum(parts[1:], parts[0])) if parts else {}
+    return factors_of_tests(sum(parts[1:], parts[0])) if parts else {}
 
 
 class Sampled:
@@ -218,7 +218,7 @@ class CellTerms:
         step: Step,
         operators: Operators,
         rates: TabulatedRates,
-        place: Where = "cells",
+        place: PointRule = "cells",
         sampled: Sampled | None = None,
     ) -> None:
         """``place`` names the terms' method whose integrands are evaluated, "cells" or "nodes"."""
@@ -246,7 +246,7 @@ class CellTerms:
         """Derivatives of ``slots`` in k directions, (..., k, points); ``along`` is that of
         ``incremented``."""
         parts = [
-            {name: derivative_of(g, k) for name, g in self.slots(terms, changed).items()}
+            {name: derivative_of(g, k) for name, g in self.factors(terms, changed).items()}
             for k, changed in incremented(u, **along)
         ]
         return {name: np.concatenate([part[name] for part in parts], axis=-2) for name in parts[0]}
@@ -254,7 +254,7 @@ class CellTerms:
     def loads(self, terms: Iterable[PointTerm], u: Fields) -> Rows:
         """Integrals of the terms over each cell against its basis functions, see ``LocalMatrix.loads``."""
         rows, count = Rows(), len(self.op.weights)
-        for name, values in self.slots(terms, u).items():
+        for name, values in self.factors(terms, u).items():
             unknown = name.removeprefix("grad ")
             value, derivatives = self.op.of(unknown)
             tested = [(value, values)]
@@ -318,7 +318,7 @@ class FacetTerms:
     def loads_of(self, term: PointTerm, name: str, u: Fields) -> np.ndarray:
         """Loads of the equation of the facet unknown ``name``, evaluated where this unknown is zero."""
         shape = self.layout.unknowns[name].shape
-        found = self.slots([term], with_values(u, **{name: np.zeros((*shape, 1))}))
+        found = self.factors([term], with_values(u, **{name: np.zeros((*shape, 1))}))
         return self.op.of(name).loads(_full(found[name], len(self.op.weights)))
 
     def summed(self, loads: Rows) -> Rows:

@@ -126,8 +126,8 @@ class FacetTangent:
         """Rows in cells of an increment, (cells, rows q): the part by its gradient or with gradients of
         tests."""
         r = self.residual
-        by_all = r.cell_terms.slots(self.terms, moved(u, d, [name])).get("grad z")
-        by_gradients = r.cell_terms.slots(self.terms, moved(u, d, [name], values=False)).get("z")
+        by_all = r.cell_terms.factors(self.terms, moved(u, d, [name])).get("grad z")
+        by_gradients = r.cell_terms.factors(self.terms, moved(u, d, [name], values=False)).get("z")
         rows = np.zeros((len(self.rows), r.op.z.width))
         if by_all is not None:
             slopes = self._change(by_all, r.op.points.count)
@@ -170,7 +170,7 @@ class _Mean:
     def load(self, u: Fields) -> np.ndarray:
         """The derivative of the mean's equation along the increment in ``u``, tested on each side, (sides,
         size)."""
-        values = self._terms.slots([self.term], u)[self.name].imag / TINY
+        values = self._terms.factors([self.term], u)[self.name].imag / TINY
         values = np.atleast_2d(values)[self._components]
         full = np.broadcast_to(values, (len(values), self._coupling.points))
         return self._coupling.tested(full, self._tests)

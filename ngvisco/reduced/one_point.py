@@ -13,7 +13,7 @@ from ngvisco.forms.fields import Fields
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import PointTerm
 from ngvisco.physics.arrays import TINY, Array
-from ngvisco.reduced.evaluation import on_sides, shapes_of, slots_of, tests_of
+from ngvisco.reduced.evaluation import factors_of, on_sides, shapes_of, tests_of
 from ngvisco.reduced.point_fields import CELLS, FACETS, NotAtPointsError, lazy_fields
 from ngvisco.reduced.unknowns import derived_in_cells, in_cells
 
@@ -34,7 +34,7 @@ class Slots:
 
     names: dict[str, bool]
     components: frozenset[int]
-    at_nodes: bool
+    collocated: bool
 
 
 class OnePoint:
@@ -52,13 +52,13 @@ class OnePoint:
         def marked(name: str, values: np.ndarray) -> np.ndarray:
             return values.astype(complex) if name in ("z", "zeta") else values
 
-        found, at_nodes = self._evaluated(term, marked)
+        found, collocated = self._evaluated(term, marked)
         names, components = dict[str, bool](), set[int]()
         for name, g in found:
             names[name] = names.get(name, False) or np.iscomplexobj(g)
             if name in ("z", "grad z"):
                 components |= set(np.flatnonzero((g.reshape(len(g), -1) != 0).any(axis=1)).tolist())
-        return Slots(names, frozenset(components), at_nodes)
+        return TermRows(names, frozenset(components), collocated)
 
     def read(self, terms: Iterable[PointTerm], names: Iterable[str]) -> list[tuple[str, int]]:
         """Unknowns among ``names`` and their components on which the terms' rows depend, also through
@@ -134,13 +134,13 @@ class OnePoint:
         try:
             with np.errstate(all="ignore"):  # a law may not be defined at these values
                 u, w = fields(inside, (*cells, *derived), cells, CELLS), tests_of(step, True, inside)
-                in_all, at_nodes = list(term.cells(u, w)), list(term.nodes(u, w))
+                in_all, collocated = list(term.cells(u, w)), list(term.collocated(u, w))
                 names = (*on_sides(step), "zeta", *derived)
                 sloping = [name for name in ("rho", "z", "zeta") if name in names]
                 u, w = fields(side, names, sloping, FACETS), tests_of(step, False, side)
                 u.__dict__["jump"] = known(d)
-                slots = slots_of(in_all + at_nodes), slots_of(list(term.facets(u, w)))
-                return [each for part in slots for each in part.items()], bool(slots_of(at_nodes))
+                found = factors_of(in_all + collocated), factors_of(list(term.facets(u, w)))
+                return [each for part in found for each in part.items()], bool(factors_of(collocated))
         except NotAtPointsError:
             raise
         except Exception as error:  # a user's term may raise anything

@@ -228,11 +228,13 @@ class ReducedResidual:
         self.facet_terms = FacetTerms(step, self.side_op)
         self.slope = PointwiseSlope(step, self.op.points)
         self.couplings = couplings = Couplings(step)
-        self.node_terms: CellTerms | None = None
+        self.collocated_terms: CellTerms | None = None
         """Terms that are integrated by a collocated rule: one point per coefficient of a field."""
-        if couplings.of_nodes():
+        if couplings.collocated():
             rates = LinearisedTabulatedRates(self.rates, step.stresses)
-            self.node_terms = CellTerms(step, Operators(step, step.quadrature.node_order), rates, "nodes")
+            self.collocated_terms = CellTerms(
+                step, Operators(step, step.quadrature.collocation_order), rates, "collocated"
+            )
         self.inverse_mass = inverse_of_blocks(mass_matrix(self.op.z.matrix, self.op.weights))
         self.by_forms = RestrictedForm(step, u.flow, couplings.by_forms) if couplings.by_forms else None
         self.density = RestrictedForm(step, u.density, couplings.density) if couplings.density else None
@@ -275,8 +277,8 @@ class ReducedResidual:
     def start(self) -> None:
         """Evaluate the data that are constant during the step."""
         self.cell_terms.context.sampled.start()
-        if self.node_terms is not None:
-            self.node_terms.context.sampled.start()
+        if self.collocated_terms is not None:
+            self.collocated_terms.context.sampled.start()
         self.facet_terms.context.start()
         if self.right_hand_side is not None:
             self.right_hand_side.start()
@@ -290,11 +292,11 @@ class ReducedResidual:
         c, hyper = self._derived(x)
         inside, on_sides = zip(*self.share(lambda part: part.loads(c, hyper), self.parts), strict=True)
         rows = [self.cell_terms.summed(_joined(inside)), self.facet_terms.summed(_joined(on_sides))]
-        if self.node_terms is not None:
-            n = self._at_nodes(self.node_terms, c, not np.iscomplexobj(x))
+        if self.collocated_terms is not None:
+            n = self._at_collocation_points(self.collocated_terms, c, not np.iscomplexobj(x))
             if anew:
                 self.step.stresses.linearise()
-            rows.append(self.node_terms.rows(self.at_points, n))
+            rows.append(self.collocated_terms.rows(self.at_points, n))
         if self.diffusion is not None:
             rows.append({"z": self.diffusion.rows(c)})
         if hyper is not None:
@@ -319,8 +321,8 @@ class ReducedResidual:
     def put(self, x: np.ndarray) -> None:
         """Make a real ``x``, and the unknowns derived from it, the step's state."""
         c, _ = self._derived(x)
-        if self.node_terms is not None:
-            self._at_nodes(self.node_terms, c, True)
+        if self.collocated_terms is not None:
+            self._at_collocation_points(self.collocated_terms, c, True)
 
     def _at_nodes(self, terms: CellTerms, c: dict[str, np.ndarray], is_real: bool) -> Fields:
         """Values at the nodes; real values also update the linearisation stresses, as the step's state."""

@@ -342,9 +342,9 @@ def _integrands(step: Step, name: str) -> list[CoefficientFunction]:
         loss = loss + share * body.viscosity.bulk_dissipation(eps, read)
         loss = loss + share * body.viscosity.shear_dissipation(eps, read)
     rates = step.context.rates
-    for flow in rates.flows:
-        if flow.body == name:
-            loss = loss + rates.power_of_creep(flow, rates.local_creep(flow, u), u)
+    for mechanism in rates.mechanisms:
+        if mechanism.body == name:
+            loss = loss + rates.power_of_creep(mechanism, rates.local_creep(mechanism, u), u)
     shears, rest = material.shears(values), material.volumes(values, CF(1.0))
     of_volume = rates.stored(u) - sum((*shears.values(), *rest.values()), CF(0.0))
     return [

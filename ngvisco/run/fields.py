@@ -93,7 +93,7 @@ def output_fields(step: Step, fields: Fields | None = None) -> dict[str, Coeffic
         "von_mises": sqrt(1.5 * square(dev(T))),
         **({} if theta is None else {TEMPERATURE: theta}),
         **{name: u.parts[name] for name in step.layout.further},
-        **dict(f.plastic_strain(u.z_tensors) for f in step.model.flows if f.rule.hardening is not None),
+        **dict(f.plastic_strain(u.z_tensors) for f in step.model.mechanisms if f.rule.hardening is not None),
         **_body_fields(step, u),
         **further_fields(step, T, u),
     }

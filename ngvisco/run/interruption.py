@@ -15,7 +15,7 @@ from ngvisco.errors import StopRequested
 if TYPE_CHECKING:
     from ngvisco.run.simulation import Simulation
 
-Part: TypeAlias = tuple[dict[str, float], dict[str, np.ndarray]]
+KeptPart: TypeAlias = tuple[dict[str, float], dict[str, np.ndarray]]
 
 
 class Interruption:
@@ -23,7 +23,7 @@ class Interruption:
 
     def __init__(self, simulation: Simulation) -> None:
         self._simulation, self._is_armed, self._has_stopped = simulation, False, False
-        self._kept: dict[str, Part] = {}
+        self._kept: dict[str, KeptPart] = {}
         simulation.solver.interrupted = lambda: self._is_armed and simulation.stop_requested
 
     def begin(self) -> None:
@@ -33,7 +33,7 @@ class Interruption:
         self._has_stopped = False
         self._kept, self._is_armed = self.parts(), not self._simulation.stop_requested
 
-    def parts(self) -> dict[str, Part]:
+    def parts(self) -> dict[str, KeptPart]:
         """Numbers and arrays of the solver and of the stepper that a restart from here needs, by part."""
         if self._has_stopped:
             return self._kept

@@ -101,8 +101,8 @@ class Numbering:
         for name, stress in step.stresses.functions.items():
             size = len(stress.components)
             rules = None if mesh is None else replace(step.quadrature, mesh=mesh)
-            nodes = None if rules is None else rules.vectors(size, at_nodes=True).space
-            spaces[f"solver/{name}"] = stress.space, nodes
+            collocated = None if rules is None else rules.vectors(size, collocated=True).space
+            spaces[f"solver/{name}"] = stress.space, collocated
         for name, field in simulation.passive.parts.items():
             cells = None if mesh is None else simulation.passive.space(name, mesh)
             spaces[f"passive/{name}"] = field.space, cells

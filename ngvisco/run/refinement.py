@@ -34,7 +34,7 @@ from ngvisco.parallel.mesh import of_whole, whole_of
 from ngvisco.run.checkpoint import Checkpoints, ChosenMesh, mesh_of_checkpoints
 from ngvisco.run.fields import field_unit
 from ngvisco.run.files import AnyPath, mesh_image, mesh_of
-from ngvisco.run.scales import Place, diameter, extreme_places
+from ngvisco.run.scales import ExtremePlace, diameter, extreme_places
 from ngvisco.run.simulation import Simulation
 from ngvisco.run.transfer import go_on, require_fit, transfer
 
@@ -110,7 +110,7 @@ class Refinement:
     def _usual(self, simulation: Simulation) -> float:
         """Usual size of a velocity, rate or stress; 0 for other fields, which are not small at rest."""
         step, length = simulation.rothe_step, diameter(simulation.mesh, simulation.ranks)
-        places = extreme_places(step, simulation.sampler) or [Place(step.model, {}, 1.0, np.empty(0))]
+        places = extreme_places(step, simulation.sampler) or [ExtremePlace(step.model, {}, 1.0, np.empty(0))]
         stress = max(place.density * place.scales(simulation.mesh.dim)[0] ** 2 for place in places)
         velocity = simulation.velocity_scale
         return {"m/s": velocity, "1/s": velocity / length, "Pa": stress}.get(field_unit(self.field), 0.0)

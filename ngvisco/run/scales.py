@@ -44,7 +44,7 @@ def scales(simulation: Simulation) -> Scales:
     places = extreme_places(step, simulation.sampler)
     if not places:
         mass = float(step.quadrature.integrate_cells(step.now.rho))
-        places = [Place(step.model, {}, mass / Integrate(CF(1.0), mesh), np.empty(0))]
+        places = [ExtremePlace(step.model, {}, mass / Integrate(CF(1.0), mesh), np.empty(0))]
     fast, slow, viscosities, maxwell = zip(*(place.scales(mesh.dim) for place in places), strict=True)
     least, most = simulation.sampler.extrema(step.now.rho)
     material, edges = step.model.material, edges_of(step, simulation.ranks)
@@ -132,7 +132,7 @@ def _thickness(simulation: Simulation) -> dict[str, float]:
 
 
 @dataclass(frozen=True)
-class Place:
+class ExtremePlace:
     """Laws at a point, with bodies the laws of one body alone, and the values of parameters there."""
 
     laws: Model
@@ -170,7 +170,7 @@ class Place:
         )
 
 
-def extreme_places(step: Step, sampler: Sampler) -> list[Place]:
+def extreme_places(step: Step, sampler: Sampler) -> list[ExtremePlace]:
     """The places where a parameter is least or largest, the same places on all ranks.
 
     With bodies each body has its own places, among the points where it has the largest amount, and is taken
@@ -206,7 +206,7 @@ def extreme_places(step: Step, sampler: Sampler) -> list[Place]:
 
     if not isinstance(material, Mixture):
         points = chosen(carried, np.arange(len(rho)))
-        return [Place(step.model, z, float(rho[i]), states[i]) for i, z in points.items()]
+        return [ExtremePlace(step.model, z, float(rho[i]), states[i]) for i, z in points.items()]
     amounts = states[:, [slices[AMOUNT + body.name].start for body in bodies]]
     total, most, kept = amounts.sum(axis=1), amounts.argmax(axis=1), ~step.layout.states.by_flux
     places = []
@@ -223,7 +223,7 @@ def extreme_places(step: Step, sampler: Sampler) -> list[Place]:
         for i, z in chosen(names, among, int(among[amounts[among, number].argmax()])).items():
             state = states[i] * alone * (total[i] / amounts[i, number])
             state[kept] = states[i, kept]
-            places.append(Place(laws, z, (body.density or 0.0) * float(total[i]), state))
+            places.append(ExtremePlace(laws, z, (body.density or 0.0) * float(total[i]), state))
     return places
 
 
@@ -273,8 +273,8 @@ def cause_of_negative_power(step: Step, sampler: Sampler) -> str:
 
     Collective; all ranks return the same text.
     """
-    for flow in step.model.flows:
-        for name, expression, _ in moduli_in(flow.rule):
+    for mechanism in step.model.mechanisms:
+        for name, expression, _ in moduli_in(mechanism.rule):
             least = sampler.extrema(expression.at(step.now.z_tensors))[0]
             if least < 0:
                 return (

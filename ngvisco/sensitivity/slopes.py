@@ -68,7 +68,7 @@ class Slopes:
         for part, integral in (
             (integrand.cells, quadrature.cells),
             (integrand.facets, quadrature.facets),
-            (integrand.nodes, quadrature.nodes),
+            (integrand.collocated, quadrature.collocated),
         ):
             if part is not None:
                 form += Variation(integral(compiled(part)))

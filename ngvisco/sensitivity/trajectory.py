@@ -92,7 +92,7 @@ class Trajectory:
         law = model.regularisation
         if step.energy.projected is None:
             return False
-        reads = [flow.rule.reads for flow in model.flows]
+        reads = [each.rule.reads for each in model.mechanisms]
         reads += [] if model.viscosity is None else [model.viscosity.reads]
         return any(PRESSURE in names for names in reads) or (law is not None and law.delta_fields > 0)
 

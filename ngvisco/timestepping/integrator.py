@@ -191,16 +191,16 @@ class Integrator:
                 _add(numerical, weight, self.distance(states[k], states[i + 1]))
         self._end = scheme.end
         if not scheme.ends_at_last_stage:
-            end, limited, lost = self._combined(scheme.end, states, t + tau, tau, rates)
+            end, limited, by_limiter = self._combined(scheme.end, states, t + tau, tau, rates)
             _add(numerical, -1.0, self.distance(end, states[-1]))
         elif self.bounds.limits and self.bounds.is_exceeded():
             of_last = np.eye(len(states))[-1]
-            end, limited, lost = self._combined(of_last, states, t + tau, tau, rates, is_stage=True)
-            lost[LIMITER] -= sum(self.distance(end, states[-1]).values())
+            end, limited, by_limiter = self._combined(of_last, states, t + tau, tau, rates, is_stage=True)
+            by_limiter[LIMITER] -= sum(self.distance(end, states[-1]).values())
         else:
             return StepTaken(tau, history, rates, numerical | {LIMITER: 0.0, LIMITER_WALLS: 0.0})
         self._complete()
-        return StepTaken(tau, history, rates, numerical | lost, limited, self.impulse)
+        return StepTaken(tau, history, rates, numerical | by_limiter, limited, self.impulse)
 
     def _stages(
         self, scheme: TimeScheme, t: float, tau: float, history: list[Attempt]
@@ -253,12 +253,13 @@ class Integrator:
         before = np.zeros_like(self._velocity.v)
         if self.bounds.limits and self.bounds.is_exceeded() and not is_stage:
             before = self._impulse_before_limiting(before)
-        limited, taken = self.bounds.limit(tau) if self.bounds.limits else 0, 0.0
+        limited, limiter_energy = self.bounds.limit(tau) if self.bounds.limits else 0, 0.0
         is_changed = limited > 0 or self.bounds.sharpening is not None
         if is_changed:
             moved = [name for name in step.layout.evolving if name != "v"]  # v follows from the momentum
             change = {name: state[ranges[name]] - old[ranges[name]] for name in moved}
-            taken = -self.distance.slope(states[-1], change) + self._taken_of_momentum(states[-1])
+            limiter_energy = -self.distance.slope(states[-1], change)
+            limiter_energy += self._limiter_energy_of_momentum(states[-1])
         impulse = self._velocity(keeps_walls=is_stage)
         self.impulse = impulse / tau
         own, through_walls = before if is_changed else impulse, 0.0
@@ -272,9 +273,9 @@ class Integrator:
             rates[f"power_wall_{name}"] += work / tau
         if limited:
             through_walls -= sum(self._velocity.works(impulse - own, v).values())
-        return step.evolved(), limited, {LIMITER: taken, LIMITER_WALLS: through_walls}
+        return step.evolved(), limited, {LIMITER: limiter_energy, LIMITER_WALLS: through_walls}
 
-    def _taken_of_momentum(self, stage: Evolved) -> float:
+    def _limiter_energy_of_momentum(self, stage: Evolved) -> float:
         """Limit the momentum density.  Return -<change of m, V> with the velocity V of a stage, J."""
         before = self._velocity.functional()
         self.bounds.limit_momentum()
@@ -327,7 +328,7 @@ class Integrator:
         Omega is ``wanted`` if R is at rounding there too, and 2 if B(u_0, U) is at rounding.
         """
         from_start = self.distance(*states)
-        lost, noise = sum(from_start.values()), self._noise(states[0])
+        distance, noise = sum(from_start.values()), self._noise(states[0])
 
         def end_at(omega: float) -> tuple[dict[str, float], dict[str, float], dict[str, float], int]:
             of_end, length, numerical = dict(rates), omega * own, dict(from_start)
@@ -342,12 +343,12 @@ class Integrator:
         if self.bounds.limits and self.bounds.takes_energy:
             # R jumps where cells begin to be limited, and limiting dissipates anyway
             omega = 2.0 if wanted is None else wanted
-        elif lost > noise:
+        elif distance > noise:
             from scipy.optimize import brentq  # a tenth of the package's import time
 
             try:
                 omega = brentq(
-                    lambda o: sum(end_at(o)[0].values()) / lost, *_RELAXED, xtol=_RELAXATION_TOLERANCE
+                    lambda o: sum(end_at(o)[0].values()) / distance, *_RELAXED, xtol=_RELAXATION_TOLERANCE
                 )
             except ValueError as error:
                 message = (
@@ -355,7 +356,7 @@ class Integrator:
                     "or a load has a kink: take smaller steps, or relaxation = False"
                 )
                 raise StepError(message) from error
-            if wanted is not None and abs(omega - wanted) <= noise / lost:
+            if wanted is not None and abs(omega - wanted) <= noise / distance:
                 omega = wanted
         numerical, by_limiter, of_end, limited = end_at(omega)
         return omega, numerical | by_limiter, of_end, limited

@@ -212,7 +212,7 @@ PAIRS = {
     ],
     "Integrand.cells": [partial(integrand, cells=value) for value in (1.0, 2.0)],
     "Integrand.facets": [partial(integrand, facets=value) for value in (1.0, 2.0)],
-    "Integrand.nodes": [partial(integrand, nodes=value) for value in (1.0, 2.0)],
+    "Integrand.collocated": [partial(integrand, collocated=value) for value in (1.0, 2.0)],
     "Misfit.data": [partial(misfit, value=value) for value in (0.1, 0.2)],
     "Misfit.sigma": [partial(misfit, sigma=value) for value in (1.0, 2.0)],
     "TimeScheme.name": [

@@ -167,8 +167,8 @@ def test_a_body_is_a_network_from_a_table(tmp_path):
     rows = 'prony = [[0.3, 0.1], [0.2, "1000 ms"]]'
     body = '[[bodies]]\nname = "all"\ndensity = 1\n' + material.replace(rows, 'prony = { file = "rows.csv" }')
     case = load_case(written(tmp_path, PRONY[: PRONY.index("[material]")] + body))
-    flows = case.model(2).flows
-    assert [(flow.body, flow.branch, flow.names) for flow in flows] == [
+    flows = case.model(2).mechanisms
+    assert [(each.body, each.branch, each.names) for each in flows] == [
         ("all", "mode_1", ("B_mode_1_all",)),
         ("all", "mode_2", ("B_mode_2_all",)),
     ]

@@ -188,6 +188,12 @@ class Hidden(Drag):
         return [Entry("dissipation_drag", "dissipation", Integrand(2.0 * square(u.v)))]
 
 
+def test_a_method_with_a_name_of_before_is_refused_with_the_new_one():
+    for before, now in (("nodes", "collocated"), ("dissipated_at_nodes", "dissipated_collocated")):
+        with pytest.raises(nv.ParameterError, match=rf"Old\.{before}.*{now}"):
+            type("Old", (PointTerm,), {before: lambda term, u: []})
+
+
 @pytest.mark.parametrize("solver", ["coupled", "split"])
 def test_what_further_terms_dissipate_is_heat_or_refused(solver):
     laws = {"viscosity": VISCOSITY}

@@ -6,7 +6,7 @@ import pytest
 from ngsolve import CF
 from support import one_triangle
 
-from ngvisco.physics.arrays import Array, Linear, derivatives, slots
+from ngvisco.physics.arrays import Array, Linear, derivatives, factors_of_tests
 from ngvisco.physics.materials.custom import CustomMaterial
 from ngvisco.physics.pointwise import energy_and_slope
 from ngvisco.physics.tensors import (
@@ -98,12 +98,12 @@ FORMS = {
 
 
 @pytest.mark.parametrize("name", FORMS)
-def test_slots_are_the_derivatives_by_the_tests(name):
+def test_factors_are_the_derivatives_by_the_tests(name):
     form = FORMS[name]
-    found = slots(form({test: Linear(shape, slot=test) for test, shape in SHAPES.items()}))
+    found = factors_of_tests(form({test: Linear(shape, test=test) for test, shape in SHAPES.items()}))
     values = {test: RNG.standard_normal((*shape, POINTS)) for test, shape in SHAPES.items()}
     expected = form({test: Array(value, None) for test, value in values.items()}).value
-    total = sum((slot * values[test]).reshape(-1, POINTS).sum(axis=0) for test, slot in found.items())
+    total = sum((factor * values[test]).reshape(-1, POINTS).sum(axis=0) for test, factor in found.items())
     assert total == pytest.approx(expected, rel=1e-13)
 
 
@@ -121,18 +121,18 @@ def test_slots_are_the_derivatives_by_the_tests(name):
 )
 def test_what_is_not_linear_in_the_tests_is_refused(wrong):
     with pytest.raises(TypeError):
-        wrong({test: Linear(shape, slot=test) for test, shape in SHAPES.items()})
+        wrong({test: Linear(shape, test=test) for test, shape in SHAPES.items()})
 
 
 def test_an_integrand_is_a_scalar():
     with pytest.raises(TypeError, match="scalar"):
-        slots(u * Linear((), slot="q"))
+        factors_of_tests(u * Linear((), test="q"))
 
 
 def test_sums_do_not_change_the_values_that_they_are_made_of():
-    q = Linear((), slot="q")
+    q = Linear((), test="q")
     before = s.value.copy()
-    found = slots(s * q + s * q + s * q + 1.0 * q)["q"]
+    found = factors_of_tests(s * q + s * q + s * q + 1.0 * q)["q"]
     assert found == pytest.approx(3 * before + 1)
     assert (s.value == before).all()
 

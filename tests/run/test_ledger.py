@@ -93,8 +93,8 @@ def integral(step: Step, integrand: Integrand) -> float:
         total += step.quadrature.integrate_cells(integrand.cells)
     if integrand.facets is not None:
         total += step.quadrature.integrate_facets(integrand.facets)
-    if integrand.nodes is not None:
-        total += step.quadrature.integrate_nodes(integrand.nodes)
+    if integrand.collocated is not None:
+        total += step.quadrature.integrate_collocated(integrand.collocated)
     return total
 
 

@@ -285,7 +285,10 @@ def of_bodies(material, solver="coupled"):
 @pytest.mark.parametrize("solver", ["coupled", "split"])
 def test_a_body_may_be_a_network(solver):
     run = of_bodies(network(nv.Perzyna(sigma_Y=0.05, G_m=0.5, H=1.0)), solver)
-    assert [flow.names for flow in run.model.flows] == [("B_slow_disc", "N_slow_disc"), ("B_rest",)]
+    assert [each.names for each in run.model.mechanisms] == [
+        ("B_slow_disc", "N_slow_disc"),
+        ("B_rest",),
+    ]
     ledger = run.run(0.1)
     assert np.abs(ledger.column("closure_relative")).max() <= 1e-10
     assert ledger.column("dissipation_creep_slow")[-1] > 0 and ledger.column("dissipation_creep")[-1] > 0

@@ -25,7 +25,7 @@ from ngvisco.physics.material import Material, cauchy_stress, conjugates, mandel
 from ngvisco.physics.materials import Yosida
 from ngvisco.physics.materials.thermal import entropy_in, temperature
 from ngvisco.physics.mixture import Mixture
-from ngvisco.physics.model import Flow, Model
+from ngvisco.physics.model import CreepMechanism, Model
 from ngvisco.physics.tensors import embed_gradient, inner, square, sym, tr
 
 PI = np.pi
@@ -232,13 +232,13 @@ class Sources:
         new, old, model = self.new, self.old, self.model
         values, L = new.values, embed_gradient(new.grad_v, self.dim)
         material = model.material
-        creep = {name: self._creep_rate(flow) for flow in model.flows for name in flow.names}
+        creep = {name: self._creep_rate(each) for each in model.mechanisms for name in each.names}
         rates = {v.name: material.rate(v, values, L, creep.get(v.name, 0 * L)) for v in material.variables}
         for v in material.variables:
             if v.by_flux:
                 rates[v.name] = rates[v.name] - tr(L) * values[v.name]
         if (entropy := entropy_in(material)) is not None:
-            heat = self.heating(self._creep_rate(model.flows[0]) if model.flows else 0 * L)
+            heat = self.heating(self._creep_rate(model.mechanisms[0]) if model.mechanisms else 0 * L)
             rates[entropy.name] = rates[entropy.name] + heat / new.conjugates[entropy.name]
         total = (new.z - old.z) / self.tau - material.states(self.dim).components(rates)
         for i, dz in enumerate(gradient(new.z, self.dim)):
@@ -271,13 +271,13 @@ class Sources:
         hess = [[gradient(d, dim) for d in gradient(self.new.v[i], dim)] for i in range(dim)]
         return hess, sum(h * h for component in hess for row in component for h in row)
 
-    def _creep_rate(self, flow: Flow) -> CoefficientFunction:
+    def _creep_rate(self, mechanism: CreepMechanism) -> CoefficientFunction:
         """The creep rate Pi; a body's is by the Mandel stress per the body's own volume."""
-        if not flow.rule.is_local:
+        if not mechanism.rule.is_local:
             return self.new.Pi
         values, conjugates = self.new.values, self.new.conjugates
-        mandel = mandel_stress(self.model.material, values, conjugates, self.dim, flow.names)
-        return flow.rule.rate((1 / flow.share(values)) * mandel, None, values)
+        mandel = mandel_stress(self.model.material, values, conjugates, self.dim, mechanism.names)
+        return mechanism.rule.rate((1 / mechanism.share(values)) * mandel, None, values)
 
     @property
     def creep(self) -> CoefficientFunction | None:

@@ -11,7 +11,7 @@ from ngvisco import Initial, Model
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.mesh import quadrature
 from ngvisco.forms.term import Integrand
-from ngvisco.physics.model import Flow
+from ngvisco.physics.model import CreepMechanism
 from tests.verification.convergence import FURTHER, KINDS, coupled_rates, free_solution, model
 from tests.verification.manufactured import Exact, Sources, TakingPartWholly
 
@@ -82,8 +82,8 @@ class WithoutTraction(Sources):
 class WithoutCreep(Sources):
     """Sources without creep."""
 
-    def _creep_rate(self, flow: Flow) -> CoefficientFunction:
-        return 0 * super()._creep_rate(flow)
+    def _creep_rate(self, mechanism: CreepMechanism) -> CoefficientFunction:
+        return 0 * super()._creep_rate(mechanism)
 
 
 def energy_itself(system: Model, dim: int, tau: float, curved: bool = False) -> Sources:

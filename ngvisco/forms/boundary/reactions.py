@@ -67,14 +67,14 @@ class WallReactions:
         # on walls that nothing crosses; the residual has this integral on all others
         free = step.layout.velocity_space((None,) * step.mesh.dim)
         closed = facet_indicator(step.mesh, [name for name in walls if name not in step.walls.crossed])
-        through = free.TestFunction() * step.context.normal
+        normal_test = free.TestFunction() * step.context.normal
         self._energy = LinearForm(free)
         # a trace may have no energy although all points of the cells' rule have one
         projected, density = GridFunction(L2(step.mesh, order=step.discretisation.m)), step.energy.density
         self._project = LocalProjection(projected, step.quadrature, tested(density(step.now)))
         phi = step.energy.anywhere(step.now)
         self._beside = beside_the_stress(step.now, is_number(phi, phi, projected))
-        flux = if_positive(closed, self._beside, 0.0) * through
+        flux = if_positive(closed, self._beside, 0.0) * normal_test
         step.quadrature.add(self._energy, [Integrand(facets=flux)])
         self._terms = {name: self._own_terms(name) for name in self.names}
         shared = sum((self._weights[name] for name in self.names), np.zeros(space.ndof))

@@ -105,7 +105,7 @@ class Piston(OnWall):
         assert isinstance(wall, PrescribedNormal)
         self.velocity = as_shape(f"walls[{name!r}].velocity", wall.velocity, ())
 
-    def through(self, mu: CoefficientFunction) -> CoefficientFunction:
+    def prescribed(self, mu: CoefficientFunction) -> CoefficientFunction:
         """Integrand mu V at the present time."""
         return self.indicator * self.velocity * mu
 
@@ -216,15 +216,15 @@ class Carried(OnWall):
         own, reach = u.parts[name], u.context.reach
         return own if reach is None else own - u.gradient(name) * u.context.given(reach)
 
-    def _through(self, u: Fields) -> CoefficientFunction:
+    def _normal_velocity(self, u: Fields) -> CoefficientFunction:
         """Normal velocity v . n on this wall, else 0."""
         c = u.context
         return c.given(self.indicator) * (u.v * c.normal)
 
     def _inward(self, u: Fields) -> CoefficientFunction:
         """Inflow speed (v . n)^- on this wall, else 0."""
-        through = self._through(u)
-        return if_positive(through, 0.0 * through, -through)
+        v_n = self._normal_velocity(u)
+        return if_positive(v_n, 0.0 * v_n, -v_n)
 
     def _added(self, u: Fields, name: str) -> CoefficientFunction:
         """Inflow speed times the difference of inflowing and inner value, of ``"rho"`` or ``"z"``."""
@@ -237,12 +237,12 @@ class Carried(OnWall):
 
     def _mass_flux(self, u: Fields) -> CoefficientFunction:
         """Mass flux j, kg/(m^2 s)."""
-        return self._through(u) * u.rho - self.entering_mass(u)
+        return self._normal_velocity(u) * u.rho - self.entering_mass(u)
 
     def _carried_momentum(self, u: Fields) -> CoefficientFunction:
         """Mass flux j, or with ``backflow`` its outward part."""
         flux = self._mass_flux(u)
-        return if_positive(self._through(u), flux, 0.0 * flux) if self.backflow else flux
+        return if_positive(self._normal_velocity(u), flux, 0.0 * flux) if self.backflow else flux
 
     def _stored(self, u: Fields) -> CoefficientFunction:
         """Energy phi(z), Pa, on this wall, else 0: a trace elsewhere may have none (``StoredMean``)."""
@@ -275,8 +275,13 @@ class Carried(OnWall):
         return [0.5 * flux * (u.v * w.v)] if self.backflow else []
 
     def entries(self, u: Fields) -> list[Entry]:
-        name, through, inward, flux = self.name, self._through(u), self._inward(u), self._mass_flux(u)
-        stored = inward * self._stored_outside(u) - (through + inward) * self._stored(u)
+        name, normal_velocity, inward, flux = (
+            self.name,
+            self._normal_velocity(u),
+            self._inward(u),
+            self._mass_flux(u),
+        )
+        stored = inward * self._stored_outside(u) - (normal_velocity + inward) * self._stored(u)
         mixing = inward * (self._stored_outside(u) - self._stored(u)) - inner(self._added(u, "z"), u.zeta)
         found = [
             Entry(f"power_kinetic_{name}", "power", Integrand(facets=-0.5 * flux * (u.v * u.v))),
@@ -286,7 +291,7 @@ class Carried(OnWall):
             Entry(f"inflow_{name}", "flux", Integrand(facets=-flux)),
         ]
         if self.entropy is not None:
-            carried = through * u.z - self._added(u, "z")
+            carried = normal_velocity * u.z - self._added(u, "z")
             s = self.entropy.unit * u.layout.states.tensors(lambda: carried)[self.entropy.name]
             found.append(Entry(f"entropy_supply_{name}_carried", "production", Integrand(facets=-s)))
         return found

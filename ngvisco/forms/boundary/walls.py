@@ -264,9 +264,9 @@ class MovingWalls:
             n = specialcf.normal(mesh.dim)
             normal = velocity * n
             size = Integrate(velocity * velocity, mesh, BND, definedon=region)
-            through = Integrate(normal * normal, mesh, BND, definedon=region)
-            if not through <= OPEN * size:
-                found = f"normal part {through**0.5:.3g} of {size**0.5:.3g} in L2"
+            normal_part = Integrate(normal * normal, mesh, BND, definedon=region)
+            if not normal_part <= OPEN * size:
+                found = f"normal part {normal_part**0.5:.3g} of {size**0.5:.3g} in L2"
                 expected = (
                     "a tangential velocity: nothing crosses such a wall; an inlet is nv.Inflow(velocity=...)"
                 )

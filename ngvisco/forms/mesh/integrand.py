@@ -8,8 +8,8 @@ from ngsolve import CoefficientFunction
 @dataclass(frozen=True)
 class Integrand:
     """An integrand over the cells, one over the cells' boundaries, and one over the cells by a collocated
-    rule, with one point per coefficient of a field (``Quadrature.nodes``)."""
+    rule, with one point per coefficient of a field (``Quadrature.collocated``)."""
 
     cells: CoefficientFunction | None = None
     facets: CoefficientFunction | None = None
-    nodes: CoefficientFunction | None = None
+    collocated: CoefficientFunction | None = None

@@ -58,8 +58,8 @@ class Quadrature:
     volume_degree, facet_degree : int
         Polynomial degrees integrated exactly on straight cells and facets.
     field_order : int
-        Order of fields whose products ``nodes`` integrates exactly.  Its rule has one point per coefficient
-        of a field in a cell: on triangles up to order two, on tetrahedra up to order one.
+        Order of fields whose products ``collocated`` integrates exactly.  Its rule has one point per
+        coefficient of a field in a cell: on triangles up to order two, on tetrahedra up to order one.
     symmetry : Symmetry
         Symmetry of the mesh; in a body of revolution all integrals have the weight r.
     """
@@ -88,9 +88,9 @@ class Quadrature:
         return cls(mesh, degree, of_facets, m, symmetry)
 
     @property
-    def node_order(self) -> int:
-        """Half of the degree of ``nodes``, raised in a body of revolution: the points of degree 2 are middles
-        of sides, which have no weight on the axis."""
+    def collocation_order(self) -> int:
+        """Half of the degree of ``collocated``, raised in a body of revolution: the points of degree 2 are
+        middles of sides, which have no weight on the axis."""
         return 2 if self.symmetry.is_axisymmetric and self.field_order == 1 else self.field_order
 
     @cached_property
@@ -111,8 +111,8 @@ class Quadrature:
         return self._in_cells(integrand) * dx(intrules=self._node_rules, definedonelements=cells)
 
     @cached_property
-    def _node_rules(self) -> dict[Any, IntegrationRule]:
-        return rules(self.mesh.dim, 2 * self.node_order)
+    def _collocation_rules(self) -> dict[Any, IntegrationRule]:
+        return rules(self.mesh.dim, 2 * self.collocation_order)
 
     def facets(self, integrand: CoefficientFunction, cells: BitArray | None = None) -> Any:
         """The integral over the boundary of every cell (both sides of each inner facet), or of ``cells``."""
@@ -129,9 +129,9 @@ class Quadrature:
     def _on_facets(self, integrand: CoefficientFunction) -> CoefficientFunction:
         return weighted(integrand, self.symmetry.on_facets)
 
-    def vectors(self, size: int, at_nodes: bool = False) -> GridFunction:
-        """A vector-valued function at the points of ``cells``, or of ``nodes``, read by ``values_of``."""
-        order = self.node_order if at_nodes else self.volume_degree // 2
+    def vectors(self, size: int, collocated: bool = False) -> GridFunction:
+        """A vector-valued function at the points of ``cells`` or ``collocated``, read by ``values_of``."""
+        order = self.collocation_order if collocated else self.volume_degree // 2
         return GridFunction(VectorValued(IntegrationRuleSpace(self.mesh, order=order), size))
 
     def add(self, form: Any, integrands: Iterable[Integrand], cells: BitArray | None = None) -> None:
@@ -157,9 +157,9 @@ class Quadrature:
         of_cells = Integrate(weighed, self.mesh, order=self.volume_degree, element_wise=True)
         return np.array(of_cells.NumPy())
 
-    def integrate_nodes(self, integrand: CoefficientFunction) -> Any:
-        """Integral over the mesh, by the rule of ``nodes``."""
-        return Integrate(self._in_cells(integrand), self.mesh, order=2 * self.node_order)
+    def integrate_collocated(self, integrand: CoefficientFunction) -> Any:
+        """Integral over the mesh, by the rule of ``collocated``."""
+        return Integrate(self._in_cells(integrand), self.mesh, order=2 * self.collocation_order)
 
     def integrate_facets(self, integrand: CoefficientFunction, cells: BitArray | None = None) -> float:
         """Integral over the boundaries of all cells, or of ``cells``, by the rule of ``facets``."""

@@ -253,10 +253,10 @@ def _normal_parts(step: Step, velocity: VectorLike | None) -> Iterator[str]:
     on_wall = BoundaryFromVolumeCF(v_0)
     closed = [name for name in conditions if name not in step.walls.crossed]
     shares = {name: _normal_share(step, name, v_0, on_wall) for name in closed}
-    through = ", ".join(f"{name} ({share:.0%})" for name, share in shares.items() if share > 0)
-    if through:
+    listed = ", ".join(f"{name} ({share:.0%})" for name, share in shares.items() if share > 0)
+    if listed:
         yield (
-            f"initial velocity: parts of it (in L2) are normal to the walls {through}; walls are "
+            f"initial velocity: parts of it (in L2) are normal to the walls {listed}; walls are "
             "impenetrable: the run starts with its projection to v.n = 0"
         )
 
@@ -268,13 +268,13 @@ def _normal_share(
     b = a if on_wall is None else on_wall
     n = specialcf.normal(step.mesh.dim)
     squares = CF((CF(1.0), b * b, (b * n) * (b * n)))
-    area, size, through = Integrate(squares, step.mesh, BND, definedon=step.walls.region([name]))
+    area, size, normal_part = Integrate(squares, step.mesh, BND, definedon=step.walls.region([name]))
     volume, inside = Integrate(CF((CF(1.0), a * a)), step.mesh)
     is_flat = any(name in names for names in step.walls.axis)
-    is_rounding = through * volume <= _ROUNDING * inside * area
-    if is_rounding or through <= (_FLAT if is_flat else OPEN) * size:
+    is_rounding = normal_part * volume <= _ROUNDING * inside * area
+    if is_rounding or normal_part <= (_FLAT if is_flat else OPEN) * size:
         return 0.0
-    return float(np.sqrt(through / size))
+    return float(np.sqrt(normal_part / size))
 
 
 def _heat_at_walls(step: Step) -> Iterator[str]:

@@ -19,7 +19,7 @@ from ngvisco.forms.start.data_checks import distortion_of, warn_of_doubts, warn_
 from ngvisco.forms.start.equilibrium import Column, require_open
 from ngvisco.forms.start.variables import (
     Given,
-    Values,
+    StartValues,
     as_shape,
     carried_of,
     entropy_at,
@@ -147,14 +147,14 @@ def set_initial(step: Step, initial: Initial, sampler: Sampler) -> CoefficientFu
 
 def _data(
     step: Step, initial: Initial, sampler: Sampler
-) -> tuple[Values, CoefficientFunction, CoefficientFunction]:
+) -> tuple[StartValues, CoefficientFunction, CoefficientFunction]:
     """Start values of the material's variables, the density and the elastic distortion."""
     material = step.model.material
     F = Id(3) if initial.F is None else as_shape("Initial.F", initial.F, (3, 3))
     sampler.require(Det(F), "det F_0", "Initial.F", minimum=0.0)
     told = parameter_values(material, initial.values)
     parameters = carried_of(material, told)
-    shares: Values = {}
+    shares: StartValues = {}
     if isinstance(material, Mixture):
         shares = starting_fractions(step.mesh, material.bodies, step.discretisation.m)
     distortions: Mapping[str, CoefficientFunction] = dict.fromkeys(shares, F)
@@ -195,7 +195,7 @@ def _data(
 
 
 def _project(
-    step: Step, initial: Initial, sampler: Sampler, values: Values, density: CoefficientFunction
+    step: Step, initial: Initial, sampler: Sampler, values: StartValues, density: CoefficientFunction
 ) -> None:
     """Project the data into the step's state, and start all unknowns that follow from them."""
     material, dim = step.model.material, step.mesh.dim
@@ -257,7 +257,7 @@ def _ranges(step: Step, parameters: Given, sampler: Sampler) -> dict[str, tuple[
 
 
 def _at_rest(
-    step: Step, initial: Initial, sampler: Sampler, parameters: Values, shares: Values
+    step: Step, initial: Initial, sampler: Sampler, parameters: StartValues, shares: StartValues
 ) -> dict[str, CoefficientFunction]:
     """Distortions in equilibrium with the loads, by bodies' names, "" for a single material."""
     material = step.model.material
@@ -278,8 +278,8 @@ def _at_rest(
 
 
 def _of_bodies(
-    step: Step, initial: Initial, shares: Values, distortions: Mapping[str, CoefficientFunction]
-) -> Values:
+    step: Step, initial: Initial, shares: StartValues, distortions: Mapping[str, CoefficientFunction]
+) -> StartValues:
     """Start amounts and tensors of the model's bodies, without the variables in ``initial.values``."""
     material = step.model.material
     if not isinstance(material, Mixture):
@@ -291,7 +291,7 @@ def _of_bodies(
     return {name: v for name, v in material.filled(shares, distortions).items() if name not in initial.values}
 
 
-def _check_moduli(step: Step, told: Values, parameters: Given, sampler: Sampler) -> None:
+def _check_moduli(step: Step, told: StartValues, parameters: Given, sampler: Sampler) -> None:
     """Raise InitialDataError if a modulus of a law has the wrong sign somewhere at the start.
 
     ``told`` are the parameters' values, ``parameters`` the carried numbers of these values.
@@ -350,7 +350,7 @@ def _materials_in(part: object) -> Iterator[Material]:
             yield from _materials_in(one)
 
 
-def _further(step: Step, initial: Initial, sampler: Sampler) -> Values:
+def _further(step: Step, initial: Initial, sampler: Sampler) -> StartValues:
     """Given start values of the evolving unknowns other than v, rho and z."""
     found = {}
     for name in step.layout.further:
@@ -405,8 +405,8 @@ def _impose_walls(step: Step, v_0: CoefficientFunction) -> None:
     v = step.state.vec.FV().NumPy()[step.layout.ranges["v"]]
     for name, (_, mask) in step.moving_walls.moving.items():
         n = specialcf.normal(step.mesh.dim)
-        through = 0.0 if name in step.walls.crossed else v_0 * n
-        v[mask] = step.moving_walls.interpolate(name, v_0 - through * n)[mask]
+        normal_part = 0.0 if name in step.walls.crossed else v_0 * n
+        v[mask] = step.moving_walls.interpolate(name, v_0 - normal_part * n)[mask]
     term = step.impenetrability
     # on a periodic mesh ``Set`` counts a vertex twice if a cell meets its own image
     if term is not None or step.layout.periodic:
@@ -425,7 +425,7 @@ def complete(step: Step) -> None:
     rates = step.context.rates
     if "Pi" in parts:
         # the local rate, as psi' may be infinitely steep at zero
-        rate = trace_free_tensors(dim).components(rates.local_creep(rates.flows[0], u))
+        rate = trace_free_tensors(dim).components(rates.local_creep(rates.mechanisms[0], u))
         Interpolation(step.layout.blocks["Pi"])(parts["Pi"], rate)
     set_traces(step.layout, step.state, step.context, step.quadrature)
     if (law := step.model.hyperviscosity) is None:

@@ -36,7 +36,7 @@ from ngvisco.shapes.shape import Shape
 from ngvisco.shapes.shape import as_shape as as_place
 
 Given: TypeAlias = Mapping[str, CoefficientFunction]
-Values: TypeAlias = dict[str, CoefficientFunction]
+StartValues: TypeAlias = dict[str, CoefficientFunction]
 
 _OVERLAP = 1e-3
 """The overlap, over the volume of the smaller of two bodies, below which the bodies only touch."""
@@ -53,7 +53,7 @@ _COVERED = 1e-10
 """The share of the volume of the domain or of a cell below which uncovered volume is rounding."""
 
 
-def parameter_values(material: Material, given: Given, owner: str = "Initial") -> Values:
+def parameter_values(material: Material, given: Given, owner: str = "Initial") -> StartValues:
     """Values of the material's parameters by name: the given ones, else the parameters' start values."""
     values = {}
     for variable in material.variables:
@@ -74,7 +74,7 @@ def starting_values(
     F: CoefficientFunction,
     further: Iterable[str] = (),
     owner: str = "Initial",
-) -> Values:
+) -> StartValues:
     """Values of all variables by name: the given ones, else values that follow from F.
 
     Raises UnknownNameError for a name that is neither a variable's nor among ``further``.
@@ -84,7 +84,7 @@ def starting_values(
     return values | carried_of(material, told)
 
 
-def carried_of(material: Material, values: Values) -> Values:
+def carried_of(material: Material, values: StartValues) -> StartValues:
     """Values of a material's variables, with the carried numbers of parameters in place of their values."""
     known = (v for v in material.variables if isinstance(v, Parameter) and v.name in values)
     return values | {v.name: v.carried(values[v.name]) for v in known}
@@ -92,7 +92,7 @@ def carried_of(material: Material, values: Values) -> Values:
 
 def given_values(
     material: Material, given: Given, further: Iterable[str] = (), owner: str = "Initial"
-) -> Values:
+) -> StartValues:
     """The given values of a material's variables, by name.
 
     Raises UnknownNameError for a name that is neither a variable's nor among ``further``.
@@ -145,7 +145,7 @@ def temperature_for(
     return as_shape(field, known if temperature is None else temperature, ())
 
 
-def entropy_at(material: Material, theta: CoefficientFunction, values: Given) -> Values:
+def entropy_at(material: Material, theta: CoefficientFunction, values: Given) -> StartValues:
     """The entropy, by its name, at a temperature, K, and the other variables' values.
 
     Bodies at one point have a common volume.
@@ -164,7 +164,7 @@ def bulk_pressure(
     material: Material, J: CoefficientFunction, given: Given, theta: CoefficientFunction | None = None
 ) -> CoefficientFunction:
     """Pressure -tr T/3, Pa, at F = J^{1/3} I; ``given`` has variables that are no strains; theta in K."""
-    z: Values = {}
+    z: StartValues = {}
     for v in material.variables:
         own = not v.is_strain and v.name in given
         # a new F for each variable: the derivative by one variable must not see it within another
@@ -179,7 +179,7 @@ def bulk_pressure(
 
 def _at_pressure(
     material: Material, p: CoefficientFunction, theta: CoefficientFunction | None, mesh: Mesh
-) -> Values:
+) -> StartValues:
     """Strains of a fluid at a pressure, Pa, by the inverse of its bulk law."""
     logarithm = L2(mesh, order=0).TrialFunction()
     _, modulus = rest_stress_and_modulus(material)
@@ -216,7 +216,7 @@ class Entering:
     A quantity that is not given enters with its value inside the body.
     """
 
-    values: Values
+    values: StartValues
     density: CoefficientFunction | None = None
     temperature: CoefficientFunction | None = None
 
@@ -275,7 +275,7 @@ def entering(wall: Passage, owner: str, model: Model, mesh: Mesh) -> Entering:
     return Entering(z, density, theta)
 
 
-def _entering_amounts(wall: Passage, owner: str, names: Sequence[str]) -> Values:
+def _entering_amounts(wall: Passage, owner: str, names: Sequence[str]) -> StartValues:
     """Amounts n_i of the inflowing bodies."""
     for name in wall.amounts:
         if name not in names:
@@ -303,7 +303,7 @@ def as_shape(field_name: str, value: object, shape: tuple[int, ...]) -> Coeffici
     return value
 
 
-def starting_fractions(mesh: Mesh, bodies: Sequence[Body], order: int) -> Values:
+def starting_fractions(mesh: Mesh, bodies: Sequence[Body], order: int) -> StartValues:
     """Volume fractions of the bodies by name, in discontinuous P_order with the sum one, from their places.
 
     Raises ParameterError for bodies of one order that overlap, an empty body, and points that no body covers.
@@ -329,7 +329,7 @@ def starting_fractions(mesh: Mesh, bodies: Sequence[Body], order: int) -> Values
         expected = f"a place that leaves something of the domain to {rest.name!r}, the rest"
         raise ParameterError(f"bodies[{body.name!r}].where", body.where, expected)
     *found, of_none = fractions(mesh, list(shapes.values()), order)
-    result: Values = dict(zip(shapes, found, strict=True))
+    result: StartValues = dict(zip(shapes, found, strict=True))
     if rest is not None:
         result[rest.name] = of_none
     else:  # distribute uncovered volume, below ``_OVERLAP``, by the fractions

@@ -87,5 +87,5 @@ def diffusion_terms(model: Model, walls: Walls) -> list[Term]:
     if law is None:
         return []
     check_boundary_names(walls.mesh, law.walls, "Diffusion.walls")
-    through = (ThroughWall(walls, law.variable, name, at) for name, at in law.walls.items())
-    return [*Spreading(law).terms, *through]
+    at_walls = (ThroughWall(walls, law.variable, name, at) for name, at in law.walls.items())
+    return [*Spreading(law).terms, *at_walls]

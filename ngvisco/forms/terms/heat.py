@@ -26,9 +26,9 @@ from ngvisco.forms.term import (
     PRODUCTION,
     Entry,
     Integrand,
+    PointRule,
     PointTerm,
     Term,
-    Where,
     dissipations,
 )
 from ngvisco.forms.terms.fluxes import Flux, component
@@ -97,7 +97,7 @@ class Heating(_OfEntropy):
         return found
 
     def _rows(
-        self, u: Fields, w: Fields, where: Where, others: Mapping[str, CoefficientFunction]
+        self, u: Fields, w: Fields, where: PointRule, others: Mapping[str, CoefficientFunction]
     ) -> Sequence[CoefficientFunction]:
         """Rows of the entropy for dissipation and the heat ``others`` at the places ``where``."""
         heat = [*dissipations(u, self, where).values(), *others.values()]
@@ -109,8 +109,8 @@ class Heating(_OfEntropy):
     def facets(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         return self._rows(u, w, "facets", self._taken_by_walls(u))
 
-    def nodes(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
-        return self._rows(u, w, "nodes", {})
+    def collocated(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
+        return self._rows(u, w, "collocated", {})
 
     def entries(self, u: Fields) -> list[Entry]:
         """Powers of the heat, which is a part of the energy; the entropy, its productions and supplies."""
@@ -220,9 +220,9 @@ def heat_terms(model: Model, walls: Walls) -> list[Term]:
         return []
     law = model.heat_law
     heats = ((name, wall.heat) for name, wall in walls.conditions.items() if wall.heat is not None)
-    through = (HeatThroughWall(law, entropy, walls, name, heat) for name, heat in heats)
+    at_walls = (HeatThroughWall(law, entropy, walls, name, heat) for name, heat in heats)
     heating = Heating(law, entropy, walls)
     if model.regularisation is not None and model.regularisation.delta_fields > 0:
         heating.coupled_only = "what delta_fields dissipates is made of phi'' by forms"
-    terms: list[Term] = [heating, *through]
+    terms: list[Term] = [heating, *at_walls]
     return terms + (Conduction(law, entropy).terms if law.conducts else [])

@@ -71,11 +71,11 @@ class Continuity(PointTerm):
 
     def _inflow(self, u: Fields) -> CoefficientFunction:
         """Inflow indicator: 1 on a facet's side that the flow enters, 0 on the other, 1/2 at rest."""
-        through = u.v * u.context.normal
+        flux = u.v * u.context.normal
         if MeanFlux.name in u.layout.unknowns:
-            through = side(u) * u.parts[MeanFlux.name]
-        zero = 0.0 * through
-        return u.context.inner * if_positive(through, zero, if_positive(-through, zero + 1.0, zero + 0.5))
+            flux = side(u) * u.parts[MeanFlux.name]
+        zero = 0.0 * flux
+        return u.context.inner * if_positive(flux, zero, if_positive(-flux, zero + 1.0, zero + 0.5))
 
 
 class MeanFlux(FacetMean):

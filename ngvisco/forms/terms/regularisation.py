@@ -94,8 +94,8 @@ class FieldDiffusion(PointTerm):
 
     def facets(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         across, jump = self._across(u), self._jump(u)
-        through = self._through_facets(u, across, jump, w.z)
-        return [*self.lifting(u, w, jump), inner(across, w.z_slope_hat), *through]
+        fluxes = self._through_facets(u, across, jump, w.z)
+        return [*self.lifting(u, w, jump), inner(across, w.z_slope_hat), *fluxes]
 
     def _through_facets(
         self, u: Fields, across: CoefficientFunction, jump: CoefficientFunction, G: CoefficientFunction

@@ -31,7 +31,7 @@ from ngvisco.forms.terms.tangents import TangentForce
 from ngvisco.forms.upwinding import FacetMean, speed
 from ngvisco.physics.flow_rules import FlowRule
 from ngvisco.physics.materials.wrapped import WithQuadratic
-from ngvisco.physics.model import Flow, Model
+from ngvisco.physics.model import CreepMechanism, Model
 from ngvisco.physics.tensors import inner, masked, square, trace_free_tensors
 
 UPWINDING = "dissipation_upwinding"
@@ -81,11 +81,11 @@ class Kinematics(PointTerm):
     def cells(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         c = u.context
         parts = [-part for part in transport_in_cells(u, u, w, "z")]
-        if c.rates.flows and not c.rates.creep_is_collocated:
+        if c.rates.mechanisms and not c.rates.creep_is_collocated:
             parts += self._creep(u, w)
         return [c.rate(inner(u.z - c.old.z, w.z)), *parts]
 
-    def nodes(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
+    def collocated(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         return self._creep(u, w) if u.context.rates.creep_is_collocated else []
 
     def _creep(self, u: Fields, w: Fields) -> list[CoefficientFunction]:
@@ -98,10 +98,10 @@ class Kinematics(PointTerm):
     def dissipated(self, u: Fields) -> dict[str, CoefficientFunction]:
         """The dissipation of creep, if the creep rate is not an unknown."""
         rates = u.context.rates
-        is_here = rates.flows and rates.is_local and not rates.creep_is_collocated
+        is_here = rates.mechanisms and rates.is_local and not rates.creep_is_collocated
         return _dissipation(u) if is_here else {}
 
-    def dissipated_at_nodes(self, u: Fields) -> dict[str, CoefficientFunction]:
+    def dissipated_collocated(self, u: Fields) -> dict[str, CoefficientFunction]:
         return _dissipation(u) if u.context.rates.creep_is_collocated else {}
 
     def energy(self, u: Fields) -> Entry:
@@ -233,7 +233,7 @@ class CreepRate(PointTerm):
 
     def cells(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         gradient = self.rule.gradient_coefficient(square(u.grad_Pi))
-        z = u.context.rates.read_values(self.rule, u, u.context.rates.flows[0])
+        z = u.context.rates.read_values(self.rule, u, u.context.rates.mechanisms[0])
         space = trace_free_tensors(u.dim)
         force, driving = self.rule.force(u.Pi, z), u.context.rates.mandel(u)
         return [
@@ -264,15 +264,16 @@ class PlasticStraining(PointTerm):
     q = zeta_K = phi_h'(k) gives the power that hardening stores, which ``dissipation_creep`` excludes.
     """
 
-    flow: Flow
+    mechanism: CreepMechanism
 
     def cells(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         return [] if u.context.rates.creep_is_collocated else self._rows(u, w)
 
-    def nodes(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
+    def collocated(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         return self._rows(u, w) if u.context.rates.creep_is_collocated else []
 
     def _rows(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         rates = u.context.rates
-        Pi = rates.creep(u)[rates.flows.index(self.flow)]
-        return [-rates.hardening_rate(self.flow, Pi, u) * w.z_tensors[self.flow.plastic_content.name]]
+        Pi = rates.creep(u)[rates.mechanisms.index(self.mechanism)]
+        G = w.z_tensors[self.mechanism.plastic_content.name]
+        return [-rates.hardening_rate(self.mechanism, Pi, u) * G]

@@ -137,10 +137,10 @@ class FlowSchurComplement:
         """dR/d(v, grad v) of convection and viscosity: (points, 0 or 1 + j, i, k, 0 or 1 + l)."""
         d = self.dim
         along = np.eye(d * (1 + d)).reshape(-1, d, 1 + d, 1)
-        slots = p.terms.derivatives(self.leading, p.fields, v=along[:, :, 0], grad_v=along[:, :, 1:])
+        factors = p.terms.derivatives(self.leading, p.fields, v=along[:, :, 0], grad_v=along[:, :, 1:])
         A = np.empty((len(p.columns), 1 + d, d, d * (1 + d)))
-        A[:, 0] = slots["v"].transpose(2, 0, 1)
-        A[:, 1:] = slots["grad v"].transpose(3, 1, 0, 2)
+        A[:, 0] = factors["v"].transpose(2, 0, 1)
+        A[:, 1:] = factors["grad v"].transpose(3, 1, 0, 2)
         return A.reshape(-1, 1 + d, d, d, 1 + d)
 
     def _rest(self) -> sp.csr_matrix | None:

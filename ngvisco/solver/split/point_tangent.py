@@ -63,7 +63,7 @@ class _AtPoints:
             yield some, {name: derivative_of(g, k) for name, g in self._read(terms, changed).items()}
 
     def _read(self, terms: CellTerms, u: Fields) -> dict[str, np.ndarray]:
-        return terms.slots(self._asked, u)
+        return terms.factors(self._asked, u)
 
     def tested(self, cells: slice) -> np.ndarray:
         """tau P K for the coefficients of some cells, (cells, q q, n n)."""
@@ -78,11 +78,11 @@ class _AtPoints:
         return self.op.z.test(at_points(self.rate_slope, values)).T
 
 
-class NodeTangent(_AtPoints):
-    """The tangent at the nodes, of terms with a collocated rule."""
+class CollocatedTangent(_AtPoints):
+    """The tangent of terms with a collocated rule, at its points."""
 
     def __init__(self, residual: ReducedResidual, terms: CellTerms) -> None:
-        super().__init__(residual, terms, residual.couplings.of_nodes())
+        super().__init__(residual, terms, residual.couplings.collocated())
 
     def update(self, at: Evaluation) -> None:
         """Form K from the slopes of the flow rules, linearised anew at their linearisation stresses."""
@@ -127,13 +127,17 @@ class PointTangent(_AtPoints):
     def __init__(self, residual: ReducedResidual, operators: Operators) -> None:
         terms = CellTerms(residual.step, operators, residual.rates)
         super().__init__(residual, terms, residual.couplings.of_state())
-        self.nodes = None if residual.node_terms is None else NodeTangent(residual, residual.node_terms)
+        self.collocated = (
+            None
+            if residual.collocated_terms is None
+            else CollocatedTangent(residual, residual.collocated_terms)
+        )
         rates, count = residual.rates, operators.points.count
-        self._creeps = bool(rates.flows) and rates.is_local and not rates.creep_is_collocated
+        self._creeps = bool(rates.mechanisms) and rates.is_local and not rates.creep_is_collocated
         self.parts = [(part.cells, terms.part(part.cells)) for part in residual.parts]
         n, X, local = self.components, len(rates.tensors.constant), operators.z.local
         self.rate_slope = np.zeros((count, n, n))
-        kind = precision.SINGLE if self.nodes is None else np.float64
+        kind = precision.SINGLE if self.collocated is None else np.float64
         self.resolvent = np.zeros((operators.z.cells, local * n, local * n), kind)
         self.force: np.ndarray | None = None
         self.columns: np.ndarray | None = None
@@ -148,8 +152,8 @@ class PointTangent(_AtPoints):
     def begin(self, at: Evaluation) -> None:
         """Start the linearisation at an evaluation: linearise at the nodes of all cells."""
         self.tau = self.residual.step.context.tau.Get()
-        if self.nodes is not None:
-            self.nodes.update(at)
+        if self.collocated is not None:
+            self.collocated.update(at)
 
     def update(self, part: tuple[slice, CellTerms], at: Evaluation) -> PointValues:
         """Form K and its resolvent in some cells; return d rate/dX and the force's derivative."""
@@ -173,7 +177,7 @@ class PointTangent(_AtPoints):
         g, plane = rates.tensors.gradients, rates.dim**2
         X = np.zeros((columns.shape[2], z.shape[1]))
         X[:g] = rates.entries_of_L(u)
-        if rates.flows and not rates.creep_is_collocated:
+        if rates.mechanisms and not rates.creep_is_collocated:
             X[g:] = rates.creep_components(u)
         K, force = (each.transpose(2, 0, 1) for each in rates.slopes(z, X, zeta))
         force = force + np.matmul(columns.swapaxes(1, 2), curvature)
@@ -212,8 +216,8 @@ class PointTangent(_AtPoints):
         """
         q, n = self.op.z.local, self.components
         tested = self.tested(cells)
-        if self.nodes is not None:
-            tested = tested + self.nodes.tested(cells)
+        if self.collocated is not None:
+            tested = tested + self.collocated.tested(cells)
         matrix = tested.reshape(-1, q, q, n, n).transpose(0, 1, 3, 2, 4)
         return _resolvents(matrix.reshape(-1, q * n, q * n))
 

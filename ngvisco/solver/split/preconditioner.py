@@ -18,7 +18,7 @@ import scipy.sparse as sp
 
 from ngvisco.algebra import precision
 from ngvisco.algebra.factorised import Direct, TwoLevelSolver, direct_solver
-from ngvisco.algebra.krylov import Map, gmres
+from ngvisco.algebra.krylov import Operator, gmres
 from ngvisco.algebra.sparse import apply
 from ngvisco.errors import InputWarning, StepError
 from ngvisco.forms.mesh.mesh_arrays import mask_of, rigid_motions
@@ -76,20 +76,20 @@ class FieldsSystem:
         relative to the column of the start value.
         """
         enough = self.enough if tolerance >= TOLERANCE else 0.0
-        if enough and approximate in self._swept_is_enough:
-            return approximate(rows)
+        if enough and swept in self._swept_is_enough:
+            return swept(rows)
         products = self.operator.residual.ranks.products
 
         def squares(columns: np.ndarray) -> np.ndarray:
             return products((columns * columns).T, np.ones(len(columns)))
 
         def mapped(x: np.ndarray) -> np.ndarray:
-            return (approximate(matrix(scale * x.reshape(start.shape))) / scale).ravel()
+            return (swept(matrix(scale * x.reshape(start.shape))) / scale).ravel()
 
         start = approximate(rows).astype(float)  # squares may exceed single precision
         scale = np.sqrt(squares(start))
         scale[scale == 0] = 1.0
-        rest = approximate(rows - matrix(start)).astype(float) / scale
+        rest = swept(rows - matrix(start)).astype(float) / scale
         size = float(np.sqrt(squares(rest).sum()))
         if not max(tolerance, enough) < size < np.inf:  # good enough, or not finite
             self._swept_is_enough.add(approximate)
@@ -135,7 +135,7 @@ class Preconditioner:
             None if residual.hyper is None else HyperDerivative(residual.hyper, self.options.penalty_degree)
         )
         tangent = PointTangent(residual, self.op)
-        self._relaxes = tangent.nodes is not None
+        self._relaxes = tangent.collocated is not None
         self.operator = FlowSchurComplement(residual, tangent, self.sweep, derivative)
         self.fields = FieldsSystem(self.operator, ENOUGH_WHERE_STEEP if step.stresses else ENOUGH)
         self.ranks, count = residual.ranks, self.operator.size

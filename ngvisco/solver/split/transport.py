@@ -159,8 +159,8 @@ class TransportSweeps:
         r, coupling = self.residual, self.coupling
         storage, convection = r.step.context.rate(self._mass), self._convection(at)
         share = mean_share(r.side_op.inner)
-        through = r.side_op.crossed * (r.side_op.points.normals * at.facets.v.value).sum(axis=0)
-        inward = through - abs(through)
+        normal_velocity = r.side_op.crossed * (r.side_op.points.normals * at.facets.v.value).sum(axis=0)
+        inward = normal_velocity - abs(normal_velocity)
         own, across = coupling.blocks(-inward, share, inward)
         own += self._entering("z", at, inward)
         own += storage + convection
@@ -173,7 +173,7 @@ class TransportSweeps:
             self.of_z = SweptMatrix(own, across, coupling).invert()
         self._count_sweeps()
         if self._density is None and r.unknowns.density:
-            own, across = coupling.blocks(abs(through), share, inward)
+            own, across = coupling.blocks(abs(normal_velocity), share, inward)
             own += self._entering("rho", at, inward)
             own += storage - convection.transpose(0, 2, 1)
             with r.ranks.together(np.linalg.LinAlgError):
