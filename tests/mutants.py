@@ -190,8 +190,8 @@ MUTANTS = [
         "forms/upwinding.py",
         (
             "upwinding of both row and column",
-            "return if_positive(through, through, -through)",
-            "return -if_positive(through, through, -through)",
+            "return if_positive(v_n, v_n, -v_n)",
+            "return -if_positive(v_n, v_n, -v_n)",
             MOMENTUM + "test_what_a_jump_makes_of_nothing_is_in_the_columns",
         ),
     ),
@@ -304,8 +304,8 @@ MUTANTS = [
         "forms/terms/momentum.py",
         (
             "mean flux of a facet",
-            "through = side(u) * u.parts[MeanFlux.name]",
-            "through = u.v * u.context.normal",
+            "flux = side(u) * u.parts[MeanFlux.name]",
+            "flux = u.v * u.context.normal",
             "tests/forms/test_regularisation.py::test_the_trace_of_a_cut_off_density_has_one_upstream_side_a_facet",
         ),
         (

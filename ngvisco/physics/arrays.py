@@ -243,14 +243,14 @@ class Linear(_Node):
     """A linear form in test functions: a shape and maps back to the test functions, without a value.
 
     ``Term.cells`` and ``Term.facets`` give an integrand that is linear in the test functions when a
-    ``Linear`` is passed for each of these; ``slots`` reads off the factor of each test function.
+    ``Linear`` is passed for each of these; ``factors_of_tests`` reads off the factor of each test function.
     """
 
     def __init__(
         self, shape: tuple[int, ...], parents: Sequence[tuple[Linear, Any]] = (), test: str | None = None
     ) -> None:
-        """``slot`` is the name of a test function; ``parents`` are as for ``Array``."""
-        self.shape, self.parents, self.slot, self.number = shape, parents, slot, next(_number)
+        """``test`` is the name of a test function; ``parents`` are as for ``Array``."""
+        self.shape, self.parents, self.test, self.number = shape, parents, test, next(_number)
 
     def _mapped(self, shape: tuple[int, ...], there: Map, back: Map) -> Linear:
         return Linear(shape, [(self, back)])

@@ -200,7 +200,7 @@ class Body:
     """
 
     name: Annotated[str, Quantity(example="disc")]
-    where: Where | None = field(default=None, repr=False)  # for the start alone
+    where: StartPlace | None = field(default=None, repr=False)  # for the start alone
     material: Material
     viscosity: Viscosity | None = None
     creep: FlowRule | None = None

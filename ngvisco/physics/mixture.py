@@ -305,7 +305,7 @@ class Mixture(Material):
 
 
 @dataclass(frozen=True)
-class _Part(Material):
+class _MixturePart(Material):
     """A part of an energy as a material: the function ``of`` of the values of ``transported`` variables."""
 
     of: Callable[[Values], Any]

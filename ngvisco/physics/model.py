@@ -29,7 +29,7 @@ from ngvisco.physics.variables import TEMPERATURE, Values
 
 
 @dataclass(frozen=True)
-class Flow:
+class CreepMechanism:
     """A flow rule with its own creep rate Pi: the material's, a branch's or a body's."""
 
     rule: FlowRule
@@ -49,7 +49,7 @@ class Flow:
 
     @property
     def suffix(self) -> str:
-        """The suffix of the names of a branch's columns and fields; empty for other flows."""
+        """The suffix of the names of a branch's columns and fields; empty for other mechanisms."""
         return "" if self.branch is None else f"_{self.branch}"
 
     @property
@@ -184,8 +184,8 @@ class Model:
         return settled
 
     @property
-    def flows(self) -> tuple[Flow, ...]:
-        """The flows of the material, of each branch of a network, or of each body, with their tensors."""
+    def mechanisms(self) -> tuple[CreepMechanism, ...]:
+        """Creep mechanisms of the material, of each branch of a network, or of each body."""
         of = self.material
         if (network := part_of(of, Network)) is not None:
             return tuple(
@@ -207,7 +207,7 @@ class Model:
     @property
     def traced(self) -> list[str]:
         """Names of tensors whose creep rate has a trace, so that J does not determine their determinants."""
-        return [name for flow in self.flows if flow.rule.has_trace for name in flow.names]
+        return [name for each in self.mechanisms if each.rule.has_trace for name in each.names]
 
     @property
     def _hardening(self) -> tuple[tuple[PlasticContent, Hardening], ...]:

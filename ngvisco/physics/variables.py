@@ -110,7 +110,7 @@ class Variable(ABC):
         return self.kind != "scalar"
 
     @property
-    def frame(self) -> Frame | None:
+    def frame(self) -> CreepFrame | None:
         """The frame of the rate's Pi, for F the relaxed configuration; None if the variable does not creep.
 
         The Pi of E and of F F^T is in the actual frame: it is Q Pi Q^T with the polar factor Q of F.

@@ -102,7 +102,7 @@ class Couplings:
 
     def _of_flow(self, term: PointTerm) -> set[str]:
         """Names of the flow's tests in the rows of a term at points."""
-        return set(self._slots[id(term)].names) - _FIELDS
+        return set(self._rows[id(term)].names) - _FIELDS
 
     @property
     def across_facets(self) -> list[PointTerm]:
@@ -111,7 +111,7 @@ class Couplings:
 
     def components_across_facets(self) -> list[int]:
         """Components of z in the rows of the terms ``across_facets``."""
-        return sorted(set().union(*(self._slots[id(term)].components for term in self.across_facets)))
+        return sorted(set().union(*(self._rows[id(term)].components for term in self.across_facets)))
 
     def of_inertia(self) -> list[PointTerm]:
         """Terms whose derivative by v is the mass matrix."""
@@ -127,9 +127,9 @@ class Couplings:
                 found.append(term)
         return found
 
-    def of_nodes(self) -> list[PointTerm]:
+    def collocated(self) -> list[PointTerm]:
         """Terms that are integrated by a collocated rule: one point per coefficient of a field."""
-        return [term for term in self.at_points if self._slots[id(term)].at_nodes]
+        return [term for term in self.at_points if self._rows[id(term)].collocated]
 
 
 def term_obstacle(step: Step) -> str | None:
@@ -146,7 +146,7 @@ def _refused(term: object, reason: str) -> ParameterError:
     return ParameterError("Simulation.terms", name, f"{name}: {reason}")
 
 
-def _slots_at_points(step: Step, term: PointTerm) -> Slots:
+def _rows_at_points(step: Step, term: PointTerm) -> TermRows:
     """Rows of a term at points; raises ParameterError if the term cannot be evaluated by arrays."""
     try:
         found = OnePoint(step).rows(term)

@@ -221,7 +221,7 @@ class CellTerms:
         place: PointRule = "cells",
         sampled: Sampled | None = None,
     ) -> None:
-        """``place`` names the terms' method whose integrands are evaluated, "cells" or "nodes"."""
+        """``place`` names the terms' method whose integrands are evaluated, "cells" or "collocated"."""
         self.layout, self.op, self.place, self._step = step.layout, operators, place, step
         self.context = CellContext(step, operators, rates, sampled or Sampled(step, operators))
 
@@ -235,15 +235,15 @@ class CellTerms:
         names = [*in_cells(self.layout), *derived_in_cells(self.layout)]
         return _in_cells(self.op, c, names, CELLS, self.context)
 
-    def slots(self, terms: Iterable[PointTerm], u: Fields) -> dict[str, np.ndarray]:
+    def factors(self, terms: Iterable[PointTerm], u: Fields) -> dict[str, np.ndarray]:
         """Factors of each test and of its gradient, summed over the terms, (..., points)."""
         tests = tests_of(self._step, True, u.context)  # u may have its points several times
-        return slots_of([part for term in terms for part in getattr(term, self.place)(u, tests)])
+        return factors_of([part for term in terms for part in getattr(term, self.place)(u, tests)])
 
     def derivatives(
         self, terms: Sequence[PointTerm], u: Fields, **along: np.ndarray
     ) -> dict[str, np.ndarray]:
-        """Derivatives of ``slots`` in k directions, (..., k, points); ``along`` is that of
+        """Derivatives of ``factors`` in k directions, (..., k, points); ``along`` is that of
         ``incremented``."""
         parts = [
             {name: derivative_of(g, k) for name, g in self.factors(terms, changed).items()}
@@ -305,13 +305,13 @@ class FacetTerms:
         sloping = [name for name in ("rho", "z", "zeta") if name in names]
         return lazy_fields(Fields, self.layout, (value, names), (gradient, sloping), FACETS, self.context)
 
-    def slots(self, terms: Iterable[PointTerm], u: Fields) -> dict[str, np.ndarray]:
+    def factors(self, terms: Iterable[PointTerm], u: Fields) -> dict[str, np.ndarray]:
         """Factors of each test, summed over the terms, (..., points)."""
-        return slots_of([part for term in terms for part in term.facets(u, self._tests)])
+        return factors_of([part for term in terms for part in term.facets(u, self._tests)])
 
     def loads(self, terms: Iterable[PointTerm], u: Fields) -> Rows:
         """Integrals over each cell's sides against its basis functions of v, rho and z; traces have none."""
-        found = self.slots(terms, u)
+        found = self.factors(terms, u)
         count, names = len(self.op.weights), {"v", "rho", "z"}.intersection(found)
         return {name: self.op.of(name).loads(_full(found[name], count)) for name in names}
 

@@ -139,7 +139,7 @@ class FacetTangent:
 
     def _on_sides(self, u: Fields) -> np.ndarray:
         """Change of the rows of each side with the increment in ``u``, (sides, rows q)."""
-        found = self.residual.facet_terms.slots(self.terms, u)
+        found = self.residual.facet_terms.factors(self.terms, u)
         if "z" not in found:
             return np.zeros(())
         return self.coupling.tested(self._change(found["z"], self.coupling.points))

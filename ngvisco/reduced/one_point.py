@@ -19,7 +19,7 @@ from ngvisco.reduced.unknowns import derived_in_cells, in_cells
 
 
 @dataclass(frozen=True)
-class Slots:
+class TermRows:
     """The rows of a term.
 
     Attributes
@@ -28,7 +28,7 @@ class Slots:
         Names of the tests, and whether their rows depend on z or zeta.
     components : frozenset of int
         Components of z that have rows.
-    at_nodes : bool
+    collocated : bool
         Whether a row is integrated by a collocated rule: one point per coefficient of a field.
     """
 
@@ -46,7 +46,7 @@ class OnePoint:
         derived = derived_in_cells(step.layout)
         self._shapes |= {name: step.layout.unknowns[name].shape for name in ("zeta", *derived)}
 
-    def slots(self, term: PointTerm) -> Slots:
+    def rows(self, term: PointTerm) -> TermRows:
         """Rows of a term; raises NotAtPointsError if the term asks for a value that arrays cannot give."""
 
         def marked(name: str, values: np.ndarray) -> np.ndarray:

@@ -324,8 +324,8 @@ class ReducedResidual:
         if self.collocated_terms is not None:
             self._at_collocation_points(self.collocated_terms, c, True)
 
-    def _at_nodes(self, terms: CellTerms, c: dict[str, np.ndarray], is_real: bool) -> Fields:
-        """Values at the nodes; real values also update the linearisation stresses, as the step's state."""
+    def _at_collocation_points(self, terms: CellTerms, c: dict[str, np.ndarray], is_real: bool) -> Fields:
+        """Values at collocation points; real ones update the linearisation stresses, as the step's state."""
         n = terms.fields(c)
         if is_real:
             self.step.stresses.refresh(lambda: (n.z.value, n.zeta.value))

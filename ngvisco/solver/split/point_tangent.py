@@ -6,8 +6,8 @@ Without convection and fluxes through facets the fields follow
 
 With the elastic force zeta : rate(z; X) a point has the stiffness
 C = tau (zeta : T + (d rate/dX)^T phi'') (1 - tau K)^{-1} (d rate/dX), which stress or creep make
-nonsymmetric.  Terms integrated by the collocated rule (``Quadrature.nodes``), as nonlinear creep, contribute
-to K at the nodes.
+nonsymmetric.  Terms integrated by the collocated rule (``Quadrature.collocated``), as nonlinear creep,
+contribute to K at their points.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class _AtPoints:
     def _slopes(
         self, terms: CellTerms, u: Fields, curvature: np.ndarray
     ) -> Iterator[tuple[slice, dict[str, np.ndarray]]]:
-        """Yield derivatives of the asked terms' slots, and of creep, by z; zeta follows z by phi''.
+        """Yield derivatives of the asked terms' factors, and of creep, by z; zeta follows z by phi''.
 
         Each item has a range of z's components and the derivatives by them."""
         first, zeta = 0, curvature.transpose(2, 1, 0)
@@ -122,7 +122,7 @@ class PointValues:
 
 
 class PointTangent(_AtPoints):
-    """The tangent at the points of the coarse rule, and the resolvent in a cell with the nodes' part."""
+    """The tangent at the points of the coarse rule, and a cell's resolvent, with the collocated terms."""
 
     def __init__(self, residual: ReducedResidual, operators: Operators) -> None:
         terms = CellTerms(residual.step, operators, residual.rates)
@@ -141,7 +141,7 @@ class PointTangent(_AtPoints):
         self.resolvent = np.zeros((operators.z.cells, local * n, local * n), kind)
         self.force: np.ndarray | None = None
         self.columns: np.ndarray | None = None
-        if self.nodes is not None or "Pi" in residual.unknowns.flow:
+        if self.collocated is not None or "Pi" in residual.unknowns.flow:
             # steep rules and creep rate fields need both at the points
             self.force, self.columns = np.zeros((count, X, n)), np.zeros((count, n, X))
 
@@ -150,7 +150,7 @@ class PointTangent(_AtPoints):
         return creep | super()._read(terms, u)
 
     def begin(self, at: Evaluation) -> None:
-        """Start the linearisation at an evaluation: linearise at the nodes of all cells."""
+        """Start the linearisation at an evaluation: linearise at the collocation points of all cells."""
         self.tau = self.residual.step.context.tau.Get()
         if self.collocated is not None:
             self.collocated.update(at)
@@ -198,8 +198,8 @@ class PointTangent(_AtPoints):
         return K, force
 
     def fields_rows(self, dz: np.ndarray) -> np.ndarray:
-        """Rows (K dz, .) including the part of the nodes."""
-        return self.rows(dz) if self.nodes is None else self.rows(dz) + self.nodes.rows(dz)
+        """Rows (K dz, .) including the part of the collocated terms."""
+        return self.rows(dz) if self.collocated is None else self.rows(dz) + self.collocated.rows(dz)
 
     def stiffness(self) -> np.ndarray:
         """C of the module's docstring, (points, X, X)."""

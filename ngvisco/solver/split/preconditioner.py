@@ -51,7 +51,7 @@ class FieldsSystem:
         """``enough`` is the relative residual that sweeps alone may leave."""
         self.operator, self.sweep, self.enough = operator, operator.sweep, enough
         self.iterations = ITERATIONS
-        self._swept_is_enough: set[Map] = set()
+        self._swept_is_enough: set[Operator] = set()
         """Approximate inverses of which one application was enough since the operator's last update."""
 
     def renew(self) -> None:
@@ -69,8 +69,8 @@ class FieldsSystem:
             return sweep.density(rows)
         return self._solved(sweep.of_rho, sweep.density, rows[:, None], tolerance)[:, 0]
 
-    def _solved(self, matrix: Map, approximate: Map, rows: np.ndarray, tolerance: float) -> np.ndarray:
-        """Solve matrix(x) = rows up to ``tolerance``, with the approximate inverse as preconditioner.
+    def _solved(self, matrix: Operator, swept: Operator, rows: np.ndarray, tolerance: float) -> np.ndarray:
+        """Solve matrix(x) = rows up to ``tolerance``, with the swept inverse as preconditioner.
 
         The preconditioned residual is measured column by column, as columns may have different units,
         relative to the column of the start value.
@@ -86,13 +86,13 @@ class FieldsSystem:
         def mapped(x: np.ndarray) -> np.ndarray:
             return (swept(matrix(scale * x.reshape(start.shape))) / scale).ravel()
 
-        start = approximate(rows).astype(float)  # squares may exceed single precision
+        start = swept(rows).astype(float)  # squares may exceed single precision
         scale = np.sqrt(squares(start))
         scale[scale == 0] = 1.0
         rest = swept(rows - matrix(start)).astype(float) / scale
         size = float(np.sqrt(squares(rest).sum()))
         if not max(tolerance, enough) < size < np.inf:  # good enough, or not finite
-            self._swept_is_enough.add(approximate)
+            self._swept_is_enough.add(swept)
             return start
         most = self.iterations
         x, _ = gmres(mapped, rest.ravel(), rtol=tolerance / size, directions=most, products=products)

@@ -178,9 +178,9 @@ class Split:
 
     def follow(self, f: np.ndarray, length: float = 1.0) -> None:
         """Move the linearisation stresses along with ``length`` times the increment f of the state."""
-        nodes = self.preconditioner.operator.points.nodes
-        if self.is_steep and nodes is not None:
-            nodes.follow(-f[self.unknowns.slices["z"]].reshape(self.unknowns.components["z"], -1), length)
+        points = self.preconditioner.operator.points.collocated
+        if self.is_steep and points is not None:
+            points.follow(-f[self.unknowns.slices["z"]].reshape(self.unknowns.components["z"], -1), length)
 
     def has_converged(self, f: np.ndarray, size: float, last: float) -> bool:
         """Whether x - f solves the equations, judged by the size of f and of the smallest increment
