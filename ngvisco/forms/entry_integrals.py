@@ -20,7 +20,7 @@ class EntryIntegrals:
         self._in_cells: list[tuple[list[str], CoefficientFunction, Callable[[CoefficientFunction], Any]]] = []
         for of_entries, integrate in (
             ({name: e.integrand.cells for name, e in entries.items()}, quadrature.integrate_cells),
-            ({name: e.integrand.nodes for name, e in entries.items()}, quadrature.integrate_nodes),
+            ({name: e.integrand.collocated for name, e in entries.items()}, quadrature.integrate_collocated),
         ):
             parts = {name: part for name, part in of_entries.items() if part is not None}
             if parts:

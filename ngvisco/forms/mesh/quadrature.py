@@ -106,9 +106,9 @@ class Quadrature:
         """The integral over all cells, or over ``cells``, with the common rule, for a form."""
         return self._in_cells(integrand) * dx(intrules=self.cell_rules, definedonelements=cells)
 
-    def nodes(self, integrand: CoefficientFunction, cells: BitArray | None = None) -> Any:
+    def collocated(self, integrand: CoefficientFunction, cells: BitArray | None = None) -> Any:
         """The integral over all cells, or over ``cells``, with the nodal rule, for a form."""
-        return self._in_cells(integrand) * dx(intrules=self._node_rules, definedonelements=cells)
+        return self._in_cells(integrand) * dx(intrules=self._collocation_rules, definedonelements=cells)
 
     @cached_property
     def _collocation_rules(self) -> dict[Any, IntegrationRule]:
@@ -137,15 +137,15 @@ class Quadrature:
     def add(self, form: Any, integrands: Iterable[Integrand], cells: BitArray | None = None) -> None:
         """Add the integrands to an NGSolve form on all cells, or on ``cells``.
 
-        The rules are those of ``cells``, ``facets`` and ``nodes``.
+        The rules are those of ``cells``, ``facets`` and ``collocated``.
         """
         for integrand in integrands:
             if integrand.cells is not None:
                 form += self.cells(compiled(integrand.cells), cells)
             if integrand.facets is not None:
                 form += self.facets(compiled(integrand.facets), cells)
-            if integrand.nodes is not None:
-                form += self.nodes(compiled(integrand.nodes), cells)
+            if integrand.collocated is not None:
+                form += self.collocated(compiled(integrand.collocated), cells)
 
     def integrate_cells(self, integrand: CoefficientFunction) -> Any:
         """Integral over the mesh, by the rule of ``cells``; a float, or a vector of floats."""
