@@ -54,7 +54,7 @@ class Heated(Section):
         "material without heat",
     )
 
-    def completed(self, made: MaterialObject) -> MaterialObject:
+    def completed(self, made: Material) -> Material:
         """The material, with heat if the table has ``thermal``."""
         if self.thermal is None:
             return made
@@ -71,7 +71,7 @@ CreepSection = laws(FlowRule, catalogue.FLOW_RULES, catalogue.FLOW_RULE_WRAPPERS
 
 def _branches(material: Any) -> dict[Any, Any]:
     """The schema's type of a network's branches, for the type of their materials."""
-    branch: Any = section(Branch, types={MaterialObject: material, FlowRule: Creep})
+    branch: Any = section(Branch, types={Material: material, FlowRule: CreepSection})
     return {Mapping[str, Branch]: dict[str, branch]}
 
 
@@ -169,7 +169,7 @@ def _check_name(name: str) -> str:
 Names = Annotated[list[str], Field(min_length=1), AfterValidator(_check_once)]
 """A selection by name; a key that is left out selects everything."""
 Components = Annotated[Names | None, Quantity(example=["velocity", "F_12"])]
-Count = Annotated[int, Field(ge=1)]
+AtLeastOne = Annotated[int, Field(ge=1)]
 _COMPONENTS = "Names of fields or of their components; default as for output.vtk.fields"
 
 
@@ -197,8 +197,8 @@ class VTK(Section):
 class Checkpoint(Section):
     """Checkpoints in run.h5."""
 
-    every: Count = Field(10, description="A checkpoint every so many steps, and at the end")
-    keep: Count = Field(2, description="Number of checkpoints in run.h5")
+    every: AtLeastOne = Field(10, description="A checkpoint every so many steps, and at the end")
+    keep: AtLeastOne = Field(2, description="Number of checkpoints in run.h5")
 
 
 class Table(Section):
@@ -342,12 +342,14 @@ class CaseSections(Section):
     )
     units: Units = Field(Units(), description="Units of plain numbers; default SI")
     domain: Domain = Field(description="The domain and its mesh")
-    material: Material | None = Field(None, description="The material: its variables and its stored energy")
-    bodies: list[Body] = Field(
+    material: MaterialSection | None = Field(
+        None, description="The material: its variables and its stored energy"
+    )
+    bodies: list[BodySection] = Field(
         [], description="Bodies of different materials, each an element of the array, instead of [material]"
     )
     time: Time = Field(description="Step length and end time")
-    walls: dict[str, Wall] = Field(
+    walls: dict[str, WallSection] = Field(
         {}, description="Conditions on the walls, by the walls' names; default Slip"
     )
     rheology: Rheology = Field(Rheology(), description="Dissipative mechanisms, each a table of its own")

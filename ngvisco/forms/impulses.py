@@ -158,10 +158,6 @@ class Impulses:
                 entries[f"{name}.{motion}"] = Entry(
                     name, "monitor", Integrand(next(sums), collocated=next(sums))
                 )
-                sums = (reduce(add, each) if each else None for each in (cells, nodes))
-                entries[f"{name}.{motion}"] = Entry(
-                    name, "monitor", Integrand(next(sums), collocated=next(sums))
-                )
         return EntryIntegrals(self.step.quadrature, entries)
 
     @cached_property
