@@ -47,7 +47,7 @@ class HyperDerivative:
     def _together(self) -> LocalMatrix:
         """B of the module's docstring: a cell's coefficients of Hs, component by component, then its
         jumps at the nodes of its sides."""
-        parts = (self.hyper.lift.matrix, self.sides.jump.collocated)
+        parts = (self.hyper.lift.matrix, self.sides.jump.nodes)
         numbers = np.arange(sum(part.shape[0] for part in parts))
         of_parts = np.split(numbers, [parts[0].shape[0]])
         order = [each.reshape(self.cells, len(each) // max(self.cells, 1)) for each in of_parts]
