@@ -47,7 +47,7 @@ class HyperDerivative:
     def _together(self) -> LocalMatrix:
         """B of the module's docstring: a cell's coefficients of Hs, component by component, then its
         jumps at the nodes of its sides."""
-        parts = (self.hyper.lift.matrix, self.sides.jump.nodes)
+        parts = (self.hyper.lift.matrix, self.sides.jump.at_nodes)
         numbers = np.arange(sum(part.shape[0] for part in parts))
         of_parts = np.split(numbers, [parts[0].shape[0]])
         order = [each.reshape(self.cells, len(each) // max(self.cells, 1)) for each in of_parts]
@@ -111,8 +111,8 @@ class HyperDerivative:
         if not h.law.is_linear:
             self._bend(dH, dj, of_H, of_j)
         tested = np.matmul(of_H.reshape(*rows, h.h_values.per_cell), self._at_points.swapaxes(1, 2))
-        collocated = self.sides.jump.to_nodes(of_j)
-        loads = np.concatenate([tested.reshape(self.cells, h.dim, split), collocated], axis=2)
+        at_nodes = self.sides.jump.to_nodes(of_j)
+        loads = np.concatenate([tested.reshape(self.cells, h.dim, split), at_nodes], axis=2)
         return np.float64(self._unit * length) * self.of_component.tested(loads).T
 
     def _bend(self, dH: np.ndarray, dj: np.ndarray, of_H: np.ndarray, of_j: np.ndarray) -> None:
