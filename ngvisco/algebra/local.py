@@ -187,7 +187,7 @@ class LocalMatrix:
 
 
 def squared(nodal: np.ndarray, shape: np.ndarray | None, weights: np.ndarray) -> np.ndarray:
-    """B^T W B of stacked matrices B = shape^T nodal with ``weights`` (cells, rows) of their rows.
+    """The products B^T W B of each cell's B = shape^T nodal; W is diagonal with ``weights`` (cells, rows).
 
     ``nodal`` are (cells, nodes, columns); ``shape`` interpolates as that of ``LocalMatrix``.
     """
@@ -202,8 +202,8 @@ def squared(nodal: np.ndarray, shape: np.ndarray | None, weights: np.ndarray) ->
 
 
 def _nodes(blocks: np.ndarray, pieces: int) -> tuple[np.ndarray, np.ndarray | None]:
-    """Transposed blocks (cells, unknowns, nodes) of the nodes of the ``pieces`` of each cell, and the matrix
-    that interpolates from these; of all rows, and None, where rows of a cell do not follow from few."""
+    """Transposed blocks (cells, unknowns, nodes) of the rows at the nodes of each cell's ``pieces``, and the
+    matrix that interpolates from the nodes; all rows, and None, if no few rows determine the others."""
     cells, local, count = blocks.shape
     if not pieces or not cells:
         return blocks, None

@@ -275,7 +275,7 @@ class Bounds:
         """Limit the present state, whose means are within their bounds; return the number of limited cells.
 
         Only rho and z change, and only in cells that are out of bounds at a point.  With
-        ``Discretisation.sharp``, at the end of a step of length ``tau``, s, bodies are separated before.
+        ``Discretisation.sharp``, and at the end of a step of length ``tau``, s, bodies are first separated.
         """
         if self.sharpening is not None and tau > 0:
             self.sharpening.put_apart(tau)

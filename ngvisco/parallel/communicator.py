@@ -1,8 +1,8 @@
 """Reductions over the ranks of a mesh; on one process a reduction returns its argument at no cost.
 
-The first rank has no cells.  In sums over cells the other ranks reduce among themselves and send the result
-to the first rank, for which no rank waits.  MPI's own waiting keeps a processor busy; with as many ranks with
-cells as processors this would slow one of them down.  So the first rank polls, and sleeps in between.
+The first rank has no cells.  Sums over cells are reduced among the other ranks, which send the result to the
+first rank and do not wait for it.  MPI's own waiting keeps a processor busy; with as many ranks with cells as
+processors this would slow one of them down.  So the first rank polls, and sleeps in between.
 """
 
 from __future__ import annotations

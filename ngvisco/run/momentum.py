@@ -29,7 +29,7 @@ IMPULSE, ANGULAR = "impulse_", "angular_"
 TRANSFERRED = "impulse_transfer"
 """Column of the change of momentum when a state is carried over to another mesh or other parameters."""
 _ROUNDING = 1e-9
-"""Share of the largest exchange that is added to the moving momentum in every direction, for rounding."""
+"""Fraction of the largest exchange, added to every direction's moving momentum to allow for rounding."""
 LOST = 0.05
 """Value of ``momentum_defect_relative`` above which a run warns."""
 

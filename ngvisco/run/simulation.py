@@ -108,7 +108,7 @@ class Simulation:
     terms : sequence of Term
         Further terms of the system, e.g. a drag: ``PointTerm`` objects with ``cells(u, w)``, ``facets(u, w)``
         and ``entries(u)`` (``ngvisco.forms.term``), whose entries are columns of the ledger.  They act in
-        both solvers; if a term states its ``form(u, w)`` alone, split takes only its rows of the flow.
+        both solvers; from a term with ``form(u, w)`` alone the split solver takes only the flow's rows.
     passive : sequence of str
         Fields carried by the flow: ``"F_tot"``, ``"reference_map"``, ``"creep_strain"``.
     symmetry : str

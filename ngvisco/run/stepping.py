@@ -94,7 +94,8 @@ class TimeSteps:
         step with more is refused.  Take a larger one to go on where a body is torn at a corner.
     halvings : int
         Number of halvings of a step of fixed length that is not solved, before solver.method = "auto" turns
-        to the other solver; with 0 at once.  It takes the next 16 steps, then the first one is asked again.
+        to the other solver; with 0 at once.  The other solver takes the next 16 steps, and then the first one
+        is tried again.
     velocity_scale : float, optional
         A typical velocity, which sets the curvature of v below which the penalty of the hyperviscosity does
         not depend on it; default: the velocity of flow, walls, free fall or elastic release, at rest a tenth

@@ -38,7 +38,7 @@ def _rest(material: Material, dim: int, parameters: Mapping[str, float]) -> np.n
 
 def stress_of(material: Material, state: np.ndarray, dim: int) -> np.ndarray:
     """The Cauchy stress, 3x3, Pa, at a state, whose components are (n,)."""
-    # a constant for each variable: the derivative by one must not see it within another
+    # separate constants for the variables, so that a derivative by one does not differentiate the others
     at, state = squares(1)[1], state.reshape(1, -1)
     z = material.states(dim).tensors(lambda: CF(tuple(float(c) for c in state[0])))
     respond, phi, zeta = material.response(dim), None, None

@@ -40,7 +40,7 @@ class Neighbours:
         """Derivative of the start values, (unknowns,)."""
 
     def derivative(self, values: Sequence[np.ndarray]) -> np.ndarray:
-        """Derivative from the followers' results."""
+        """Derivative by the parameter, from a difference of the followers' ``values``."""
         return differenced(values, self.parameter.spacing)
 
     def at(self, state: np.ndarray) -> list[Follower]:

@@ -145,8 +145,8 @@ def _layered(shares: np.ndarray) -> np.ndarray:
 def share_of_simplex(levels: np.ndarray) -> np.ndarray:
     """Share of a simplex in which the linear function with given ``levels`` at its vertices is positive.
 
-    If all levels of a simplex have equal size, they only tell sides, and the share of positive vertices is
-    returned.  ``levels`` are (..., 3) or (..., 4), shares (...).
+    Levels of equal size only tell the side of each vertex; the result is then the share of positive vertices.
+    ``levels`` are (..., 3) or (..., 4), shares (...).
     """
     values = np.sort(levels, axis=-1)
     count = np.sum(values > 0, axis=-1)

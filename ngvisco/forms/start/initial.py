@@ -65,9 +65,9 @@ class Initial:
         (J_0 = det F_0, E_0 = sym F_0 - I, ...); by default the identity, or (rho_R/rho_0)^{1/3} I with a
         referential density. In 2D its 13, 23, 31, 32 entries are 0.
     temperature : number or coefficient function, optional
-        Initial temperature of a material with heat; by default its reference temperature.  Bodies whose
-        thermal pressures differ have it separately: in shared cells they come to one pressure, and to a
-        slightly different temperature.
+        Initial temperature of a material with heat; by default its reference temperature.  With different
+        thermal pressures each body has this temperature by itself: in shared cells the bodies reach one
+        pressure and a slightly different temperature.
     equilibrium : str, optional
         "hydrostatic": the volume J_0, one for each body, bears the loads at the start (F_0 = J_0^{1/3} I).
         J_0 is the inverse of the bulk law at the pressure of the weight above and the local temperature.

@@ -181,9 +181,9 @@ class MomentumBalance(PointTerm):
 
     The skew form of ``Inertia`` and ``Convection`` tested by a constant w is the rate of the momentum less
     1/2 R(v . w), which is not zero: rho in P_m satisfies the equation for tests in P_m only.  This term is
-    skew too, so that it has no power; for a constant w it is 1/2 R(v . w) - 1/2 R(v_K . w), whose
-    second part is zero.  Kinetic energy and momentum then both hold for rho in a discontinuous space and v in
-    a continuous one.  R(q) = 0 for the exact solution: the term is consistent.
+    skew too, so that it has no power; for a constant w it is 1/2 R(v . w) - 1/2 R(v_K . w), where the second
+    part is zero.  The balances of kinetic energy and of momentum then both hold for a discontinuous rho and a
+    continuous v.  R(q) = 0 for the exact solution: the term is consistent.
     """
 
     linearised = False

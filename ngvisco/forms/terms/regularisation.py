@@ -136,7 +136,7 @@ class FieldDiffusion(PointTerm):
         return {DELTA_FIELDS: self.law.delta_fields * self._weight(u) * size}
 
     def _curved(self, u: Fields, test: CoefficientFunction) -> list[CoefficientFunction]:
-        """Summands of phi''(z) q : Y; q : Y for parameters and linear directions."""
+        """Summands of phi''(z) q : Y, and of q : Y for parameters and directions in which phi is linear."""
         parts = u.context.energy.curved(u, u.z_slope)
         summands = [inner(self._of_strains(part), column(test, j)) for j, part in enumerate(parts)]
         if self.of_itself is not None:

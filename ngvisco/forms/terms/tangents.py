@@ -57,7 +57,7 @@ class OfFacet(FacetMean):
 
 
 class TangentGap(OfFacet):
-    """Equation of the facet mean of side (phi + (z_hat - z) : zeta), half of N with a sign."""
+    """Equation of the facet mean of phi + (z_hat - z) : zeta, with the side's sign, which is half of N."""
 
     name = "tangent_gap"
 
