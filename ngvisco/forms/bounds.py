@@ -25,7 +25,7 @@ momentum would change its motion.
 Only a mean out of bounds cannot be corrected; it ends a step.  Two kinds of bounds do not count: bounds of
 variables for which the material's energy is continued (``Material.continued``: a Yosida approximation,
 J_min), and, in a cell where phi'_z = 0, bounds of the variable z.  Bounds in ``Material.where_means_do``
-count in cells whose means keep them: they end no step.
+count only in cells whose means satisfy them, so that they end no step.
 
 A cut-off adds the bound rho_max + width - rho > 0 (paper: Euler-small-est3+++), if the state with which the
 bounds are made, the run's start, keeps it.

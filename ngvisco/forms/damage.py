@@ -66,8 +66,8 @@ DISSIPATION, BREGMAN = "dissipation_damage", "bregman_damage"
 """Ledger columns of the dissipation by growing damage, W, and by its half of the step, J a step."""
 
 GROWTH, CRACKED = "damage_growth", "crack_growth"
-"""Ledger columns of the largest growth of d at a point in a step, and of the step's new surface of cracks,
-their energy over G_c, in m^2, in two dimensions m."""
+"""Ledger columns of the largest growth of d at a point in a step, and of the area of new cracks in a step
+(their energy over G_c), m^2, or m in two dimensions."""
 
 
 _POWER, _PRODUCTION = "power_heat_damage", PRODUCTION + "damage"

@@ -46,7 +46,7 @@ from ngvisco.parallel.communicator import Communicator
 _PARALLEL = 1e-10
 _FLAT = 1e-4  # rad: angle of facets in one plane with rounded coordinates
 _CORNER = np.deg2rad(59.0)  # a larger angle is a corner of the domain, not of its approximation
-_CURVED = 0.5  # largest ratio of the angles between curved facets and between their chords; straight facets have 1
+_CURVED = 0.5  # largest ratio of the facets' angle to their chords' angle; 1 if straight
 
 
 def check_boundary_names(mesh: Mesh, names: Iterable[str], owner: str = "walls") -> None:
