@@ -189,7 +189,7 @@ class LocalMatrix:
 def squared(nodal: np.ndarray, shape: np.ndarray | None, weights: np.ndarray) -> np.ndarray:
     """The products B^T W B of each cell's B = shape^T nodal; W is diagonal with ``weights`` (cells, rows).
 
-    ``nodal`` are (cells, nodes, columns); ``shape`` interpolates as that of ``LocalMatrix``.
+    ``nodal`` are (cells, nodes, columns); ``shape`` interpolates as in ``LocalMatrix``.
     """
     if shape is None:
         return np.matmul(nodal.swapaxes(1, 2), weights[:, :, None] * nodal)

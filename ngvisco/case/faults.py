@@ -338,7 +338,7 @@ _ALIASES = {
     "stops": ("time", "until"),
     "passive": ("output", "passive"),
 }
-"""Keys of parameters that belong to no table's class."""
+"""Keys of parameters whose class has no table."""
 
 
 def _reached(node: Any, path: tuple[str, ...], names: Sequence[str]) -> list[tuple[str, ...]]:

@@ -60,7 +60,7 @@ def line_of(lines: dict[tuple[str, ...], int], path: tuple[str, ...]) -> int | N
 
 
 def parse_override(setting: str) -> tuple[tuple[str, ...], Any]:
-    """Key path and value of ``key.path=value``; a value that is not TOML is a text, and [0] in a key is .0.
+    """Key path and value of ``key.path=value``.  A value that is not TOML is a text; ``a[0]`` means ``a.0``.
 
     Raises ValueError if there is no ``=`` or no key.
     """

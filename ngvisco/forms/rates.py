@@ -105,8 +105,7 @@ class Rates:
         return [self.local_creep(each, u) if each.rule.is_local else u.Pi for each in self.mechanisms]
 
     def mean_creep(self, u: Fields) -> dict[str, CoefficientFunction]:
-        """Mean creep rate sum theta_i Pi_i of the bodies, else Pi, 3x3, 1/s, by ``Flow.suffix`` of the
-        branch."""
+        """Creep rate Pi, or its mean sum theta_i Pi_i over the bodies, 3x3, 1/s, by the branch's suffix."""
         found: dict[str, CoefficientFunction] = {}
         for mechanism, Pi in zip(self.mechanisms, self.creep(u), strict=True):
             part, known = mechanism.share(u.z_tensors) * Pi, found.get(mechanism.suffix)

@@ -131,7 +131,7 @@ def _of_state(
         phi = function(z)
     except NgviscoError:
         raise
-    except Exception as error:  # whatever a function of the user raises
+    except Exception as error:  # a user's function may raise any error
         raise refusal(f"a function of {names}; it raises {type(error).__name__}: {error}") from error
     if not isinstance(phi, CoefficientFunction):
         raise refusal(f"a function of {names} that returns a coefficient function, not {phi!r:.60}")

@@ -105,7 +105,7 @@ class Thermal(Material):
     p_infinity : float
         Stiffening pressure of a gas with the pressure Gamma c theta/J - p_infinity; default 0, an ideal gas.
     rho_R : float, optional
-        Density where J = 1; with it the initial density and J follow from one another.
+        Density where J = 1; it determines the initial density from J, or J from the density.
     entropy_unit : float, optional
         Unit of the carried entropy; default c.
     """
