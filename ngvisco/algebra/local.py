@@ -13,6 +13,7 @@ from __future__ import annotations
 from copy import copy
 from functools import cached_property
 from math import prod
+from typing import NamedTuple
 
 import numpy as np
 import scipy.linalg as la
@@ -20,6 +21,25 @@ import scipy.sparse as sp
 
 SAMPLE, NEGLIGIBLE = 100, 1e-12
 """Number of cells among whose rows nodes are chosen, and relative size of rounding."""
+
+
+class Functions(NamedTuple):
+    """Functions on sides, by their values at the nodes.
+
+    Attributes
+    ----------
+    nodal : (sides, functions, nodes) array
+    shape : (nodes, points) array or None
+        Interpolates from the nodes; None if all points are nodes.
+    """
+
+    nodal: np.ndarray
+    shape: np.ndarray | None
+
+    @property
+    def values(self) -> np.ndarray:
+        """Values at the points, (sides, functions, points), made anew."""
+        return self.nodal if self.shape is None else self.nodal @ self.shape
 
 
 class LocalMatrix:
@@ -54,7 +74,7 @@ class LocalMatrix:
             Number of equal parts of a cell's rows, its sides, each with nodes at the same places; by default
             all rows are nodes.
         """
-        self.cells, self.weights = cells, weights
+        self.cells, self.weights, self.pieces = cells, weights, pieces
         self.height, self.width = matrix.shape
         self.per_cell = self.height // cells if cells else 0  # a rank may have no cells
         entries = matrix.tocoo()
@@ -184,6 +204,15 @@ class LocalMatrix:
         """Apply its transpose without weights, (cells, n, nodes of a cell) -> (width, n)."""
         local = np.matmul(self.nodal, values.swapaxes(1, 2))
         return self.scatter @ local.reshape(self.unknowns.size, values.shape[1])
+
+
+def integrals(left: Functions, right: Functions, weights: np.ndarray) -> np.ndarray:
+    """Sums over points of products of functions, (sides, left, right); ``weights`` are (sides, points)."""
+    points = np.eye(weights.shape[1])
+    a, b = (points if each.shape is None else each.shape for each in (left, right))
+    products = (a[:, None] * b).reshape(len(a) * len(b), len(points)).T
+    masses = (weights @ products).reshape(len(weights), len(a), len(b))
+    return np.matmul(np.matmul(left.nodal, masses), right.nodal.swapaxes(1, 2))
 
 
 def squared(nodal: np.ndarray, shape: np.ndarray | None, weights: np.ndarray) -> np.ndarray:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ngvisco.algebra.local import Functions, integrals
 from ngvisco.reduced.operators import FacetMass, SideOperators
 
 
@@ -15,12 +16,11 @@ class FacetCoupling:
         self.cells, self.functions, self.per_side, self.points = z.cells, z.local, per, z.height
         self.sides = z.per_cell // per
         count = self.cells * self.sides
-        self._weights = sides.points.weights.reshape(count, per, 1)
-        self._z = z.blocks.reshape(count, per, self.functions)
-        self._z_t = np.ascontiguousarray(self._z.transpose(0, 2, 1))
-        self._hat = self.functions_of(mass)
-        self._hat_t = np.ascontiguousarray(self._hat.transpose(0, 2, 1))
-        self._facet = mass.facet[::per]
+        self._weights = sides.points.weights.reshape(count, per)
+        nodes = z.nodal.shape[2] // max(self.sides, 1)
+        nodal = z.nodal.reshape(self.cells, self.functions, self.sides, nodes).swapaxes(1, 2)
+        self._z = Functions(nodal.reshape(count, self.functions, nodes), z.shape)
+        self._hat, self._facet = mass.functions, mass.facet
         self._mass, self.halo = mass, mass.halo
         order = np.argsort(self._facet, kind="stable")
         first = np.flatnonzero(np.diff(self._facet[order]) == 0)
@@ -38,19 +38,16 @@ class FacetCoupling:
         self.neighbours = cell.reshape(self.cells, self.sides)
         """The cell across each side, (cells, sides)."""
 
-    def functions_of(self, mass: FacetMass) -> np.ndarray:
-        """Values of the facets' basis functions, (sides, points, functions)."""
-        shape = self.cells * self.sides, self.per_side, len(mass.shapes)
-        return np.ascontiguousarray(mass.shapes.T).reshape(shape)
-
-    def tested(self, values: np.ndarray, tests: np.ndarray | None = None) -> np.ndarray:
+    def tested(self, values: np.ndarray, tests: Functions | None = None) -> np.ndarray:
         """Integrals over each side of ``values`` (n, points) times test functions, (sides, n functions).
 
-        ``tests`` are (sides, functions, points of a side); the default is the basis of the side's cell.
+        The default of ``tests`` is the basis of the side's cell.
         """
         count = self.cells * self.sides
-        parts = values.reshape(len(values), count, self.per_side).transpose(1, 2, 0) * self._weights
-        found = np.matmul(self._z_t if tests is None else tests, parts)
+        parts = (
+            values.reshape(len(values), count, self.per_side).transpose(1, 2, 0) * self._weights[..., None]
+        )
+        found = np.matmul((tests or self._z).values, parts)
         return found.transpose(0, 2, 1).reshape(count, len(values) * found.shape[1])
 
     def beyond(self, blocks: np.ndarray) -> np.ndarray:
@@ -72,18 +69,22 @@ class FacetCoupling:
         ----------
         own, to_trace, from_trace : ndarray, shape (sides' points,)
         values : ndarray, shape (cells, points, functions), optional
-            Values that replace the basis functions of z at the sides' points; default the basis itself.
+            Replacements of the basis functions of z at the sides' points; default the basis itself.
 
         Returns
         -------
         derivatives by the cell's z, (cells, q, q), and by z across each side, (cells, sides, q, q)
         """
-        shape, w = self._weights.shape, self._weights
-        z = self._z if values is None else values.reshape(self._z.shape)
-        to_hat = np.matmul(self._hat_t, (w * to_trace.reshape(shape)) * z)
-        from_hat = np.matmul(self._z_t, (w * from_trace.reshape(shape)) * self._hat)
-        from_hat = np.matmul(from_hat, self._mass.inverses[self._facet])
-        here = np.matmul(self._z_t, (w * own.reshape(shape)) * z) + np.matmul(from_hat, to_hat)
+        own, to_trace, from_trace = (
+            self._weights * g.reshape(self._weights.shape) for g in (own, to_trace, from_trace)
+        )
+        z = self._z
+        if values is not None:
+            by_sides = values.reshape(len(self._weights), self.per_side, self.functions)
+            z = Functions(by_sides.swapaxes(1, 2), None)
+        to_hat = integrals(self._hat, z, to_trace)
+        from_hat = np.matmul(integrals(self._z, self._hat, from_trace), self._mass.inverses[self._facet])
+        here = integrals(self._z, z, own) + np.matmul(from_hat, to_hat)
         there = np.matmul(from_hat, self.beyond(to_hat))
         by_cells = (self.cells, self.sides, self.functions, self.functions)
         return here.reshape(by_cells).sum(axis=1), there.reshape(by_cells)

@@ -162,10 +162,8 @@ class _Mean:
     ) -> None:
         self.term, self.name, self._terms, self._coupling = term, name, residual.facet_terms, coupling
         self._mass, self._components = residual.mass_of(name), list(components)
-        self._facet = self._mass.facet[:: coupling.per_side]
-        self._functions = len(self._mass.shapes)
+        self._facet, self._functions = self._mass.facet, self._mass.unknowns.shape[1]
         self.size = len(self._components) * self._functions
-        self._tests = coupling.functions_of(self._mass).transpose(0, 2, 1)
 
     def load(self, u: Fields) -> np.ndarray:
         """The derivative of the mean's equation along the increment in ``u``, tested on each side, (sides,
@@ -173,7 +171,7 @@ class _Mean:
         values = self._terms.factors([self.term], u)[self.name].imag / TINY
         values = np.atleast_2d(values)[self._components]
         full = np.broadcast_to(values, (len(values), self._coupling.points))
-        return self._coupling.tested(full, self._tests)
+        return self._coupling.tested(full, self._mass.functions)
 
     def solved(self, loads: np.ndarray) -> np.ndarray:
         """The change of the mean's coefficients with ``loads`` (sides, size, .) of one side."""

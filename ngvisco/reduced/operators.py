@@ -14,7 +14,7 @@ import numpy as np
 import scipy.sparse as sp
 from ngsolve import Grad
 
-from ngvisco.algebra.local import LocalMatrix
+from ngvisco.algebra.local import Functions, LocalMatrix, integrals
 from ngvisco.algebra.sparse import Blocks
 from ngvisco.forms.mesh.points import CellPoints, SidePoints
 from ngvisco.forms.system import Step
@@ -137,22 +137,26 @@ class FacetMass:
     def __init__(self, values: LocalMatrix, exchange: Exchange) -> None:
         """``values`` evaluates functions on facets at the sides' points; ``exchange`` shares their
         unknowns."""
-        matrix, self.exchange = values.matrix, exchange
+        matrix, self.exchange = values.at_nodes, exchange
         (self.unknowns,) = Blocks(abs(matrix).T @ abs(matrix)).groups or [np.zeros((0, 1), dtype=np.int64)]
         self.of_facets = exchange.part(self.unknowns[:, 0])
         """Exchanges one value for each facet."""
         facet_of, place = np.zeros((2, matrix.shape[1]), dtype=np.int64)
         count, size = self.unknowns.shape
         facet_of[self.unknowns], place[self.unknowns] = np.arange(count)[:, None], np.arange(size)
-        self.facet = facet_of[matrix.indices[matrix.indptr[:-1]]]
-        """The facet of each point."""
+        sides = max(values.pieces, 1)  # of a rank without cells too
+        nodes = values.nodal.shape[2] // sides or 1
+        self.facet = facet_of[matrix.indices[matrix.indptr[:-1:nodes]]]
+        """The facet of each side."""
         cell = np.zeros(count, dtype=np.int64)
-        cell[self.facet] = np.arange(len(self.facet)) // max(values.per_cell, 1)
+        cell[self.facet] = np.arange(len(self.facet)) // sides
         self.halo = Halo(self.of_facets, cell[self.of_facets.places], values.cells)
         """The cells of other ranks across shared facets."""
-        entries = matrix.tocoo()
-        self.shapes = np.zeros((size, matrix.shape[0]))  # (unknowns, points)
-        self.shapes[place[entries.col], entries.row] = entries.data
+        entries, nodal = matrix.tocoo(), np.zeros((len(self.facet), size, nodes))
+        side, node = np.divmod(entries.row, nodes)
+        nodal[side, place[entries.col], node] = entries.data
+        self.functions = Functions(nodal, values.shape)
+        """The basis functions of each side's facet."""
 
     def summed_blocks(self, matrix: sp.csr_matrix) -> sp.csr_matrix:
         """Sum over ranks of a matrix of blocks of facets, of which each rank has the share of its cells."""
@@ -167,17 +171,14 @@ class FacetMass:
 
     def update(self, weights: np.ndarray) -> None:
         """Set ``inverses``, (facets, functions, functions), of the blocks with the weights (points,)."""
-        size, count = self.unknowns.shape[1], len(self.unknowns)
-        blocks = np.empty((size, size, count))
+        size, count, sides = self.unknowns.shape[1], len(self.unknowns), len(self.facet)
+        by_sides = weights.reshape(sides, len(weights) // max(sides, 1))
+        of_sides, blocks = integrals(self.functions, self.functions, by_sides), np.empty((size, size, count))
         for i, j in np.ndindex(size, size):
-            blocks[i, j] = np.bincount(self.facet, weights * self.shapes[i] * self.shapes[j], count)
+            blocks[i, j] = np.bincount(self.facet, of_sides[:, i, j], count)
         with self.exchange.communicator.together(np.linalg.LinAlgError):
             # a shared facet's block has a share on the other rank
             self.inverses = np.linalg.inv(self.of_facets.sum(blocks).transpose(2, 0, 1))
-
-    def summed(self, values: np.ndarray) -> np.ndarray:
-        """The sum of both sides' ``values``, (points,), at each point of a facet."""
-        return self.of_facets.sum(np.bincount(self.facet, values, len(self.unknowns)))[self.facet]
 
     def solve(self, loads: np.ndarray) -> np.ndarray:
         """Multiply ``loads`` (..., unknowns) by the inverse."""
