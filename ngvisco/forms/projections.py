@@ -41,7 +41,7 @@ from ngvisco.forms.spaces import Layout
 from ngvisco.forms.term import Integrands, Unknown, tested
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.exchange import Exchange
-from ngvisco.parallel.petsc import PETScInverse, SumInverse, inverse_of
+from ngvisco.parallel.petsc import SumInverse, inverse_of, release
 from ngvisco.physics.tensors import inner
 
 if TYPE_CHECKING:
@@ -123,7 +123,7 @@ def project(
     load += integral(weight * inner(value - target, test))
     inverse = inverse_of(mass.Assemble().mat, space.FreeDofs(), Communicator.of(space.mesh))
     target.vec.data += inverse * load.Assemble().vec
-    _release(inverse)
+    release(inverse)
 
 
 def set_traces(layout: Layout, state: GridFunction, context: Context, quadrature: Quadrature) -> None:
@@ -150,13 +150,7 @@ def set_traces(layout: Layout, state: GridFunction, context: Context, quadrature
                 load = LinearForm(quadrature.facets(component * test)).Assemble()
                 row = (inverse * load.vec).Evaluate()
                 target[i * len(row) : (i + 1) * len(row)] = row
-        _release(inverse)
-
-
-def _release(inverse: BaseMatrix) -> None:
-    """Give a factorisation's memory back; collective."""
-    if isinstance(inverse, PETScInverse):
-        inverse.release()
+        release(inverse)
 
 
 class WallProjection:

@@ -354,3 +354,9 @@ def inverse_of(matrix: BaseMatrix, free: BitArray, communicator: Communicator) -
     if communicator.is_distributed:
         return PETScInverse(matrix, free, communicator)
     return matrix.Inverse(free, inverse="sparsecholesky")
+
+
+def release(inverse: BaseMatrix) -> None:
+    """Give the memory of an inverse back, made by ``inverse_of``; collective."""
+    if isinstance(inverse, PETScInverse):
+        inverse.release()

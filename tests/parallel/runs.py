@@ -12,7 +12,7 @@ from functools import partial
 import numpy as np
 import own
 import walls
-from ngsolve import CoefficientFunction, IfPos, cos, pi, sin, x, y
+from ngsolve import CoefficientFunction, IfPos, cos, pi, sin, x, y, z
 from own import NEO_HOOKEAN, SWIRL
 from walls import TWO_LEVELS
 
@@ -261,6 +261,36 @@ def observed(dim: int) -> nv.Simulation:
     return run
 
 
+def at_rest(dim: int = 2, as_bodies: bool = False, periodic: str = "", **datum) -> nv.Simulation:
+    """A body, or two, that starts with the pressure of its weight; with a table of it."""
+    rock = nv.ReferentialNeoHookean(K_e=50.0, G_e=15.0)
+    loads, up = [gravity(dim)], y if dim == 2 else z
+    model, density = nv.Model(material=rock, viscosity=VISCOSITY, loads=loads), {"density": 3 - 2 * up}
+    if as_bodies:
+        water = nv.ReferentialNeoHookean(K_e=20.0, G_e=0.1)
+        laws = {"viscosity": VISCOSITY}
+        of_water = nv.Body(name="water", where=up - 0.5, material=water, density=1.0, **laws)
+        model = nv.Model(
+            bodies=[of_water, nv.Body(name="rock", material=rock, density=3.0, **laws)], loads=loads
+        )
+        density = {}
+    initial = nv.Initial(equilibrium="hydrostatic", **density, **datum)
+    mesh = box((1,) * dim, maxh=0.3 if dim == 2 else 0.6, periodic=periodic)
+    places = {f"at {height}": (0.4,) * (dim - 1) + (height,) for height in (0.0, 0.3, 0.7, 1.0)}
+    table = nv.Probes(places, fields=["pressure", "density"])
+    return nv.Simulation(mesh, model, dt=0.02, initial=initial, solver="split", observers=[table])
+
+
+AT_REST: dict[str, Callable[[], nv.Simulation]] = {
+    "at rest": at_rest,
+    "at rest below a wall": lambda: at_rest(datum="left", datum_pressure=0.3),
+    "at rest about a point": lambda: at_rest(datum_point=(0.3, 0.6)),
+    "bodies at rest": lambda: at_rest(as_bodies=True, datum="top"),
+    "at rest, periodic": lambda: at_rest(periodic="x"),
+    "at rest in space": lambda: at_rest(3),
+}
+
+
 def yosida(solver: str) -> nv.Simulation:
     law = nv.Yosida(material=nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, elastic_state="F"), eps=1e-3)
     model = nv.Model(material=law, viscosity=VISCOSITY, loads=[gravity(2)])
@@ -319,8 +349,8 @@ CASES |= {
     "split crowded": lambda: crowded("split"),
     "split, all regularisations": lambda: creep("split", passive=NAMES),
 }
-CASES |= OF_DENSITY | walls.CASES | own.CASES
-STEPS = {"limited": 9, **dict.fromkeys(OF_DENSITY, 2)} | walls.STEPS
+CASES |= OF_DENSITY | AT_REST | walls.CASES | own.CASES
+STEPS = {**dict.fromkeys(AT_REST, 1), "limited": 9, **dict.fromkeys(OF_DENSITY, 2)} | walls.STEPS
 """Numbers of steps of cases that do not take three."""
 
 LINEAR: list[int] = []

@@ -167,6 +167,39 @@ def test_ledgers_and_tables_are_those_of_one_process(group, ranks):
         assert name not in ACTS or several["rows"][-1][ACTS[name]] > 0, name
 
 
+AT_REST = {
+    "at rest": (2.0, 0.04),
+    "at rest below a wall": (0.3 + 2 - 5 / 6, 0.04),
+    "at rest about a point": (2 - 0.4 * 1.4, 0.04),
+    "bodies at rest": (2.0, 0.2),
+    "at rest, periodic": (2.0, 0.04),
+    "at rest in space": (2.0, 0.15),
+}
+"""Pressure at the base, Pa, below 1 m of the density 3 - 2 y, or 0.5 m of 1 above 0.5 m of 3 kg/m^3, and the
+error that linear volumes on cells of 0.3 m, in space 0.6 m, may have."""
+
+
+@pytest.mark.parametrize(
+    ("names", "ranks"),
+    [
+        (tuple(AT_REST)[:-1], 3),
+        pytest.param(tuple(AT_REST), 2, marks=pytest.mark.long),
+        pytest.param(tuple(AT_REST)[-1:], 4, marks=pytest.mark.long),
+    ],
+)
+def test_a_start_at_rest_is_that_of_one_process(names, ranks):
+    """Pressure and density of the start agree to 1e-12, and are those of the weight above."""
+    for name in names:
+        one, several = found(1, *names)[name], found(ranks, *names)[name]
+        start, other = ({c: v[0] for c, v in each["tables"][0].items()} for each in (one, several))
+        exact, spare = AT_REST[name]
+        assert start["at 0.0.pressure"] == pytest.approx(exact, abs=spare), name
+        size = max(map(abs, start.values()))
+        for column, value in start.items():
+            assert abs(other[column] - value) <= 1e-12 * size, (name, column)
+        assert_same_ledger(one["rows"], several["rows"], 1)
+
+
 @pytest.mark.long
 @pytest.mark.ci
 def test_small_systems_may_be_over_ranks_too(monkeypatch):
