@@ -28,10 +28,7 @@ _COLOURS, _SHRINK = "viridis", 0.75
 """The scale of colours, and its length over the height of its axes."""
 _PIECES, _DRAWN = 6, 200_000  # parts of a triangle's side at most, and triangles in all
 _USUAL, _SPIKE = (0.5, 99.5), 0.3  # percentiles; a smaller share of the range between them is a spike
-_ORDERS, _DECADES = (
-    1e-2,
-    1e-6,
-)  # of the largest rate: median below which the scale is logarithmic; its least value
+_ORDERS, _DECADES = 1e-2, 1e-6  # of the largest rate: median for a logarithmic scale, and its least value
 _UNITS = (("km", 1e3, 2e3), ("m", 1.0, 0.1), ("mm", 1e-3, 1e-4), ("µm", 1e-6, 1e-7), ("nm", 1e-9, 0.0))
 """Units of length: name, size in m, and least length in m that is shown in the unit."""
 _MARKS, _MARGIN = 5, 0.02  # numbers along the longer side, and margin over the body's side
