@@ -104,7 +104,7 @@ from ngvisco.physics.walls import (
 )
 from ngvisco.run.adaptive import AdaptiveSteps, DamageWarning
 from ngvisco.run.body_tables import Bodies, SmearedWarning
-from ngvisco.run.checkpoint import Checkpoints, read_ledger
+from ngvisco.run.checkpoint import Checkpoints
 from ngvisco.run.contours import Contours
 from ngvisco.run.inlets import InflowWarning
 from ngvisco.run.ledger import ClosureWarning, DefectWarning
@@ -117,6 +117,7 @@ from ngvisco.run.record import record
 from ngvisco.run.refinement import Refinement, run_refined
 from ngvisco.run.signs import CreepPowerWarning, DissipationWarning, EntropyWarning
 from ngvisco.run.simulation import Observer, Simulation
+from ngvisco.run.snapshot import read_ledger
 from ngvisco.run.stepping import Rejection, TimeSteps
 from ngvisco.run.transfer import Transfer, resume_changed, transfer
 from ngvisco.sensitivity.data import DataError

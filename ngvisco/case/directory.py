@@ -40,9 +40,9 @@ from ngsolve import Mesh
 
 from ngvisco.case.build import Case, load_case
 from ngvisco.errors import CheckpointError, MeshError, NgviscoError, require_path
-from ngvisco.run.checkpoint import ChosenMesh, mesh_of_checkpoints, read_ledger, version
 from ngvisco.run.files import locks, mesh_in, mesh_of, require_whole, write_atomically
 from ngvisco.run.pictures import FORMATS
+from ngvisco.run.snapshot import ChosenMesh, mesh_of_checkpoints, read_ledger, version
 
 
 class RunDirectoryError(NgviscoError, RuntimeError):

@@ -28,13 +28,13 @@ from ngvisco.errors import CheckpointError, StepError
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.mesh import distributed
 from ngvisco.parallel.petsc import require_petsc
-from ngvisco.run.checkpoint import read_ledger
 from ngvisco.run.failure import write_failure
 from ngvisco.run.files import append, mesh_image, mesh_of, write_atomically
 from ngvisco.run.notebook import data_frame, results_html
 from ngvisco.run.observers import Progress
 from ngvisco.run.refinement import stretches
 from ngvisco.run.simulation import Observer, Simulation
+from ngvisco.run.snapshot import read_ledger
 from ngvisco.run.transfer import resume_changed, transfer
 
 _CHANGEABLE = "title, time, loads, walls, numbers of material and rheology, solver, output but for passive"

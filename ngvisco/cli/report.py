@@ -18,12 +18,11 @@ from ngvisco.case import catalogue, reference, schema, template
 from ngvisco.case.directory import RunDirectory
 from ngvisco.case.section import TAGS, Section, models_in
 from ngvisco.errors import ParameterError
-from ngvisco.run.advice import Scales
+from ngvisco.run.advice import Scales, scales
 from ngvisco.run.fields import NAMES as FURTHER
 from ngvisco.run.observers import VTKSeries
 from ngvisco.run.passive import NAMES as PASSIVE
 from ngvisco.run.refinement import stretches
-from ngvisco.run.scales import scales
 from ngvisco.run.simulation import Simulation
 from ngvisco.threads import computing
 from ngvisco.timestepping.scheme import SCHEMES

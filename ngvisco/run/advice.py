@@ -6,6 +6,15 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+import numpy as np
+from ngsolve import CF, Integrate
+
+from ngvisco.forms.tension import unborne_weight
+from ngvisco.physics.defects import may_part
+from ngvisco.physics.mixture import Mixture
+from ngvisco.physics.tensors import square
+from ngvisco.run.scales import ExtremePlace, edges_of, extreme_places, largest_acceleration
+from ngvisco.run.state import RunState
 from ngvisco.timestepping.scheme import TimeScheme, backward_euler, midpoint
 
 _FOLLOWED, _RELAXED, _ACROSS = 20, 5, 4
@@ -217,3 +226,72 @@ class Scales:
             if 0 < cells < _ACROSS
         ]
         return said
+
+
+def scales(simulation: RunState) -> Scales:
+    """The scales of a simulation at its present state, which before the run is the initial one."""
+    mesh, step = simulation.mesh, simulation.rothe_step
+    places = extreme_places(step, simulation.sampler)
+    if not places:
+        mass = float(step.quadrature.integrate_cells(step.now.rho))
+        places = [ExtremePlace(step.model, {}, mass / Integrate(CF(1.0), mesh), np.empty(0))]
+    fast, slow, viscosities, maxwell = zip(*(place.scales(mesh.dim) for place in places), strict=True)
+    least, most = simulation.sampler.extrema(step.now.rho)
+    material, edges = step.model.material, edges_of(step, simulation.ranks)
+    velocity, length = largest_velocity(simulation), min(edges)
+    return Scales(
+        length=length,
+        extent=max(edges),
+        cell=float(np.median(step.context.h.vec.FV().NumPy())),
+        velocity=velocity,
+        speeds=(max(fast), max(slow)),
+        kinematic_viscosity=min((value for value in viscosities if value > 0), default=0.0),
+        maxwell=min(maxwell),
+        dt=float(simulation.stepper.dt),
+        scheme=simulation.scheme,
+        densities=most / least,
+        one_bulk_energy=not isinstance(material, Mixture) or material.has_one_volume,
+        weight=largest_acceleration(step, simulation.sampler) * max(edges) / max(min(fast) ** 2, 1e-300),
+        overstress=max(place.overstress(velocity / length) for place in places),
+        bodies=_thickness(simulation),
+        placed=tuple(body.name for body in step.model.bodies if body.where is not None),
+        smears=step.discretisation.m == 1 and not step.discretisation.sharp,
+        k=step.discretisation.k,
+        startup=simulation.integrator.startup,
+        unborne=unborne_weight(step, simulation.sampler),
+        parting=may_part(material, bool(step.moving_walls.moving)),
+    )
+
+
+def largest_velocity(simulation: RunState) -> float:
+    """The largest velocity of a run so far, m/s; 0 if none is known.
+
+    It is the largest one in the steps taken and of walls; before any step the given velocity scale, else the
+    largest one at the start and of walls.
+    """
+    ranks, said = simulation.ranks, simulation.given_velocity_scale
+    taken = [row["v_max"] for row in simulation.ledger.rows]
+    walls = simulation.rothe_step.moving_walls.velocities().values()
+    moving = ranks.most(np.concatenate([np.zeros(1), *(abs(v).ravel() for v in walls)]))
+    if len(taken) > 1:
+        return max(*taken, moving)
+    start = math.sqrt(simulation.sampler.extrema(square(simulation.rothe_step.now.v))[1])
+    return said or max(start, moving)
+
+
+def _thickness(simulation: RunState) -> dict[str, float]:
+    """The least extent, in cells, of the part of each body with a fraction of at least one half."""
+    step, sampler, ranks = simulation.rothe_step, simulation.sampler, simulation.ranks
+    material, found = step.model.material, {}
+    if not isinstance(material, Mixture):
+        return {}
+    places = sampler.coordinates(np.arange(len(sampler.points)))
+    sizes = sampler.rows(step.context.h)[:, 0]
+    for name, fraction in material.fractions.at(step.now.z_tensors).items():
+        inside = sampler.rows(CF(fraction))[:, 0] >= 0.5
+        if not ranks.any(bool(inside.any())):
+            continue
+        spans = [ranks.most(along[inside]) - ranks.least(along[inside]) for along in places.T]
+        cell = float(np.median(np.concatenate(ranks.gathered(sizes[inside]))))
+        found[name] = min(spans) / cell
+    return found

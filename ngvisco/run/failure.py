@@ -10,7 +10,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from ngsolve import L2, GridFunction
@@ -24,11 +23,9 @@ from ngvisco.physics.flow_rules.laws import Creep
 from ngvisco.physics.variables import Distortion, LeftCauchyGreen
 from ngvisco.run.files import write_atomically
 from ngvisco.run.scales import diameter
+from ngvisco.run.state import RunState
 from ngvisco.run.vtu import shown_by, write_vtu
 from ngvisco.solver.problem import Attempt, iterations
-
-if TYPE_CHECKING:
-    from ngvisco.run.simulation import Simulation
 
 _SHOWN = 4
 """Number of an attempt's last iterations whose increments a report shows."""
@@ -117,7 +114,7 @@ def _described(history: Sequence[Attempt]) -> list[str]:
     return lines
 
 
-def failure_report(simulation: Simulation, error: StepError) -> FailureReport:
+def failure_report(simulation: RunState, error: StepError) -> FailureReport:
     """The report on the last step tried from the simulation's present state, which failed with ``error``.
 
     Collective; all ranks get the same report but for ``state``.
@@ -142,7 +139,7 @@ def failure_report(simulation: Simulation, error: StepError) -> FailureReport:
     )
 
 
-def _fastest(simulation: Simulation) -> tuple[float, int | None, tuple[float, ...]]:
+def _fastest(simulation: RunState) -> tuple[float, int | None, tuple[float, ...]]:
     """The largest |v|/h, 1/s, the number of its cell, and its place, m."""
     sampler, step = simulation.sampler, simulation.rothe_step
     rates = np.linalg.norm(sampler.rows(step.now.v), axis=1) / sampler.rows(step.context.h)[:, 0]
@@ -158,7 +155,7 @@ def _fastest(simulation: Simulation) -> tuple[float, int | None, tuple[float, ..
     return rate if rate > _ROUNDING * usual else 0.0, fastest, place
 
 
-def _advice(simulation: Simulation, violation: Violation | None, courant: float, rate: float) -> list[str]:
+def _advice(simulation: RunState, violation: Violation | None, courant: float, rate: float) -> list[str]:
     """Advised changes, the likeliest first; ``rate`` is the largest |v|/h, 1/s."""
     model, lines = simulation.model, []
     if violation is not None and not violation.is_mean:
@@ -194,7 +191,7 @@ def _advice(simulation: Simulation, violation: Violation | None, courant: float,
 
 
 @contextlib.contextmanager
-def showing(simulation: Simulation, state: np.ndarray) -> Iterator[None]:
+def showing(simulation: RunState, state: np.ndarray) -> Iterator[None]:
     """Context in which the simulation's ``fields`` show other coefficients, e.g. of a ``FailureReport``."""
     step = simulation.rothe_step
     values = step.state.vec.FV().NumPy()
@@ -208,7 +205,7 @@ def showing(simulation: Simulation, state: np.ndarray) -> Iterator[None]:
         step.local_unknowns.update_stored()
 
 
-def write_failure(text: Path, fields: Path, simulation: Simulation, report: FailureReport) -> Path:
+def write_failure(text: Path, fields: Path, simulation: RunState, report: FailureReport) -> Path:
     """Write the report as text, and the refused solution, or else the last state, as .vtu.
 
     The field ``out_of_bounds`` is 1 in cells where a bound is violated.  Returns the file of the fields, over

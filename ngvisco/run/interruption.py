@@ -6,22 +6,14 @@ step: a run that goes on from there equals the uninterrupted one.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, TypeAlias
-
-import numpy as np
-
 from ngvisco.errors import StopRequested
-
-if TYPE_CHECKING:
-    from ngvisco.run.simulation import Simulation
-
-KeptPart: TypeAlias = tuple[dict[str, float], dict[str, np.ndarray]]
+from ngvisco.run.state import KeptPart, RunState
 
 
 class Interruption:
     """Gives up a step of a simulation when a stop is requested, and lets it begin again."""
 
-    def __init__(self, simulation: Simulation) -> None:
+    def __init__(self, simulation: RunState) -> None:
         self._simulation, self._is_armed, self._has_stopped = simulation, False, False
         self._kept: dict[str, KeptPart] = {}
         simulation.solver.interrupted = lambda: self._is_armed and simulation.stop_requested

@@ -37,8 +37,7 @@ from ngvisco.run.inlets import InflowWarning, inflow_message
 from ngvisco.run.momentum import Momentum
 from ngvisco.run.momentum import unit as unit_of_momentum
 from ngvisco.run.notebook import data_frame, ledger_html
-from ngvisco.run.scales import cause_of_negative_power
-from ngvisco.run.signs import CREEP_POWER, Signs
+from ngvisco.run.signs import CREEP_POWER, Signs, cause_of_negative_power
 from ngvisco.timestepping.integrator import LIMITER, LIMITER_WALLS, StepTaken
 
 EIGENVALUE = "eigenvalue_min_"

@@ -5,14 +5,12 @@ from __future__ import annotations
 import html
 import re
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from ngvisco.errors import NgviscoError
-
-if TYPE_CHECKING:
-    from ngvisco.run.simulation import Simulation
+from ngvisco.forms.system import Step
 
 _WIDTH, _HEIGHT = 420, 120
 
@@ -21,27 +19,26 @@ class NotebookError(NgviscoError, RuntimeError):
     """A package that a notebook needs is not installed."""
 
 
-def simulation_html(simulation: Simulation) -> str:
-    """The description of a simulation, its present time and its ledger."""
-    layout, model = simulation.rothe_step.layout, simulation.model
+def simulation_html(step: Step, time: str) -> str:
+    """The description of a simulation's step, with its present time in words."""
+    layout, model, mesh = step.layout, step.model, step.mesh
     mechanisms = [
         f"{name} {html.escape(_short(part))}"
         for name in ("viscosity", "hyperviscosity", "creep", "regularisation")
         if (part := getattr(model, name)) is not None
     ]
-    steps = "adaptive steps" if simulation.is_adaptive else f"steps of {simulation.dt:g} s"
     rows = {
         "material": html.escape(_short(model.material)),
         "mechanisms": "<br>".join(mechanisms) or "none",
         "loads": "<br>".join(html.escape(_short(load)) for load in model.loads) or "none",
         "walls": "<br>".join(
             f"{html.escape(name)}: {html.escape(_short(wall))}"
-            for name, wall in simulation.rothe_step.walls.conditions.items()
+            for name, wall in step.walls.conditions.items()
         ),
-        "mesh": f"{simulation.mesh.ne} cells in {simulation.mesh.dim}D, {layout.space.ndof} unknowns",
-        "time": f"t = {simulation.t:g} s, step {simulation.step_number}, {steps}",
+        "mesh": f"{mesh.ne} cells in {mesh.dim}D, {layout.space.ndof} unknowns",
+        "time": time,
     }
-    return _table(rows) + simulation.ledger._repr_html_()
+    return _table(rows)
 
 
 def results_html(title: str, time: float, ledger: Mapping[str, np.ndarray]) -> str:

@@ -13,11 +13,11 @@ import numpy as np
 
 from ngvisco.errors import CheckpointError, ParameterError, UnknownNameError
 from ngvisco.forms.term import PRODUCTION
-from ngvisco.run.checkpoint import read_ledger
 from ngvisco.run.fields import USUAL, field_unit
 from ngvisco.run.files import AnyPath
 from ngvisco.run.pictures import LABELS, PAGE, figure, save, widened
 from ngvisco.run.series import read_columns
+from ngvisco.run.snapshot import read_ledger
 from ngvisco.timestepping.integrator import LIMITER, LIMITER_WALLS
 
 if TYPE_CHECKING:

@@ -12,7 +12,6 @@ import sys
 import traceback
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from ngsolve import VOL, ElementId, FESpace, Mesh
@@ -20,12 +19,11 @@ from ngsolve import VOL, ElementId, FESpace, Mesh
 from ngvisco.errors import NgviscoError, ParameterError
 from ngvisco.forms.driving_stress import STRESS
 from ngvisco.forms.spaces import Layout
+from ngvisco.forms.system import Step
 from ngvisco.parallel.communicator import OF_ALL_RANKS, Communicator
 from ngvisco.parallel.exchange import Exchange
 from ngvisco.parallel.mesh import MeshPart
-
-if TYPE_CHECKING:
-    from ngvisco.run.simulation import Observer, Simulation
+from ngvisco.run.passive import PassiveFields
 
 _FAILED, _INTERRUPTED = 1, 130
 
@@ -77,8 +75,7 @@ class Numbering:
         The whole mesh and its layout; None but on the first rank.
     """
 
-    def __init__(self, simulation: Simulation) -> None:
-        step, ranks = simulation.rothe_step, simulation.ranks
+    def __init__(self, step: Step, passive: PassiveFields, ranks: Communicator) -> None:
         self.mesh: Mesh | None = step.mesh
         self.layout: Layout | None = step.layout
         self._numbers: dict[str, _Numbers] | None = None
@@ -103,8 +100,8 @@ class Numbering:
             rules = None if mesh is None else replace(step.quadrature, mesh=mesh)
             collocated = None if rules is None else rules.vectors(size, collocated=True).space
             spaces[f"solver/{name}"] = stress.space, collocated
-        for name, field in simulation.passive.parts.items():
-            cells = None if mesh is None else simulation.passive.space(name, mesh)
+        for name, field in passive.parts.items():
+            cells = None if mesh is None else passive.space(name, mesh)
             spaces[f"passive/{name}"] = field.space, cells
         for name, (space, of_whole) in spaces.items():
             self._numbers[name] = _Numbers(numbers_in(part, space, of_whole), of_whole, ranks)
@@ -156,16 +153,15 @@ def _of_cells(space: FESpace, cells: Iterable[int]) -> np.ndarray:
     return np.concatenate([np.zeros(0, dtype=np.int64), *(dofs[dofs >= 0] for dofs in each)])
 
 
-def tell(simulation: Simulation, observer: Observer, what: Callable[..., None], *arguments: object) -> None:
+def tell(ranks: Communicator, observer: object, what: Callable[..., None], *arguments: object) -> None:
     """Call an observer's method; an error on one rank is raised on all ranks."""
-    ranks = simulation.ranks
     if not ranks.is_distributed:
-        what(simulation, *arguments)
+        what(*arguments)
         return
     failure: BaseException | None = None
     try:
         if ranks.is_first or not getattr(observer, "on_first_rank", False):
-            what(simulation, *arguments)
+            what(*arguments)
     except BaseException as error:
         failure = error
     together = ranks.agree(failure)

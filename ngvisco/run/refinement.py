@@ -31,11 +31,12 @@ from ngvisco.errors import (
 from ngvisco.forms.mesh.mesh_arrays import coordinates, is_simplicial, vertices
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.mesh import of_whole, whole_of
-from ngvisco.run.checkpoint import Checkpoints, ChosenMesh, mesh_of_checkpoints
+from ngvisco.run.checkpoint import Checkpoints
 from ngvisco.run.fields import field_unit
 from ngvisco.run.files import AnyPath, mesh_image, mesh_of
 from ngvisco.run.scales import ExtremePlace, diameter, extreme_places
 from ngvisco.run.simulation import Simulation
+from ngvisco.run.snapshot import ChosenMesh, mesh_of_checkpoints
 from ngvisco.run.transfer import go_on, require_fit, transfer
 
 _TOO_LARGE = 1.5

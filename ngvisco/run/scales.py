@@ -1,92 +1,35 @@
-"""Scales of a run, by its laws at the points where they ask most of dt and maxh."""
+"""Sizes, velocities and accelerations of a run, and the points where its laws ask most of dt and maxh."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
-from ngsolve import CF, CoefficientFunction, Integrate, Mesh
+from ngsolve import CoefficientFunction, Mesh
 
 from ngvisco.forms.boundary.boundaries import axis_parallel_walls, periodic_boundaries
 from ngvisco.forms.mesh.mesh_arrays import coordinates
 from ngvisco.forms.mesh.quadrature import Sampler
 from ngvisco.forms.system import Step
-from ngvisco.forms.tension import unborne_weight
 from ngvisco.forms.terms.momentum import Loading
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.mesh import cell_numbers
 from ngvisco.physics.arrays import Array
 from ngvisco.physics.bodies import AMOUNT
-from ngvisco.physics.defects import may_part
 from ngvisco.physics.flow_rules.check import values_at_rest
 from ngvisco.physics.material import part_of
 from ngvisco.physics.materials.network import Network
 from ngvisco.physics.mixture import Mixture
 from ngvisco.physics.model import Model
-from ngvisco.physics.parameters import Parameter, moduli_in, parameters_in
+from ngvisco.physics.parameters import Parameter, parameters_in
 from ngvisco.physics.tensors import square
-from ngvisco.run.advice import Scales
 from ngvisco.run.waves import moduli, wave_speed
-
-if TYPE_CHECKING:
-    from ngvisco.run.simulation import Simulation
 
 _AT_REST = 1e-12
 """Difference of variables from their values at rest, below which it is rounding."""
-
-
-def scales(simulation: Simulation) -> Scales:
-    """The scales of a simulation at its present state, which before the run is the initial one."""
-    mesh, step = simulation.mesh, simulation.rothe_step
-    places = extreme_places(step, simulation.sampler)
-    if not places:
-        mass = float(step.quadrature.integrate_cells(step.now.rho))
-        places = [ExtremePlace(step.model, {}, mass / Integrate(CF(1.0), mesh), np.empty(0))]
-    fast, slow, viscosities, maxwell = zip(*(place.scales(mesh.dim) for place in places), strict=True)
-    least, most = simulation.sampler.extrema(step.now.rho)
-    material, edges = step.model.material, edges_of(step, simulation.ranks)
-    velocity, length = largest_velocity(simulation), min(edges)
-    return Scales(
-        length=length,
-        extent=max(edges),
-        cell=float(np.median(step.context.h.vec.FV().NumPy())),
-        velocity=velocity,
-        speeds=(max(fast), max(slow)),
-        kinematic_viscosity=min((value for value in viscosities if value > 0), default=0.0),
-        maxwell=min(maxwell),
-        dt=float(simulation.stepper.dt),
-        scheme=simulation.scheme,
-        densities=most / least,
-        one_bulk_energy=not isinstance(material, Mixture) or material.has_one_volume,
-        weight=_acceleration(step, simulation.sampler) * max(edges) / max(min(fast) ** 2, 1e-300),
-        overstress=max(place.overstress(velocity / length) for place in places),
-        bodies=_thickness(simulation),
-        placed=tuple(body.name for body in step.model.bodies if body.where is not None),
-        smears=step.discretisation.m == 1 and not step.discretisation.sharp,
-        k=step.discretisation.k,
-        startup=simulation.integrator.startup,
-        unborne=unborne_weight(step, simulation.sampler),
-        parting=may_part(material, bool(step.moving_walls.moving)),
-    )
-
-
-def largest_velocity(simulation: Simulation) -> float:
-    """The largest velocity of a run so far, m/s; 0 if none is known.
-
-    It is the largest one in the steps taken and of walls; before any step the given velocity scale, else the
-    largest one at the start and of walls.
-    """
-    ranks, said = simulation.ranks, simulation.given_velocity_scale
-    taken = [row["v_max"] for row in simulation.ledger.rows]
-    walls = simulation.rothe_step.moving_walls.velocities().values()
-    moving = ranks.most(np.concatenate([np.zeros(1), *(abs(v).ravel() for v in walls)]))
-    if len(taken) > 1:
-        return max(*taken, moving)
-    start = math.sqrt(simulation.sampler.extrema(square(simulation.rothe_step.now.v))[1])
-    return said or max(start, moving)
 
 
 def edges_of(step: Step, ranks: Communicator) -> list[float]:
@@ -104,31 +47,13 @@ def edges_of(step: Step, ranks: Communicator) -> list[float]:
     return between_walls or sides
 
 
-def _acceleration(step: Step, sampler: Sampler) -> float:
+def largest_acceleration(step: Step, sampler: Sampler) -> float:
     """The largest acceleration that a load gives at the present state, m/s^2."""
     u, largest = step.now, 0.0
     for load in step.model.loads:
         square_of = square(Loading(load, step.mesh.dim).force(u) / u.rho)
         largest = max(largest, math.sqrt(sampler.extrema(square_of)[1]))
     return largest
-
-
-def _thickness(simulation: Simulation) -> dict[str, float]:
-    """The least extent, in cells, of the part of each body with a fraction of at least one half."""
-    step, sampler, ranks = simulation.rothe_step, simulation.sampler, simulation.ranks
-    material, found = step.model.material, {}
-    if not isinstance(material, Mixture):
-        return {}
-    places = sampler.coordinates(np.arange(len(sampler.points)))
-    sizes = sampler.rows(step.context.h)[:, 0]
-    for name, fraction in material.fractions.at(step.now.z_tensors).items():
-        inside = sampler.rows(CF(fraction))[:, 0] >= 0.5
-        if not ranks.any(bool(inside.any())):
-            continue
-        spans = [ranks.most(along[inside]) - ranks.least(along[inside]) for along in places.T]
-        cell = float(np.median(np.concatenate(ranks.gathered(sizes[inside]))))
-        found[name] = min(spans) / cell
-    return found
 
 
 @dataclass(frozen=True)
@@ -236,7 +161,7 @@ def typical_velocity(step: Step, sampler: Sampler, dt: float) -> float:
     u, model, ranks = step.now, step.model, sampler.ranks
     speed = math.sqrt(sampler.extrema(square(u.v))[1])
     length = diameter(step.mesh, ranks)
-    fall = math.sqrt(_acceleration(step, sampler) * length)
+    fall = math.sqrt(largest_acceleration(step, sampler) * length)
     rest = model.material.at_rest(u.z_tensors)
     least = sampler.extrema(u.rho)[0]
     places = extreme_places(step, sampler)
@@ -266,19 +191,3 @@ def diameter(mesh: Mesh, ranks: Communicator) -> float:
     """Diagonal of the bounding box of the whole mesh over all ranks, m."""
     sides = [ranks.most(along) - ranks.least(along) for along in coordinates(mesh).T]
     return float(np.linalg.norm(sides))
-
-
-def cause_of_negative_power(step: Step, sampler: Sampler) -> str:
-    """The reason, in words, why creep gives energy at a point: a modulus of the wrong sign, or the flow rule.
-
-    Collective; all ranks return the same text.
-    """
-    for mechanism in step.model.mechanisms:
-        for name, expression, _ in moduli_in(mechanism.rule):
-            least = sampler.extrema(expression.at(step.now.z_tensors))[0]
-            if least < 0:
-                return (
-                    f"{name} is {least:.3g} at a point: a parameter that is carried as its arithmetic mean "
-                    'overshoots where it jumps; nv.Parameter(mean="geometric") does not change its sign'
-                )
-    return "its flow rule is none"

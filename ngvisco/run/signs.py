@@ -20,6 +20,7 @@ from ngvisco.forms.system import Step
 from ngvisco.forms.term import PRODUCTION, Entry, Integrand
 from ngvisco.forms.terms.regularisation import DELTA_FIELDS
 from ngvisco.forms.terms.transport import UPWINDING
+from ngvisco.physics.parameters import moduli_in
 from ngvisco.physics.tensors import if_positive
 from ngvisco.physics.variables import Values
 
@@ -159,3 +160,19 @@ class Signs:
                 "the cells are too large for the slopes of the temperature; else a law gives energy"
             )
             self._warn(message, EntropyWarning)
+
+
+def cause_of_negative_power(step: Step, sampler: Sampler) -> str:
+    """The reason, in words, why creep gives energy at a point: a modulus of the wrong sign, or the flow rule.
+
+    Collective; all ranks return the same text.
+    """
+    for mechanism in step.model.mechanisms:
+        for name, expression, _ in moduli_in(mechanism.rule):
+            least = sampler.extrema(expression.at(step.now.z_tensors))[0]
+            if least < 0:
+                return (
+                    f"{name} is {least:.3g} at a point: a parameter that is carried as its arithmetic mean "
+                    'overshoots where it jumps; nv.Parameter(mean="geometric") does not change its sign'
+                )
+    return "its flow rule is none"

@@ -8,10 +8,9 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import cached_property
 from typing import Any, Protocol, cast
 
-from ngsolve import CoefficientFunction, Mesh
+from ngsolve import Mesh
 
 from ngvisco.errors import (
     MeshError,
@@ -22,39 +21,27 @@ from ngvisco.errors import (
     require_type,
 )
 from ngvisco.forms.boundary.walls import Conditions
-from ngvisco.forms.bounds import Bounds
-from ngvisco.forms.context import time as run_time
-from ngvisco.forms.mesh.quadrature import Sampler
 from ngvisco.forms.spaces import Discretisation
-from ngvisco.forms.start.data_checks import check_loads, check_walls, warn_of_corners
-from ngvisco.forms.start.initial import Initial, set_initial
+from ngvisco.forms.start.data_checks import warn_of_corners
+from ngvisco.forms.start.initial import Initial
 from ngvisco.forms.system import Step
-from ngvisco.forms.tension import Tension
 from ngvisco.forms.term import Term
-from ngvisco.forms.unfelt import require_held
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.mesh import distributed
 from ngvisco.parallel.petsc import require_petsc
 from ngvisco.physics.model import Model
 from ngvisco.run.arguments import METHODS_OF_OBSERVERS, check_arguments, require_methods
-from ngvisco.run.checkpoint import take_up
 from ngvisco.run.failure import failure_report
-from ngvisco.run.fields import output_fields, require_names_of_their_own
 from ngvisco.run.files import AnyPath
 from ngvisco.run.interruption import Interruption
-from ngvisco.run.ledger import Ledger, closure_limit
+from ngvisco.run.ledger import Ledger
 from ngvisco.run.notebook import simulation_html
-from ngvisco.run.passive import CARRIED, PassiveFields
-from ngvisco.run.ranks import Numbering, ending_all_ranks, tell
-from ngvisco.run.scales import diameter, typical_velocity
-from ngvisco.run.stepping import AdaptiveStepper, Rejection, TimeSteps, time_steps
+from ngvisco.run.ranks import ending_all_ranks, tell
+from ngvisco.run.snapshot import take_up
+from ngvisco.run.state import RunState
+from ngvisco.run.stepping import Rejection, TimeSteps, time_steps
 from ngvisco.solver.options import Method, NewtonOptions
-from ngvisco.solver.rothe import RotheSolver
 from ngvisco.threads import computing
-from ngvisco.timestepping.integrator import Integrator
-from ngvisco.timestepping.scheme import TimeScheme
-
-_LOOKED_AT = 4
 
 
 class Observer(Protocol):
@@ -79,7 +66,7 @@ class Observer(Protocol):
         return
 
 
-class Simulation:
+class Simulation(RunState):
     """A model on a mesh, in time.
 
     Raises ParameterError, MeshError, InitialDataError or UnknownNameError for bad input, before anything is
@@ -157,44 +144,11 @@ class Simulation:
         """Arguments of the simulation other than mesh, model and observers."""
         self.arguments |= dict(discretisation=discretisation, newton=newton, passive=passive)
         self.arguments |= dict(sources=sources, terms=terms, symmetry=symmetry)
-        self.mesh, self.model = mesh, (model := model.at_order(discretisation.m))
-        self.dt, self.given_velocity_scale = float(time.dt), time.velocity_scale
-        self.stepper = time.stepper()
-        self.rothe_step = Step(mesh, model, discretisation, sources, walls, terms, symmetry)
-        self.stepper.require(self.rothe_step)
-        require_held(model, discretisation)
-        require_names_of_their_own(model.material, self.rothe_step.layout.further, CARRIED)
-        self.sampler = Sampler(mesh, self.rothe_step.quadrature)
-        self.ranks = self.sampler.ranks
-        self.unknowns = self.rothe_step.layout.count()
-        """The number of unknowns on the whole mesh, over all ranks, as ``cells`` is the number of cells."""
-        self.cells = int(self.ranks.total(mesh.ne))
-        self._cells_here = mesh.ne
-        self._t, self._number = 0.0, 0
-        self.check_data(0.0)
-        self.observers = list(observers)
-        run_time.Set(0.0)  # start values and walls are evaluated at t = 0, whatever ran before
-        F_0 = set_initial(self.rothe_step, initial, self.sampler)
-        typical = time.velocity_scale or typical_velocity(self.rothe_step, self.sampler, self.dt)
-        self.set_velocity_scale(float(typical))
         options = newton if solver is None else replace(newton, method=cast(Method, solver))
-        self.bounds = Bounds(self.rothe_step, self.sampler, time.limiter, time.drift)
-        self.solver = RotheSolver(self.rothe_step, options, self.bounds.refusal)
-        closed = closure_limit(options.tolerance)
-        self.ledger = Ledger(self.rothe_step, self.sampler, closed, lambda: self.velocity_scale)
-        self.ledger.momentum.impulses.on_sides = self.solver.on_sides
-        self.tension = Tension(self.rothe_step, self.sampler)
-        self.passive = PassiveFields(self.rothe_step, passive, F_0)
-        self.integrator = Integrator(
-            self.solver,
-            time.made,
-            self.ledger.rates,
-            self.bounds,
-            carried=[self.passive],
-            startup=time.startup,
-            relaxed=time.relaxation,
-        )
-        self.stop_requested = False
+        model = model.at_order(discretisation.m)
+        step = Step(mesh, model, discretisation, sources, walls, terms, symmetry)
+        super().__init__(step, time, initial, options, passive)
+        self.observers = list(observers)
         self.interruption = Interruption(self)
 
     def on(self, mesh: Mesh, **others: Any) -> Simulation:
@@ -205,70 +159,10 @@ class Simulation:
         given = {"model": self.model, **self.arguments, "observers": self.observers}
         return Simulation(mesh, **given | others)
 
-    def set_velocity_scale(self, scale: float) -> None:
-        """Set the velocity scale, m/s, and from it the curvature of v in the penalty's weight."""
-        self.velocity_scale = scale
-        self.rothe_step.context.curvature.Set(0.1 * scale / diameter(self.rothe_step.mesh, self.ranks) ** 2)
-
-    def set_time(self, t: float, number: int) -> None:
-        """Set the number and the time ``t`` (s) of the present state, as a restart does.
-
-        If ``t`` is not to be a multiple of dt, see ``stepper.begin``.
-        """
-        self._t, self._number = t, number
-        run_time.Set(t)
-
-    @property
-    def t(self) -> float:
-        """Time of the present state, s; the run alone advances it."""
-        return self._t
-
-    @t.setter
-    def t(self, value: float) -> None:
-        expected = "not to be set: advance() and run() move it, restore() does"
-        raise ParameterError("Simulation.t", value, expected)
-
-    @property
-    def number(self) -> int:
-        """Number of the present state among the accepted states, 0 at the start."""
-        return self._number
-
-    @number.setter
-    def number(self, value: int) -> None:
-        raise ParameterError("Simulation.number", value, "not to be set: advance() and run() count it")
-
     def _repr_html_(self) -> str:
-        return simulation_html(self)
-
-    @cached_property
-    def numbering(self) -> Numbering:
-        """The numbering of the unknowns on one process, for checkpoints; made by all ranks together."""
-        return Numbering(self)
-
-    @property
-    def scheme(self) -> TimeScheme:
-        """The time scheme of the run (after its startup)."""
-        return self.integrator.scheme
-
-    @property
-    def step_number(self) -> int:
-        """Number of the step that led to the present state or is under way; ``number`` counts its parts."""
-        return self.stepper.step_of(self.t, self.number)[0]
-
-    @property
-    def step_under_way(self) -> int:
-        """Number of the next step, or of the step that the run is within."""
-        return self.step_number + self.is_due(1)
-
-    def is_due(self, every: int) -> bool:
-        """Whether the present state ends a step whose number is a multiple of ``every``."""
-        number, ended = self.stepper.step_of(self.t, self.number)
-        return ended and number % every == 0
-
-    @property
-    def is_adaptive(self) -> bool:
-        """Whether the run chooses its step lengths."""
-        return isinstance(self.stepper, AdaptiveStepper)
+        steps = "adaptive steps" if self.is_adaptive else f"steps of {self.dt:g} s"
+        time = f"t = {self.t:g} s, step {self.step_number}, {steps}"
+        return simulation_html(self.rothe_step, time) + self.ledger._repr_html_()
 
     @ending_all_ranks()
     def restore(
@@ -290,22 +184,6 @@ class Simulation:
         self.stepper.load_state_dict(self, *one.part("stepping"))
         self.ledger.resume(one.balance, rows, limits)
 
-    @property
-    def fields(self) -> dict[str, CoefficientFunction]:
-        """Velocity, density, the material's variables and stresses at the present time, by name.
-
-        ``velocity`` has the mesh's dimension, tensors are 3x3; ``cauchy_stress`` is the elastic stress T by
-        the projected conjugates, with ``pressure`` = -tr T/3 and ``von_mises``, all in Pa.  Creep rate,
-        Mandel, viscous and hyperstress, principal stresses and stretches are present if the model has them
-        (``ngvisco.run.fields``), as are the run's passive fields.
-        """
-        self.rothe_step.local_unknowns.update_stored()
-        return {**self._expressions, **self.passive.fields}
-
-    @cached_property
-    def _expressions(self) -> dict[str, CoefficientFunction]:
-        return output_fields(self.rothe_step)
-
     def advance(self, stop: float = math.inf) -> dict[str, float]:
         """Take one step and return its row of the ledger; adaptive steps end at ``stop`` (s) at the latest.
 
@@ -321,7 +199,7 @@ class Simulation:
             self.interruption.begin()
             self.bounds.refused = self.bounds.parted = None
             try:
-                step, number = self.stepper.advance(self, stop), self.number + 1
+                step, number = self.stepper.advance(self, stop, self.notify_rejection), self.number + 1
             except StepError as error:
                 error.report = failure_report(self, error)
                 raise
@@ -369,25 +247,12 @@ class Simulation:
             failure = self._observed(targets)
             for observer in self.observers:
                 try:
-                    tell(self, observer, observer.finish)
+                    tell(self.ranks, observer, observer.finish, self)
                 except Exception as error:  # other observers must still finish their files
                     failure = failure or error
         if failure is not None:
             raise failure
         return self.ledger
-
-    def check_data(self, until: float) -> None:
-        """Raise ParameterError for bad values of loads and walls from the present time to ``until``, s.
-
-        ``run`` calls this before its first step.
-        """
-        times = self._looked_at(until)
-        check_loads(self.rothe_step, self.sampler, times)
-        check_walls(self.rothe_step, times)
-
-    def _looked_at(self, until: float) -> list[float]:
-        """Times, s, at which ``check_data`` evaluates loads and walls."""
-        return sorted({self.t + i / _LOOKED_AT * (until - self.t) for i in range(_LOOKED_AT + 1)})
 
     def request_stop(self) -> None:
         """Let ``run`` give up its present step and end; observers are finished."""
@@ -397,17 +262,17 @@ class Simulation:
         """Tell observers with a method ``rejected`` of a rejected step; the state is the one before it."""
         for observer in self.observers:
             if (rejected := getattr(observer, "rejected", None)) is not None:
-                tell(self, observer, rejected, rejection)
+                tell(self.ranks, observer, rejected, self, rejection)
 
     def _observed(self, targets: Sequence[float]) -> BaseException | None:
         try:
             for observer in self.observers:
-                tell(self, observer, observer.start)
+                tell(self.ranks, observer, observer.start, self)
             for target in targets:
                 while not (self.stepper.reached(self, target) or self._is_to_stop()):
                     row = self.advance(target)
                     for observer in self.observers:
-                        tell(self, observer, observer.step, row)
+                        tell(self.ranks, observer, observer.step, self, row)
         except BaseException as error:
             return self.interruption.ended(error)
         return None

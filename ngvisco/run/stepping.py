@@ -22,10 +22,10 @@ of lengths.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Protocol
 
 import numpy as np
 
@@ -38,16 +38,14 @@ from ngvisco.errors import (
     require_fields,
     require_type,
 )
+from ngvisco.forms.system import Step
 from ngvisco.physics.defects import DRIFT
 from ngvisco.run.adaptive import AdaptiveSteps, GrowthControl
+from ngvisco.solver.problem import Attempt
+from ngvisco.solver.rothe import RotheSolver
 from ngvisco.timestepping.error import ErrorEstimate
-from ngvisco.timestepping.integrator import StepTaken
+from ngvisco.timestepping.integrator import Integrator, StepTaken
 from ngvisco.timestepping.scheme import TimeScheme, midpoint, scheme_of
-
-if TYPE_CHECKING:
-    from ngvisco.forms.system import Step
-    from ngvisco.run.simulation import Simulation
-    from ngvisco.solver.problem import Attempt
 
 _ROUNDING, _NEAR = 1e-9, 1e-3
 
@@ -193,12 +191,25 @@ class Accepted:
     error: float | None = None
 
 
-def _turn(simulation: Simulation, turned: bool) -> str:
+class Stepped(Protocol):
+    """A run as its stepper sees it."""
+
+    rothe_step: Step
+    solver: RotheSolver
+    integrator: Integrator
+    velocity_scale: float
+
+    @property
+    def t(self) -> float: ...
+    @property
+    def number(self) -> int: ...
+
+
+def _turn(solver: RotheSolver, turned: bool) -> str:
     """Let the other solver take a step that was not solved; return words about the change.
 
     Raises StepError with the reason if the other solver is not to be tried, or has been (``turned``).
     """
-    solver = simulation.solver
     if turned:
         raise StepError(f"the {solver.turns.other} solver has not solved it either")
     return solver.turn()
@@ -245,9 +256,9 @@ class FixedStepper:
             after = f" after t = {self._start:g} s" if self._start else ""
             raise ParameterError(name, time, f"a multiple of dt = {self.dt:g}{after}")
 
-    def reached(self, simulation: Simulation, time: float) -> bool:
+    def reached(self, run: Stepped, time: float) -> bool:
         """Whether the present state is that of ``time`` or later."""
-        return self._position(simulation.t) >= self._position(time)
+        return self._position(run.t) >= self._position(time)
 
     def step_of(self, time: float, number: int) -> tuple[int, bool]:
         """Number of the step to which the state at ``time`` (s), row ``number`` of the ledger, belongs, and
@@ -258,9 +269,12 @@ class FixedStepper:
         whole, part = divmod(position, self._parts)
         return self._first + whole + (part > 0), part == 0
 
-    def advance(self, simulation: Simulation, stop: float) -> Accepted:
-        """Take one step that does not pass ``stop``; a StepError leaves the old state."""
-        t, position = simulation.t, self._position(simulation.t)
+    def advance(self, run: Stepped, stop: float, rejected: Callable[[Rejection], None]) -> Accepted:
+        """Take one step that does not pass ``stop``; a StepError leaves the old state.
+
+        ``rejected`` is told of each rejection.
+        """
+        t, position = run.t, self._position(run.t)
         whole, done = divmod(position, self._parts)
         level = first = self._level if done else max(0, self._level - 1)
         rejections, turned = 0, False
@@ -268,14 +282,14 @@ class FixedStepper:
             size = self._parts >> level
             tau = self.dt * size / self._parts
             try:
-                taken = simulation.integrator.advance(t, tau, self._first + whole)
+                taken = run.integrator.advance(t, tau, self._first + whole)
                 self._level = level
                 return Accepted(self._time(position + size), taken, rejections)
             except StepError as failure:
                 reason, history = str(failure.__cause__ or failure), failure.history
                 if level == self.halvings:
                     try:
-                        reason += f"; {_turn(simulation, turned)}"
+                        reason += f"; {_turn(run.solver, turned)}"
                     except StepError as refused:
                         cause = failure.__cause__ or failure
                         raise StepError(f"{failure}; {refused}", history) from cause
@@ -284,20 +298,18 @@ class FixedStepper:
                     level += 1
                     reason += f"; taken in parts of {self.dt / (1 << level):.4g} s"
             rejections += 1
-            simulation.notify_rejection(Rejection(t, tau, reason, history))
+            rejected(Rejection(t, tau, reason, history))
 
     def state_dict(self) -> tuple[dict[str, float], dict[str, np.ndarray]]:
         """Numbers and arrays of the stepper that a restart needs."""
         return {"start": self._start, "first": float(self._first), "level": float(self._level)}, {}
 
-    def load_state_dict(
-        self, simulation: Simulation, numbers: dict[str, float], arrays: dict[str, np.ndarray]
-    ) -> None:
+    def load_state_dict(self, run: Stepped, numbers: dict[str, float], arrays: dict[str, np.ndarray]) -> None:
         """Load the numbers and arrays that ``state_dict`` gave."""
-        t = simulation.t
-        self.begin(numbers.get("start", t), int(numbers.get("first", simulation.number)))
+        t = run.t
+        self.begin(numbers.get("start", t), int(numbers.get("first", run.number)))
         if "first" not in numbers or self._time(self._position(t)) != t:  # steps of other lengths led to t
-            self.begin(t, simulation.number)
+            self.begin(t, run.number)
         self._level = min(int(numbers.get("level", 0)), self.halvings)
 
 
@@ -327,28 +339,28 @@ class AdaptiveStepper:
     def step_of(self, time: float, number: int) -> tuple[int, bool]:
         return number, True
 
-    def reached(self, simulation: Simulation, time: float) -> bool:
-        return simulation.t >= time * (1 - 1e-14)
+    def reached(self, run: Stepped, time: float) -> bool:
+        return run.t >= time * (1 - 1e-14)
 
-    def advance(self, simulation: Simulation, stop: float) -> Accepted:
+    def advance(self, run: Stepped, stop: float, rejected: Callable[[Rejection], None]) -> Accepted:
         rejections: list[Rejection] = []
         first, turned = self.dt, False
-        integrator, tolerance, t = simulation.integrator, self.options.tolerance, simulation.t
-        scheme = integrator.scheme_of(simulation.number)
-        estimate = self._estimate_of(simulation)
+        integrator, tolerance, t = run.integrator, self.options.tolerance, run.t
+        scheme = integrator.scheme_of(run.number)
+        estimate = self._estimate_of(run)
         if estimate is not None:
             estimate.begin(t)
         while True:
             tau, new_time = self._length(t, stop)
             try:
-                taken = integrator.advance(t, tau, simulation.number, meets=new_time == stop)
+                taken = integrator.advance(t, tau, run.number, meets=new_time == stop)
             except StepError as failure:
                 # the cause: its message does not repeat the step
                 reason = str(failure.__cause__ or failure)
                 history, shorter = failure.history, tau / 2
                 if shorter < self.options.dt_min:
                     try:
-                        reason += f"; {_turn(simulation, turned)}"
+                        reason += f"; {_turn(run.solver, turned)}"
                         shorter, turned = first, True
                     except StepError as refused:
                         reason += f"; {refused}"
@@ -371,7 +383,7 @@ class AdaptiveStepper:
                     break
                 integrator.undo()
             rejections.append(Rejection(t, tau, reason, history))
-            simulation.notify_rejection(rejections[-1])
+            rejected(rejections[-1])
             self.dt, self.streak = shorter, 0
             if self.dt < self.options.dt_min:
                 tried = "; ".join(f"{r.tau:g} s: {r.reason}" for r in rejections)
@@ -383,10 +395,10 @@ class AdaptiveStepper:
         self.dt = min(self.dt, self._growth.allowed(tau, taken.rates, SAFETY))
         return Accepted(new_time, taken, len(rejections), error)
 
-    def _estimate_of(self, simulation: Simulation) -> ErrorEstimate | None:
+    def _estimate_of(self, run: Stepped) -> ErrorEstimate | None:
         if self._estimate is None and self.options.tolerance is not None:
-            order = simulation.scheme.order
-            self._estimate = ErrorEstimate(simulation.rothe_step, lambda: simulation.velocity_scale, order)
+            order = run.integrator.scheme.order
+            self._estimate = ErrorEstimate(run.rothe_step, lambda: run.velocity_scale, order)
         return self._estimate
 
     def _length(self, t: float, stop: float) -> tuple[float, float]:
@@ -423,12 +435,10 @@ class AdaptiveStepper:
             numbers["last_error"] = self._last_error
         return numbers, arrays
 
-    def load_state_dict(
-        self, simulation: Simulation, numbers: dict[str, float], arrays: dict[str, np.ndarray]
-    ) -> None:
+    def load_state_dict(self, run: Stepped, numbers: dict[str, float], arrays: dict[str, np.ndarray]) -> None:
         if "streak" not in numbers:  # the checkpoint comes from a run with fixed steps
             return
         self.dt, self.streak = numbers["dt"], int(numbers["streak"])
         self._last_error = numbers.get("last_error")
-        if arrays and (estimate := self._estimate_of(simulation)) is not None:
+        if arrays and (estimate := self._estimate_of(run)) is not None:
             estimate.load_state_dict(numbers, arrays)

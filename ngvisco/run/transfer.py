@@ -26,7 +26,7 @@ from ngvisco.forms.projections import project, project_velocity
 from ngvisco.forms.start.given import QuadraturePoints
 from ngvisco.forms.start.initial import complete
 from ngvisco.physics.bodies import AMOUNT, Amount
-from ngvisco.run import checkpoint
+from ngvisco.run import snapshot
 from ngvisco.run.files import AnyPath
 from ngvisco.run.ledger import TRANSFER, energy_of
 
@@ -279,7 +279,7 @@ def resume_changed(
     float
         Energy lost by the change of the stored energy, J: the column ``transfer`` of the next row.
     """
-    one, rows, limits = checkpoint.take_up(
+    one, rows, limits = snapshot.take_up(
         simulation, path, attributes=attributes, may_differ=("material", "energies", "scheme")
     )
     (numbers, _), step = one.part(""), simulation.rothe_step

@@ -13,7 +13,7 @@ import sys
 from collections.abc import Iterator
 from typing import Any
 
-from ngvisco.run.checkpoint import version
+from ngvisco.run.snapshot import version
 from ngvisco.sweep.variations import SweepError
 
 _POLL, _ASK = 0.2, 5

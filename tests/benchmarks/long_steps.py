@@ -21,7 +21,7 @@ from ngsolve import CF, Mesh, cos, pi, sin, x, y, z
 
 import ngvisco as nv
 from ngvisco.geometries import box, structured_box
-from ngvisco.run.scales import scales
+from ngvisco.run.advice import scales
 from tests.verification.cases import robustness
 from tests.verification.setups import KINDS, block, elastic
 

@@ -7,7 +7,7 @@ import pytest
 import ngvisco as nv
 from ngvisco.case.build import parse_case
 from ngvisco.cli.main import main
-from ngvisco.run.checkpoint import mesh_of_checkpoints
+from ngvisco.run.snapshot import mesh_of_checkpoints
 from ngvisco.solver.rothe import RotheSolver
 
 PULSE = """

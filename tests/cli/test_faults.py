@@ -15,7 +15,7 @@ import pytest
 from command import CASE, command, environment, rows, start, wait_for
 
 import ngvisco as nv
-from ngvisco.run.checkpoint import FORMAT
+from ngvisco.run.snapshot import FORMAT
 
 DONE, FAILED, BAD_INPUT, BAD_FILE = 0, 1, 2, 3
 LONG = ("--set", "time.until=200")

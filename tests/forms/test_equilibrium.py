@@ -10,7 +10,7 @@ import ngvisco as nv
 from ngvisco.forms.start.data_checks import InputWarning
 from ngvisco.forms.tension import readers
 from ngvisco.geometries import structured_box
-from ngvisco.run.scales import scales
+from ngvisco.run.advice import scales
 
 K, G, RHO, WEIGHT = 50.0, 30.0, 2.0, 1.0
 ROCK = nv.ReferentialNeoHookean(K_e=K, G_e=G / 2)

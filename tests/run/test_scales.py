@@ -14,8 +14,7 @@ import ngvisco as nv
 from ngvisco.forms.terms.momentum import Stokes
 from ngvisco.geometries import box, structured_box
 from ngvisco.physics.variables import Jacobian
-from ngvisco.run.advice import Scales
-from ngvisco.run.scales import scales
+from ngvisco.run.advice import Scales, scales
 from ngvisco.run.waves import moduli
 
 NEO_HOOKEAN = nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import suppress
 from functools import cache, partial
 from itertools import product
@@ -11,7 +12,7 @@ from ngsolve import Mesh, cos, pi, sin, x, y
 
 import ngvisco as nv
 from ngvisco.geometries import box
-from ngvisco.run.stepping import Accepted, FixedStepper
+from ngvisco.run.stepping import Accepted, FixedStepper, Stepped
 from tests.verification.case import Cases, Curve, Measured, Plot, Table
 from tests.verification.setups import KINDS, LABELS, block, drift, elastic, lid_driven
 
@@ -46,15 +47,15 @@ class FirstTry(FixedStepper):
         super().__init__(dt)
         self.directly = self.helped = 0
 
-    def advance(self, simulation: nv.Simulation, stop: float) -> Accepted:
-        integrator = simulation.integrator
+    def advance(self, run: Stepped, stop: float, rejected: Callable[[nv.Rejection], None]) -> Accepted:
+        integrator = run.integrator
         try:
-            taken = integrator.advance(simulation.t, self.dt)
+            taken = integrator.advance(run.t, self.dt)
             self.directly += 1
         except nv.StepError:
-            taken = integrator.advance(simulation.t, self.dt)
+            taken = integrator.advance(run.t, self.dt)
             self.helped += 1
-        return Accepted((simulation.number + 1) * self.dt, taken)
+        return Accepted((run.number + 1) * self.dt, taken)
 
 
 AXES = {"stiffness, Pa": STIFFNESS, "K_e/G_e": RATIOS, "viscosity, Pa s": VISCOSITIES, "tau, s": TAUS}

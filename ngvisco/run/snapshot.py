@@ -1,0 +1,293 @@
+"""A state of a run as a checkpoint holds it, read from the run's file, and checked to belong to the run."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import hashlib
+import importlib.metadata
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from ngsolve import Mesh
+
+from ngvisco.errors import CheckpointError, require_path
+from ngvisco.forms.mesh.mesh_arrays import coordinates, vertices
+from ngvisco.physics.bodies import AMOUNT, Amount, Body
+from ngvisco.physics.material import Material
+from ngvisco.physics.pointwise import sampled_energies
+from ngvisco.run.files import AnyPath
+from ngvisco.run.ledger import Balance
+from ngvisco.run.state import KeptPart, RunState
+
+_WHOLE = ("step", "newton_iterations", "rejections", "limited_cells", "passive_unsolved")
+"""Ledger columns that hold whole numbers."""
+CHECKSUM, CLOSURES = "checksum", "closed"
+FORMAT = 5
+"""The version of the format of a run's file."""
+PARTS = ("", "solver", "stepping", "passive")
+
+
+@dataclasses.dataclass(frozen=True)
+class Snapshot:
+    """One checkpoint: numbers and arrays by their names in its group, as ``/time`` and ``solver/tau``."""
+
+    numbers: dict[str, float]
+    arrays: dict[str, np.ndarray]
+
+    @property
+    def checksum(self) -> str:
+        """SHA-256 of all numbers and arrays."""
+        return digest_of(self.numbers, self.arrays)
+
+    @property
+    def balance(self) -> Balance:
+        return Balance(
+            **{field.name: self.numbers[f"/{field.name}"] for field in dataclasses.fields(Balance)}
+        )
+
+    def part(self, name: str) -> tuple[dict[str, float], dict[str, np.ndarray]]:
+        """Numbers and arrays of the checkpoint's group, ``""``, or of an inner group, by name there."""
+        numbers = {k.removeprefix(f"{name}/"): v for k, v in self.numbers.items() if k.startswith(f"{name}/")}
+        arrays = {k.removeprefix(f"{name}/"): v for k, v in self.arrays.items() if k.startswith(f"{name}/")}
+        return numbers, arrays
+
+
+@dataclasses.dataclass(frozen=True)
+class ChosenMesh:
+    """A mesh chosen during a run: a .vol file's content, and the number of the state that chose it."""
+
+    image: bytes
+    step: int
+
+
+def load(path: Path, group: h5py.Group) -> Snapshot:
+    one = Snapshot({}, {})
+    for name in PARTS:
+        part = group[name] if name else group
+        one.numbers.update({f"{name}/{k}": float(v) for k, v in part.attrs.items() if k != CHECKSUM})
+        arrays = {f"{name}/{k}": np.array(v) for k, v in part.items() if isinstance(v, h5py.Dataset)}
+        one.arrays.update(arrays)
+    _verify(path, group, one.checksum)
+    return one
+
+
+def digest_of(numbers: Mapping[str, float], arrays: Mapping[str, np.ndarray]) -> str:
+    digest = hashlib.sha256()
+    for name, value in sorted(numbers.items()):
+        digest.update(f"{name}={float(value).hex()};".encode())
+    for name, array in sorted(arrays.items()):
+        digest.update(f"{name}:{array.dtype.str}{array.shape};".encode())
+        digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()
+
+
+def _verify(path: Path, group: h5py.Group, checksum: str) -> None:
+    """Raise CheckpointError unless the group has the checksum ``checksum``."""
+    found = group.attrs.get(CHECKSUM)
+    if found != checksum:
+        what = "has no checksum" if found is None else "is damaged (its checksum differs)"
+        raise CheckpointError(f"{path}: {group.name.lstrip('/')} {what}; go on from another copy of the file")
+
+
+@contextlib.contextmanager
+def opened(path: Path) -> Iterator[h5py.File]:
+    """A run's file, opened; raises CheckpointError for a missing or damaged file."""
+    if not path.exists():
+        raise CheckpointError(f"{path}: no such file")
+    try:
+        with h5py.File(path, "r") as file:
+            yield file
+    except CheckpointError:
+        raise
+    except (OSError, KeyError, RuntimeError, ValueError, TypeError) as error:  # h5py's, by the kind of damage
+        raise CheckpointError(f"{path}: not a readable run file ({error})") from error
+
+
+def mesh_of_checkpoints(path: AnyPath) -> ChosenMesh | None:
+    """The mesh of a run's checkpoints; None if it is the run's first one.
+
+    Raises CheckpointError if the file cannot be read.
+    """
+    with opened(require_path("mesh_of_checkpoints.path", path)) as file:
+        if "mesh" not in file:
+            return None
+        return ChosenMesh(file["mesh"][()].tobytes(), int(file["mesh"].attrs["step"]))
+
+
+def snapshot(simulation: RunState, solving: Mapping[str, KeptPart]) -> Snapshot:
+    """Copy of the data for a restart, on the first rank, in the numbering of one process; collective.
+
+    ``solving`` has the parts of solver and stepper, see ``Interruption.parts``.
+    """
+    balance = simulation.ledger.balance
+    assert balance is not None
+    numbers = {"time": simulation.t, "step": simulation.number, "velocity_scale": simulation.velocity_scale}
+    parts: dict[str, tuple[dict[str, float], dict[str, np.ndarray]]] = {
+        "": (
+            numbers | dataclasses.asdict(balance),
+            {"state": simulation.rothe_step.state.vec.FV().NumPy().copy()},
+        ),
+        **solving,
+        "passive": ({}, simulation.passive.arrays()),
+    }
+    arrays = {f"{part}/{name}": array for part, (_, own) in parts.items() for name, array in own.items()}
+    return Snapshot(
+        {f"{part}/{name}": number for part, (own, _) in parts.items() for name, number in own.items()},
+        {name: simulation.numbering.whole(array, name) for name, array in arrays.items()},
+    )
+
+
+def take_up(
+    simulation: RunState,
+    path: AnyPath,
+    step: int | None = None,
+    attributes: Mapping[str, str] | None = None,
+    may_differ: Collection[str] = (),
+) -> tuple[Snapshot, list[dict[str, float]], list[tuple[int, float]]]:
+    """Load a checkpoint's state and passive fields; return the checkpoint, the ledger's rows, their limits.
+
+    Collective.  ``may_differ`` names parts of a run's identity that may differ; with such parts the rows have
+    the file's columns, otherwise the run's.  Raises CheckpointError as ``Simulation.restore``.
+    """
+    path = require_path("restore.path", path)
+    ledger, ranks, numbering = simulation.ledger, simulation.ranks, simulation.numbering
+    read: list[Snapshot] = []
+
+    def read_all() -> tuple[Any, ...]:
+        own = {name: value for name, value in identity(simulation).items() if name not in may_differ}
+        one = _read_checkpoint(path, own | dict(attributes or {}), step)
+        size, expected = one.arrays["/state"].size, simulation.unknowns
+        if size != expected:
+            raise CheckpointError(f"{path}: the state has {size} coefficients, not {expected}")
+        read.append(one)
+        number, found = int(one.numbers["/step"]), read_ledger(path)
+        names = list(found) if may_differ else [*ledger.columns, *ledger.foreign(found)]
+        rows = [row for row in _rows(path, found, names) if row["step"] <= number]
+        if [row["step"] for row in rows] != list(range(number + 1)):
+            raise CheckpointError(f"{path}: its ledger has not the rows of steps 0 to {number}")
+        with opened(path) as file:  # older files have no limits: this run's hold
+            limits = [(int(first), float(limit)) for first, limit in file["ledger"].attrs.get(CLOSURES, ())]
+        return one.numbers, list(one.arrays), names, rows, limits
+
+    numbers, arrays, names, rows, limits = ranks.on_first(read_all)
+    whole = read[0].arrays if read else {}
+    own = {name: numbering.own(whole.get(name), name) for name in arrays if numbering.knows(name)}
+    one = Snapshot(numbers, own)
+    simulation.passive.load(one.part("passive")[1])
+    simulation.rothe_step.state.vec.FV().NumPy()[:] = one.arrays["/state"]
+    ledger.keep(names)
+    return one, rows, limits
+
+
+def _read_checkpoint(path: Path, expected: dict[str, Any], step: int | None) -> Snapshot:
+    """A checkpoint, by default the last one, from a file that must have the expected attributes."""
+    with opened(path) as file:
+        for name, value in expected.items():
+            found = file.attrs.get(name)
+            if name != "ngvisco" and found != value:
+                found = found.item() if isinstance(found, np.generic) else found
+                verb = "are" if name in ("bodies", "energies") else "is"
+                message = f"its {name} {verb} {found!r}, this run's {verb} {value!r}"
+                raise CheckpointError(f"{path}: {message}")
+        names = sorted(file["checkpoints"])
+        if not names:
+            raise CheckpointError(f"{path}: it holds no checkpoint: start the run anew")
+        name = names[-1] if step is None else f"{step:08d}"
+        if name not in names:
+            steps = ", ".join(str(int(n)) for n in names)
+            raise CheckpointError(f"{path}: no checkpoint of step {step} (there are {steps})")
+        return load(path, file["checkpoints"][name])
+
+
+def read_ledger(path: AnyPath) -> dict[str, np.ndarray]:
+    """The ledger of a run's HDF5 file, an array for each column.
+
+    Raises CheckpointError if the file cannot be read, or its ledger has changed since it was written.
+    """
+    path = require_path("read_ledger.path", path)
+    with opened(path) as file:
+        columns = {name: np.array(data) for name, data in file["ledger"].items()}
+        _verify(path, file["ledger"], digest_of({}, columns))
+        return columns
+
+
+def _rows(path: Path, found: Mapping[str, np.ndarray], columns: Sequence[str]) -> list[dict[str, float]]:
+    """Rows of a ledger with the given columns; raises CheckpointError for a missing or too short column."""
+    if missing := [name for name in columns if name not in found]:
+        raise CheckpointError(f"{path}: its ledger has no column {', '.join(missing)}")
+    if len({found[name].shape for name in columns}) != 1 or found[columns[0]].ndim != 1:
+        raise CheckpointError(f"{path}: the columns of its ledger have different lengths")
+    numbers = [found[name].astype(int if name in _WHOLE else float).tolist() for name in columns]
+    return [dict(zip(columns, row, strict=True)) for row in zip(*numbers, strict=True)]
+
+
+def identity(simulation: RunState) -> dict[str, Any]:
+    """Data that must be equal for a checkpoint to fit, on the first rank: format, mesh, spaces, material.
+
+    A material is identified by its parameters and by energies at some states, since different functions may
+    have one name.
+    """
+    layout, mesh = simulation.numbering.layout, simulation.numbering.mesh
+    assert layout is not None and mesh is not None
+    spaces = ", ".join(f"{name} {layout.blocks[name].ndof}" for name in layout.names)
+    material = simulation.model.material
+    # bodies to which the state's amounts belong
+    amounts = [v for v in material.variables if isinstance(v, Amount)]
+    return {
+        "format": FORMAT,
+        "ngvisco": version() or "0+unknown",
+        "mesh": _mesh_hash(mesh),
+        "material": _material_signature(material),  # before the spaces, which follow from it
+        "spaces": spaces + (", about an axis" if layout.symmetry.is_axisymmetric else ""),
+        "bodies": ", ".join(f"{v.name.removeprefix(AMOUNT)} of {v.density!r} kg/m^3" for v in amounts),
+        "scheme": _scheme_signature(simulation),
+        "energies": sampled_energies(material, simulation.mesh.dim),
+    }
+
+
+def _mesh_hash(mesh: Mesh) -> str:
+    digest = hashlib.sha256()
+    digest.update(np.ascontiguousarray(coordinates(mesh)).tobytes())
+    digest.update(vertices(mesh).tobytes())
+    digest.update("|".join(mesh.GetBoundaries()).encode())
+    digest.update(str(mesh.GetCurveOrder()).encode())
+    return digest.hexdigest()
+
+
+def _material_signature(material: object) -> str:
+    """Class and numbers of a material and of its bodies; functions are given by their names."""
+    values = [
+        f"{field.name}={_signature_of(getattr(material, field.name))}"
+        for field in (dataclasses.fields(material) if dataclasses.is_dataclass(material) else ())
+        if field.repr  # a body's place describes the start alone
+    ]
+    return f"{type(material).__name__}({', '.join(values)})"
+
+
+def _signature_of(value: object) -> str:
+    if isinstance(value, (Material, Body)):
+        return _material_signature(value)
+    if isinstance(value, tuple):
+        return f"({', '.join(_signature_of(one) for one in value)}{',' * (len(value) == 1)})"
+    return getattr(value, "__qualname__", None) or repr(value)
+
+
+def _scheme_signature(simulation: RunState) -> str:
+    integrator = simulation.integrator
+    scheme = integrator.scheme
+    text = f"{scheme.name}, A = {scheme.A}, b = {scheme.b}, loads averaged"
+    if integrator.startup:
+        text += f", startup = {integrator.startup}"
+    return text + (", relaxed" if integrator.relaxed else "")
+
+
+def version(package: str = "ngvisco") -> str | None:
+    """The version of an installed package; None for a package that is not installed."""
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return None
