@@ -313,7 +313,7 @@ def _heated_stream() -> Measured:
     mixing = C * SPEED * jump**2 / (2 * (INLET + jump / 2)) * volume
     yield "error of the temperature over its rise", rows[-1][1]
     yield "error with an inlet that holds the temperature", rows[-1][2]
-    over = -column("power_wall_left")[-1] / mixing
+    over = column("dissipation_inflow_left")[-1] / mixing
     yield "what mixing at the inlet takes over theory, less one", abs(over - 1)
     yield "what is left of the entropy's balance", abs(left).max() / column("entropy")[-1]
     yield "difference of the solvers over the rise", off(theta - other.fields["temperature"])
