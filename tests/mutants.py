@@ -439,7 +439,7 @@ MUTANTS = [
         ),
     ),
     *_of(
-        "forms/fields.py",
+        "forms/unknown_values.py",
         (
             "strain rate about the axis",
             "return None if radius is None else (1 / self.context.given(radius)) * self.v[0]",

@@ -83,25 +83,6 @@ def graph(typed: bool = False) -> dict[str, tuple[str, ...]]:
     }
 
 
-def cycle_in(imports: dict[str, tuple[str, ...]]) -> list[str] | None:
-    """A cycle of imports, or None."""
-    state: dict[str, str] = {}
-
-    def visit(module: str, above: list[str]) -> list[str] | None:
-        if state.get(module) == "done":
-            return None
-        if state.get(module) == "open":
-            return [*above[above.index(module) :], module]
-        state[module] = "open"
-        for target in imports.get(module, ()):
-            if found := visit(target, [*above, module]):
-                return found
-        state[module] = "done"
-        return None
-
-    return next((found for module in imports if (found := visit(module, []))), None)
-
-
 def circles_in(imports: dict[str, tuple[str, ...]]) -> list[set[str]]:
     """Sets of two or more modules that import each other, directly or not."""
     reached: dict[str, set[str]] = {}

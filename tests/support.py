@@ -33,6 +33,7 @@ from ngsolve.meshes import MakeStructured3DMesh
 
 import ngvisco as nv
 from ngvisco.case import reference
+from ngvisco.forms.fields import Fields
 from ngvisco.forms.mesh.quadrature import Sampler
 from ngvisco.forms.start.initial import set_initial
 from ngvisco.forms.system import Step
@@ -100,7 +101,7 @@ def uncondensed(step: Step, integrands: list[Integrand] | None = None) -> Biline
     form = BilinearForm(step.layout.space, check_unused=False)
     if integrands is None:
         trial, test = step.layout.space.TnT()
-        u, w = step.layout.fields(trial), step.layout.fields(test)
+        u, w = Fields.of(step.layout, trial), Fields.of(step.layout, test)
         integrands = [part for term in step.terms for part in term.form(u, w)]
     step.quadrature.add(form, integrands)
     return form

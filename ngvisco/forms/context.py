@@ -24,11 +24,10 @@ from ngsolve import (
 
 from ngvisco.errors import InputWarning
 from ngvisco.forms.energy import StoredEnergy
-from ngvisco.forms.fields import Fields
 from ngvisco.forms.mesh.mesh_arrays import inner_facets
 from ngvisco.forms.rates import Rates
-from ngvisco.forms.term import Term
 from ngvisco.forms.time_means import TOLERANCE, TimeMean, mean_in_cells, mean_on_walls
+from ngvisco.forms.unknown_values import UnknownValues
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.physics.model import Model
 from ngvisco.physics.signals import may_read_time, time
@@ -64,7 +63,7 @@ class Context:
         self,
         mesh: Mesh,
         model: Model,
-        old: Fields,
+        old: UnknownValues,
         energy: StoredEnergy | None = None,
         momentum_old: CoefficientFunction | None = None,
         degree: int = 8,
@@ -78,10 +77,10 @@ class Context:
         self.mesh, self.old = mesh, old
         self.energy = energy or StoredEnergy(model.material, mesh.dim)
         self.rates = Rates(model, mesh.dim, old.layout.symmetry.is_axisymmetric)
-        self.lagged: Fields = old
+        self.lagged: UnknownValues = old
         """Fields at the step's start, for the variables that the material lags."""
-        self.terms: Sequence[Term] = ()
-        """The terms of the step."""
+        self.terms: Sequence[Any] = ()
+        """The terms of the step, ``ngvisco.forms.term.Term``."""
         self._momentum_old = momentum_old
         self.tau = Parameter(1.0)
         """Length of the Rothe step, s."""

@@ -32,7 +32,7 @@ c_K such that the cell's energy rises by tau int_K xi, to rounding.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import numpy as np
 from ngsolve import (
@@ -44,23 +44,27 @@ from ngsolve import (
     GridFunction,
     IntegrationRule,
     LinearForm,
+    Mesh,
     Periodic,
     grad,
 )
 
 from ngvisco.algebra.box import minimise_in_box
 from ngvisco.errors import InputWarning, ParameterError, StepError
+from ngvisco.forms.context import Context
+from ngvisco.forms.energy import StoredEnergy
+from ngvisco.forms.fields import Fields
 from ngvisco.forms.mesh.mesh_arrays import is_simplicial
 from ngvisco.forms.mesh.points import csr
+from ngvisco.forms.mesh.quadrature import Quadrature
+from ngvisco.forms.spaces import Discretisation, Layout
 from ngvisco.forms.term import PRODUCTION, Entry, Integrand
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.physics.material import conjugates, part_of
 from ngvisco.physics.materials.damaged import DAMAGE, WHOLE_F, Damaged
 from ngvisco.physics.materials.thermal import Entropy, Thermal, entropy_in
+from ngvisco.physics.model import Model
 from ngvisco.physics.parameters import substituted
-
-if TYPE_CHECKING:
-    from ngvisco.forms.system import Step
 
 DISSIPATION, BREGMAN = "dissipation_damage", "bregman_damage"
 """Ledger columns of the dissipation by growing damage, W, and by its half of the step, J a step."""
@@ -77,6 +81,22 @@ _NEWTON, _ROUNDING = 10, 1e-15
 """Largest number of Newton steps for c_K, and the accepted defect relative to the energy."""
 
 
+class Breaking(Protocol):
+    """A step as the growth of damage sees it."""
+
+    mesh: Mesh
+    model: Model
+    layout: Layout
+    discretisation: Discretisation
+    quadrature: Quadrature
+    context: Context
+    energy: StoredEnergy
+    state: GridFunction
+    now: Fields
+
+    def freeze(self) -> None: ...
+
+
 class DamageGrowth:
     """Growth of the damage of a step's present state.
 
@@ -84,7 +104,7 @@ class DamageGrowth:
     several processes, or a regularisation that diffuses the material's variables.
     """
 
-    def __init__(self, step: Step, law: Damaged) -> None:
+    def __init__(self, step: Breaking, law: Damaged) -> None:
         self.step, self.law = step, law
         self._check()
         mesh, z = step.mesh, step.now.z_tensors
@@ -252,7 +272,7 @@ class DamageGrowth:
 class _Heat:
     """Heat from the viscosity of damage, added as entropy to each cell."""
 
-    def __init__(self, step: Step, entropy: Entropy) -> None:
+    def __init__(self, step: Breaking, entropy: Entropy) -> None:
         self.step, self.entropy, self._place = step, entropy, step.layout.states.slices[entropy.name].start
         self._share = GridFunction(L2(step.mesh, order=0))
         self._added = GridFunction(step.layout.scalar_space("z"))

@@ -30,12 +30,13 @@ from ngvisco.forms.fields import Fields
 from ngvisco.forms.mesh.quadrature import Quadrature, values_of
 from ngvisco.forms.rates import Conjugate, Rates, TabulatedRates
 from ngvisco.forms.spaces import Layout
+from ngvisco.forms.unknown_values import UnknownValues
 from ngvisco.physics.arrays import TINY, Array
 from ngvisco.physics.flow_rules.resolvent import PointRate, resolved, slope_of
 from ngvisco.physics.model import CreepMechanism
 from ngvisco.physics.pointwise import respond, rest_state
 
-_OfRate: TypeAlias = Callable[[CreepMechanism, CoefficientFunction, Fields], CoefficientFunction]
+_OfRate: TypeAlias = Callable[[CreepMechanism, CoefficientFunction, UnknownValues], CoefficientFunction]
 _Sampled: TypeAlias = tuple[np.ndarray, np.ndarray]
 STRESS = "stress_"
 """Prefix of the stresses' names in a checkpoint."""
@@ -200,7 +201,7 @@ class LinearisationStress:
             given = [arrays[name].reshape(self.space.size, -1).T for name in self.functions]
             self._given = np.stack(given)
 
-    def components(self, mechanism: CreepMechanism, u: Fields, rates: Rates) -> Any:
+    def components(self, mechanism: CreepMechanism, u: UnknownValues, rates: Rates) -> Any:
         """Components of the stress M(z) that drives a mechanism."""
         return self.space.components(rates.driving(mechanism, u))
 
@@ -228,7 +229,7 @@ class LinearisationStress:
         M = np.stack([self.components(each, u, self.rates).value.T for each in self.mechanisms])
         return M, [self._rule(each, u) for each in self.mechanisms]
 
-    def _rule(self, mechanism: CreepMechanism, u: Fields) -> PointRate:
+    def _rule(self, mechanism: CreepMechanism, u: UnknownValues) -> PointRate:
         read = self.rates.read_values(mechanism.rule, u, mechanism)
 
         def rate(M: np.ndarray) -> np.ndarray:
@@ -259,13 +260,13 @@ class KeptRates(Rates):
         super().__init__(rates.model, rates.dim, rates.hoop)
         self.stresses = stresses
 
-    def local_creep(self, mechanism: CreepMechanism, u: Fields) -> CoefficientFunction:
+    def local_creep(self, mechanism: CreepMechanism, u: UnknownValues) -> CoefficientFunction:
         if mechanism not in self.stresses.stress:
             return super().local_creep(mechanism, u)
         read = self.read_values(mechanism.rule, u, mechanism)
         return mechanism.rule.rate(self.stresses.space.tensor(self._stress(mechanism, u)), None, read)
 
-    def _stress(self, mechanism: CreepMechanism, u: Fields) -> Any:
+    def _stress(self, mechanism: CreepMechanism, u: UnknownValues) -> Any:
         """The components of the stress at the points of u."""
         return self.stresses.stress[mechanism]
 
@@ -273,13 +274,13 @@ class KeptRates(Rates):
 class LinearisedRates(KeptRates):
     """Rates with the linearised correction S (M(z) - M*), used in the Newton iteration for (z, Y)."""
 
-    def __init__(self, rates: Rates, stresses: LinearisationStress, now: Fields | None = None) -> None:
+    def __init__(self, rates: Rates, stresses: LinearisationStress, now: UnknownValues | None = None) -> None:
         """``now`` are the fields of the iterate; None for arrays of values."""
         super().__init__(rates, stresses)
         self._iterate = now
 
     def creep_power(
-        self, z: Fields, Pi: Sequence[CoefficientFunction], G: Fields, name: Conjugate
+        self, z: UnknownValues, Pi: Sequence[CoefficientFunction], G: UnknownValues, name: Conjugate
     ) -> Sequence[CoefficientFunction]:
         off = [
             self._off(each, z) if each in self.stresses.stress else 0 * rate
@@ -288,17 +289,17 @@ class LinearisedRates(KeptRates):
         return [*super().creep_power(z, Pi, G, name), *super().creep_power(self._now(z), off, G, name)]
 
     def power_of_creep(
-        self, mechanism: CreepMechanism, Pi: CoefficientFunction, u: Fields
+        self, mechanism: CreepMechanism, Pi: CoefficientFunction, u: UnknownValues
     ) -> CoefficientFunction:
         return self._along(super().power_of_creep, mechanism, Pi, u)
 
     def hardening_rate(
-        self, mechanism: CreepMechanism, Pi: CoefficientFunction, u: Fields
+        self, mechanism: CreepMechanism, Pi: CoefficientFunction, u: UnknownValues
     ) -> CoefficientFunction:
         return self._along(super().hardening_rate, mechanism, Pi, u)
 
     def _along(
-        self, of: _OfRate, mechanism: CreepMechanism, Pi: CoefficientFunction, u: Fields
+        self, of: _OfRate, mechanism: CreepMechanism, Pi: CoefficientFunction, u: UnknownValues
     ) -> CoefficientFunction:
         """The function ``of`` Pi plus its derivative in the direction of the rate's correction."""
         now = self._now(u)
@@ -308,12 +309,12 @@ class LinearisedRates(KeptRates):
             lambda rate: of(mechanism, rate, now), Pi, self._off(mechanism, u)
         )
 
-    def _now(self, u: Fields) -> Fields:
+    def _now(self, u: UnknownValues) -> UnknownValues:
         """The fields of the iterate."""
         assert self._iterate is not None
         return self._iterate
 
-    def _off(self, mechanism: CreepMechanism, u: Fields) -> CoefficientFunction:
+    def _off(self, mechanism: CreepMechanism, u: UnknownValues) -> CoefficientFunction:
         """The linearised correction S (M(z) - M*) of the rate."""
         kept, p = self.stresses, self.stresses.space.size
         off = kept.components(mechanism, u, self) - kept.stress[mechanism]
@@ -329,16 +330,16 @@ class LinearisedRates(KeptRates):
 class LinearisedTabulatedRates(LinearisedRates, TabulatedRates):
     """Linearised rates by arrays, in one or several directions of an increment at each collocation point."""
 
-    def _stress(self, mechanism: CreepMechanism, u: Fields) -> Array:
+    def _stress(self, mechanism: CreepMechanism, u: UnknownValues) -> Array:
         stress, _ = self.stresses.of(mechanism)
         return Array(np.tile(stress, u.z.value.shape[-1] // max(stress.shape[1], 1)), None)
 
-    def _now(self, u: Fields) -> Fields:
+    def _now(self, u: UnknownValues) -> UnknownValues:
         """The values without the imaginary parts of an increment."""
         parts = {name: Array(u.parts[name].value.real, None) for name in ("z", "zeta")}
         return Fields(u.layout, parts, u.context, lambda name: Array(u.gradient(name).value.real, None))
 
-    def _off(self, mechanism: CreepMechanism, u: Fields) -> Array:
+    def _off(self, mechanism: CreepMechanism, u: UnknownValues) -> Array:
         stress, slope = self.stresses.of(mechanism)
         M = self.stresses.components(mechanism, u, self).value
         off = M.reshape(len(stress), -1, max(stress.shape[1], 1)) - stress[:, None]

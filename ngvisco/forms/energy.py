@@ -19,9 +19,9 @@ import scipy.sparse as sp
 from ngsolve import CF, L2, CoefficientFunction, Discontinuous, FacetFESpace, GridFunction
 
 from ngvisco.errors import StepError
-from ngvisco.forms.fields import Fields
 from ngvisco.forms.mesh.points import SidePoints
 from ngvisco.forms.mesh.quadrature import Quadrature, Sampler, values_of
+from ngvisco.forms.unknown_values import UnknownValues
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.physics.material import Material, conjugates, conjugates_along
 from ngvisco.physics.response import Respond
@@ -42,22 +42,22 @@ class StoredEnergy:
     def __init__(self, material: Material, dim: int) -> None:
         self.material, self.dim = material, dim
 
-    def lacked(self, u: Fields) -> None:
+    def lacked(self, u: UnknownValues) -> None:
         """Note as ``last_failure`` that an iterate had no energy, with the bounds of its domain."""
         bounds = " and ".join(f"{name} > 0" for name in self.material.domain(u.z_tensors))
         variables = ", ".join(variable.name for variable in self.material.variables)
         domain = f", which it has for {bounds} alone (of {variables})" if bounds else ""
         self.last_failure = f"the stored energy of an iterate was no number{domain}"
 
-    def density(self, u: Fields) -> CoefficientFunction:
+    def density(self, u: UnknownValues) -> CoefficientFunction:
         """Energy phi(z), Pa, for integrals by the rule of the forms."""
         return self.material.energy(u.z_tensors)
 
-    def slope(self, u: Fields) -> CoefficientFunction:
+    def slope(self, u: UnknownValues) -> CoefficientFunction:
         """Components of phi'(z), Pa, for integrals by the rule of the forms."""
         return self.material.states(self.dim).components(self._conjugates(u))
 
-    def _conjugates(self, u: Fields) -> Values:
+    def _conjugates(self, u: UnknownValues) -> Values:
         """Conjugates phi'(z); other variables' conjugates read lagged variables at the step's start."""
         z, lagged = u.z_tensors, self.material.lagged
         if not lagged:
@@ -67,12 +67,12 @@ class StoredEnergy:
         of_others, own = conjugates(self.material, seen), conjugates(self.material, z)
         return {name: own[name] if name in lagged else of_others[name] for name in z}
 
-    def tested_slope(self, u: Fields, w: Fields) -> list[CoefficientFunction]:
+    def tested_slope(self, u: UnknownValues, w: UnknownValues) -> list[CoefficientFunction]:
         """Summands of phi'(z) : X, X the test function of zeta, with their derivative by z."""
         slope = self._conjugates(u)
         return [inner(S, w.zeta_tensors[name]) for name, S in slope.items()]
 
-    def curved(self, u: Fields, slope: CoefficientFunction) -> list[CoefficientFunction]:
+    def curved(self, u: UnknownValues, slope: CoefficientFunction) -> list[CoefficientFunction]:
         """Components of phi''(z) q_j, Pa/m, for the columns q_j of a slope (components, dim) of z."""
         states = self.material.states(self.dim)
         variables = {name: value.MakeVariable() for name, value in u.z_tensors.items()}
@@ -80,15 +80,15 @@ class StoredEnergy:
         slopes = (states.tensors(partial(column, slope, j)) for j in range(self.dim))
         return [states.components(conjugates_along(phi, variables, along)) for along in slopes]
 
-    def near(self, u: Fields) -> CoefficientFunction:
+    def near(self, u: UnknownValues) -> CoefficientFunction:
         """Energy phi(z), Pa, for integrals by the rule of the forms, with its derivative by z."""
         return self.density(u)
 
-    def anywhere(self, u: Fields) -> CoefficientFunction:
+    def anywhere(self, u: UnknownValues) -> CoefficientFunction:
         """Energy phi(z), Pa, for evaluation at any point."""
         return self.density(u)
 
-    def on_sides(self, u: Fields) -> CoefficientFunction:
+    def on_sides(self, u: UnknownValues) -> CoefficientFunction:
         """Energy phi(z), Pa, or its mean over a cell's side, for integrals over sides (``refresh_sides``)."""
         return self.density(u)
 
@@ -99,10 +99,10 @@ class StoredEnergy:
         """Energy phi(z), Pa, at the sampler's points, not finite where it has no value (``last_failure``)."""
         return sampler.values(self.material.energy(z))
 
-    def follow(self, u: Fields) -> None:
+    def follow(self, u: UnknownValues) -> None:
         """Make phi(z) and phi'(z) available also at ``u``, fields of grid functions."""
 
-    def refresh(self, u: Fields | None = None) -> bool:
+    def refresh(self, u: UnknownValues | None = None) -> bool:
         """Update the energy to ``u``, by default the present state; return whether it changed."""
         return False
 
@@ -114,7 +114,7 @@ class PointwiseEnergy(StoredEnergy):
     """Energy phi and slope phi' of a material with a response at points, at present and followed states."""
 
     def __init__(
-        self, material: Material, response: Respond, quadrature: Quadrature, now: Fields, order: int
+        self, material: Material, response: Respond, quadrature: Quadrature, now: UnknownValues, order: int
     ) -> None:
         """``quadrature`` has an even degree; ``order`` is the order of the projected energy."""
         super().__init__(material, quadrature.mesh.dim)
@@ -122,42 +122,42 @@ class PointwiseEnergy(StoredEnergy):
         self._ranks = Communicator.of(quadrature.mesh)
         self._own_failure: str | None = None
         self._quadrature, self._size = quadrature, material.states(self.dim).size
-        self._values: dict[Fields, _Values] = {}
+        self._values: dict[UnknownValues, _Values] = {}
         self.follow(now)
         self._hessian = quadrature.vectors(self._size * self._size)
         self.projected = GridFunction(L2(quadrature.mesh, order=order))
         self._means_of_sides: GridFunction | None = None
 
-    def follow(self, u: Fields) -> None:
+    def follow(self, u: UnknownValues) -> None:
         self._values[u] = _Values(*(self._quadrature.vectors(size) for size in (1, self._size, self._size)))
 
-    def density(self, u: Fields) -> CoefficientFunction:
+    def density(self, u: UnknownValues) -> CoefficientFunction:
         return self._values.get(u, self._values[self.fields]).energy.components[0]
 
-    def slope(self, u: Fields) -> CoefficientFunction:
+    def slope(self, u: UnknownValues) -> CoefficientFunction:
         if u is not self.fields and u in self._values:
             return self._values[u].slope
         now = self._values[self.fields]  # serves trial functions too, with the derivative by z at the state
         hessian = self._hessian.Reshape((self._size, self._size))
         return now.slope + hessian * (u.z - now.state)
 
-    def tested_slope(self, u: Fields, w: Fields) -> list[CoefficientFunction]:
+    def tested_slope(self, u: UnknownValues, w: UnknownValues) -> list[CoefficientFunction]:
         slope = self.material.states(self.dim).tensors(lambda: self.slope(u))
         return [inner(S, w.zeta_tensors[name]) for name, S in slope.items()]
 
-    def curved(self, u: Fields, slope: CoefficientFunction) -> list[CoefficientFunction]:
+    def curved(self, u: UnknownValues, slope: CoefficientFunction) -> list[CoefficientFunction]:
         # phi'' at the state: Newton's matrix omits its change with z
         hessian = self._hessian.Reshape((self._size, self._size))
         return [hessian * column(slope, j) for j in range(self.dim)]
 
-    def near(self, u: Fields) -> CoefficientFunction:
+    def near(self, u: UnknownValues) -> CoefficientFunction:
         now = self._values[self.fields]
         return now.energy.components[0] + inner(now.slope, u.z - now.state)
 
-    def anywhere(self, u: Fields) -> CoefficientFunction:
+    def anywhere(self, u: UnknownValues) -> CoefficientFunction:
         return self.projected
 
-    def on_sides(self, u: Fields) -> CoefficientFunction:
+    def on_sides(self, u: UnknownValues) -> CoefficientFunction:
         if self._means_of_sides is None:
             self._means_of_sides = GridFunction(Discontinuous(FacetFESpace(self._quadrature.mesh, order=0)))
         return self._means_of_sides
@@ -185,7 +185,7 @@ class PointwiseEnergy(StoredEnergy):
         self.last_failure = response.failure or self.last_failure
         return response.energy
 
-    def refresh(self, u: Fields | None = None) -> bool:
+    def refresh(self, u: UnknownValues | None = None) -> bool:
         u = self.fields if u is None else u
         # all ranks learn of a change or a failure on one rank
         found = self._ranks.gathered((self._refreshed(u), self._own_failure))
@@ -195,7 +195,7 @@ class PointwiseEnergy(StoredEnergy):
             self.last_failure = self.failure or self.last_failure
         return changed
 
-    def _refreshed(self, u: Fields) -> bool:
+    def _refreshed(self, u: UnknownValues) -> bool:
         """Update the energy on this rank; return whether it changed."""
         mine = self._values[u]
         mine.state.Interpolate(u.z)

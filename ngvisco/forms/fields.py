@@ -1,79 +1,20 @@
-"""The unknowns of a step, tests or known values under the paper's symbols."""
+"""The unknowns of a step, tests or known values, with the data of the step at their points."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
-from itertools import combinations_with_replacement
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-import numpy as np
-from ngsolve import CF, CoefficientFunction, Grad, specialcf
+from ngsolve import CoefficientFunction
 
-from ngvisco.physics.tensors import constant, embed_gradient, trace_free_tensors
-from ngvisco.physics.variables import Values
-
-if TYPE_CHECKING:
-    from ngvisco.forms.context import Context
-    from ngvisco.forms.spaces import Layout
+from ngvisco.forms.context import Context
+from ngvisco.forms.spaces import Layout
+from ngvisco.forms.unknown_values import Part, UnknownValues
 
 
-def hessian_basis(dim: int) -> np.ndarray:
-    """Orthonormal basis of symmetric dim x dim matrices, as columns, (dim^2, dim(dim+1)/2)."""
-    columns = []
-    for i, j in combinations_with_replacement(range(dim), 2):
-        B = np.zeros((dim, dim))
-        B[i, j] = B[j, i] = 1.0 if i == j else np.sqrt(0.5)
-        columns.append(B.ravel())
-    return np.array(columns).T
-
-
-class Part:
-    """Descriptor of the part of ``Fields`` with the attribute's name."""
-
-    def __set_name__(self, owner: type, name: str) -> None:
-        self.name = name
-
-    def __get__(self, fields: Fields, owner: type) -> CoefficientFunction:
-        return fields.parts[self.name]
-
-
-class Density(Part):
-    """Density or its trace: a part, or sum rho_i n_i if the variables are amounts of matter."""
-
-    def __get__(self, fields: Fields, owner: type) -> CoefficientFunction:
-        if self.name in fields.layout.unknowns:
-            return fields.parts[self.name]
-        return fields.layout.states.density(fields.parts[self.name.replace("rho", "z")])[0]
-
-
-class Fields:
-    """The unknowns of a step (or tests, or known values) under the paper's symbols.
-
-    Attributes are evaluated on access: a form contains only the attributes that it names.
-    """
-
-    v = Part()
-    """Velocity, length dim."""
-    rho = Density()
-    rho_hat = Density()
-    z = Part()
-    """All transported components, a vector."""
-    z_hat = Part()
-    wall_stress = Part()
-    """Multiplier of v.n = 0 on oblique and curved walls, Pa; on cell boundaries only."""
-    zeta = Part()
-    """Projected conjugates, components."""
-    rho_delta_hat = Part()
-    """Trace of rho in the delta-regularisation."""
-    zeta_delta_hat = Part()
-    """Mean of both sides' conjugates in the delta-regularisation."""
-    z_slope_hat = Part()
-    """Jump of the slope's normal part over the sum of both sides' weights."""
-    hess_square = Part()
-    """Projected square s = |Hs|^2 of the recovered Hessian."""
-    hyper_coefficient = Part()
-    """Projected coefficient c_s of the hyperstress."""
+class Fields(UnknownValues):
+    """The unknowns of a step (or tests, or known values) with the step's context."""
 
     def __init__(
         self,
@@ -89,115 +30,18 @@ class Fields:
         gradient of a part, by default NGSolve's.  With ``rows = 1`` the fields have one component of v: forms
         linear in v, a and the hyperstress are equal for all components.
         """
-        self.layout, self.parts = layout, parts
-        self.dim: int = layout.mesh.dim
-        self.rows = self.dim if rows is None else rows
+        super().__init__(layout, parts, gradient, rows)
         self._context = context
-        self.gradient = gradient or (lambda name: Grad(self.parts[name]))
+
+    @classmethod
+    def of(cls, layout: Layout, parts: Sequence[Any]) -> Fields:
+        """Fields of trial or test proxies, or of a grid function's components, in the layout's order."""
+        return cls(layout, dict(zip(layout.names, parts, strict=True)))
 
     @property
     def context(self) -> Context:
         """Data of the step at the fields' points: old fields, step length, normal, upwinding."""
         return self.layout.context if self._context is None else self._context
-
-    @cached_property
-    def grad_v(self) -> CoefficientFunction:
-        """Velocity gradient (grad v)_ij = d_j v_i, dim x dim."""
-        gradient = self.gradient("v")
-        return gradient if self.rows == self.dim else gradient.Reshape((self.rows, self.dim))
-
-    @cached_property
-    def hoop(self) -> CoefficientFunction | None:
-        """Strain rate v_r/r about the axis of a body of revolution, 1/s; None for other bodies."""
-        radius = self.layout.symmetry.radius
-        return None if radius is None else (1 / self.context.given(radius)) * self.v[0]
-
-    @cached_property
-    def L(self) -> CoefficientFunction:
-        """Velocity gradient as a 3x3 tensor."""
-        return embed_gradient(self.grad_v, self.dim, self.hoop)
-
-    @cached_property
-    def grad_rho(self) -> CoefficientFunction:
-        if "rho" in self.layout.unknowns:
-            return self.gradient("rho")
-        return self.layout.states.density(self.grad_z, self.dim)
-
-    @cached_property
-    def grad_z(self) -> CoefficientFunction:
-        """Gradient of the components, (components, dim)."""
-        return self.gradient("z")
-
-    @cached_property
-    def grad_zeta(self) -> CoefficientFunction:
-        """Gradient of the conjugates' components, (components, dim)."""
-        return self.gradient("zeta")
-
-    @cached_property
-    def z_slope(self) -> CoefficientFunction:
-        """Slope of z from its conjugates in the delta-regularisation, (components, dim), 1/m."""
-        return self.parts["z_slope"].Reshape((self.parts["z_slope"].dim // self.dim, self.dim))
-
-    @cached_property
-    def Pi(self) -> CoefficientFunction:
-        """Creep rate for nu > 0, 3x3, symmetric and trace-free, 1/s."""
-        return trace_free_tensors(self.dim).tensor(self.parts["Pi"])
-
-    @cached_property
-    def grad_Pi(self) -> CoefficientFunction:
-        """Gradient of the creep rate's components, (components, dim), 1/(m s)."""
-        return self.gradient("Pi")
-
-    @cached_property
-    def z_tensors(self) -> Values:
-        """Transported variables by name, 3x3 or scalar."""
-        parts = self.parts  # a reference to self would keep the fields and their values alive
-        return self.layout.states.tensors(lambda: parts["z"])
-
-    @cached_property
-    def zeta_tensors(self) -> Values:
-        """Conjugates by name, 3x3 or scalar."""
-        parts = self.parts
-        return self.layout.states.tensors(lambda: parts["zeta"])
-
-    @cached_property
-    def hess(self) -> CoefficientFunction:
-        """Components of the recovered Hessian, (dim, dim(dim+1)/2), in an orthonormal basis."""
-        return self._components("hess")
-
-    @cached_property
-    def hyperstress(self) -> CoefficientFunction:
-        """Components of the projected hyperstress, (dim, dim(dim+1)/2)."""
-        return self._components("hyperstress")
-
-    def hyperstress_normal(self, n: CoefficientFunction) -> CoefficientFunction:
-        """Normal part (S n)_ij = S_ijk n_k of the hyperstress, dim x dim."""
-        basis = hessian_basis(self.dim)
-        along = constant(basis.T.reshape(-1, self.dim)) * n  # rows B n, B of the basis
-        return self.hyperstress * along.Reshape((basis.shape[1], self.dim))
-
-    @cached_property
-    def div_hyperstress(self) -> CoefficientFunction:
-        """Divergence (div S)_ij = d_k S_ijk of the hyperstress in a cell, dim x dim."""
-        basis, dim, rows = hessian_basis(self.dim), self.dim, self.rows
-        of_row = basis.reshape(dim, dim, -1).transpose(0, 2, 1).reshape(dim, -1)  # (j, (B, k))
-        matrix = np.kron(np.eye(rows), of_row)
-        flat = constant(matrix) * self.gradient("hyperstress").Reshape((matrix.shape[1],))  # ((i, B), k)
-        return flat.Reshape((rows, dim))
-
-    @cached_property
-    def normal_derivative(self) -> CoefficientFunction:
-        """Single-valued d_n v on facets, length dim; on a cell's boundary only."""
-        n = specialcf.normal(self.dim)
-        return CF(tuple(self.parts[name] * n for name in self.layout.names_of("normals")[: self.rows]))
-
-    @cached_property
-    def jump(self) -> CoefficientFunction:
-        """Jump d_n v (facet) - d_n v (cell), length dim; on a cell's boundary only."""
-        return self.normal_derivative - self.grad_v * specialcf.normal(self.dim)
-
-    def _components(self, name: str) -> CoefficientFunction:
-        return self.parts[name].Reshape((self.rows, hessian_basis(self.dim).shape[1]))
 
 
 class Tests(Fields):

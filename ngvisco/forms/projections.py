@@ -38,7 +38,8 @@ from ngvisco.forms.mesh.mesh_arrays import is_simplicial, mask_of
 from ngvisco.forms.mesh.points import csr
 from ngvisco.forms.mesh.quadrature import Quadrature
 from ngvisco.forms.spaces import Layout
-from ngvisco.forms.term import Integrands, Unknown, tested
+from ngvisco.forms.term import Integrands, tested
+from ngvisco.forms.unknown import Unknown
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.exchange import Exchange
 from ngvisco.parallel.petsc import SumInverse, inverse_of, release
@@ -128,7 +129,7 @@ def project(
 
 def set_traces(layout: Layout, state: GridFunction, context: Context, quadrature: Quadrature) -> None:
     """Set the state's traces to the means of both sides' rho, z, ... and d_n v, in L2 of every facet."""
-    parts, now = dict(zip(layout.names, state.components, strict=True)), layout.fields(state.components)
+    parts, now = dict(zip(layout.names, state.components, strict=True)), Fields.of(layout, state.components)
     kinds: dict[tuple[str, int], list[Unknown]] = {}
     for name in layout.names_of("facets", "normals"):
         unknown = layout.unknowns[name]

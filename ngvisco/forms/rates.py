@@ -14,7 +14,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 from ngsolve import CoefficientFunction
 
-from ngvisco.forms.fields import Fields
+from ngvisco.forms.unknown_values import UnknownValues
 from ngvisco.physics.arrays import TINY, Array, Linear
 from ngvisco.physics.bodies import AMOUNT
 from ngvisco.physics.flow_rules.rule import FlowRule
@@ -53,7 +53,9 @@ class Rates:
         """Whether all flow rules give the rate as a function of the values at the point."""
         self._has_trace = any(each.rule.has_trace for each in self.mechanisms)
 
-    def power(self, z: Fields, along: Fields, G: Fields, name: Conjugate) -> Sequence[CoefficientFunction]:
+    def power(
+        self, z: UnknownValues, along: UnknownValues, G: UnknownValues, name: Conjugate
+    ) -> Sequence[CoefficientFunction]:
         """Summands of rate(z; grad w, 0) : G, w the velocity of ``along``, G the part ``name`` of ``G``.
 
         Densities have their production only: their flux contains the rest.
@@ -84,7 +86,7 @@ class Rates:
         return RateTensors.of(tuple(self.material.variables), self.dim, self._has_trace, self.hoop)
 
     def creep_power(
-        self, z: Fields, Pi: Sequence[CoefficientFunction], G: Fields, name: Conjugate
+        self, z: UnknownValues, Pi: Sequence[CoefficientFunction], G: UnknownValues, name: Conjugate
     ) -> Sequence[CoefficientFunction]:
         """Summands of rate(z; 0, Pi) : G, one Pi, 3x3, per mechanism; at L = 0 a rate has no affine part."""
         tensors = _tensors(G, name)
@@ -95,16 +97,16 @@ class Rates:
             if variable.name in each.names
         ]
 
-    def mandel(self, u: Fields, mechanism: CreepMechanism | None = None) -> CoefficientFunction:
+    def mandel(self, u: UnknownValues, mechanism: CreepMechanism | None = None) -> CoefficientFunction:
         """Mandel stress of the projected conjugates, 3x3, Pa, of the variables of a mechanism, or of all."""
         names = None if mechanism is None else mechanism.names
         return mandel_stress(self.material, u.z_tensors, u.zeta_tensors, self.dim, names)
 
-    def creep(self, u: Fields) -> list[CoefficientFunction]:
+    def creep(self, u: UnknownValues) -> list[CoefficientFunction]:
         """Rate Pi of every mechanism, 3x3, 1/s: from a local rule, or the unknown Pi."""
         return [self.local_creep(each, u) if each.rule.is_local else u.Pi for each in self.mechanisms]
 
-    def mean_creep(self, u: Fields) -> dict[str, CoefficientFunction]:
+    def mean_creep(self, u: UnknownValues) -> dict[str, CoefficientFunction]:
         """Creep rate Pi, or its mean sum theta_i Pi_i over the bodies, 3x3, 1/s, by the branch's suffix."""
         found: dict[str, CoefficientFunction] = {}
         for mechanism, Pi in zip(self.mechanisms, self.creep(u), strict=True):
@@ -112,20 +114,20 @@ class Rates:
             found[mechanism.suffix] = part if known is None else known + part
         return found
 
-    def local_creep(self, mechanism: CreepMechanism, u: Fields) -> CoefficientFunction:
+    def local_creep(self, mechanism: CreepMechanism, u: UnknownValues) -> CoefficientFunction:
         """Rate Pi of a mechanism from the values at the point, 3x3, 1/s."""
         zeta = None if mechanism.conformation is None else u.zeta_tensors[mechanism.conformation]
         return mechanism.rule.rate(
             self.driving(mechanism, u), zeta, self.read_values(mechanism.rule, u, mechanism)
         )
 
-    def driving(self, mechanism: CreepMechanism, u: Fields) -> CoefficientFunction:
+    def driving(self, mechanism: CreepMechanism, u: UnknownValues) -> CoefficientFunction:
         """Mandel stress that drives a mechanism, per volume of its body, 3x3, Pa."""
         M = self.mandel(u, mechanism)
         return M if mechanism.body is None else (1 / mechanism.share(u.z_tensors)) * M
 
     def read_values(
-        self, law: FlowRule | Viscosity, u: Fields, mechanism: CreepMechanism | None = None
+        self, law: FlowRule | Viscosity, u: UnknownValues, mechanism: CreepMechanism | None = None
     ) -> Values:
         """Values that a law may read: z, and the pressure and other quantities in ``law.reads``.
 
@@ -144,7 +146,7 @@ class Rates:
             found[HARDENING] = mechanism.matter(u.z_tensors) * u.zeta_tensors[mechanism.plastic_content.name]
         return found
 
-    def _interface(self, law: MixedViscosity, old: Fields) -> CoefficientFunction:
+    def _interface(self, law: MixedViscosity, old: UnknownValues) -> CoefficientFunction:
         """Projection n x n, 3x3, on the slope n of the viscosities' mean logarithm at the step's start."""
         states, dim = old.layout.states, old.dim
         theta, weights = law.fractions.at(old.z_tensors), {n: math.log(G) for n, G in law.in_series.items()}
@@ -158,7 +160,7 @@ class Rates:
         column = linear_map(np.kron(np.eye(3, dim), np.eye(3)[:, :1]), slope, (3, 3))
         return (1 / (square(column) + _NO_SLOPE)) * (column * column.trans)
 
-    def pressure(self, u: Fields) -> CoefficientFunction:
+    def pressure(self, u: UnknownValues) -> CoefficientFunction:
         """Pressure -tr T/3 from the projected conjugates, Pa."""
         zero = 0 * embed_gradient(u.grad_v, u.dim)
         identity = identity_like(zero) + zero
@@ -166,24 +168,24 @@ class Rates:
         return (-1 / 3) * power - self.stored(u)
 
     def hardening_rate(
-        self, mechanism: CreepMechanism, Pi: CoefficientFunction, u: Fields
+        self, mechanism: CreepMechanism, Pi: CoefficientFunction, u: UnknownValues
     ) -> CoefficientFunction:
         """Growth rate of the mechanism's plastic content K at the creep rate Pi, 1/s."""
         return mechanism.amount(u.z_tensors) * mechanism.rule.hardening_rate(Pi)
 
-    def stored(self, u: Fields) -> CoefficientFunction:
+    def stored(self, u: UnknownValues) -> CoefficientFunction:
         """phi(z), Pa."""
         return u.context.energy.density(u)
 
-    def stored_on_sides(self, u: Fields) -> CoefficientFunction:
+    def stored_on_sides(self, u: UnknownValues) -> CoefficientFunction:
         """Energy phi(z), Pa, or its mean over a cell's side, for integrals over sides."""
         return u.context.energy.on_sides(u)
 
-    def stored_near(self, u: Fields) -> CoefficientFunction:
+    def stored_near(self, u: UnknownValues) -> CoefficientFunction:
         """Energy phi(z), Pa, in cells, with its derivative by z also for stored values of one state."""
         return u.context.energy.near(u)
 
-    def dissipation(self, u: Fields) -> dict[str, CoefficientFunction]:
+    def dissipation(self, u: UnknownValues) -> dict[str, CoefficientFunction]:
         """Power of creep, W/m^3, without the gradient term, summed over bodies, by the branch's suffix."""
         found: dict[str, CoefficientFunction] = {}
         for mechanism, power in zip(self.mechanisms, self.powers_of_creep(u), strict=True):
@@ -191,14 +193,14 @@ class Rates:
             found[mechanism.suffix] = power if known is None else known + power
         return found
 
-    def powers_of_creep(self, u: Fields) -> list[CoefficientFunction]:
+    def powers_of_creep(self, u: UnknownValues) -> list[CoefficientFunction]:
         """Power of creep of every mechanism, W/m^3."""
         return [
             self.power_of_creep(each, Pi, u) for each, Pi in zip(self.mechanisms, self.creep(u), strict=True)
         ]
 
     def power_of_creep(
-        self, mechanism: CreepMechanism, Pi: CoefficientFunction, u: Fields
+        self, mechanism: CreepMechanism, Pi: CoefficientFunction, u: UnknownValues
     ) -> CoefficientFunction:
         """Power of one mechanism with the rate Pi, W/m^3, without the power that hardening stores."""
         if not mechanism.rule.is_local:
@@ -212,7 +214,7 @@ class Rates:
         return power - u.zeta_tensors[mechanism.plastic_content.name] * self.hardening_rate(mechanism, Pi, u)
 
 
-def _tensors(G: Fields, name: Conjugate) -> Values:
+def _tensors(G: UnknownValues, name: Conjugate) -> Values:
     return G.z_tensors if name == "z" else G.zeta_tensors
 
 
@@ -280,21 +282,23 @@ class TabulatedRates(Rates):
             of_stress += np.einsum("pnx,nmp,np->xmp", self.weighed.columns(z), by_z, zeta)
         return of_rate, of_stress
 
-    def rate(self, z: Fields, X: np.ndarray, first: int = 0) -> np.ndarray:
+    def rate(self, z: UnknownValues, X: np.ndarray, first: int = 0) -> np.ndarray:
         """Rates rate(z; X), (n, points), for the X from ``first`` on; for densities their production."""
         found = self.production.rate(z.z.value, X, first)
         if self.weighed is not None:
             found = found + self.weights(z.z.value) * self.weighed.rate(z.z.value, X, first)
         return found
 
-    def stress(self, z: Fields, zeta: np.ndarray, first: int, stop: int) -> np.ndarray:
+    def stress(self, z: UnknownValues, zeta: np.ndarray, first: int, stop: int) -> np.ndarray:
         """Derivatives d(zeta : rate)/dX for X = first ... stop - 1, (X, points)."""
         found = self.production.stress(z.z.value, zeta, first, stop)
         if self.weighed is not None:
             found = found + self.weighed.stress(z.z.value, self.weights(z.z.value) * zeta, first, stop)
         return found
 
-    def power(self, z: Fields, along: Fields, G: Fields, name: Conjugate) -> Sequence[Linear]:
+    def power(
+        self, z: UnknownValues, along: UnknownValues, G: UnknownValues, name: Conjugate
+    ) -> Sequence[Linear]:
         """Products rate(z; grad w, 0) : G, with w or G a test."""
         tests = G.parts[name]
         if isinstance(tests, Linear):
@@ -304,17 +308,19 @@ class TabulatedRates(Rates):
         parts = [along.grad_v.InnerProduct(Array(of_plane, None))]
         return parts if along.hoop is None else [*parts, along.hoop * Array(stress[plane], None)]
 
-    def entries_of_L(self, along: Fields) -> np.ndarray:
+    def entries_of_L(self, along: UnknownValues) -> np.ndarray:
         """Entries of L among the X, (gradients, points)."""
         entries = along.grad_v.value.reshape(self.dim**2, -1)
         return entries if along.hoop is None else np.concatenate([entries, along.hoop.value[None]])
 
-    def creep_power(self, z: Fields, Pi: Sequence[Array], G: Fields, name: Conjugate) -> Sequence[Linear]:
+    def creep_power(
+        self, z: UnknownValues, Pi: Sequence[Array], G: UnknownValues, name: Conjugate
+    ) -> Sequence[Linear]:
         """Product rate(z; 0, Pi) : G, with a test G and one Pi per mechanism."""
         rate = self.rate(z, self._components(Pi), self.tensors.gradients)
         return [G.parts[name].InnerProduct(Array(rate, None))]
 
-    def mandel(self, u: Fields, mechanism: CreepMechanism | None = None) -> Array:
+    def mandel(self, u: UnknownValues, mechanism: CreepMechanism | None = None) -> Array:
         """Mandel stress of the projected conjugates, 3x3, Pa, of a mechanism, by default of the first."""
         size = self.creep_space.size
         first = self.tensors.gradients + size * (0 if mechanism is None else self.mechanisms.index(mechanism))
@@ -322,7 +328,7 @@ class TabulatedRates(Rates):
         tensor = -self.creep_space.tensor(M)
         return dev(tensor) if self._has_trace else tensor
 
-    def stored(self, u: Fields) -> Array:
+    def stored(self, u: UnknownValues) -> Array:
         """phi(z), Pa."""
         if (respond := self._response) is None:
             with np.errstate(all="ignore"):  # NaN outside the energy's domain
@@ -334,7 +340,7 @@ class TabulatedRates(Rates):
 
     stored_near = stored_on_sides = stored
 
-    def creep_components(self, u: Fields) -> np.ndarray:
+    def creep_components(self, u: UnknownValues) -> np.ndarray:
         """Components of the rates Pi of all local rules, (mechanisms p, points)."""
         return self._components(self.creep(u))
 

@@ -32,7 +32,7 @@ import copy
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 from ngsolve import (
     H1,
@@ -48,15 +48,11 @@ from ngsolve import (
 )
 
 from ngvisco.errors import ParameterError, Quantity, require_fields
-from ngvisco.forms.fields import Fields
 from ngvisco.forms.mesh.symmetry import NO_SYMMETRY, Symmetry
-from ngvisco.forms.term import Introducing, Setting, SpaceKind, Unknown
+from ngvisco.forms.unknown import Introducing, Setting, SpaceKind, Unknown
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.mesh import MeshPart
 from ngvisco.physics.material import Material, StateSpace
-
-if TYPE_CHECKING:
-    from ngvisco.forms.context import Context
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,7 +85,7 @@ class Discretisation:
 class Layout:
     """The compound space of a Rothe step, its blocks by name, and fields of its parts."""
 
-    context: Context
+    context: Any
     """The data of the step, set by the layout's owner (``ngvisco.forms.system.Step``)."""
 
     def __init__(
@@ -197,10 +193,6 @@ class Layout:
         free = identified.FreeDofs()  # Periodic forgets the constraints of components
         free &= space.FreeDofs()
         return identified
-
-    def fields(self, parts: Sequence[Any]) -> Fields:
-        """Fields of trial or test proxies, or of a grid function's components."""
-        return Fields(self, dict(zip(self.names, parts, strict=True)))
 
 
 _SPACES = {

@@ -111,7 +111,7 @@ class LocalUnknowns:
         stresses: LinearisationStress | None = None,
     ) -> None:
         self.stresses, self.energy = stresses, layout.context.energy
-        u = layout.fields(state.components)
+        u = Fields.of(layout, state.components)
         parts = dict(zip(layout.names, state.components, strict=True))
         self.projections: dict[str, LocalProjection] = {}
         self.largest = Largest()
@@ -261,7 +261,7 @@ class Step:
         require_symmetry(self.layout.symmetry, self.walls, model, self.terms)
         self.state = GridFunction(self.layout.space, name="state")
         self.state_old = GridFunction(self.layout.space, name="state_old")
-        self.now = self.layout.fields(self.state.components)
+        self.now = Fields.of(self.layout, self.state.components)
         old = dict(zip(self.layout.names, self.state_old.components, strict=True))
         evolving = {name: old[name] for name in self.layout.evolving}
         self.old = Fields(self.layout, GivenParts(evolving, _NOT_EVOLVED))
@@ -345,7 +345,7 @@ class Step:
 
     def linearised_fields(self, parts: Sequence[Any]) -> Fields:
         """Fields of trial functions, with creep rates linearised at the stored stresses."""
-        return self._fields(parts, self._linearised) if self.stresses else self.layout.fields(parts)
+        return self._fields(parts, self._linearised) if self.stresses else Fields.of(self.layout, parts)
 
     def fields_from(self, old: Fields, momentum: CoefficientFunction) -> Fields:
         """Fields of the present state in a step from other old fields and old momentum, kg/(m^2 s)."""

@@ -21,103 +21,12 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal, NoReturn, Protocol, TypeAlias, runtime_checkable
 
-from ngsolve import CoefficientFunction, FESpace, Mesh
+from ngsolve import CoefficientFunction
 
-from ngvisco.errors import NgviscoError, ParameterError, _is_number
+from ngvisco.errors import NgviscoError, ParameterError
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.mesh.integrand import Integrand
-from ngvisco.physics.material import StateSpace
 from ngvisco.physics.tensors import inner
-
-SpaceKind = Literal["velocity", "cells", "facets", "normals", "continuous", "walls"]
-
-_IN_CELLS = ("velocity", "cells", "continuous")
-
-
-@dataclass(frozen=True)
-class Unknown:
-    """An unknown of a step.
-
-    Raises ParameterError for an unknown that evolves and has values neither in cells nor on known walls, and
-    for a scale that is not a number >= 0.
-
-    Attributes
-    ----------
-    name : str
-    place : str
-        ``"velocity"``: continuous vectors with the walls' constraints; ``"cells"``: discontinuous, local to
-        its cell and condensed; ``"facets"``: on facets; ``"normals"``: on facets, a multiple of the normal;
-        ``"continuous"``: in H1; ``"walls"``: in the space that ``space`` makes.
-    order : int
-        Polynomial degree.
-    size : int or None
-        Number of components, None for a scalar.
-    trace_of : str or None
-        Name of the unknown in cells whose trace this unknown is; ``"v"`` marks a trace of grad v.
-    component : int
-        Number of the component of v whose normal derivative this unknown is.
-    space : callable or None
-        Makes the space if ``place`` does not determine it, on the step's mesh or on the undistributed mesh.
-    evolves : bool
-        Whether the unknown has a time derivative, as it must if a term reads its old value: schemes combine
-        its states, errors and increments count it, a transfer carries it over, ``Initial.values`` starts it.
-    on : CoefficientFunction or None
-        Indicator of the wall's facets, 1 there and 0 on all others, for an evolving unknown of a wall.
-    is_mean : bool
-        Whether the unknown is a ``CellMean``, a constant in each cell.
-    scale : float
-        Typical size, in the unknown's unit, >= 0: errors and increments count relative to the unknown's size
-        and to this scale; 0 for an unknown that is never zero everywhere.  For v the run sets the scale.
-    """
-
-    name: str
-    place: SpaceKind
-    order: int = 0
-    size: int | None = None
-    trace_of: str | None = None
-    component: int = 0
-    space: Callable[[Mesh], FESpace] | None = None
-    evolves: bool = False
-    scale: float = 0.0
-    on: CoefficientFunction | None = None
-    is_mean: bool = False
-
-    def __post_init__(self) -> None:
-        if self.evolves and self.place not in _IN_CELLS and self.on is None:
-            expected = f"'cells' or 'continuous' for {self.name!r}, which evolves: it needs values in cells"
-            raise ParameterError("Unknown.place", self.place, expected)
-        if not (_is_number(self.scale) and self.scale >= 0):
-            raise ParameterError("Unknown.scale", self.scale, f"a size of {self.name!r}, >= 0, in its unit")
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """Shape of one value; () for a scalar."""
-        return () if self.size is None else (self.size,)
-
-    @property
-    def is_local(self) -> bool:
-        """Whether the unknown is condensed cell by cell."""
-        return self.place == "cells"
-
-
-@dataclass(frozen=True)
-class Setting:
-    """The data from which a term makes its unknowns: dimension, states of the material, orders k and m."""
-
-    dim: int
-    states: StateSpace
-    k: int
-    m: int
-
-
-@runtime_checkable
-class Introducing(Protocol):
-    """A term that introduces unknowns, which its equation determines."""
-
-    def unknowns(self, setting: Setting) -> tuple[Unknown, ...]:
-        """The unknowns, in the order in which they are stored."""
-        ...
-
 
 PRODUCTION = "entropy_production_"
 """Prefix of the ledger's columns of entropy production, one a mechanism, never negative."""

@@ -31,10 +31,11 @@ from ngsolve import (
 
 from ngvisco.algebra.local import LocalMatrix
 from ngvisco.algebra.sparse import apply, inverse_of_blocks, mass_matrix, pruned
-from ngvisco.forms.fields import Fields, hessian_basis
+from ngvisco.forms.fields import Fields
 from ngvisco.forms.mesh.points import CellPoints, SidePoints, csr
 from ngvisco.forms.system import Step
 from ngvisco.forms.terms.hyperviscosity import Hyperviscosity
+from ngvisco.forms.unknown_values import hessian_basis
 from ngvisco.physics.arrays import Array, contracted
 from ngvisco.physics.variables import Values
 from ngvisco.reduced.point_fields import FACETS, Lazy

@@ -32,8 +32,9 @@ import numpy as np
 from ngsolve import CF, CoefficientFunction, acos, cos, sqrt
 
 from ngvisco.errors import ParameterError, UnknownNameError
-from ngvisco.forms.fields import Fields, hessian_basis
+from ngvisco.forms.fields import Fields
 from ngvisco.forms.system import Step
+from ngvisco.forms.unknown_values import hessian_basis
 from ngvisco.physics.flow_rules.rule import PlasticContent
 from ngvisco.physics.material import Material, cauchy_stress, mandel_stress, part_of, volume_ratio
 from ngvisco.physics.materials.network import Network

@@ -34,6 +34,7 @@ from ngvisco.forms.fields import Fields
 from ngvisco.forms.rates import Conjugate, Rates
 from ngvisco.forms.system import Step
 from ngvisco.forms.terms.transport import Trace, Upwinding, transport_in_cells, transport_through_facets
+from ngvisco.forms.unknown_values import UnknownValues
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.physics.material import StateSpace
 from ngvisco.physics.parameters import Parameter
@@ -191,7 +192,9 @@ class _Growth(Rates):
         super().__init__(step.model, step.mesh.dim, step.layout.symmetry.is_axisymmetric)
         self._A = A
 
-    def power(self, z: Fields, along: Fields, G: Fields, name: Conjugate) -> Sequence[CoefficientFunction]:
+    def power(
+        self, z: UnknownValues, along: UnknownValues, G: UnknownValues, name: Conjugate
+    ) -> Sequence[CoefficientFunction]:
         return [] if self._A is None else [inner(self._A * z.z, G.parts[name])]
 
 

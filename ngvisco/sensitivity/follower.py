@@ -9,6 +9,7 @@ import numpy as np
 from ngsolve import BilinearForm, LinearForm
 
 from ngvisco.forms.context import time
+from ngvisco.forms.fields import Fields
 from ngvisco.forms.system import Evolved
 from ngvisco.physics.tensors import inner
 from ngvisco.run.simulation import Simulation
@@ -67,7 +68,7 @@ class Follower:
     def momentum(self) -> BilinearForm:
         """Nonlinear form int rho v . w, with the multipliers of oblique walls."""
         layout = self.step.layout
-        trial, test = (layout.fields(parts) for parts in layout.space.TnT())
+        trial, test = (Fields.of(layout, parts) for parts in layout.space.TnT())
         form = BilinearForm(layout.space)
         form += self.step.quadrature.cells(inner(trial.rho * trial.v, test.v).Compile())
         if (walls := self.step.impenetrability) is not None:
@@ -78,7 +79,7 @@ class Follower:
     def _functional(self) -> LinearForm:
         layout = self.step.layout
         form = LinearForm(layout.space)
-        test = layout.fields(layout.space.TestFunction())
+        test = Fields.of(layout, layout.space.TestFunction())
         form += self.step.quadrature.cells(inner(self.step.momentum_old, test.v))
         return form
 

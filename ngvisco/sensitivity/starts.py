@@ -60,7 +60,7 @@ class Starts:
         self._others.vec.FV().NumPy()[:] = sum((w * y for w, y in others), np.zeros_like(rows))
         self._weight.Set(float(weights[number]))
         self._state.vec.FV().NumPy()[:] = states[number]
-        y = step.layout.fields(self._state.components)
+        y = Fields.of(step.layout, self._state.components)
         self._momentum.Interpolate(y.rho * y.v)
         rest = step.momentum_old.vec.FV().NumPy() - weights[number] * self._momentum.vec.FV().NumPy()
         self._other_momentum.vec.FV().NumPy()[:] = rest

@@ -16,7 +16,7 @@ import itertools
 import math
 from collections.abc import Iterator, Sequence
 from functools import cache
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 from ngsolve import L2, VOL, CoefficientFunction, Det, GridFunction, Integrate, Mesh, specialcf
@@ -24,9 +24,6 @@ from ngsolve import L2, VOL, CoefficientFunction, Det, GridFunction, Integrate, 
 from ngvisco.errors import NgviscoError
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.shapes.places import Places
-
-if TYPE_CHECKING:
-    from ngvisco.shapes.shape import Shape
 
 _LOOKED_AT = 4  # pieces of a cell's edges, at the ends of which levels are tested
 MISSED = (
@@ -42,7 +39,13 @@ _AT_ONCE = 200_000  # sub-cells that are computed together
 _QUADRILATERALS = (11, 13, 14)  # Netgen's numbers of the element types
 
 
-def fractions(mesh: Mesh, shapes: Sequence[Shape], order: int = 1) -> list[GridFunction]:
+class HasLevel(Protocol):
+    """A part of space by a function of place; see ``Shape``."""
+
+    def level(self, at: Places) -> np.ndarray: ...
+
+
+def fractions(mesh: Mesh, shapes: Sequence[HasLevel], order: int = 1) -> list[GridFunction]:
     """Fractions of every cell that shapes fill; later shapes cover earlier ones.
 
     A part of a shape thinner than a quarter of a cell may be missed.  Raises ParameterError or
@@ -71,7 +74,7 @@ def fractions(mesh: Mesh, shapes: Sequence[Shape], order: int = 1) -> list[GridF
     return [_function(mesh, part, powers, order) for part in coefficients]
 
 
-def volumes(mesh: Mesh, shapes: Sequence[Shape]) -> list[float]:
+def volumes(mesh: Mesh, shapes: Sequence[HasLevel]) -> list[float]:
     """Volumes in the mesh of the uncovered part of each shape and, last, of the rest, m^dim."""
     cells = np.array(Integrate(CoefficientFunction(1.0), mesh, VOL, element_wise=True))
     own = np.array([cells @ part.vec.FV().NumPy() for part in fractions(mesh, shapes, 0)])
@@ -91,7 +94,7 @@ def _groups(mesh: Mesh) -> Iterator[tuple[np.ndarray, bool]]:
 
 
 def _shares(
-    mesh: Mesh, cells: np.ndarray, is_quad: bool, shapes: Sequence[Shape]
+    mesh: Mesh, cells: np.ndarray, is_quad: bool, shapes: Sequence[HasLevel]
 ) -> Iterator[tuple[np.ndarray, list[np.ndarray]]]:
     """Yield numbers of cells, and shares of small and large sub-cells, (shapes and rest, cells, sub-cells).
 
@@ -122,7 +125,7 @@ def _levels(
     mesh: Mesh,
     cells: np.ndarray,
     corners: np.ndarray,
-    shapes: Sequence[Shape],
+    shapes: Sequence[HasLevel],
     pieces: np.ndarray | None = None,
 ) -> np.ndarray:
     """Levels of the shapes at the reference points ``corners`` of cells, (shapes, cells, corners)."""

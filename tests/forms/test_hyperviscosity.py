@@ -14,11 +14,12 @@ from support import (
     uncondensed,
 )
 
-from ngvisco.forms.fields import hessian_basis
+from ngvisco.forms.fields import Fields
 from ngvisco.forms.mesh.quadrature import Sampler
 from ngvisco.forms.start.initial import _recover_hessian, complete
 from ngvisco.forms.system import Step
 from ngvisco.forms.terms.hyperviscosity import Hyperviscosity
+from ngvisco.forms.unknown_values import hessian_basis
 from ngvisco.physics.tensors import square
 
 QUADRATIC = {
@@ -87,7 +88,7 @@ def test_hessian_of_a_polynomial_of_degree_k_is_exact(dim: int, k: int, fields: 
 
 def rows(step: Step) -> np.ndarray:
     trial, test = step.layout.space.TnT()
-    parts = hyperviscosity(step).form(step.layout.fields(trial), step.layout.fields(test))
+    parts = hyperviscosity(step).form(Fields.of(step.layout, trial), Fields.of(step.layout, test))
     return residual(uncondensed(step, parts), step.state.vec)
 
 

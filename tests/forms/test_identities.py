@@ -6,6 +6,7 @@ from ngsolve import CF, Id, OuterProduct, x, y
 from support import Case, block, parts_of, randomise, residual, step_of, uncondensed
 
 from ngvisco import StokesViscosity
+from ngvisco.forms.fields import Fields
 from ngvisco.forms.projections import set_traces
 from ngvisco.forms.start.initial import complete
 from ngvisco.forms.system import Step
@@ -34,7 +35,7 @@ def term_of(step: Step, name: str) -> Term:
 def rows(step: Step, name: str) -> np.ndarray:
     """R(u; .) of one term at the step's state, by test coefficient."""
     trial, test = step.layout.space.TnT()
-    parts = term_of(step, name).form(step.layout.fields(trial), step.layout.fields(test))
+    parts = term_of(step, name).form(Fields.of(step.layout, trial), Fields.of(step.layout, test))
     return residual(uncondensed(step, parts), step.state.vec)
 
 
@@ -97,7 +98,7 @@ def test_elastic_force_is_the_adjoint_of_the_transport(case: Case) -> None:
     randomise(step, 4)
     power = block(step, rows(step, "ElasticForce"), "v") @ coefficients(step, "v")
     trial, test = step.layout.space.TnT()
-    u, w = step.layout.fields(trial), step.layout.fields(test)
+    u, w = Fields.of(step.layout, trial), Fields.of(step.layout, test)
     transport = [Integrand(part) for part in transport_in_cells(u, u, w, "z")]
     transport.append(Integrand(facets=transport_through_facets(u, u, w, "z")))
     rate = block(step, powers(step, transport), "z") @ coefficients(step, "zeta")
@@ -111,7 +112,7 @@ def test_creep_power_is_a_square(case: Case) -> None:
     step = step_of(case)
     randomise(step, 5)
     trial, test = step.layout.space.TnT()
-    u, w = step.layout.fields(trial), step.layout.fields(test)
+    u, w = Fields.of(step.layout, trial), Fields.of(step.layout, test)
     rates = step.context.rates
     if not case.creep:
         assert rates.creep(u) == []
@@ -132,7 +133,7 @@ def test_creep_leaves_the_jacobian_alone(case: Case) -> None:
         return
     randomise(step, 5)
     trial, test = step.layout.space.TnT()
-    u, w = step.layout.fields(trial), step.layout.fields(test)
+    u, w = Fields.of(step.layout, trial), Fields.of(step.layout, test)
     rates = step.context.rates
     power = [Integrand(part) for part in rates.creep_power(u, rates.creep(u), w, "z")]
     creep = block(step, powers(step, power), "z")
@@ -159,7 +160,7 @@ def check_against_stress(case: Case, values: dict) -> None:
     """Rows equal int T : grad w for every w with w.n = 0 on the walls, whatever the velocity is."""
     step, force = elastic_rows(case, values)
     T = cauchy_stress(step.model.material, step.now.z_tensors)
-    fields = step.layout.fields(step.layout.space.TestFunction())
+    fields = Fields.of(step.layout, step.layout.space.TestFunction())
     expected = powers(step, [Integrand(inner(T, fields.L))])
     free = np.array(list(step.layout.blocks["v"].FreeDofs()), dtype=bool)
     force, expected = block(step, force, "v"), block(step, expected, "v")

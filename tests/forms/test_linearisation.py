@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from support import Case, difference_times, jacobian_times, random_direction, randomise, step_of, uncondensed
 
+from ngvisco.forms.fields import Fields
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import Integrand, Term
 
@@ -23,7 +24,7 @@ TOLERANCE = 1e-8
 
 def integrands(step: Step, term: Term) -> list[Integrand]:
     trial, test = step.layout.space.TnT()
-    return term.form(step.layout.fields(trial), step.layout.fields(test))
+    return term.form(Fields.of(step.layout, trial), Fields.of(step.layout, test))
 
 
 def mismatch(step: Step, parts: list[Integrand], seed: int) -> float:

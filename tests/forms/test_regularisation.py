@@ -31,6 +31,7 @@ from support import (
 )
 
 import ngvisco as nv
+from ngvisco.forms.fields import Fields
 from ngvisco.forms.mesh.mesh_arrays import facets_with_two_sides
 from ngvisco.forms.system import Step
 from ngvisco.forms.terms.momentum import Continuity, Convection
@@ -126,7 +127,7 @@ def test_skew_convection_is_the_paper_s_minus_half_of_continuity(case):
             for i, on_wall in enumerate(values.space.GetDofs(mesh.Boundaries(".*"))):
                 if on_wall:
                     values.vec[i] = 0.0
-    u, w = step.now, step.layout.fields(test.components)
+    u, w = step.now, Fields.of(step.layout, test.components)
     carried = 1.2 + 0.3 * x + 0.2 * y if law is None or law.rho_max is None else law.cut_off(CF(1.6)) * 1.6
     slope = CF((0.3, 0.2)) if case != "cut-off" else CF((0.0, 0.0))
     diffusion = law.delta_density * (0.13**0.75) if case == "delta_density" else 0.0
@@ -223,7 +224,7 @@ def test_the_trace_of_a_cut_off_density_has_one_upstream_side_a_facet(flow):
     parts["v"].Set(flow * CF((x - 0.3, 0.3 - x)))
     parts["mean_flux"].vec.FV().NumPy()[inner] = flow * 2**0.5 * 0.2
     (term,) = (term for term in step.terms if isinstance(term, Continuity))
-    trial, test = (step.layout.fields(f) for f in step.layout.space.TnT())
+    trial, test = (Fields.of(step.layout, f) for f in step.layout.space.TnT())
     form = uncondensed(step, term.form(trial, test))
     upstream, downstream = (1.05, 1.3) if flow > 0 else (1.3, 1.05)
     parts["rho_hat"].vec.FV().NumPy()[:] = law.rising(CF(upstream))(at) + law.falling(CF(downstream))(at)

@@ -7,6 +7,7 @@ from ngsolve import CF, GridFunction
 from support import block, residual, uncondensed
 
 import ngvisco as nv
+from ngvisco.forms.fields import Fields
 from ngvisco.forms.start.initial import complete
 from ngvisco.forms.system import Step
 from ngvisco.forms.terms.tangents import TangentForce
@@ -37,7 +38,7 @@ def jumping(material):
 
 def rows(step, *kinds):
     """The rows of v of the terms of these kinds, N."""
-    trial, test = (step.layout.fields(f) for f in step.layout.space.TnT())
+    trial, test = (Fields.of(step.layout, f) for f in step.layout.space.TnT())
     parts = [part for term in step.terms if isinstance(term, kinds) for part in term.form(trial, test)]
     return block(step, residual(uncondensed(step, parts), step.state.vec), "v")
 

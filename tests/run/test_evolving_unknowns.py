@@ -9,7 +9,8 @@ from support import assert_goes_on
 
 import ngvisco as nv
 from ngvisco.errors import ParameterError, UnknownNameError
-from ngvisco.forms.term import Entry, Integrand, PointTerm, Unknown
+from ngvisco.forms.term import Entry, Integrand, PointTerm
+from ngvisco.forms.unknown import Unknown
 from ngvisco.geometries import box
 from ngvisco.physics.tensors import inner, square, tr
 from ngvisco.run.fields import component_fields

@@ -19,6 +19,7 @@ from support import (
 )
 
 import ngvisco as nv
+from ngvisco.forms.fields import Fields
 from ngvisco.forms.spaces import Discretisation
 from ngvisco.forms.start.initial import _recover_hessian
 from ngvisco.forms.system import Step
@@ -73,7 +74,7 @@ def own_test(step: Step) -> np.ndarray:
 
 def power(step: Step, *terms: type) -> float:
     trial, test = step.layout.space.TnT()
-    u, w = step.layout.fields(trial), step.layout.fields(test)
+    u, w = Fields.of(step.layout, trial), Fields.of(step.layout, test)
     parts = [part for term in step.terms if isinstance(term, terms) for part in term.form(u, w)]
     return float(residual(uncondensed(step, parts), step.state.vec) @ own_test(step))
 

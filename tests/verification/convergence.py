@@ -297,7 +297,7 @@ class Problem:
         self.quadrature = Quadrature.for_orders(mesh, discretisation.k, discretisation.m)
         self.terms = tuple(terms)
         trial, test = layout.space.TnT()
-        u, w = layout.with_given(trial, new), layout.fields(test)
+        u, w = layout.with_given(trial, new), Fields.of(layout, test)
         form = BilinearForm(layout.space, condense=True)
         for term in self.terms:
             self.quadrature.add(form, term.form(u, w))

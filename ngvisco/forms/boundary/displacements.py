@@ -17,7 +17,8 @@ from ngvisco.forms.boundary.boundaries import walls_of
 from ngvisco.forms.boundary.on_wall import OnWall, along_and_across
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.mesh.mesh_arrays import mask_of
-from ngvisco.forms.term import Entry, Integrand, Setting, Unknown
+from ngvisco.forms.term import Entry, Integrand
+from ngvisco.forms.unknown import Setting, Unknown
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.exchange import Exchange
 from ngvisco.physics.walls import Open, Passage

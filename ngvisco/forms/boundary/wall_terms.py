@@ -43,7 +43,8 @@ from ngvisco.forms.boundary.on_wall import OnWall, along_and_across
 from ngvisco.forms.boundary.walls import Walls
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.start.variables import as_shape, entering, entropy_at
-from ngvisco.forms.term import CellMean, Entry, Integrand, PointTerm, Setting, Term, Unknown
+from ngvisco.forms.term import CellMean, Entry, Integrand, PointTerm, Term
+from ngvisco.forms.unknown import Setting, Unknown
 from ngvisco.physics.loads import as_vector
 from ngvisco.physics.materials.thermal import entropy_in
 from ngvisco.physics.model import Model

@@ -19,7 +19,8 @@ from ngsolve import CoefficientFunction
 
 from ngvisco.errors import ParameterError
 from ngvisco.forms.fields import Fields
-from ngvisco.forms.term import PointTerm, Setting, Term, Unknown
+from ngvisco.forms.term import PointTerm, Term
+from ngvisco.forms.unknown import Setting, Unknown
 from ngvisco.forms.upwinding import FacetMean
 from ngvisco.physics.tensors import inner, linear_map
 

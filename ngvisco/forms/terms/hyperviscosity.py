@@ -34,8 +34,10 @@ from dataclasses import dataclass
 from ngsolve import CoefficientFunction
 
 from ngvisco.errors import ParameterError
-from ngvisco.forms.fields import Fields, hessian_basis
-from ngvisco.forms.term import Integrand, Integrands, PointTerm, Setting, Unknown, tested
+from ngvisco.forms.fields import Fields
+from ngvisco.forms.term import Integrand, Integrands, PointTerm, tested
+from ngvisco.forms.unknown import Setting, Unknown
+from ngvisco.forms.unknown_values import hessian_basis
 from ngvisco.physics.rheology import HyperViscosity
 from ngvisco.physics.tensors import inner, square
 

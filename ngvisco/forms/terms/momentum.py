@@ -19,7 +19,8 @@ from functools import cached_property
 from ngsolve import CoefficientFunction
 
 from ngvisco.forms.fields import Fields
-from ngvisco.forms.term import CellMean, Entry, Integrand, PointTerm, Setting, Unknown
+from ngvisco.forms.term import CellMean, Entry, Integrand, PointTerm
+from ngvisco.forms.unknown import Setting, Unknown
 from ngvisco.forms.upwinding import FacetMean, mean_share, side, speed
 from ngvisco.physics.loads import CentralGravity, Gravity, Load, force_of
 from ngvisco.physics.regularisation import Regularisation

@@ -19,7 +19,8 @@ from ngsolve import CF, CoefficientFunction, IfPos
 
 from ngvisco.forms.energy import column
 from ngvisco.forms.fields import Fields
-from ngvisco.forms.term import Entry, Integrand, PointTerm, Setting, Term, Unknown
+from ngvisco.forms.term import Entry, Integrand, PointTerm, Term
+from ngvisco.forms.unknown import Setting, Unknown
 from ngvisco.physics.material import Material
 from ngvisco.physics.model import Model
 from ngvisco.physics.regularisation import Curvature, Regularisation, curvature_of

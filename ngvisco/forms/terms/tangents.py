@@ -34,7 +34,8 @@ import numpy as np
 from ngsolve import CoefficientFunction
 
 from ngvisco.forms.fields import Fields
-from ngvisco.forms.term import PointTerm, Setting, Unknown
+from ngvisco.forms.term import PointTerm
+from ngvisco.forms.unknown import Setting, Unknown
 from ngvisco.forms.upwinding import FacetMean, side
 from ngvisco.physics.material import Material
 from ngvisco.physics.pointwise import is_affine, respond, rest_state

@@ -26,8 +26,9 @@ from ngsolve import CoefficientFunction
 
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.rates import Conjugate
-from ngvisco.forms.term import Entry, Integrand, Integrands, PointTerm, Setting, Unknown, tested
+from ngvisco.forms.term import Entry, Integrand, Integrands, PointTerm, tested
 from ngvisco.forms.terms.tangents import TangentForce
+from ngvisco.forms.unknown import Setting, Unknown
 from ngvisco.forms.upwinding import FacetMean, speed
 from ngvisco.physics.flow_rules import FlowRule
 from ngvisco.physics.materials.wrapped import WithQuadratic

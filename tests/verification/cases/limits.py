@@ -11,6 +11,7 @@ import numpy as np
 from ngsolve import CF, BilinearForm, BitArray, GridFunction, Integrate, LinearForm, Mesh, y
 
 import ngvisco as nv
+from ngvisco.forms.fields import Fields
 from ngvisco.forms.terms.regularisation import DensityDiffusion, FieldDiffusion
 from ngvisco.physics.tensors import IDENTITY, dev, inner, square
 from ngvisco.physics.variables import SmallStrain
@@ -198,7 +199,7 @@ def delta_terms(run: nv.Simulation) -> Callable[[], np.ndarray]:
     step, law, u = run.rothe_step, run.model.regularisation, run.rothe_step.now
     assert law is not None
     space = step.layout.space
-    trial, test = (step.layout.fields(functions) for functions in space.TnT())
+    trial, test = (Fields.of(step.layout, functions) for functions in space.TnT())
     terms = {"rho": DensityDiffusion(law), "z": FieldDiffusion(law, step.model.material, step.mesh.dim)}
     parts = []
     for name, term in terms.items():

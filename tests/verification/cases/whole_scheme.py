@@ -76,7 +76,7 @@ class Norms:
     def __init__(self, run: nv.Simulation) -> None:
         self.run, step = run, run.rothe_step
         self._previous = GridFunction(step.layout.space)
-        self._old = step.layout.fields(self._previous.components)
+        self._old = Fields.of(step.layout, self._previous.components)
         self._over_time: dict[str, tuple[float, float]] = {}
         self.largest: dict[str, float] = {}
         self.gronwall = 0.0
