@@ -10,6 +10,7 @@ A further term with an evolving unknown adds its share of E.
 from collections.abc import Mapping, Sequence
 from functools import reduce
 from operator import add
+from typing import cast
 
 import numpy as np
 from ngsolve import FESpace, GridFunction
@@ -38,8 +39,7 @@ def storing(terms: Sequence[Term]) -> list[Storing]:
     for term in terms:
         missing = [name for name in _METHODS if not hasattr(term, name)]
         if not missing:
-            assert isinstance(term, Storing)
-            found.append(term)
+            found.append(cast(Storing, term))
         elif len(missing) < len(_METHODS):
             name = type(term).__name__
             expected = f"a term with {', '.join(_METHODS)}, or none of them: it lacks {', '.join(missing)}"

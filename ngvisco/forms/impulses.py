@@ -49,19 +49,23 @@ from ngsolve import (
 )
 
 from ngvisco.forms.boundary.boundaries import cells_at, facet_indicator
-from ngvisco.forms.boundary.on_wall import OnWall
 from ngvisco.forms.boundary.reactions import beside_the_stress, rigid_motions
-from ngvisco.forms.boundary.wall_terms import HELD_BY_WALLS, Carried
+from ngvisco.forms.boundary.wall_terms import HELD_BY_WALLS
 from ngvisco.forms.entry_integrals import EntryIntegrals
 from ngvisco.forms.fields import Fields, Tests
 from ngvisco.forms.mesh.mesh_arrays import mask_of
 from ngvisco.forms.mesh.points import SidePoints
 from ngvisco.forms.system import Step
-from ngvisco.forms.term import Entry, Integrand, PointTerm, Term, refused_by_name
-from ngvisco.forms.terms.hyperviscosity import Hyperviscosity
-from ngvisco.forms.terms.momentum import Continuity, Convection, Inertia, MomentumBalance, Stokes
-from ngvisco.forms.terms.tangents import TangentForce
-from ngvisco.forms.terms.transport import Conjugates, ElasticForce, Kinematics, Trace, Upwinding
+from ngvisco.forms.term import (
+    CHANGE,
+    ELASTIC,
+    ENTERING,
+    SKEW,
+    Entry,
+    Integrand,
+    impulses_of,
+    refused_by_name,
+)
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.exchange import Interpolation
 from ngvisco.physics.tensors import inner, is_number, sqrt, square
@@ -95,7 +99,7 @@ class Impulses:
         self._levers: np.ndarray | None = None
         """Products of e . n and the weights at the sides' points, (motions, points)."""
         self._groups = self._by_groups()
-        internal = (_ELASTIC, _ENTERING, _SKEW, _CHANGE)
+        internal = (ELASTIC, ENTERING, SKEW, CHANGE)
         self.names = [name for name in self._groups if name not in internal]
         """Names of the causes of forces; loads come first."""
         if self._is_held.any() and HELD_BY_WALLS not in self.names:
@@ -106,15 +110,16 @@ class Impulses:
         found: dict[str, _Rows] = {}
         test, dim = self._space.TestFunction(), self.step.mesh.dim
         for term in self.step.terms:
-            on = [term.name] if isinstance(term, OnWall) else None
+            wall = getattr(term, "wall", None)
+            on = None if wall is None else [wall]
             with refused_by_name(term):
-                for name, parts in _groups(term, self.step.now, self._tests(test, Grad(test))).items():
+                for name, parts in impulses_of(term, self.step.now, self._tests(test, Grad(test))).items():
                     if facets := [part.facets for part in parts if not _is_zero(part.facets)]:
                         found.setdefault(name, _Rows()).facets.append((reduce(add, facets), on))
                 for motion, e in self.motions.items():
                     spin = CF(tuple(e[i].Diff(place) for i in range(dim) for place in (x, y, z)[:dim]))
                     tests = self._tests(e, spin.Reshape((dim, dim)) if motion.startswith("torque") else None)
-                    for name, parts in _groups(term, self.step.now, tests).items():
+                    for name, parts in impulses_of(term, self.step.now, tests).items():
                         if rows := [p for p in parts if not (_is_zero(p.cells) and _is_zero(p.collocated))]:
                             found.setdefault(name, _Rows()).cells.setdefault(motion, []).extend(rows)
         return found
@@ -202,8 +207,8 @@ class Impulses:
         found = {name: -left.get(name, none) for name in self.names}
         if HELD_BY_WALLS in found:
             found[HELD_BY_WALLS] += np.where(self._is_held, sum(left.values()), 0.0) + pressed
-        of_cells_ = -left[_ELASTIC] - pressed - thrust
-        defects = thrust - left.get(_ENTERING, none), of_cells_, -left[_SKEW]
+        of_cells_ = -left[ELASTIC] - pressed - thrust
+        defects = thrust - left.get(ENTERING, none), of_cells_, -left[SKEW]
         return found | dict(zip(DEFECTS, defects, strict=True))
 
     @cached_property
@@ -222,10 +227,10 @@ class Impulses:
             self._levers = np.array([points.weights * points.sample(each) for each in along])
         w, phi = Fields(u.layout, {"v": n}, u.context), _where_it_is(u.context.rates.stored(u))
         elastic = [
-            part for term in self.step.terms if isinstance(term, ElasticForce) for part in term.facets(u, w)
+            part for term in self.step.point_terms if term.group == ELASTIC for part in term.facets(u, w)
         ]
         pressed = (1.0 - u.context.crossed) * beside_the_stress(u, phi)
-        values = {_ELASTIC: reduce(add, elastic), _THRUST: _thrust(u, phi), _PRESSED: pressed}
+        values = {ELASTIC: reduce(add, elastic), _THRUST: _thrust(u, phi), _PRESSED: pressed}
         return {name: self._levers @ np.broadcast_to(g.value, points.count) for name, g in values.items()}
 
     def of_rows(self, rows: np.ndarray) -> np.ndarray:
@@ -253,7 +258,6 @@ def _where_it_is(phi: CoefficientFunction) -> CoefficientFunction:
 
 
 _ROUNDING = 1e-12
-_ELASTIC, _ENTERING, _SKEW, _CHANGE = "elastic force", "entering", "skew form", "change of momentum"
 _THRUST, _PRESSED = "thrust of jumps", "pressed walls"
 """Groups of rows of v without a column."""
 
@@ -264,34 +268,6 @@ class _Rows:
 
     cells: dict[str, list[Integrand]] = field(default_factory=dict)
     facets: list[tuple[CoefficientFunction, list[str] | None]] = field(default_factory=list)
-
-
-def _groups(term: Term, u: Fields, w: Tests) -> dict[str, list[Integrand]]:
-    """Summands of a term's rows of v, as left-hand sides, by group or impulse."""
-    if isinstance(term, Inertia):
-        (whole,), skew = term.cells(u, w), term.compensation(u, w)
-        return {_CHANGE: [Integrand(whole - skew)], _SKEW: [Integrand(skew)]}
-    if isinstance(term, (Convection, MomentumBalance)):
-        return {_SKEW: term.form(u, w)}
-    if isinstance(term, ElasticForce):
-        return {_ELASTIC: term.form(u, w)}
-    if isinstance(term, TangentForce):
-        return {_ENTERING: term.form(u, w)}
-    if isinstance(term, Carried):
-        (stored, kinetic, _), half = term.facets(u, w), term.half_carried(u, w)
-        impulse = [Integrand(facets=kinetic), Integrand(facets=half)]
-        return {
-            _ENTERING: [Integrand(facets=stored)],
-            _SKEW: [Integrand(facets=-half)],
-            term.impulse: impulse,
-        }
-    if type(term) in _WITHOUT_FORCE:
-        return {}
-    return {term.impulse if isinstance(term, PointTerm) else type(term).__name__: term.form(u, w)}
-
-
-_WITHOUT_FORCE = (Stokes, Hyperviscosity, Continuity, Kinematics, Conjugates, Trace, Upwinding)
-"""Terms without rows of v, or without power at rigid motions."""
 
 
 def _is_zero(value: CoefficientFunction | None) -> bool:

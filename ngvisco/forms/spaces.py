@@ -32,7 +32,7 @@ import copy
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated, Any, Protocol
 
 from ngsolve import (
     H1,
@@ -49,7 +49,7 @@ from ngsolve import (
 
 from ngvisco.errors import ParameterError, Quantity, require_fields
 from ngvisco.forms.mesh.symmetry import NO_SYMMETRY, Symmetry
-from ngvisco.forms.unknown import Introducing, Setting, SpaceKind, Unknown
+from ngvisco.forms.unknown import Setting, SpaceKind, Unknown
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.mesh import MeshPart
 from ngvisco.physics.material import Material, StateSpace
@@ -82,6 +82,12 @@ class Discretisation:
         require_fields(self)
 
 
+class Introducing(Protocol):
+    """A term as the layout of the unknowns sees it."""
+
+    def unknowns(self, setting: Setting) -> tuple[Unknown, ...]: ...
+
+
 class Layout:
     """The compound space of a Rothe step, its blocks by name, and fields of its parts."""
 
@@ -93,7 +99,7 @@ class Layout:
         mesh: Mesh,
         material: Material,
         discretisation: Discretisation,
-        terms: Iterable[object],
+        terms: Iterable[Introducing],
         dirichlet: Sequence[Region | None],
         *,
         periodic: bool = False,
@@ -112,7 +118,7 @@ class Layout:
         setting = Setting(mesh.dim, self.states, discretisation.k, discretisation.m)
         self.unknowns: dict[str, Unknown] = {}
         for term in terms:
-            for unknown in term.unknowns(setting) if isinstance(term, Introducing) else ():
+            for unknown in term.unknowns(setting):
                 if unknown.evolves and unknown.name in self.states.slices:
                     expected = f"another name for what evolves: the material has a variable {unknown.name!r}"
                     raise ParameterError(f"{type(term).__name__}.unknowns", unknown.name, expected)

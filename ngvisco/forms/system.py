@@ -42,7 +42,7 @@ from ngsolve import (
 )
 
 from ngvisco.forms.boundary.axis import require_symmetry
-from ngvisco.forms.boundary.wall_terms import Carried, Impenetrability, wall_terms
+from ngvisco.forms.boundary.wall_terms import Impenetrability, passages_of, wall_terms
 from ngvisco.forms.boundary.walls import Conditions, MovingWalls, Walls
 from ngvisco.forms.context import Context
 from ngvisco.forms.damage import DamageGrowth
@@ -56,12 +56,12 @@ from ngvisco.forms.projections import FacetProjection, LocalProjection
 from ngvisco.forms.rates import Rates, TabulatedRates
 from ngvisco.forms.spaces import Discretisation, Layout
 from ngvisco.forms.term import (
-    CellMean,
     Entry,
     GivenParts,
     Integrand,
-    Projecting,
+    PointTerm,
     Term,
+    point_terms,
     refused_by_name,
     tested,
 )
@@ -92,7 +92,7 @@ from ngvisco.forms.terms.transport import (
     Upwinding,
 )
 from ngvisco.forms.unfelt import UNFELT, Unfelt
-from ngvisco.forms.upwinding import FacetMean, Largest, mean_share
+from ngvisco.forms.upwinding import Largest, mean_share
 from ngvisco.physics.material import part_of
 from ngvisco.physics.materials.damaged import Damaged
 from ngvisco.physics.materials.thermal import entropy_in
@@ -107,7 +107,7 @@ class LocalUnknowns:
         layout: Layout,
         state: GridFunction,
         quadrature: Quadrature,
-        terms: Iterable[Term],
+        terms: Iterable[PointTerm],
         stresses: LinearisationStress | None = None,
     ) -> None:
         self.stresses, self.energy = stresses, layout.context.energy
@@ -119,18 +119,17 @@ class LocalUnknowns:
         self._means: list[LocalProjection | FacetProjection] = []
         """Projections of means over cells and facets, which only a step's equations read."""
         for term in terms:
-            if isinstance(term, Projecting):
-                with refused_by_name(term):
-                    for name, load in term.projections(u):
-                        made = LocalProjection(parts[name], quadrature, load)
-                        if isinstance(term, CellMean):
-                            self._means.append(made)
-                        else:
-                            self.projections[name] = made
-            if isinstance(term, FacetMean) and not term.is_linear:
-                value = mean_share(u.context.inner), term.value(u)
-                kept = [partial(self.largest, term.name)] if term.stays else []
-                self._means.append(FacetProjection(parts[term.name], quadrature, *value, *kept))
+            with refused_by_name(term):
+                for name, load in term.projections(u):
+                    made = LocalProjection(parts[name], quadrature, load)
+                    if layout.unknowns[name].is_mean:
+                        self._means.append(made)
+                    else:
+                        self.projections[name] = made
+            if term.facet_mean is not None and (value := term.facet_projection(u)) is not None:
+                kept = [partial(self.largest, term.facet_mean)] if term.stays else []
+                share = mean_share(u.context.inner)
+                self._means.append(FacetProjection(parts[term.facet_mean], quadrature, share, value, *kept))
         self._of_energy: LocalProjection | None = None
         if self.energy.projected is not None:
             load = tested(self.energy.density(u))
@@ -240,25 +239,29 @@ class Step:
         self.discretisation = discretisation or Discretisation()
         self.walls = Walls(mesh, conditions)
         known = () if sources is None else (sources,)
+        self.impenetrability = Impenetrability(self.walls) if self.walls.multiplied else None
+        """The term of the multipliers on oblique or curved walls, or None."""
+        self.passages = passages_of(self.walls, model)
+        """Terms of the walls that matter crosses."""
         self.terms = (
             *equations(model, mesh.dim, self.discretisation.m),
-            *wall_terms(self.walls, model),
+            *wall_terms(self.walls, model, self.impenetrability, self.passages),
             *heat_terms(model, self.walls),
             *diffusion_terms(model, self.walls),
             *terms,
             *known,
         )
-        self.sources = sources
+        self.point_terms, self.sources = point_terms(self.terms), sources
         self.layout = Layout(
             mesh,
             model.material,
             self.discretisation,
-            self.terms,
+            self.point_terms,
             self.walls.dirichlet,
             periodic=bool(self.walls.periodic),
             symmetry=Symmetry.of(mesh, symmetry),
         )
-        require_symmetry(self.layout.symmetry, self.walls, model, self.terms)
+        require_symmetry(self.layout.symmetry, self.walls, model, self.point_terms)
         self.state = GridFunction(self.layout.space, name="state")
         self.state_old = GridFunction(self.layout.space, name="state_old")
         self.now = Fields.of(self.layout, self.state.components)
@@ -280,7 +283,7 @@ class Step:
             self.energy,
             self.momentum_old,
             self.quadrature.volume_degree,
-            [term for term in self.terms if isinstance(term, Carried)],
+            self.passages,
         )
         self.context.terms = self.terms
         self.lagged: GridFunction | None = None
@@ -300,7 +303,7 @@ class Step:
         self._linearised = LinearisedRates(rates, self.stresses, self.now)
         self.residual = self._residual()
         self.local_unknowns = LocalUnknowns(
-            self.layout, self.state, self.quadrature, self.terms, self.stresses
+            self.layout, self.state, self.quadrature, self.point_terms, self.stresses
         )
         law = part_of(model.material, Damaged)
         self.damage = None if law is None else DamageGrowth(self, law)
@@ -359,11 +362,6 @@ class Step:
         context = copy.copy(self.context)
         context.rates = rates
         return Fields(self.layout, dict(zip(self.layout.names, parts, strict=True)), context)
-
-    @property
-    def impenetrability(self) -> Impenetrability | None:
-        """The term of the multipliers on oblique or curved walls, or None."""
-        return next((term for term in self.terms if isinstance(term, Impenetrability)), None)
 
     def evolved(self) -> Evolved:
         """Copies of the present state's evolving unknowns."""

@@ -16,7 +16,7 @@ when the form is built.
 """
 
 from abc import abstractmethod
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal, NoReturn, Protocol, TypeAlias, runtime_checkable
@@ -26,6 +26,7 @@ from ngsolve import CoefficientFunction
 from ngvisco.errors import NgviscoError, ParameterError
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.mesh.integrand import Integrand
+from ngvisco.forms.unknown import Setting, Unknown
 from ngvisco.physics.tensors import inner
 
 PRODUCTION = "entropy_production_"
@@ -80,6 +81,12 @@ Coupling = Literal["local", "facet", "flow"]
 Kernel = Literal["facet means", "cell means", "conjugates", "density", "diffusion", "hyperviscosity"]
 
 
+Integrands: TypeAlias = Callable[[CoefficientFunction], Sequence[Integrand]]
+"""A linear form: its integrands as a function of the test function of a space."""
+
+CHANGE, SKEW, ELASTIC, ENTERING = "change of momentum", "skew form", "elastic force", "entering"
+"""Groups of the momentum balance without a column."""
+
 _RENAMED = {"nodes": "collocated", "dissipated_at_nodes": "dissipated_collocated"}
 
 
@@ -103,6 +110,15 @@ class PointTerm:
         equation: its kernel is None unless it sets one.
     coupled_only : str or None
         Reason why only the coupled solver takes the term; None if both solvers take it.
+    group : str or None
+        Group of the momentum balance in which the term's rows of v count; ``""`` for a term that
+        does no work on rigid motions; None if they are an impulse of its own.  It is reset as ``kernel`` is.
+    wall : str or None
+        Name of the wall on which alone the term acts.
+    facet_mean : str or None
+        Name of the mean of both sides that the term determines.
+    stays : bool
+        Whether this mean is the largest value of all iterates in the solution of a step (``Largest``).
     is_mass : bool
         Whether the term's tangent is the mass matrix of v, integrated by the whole rule: fewer points make it
         singular.
@@ -117,6 +133,10 @@ class PointTerm:
     couples: Coupling = "local"
     kernel: ClassVar[Kernel | None] = None
     coupled_only: str | None = None
+    group: ClassVar[str | None] = None
+    wall: str | None = None
+    facet_mean: str | None = None
+    stays: ClassVar[bool] = False
     is_mass: ClassVar[bool] = False
     kept: tuple[str, ...] = ()
     plane_only: ClassVar[str | None] = None
@@ -128,7 +148,7 @@ class PointTerm:
             if before in own:
                 raise ParameterError(f"{cls.__name__}.{before}", "a method of this name", f"the name {now}")
         if not {*PLACES, "form"}.isdisjoint(own):
-            cls.kernel = own.get("kernel")
+            cls.kernel, cls.group = own.get("kernel"), own.get("group")
         if "form" in own:
             cls.couples = own.get("couples", "flow")
 
@@ -136,6 +156,28 @@ class PointTerm:
     def impulse(self) -> str:
         """Name, in the ledger, of the impulse that the term's rows of v give to the body."""
         return type(self).__name__
+
+    def unknowns(self, setting: Setting) -> tuple[Unknown, ...]:
+        """The unknowns that the term introduces and determines, in the order of their storage."""
+        return ()
+
+    def projections(self, u: Fields) -> list[tuple[str, Integrands]]:
+        """Names and loads of local unknowns that are cellwise projections of functions of other unknowns, in
+        the order in which they depend on each other."""
+        return []
+
+    def facet_projection(self, u: Fields) -> CoefficientFunction | None:
+        """The function whose mean over each facet is ``facet_mean``, if no solver iterates on the mean."""
+        return None
+
+    def impulses(self, u: Fields, w: Fields) -> dict[str, list[Integrand]]:
+        """Summands of the rows of v, as left-hand sides, by the group or the impulse in which they count."""
+        name = self.impulse if self.group is None else self.group
+        return {name: self.form(u, w)} if name else {}
+
+    def on_body(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
+        """Rows of v of a term on a ``wall``: -t . w with the stress t, Pa, on the facets of the wall."""
+        return []
 
     def cells(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         """Summands to be integrated over the cells."""
@@ -178,10 +220,6 @@ class PointTerm:
         return [Entry(name, "dissipation", Integrand(*(part.get(name) for part in parts))) for name in names]
 
 
-Integrands: TypeAlias = Callable[[CoefficientFunction], Sequence[Integrand]]
-"""A linear form: its integrands as a function of the test function of a space."""
-
-
 class CellMean(PointTerm):
     """Equation of a cell mean a_K: int_K (a_K - a) q - int_{dK} b q = 0 for constant q.
 
@@ -189,7 +227,7 @@ class CellMean(PointTerm):
     """
 
     name: str
-    kernel = "cell means"
+    kernel, group = "cell means", ""
 
     @abstractmethod
     def value(self, u: Fields) -> CoefficientFunction:
@@ -217,6 +255,16 @@ class CellMean(PointTerm):
         return [(self.name, load)]
 
 
+def point_terms(terms: Iterable[object]) -> list[PointTerm]:
+    """The terms among ``terms`` that derive from ``PointTerm``; others have a form and entries alone."""
+    return [term for term in terms if isinstance(term, PointTerm)]
+
+
+def impulses_of(term: Term, u: Fields, w: Fields) -> dict[str, list[Integrand]]:
+    """See ``PointTerm.impulses``; those of another term have the name of its class."""
+    return term.impulses(u, w) if isinstance(term, PointTerm) else {type(term).__name__: term.form(u, w)}
+
+
 DISSIPATED: dict[PointRule, Callable[[PointTerm, Fields], dict[str, CoefficientFunction]]] = {
     "cells": lambda term, u: term.dissipated(u),
     "facets": lambda term, u: term.dissipated_on_facets(u),
@@ -230,23 +278,13 @@ def dissipations(u: Fields, reader: Term, where: PointRule = "cells") -> dict[st
 
     ``reader`` is a term that turns dissipation into something else, such as heat.
     """
-    points = (term for term in u.context.terms if term is not reader and isinstance(term, PointTerm))
-    parts = (DISSIPATED[where](term, u) for term in points)
+    parts = (DISSIPATED[where](term, u) for term in point_terms(u.context.terms) if term is not reader)
     return {name: value for part in parts for name, value in part.items()}
 
 
 def tested(value: CoefficientFunction) -> Integrands:
     """The linear form int value : test over the cells."""
     return lambda test: [Integrand(inner(value, test))]
-
-
-@runtime_checkable
-class Projecting(Protocol):
-    """A term whose local unknowns are cellwise projections of functions of other unknowns."""
-
-    def projections(self, u: Fields) -> list[tuple[str, Integrands]]:
-        """Names and loads of local unknowns, in the order in which they depend on each other."""
-        ...
 
 
 @runtime_checkable

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, Protocol, runtime_checkable
+from typing import Literal
 
 from ngsolve import CoefficientFunction, FESpace, Mesh
 
@@ -88,12 +88,3 @@ class Setting:
     states: StateSpace
     k: int
     m: int
-
-
-@runtime_checkable
-class Introducing(Protocol):
-    """A term that introduces unknowns, which its equation determines."""
-
-    def unknowns(self, setting: Setting) -> tuple[Unknown, ...]:
-        """The unknowns, in the order in which they are stored."""
-        ...

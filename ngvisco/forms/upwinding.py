@@ -80,18 +80,23 @@ class FacetMean(PointTerm):
     is_linear : bool
         Whether a is linear in these unknowns: Newton's method then has a_hat to rounding.  Otherwise a_hat is
         one number per facet and recomputed after each increment.
-    stays : bool
-        Whether a_hat is the largest value of all iterates in the solution of a step (``Largest``).
     """
 
     name: str
-    kernel = "facet means"
+    kernel, group = "facet means", ""
     is_linear = True
-    stays = False
+
+    @property
+    def facet_mean(self) -> str:  # type: ignore[override]
+        """The name of the mean."""
+        return self.name
 
     @abstractmethod
     def value(self, u: Fields) -> CoefficientFunction:
         """The function a on a cell's side."""
+
+    def facet_projection(self, u: Fields) -> CoefficientFunction | None:
+        return None if self.is_linear else self.value(u)
 
     def difference(self, u: Fields) -> CoefficientFunction:
         """The integrand's factor share (a_hat - a)."""

@@ -19,7 +19,6 @@ from ngvisco.forms.fields import Fields, Tests
 from ngvisco.forms.rates import TabulatedRates
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import PointRule, PointTerm
-from ngvisco.forms.upwinding import FacetMean
 from ngvisco.physics.arrays import Array, Linear, factors_of_tests
 from ngvisco.reduced.operators import Operators, SideOperators
 from ngvisco.reduced.point_fields import CELLS, FACETS, derivative_of, incremented, lazy_fields, with_values
@@ -41,7 +40,7 @@ def shapes_of(step: Step) -> dict[str, tuple[int, ...]]:
 
 def on_sides(step: Step) -> list[str]:
     """Names of the unknowns with tests on facets: v, the fields in cells, and facet means of both sides."""
-    means = (term.name for term in step.terms if isinstance(term, FacetMean))
+    means = (term.facet_mean for term in step.point_terms if term.facet_mean is not None)
     density = [name for name in ("rho", "rho_hat") if name in step.layout.unknowns]
     return ["v", *density, "z", *means]
 

@@ -30,7 +30,7 @@ from ngvisco.forms.mesh.mesh_arrays import mask_of
 from ngvisco.forms.mesh.points import SidePoints, csr
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import CellMean, GivenParts, Integrand, PointTerm, Term, WithheldError
-from ngvisco.forms.upwinding import FacetMean, mean_share
+from ngvisco.forms.upwinding import mean_share
 from ngvisco.parallel.exchange import Exchange
 from ngvisco.physics.arrays import TINY, Array
 from ngvisco.reduced.declared import Couplings
@@ -342,7 +342,7 @@ class ReducedResidual:
             loads = run(partial(CellPart.trace, term=term, name=name, c=c), self.parts)
             mass, values = self.mass_of(name), self.side_op.of(name)
             c[name] = -mass.solve(mass.exchange.sum(values.summed(np.concatenate(loads, axis=-1))))
-            if isinstance(term, FacetMean) and term.stays:
+            if term.stays:
                 c[name] = self.step.local_unknowns.largest(name, c[name].real)
         for mean in self.couplings.of_kernel["cell means"]:
             of_parts = run(partial(CellPart.mean, term=mean, c=c), self.parts)

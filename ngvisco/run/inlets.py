@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from ngvisco.errors import NgviscoWarning
-from ngvisco.forms.boundary.wall_terms import Carried
 from ngvisco.forms.start.variables import is_let_in_by_pressure
 
 if TYPE_CHECKING:
@@ -36,7 +35,7 @@ def inflow_message(step: Step, row: Mapping[str, float]) -> str:
         for name, value in row.items()
         if name.startswith(("power_", "dissipation_")) and not name.startswith("power_stored_")
     )
-    for wall in (term for term in step.terms if isinstance(term, Carried)):
+    for wall in step.passages:
         named: Any = step.walls.conditions[wall.name]
         given = sorted(strains & named.values.keys())
         lost = row[f"dissipation_inflow_{wall.name}"]

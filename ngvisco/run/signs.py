@@ -14,7 +14,6 @@ from ngsolve import L2, CoefficientFunction, LinearForm
 
 from ngvisco.errors import NgviscoWarning
 from ngvisco.forms.boundary.boundaries import cells_at
-from ngvisco.forms.boundary.on_wall import OnWall
 from ngvisco.forms.mesh.quadrature import Sampler
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import PRODUCTION, Entry, Integrand
@@ -91,12 +90,12 @@ class Signs:
         """Linear forms of the dissipation on walls, by columns, with an entry for each cell's facets."""
         step, forms = self._step, {}
         space = L2(step.mesh, order=0)
-        for term in step.terms:
-            for entry in term.entries(step.now) if isinstance(term, OnWall) else ():
+        for term in step.point_terms:
+            for entry in () if term.wall is None else term.entries(step.now):
                 if entry.name in self._columns and entry.integrand.facets is not None:
                     forms[entry.name] = LinearForm(space)
                     each = Integrand(facets=entry.integrand.facets * space.TestFunction())
-                    cells = cells_at(step.mesh, step.walls.region([term.name]))
+                    cells = cells_at(step.mesh, step.walls.region([str(term.wall)]))
                     step.quadrature.add(forms[entry.name], [each], cells)
         return forms
 

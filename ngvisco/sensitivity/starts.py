@@ -10,7 +10,7 @@ from ngsolve import BilinearForm, GridFunction, Parameter
 
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.mesh.points import csr
-from ngvisco.forms.term import GivenParts, Projecting
+from ngvisco.forms.term import GivenParts
 from ngvisco.physics.tensors import inner
 from ngvisco.sensitivity.follower import Follower
 from ngvisco.sensitivity.trajectory import Stage
@@ -92,8 +92,8 @@ class Starts:
         step, layout = self.step, self.step.layout
         u, w = step.linearised_fields(layout.space.TrialFunction()), step.tests()
         form, own = BilinearForm(layout.space), np.zeros(layout.space.ndof, dtype=bool)
-        for term in step.terms:
-            for name, load in term.projections(u) if isinstance(term, Projecting) else ():
+        for term in step.point_terms:
+            for name, load in term.projections(u):
                 form += step.quadrature.cells(inner(u.parts[name], w.parts[name]).Compile())
                 step.quadrature.add(form, load(-1 * w.parts[name]))
                 own[layout.ranges[name]] = True

@@ -16,7 +16,7 @@ from ngvisco.forms.mesh.quadrature import Quadrature
 from ngvisco.forms.spaces import Layout
 from ngvisco.forms.start.initial import complete
 from ngvisco.forms.system import LocalUnknowns, equations
-from ngvisco.forms.term import Entry, Integrand, Term
+from ngvisco.forms.term import Entry, Integrand, Term, point_terms
 from ngvisco.forms.terms.momentum import Continuity
 from ngvisco.forms.terms.transport import Kinematics, Trace, Upwinding
 from ngvisco.physics.tensors import inner, sqrt, square
@@ -247,7 +247,7 @@ class PartialLayout(Layout):
     def __init__(
         self, mesh: Mesh, model: nv.Model, discretisation: nv.Discretisation, names: Sequence[str]
     ) -> None:
-        terms = equations(model, mesh.dim, discretisation.m)
+        terms = point_terms(equations(model, mesh.dim, discretisation.m))
         super().__init__(mesh, model.material, discretisation, terms, Walls(mesh).dirichlet)
         self._make([name for name in self.names if name in names])
 
@@ -301,7 +301,7 @@ class Problem:
         form = BilinearForm(layout.space, condense=True)
         for term in self.terms:
             self.quadrature.add(form, term.form(u, w))
-        local = LocalUnknowns(layout, self.state, self.quadrature, self.terms)
+        local = LocalUnknowns(layout, self.state, self.quadrature, point_terms(self.terms))
         norm = BlockNorm(layout.ranges, dict.fromkeys(set(layout.names) & {"v", "rho", "z"}, 1.0))
         self.newton = Newton(form, self.state.vec, norm, local.update, nv.NewtonOptions())
 

@@ -9,14 +9,14 @@ from ngvisco.forms.boundary.boundaries import axis_parallel_walls
 from ngvisco.forms.boundary.walls import Walls
 from ngvisco.forms.mesh.mesh_arrays import coordinates
 from ngvisco.forms.mesh.symmetry import AXISYMMETRIC, ON_AXIS, Symmetry
-from ngvisco.forms.term import PointTerm, Term
+from ngvisco.forms.term import PointTerm
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.physics.loads import CentralGravity, Gravity
 from ngvisco.physics.model import Model
 from ngvisco.physics.walls import Slip
 
 
-def require_symmetry(symmetry: Symmetry, walls: Walls, model: Model, terms: Iterable[Term]) -> None:
+def require_symmetry(symmetry: Symmetry, walls: Walls, model: Model, terms: Iterable[PointTerm]) -> None:
     """Raise ParameterError for data that a body of revolution cannot have; MeshError if the axis and another
     wall have one name.
 
@@ -26,7 +26,7 @@ def require_symmetry(symmetry: Symmetry, walls: Walls, model: Model, terms: Iter
     if symmetry.largest_radius is None:
         return
     for term in terms:
-        if isinstance(term, PointTerm) and term.plane_only is not None:
+        if term.plane_only is not None:
             expected = f"'none' with {type(term).__name__}: {term.plane_only}"
             raise ParameterError("Simulation.symmetry", AXISYMMETRIC, expected)
     for load in model.loads:

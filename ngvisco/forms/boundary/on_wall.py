@@ -28,11 +28,11 @@ class OnWall(PointTerm):
         return f"{self.acts_by}_{self.name}"
 
     def __init__(self, walls: Walls, name: str) -> None:
-        self.name, self.region = name, walls.region([name])
+        self.name = self.wall = name
+        self.region = walls.region([name])
         self.indicator = facet_indicator(walls.mesh, [name])
 
     def on_body(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
-        """The term's rows of v, -t . w with the stress t, Pa, on the facets of the wall."""
         return self.facets(u, w)
 
 

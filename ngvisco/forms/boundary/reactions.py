@@ -25,7 +25,6 @@ from ngsolve import CF, L2, CoefficientFunction, GridFunction, LinearForm, ds, s
 
 from ngvisco.errors import UnknownNameError
 from ngvisco.forms.boundary.boundaries import facet_indicator
-from ngvisco.forms.boundary.on_wall import OnWall
 from ngvisco.forms.boundary.walls import MovingWalls
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.mesh.symmetry import Symmetry
@@ -109,8 +108,7 @@ class WallReactions:
         found = []
         for motion in self.motions.values():
             w = Fields(step.layout, {"v": motion})
-            own = [term for term in step.terms if isinstance(term, OnWall) and term.name == name]
-            parts = [part for term in own for part in term.on_body(u, w)]
+            parts = [part for term in step.point_terms if term.wall == name for part in term.on_body(u, w)]
             if name in step.walls.multiplied:
                 excess = u.wall_stress
                 if name not in step.walls.crossed:

@@ -43,7 +43,7 @@ from ngvisco.forms.boundary.on_wall import OnWall, along_and_across
 from ngvisco.forms.boundary.walls import Walls
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.start.variables import as_shape, entering, entropy_at
-from ngvisco.forms.term import CellMean, Entry, Integrand, PointTerm, Term
+from ngvisco.forms.term import ENTERING, SKEW, CellMean, Entry, Integrand, PointTerm
 from ngvisco.forms.unknown import Setting, Unknown
 from ngvisco.physics.loads import as_vector
 from ngvisco.physics.materials.thermal import entropy_in
@@ -270,6 +270,14 @@ class Carried(OnWall):
         """Half of the outgoing momentum, 1/2 j v . w; inertia's skew form has the other half."""
         return 0.5 * self._mass_flux(u) * (w.v * u.v)
 
+    def impulses(self, u: Fields, w: Fields) -> dict[str, list[Integrand]]:
+        (stored, kinetic, _), half = self.facets(u, w), self.half_carried(u, w)
+        return {
+            ENTERING: [Integrand(facets=stored)],
+            SKEW: [Integrand(facets=-half)],
+            self.impulse: [Integrand(facets=kinetic), Integrand(facets=half)],
+        }
+
     def on_body(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         """The term that ``backflow`` adds, -1/2 j v . w where matter flows in."""
         flux = self._carried_momentum(u) - self._mass_flux(u)
@@ -359,24 +367,29 @@ def _beyond(name: str, dissipated: CoefficientFunction) -> Entry:
     return Entry(name, "dissipation", Integrand(facets=dissipated), is_outside=True)
 
 
-def wall_terms(walls: Walls, model: Model) -> tuple[Term, ...]:
-    """Terms by which walls enter the system; a condition that the space imposes needs none.
+def passages_of(walls: Walls, model: Model) -> tuple[Carried, ...]:
+    """Terms of the walls that matter crosses.
 
-    Raises ParameterError for a model whose flux through a crossed wall is not known, and for a missing
-    density of an inflow.
+    Raises ParameterError for a model whose flux through such a wall is not known, and for a missing density
+    of an inflow.
     """
     if walls.crossed and (reason := _not_known(model)) is not None:
         name = walls.crossed[0]
         expected = f"a wall that nothing crosses: {reason}"
         raise ParameterError(f"walls[{name!r}]", walls.conditions[name], expected)
+    return tuple(Carried(walls, name, model) for name in walls.crossed)
+
+
+def wall_terms(
+    walls: Walls, model: Model, held: Impenetrability | None, passages: Sequence[Carried]
+) -> tuple[PointTerm, ...]:
+    """Terms by which walls enter the system; a condition that the space imposes needs none."""
     of = walls.conditions.items()
-    held = [Impenetrability(walls)] if walls.multiplied else []
     return (
-        *held,
-        *(piston for term in held for piston in term.pistons),
+        *(() if held is None else (held, *held.pistons)),
         *(TangentialStress(walls, name) for name, at in of if isinstance(at, (Traction, NavierFriction))),
         *([StoredMean()] if walls.crossed and model.material.response(walls.mesh.dim) is not None else []),
-        *(Carried(walls, name, model) for name in walls.crossed),
+        *passages,
         *(GivenStress(walls, name) for name, at in of if isinstance(at, Open)),
         *(moved for name in walls.crossed if (moved := displacement_of(walls, name)) is not None),
     )

@@ -122,10 +122,9 @@ def check_walls(step: Step, times: Iterable[float]) -> None:
                 _look(step, name, function, field, t, sign, value=value)
                 if key == "velocity":
                     step.moving_walls.interpolate(name, velocity_of(wall, step.mesh.dim, f"walls[{name!r}]"))
-    for term in step.terms:
-        if isinstance(term, Carried):
-            for t in _at(times):
-                _check_incoming(step, term, t)
+    for passage in step.passages:
+        for t in _at(times):
+            _check_incoming(step, passage, t)
 
 
 def _check_incoming(step: Step, term: Carried, t: float) -> None:

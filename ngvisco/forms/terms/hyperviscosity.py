@@ -47,7 +47,7 @@ class Hyperviscosity(PointTerm):
     """Derivative <Psi'(v, a), (w, b)> with its local unknowns; its dissipation is <Psi', (v, a)>."""
 
     law: HyperViscosity
-    kernel = "hyperviscosity"
+    kernel, group = "hyperviscosity", ""
     plane_only = "about an axis the second gradient has v_r/r and its slopes besides"
 
     def unknowns(self, setting: Setting) -> tuple[Unknown, ...]:

@@ -19,7 +19,7 @@ from functools import cached_property
 from ngsolve import CoefficientFunction
 
 from ngvisco.forms.fields import Fields
-from ngvisco.forms.term import CellMean, Entry, Integrand, PointTerm
+from ngvisco.forms.term import CHANGE, SKEW, CellMean, Entry, Integrand, PointTerm, point_terms
 from ngvisco.forms.unknown import Setting, Unknown
 from ngvisco.forms.upwinding import FacetMean, mean_share, side, speed
 from ngvisco.physics.loads import CentralGravity, Gravity, Load, force_of
@@ -50,7 +50,7 @@ class Continuity(PointTerm):
     """
 
     regularisation: Regularisation | None = None
-    kernel = "density"
+    kernel, group = "density", ""
 
     def unknowns(self, setting: Setting) -> tuple[Unknown, ...]:
         order = setting.m
@@ -113,6 +113,10 @@ class Inertia(PointTerm):
         """The skew form's summand -1/2 (rho - rho_old)/tau v . w."""
         return u.context.rate(-0.5 * (u.rho - u.context.old.rho) * inner(u.v, w.v))
 
+    def impulses(self, u: Fields, w: Fields) -> dict[str, list[Integrand]]:
+        (whole,), skew = self.cells(u, w), self.compensation(u, w)
+        return {CHANGE: [Integrand(whole - skew)], SKEW: [Integrand(skew)]}
+
     def energy(self, u: Fields) -> Entry:
         """Kinetic energy 1/2 rho |v|^2."""
         return Entry("kinetic", "energy", Integrand(0.5 * u.rho * square(u.v)))
@@ -136,6 +140,7 @@ class Convection(PointTerm):
     """
 
     regularisation: Regularisation | None = None
+    group = SKEW
 
     def cells(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         flux = carried_density(u, self.regularisation) * u.v
@@ -187,7 +192,7 @@ class MomentumBalance(PointTerm):
     continuous v.  R(q) = 0 for the exact solution: the term is consistent.
     """
 
-    linearised = False
+    linearised, group = False, SKEW
 
     def cells(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         c, v_K = u.context, u.parts[CellVelocity.name]
@@ -208,7 +213,7 @@ def mass_flux(u: Fields) -> CoefficientFunction:
     """
     c = u.context
     flux = c.crossed * (u.v * c.normal) * u.rho_hat + speed(u) * (u.rho - u.rho_hat)
-    entering = (term.entering_mass(u) for term in c.terms if isinstance(term, PointTerm))
+    entering = (term.entering_mass(u) for term in point_terms(c.terms))
     return sum((-mass for mass in entering if mass is not None), flux)
 
 
@@ -222,6 +227,7 @@ class Stokes(PointTerm):
     """Viscosity int D(eps(v)) : eps(w) (paper: dissipation-pot)."""
 
     viscosity: Viscosity
+    group = ""
 
     def cells(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         return [inner(self.viscosity.stress(sym(u.L), self._values(u)), w.L)]

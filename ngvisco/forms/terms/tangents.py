@@ -34,7 +34,7 @@ import numpy as np
 from ngsolve import CoefficientFunction
 
 from ngvisco.forms.fields import Fields
-from ngvisco.forms.term import PointTerm
+from ngvisco.forms.term import ENTERING, PointTerm
 from ngvisco.forms.unknown import Setting, Unknown
 from ngvisco.forms.upwinding import FacetMean, side
 from ngvisco.physics.material import Material
@@ -112,7 +112,7 @@ class TangentForce(PointTerm):
 
     jumps: tuple[ConjugateJump, ...]
     scale: float
-    linearised = False
+    linearised, group = False, ENTERING
 
     @property
     def kept(self) -> tuple[str, ...]:  # type: ignore[override]

@@ -26,7 +26,7 @@ from ngsolve import CoefficientFunction
 
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.rates import Conjugate
-from ngvisco.forms.term import Entry, Integrand, Integrands, PointTerm, tested
+from ngvisco.forms.term import ELASTIC, Entry, Integrand, Integrands, PointTerm, tested
 from ngvisco.forms.terms.tangents import TangentForce
 from ngvisco.forms.unknown import Setting, Unknown
 from ngvisco.forms.upwinding import FacetMean, speed
@@ -74,7 +74,7 @@ class Kinematics(PointTerm):
     """
 
     model: Model
-    linearised = False
+    linearised, group = False, ""
 
     def unknowns(self, setting: Setting) -> tuple[Unknown, ...]:
         return (Unknown("z", "cells", setting.m, setting.states.size, evolves=True, scale=1.0),)
@@ -141,7 +141,7 @@ class Upwinding(PointTerm):
     """
 
     tangents: TangentForce | None = None
-    linearised = False
+    linearised, group = False, ""
 
     def facets(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         return [speed(u) * inner(u.z - u.z_hat, w.z)]
@@ -177,7 +177,7 @@ class Conjugates(PointTerm):
     """Equation of zeta, the cellwise L2 projection of the conjugates: int (zeta - phi'(z)) : X = 0."""
 
     model: Model
-    kernel = "conjugates"
+    kernel, group = "conjugates", ""
 
     def unknowns(self, setting: Setting) -> tuple[Unknown, ...]:
         return (Unknown("zeta", "cells", setting.m, setting.states.size),)
@@ -204,7 +204,7 @@ class ElasticForce(PointTerm):
     The term has no ledger entry: at w = v it is the rate of the stored energy.
     """
 
-    linearised = False
+    linearised, group = False, ELASTIC
 
     def cells(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         return transport_in_cells(w, u, u, "zeta")
