@@ -147,6 +147,12 @@ MUTANTS = [
     *_of(
         "forms/boundary/wall_terms.py",
         (
+            "half of what is carried in the columns of momentum",
+            "SKEW: [Integrand(facets=-half)],",
+            "SKEW: [Integrand(facets=half)],",
+            MOMENTUM + "test_momentum_changes_by_the_impulses_and_by_what_the_columns_say",
+        ),
+        (
             "given pressure",
             "load = -c.average(self.pressure, self.region) * c.normal",
             "load = c.average(self.pressure, self.region) * c.normal",
@@ -205,7 +211,7 @@ MUTANTS = [
         ),
     ),
     *_of(
-        "forms/boundary/reactions.py",
+        "forms/reactions.py",
         (
             "stress of a closed wall",
             "return phi - inner(masked(u.z, by_flux), u.zeta) if by_flux.any() else phi",
@@ -239,12 +245,6 @@ MUTANTS = [
     ),
     *_of(
         "forms/impulses.py",
-        (
-            "half of what is carried in the columns of momentum",
-            "_SKEW: [Integrand(facets=-half)],",
-            "_SKEW: [Integrand(facets=half)],",
-            MOMENTUM + "test_momentum_changes_by_the_impulses_and_by_what_the_columns_say",
-        ),
         (
             "thrust of jumps in the columns of momentum",
             "return u.context.crossed * (inner(u.z_hat - u.z, u.zeta) + phi)",

@@ -7,7 +7,7 @@ straight cells functions of the velocity's space.  With m the momentum functiona
 
 with the forces -form(u; e) of each load and wall.  The rows of R at coefficients of v that walls hold are not
 solved.  Their sum R(u; e) is the walls' force, together with the pressure that B_h omits on a closed wall
-(``ngvisco.forms.boundary.reactions``).  Viscous and hyperviscous stresses have no power at e.  The other
+(``ngvisco.forms.reactions``).  Viscous and hyperviscous stresses have no power at e.  The other
 summands vanish for the exact solution; they are momentum that the scheme creates:
 
 - **inertia**: the skew form has half the continuity equation tested with v . e, which is not in the space of
@@ -49,12 +49,12 @@ from ngsolve import (
 )
 
 from ngvisco.forms.boundary.boundaries import cells_at, facet_indicator
-from ngvisco.forms.boundary.reactions import beside_the_stress, rigid_motions
 from ngvisco.forms.boundary.wall_terms import HELD_BY_WALLS
 from ngvisco.forms.entry_integrals import EntryIntegrals
 from ngvisco.forms.fields import Fields, Tests
 from ngvisco.forms.mesh.mesh_arrays import mask_of
 from ngvisco.forms.mesh.points import SidePoints
+from ngvisco.forms.reactions import beside_the_stress, rigid_motions
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import (
     CHANGE,

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from ngvisco.errors import NgviscoWarning
-from ngvisco.forms.start.variables import is_let_in_by_pressure
+from ngvisco.forms.given_values import is_let_in_by_pressure
 
 if TYPE_CHECKING:
     from ngvisco.forms.system import Step

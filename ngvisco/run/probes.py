@@ -10,8 +10,8 @@ from ngsolve import CF, CoefficientFunction
 
 from ngvisco.errors import ParameterError, as_integer, require_collection, require_some_names
 from ngvisco.expressions import parse
-from ngvisco.forms.boundary.reactions import WallReactions
 from ngvisco.forms.mesh.locating import Located, as_points
+from ngvisco.forms.reactions import WallReactions
 from ngvisco.run.fields import component_fields, components
 from ngvisco.run.files import AnyPath
 from ngvisco.run.series import Series
@@ -136,7 +136,7 @@ class WallForces(Series):
     The columns are ``WALL.force_1`` ... (N) and ``WALL.torque`` (2D) or ``WALL.torque_1`` ... (N m), per
     metre of thickness in plane strain; for a body of revolution ``WALL.force_2``, N over 2 pi.  Forces are
     the reactions of the solved equations, by the elastic, viscous and hyperviscous stress
-    (``ngvisco.forms.boundary.reactions``).  A row is the mean over the stages of the step that ends at its
+    (``ngvisco.forms.reactions``).  A row is the mean over the stages of the step that ends at its
     time, with the scheme's weights; hence the start has no row.  Backward Euler gives the forces at the
     step's end, the midpoint rule at its middle.
     """

@@ -21,8 +21,9 @@ import numpy as np
 from ngsolve import CF, L2, CoefficientFunction, GridFunction, Integrate, Mesh
 
 from ngvisco.errors import InitialDataError, MeshError, ParameterError
+from ngvisco.forms.boundary.wall_projections import project_velocity
 from ngvisco.forms.mesh.locating import Located
-from ngvisco.forms.projections import project, project_velocity
+from ngvisco.forms.projections import project
 from ngvisco.forms.start.given import QuadraturePoints
 from ngvisco.forms.start.initial import complete
 from ngvisco.physics.bodies import AMOUNT, Amount

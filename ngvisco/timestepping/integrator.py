@@ -29,10 +29,10 @@ from typing import Protocol
 import numpy as np
 
 from ngvisco.errors import StepError
+from ngvisco.forms.boundary.wall_projections import VelocityOfMomentum
 from ngvisco.forms.bounds import Bounds
 from ngvisco.forms.context import time
 from ngvisco.forms.distance import BregmanDistance
-from ngvisco.forms.projections import VelocityOfMomentum
 from ngvisco.forms.system import Evolved
 from ngvisco.solver.problem import Attempt, Interval, iterations
 from ngvisco.solver.rothe import RotheSolver

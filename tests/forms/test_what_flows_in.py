@@ -8,8 +8,8 @@ from scipy.integrate import solve_ivp
 from support import assert_balanced
 
 import ngvisco as nv
-from ngvisco.forms.boundary.reactions import WallReactions
-from ngvisco.forms.start.variables import entering
+from ngvisco.forms.given_values import entering
+from ngvisco.forms.reactions import WallReactions
 from ngvisco.geometries import box, disc, sphere, structured_box
 from ngvisco.physics.variables import Jacobian
 

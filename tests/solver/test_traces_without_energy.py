@@ -5,7 +5,7 @@ import pytest
 from ngsolve import GridFunction, IfPos, x
 
 import ngvisco as nv
-from ngvisco.forms.boundary.reactions import WallReactions
+from ngvisco.forms.reactions import WallReactions
 from ngvisco.geometries import structured_box
 
 

@@ -8,7 +8,7 @@ from scipy.optimize import brentq
 
 import ngvisco as nv
 from ngvisco.forms.boundary.displacements import Springs
-from ngvisco.forms.boundary.reactions import WallReactions
+from ngvisco.forms.reactions import WallReactions
 from ngvisco.forms.term import Entry, Integrand
 from ngvisco.geometries import box, structured_box
 

@@ -42,7 +42,7 @@ from ngvisco.forms.boundary.displacements import displacement_of
 from ngvisco.forms.boundary.on_wall import OnWall, along_and_across
 from ngvisco.forms.boundary.walls import Walls
 from ngvisco.forms.fields import Fields
-from ngvisco.forms.start.variables import as_shape, entering, entropy_at
+from ngvisco.forms.given_values import as_shape, entering, entropy_at
 from ngvisco.forms.term import ENTERING, SKEW, CellMean, Entry, Integrand, PointTerm
 from ngvisco.forms.unknown import Setting, Unknown
 from ngvisco.physics.loads import as_vector

@@ -45,9 +45,9 @@ from ngvisco.forms.boundary.boundaries import (
     require_curved_cells,
     walls_of,
 )
+from ngvisco.forms.given_values import as_shape
 from ngvisco.forms.mesh.mesh_arrays import mask_of
 from ngvisco.forms.spaces import Layout
-from ngvisco.forms.start.variables import as_shape
 from ngvisco.forms.time_means import TimeMean
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.exchange import Exchange, Interpolation

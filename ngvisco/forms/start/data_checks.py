@@ -32,9 +32,9 @@ from ngsolve import (
 from ngvisco.errors import InputWarning, ParameterError
 from ngvisco.forms.boundary.wall_terms import Carried
 from ngvisco.forms.boundary.walls import OPEN, velocity_of
+from ngvisco.forms.given_values import Given
 from ngvisco.forms.mesh.mesh_arrays import VERTICES, mask_of, rules
 from ngvisco.forms.mesh.quadrature import Sampler
-from ngvisco.forms.start.variables import Given
 from ngvisco.forms.system import Step
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.mesh import cell_numbers

@@ -37,11 +37,11 @@ from ngsolve import (
 )
 
 from ngvisco.errors import InitialDataError, InputWarning, ParameterError, UnknownNameError
+from ngvisco.forms.given_values import bulk_pressure
 from ngvisco.forms.mesh.locating import Located, as_points
 from ngvisco.forms.mesh.quadrature import Sampler
 from ngvisco.forms.mesh.symmetry import weighted
 from ngvisco.forms.projections import LocalProjection
-from ngvisco.forms.start.variables import bulk_pressure
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import tested
 from ngvisco.parallel.exchange import Exchange

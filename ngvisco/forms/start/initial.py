@@ -10,24 +10,25 @@ import numpy as np
 from ngsolve import CF, CoefficientFunction, Det, Id, TaskManager, specialcf
 
 from ngvisco.errors import InitialDataError, ParameterError, Quantity, require_fields
+from ngvisco.forms.boundary.wall_projections import project_velocity
 from ngvisco.forms.bounds import Bounds
 from ngvisco.forms.fields import Fields
-from ngvisco.forms.mesh.mesh_arrays import mask_of
-from ngvisco.forms.mesh.quadrature import Sampler
-from ngvisco.forms.projections import LocalProjection, project, project_velocity, set_traces
-from ngvisco.forms.start.data_checks import distortion_of, warn_of_doubts, warn_of_own_energy
-from ngvisco.forms.start.equilibrium import Column, require_open
-from ngvisco.forms.start.variables import (
+from ngvisco.forms.given_values import (
     Given,
     StartValues,
     as_shape,
     carried_of,
     entropy_at,
     parameter_values,
-    starting_fractions,
     starting_values,
     temperature_for,
 )
+from ngvisco.forms.mesh.mesh_arrays import mask_of
+from ngvisco.forms.mesh.quadrature import Sampler
+from ngvisco.forms.projections import LocalProjection, project, set_traces
+from ngvisco.forms.start.data_checks import distortion_of, warn_of_doubts, warn_of_own_energy
+from ngvisco.forms.start.equilibrium import Column, require_open
+from ngvisco.forms.start.fractions_of_bodies import starting_fractions
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import Integrand, tested
 from ngvisco.forms.terms.hyperviscosity import Hyperviscosity
@@ -403,8 +404,8 @@ def _impose_walls(step: Step, v_0: CoefficientFunction) -> None:
     # the interpolation leaves a small v.n in constrained coefficients, which the ledger would show
     step.state.vec.FV().NumPy()[~mask_of(step.layout.space.FreeDofs())] = 0.0
     v = step.state.vec.FV().NumPy()[step.layout.ranges["v"]]
+    n = specialcf.normal(step.mesh.dim)
     for name, (_, mask) in step.moving_walls.moving.items():
-        n = specialcf.normal(step.mesh.dim)
         normal_part = 0.0 if name in step.walls.crossed else v_0 * n
         v[mask] = step.moving_walls.interpolate(name, v_0 - normal_part * n)[mask]
     term = step.impenetrability
@@ -423,8 +424,7 @@ def complete(step: Step) -> None:
         step.local_unknowns.update_stored()
         step.local_unknowns.projections["zeta"]()
     rates = step.context.rates
-    if "Pi" in parts:
-        # the local rate, as psi' may be infinitely steep at zero
+    if "Pi" in parts:  # the local rate, as psi' may be infinitely steep at zero
         rate = trace_free_tensors(dim).components(rates.local_creep(rates.mechanisms[0], u))
         Interpolation(step.layout.blocks["Pi"])(parts["Pi"], rate)
     set_traces(step.layout, step.state, step.context, step.quadrature)
@@ -441,10 +441,10 @@ def complete(step: Step) -> None:
 
 def _recover_hessian(step: Step, term: Hyperviscosity) -> None:
     """Set the recovered Hessian Hs by its local projection, int Hs : X = lifting of (v, a)."""
-    parts = dict(zip(step.layout.names, step.state.components, strict=True))
+    hess = step.state.components[step.layout.names.index("hess")]
 
     def lifted(test: CoefficientFunction) -> Sequence[Integrand]:
         # the lifting's test is hyperstress, whose local space is the space of hess
         return term.lifting(step.now, Fields(step.layout, {"hyperstress": test}))
 
-    LocalProjection(parts["hess"], step.quadrature, lifted)()
+    LocalProjection(hess, step.quadrature, lifted)()

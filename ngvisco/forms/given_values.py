@@ -2,17 +2,13 @@
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import reduce
-from operator import add
 from typing import Self, TypeAlias
 
-import numpy as np
-from ngsolve import CF, L2, VOL, CoefficientFunction, ElementId, Id, Integrate, Mesh, exp
+from ngsolve import CF, L2, CoefficientFunction, Id, Mesh, exp
 from ngsolve.fem import NewtonCF
 
 from ngvisco.errors import InitialDataError, ParameterError, UnknownNameError, as_number
-from ngvisco.parallel.communicator import Communicator
-from ngvisco.physics.bodies import AMOUNT, Body
+from ngvisco.physics.bodies import AMOUNT
 from ngvisco.physics.loads import as_tensor
 from ngvisco.physics.material import (
     Material,
@@ -31,15 +27,10 @@ from ngvisco.physics.signals import time
 from ngvisco.physics.tensors import if_positive, log
 from ngvisco.physics.variables import Jacobian, LogJacobian, ReciprocalJacobian
 from ngvisco.physics.walls import Open, Passage
-from ngvisco.shapes.fractions import MISSED, fractions, volumes
-from ngvisco.shapes.shape import Shape
-from ngvisco.shapes.shape import as_shape as as_place
 
 Given: TypeAlias = Mapping[str, CoefficientFunction]
 StartValues: TypeAlias = dict[str, CoefficientFunction]
 
-_OVERLAP = 1e-3
-"""The overlap, over the volume of the smaller of two bodies, below which the bodies only touch."""
 
 _VOLUMES = {"J", "A"}
 """Names of variables that determine the volume; an inflow with a given volume needs a density."""
@@ -48,9 +39,6 @@ _INVERTED, _STEPS = 1e-12, 100
 """Accepted defect of the scaled pressure, and largest number of Newton steps, for the volume."""
 _VACUUM = 14.0
 """Logarithm of the volume at zero pressure of a gas, in place of an infinite one."""
-
-_COVERED = 1e-10
-"""The share of the volume of the domain or of a cell below which uncovered volume is rounding."""
 
 
 def parameter_values(material: Material, given: Given, owner: str = "Initial") -> StartValues:
@@ -301,65 +289,3 @@ def as_shape(field_name: str, value: object, shape: tuple[int, ...]) -> Coeffici
     if tuple(value.dims) != shape:
         raise ParameterError(field_name, f"shape {tuple(value.dims)}", expected)
     return value
-
-
-def starting_fractions(mesh: Mesh, bodies: Sequence[Body], order: int) -> StartValues:
-    """Volume fractions of the bodies by name, in discontinuous P_order with the sum one, from their places.
-
-    Raises ParameterError for bodies of one order that overlap, an empty body, and points that no body covers.
-    """
-    names = [body.name for body in bodies]
-    placed = sorted((body for body in bodies if body.where is not None), key=lambda body: body.order)
-    shapes = {body.name: as_place(f"bodies[{body.name!r}].where", body.where) for body in placed}
-    rest = next((body for body in bodies if body.where is None), None)
-    _require_order(mesh, placed, shapes)
-    *of_placed, of_rest = volumes(mesh, list(shapes.values()))
-    total = sum(of_placed) + of_rest
-    for i, (body, volume) in enumerate(zip(placed, of_placed, strict=True)):
-        if volume <= _COVERED * total:
-            above = [other.name for other in placed[i + 1 :] if other.order > body.order]
-            is_seen = volumes(mesh, [shapes[body.name]])[0] > _COVERED * total
-            hidden = f"a place that {', '.join(above)}, of higher order, does not cover"
-            raise ParameterError(f"bodies[{body.name!r}].where", body.where, hidden if is_seen else MISSED)
-    if rest is None and of_rest > _OVERLAP * total:
-        expected = f"one without a place, for the rest: {of_rest / total:.2%} of the domain is in no body"
-        raise ParameterError("Model.bodies", names, expected)
-    if rest is not None and of_rest <= _COVERED * total:
-        body, _ = max(zip(placed, of_placed, strict=True), key=lambda one: one[1])
-        expected = f"a place that leaves something of the domain to {rest.name!r}, the rest"
-        raise ParameterError(f"bodies[{body.name!r}].where", body.where, expected)
-    *found, of_none = fractions(mesh, list(shapes.values()), order)
-    result: StartValues = dict(zip(shapes, found, strict=True))
-    if rest is not None:
-        result[rest.name] = of_none
-    else:  # distribute uncovered volume, below ``_OVERLAP``, by the fractions
-        _require_some_body_in_each_cell(mesh, names, of_none)
-        known = reduce(add, found)
-        result = {name: part / known for name, part in result.items()}
-    return {name: result[name] for name in names}
-
-
-def _require_some_body_in_each_cell(mesh: Mesh, names: Sequence[str], rest: CoefficientFunction) -> None:
-    """Raise ParameterError for a cell without a body, which no fractions can fill."""
-    size, covered = (np.array(Integrate(f, mesh, VOL, element_wise=True)) for f in (CF(1.0), 1 - rest))
-    with Communicator.of(mesh).together(ParameterError):
-        if np.any(empty := covered <= _COVERED * size):
-            corners = mesh[ElementId(VOL, int(np.argmax(empty)))].vertices
-            middle = np.mean([mesh[vertex].point for vertex in corners], axis=0)
-            place = ", ".join(f"{c:.4g}" for c in middle)
-            expected = f"one without a place, for the rest: a cell at ({place}) is in no body"
-            raise ParameterError("Model.bodies", list(names), expected)
-
-
-def _require_order(mesh: Mesh, placed: Sequence[Body], shapes: Mapping[str, Shape]) -> None:
-    """Raise ParameterError for two overlapping bodies of one order."""
-    for i, first in enumerate(placed):
-        for second in (other for other in placed[i + 1 :] if other.order == first.order):
-            a, b = shapes[first.name], shapes[second.name]
-            common, size = volumes(mesh, [a & b])[0], min(volumes(mesh, [s])[0] for s in (a, b))
-            if common > _OVERLAP * size:
-                expected = (
-                    f"an order other than {first.order}, that of {first.name!r}: {common / size:.1%} of the "
-                    "smaller of the two is in both, and there is the one of higher order"
-                )
-                raise ParameterError(f"bodies[{second.name!r}].order", second.order, expected)

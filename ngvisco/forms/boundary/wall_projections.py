@@ -1,0 +1,245 @@
+"""The velocity of a momentum functional, and projections of velocities to those that the walls admit.
+
+The velocity of a momentum functional satisfies int rho v . w = <m, w> for all admissible w: it maximises
+<m, w> - 1/2 int rho |w|^2, whose maximum is E(rho, m), over the velocities that the walls admit.  Prescribed
+coefficients are kept, and on oblique and curved walls (v . n, mu) = 0 for all multipliers mu (paper:
+Euler-small-BC-hyper).  One scalar mass matrix serves all components; conjugate gradients with its diagonal D
+take 30 to 60 iterations on any mesh.  With multipliers they run in the null space of the walls' condition
+C v = 0, by the projection onto it in the inner product of D (``WallProjection``),
+
+    I - D^-1 C^T (C D^-1 C^T)^-1 C.
+
+C D^-1 C^T is not a sum over ranks, since walls of two ranks share vertices and edges.  At shared coefficients
+y = D^-1 C^T lambda is kept as an unknown, so that y and lambda with C y = g solve
+
+    D y - C_s^T lambda = 0,   C_s y + C_i D_i^-1 C_i^T lambda = g,
+
+with C_s the shared columns and C_i all others: on one process the Schur complement.  The system is factorised
+in units in which D and the rows of C have length one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import scipy.sparse as sp
+from ngsolve import CF, BilinearForm, CoefficientFunction, FESpace, GridFunction, LinearForm
+
+from ngvisco.algebra.factorised import DirectSolver
+from ngvisco.algebra.krylov import conjugate_gradients
+from ngvisco.errors import StepError
+from ngvisco.forms.boundary.wall_terms import Impenetrability
+from ngvisco.forms.fields import Fields
+from ngvisco.forms.mesh.mesh_arrays import mask_of
+from ngvisco.forms.mesh.points import csr
+from ngvisco.forms.mesh.quadrature import Quadrature
+from ngvisco.forms.spaces import Layout
+from ngvisco.parallel.communicator import Communicator
+from ngvisco.parallel.exchange import Exchange
+from ngvisco.parallel.petsc import SumInverse
+from ngvisco.physics.tensors import inner
+
+_REDUCTION, _CORRECTIONS, _ITERATIONS = 1e-9, 4, 1000
+_ROUNDING, _ENOUGH = 3e-16, 1e-13
+"""Target and accepted residual relative to <m, .>; it enters the energy's closure."""
+
+
+class WallProjection:
+    """Projection of free coefficients of v on the walls' null space; collective, for summed vectors of v.
+
+    ``term`` has the multipliers; each belongs to one rank, since a wall's facet has one cell.  ``free`` is
+    the mask of coefficients of v that are not prescribed.
+    """
+
+    def __init__(
+        self, layout: Layout, term: Impenetrability, quadrature: Quadrature, free: np.ndarray
+    ) -> None:
+        names = ("v", "wall_stress")
+        space = FESpace([layout.blocks[name] for name in names])
+        trial, test = space.TnT()
+        u, w = (Fields(layout, dict(zip(names, parts, strict=True))) for parts in (trial, test))
+        form = BilinearForm(space)
+        for part in term.form(u, w):
+            form += quadrature.facets(part.facets)
+        of_v, multipliers = (np.arange(r.start, r.stop) for r in (space.Range(0), space.Range(1)))
+        constraint = csr(form.Assemble().mat)[multipliers][:, of_v].tocsc()
+        self.free = free
+        self._constraint, self._prescribed = constraint[:, free].tocsr(), constraint[:, ~free].tocsr()
+        multiplier = layout.blocks["wall_stress"]
+        self._given = LinearForm(multiplier)
+        for piston in term.pistons:
+            self._given += quadrature.facets(piston.prescribed(multiplier.TestFunction()))
+        self._of = {
+            piston.name: np.array(
+                [number for one in piston.region.Elements() for number in multiplier.GetDofNrs(one)],
+                dtype=int,
+            )
+            for piston in term.pistons
+        }
+        exchange = Exchange.of(space, Communicator.of(layout.mesh))
+        exchange = exchange.part(np.concatenate([of_v[free], multipliers]))
+        self._shared = exchange.places  # places among the free coefficients of v
+        last = np.count_nonzero(free) + np.arange(len(multipliers))
+        exchange = exchange.part(np.concatenate([self._shared, last]))
+        self._owned = exchange.owned[: len(self._shared)].astype(float)
+        coupled = np.ones(exchange.count)
+        coupled[: len(self._shared)] = abs(self._constraint[:, self._shared]).sum(axis=0)
+        solved = exchange.sum(coupled) > 0
+        self._solver = (
+            SumInverse(solved, exchange) if exchange.is_distributed else DirectSolver(solved, symmetric=True)
+        )
+
+    def update(self, diagonal: np.ndarray) -> None:
+        """Set the diagonal D of the free coefficients; raises StepError if C does not have full rank."""
+        self._root = np.sqrt(diagonal)
+        scaled = self._constraint @ sp.diags(1 / self._root)
+        self._length = np.sqrt(np.asarray(scaled.multiply(scaled).sum(axis=1)).ravel())
+        scaled = (sp.diags(1 / self._length) @ scaled).tocsc()
+        across, is_inner = scaled[:, self._shared], np.ones(len(diagonal))
+        is_inner[self._shared] = 0.0
+        inner = (scaled @ sp.diags(is_inner)).tocsr()
+        self._transposed = inner.T.tocsr()
+        blocks = [[sp.diags(self._owned), -across.T], [across, inner @ self._transposed]]
+        self._solver.factorise(sp.bmat(blocks, format="csr"))
+
+    def _taken(self, g: np.ndarray) -> np.ndarray:
+        """Return D^(1/2) y for C y = g."""
+        count = len(self._shared)
+        found = self._solver(np.concatenate([np.zeros(count), g / self._length]))
+        result: np.ndarray = self._transposed @ found[count:]
+        result[self._shared] = found[:count]
+        return result
+
+    def __call__(self, v: np.ndarray) -> np.ndarray:
+        """Project free coefficients."""
+        return v - self._taken(self._constraint @ v) / self._root
+
+    def transposed(self, rows: np.ndarray) -> np.ndarray:
+        """Apply the transposed projection to rows of free coefficients."""
+        return rows - self._root * self._taken(self._constraint @ (rows / self._root**2))
+
+    def _normal_velocity(self, v: np.ndarray) -> np.ndarray:
+        """Values (v . n, mu) for all coefficients of v, (multipliers,)."""
+        result: np.ndarray = self._constraint @ v[self.free] + self._prescribed @ v[~self.free]
+        return result
+
+    def completed(self, v: np.ndarray) -> np.ndarray:
+        """Free coefficients of v, corrected so that the walls admit them with the prescribed ones."""
+        rows = self._normal_velocity(v)
+        if self._of:  # subtract the pistons' v.n at the present time
+            rows -= self._given.Assemble().vec.FV().NumPy()
+        return v[self.free] - self._taken(rows) / self._root
+
+    def works(self, rows: np.ndarray, v: np.ndarray) -> dict[str, float]:
+        """Work on v of each piston's impulses, given in rows of free coefficients, by walls, J."""
+        count, shares = len(self._shared), self._constraint @ (rows / self._root**2)
+        found = self._solver(np.concatenate([np.zeros(count), shares / self._length]))
+        each = found[count:] / self._length * self._normal_velocity(v)
+        return {name: float(each[of].sum()) for name, of in self._of.items()}
+
+
+class VelocityOfMomentum:
+    """Solver for the velocity in a state from rho > 0, kg/m^3, and m, kg/(m^2 s).
+
+    v of the state is the start value and has the prescribed coefficients.  m has values at the points of
+    ``quadrature``; ``term`` is None without multipliers.
+    """
+
+    def __init__(
+        self,
+        layout: Layout,
+        state: GridFunction,
+        density: CoefficientFunction,
+        momentum: CoefficientFunction,
+        term: Impenetrability | None,
+        quadrature: Quadrature,
+    ) -> None:
+        self.v = state.vec.FV().NumPy()[layout.ranges["v"]]
+        scalar, space = layout.scalar_space("v"), layout.blocks["v"]
+        trial, test = scalar.TnT()
+        self._mass = BilinearForm(scalar, symmetric=True)
+        self._mass += quadrature.cells((density * trial * test).Compile())
+        self._load = LinearForm(space)
+        self._load += quadrature.cells(inner(momentum, space.TestFunction()))
+        self.free = mask_of(space.FreeDofs())
+        self._exchange = Exchange.of(space, Communicator.of(layout.mesh))
+        # shared coefficients count once in products
+        several = self._exchange.communicator.is_distributed
+        self._own = self._exchange.owned if several else slice(None)
+        self._own_free = self._exchange.owned[self.free] if several else slice(None)
+        self._dim = layout.mesh.dim
+        self._walls = None if term is None else WallProjection(layout, term, quadrature, self.free)
+
+    def works(self, rows: np.ndarray, v: np.ndarray) -> dict[str, float]:
+        """Work on v of the impulses of pistons with multipliers, from rows of ``__call__``, by walls, J."""
+        if self._walls is None:
+            return {}
+        ranks = self._exchange.communicator
+        found = self._walls.works(self._exchange.sum(rows)[self.free], v)
+        return {name: float(ranks.total(work)) for name, work in found.items()}
+
+    def functional(self) -> np.ndarray:
+        """Functional <m, .> in this rank's cells, (unknowns of v,)."""
+        return self._load.Assemble().vec.FV().NumPy().copy()
+
+    def __call__(self, keeps_walls: bool = False) -> np.ndarray:
+        """Solve; return the rows int rho v . w - <m, w>, nonzero at walls only, (unknowns of v,).
+
+        v.n on walls with multipliers has the value of the present time, or the state's if it ``keeps_walls``.
+
+        The rows are summed over this rank's cells only.  Raises StepError if the linear system is not solved
+        to rounding.
+        """
+        self._mass.Assemble()
+        mass = sp.block_diag([csr(self._mass.mat)] * self._dim, format="csr")
+        rows = self.functional()
+        free, v, exchange, ranks = self.free, self.v, self._exchange, self._exchange.communicator
+        momentum, diagonal = exchange.sum(rows), exchange.sum(mass.diagonal())[free]
+        project: Callable[[np.ndarray], np.ndarray] = _same
+        project_back = project
+        if self._walls is not None:
+            self._walls.update(diagonal)
+            project, project_back = self._walls, self._walls.transposed
+            if not keeps_walls:
+                v[free] = self._walls.completed(v)  # an admissible start value
+        full = np.zeros_like(v)
+
+        def product(x: np.ndarray, y: np.ndarray) -> float:
+            return ranks.dot(x[self._own_free], y[self._own_free])
+
+        def operator(x: np.ndarray) -> np.ndarray:
+            full[free] = project(x)
+            return project_back(exchange.sum(mass @ full)[free])
+
+        def inverse(x: np.ndarray) -> np.ndarray:
+            return project(project_back(x) / diagonal)
+
+        size = ranks.norm(momentum[self._own]) or 1.0
+        left = np.inf
+        for _ in range(_CORRECTIONS):
+            # twice: rounding of the large rows at walls is not in the operator's range
+            residual = project_back(project_back((momentum - exchange.sum(mass @ v))[free]))
+            last, left = left, ranks.norm(residual[self._own_free])
+            if left <= _ROUNDING * size or not left < 0.5 * last:
+                break
+            change = conjugate_gradients(operator, residual, inverse, product, _REDUCTION, _ITERATIONS)
+            v[free] += project(change)
+        if not left <= _ENOUGH * size:
+            raise StepError(f"the velocity of a momentum was solved to {left / size:.1e} only")
+        return mass @ v - rows
+
+
+def _same(x: np.ndarray) -> np.ndarray:
+    return x
+
+
+def project_velocity(
+    layout: Layout,
+    state: GridFunction,
+    v_0: CoefficientFunction,
+    term: Impenetrability | None,
+    quadrature: Quadrature,
+) -> None:
+    """Set v to the L2 projection of v_0 on the velocities that the walls admit."""
+    VelocityOfMomentum(layout, state, CF(1.0), CF(v_0), term, quadrature)()
