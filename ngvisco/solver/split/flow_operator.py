@@ -19,7 +19,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ngvisco.algebra import precision
-from ngvisco.algebra.sparse import ElementAssembly, widened
+from ngvisco.algebra.sparse import ElementAssembly
 from ngvisco.reduced.evaluation import CellTerms
 from ngvisco.reduced.residual import CellPart, Evaluation, ReducedResidual, RestrictedForm
 from ngvisco.solver.split.hyperviscosity import HyperDerivative, HyperTangent
@@ -222,6 +222,13 @@ class FlowSchurComplement:
         cells = dz.reshape(*self.points.resolvent.shape[:2], 1)  # a rank may have no cells
         return np.matmul(self.points.resolvent, cells).reshape(dz.shape)
 
+    def _rows_of(self, cells: np.ndarray, own: sp.csr_matrix | None, i: int) -> sp.csr_matrix:
+        """Rows of component i of v, of element matrices, and of v's matrix of its own in each component."""
+        blocks, n = [self._assembled(cells[:, :, i, k]) for k in range(self.dim)], self.op.v.width
+        if own is not None:
+            blocks[i] = blocks[i] + own[:n, :n]
+        return sp.hstack(blocks, format="csr")
+
     def tangent(self, at: Evaluation, hyper: HyperTangent | None) -> sp.csr_matrix:
         """The velocity tangent: a sparse matrix that approximates the operator, cell by cell.
 
@@ -235,15 +242,13 @@ class FlowSchurComplement:
         rows = self.to_fields.reshape(self.cells * self.functions, self.components * d * local)
         fields = self.sweep.in_cells(rows).reshape(self.to_fields.shape)
         cells = (self.own - self.from_fields @ fields).reshape(self.cells, local, d, d, local)
-        blocks = [[self._assembled(cells[:, :, i, k]) for k in range(d)] for i in range(d)]
+        del rows, fields
         own = None
         if hyper is not None and at.hyper is not None:
             with self.residual.ranks.together(np.linalg.LinAlgError):
                 own = hyper.update(at.hyper)
-            n = self.op.v.width
-            for i in range(d):
-                blocks[i][i] = blocks[i][i] + own[:n, :n]
-        matrix = widened(sp.bmat(blocks, format="csr"), self.size, self.size)
+        matrix = sp.vstack([self._rows_of(cells, own, i) for i in range(d)], format="csr")
+        matrix.resize((self.size, self.size))
         if self.rest is not None:
             matrix = (matrix + self.rest).tocsr()
         return matrix if hyper is None or not len(hyper.kept) else hyper.bordered(matrix, own, d)
