@@ -85,7 +85,8 @@ class UnknownValues:
         self.layout, self.parts = layout, parts
         self.dim: int = layout.mesh.dim
         self.rows = self.dim if rows is None else rows
-        self.gradient = gradient or (lambda name: Grad(self.parts[name]))
+        # of the parts alone: a reference to the values would keep their arrays until cycles are collected
+        self.gradient = gradient or (lambda name: Grad(parts[name]))
 
     @cached_property
     def grad_v(self) -> CoefficientFunction:

@@ -1,6 +1,7 @@
 """Parts of the mesh: their number changes nothing but rounding, that of the threads not a bit."""
 
 from itertools import pairwise
+from weakref import ref
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ from support import SWIRL
 from test_split_agrees import model
 
 import ngvisco as nv
+from ngvisco.forms.fields import Fields
 from ngvisco.geometries import box
 from ngvisco.reduced import residual
 from ngvisco.reduced.residual import parts_of
@@ -40,6 +42,15 @@ def test_parts_and_threads(parts, monkeypatch):
     _, shared = solved(3, 40, monkeypatch, **parts)
     assert np.array_equal(serial, shared)
     assert np.abs(serial - whole).max() <= 1e-11 * np.abs(whole).max()
+
+
+def test_values_at_points_are_freed_with_their_fields():
+    """A cycle of references would keep them until Python collects cycles, once in some steps."""
+    mesh, what = box((1, 1), maxh=0.9), model()
+    fields = Fields(nv.Simulation(mesh, what, dt=0.1, solver="split").rothe_step.layout, {})
+    alive = ref(fields)
+    del fields
+    assert alive() is None
 
 
 @pytest.mark.parametrize("cells", [0, 1, 7, 1000, 1001, 50_552])
