@@ -5,7 +5,7 @@ from itertools import product
 
 import pytest
 
-from tests.benchmarks import answers, branches, long_steps
+from tests.benchmarks import answers, branches, kernels, long_steps
 from tests.benchmarks.__main__ import main
 from tests.benchmarks.ranks import markdown
 from tests.benchmarks.table import against, summary
@@ -27,6 +27,12 @@ def test_quick_run_saves_its_table(tmp_path, capsys):
 def test_a_second_branch_has_a_row_of_ratios():
     head, _, row = branches.rows(1, [(2, 2.0, "split")])
     assert head.count("|") == row.count("|") and "| split |" in row
+
+
+def test_kernels_have_a_row_each():
+    head, _, *table = kernels.rows([(2, 0.7)], 1)
+    assert [row.split(" | ")[0] for row in table] == ["| hyperviscosity", "| transport"]
+    assert all(head.count("|") == row.count("|") for row in table)
 
 
 def test_exponents_are_fitted():

@@ -5,6 +5,9 @@ One small dense product gives B x for all components of v, (cells, dim, rows); w
 fast as memory. The rows are B^T times the law's derivative. In the velocity tangent a is eliminated. Only on
 facets between ranks, where each rank has one side, a stays an unknown: the matrix is then a sum over the
 ranks' cells.
+
+The derivative is written by hand since complex increments of the rows take 4 to 5 times as long
+(``tests/benchmarks/kernels.py``); ``tests/solver/test_split_solver.py`` compares it with the rows.
 """
 
 from __future__ import annotations

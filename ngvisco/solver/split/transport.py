@@ -8,6 +8,9 @@ Courant number. ``update`` fixes the number of sweeps for its velocity, by the e
 that the approximate inverse is a linear map. T is factorised for components that diffuse, which sweeps do not
 resolve, and for components that cells exchange across facets (``Exchanged``). A nonlinear density equation
 has its own Jacobian.
+
+The blocks are written by hand since ``FacetTangent`` of the same terms takes 40 to 180 times as long
+(``tests/benchmarks/kernels.py``); ``tests/solver/test_flow_operator.py`` compares them with the rows.
 """
 
 from __future__ import annotations
