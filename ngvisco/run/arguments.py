@@ -4,9 +4,11 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from ngvisco.errors import ParameterError, require_collection, require_names
+from ngvisco.forms.term import PointTerm
 from ngvisco.physics.walls import Wall
 
 METHODS_OF_OBSERVERS = ("start", "step", "finish")
+_OF_POINT_TERMS = ("unknowns", "projections", "impulses")
 
 
 def check_arguments(observers: Any, walls: Any, passive: Any, sources: Any, terms: Any) -> None:
@@ -19,6 +21,9 @@ def check_arguments(observers: Any, walls: Any, passive: Any, sources: Any, term
         require_methods("sources", sources, ("form", "entries"), "a Term, with")
     for term in require_collection("Simulation.terms", terms, "a sequence of Terms"):
         require_methods("terms", term, ("form", "entries"))
+        if not isinstance(term, PointTerm) and (names := [n for n in _OF_POINT_TERMS if hasattr(term, n)]):
+            expected = f"a class that derives from nv.PointTerm, as it has {' and '.join(names)}"
+            raise ParameterError("Simulation.terms", term, expected)
 
 
 def require_methods(name: str, value: object, methods: Sequence[str], kind: str = "objects with") -> None:

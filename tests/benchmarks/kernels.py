@@ -37,7 +37,7 @@ def swirl(dim: int, maxh: float) -> nv.Simulation:
 
 
 def kernels(run: nv.Simulation) -> dict[str, tuple[Callable[[], object], Callable[[], object]]]:
-    """By name: the kernel, and the general way to the same numbers, at the run's present state."""
+    """The kernels by name, each with the general way to the same numbers, at the run's present state."""
     split = run.solver.newton
     residual, preconditioner = split.residual, split.preconditioner
     at = residual(split.unknowns.pack())

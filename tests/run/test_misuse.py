@@ -3,6 +3,7 @@
 import math
 import re
 from functools import cache, partial
+from types import SimpleNamespace  # noqa: F401
 
 import numpy as np  # noqa: F401
 import pytest
@@ -122,6 +123,7 @@ small_run(loads=[Gravity(time)]) | ^loads\['gravity'\]\.g = <Parameter>: expecte
 small_run(passive=("F_total",)) | F_tot
 small_run(terms=3) | Simulation\.terms
 small_run(terms=[3]) | Simulation\.terms
+small_run(terms=[SimpleNamespace(form=print, entries=print, unknowns=print)]) | derives from nv\.PointTerm, as it has unknowns
 # materials and parameters
 NEO(elastic_state="C") | NeoHookean.elastic_state = 'C': expected one of F, B
 CustomMaterial(transported=(LeftCauchyGreen(), Jacobian()), stored_energy=lambda B, J: B[0, 0] + tr(B) + J)
