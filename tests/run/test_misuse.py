@@ -123,7 +123,8 @@ small_run(loads=[Gravity(time)]) | ^loads\['gravity'\]\.g = <Parameter>: expecte
 small_run(passive=("F_total",)) | F_tot
 small_run(terms=3) | Simulation\.terms
 small_run(terms=[3]) | Simulation\.terms
-small_run(terms=[SimpleNamespace(form=print, entries=print, unknowns=print)]) | derives from nv\.PointTerm, as it has unknowns
+small_run(terms=[SimpleNamespace(form=print, entries=print, unknowns=print)])
+  | derives from nv\.PointTerm, as it has unknowns
 # materials and parameters
 NEO(elastic_state="C") | NeoHookean.elastic_state = 'C': expected one of F, B
 CustomMaterial(transported=(LeftCauchyGreen(), Jacobian()), stored_energy=lambda B, J: B[0, 0] + tr(B) + J)
