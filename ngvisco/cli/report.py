@@ -96,9 +96,10 @@ def _say_scales(found: Scales) -> None:
     times = f", Maxwell time {found.maxwell:.3g} s" if np.isfinite(found.maxwell) else ""
     print(f"scales     {edges}, h {found.cell:.3g} m, {speed}, waves {fast:.3g} and {slow:.3g} m/s{times}")
     if found.is_slow:
+        name, most = ("dt_max", found.longest) if found.longest > found.dt else ("dt", found.dt)
         print(
             f"           waves cross the domain in {found.passage:.2g} s, "
-            f"dt is {found.dt / found.passage:.1g} times that: inertia has no part in the motion"
+            f"{name} is {most / found.passage:.1g} times that: inertia has no part in the motion"
         )
     for name, value in found.numbers.items():
         if not (found.is_slow and ("waves" in name or name.startswith("Reynolds"))):

@@ -77,6 +77,8 @@ class Scales:
     """Warning, in words, about a pressure at the start that a law cannot bear."""
     k: int = 2
     """Order of the velocity."""
+    longest: float = 0.0
+    """The longest step of a run that chooses its steps, s; at most dt for steps of one length."""
     startup: int = 0
     """Number of first steps by backward Euler."""
 
@@ -89,8 +91,8 @@ class Scales:
 
     @property
     def is_slow(self) -> bool:
-        """Whether inertia has no part: waves cross the domain many times in a step."""
-        return self.passage * _SLOW < self.dt
+        """Whether inertia has no part: waves cross the domain many times in the longest step."""
+        return self.passage * _SLOW < max(self.dt, self.longest)
 
     @property
     def numbers(self) -> dict[str, float]:
@@ -248,6 +250,7 @@ def scales(simulation: RunState) -> Scales:
         kinematic_viscosity=min((value for value in viscosities if value > 0), default=0.0),
         maxwell=min(maxwell),
         dt=float(simulation.stepper.dt),
+        longest=simulation.stepper.longest,
         scheme=simulation.scheme,
         densities=most / least,
         one_bulk_energy=not isinstance(material, Mixture) or material.has_one_volume,

@@ -225,6 +225,7 @@ class FixedStepper:
 
     def __init__(self, dt: float, halvings: int = HALVINGS) -> None:
         self.dt, self.halvings, self._parts = dt, halvings, 1 << halvings  # the shortest parts of a step
+        self.longest = dt
         self.begin(0.0, 0)
 
     def require(self, step: Step) -> None:
@@ -318,7 +319,7 @@ class AdaptiveStepper:
 
     def __init__(self, dt: float, options: AdaptiveSteps) -> None:
         self.options = options
-        self.dt, self.streak = dt, 0
+        self.dt, self.longest, self.streak = dt, options.dt_max, 0
         self._growth = GrowthControl(options.damage_growth, options.dt_min)
         self._last_error: float | None = None
         self._estimate: ErrorEstimate | None = None
