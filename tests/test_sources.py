@@ -52,6 +52,17 @@ def type_names(path: Path) -> Iterator[str]:
             yield from (t.id for t in targets if isinstance(t, ast.Name) and re.match("_?[A-Z]+[a-z]", t.id))
 
 
+def test_a_term_declares_what_others_need_of_it():
+    """No module but the base of terms asks for a term's class."""
+    asking = {
+        f"{path.relative_to(ROOT)}:{number}"
+        for path in PACKAGE
+        for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1)
+        if re.search(r"isinstance\((\w+\.)*term, ", line) and path.name != "term.py"
+    }
+    assert not asking
+
+
 def test_a_name_is_that_of_one_class_or_alias():
     places: dict[str, list[str]] = {}
     for path in PACKAGE:

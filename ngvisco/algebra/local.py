@@ -120,15 +120,15 @@ class LocalMatrix:
         """Interpolate ``values``, (..., nodes of a cell), to all rows of a cell."""
         if (shape := self.shape) is None:
             return values
-        found = values.reshape(-1, len(shape)) @ shape.astype(values.dtype, copy=False)
-        return found.reshape(*values.shape[:-1], values.shape[-1] // len(shape) * shape.shape[1])
+        product = values.reshape(-1, len(shape)) @ shape.astype(values.dtype, copy=False)
+        return product.reshape(*values.shape[:-1], values.shape[-1] // len(shape) * shape.shape[1])
 
     def to_nodes(self, values: np.ndarray) -> np.ndarray:
         """Apply the transpose of ``from_nodes`` to ``values``, (..., rows of a cell)."""
         if (shape := self.shape) is None:
             return values
-        found = values.reshape(-1, shape.shape[1]) @ shape.T.astype(values.dtype, copy=False)
-        return found.reshape(*values.shape[:-1], values.shape[-1] // shape.shape[1] * len(shape))
+        product = values.reshape(-1, shape.shape[1]) @ shape.T.astype(values.dtype, copy=False)
+        return product.reshape(*values.shape[:-1], values.shape[-1] // shape.shape[1] * len(shape))
 
     @property
     def matrix(self) -> sp.csr_matrix:

@@ -29,8 +29,8 @@ class Rounded:
     def __call__(self, rows: np.ndarray) -> np.ndarray:
         """Apply the matrix to each row, (rows, width) -> (rows, height)."""
         length = largest(rows)
-        found = apply(self._matrix, (rows / length).astype(precision.SINGLE))
-        return np.float64(self._unit * length) * found
+        product = apply(self._matrix, (rows / length).astype(precision.SINGLE))
+        return np.float64(self._unit * length) * product
 
 
 def widened(matrix: sp.csr_matrix, height: int, width: int) -> sp.csr_matrix:
@@ -88,14 +88,14 @@ def inverse_of_blocks(matrix: sp.csr_matrix) -> sp.csr_matrix:
     return Blocks(matrix).inverse(matrix)
 
 
-def of_blocks(own: np.ndarray, across: np.ndarray, neighbours: np.ndarray, count: int) -> sp.csr_matrix:
+def of_blocks(diagonal: np.ndarray, across: np.ndarray, neighbours: np.ndarray, count: int) -> sp.csr_matrix:
     """Matrix of blocks: ``own`` blocks of cells, (cells, q, q), and ``across`` sides, (cells, sides, q, q).
 
     ``neighbours`` (cells, sides) are the cells across the sides; ``count`` is the number of all cells, of
     which the last ones may have no rows.
     """
     cells, sides, q, _ = across.shape
-    blocks = np.concatenate([own[:, None], across], axis=1).reshape(-1, q, q)
+    blocks = np.concatenate([diagonal[:, None], across], axis=1).reshape(-1, q, q)
     columns = np.concatenate([np.arange(cells)[:, None], neighbours], axis=1).ravel()
     ends = (1 + sides) * np.minimum(np.arange(count + 1), cells)
     matrix = sp.bsr_matrix((blocks, columns, ends), shape=(q * count, q * count)).tocsr()

@@ -47,8 +47,8 @@ class FacetCoupling:
         parts = (
             values.reshape(len(values), count, self.per_side).transpose(1, 2, 0) * self._weights[..., None]
         )
-        found = np.matmul((tests or self._z).values, parts)
-        return found.transpose(0, 2, 1).reshape(count, len(values) * found.shape[1])
+        rows = np.matmul((tests or self._z).values, parts)
+        return rows.transpose(0, 2, 1).reshape(count, len(values) * rows.shape[1])
 
     def beyond(self, blocks: np.ndarray) -> np.ndarray:
         """Blocks of the other side, (sides, ., .); zero on the boundary."""

@@ -91,8 +91,8 @@ class Couplings:
     def beside_the_points(self) -> list[Term]:
         """Terms with rows of the flow that are linearised in v, wall stress and Pi through their forms."""
         at_coarse_points = {id(term) for term in self.of_gradients()}  # a user may define ==
-        others = (term for term in self.at_points if term.linearised and id(term) not in at_coarse_points)
-        return [*self.by_forms, *(term for term in others if self._of_flow(term))]
+        linearised = (term for term in self.at_points if term.linearised and id(term) not in at_coarse_points)
+        return [*self.by_forms, *(term for term in linearised if self._of_flow(term))]
 
     def of_gradients(self) -> list[PointTerm]:
         """Terms with rows of grad w, and no other unknown of the flow than v: a coarse quadrature rule
@@ -119,13 +119,13 @@ class Couplings:
 
     def of_state(self) -> list[PointTerm]:
         """Terms, except rates and the elastic force, with rows of z or stresses that depend on z or zeta."""
-        stresses, found = {id(term) for term in self.of_gradients()}, []
+        stresses, terms = {id(term) for term in self.of_gradients()}, []
         for term in self.at_points:
             reads = self._rows[id(term)].names
             is_stress = id(term) in stresses and any(reads.values())
             if term.linearised and (reads.get("z") or is_stress):
-                found.append(term)
-        return found
+                terms.append(term)
+        return terms
 
     def collocated(self) -> list[PointTerm]:
         """Terms that are integrated by a collocated rule: one point per coefficient of a field."""
@@ -149,14 +149,14 @@ def _refused(term: object, reason: str) -> ParameterError:
 def _rows_at_points(step: Step, term: PointTerm) -> TermRows:
     """Rows of a term at points; raises ParameterError if the term cannot be evaluated by arrays."""
     try:
-        found = OnePoint(step).rows(term)
+        rows = OnePoint(step).rows(term)
     except NotAtPointsError as error:
         reason = f"{error}; with rows of the flow alone it is taken by its form: say couples = 'flow'"
         raise _refused(term, reason) from error
     names = in_cells(step.layout)
-    if others := set(found.names) - {*names, *(f"grad {name}" for name in names)}:
-        raise _refused(term, f"no array takes its rows of {', '.join(sorted(others))}: say couples = 'flow'")
-    return found
+    if unknown := set(rows.names) - {*names, *(f"grad {name}" for name in names)}:
+        raise _refused(term, f"no array takes its rows of {', '.join(sorted(unknown))}: say couples = 'flow'")
+    return rows
 
 
 def _require_arrays(step: Step, term: Any) -> None:
@@ -165,11 +165,11 @@ def _require_arrays(step: Step, term: Any) -> None:
     z = step.layout.states.tensors(lambda: Array(np.ones((step.layout.states.size, 1)), None))
     try:
         with np.errstate(all="ignore"):  # the law may not be defined where all values are one
-            found = [*law.moduli(z)]
-            found += [law.linear(z)] if law.is_linear else [law.coefficient(one, z), law.slope(one, z)]
+            moduli = [*law.moduli(z)]
+            moduli += [law.linear(z)] if law.is_linear else [law.coefficient(one, z), law.slope(one, z)]
     except Exception as error:  # a user's law may raise anything
         raise _refused(term, f"its law does not take arrays: {why(error)}") from error
-    if not all(isinstance(value, (int, float, Array)) for value in found):
+    if not all(isinstance(value, (int, float, Array)) for value in moduli):
         raise _refused(term, "its coefficients are not made of the variables' values alone")
 
 
@@ -192,7 +192,7 @@ def _require_flow_rows(step: Step, term: Term) -> set[str]:
     ParameterError
         If the form tests an unknown that does not belong to the flow.
     """
-    layout, names = step.layout, Unknowns(step).flow
+    layout, names = step.layout, Unknowns(step).velocity_block
     trial, test = layout.space.TnT()
     tests = {name: part for name, part in zip(layout.names, test, strict=True) if name in names}
     reason = "it has a row of {name}, and the split solver takes forms with rows of the flow only"

@@ -75,8 +75,8 @@ class FieldDiffusionRows:
 
         def with_means(test: str) -> sp.csr_matrix:
             """Rows of ``test`` as a function of zeta in cells, the traces being its means."""
-            own = block(test, "zeta")
-            return widened(own, own.shape[0], count) + block(test, "zeta_delta_hat") @ to_means
+            of_cell = block(test, "zeta")
+            return widened(of_cell, of_cell.shape[0], count) + block(test, "zeta_delta_hat") @ to_means
 
         lifting = -with_means("z_slope")
         self._lifting = [lifting[j * size : (j + 1) * size].tocsr() for j in range(self._dim)]
@@ -91,18 +91,18 @@ class FieldDiffusionRows:
         """The matrix from zeta in cells, including other ranks' cells across facets, to its means on
         facets."""
         halo, q = traces.halo, self.unknowns.per_cell
-        own = widened(self._to_mean, self._to_mean.shape[0], self.unknowns.count)
+        of_cell = widened(self._to_mean, self._to_mean.shape[0], self.unknowns.count)
         facets = traces.unknowns[traces.of_facets.places]  # (shared facets, functions)
         if not len(facets):
-            return own
+            return of_cell
         count, size = facets.shape
         numbers = halo.beside, halo.cells + np.arange(count)
         here, beyond = (q * cells[:, None] + np.arange(q) for cells in numbers)
         rows = np.repeat(facets, q, axis=1).ravel()
         parts = np.asarray(self._to_mean[rows, np.tile(here, (1, size)).ravel()]).reshape(count, size, q)
-        others = halo.swapped(parts).ravel()
+        received = halo.swapped(parts).ravel()
         columns = np.tile(beyond, (1, size)).ravel()
-        return (own + sp.csr_matrix((others, (rows, columns)), shape=own.shape)).tocsr()
+        return (of_cell + sp.csr_matrix((received, (rows, columns)), shape=of_cell.shape)).tocsr()
 
     def laplacian(self, inverse_mass: sp.csr_matrix) -> sp.csr_matrix:
         """delta Laplace of one component with phi'' replaced by one: it approximates the rows for smooth z.
@@ -164,8 +164,8 @@ class FieldDiffusionRows:
         dim, n, _ = rows.shape
         q = self._op.z.blocks.shape[2]
         local = rows.reshape(dim, n, -1, q).transpose(2, 1, 3, 0).reshape(len(inverses), n * q, dim)
-        found = (inverses @ local).reshape(-1, n, q, dim)
-        return np.ascontiguousarray(found.transpose(3, 1, 0, 2)).reshape(rows.shape)
+        increments = (inverses @ local).reshape(-1, n, q, dim)
+        return np.ascontiguousarray(increments.transpose(3, 1, 0, 2)).reshape(rows.shape)
 
     def _changed(self, z: np.ndarray, dz: np.ndarray, q: np.ndarray) -> np.ndarray:
         """The derivative of the slopes' equations by z: phi'''(z) dz q, tested, (dim, n, functions)."""

@@ -260,8 +260,8 @@ class CellTerms:
             if unknown != name:
                 tested = [(D, values[..., j, :]) for j, D in enumerate(derivatives)]
             for operator, part in tested:
-                found = operator.loads(_full(part, count))
-                rows[unknown] = rows[unknown] + found if unknown in rows else found
+                load = operator.loads(_full(part, count))
+                rows[unknown] = rows[unknown] + load if unknown in rows else load
         return rows
 
     def summed(self, loads: Rows) -> Rows:
@@ -310,15 +310,15 @@ class FacetTerms:
 
     def loads(self, terms: Iterable[PointTerm], u: Fields) -> Rows:
         """Integrals over each cell's sides against its basis functions of v, rho and z; traces have none."""
-        found = self.factors(terms, u)
-        count, names = len(self.op.weights), {"v", "rho", "z"}.intersection(found)
-        return {name: self.op.of(name).loads(_full(found[name], count)) for name in names}
+        factors = self.factors(terms, u)
+        count, names = len(self.op.weights), {"v", "rho", "z"}.intersection(factors)
+        return {name: self.op.of(name).loads(_full(factors[name], count)) for name in names}
 
     def loads_of(self, term: PointTerm, name: str, u: Fields) -> np.ndarray:
         """Loads of the equation of the facet unknown ``name``, evaluated where this unknown is zero."""
         shape = self.layout.unknowns[name].shape
-        found = self.factors([term], with_values(u, **{name: np.zeros((*shape, 1))}))
-        return self.op.of(name).loads(_full(found[name], len(self.op.weights)))
+        factors = self.factors([term], with_values(u, **{name: np.zeros((*shape, 1))}))
+        return self.op.of(name).loads(_full(factors[name], len(self.op.weights)))
 
     def summed(self, loads: Rows) -> Rows:
         """Rows of all unknowns, assembled from the loads of all cells."""

@@ -107,20 +107,20 @@ class FacetTangent:
         """Derivatives by z of the values that the terms read, z and zeta, (cells, read q, columns q)."""
         r, z, q, lagged = self.residual, at.cells.z.value, self.coupling.functions, self.residual.slope.lagged
         cells, size, slope = self.coupling.cells, len(z), r.slope.derivative(z)
-        found = np.zeros((cells, len(self._read), q, size, q))
+        derivatives = np.zeros((cells, len(self._read), q, size, q))
         for n, (name, i) in enumerate(self._read):
             if name == "z":
-                found[:, n, :, i] = np.eye(q)
+                derivatives[:, n, :, i] = np.eye(q)
                 continue
             unit = np.zeros_like(z)
             unit[i] = 1.0
             curvature = np.where(lagged == lagged[i], slope(unit), 0.0)  # phi'' is symmetric
             for j in np.flatnonzero((curvature != 0).any(axis=1)):
                 values = curvature[j].reshape(cells, -1, 1) * r.op.z.blocks
-                found[:, n, :, j] = self._projecting @ values
-        used = r.ranks.largest((found != 0).any(axis=(0, 1, 2, 4)).astype(float))
+                derivatives[:, n, :, j] = self._projecting @ values
+        used = r.ranks.largest((derivatives != 0).any(axis=(0, 1, 2, 4)).astype(float))
         self.columns = [j for j in range(size) if used[j] or j in self.rows]
-        return found[:, :, :, self.columns].reshape(cells, len(self._read) * q, len(self.columns) * q)
+        return derivatives[:, :, :, self.columns].reshape(cells, len(self._read) * q, len(self.columns) * q)
 
     def _in_cells(self, u: Fields, d: Fields, name: str) -> np.ndarray:
         """Rows in cells of an increment, (cells, rows q): the part by its gradient or with gradients of
@@ -139,10 +139,10 @@ class FacetTangent:
 
     def _on_sides(self, u: Fields) -> np.ndarray:
         """Change of the rows of each side with the increment in ``u``, (sides, rows q)."""
-        found = self.residual.facet_terms.factors(self.terms, u)
-        if "z" not in found:
+        factors = self.residual.facet_terms.factors(self.terms, u)
+        if "z" not in factors:
             return np.zeros(())
-        return self.coupling.tested(self._change(found["z"], self.coupling.points))
+        return self.coupling.tested(self._change(factors["z"], self.coupling.points))
 
     def _change(self, values: np.ndarray, count: int) -> np.ndarray:
         change = values[self.rows].imag / TINY

@@ -52,9 +52,9 @@ class OnePoint:
         def marked(name: str, values: np.ndarray) -> np.ndarray:
             return values.astype(complex) if name in ("z", "zeta") else values
 
-        found, collocated = self._evaluated(term, marked)
+        rows, collocated = self._evaluated(term, marked)
         names, components = dict[str, bool](), set[int]()
-        for name, g in found:
+        for name, g in rows:
             names[name] = names.get(name, False) or np.iscomplexobj(g)
             if name in ("z", "grad z"):
                 components |= set(np.flatnonzero((g.reshape(len(g), -1) != 0).any(axis=1)).tolist())
@@ -63,13 +63,13 @@ class OnePoint:
     def read(self, terms: Iterable[PointTerm], names: Iterable[str]) -> list[tuple[str, int]]:
         """Unknowns among ``names`` and their components on which the terms' rows depend, also through
         gradients."""
-        terms, found = list(terms), []
+        terms, read = list(terms), []
         for name in names:
             size = self._shapes[name][0] if self._shapes[name] else 1
             for i in range(size):
                 if any(self._changes(term, name, i) for term in terms):
-                    found.append((name, i))
-        return found
+                    read.append((name, i))
+        return read
 
     def _changes(self, term: PointTerm, unknown: str, component: int) -> bool:
         def increased(name: str, values: np.ndarray) -> np.ndarray:
@@ -139,8 +139,8 @@ class OnePoint:
                 sloping = [name for name in ("rho", "z", "zeta") if name in names]
                 u, w = fields(side, names, sloping, FACETS), tests_of(step, False, side)
                 u.__dict__["jump"] = known(d)
-                found = factors_of(in_all + collocated), factors_of(list(term.facets(u, w)))
-                return [each for part in found for each in part.items()], bool(factors_of(collocated))
+                factors = factors_of(in_all + collocated), factors_of(list(term.facets(u, w)))
+                return [each for part in factors for each in part.items()], bool(factors_of(collocated))
         except NotAtPointsError:
             raise
         except Exception as error:  # a user's term may raise anything

@@ -166,8 +166,8 @@ class FacetMass:
         count, size = shared.shape
         rows, columns = np.repeat(shared, size, axis=1).ravel(), np.tile(shared, (1, size)).ravel()
         blocks = np.asarray(matrix[rows, columns]).reshape(count, size, size)
-        others = self.of_facets.others(blocks.transpose(1, 2, 0)).transpose(2, 0, 1)
-        return (matrix + sp.csr_matrix((others.ravel(), (rows, columns)), shape=matrix.shape)).tocsr()
+        received = self.of_facets.others(blocks.transpose(1, 2, 0)).transpose(2, 0, 1)
+        return (matrix + sp.csr_matrix((received.ravel(), (rows, columns)), shape=matrix.shape)).tocsr()
 
     def update(self, weights: np.ndarray) -> None:
         """Set ``inverses``, (facets, functions, functions), of the blocks with the weights (points,)."""

@@ -236,7 +236,9 @@ class ReducedResidual:
                 step, Operators(step, step.quadrature.collocation_order), rates, "collocated"
             )
         self.inverse_mass = inverse_of_blocks(mass_matrix(self.op.z.matrix, self.op.weights))
-        self.by_forms = RestrictedForm(step, u.flow, couplings.by_forms) if couplings.by_forms else None
+        self.by_forms = (
+            RestrictedForm(step, u.velocity_block, couplings.by_forms) if couplings.by_forms else None
+        )
         self.density = RestrictedForm(step, u.density, couplings.density) if couplings.density else None
         self._density_of_all: RestrictedForm | None = None
         self._of_forms: list[tuple[slice, sp.csr_matrix, np.ndarray]] = []

@@ -42,11 +42,11 @@ class PointwiseSlope:
 
     def derivative(self, z_values: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
         """The map dz -> phi''(z) dz at the points, both (n, points), for z (n, points)."""
-        own = self._whole_derivative(z_values)
+        derivative = self._whole_derivative(z_values)
         if not self.lagged.any():
-            return own
+            return derivative
         of_others = self._whole_derivative(self._seen(z_values))
-        return lambda dz: np.where(self.lagged, own(dz), of_others(np.where(self.lagged, 0.0, dz)))
+        return lambda dz: np.where(self.lagged, derivative(dz), of_others(np.where(self.lagged, 0.0, dz)))
 
     def hessian(self, z_values: np.ndarray) -> np.ndarray:
         """phi''(z), (n, n, points), for real z."""

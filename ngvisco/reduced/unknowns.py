@@ -28,21 +28,22 @@ def derived_in_cells(layout: Layout) -> list[str]:
 class Unknowns:
     """Packs the iterated unknowns of the state into one vector, and unpacks them.
 
-    Blocks in their order: ``flow`` is v, and the wall stress and the creep rate field if the step has them;
-    ``normals`` are the facets' normal derivatives; ``density`` is rho, and its traces if the continuity
-    equation is not linear; then follows z.  With bodies rho is a sum of components of z, and no unknown.
+    Blocks in their order: ``velocity_block`` is v, and the wall stress and the creep rate field if the step
+    has them; ``normals`` are the facets' normal derivatives; ``density`` is rho, and its traces if the
+    continuity equation is not linear; then follows z.  With bodies rho is a sum of components of z, and no
+    unknown.
     """
 
     def __init__(self, step: Step) -> None:
         layout = step.layout
         self._step, self.ranges = step, layout.ranges
-        self.flow = layout.names_of("velocity", "walls", "continuous")
+        self.velocity_block = layout.names_of("velocity", "walls", "continuous")
         self.normals = layout.names_of("normals")
         self.density = ["rho"] if "rho" in layout.unknowns else []
         if density_by_forms(step):
             facets = layout.names_of("facets")
             self.density += [name for name in facets if layout.unknowns[name].trace_of == "rho"]
-        self.names = [*self.flow, *self.normals, *self.density, "z"]
+        self.names = [*self.velocity_block, *self.normals, *self.density, "z"]
         sizes = {name: layout.unknowns[name].size for name in self.names}
         self.components = {name: size for name, size in sizes.items() if size is not None}
         lengths = [self.ranges[name].stop - self.ranges[name].start for name in self.names]
@@ -50,7 +51,7 @@ class Unknowns:
         self.slices = dict(zip(self.names, map(slice, ends[:-1], ends[1:]), strict=True))
         self.size = ends[-1]
         self.flow_slice, self.normal_slice, self.density_slice = map(
-            self._joint, (self.flow, self.normals, self.density)
+            self._joint, (self.velocity_block, self.normals, self.density)
         )
 
     def _joint(self, names: list[str]) -> slice:

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from ngvisco.errors import ParameterError, require_collection, require_names
-from ngvisco.forms.term import PointTerm
+from ngvisco.forms.term import point_terms
 from ngvisco.physics.walls import Wall
 
 METHODS_OF_OBSERVERS = ("start", "step", "finish")
@@ -21,7 +21,7 @@ def check_arguments(observers: Any, walls: Any, passive: Any, sources: Any, term
         require_methods("sources", sources, ("form", "entries"), "a Term, with")
     for term in require_collection("Simulation.terms", terms, "a sequence of Terms"):
         require_methods("terms", term, ("form", "entries"))
-        if not isinstance(term, PointTerm) and (names := [n for n in _OF_POINT_TERMS if hasattr(term, n)]):
+        if not point_terms([term]) and (names := [n for n in _OF_POINT_TERMS if hasattr(term, n)]):
             expected = f"a class that derives from nv.PointTerm, as it has {' and '.join(names)}"
             raise ParameterError("Simulation.terms", term, expected)
 

@@ -79,18 +79,18 @@ class BlockNorm:
         block."""
         sizes, turned, floor = [], 0.0, COARSE_FLOOR if coarse else FLOOR
         vectors = [u.FV().NumPy() for u in (increment, *states)]
-        parts = [[vector[own] for vector in vectors] for own in self._own.values()]
+        parts = [[vector[places] for vector in vectors] for places in self._own.values()]
         with np.errstate(over="ignore", invalid="ignore"):  # a diverging iterate is inf or NaN here
             squares = np.array([[part @ part for part in of_block] for of_block in parts])
             norms = np.sqrt(self._ranks.totals(squares))  # one reduction for all blocks
-            for (name, unit), (own, *of_states) in zip(self.units.items(), norms, strict=True):
+            for (name, unit), (norm, *of_states) in zip(self.units.items(), norms, strict=True):
                 one = unit * np.sqrt(self._counts[name])
                 if name in self.shared:
-                    turned = own / (max(of_states) + FLOOR * one + own) if own != 0 else 0.0
+                    turned = norm / (max(of_states) + FLOOR * one + norm) if norm != 0 else 0.0
                     sizes.append(SHARE * turned)
                 else:
                     scale = max(of_states) + floor * one
-                    sizes.append(own / scale if scale != 0 else 0.0)
+                    sizes.append(norm / scale if scale != 0 else 0.0)
         # numpy's maximum passes NaN on, Python's may drop it
         return float(np.max(sizes)), float(turned)
 

@@ -98,9 +98,9 @@ class RotheSolver:
         """
         if self.turns.obstacle is not None:
             raise StepError(f"the {self.turns.other} solver is not asked: {self.turns.obstacle}")
-        said = self.turns.turn()
+        words = self.turns.turn()
         self.newton.reset()
-        return said
+        return words
 
     def accept(self) -> None:
         """Accept the step that was solved last."""
@@ -126,18 +126,18 @@ class RotheSolver:
 
     def _new(self) -> Newton | Split:
         step, norm, options, local = self.step, self.norm, self.options, self.step.local_unknowns
-        found: Newton | Split
+        newton: Newton | Split
         if self.method == "split":
-            found = Split(step, norm, options, self.exchange)
-            reason = found.preconditioner.without_multigrid
+            newton = Split(step, norm, options, self.exchange)
+            reason = newton.preconditioner.without_multigrid
         else:
             more = local.update_stored, self.exchange, step.stresses, self._has_energy, self._growths
-            found = Newton(step.residual, step.state.vec, norm, local.update, options, *more)
+            newton = Newton(step.residual, step.state.vec, norm, local.update, options, *more)
             reason = "the coupled solver, which takes the steps, factorises all unknowns"
         if options.coarse != "direct" and reason is not None:
             message = f"coarse = {options.coarse!r} of the solver has no effect: {reason}"
             self.ranks.warn(message, InputWarning, stacklevel=5)
-        return found
+        return newton
 
     def _growths(self) -> int:
         return sum(self.ranks.gathered(self.step.local_unknowns.largest.growths))
@@ -195,8 +195,8 @@ class RotheSolver:
                 if self.method == "split" or not self._grows(interval, attempts):
                     failed = [attempt.solution for attempt in attempts if not attempt.solution.converged]
                     reason = failed[-1].reason  # steps of growing length may have been solved
-                    others = dict.fromkeys(note for note in self._met if note not in reason)
-                    raise StepError("; ".join([reason, *others]), attempts)
+                    notes = dict.fromkeys(note for note in self._met if note not in reason)
+                    raise StepError("; ".join([reason, *notes]), attempts)
         except BaseException:  # also an interrupt: never leave an iterate behind
             self.return_to(self._start)
             raise

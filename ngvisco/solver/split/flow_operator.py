@@ -56,7 +56,7 @@ class FlowSchurComplement:
         """Number of entries of grad v on which the fields' rates depend."""
         self.others: RestrictedForm | None = None
         if others := residual.couplings.beside_the_points():
-            self.others = RestrictedForm(residual.step, u.flow, others)
+            self.others = RestrictedForm(residual.step, u.velocity_block, others)
         self.leading, self.inertial = residual.couplings.of_gradients(), residual.couplings.of_inertia()
         self._assembled = ElementAssembly(op.v.unknowns, op.v.width)
         self.cells, self.local, self.functions = op.v.cells, op.v.local, op.z.local
@@ -99,12 +99,12 @@ class FlowSchurComplement:
         tests = tests.reshape(cells, per * (1 + d), local).transpose(0, 2, 1)
         z_tests = precision.single(op.z.blocks * op.weights.reshape(cells, per, 1)).transpose(0, 2, 1)
         base = precision.single(self._base(p)).reshape(count, (1 + d) * d**2, 1 + d)
-        own = np.matmul(tests, np.matmul(base, shapes).reshape(cells, per * (1 + d), d * d * local))
-        own = own.reshape(cells, local, d, d, local)
+        blocks = np.matmul(tests, np.matmul(base, shapes).reshape(cells, per * (1 + d), d * d * local))
+        blocks = blocks.reshape(cells, local, d, d, local)
         mass = self._mass(fine, at)
         for i in range(d):
-            own[:, :, i, i] += mass
-        self.own[where] = own.reshape(cells, local * d, d * local)
+            blocks[:, :, i, i] += mass
+        self.own[where] = blocks.reshape(cells, local * d, d * local)
         # from (v, grad v) to rows of z: - rate(z; grad dv) + (dv . grad) z
         to_z = np.empty((count, n, d, 1 + d), precision.SINGLE)
         to_z[..., 0] = p.fields.grad_z.value.transpose(2, 0, 1)
@@ -146,7 +146,7 @@ class FlowSchurComplement:
     def _rest(self) -> sp.csr_matrix | None:
         """The matrix of walls, damping, the creep rate field and users' terms."""
         rest = None if self.others is None else self.others.jacobian()
-        if "Pi" not in self.residual.unknowns.flow:
+        if "Pi" not in self.residual.unknowns.velocity_block:
             return rest
         # the change of M with a creep rate field Pi in a step; the coupling to v is left out
         first, values = self.gradients, self.op.of("Pi")[0].matrix
@@ -222,11 +222,11 @@ class FlowSchurComplement:
         cells = dz.reshape(*self.points.resolvent.shape[:2], 1)  # a rank may have no cells
         return np.matmul(self.points.resolvent, cells).reshape(dz.shape)
 
-    def _rows_of(self, cells: np.ndarray, own: sp.csr_matrix | None, i: int) -> sp.csr_matrix:
+    def _rows_of(self, cells: np.ndarray, hyper_tangent: sp.csr_matrix | None, i: int) -> sp.csr_matrix:
         """Rows of component i of v, of element matrices, and of v's matrix of its own in each component."""
         blocks, n = [self._assembled(cells[:, :, i, k]) for k in range(self.dim)], self.op.v.width
-        if own is not None:
-            blocks[i] = blocks[i] + own[:n, :n]
+        if hyper_tangent is not None:
+            blocks[i] = blocks[i] + hyper_tangent[:n, :n]
         return sp.hstack(blocks, format="csr")
 
     def tangent(self, at: Evaluation, hyper: HyperTangent | None) -> sp.csr_matrix:
@@ -243,12 +243,12 @@ class FlowSchurComplement:
         fields = self.sweep.in_cells(rows).reshape(self.to_fields.shape)
         cells = (self.own - self.from_fields @ fields).reshape(self.cells, local, d, d, local)
         del rows, fields
-        own = None
+        hyper_tangent = None
         if hyper is not None and at.hyper is not None:
             with self.residual.ranks.together(np.linalg.LinAlgError):
-                own = hyper.update(at.hyper)
-        matrix = sp.vstack([self._rows_of(cells, own, i) for i in range(d)], format="csr")
+                hyper_tangent = hyper.update(at.hyper)
+        matrix = sp.vstack([self._rows_of(cells, hyper_tangent, i) for i in range(d)], format="csr")
         matrix.resize((self.size, self.size))
         if self.rest is not None:
             matrix = (matrix + self.rest).tocsr()
-        return matrix if hyper is None or not len(hyper.kept) else hyper.bordered(matrix, own, d)
+        return matrix if hyper is None or not len(hyper.kept) else hyper.bordered(matrix, hyper_tangent, d)

@@ -205,22 +205,22 @@ class HyperTangent:
         _, coupling, facets = self._in_parts(of_jumps)
         E = -(self._facets.inverse(facets) @ coupling.T).tocsr()
         self.E_t = Rounded(E.T)
-        own, coupling, others = self._in_parts(of_jumps + self._of_hessians(cell))
-        cross = (coupling.T + others @ E).tocsr()
-        matrix: sp.csr_matrix = (own + coupling @ E + E.T @ cross).tocsr()
+        of_v, coupling, of_rest = self._in_parts(of_jumps + self._of_hessians(cell))
+        cross = (coupling.T + of_rest @ E).tocsr()
+        matrix: sp.csr_matrix = (of_v + coupling @ E + E.T @ cross).tocsr()
         # a = E v + (blocks)^{-1} (r - cross v), where v includes the kept a
-        of_rows = self._facets.inverse(others)
+        of_rows = self._facets.inverse(of_rest)
         self.of_velocity, self.of_rows = Rounded(E - of_rows @ cross), Rounded(of_rows)
         return matrix
 
-    def bordered(self, matrix: sp.csr_matrix, own: sp.csr_matrix, dim: int) -> sp.csr_matrix:
+    def bordered(self, matrix: sp.csr_matrix, tangent: sp.csr_matrix, dim: int) -> sp.csr_matrix:
         """Append rows and columns of the kept a to a matrix of the flow's unknowns, v's components first.
 
         ``own`` is the matrix of one component of v and of the kept a.
         """
         each = sp.identity(dim)
-        width = own.shape[0] - len(self.kept)
-        others, count = matrix.shape[0] - dim * width, dim * len(self.kept)
-        right = sp.vstack([sp.kron(each, own[:width, width:]), sp.csr_matrix((others, count))])
-        below = sp.hstack([sp.kron(each, own[width:, :width]), sp.csr_matrix((count, others))])
-        return sp.bmat([[matrix, right], [below, sp.kron(each, own[width:, width:])]], format="csr")
+        width = tangent.shape[0] - len(self.kept)
+        rest, count = matrix.shape[0] - dim * width, dim * len(self.kept)
+        right = sp.vstack([sp.kron(each, tangent[:width, width:]), sp.csr_matrix((rest, count))])
+        below = sp.hstack([sp.kron(each, tangent[width:, :width]), sp.csr_matrix((count, rest))])
+        return sp.bmat([[matrix, right], [below, sp.kron(each, tangent[width:, width:])]], format="csr")

@@ -91,8 +91,8 @@ class CollocatedTangent(_AtPoints):
         u = self.terms.fields(at.coefficients)
         self.curvature = self._curvature(u)
         self.rate_slope = np.zeros((self.op.points.count, self.components, self.components))
-        for some, found in self._slopes(self.terms, u, self.curvature):
-            self.rate_slope[:, :, some] -= found["z"].transpose(2, 0, 1)
+        for some, slopes in self._slopes(self.terms, u, self.curvature):
+            self.rate_slope[:, :, some] -= slopes["z"].transpose(2, 0, 1)
 
     def follow(self, dz: np.ndarray, length: float) -> None:
         """Move the linearisation stresses along with ``length`` times an increment of z, coefficients (n,
@@ -141,7 +141,7 @@ class PointTangent(_AtPoints):
         self.resolvent = np.zeros((operators.z.cells, local * n, local * n), kind)
         self.force: np.ndarray | None = None
         self.columns: np.ndarray | None = None
-        if self.collocated is not None or "Pi" in residual.unknowns.flow:
+        if self.collocated is not None or "Pi" in residual.unknowns.velocity_block:
             # steep rules and creep rate fields need both at the points
             self.force, self.columns = np.zeros((count, X, n)), np.zeros((count, n, X))
 
@@ -185,16 +185,16 @@ class PointTangent(_AtPoints):
         if not (self._asked or self._creeps):
             return K, force
         K, of_creep = K.copy(), columns[:, :, g:]
-        for some, found in self._slopes(terms, u, curvature):
-            if "creep" in found:
-                K[:, :, some] += np.matmul(of_creep, found["creep"].transpose(2, 0, 1))
-            if "z" in found:
-                K[:, :, some] -= found["z"].transpose(2, 0, 1)
-            if "grad v" in found:
-                stress = found["grad v"]
+        for some, slopes in self._slopes(terms, u, curvature):
+            if "creep" in slopes:
+                K[:, :, some] += np.matmul(of_creep, slopes["creep"].transpose(2, 0, 1))
+            if "z" in slopes:
+                K[:, :, some] -= slopes["z"].transpose(2, 0, 1)
+            if "grad v" in slopes:
+                stress = slopes["grad v"]
                 force[:, :plane, some] += stress.reshape(plane, *stress.shape[2:]).transpose(2, 0, 1)
-            if (radius := radius_of(u)) is not None and "v" in found:
-                force[:, plane, some] += (radius * found["v"][0]).T
+            if (radius := radius_of(u)) is not None and "v" in slopes:
+                force[:, plane, some] += (radius * slopes["v"][0]).T
         return K, force
 
     def fields_rows(self, dz: np.ndarray) -> np.ndarray:
@@ -250,5 +250,5 @@ def _resolvents(matrices: np.ndarray) -> np.ndarray:
 def radius_of(u: Fields) -> np.ndarray | None:
     """The radius r of a body of revolution at the points, (points,); None for other bodies."""
     radius = u.layout.symmetry.radius
-    found: np.ndarray | None = None if radius is None else u.context.given(radius).value
-    return found
+    radius_here: np.ndarray | None = None if radius is None else u.context.given(radius).value
+    return radius_here

@@ -153,13 +153,15 @@ class Preconditioner:
         self._of_tangent = self.exchange.part(places)
         """Exchanges the tangent's unknowns: the flow's, and the normal derivatives on facets between
         ranks."""
-        self.free = np.concatenate([mask_of(step.layout.blocks[name].FreeDofs()) for name in unknowns.flow])
+        self.free = np.concatenate(
+            [mask_of(step.layout.blocks[name].FreeDofs()) for name in unknowns.velocity_block]
+        )
         self._held = np.flatnonzero(~self.free)
         self._whole: Callable[[], Direct] | None = None
         """Makes a solver that factorises the whole tangent, if it may replace the two levels; else None."""
         self._two_levels: Direct | None = None
         self.solver = self._solver(np.append(self.free, np.ones(len(places) - count, dtype=bool)))
-        self._blocks = [unknowns.slices[name] for name in unknowns.flow]
+        self._blocks = [unknowns.slices[name] for name in unknowns.velocity_block]
         if residual.hyper is not None:
             self._blocks.append(unknowns.normal_slice)
         self._lengths = [self.exchange.length(where) for where in self._blocks]
@@ -170,21 +172,23 @@ class Preconditioner:
         """Make a solver for the velocity tangent restricted to the unknowns ``free``."""
         exchange, operator, number = self._of_tangent, self.operator, np.arange(len(free))
         count = int(self.ranks.total(int((free & exchange.owned)[: operator.size].sum())))
-        whole = partial(direct_solver, free, exchange, self.unknowns.flow == ["v"])
+        whole = partial(direct_solver, free, exchange, self.unknowns.velocity_block == ["v"])
         if count <= (largest := self.options.direct_up_to[self.dim - 2]):
             self.without_multigrid = f"up to {largest} unknowns of v are factorised as a whole, here {count}"
             return whole()
         if count <= self.options.direct_at_most[self.dim - 2]:
             self._whole = whole
         mesh, width = operator.residual.step.mesh, operator.op.v.width
-        others = (number >= operator.nv) & (number < operator.size)
+        beside_v = (number >= operator.nv) & (number < operator.size)
         vertices = (number < operator.nv) & (number % width < mesh.nv)
-        if self.ranks.any(others.any()):
-            known = " and ".join(_IN_WORDS.get(name, name) for name in self.unknowns.flow if name != "v")
+        if self.ranks.any(beside_v.any()):
+            known = " and ".join(
+                _IN_WORDS.get(name, name) for name in self.unknowns.velocity_block if name != "v"
+            )
             self.without_multigrid = f"with {known} beside v the matrix is not positive definite"
         self._multigrid = self._coarse != "direct" and self.without_multigrid is None
         self._kernel = rigid_motions(mesh, width, len(free)) if self._multigrid else None
-        return TwoLevelSolver(free, vertices, others, self._factorised, exchange)
+        return TwoLevelSolver(free, vertices, beside_v, self._factorised, exchange)
 
     def _factorised(self, free: np.ndarray, matrix: sp.csr_matrix, symmetric: bool) -> Direct:
         """The factorised solver for the vertices: multigrid if the options ask for it and the matrix allows
@@ -298,13 +302,13 @@ class Preconditioner:
         if tangent is None:
             return self.solver(rows)
         a, size = a.reshape(dim, -1), self.operator.nv
-        kept, others = a[:, tangent.kept], a[:, tangent.eliminated]
+        kept, eliminated = a[:, tangent.kept], a[:, tangent.eliminated]
         rows = np.append(rows, kept)
-        of_others = tangent.E_t(others)[:, : size // dim]
+        of_others = tangent.E_t(eliminated)[:, : size // dim]
         rows[:size] += self._of_velocity.sum(of_others).ravel()
         flow, increment = np.split(self.solver(rows), [len(self.free)])
         kept, da = increment.reshape(kept.shape), np.empty_like(a)
         da[:, tangent.kept] = kept
         beside = np.concatenate([flow[:size].reshape(dim, size // dim), kept], axis=1)
-        da[:, tangent.eliminated] = tangent.of_velocity(beside) + tangent.of_rows(others)
+        da[:, tangent.eliminated] = tangent.of_velocity(beside) + tangent.of_rows(eliminated)
         return np.concatenate([flow, da.ravel()])

@@ -35,12 +35,12 @@ SHARE = 0.05
 class SweptMatrix:
     """A matrix of cells' blocks in single precision, and an approximate inverse by sweeps over the cells."""
 
-    def __init__(self, own: np.ndarray, across: np.ndarray, coupling: FacetCoupling) -> None:
+    def __init__(self, diagonal: np.ndarray, across: np.ndarray, coupling: FacetCoupling) -> None:
         """``own`` and ``across`` are the blocks that ``FacetCoupling.blocks`` returns."""
         count, sides, q, _ = across.shape
-        self._coupling, self._own = coupling, own
+        self._coupling, self._own = coupling, diagonal
         self._across = across.transpose(0, 2, 1, 3).reshape(count, q, sides * q)
-        self._rows = np.concatenate([own, self._across], axis=2).astype(precision.SINGLE)
+        self._rows = np.concatenate([diagonal, self._across], axis=2).astype(precision.SINGLE)
 
     def invert(self) -> SweptMatrix:
         """Invert the cells' own blocks; raises LinAlgError if one is singular."""
@@ -90,14 +90,14 @@ class Exchanged:
         free = np.ones(self._unknowns.count, dtype=bool)
         self._solvers = [direct_solver(free, self._unknowns) for _ in self.rows]
 
-    def update(self, at: Evaluation, own: np.ndarray, across: np.ndarray) -> None:
+    def update(self, at: Evaluation, diagonal: np.ndarray, across: np.ndarray) -> None:
         """Linearise and factorise at an evaluation; ``own`` and ``across`` are the blocks of transport."""
         (here, there), coupling = self.tangent(at), self._coupling
         q, cells = coupling.functions, coupling.cells
         self._columns = self.tangent.columns
         for n, (i, solver) in enumerate(zip(self.rows, self._solvers, strict=True)):
             row, column = (slice(q * k, q * (k + 1)) for k in (n, self._columns.index(i)))
-            whole = own + here[:, row, column], across + there[:, :, row, column]
+            whole = diagonal + here[:, row, column], across + there[:, :, row, column]
             solver.factorise(of_blocks(*whole, coupling.neighbours, coupling.halo.count))
         blocks = np.concatenate([here[:, None], there], axis=1).astype(precision.SINGLE)
         self._blocks = blocks.transpose(0, 2, 1, 3).reshape(
@@ -113,8 +113,8 @@ class Exchanged:
         of_both = np.concatenate([values[:, None], beside], axis=1).reshape(
             coupling.cells, self._blocks.shape[2], 1
         )
-        found = np.matmul(self._blocks, of_both).reshape(coupling.cells, len(self.rows), q)
-        return found.swapaxes(1, 2).reshape(len(x), len(self.rows))
+        increments = np.matmul(self._blocks, of_both).reshape(coupling.cells, len(self.rows), q)
+        return increments.swapaxes(1, 2).reshape(len(x), len(self.rows))
 
     def solve(self, r: np.ndarray, result: np.ndarray) -> None:
         """Solve for the exchanged components from rows r, and put them into ``result``.
@@ -164,23 +164,23 @@ class TransportSweeps:
         share = mean_share(r.side_op.inner)
         normal_velocity = r.side_op.crossed * (r.side_op.points.normals * at.facets.v.value).sum(axis=0)
         inward = normal_velocity - abs(normal_velocity)
-        own, across = coupling.blocks(-inward, share, inward)
-        own += self._entering("z", at, inward)
-        own += storage + convection
+        diagonal, across = coupling.blocks(-inward, share, inward)
+        diagonal += self._entering("z", at, inward)
+        diagonal += storage + convection
         if self._whole is not None:
-            transport = of_blocks(own, across, coupling.neighbours, coupling.halo.count)
+            transport = of_blocks(diagonal, across, coupling.neighbours, coupling.halo.count)
             self._whole.factorise((transport + self._laplacian).tocsr())
         if self.exchange is not None:
-            self.exchange.update(at, own, across)
+            self.exchange.update(at, diagonal, across)
         with r.ranks.together(np.linalg.LinAlgError):
-            self.of_z = SweptMatrix(own, across, coupling).invert()
+            self.of_z = SweptMatrix(diagonal, across, coupling).invert()
         self._count_sweeps()
         if self._density is None and r.unknowns.density:
-            own, across = coupling.blocks(abs(normal_velocity), share, inward)
-            own += self._entering("rho", at, inward)
-            own += storage - convection.transpose(0, 2, 1)
+            diagonal, across = coupling.blocks(abs(normal_velocity), share, inward)
+            diagonal += self._entering("rho", at, inward)
+            diagonal += storage - convection.transpose(0, 2, 1)
             with r.ranks.together(np.linalg.LinAlgError):
-                self.of_rho = SweptMatrix(own, across, coupling).invert()
+                self.of_rho = SweptMatrix(diagonal, across, coupling).invert()
 
     def _entering(self, name: str, at: Evaluation, inward: np.ndarray) -> np.ndarray | float:
         """The contribution to the rows of ``"rho"`` or ``"z"`` of matter that flows in through walls."""
