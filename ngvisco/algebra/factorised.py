@@ -169,11 +169,13 @@ class TwoLevelSolver:
         fine = self._fine = np.flatnonzero(self.free & ~is_coarse & (diagonal != 0))
         coarse = self._coarse = np.flatnonzero(self.free & is_coarse)
         self._of_fine, self._of_coarse = exchange.part(fine), exchange.part(coarse)
-        rows = matrix[fine]
-        own = _without_small(rows[:, fine], diagonal[fine], self.dropped)
-        self._own = own.astype(precision.SINGLE)
-        self._from_coarse = rows[:, coarse].tocsr().astype(precision.SINGLE)
         self._to_coarse = matrix[coarse][:, fine].tocsr().astype(precision.SINGLE)
+        rows = matrix[fine]
+        self._from_coarse = rows[:, coarse].tocsr().astype(precision.SINGLE)
+        own = rows[:, fine].tocsr()
+        del rows
+        _drop_small(own, diagonal[fine], self.dropped)
+        self._own = own.astype(precision.SINGLE)
         # a sum of matrices, scaled by its diagonal, has no larger eigenvalue than its scaled parts
         largest = exchange.communicator.most(largest_eigenvalue(own))
         self._smoother = (DAMPING / (largest * diagonal[fine])).astype(precision.SINGLE)
@@ -202,11 +204,13 @@ class TwoLevelSolver:
         return x
 
 
-def _without_small(matrix: sp.csr_matrix, diagonal: np.ndarray, share: float) -> sp.csr_matrix:
-    """The matrix without entries below ``share`` times the geometric mean of the two diagonal entries."""
-    size, m = np.sqrt(abs(diagonal)), matrix.tocoo()
-    kept = abs(m.data) >= share * size[m.row] * size[m.col]
-    return sp.csr_matrix((m.data[kept], (m.row[kept], m.col[kept])), shape=m.shape)
+def _drop_small(matrix: sp.csr_matrix, diagonal: np.ndarray, share: float) -> None:
+    """Remove entries below ``share`` times the geometric mean of the two diagonal entries, in place."""
+    size = np.sqrt(abs(diagonal))
+    bound = np.repeat(share * size, np.diff(matrix.indptr))
+    bound *= size[matrix.indices]
+    matrix.data[abs(matrix.data) < bound] = 0.0
+    matrix.eliminate_zeros()
 
 
 def largest_eigenvalue(matrix: sp.csr_matrix) -> float:

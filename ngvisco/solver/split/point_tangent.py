@@ -74,7 +74,7 @@ class _AtPoints:
 
     def rows(self, dz: np.ndarray) -> np.ndarray:
         """Rows (K dz, .) from coefficients dz, both (cells' unknowns, n)."""
-        values = self.op.z(np.ascontiguousarray(dz.T))
+        values = self.op.z(np.ascontiguousarray(dz.T)).astype(self.rate_slope.dtype)
         return self.op.z.test(at_points(self.rate_slope, values)).T
 
 
@@ -136,8 +136,8 @@ class PointTangent(_AtPoints):
         self._creeps = bool(rates.mechanisms) and rates.is_local and not rates.creep_is_collocated
         self.parts = [(part.cells, terms.part(part.cells)) for part in residual.parts]
         n, X, local = self.components, len(rates.tensors.constant), operators.z.local
-        self.rate_slope = np.zeros((count, n, n))
         kind = precision.SINGLE if self.collocated is None else np.float64
+        self.rate_slope = np.zeros((count, n, n), kind)
         self.resolvent = np.zeros((operators.z.cells, local * n, local * n), kind)
         self.force: np.ndarray | None = None
         self.columns: np.ndarray | None = None
