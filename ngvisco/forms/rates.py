@@ -147,7 +147,11 @@ class Rates:
         return found
 
     def _interface(self, law: MixedViscosity, old: UnknownValues) -> CoefficientFunction:
-        """Projection n x n, 3x3, on the slope n of the viscosities' mean logarithm at the step's start."""
+        """Projection n x n, 3x3, on the slope n of the viscosities' mean logarithm at the step's start.
+
+        It tends to zero where the mean changes by less than ``_NO_INTERFACE`` in a cell: a slope of rounding
+        has any direction.
+        """
         states, dim = old.layout.states, old.dim
         theta, weights = law.fractions.at(old.z_tensors), {n: math.log(G) for n, G in law.in_series.items()}
         mean = reduce(add, (weight * theta[name] for name, weight in weights.items()))
@@ -158,7 +162,8 @@ class Rates:
             parts.append((weight - mean) * linear_map(np.kron(row, np.eye(dim)), old.grad_z, (dim,)))
         slope = reduce(add, parts)
         column = linear_map(np.kron(np.eye(3, dim), np.eye(3)[:, :1]), slope, (3, 3))
-        return (1 / (square(column) + _NO_SLOPE)) * (column * column.trans)
+        least = _NO_INTERFACE / old.context.h
+        return (1 / (square(column) + least * least)) * (column * column.trans)
 
     def pressure(self, u: UnknownValues) -> CoefficientFunction:
         """Pressure -tr T/3 from the projected conjugates, Pa."""
@@ -220,8 +225,8 @@ def _tensors(G: UnknownValues, name: Conjugate) -> Values:
 
 _ROUNDING = 1e-12
 
-_NO_SLOPE = 1e-100
-"""Summand, 1/m^8, by which n x n tends to zero where the slope is zero."""
+_NO_INTERFACE = 1e-6
+"""Change of the mean logarithm of viscosities over a cell's size below which there is no interface."""
 
 
 class TabulatedRates(Rates):
