@@ -149,6 +149,7 @@ def squeezed(material, speed, dt):
     return nv.Simulation(mesh, model, dt=dt, initial=initial)
 
 
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore::ngvisco.run.signs.DissipationWarning")  # cells of a sixth of the box
 def test_J_of_a_fluid_passes_zero_by_its_motion_and_comes_back():
     """With J_min; without, the limiter holds the same fluid's J above zero, or the run ends."""
