@@ -41,6 +41,12 @@ class Functions(NamedTuple):
         """Values at the points, (sides, functions, points), made anew."""
         return self.nodal if self.shape is None else self.nodal @ self.shape
 
+    def loads(self, values: np.ndarray) -> np.ndarray:
+        """Sums over points of functions times ``values``, (sides, points, n) -> (sides, functions, n)."""
+        if not len(self.nodal):  # of a rank without cells, whose nodes have no number
+            return np.zeros((0, self.nodal.shape[1], values.shape[2]))
+        return np.asarray(np.matmul(self.values, values))
+
 
 class LocalMatrix:
     """A sparse matrix with dense blocks for cells, and its transpose with weighted rows.

@@ -47,7 +47,7 @@ class FacetCoupling:
         parts = (
             values.reshape(len(values), count, self.per_side).transpose(1, 2, 0) * self._weights[..., None]
         )
-        rows = np.matmul((tests or self._z).values, parts)
+        rows = (self._z if tests is None else tests).loads(parts)
         return rows.transpose(0, 2, 1).reshape(count, len(values) * rows.shape[1])
 
     def beyond(self, blocks: np.ndarray) -> np.ndarray:

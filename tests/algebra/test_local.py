@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from ngvisco.algebra.local import LocalMatrix, squared
+from ngvisco.algebra.local import Functions, LocalMatrix, integrals, squared
 
 CELLS, PIECES, POINTS, WIDTH = 12, 3, 7, 20
 
@@ -62,3 +62,18 @@ def test_squares_of_blocks(bent):
 def test_a_rank_without_cells_has_blocks_of_no_size():
     local = LocalMatrix(sp.csr_matrix((0, WIDTH)), 0, np.zeros(0), pieces=PIECES)
     assert local(np.ones((2, WIDTH))).shape == (2, 0) and local.test(np.zeros((2, 0))).shape == (2, WIDTH)
+
+
+@pytest.mark.parametrize("sides", [4, 0])
+def test_integrals_and_loads_are_sums_over_points_also_where_a_rank_has_no_sides(rng, sides):
+    """Nodes have no number without sides: the values then have the points' number."""
+    shape, weights = rng.standard_normal((2, POINTS)), rng.random((sides, POINTS))
+    left = Functions(rng.standard_normal((sides, 3, 2 if sides else 0)), shape if sides else None)
+    right = Functions(rng.standard_normal((sides, 5, POINTS if sides else 0)), None)
+    values = rng.standard_normal((sides, POINTS, 4))
+    products, loads = integrals(left, right, weights), left.loads(values)
+    assert products.shape == (sides, 3, 5) and loads.shape == (sides, 3, 4)
+    for s in range(sides):
+        at_points = left.nodal[s] @ shape
+        assert np.allclose(products[s], (at_points * weights[s]) @ right.nodal[s].T, atol=1e-12)
+        assert np.allclose(loads[s], at_points @ values[s], atol=1e-12)
