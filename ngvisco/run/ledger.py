@@ -33,7 +33,7 @@ from ngvisco.physics.mixture import Mixture
 from ngvisco.physics.tensors import square
 from ngvisco.physics.variables import Distortion, Jacobian, ReciprocalJacobian, Values
 from ngvisco.run.adaptive import CRACKED, GROWTH, DamageWarning, growth_message
-from ngvisco.run.inlets import InflowWarning, inflow_message
+from ngvisco.run.inlets import InflowWarning, Inlets
 from ngvisco.run.momentum import Momentum
 from ngvisco.run.momentum import unit as unit_of_momentum
 from ngvisco.run.notebook import data_frame, ledger_html
@@ -145,6 +145,7 @@ class Ledger:
         definite = (v.name for v in step.model.material.variables if v.is_positive_definite)
         self._definite = {EIGENVALUE + name: step.now.z_tensors[name].Compile() for name in definite}
         self._prepare_monitors()
+        self._inlets = Inlets(step)
         self._pending: dict[str, float] = {}
         self.rows: list[dict[str, float]] = []
         self.balance: Balance | None = None
@@ -235,6 +236,7 @@ class Ledger:
         """Go on from a checkpoint's balance, the rows up to its step, and their ``limits``."""
         self.balance, self.rows = balance, rows
         self.momentum.resume(rows)
+        self._inlets.resume(rows)
         self._earlier = [(first, limit) for first, limit in limits if first < len(rows)]
         self._first = len(rows) if self._earlier else 0
 
@@ -321,7 +323,7 @@ class Ledger:
         self._signs.check(row)
         if message := growth_message(self.step, row):
             self._warn_once(message, DamageWarning)
-        if InflowWarning not in self._warned and (message := inflow_message(self.step, row)):
+        if InflowWarning not in self._warned and (message := self._inlets.message(row)):
             self._warn_once(message, InflowWarning)
         self._pending = {}
         self.balance = Balance(energy, values["mass"], expected)

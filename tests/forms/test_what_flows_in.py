@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from netgen.occ import Axis, OCCGeometry, WorkPlane, Z
-from ngsolve import BND, CF, Id, Integrate, Mesh, cos, exp, pi, sin, specialcf, x, y
+from ngsolve import BND, CF, Id, IfPos, Integrate, Mesh, cos, exp, pi, sin, specialcf, x, y
 from scipy.integrate import solve_ivp
 from support import assert_balanced
 
@@ -12,6 +12,7 @@ from ngvisco.forms.given_values import entering
 from ngvisco.forms.reactions import WallReactions
 from ngvisco.geometries import box, disc, sphere, structured_box
 from ngvisco.physics.variables import Jacobian
+from ngvisco.run.inlets import Inlets
 
 FLUID = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: 5 * (J + 1 / J - 2))
 ELASTIC = nv.ReferentialNeoHookean(K_e=10.0, G_e=1.0)
@@ -331,6 +332,27 @@ def filled(solver, scheme="backward-euler", grown=1.0, **fluid):
     run = nv.Simulation(mesh, model, time=time, walls=walls, initial=initial, solver=solver)
     assert abs(run.run(32.0).column("closure_relative")).max() < 1e-11
     return run.fields["density"](run.mesh(1.3, 0.2)), run.fields["velocity"](run.mesh(1.3, 0.2))[0]
+
+
+def test_a_density_that_nothing_determines_is_warned_of_once_a_hundredth_of_the_mass_is_in():
+    """At rest for 1 s, then let in: a step's inflow times the time since the start would be too early."""
+    pressure = 1 + 0.1 * IfPos(nv.time - 1.0, 1.0, 0.0)
+    walls = {"left": nv.Open(pressure=pressure, backflow=False), "right": nv.Open(pressure=1.0)}
+    model = nv.Model(material=nv.BarotropicFluid(B=1.0, gamma=2.0), viscosity=VISCOUS)
+    initial, mesh = nv.Initial(density=1.0), structured_box((2, 0.5), (2, 1))
+    run = nv.Simulation(mesh, model, dt=0.1, walls=walls, initial=initial, solver="coupled")
+    with pytest.warns(nv.InflowWarning, match="through 'left' at a pressure.*give rho_R"):
+        run.run(2.0)
+    rows = run.ledger.rows
+    share = np.cumsum([max(row["inflow_left"], 0.0) * row["dt"] / row["mass"] for row in rows])
+    first = int(np.argmax(share > 0.01))
+    assert 0 < share[first - 1] < 0.01
+    assert any(row["inflow_left"] * row["time"] > 0.01 * row["mass"] for row in rows[:first])  # too early
+    whole, resumed = Inlets(run.rothe_step), Inlets(run.rothe_step)
+    said = [whole.message(row) for row in rows[: first + 1]]
+    assert said[-1] and not any(said[:-1])
+    resumed.resume(rows[:first])
+    assert resumed.message(rows[first]) == said[-1]
 
 
 @pytest.mark.parametrize(
