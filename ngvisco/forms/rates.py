@@ -16,7 +16,7 @@ from ngsolve import CoefficientFunction
 
 from ngvisco.forms.unknown_values import UnknownValues
 from ngvisco.physics.arrays import TINY, Array, Linear
-from ngvisco.physics.bodies import AMOUNT
+from ngvisco.physics.bodies import AMOUNT, NO_INTERFACE
 from ngvisco.physics.flow_rules.rule import FlowRule
 from ngvisco.physics.material import StateSpace, mandel_stress, rate_power
 from ngvisco.physics.materials.thermal import temperature
@@ -149,7 +149,7 @@ class Rates:
     def _interface(self, law: MixedViscosity, old: UnknownValues) -> CoefficientFunction:
         """Projection n x n, 3x3, on the slope n of the viscosities' mean logarithm at the step's start.
 
-        It tends to zero where the mean changes by less than ``_NO_INTERFACE`` in a cell: a slope of rounding
+        It tends to zero where the mean changes by less than ``NO_INTERFACE`` in a cell: a slope of rounding
         has any direction.
         """
         states, dim = old.layout.states, old.dim
@@ -162,7 +162,7 @@ class Rates:
             parts.append((weight - mean) * linear_map(np.kron(row, np.eye(dim)), old.grad_z, (dim,)))
         slope = reduce(add, parts)
         column = linear_map(np.kron(np.eye(3, dim), np.eye(3)[:, :1]), slope, (3, 3))
-        least = _NO_INTERFACE / old.context.h
+        least = NO_INTERFACE / old.context.h
         return (1 / (square(column) + least * least)) * (column * column.trans)
 
     def pressure(self, u: UnknownValues) -> CoefficientFunction:
@@ -224,9 +224,6 @@ def _tensors(G: UnknownValues, name: Conjugate) -> Values:
 
 
 _ROUNDING = 1e-12
-
-_NO_INTERFACE = 1e-6
-"""Change of the mean logarithm of viscosities over a cell's size below which there is no interface."""
 
 
 class TabulatedRates(Rates):

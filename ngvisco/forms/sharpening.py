@@ -47,7 +47,7 @@ from ngvisco.errors import ParameterError
 from ngvisco.forms.mesh.mesh_arrays import VERTICES
 from ngvisco.forms.system import Step
 from ngvisco.parallel.communicator import Communicator
-from ngvisco.physics.bodies import AMOUNT
+from ngvisco.physics.bodies import AMOUNT, NO_INTERFACE
 from ngvisco.physics.mixture import Mixture
 
 _RATE = 1 / 4
@@ -156,7 +156,8 @@ class Sharpening:
         """Exchange bodies i and j between mixed cells, in place; ``path`` is tau v at corners of cells."""
         slope = np.einsum("kc,kcd->kd", heights, self._slopes)
         size = np.linalg.norm(slope, axis=1, keepdims=True)
-        slope = np.where(size > 0, slope / np.where(size > 0, size, 1.0), 0.0)
+        is_flat = np.ptp(heights, axis=1, keepdims=True) <= NO_INTERFACE
+        slope = np.where(is_flat, 0.0, slope / np.where(is_flat, 1.0, size))
         facets = self._facets[mixed[self._facets[:, 0]] & mixed[self._facets[:, 2]]]
         (one, corner), other = facets[:, :2].T, facets[:, 2]
         normal = -self.dim * self._volumes[one, None] * self._slopes[one, corner]  # length = facet's area
@@ -180,7 +181,7 @@ class Sharpening:
 
     def _within(self, u: np.ndarray, i: int, j: int, heights: np.ndarray, mixed: np.ndarray) -> None:
         """Separate bodies i and j in mixed cells by planes across the slope of heights, in place."""
-        means, chosen = self._means(u), np.flatnonzero(mixed & (np.ptp(heights, axis=1) > 0))
+        means, chosen = self._means(u), np.flatnonzero(mixed & (np.ptp(heights, axis=1) > NO_INTERFACE))
         own, both = means[self._amounts[i]], means[self._amounts[i]] + means[self._amounts[j]]
         theta = own[chosen] / both[chosen]
         above = heights[chosen] @ self._lambda.T

@@ -23,6 +23,10 @@ from ngvisco.physics.rheology import Viscosity
 from ngvisco.physics.tensors import Tensor, if_positive, sqrt, tr
 from ngvisco.physics.variables import CreepFrame, Values, Variable
 
+NO_INTERFACE = 1e-6
+"""Change of a fraction, or of a logarithm that bodies average, over a cell below which it has no interface: a
+slope of rounding has any direction."""
+
 TRACE = 1e-3
 """The amount of a body at rest that is added where the body is absent, over the amount of all matter."""
 

@@ -1,5 +1,7 @@
 """Bodies that are put apart at the end of a step: what is kept, what falls, and what is refused."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from ngsolve import CF, sin, x, y
@@ -10,7 +12,8 @@ from ngvisco.forms.mesh.quadrature import Sampler
 from ngvisco.forms.start.initial import set_initial
 from ngvisco.forms.system import Step
 from ngvisco.geometries import box, structured_box
-from ngvisco.physics.variables import Jacobian
+from ngvisco.physics.tensors import tr
+from ngvisco.physics.variables import INTERFACE, Jacobian
 
 K = 10.0
 FLUID = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: K / 2 * (J + 1 / J - 2))
@@ -64,6 +67,23 @@ def test_masses_sum_of_amounts_and_energy_are_kept(material, periodic):
     after = sampler.values(z["n_disc"] / both)
     assert np.abs(after - share).max() > 0.03 and after.min() > -0.05 and after.max() < 1.05
     assert stored(step) == pytest.approx(energy, rel=1e-13)
+
+
+def test_an_even_mixture_has_no_interface_whatever_rounding_makes_of_it(rng):
+    """Bodies that share every cell alike, to 1e-13, stay so: no slope has a direction."""
+    step, bounds = smeared()
+    by, z = bounds.sharpening, step.state.vec.FV().NumPy()[step.layout.ranges["z"]]
+    z = z.reshape(step.layout.states.size, -1)
+    u = np.einsum("kcf,skf->skc", np.linalg.inv(by._inverse), z[:, by._basis])
+    u[:] = 0.0
+    even = 0.3 + 1e-13 * rng.uniform(-1, 1, u.shape[1:])
+    for amount, contents, share in zip(by._amounts, by._contents, (even, 1 - even), strict=True):
+        for component in (amount, *contents):
+            u[component] = share
+    z[:, by._basis] = np.einsum("kfc,skc->skf", by._inverse, u)
+    before = z.copy()
+    by.put_apart(0.01)
+    assert np.abs(z - before).max() < 1e-10 * np.abs(before).max()
 
 
 def test_an_interface_at_rest_is_left_where_it_is():
@@ -160,3 +180,21 @@ def test_what_would_not_hold_is_refused_by_name(options, said):
 def test_it_is_true_or_false():
     with pytest.raises(nv.ParameterError, match=r"Discretisation.sharp.*True or False"):
         nv.Discretisation(sharp=2)
+
+
+@pytest.mark.parametrize(("slope", "trace"), [(1e-13, 0.0), (0.2, 1.0)])
+def test_viscosities_are_in_series_across_an_interface_and_not_across_rounding(rng, slope, trace):
+    """The trace of n x n, which is 1 where fractions have a slope and 0 in an even mixture."""
+    viscosities = nv.StokesViscosity(K_v=1.0, G_v=1.0), nv.StokesViscosity(K_v=1.0, G_v=0.1)
+    of = [replace(body, viscosity=v) for body, v in zip(bodies(), viscosities, strict=True)]
+    step = Step(box((1, 1), 0.4), nv.Model(bodies=of), nv.Discretisation(m=1))
+    sampler, law = Sampler(step.mesh, step.quadrature), step.model.viscosity
+    parts = dict(zip(step.layout.names, step.state_old.components, strict=True))
+    slices, share = step.layout.states.slices, 0.3 + slope * x
+    values = [CF(1.0)] * step.layout.states.size
+    values[slices["n_fluid"].start], values[slices["n_disc"].start] = share, 1 - share
+    parts["z"].Set(CF(tuple(values)))
+    state = step.state_old.vec.FV().NumPy()[step.layout.ranges["z"]]
+    state += 1e-15 * rng.uniform(-1, 1, state.shape)
+    P = step.context.rates.read_values(law, step.now)[INTERFACE]
+    assert sampler.values(tr(P)) == pytest.approx(trace, abs=1e-8)
