@@ -62,8 +62,7 @@ def _between_windows(cells: tuple[int, int], dt: float) -> tuple[np.ndarray, np.
 
 @CASES(f"""bar-between-windows
     A clamped bar with three free sides, on a mesh of the bar alone, bends and swings as in beam theory; in
-    the
-      limit of small deflections it is close to Turek and Hron's CSM3.
+      the limit of small deflections it is close to Turek and Hron's CSM3.
     label: benchmark: beams after Euler and Bernoulli; Turek and Hron 2006, CSM3
     setting: {LENGTH:g} m x {THICK:g} m, E = {YOUNG:g} Pa, nu = {POISSON:g}, {DENSITY:g} kg/m3,
       {SHARE:g} of {GRAVITY:g} m/s2; row of 9 and of 18 cells, k = 3, m = 2, midpoint, 1 s in steps of 0.02
@@ -203,8 +202,7 @@ AT_REST = Q * SLAB**4 / (20 * 4 * OF_ROCK * HIGH**3 / 12) + Q * SLAB**2 / (3 * 5
 
 @CASES(f"""slab-recovery
     A viscoelastic slab in a weak medium bends under its weight, less than its elastic limit, and recovers
-    when
-      gravity ends.
+      when gravity ends.
     label: benchmark: Gerya (2010)
     setting: Box 7500 m x 5000 m, slab {SLAB:g} m x {HIGH:g} m; densities {HEAVY:g} and {LIGHTER:g} kg/m3,
       viscosities 1e24 and 1e18 Pa s, G = {OF_ROCK:g} Pa in the slab, K_e = {OF_ALL:g} Pa; g = {FALL:g} m/s2

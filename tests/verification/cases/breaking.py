@@ -48,8 +48,7 @@ def _broken(dt: float, growth: float | None = None) -> tuple[list[float], nv.Sim
     label: Roubicek arXiv:2510.10355, the staggered scheme; FORMULATION 13
     setting: A block of 1 m, G = 10 Pa, sheared by 0.4/s, notch of 0.4 m, AT2 with G_c = 0.02 J/m2, l = 0.2 m;
       steps of 0.04 s to 0.005 s, and chosen steps of at most 0.04 s, in which damage at a point grows by at
-      most
-      0.1 to 0.025.
+      most 0.1 to 0.025.
     - order in dt of the load, by the last three in [0.7, 1.9]: first order of the staggering, below two; 1.5
       before the first run, which found 1.494
     - loads in the limits of both, relative difference <= 0.02: extrapolated at first order from the last
@@ -58,8 +57,7 @@ def _broken(dt: float, growth: float | None = None) -> tuple[list[float], nv.Sim
       exact; set after runs on cells of 0.15 m
     - error with a growth of 0.025 over that with 0.05 <= 0.8: half in the limit
     - largest growth of the damage in a step over what it may have in [0.9, 1]: steps use the allowed growth,
-      and
-      the shortest step never occurs
+      and the shortest step never occurs
     - closure
     """)
 def _steps() -> Measured:

@@ -52,8 +52,7 @@ def _fastest(run: nv.Simulation) -> float:
 
 @CASES(f"""rock-at-rest
     Ten kilometres of rock - uniform, in two layers, or so soft that the density grows by half - start with
-    the
-      pressure of the overlying weight, and stay at rest.
+      the pressure of the overlying weight, and stay at rest.
     label: benchmark: hydrostatic equilibrium of a compressible column
     setting: Box of {DEPTH / 1e3:g} km x {DEPTH / 1e3:g} km with slip, K = {BULK:g} Pa, G = {SHEAR:g} Pa,
       viscosity {VISCOSITY:g} Pa s, {DENSITY:g} kg/m3 (2000 over 3000 in layers of 5 km), {GRAVITY:g} m/s2;

@@ -105,8 +105,7 @@ class Overlap(nv.Observer):
 
 @CASES(f"""discs-that-meet (reduced)
     Two elastic discs, thrown at each other, meet, do not overlap, and part again; the energy that they lose
-    is
-      dissipated.
+      is dissipated.
     label: benchmark: after Sulsky, Chen and Schreyer (1994)
     setting: Discs of {RADIUS:g} m, 1 kg/m3, K_e = {BULK:g} Pa, G = {SHEAR:g} Pa, {DAMPING:g} Pa s, at
       {SPEED:g} m/s each; box of {SIZE[0]:g} m x {SIZE[1]:g} m, medium of {LIGHT:g} kg/m3, {SOFT:g} Pa and

@@ -139,8 +139,7 @@ MIDPOINT = {"linear": True, "Norton, n = 3": True, "Bingham": False, "linear har
     setting: As flow-rules-startup; 10 to 80 steps of the midpoint rule, order over all of them.
     - least order of a rate with a derivative >= 1.85: second order
     - least order with yield >= 1.6: in one step the rate has a kink, whose error is of second order and
-      varies
-      with the kink's place
+      varies with the kink's place
     - closure
     """)
 def _midpoint() -> Measured:
@@ -312,8 +311,7 @@ for kind in BINGHAMS:
         """)(partial(_channel, kind))
     CASES(f"""bingham-couette-{kind}
         Bingham's fluid around a turning cylinder in {NAMES[kind]} flows by its closed form, and rests beyond
-        the
-          radius of yield.
+          the radius of yield.
         label: Bingham 1916, Reiner and Riwlin 1927
         setting: The same fluid between 1 m, turning at {OMEGA:.4f}/s, and 2 m; yield ends at 1.5 m; 0.01
           kg/m3, 8 steps of 0.1 s from the velocity of a linear fluid without stress, by the split solver; h =

@@ -40,8 +40,7 @@ def _elastic(conductivity: float = 0.0, warm: bool = True) -> nv.Model:
     setting: Box of 1 m with walls all around, 3 W/m^3 for 1 s, c = 2 J/(m^3 K); midpoint rule.
     - error of the pressure K beta dtheta, relative <= 1e-8: the step's error only; set after a first run
     - error of the temperature with half of the step, of that with the whole <= 0.3: a scheme of second order
-      has a
-      quarter
+      has a quarter
     - closure
     """)
 def _clamped() -> Measured:
@@ -114,8 +113,7 @@ def _stiffened() -> tuple[nv.Model, float]:
 
 @CASES("""heat-sound
     Without conduction waves are isentropic, and faster than isothermal ones, also in a gas beside another gas
-    or
-    a liquid.
+      or a liquid.
     label: c^2 = (M + (Gamma c)^2 theta_R/c)/rho, gamma p/rho of an ideal gas
     setting: Standing waves in a box of 1 m, 1e-4 m/s, cells of 0.1 m, steps of 0.01 s, midpoint rule;
       gases as bodies have 1 Pa, 1 K and half of the box each.
@@ -277,8 +275,7 @@ def _stream(cells: int, solver: str) -> nv.Simulation:
 
 @CASES(f"""heat-carried-through
     A stream brings heat through an inlet, is heated on its way, and takes heat out: its temperature agrees
-    with
-      the closed form, and energy and entropy balance.
+      with the closed form, and energy and entropy balance.
     label: heat-entropy; c V theta' = q + kappa theta'' with the conditions of Danckwerts (1953)
     setting: 1 m x 0.25 m, {SPEED:g} m/s, inlet {INLET:g} K, c = {C:g} J/(m3 K), kappa = {KAPPA:g} W/(m K),
       source {SOURCE:g} W/m3; 4, 8 and 16 cells along, backward Euler until 12 s, where it is steady.

@@ -308,8 +308,7 @@ for kind in KINDS:
         """)(partial(mass, kind))
     CASES(f"""cut-off-{kind}
         With the cut-off 0 < rho <= rho_max + 1 holds in {KINDS[kind]}, with any delta and without, for m = 0
-        and
-          m = 1, in a problem whose density exceeds it without the cut-off.
+          and m = 1, in a problem whose density exceeds it without the cut-off.
         label: {"cut-off, Euler-small-est3+++" if not finite else "cut-off, Euler-large-est"}
         setting: A soft tube of 1 m x 0.125 m (K_e = 1 Pa, G_e = 0.5 Pa, K_v = G_v = 0.1 Pa s), density 1, v =
           3 sin(2 pi x) m/s, until 0.3 s; rho_max = {RHO_MAX:g}; delta = 0, 1e-4 and 1e-3 (r = 4), h = 1/8 and
@@ -387,8 +386,7 @@ def hyperviscous(kind: str) -> Measured:
 for kind in KINDS:
     CASES(f"""hyperviscosity-{kind}
         In {KINDS[kind]} runs with mu -> 0 tend to the run without hyperviscosity, and the energy also closes
-        for
-          exponents p <= 3, for which the paper has no analysis.
+          for exponents p <= 3, for which the paper has no analysis.
         label: Euler-small-viscoelastodyn+1, {LABELS[kind]}
         setting: {SETTING}, creep with G_m = 2 Pa s; cells of {MAXH} m, {STEPS} steps of {TAU} s; mu = 1e-3 to
           1e-6 with p = 4 and 2, p = 1.5 to 4 with mu = 1e-3, and cells of 0.5 to 0.125 m with mu = 1e-4.

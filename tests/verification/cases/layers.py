@@ -270,8 +270,7 @@ def _swings(curves: list[Curve]) -> Plot:
 
 @CASES(f"""sloshing
     A layer below a medium sloshes with the frequency of linear theory: with a thousandth of its density while
-    the
-      surface lies on edges of cells, with a hundredth also if the surface moves through cells.
+      the surface lies on edges of cells, with a hundredth also if the surface moves through cells.
     label: benchmark: omega^2 = g k tanh(k h)
     setting: Unit box (slip), layer of {DEPTH:g} m and {OF_LAYER:g} Pa s, K_e = {BULK:g} Pa in both, g =
       {GRAVITY:g} m/s2, first mode; medium of 1e-3 in density, 1e-3 and 1e-4 Pa s, 1e-3 m/s, structured
@@ -299,8 +298,7 @@ def _sloshing() -> Measured:
 
 @CASES(f"""sloshing-of-a-gel
     An elastic layer below a medium of a thousandth of its density sloshes with the frequency of linear
-    theory,
-      which includes its weight and its stiffness.
+      theory, which includes its weight and its stiffness.
     label: benchmark: an incompressible elastic layer on a slippery bed, under gravity
     setting: As sloshing, with a neo-Hookean layer, G = {SHEARS[0]:g} and {SHEARS[1]:g} Pa; medium of 1e-3 in
       density, 1e-3 Pa s; structured meshes of 8 and 16 rows.

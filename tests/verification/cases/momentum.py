@@ -142,8 +142,7 @@ _BOUNDS = "\n    ".join(
 
 @CASES(f"""momentum-of-jumps
     Unloaded bodies in a periodic box conserve momentum with jumps of strains, stretches, moduli, heat and
-    cracks,
-      and with another body.
+      cracks, and with another body.
     label: FORMULATION.md, Section 4
     setting: Unit box, {CELLS} x {CELLS} x 2 triangles, thrown at {SPEED:g} m/s; {MODULUS:g} Pa, {DENSITY:g}
       kg/m3, 0.05 Pa s; {STEPS} steps of {STEP:g} s, of bodies that break {SHORT:g} s. Changes over ∫ρ|v| and

@@ -79,8 +79,7 @@ def _grown(ratio: float) -> tuple[np.ndarray, float]:
 
 @CASES(f"""rayleigh-taylor-elastic
     A heavy elastic layer that hangs over a light fluid falls if it is softer than the threshold of linear
-    theory,
-      and oscillates if it is stiffer.
+      theory, and oscillates if it is stiffer.
     label: benchmark: Mora et al. (2014)
     setting: Layer and fluid {DEEP:g} m deep, one wavelength of {WIDTH:g} m, densities 1 and {LIGHT_FLUID:g}
       kg/m3, g = {G:g} m/s2, G_c = {CRITICAL:.4f} Pa; both bodies K_e = {STIFF:g} Pa, the fluid {THIN_FLUID:g}

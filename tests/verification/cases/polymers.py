@@ -65,8 +65,7 @@ def _normal_differences(run: nv.Simulation) -> tuple[float, float, float]:
 
 @CASES("""polymers-shear
     Fluids of Giesekus, and of Phan-Thien and Tanner, have the stresses of their closed forms in steady shear:
-    both
-      thin, and Giesekus' fluid has a second normal stress difference.
+      both thin, and Giesekus' fluid has a second normal stress difference.
     label: Giesekus 1982; Phan-Thien 1978
     setting: Channel of 1 m between a resting and a sliding wall, G = 1 Pa, lambda = 1 s, K_e = 100 Pa, Wi =
       0.5 to 8, 60 steps of 0.5 s.
@@ -109,8 +108,7 @@ def extension(form: str, rate: float) -> float:
       their closed form; Oldroyd's fluid has no finite one at Wi = 1/2.
     label: Phan-Thien, Tanner 1977
     setting: A box of 1 m that a planar extension flows through, v = rate (x, -y) on its walls, where entering
-      matter
-      has the state inside; lambda = 1 s, Wi = 0.3, 1, 3, until 20 s by steps of 0.1 s.
+      matter has the state inside; lambda = 1 s, Wi = 0.3, 1, 3, until 20 s by steps of 0.1 s.
     - largest error of T_11 − T_22 <= 1e-5: relative; a steady state has no error of time
     - closure
     """)
@@ -134,8 +132,7 @@ def _extension() -> Measured:
 
 @CASES("""saramito-shear
     Saramito's elastoviscoplastic fluid in steady shear has the stresses given in rheoTool's issue 121, and is
-    a
-      solid below its yield stress.
+      a solid below its yield stress.
     label: Saramito 2007; rheoTool, issue 121
     setting: G = 1 Pa, lambda = 1 s, a yield stress of 1 Pa in shear, K_e = 100 Pa; a channel at a shear rate
       of 1/s until 60 s by steps of 0.5 s; and one that holds a shear of 0.5 until 10 s.

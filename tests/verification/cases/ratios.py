@@ -108,8 +108,8 @@ HEAD = (
 
 @CASES(f"""bodies-of-any-ratio
     With k = 1 and m = 0 steps of two bodies with any ratio of stiffnesses and of densities have solutions;
-    unloaded
-      bodies gain no energy with backward Euler, entry by entry, and with the midpoint rule to third order.
+      unloaded bodies gain no energy with backward Euler, entry by entry, and with the midpoint rule to third
+      order.
     label: FORMULATION.md, Section 9
     setting: K_e = 10 Pa, G_e = 1 Pa and 1 kg/m3, of the first body times {1 / FAR:g}, 1 and {FAR:g}, moduli
       and densities each by itself; a strip of 12 triangles, carried with 1 m/s, the first body stretched by

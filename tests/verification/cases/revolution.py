@@ -61,8 +61,7 @@ def oscillation(n: int, maxh: float) -> tuple[nv.Simulation, complex, np.ndarray
 
 @CASES(f"""radial-modes
     An elastic ball without traction on its surface, computed as a body of revolution, swings in its radial
-    modes
-      0S0 and 1S0 with Lamb's frequencies, and does not move along its axis.
+      modes 0S0 and 1S0 with Lamb's frequencies, and does not move along its axis.
     label: Euler-small-viscoelastodyn+; Lamb 1882
     setting: R = 1 m, rho = 1 kg/m3, K_e = {K_E:g} Pa, G_e = {G_E:g} Pa, no viscosity; curved triangles of a
       half disc, maxh = {SIZES[0]:g} and {SIZES[1]:g} m, k = 2, m = 1; midpoint, {PER_PERIOD} steps a period;

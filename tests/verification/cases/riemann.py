@@ -337,8 +337,7 @@ def _warm_speed(stretch: float) -> float:
 
 @CASES("""heat-riemann
     Star states of an impact and of a parting at 20 % of the sound speed agree with the shock relations,
-    including
-      the energy's, and with the integral over the isentropic fan.
+      including the energy's, and with the integral over the isentropic fan.
     label: heat-entropy; Rankine and Hugoniot
     setting: The body of heat-impact without conduction, jumps of the velocity, K_v + 4/3 G_v = 2 rho U h,
       midpoint rule; means 0.06 to 0.08 m from the planes, close to which viscosity has heated the body.

@@ -117,8 +117,7 @@ def measure(kind: str) -> Measured:
 for kind in KINDS:
     CASES(f"""robustness-{kind}
         In {KINDS[kind]} steps have solutions over six decades of stiffness and four of tau, with viscosities
-        of
-          0 to 10 Pa s, compressible to nearly incompressible, at CFL numbers up to 20 and beyond.
+          of 0 to 10 Pa s, compressible to nearly incompressible, at CFL numbers up to 20 and beyond.
         label: {LABELS[kind]}
         setting: A periodic box of 1 m x 1 m, density 1 + 0.2 cos(2 pi x), an eddy of 0.5 m/s in a mean flow
           of (1, 0.5) m/s, cells of 0.4 m, three steps of each of
@@ -152,8 +151,7 @@ def cavity(scheme: str, limiter: bool) -> nv.Simulation:
 
 @CASES(f"""limited-cavity
     A body under a lid that starts at full speed up to its corners is torn there: cells with positive means
-    are
-      limited, mass is conserved, the energy balance closes, and the run continues.
+      are limited, mass is conserved, the energy balance closes, and the run continues.
     label: Zhang and Shu, J. Comput. Phys. 229 (2010); paper: Euler-large-ass-phi
     setting: demos/cavity: a unit box of 230 triangles, the lid at 1 m/s from t = 0 on, other walls without
       slip; neo-Hookean, K_e = 20, G_e = 0.05, epsilon = 0.1 Pa, viscosities 0.01 Pa s, mu = 1e-5, p = 4; 20

@@ -69,8 +69,7 @@ def _standing(scheme: str) -> Measured:
 
 CASES("""standing-wave
     A small elastic standing wave follows cos(k x) cos(c_s k t); only the implicit step's damping changes its
-    energy,
-      and vanishes like tau.
+      energy, and vanishes like tau.
     label: Euler-small-viscoelastodyn+; Underworld3
     setting: Strip of one wave length, k = 2 1/m, G_e = 1 Pa, no viscosity, five periods of 20, 40, 80 steps.
     - deviation from the scheme's own formula <= 2e-3: the error in space
@@ -95,8 +94,7 @@ for scheme in SECOND_ORDER:
 
 @CASES(f"""hundred-periods
     Over 100 periods of an elastic wave the midpoint rule conserves the energy; its phase error follows the
-    scheme's
-      formula.
+      scheme's formula.
     label: {LABEL}
     setting: The strip of standing-wave without viscosity; 100 periods of 20 steps.
     - midpoint: relative energy drift, less upwinding <= 1e-6: R has the size of rounding for a linear wave
@@ -141,8 +139,7 @@ LENGTHS = {
 
 @CASES("""swirl-schemes
     A swirl's kinetic energy at 0.2 s with the midpoint rule and steps of 0.02 s is nearer to the limit than
-    with
-      backward Euler and a thirtieth of the step; the midpoint rule dissipates no energy.
+      with backward Euler and a thirtieth of the step; the midpoint rule dissipates no energy.
     label: Euler-large-viscoelastodyn+disc, and beyond the paper
     setting: The demo's swirl, cells of 0.25 m; three schemes, eleven steps' lengths.
     - error of midpoint, dt = 0.04 s <= 0.04: second order

@@ -136,8 +136,7 @@ def errors(make: Make, name: str, p: float, scheme: str, solver: str) -> tuple[n
 
 @CASES("""sensitivities
     Tangents of a run are the limits of central differences of whole runs, for every kind of parameter, with
-    both
-    solvers and all schemes, and adjoints agree with tangents.
+      both solvers and all schemes, and adjoints agree with tangents.
     label: issue 56; central differences
     setting: A swirl in the unit box, few triangles, three steps of 0.02 s by backward Euler, midpoint and
     SDIRK2; energies, a dissipation until then, velocity and stress at a point; differences of widths 1e-2 to

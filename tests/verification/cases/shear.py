@@ -191,8 +191,7 @@ def _neo_hookean() -> Measured:
 
 @CASES("""jaumann-start-up
     The start-up stress of a sheared Zaremba–Jaumann Maxwell fluid at W = lambda rate = 5, turned by five
-    radians,
-      is eta rate/(1 + W²) [1 − exp(−t/lambda) (cos rate t − W sin rate t)].
+      radians, is eta rate/(1 + W²) [1 − exp(−t/lambda) (cos rate t − W sin rate t)].
     label: ZJ, Euler-small-flow-rule
     setting: Channel with a sliding wall, 5 m/s, G = 20 Pa, eta = 20 Pa s, until 2 s by the midpoint rule, 50,
       100 and 200 steps; with a viscosity of 20 Pa s, without which the flow is unstable where its stress

@@ -82,8 +82,7 @@ CELLS = (10, 11), (14, 16), (20, 22)
 
 @CASES("""soft-disc-cavity
     A soft disc in a lid-driven cavity follows the path that another method for the incompressible problem
-    gives; its
-      mass is conserved and its volume nearly so, and the stiffness of the volume matters little.
+      gives; its mass is conserved and its volume nearly so, and the stiffness of the volume matters little.
     label: benchmark: Zhao, Freund and Moser (2008), Sugiyama et al. (2011)
     setting: Unit box, lid at 1 m/s from t = 0 on; density 1 kg/m3, viscosity 0.01 Pa s, disc of radius 0.2 m
       at (0.6, 0.5) m with a shear modulus of 0.1 Pa, K_e = 50 Pa; 10, 14 and 20 columns of 11, 16 and 22
@@ -147,8 +146,7 @@ TAYLOR_GREEN = Problem(centre=(0.5, 0.5), radius=0.2, shear_modulus=1.0, viscosi
 
 @CASES("""soft-disc-vortex
     A disc in a Taylor-Green vortex is stretched and swings back: its elastic energy over time agrees with
-    another
-      method for the incompressible problem, and the ledger closes.
+      another method for the incompressible problem, and the ledger closes.
     label: benchmark: Zhao, Freund and Moser (2008), Jain, Kamrin and Mani (2019)
     setting: A quarter of the unit box with planes of symmetry, psi = 0.05 sin 2 pi x sin 2 pi y m2/s, density
       1 kg/m3, viscosity 0.001 Pa s, disc of radius 0.2 m about the middle, shear modulus 1 Pa, K_e = 50 Pa;

@@ -161,8 +161,7 @@ def _bar(
 
 @CASES(f"""bar-on-springs (reduced)
     A bar on an elastic foundation swings with the frequency of the closed form, from soft springs to hard
-    springs;
-      a heavy block on springs with a dashpot is a damped oscillator.
+      springs; a heavy block on springs with a dashpot is a damped oscillator.
     label: benchmark: M q sin qL = k cos qL; the damped oscillator
     setting: Bar of 1 m, K_e = {BULK:g} Pa, G_e = {SHEAR:g} Pa, density 1, left end free, right end on springs
       of {", ".join(f"{k:g}" for k in STIFFNESSES)} M/L, block with {HEAVY:g} M/L and a dashpot of
@@ -332,8 +331,7 @@ class _Cells(nv.Observer):
 
 @CASES(f"""refined-pulse
     Meshes that follow a pulse have the error of a mesh that is fine everywhere, with a third of its cells;
-    mass is
-      conserved, and changes of mesh take little energy, which the ledger has.
+      mass is conserved, and changes of mesh take little energy, which the ledger has.
     label: beyond the paper
     setting: Strip of 4 m x 0.25 m, K_e = 4 Pa, rho = 1 kg/m3, strain 1e-4 exp(-((x - 0.6)/0.15)^2) that runs
       to the right for 1.2 s, midpoint rule with dt = 0.002 s; cells of 0.25 m halved twice where the pressure

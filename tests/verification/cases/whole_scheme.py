@@ -259,8 +259,7 @@ WHAT = {
 for kind in KINDS:
     CASES(f"""whole-estimates-{kind}
         With all terms of the scheme of {KINDS[kind]} the a-priori estimates hold, also under refinement of
-        the
-          mesh: norms neither grow over the last decade of epsilon = delta nor over the last refinement;
+          the mesh: norms neither grow over the last decade of epsilon = delta nor over the last refinement;
           norms that may grow like a power of 1/delta grow no faster.
         label: {WHAT[kind]}
         setting: {WHOLE}; h = 0.5, 0.25 and 0.125 m, {STEPS} steps of {TAU} s; epsilon = delta from 0.1 to
@@ -442,8 +441,8 @@ LIMITS = {
 for kind in KINDS:
     CASES(f"""whole-sequence-{kind}
         With all terms of the scheme of {KINDS[kind]} the solutions converge as tau -> 0; the limits converge
-        as
-          delta -> 0 with fixed epsilon; and these limits converge as epsilon -> 0: the paper's sequence.
+          as delta -> 0 with fixed epsilon; and these limits converge as epsilon -> 0: the paper's
+          sequence.
         label: {LIMITS[kind]}
         setting: {WHOLE}; h = 0.35 and 0.175 m, until {DURATION} s; {COUNTS[0]} to {COUNTS[-1]} steps with
           delta = epsilon = {DELTA:g}, then {COUNTS[1]} with delta from {LIMIT_SIZES[kind][0]:g} to

@@ -64,8 +64,7 @@ TABLE: tuple[tuple[Literal["F", "B"], float, float, tuple[float, ...]], ...] = (
 
 @CASES(f"""winding-lid
     In a creeping body under a lid det(J^(−2/3) F Fᵀ) stays one over 80 Maxwell times by B; by F it drifts
-    from one
-      within twenty, for every step and mesh, with a ledger that closes, and the run's error says so.
+      from one within twenty, for every step and mesh, with a ledger that closes, and the run's error says so.
     label: ED-Euler-large2, ED-Euler-large3
     setting: Unit box, K_e = {K_E:g} Pa, G_e = {G_E:g} Pa, G_m = {G_M:g} Pa s (Maxwell time 0.05 s), viscosity
       {VISCOSITY:g} Pa s, lid 16 x²(1 − x)² m/s ramped until 0.2 s.
@@ -115,8 +114,7 @@ def _side_by_side() -> Measured:
 
 @CASES("""creeping-cavity
     Cavity flow by B keeps det B over a hundred Maxwell times, and for small Maxwell times its stress tends to
-    that
-      of the Navier–Stokes flow of equal viscosity.
+      that of the Navier–Stokes flow of equal viscosity.
     label: ED-Euler-large3
     setting: The same box and lid, cells of 0.125 m, 100 steps of 0.05 s, G_m = 0.02 Pa s, Maxwell times 0.05,
       0.025 and 0.0125 s.

@@ -244,8 +244,7 @@ def _plate(eta: float, times: np.ndarray) -> np.ndarray:
 
 @CASES(f"""plate-on-a-foundation
     A plate on an elastic foundation sinks under a load, first like an elastic body, and then relaxes towards
-    the
-      load over the foundation's stiffness; the face without springs also has a field of displacement.
+      the load over the foundation's stiffness; the face without springs also has a field of displacement.
     label: none, Airy 1863
     setting: Half a wave of {PLATE[0] / 1e3:g} km of a plate of {PLATE[1] / 1e3:g} km, K_e = 100, G_e = 50
       GPa, viscosity 1e21 or 1e25 Pa s, between slip walls; Open above under a pressure p cos(pi x/L), and
