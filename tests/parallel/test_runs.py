@@ -528,7 +528,7 @@ import ngvisco as nv
 from ngvisco.geometries import box
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.petsc import PETScError, SumInverse
-from ngvisco.run import simulation
+from ngvisco.run import state
 
 class Fails:
     def start(self, simulation): pass
@@ -553,7 +553,7 @@ def failed(fault, regularised):
     if fault == "unsolved":
         options["newton"] = nv.NewtonOptions(max_iterations=3)
     if fault == "start" and Communicator.world().rank == 1:
-        simulation.typical_velocity = broken
+        state.typical_velocity = broken
     run = nv.Simulation(box((1, 1), maxh=0.5), model, dt=0.02, **options)
     if fault == "step" and run.ranks.rank == 1:
         run.ledger.rates = run.integrator.meter = broken
