@@ -31,9 +31,9 @@ examples:
   ngvisco plot results/swirl && ngvisco scene results/swirl
   ngvisco plot results/swirl results/finer   # or the directory of a sweep: compared in one picture each"""
 
-_RESUME = """Go on from a directory's last checkpoint, bit for bit, or with --set with other parameters: of
-title, time, loads, walls, solver, output and the numbers of the material and the mechanisms.  For another
-mesh, other orders or unknowns see ngvisco run CASE -o NEW --from DIR."""
+_RESUME = """Go on from a directory's last checkpoint, bit for bit.  --set changes parameters: of title, time,
+loads, walls, solver and output, and the numbers of the material and the mechanisms.  For another mesh, other
+orders or unknowns see ngvisco run CASE -o NEW --from DIR."""
 
 _SWEEP = """Run a case for all combinations of the values of some keys: one run directory each in DIR, and the
 table DIR/sweep.csv.  All cases are checked before anything is written.  The same command goes on where it was
@@ -41,11 +41,12 @@ stopped: finished runs are not run again.  Needs dask.distributed: pip install "
 
 _FIT = """Find numbers of a case from measured data, by bounded least squares with exact derivatives.  The
 columns of DATA are those of the case's ledger, probes, forces, integrals and bodies, e.g. "kinetic [mJ]",
-"tip.velocity_1 [mm/s]", "integral of tip.velocity_1 [mm]" (a displacement), over "time [s]".  Written are a
-report, a table with the covariance, and a picture of data, fit and residuals."""
+"tip.velocity_1 [mm/s]", "integral of tip.velocity_1 [mm]" (a displacement), over "time [s]".  The results are
+a report, a table with the covariance, and a picture of data, fit and residuals."""
 
 _FEW_THREADS = 8
-"""Number of threads allowed on any machine; hundreds of NGSolve's threads, which wait actively, never end."""
+"""Number of threads allowed on any machine.  There is a limit because NGSolve's threads wait actively: a run
+with hundreds of them never ends."""
 
 
 def parser() -> argparse.ArgumentParser:
@@ -94,8 +95,8 @@ def parser() -> argparse.ArgumentParser:
     sweep.add_argument("--vary", metavar="KEY=V1,V2,...", action="append", default=[], help=text)
     text = "directory of the sweep (default results/<name of the case>-sweep)"
     sweep.add_argument("-o", "--output", metavar="DIR", help=text)
-    sweep.add_argument("--force", action="store_true", help="run all of them anew")
-    text = "runs at once on this machine (default: its processors, by the threads of a run)"
+    sweep.add_argument("--force", action="store_true", help="run all runs of the sweep anew")
+    text = "number of runs at once on this machine (default: its processors over a run's threads)"
     sweep.add_argument("--workers", type=_threads, metavar="N", help=text)
     text = "dask scheduler whose workers do the runs, e.g. tcp://host:8786; they must see the same files"
     sweep.add_argument("--scheduler", metavar="ADDRESS", help=text)
@@ -115,13 +116,13 @@ def parser() -> argparse.ArgumentParser:
     drawn.add_argument("--step", type=int, metavar="N", help="checkpoint's step (default: the last)")
     text = "energies, dissipations, closure, extrema, iterations and fields as pictures; animations"
     plot = commands.add_parser("plot", help=text, description=text, parents=[drawn])
-    text = "run directory; several, or that of a sweep, are compared"
+    text = "run directory; several, or the directory of a sweep: a comparison of the runs"
     plot.add_argument("directory", metavar="DIR", help=text, nargs="+")
-    text = "of the pictures (default png)"
+    text = "format of the pictures (default png)"
     plot.add_argument("--format", choices=("png", "pdf", "svg"), default="png", help=text)
-    text = "of the pictures of several runs (default: that of the sweep, or .)"
+    text = "directory for the pictures of several runs (default: the sweep's, or .)"
     plot.add_argument("-o", "--output", metavar="DIR", help=text)
-    plot.add_argument("--section", metavar="PLANE", help="in 3D, e.g. z=0.5 or x (default: z, the middle)")
+    plot.add_argument("--section", metavar="PLANE", help="plane in 3D, z=0.5, or x: its middle (default z)")
     text = "animate the VTK series instead, as .gif or .mp4 (needs ffmpeg; default DIR/movie.gif)"
     plot.add_argument("--movie", metavar="FILE", nargs="?", const="", help=text)
     text = "frames a second of the animation (default 10)"
@@ -141,17 +142,17 @@ def parser() -> argparse.ArgumentParser:
     explain = commands.add_parser("explain", help="what a key of a case file means, e.g. time.dt")
     explain.add_argument("key", metavar="KEY", help="a key, a table or a kind: time.dt, material, NeoHookean")
     new = commands.add_parser("new", help="print an annotated case file to start from")
-    new.add_argument("name", metavar="NAME", nargs="?", help="a demo, e.g. swirl; without it their names")
+    new.add_argument("name", metavar="NAME", nargs="?", help="a demo, e.g. swirl; default: list the demos")
     return top
 
 
 def _add_sensitivities(commands: Any, parents: list[argparse.ArgumentParser]) -> None:
     """Add the commands ``gradient`` and ``fit``."""
-    text = "derivatives of what a case gives by its numbers: exact ones, of the scheme"
+    text = "exact derivatives of a case's results, as the time scheme gives them, by its numbers"
     gradient = commands.add_parser("gradient", help=text, description=text, parents=parents)
     text = 'a number, e.g. --of "kinetic at 0.5" or "PROBE.velocity_1 until 0.5", its integral (repeatable)'
     gradient.add_argument("--of", metavar="TEXT", action="append", required=True, help=text)
-    text = "tangent (default; cost by keys) or adjoint (cost by numbers)"
+    text = "tangent (default; its cost grows with the keys) or adjoint (with the numbers --of)"
     gradient.add_argument("--method", choices=("tangent", "adjoint"), default="tangent", help=text)
     text = "find numbers of a case from measured data, by bounded least squares"
     fit = commands.add_parser("fit", help=text, description=_FIT, parents=parents)
@@ -159,9 +160,9 @@ def _add_sensitivities(commands: Any, parents: list[argparse.ArgumentParser]) ->
     fit.add_argument("data", metavar="DATA", help=text)
     text = "standard deviation of the data, or COLUMN=NUMBER,...; else it is estimated"
     fit.add_argument("--sigma", metavar="NUMBER", help=text)
-    text = "bounds of a key, else a thousandth and a thousand times its start value (repeatable)"
+    text = "bounds of a key (default: 1/1000 and 1000 times its start value; repeatable)"
     fit.add_argument("--bounds", metavar="KEY=LOW,HIGH", action="append", default=[], help=text)
-    fit.add_argument("--format", choices=("png", "pdf", "svg"), default="png", help="of the picture")
+    fit.add_argument("--format", choices=("png", "pdf", "svg"), default="png", help="format of the picture")
     for one, kind in ((gradient, "gradient"), (fit, "fit")):
         text = "keys of the case, e.g. material.G_e,rheology.creep.G_m"
         one.add_argument("--by", type=_names, metavar="KEYS", required=True, help=text)
@@ -188,7 +189,7 @@ def _names(text: str) -> list[str]:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
-    # if they exceed the processors, BLAS threads slow down the sparse solver, and change its sums
+    # more BLAS threads than processors slow down the sparse solver, and change its sums
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     options = parser().parse_args(arguments)
     streams.make_safe()
@@ -198,7 +199,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 _DISTRIBUTED = ("run", "resume")
-"""Commands that mpirun may start on several processes, as it may ``info --parallel``."""
+"""Commands that mpirun may start on several processes; ``info --parallel`` is one as well."""
 
 
 def _on_ranks(options: argparse.Namespace) -> int:

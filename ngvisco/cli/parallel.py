@@ -37,7 +37,7 @@ def info(options: argparse.Namespace) -> int:
 def _started(starter: str) -> int:
     """Start this command on several ranks; return its exit code."""
     command = [starter, "-n", str(_RANKS), sys.executable, "-m", "ngvisco", "info", "--parallel"]
-    # allow more ranks than processors, and root: this is a test only
+    # as this is only a test, it may use more ranks than processors, and run as root
     allowed = dict.fromkeys(
         ("OMPI_ALLOW_RUN_AS_ROOT", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM", "OMPI_MCA_rmaps_base_oversubscribe"), "1"
     ) | {"PRTE_MCA_rmaps_default_mapping_policy": ":oversubscribe"}
@@ -87,7 +87,7 @@ def _starter() -> str | None:
 
 
 def _found() -> tuple[bool, list[str]]:
-    """Whether MPI, and PETSc with MUMPS, are installed; and lines with the versions or the missing parts."""
+    """Whether MPI, and PETSc with MUMPS, are installed; and lines that name versions or missing parts."""
     lines, complete = [], True
     try:
         mpi = importlib.import_module("mpi4py.MPI")

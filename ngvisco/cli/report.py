@@ -62,8 +62,8 @@ def check(options: argparse.Namespace) -> int:
         least = max(1, math.ceil(case.until / adaptive.dt_max))
         steps = min(steps, least)
         print(
-            f"time       adaptive steps from {run.dt:g} s on to t = {case.until:g} s, {least} at least, of "
-            f"dt_max = {adaptive.dt_max:g} s"
+            f"time       adaptive steps to t = {case.until:g} s, the first {run.dt:g} s long; at least "
+            f"{least}, if all have dt_max = {adaptive.dt_max:g} s"
         )
     sys.stdout.flush()  # show these lines now: a hard step takes minutes
     writing, start = _output(case, run), scales(run)
@@ -89,7 +89,7 @@ def check(options: argparse.Namespace) -> int:
 def _say_scales(found: Scales) -> None:
     """Print scales, dimensionless numbers and advice after the steps taken so far."""
     fast, slow = found.speeds
-    speed = f"v {found.velocity:.3g} m/s so far" if found.velocity > 0 else "v not known before it moves"
+    speed = f"v {found.velocity:.3g} m/s so far" if found.velocity > 0 else "v unknown until it moves"
     edges = f"L {found.length:.3g} m"
     if found.extent > found.length * (1 + 1e-6):
         edges = f"domain {found.length:.3g} to {found.extent:.3g} m"
@@ -124,7 +124,7 @@ def _output(case: cases.Case, run: Simulation) -> tuple[float, int] | None:
 def _measure(run: Simulation, steps: int) -> tuple[float, float, int]:
     """Measure the seconds of the first step, and the median of later steps; also return their number.
 
-    A mean would not do: a single step may take ten times as many iterations as the others.
+    A mean would mislead, since a single step may take ten times as many iterations as the others.
     """
     spent: list[float] = []
     with computing():
@@ -185,7 +185,7 @@ def info(options: argparse.Namespace) -> int:
         axes = [name for name in ("momentum_1", "momentum_2", "momentum_3") if name in ledger]
         now = ", ".join(f"{ledger[name][-1]:.4e}" for name in axes)
         lost = np.abs(ledger["momentum_defect_relative"]).max()
-        print(f"momentum   ({now}) kg m/s, made of nothing at most {lost:.1e} of what moves")
+        print(f"momentum   ({now}) kg m/s, largest relative defect {lost:.1e}")
     for path in [*place.results, *place.failures]:
         print(f"  {path.stat().st_size:12d} bytes  {path.relative_to(place.path)}")
     return 0

@@ -78,7 +78,7 @@ class ProgressBar(Progress):
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run a case, and print its end."""
+    """Run a case, and print how it ended."""
     _end_with_stdin(options)
     SetNumThreads(options.threads)
     case = cases.load_case(options.case, options.settings)
@@ -120,12 +120,12 @@ def _end_time(text: str) -> float:
 
 
 def _end_with_stdin(options: argparse.Namespace) -> None:
-    """Stop like on SIGTERM when standard input is closed, as the process that started this one has died."""
+    """Stop as on SIGTERM when standard input closes: the process that started this one has then ended."""
     if not options.ends_with_stdin:
         return
 
     def wait() -> None:
-        # not sys.stdin: a waiting thread would hold its lock when Python ends
+        # not sys.stdin: a thread waiting for it would hold its lock when Python ends
         while os.read(0, 1024):
             pass
         os.kill(os.getpid(), signal.SIGTERM)
@@ -160,7 +160,7 @@ def _close(directory: Path, result: Simulation, stop: StopOnSignal) -> int:
     closure = abs(result.ledger.column("closure_relative")).max()
     streams.write(
         f"finished: t = {result.t:g} s after {steps_in_words(result)}; largest |closure| {closure:.1e}\n"
-        "(closure: what the terms leave of a step's energy balance, over the energy; rounding is 1e-14)\n"
+        "(closure: the residual of a step's energy balance over the energy; rounding is 1e-14)\n"
     )
     streams.write(f"results in {directory}\n")
     return NOT_CLOSED if message else DONE

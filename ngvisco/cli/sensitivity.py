@@ -65,11 +65,11 @@ def fit(options: argparse.Namespace) -> int:
 
 
 def _simulation(options: argparse.Namespace) -> tuple[Case, Simulation]:
-    """The case, and its simulation at the start, whose tables are not written to files."""
+    """The case, and its simulation at the start with tables that are not written to files."""
     SetNumThreads(options.threads)
     case = cases.load_case(options.case, options.settings)
     if case.refinement is not None:
-        raise ParameterError("domain.adapt", case.refinement, "a mesh that stays: others have no derivatives")
+        raise ParameterError("domain.adapt", case.refinement, "no table: a changing mesh has no derivatives")
     tables = list(samples(case.sections, Path()).values())
     for table in tables:
         table.path = None
@@ -86,9 +86,7 @@ def _directory(options: argparse.Namespace, name: str, kind: str) -> Path:
 def _of_limiter(found: Gradient) -> str:
     if not found.limited:
         return ""
-    return (
-        f"the limiter changed {found.limited} cells in all steps: what it adds is kept in the derivatives\n"
-    )
+    return f"the limiter changed {found.limited} cells in all; derivatives treat its changes as constant\n"
 
 
 def _sigma(text: str | None) -> float | dict[str, float] | None:

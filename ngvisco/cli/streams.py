@@ -58,7 +58,7 @@ def complain(message: str) -> None:
 
 
 def give_up(stream: Any) -> None:
-    """Redirect a stream to the null device: Python would fail on unwritten text when it ends."""
+    """Redirect a stream to the null device, because Python would fail on unwritten text when it ends."""
     with contextlib.suppress(OSError, ValueError):
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, stream.fileno())

@@ -100,8 +100,8 @@ def asleep(request: Any) -> None:
 
 _kept: dict[int, tuple[Any, Working]] = {}
 """Working ranks by MPI's number of a communicator.  The communicator is kept too, so that its number is not
-reused.  (MPI's attributes of communicators would hang the process at its end: mpi4py then calls an
-interpreter that has gone.)"""
+reused.  (An attribute of MPI's communicator would hang the process at its end, when mpi4py calls an
+interpreter that is gone.)"""
 
 
 class Communicator:
@@ -202,15 +202,15 @@ class Communicator:
         return not self.any(not value)
 
     def products(self, several: np.ndarray, one: np.ndarray) -> np.ndarray:
-        """Inner products of n vectors (n, entries) with ``one``, (n,); a single rank has each entry."""
+        """Inner products, (n,), of vectors (n, entries) with ``one``; one rank alone holds each entry."""
         return several @ one if self.size == 1 else Working.of(self.mpi).sums(several @ one)
 
     def dot(self, a: np.ndarray, b: np.ndarray) -> float:
-        """Inner product of two vectors over the ranks with cells; a single rank has each entry."""
+        """Inner product of two vectors over the ranks with cells; one rank alone holds each entry."""
         return float(self.products(a[None], b)[0])
 
     def norm(self, values: np.ndarray) -> float:
-        """Euclidean norm of a vector over the ranks with cells; a single rank has each entry."""
+        """Euclidean norm of a vector over the ranks with cells; one rank alone holds each entry."""
         return float(np.linalg.norm(values)) if self.size == 1 else float(np.sqrt(self.dot(values, values)))
 
     def _reduced(self, value: Any, name: str) -> Any:
@@ -252,7 +252,7 @@ class Communicator:
         return together
 
     def note(self, text: str) -> None:
-        """Note a failure of this rank while others wait for its numbers, which it sends as NaN."""
+        """Note a failure of this rank, which sends NaN to the ranks that wait for its numbers."""
         Working.of(self.mpi).notes.append(text)
 
     def forget_notes(self) -> None:
@@ -298,7 +298,7 @@ class Communicator:
             yield
 
     def settled(self, code: int) -> int:
-        """Wait until all ranks have ended and return the exit code of this process, the largest of all.
+        """Wait until all ranks have ended, and return the largest of their exit codes.
 
         A rank that has failed alone waits some seconds for the others, and then aborts them.
         """

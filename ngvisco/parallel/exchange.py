@@ -1,7 +1,7 @@
 """The one primitive of distributed vectors: unknowns that ranks share are summed over these ranks.
 
 ``ParallelDofs().Proc2Dof(r)`` lists the unknowns shared with rank r in equal order on both sides.  Each rank
-sends its values of the shared unknowns and adds the received ones in the order of the ranks.  So all ranks
+sends its values of the shared unknowns and adds the received values in the order of the ranks.  So all ranks
 that share an unknown have bit for bit equal sums.
 
 A vector is *summed* if every rank that shares an unknown has its full value, as on one process.  It is
@@ -46,7 +46,7 @@ class Owned(ABC):
         """Value of each unknown on the rank that owns it; collective between neighbours."""
 
     def numbers(self, chosen: np.ndarray) -> tuple[np.ndarray, int]:
-        """Global numbers of the ``chosen`` unknowns, and the number of these on all ranks; collective.
+        """Global numbers of the ``chosen`` unknowns, and their count over all ranks; collective.
 
         The numbers of the unknowns of one owner are consecutive, rank after rank.
         """
@@ -87,7 +87,7 @@ class Exchange(Owned):
         return cls(count, shared, communicator)
 
     def part(self, numbers: np.ndarray) -> Exchange:
-        """The exchange of a vector of the unknowns with these ``numbers`` alone.
+        """The exchange of the unknowns with these ``numbers`` alone.
 
         All ranks that share an unknown have to choose it, in equal order.
         """
@@ -155,7 +155,7 @@ class Exchange(Owned):
         return got
 
     def products(self, several: np.ndarray, one: np.ndarray) -> np.ndarray:
-        """Inner products of summed vectors ``several`` (n, unknowns) with ``one``, (n,); collective."""
+        """Inner products, (n,), of summed vectors ``several``, (n, unknowns), with ``one``; collective."""
         if not self.is_distributed:
             return several @ one
         return self.communicator.products(several, np.where(self.owned, one, 0.0))
@@ -174,7 +174,7 @@ class Halo:
     """The halo cells: cells of other ranks across the facets that a rank shares; none on one process.
 
     Halo cells are numbered after the rank's own cells, in the order of the facets; a cell across two facets
-    is counted twice.  A rank receives values of halo cells, and sends contributions to their rows back.
+    is counted twice.  A rank receives values of halo cells, and sends back contributions to their rows.
 
     Parameters
     ----------
@@ -202,7 +202,7 @@ class Halo:
         return np.concatenate([values, self.swapped(values[self.beside])])
 
     def added(self, rows: np.ndarray) -> np.ndarray:
-        """Rows of own cells, (cells, ...), of ``rows`` (count, ...), with other ranks' contributions."""
+        """Rows of own cells, (cells, ...), from ``rows``, (count, ...), plus other ranks' contributions."""
         if not len(self.beside):
             return rows
         result = rows[: self.cells].copy()
@@ -280,7 +280,7 @@ class Interpolation:
 
 
 def _turns(exchange: Exchange) -> tuple[int, int]:
-    """This rank's turn, and the number of turns; ranks that share an unknown with a third differ in turn."""
+    """This rank's turn, and the number of turns; ranks that share an unknown of three differ in turn."""
     if not exchange.is_distributed:
         return 0, 1
     is_crowded = exchange.sum(np.ones(exchange.count)) > 2

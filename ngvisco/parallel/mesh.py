@@ -1,4 +1,4 @@
-"""Distributed meshes: each rank has a part of the cells, but the first rank of NGSolve has none."""
+"""Distributed meshes: each rank has a part of the cells, but NGSolve leaves the first rank without cells."""
 
 import pickle
 
@@ -108,7 +108,7 @@ def volume_and_surface(mesh: Mesh) -> list[float]:
 
 
 def has_geometry(mesh: Mesh) -> bool:
-    """Whether a mesh has a Netgen geometry, by which its cells can be curved."""
+    """Whether a mesh has a Netgen geometry that can curve its cells."""
     from netgen.meshing import NetgenGeometry
 
     return type(mesh.ngmesh.GetGeometry()) is not NetgenGeometry
@@ -137,14 +137,14 @@ def of_whole(mesh: Mesh, values: np.ndarray) -> np.ndarray:
 
 
 def number_of(mesh: Mesh, cell: int) -> int | None:
-    """The number in the whole mesh of a cell of this rank; None where the whole is not known."""
+    """Number in the whole mesh of this rank's ``cell``; None if the whole mesh is not known."""
     if isinstance(mesh, MeshPart):
         return int(mesh.cells[cell])
     return cell if mesh.comm.size == 1 else None
 
 
 def _numbers(part: MeshPart, ranks: Communicator) -> np.ndarray:
-    """Numbers in the whole mesh of a part's cells, found by equal vertices in equal order; collective.
+    """Numbers of a part's cells in the whole mesh, where they have equal vertices in equal order; collective.
 
     Vertices are matched by their coordinates, which NGSolve distributes bit for bit.
     """

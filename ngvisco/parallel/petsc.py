@@ -1,12 +1,12 @@
 """PETSc for the linear systems: matrices with rows over the ranks, a direct solver and multigrid.
 
 ``Exchange.numbers`` of the free unknowns assigns the rows.  A matrix is the sum of the ranks' matrices, added
-in the ranks' order.  The first rank of several, which has no cells, has no rows and takes no part, because
-it would only keep a processor busy.
+in the ranks' order.  On several ranks the first one has no cells, hence no rows; it takes no part, because it
+would only keep a processor busy.
 
 MUMPS over ranks adds contributions in the order in which messages arrive, so that its factors and solutions
-differ in the last digits from one run to the next.  Up to some thousand unknowns one rank has all rows; its
-solutions are reproducible to the bit.
+differ in the last digits from one run to the next.  Up to some thousand unknowns, one rank therefore has all
+rows, and its solutions are reproducible to the bit.
 
 PETSc 3.18 keeps objects that petsc4py has dropped, also after ``garbage_cleanup``.  So this module destroys
 every object explicitly and collectively; callers ``release`` an inverse before they make another one.
@@ -57,7 +57,7 @@ def petsc() -> Any:
         from petsc4py import PETSc
     except ImportError as error:
         raise PETScError(f"{MISSING} ({error})") from error
-    # PETSc makes a communicator of all ranks when it ends, and would wait there for ranks that have one
+    # at its end PETSc makes a communicator of all ranks unless it has one, and would wait for ranks that do
     PETSc.COMM_WORLD.duplicate()
     _loaded.append(PETSc)
     return PETSc
@@ -92,7 +92,7 @@ class SumInverse:
     Parameters
     ----------
     free : (unknowns,) array of bool
-        Free unknowns, equal on all ranks that share an unknown; the solution is 0 in the others.
+        Free unknowns, equal on all ranks that share an unknown; the solution is 0 in all other unknowns.
     exchange : Exchange or HaloUnknowns
         Exchange of the unknowns.
     symmetric : bool
@@ -101,7 +101,7 @@ class SumInverse:
         ``"mumps"`` factorises; ``"gamg"`` (PETSc's) and ``"hypre"`` (BoomerAMG) are one cycle of algebraic
         multigrid, for positive definite matrices.
     kernel : (n, unknowns) array, optional
-        Summed vectors of the near-null space, as rigid motions, from which GAMG makes its coarse spaces.
+        Summed vectors of the near-null space, such as rigid motions, from which GAMG makes coarse spaces.
     """
 
     def __init__(
@@ -147,7 +147,7 @@ class SumInverse:
         with self.communicator.together(SingularError):
             if self.communicator.is_idle:
                 return
-            self._drop()  # before the new one: factorisations take the most memory
+            self._drop()  # first: two factorisations at once would take the most memory of a run
             matrix, failure = self._matrix(0.5 * (own + own.T) if self.symmetric else own), None
             if self._solving is not None:
                 failure = self._set_up(matrix)
@@ -157,7 +157,7 @@ class SumInverse:
                 raise self._refused(failure)
             try:
                 self.solve(np.zeros(self.exchange.count))
-            except PETScError as error:  # a zero pivot is found here
+            except PETScError as error:  # PETSc finds a zero pivot only when it solves
                 raise self._refused(error) from error
 
     def _refused(self, reason: object) -> SingularError:
@@ -177,10 +177,10 @@ class SumInverse:
         return module.Mat().createAIJ(size=(self._size, self._size), csr=csr, comm=self._solving)
 
     def _of_owners(self, *entries: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
-        """Collect (rows, columns, values) of this rank's rows from all ranks in order, and its first row."""
+        """Collect (rows, columns, values) of this rank's rows from all ranks in order; with the first row."""
         ends, own = np.cumsum(self._comm.allgather(self._size[0])), self._comm.rank
         owner = np.searchsorted(ends, entries[0], side="right")
-        # only neighbours own rows of shared unknowns; `rank - 1` counts the ranks with cells alone
+        # only neighbours own rows of shared unknowns; `rank - 1` is the number among the ranks with cells
         near = range(self._comm.size) if self._on_one else (rank - 1 for rank in self.exchange.neighbours)
         ranks = sorted({own, *near})
         split = {rank: tuple(part[owner == rank] for part in entries) for rank in ranks}
@@ -301,7 +301,7 @@ def _may_be_definite(matrix: Any) -> bool:
 
 
 def _reason(solver: Any) -> str:
-    """Reason why a PETSc solver failed, by PETSc's names; for MUMPS with its INFOG numbers."""
+    """Reason why a PETSc solver failed, in PETSc's names; for MUMPS with its INFOG numbers."""
     number, names = solver.getConvergedReason(), vars(petsc().KSP.ConvergedReason)
     name = next((name for name, value in names.items() if value == number), f"reason {number}")
     preconditioner = solver.getPC()
@@ -357,6 +357,6 @@ def inverse_of(matrix: BaseMatrix, free: BitArray, communicator: Communicator) -
 
 
 def release(inverse: BaseMatrix) -> None:
-    """Give the memory of an inverse back, made by ``inverse_of``; collective."""
+    """Free the memory of an inverse that ``inverse_of`` made; collective."""
     if isinstance(inverse, PETScInverse):
         inverse.release()

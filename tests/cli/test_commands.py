@@ -260,7 +260,7 @@ def test_the_end_says_that_it_is_one_and_what_closure_is(case_file, tmp_path, ca
     printed = capsys.readouterr().out
     assert "finished: t = 0.08 s after 4 steps; largest |closure|" in printed
     assert "finished at t = 0.08 s" in printed and "stopped" not in printed
-    assert "what the terms leave of a step's energy balance" in printed
+    assert "the residual of a step's energy balance" in printed
 
 
 @pytest.mark.filterwarnings("default")
