@@ -12,7 +12,7 @@ _MOST, _HALVINGS = 200, 40
 _DECREASE = 1e-4
 """Fraction of the decrease predicted by the slope that a step has to reach (Armijo)."""
 _CONVERGED = 1e-13
-"""Size of a Newton step relative to the solution at which the iteration ends."""
+"""Size of a Newton step, relative to the solution, below which the iteration ends."""
 
 
 @dataclass(frozen=True)

@@ -112,7 +112,8 @@ def _in_single(matrix: sp.csr_matrix) -> Callable[[np.ndarray], np.ndarray] | No
 def direct_solver(free: np.ndarray, exchange: Owned, symmetric: bool = False) -> DirectSolver | SumInverse:
     """A direct solver: SuperLU on one process, PETSc over ranks, for matrices in parts.
 
-    If ``symmetric``, it is a preconditioner, on one process in single precision if accurate enough.
+    With ``symmetric`` it serves as a preconditioner: on one process factors in single precision suffice if
+    they are accurate enough.
     """
     if exchange.is_distributed:
         return SumInverse(free, exchange, symmetric)
@@ -138,8 +139,8 @@ class TwoLevelSolver:
     exchange : Exchange
         Exchange of the unknowns; over ranks matrices are in parts.
     dropped : float
-        Fraction of the diagonal below which sweeps omit entries: two thirds of all, for one per cent
-        more iterations of GMRES.
+        Fraction of the diagonal below which sweeps omit entries; these are two thirds of all entries, and
+        GMRES takes one per cent more iterations.
     """
 
     def __init__(

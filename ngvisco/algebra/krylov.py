@@ -60,7 +60,7 @@ def gmres(
                 break
         hessenberg[: k + 1, k] = column
         hessenberg[k + 1, k] = rest
-        last = float(column[0])  # rotated as the earlier columns
+        last = float(column[0])  # the rotations of the earlier columns act on it
         for (cosine, sine), value in zip(rotations, column[1:].tolist(), strict=True):
             last = cosine * value - sine * last
         turned = math.hypot(last, rest)

@@ -4,8 +4,8 @@ Rows are values, for instance at points, with an equal number in each cell; a ro
 only.  The product for all components of a field is one small dense product in each cell, which is many times
 faster than a sparse product for each component.
 
-On straight cells values at all points of a rule follow from those at a few of them, the nodes, by one matrix
-for all cells, as polynomials do: blocks of the nodes are stored, a fraction of those of the points.
+On straight cells functions are polynomials, so that their values at all points of a rule follow from the
+values at a few points, the nodes, by one matrix for all cells.  Only the blocks of the nodes are stored.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import scipy.linalg as la
 import scipy.sparse as sp
 
 SAMPLE, NEGLIGIBLE = 100, 1e-12
-"""Number of cells among whose rows nodes are chosen, and relative size of rounding."""
+"""Number of cells whose rows are searched for nodes, and the relative size of rounding."""
 
 
 class Functions(NamedTuple):
@@ -38,12 +38,12 @@ class Functions(NamedTuple):
 
     @property
     def values(self) -> np.ndarray:
-        """Values at the points, (sides, functions, points), made anew."""
+        """Values at the points, (sides, functions, points), computed at each access."""
         return self.nodal if self.shape is None else self.nodal @ self.shape
 
     def loads(self, values: np.ndarray) -> np.ndarray:
         """Sums over points of functions times ``values``, (sides, points, n) -> (sides, functions, n)."""
-        if not len(self.nodal):  # of a rank without cells, whose nodes have no number
+        if not len(self.nodal):  # a rank without cells does not know the number of nodes
             return np.zeros((0, self.nodal.shape[1], values.shape[2]))
         return np.asarray(np.matmul(self.values, values))
 
@@ -119,7 +119,7 @@ class LocalMatrix:
 
     @property
     def blocks(self) -> np.ndarray:
-        """Dense blocks, (cells, rows of a cell, unknowns of a cell), made anew."""
+        """Dense blocks, (cells, rows of a cell, unknowns of a cell), computed at each access."""
         return self.from_nodes(self.nodal).transpose(0, 2, 1)
 
     def from_nodes(self, values: np.ndarray) -> np.ndarray:
@@ -207,14 +207,14 @@ class LocalMatrix:
         return np.matmul(local.swapaxes(1, 2), self.nodal)
 
     def tested(self, values: np.ndarray) -> np.ndarray:
-        """Apply its transpose without weights, (cells, n, nodes of a cell) -> (width, n)."""
+        """Apply the transpose of ``by_cells``, (cells, n, nodes of a cell) -> (width, n)."""
         local = np.matmul(self.nodal, values.swapaxes(1, 2))
         return self.scatter @ local.reshape(self.unknowns.size, values.shape[1])
 
 
 def integrals(left: Functions, right: Functions, weights: np.ndarray) -> np.ndarray:
     """Sums over points of products of functions, (sides, left, right); ``weights`` are (sides, points)."""
-    if not len(weights):  # of a rank without cells
+    if not len(weights):  # a rank may have no cells
         return np.zeros((0, left.nodal.shape[1], right.nodal.shape[1]))
     points = np.eye(weights.shape[1])
     a, b = (points if each.shape is None else each.shape for each in (left, right))
@@ -240,7 +240,9 @@ def squared(nodal: np.ndarray, shape: np.ndarray | None, weights: np.ndarray) ->
 
 def _nodes(blocks: np.ndarray, pieces: int) -> tuple[np.ndarray, np.ndarray | None]:
     """Transposed blocks (cells, unknowns, nodes) of the rows at the nodes of each cell's ``pieces``, and the
-    matrix that interpolates from the nodes; all rows, and None, if no few rows determine the others."""
+    matrix that interpolates from the nodes.
+
+    If no smaller set of rows determines the others, all rows are nodes, and the matrix is None."""
     cells, local, count = blocks.shape
     if not pieces or not cells:
         return blocks, None

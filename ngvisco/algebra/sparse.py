@@ -89,10 +89,10 @@ def inverse_of_blocks(matrix: sp.csr_matrix) -> sp.csr_matrix:
 
 
 def of_blocks(diagonal: np.ndarray, across: np.ndarray, neighbours: np.ndarray, count: int) -> sp.csr_matrix:
-    """Matrix of blocks: ``own`` blocks of cells, (cells, q, q), and ``across`` sides, (cells, sides, q, q).
+    """Matrix of cells' blocks: ``diagonal``, (cells, q, q), and ``across`` sides, (cells, sides, q, q).
 
-    ``neighbours`` (cells, sides) are the cells across the sides; ``count`` is the number of all cells, of
-    which the last ones may have no rows.
+    ``neighbours`` (cells, sides) are the cells across the sides; ``count`` is the number of all cells, whose
+    last ones may have no rows.
     """
     cells, sides, q, _ = across.shape
     blocks = np.concatenate([diagonal[:, None], across], axis=1).reshape(-1, q, q)

@@ -9,7 +9,7 @@ from ngvisco.reduced.operators import FacetMass, SideOperators
 
 
 class FacetCoupling:
-    """Builds the blocks from weights at the sides' points; basis functions are evaluated there once."""
+    """Builds the blocks from weights at the sides' points; it keeps the basis functions' values there."""
 
     def __init__(self, sides: SideOperators, mass: FacetMass) -> None:
         z, per = sides.z, sides.points.per_side
@@ -26,7 +26,8 @@ class FacetCoupling:
         first = np.flatnonzero(np.diff(self._facet[order]) == 0)
         one, other = order[first], order[first + 1]
         self.across = np.arange(count)
-        """The other cell's side, (sides,): on the boundary the side itself, on another rank >= ``count``."""
+        """Number of the side in the other cell, (sides,); on the boundary the side's own number.  Sides of
+        other ranks' cells have numbers from ``count`` on."""
         self.across[one], self.across[other] = other, one
         side_of = np.zeros(len(mass.unknowns), dtype=np.int64)
         side_of[self._facet] = np.arange(count)

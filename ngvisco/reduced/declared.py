@@ -4,7 +4,7 @@ A term with a ``kernel`` is evaluated by the matrices of this name.  A term with
 evaluated by its form, every other term by its integrands at points.  A form may read all fields, and has rows
 of the flow's unknowns only: v, the walls' unknowns, the creep rate field.  Newton's increments contain the
 form's derivative by the flow's unknowns, and not the derivative by rho, z and other unknowns.  The residual
-is exact; the stronger a form depends on rho and z, the more iterations a step takes.  A term that
+is exact; the more strongly a form depends on rho and z, the more iterations a step takes.  A term that
 contradicts its declaration is refused by name.
 """
 
@@ -95,13 +95,13 @@ class Couplings:
         return [*self.by_forms, *(term for term in linearised if self._of_flow(term))]
 
     def of_gradients(self) -> list[PointTerm]:
-        """Terms with rows of grad w, and no other unknown of the flow than v: a coarse quadrature rule
-        suffices for their linearisation in v."""
+        """Terms with rows of grad w, and perhaps of w, but of no other unknown of the flow: a coarse
+        quadrature rule suffices for their linearisation in v."""
         alone = ({"grad v"}, {"v", "grad v"})
         return [term for term in self.at_points if term.linearised and self._of_flow(term) in alone]
 
     def _of_flow(self, term: PointTerm) -> set[str]:
-        """Names of the flow's tests in the rows of a term at points."""
+        """Names of the tests in a term's rows that belong to the flow, not to the fields."""
         return set(self._rows[id(term)].names) - _FIELDS
 
     @property
@@ -133,7 +133,7 @@ class Couplings:
 
 
 def term_obstacle(step: Step) -> str | None:
-    """Why the split solver cannot take a term, which the text names; None if it can take all terms."""
+    """The reason why the split solver cannot take some term, with its name; None if it takes all terms."""
     try:
         Couplings(step)
     except ParameterError as error:

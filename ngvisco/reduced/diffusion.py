@@ -1,7 +1,7 @@
 """delta Laplace z with the slope of z and its traces eliminated, cell by cell and facet by facet.
 
-The matrices of ``FieldDiffusion`` that are constant are the same for every component, and are assembled for
-one.  Only phi''(z) depends on the state.  It enters the cells' equations of the slope q,
+The constant matrices of ``FieldDiffusion`` are the same for every component, and are assembled once.  Only
+phi''(z) depends on the state.  It enters the cells' equations of the slope q,
 
     (phi''(z) + P) q_j = L_j (zeta + P z),        rows of z:  delta (sum_j L_j^T q_j + C S (zeta + P z)),
 
@@ -74,7 +74,7 @@ class FieldDiffusionRows:
         to_means, count, size = self._to_means(traces), self.unknowns.count, cell.ndof
 
         def with_means(test: str) -> sp.csr_matrix:
-            """Rows of ``test`` as a function of zeta in cells, the traces being its means."""
+            """The matrix from zeta in cells to the rows of ``test``; traces are the means of zeta."""
             of_cell = block(test, "zeta")
             return widened(of_cell, of_cell.shape[0], count) + block(test, "zeta_delta_hat") @ to_means
 
@@ -114,9 +114,10 @@ class FieldDiffusionRows:
         return (self._delta * (square + penalty)).tocsr()
 
     def slopes(self, z_values: np.ndarray, c: Coefficients) -> dict[str, np.ndarray]:
-        """The eliminated unknowns by name, (components, functions), from z at the cells' points, z and zeta.
+        """The eliminated unknowns by name, (components, functions).
 
-        A complex z and zeta, with increments as imaginary parts, give complex unknowns.
+        ``z_values`` is z at the cells' points, ``c`` has the coefficients of z and zeta.  A complex z and
+        zeta, with increments as imaginary parts, give complex unknowns.
         """
         chi = self._potential(c)
         at = np.ascontiguousarray(z_values.real)

@@ -66,7 +66,7 @@ def factors_of(parts: Sequence[Linear]) -> dict[str, np.ndarray]:
 
 
 class Sampled:
-    """The data of a step, sampled at all points of a rule where they are first asked for."""
+    """The data of a step, sampled at all points of a rule when they are first read."""
 
     def __init__(self, step: Step, operators: Operators) -> None:
         self._step, self._points, self.old = step, operators.points, dict[str, np.ndarray]()
@@ -90,7 +90,7 @@ class Sampled:
 
     @property
     def momentum_old(self) -> np.ndarray | None:
-        """m_old, (dim, points), kg/(m^2 s); None for a rule other than that of the forms."""
+        """m_old, (dim, points), kg/(m^2 s); None if this rule is not the rule of the forms."""
         momentum, dim = self._step.momentum_old, self._step.mesh.dim
         is_known = self._points.count * dim == momentum.space.ndof
         return self._points.read(momentum, dim) if is_known else None
@@ -236,14 +236,15 @@ class CellTerms:
 
     def factors(self, terms: Iterable[PointTerm], u: Fields) -> dict[str, np.ndarray]:
         """Factors of each test and of its gradient, summed over the terms, (..., points)."""
-        tests = tests_of(self._step, True, u.context)  # u may have its points several times
+        tests = tests_of(self._step, True, u.context)  # in u each point may occur several times
         return factors_of([part for term in terms for part in getattr(term, self.place)(u, tests)])
 
     def derivatives(
         self, terms: Sequence[PointTerm], u: Fields, **along: np.ndarray
     ) -> dict[str, np.ndarray]:
-        """Derivatives of ``factors`` in k directions, (..., k, points); ``along`` is that of
-        ``incremented``."""
+        """Derivatives of ``factors`` in k directions, (..., k, points).
+
+        ``along`` has the directions, as in ``incremented``."""
         parts = [
             {name: derivative_of(g, k) for name, g in self.factors(terms, changed).items()}
             for k, changed in incremented(u, **along)

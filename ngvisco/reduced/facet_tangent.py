@@ -8,8 +8,8 @@ the side's rows is
 
     (own + H A) dz + H A(other side) dz(other cell),    summed over the means.
 
-Of the integrals over cells this module takes the part by gradients; the derivative by values alone is that of
-the point tangent.  zeta follows z by the projection of phi''(z), cell by cell.
+In the integrals over cells the blocks contain the terms with a gradient, of the increment or of the test; the
+point tangent has the others.  zeta follows z by the projection of phi''(z), cell by cell.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ if TYPE_CHECKING:
 
 
 class FacetTangent:
-    """Computes the blocks of those components of z that the terms have rows of.
+    """Computes the blocks of the components of z in which the terms have rows.
 
     Attributes
     ----------
     rows : list of int
-        Components of z that the terms have rows of.
+        Components of z in which the terms have rows.
     columns : list of int
         Components of z that these rows depend on.
     """
@@ -123,8 +123,8 @@ class FacetTangent:
         return derivatives[:, :, :, self.columns].reshape(cells, len(self._read) * q, len(self.columns) * q)
 
     def _in_cells(self, u: Fields, d: Fields, name: str) -> np.ndarray:
-        """Rows in cells of an increment, (cells, rows q): the part by its gradient or with gradients of
-        tests."""
+        """Rows in cells from an increment, (cells, rows q), without products of its values and the tests'
+        values."""
         r = self.residual
         by_all = r.cell_terms.factors(self.terms, moved(u, d, [name])).get("grad z")
         by_gradients = r.cell_terms.factors(self.terms, moved(u, d, [name], values=False)).get("z")

@@ -60,7 +60,7 @@ class SideJumps:
             self._z = LocalMatrix(points.values(hyper.fields), mesh.ne, pieces=points.per_cell)
 
     def values(self, j: np.ndarray, s: np.ndarray | None, z: np.ndarray) -> Fields:
-        """Fields on the sides: the jumps ``j``, |Hs|^2 from coefficients ``s``, the fields from ``z``."""
+        """Fields on the sides: the jumps ``j``; |Hs|^2 and z have the coefficients ``s`` and ``z``."""
         makers = {"z": lambda: Array(self._z(z), None)}
         if s is not None:
             makers["hess_square"] = lambda: Array(self.scalar(s), None)

@@ -85,7 +85,7 @@ class OnePoint:
     def _evaluated(
         self, term: PointTerm, along: Callable[[str, np.ndarray], np.ndarray]
     ) -> tuple[list[tuple[str, np.ndarray]], bool]:
-        """Tests and their factors, in cells and on the side, and whether a collocated rule has any.
+        """Names of tests with their factors, in the cell and on the side; whether a collocated rule is used.
 
         ``along`` maps an unknown's name and its values, or its gradient, to the values to be used.
         """
@@ -148,7 +148,7 @@ class OnePoint:
 
 
 def why(error: Exception) -> str:
-    """One line that describes an error which a term or a law raised at arrays."""
+    """One line that describes an error of a term or a law that was evaluated with arrays."""
     if isinstance(error, AttributeError) and isinstance(error.obj, SimpleNamespace):
         return f"there is no {error.name} by arrays"
     lines = str(error).splitlines() or [""]

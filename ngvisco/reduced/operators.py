@@ -132,7 +132,9 @@ class SideOperators:
 
 
 class FacetMass:
-    """The mass matrix sum over sides of int weight u t of functions on facets: one small block a facet."""
+    """The mass matrix of functions u, t on facets: one small block for each facet.
+
+    A block is the sum over the facet's sides of int weight u t."""
 
     def __init__(self, values: LocalMatrix, exchange: Exchange) -> None:
         """``values`` evaluates functions on facets at the sides' points; ``exchange`` shares their
@@ -144,7 +146,7 @@ class FacetMass:
         facet_of, place = np.zeros((2, matrix.shape[1]), dtype=np.int64)
         count, size = self.unknowns.shape
         facet_of[self.unknowns], place[self.unknowns] = np.arange(count)[:, None], np.arange(size)
-        sides = max(values.pieces, 1)  # of a rank without cells too
+        sides = max(values.pieces, 1)  # 1 for a rank without cells
         nodes = values.nodal.shape[2] // sides or 1
         self.facet = facet_of[matrix.indices[matrix.indptr[:-1:nodes]]]
         """The facet of each side."""
@@ -159,7 +161,7 @@ class FacetMass:
         """The basis functions of each side's facet."""
 
     def summed_blocks(self, matrix: sp.csr_matrix) -> sp.csr_matrix:
-        """Sum over ranks of a matrix of blocks of facets, of which each rank has the share of its cells."""
+        """The sum over ranks of a matrix of facets' blocks; each rank has the share of its cells."""
         shared = self.unknowns[self.of_facets.places]
         if not len(shared):
             return matrix
@@ -170,7 +172,7 @@ class FacetMass:
         return (matrix + sp.csr_matrix((received.ravel(), (rows, columns)), shape=matrix.shape)).tocsr()
 
     def update(self, weights: np.ndarray) -> None:
-        """Set ``inverses``, (facets, functions, functions), of the blocks with the weights (points,)."""
+        """Set ``inverses`` of the blocks, (facets, functions, functions), for ``weights`` (points,)."""
         size, count, sides = self.unknowns.shape[1], len(self.unknowns), len(self.facet)
         by_sides = weights.reshape(sides, len(weights) // max(sides, 1))
         of_sides, blocks = integrals(self.functions, self.functions, by_sides), np.empty((size, size, count))

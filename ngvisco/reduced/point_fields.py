@@ -1,4 +1,4 @@
-"""Fields as arrays at points: values are computed at first access; and imaginary increments of fields.
+"""Fields as arrays at points, computed at first access, and imaginary increments of fields.
 
 If a value has an infinitesimal imaginary increment, the imaginary part of any result computed from it is the
 derivative of the result along the increment.
@@ -51,8 +51,8 @@ def lazy_fields(
 ) -> Fields:
     """Unknowns or tests whose values and gradients are computed at first access.
 
-    ``values`` and ``gradients`` are each a function of a name, and the names that it knows.  ``place`` says
-    in error messages where the points lie."""
+    ``values`` and ``gradients`` are pairs of a function of a name and the names that it takes.  ``place``
+    says in error messages where the points lie."""
     parts, slopes = Lazy(*values, place), Lazy(*gradients, f"{place}, as a gradient")
     return kind(layout, parts, context, slopes.__getitem__)
 
@@ -89,7 +89,7 @@ def moved(u: Fields, d: Fields, names: Iterable[str], values: bool = True) -> Fi
 
 
 def incremented(u: Fields, **along: np.ndarray) -> Iterator[tuple[int, Fields]]:
-    """Yield ``u`` with imaginary increments, for several directions at a time, and their number.
+    """Yield the number of some directions, and ``u`` with imaginary increments in these directions.
 
     The points are repeated for each direction, one direction after the other: an operation on more points
     takes hardly longer.

@@ -242,7 +242,7 @@ class ReducedResidual:
         self.density = RestrictedForm(step, u.density, couplings.density) if couplings.density else None
         self._density_of_all: RestrictedForm | None = None
         self._of_forms: list[tuple[slice, sp.csr_matrix, np.ndarray]] = []
-        """Rows of each form, its derivative at the last call of ``derivative``, and the columns."""
+        """Rows, matrix and columns of each form's derivative, from the last call of ``derivative``."""
         self.hyper: MatrixHyperviscosity | None = None
         if couplings.of_kernel["hyperviscosity"]:
             points = self.op.points, self.side_op.points
@@ -250,7 +250,7 @@ class ReducedResidual:
         self.right_hand_side = None if step.sources is None else RightHandSide(step)
         self.ranks, self.exchange = exchange.communicator, exchange.part(u.places(u.names))
         """Ranks and exchange of the packed unknowns."""
-        # one component serves all of them, and rho, whose trace has the same layout
+        # the matrix of one component serves all components of z, and rho, whose trace has the same layout
         self.trace_mass = self._mass_of_traces(exchange, "z_hat")
         self.diffusion: FieldDiffusionRows | None = None
         if couplings.of_kernel["diffusion"]:
@@ -270,7 +270,7 @@ class ReducedResidual:
             self.parts = [CellPart(self, cells) for cells in parts_of(step.mesh.ne, self.op.points.per_cell)]
 
     def _mass_of_traces(self, exchange: Exchange, name: str) -> FacetMass:
-        """The mass matrix of the facet means that have the polynomial order of ``name``."""
+        """The mass matrix of facet means with the polynomial order of the unknown ``name``."""
         values = self.side_op.of(name)
         mass = FacetMass(values, exchange.part(self.unknowns.places([name])[: values.width]))
         mass.update(self.side_op.weights * mean_share(self.side_op.inner))
@@ -327,7 +327,7 @@ class ReducedResidual:
             self._at_collocation_points(self.collocated_terms, c, True)
 
     def _at_collocation_points(self, terms: CellTerms, c: dict[str, np.ndarray], is_real: bool) -> Fields:
-        """Values at collocation points; real ones update the linearisation stresses, as the step's state."""
+        """Fields at the collocation points; if real, they become the state of the linearisation stresses."""
         n = terms.fields(c)
         if is_real:
             self.step.stresses.refresh(lambda: (n.z.value, n.zeta.value))
@@ -359,7 +359,7 @@ class ReducedResidual:
         return c, hyper
 
     def derivative(self, at: Evaluation) -> Callable[[np.ndarray], np.ndarray]:
-        """The map from packed directions d to the rows dR d at an evaluation, whose x has to be the state.
+        """The map from packed directions d to the rows dR d at an evaluation; its x has to be the state.
 
         The derivative is taken by complex increments of all arrays.  Terms that exist as forms only are
         linearised by NGSolve.

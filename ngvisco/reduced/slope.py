@@ -31,7 +31,7 @@ class PointwiseSlope:
 
     @property
     def is_local(self) -> bool:
-        """Whether phi' at some points depends on z there alone, so that threads may share the points."""
+        """Whether phi' at a point depends on z at this point alone, so that threads may share the points."""
         return self.arrays is not None and not self.lagged.any()
 
     def __call__(self, z_values: np.ndarray) -> np.ndarray:
@@ -66,7 +66,7 @@ class PointwiseSlope:
         return np.where(self.lagged, self._frozen[1], z_values)
 
     def _whole(self, z_values: np.ndarray) -> np.ndarray:
-        """phi'(z) of all variables with every component taken from ``z_values``."""
+        """phi'(z) of all variables, with ``z_values`` for lagged variables too."""
         if np.iscomplexobj(z_values):
             z, dz = np.ascontiguousarray(z_values.real), np.ascontiguousarray(z_values.imag)
             return self._whole(z) + 1j * self._whole_derivative(z)(dz)

@@ -32,12 +32,12 @@ from ngvisco.solver.options import NewtonOptions
 from ngvisco.solver.problem import BlockNorm, NewtonIteration, Problem, Solution, Status, unconverged
 
 NOISE_SAMPLES, NOISE_MARGIN, NOISE_CAP = 2, 10.0, 100.0
-"""Number of perturbations of the state by rounding, of which the largest change of the increment is the
-noise; the largest stalled increment that is accepted, in units of the noise, as both are random; and in
+"""Number of perturbations of the state by rounding: the noise is the largest change of the increment.  A
+stalled increment is accepted up to the margin times the noise, as both are random, and up to the cap in
 tolerances."""
 NEAR = 10.0
-"""Stalled increment, in tolerances, accepted without measuring: rounding of a stiff pressure moves slow
-velocities so much."""
+"""Stalled increment, in tolerances, that is accepted without measuring the noise: rounding of a stiff
+pressure may move a slow velocity by so much."""
 HEAP_SIZES = (500_000_000, 2_000_000_000)
 """Heap sizes for a cell's matrix, bytes, tried if NGSolve's default is too small, as for k = 3, m = 2 in
 3D."""
@@ -132,7 +132,7 @@ class Newton:
         Stresses at which flow rules are linearised, unknowns in addition to the state.
     has_energy : callable, optional
         Says whether the state has a stored energy.  An iterate without energy counts as one without a
-        residual, as the derivative of a logarithm goes on beyond its pole.
+        residual: the derivative of a logarithm is finite also where the logarithm is not defined.
     growths : callable, optional
         Counts changes of the equations that evaluations cause (``ngvisco.forms.upwinding.Largest``).
     """

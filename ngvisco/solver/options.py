@@ -1,4 +1,4 @@
-"""Options of the solvers; a number that no run chooses is defined in the module that uses it.
+"""Options of the solvers.  Constants that no run changes are defined in the modules that use them.
 
 A pair has the values in 2D and in 3D.  ``ngvisco/solver/NOTES.md`` has the measurements behind the defaults.
 """
@@ -34,8 +34,8 @@ class SplitOptions:
     """Options of the split solver: its choice, its iteration and its linear systems."""
 
     chosen_from: Pair = (60, 10)
-    """Number of cells from which ``method = "auto"`` takes the split solver, the faster one from there on
-    (tests/benchmarks)."""
+    """Number of cells from which on the split solver is faster (tests/benchmarks), and ``method = "auto"``
+    takes it."""
     margin: Positive = 0.1
     """Largest error, in tolerances, after the last increment has been added, estimated from the contraction;
     the increment itself has to be below one tolerance."""
@@ -45,7 +45,7 @@ class SplitOptions:
     """Ratio of an increment to the smallest increment, above which the iterate is given up; the next iterate
     is half as far from the best one."""
     halvings: Count = 5
-    """Largest number of iterates that are given up."""
+    """Number of iterates that one attempt may give up."""
     renewed_after: Count = 20
     """Number of GMRES iterations for the flow above which operator and preconditioner are renewed; the
     renewal takes as long as 30 to 65 iterations."""
@@ -59,7 +59,7 @@ class SplitOptions:
     """Relative increment of a creep rate field above which operator and preconditioner are renewed, unless
     the increment before was more than three times as large."""
     rounding: Positive = 1e-8
-    """Increment up to which Newton-Krylov does not stop for slow progress, which rounding may cause."""
+    """Increment below which Newton-Krylov does not stop for slow progress: rounding may be the cause."""
     flow_iterations: Count = 30
     """Largest number of GMRES iterations for the flow's linear system."""
     direct_up_to: Pair = (3_000, 3_000)
@@ -69,8 +69,8 @@ class SplitOptions:
     """Number of unknowns of v up to which the whole tangent is factorised for the rest of a step if
     ``flow_iterations`` with two levels do not solve the flow's system."""
     krylov_below: Positive = 0.05
-    """Increment up to which Newton-Krylov takes over; with larger increments the attempt fails, and the time
-    loop halves the step."""
+    """Increment up to which Newton-Krylov takes over.  With larger increments an attempt goes on until it
+    fails, and the time loop halves the step."""
     penalty_degree: Count = 4
     """Degree of the quadrature rule for the derivative of the hyperviscosity's penalty, for k = 2 on straight
     cells: exact for p = 4, (P_1 jumps)^4.  For k = 3 and on curved cells the forms' rule is used."""

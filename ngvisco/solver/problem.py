@@ -7,8 +7,8 @@ The norm of an increment is
 
     |d| = max over the unknowns u that evolve of |d_u|_2 / scale_u
 
-of coefficients, with scale_v = |v|_2 + f sqrt(n) h/tau and scale_u = |u|_2 + f sqrt(n) s_u. Here n is the
-number of the block's coefficients and h the smallest cell size, so that a velocity counts by the strain that
+of vectors of coefficients, with scale_v = |v|_2 + f sqrt(n) h/tau and scale_u = |u|_2 + f sqrt(n) s_u. Here n
+is the number of coefficients of u and h the smallest cell size, so that a velocity counts by the strain that
 it makes in the step; s_u is the unknown's scale, 0 for rho and 1 for z. The other unknowns are functions of
 the evolving ones. The trace of a density that diffuses by an r-Laplacian is a nonlinear function, and counts
 like rho. A creep rate field Pi changes z by tau Pi only, so that a short step does not determine it: with nu
@@ -31,7 +31,7 @@ from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.exchange import Exchange
 
 FLOOR = 1e-9
-"""Small strains and velocities converge relatively to themselves, as the ledger needs."""
+"""The floor f: so small that the iteration resolves small strains and velocities too, as the ledger needs."""
 COARSE_FLOOR = 1e-3
 """Floor by which a stalled iteration is judged: near a state of rest ``FLOOR`` is below rounding."""
 SHARE = 1e-4
@@ -44,7 +44,7 @@ class BlockNorm:
     Parameters
     ----------
     ranges : mapping of block names to slices of the coefficient vector
-    units : mapping from the counted blocks' names to s_u, or for v h/tau, which multiply the floor f
+    units : mapping from the names of the blocks that count to s_u, and from "v" to h/tau
     exchange : Exchange, optional
         Exchange of the vectors' space, if ranks may share the space.
     shared : collection of str

@@ -35,8 +35,8 @@ _TOO_FAST = 0.8
 linearised rates of the variables lead away from the solution."""
 
 _SHORTEST, _FACTOR, _LENGTHS = 0.25 / 8**3, 4.0, 20
-"""Steps of growing length: the shortest fraction of the step, the factor between two lengths, their
-number."""
+"""Steps of growing length: the first fraction of the step, the factor between two fractions, and the largest
+number of attempts."""
 
 _TOO_FAR = 0.5
 """Change of the velocity, |dv| tau/h, above which extrapolated values are not tried, as after the first of
@@ -83,7 +83,7 @@ class RotheSolver:
         """Linearisation stresses of flow rules at the last factorisation."""
         self._start = step.state.vec.CreateVector()
         self._met: list[str] = []
-        """Reasons why energies of a step's iterates were not finite, of all attempts."""
+        """Reasons, from all attempts at a step, why an iterate had no finite energy."""
         self.extrapolation = Extrapolation(step)
 
     @property

@@ -51,7 +51,7 @@ class FlowSchurComplement:
         u, self.op = residual.unknowns, points.op
         op, self.dim, self.components = self.op, residual.step.mesh.dim, points.components
         self.nv, self.size = u.slices["v"].stop, u.flow_slice.stop
-        """Numbers of the unknowns of v, and of the flow without the normal derivatives."""
+        """Number of unknowns of v, and number of unknowns of the flow without the normal derivatives."""
         self.gradients = residual.rates.tensors.gradients
         """Number of entries of grad v on which the fields' rates depend."""
         self.others: RestrictedForm | None = None
@@ -66,7 +66,7 @@ class FlowSchurComplement:
         self._scatter = op.v.scatter.astype(precision.SINGLE)
         rows, of_fields = self.local * self.dim, self.functions * self.components
         self._of_velocity = np.empty((self.cells, rows + of_fields, rows), precision.SINGLE)
-        """``own`` above ``to_fields``: one product gives both kinds of rows."""
+        """The rows of ``own`` and then of ``to_fields``: one product gives rows of v and of the fields."""
         self.own, self.to_fields = self._of_velocity[:, :rows], self._of_velocity[:, rows:]
         self.from_fields = np.empty((self.cells, rows, of_fields), precision.SINGLE)
 
@@ -192,8 +192,9 @@ class FlowSchurComplement:
         return self._scattered(of_cells)
 
     def force(self, dz: np.ndarray) -> np.ndarray:
-        """Rows of v, (dim, .), from an increment of z by sweeps, (cells' unknowns, n); each rank its cells'
-        share."""
+        """Rows of v, (dim, .), from an increment of z by the transport alone, (cells' unknowns, n).
+
+        Each rank has the share of its cells."""
         fields = dz.reshape(self.cells, self.from_fields.shape[2], 1)
         return self._scattered(np.matmul(self.from_fields, fields))
 
@@ -223,7 +224,7 @@ class FlowSchurComplement:
         return np.matmul(self.points.resolvent, cells).reshape(dz.shape)
 
     def _rows_of(self, cells: np.ndarray, hyper_tangent: sp.csr_matrix | None, i: int) -> sp.csr_matrix:
-        """Rows of component i of v, of element matrices, and of v's matrix of its own in each component."""
+        """Rows of component i of v, from element matrices and one component's hyperviscosity."""
         blocks, n = [self._assembled(cells[:, :, i, k]) for k in range(self.dim)], self.op.v.width
         if hyper_tangent is not None:
             blocks[i] = blocks[i] + hyper_tangent[:n, :n]

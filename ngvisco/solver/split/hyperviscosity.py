@@ -1,10 +1,10 @@
 """The hyperviscosity's derivative in a direction of (v, a), for the flow's linear system, and its tangent.
 
 In a cell the law reads x = (v, a) through B x: the coefficients of Hs, and the jumps at the sides' points.
-One small dense product gives B x for all components of v, (cells, dim, rows); with points last, sums are as
-fast as memory. The rows are B^T times the law's derivative. In the velocity tangent a is eliminated. Only on
-facets between ranks, where each rank has one side, a stays an unknown: the matrix is then a sum over the
-ranks' cells.
+One small dense product gives B x for all components of v, (cells, dim, rows).  Arrays have the points last,
+so that sums run at the speed of memory. The rows are B^T times the law's derivative. In the velocity tangent
+a is eliminated. Only on facets between ranks, where each rank has one side, a stays an unknown: the matrix is
+then a sum over the ranks' cells.
 
 The derivative is written by hand since complex increments of the rows take 4 to 5 times as long
 (``tests/benchmarks/kernels.py``); ``tests/solver/test_split_solver.py`` compares it with the rows.
@@ -168,10 +168,10 @@ def _transposed(matrices: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 
 class HyperTangent:
-    """The tangent in v and the kept unknowns of a, with a = E v elsewhere, and the facets' blocks."""
+    """The hyperviscosity's tangent in v and the kept unknowns of a; the other unknowns of a are E v."""
 
     def __init__(self, derivative: HyperDerivative, kept: np.ndarray) -> None:
-        """``kept`` are those unknowns of one component of a that are not eliminated."""
+        """``kept`` are the unknowns of one component of a that are not eliminated."""
         self.derivative, self.kept = derivative, kept
         values, h = derivative.of_component, derivative.hyper
         self.eliminated = np.setdiff1d(np.arange(values.width - h.velocities), kept)
@@ -184,8 +184,8 @@ class HyperTangent:
         self._facets = Blocks(self._in_parts(pattern)[2])
 
     def _in_parts(self, elements: np.ndarray) -> tuple[sp.csr_matrix, sp.csr_matrix, sp.csr_matrix]:
-        """Assemble ``elements``; split into blocks: (v, kept a), its coupling to the other a, and the other
-        a."""
+        """Assemble ``elements``; return the blocks of (v, kept a), of its coupling to the other a, and of the
+        other a."""
         matrix, n = self._assembled(elements), self._assembled.width - len(self.eliminated)
         return matrix[:n, :n], matrix[:n, n:], matrix[n:, n:]
 
@@ -216,7 +216,7 @@ class HyperTangent:
     def bordered(self, matrix: sp.csr_matrix, tangent: sp.csr_matrix, dim: int) -> sp.csr_matrix:
         """Append rows and columns of the kept a to a matrix of the flow's unknowns, v's components first.
 
-        ``own`` is the matrix of one component of v and of the kept a.
+        ``tangent`` is the matrix of one component of v and of the kept a.
         """
         each = sp.identity(dim)
         width = tangent.shape[0] - len(self.kept)

@@ -1,11 +1,12 @@
 """Computes P^{-1} R, the split solver's increment of all unknowns.
 
-It solves the flow's linear system, with the fields by sweeps of the transport; then the fields' linear
-equations for the increment of the velocity. For dz these are T dz - (K dz, .) = rows, with the transport T
+It solves the flow's linear system, in which sweeps of the transport give the fields; then, with the increment
+of the velocity, the fields' linear equations. For dz these are T dz - (K dz, .) = rows, with the transport T
 (``TransportSweeps``) and the derivative K of rates and creep (``PointTangent``); for drho K is left out.
 Sweeps, followed by (1 - tau K)^{-1} in every cell, invert T - K up to tau^2 (products of T and K) and the
 sweeps' remainder. They are accurate if Courant number and strain of a step are below a half, and useless if
-either is above one, even in one cell, as at a wall that starts to move at once. Then they precondition GMRES.
+either is above one, even in one cell, as at a wall that starts to move at once. Then they only precondition
+GMRES.
 """
 
 from __future__ import annotations
@@ -34,10 +35,8 @@ from ngvisco.solver.split.transport import TransportSweeps
 TOLERANCE, ITERATIONS = 0.05, 20
 """Tolerance of the increments of z and rho, and the largest number of GMRES iterations for them."""
 ENOUGH, ENOUGH_WHERE_STEEP = 0.15, 0.05
-"""Relative residual up to which sweeps alone suffice, without GMRES; Newton's iteration contracts by this
-factor.
-
-The second value is for steep rules: local creep rules that are not linear."""
+"""Relative residual up to which sweeps alone suffice, without GMRES; Newton's iteration then contracts by
+about this factor.  The second value is for steep rules: local creep rules that are not linear."""
 _LINEAR = 1e-3
 """GMRES directions of the flow's linear systems are in single precision if the tolerance is above this
 value."""
@@ -55,7 +54,7 @@ class FieldsSystem:
         """Approximate inverses of which one application was enough since the operator's last update."""
 
     def renew(self) -> None:
-        """Forget for which systems sweeps were enough."""
+        """Let the next solution of each system test again whether sweeps are enough."""
         self._swept_is_enough.clear()
 
     def z(self, rows: np.ndarray, tolerance: float) -> np.ndarray:
@@ -224,13 +223,13 @@ class Preconditioner:
         return True
 
     def update(self, at: Evaluation) -> None:
-        """Form and factorise everything at an evaluation, whose unknowns have to be the step's state."""
+        """Form operator and tangent at an evaluation; its unknowns have to be the step's state."""
         self.linearise(at, everything=True)
         self.solver.factorise(self.operator.tangent(at, self.hyper_tangent))
 
     def linearise(self, at: Evaluation, everything: bool) -> None:
-        """Linearise the operator at an evaluation; without ``everything`` only the parts that change
-        suddenly."""
+        """Linearise the operator at an evaluation; without ``everything`` only hyperviscosity and a nonlinear
+        density equation."""
         self.operator.update(at, everything)
         if everything:
             self.fields.renew()
@@ -242,8 +241,8 @@ class Preconditioner:
         of_z = self._rows_of_z(at.residual)
         flow, alone = at.residual[: self._size].copy(), None
         if self._relaxes:
-            # the residual of a steep flow rule at a stress off the rule has the size of its slope: relax it
-            # in each cell before the transport carries it to other cells
+            # a stress that does not fulfil a steep flow rule leaves a residual as large as the rule's slope:
+            # each cell relaxes its residual before the transport carries it to other cells
             alone = operator.points.tau * apply(operator.residual.inverse_mass, of_z.T)
             alone = operator.resolved(np.ascontiguousarray(alone.T))
             of_z = of_z - self.fields.rows(alone)
@@ -297,7 +296,7 @@ class Preconditioner:
         return rows
 
     def _block(self, y: np.ndarray) -> np.ndarray:
-        """Apply the tangent's inverse; normal derivatives are eliminated from it, except between ranks."""
+        """Apply the tangent's inverse; only normal derivatives between ranks are unknowns of the tangent."""
         tangent, dim, (rows, a) = self.hyper_tangent, self.dim, np.split(y, [len(self.free)])
         if tangent is None:
             return self.solver(rows)

@@ -4,9 +4,9 @@ See FORMULATION.md, Section 7. In the coupled residual R(u) = 0 all explicit fun
 traces, conjugates, local creep, the hyperviscosity's local unknowns - are eliminated exactly, at the points
 of cells and sides (``ReducedResidual``). An increment takes sweeps of the transport, and one linear system of
 the flow with the fields' response to it (``FlowSchurComplement``), solved by GMRES (``Preconditioner``).
-Three things distinguish it from Newton's method: a coarser rule; a fixed number of sweeps; and an operator
-that is renewed only after a long increment or if increments shrink too little. Between renewals the operator
-follows hyperviscosity only, which changes suddenly.
+Three things distinguish it from Newton's method: a coarser quadrature rule; a fixed number of sweeps; and an
+operator that is renewed only after a long increment or if increments shrink too little. Between renewals the
+operator follows hyperviscosity only, which changes suddenly.
 
 ``iterate`` replaces x by x - f(x), f = P^{-1} R, until f is small. If f is not finite, or much longer than
 the smallest increment so far, the iterate is given up for one nearer to the best iterate. ``damped`` makes a
@@ -36,19 +36,20 @@ from ngvisco.threads import Workers, on_arrays
 _FORCING = {2: 0.03, 3: 0.003}
 """Tolerances of the flow's linear systems by dimension; in 3D residuals are dear, and fewer of them pay."""
 _STEEP = 0.01
-"""Increment above which the operator of flow rules is renewed at the next iterate, stale or not."""
+"""Increment above which the operator of steep flow rules is renewed at the next iterate in any case."""
 TOLERANCE, _DIRECTIONS = 0.01, 40
 """Tolerance of Newton-Krylov's linear systems, and the largest number of derivatives for one system."""
 INNER = 3e-4, 1e-6
-"""Tolerances of the flow's and the fields' systems in P, without and with steep flow rules.
+"""Tolerance of the linear systems in P within Newton-Krylov: without steep flow rules, and with them.
 
 P has to be a linear map. With a steep flow rule P dR has single eigenvalues of 1e2 to 1e4, which multiply the
 nonlinear part of P."""
 _FAR = 0.01
-"""``growth`` is the ratio of an increment to the smallest one, or to this value if the smallest is below
-it."""
+"""Smallest denominator of the ratio ``SplitOptions.growth``: smaller increments may grow up to ``growth``
+times this value."""
 _WINDOW, _MIN_DAMPING = 4, 0.05
-"""Newton-Krylov gives up if this many iterations do not reduce the increment to a fifth; smallest damping."""
+"""Number of iterations in which Newton-Krylov has to reduce the increment to a fifth; and the damping below
+which an iteration has stalled."""
 
 
 class Split:
@@ -158,7 +159,7 @@ class Split:
         return False
 
     def evaluated(self, x: np.ndarray, last: float) -> Evaluation:
-        """R at the unknowns x; flow rules are linearised there if the operator is to be renewed at x.
+        """R at the unknowns x; flow rules are linearised at x if the operator is to be renewed there.
 
         ``last`` is the size of the increment that led to x.
         """
@@ -192,7 +193,7 @@ class Split:
             return True
         if not 0.5 * last < size:
             return False
-        # slow because of rounding; or just slow: then the sum of all further increments has to be small
+        # slow by rounding or by a poor tangent: the sum of all later increments has to be small
         gained = max(1 - size / last, 0.0) or 1.0
         return self.size(f, coarse=True) <= gained * tolerance
 
@@ -214,7 +215,7 @@ class Split:
         return self.preconditioner(at, _FORCING[self.step.mesh.dim])
 
     def renew(self, problem: Problem, at: Evaluation) -> None:
-        """Compute the tangent at an evaluation, whose unknowns have to be the step's state."""
+        """Compute the tangent at an evaluation; its unknowns have to be the step's state."""
         self.is_factorised = False
         self.preconditioner.update(at)  # no tangent remains if this fails
         self.is_factorised = True

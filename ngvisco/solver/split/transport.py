@@ -3,11 +3,11 @@
 Each component of z, and rho, has the scalar matrix T = M/tau + convection + facets with the trace eliminated.
 Its dense blocks multiply a cell's own values and the values across its sides (``FacetCoupling``). The flux
 through a facet depends on the cell's values and on the facet's trace, a weighted mean of both sides' values.
-Sweeps over the cells (block Jacobi) solve each cell with its neighbours' last values. They converge like the
-Courant number. ``update`` fixes the number of sweeps for its velocity, by the error of a random field, so
-that the approximate inverse is a linear map. T is factorised for components that diffuse, which sweeps do not
-resolve, and for components that cells exchange across facets (``Exchanged``). A nonlinear density equation
-has its own Jacobian.
+Sweeps over the cells (block Jacobi) solve each cell with its neighbours' last values; the larger the Courant
+number, the slower they converge. ``update`` fixes the number of sweeps for its velocity, by the error of a
+random field, so that the approximate inverse is a linear map. T is factorised for components that diffuse,
+which sweeps do not resolve, and for components that cells exchange across facets (``Exchanged``). A nonlinear
+density equation has its own Jacobian.
 
 The blocks are written by hand since ``FacetTangent`` of the same terms takes 40 to 180 times as long
 (``tests/benchmarks/kernels.py``); ``tests/solver/test_flow_operator.py`` compares them with the rows.
@@ -36,7 +36,7 @@ class SweptMatrix:
     """A matrix of cells' blocks in single precision, and an approximate inverse by sweeps over the cells."""
 
     def __init__(self, diagonal: np.ndarray, across: np.ndarray, coupling: FacetCoupling) -> None:
-        """``own`` and ``across`` are the blocks that ``FacetCoupling.blocks`` returns."""
+        """``diagonal`` and ``across`` are the blocks that ``FacetCoupling.blocks`` returns."""
         count, sides, q, _ = across.shape
         self._coupling, self._own = coupling, diagonal
         self._across = across.transpose(0, 2, 1, 3).reshape(count, q, sides * q)
@@ -91,7 +91,7 @@ class Exchanged:
         self._solvers = [direct_solver(free, self._unknowns) for _ in self.rows]
 
     def update(self, at: Evaluation, diagonal: np.ndarray, across: np.ndarray) -> None:
-        """Linearise and factorise at an evaluation; ``own`` and ``across`` are the blocks of transport."""
+        """Linearise and factorise; ``diagonal`` and ``across`` are the blocks of transport."""
         (here, there), coupling = self.tangent(at), self._coupling
         q, cells = coupling.functions, coupling.cells
         self._columns = self.tangent.columns
@@ -137,8 +137,8 @@ class TransportSweeps:
         self._tests = np.ascontiguousarray((op.weights.reshape(self._shape) * op.z.blocks).transpose(0, 2, 1))
         self._mass = np.matmul(self._tests, op.z.blocks)
         self._flat: np.ndarray | None = None
-        """A cell's basis functions at its sides' points without their slopes, as values flow in through
-        walls."""
+        """Values of a cell's basis functions without their slopes, at its sides' points: values that flow in
+        through walls."""
         self._whole: Direct | None = None
         """A direct solver for the components of z that diffuse."""
         if residual.diffusion is not None:
