@@ -95,7 +95,7 @@ class Case:
         return None if adapt is None else made(adapt)
 
     def output_times(self, until: float) -> tuple[float, ...]:
-        """Multiples of ``output.vtk.interval`` up to ``until``; none without one."""
+        """Multiples of ``output.vtk.interval`` up to ``until``; empty without an interval."""
         interval = self.sections.output.vtk.interval
         if interval is None or not self.sections.output.vtk.enabled:
             return ()
@@ -105,7 +105,7 @@ class Case:
     def resolved(self) -> str:
         """The case as TOML with every default written out and the mesh file's path made absolute.
 
-        Paths of other files are those of the run directory's copies, ``files``.
+        Paths of other files name their copies in the run directory, ``files``.
         """
         data, files = self._settled()
         for table, file in files:
@@ -131,11 +131,11 @@ class Case:
 
     @property
     def files(self) -> dict[str, Path]:
-        """Files of bodies' shapes and Python's materials, by the names of their copies in a run directory."""
+        """Files of bodies' shapes and Python materials, by the names of their copies in a run directory."""
         return {_copy_of(file): file for _, file in self._settled()[1]}
 
     def _settled(self) -> tuple[dict[str, Any], list[tuple[dict[str, Any], Path]]]:
-        """The case's data, and pairs of a table and its file, for shapes and Python's materials.
+        """The case's data, and pairs of a table and its file, for shapes and Python materials.
 
         The data include defaults that depend on the model: F or B for the material, and the density of a
         material without a referential density.
@@ -163,7 +163,7 @@ class Case:
 
     @property
     def carried(self) -> str:
-        """The material's variables, with the elastic state that the case leaves open; empty with bodies."""
+        """The variables of the material, and its elastic state if the case leaves it open; else empty."""
         if self.sections.material is None:
             return ""
         given = made(self.sections.material)
@@ -318,7 +318,7 @@ class Case:
     def _all_made(
         self, table: Section, names: Iterable[str], path: tuple[str, ...], dim: int
     ) -> dict[str, Any]:
-        """Make the objects of the named sections of a table, without missing sections."""
+        """Make the objects of those named sections that a table has."""
         parts = {name: getattr(table, name) for name in names}
         return {n: self._made(part, (*path, n), dim) for n, part in parts.items() if part is not None}
 
@@ -363,7 +363,7 @@ def _settle_state(values: dict[str, Any], material: Any) -> None:
     network = part_of(material, Network)
     branches = {} if network is None else network.parts
     if values.get("elastic_state", "") is None:
-        while not hasattr(material, "elastic_state"):  # a wrapper, as that of heat, or a Prony series
+        while not hasattr(material, "elastic_state"):  # a wrapper, such as heat, or a Prony series
             material = next(iter(branches.values()), material).material
         values["elastic_state"] = material.elastic_state
     if values.get("material") is not None:  # a gas has none

@@ -46,7 +46,7 @@ from ngvisco.run.snapshot import ChosenMesh, mesh_of_checkpoints, read_ledger, v
 
 
 class RunDirectoryError(NgviscoError, RuntimeError):
-    """A directory that cannot be used, as it holds results, is in use, or is no run directory."""
+    """The error of a directory that holds results, is in use, or is no run directory."""
 
 
 _RESULTS = (
@@ -87,7 +87,7 @@ class RunDirectory:
 
     @contextlib.contextmanager
     def locked(self) -> Iterator[None]:
-        """Lock the directory, created if missing; raises RunDirectoryError if another process has locked it.
+        """Lock the directory, made if missing; raises RunDirectoryError if another process has locked it.
 
         The lock file exists only while the lock is held, and a created directory that stays empty is removed.
         """
@@ -111,7 +111,7 @@ class RunDirectory:
             path.unlink()
 
     def keep_failure(self) -> None:
-        """Remove all but the report of a run without a step, so that the corrected case can run here."""
+        """Keep only the report of a run that made no step, so that the corrected case can run here."""
         for path in self.results:
             path.unlink()
         for folder in (self.vtk, *(self.path / name for name in ("samples", "shapes", "laws"))):
@@ -141,7 +141,7 @@ class RunDirectory:
             )
 
     def read_versions(self) -> dict[str, Any]:
-        """The record in versions.json; raises RunDirectoryError."""
+        """The record in versions.json; raises RunDirectoryError if it cannot be read."""
         try:
             record = json.loads(self.versions_file.read_text(encoding="utf-8"))
         except (OSError, ValueError) as error:
@@ -200,7 +200,7 @@ def _held(path: Path) -> Iterator[TextIO]:
                 file.seek(0)
                 holder = file.read().strip() or "another process"
                 raise RunDirectoryError(f"{path.parent}: in use by {holder}; wait for it or stop it")
-            # a holder removes the file before it unlocks it: this file may be deleted already
+            # a holder deletes its lock file before it unlocks it: the open file may be deleted already
             with contextlib.suppress(FileNotFoundError):
                 if os.path.samestat(os.fstat(file.fileno()), path.stat()):
                     file.truncate(0)

@@ -60,7 +60,7 @@ _WORDS = {
     "dict_type": "expected a table",
     "model_type": "expected a table",
     "model_attributes_type": "expected a table",
-    "too_short": "expected at least one; without the key it is all of them",
+    "too_short": "expected at least one; leave the key out for all",
     "greater_than": "expected a number > {gt:g}",
     "greater_than_equal": "expected a number >= {ge:g}",
     "less_than": "expected a number < {lt:g}",
@@ -81,7 +81,7 @@ class Locator:
         """Pairs of last key and written value, for values that were converted to SI units."""
 
     def fault(self, path: tuple[str, ...], message: str) -> Fault:
-        """A fault at a key path."""
+        """The fault at a key path, with its line if the file contains the key."""
         key = ".".join(path)
         above = (path[:length] for length in range(len(path), 0, -1))
         written = ((key[-1], given(self.data, key)) for key in above)
@@ -190,13 +190,13 @@ def _places() -> dict[str, tuple[str, str | None]]:
                 look(inner, (*path, name, *place_in(field.annotation)))
 
     look(CaseSections, ())
-    # of several tables the last stays: one with the class's own name, and the nearest to the top
+    # a later entry replaces an earlier one: the last has the class's own name and is nearest to the top
     nearest = sorted(found, key=lambda one: one[0], reverse=True)
     return {name: (path, kind) for _, name, path, kind in nearest}
 
 
 _OTHER = 100
-"""Levels by which a table counts as deeper if its name differs from its class's name."""
+"""Levels added to the depth of a table whose name is not its class's name, so that it is found last."""
 
 
 def _resolve(model: type[Section], location: tuple[Any, ...]) -> tuple[tuple[str, ...], str, list[str]]:
@@ -302,7 +302,7 @@ class Blame:
         return key, str(error)
 
     def _written(self, key: tuple[str, ...], value: object) -> object:
-        """The value of a key in the file; ``value``, which was made of it, for a missing key or tables."""
+        """The value of a key in the file; for a missing key or an array of tables ``value``, made from it."""
         there = given(self.sections, key)
         is_whole = there is None or (isinstance(there, list) and any(isinstance(p, Section) for p in there))
         return value if is_whole else there
@@ -312,8 +312,8 @@ def key_of(field: str, path: tuple[str, ...], sections: Any, value: object = Non
     """The key of a parameter named like ``Gravity.g``, ``walls['top'].f`` or
     ``bodies['disc'].NeoHookean.K_e``.
 
-    ``path`` is the section of the object with the parameter; among several matching tables the one with
-    ``value`` is chosen.
+    ``path`` is the section of the object with the parameter; among several matching keys the key with the
+    value ``value`` is chosen.
     """
     names = names_in(field)
     for length in (2, 1):
@@ -344,7 +344,7 @@ _ALIASES = {
 def _reached(node: Any, path: tuple[str, ...], names: Sequence[str]) -> list[tuple[str, ...]]:
     """The keys reached from a part of a case by names of keys, of members, and of tables' classes.
 
-    The search ends at the first name that is not found; without any found name there is no key.
+    The search ends at the first name that is not found; if this is the first of ``names``, there is no key.
     """
     if not names:
         return []

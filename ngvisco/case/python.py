@@ -13,7 +13,7 @@ from ngvisco.errors import ParameterError, Quantity
 from ngvisco.physics.material import Material
 
 KIND = "Python"
-"""The kind of these materials in the catalogue."""
+"""The kind, in the catalogue, of materials from Python files."""
 
 
 def python_material(
@@ -21,7 +21,7 @@ def python_material(
     law: Annotated[str, Quantity(example="Gel")],
     parameters: Annotated[Mapping[str, float] | None, Quantity("any", example={"K": 10.0})] = None,
 ) -> Material:
-    """A custom material, by a class or function of a Python file, which the case executes.
+    """A custom material, made by a class or function of a Python file, which the case executes.
 
     Raises ParameterError for a file that cannot be read or executed, a missing name, a result that is no
     material, and parameters that the class or function does not take or refuses.
@@ -59,7 +59,7 @@ def python_material(
 
 
 def tables_of_python(data: Any) -> list[dict[str, Any]]:
-    """The tables of a case's data that describe materials of this kind."""
+    """The tables of a case's data that describe materials from Python files."""
     if isinstance(data, list):
         return [found for part in data for found in tables_of_python(part)]
     if not isinstance(data, dict):

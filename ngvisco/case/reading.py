@@ -79,12 +79,12 @@ def sections_of(
     if own and "velocity" not in converter.scales and (keys := plain_velocities(locator.data)):
         said = " and ".join(f"{name} in {locator.data['units'][name]}" for name in own)
         message = f"[units] has {said}, and plain velocities are in m/s: {', '.join(keys)}; units.velocity"
-        warnings.warn(f"{message} is the unit of these", InputWarning, stacklevel=3)
+        warnings.warn(f"{message} changes their unit", InputWarning, stacklevel=3)
     return sections, locator
 
 
 def plain_velocities(data: Any, path: tuple[str, ...] = ()) -> list[str]:
-    """Keys of a case whose values are velocities other than zero without their own unit."""
+    """Keys of a case whose values are nonzero velocities without a unit."""
     if isinstance(data, list):
         return [key for i, part in enumerate(data) for key in plain_velocities(part, (*path, str(i)))]
     if not isinstance(data, dict):

@@ -90,7 +90,7 @@ _SAME_KEYS = {
     ("rheology", "creep", "rule"): ("rheology", "creep"),
     ("rheology", "creep", "rules", "N"): ("rheology", "creep"),
 }
-"""Tables with the keys of another table, under which these keys are listed."""
+"""Tables that have the keys of another table; the keys are listed under the other table alone."""
 
 
 def _walk(model: type[Section], path: tuple[str, ...], kinds: tuple[str, ...]) -> Iterator[KeyEntry]:
@@ -156,7 +156,7 @@ def type_text(annotation: Any) -> str:
 
 
 def explain(path: str) -> str:
-    """The explanation of a key, a section, a kind or a field of the output, or the places of a word.
+    """The explanation of a key, section, kind or output field; for another word the keys that mention it.
 
     Raises ParameterError, with the nearest known paths, for an unknown path.
 
@@ -164,7 +164,7 @@ def explain(path: str) -> str:
     ----------
     path : str
         Path as in messages and in ``--set``, ``time.dt``, ``walls.top.velocity``, ``loads.0.g``,
-        ``material``, or a kind, ``NeoHookean``, ``material.NeoHookean``; case of letters does not matter.
+        ``material``, or a kind, ``NeoHookean``, ``material.NeoHookean``; upper and lower case are equal.
     """
     every = entries()
     wanted = tuple(part for part in path.strip().strip(".").split(".") if part)
@@ -210,7 +210,7 @@ def _fields(name: str) -> list[tuple[str, str]]:
 
 
 def _mentions(every: Sequence[KeyEntry], kinds: Sequence[str], wanted: tuple[str, ...]) -> list[str]:
-    """Kinds and keys whose descriptions contain a word; none if there are ``_MANY``."""
+    """Kinds and keys whose descriptions contain a word; none if there are ``_MANY`` or more."""
     if len(wanted) != 1:
         return []
     word = re.compile(rf"\b{re.escape(wanted[0])}", re.IGNORECASE)

@@ -2,8 +2,8 @@
 
 A run may be resumed with a changed case.  case.toml in the directory is then the changed case; the earlier
 case is kept as ``case.until-step-N.toml``, and versions.json lists the changes with step, time and settings.
-Until the first checkpoint after a change run.h5 has the hash of the earlier case, so that a change that was
-interrupted can be completed.
+Until the first checkpoint after a change, run.h5 has the hash of the earlier case, so that an interrupted
+change can be completed.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ def run(
     force : bool
         Whether to remove the results of an earlier run first; otherwise they are an error.
     observers : sequence of Observer
-        Observers beside those that write the directory.
+        Observers in addition to those that write the files of the directory.
     source : path, optional
         A run directory whose last state, with its time, replaces the case's initial state
         (``ngvisco.run.transfer``).
@@ -119,7 +119,7 @@ def resume(
     observers: Sequence[Observer] = (),
     settings: Sequence[str] = (),
 ) -> Simulation:
-    """Resume the run in a directory from its last checkpoint, or from its start without one.
+    """Resume the run in a directory from its last checkpoint, or from its start if it has none.
 
     ``until`` (s) replaces the case's end time; steps of one length end at the nearest multiple of dt if it is
     within a thousandth of dt.  ``settings`` change the case from now on, as far as ``changed`` admits; the
@@ -208,7 +208,7 @@ def _go(
         if isinstance(error, StepError) and error.report is not None:
             with contextlib.suppress(OSError):
                 fields = write_failure(place.failure_file, place.failed_state, simulation, error.report)
-                error.add_note(f"what is known of it: {place.failure_file}; its fields: {fields}")
+                error.add_note(f"report of the failure: {place.failure_file}; its fields: {fields}")
         raise
     if simulation.stop_requested:
         write(f"stopped on request at step {simulation.step_number}, t = {simulation.t:g} s")
@@ -235,7 +235,7 @@ def _mesh_of_first(case: Case, ranks: Communicator, make: Callable[[], Mesh]) ->
 
 
 def _check_times(place: RunDirectory, case: Case, simulation: Simulation, end: float) -> None:
-    """Raise RunDirectoryError or ParameterError for end and output times that no step ends at."""
+    """Raise RunDirectoryError or ParameterError for end or output times at which no step ends."""
     if simulation.t > end * (1 + 1e-12):
         raise _reached(place, simulation)
     for name, value in [("until", end), *(("stops", stop) for stop in case.output_times(end))]:
@@ -344,7 +344,7 @@ class Results:
 
 
 def load(directory: str | os.PathLike[str], step: int | None = None) -> Results:
-    """The ledger, and the state of the last checkpoint or of the one at ``step``, of a run directory.
+    """The ledger of a run directory, and its state at the last checkpoint, or at the checkpoint of ``step``.
 
     Raises RunDirectoryError, CaseError, CheckpointError or MeshError.
     """
@@ -373,7 +373,7 @@ class Log(Progress):
 
 @contextlib.contextmanager
 def _noting_warnings(note: Callable[[str], None]) -> Iterator[None]:
-    """Context in which ``note`` also gets each warning, as a line."""
+    """Context in which ``note`` also receives each warning, as a line of text."""
     shown = warnings.showwarning
 
     def show(message: Warning | str, category: type[Warning], *where: Any, **options: Any) -> None:

@@ -26,7 +26,7 @@ from ngvisco.run.refinement import Refinement
 
 _MAX_OUTPUT_TIMES = 100_000
 _MAX_STEPS = 100_000_000
-"""Largest number of steps: at ten of the smallest steps a second a run would take a hundred days."""
+"""Largest number of steps; even the cheapest steps, ten a second, would take a hundred days."""
 
 Adapt = section(Refinement)
 HeatCapacity = section(Thermal, is_whole=False, without=("p_infinity",))
@@ -190,7 +190,7 @@ class VTK(Section):
         "hyperstress_1 (to 3), principal_stresses, principal_stretches",
     )
     subdivision: int = Field(
-        0, ge=0, le=4, description="Bisections of cells, 0 to 4: fields are linear in the pieces"
+        0, ge=0, le=4, description="Bisections of cells in the files, 0 to 4; each piece has linear fields"
     )
 
 
@@ -228,9 +228,9 @@ class Line(NamedTable):
     """A table of fields along a line over time."""
 
     start: Annotated[list[float], Quantity("m", example=[0.0, 0.5])] = Field(
-        description="One end, a coordinate for each dimension"
+        description="One end of the line, a coordinate for each dimension"
     )
-    end: Annotated[list[float], Quantity("m", example=[1.0, 0.5])] = Field(description="The other end")
+    end: Annotated[list[float], Quantity("m", example=[1.0, 0.5])] = Field(description="Its other end")
     points: int = Field(
         101, ge=2, le=100_000, description="Number of equally spaced points, both ends included"
     )
@@ -267,8 +267,8 @@ class BodyTable(Table):
     ] = Field(
         [],
         description="Further columns: length, breadth and angle (deformation), perimeter and area "
-        "(outline), tank-treading (turning), mean stress, force and torque of the others (traction), "
-        "least distances (gap)",
+        "(outline), tank-treading (turning), mean stress (stress), force and torque by other bodies "
+        "(traction), least distances (gap)",
     )
 
 
@@ -367,13 +367,11 @@ class CaseSections(Section):
         for key in ("bodies", "contours"):
             table = getattr(self.output, key)
             if table is not None and not self.bodies:
-                raise ParameterError(
-                    f"output.{key}", table, "no such table without [[bodies]], which it is of"
-                )
+                raise ParameterError(f"output.{key}", table, "no such table in a case without [[bodies]]")
         names = [str(load.name) for load in self.loads]  # type: ignore[attr-defined]
         for i, name in enumerate(names):
             if name in names[:i]:
-                expected = f"a name that no other load has, which is that of its power, power_{name}"
+                expected = f"a name that no other load has: it names the ledger's column power_{name}"
                 raise ParameterError(f"loads.{i}.name", name, expected)
         interval = self.output.vtk.interval
         if interval is not None and self.time.until / interval > _MAX_OUTPUT_TIMES:
@@ -389,16 +387,16 @@ class CaseSections(Section):
         if not self.bodies:
             return
         if self.material is not None:
-            expected = "no table [material] beside [[bodies]]: each of them has a material of its own"
+            expected = "no table [material] beside [[bodies]]: each body has a material of its own"
             raise ParameterError("material.kind", self.material.kind, expected)
         for name in ("viscosity", "creep"):
             if (part := getattr(self.rheology, name)) is not None:
-                expected = f"no such table beside [[bodies]]: each has {name} of its own, [bodies.{name}]"
+                expected = f"no such table beside [[bodies]]: each body has its own, [bodies.{name}]"
                 raise ParameterError(f"rheology.{name}", part, expected)
         for i, body in enumerate(self.bodies):
             if any(other.name == body.name for other in self.bodies[:i]):
                 raise ParameterError(f"bodies.{i}.name", body.name, "a name that no other body has")
         rest = [i for i, body in enumerate(self.bodies) if body.where is None]
         if len(rest) > 1:
-            expected = f"a place: bodies.{rest[0]} has none, and is what the others leave"
+            expected = f"a place: bodies.{rest[0]} has none, and fills the rest of the domain"
             raise ParameterError(f"bodies.{rest[1]}.where", None, expected)

@@ -58,7 +58,7 @@ class Section(BaseModel):
     target: ClassVar[Any] = None
     """The class or function whose parameters the section holds."""
     is_checked: ClassVar[bool] = False
-    """Whether validation makes the section's object, to check it; the section alone must suffice."""
+    """Whether validation makes the section's object as a check; the section alone must suffice for it."""
 
     @model_validator(mode="before")
     @classmethod
@@ -126,12 +126,12 @@ def section(
     """The section that holds the parameters of a dataclass or function.
 
     ``tag`` is a key and the value that chooses this section, such as ``("kind", "NeoHookean")``; the key may
-    be left out if the section ``is_default``.  ``types`` are the schema's types of parameters that are laws.
-    ``base`` has further keys, and ``without`` names parameters that are no keys.  If not ``is_whole``, the
-    section alone does not suffice to make the object.
+    be left out if the section ``is_default``.  ``types`` gives the schema's types for parameters that are
+    laws.  ``base`` adds further keys, and ``without`` names parameters that are no keys.  If not
+    ``is_whole``, the section alone does not suffice to make the object.
     """
     types = {**_TYPES, **types}
-    # hints of a dataclass's fields are resolved with the names of each class's own module
+    # get_type_hints resolves the fields' hints by the names in the module of each class
     hints, said = get_type_hints(target), get_type_hints(target, include_extras=True)
     fields: dict[str, Any] = {}
     if tag is not None:
@@ -154,7 +154,8 @@ def section(
         fields[name] = (annotation, default)
     model = create_model(tag[1] if tag else target.__name__, __base__=base, **fields)
     model.target = staticmethod(target)
-    # functions make materials, or meshes, which take long; relative paths are not resolved yet
+    # of functions only those that make materials are called, as meshes take long; a relative path is not
+    # resolved yet
     returned = hints.get("return")
     is_material = isinstance(returned, type) and issubclass(returned, MaterialObject)
     is_made_at_once = is_whole and (dataclasses.is_dataclass(target) or is_material)
@@ -261,8 +262,8 @@ def laws(
 ) -> Any:
     """The choice by ``kind`` among the laws of a class and the wrappers, which wrap the laws before them.
 
-    All have the keys of ``base``, but no keys for the parameters ``without``.  ``of`` gives the types of a
-    wrapper's parameters that hold laws.  If ``has_default``, the first law of the table needs no kind.
+    All sections have the keys of ``base``, but no keys for the parameters ``without``.  ``of`` gives the
+    types of a wrapper's parameters that hold laws.  If ``has_default``, the first law needs no ``kind``.
     """
     first = next(iter(table)) if has_default else None
 

@@ -32,8 +32,8 @@ def demos() -> dict[str, Path]:
 def template(name: str) -> str:
     """An annotated case file that runs like the demo ``name``.
 
-    Each key has its unit and meaning beside it; optional keys and tables follow as comments, with the default
-    or else an example as value.  Raises UnknownNameError if there is no such demo.
+    Each key has its unit and meaning beside it; optional keys and tables follow as comments, with their
+    default, or else an example, as value.  Raises UnknownNameError if there is no such demo.
     """
     known = demos()
     if name not in known:

@@ -2,10 +2,10 @@
 
 A case gives units in two ways, which may be mixed.  ``[units]`` has the units of plain numbers: ``length =
 "km"`` holds for all lengths and for x, y, z in expressions, ``time = "kyr"`` for all times and for t.
-Quantities without a unit there are in SI units; no unit is derived from others (with km and kyr a velocity is
-still in m/s, unless ``velocity`` is given).  Any number may also be a text with its own unit, ``dt = "10
-yr"``, ``g = [0, "-9.81 m/s^2"]``.  An energy given as an expression of the material's variables is in the
-unit of ``pressure``, and is converted as a whole; an energy per mass is in J/kg.
+A quantity that ``[units]`` does not name is in SI units; no unit is derived from others (with km and kyr a
+velocity is still in m/s, unless ``velocity`` is given).  Any number may also be a text with its own unit,
+``dt = "10 yr"``, ``g = [0, "-9.81 m/s^2"]``.  An energy given as an expression of the material's variables
+is in the unit of ``pressure``, and is converted as a whole; an energy per mass is in J/kg.
 """
 
 import ast
@@ -32,13 +32,14 @@ _NUMBER = r"([+-]?\d{1,2}(?:\.\d{1,9})?)"
 _POWER = re.compile(rf"(?:\*\*|\^)\s*(?:{_NUMBER}|\(\s*{_NUMBER}\s*(?:/\s*\d{{1,2}}\s*)?\))(?![\w.])")
 _CHAIN = re.compile(r"(?:\*\*|\^)[^*^/()A-Za-z]*(?:\*\*|\^)|\d\s*(?:\*\*|\^)")
 _LARGEST_POWER = 100.0
-"""Bound on the product of a unit's exponents, as pint computes with whole numbers of any length."""
+"""Bound on the product of a unit's exponents, because pint computes with whole numbers of any length."""
 
 _QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*([A-Za-zµμ°Å].{0,80})\s*")
 
 
 class UnitError(ValueError):
-    """The error of an unknown unit or a wrong dimension; ``key`` is the faulty key if it is another."""
+    """The error of an unknown unit or a wrong dimension; ``key`` names the faulty key if it is not the
+    converted one."""
 
     def __init__(self, message: str, key: str | None = None) -> None:
         self.key = key
@@ -225,7 +226,7 @@ class _Scaled(ast.NodeTransformer):
 
 
 def _with_exponents(unit: str, model: type[Section], data: dict[str, Any]) -> str:
-    """A unit with the values of the section's keys in place of exponents that name keys."""
+    """The unit after its exponents that name keys of the section are replaced by the values of these keys."""
 
     def exponent(match: re.Match[str]) -> str:
         name = match[2]

@@ -43,7 +43,7 @@ class Value(ABC):
 
 
 def is_table(value: Any) -> bool:
-    """Whether a value is a table of time, which replaces the file's name when a case is read."""
+    """Whether a value is a table of time; reading a case replaces the name of the table's file by it."""
     return isinstance(value, dict) and set(value) == {"times", "values"}
 
 
@@ -73,7 +73,7 @@ class ScalarValue(FieldValue):
 
 
 class VectorValue(FieldValue):
-    """A vector field: an array of components, which may be tables of time, or one table of time for all."""
+    """A vector field: an array of components, each possibly a table of time, or one table of time for all."""
 
     words = "array of numbers or expressions"
     json: ClassVar = {"type": ["array", "object"], "items": {"type": ["number", "string", "object"]}}
@@ -109,7 +109,7 @@ class RowsValue(FieldValue):
 class TensorValue(FieldValue):
     """A scalar or tensor field."""
 
-    words = "number, expression, or three rows of three of them"
+    words = "number, expression, or three rows of three numbers or expressions"
     json: ClassVar = {"type": ["number", "string", "array"]}
 
     @staticmethod
