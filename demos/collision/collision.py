@@ -35,7 +35,7 @@ def simulation(cells: tuple[int, int] = (14, 8), dt: float = 0.05, **options) ->
         nv.Body(name="disc", where=nv.Ball((0.37, 0.0), 0.21), material=solid, viscosity=damped, density=1.0),
     )
     options |= {"initial": nv.Initial(velocity=thrown(0.37) - thrown(1.03))}
-    options |= {"discretisation": nv.Discretisation(k=1, m=0)}  # constants: no negative amounts
+    options |= {"discretisation": nv.Discretisation(k=1, m=0)}  # constant in cells: no negative amounts
     mesh, model = structured_box((0.7, 0.4), cells), nv.Model(bodies=bodies)
     time = nv.TimeSteps(dt=dt, scheme="midpoint", velocity_scale=5.0)
     return nv.Simulation(mesh, model, time=time, **options)

@@ -11,8 +11,8 @@ import ngvisco as nv
 from ngvisco.geometries import block_with_hole
 
 BETA, WI = 0.59, 0.2
-"""Share of the solvent in the viscosity of 1 Pa s; the relaxation time, s, which is the Weissenberg number,
-as the cylinder's radius over the mean velocity is 1 s."""
+"""Share of the solvent in the viscosity of 1 Pa s; and the relaxation time, s.  As the cylinder's radius over
+the mean velocity is 1 s, the relaxation time is the Weissenberg number."""
 
 PUBLISHED = {0.0: 132.36, 0.1: 130.36, 0.2: 126.63, 0.3: 123.19, 0.4: 120.59}
 """The drag, N/m, by the relaxation time (Fan, Tanner, Phan-Thien 1999; Hulsen, Fattal, Kupferman 2005)."""
@@ -26,7 +26,7 @@ def simulation(maxh: float = 0.9, dt: float = 0.125, wi: float = WI, **options) 
         viscosity=nv.StokesViscosity(K_v=0.0, G_v=BETA),
         creep=nv.Creep(G_m=2 * chains, law="conformation"),
     )
-    rate = -0.75 * r * grown  # shear rate, and shear stress, of the flow between plates, which both ends have
+    rate = -0.75 * r * grown  # shear rate and shear stress of the flow between plates, which both ends have
     B = CF((1 + 2 * (wi * rate) ** 2, wi * rate, 0, wi * rate, 1, 0, 0, 0, 1), dims=(3, 3))
     profile = 1.5 * (1 - r * r / 4) * grown
     walls = {

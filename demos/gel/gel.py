@@ -17,7 +17,7 @@ TIMES = {"soon": 0.2, "at its peak": 1.7, "late": 15.0}  # s; 1/omega is between
 
 
 def modulus(s: complex, tau: float) -> complex:
-    """The modulus G(s), Pa, which for s = i omega is the complex modulus; G is its limit for long times."""
+    """The modulus G(s), Pa; G(i omega) is the complex modulus, and the constant G is the limit for s -> 0."""
     return G * (1 + SHARE * s * tau / (1 + s * tau))
 
 

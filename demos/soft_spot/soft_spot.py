@@ -16,7 +16,7 @@ NOISE, SMOOTH, UNTIL = 2e-5, 3.0, 2.0
 """Standard deviation of displacements, m; weight of ln(G_i/G_j) for neighbouring blocks; end of the run,
 s."""
 TRUE = 3 - 2 * exp(-(((x - 2.6) / 0.5) ** 2) - ((y - 0.7) / 0.25) ** 2)
-"""The stiffness of the ground that gives the data, Pa."""
+"""The stiffness of the ground from which the data are computed, Pa."""
 
 
 def blocks() -> list:

@@ -171,7 +171,7 @@ class Model:
     def at_order(self, m: int) -> Self:
         """The model in which no elastic state is open, for variables of order ``m``.
 
-        What is open becomes "B" for m = 0, else "F" (``open_state`` has the reason).
+        An open state becomes "B" with creep or for m = 0, else "F" (``open_state`` has the reason).
         """
         state, _ = open_state(self.creep, self.material, m)
         if self.bodies:
