@@ -84,15 +84,20 @@ class Violation:
     cells: int
     """Number of cells out of bounds."""
 
-    def __str__(self) -> str:
+    @property
+    def where(self) -> str:
+        """Words for the place."""
         at = ", ".join(f"{round(coordinate, 12) + 0.0:.4g}" for coordinate in self.point)
         where = f"at ({at}) m" if self.cell is None else f"in cell {self.cell} at ({at}) m"
-        if self.wall is not None:
-            near = f"{self.distance:.2g} m from" if self.distance else "on"
-            where += f", {near} {self.wall!r}"
+        if self.wall is None:
+            return where
+        near = f"{self.distance:.2g} m from" if self.distance else "on"
+        return f"{where}, {near} {self.wall!r}"
+
+    def __str__(self) -> str:
         what = "minimum of the cells' means" if self.is_mean else "minimum"
         others = f" and {self.cells - 1} other cells" if self.cells > 1 else ""
-        return f"{self.quantity} is not positive ({what} {self.value:.3e} {where}{others})"
+        return f"{self.quantity} is not positive ({what} {self.value:.3e} {self.where}{others})"
 
 
 @dataclass(frozen=True)
@@ -257,6 +262,28 @@ class Bounds:
                 return self.parted
         return None
 
+    def nearest(self) -> str | None:
+        """Words for the bound of the energy's domain to which the present state is nearest relative to rest,
+        its least value and the place; None for an energy without bounds of its own.
+        """
+        material, z, points = self.step.model.material, self.step.now.z_tensors, self.sampler
+        domain = material.domain(z)
+        if not domain:
+            return None
+        at_rest = material.domain(material.at_rest(z))
+        values, of_rest = (points.rows(CF(tuple(of.values()))) for of in (domain, at_rest))
+        mine = None
+        if len(values):
+            at, bound = np.unravel_index(np.argmin(values / of_rest), values.shape)
+            value, rest = float(values[at, bound]), float(of_rest[at, bound])
+            where = points.coordinates(np.array([at]))[0]
+            found = self._violation(list(domain)[bound], value, int(points.cells[at]), where)
+            mine = value / rest, rest, found
+        every = [one for one in self._ranks.gathered(mine) if one is not None]
+        _, rest, found = min(every, key=lambda one: one[0])
+        nearest = self._beside_wall(*found)
+        return f"{nearest.quantity} is {nearest.value:.3g} {nearest.where}, and {rest:.3g} at rest"
+
     def cells_outside(self) -> np.ndarray:
         """Numbers of the cells in which the present state is out of bounds at a point."""
         found = self._outside()
@@ -374,16 +401,18 @@ class Bounds:
             value, cell = one[0].value, one[0].cell
             return self.names.index(one[0].quantity), _or_least(value), -1 if cell is None else cell
 
-        worst, size = min(named, key=order)
-        wall, distance = nearest_wall(self.step.mesh, np.array(worst.point))
-        distance = 0.0 if distance < _ON_WALL * size else distance
-        cells = int(self._ranks.total(int(broken.any(axis=1).sum())))
-        return replace(worst, wall=wall, distance=distance, cells=cells)
+        worst = self._beside_wall(*min(named, key=order))
+        return replace(worst, cells=int(self._ranks.total(int(broken.any(axis=1).sum()))))
+
+    def _beside_wall(self, found: Violation, size: float) -> Violation:
+        """The violation in a cell of this size, m, with its nearest wall."""
+        wall, distance = nearest_wall(self.step.mesh, np.array(found.point))
+        return replace(found, wall=wall, distance=0.0 if distance < _ON_WALL * size else distance)
 
     def _worst_here(
         self, found: _Outside, broken: np.ndarray, values: np.ndarray, is_mean: bool
     ) -> tuple[Violation, float]:
-        """The worst violation on this rank, without wall and number of cells, and the size of the cell, m."""
+        """The worst violation on this rank, as ``_violation`` gives it."""
         bound = int(np.flatnonzero(broken.any(axis=0))[0])
         where = np.flatnonzero(broken[:, bound])
         i = int(where[np.argmin(_or_least(values[where, bound]))])
@@ -393,18 +422,17 @@ class Bounds:
         if not is_mean:
             at_points = self.sampler.rows(self._present, own)[:, bound]
             place = places[int(np.argmin(_or_least(at_points)))]
-        cell = int(found.cells[i])
-        worst = Violation(
-            quantity=self.names[bound],
-            value=float(values[i, bound]),
-            is_mean=is_mean,
-            cell=number_of(self.step.mesh, cell),
-            point=tuple(float(coordinate) for coordinate in place),
-            wall=None,
-            distance=np.inf,
-            cells=0,
+        return self._violation(
+            self.names[bound], float(values[i, bound]), int(found.cells[i]), place, is_mean
         )
-        return worst, float(self.step.context.h.vec[cell])
+
+    def _violation(
+        self, quantity: str, value: float, cell: int, place: np.ndarray, is_mean: bool = False
+    ) -> tuple[Violation, float]:
+        """A violation on this rank, without wall and number of cells, and the size of its cell, m."""
+        point, number = tuple(float(c) for c in place), number_of(self.step.mesh, cell)
+        found = Violation(quantity, value, is_mean, number, point, wall=None, distance=np.inf, cells=0)
+        return found, float(self.step.context.h.vec[cell])
 
 
 def _check_names(material: Material, z: Values) -> None:

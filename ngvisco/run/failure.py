@@ -62,6 +62,9 @@ class FailureReport:
         Advised changes by the keys of a case file, the likeliest first.
     parted : str or None
         Names of the variables of one distortion that have parted too far, if that is the reason.
+    nearest : str or None
+        The bound of the energy's domain to which the state before the step is nearest, with its value and
+        place; None for an energy without bounds of its own.
     """
 
     time: float
@@ -77,6 +80,7 @@ class FailureReport:
     history: tuple[Attempt, ...]
     advice: tuple[str, ...]
     parted: str | None = None
+    nearest: str | None = None
 
     def __str__(self) -> str:
         near = "" if self.wall is None else f", nearest wall {self.wall!r}"
@@ -84,6 +88,8 @@ class FailureReport:
         cell = "" if self.fastest is None else f"in cell {self.fastest} "
         first, *others = self.advice
         where = f"the flow is fastest {at}" if self.courant else "from rest"
+        if self.nearest is not None:
+            where = f"before the step {self.nearest}"
         what = self.violation or self.parted or f"no solution was found; {where}"
         fast = f"Courant number {self.courant:.3g} at most, {cell}{at}"
         lines = [
@@ -136,6 +142,7 @@ def failure_report(simulation: RunState, error: StepError) -> FailureReport:
         history=tuple(error.history),
         advice=tuple(_advice(simulation, violation, tau * rate, rate)),
         parted=simulation.bounds.parted,
+        nearest=simulation.bounds.nearest(),
     )
 
 
@@ -164,8 +171,12 @@ def _advice(simulation: RunState, violation: Violation | None, courant: float, r
     lines.append(shorter + (f"; the largest Courant number is {courant:.3g}" if courant > _FAST else ""))
     if violation is None and simulation.bounds.parted is not None:
         return [remedy(model.material), *lines]
+    domain = model.material.domain(simulation.rothe_step.now.z_tensors)
     if violation is None:
-        if (met := simulation.rothe_step.energy.last_failure) is not None:
+        if domain:
+            bounds = " and ".join(f"{name} > 0" for name in domain)
+            lines.append(f"an energy that has values further than {bounds}, or less load")
+        elif (met := simulation.rothe_step.energy.last_failure) is not None:
             lines.insert(0, met)
         creep = model.creep
         is_sharp = creep is not None and not isinstance(creep, Creep) and creep.nu != 0
@@ -175,7 +186,6 @@ def _advice(simulation: RunState, violation: Violation | None, courant: float, r
         return [*lines, "more viscosity, or a start, walls and loads that change over several steps"]
     near = "there" if violation.wall is None else f"near {violation.wall!r}"
     lines.append(f"a finer mesh {near}, or data that are smooth there (walls that meet with one velocity)")
-    domain = model.material.domain(simulation.rothe_step.now.z_tensors)
     if violation.quantity in domain:
         return [*lines, f"an energy that has values further than {violation.quantity} > 0, or less load"]
     if violation.quantity != "rho":

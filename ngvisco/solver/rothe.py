@@ -223,7 +223,7 @@ class RotheSolver:
         """
         guess, solved, factor = self._start.Copy(), 0.0, _FACTOR
         length = _SHORTEST
-        for _ in range(_LENGTHS):
+        for left in reversed(range(_LENGTHS)):
             solution = self._attempt(interval.shortened(length), guess)
             attempts.append(Attempt("by growing lengths", solution))
             if solution.converged and length == 1.0:
@@ -236,6 +236,8 @@ class RotheSolver:
             else:
                 self.newton.reset()
                 factor **= 0.5
+                if solved * factor**left < 1:  # out of reach
+                    return False
             length = min(1.0, solved * factor)
         return False
 

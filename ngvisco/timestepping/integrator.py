@@ -166,6 +166,8 @@ class Integrator:
             self.undo()
             if isinstance(error, StepError):
                 message = f"step of length {tau:g} s from t = {t:g} s: {error}"
+                if (nearest := self.bounds.nearest()) is not None:
+                    message += f"; before the step {nearest}"
                 raise StepError(message, [*history, *error.history]) from error
             raise
 

@@ -17,6 +17,7 @@ from ngvisco.geometries import box
 from ngvisco.physics.tensors import inner, log, tr
 from ngvisco.physics.variables import Jacobian, LeftCauchyGreen
 from ngvisco.run import observers
+from ngvisco.solver.problem import iterations
 
 DT, STRETCH = 0.05, 0.2
 BY_B = (LeftCauchyGreen(exponent=-2 / 3), Jacobian())
@@ -72,8 +73,25 @@ def test_a_step_beyond_the_domain_is_refused_by_its_name(solver):
         run.run(1.0)
     assert np.isfinite(run.ledger.column("stored")).all() and run.t < 1.0
     assert "no number, which it has for room to stretch > 0 alone (of B, J)" in str(caught.value)
-    assert "room to stretch" in str(caught.value.report)
-    assert largest(run, "B", lambda z: tr(z["B"])) < 3 + STRETCH
+    furthest = largest(run, "B", lambda z: tr(z["B"]))
+    assert furthest < 3 + STRETCH
+    for told in (str(caught.value), str(caught.value.report).splitlines()[0]):
+        found = re.search(
+            r"before the step room to stretch is (\S+) in cell \d+ at \(.+\) m, .*0.2 at rest", told
+        )
+        assert found is not None and float(found[1]) == pytest.approx(3 + STRETCH - furthest, rel=0.01)
+
+
+def test_a_coupled_step_at_a_bound_is_refused_after_few_iterations():
+    """Steps of growing length end once the lengths left do not reach the whole step."""
+    run = sheared(nv.FENEP(K_e=10, G_e=5, b=5), 4.0, "coupled", creep=None, halvings=0)
+    run.advance()
+    with pytest.raises(
+        nv.StepError, match=r"before the step b - tr B is 0\.46\d in cell 3 at \(0, 1\)"
+    ) as caught:
+        run.advance()
+    lengths = [attempt for attempt in caught.value.history if attempt.start == "by growing lengths"]
+    assert 5 <= len(lengths) <= 14 and 100 < len(iterations(caught.value.history)) < 250
 
 
 def test_the_limiter_draws_a_state_into_the_domain_of_its_energy():
