@@ -18,7 +18,7 @@ GAS_CONSTANT = 8.31446261815324
 
 @dataclass(frozen=True, kw_only=True)
 class _Activation:
-    """The factor a = exp(E/(R theta_R) - (E + p V)/(R theta), the rate over the rate at theta_R and p = 0."""
+    """The factor a = exp(E/(R theta_R) - (E + p V)/(R theta)), the rate over the rate at theta_R, p = 0."""
 
     E: Annotated[float, Quantity("J/mol", example=2e5)]
     theta_R: Annotated[float, Quantity("K", "> 0", 300.0)]
@@ -30,8 +30,8 @@ class _Activation:
 
     @property
     def _reads(self) -> set[str]:
-        """Names of what the factor reads: the material's temperature, unless given, and the pressure with
-        V."""
+        """Names of the values that the factor reads: the material's temperature if ``temperature`` is None,
+        and the pressure if V is not 0."""
         return ({TEMPERATURE} if self.temperature is None else set()) | ({PRESSURE} if self.V else set())
 
     def factor(self, z: Values) -> Any:
@@ -43,7 +43,7 @@ class _Activation:
 
 @dataclass(frozen=True, kw_only=True)
 class _Faster(FlowRule):
-    """A flow rule whose rate is ``factor`` times that of another one.
+    """A flow rule whose rate is ``factor`` times the rate of another rule.
 
     Parameters
     ----------
@@ -118,7 +118,7 @@ class Activated(_Activation, _Faster):
         Activation volume; where it is > 0, pressure slows creep down.
     temperature : float, optional
         A number, a function of the initial place, which is carried, or an expression of parameters; None is
-        the material's temperature, and the material then has heat.
+        the material's temperature, for which the material needs heat.
     """
 
     def __post_init__(self) -> None:
@@ -129,8 +129,8 @@ class Activated(_Activation, _Faster):
 class WLF(_Faster):
     """A flow rule's rate times 1/a_T = 10^{C_1 (theta - theta_R)/(C_2 + theta - theta_R)}.
 
-    Williams, Landel and Ferry (1955) shift polymers near their glass transition so: all relaxation times are
-    multiplied by a_T.  The rate vanishes as theta falls to theta_R - C_2, and stays zero below.  Raises
+    Williams, Landel and Ferry (1955) describe polymers near their glass transition so: all relaxation times
+    are multiplied by a_T.  The rate vanishes as theta falls to theta_R - C_2, and stays zero below.  Raises
     ParameterError if a parameter is out of its range.
 
     Parameters

@@ -111,7 +111,7 @@ class Array(_Node):
     is_constant: bool
 
     def __init__(self, value: np.ndarray, parents: Sequence[tuple[Array, Any]] | None = ()) -> None:
-        """``parents`` are operands, each with the map from a derivative by this array to one by the operand.
+        """``parents`` are operands, each with the map of a derivative by this array to that by the operand.
 
         An empty sequence makes an independent argument, None a constant.
         """
@@ -322,7 +322,7 @@ def _product(left: str, right: str, out: str, a: np.ndarray, b: np.ndarray) -> n
 
 
 def _applied(matrix: np.ndarray, value: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    # the matrices embed and select: they have few entries, and are real even where values are complex
+    # the matrices embed and select: they have few nonzero entries, and are real even if values are complex
     entries = value.reshape(matrix.shape[1], -1)
     result = np.zeros((matrix.shape[0], entries.shape[1]), value.dtype)
     for i, j, factor in _entries(np.asarray(matrix, dtype=float).tobytes(), matrix.shape[1]):

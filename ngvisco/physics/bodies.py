@@ -24,15 +24,15 @@ from ngvisco.physics.tensors import Tensor, if_positive, sqrt, tr
 from ngvisco.physics.variables import CreepFrame, Values, Variable
 
 NO_INTERFACE = 1e-6
-"""Change of a fraction, or of a logarithm that bodies average, over a cell below which it has no interface: a
-slope of rounding has any direction."""
+"""Change over a cell of a fraction, or of a logarithm that bodies average, below which the cell has no
+interface: the direction of a slope that is rounding means nothing."""
 
 TRACE = 1e-3
-"""The amount of a body at rest that is added where the body is absent, over the amount of all matter."""
+"""The amount at rest that is added for an absent body, as a share of the amount of all matter."""
 
 HARDENING_TRACE = 0.1
 """The share of all matter, N, that is added to the amount n_i of a body that hardens: K_i and n_i are
-independent polynomials, and K_i/n_i is none."""
+independent polynomials, and their quotient K_i/n_i is no polynomial."""
 
 _HALF = 1 / 5
 """The volume fraction theta_i at which chi_i is 1/2."""
@@ -86,8 +86,8 @@ class Amount(Variable):
 class Content(Variable):
     """X_i = n_i B of body i, B a tensor J^a F, J^a Cof F, J^a F F^T or J^a Cof(F F^T) of its distortion.
 
-    Its rate is the rate of ``tensor``, which has the exponent a - 1 and the name of this variable: n_i = 1/J
-    where the body fills the point, and the rate is linear.
+    Its rate is the rate of ``tensor``, which has the exponent a - 1 and the name of this variable, because
+    n_i = 1/J where the body fills the point, and the rate is linear.
     """
 
     name: str
@@ -130,8 +130,8 @@ class Fractions:
         return {name: z[AMOUNT + name] * inverse for name in self.bodies}
 
     def not_negative(self, z: Values) -> dict[str, Any]:
-        """Volume fractions with zero for theta_i < 0, by the bodies' names; beside a jump theta_i
-        undershoots."""
+        """Volume fractions by the bodies' names, with zero in place of theta_i < 0, an undershoot beside a
+        jump."""
         return {name: if_positive(value, value, 0.0 * value) for name, value in self.at(z).items()}
 
     def taking_part(self, z: Values) -> dict[str, Any]:
@@ -150,7 +150,7 @@ class Fractions:
         return 0.5 * (value + sqrt(value * value + 4 * TRACE**2))
 
     def hardened(self, z: Values, body: str) -> Any:
-        """The amount by which K_i is divided for the plastic strain of a body: n_i with a trace of N."""
+        """The divisor of K_i in the plastic strain of a body: its amount n_i with a trace of N."""
         return (1 / (1 + HARDENING_TRACE)) * (z[AMOUNT + body] + HARDENING_TRACE * self.total(z))
 
 
@@ -173,8 +173,8 @@ class Body:
         run = nv.Simulation(box((1, 1), maxh=0.3), nv.Model(bodies=[disc, rest]), dt=0.02)
         print(run.advance()["mass_drift"])
 
-    Bodies push each other from the start where their energies have different stresses at rest, F = I; an
-    ``InputWarning`` names such bodies that meet.  Raises ParameterError for an invalid name, a part of the
+    Bodies whose energies have different stresses at rest, F = I, push each other from the start; an
+    ``InputWarning`` names such bodies if they meet.  Raises ParameterError for an invalid name, a part of the
     wrong type, and a density that is missing or not positive.
 
     Parameters

@@ -2,7 +2,7 @@
 
 Exact solutions have J = det F and H = Cof F.  The discrete variables are transported independently and drift
 apart, slowly in a solid and without bound where F winds up (``materials.hyperelastic``).  The ledger does not
-show it: the scheme's energy identity treats F, H and J as independent.
+show the drift: the scheme's energy identity treats F, H and J as independent.
 """
 
 from collections.abc import Collection
@@ -44,7 +44,8 @@ def relative_defects(material: Material, z: Values, traced: Collection[str] = ()
     * ``"H and Cof F"``: |H - Cof F|/|Cof F| with the factors of J, likewise for N and B,
     * ``"A and J"``: A J - 1, and ``"K and A"``: K/A + ln A.
 
-    The first omits ``traced`` variables, whose creep rate has a trace: J does not determine their det.
+    The first relation omits ``traced`` variables, whose creep rate has a trace: J does not determine their
+    determinant.
     """
     variables = {v.name: v for v in material.variables}
     found: dict[str, Tensor] = {}
@@ -80,8 +81,9 @@ def relative_defects(material: Material, z: Values, traced: Collection[str] = ()
 def drifts(material: Material, z: Values, traced: Collection[str] = ()) -> dict[str, Tensor]:
     """The drift det F/J - 1 of each tensor that is carried beside J, by the names of both.
 
-    F is the distortion of the tensor z: det z J^-n = (det F/J)^d with d = 1 for F and d = 2 for F F^T and Cof
-    F.  Variables in ``Material.continued`` have no drift, as J <= 0 is admitted there.
+    F is the distortion of the tensor z.  det z = J^n (det F/J)^d, where n is the power of J that det z should
+    be, and d is 1 for F and 2 for F F^T and Cof F.  Variables in ``Material.continued`` have no drift, as
+    their J may be <= 0.
 
     For F F^T only the loss of det F counts, and the drift is at most zero: a mean of such tensors has a
     larger determinant than the tensors (Minkowski), and an energy above rest.  A mean of F has a smaller
@@ -102,7 +104,7 @@ def drifts(material: Material, z: Values, traced: Collection[str] = ()) -> dict[
 
 
 def may_part(material: Material, moves: bool) -> str | None:
-    """The warning before a run whose variables may drift apart; None where they hardly do.
+    """The warning before a run whose variables may drift apart; None if they hardly drift.
 
     ``moves`` says whether walls move.
     """
@@ -110,7 +112,7 @@ def may_part(material: Material, moves: bool) -> str | None:
     if law is None or law.is_by_B or not moves:
         return None
     return (
-        f"by F, det F and J are carried each by itself, and walls move, and F winds up: where they differ by "
+        f"by F, det F and J are carried independently, and F winds up where walls move: if they differ by "
         f'{DRIFT:.0%} in the mean of a cell the run ends; elastic_state = "B" frees no rest energy'
     )
 

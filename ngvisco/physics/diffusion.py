@@ -55,7 +55,7 @@ class Diffusion:
     mobility : float
         M, in [c]^2 m^2/(Pa s) for c in its unit [c].
     walls : mapping of boundary names to WallExchange, optional
-        Walls with exchange; the flux through all others is zero.
+        Walls with exchange; the flux through all other walls is zero.
     """
 
     variable: Annotated[str, Quantity(example="c")]

@@ -10,9 +10,9 @@ therefore S E = E S, the Cauchy stress is symmetric, and phi depends on F only t
 **Convexity.**  The scheme never creates energy because every step's Bregman distance phi(b) - phi(a) -
 phi'(a) : (b - a) is >= 0.  This holds where phi is convex in all strains together at fixed parameters; the
 strains count as independent, as the discrete J is not exactly det F.  ``check_convexity`` evaluates the
-distance for random states a.  For each a the states b lie along the eigenvector of the Hessian's smallest
-eigenvalue, near and farther, and at another random state.  States whose variables fit together as in a motion
-(J = det F, ...) are cited first: a violation elsewhere matters only as far as the variables drift apart.
+distance for random states a.  For each a, some states b lie near a and farther along the eigenvector of the
+Hessian's smallest eigenvalue, and one is another random state.  States whose variables fit together as in a
+motion (J = det F, ...) are cited first: a violation elsewhere matters only as far as variables drift apart.
 """
 
 import warnings
@@ -60,7 +60,7 @@ def check_energy(material: Material) -> None:
         check_energy(inner)  # a wrapper derives its energy from the energy of the inner material
         return
     phi, slopes = _of_state(material, *_given(material), material.energy)
-    if max(slopes) <= 1e-14 * max(np.abs(sampled(phi))):  # sums that vanish leave rounding
+    if max(slopes) <= 1e-14 * max(np.abs(sampled(phi))):  # derivatives that cancel leave rounding
         expected = (
             f"an energy that changes with {_names(material)}: this one is a constant, without any stress"
         )
@@ -103,8 +103,8 @@ def check_bound(material: Material, field: str, function: Callable[..., Coeffici
         if len(outside):
             point = _text(sampling.named(middle[outside[0]]), " = ")
             expected = (
-                "a function whose positive states make a convex set, as of one that is concave: it is not "
-                f"positive at {point}, half way between two where it is"
+                "a function that is positive on a convex set of states, as a concave function is: it is not "
+                f"positive at {point}, half way between two states where it is"
             )
             raise ParameterError(field, function, expected)
 
@@ -331,7 +331,7 @@ def _weakest_directions(response: Respond, states: np.ndarray, strains: np.ndarr
 def _worst_bregman(
     sampling: StateSampling, response: Respond, a: np.ndarray, increments: Sequence[np.ndarray]
 ) -> tuple[int, float, tuple[np.ndarray, np.ndarray] | None]:
-    """Number of pairs, most negative Bregman distance over |b - a|^2 (else 0), and its pair (a, b - a)."""
+    """Number of pairs, most negative Bregman distance over |b - a|^2 (or 0), and its pair (a, b - a)."""
     at_a, material = response(a), sampling.material
 
     def bounds(components: CoefficientFunction) -> CoefficientFunction:

@@ -33,7 +33,8 @@ from ngvisco.physics.materials.thermal import Entropy, Thermal
 
 _ITERATIONS = 100
 _CONVERGED = 1e-7
-"""Newton increment, over J_i and psi_S/psi_SS, below which the iteration ends: the error is its square."""
+"""Newton increment, relative to J_i and psi_S/psi_SS, below which the iteration ends: the error is its
+square."""
 _LEAST = 0.2
 """The factor by which a step reduces J_i at most."""
 

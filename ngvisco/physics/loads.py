@@ -128,7 +128,7 @@ def as_vector(value: VectorLike, dim: int, field_name: str) -> CoefficientFuncti
 
 
 def force_of(load: Load, dim: int) -> CoefficientFunction:
-    """g (m/s^2) of gravity, or the body force (N/m^3), in ``dim`` dimensions; raises ParameterError."""
+    """The acceleration g (m/s^2) or the body force (N/m^3) in ``dim`` dimensions; raises ParameterError."""
     owner = f"loads[{load.name!r}]"
     if isinstance(load, CentralGravity) and len(load.centre) != dim:
         expected = f"{dim} numbers, as many as the mesh has dimensions"

@@ -93,7 +93,7 @@ class StateSpace:
         return _Tensors(self, components)
 
     def density(self, components: Tensor, size: int = 1) -> Tensor:
-        """The density sum rho_i n_i of components; ``size`` densities of (components, ``size``) entries."""
+        """The density sum rho_i n_i of components; for entries (components, ``size``) all ``size`` sums."""
         return linear_map(np.kron(self.densities, np.eye(size)), components, (size,))
 
     def components(self, values: Values) -> Tensor:
@@ -154,7 +154,7 @@ class Material(ABC):
         """Stored energy per actual volume, Pa, from the variables' values by name."""
 
     def with_elastic_state(self, state: ElasticState) -> Material:
-        """The material by F or by B = F F^T, as ``state`` says; itself if it is fixed already."""
+        """The material by F or by B = F F^T, as ``state`` says; itself if its state is fixed already."""
         return self
 
     @property
@@ -177,7 +177,7 @@ class Material(ABC):
 
     @property
     def referential_density(self) -> Modulus | None:
-        """The density rho_R, kg/m^3, of an energy that depends on rho = rho_R/J; None (the rule) for others.
+        """The density rho_R, kg/m^3, of an energy that reads rho = rho_R/J; None (default) for others.
 
         With rho_R the initial density and the initial J determine one another.
         """
@@ -187,23 +187,23 @@ class Material(ABC):
     def continued(self) -> frozenset[str]:
         """Names of variables whose bounds (``Variable.positive``) do not bind, as the energy is continued.
 
-        A Yosida approximation and J_min continue it.  An energy that merely has values there, such as (J -
-        1)^2, is not continued: J <= 0 means interpenetration.
+        A Yosida approximation and J_min continue an energy.  An energy that merely has values at J <= 0, such
+        as (J - 1)^2, is not continued: J <= 0 means interpenetration.
         """
         return frozenset()
 
     def domain(self, z: Values) -> Values:
-        """Scalars that must be > 0 for the energy to have a value, by their names in messages; none (the
-        rule) beyond the variables' bounds.
+        """Scalars, besides the variables' bounds, that must be > 0 for the energy to have a value, by their
+        names in messages; empty by default.
 
-        The set of states where all are positive is convex, for example if each scalar is concave in z: all
-        states between a state of the set and a cell's mean in the set are in it too.
+        The set of states where all scalars are positive has to be convex, as with scalars concave in z: then
+        it contains all states between one of its states and a cell's mean in it.
         """
         return {}
 
     def positive(self, z: Values) -> dict[str, Values]:
-        """Functions of a state that must be > 0: those of each variable that is not ``continued`` by its
-        name, those of several variables together by "".
+        """Functions of a state that must be > 0: under its name the functions of each variable that is not
+        ``continued``, under "" the functions of several variables.
         """
         kept = (v for v in self.variables if v.name not in self.continued)
         found = {v.name: v.positive(z[v.name]) for v in kept}
@@ -223,7 +223,8 @@ class Material(ABC):
     def lagged(self) -> frozenset[str]:
         """Names of variables that enter the others' conjugates by their values at a step's start.
 
-        An energy convex in these and in the others, but not jointly, then has a Bregman distance >= 0.
+        An energy that is convex in these variables and in all others, but not jointly, then has a Bregman
+        distance >= 0.
         """
         return frozenset()
 
@@ -232,7 +233,7 @@ class Material(ABC):
         return {}
 
     def rate(self, variable: Variable, z: Values, L: Tensor, Pi: Tensor) -> Tensor:
-        """rate(z; L, Pi) of a variable; without the part -(tr L) z of a density, which its flux has."""
+        """rate(z; L, Pi) of a variable; for a density without the part -(tr L) z, which its flux contains."""
         share = self.taking_part(z).get(variable.name)
         if share is not None:
             L, Pi = skw(L) + share * sym(L), share * Pi
@@ -244,12 +245,12 @@ class Material(ABC):
         return StateSpace.of(tuple(self.variables), dim)
 
     def response(self, dim: int) -> Respond | None:
-        """The response at points if ``energy`` has no expression; None (the rule) if it has one."""
+        """The response at points if ``energy`` has no expression; None (default) if it has one."""
         return None
 
 
 def check_material(material: Material) -> None:
-    """Raise ParameterError if a material's list of variables makes no sense, with what would be right."""
+    """Raise ParameterError, which says what would be right, if a list of variables makes no sense."""
     field = f"{type(material).__name__}.variables"
     for variable in material.variables:
         if not isinstance(variable, Variable):

@@ -17,16 +17,17 @@ from ngvisco.physics.variables import INTERFACE, Values
 
 @dataclass(frozen=True, kw_only=True)
 class MixedViscosity(Viscosity):
-    """The stress sum theta_i D_i eps; for shear across an interface of Stokes fluids the fluidities' mean.
+    """The stress sum theta_i D_i eps; shear across an interface of Stokes fluids has the mean fluidity.
 
-    In a cell with an interface of normal n, shear across the interface is that of layers in series.  For the
+    In a cell with an interface of normal n, the shear across the interface acts on layers in series.  For the
     part
 
         S(eps) = P eps + P eps^T - 2 P eps P,   P = n x n,
 
-    of dev eps the viscosity is H, 1/H = sum theta_i/G_i; for the rest, which both sides share, it is A = sum
-    theta_i G_i.  D = 2 A dev eps - 2 (A - H) S(dev eps) is symmetric, and D : eps >= 0.  n is taken at the
-    step's start.  If a body has no shear viscosity, or a nonlinear one, the viscosity is A for all parts.
+    of dev eps the viscosity is H, 1/H = sum theta_i/G_i; for the rest, which both sides share, the viscosity
+    is A = sum theta_i G_i.  D = 2 A dev eps - 2 (A - H) S(dev eps) is symmetric, and D : eps >= 0.  n is the
+    normal at the step's start.  If a body has no shear viscosity, or a nonlinear one, the viscosity is A for
+    all parts.
     """
 
     parts: tuple[tuple[str, Viscosity], ...]
@@ -40,7 +41,7 @@ class MixedViscosity(Viscosity):
 
     @cached_property
     def in_series(self) -> dict[str, float]:
-        """Typical shear viscosities, Pa s, by the bodies' names, if layers are in series; else empty."""
+        """Typical shear viscosities, Pa s, by the bodies' names; empty unless layers act in series."""
         stokes = {name: part for name, part in self.parts if isinstance(part, StokesViscosity)}
         found = {name: typical_value(part.G_v) for name, part in stokes.items()}
         all_are = len(found) == len(self.fractions.bodies) > 1 and min(found.values()) > 0

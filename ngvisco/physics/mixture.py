@@ -48,7 +48,7 @@ from ngvisco.physics.tensors import IDENTITY, Tensor, identity_like
 from ngvisco.physics.variables import PRESSURE, Jacobian, Values, Variable
 
 _LIGHTEST = "the density, less half of that of the lightest body"
-"""Name of the bound on the density; forces of the bodies would throw matter lighter than every body."""
+"""Name of the bound on the density: the bodies' forces would throw away matter lighter than every body."""
 
 _SAME = 1e-9
 """Relative difference below which two volumetric energies count as one function."""
@@ -94,7 +94,8 @@ class Mixture(Material):
         return {body.name: z[AMOUNT + body.name] for body in self.bodies}
 
     def require(self) -> None:
-        """Raise ParameterError for an energy not convex per reference volume, or laws that need one U_i."""
+        """Raise ParameterError for an energy not convex per reference volume, or for a law that needs one
+        volumetric energy U_i where bodies have several."""
         for body in self.bodies:
             psi = self.energies[body.name]
             psi.require()
@@ -166,7 +167,7 @@ class Mixture(Material):
         return replace(self, bodies=tuple(bodies))
 
     def with_carried(self, parameters: Sequence[Parameter]) -> Mixture:
-        """The mixture with those parameters of the model's other laws that it lacks."""
+        """The mixture, with those ``parameters`` of the model's other laws added that it lacks."""
         more = distinct((*self.parameters, *parameters))[len(self.parameters) :]
         return replace(self, carried=(*self.carried, *more)) if more else self
 
@@ -190,8 +191,8 @@ class Mixture(Material):
         return {name: psi.stiffness + of_heat.get(name, 0.0) for name, psi in self.energies.items()}
 
     def positive(self, z: Values) -> dict[str, Values]:
-        """Functions of a state that must be > 0: N; sum n_i/U_i'', for a common pressure, if bodies differ in
-        U_i; sum n_i c_i; n_i plus half of its trace if an f_i is nonlinear or a body hardens."""
+        """Functions of a state that must be > 0: N; with different U_i sum n_i/U_i'', for a common pressure;
+        with heat sum n_i c_i; n_i plus half of its trace if an f_i is nonlinear or a body hardens."""
         n, total = self.amounts(z), self.fractions.total(z)
 
         def above(share: float, sizes: Sequence[float]) -> Any:
@@ -355,7 +356,7 @@ class _InEquilibrium:
         return Response(result.energy + value, result.slope, result.hessian, failure)
 
     def _start(self, n: np.ndarray, total: np.ndarray) -> np.ndarray:
-        """J_i, and S_i with heat, for bodies of one volume and one temperature; NaN where none exist."""
+        """J_i, and S_i with heat, for bodies of one volume and one temperature; NaN if there are none."""
         with np.errstate(all="ignore"):
             N = n.sum(axis=1)
             J = np.where(N > 0, 1 / N, np.nan)
@@ -373,7 +374,9 @@ class _InEquilibrium:
         common = "pressure" if self.heat is None else "pressure and temperature"
         remedy = "a gas without p_infinity presses on what it meets, and matter in tension does not bear that"
         if (n < 0).any():
-            remedy = "with Discretisation(k=1, m=0) few are below zero, of stiffnesses 10 : 1 and more"
+            remedy = (
+                "Discretisation(k=1, m=0) makes few amounts negative if stiffnesses differ tenfold or more"
+            )
         points = f"{len(n)} points, e.g. for the amounts {', '.join(f'{amount:.3g}' for amount in n[0])}"
         return f"bodies have no common {common} at {points}; {remedy}"
 

@@ -54,7 +54,7 @@ class CreepMechanism:
 
     @property
     def plastic_content(self) -> PlasticContent:
-        """The variable of its hardening: K = A k of the material or of a branch, or K_i of a body."""
+        """The variable of the rule's hardening: K = A k of the material or of a branch, or K_i of a body."""
         owner = "_".join(name for name in (self.branch, self.body) if name is not None)
         return PlasticContent.of(owner) if owner else PLASTIC_CONTENT
 
@@ -88,7 +88,7 @@ class Model:
     material : Material
         Any modulus of its laws may be a function of the initial place or an expression of carried parameters
         (``Parameter``), which are then among the variables of ``model.material``.  An isotropic material at
-        finite strain that leaves ``elastic_state`` open is by B = F F^T with creep, and by F without.
+        finite strain that leaves ``elastic_state`` open is by B = F F^T with creep or m = 0, else by F.
     viscosity : Viscosity, optional
         Any of ``StokesViscosity``, ``LinearViscosity``, ``PowerLaw``, ``Carreau``, ``Cross``,
         ``ActivatedViscosity``.
@@ -171,7 +171,7 @@ class Model:
     def at_order(self, m: int) -> Self:
         """The model in which no elastic state is open, for variables of order ``m``.
 
-        An open state becomes "B" with creep or for m = 0, else "F" (``open_state`` has the reason).
+        An open elastic state becomes "B" with creep or m = 0, else "F" (``open_state`` has the reason).
         """
         state, _ = open_state(self.creep, self.material, m)
         if self.bodies:
@@ -307,13 +307,13 @@ def _faults(body: Body, bodies: Sequence[Body]) -> Iterable[tuple[str, str]]:
     if warm and body not in warm:
         yield "material", f"nv.Thermal(material=...), as {warm[0].name!r} has: all have one temperature"
     if body in warm and not isinstance(material, Thermal):
-        yield "material", "nv.Thermal(material=...) itself: of no other energy is a body's entropy known"
+        yield "material", "nv.Thermal(material=...) itself: other energies do not tell a body's entropy"
     if len(units) > 1:
         yield "material", f"one entropy_unit for all bodies, not {sorted(units)}: they share one entropy"
     if heat is not None and not warm:
         yield "heat", _NO_TEMPERATURE
     if heat is not None and heat.numerical_heating:
-        yield "heat.numerical_heating", "False: what the scheme dissipates is of all bodies, Model(heat=...)"
+        yield "heat.numerical_heating", "False: the scheme heats all bodies together, see Model(heat=...)"
     if getattr(material, "J_min", None) is not None:
         yield "material", "J_min = None: continued below it, the energy is not convex per reference volume"
     for branch, rule in body.rules.items():
@@ -342,8 +342,8 @@ def _require_distinct(field_name: str, names: list[str]) -> None:
 def open_state(creep: FlowRule | None, material: Material, m: int) -> tuple[ElasticState, str]:
     """The elastic state of a material that leaves it open, with variables of order ``m``, and the reason.
 
-    "B" where there is creep, also of a branch of its own, since F winds up there.  "B" for m = 0: in cells of
-    constants det F and J part faster than in others, and F frees rest energy as they part.
+    "B" with creep, of the material or of a branch, since F then winds up.  "B" for m = 0: constants in cells
+    let det F and J drift apart faster than polynomials, and by F this drift frees rest energy.
     """
     if _flows(creep, material):
         return "B", "there is creep"

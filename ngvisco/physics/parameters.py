@@ -6,11 +6,12 @@ Cauchy stress is right and the ledger closes.  An energy that reads the place x 
 nothing balances, and is refused (``ngvisco.physics.energy_checks``).
 
 A cell that a parameter's jump has moved into has the mean of the carried number over both sides.  The mean of
-theta itself (arithmetic) is wrong by far for a modulus that jumps by orders of magnitude: a share of 1e-5 of
-1e6 is ten times 1.  ``Parameter.mean`` chooses the function of theta that is carried.  The law chooses the
-mean of a modulus that is a function of the place: a creep modulus G_m, of a dashpot in series with a spring,
-is carried by its fluidity 1/G_m; other moduli > 0 by their logarithm; moduli that may be 0 by their eighth
-root, whose share of 1e-5 of 1e6 adds 4e-4; temperatures, densities and fluidities are carried themselves.
+theta itself (arithmetic) is wrong by far for a modulus that jumps by orders of magnitude: a share of 1e-5
+with the value 1e6 adds 10 to the value 1 of the rest.  ``Parameter.mean`` chooses the function of theta that
+is carried.  The law chooses the mean of a modulus that is a function of the place: a creep modulus G_m, of a
+dashpot in series with a spring, is carried by its fluidity 1/G_m; other moduli > 0 by their logarithm; moduli
+that may be 0 by their eighth root, with which that share adds 4e-4; temperatures, densities and fluidities
+are carried themselves.
 
 A parameter is no strain.  phi need not be convex in it, and the ledger's ``bregman`` may have either sign
 where parameters are transported.  Quadratic regularisation, Yosida approximation and the diffusion of the
@@ -48,7 +49,7 @@ _SQUARINGS = 3
 """The number of squarings that undo the eighth root."""
 
 _LEAST = 1e-100
-"""The carried 1/theta where its polynomial, which overshoots beside a jump, is not positive."""
+"""Value of the carried 1/theta where its polynomial, which overshoots beside a jump, is not positive."""
 
 
 class ParameterExpression(ABC):
@@ -269,7 +270,8 @@ def typical_value(modulus: Modulus) -> float:
 def require_fields(owner: Any) -> None:
     """Raise ParameterError unless every parameter of a dataclass has the type and range of its annotation.
 
-    Moduli may also be functions of the initial place and expressions, others functions of the actual place.
+    Moduli may also be functions of the initial place and expressions, other parameters functions of the
+    actual place.
     """
     for name, said in declared(type(owner)).items():  # type: ignore[arg-type]
         value, full = getattr(owner, name), f"{type(owner).__name__}.{name}"
@@ -347,7 +349,7 @@ def expressions_in(value: object) -> Iterator[ParameterExpression]:
 
 
 def substituted(law: T, value_of: Callable[[ParameterExpression], Any]) -> T:
-    """A law or a material with ``value_of(expression)`` for each expression; itself without expressions.
+    """A law or a material with ``value_of(expression)`` in place of each expression; itself if it has none.
 
     The law's checks do not run again, as values at points are no numbers.
     """
@@ -398,7 +400,7 @@ def told_apart(laws: Iterable[T], taken: Iterable[str] = ()) -> list[T]:
 
 
 def _with_own_names(law: T, name_of: Callable[[Parameter], str], is_own: bool) -> T:
-    """A law with names by ``name_of`` for the parameters made of its moduli; ``is_own`` keeps their mark."""
+    """A law with names by ``name_of`` for the parameters made of its moduli, marked as own if ``is_own``."""
 
     def named(expression: ParameterExpression) -> ParameterExpression:
         if not (isinstance(expression, _Modulus) and expression.is_own):
@@ -435,7 +437,7 @@ def _operand(value: object) -> ParameterExpression | float:
         value = "a function of the place" if isinstance(value, CoefficientFunction) else value
         expected = (
             "numbers and parameters; a function of the initial place is a parameter too, nv.Parameter(name, "
-            "start=...), and of the actual place no modulus is one"
+            "start=...), and no modulus is a function of the actual place"
         )
         raise ParameterError("expression of parameters", value, expected)
     return number

@@ -74,7 +74,7 @@ def evaluated(function: Callable[[Tensor], Tensor], vectors: np.ndarray) -> np.n
 
 
 def respond(material: Material, dim: int, linear: Iterable[str] = ()) -> Respond:
-    """The response of a material: its own one, else by arrays, else by the expression of its energy.
+    """The response of a material: its own if it has one, else by arrays or by its energy's expression.
 
     Arrays are used if they reproduce the expression's energy and slope; complex increments of the slope then
     give the Hessian.
@@ -209,7 +209,7 @@ class ExpressionResponse:
 
 @cache
 def squares(cells: int) -> tuple[Any, Any]:
-    """A mesh of ``cells`` x ``cells`` squares, whose cellwise constants hold states, and its midpoints."""
+    """A mesh of ``cells`` x ``cells`` squares, whose cellwise constants hold states, and their midpoints."""
     mesh = MakeStructured2DMesh(quads=True, nx=cells, ny=cells)
     return mesh, mesh.MapToAllElements({ET.QUAD: IntegrationRule([(0.5, 0.5)], [1.0])}, VOL)
 

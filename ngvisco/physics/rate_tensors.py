@@ -86,7 +86,7 @@ class RateTensors:
         for v in variables:
             own = states.slices[v.name]
             if _differ(np.tensordot(mixed, rates[:, own], 1), of_mixed[own]):
-                expected = "linear in L and Pi together; what else changes it is the part of a term"
+                expected = "linear in L and Pi together; any other part of the rate belongs in a term"
                 raise ParameterError(f"{type(v).__name__}.rate", v.name, expected)
             affine = result.rate(values[:, others], mixed[:, None])
             if _differ(affine[own], of_mixed[own, others]):
@@ -94,7 +94,7 @@ class RateTensors:
         return replace(result, nonlinear_variables=tuple(nonlinear))
 
     def by_groups(self, groups: Sequence[Sequence[str]], states: StateSpace) -> RateTensors:
-        """The tensors with one Pi for each group of variables' names, by which only this group creeps."""
+        """The tensors for a Pi of each group of variables, given by names; a group creeps by its Pi alone."""
         g, size = self.gradients, len(self.constant) - self.gradients
         masks = np.zeros((len(groups), states.size))
         for mask, names in zip(masks, groups, strict=True):
@@ -147,7 +147,7 @@ class RateTensors:
         stop: int,
         places: Callable[[int, int], tuple[np.ndarray, np.ndarray]],
     ) -> None:
-        """Add (C_xn + sum_m T_xnm z_m) factor to target, with target, factor = ``places`` (x - first, n)."""
+        """Add (C_xn + sum_m T_xnm z_m) factor to target for all x, n; ``places`` has target and factor."""
         for (x, n), C in self._entries[0]:
             if first <= x < stop:
                 target, factor = places(x - first, n)
@@ -185,6 +185,6 @@ class RateTensors:
 
 
 def _differ(a: np.ndarray, b: np.ndarray) -> bool:
-    """Whether values differ by more than rounding; pairs of which neither is finite are not compared."""
+    """Whether values differ by more than rounding; pairs without a finite value are not compared."""
     asked = np.isfinite(a) | np.isfinite(b)
     return bool((~(abs(a - b) <= _ROUNDING * (1 + abs(a) + abs(b))) & asked).any())

@@ -5,9 +5,9 @@ energy are materials: ``WithQuadratic`` and ``Yosida`` wrap any material, also o
 ``J_min`` continues the singular part of an energy linearly.
 
 The diffusion of the fields needs phi''(z) at rest and the directions in which it vanishes.  Some energies are
-linear in some variables (with -epsilon ln J in K = ln J / J, many in B = F F^T), whose conjugates are
-constant.  In all other variables phi'' has to be positive definite; ``WithQuadratic`` makes it so for every
-convex energy. phi'' is the second derivative by the strains, not by parameters.
+linear in some variables (energies with -epsilon ln J in K = ln J / J, many in B = F F^T); the conjugates of
+these variables are constant.  In all other variables phi'' has to be positive definite; ``WithQuadratic``
+makes it so for every convex energy.  phi'' is the second derivative by the strains, not by parameters.
 """
 
 import math
@@ -163,7 +163,7 @@ class Curvature:
 def curvature_of(material: Material, dim: int) -> Curvature:
     """The curvature of a material's energy on meshes of dimension ``dim``.
 
-    Raises ParameterError if phi'' at rest is not positive definite in all other directions.
+    Raises ParameterError if phi'' at rest is not positive definite in the directions other than ``linear``.
     """
     sampling = StateSampling(material, dim, _SPREAD, np.random.default_rng(0))
     fitting, strains = sampling.fitting(), sampling.space.strains
@@ -187,8 +187,8 @@ def curvature_of(material: Material, dim: int) -> Curvature:
         raise ParameterError(
             "Regularisation.delta_fields",
             f"{type(material).__name__}, whose phi'' at rest has the least eigenvalue {least * scale:.3g} Pa",
-            "an energy with a positive definite phi'' in the variables that it is not linear in; "
-            "WithQuadratic makes that of one material so, one volumetric energy those of several bodies",
+            "an energy with a positive definite phi'' in the variables that it is not linear in, for one "
+            "material by WithQuadratic, for several bodies by one volumetric energy",
         )
     inverse = np.linalg.inv(at_rest + linear)
     projection, compliance = np.zeros((2, len(strains), len(strains)))

@@ -42,7 +42,7 @@ class Viscosity(ABC):
     """
 
     reads: frozenset[str] = frozenset()
-    """Names of ``PRESSURE`` and ``TEMPERATURE`` if the law reads them from the values ``z``."""
+    """Names among ``PRESSURE`` and ``TEMPERATURE`` that the law reads from the values ``z``."""
     is_linear: bool = False
     """Whether D is linear in eps."""
 

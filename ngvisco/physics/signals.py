@@ -1,7 +1,7 @@
 """Functions of the run's time for loads and walls: steps, pulses, tables.
 
-Their means over a step are exact, as the rule in time (``ngvisco.forms.time_means``) knows their breaks. For
-any other function the rule looks for sign changes of the arguments of its ``IfPos``.
+The means of these functions over a step are exact, as the rule in time (``ngvisco.forms.time_means``) knows
+their breaks.  For any other function the rule looks for sign changes of the arguments of its ``IfPos``.
 """
 
 import csv
@@ -21,7 +21,7 @@ _PLACES = (0.1, 0.35, 0.6, 0.9)
 
 
 def reads_time(function: CoefficientFunction) -> bool:
-    """Whether a function changes with the run's time; other parameters of NGSolve's count as numbers."""
+    """Whether a function changes with the run's time; NGSolve's other parameters count as numbers."""
     if not may_read_time(function):
         return False
     present, found = time.Get(), []
@@ -140,7 +140,7 @@ def _choices(function: CoefficientFunction) -> Iterator[CoefficientFunction]:
 
 
 def may_read_time(function: CoefficientFunction) -> bool:
-    """Whether a function contains a parameter of NGSolve's; the run's time is one."""
+    """Whether a function contains a parameter of NGSolve, such as the run's time."""
     said = str(function)
     return "ParameterCoefficientFunction" in said or "ParameterCF" in said  # 2*t, for example
 

@@ -97,7 +97,7 @@ def constant(array: np.ndarray) -> Tensor:
 
 @lru_cache(maxsize=1024)
 def _constant(numbers: bytes, shape: tuple[int, ...]) -> Tensor:
-    """``constant``, each distinct number made once: NGSolve takes 0.1 ms to make one of Python's numbers."""
+    """Make ``constant``, with each distinct number once: NGSolve takes 0.1 ms to convert a number."""
     values, which = np.unique(np.frombuffer(numbers), return_inverse=True)
     made = [CF(float(value)) for value in values]
     return CF(tuple(made[i] for i in which.ravel()), dims=shape)
@@ -119,7 +119,7 @@ def masked(A: Tensor, mask: np.ndarray) -> Tensor:
 
 
 def log_det(A: Tensor) -> Tensor:
-    """ln det A of a symmetric positive definite 3x3 tensor; NaN for every other one.
+    """ln det A of a symmetric positive definite 3x3 tensor; NaN for any other tensor.
 
     It is the sum of the pivots' logarithms, as det A alone is positive for two negative eigenvalues too.
     """

@@ -19,7 +19,7 @@ discretisation and the derived stresses use nothing else.
 | J^b Cof F F^T | (2 + b)(tr L) N - 2 sym(N L) + 2 sym(Pi N) | none, see ``CofactorLeftCauchyGreen`` |
 
 The last two are for isotropic energies, as they do not contain the rotation of F.  Their Pi is the creep rate
-in the actual frame, the Pi of F that in the relaxed frame.  A material's variables are of one frame.
+in the actual frame; the Pi of F is in the relaxed frame.  All variables of a material are of one frame.
 
 The cofactor rows are the paper's (Cof' F)(L F - F Pi) written out, d/dt (J F^-T) with tr Pi = 0.  For
 Mooney-Rivlin the paper prints (Cof' F)((grad v)H - H Pi) - (7/6)(div v)H, which is a slip: the derivative of
@@ -59,7 +59,7 @@ class Variable(ABC):
     """``"scalar"``, ``"symmetric"`` or ``"full"`` (3x3), or ``"vector"``, the first column of a tensor."""
 
     is_strain = True
-    """Whether the energy has to be convex in it, jointly with the other strains; False for parameters."""
+    """Whether the energy has to be convex in the variable, jointly with all strains; False for parameters."""
     is_conserved = False
     """Whether rate(z; L, Pi) = -(tr L) z, without a production, so that int z is conserved."""
     density = 0.0
@@ -96,12 +96,12 @@ class Variable(ABC):
 
     @property
     def by_flux(self) -> bool:
-        """Whether it is a density, with -(tr L) z in its rate, which its flux then contains."""
+        """Whether the variable is a density, whose flux contains the part -(tr L) z of its rate."""
         return self.is_conserved
 
     @property
     def is_positive_definite(self) -> bool:
-        """Whether it is a symmetric tensor with eigenvalues > 0; no density is, as densities may vanish."""
+        """Whether the variable is a tensor with eigenvalues > 0; False for densities, which may vanish."""
         return False
 
     @property

@@ -169,9 +169,10 @@ class PrescribedNormal(Passage):
     """v.n = V on the wall, as on a piston; the tangential part of v is free, without tangential stress.
 
     The mesh does not move: where V < 0 the piston presses and matter comes in through the wall; where V > 0
-    it pulls and matter leaves.  The ledger has its power and the mass that it sweeps.  On walls parallel to
-    an axis v.n is a component of v and equals V at every point; on others it equals V in the mean, by the
-    walls' multipliers (FORMULATION 12).  Raises ParameterError if a parameter is out of its range.
+    it pulls and matter leaves.  The ledger has the piston's power and the mass that it sweeps.  On walls
+    parallel to an axis v.n is a component of v and equals V at every point; on other walls it equals V in the
+    mean, by the walls' multipliers (FORMULATION 12).  Raises ParameterError if a parameter is out of its
+    range.
 
     Parameters
     ----------

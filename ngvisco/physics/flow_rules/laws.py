@@ -243,8 +243,8 @@ class Perzyna(_Driven):
     b : float
         Rate of the saturation: the growth is 63 per cent of Q at the plastic strain 1/b.
     rate_floor : float
-        |Pi| below which psi is smoothed at zero, if nu > 0; matter below yield creeps by less.  A
-        thousandth of the rates of interest; one much smaller may need more iterations than there are.
+        |Pi| below which psi is smoothed at zero, if nu > 0; matter below yield creeps by less.  Choose a
+        thousandth of the rates of interest: with a much smaller one Newton's iteration may fail.
     law : str
         Direction of Pi: "mandel", or "conformation" for a fluid by a conformation tensor.
     """
@@ -307,8 +307,8 @@ class DruckerPrager(FlowRule):
         Pi = 1/G_m (|M| - s)^+ M/|M|,   s = sqrt(2) (c cos phi + p sin phi)^+,   p = -tr T/3,
 
     so that sqrt(J_2) = |M|/sqrt(2) is limited to c cos phi + p sin phi, as by Mohr and Coulomb in plane
-    strain. The material does not dilate: tr Pi = 0.  With this s the rule then has no potential, but M : Pi
-    >= 0 always.  The rule is local.  Raises ParameterError if a parameter is out of its range.
+    strain. The material does not dilate: tr Pi = 0.  As s depends on p, the rule then has no potential, but
+    M : Pi >= 0 always.  The rule is local.  Raises ParameterError if a parameter is out of its range.
 
     Parameters
     ----------
@@ -361,7 +361,7 @@ class Composite(FlowRule):
             if not rule.is_local:
                 raise ParameterError(f"Composite.rules[{i}].nu", rule.nu, "0 within a sum")
             if rule.hardening is not None:
-                expected = "a rule without hardening: of a sum's rate no part is that of its plastic strain"
+                expected = "a rule without hardening: the rate of a sum does not tell its plastic strain"
                 name = "Q" if rule.hardening.H == 0 else "H"
                 value = getattr(rule.hardening, name)
                 raise ParameterError(f"Composite.rules[{i}].{name}", value, expected)

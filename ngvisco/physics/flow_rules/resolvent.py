@@ -15,8 +15,8 @@ PointRate: TypeAlias = Callable[[np.ndarray], np.ndarray]
 
 _ITERATIONS, _HALVINGS = 50, 20
 _LAST, _NEAR, _TURNED = 1e-8, 1e-12, 1e-10
-"""Relative increments of |M| and of all components below which Newton's method ends, and share of Y across M
-up to which the rate counts as a multiple of M."""
+"""Relative increments of |M| and of all components below which Newton's method ends, and part of c rate(M)
+across Y, over |Y|, up to which the rate counts as a multiple of M."""
 
 
 def slope_of(rate: PointRate, M: np.ndarray) -> np.ndarray:
@@ -25,7 +25,7 @@ def slope_of(rate: PointRate, M: np.ndarray) -> np.ndarray:
     return np.stack([rate(M + unit).imag for unit in units], axis=2) / TINY
 
 
-@np.errstate(all="ignore")  # a rate that overflows is bisected
+@np.errstate(all="ignore")  # where the rate overflows the bracket is halved
 def resolved(
     rate: PointRate, Y: np.ndarray, c: float, start: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -46,7 +46,7 @@ def resolved(
         length = abs(newton - s)
         # on an exponential Newton's steps have one length: then the bracket is halved
         taken = (newton >= low) & (newton <= high) & (length <= 0.5 * moved)
-        middle = np.where(high < np.inf, 0.5 * (low + high), 2 * s)  # no bracket: the rate gives energy
+        middle = np.where(high < np.inf, 0.5 * (low + high), 2 * s)  # no upper end if the rate gives energy
         s, moved = np.where(found, s, np.where(taken, newton, middle)), np.where(taken, length, np.inf)
         found |= taken & (length <= _LAST * size)
         if found.all():
@@ -61,7 +61,7 @@ def resolved(
 
 
 def _by_components(rate: PointRate, Y: np.ndarray, c: float, M: np.ndarray) -> np.ndarray:
-    """M by Newton's method for all components, for all points at once, each with its own step length."""
+    """M by Newton's method for all components, at all points at once; each point has its own step length."""
     wrong = M + c * rate(M) - Y
     for _ in range(_ITERATIONS):
         slope = np.eye(M.shape[1]) + c * slope_of(rate, M)

@@ -257,7 +257,7 @@ class Damaged(Wrapper):
         return 1.0 if self.is_linearised else z["A"]
 
     def parts(self, z: Values) -> tuple[Tensor, Tensor | None]:
-        """The degraded part a(z) of the energy and the rest c(z), None if there is none, Pa."""
+        """The degraded part a(z) of the energy, Pa, and the rest c(z), Pa, or None without a rest."""
         own = {v.name: z[v.name] for v in self.material.variables}
         whole = self._breaking.energy(own)
         left = None if self.breaking is None else self.material.energy(own) - whole
@@ -277,7 +277,7 @@ class Damaged(Wrapper):
         return whole - kept, kept if left is None else kept + left
 
     def _spherical_energy(self, z: Values, J: Any) -> Any:
-        """phi without damage at F = J^{1/3} I; ``z`` gives parameters, and decides on arrays or functions."""
+        """phi without damage at F = J^{1/3} I; ``z`` gives parameters, and the kind, array or function."""
         found: dict[str, Any] = {}
         for v in self.material.variables:
             if isinstance(v, Parameter):

@@ -176,9 +176,10 @@ class MooneyRivlin(NeoHookean):
               + 2/(3 sqrt 3) G_mr J^{-2} |H|^3
 
     The second invariant of F_iso, |H|^2 J^{-4/3}, is not convex; its power 3/2, |H|^3/J^2, is the perspective
-    of the cube (Hartmann and Neff 2003, cited by the paper).  The factor makes both agree to second order at
-    rest.  phi is jointly convex in (F, H, J), has its minimum on SO(3), and blows up as J -> 0+.  The stress
-    at rest is T = phi(rest) I with phi(rest) = 3 G_e + 2 G_mr + epsilon^2/(2 K_e).
+    of the cube (Hartmann and Neff 2003, cited by the paper).  The factor 2/(3 sqrt 3) makes the power and the
+    invariant agree to second order at rest.  phi is jointly convex in (F, H, J), has its minimum on SO(3),
+    and blows up as J -> 0+.  The stress at rest is T = phi(rest) I with phi(rest) = 3 G_e + 2 G_mr +
+    epsilon^2/(2 K_e).
 
     With ``elastic_state="B"`` the two invariants are tr B and (tr N)^{3/2}, N = J^{-4/3} Cof(F F^T), and phi
     is jointly convex in (B, N, J).  Raises ParameterError if a parameter is out of its range.
@@ -234,7 +235,7 @@ class ReferentialNeoHookean(IsotropicElastic):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.K_e == 0 and self.epsilon != 0:
-            expected = "> 0 with epsilon, whose minimum it is that keeps J = 1"
+            expected = "> 0 with epsilon, to keep the minimum at J = 1"
             raise ParameterError(f"{type(self).__name__}.K_e", self.K_e, expected)
         require_effect(self, self.epsilon != 0, "with epsilon = 0", "kappa")
 
@@ -252,8 +253,8 @@ class IsochoricNeoHookean(ReferentialNeoHookean):
     """phi(H, J) = K_e/2 (J - 2 + 1/J) + G_e |H|^2/J, H = J^{-1/3} F (paper: exa-neo-Hookean-ref).
 
     This is ``ReferentialNeoHookean`` in the isochoric part of F.  phi is jointly convex in (H, J), but not
-    strongly (|H|^2/J is the perspective of a square).  By B both materials are the same. Raises
-    ParameterError if a parameter is out of its range.
+    strongly (|H|^2/J is the perspective of a square).  With ``elastic_state="B"`` both materials are equal.
+    Raises ParameterError if a parameter is out of its range.
 
     Parameters
     ----------

@@ -154,7 +154,7 @@ class Network(Material):
         for name, branch in self.parts.items():
             own = {v.name: new.name for v, new in self._renamed(name)}
             found |= {own[one] for one in branch.material.continued if one in own}
-        # a shared variable is continued only if the energies of all branches are
+        # a shared variable is continued only if the energies of all branches that have it are
         ends = {v.name for b in self.parts.values() for v in b.material.variables if not v.creeps}
         for shared in ends:
             with_it = [b.material for b in self.parts.values() if _carries(b.material, shared)]

@@ -110,8 +110,8 @@ class Ogden(Material):
     Parameters
     ----------
     elastic_state : str, optional
-        Variables by the distortion "F", or by "B" = F F^T; default B with creep or m = 0, and all
-        |alpha_p| >= 2, else F.
+        Variables by the distortion "F", or by "B" = F F^T.  The default is "B" if there is creep or m = 0,
+        and if all |alpha_p| >= 2; else it is "F".
     K_e : float
         Bulk modulus.  0 is for branches of a network only.
     mu : tuple of float

@@ -26,7 +26,7 @@ from ngvisco.physics.parameters import Modulus
 SPRING = "spring"
 """Name of the branch that does not relax; the others are ``mode_1``, ``mode_2``, ..."""
 _SHEAR, _BULK = ("G_e", "G_mr", "G_h"), ("K_e", "K_h", "epsilon")
-"""Names of moduli that are shared among the branches, and of volume moduli, which only the spring has."""
+"""Names of moduli that are shared among the branches, and of volume moduli, which only the first has."""
 
 
 def prony_network(
@@ -41,13 +41,13 @@ def prony_network(
 ) -> Network:
     """A network whose shear modulus relaxes as G(t) = G_inf + sum g_i G exp(-t/tau_i), G = G_0 or G_inf.
 
-    The network has a spring ``spring`` with the whole bulk modulus, and Maxwell branches ``mode_1``,
-    ``mode_2``, ... in the order of the table.  Branches of ``OldroydB`` and ``FENEP`` have the law
-    ``conformation``, so that the series also holds for a finite step of shear; for other materials the series
-    holds at small strains.  With E, or C_1 and C_2, all times are divided by the factor of Arrhenius
-    (``Activated``) or of Williams, Landel and Ferry (``WLF``), which is 1 at theta_R.  Raises ParameterError
-    for an invalid table, shares of G_0 whose sum is above 1, a material whose moduli are not known, and a
-    material that bears no pressure.
+    The network has a spring ``spring``, unless shares of G_0 add up to 1, and Maxwell branches ``mode_1``,
+    ``mode_2``, ... in the order of the table; its first branch has the whole bulk modulus.  Branches of
+    ``OldroydB`` and ``FENEP`` have the law ``conformation``, so that the series also holds for a finite step
+    of shear; for other materials the series holds at small strains.  With E, or C_1 and C_2, all times are
+    divided by the factor of Arrhenius (``Activated``) or of Williams, Landel and Ferry (``WLF``), which is 1
+    at theta_R.  Raises ParameterError for an invalid table, shares of G_0 whose sum is above 1, a material
+    whose moduli are not known, and a material that bears no pressure.
 
     Example::
 
@@ -60,14 +60,14 @@ def prony_network(
     Parameters
     ----------
     material : Material
-        Material with the moduli ``of``: ``LinearElastic``, ``HardeningElastic``, ``ReferentialNeoHookean``,
-        ``IsochoricNeoHookean``, ``ReferentialMooneyRivlin``, ``OldroydB`` or ``FENEP``.
+        Material whose moduli ``of`` explains: ``LinearElastic``, ``HardeningElastic``, ``OldroydB``,
+        ``FENEP``, ``ReferentialNeoHookean``, ``IsochoricNeoHookean`` or ``ReferentialMooneyRivlin``.
     prony : array
         Rows of a share g_i > 0 and a relaxation time tau_i > 0 at theta_R; ``read_prony`` reads them from a
         file, which a case file names by { file = "table.csv" }.
     of : str
-        Modulus to which the shares and the material refer: "G_0", at the shortest times, with G_inf = (1 -
-        sum g_i) G_0, or "G_inf", at the longest times, with G_0 = (1 + sum g_i) G_inf.
+        Modulus to which the shares refer, and which the material has: "G_0", at the shortest times, with
+        G_inf = (1 - sum g_i) G_0, or "G_inf", at the longest times, with G_0 = (1 + sum g_i) G_inf.
     E : float, optional
         Activation energy of all relaxation times.
     C_1, C_2 : float, optional
@@ -145,12 +145,12 @@ def _shear_modulus(material: Any) -> tuple[Any, Literal["mandel", "conformation"
         return 2 * material.G_e, "mandel"
     expected = "a material of small strain, a Referential one, IsochoricNeoHookean, OldroydB or FENEP"
     if isinstance(material, IsotropicElastic):
-        expected += ": of others no part of shear alone is known"
+        expected += ": other energies have no known part of shear alone"
     raise ParameterError("prony_network.material", material, expected)
 
 
 def _scaled(material: Any, share: float, keeps_bulk: bool) -> Material:
-    """The material with a share of its shear moduli, and with its volume moduli or none of them."""
+    """The material with a share of its shear moduli, and with all of its volume moduli or none."""
     changes = {name: share * getattr(material, name) for name in _SHEAR if hasattr(material, name)}
     if not keeps_bulk:
         changes |= {name: 0.0 for name in _BULK if hasattr(material, name)}

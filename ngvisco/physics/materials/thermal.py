@@ -52,8 +52,8 @@ class Entropy(Variable):
     own_scale = 1e4
     """Size of s for tolerances, in heat capacities: 1e-9 of it is 3 mK at 300 K, and rounding is 1e-11 of it.
 
-    Where temperatures differ by a hundredth, an increment of 1e-10 in all variables, beside A = 1, changes
-    the energy above theta_R by 1e-8.
+    If temperatures differ by a hundredth, an increment of 1e-10 in every variable, for A = 1, changes the
+    energy above theta_R by 1e-8.
     """
 
     def rate(self, z: Values, L: Tensor, Pi: Tensor) -> Tensor:
@@ -140,7 +140,7 @@ class Thermal(Material):
         if material is not None and material.lagged and (self.expansion or self.gruneisen):
             self._check_damage(material)
         if material is not None and self.p_infinity:
-            expected = "0 beside a material, which has a pressure of its own: it is a gas that is stiffened"
+            expected = "0 with a material, which has its own pressure: p_infinity stiffens a gas"
             raise ParameterError("Thermal.p_infinity", self.p_infinity, expected)
         if self.expansion and material is not None:
             Gamma = self.expansion * rest_stress_and_modulus(material)[1] / self.c

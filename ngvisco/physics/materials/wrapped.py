@@ -24,8 +24,8 @@ from ngvisco.physics.variables import ReciprocalJacobian, Values, Variable
 
 @dataclass(frozen=True, kw_only=True)
 class Carrying(Wrapper):
-    """phi(z, theta) + A phi_h(K/A): a material with moduli of carried parameters theta, and with the energy
-    of a carried plastic strain k = K/A if it hardens; then A = 1/J is carried too.
+    """phi(z, theta) + A phi_h(K/A): a material whose moduli read carried parameters theta; if it hardens,
+    also the energy of a carried plastic strain k = K/A, and then A = 1/J is carried too.
 
     ``Model`` makes this wrapper if a modulus of its laws is not a number, or a flow rule hardens.
     """
@@ -85,8 +85,8 @@ class WithQuadratic(Wrapper):
 
     The added term makes a convex energy strongly convex, and adds a stress of the order of sqrt(delta) at
     rest. The ledger has the added energy within ``stored``, and alone as ``stored_quadratic``.  Raises
-    ParameterError for a delta that is not positive and for names of different forms, and UnknownNameError for
-    an unknown variable.
+    ParameterError for a delta that is not positive and for names that the material has neither all by F nor
+    all by B, and UnknownNameError for an unknown variable.
 
     Parameters
     ----------
@@ -113,7 +113,7 @@ class WithQuadratic(Wrapper):
         having = [form for form, names in zip(forms, strains, strict=True) if named <= names]
         if not having:
             raise ParameterError("WithQuadratic.only", self.only, "variables of one form, by F or by B")
-        if len(having) == 1:  # who names its variables asks for this form
+        if len(having) == 1:  # naming variables of one form asks for this form
             object.__setattr__(self, "material", having[0])
 
     @property
