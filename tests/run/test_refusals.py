@@ -168,7 +168,7 @@ Thermal(material=LINEAR, c=_, theta_R=300.0) | 0.0, inf | Thermal.c | a finite n
 Thermal(material=LINEAR, c=3.0, theta_R=_) | -1.0 | Thermal.theta_R | a finite number > 0
 Thermal(material=LINEAR, c=3.0, theta_R=300.0, expansion=_) | -1.0 | Thermal.expansion | a finite number >= 0
 Thermal(material=LINEAR, c=3.0, theta_R=300.0, expansion=0.1, gruneisen=_) | 1.0 | Thermal.gruneisen | None
-Thermal(material=LINEAR, c=3.0, theta_R=300.0, p_infinity=_) | 1.0 | Thermal.p_infinity | of its own
+Thermal(material=LINEAR, c=3.0, theta_R=300.0, p_infinity=_) | 1.0 | Thermal.p_infinity | its own pressure
 Thermal(c=3.0, theta_R=300.0, gruneisen=_) | None | Thermal.gruneisen | by which a gas has its pressure
 Thermal(material=_, c=3.0, theta_R=300.0) | 3 | Thermal.material | a Material
 Thermal(material=_, c=3.0, theta_R=300.0) | WARM | Thermal.material | a material without heat
