@@ -216,6 +216,8 @@ def test_gel_rings_down_by_its_loss_factor():
     assert balanced(run).column("dissipation_creep_mode_1")[1:].min() >= 0
 
 
+@pytest.mark.long
+@pytest.mark.ci
 def test_glacier_flows_by_its_closed_form():
     """On cells of 0.2 m; half of the linear law's profile, which has the same velocity above, is not it."""
     demo, at = load("glacier"), np.linspace(0, 1, 21)

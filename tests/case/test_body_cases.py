@@ -247,6 +247,8 @@ def test_bodies_of_a_case_have_heat_each_by_its_own_material_and_law():
         case(HEAD + heat + text.replace(warm, cold) + disc).model(2)
 
 
+@pytest.mark.long
+@pytest.mark.ci
 def test_measures_and_contours_of_bodies_are_keys(tmp_path):
     """Columns of bodies.csv and of a study, outlines that a resumed run continues, faults by their keys."""
     tables = '[output.bodies]\nmeasures = ["deformation"]\n[output.contours]\nbodies = ["disc"]\nevery = 1\n'

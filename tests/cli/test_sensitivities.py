@@ -40,6 +40,8 @@ def test_a_gradient_is_printed_and_written(case, tmp_path):
     assert not (tmp_path / "samples").exists()  # nothing else is written
 
 
+@pytest.mark.long
+@pytest.mark.ci
 def test_a_fit_finds_the_case_s_numbers(case, tmp_path):
     """Data of the case itself, as its run writes them: step, time and columns."""
     code, _, err = command("run", case, "-o", tmp_path / "run", "--quiet")

@@ -39,6 +39,8 @@ def halves(model, start):
 SOLID = nv.LinearElastic(K_e=1e3, G_e=1e3)
 
 
+@pytest.mark.long
+@pytest.mark.ci
 def test_conduction_levels_a_step_of_the_temperature_as_fourier_has_it():
     material = nv.Thermal(material=SOLID, c=2.0, theta_R=100.0)
     model = nv.Model(material=material, heat=nv.Heat(conductivity=2.0 * DIFFUSIVITY))

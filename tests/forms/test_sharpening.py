@@ -147,6 +147,8 @@ def passed_through(sharp):
     return table.column
 
 
+@pytest.mark.long
+@pytest.mark.ci
 def test_an_interface_that_moves_stays_as_wide_as_it_is():
     """After one passage through ten cells: a width of 1.7 without; the price is a D of some hundredths."""
     plain, sharp = passed_through(False), passed_through(True)

@@ -33,6 +33,8 @@ def stream(*observers, **options):
     return nv.Simulation(box((1.5, 1.0), 0.2), model, dt=0.02, **options)
 
 
+@pytest.mark.long
+@pytest.mark.ci
 def test_bodies_are_carried_through_a_window_and_keep_their_masses():
     states = []
     for solver in ("split", "coupled"):
@@ -51,7 +53,9 @@ def test_bodies_are_carried_through_a_window_and_keep_their_masses():
     assert abs(states[0] - states[1]).max() < 1e-9 * abs(states[0]).max()
 
 
-@pytest.mark.parametrize("solver", ["split", "coupled"])
+@pytest.mark.parametrize(
+    "solver", [pytest.param("split", marks=[pytest.mark.long, pytest.mark.ci]), "coupled"]
+)
 def test_heat_is_carried_through(solver):
     walls = {
         "left": nv.Inflow(velocity=(1.0, 0.0), density=1.0, temperature=330.0),

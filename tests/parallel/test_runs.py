@@ -184,7 +184,7 @@ error that linear volumes on cells of 0.3 m, in space 0.6 m, may have."""
 @pytest.mark.parametrize(
     ("names", "ranks"),
     [
-        (tuple(AT_REST)[:-1], 3),
+        pytest.param(tuple(AT_REST)[:-1], 3, marks=[pytest.mark.long, pytest.mark.ci]),
         pytest.param(tuple(AT_REST), 2, marks=pytest.mark.long),
         pytest.param(tuple(AT_REST)[-1:], 4, marks=pytest.mark.long),
     ],

@@ -92,7 +92,15 @@ def fractions(run):
 
 
 @pytest.mark.filterwarnings("ignore:bodies .* meet with different stresses")  # the gas presses
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=[pytest.mark.long, pytest.mark.ci])
+        if name == "hardening and yielding"
+        else name
+        for name in CASES
+    ],
+)
 def test_ledger_mass_and_energy_hold_and_both_solvers_agree(name):
     """bregman and what the limiter takes are >= 0 each by itself, in every step, and rho is no unknown."""
     found = []

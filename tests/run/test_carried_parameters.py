@@ -151,6 +151,8 @@ def test_next_to_nothing_of_what_hardly_flows_changes_nothing():
         assert np.abs(sagging(stiff) - right).max() <= 0.03 * np.abs(right).max()
 
 
+@pytest.mark.long
+@pytest.mark.ci
 def test_creep_that_gives_energy_by_a_modulus_that_overshoots_is_said_to_do_so():
     """The arithmetic mean, without a limiter; the rule itself is one."""
     soft = nv.Parameter("soft", start=IfPos(x - 0.45, 1.0, 0.0))

@@ -133,6 +133,8 @@ def test_a_run_keeps_its_choice_over_checkpoints_and_other_orders(tmp_path):
 # --- what a step loses -------------------------------------------------------------------------------
 
 
+@pytest.mark.long
+@pytest.mark.ci
 def test_B_stores_what_F_dissipates_in_the_step():
     """B^k = B + tau (L B + B L^T) misses tau^2 L B L^T of F F^T, which F loses as ``bregman``.
 

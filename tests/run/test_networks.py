@@ -310,6 +310,8 @@ def test_a_network_is_that_of_a_body_alone():
         assert np.allclose(alone.column(column), of_body.column(column), rtol=1e-3), column
 
 
+@pytest.mark.long
+@pytest.mark.ci
 def test_gradients_know_the_parameters_of_branches():
     """Exact derivatives by a branch's moduli are those of central differences."""
     parts = {

@@ -68,7 +68,7 @@ def test_bodies_keep_their_masses_and_tables_have_no_seam(tmp_path):
     ]
 
 
-@pytest.mark.parametrize("interrupted", [0.04, 0.12])
+@pytest.mark.parametrize("interrupted", [pytest.param(0.04, marks=[pytest.mark.long, pytest.mark.ci]), 0.12])
 def test_a_run_goes_on_from_a_checkpoint_to_the_bit(tmp_path, interrupted):
     refinement = nv.Refinement(field="disc_fraction", every=0.06)
     whole = nv.run_refined(bodies(nv.Checkpoints(tmp_path / "whole.h5")), refinement, 0.16)

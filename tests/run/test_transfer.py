@@ -84,6 +84,8 @@ def amounts(run):
     return np.array(masses), sum(density * n for density, n in parts)
 
 
+@pytest.mark.long
+@pytest.mark.ci
 def test_another_mesh_keeps_the_mass_of_each_body():
     """The density is that of the amounts."""
     source = with_bodies()

@@ -34,6 +34,8 @@ def data_of(noise=0.0, **true):
     return {"time": TIMES, COLUMN: values + drawn}
 
 
+@pytest.mark.long
+@pytest.mark.ci
 def test_parameters_are_found_again():
     data, seen = data_of(G_e=1.3, G_m=1.7), []
     simulation = creep()
@@ -46,6 +48,8 @@ def test_parameters_are_found_again():
     assert "correlation of material.G_e and creep.G_m" in str(found)
 
 
+@pytest.mark.long
+@pytest.mark.ci
 def test_noise_leaves_deviations(tmp_path):
     """The covariance is that of the linearised problem, by differences of whole runs."""
     noise, by = 2e-5, ["material.G_e", "creep.G_m"]

@@ -51,10 +51,12 @@ def smoothed(eps, **options):
 @pytest.mark.parametrize(
     ("make", "name", "value", "options"),
     [
-        (bodies, "bodies.disc.material.G_e", 5.0, {}),
+        pytest.param(bodies, "bodies.disc.material.G_e", 5.0, {}, marks=[pytest.mark.long, pytest.mark.ci]),
         (heated, "material.expansion", 1e-3, {"solver": "split", "scheme": "backward-euler"}),
         (yielding, "creep.sigma_Y", 0.3, {}),
-        (smoothed, "material.eps", 0.01, {"scheme": "sdirk2"}),
+        pytest.param(
+            smoothed, "material.eps", 0.01, {"scheme": "sdirk2"}, marks=[pytest.mark.long, pytest.mark.ci]
+        ),
     ],
     ids=["bodies", "heat by split", "yield", "Yosida"],
 )

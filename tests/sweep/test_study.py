@@ -53,6 +53,8 @@ FAILING = "time.adaptive.tolerance=1,1e-12"
 ADAPTIVE = [f"--set=time.adaptive.{name}=0.02" for name in ("dt_min", "dt_max")]
 
 
+@pytest.mark.long
+@pytest.mark.ci
 def test_failures_are_listed_and_finished_runs_are_not_run_again(case_file, tmp_path, capsys):
     out = tmp_path / "study"
     words = ["--vary", "material.G_e=1", "--vary", FAILING, *ADAPTIVE]
