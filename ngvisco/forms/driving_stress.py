@@ -34,7 +34,7 @@ from ngvisco.forms.unknown_values import UnknownValues
 from ngvisco.physics.arrays import TINY, Array
 from ngvisco.physics.flow_rules.resolvent import PointRate, resolved, slope_of
 from ngvisco.physics.model import CreepMechanism
-from ngvisco.physics.pointwise import respond, rest_state
+from ngvisco.physics.pointwise import rest_state
 
 _OfRate: TypeAlias = Callable[[CreepMechanism, CoefficientFunction, UnknownValues], CoefficientFunction]
 _Sampled: TypeAlias = tuple[np.ndarray, np.ndarray]
@@ -358,7 +358,7 @@ class LinearisedTabulatedRates(LinearisedRates, TabulatedRates):
 def _stiffness(mechanism: CreepMechanism, rates: TabulatedRates) -> float:
     """Stress per creep strain at rest, Pa, the mean over the components."""
     rest = rest_state(rates.material, rates.dim)[None]
-    response, first = respond(rates.material, rates.dim)(rest), rates.tensors.gradients
+    response, first = rates.response(rest), rates.tensors.gradients
     first += rates.creep_space.size * rates.mechanisms.index(mechanism)
     own = slice(first, first + rates.creep_space.size)
     columns = rates.columns(rest.T)[0]

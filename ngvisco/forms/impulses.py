@@ -127,13 +127,17 @@ class Impulses:
     def _tests(self, v: CoefficientFunction, gradient: CoefficientFunction | None) -> Tests:
         """Tests with v, and zero for all other unknowns; None as ``gradient`` is the zero gradient of v."""
         layout, dim = self.step.layout, self.step.mesh.dim
-        zeros = {name: tuple(space.TrialFunction().dims) for name, space in layout.blocks.items()}
-        parts = {name: ZeroCF(dims) for name, dims in zeros.items()} | {"v": v}
+        zeros = self._zeros
 
         def gradient_of(name: str) -> CoefficientFunction:
-            return gradient if name == "v" and gradient is not None else ZeroCF((*zeros[name], dim))
+            return gradient if name == "v" and gradient is not None else ZeroCF((*zeros[name].dims, dim))
 
-        return Tests(layout, parts, gradient=gradient_of)
+        return Tests(layout, {**zeros, "v": v}, gradient=gradient_of)
+
+    @cached_property
+    def _zeros(self) -> dict[str, CoefficientFunction]:
+        """The zero of each unknown, by its name."""
+        return {name: ZeroCF(tuple(one.dims)) for name, one in self.step.now.parts.items()}
 
     @cached_property
     def _is_held(self) -> np.ndarray:

@@ -24,6 +24,7 @@ from ngvisco.physics.mixed_viscosity import MixedViscosity
 from ngvisco.physics.model import CreepMechanism, Model
 from ngvisco.physics.pointwise import ArrayResponse, respond
 from ngvisco.physics.rate_tensors import RateTensors
+from ngvisco.physics.response import Respond
 from ngvisco.physics.rheology import Viscosity
 from ngvisco.physics.tensors import (
     dev,
@@ -239,8 +240,6 @@ class TabulatedRates(Rates):
             names = (each.names for each in self.mechanisms)
             self.tensors = self.tensors.by_groups(tuple(names), StateSpace.of(variables, dim))
         self._states = states = model.material.states(dim)
-        found = respond(model.material, dim)
-        self._response = None if isinstance(found, ArrayResponse) else found
         flux = np.zeros_like(self.tensors.linear)
         for i in self.tensors.trace:
             flux[i][np.diag_indices(states.size)] = -1.0 * states.by_flux
@@ -255,6 +254,11 @@ class TabulatedRates(Rates):
         if shared:
             self.weighed = self.production - self.production.turning()
             self.tensors, self.production = self.tensors - self.weighed, self.production.turning()
+
+    @cached_property
+    def response(self) -> Respond:
+        """Energies and their first two derivatives for arrays of states."""
+        return respond(self.material, self.dim)
 
     def weights(self, z: np.ndarray) -> np.ndarray:
         """Weights with which the components take part, (n, points)."""
@@ -332,11 +336,11 @@ class TabulatedRates(Rates):
 
     def stored(self, u: UnknownValues) -> Array:
         """phi(z), Pa."""
-        if (respond := self._response) is None:
+        if isinstance(self.response, ArrayResponse):
             with np.errstate(all="ignore"):  # NaN outside the energy's domain
                 return self.material.energy(u.z_tensors)
         z = u.z.value
-        found = respond(np.ascontiguousarray(z.real.T))
+        found = self.response(np.ascontiguousarray(z.real.T))
         along = 1j * (found.slope.T * z.imag).sum(axis=0) if np.iscomplexobj(z) else 0.0
         return Array(found.energy + along, None)
 

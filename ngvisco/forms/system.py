@@ -168,8 +168,9 @@ _NOT_EVOLVED = (
 _NO_EQUATION = "it has a row of {name}, which is no unknown (of bodies the density is the sum of theirs)"
 
 
-def equations(model: Model, dim: int, m: int = 1) -> tuple[Term, ...]:
-    """The terms of a model's equations for fields of order ``m``, without walls."""
+def equations(model: Model, rates: TabulatedRates, m: int = 1) -> tuple[Term, ...]:
+    """The terms of a model's equations for fields of order ``m``, without walls, from its ``rates``."""
+    dim = rates.dim
     terms: list[Term] = [] if model.bodies else [Continuity(model.regularisation)]
     law = model.regularisation
     if m == 0 and law is not None and law.rho_max is not None:
@@ -183,7 +184,7 @@ def equations(model: Model, dim: int, m: int = 1) -> tuple[Term, ...]:
         terms.append(Hyperviscosity(model.hyperviscosity))
     terms += [Loading(load, dim) for load in model.loads]
     terms += [Kinematics(model), Conjugates(model), Trace()]
-    tangents = tangents_of(model.material, dim, m)
+    tangents = tangents_of(model.material, dim, m, rates.response)
     if tangents is not None:
         terms += [TangentGap(), WithoutEnergy(), *tangents.jumps, tangents]
     if entropy_in(model.material) is not None:
@@ -243,8 +244,11 @@ class Step:
         """The term of the multipliers on oblique or curved walls, or None."""
         self.passages = passages_of(self.walls, model)
         """Terms of the walls that matter crosses."""
+        of_mesh = Symmetry.of(mesh, symmetry)
+        self.tabulated_rates = TabulatedRates(model, mesh.dim, of_mesh.is_axisymmetric)
+        """The rates of the variables for arrays of values."""
         self.terms = (
-            *equations(model, mesh.dim, self.discretisation.m),
+            *equations(model, self.tabulated_rates, self.discretisation.m),
             *wall_terms(self.walls, model, self.impenetrability, self.passages),
             *heat_terms(model, self.walls),
             *diffusion_terms(model, self.walls),
@@ -259,7 +263,7 @@ class Step:
             self.point_terms,
             self.walls.dirichlet,
             periodic=bool(self.walls.periodic),
-            symmetry=Symmetry.of(mesh, symmetry),
+            symmetry=of_mesh,
         )
         require_symmetry(self.layout.symmetry, self.walls, model, self.point_terms)
         self.state = GridFunction(self.layout.space, name="state")
@@ -291,8 +295,6 @@ class Step:
         if model.material.lagged:
             self.lagged = GridFunction(self.layout.blocks["z"], name="lagged")
             self.context.lagged = Fields(self.layout, {"z": self.lagged})
-        self.tabulated_rates = TabulatedRates(model, mesh.dim, self.layout.symmetry.is_axisymmetric)
-        """The rates of the variables for arrays of values."""
         self.ranges: dict[str, tuple[float, float]] = {}
         """Least and largest start values of the material's parameters, by name."""
         self.stresses = LinearisationStress(self.tabulated_rates, self.layout, self.quadrature, self.state)

@@ -33,7 +33,7 @@ from ngvisco.errors import (
 from ngvisco.physics.material import Material
 from ngvisco.physics.materials.wrapped import Carrying
 from ngvisco.physics.pointwise import energies_at, evaluated, respond, rest_state, states_of
-from ngvisco.physics.response import Respond
+from ngvisco.physics.response import Response
 from ngvisco.physics.signals import one_value, reads_time, sampled
 from ngvisco.physics.tensors import constant
 from ngvisco.physics.variables import Values
@@ -285,15 +285,15 @@ def check_convexity(
     for end in (other, b):  # both ends of a pair have the same parameters
         end[:, ~strains] = fitting[:, ~strains]
     steps = [t * spread for t in (1.0, 0.1, -1.0, -0.1)]
-    # (reachable, states, increments) in the order in which violations are cited
-    rounds: list[tuple[bool, np.ndarray, list[np.ndarray]]] = [(True, fitting, [other - fitting])]
-    for reachable, start, far in ((True, fitting, []), (False, a, [b - a])):
-        weakest = _weakest_directions(response, start, strains)
-        rounds.append((reachable, start, [t * weakest for t in steps] + far))
+    # (reachable, states, their response, increments) in the order in which violations are cited
+    rounds = [(True, fitting, at_fitting := response(fitting), [other - fitting])]
+    for reachable, start, known, far in ((True, fitting, at_fitting, []), (False, a, response(a), [b - a])):
+        weakest = _weakest_directions(known, start, strains)
+        rounds.append((reachable, start, known, [t * weakest for t in steps] + far))
     worst, samples = 0.0, 0
     found: tuple[bool, np.ndarray, np.ndarray] | None = None
-    for reachable, start, increments in rounds:
-        count, smallest, pair = _worst_bregman(sampling, response, start, increments)
+    for reachable, start, known, increments in rounds:
+        count, smallest, pair = _worst_bregman(sampling, known, start, increments)
         samples, worst = samples + count, min(worst, smallest)
         if found is None and pair is not None:
             found = (reachable, *pair)
@@ -320,19 +320,24 @@ def check_convexity(
     return report
 
 
-def _weakest_directions(response: Respond, states: np.ndarray, strains: np.ndarray) -> np.ndarray:
-    """Unit eigenvectors of the smallest eigenvalue of the Hessian by the strains."""
-    hessian = np.nan_to_num(response(states).hessian, posinf=0, neginf=0)
+def _weakest_directions(known: Response, states: np.ndarray, strains: np.ndarray) -> np.ndarray:
+    """Unit eigenvectors of the smallest eigenvalue of the Hessian, in ``known``, by the strains."""
+    hessian = np.nan_to_num(known.hessian, posinf=0, neginf=0)
     weakest = np.zeros_like(states)
     weakest[:, strains] = np.linalg.eigh(hessian[:, strains][:, :, strains])[1][:, :, 0]
     return weakest
 
 
 def _worst_bregman(
-    sampling: StateSampling, response: Respond, a: np.ndarray, increments: Sequence[np.ndarray]
+    sampling: StateSampling, at_a: Response, states: np.ndarray, increments: Sequence[np.ndarray]
 ) -> tuple[int, float, tuple[np.ndarray, np.ndarray] | None]:
-    """Number of pairs, most negative Bregman distance over |b - a|^2 (or 0), and its pair (a, b - a)."""
-    at_a, material = response(a), sampling.material
+    """Number of pairs, most negative Bregman distance over |b - a|^2 (or 0), and its pair (a, b - a).
+
+    The first state a of every pair is one of ``states``, which have the response ``at_a``.
+    """
+    material, repeats = sampling.material, len(increments)
+    a, step = np.tile(states, (repeats, 1)), np.concatenate(increments)
+    phi_a, slope_a = np.tile(at_a.energy, repeats), np.tile(at_a.slope, (repeats, 1))
 
     def bounds(components: CoefficientFunction) -> CoefficientFunction:
         """Functions that are > 0 where the energy has to be convex: J, the minors of B, ...; det F is left
@@ -341,21 +346,16 @@ def _worst_bregman(
         asked = (v for v in material.variables if v.kind != "full" and v.name not in material.continued)
         return CF((1.0, *(value for v in asked for value in v.positive(z[v.name]).values())))
 
-    samples, worst, pair = 0, 0.0, None
-    for step in increments:
-        phi_b = energies_at(material, a + step, sampling.dim)
-        first_order = np.einsum("ij,ij->i", at_a.slope, step)
-        bregman = phi_b - at_a.energy - first_order
-        size = np.einsum("ij,ij->i", step, step)
-        inside = np.all(evaluated(bounds, a + step) > 0, axis=1)
-        finite = np.isfinite(bregman) & (size > 0) & inside
-        samples += int(finite.sum())
-        rounding = 1e-9 * (abs(at_a.energy) + abs(phi_b) + abs(first_order))
-        relative = np.where(finite & (bregman < -rounding), bregman / np.where(size > 0, size, 1), 0.0)
-        i = int(np.argmin(relative))
-        if relative[i] < worst:
-            worst, pair = float(relative[i]), (a[i], step[i])
-    return samples, worst, pair
+    phi_b = energies_at(material, a + step, sampling.dim)
+    first_order = np.einsum("ij,ij->i", slope_a, step)
+    bregman = phi_b - phi_a - first_order
+    size = np.einsum("ij,ij->i", step, step)
+    inside = np.all(evaluated(bounds, a + step) > 0, axis=1)
+    finite = np.isfinite(bregman) & (size > 0) & inside
+    rounding = 1e-9 * (abs(phi_a) + abs(phi_b) + abs(first_order))
+    relative = np.where(finite & (bregman < -rounding), bregman / np.where(size > 0, size, 1), 0.0)
+    i, samples = int(np.argmin(relative)), int(finite.sum())
+    return (samples, float(relative[i]), (a[i], step[i])) if relative[i] < 0 else (samples, 0.0, None)
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from ngsolve import CF, ET, L2, VOL, CoefficientFunction, GridFunction, Integrat
 from ngsolve.meshes import MakeStructured2DMesh
 
 from ngvisco.errors import ParameterError
-from ngvisco.physics.arrays import TINY, Array, Map, derivatives
+from ngvisco.physics.arrays import TINY, Array, derivatives
 from ngvisco.physics.material import Material, conjugates_along
 from ngvisco.physics.response import Respond, Response
 from ngvisco.physics.tensors import Tensor, constant
@@ -114,11 +114,16 @@ class ArrayResponse:
 
     def __call__(self, states: np.ndarray) -> Response:
         energy, slope = self.both(np.ascontiguousarray(states.T))
-        hessian = np.zeros((len(states), states.shape[1], states.shape[1]))
-        for m in self.curved:
-            along = states.T.astype(complex)
-            along[m] += 1j * TINY
-            hessian[:, m] = hessian[:, :, m] = self.both(along)[1].imag.T / TINY
+        (count, size), curved = states.shape, self.curved
+        hessian = np.zeros((count, size, size))
+        units = 1j * TINY * np.eye(size)[:, curved, None]
+        at_once = max(1, CHUNK // max(1, len(curved)))
+        for start in range(0, count if len(curved) else 0, at_once):
+            some = slice(start, start + at_once)
+            along = states.T[:, None, some] + units
+            columns = self.both(along.reshape(size, -1))[1].imag.reshape(along.shape).T / TINY
+            for m, column in zip(curved, columns.swapaxes(0, 1), strict=True):
+                hessian[some, m] = hessian[some, :, m] = column
         hessian[~np.isfinite(energy)] = np.nan  # like a logarithm's expression beyond its pole
         return Response(energy, np.ascontiguousarray(slope.T), hessian)
 
@@ -135,7 +140,11 @@ class ExpressionResponse:
         self._phi = material.energy(self._z)
         slopes = states.components({name: self._phi.Diff(value) for name, value in self._z.items()})
         self._first = CF((self._phi, slopes))
-        self._first_compiled = self._first.Compile()
+
+    @cached_property
+    def _first_compiled(self) -> CoefficientFunction:
+        """The energy and its slope."""
+        return self._first.Compile()
 
     @cached_property
     def _all(self) -> CoefficientFunction:
@@ -258,11 +267,20 @@ def energy_and_slope(material: Material, dim: int) -> Both | None:
     return both
 
 
-def is_affine(slope: Map, rest: np.ndarray) -> bool:
-    """Whether ``slope``, phi'(z) by arrays, is affine in z, from its values near ``rest``, (N,)."""
+def slope_at(response: Respond, z: np.ndarray) -> np.ndarray:
+    """phi'(z), both (N, points), without the Hessian where it is not needed."""
+    if isinstance(response, (ArrayResponse, ExpressionResponse)):
+        return response.slope(z)
+    return np.ascontiguousarray(response(z.T).slope.T)
+
+
+def is_affine(response: Respond, rest: np.ndarray) -> bool:
+    """Whether phi'(z) is affine in z, from its values near ``rest``, (N,)."""
     rng = np.random.default_rng(0)
     base, step = (0.1 * rng.uniform(-1, 1, (len(rest), 8)) for _ in range(2))
     base += rest[:, None]
+    states = np.hstack([base, base + step, base - step])
     with np.errstate(all="ignore"):  # states outside of the energy's domain
-        middle, ends = slope(base), slope(base + step) + slope(base - step)
+        middle, ahead, behind = np.split(slope_at(response, states), 3, axis=1)
+        ends = ahead + behind
         return bool(abs(ends - 2 * middle).max() <= 1e-12 * abs(ends).max())

@@ -10,14 +10,14 @@ import numpy as np
 from ngvisco.forms.mesh.points import CellPoints
 from ngvisco.forms.system import Step
 from ngvisco.physics.arrays import slope_along
-from ngvisco.physics.pointwise import ArrayResponse, ExpressionResponse, respond
+from ngvisco.physics.pointwise import ArrayResponse, slope_at
 
 
 class PointwiseSlope:
     """Computes the components of phi'(z) at the points of a rule."""
 
     def __init__(self, step: Step, points: CellPoints) -> None:
-        material, dim = step.model.material, step.mesh.dim
+        material = step.model.material
         states = step.layout.states
         self.components, self.points, self._step = states.size, points, step
         self.lagged = np.zeros((states.size, 1), dtype=bool)
@@ -25,7 +25,7 @@ class PointwiseSlope:
         for name in material.lagged:
             self.lagged[states.slices[name]] = True
         self._frozen: tuple[np.ndarray, np.ndarray] | None = None
-        self.response = respond(material, dim)
+        self.response = step.tabulated_rates.response
         self.arrays = self.response.slope if isinstance(self.response, ArrayResponse) else None
         """The slope as a function of arrays if the energy is an array law, else None."""
 
@@ -70,9 +70,7 @@ class PointwiseSlope:
         if np.iscomplexobj(z_values):
             z, dz = np.ascontiguousarray(z_values.real), np.ascontiguousarray(z_values.imag)
             return self._whole(z) + 1j * self._whole_derivative(z)(dz)
-        if isinstance(self.response, (ArrayResponse, ExpressionResponse)):
-            return self.response.slope(z_values)
-        return np.ascontiguousarray(self.response(z_values.T).slope.T)
+        return slope_at(self.response, z_values)
 
     def _whole_derivative(self, z_values: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
         if (arrays := self.arrays) is not None:

@@ -13,6 +13,7 @@ from ngvisco.forms.boundary.walls import Walls
 from ngvisco.forms.context import Context, time
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.mesh.quadrature import Quadrature
+from ngvisco.forms.rates import TabulatedRates
 from ngvisco.forms.spaces import Layout
 from ngvisco.forms.start.initial import complete
 from ngvisco.forms.system import LocalUnknowns, equations
@@ -247,7 +248,7 @@ class PartialLayout(Layout):
     def __init__(
         self, mesh: Mesh, model: nv.Model, discretisation: nv.Discretisation, names: Sequence[str]
     ) -> None:
-        terms = point_terms(equations(model, mesh.dim, discretisation.m))
+        terms = point_terms(equations(model, TabulatedRates(model, mesh.dim), discretisation.m))
         super().__init__(mesh, model.material, discretisation, terms, Walls(mesh).dirichlet)
         self._make([name for name in self.names if name in names])
 

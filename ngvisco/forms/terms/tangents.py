@@ -38,7 +38,8 @@ from ngvisco.forms.term import ENTERING, PointTerm
 from ngvisco.forms.unknown import Setting, Unknown
 from ngvisco.forms.upwinding import FacetMean, side
 from ngvisco.physics.material import Material
-from ngvisco.physics.pointwise import is_affine, respond, rest_state
+from ngvisco.physics.pointwise import is_affine, rest_state
+from ngvisco.physics.response import Respond
 from ngvisco.physics.tensors import if_positive, inner, is_number, masked
 
 _ROUNDING = 1e-14
@@ -133,16 +134,18 @@ class TangentForce(PointTerm):
         return [(w.v * u.context.normal) * self.excess(u)]
 
 
-def tangents_of(material: Material, dim: int, m: int) -> TangentForce | None:
+def tangents_of(material: Material, dim: int, m: int, response: Respond) -> TangentForce | None:
     """The force's correction for fields of order ``m``, or None for a quadratic energy.
+
+    ``response`` is that of the material on meshes of dimension ``dim``.
 
     It is also None for bodies of different U with m >= 1: their amounts can be negative on sides of cells,
     where the energy has no value.
     """
     if m > 0 and material.response(dim) is not None and not material.continued:
         return None
-    response, rest = respond(material, dim), rest_state(material, dim)
-    if is_affine(lambda z: response(z.T).slope.T, rest):
+    rest = rest_state(material, dim)
+    if is_affine(response, rest):
         return None
     strains = material.states(dim).strains
     jumps = [ConjugateJump("conjugate_jump", None if strains.all() else strains)]
