@@ -255,9 +255,9 @@ def test_a_body_vents_and_the_one_behind_it_expands_as_their_closed_form_says(so
     of 1 m, at 1 Pa; P outside and Z v = p - P, slow beside their sound. The one behind fills V =
     p^(-1/g)/2 m, and p' = -p (p - P)/Z/(V/g + (1 - V)/g_leaves).
 
-    The mass of what leaves is right to 1 % and its flow at the end to 2 %, the mass of what stays to 0.2
-    %, the pressure to 1 %. Gas that has smeared and leaves with the medium is not in this flow: it adds 3
-    % to that of all mass.
+    The mass of what leaves is right to 1 %, its flow at the end and that of all mass to 2 %, the mass of
+    what stays to 0.2 %, the pressure to 1 %.  On six cells a part of gas of 0.0034 has smeared as far as the
+    opening; ten times as dense as the medium, it adds 3 % to the flow, on eight cells less than 0.1 %.
     """
     Z, P, exponents = 50.0, 0.5, {"gas": 2.0, "medium": 1.25}
     laws = {name: nv.BarotropicFluid(B=1 / (g - 1), gamma=g, rho_R=1.0) for name, g in exponents.items()}
@@ -269,7 +269,7 @@ def test_a_body_vents_and_the_one_behind_it_expands_as_their_closed_form_says(so
     ]
     table = nv.Bodies()
     run = nv.Simulation(
-        structured_box((1, 0.5), (6, 1)),
+        structured_box((1, 0.5), (8, 1)),
         nv.Model(bodies=bodies),
         time=nv.TimeSteps(dt=2.0, scheme="sdirk2"),
         walls={"right": nv.Open(pressure=P, impedance=(Z, 0.0))},
@@ -292,7 +292,8 @@ def test_a_body_vents_and_the_one_behind_it_expands_as_their_closed_form_says(so
     assert table.column(f"{behind}_mass") == pytest.approx(0.25 * densities[behind], rel=0.002)
     assert run.fields["pressure"](run.mesh(0.1, 0.2)) == pytest.approx(p[-1], rel=0.01)
     changes = {name: np.diff(table.column(f"{name}_mass"))[-1] for name in exponents}
-    assert changes[leaves] == pytest.approx(left[-1] - left[-2], rel=0.02)
+    for flow in (changes[leaves], sum(changes.values())):
+        assert flow == pytest.approx(left[-1] - left[-2], rel=0.02)
     assert sum(changes.values()) == pytest.approx(2.0 * ledger.column("inflow_right")[-1], rel=1e-8)
     assert abs(ledger.column("closure_relative")).max() < 1e-11
 
