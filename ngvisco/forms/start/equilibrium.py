@@ -100,8 +100,8 @@ class Column:
             self.referential = {"": CF(value_at(rho_R, given))}
         if step.discretisation.m == 0 and step.discretisation.k > 1:
             expected = (
-                "1 or 2, or k = 1 beside it, with equilibrium = 'hydrostatic': no pressure that is constant in "
-                f"cells bears a weight on velocities of order {step.discretisation.k}"
+                "1 or 2, or k = 1 beside it, with equilibrium = 'hydrostatic': no pressure that is constant "
+                f"in cells bears a weight on velocities of order {step.discretisation.k}"
             )
             raise ParameterError("Discretisation.m", 0, expected)
         self.J = {name: GridFunction(L2(self.mesh, order=step.discretisation.m)) for name in self.laws}
