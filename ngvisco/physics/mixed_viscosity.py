@@ -26,8 +26,8 @@ class MixedViscosity(Viscosity):
 
     of dev eps the viscosity is H, 1/H = sum theta_i/G_i; for the rest, which both sides share, the viscosity
     is A = sum theta_i G_i.  D = 2 A dev eps - 2 (A - H) S(dev eps) is symmetric, and D : eps >= 0.  n is the
-    normal at the step's start.  If a body has no shear viscosity, or a nonlinear one, the viscosity is A for
-    all parts.
+    normal at the step's start.  The viscosity is A for all parts if a body has no shear viscosity, or a
+    nonlinear one, and where fractions are constant in cells (m = 0), so that no normal is known.
     """
 
     parts: tuple[tuple[str, Viscosity], ...]
