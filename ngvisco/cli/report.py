@@ -77,7 +77,7 @@ def check(options: argparse.Namespace) -> int:
     if writing is not None:
         each, files = writing
         if adaptive is None:
-            said += f", and {_duration(each * files)} for {files} files of fields"
+            said += f", and {_duration(each * files)} for {files} file{'s' * (files > 1)} of fields"
         else:
             said += f", and {each:.2g} s for each file of fields"
     if adaptive is not None:
@@ -117,8 +117,10 @@ def _output(case: cases.Case, run: Simulation) -> tuple[float, int] | None:
         began = clock.perf_counter()
         series[0].start(run)
         each = clock.perf_counter() - began
-    count = len(series[0].times) or round(case.until / run.dt) // (series[0].every or 1)
-    return each, count + 1
+    steps, every, times = round(case.until / run.dt), series[0].every, series[0].times
+    between = len(times) + (0 if every is None else steps // every)
+    meets_end = case.until in times or (every is not None and steps % every == 0)
+    return each, 1 + between + (not meets_end)
 
 
 def _measure(run: Simulation, steps: int) -> tuple[float, float, int]:
@@ -149,7 +151,7 @@ def _duration(seconds: float) -> str:
     for size, unit in ((86400, "days"), (3600, "h"), (60, "min")):
         if seconds >= size:
             return f"{seconds / size:.1f} {unit}"
-    return f"{seconds:.0f} s"
+    return f"{seconds:.0f} s" if seconds >= 1 else f"{seconds:.1g} s"
 
 
 def info(options: argparse.Namespace) -> int:

@@ -105,9 +105,12 @@ def test_check_reports_and_writes_nothing(case_file, capsys, monkeypatch):
         r"Reynolds, rho v L/G_v +\d+",
         r"advice +shear waves cross the domain in 0.32 s, 16 steps",
         r"memory +\d+ MB",
-        r"s a step, .* \(by its first 4\)",
+        r"s a step, .*, and 0\.\d+ s for 2 files of fields \(by its first 4\)",
     ):
         assert re.search(pattern, printed), pattern
+    for every, files in ((2, 3), (3, 3), (4, 2)):  # of 4 steps: the start, each of so many, and the end
+        assert ended("check", case_file, "--set", f"output.vtk.every={every}") == 0
+        assert f" s for {files} files of fields" in capsys.readouterr().out
     assert list(case_file.parent.iterdir()) == [case_file]
 
 

@@ -191,11 +191,12 @@ def test_a_row_that_is_no_number_is_not_taken(monkeypatch):
     assert np.array_equal(state, run.rothe_step.state.vec.FV().NumPy())
 
 
-@pytest.mark.parametrize("what", ["probe", "line", "integral"])
+@pytest.mark.parametrize("what", ["probe", "line", "force", "integral"])
 def test_a_number_that_an_observer_notes_is_one(what, monkeypatch):
     seen = {
         "probe": nv.Probes([(0.5, 0.5)], ["density"]),
         "line": nv.LineSamples((0.1, 0.1), (0.9, 0.1), 3, ["density"]),
+        "force": nv.WallForces(["top"]),
         "integral": nv.Integrals({"pole": "sqrt(0.03 - t)"}),
     }[what]
     run = small_run(material=LINEAR, observers=[seen])
@@ -205,9 +206,12 @@ def test_a_number_that_an_observer_notes_is_one(what, monkeypatch):
         spoilt[-1] = np.inf
         original = seen._sample
         monkeypatch.setattr(seen, "_sample", lambda run: np.asarray(original(run)) + spoilt)
-    name = {"probe": "Probes: 'p1.density' is inf", "line": "'density' at s = ", "integral": "'pole' is nan"}[
-        what
-    ]
+    name = {
+        "probe": "Probes: 'p1.density' is inf",
+        "line": "'density' at s = ",
+        "force": "WallForces: .* is inf",
+        "integral": "'pole' is nan",
+    }[what]
     with pytest.raises(nv.NotANumberError, match=f"{name}.* at t = 0.04 s"):
         run.run(0.06)
 

@@ -10,6 +10,7 @@ from support import state as values
 
 import ngvisco as nv
 from ngvisco.geometries import box
+from ngvisco.run.frames import read_frame
 from ngvisco.solver.newton import Newton
 from ngvisco.solver.options import SplitOptions
 from ngvisco.solver.problem import Solution, Status
@@ -277,6 +278,24 @@ def test_a_run_stops_within_a_step_and_goes_on_as_if_it_had_not(solver, tmp_path
     for one in (again, run):  # also the run itself
         one.run(3 * DT)
         assert (one.number, state(one).tobytes()) == (3, state(whole).tobytes())
+
+
+def test_a_run_that_is_asked_to_stop_while_it_writes_begins_no_further_step(tmp_path):
+    """The request comes in the middle of an observer's work: its file is whole, and others are written."""
+
+    class Asked(nv.VTKSeries):
+        def step(self, simulation, row):
+            simulation.request_stop()
+            super().step(simulation, row)
+
+    series = Asked(tmp_path, every=1)
+    run = halving(observers=[series, nv.Checkpoints(tmp_path / "run.h5", every=100)])
+    run.run(3 * DT)
+    assert (run.number, run.t) == (1, DT) and [time for time, _ in series.written] == [0.0, DT]
+    assert len(read_frame(tmp_path / series.written[-1][1]).cells) == run.mesh.ne
+    again = halving()
+    again.restore(tmp_path / "run.h5")
+    assert again.number == 1
 
 
 def test_restart_within_a_step_is_bitwise_identical(tmp_path, monkeypatch):
