@@ -312,8 +312,8 @@ def key_of(field: str, path: tuple[str, ...], sections: Any, value: object = Non
     """The key of a parameter named like ``Gravity.g``, ``walls['top'].f`` or
     ``bodies['disc'].NeoHookean.K_e``.
 
-    ``path`` is the section of the object with the parameter; among several matching keys the key with the
-    value ``value`` is chosen.
+    ``path`` is the section of the object with the parameter.  Several matching keys are told apart by the
+    parameter's ``value``.
     """
     names = names_in(field)
     for length in (2, 1):

@@ -108,7 +108,7 @@ def parser() -> argparse.ArgumentParser:
     text = "what a run directory holds, and how far the run got"
     info = commands.add_parser("info", help=text, description=text)
     info.add_argument("directory", metavar="DIR", help="run directory", nargs="?")
-    text = "what distributed runs need instead: MPI, PETSc and its packages, and a test of them"
+    text = "MPI, PETSc and its packages, which distributed runs need, and a test of them"
     info.add_argument("--parallel", action="store_true", help=text)
 
     drawn = argparse.ArgumentParser(add_help=False)
@@ -122,7 +122,7 @@ def parser() -> argparse.ArgumentParser:
     plot.add_argument("--format", choices=("png", "pdf", "svg"), default="png", help=text)
     text = "directory for the pictures of several runs (default: the sweep's, or .)"
     plot.add_argument("-o", "--output", metavar="DIR", help=text)
-    plot.add_argument("--section", metavar="PLANE", help="plane in 3D, z=0.5, or x: its middle (default z)")
+    plot.add_argument("--section", metavar="PLANE", help="in 3D: z=0.5, or x for the middle of x (default z)")
     text = "animate the VTK series instead, as .gif or .mp4 (needs ffmpeg; default DIR/movie.gif)"
     plot.add_argument("--movie", metavar="FILE", nargs="?", const="", help=text)
     text = "frames a second of the animation (default 10)"

@@ -280,7 +280,7 @@ class Interpolation:
 
 
 def _turns(exchange: Exchange) -> tuple[int, int]:
-    """This rank's turn, and the number of turns; ranks that share an unknown of three differ in turn."""
+    """This rank's turn, and the number of turns.  Ranks that share an unknown of three have unequal turns."""
     if not exchange.is_distributed:
         return 0, 1
     is_crowded = exchange.sum(np.ones(exchange.count)) > 2

@@ -144,9 +144,10 @@ def number_of(mesh: Mesh, cell: int) -> int | None:
 
 
 def _numbers(part: MeshPart, ranks: Communicator) -> np.ndarray:
-    """Numbers of a part's cells in the whole mesh, where they have equal vertices in equal order; collective.
+    """Numbers of a part's cells in the whole mesh; collective.
 
-    Vertices are matched by their coordinates, which NGSolve distributes bit for bit.
+    A cell is found by its vertices, which have equal order in both meshes, and a vertex by its coordinates,
+    which NGSolve distributes bit for bit.
     """
     own, nodes = _corners(part)
     places = ranks.mpi.gather(own)

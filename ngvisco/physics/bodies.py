@@ -86,8 +86,8 @@ class Amount(Variable):
 class Content(Variable):
     """X_i = n_i B of body i, B a tensor J^a F, J^a Cof F, J^a F F^T or J^a Cof(F F^T) of its distortion.
 
-    Its rate is the rate of ``tensor``, which has the exponent a - 1 and the name of this variable, because
-    n_i = 1/J where the body fills the point, and the rate is linear.
+    Its rate is the rate of ``tensor``, whose exponent is a - 1 and whose name is the variable's: n_i is 1/J
+    where the body fills the point, and the rate is linear.
     """
 
     name: str

@@ -81,9 +81,9 @@ def relative_defects(material: Material, z: Values, traced: Collection[str] = ()
 def drifts(material: Material, z: Values, traced: Collection[str] = ()) -> dict[str, Tensor]:
     """The drift det F/J - 1 of each tensor that is carried beside J, by the names of both.
 
-    F is the distortion of the tensor z.  det z = J^n (det F/J)^d, where n is the power of J that det z should
-    be, and d is 1 for F and 2 for F F^T and Cof F.  Variables in ``Material.continued`` have no drift, as
-    their J may be <= 0.
+    F is the distortion of the tensor z.  det z = J^n (det F/J)^d, where d is 1 for F and 2 for F F^T and Cof
+    F, and det z = J^n without drift.  Variables in ``Material.continued`` have no drift, as their J may be
+    <= 0.
 
     For F F^T only the loss of det F counts, and the drift is at most zero: a mean of such tensors has a
     larger determinant than the tensors (Minkowski), and an energy above rest.  A mean of F has a smaller

@@ -232,7 +232,7 @@ def _faults(branch: Branch) -> Iterator[tuple[str, str]]:
     material, rule = branch.material, branch.creep
     check_material(material)
     if part_of(material, Network) is not None:
-        yield "material", "a material without branches: those of a branch are branches of the network"
+        yield "material", "a material without branches: make its branches branches of this network"
     if any(v.is_conserved for v in material.variables) or material.lagged:
         yield "material", "a material without heat and damage, which wrap the network: Thermal(material=...)"
     if material.response(3) is not None:
