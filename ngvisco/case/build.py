@@ -166,9 +166,9 @@ class Case:
         """The variables of the material, and its elastic state if the case leaves it open; else empty."""
         if self.sections.material is None:
             return ""
-        given = made(self.sections.material)
-        state, reason = self._open_state(given)
-        by_F, by_B = given.with_elastic_state("F").variables, given.with_elastic_state("B").variables
+        material = made(self.sections.material)
+        state, reason = self._open_state(material)
+        by_F, by_B = material.with_elastic_state("F").variables, material.with_elastic_state("B").variables
         names = ", ".join(v.name for v in (by_B if state == "B" else by_F))
         return names if by_F == by_B else f"{names}: elastic_state = {state!r}, the default, as {reason}"
 
@@ -230,11 +230,11 @@ class Case:
         parts = [] if where is None else [(place, where)]
         if isinstance(where, list):
             parts = [((*place, str(i)), part) for i, part in enumerate(where)]
-        found = []
+        shapes = []
         for path, part in parts:
             with self.blame.located(*path):
-                found.append((path, self._shape(part)))
-        return found
+                shapes.append((path, self._shape(part)))
+        return shapes
 
     def _shape(self, part: Any) -> Shape:
         """The shape of a condition or of a table."""
@@ -388,23 +388,23 @@ def _copy_of(file: Path) -> str:
 
 def samples(case: CaseSections, run: Path) -> dict[tuple[str, ...], Series]:
     """Series of probes, lines, forces, integrals, bodies and contours, by their key paths in the case."""
-    output, found = case.output, dict[tuple[str, ...], Series]()
+    output, series = case.output, dict[tuple[str, ...], Series]()
 
     def file(name: str) -> Path:
         return run / "samples" / f"{name}.csv"
 
     if case.bodies:
         every, measures = (1, []) if output.bodies is None else (output.bodies.every, output.bodies.measures)
-        found["output", "bodies"] = Bodies(run / "bodies.csv", every, measures)
+        series["output", "bodies"] = Bodies(run / "bodies.csv", every, measures)
     if (c := output.contours) is not None:
-        found["output", "contours"] = Contours(run / "contours", c.bodies, c.every)
+        series["output", "contours"] = Contours(run / "contours", c.bodies, c.every)
     for i, p in enumerate(output.probes):
-        found["output", "probes", str(i)] = Probes({p.name: p.point}, p.fields, file(p.name), p.every)
+        series["output", "probes", str(i)] = Probes({p.name: p.point}, p.fields, file(p.name), p.every)
     for i, e in enumerate(output.lines):
         line = LineSamples(e.start, e.end, e.points, e.fields, file(e.name), e.every)
-        found["output", "lines", str(i)] = line
+        series["output", "lines", str(i)] = line
     if (f := output.forces) is not None:
-        found["output", "forces"] = WallForces(f.walls, f.about, file("forces"), f.every)
-    for i, of in enumerate(output.integrals):
-        found["output", "integrals", str(i)] = Integrals({of.name: of.of}, file(of.name), of.every)
-    return found
+        series["output", "forces"] = WallForces(f.walls, f.about, file("forces"), f.every)
+    for i, s in enumerate(output.integrals):
+        series["output", "integrals", str(i)] = Integrals({s.name: s.of}, file(s.name), s.every)
+    return series

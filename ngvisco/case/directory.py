@@ -91,7 +91,7 @@ class RunDirectory:
 
         The lock file exists only while the lock is held, and a created directory that stays empty is removed.
         """
-        made = not self.path.exists()
+        is_new = not self.path.exists()
         self.path.mkdir(parents=True, exist_ok=True)
         with _held(self.lock_file) as file:
             try:
@@ -101,7 +101,7 @@ class RunDirectory:
             finally:
                 with contextlib.suppress(OSError):  # Windows keeps open files
                     self.lock_file.unlink()
-                if made:
+                if is_new:
                     with contextlib.suppress(OSError):  # a directory with results stays
                         self.path.rmdir()
 
@@ -134,9 +134,9 @@ class RunDirectory:
     def refuse_results(self) -> None:
         """Raise RunDirectoryError if there are results of an earlier run."""
         if results := self.results:
-            found = ", ".join(sorted(path.name for path in results)[:3])
+            names = ", ".join(sorted(path.name for path in results)[:3])
             raise RunDirectoryError(
-                f"{self.path}: holds results of an earlier run ({found}, ...); resume it, choose another "
+                f"{self.path}: holds results of an earlier run ({names}, ...); resume it, choose another "
                 "directory, or replace it with --force"
             )
 
@@ -176,8 +176,8 @@ class RunDirectory:
     def mesh(self) -> Mesh:
         """The initial mesh of the run; raises MeshError if the file has changed since the run wrote it."""
         require_whole(self.mesh_file)
-        found = hashlib.sha256(self.mesh_file.read_bytes()).hexdigest()
-        if found != self.read_versions().get("mesh_sha256"):
+        digest = hashlib.sha256(self.mesh_file.read_bytes()).hexdigest()
+        if digest != self.read_versions().get("mesh_sha256"):
             raise MeshError(f"{self.mesh_file}: not the mesh of this run (its hash differs)")
         return mesh_in(self.mesh_file)
 

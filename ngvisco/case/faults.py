@@ -85,8 +85,8 @@ class Locator:
         key = ".".join(path)
         above = (path[:length] for length in range(len(path), 0, -1))
         written = ((key[-1], given(self.data, key)) for key in above)
-        if found := next((one for one in written if one in self.converted), None):
-            message = f"{message} (in SI units; written was {shown(found[1])})"
+        if converted := next((one for one in written if one in self.converted), None):
+            message = f"{message} (in SI units; written was {shown(converted[1])})"
         is_within = any(path[: len(o)] == o for o in self.overridden)
         is_made = path not in self.lines and any(o[: len(path)] == path for o in self.overridden)
         if is_within or is_made:
@@ -96,7 +96,7 @@ class Locator:
 
 def faults_of(error: ValidationError, model: type[Section], locator: Locator) -> list[Fault]:
     """One fault for each of pydantic's errors, in the order of the file."""
-    found = []
+    faults = []
     for one in error.errors():
         path, here, known = _resolve(model, one["loc"])
         raised = (one.get("ctx") or {}).get("error")
@@ -109,8 +109,8 @@ def faults_of(error: ValidationError, model: type[Section], locator: Locator) ->
             message = refused(raised.value if written is None else written, raised)
         else:
             message = _message(one, raised, path, here, known)
-        found.append(locator.fault(path, message))
-    return sorted(found, key=lambda fault: (fault.line is None, fault.line or 0))
+        faults.append(locator.fault(path, message))
+    return sorted(faults, key=lambda fault: (fault.line is None, fault.line or 0))
 
 
 def names_in(field: str) -> list[str]:
@@ -166,9 +166,9 @@ def in_case(text: str) -> str:
         path, kind = _places()[name]
         if parameter is not None:
             return f"{path}.{parameter}"
-        given = [one.split("=", 1) for one in arguments.split(", ") if "=" in one and "..." not in one]
+        settings = [one.split("=", 1) for one in arguments.split(", ") if "=" in one and "..." not in one]
         kinds = [] if kind is None else [f'{path}.kind = "{kind}"']
-        return ", ".join([*kinds, *(f"{path}.{key} = {value}" for key, value in given)]) or path
+        return ", ".join([*kinds, *(f"{path}.{key} = {value}" for key, value in settings)]) or path
 
     text = re.sub(r"(\w+) = None", r"no \1", text)
     text = re.sub(r"(\w+)\['(\w+)'\]", r"\1.\2", text)
@@ -179,19 +179,19 @@ def in_case(text: str) -> str:
 @cache
 def _places() -> dict[str, tuple[str, str | None]]:
     """Table and kind of each class or function of the schema, by its name."""
-    found: list[tuple[int, str, str, str | None]] = [(0, "Model", "rheology", None)]
+    places: list[tuple[int, str, str, str | None]] = [(0, "Model", "rheology", None)]
 
     def look(model: type[Section], path: tuple[str, ...]) -> None:
         kind = model.__name__ if set(TAGS) & set(model.model_fields) else None
         for away, name in ((0, model.__name__), (_OTHER, owner_of(model).__name__)):
-            found.append((len(path) + away, name, ".".join(path), kind))
+            places.append((len(path) + away, name, ".".join(path), kind))
         for name, field in model.model_fields.items():
             for inner in models_in(field.annotation):
                 look(inner, (*path, name, *place_in(field.annotation)))
 
     look(CaseSections, ())
     # a later entry replaces an earlier one: the last has the class's own name and is nearest to the top
-    nearest = sorted(found, key=lambda one: one[0], reverse=True)
+    nearest = sorted(places, key=lambda one: one[0], reverse=True)
     return {name: (path, kind) for _, name, path, kind in nearest}
 
 
@@ -218,14 +218,14 @@ def _resolve(model: type[Section], location: tuple[Any, ...]) -> tuple[tuple[str
 
 def numbers_out_of_range(sections: Section, locator: Locator) -> list[Fault]:
     """Faults of given numbers that are not finite, or whose products would underflow or overflow."""
-    found = []
+    faults = []
     for path, part in tables_of(sections):
         for name in part.model_fields_set:
             value = getattr(part, name)
             if isinstance(value, float) and value and not LEAST <= abs(value) <= 1 / LEAST:
                 expected = f"0, or a finite number from {LEAST:g} to {1 / LEAST:g} in SI units"
-                found.append(locator.fault((*path, name), f"{shown(value)}: expected {expected}"))
-    return found
+                faults.append(locator.fault((*path, name), f"{shown(value)}: expected {expected}"))
+    return faults
 
 
 LEAST = 1e-60
@@ -319,10 +319,10 @@ def key_of(field: str, path: tuple[str, ...], sections: Any, value: object = Non
     for length in (2, 1):
         if (alias := _ALIASES.get(".".join(names[:length]))) is not None:
             names = [*alias, *names[length:]]
-    found = _reached(sections, (), names) or _reached(given(sections, path), path, names[1:]) or [path]
-    deepest = max(map(len, found))
-    found = [key for key in found if len(key) == deepest]
-    near = [key for key in found if key[: len(path)] == path] or found
+    keys = _reached(sections, (), names) or _reached(given(sections, path), path, names[1:]) or [path]
+    deepest = max(map(len, keys))
+    keys = [key for key in keys if len(key) == deepest]
+    near = [key for key in keys if key[: len(path)] == path] or keys
     exact = [key for key in near if value is not None and given(sections, key) == value]
     return (exact or near)[0]
 

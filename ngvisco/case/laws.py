@@ -169,8 +169,8 @@ def custom_material(
         return (PerMass if per == "mass" else PerReferentialVolume)(material=material, rho_R=rho_R)
     except ParameterError as error:
         keys: dict[str, tuple[str, object]] = {"rho_R": ("rho_R", rho_R), "stored_energy": ("energy", energy)}
-        key, given = keys.get(error.field.rpartition(".")[2], ("variables", variables))
-        raise ParameterError(f"Custom.{key}", given, error.expected) from error
+        key, argument = keys.get(error.field.rpartition(".")[2], ("variables", variables))
+        raise ParameterError(f"Custom.{key}", argument, error.expected) from error
 
 
 def isotropic_strain_energy(
@@ -201,8 +201,8 @@ def _energy(
     names = [v.name for v in variables]
     for name, value in (parameters or {}).items():
         if not name.isidentifier() or name in (*names, *_RESERVED):
-            taken = ", ".join([*names, *_RESERVED])
-            expected = f"a name of letters, digits and _ that is none of {taken}"
+            reserved = ", ".join([*names, *_RESERVED])
+            expected = f"a name of letters, digits and _ that is none of {reserved}"
             raise ParameterError(f"{owner}.parameters", name, expected)
         if not abs(value) < float("inf"):
             raise ParameterError(f"{owner}.parameters.{name}", value, "a finite number")

@@ -35,23 +35,23 @@ def python_material(
     parameters : mapping of names to numbers, optional
         Arguments of the class or function, in SI units.
     """
-    module, given = _module(path, content_of(path)), dict(parameters or {})
+    module, arguments = _module(path, content_of(path)), dict(parameters or {})
     target = getattr(module, law, None)
     if not callable(target):
-        own = (name for name, value in vars(module).items() if _is_own(value, module))
+        names = (name for name, value in vars(module).items() if _is_own(value, module))
         expected = f"a class or function of {Path(path).name} that makes a material"
-        raise ParameterError(f"{KIND}.law", law, f"{expected}: {', '.join(own) or 'none'}")
+        raise ParameterError(f"{KIND}.law", law, f"{expected}: {', '.join(names) or 'none'}")
     try:
-        inspect.signature(target).bind(**given)
+        inspect.signature(target).bind(**arguments)
     except TypeError as error:
         expected = f"the parameters of {law}{inspect.signature(target)}: {error}"
-        raise ParameterError(f"{KIND}.parameters", given, expected) from error
+        raise ParameterError(f"{KIND}.parameters", arguments, expected) from error
     try:
-        material = target(**given)
+        material = target(**arguments)
     except ParameterError as error:
         key = error.field.rpartition(".")[2]
-        field = f"{KIND}.parameters.{key}" if key in given else f"{KIND}.law"
-        raise ParameterError(field, given.get(key, law), error.expected) from error
+        field = f"{KIND}.parameters.{key}" if key in arguments else f"{KIND}.law"
+        raise ParameterError(field, arguments.get(key, law), error.expected) from error
     if not isinstance(material, Material):
         expected = f"a class or function that makes an ngvisco.Material: it made a {type(material).__name__}"
         raise ParameterError(f"{KIND}.law", law, expected)
@@ -61,11 +61,11 @@ def python_material(
 def tables_of_python(data: Any) -> list[dict[str, Any]]:
     """The tables of a case's data that describe materials from Python files."""
     if isinstance(data, list):
-        return [found for part in data for found in tables_of_python(part)]
+        return [table for part in data for table in tables_of_python(part)]
     if not isinstance(data, dict):
         return []
-    own = [data] if data.get("kind") == KIND and isinstance(data.get("path"), str) else []
-    return own + [found for part in data.values() for found in tables_of_python(part)]
+    tables = [data] if data.get("kind") == KIND and isinstance(data.get("path"), str) else []
+    return tables + [table for part in data.values() for table in tables_of_python(part)]
 
 
 def content_of(path: str) -> bytes:

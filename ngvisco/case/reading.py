@@ -75,9 +75,9 @@ def sections_of(
         raise CaseError(source, [Fault("", "too deeply nested")]) from error
     if out := numbers_out_of_range(sections, locator):
         raise CaseError(source, out)
-    own = [name for name in ("length", "time") if name in converter.scales]
-    if own and "velocity" not in converter.scales and (keys := plain_velocities(locator.data)):
-        said = " and ".join(f"{name} in {locator.data['units'][name]}" for name in own)
+    units = [name for name in ("length", "time") if name in converter.scales]
+    if units and "velocity" not in converter.scales and (keys := plain_velocities(locator.data)):
+        said = " and ".join(f"{name} in {locator.data['units'][name]}" for name in units)
         message = f"[units] has {said}, and plain velocities are in m/s: {', '.join(keys)}; units.velocity"
         warnings.warn(f"{message} changes their unit", InputWarning, stacklevel=3)
     return sections, locator
@@ -89,12 +89,12 @@ def plain_velocities(data: Any, path: tuple[str, ...] = ()) -> list[str]:
         return [key for i, part in enumerate(data) for key in plain_velocities(part, (*path, str(i)))]
     if not isinstance(data, dict):
         return []
-    found = []
+    keys = []
     for name, value in data.items():
         if name in ("velocity", "velocity_scale") and path[:1] != ("units",):
             parts = value if isinstance(value, list) else [value]
             if any(part != 0 and not has_unit(part) for part in parts):
-                found.append(".".join((*path, name)))
+                keys.append(".".join((*path, name)))
         else:
-            found += plain_velocities(value, (*path, name))
-    return found
+            keys += plain_velocities(value, (*path, name))
+    return keys

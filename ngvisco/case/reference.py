@@ -173,15 +173,17 @@ def explain(path: str) -> str:
             wanted = (*same, *wanted[len(place) :])
     kinds = {kind: entry.path[:-1] for entry in every for kind in entry.kinds}
     last = wanted[-1] if wanted else ""
-    fields = [f"output: the field {name} is {what}" for name, what in _fields(last)]
+    fields = [f"output: the field {name} is {description}" for name, description in _fields(last)]
     names = {entry.path[-1]: entry.name for entry in every} | dict.fromkeys(kinds, "")
     if not fields and last not in names:
         last = next((name for name in sorted(names) if name.lower() == last.lower()), last)
         wanted = (*wanted[:-1], last)
     if last in kinds:
-        own = [entry for entry in every if entry.path[:-1] == kinds[last]]
-        tag = [replace(entry, example=last) for entry in own if entry.path[-1] in TAGS]
-        return "\n\n".join([_said_of(last), *cards([*tag, *(entry for entry in own if last in entry.kinds)])])
+        keys = [entry for entry in every if entry.path[:-1] == kinds[last]]
+        tag = [replace(entry, example=last) for entry in keys if entry.path[-1] in TAGS]
+        return "\n\n".join(
+            [_said_of(last), *cards([*tag, *(entry for entry in keys if last in entry.kinds)])]
+        )
     # a name alone stands for this key in every table that has it
     exact = [e for e in every if matches(e.path, wanted)] or [e for e in every if e.path[-1:] == wanted]
     below = [e for e in every if len(e.path) > len(wanted) and matches(e.path[: len(wanted)], wanted)]
@@ -206,7 +208,7 @@ def _fields(name: str) -> list[tuple[str, str]]:
     """Names and descriptions of the output's fields with this name, from their modules' docstrings."""
     tables = f"{output.__doc__}{passive.__doc__}"
     rows = re.findall(r"^\| (\w+) +\| (.*\S) +\| [^|]*\|$", tables, re.M)
-    return [(name, what) for named, what in rows if named == re.sub(r"_\d$", "_i", name)]
+    return [(name, description) for named, description in rows if named == re.sub(r"_\d$", "_i", name)]
 
 
 def _mentions(every: Sequence[KeyEntry], kinds: Sequence[str], wanted: tuple[str, ...]) -> list[str]:
@@ -271,20 +273,20 @@ def markdown() -> str:
     every = entries()
     parts = [_HEAD]
     for section in dict.fromkeys(entry.path[0] for entry in every):
-        own = [entry for entry in every if entry.path[0] == section]
-        title = f"`{section}`" if len(own) == 1 else f"`[{section}]`"
-        parts += [f"## {title}", "", *(f"{own[0].meaning}.\n" for _ in own[:1] if own[0].is_table)]
+        keys = [entry for entry in every if entry.path[0] == section]
+        title = f"`{section}`" if len(keys) == 1 else f"`[{section}]`"
+        parts += [f"## {title}", "", *(f"{keys[0].meaning}.\n" for _ in keys[:1] if keys[0].is_table)]
         parts += ["| key | type | unit | default | meaning | example |", "|---|---|---|---|---|---|"]
-        parts += [_row(entry) for entry in own[own[0].is_table :]]
+        parts += [_row(entry) for entry in keys[keys[0].is_table :]]
         parts.append("")
     return "\n".join(parts)
 
 
 def _row(entry: KeyEntry) -> str:
-    of = f"<br>*{', '.join(entry.kinds)}*" if entry.kinds else ""
+    kinds = f"<br>*{', '.join(entry.kinds)}*" if entry.kinds else ""
     example = "" if entry.example is None else f"`{entry.example_text}`"
     default = entry.default_text if entry.required or entry.default is None else f"`{entry.default_text}`"
-    cells = (f"`{entry.name}`{of}", entry.type, entry.unit, default, entry.meaning, example)
+    cells = (f"`{entry.name}`{kinds}", entry.type, entry.unit, default, entry.meaning, example)
     return f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |"
 
 
@@ -352,7 +354,7 @@ def meanings(owner: Any) -> Mapping[str, str]:
     """Descriptions of parameters in the docstring of a class or function, by name, without the final stop."""
     from docstring_parser import DocstringStyle, parse  # runs do not need this package
 
-    found = {}
+    descriptions = {}
     for each in reversed(inspect.getmro(owner) if inspect.isclass(owner) else (owner,)):
         for part in parse(each.__doc__ or "", DocstringStyle.NUMPYDOC).params:
             text = " ".join((part.description or "").replace("``", "").split()).removesuffix(".")
@@ -360,8 +362,8 @@ def meanings(owner: Any) -> Mapping[str, str]:
             if part.args[0] != "param":
                 continue
             for name in part.arg_name.split(", "):
-                found[name] = meanings(_class(same[1]))[name] if same else text
-    return found
+                descriptions[name] = meanings(_class(same[1]))[name] if same else text
+    return descriptions
 
 
 def summary(owner: Any) -> str:

@@ -228,10 +228,10 @@ def _taken_over(old: Simulation, origin: dict[str, Any], simulation: Simulation)
 
 def _mesh_of_first(case: Case, ranks: Communicator, make: Callable[[], Mesh]) -> Mesh:
     """The distributed mesh, made by the first rank; its error is raised on every rank."""
-    made: list[Mesh] = []
-    ranks.on_first(lambda: made.append(make()))
+    meshes: list[Mesh] = []
+    ranks.on_first(lambda: meshes.append(make()))
     with case.blame.located("domain"):
-        return distributed(made[0] if made else None, ranks)
+        return distributed(meshes[0] if meshes else None, ranks)
 
 
 def _check_times(place: RunDirectory, case: Case, simulation: Simulation, end: float) -> None:
@@ -299,10 +299,10 @@ def _pending_change(place: RunDirectory, case: Case) -> str | None:
         return None
     try:
         with h5py.File(place.run_file) as file:
-            found = file.attrs.get("case")
+            digest = file.attrs.get("case")
     except OSError:  # the next reader raises the error
         return None
-    return str(found) if found == changes[-1]["from"] else None
+    return str(digest) if digest == changes[-1]["from"] else None
 
 
 @dataclass(frozen=True)

@@ -307,7 +307,7 @@ class Output(Section):
 
     @model_validator(mode="after")
     def _distinct(self) -> Output:
-        taken = {"forces"} if self.forces is not None else set()
+        names = {"forces"} if self.forces is not None else set()
         tables: dict[str, Sequence[Any]] = {
             "probes": self.probes,
             "lines": self.lines,
@@ -315,10 +315,10 @@ class Output(Section):
         }
         for key, members in tables.items():
             for i, name in enumerate(member.name for member in members):
-                if name in taken:
+                if name in names:
                     expected = f"a name that no other of the tables has: both would write {name}.csv"
                     raise ParameterError(f"Output.{key}.{i}.name", name, expected)
-                taken.add(name)
+                names.add(name)
         return self
 
 

@@ -102,8 +102,8 @@ def _annotation(hint: Any, types: Mapping[Any, Any]) -> Any:
         return hint
     if origin in (Union, UnionType):
         if NoneType in arguments:
-            others = functools.reduce(operator.or_, (part for part in arguments if part is not NoneType))
-            inner = _annotation(others, types)
+            hints = functools.reduce(operator.or_, (part for part in arguments if part is not NoneType))
+            inner = _annotation(hints, types)
             return None if inner is None else inner | None
         # parts that only Python can give, such as a path or a class, are left out
         parts = [inner for inner in (_annotation(part, types) for part in arguments) if inner is not None]
@@ -169,7 +169,7 @@ def models_in(annotation: Any) -> list[type[Section]]:
     """The sections in a type of the schema."""
     if isinstance(annotation, type) and issubclass(annotation, Section):
         return [annotation]
-    return list(dict.fromkeys(found for part in get_args(annotation) for found in models_in(part)))
+    return list(dict.fromkeys(model for part in get_args(annotation) for model in models_in(part)))
 
 
 def place_in(annotation: Any) -> tuple[str, ...]:
@@ -201,12 +201,12 @@ def _parts(annotation: Any) -> Iterator[Any]:
 @functools.cache
 def values_of(model: type[Section]) -> dict[str, type[Value]]:
     """The keys of a section with values other than numbers and texts, and their kinds of value."""
-    found = {}
+    kinds = {}
     for name, field in model.model_fields.items():
         for part in _parts(field.annotation):
             if isinstance(part, type) and issubclass(part, Value):
-                found[name] = part
-    return found
+                kinds[name] = part
+    return kinds
 
 
 def field_names(model: type[Section]) -> set[str]:
@@ -271,8 +271,8 @@ def laws(
         return {"kind": first, **value} if isinstance(value, dict) else value
 
     def choice() -> Any:
-        found = _choice("kind", models)
-        return found if first is None else Annotated[found, BeforeValidator(with_kind)]
+        union = _choice("kind", models)
+        return union if first is None else Annotated[union, BeforeValidator(with_kind)]
 
     models = [
         section(target, ("kind", name), is_default=name == first, base=base, without=without.get(name, ()))

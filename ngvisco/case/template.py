@@ -53,11 +53,11 @@ def _annotated(block: str, every: list[KeyEntry]) -> Iterator[str]:
     """Yield the lines of a table with their keys' meanings, and the table's other keys as comments."""
     header, kind = _TABLE.match(block), _KIND.search(block)
     path = tuple(header[1].split(".")) if header else ()
-    own = [entry for entry in every if matches(_shape(entry.path)[:-1], path)]
-    chosen = kind[1] if kind else next((entry.default for entry in own if entry.path[-1] in TAGS), None)
-    found = {entry.path[-1]: entry for entry in own if not entry.kinds or chosen in entry.kinds}
+    keys = [entry for entry in every if matches(_shape(entry.path)[:-1], path)]
+    chosen = kind[1] if kind else next((entry.default for entry in keys if entry.path[-1] in TAGS), None)
+    remaining = {entry.path[-1]: entry for entry in keys if not entry.kinds or chosen in entry.kinds}
     for line in block.rstrip().split("\n"):
-        entry = found.pop(line.split("=")[0].strip(), None) if re.match(r"\w+\s*=", line) else None
+        entry = remaining.pop(line.split("=")[0].strip(), None) if re.match(r"\w+\s*=", line) else None
         if entry is None:
             yield line
         elif line.count("[") == line.count("]"):  # the value ends in this line
@@ -65,19 +65,19 @@ def _annotated(block: str, every: list[KeyEntry]) -> Iterator[str]:
         else:
             yield f"# {_note(entry)}"
             yield line
-    for entry in found.values() if header else ():
+    for entry in remaining.values() if header else ():
         if entry.example is not None and not entry.required:
             yield _commented(entry)
     yield ""
 
 
-def _absent(path: tuple[str, ...], own: list[KeyEntry]) -> Iterator[str]:
+def _absent(path: tuple[str, ...], keys: list[KeyEntry]) -> Iterator[str]:
     """Yield a table that the demo lacks, as comments with examples."""
-    kind = next((entry.example for entry in own if entry.path[-1] == "kind"), None)
+    kind = next((entry.example for entry in keys if entry.path[-1] == "kind"), None)
     title = ".".join(_shape(path))
     yield ""
     yield f"# [[{title}]]" if path[-1] == "N" else f"# [{title}]"
-    for entry in own:
+    for entry in keys:
         if not entry.kinds or kind in entry.kinds:
             yield _commented(entry)
 

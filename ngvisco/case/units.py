@@ -134,7 +134,7 @@ class Converter:
                 continue
             try:
                 kind = values_of(model).get(name, Value)
-                found = self._entry(self._of_files(value, kind), model, name, data)
+                in_si = self._entry(self._of_files(value, kind), model, name, data)
             except ParameterError as error:
                 result[name] = Wrong(f"{error.value!r:.60}: expected {error.expected}")
                 continue
@@ -143,9 +143,9 @@ class Converter:
                 if key == name or not isinstance(data.get(key), (list, dict)):  # the schema refuses others
                     result[key] = Wrong(f"{data.get(key)!r:.60}: {error}")
                 continue
-            if found is not value and found != value:
+            if in_si is not value and in_si != value:
                 self.converted.append((name, value))
-                result[name] = found
+                result[name] = in_si
         return result
 
     def _entry(self, value: Any, model: type[Section], name: str, data: dict[str, Any]) -> Any:

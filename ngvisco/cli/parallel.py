@@ -83,7 +83,7 @@ def _starter() -> str | None:
     """Path of this installation's mpirun: beside Python, or else on the search path; None if there is
     none."""
     folders = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")])
-    return next((found for name in _STARTERS if (found := shutil.which(name, path=folders))), None)
+    return next((path for name in _STARTERS if (path := shutil.which(name, path=folders))), None)
 
 
 def _found() -> tuple[bool, list[str]]:
@@ -99,11 +99,11 @@ def _found() -> tuple[bool, list[str]]:
         complete = False
     try:
         number = ".".join(map(str, petsc().Sys.getVersion()))
-        found = packages()
-        there = ", ".join(name for name, has in found.items() if has) or "none"
-        absent = ", ".join(name for name, has in found.items() if not has)
+        built = packages()
+        there = ", ".join(name for name, has in built.items() if has) or "none"
+        absent = ", ".join(name for name, has in built.items() if not has)
         lines.append(f"PETSc      {number}, packages {there}{f'; not {absent}' if absent else ''}")
-        complete = complete and found["mumps"]
+        complete = complete and built["mumps"]
     except PETScError as error:
         lines.append(f"PETSc      {error}")
         complete = False

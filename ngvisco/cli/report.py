@@ -86,25 +86,25 @@ def check(options: argparse.Namespace) -> int:
     return 0
 
 
-def _say_scales(found: Scales) -> None:
+def _say_scales(sizes: Scales) -> None:
     """Print scales, dimensionless numbers and advice after the steps taken so far."""
-    fast, slow = found.speeds
-    speed = f"v {found.velocity:.3g} m/s so far" if found.velocity > 0 else "v unknown until it moves"
-    edges = f"L {found.length:.3g} m"
-    if found.extent > found.length * (1 + 1e-6):
-        edges = f"domain {found.length:.3g} to {found.extent:.3g} m"
-    times = f", Maxwell time {found.maxwell:.3g} s" if np.isfinite(found.maxwell) else ""
-    print(f"scales     {edges}, h {found.cell:.3g} m, {speed}, waves {fast:.3g} and {slow:.3g} m/s{times}")
-    if found.is_slow:
-        name, most = ("dt_max", found.longest) if found.longest > found.dt else ("dt", found.dt)
+    fast, slow = sizes.speeds
+    speed = f"v {sizes.velocity:.3g} m/s so far" if sizes.velocity > 0 else "v unknown until it moves"
+    edges = f"L {sizes.length:.3g} m"
+    if sizes.extent > sizes.length * (1 + 1e-6):
+        edges = f"domain {sizes.length:.3g} to {sizes.extent:.3g} m"
+    times = f", Maxwell time {sizes.maxwell:.3g} s" if np.isfinite(sizes.maxwell) else ""
+    print(f"scales     {edges}, h {sizes.cell:.3g} m, {speed}, waves {fast:.3g} and {slow:.3g} m/s{times}")
+    if sizes.is_slow:
+        name, most = ("dt_max", sizes.longest) if sizes.longest > sizes.dt else ("dt", sizes.dt)
         print(
-            f"           waves cross the domain in {found.passage:.2g} s, "
-            f"{name} is {most / found.passage:.1g} times that: inertia has no part in the motion"
+            f"           waves cross the domain in {sizes.passage:.2g} s, "
+            f"{name} is {most / sizes.passage:.1g} times that: inertia has no part in the motion"
         )
-    for name, value in found.numbers.items():
-        if not (found.is_slow and ("waves" in name or name.startswith("Reynolds"))):
+    for name, value in sizes.numbers.items():
+        if not (sizes.is_slow and ("waves" in name or name.startswith("Reynolds"))):
             print(f"           {name:38s} {value:.3g}")
-    for line in found.advice:
+    for line in sizes.advice:
         print(f"advice     {line}")
 
 
@@ -174,9 +174,9 @@ def info(options: argparse.Namespace) -> int:
         return 0
     ledger = place.ledger()
     end, step = ledger["time"][-1], int(ledger["step"][-1])
-    of = " s, beyond the case's" if end > case.until * (1 + 1e-9) else " of"
+    relation = " s, beyond the case's" if end > case.until * (1 + 1e-9) else " of"
     state = f"resumable: ngvisco resume {place.path}" if end < case.until * (1 - 1e-9) else "finished"
-    print(f"state      t = {end:g}{of} {case.until:g} s, step {step}; {state}")
+    print(f"state      t = {end:g}{relation} {case.until:g} s, step {step}; {state}")
     print(f"energy     kinetic {ledger['kinetic'][-1]:.6e} J, stored {ledger['stored'][-1]:.6e} J")
     print(
         f"ledger     largest |closure| {np.abs(ledger['closure_relative']).max():.1e}, "
@@ -260,8 +260,8 @@ def listing(options: argparse.Namespace) -> int:
     print("  also ledger.csv, run.h5, log.txt; ngvisco plot and ngvisco scene make PNG and HTML of them")
     print("passive: [output] passive =")
     print(f"  {', '.join(PASSIVE)}")
-    others = ", ".join(
+    sections = ", ".join(
         name for name in schema.CaseSections.model_fields if name not in ("domain", "material", "loads")
     )
-    print(f"other sections: {others}")
+    print(f"other sections: {sections}")
     return 0

@@ -109,14 +109,14 @@ def resume(options: argparse.Namespace) -> int:
 def _end_time(text: str) -> float:
     """Convert the argument of ``--until`` to s; raises ParameterError."""
     try:
-        found = seconds(text)
+        until = seconds(text)
     except UnitError as error:
         raise ParameterError(
             "--until", text, f"a time > 0 in s, or with its unit, '140 kyr' ({error})"
         ) from None
-    if not 0 < found < math.inf:
+    if not 0 < until < math.inf:
         raise ParameterError("--until", text, "a finite time > 0, in s or with its unit, '140 kyr'")
-    return found
+    return until
 
 
 def _end_with_stdin(options: argparse.Namespace) -> None:

@@ -29,12 +29,12 @@ def gradient(options: argparse.Namespace) -> int:
         if not options.quiet and (number == total or number % max(total // 10, 1) == 0):
             streams.write(f"differentiated {number} of {total} steps\n")
 
-    found = differentiated(
+    result = differentiated(
         simulation, case.until, of=options.of, by=options.by, method=options.method, progress=tell
     )
     out.mkdir(parents=True, exist_ok=True)
-    _write_gradient(found, out / "gradient.csv")
-    streams.write(f"{found}\n{_of_limiter(found)}{out / 'gradient.csv'}\n")
+    _write_gradient(result, out / "gradient.csv")
+    streams.write(f"{result}\n{_of_limiter(result)}{out / 'gradient.csv'}\n")
     return DONE
 
 
@@ -42,7 +42,7 @@ def fit(options: argparse.Namespace) -> int:
     """Fit some of a case's numbers to data, and write report, table and picture."""
     case, simulation = _simulation(options)
     out = _directory(options, "fit.txt", "fit")
-    found = fitted(
+    result = fitted(
         simulation,
         options.data,
         by=options.by,
@@ -53,11 +53,11 @@ def fit(options: argparse.Namespace) -> int:
         progress=None if options.quiet else lambda line: streams.write(line + "\n"),
     )
     out.mkdir(parents=True, exist_ok=True)
-    settings = " ".join(f"--set {n}={v:.10g}" for n, v in zip(found.by, found.values, strict=True))
-    report = f"{found}\nngvisco run {options.case} {settings}\n"
+    settings = " ".join(f"--set {n}={v:.10g}" for n, v in zip(result.by, result.values, strict=True))
+    report = f"{result}\nngvisco run {options.case} {settings}\n"
     (out / "fit.txt").write_text(report)
-    _write_fit(found, out / "fit.csv")
-    found.plot(out / f"fit.{options.format}")
+    _write_fit(result, out / "fit.csv")
+    result.plot(out / f"fit.{options.format}")
     streams.write(
         report + "".join(f"{out / name}\n" for name in ("fit.txt", "fit.csv", f"fit.{options.format}"))
     )
@@ -83,10 +83,10 @@ def _directory(options: argparse.Namespace, name: str, kind: str) -> Path:
     return out
 
 
-def _of_limiter(found: Gradient) -> str:
-    if not found.limited:
+def _of_limiter(result: Gradient) -> str:
+    if not result.limited:
         return ""
-    return f"the limiter changed {found.limited} cells in all; derivatives treat its changes as constant\n"
+    return f"the limiter changed {result.limited} cells in all; derivatives treat its changes as constant\n"
 
 
 def _sigma(text: str | None) -> float | dict[str, float] | None:
@@ -94,13 +94,13 @@ def _sigma(text: str | None) -> float | dict[str, float] | None:
     kinetic=0.1,tip.velocity_1=0.02``."""
     if text is None or (number := _number(text)) is not None:
         return None if text is None else number
-    found = {}
+    deviations = {}
     for part in text.split(","):
         name, equals, value = part.rpartition("=")
         if not equals or (number := _number(value)) is None:
             raise ParameterError("--sigma", text, "a number, or COLUMN=NUMBER, separated by commas")
-        found[name.strip()] = number
-    return found
+        deviations[name.strip()] = number
+    return deviations
 
 
 def _bounds(text: str) -> tuple[str, tuple[float, float]]:
@@ -118,18 +118,18 @@ def _number(text: str) -> float | None:
         return None
 
 
-def _write_gradient(found: Gradient, path: Path) -> None:
+def _write_gradient(result: Gradient, path: Path) -> None:
     with path.open("w", newline="") as file:
         table = csv.writer(file)
-        table.writerow(["number", "value", *found.by])
-        for name, value, row in zip(found.of, found.values, found.jacobian, strict=True):
+        table.writerow(["number", "value", *result.by])
+        for name, value, row in zip(result.of, result.values, result.jacobian, strict=True):
             table.writerow([name, repr(float(value)), *(repr(float(one)) for one in row)])
 
 
-def _write_fit(found: Fit, path: Path) -> None:
+def _write_fit(result: Fit, path: Path) -> None:
     with path.open("w", newline="") as file:
         table = csv.writer(file)
-        table.writerow(["parameter", "start", "value", "deviation", *(f"covariance {n}" for n in found.by)])
-        for i, name in enumerate(found.by):
-            numbers = [found.start[i], found.values[i], found.deviations[i], *found.covariance[i]]
+        table.writerow(["parameter", "start", "value", "deviation", *(f"covariance {n}" for n in result.by)])
+        for i, name in enumerate(result.by):
+            numbers = [result.start[i], result.values[i], result.deviations[i], *result.covariance[i]]
             table.writerow([name, *(repr(float(one)) for one in numbers)])

@@ -150,13 +150,13 @@ class Communicator:
             raise MPIError(
                 f"mpirun started {started} processes, but mpi4py does not load ({error})"
             ) from error
-        found = MPI.COMM_WORLD.size
-        if found < started:
+        size = MPI.COMM_WORLD.size
+        if size < started:
             raise MPIError(
-                f"mpirun started {started} processes, but mpi4py knows {found}: it belongs to another MPI "
+                f"mpirun started {started} processes, but mpi4py knows {size}: it belongs to another MPI "
                 "than mpirun; expected both of one installation (ngvisco info --parallel)"
             )
-        return cls(MPI.COMM_WORLD if found > 1 else None)
+        return cls(MPI.COMM_WORLD if size > 1 else None)
 
     @property
     def is_distributed(self) -> bool:
@@ -177,13 +177,13 @@ class Communicator:
 
     def most(self, values: np.ndarray | float) -> float:
         """The largest of all ranks' values; a rank may have none.  NaN counts as larger than any number."""
-        own = np.asarray(values, dtype=float)
+        local = np.asarray(values, dtype=float)
         if self.size == 1:
-            return float(own.max())
-        largest = float(own.max(initial=-np.inf))
+            return float(local.max())
+        largest = float(local.max(initial=-np.inf))
         is_number = largest == largest  # MPI's maximum may drop NaN
-        found = self._reduced(np.array([largest if is_number else np.inf, float(not is_number)]), "MAX")
-        return float("nan") if found[1] else float(found[0])
+        extremes = self._reduced(np.array([largest if is_number else np.inf, float(not is_number)]), "MAX")
+        return float("nan") if extremes[1] else float(extremes[0])
 
     def least(self, values: np.ndarray | float) -> float:
         """The least of all ranks' values; a rank may have none.  NaN counts as less than any number."""
@@ -246,8 +246,8 @@ class Communicator:
         """The error of the lowest rank that has one, returned on all ranks; None if no rank has an error."""
         if self.size == 1 or not self.any(error is not None):
             return error
-        found = [one for one in self.gathered(_packed(error)) if one is not None]
-        together = _unpacked(found[0])
+        errors = [one for one in self.gathered(_packed(error)) if one is not None]
+        together = _unpacked(errors[0])
         vars(together)[OF_ALL_RANKS] = True
         return together
 

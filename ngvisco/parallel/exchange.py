@@ -50,10 +50,10 @@ class Owned(ABC):
 
         The numbers of the unknowns of one owner are consecutive, rank after rank.
         """
-        own = chosen & self.owned
-        counts = self.communicator.gathered(int(np.count_nonzero(own)))
+        mine = chosen & self.owned
+        counts = self.communicator.gathered(int(np.count_nonzero(mine)))
         numbers = np.zeros(self.count)
-        numbers[own] = sum(counts[: self.communicator.rank]) + np.arange(np.count_nonzero(own))
+        numbers[mine] = sum(counts[: self.communicator.rank]) + np.arange(np.count_nonzero(mine))
         return self.of_owners(numbers).astype(np.int64), sum(counts)
 
 
@@ -82,8 +82,8 @@ class Exchange(Owned):
     @classmethod
     def of_dofs(cls, dofs: Any, count: int, communicator: Communicator) -> Exchange:
         """The exchange of unknowns given by NGSolve's ``ParallelDofs``."""
-        others = [rank for rank in range(communicator.size) if rank != communicator.rank]
-        shared = {rank: np.array(dofs.Proc2Dof(rank), dtype=np.int64) for rank in others}
+        ranks = [rank for rank in range(communicator.size) if rank != communicator.rank]
+        shared = {rank: np.array(dofs.Proc2Dof(rank), dtype=np.int64) for rank in ranks}
         return cls(count, shared, communicator)
 
     def part(self, numbers: np.ndarray) -> Exchange:
@@ -95,8 +95,8 @@ class Exchange(Owned):
             return Exchange(len(numbers), {}, self.communicator)
         place = np.full(self.count, -1, dtype=np.int64)
         place[numbers] = np.arange(len(numbers))
-        shared = {rank: place[own] for rank, own in self.shared.items()}
-        chosen = {rank: own[own >= 0] for rank, own in shared.items()}
+        shared = {rank: place[unknowns] for rank, unknowns in self.shared.items()}
+        chosen = {rank: unknowns[unknowns >= 0] for rank, unknowns in shared.items()}
         return Exchange(len(numbers), chosen, self.communicator)
 
     @cached_property
@@ -120,7 +120,7 @@ class Exchange(Owned):
         """Sums of all ranks' values, (..., unknowns); collective between neighbours."""
         if not self.shared:
             return values
-        got = self._got({rank: values[..., own] for rank, own in self.shared.items()})
+        got = self._got({rank: values[..., unknowns] for rank, unknowns in self.shared.items()})
         result = np.array(values)
         result[..., self.places] = 0.0
         for rank in sorted([*got, self.communicator.rank]):  # equal order on every rank
@@ -135,7 +135,7 @@ class Exchange(Owned):
 
         Each unknown has to be shared by two ranks only, as unknowns of facets are.
         """
-        among = {rank: np.searchsorted(self.places, own) for rank, own in self.shared.items()}
+        among = {rank: np.searchsorted(self.places, unknowns) for rank, unknowns in self.shared.items()}
         result, got = np.zeros_like(values), self._got({rank: values[..., at] for rank, at in among.items()})
         for rank, where in among.items():
             result[..., where] += got[rank]
@@ -162,8 +162,8 @@ class Exchange(Owned):
 
     def norm(self, values: np.ndarray, where: slice = slice(None)) -> float:
         """Euclidean norm of a summed vector, or of a slice of the vector; collective."""
-        own = values[where]
-        return self.communicator.norm(own[self.owned[where]] if self.is_distributed else own)
+        part = values[where]
+        return self.communicator.norm(part[self.owned[where]] if self.is_distributed else part)
 
     def length(self, where: slice = slice(None)) -> int:
         """Number of unknowns on all ranks, or of a slice of the unknowns; collective."""
@@ -286,7 +286,7 @@ def _turns(exchange: Exchange) -> tuple[int, int]:
     is_crowded = exchange.sum(np.ones(exchange.count)) > 2
     near = [rank for rank, numbers in exchange.shared.items() if is_crowded[numbers].any()]
     turns: list[int] = []
-    for rank, others in enumerate(exchange.communicator.gathered(near)):
-        taken = {turns[other] for other in others if other < rank}
-        turns.append(min(set(range(len(taken) + 1)) - taken))
+    for rank, neighbours in enumerate(exchange.communicator.gathered(near)):
+        used = {turns[other] for other in neighbours if other < rank}
+        turns.append(min(set(range(len(used) + 1)) - used))
     return turns[exchange.communicator.rank], max(turns) + 1

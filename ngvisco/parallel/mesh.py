@@ -149,8 +149,8 @@ def _numbers(part: MeshPart, ranks: Communicator) -> np.ndarray:
     A cell is found by its vertices, which have equal order in both meshes, and a vertex by its coordinates,
     which NGSolve distributes bit for bit.
     """
-    own, nodes = _corners(part)
-    places = ranks.mpi.gather(own)
+    points, nodes = _corners(part)
+    places = ranks.mpi.gather(points)
     cells = ranks.mpi.gather(nodes)
     answers = None
     if part.whole is not None:
@@ -158,10 +158,10 @@ def _numbers(part: MeshPart, ranks: Communicator) -> np.ndarray:
         vertices = {place.tobytes(): number for number, place in enumerate(every)}
         known = {nodes.tobytes(): number for number, nodes in enumerate(of_whole)}
         answers = []
-        for own, nodes in zip(places, cells, strict=True):
-            number = np.array([-1, *(vertices[place.tobytes()] for place in own)], dtype=np.int64)
-            found = [known[of.tobytes()] for of in number[nodes + 1]]
-            answers.append(np.array(found, dtype=np.int64))
+        for points, nodes in zip(places, cells, strict=True):
+            number = np.array([-1, *(vertices[place.tobytes()] for place in points)], dtype=np.int64)
+            numbers = [known[corners.tobytes()] for corners in number[nodes + 1]]
+            answers.append(np.array(numbers, dtype=np.int64))
     result: np.ndarray = ranks.mpi.scatter(answers)
     return result
 

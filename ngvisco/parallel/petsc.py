@@ -142,13 +142,13 @@ class SumInverse:
             self._scatter = module.Scatter().create(self._own, None, self._right, self._rows)
             self._held += [self._right, self._solution, self._scatter]
 
-    def factorise(self, own: sp.csr_matrix) -> None:
+    def factorise(self, local: sp.csr_matrix) -> None:
         """Factorise the sum of the ranks' matrices.  Raises SingularError on every rank if it is singular."""
         with self.communicator.together(SingularError):
             if self.communicator.is_idle:
                 return
             self._drop()  # first: two factorisations at once would take the most memory of a run
-            matrix, failure = self._matrix(0.5 * (own + own.T) if self.symmetric else own), None
+            matrix, failure = self._matrix(0.5 * (local + local.T) if self.symmetric else local), None
             if self._solving is not None:
                 failure = self._set_up(matrix)
             if self._on_one:
@@ -163,10 +163,10 @@ class SumInverse:
     def _refused(self, reason: object) -> SingularError:
         return SingularError(f"{self.method} did not take the matrix ({reason})")
 
-    def _matrix(self, own: sp.csr_matrix) -> Any:
+    def _matrix(self, local: sp.csr_matrix) -> Any:
         """Sum of the ranks' matrices in free rows and columns, as AIJ; None on a rank without rows."""
         module, (mine, count) = petsc(), self._size
-        free = own[self._free][:, self._free].tocoo()
+        free = local[self._free][:, self._free].tocoo()
         rows, columns, data, first = self._numbers[free.row], self._numbers[free.col], free.data, 0
         if self.exchange.is_distributed:
             rows, columns, data, first = self._of_owners(rows, columns, data)
@@ -178,18 +178,18 @@ class SumInverse:
 
     def _of_owners(self, *entries: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
         """Collect (rows, columns, values) of this rank's rows from all ranks in order; with the first row."""
-        ends, own = np.cumsum(self._comm.allgather(self._size[0])), self._comm.rank
+        ends, this_rank = np.cumsum(self._comm.allgather(self._size[0])), self._comm.rank
         owner = np.searchsorted(ends, entries[0], side="right")
         # only neighbours own rows of shared unknowns; `rank - 1` is the number among the ranks with cells
         near = range(self._comm.size) if self._on_one else (rank - 1 for rank in self.exchange.neighbours)
-        ranks = sorted({own, *near})
+        ranks = sorted({this_rank, *near})
         split = {rank: tuple(part[owner == rank] for part in entries) for rank in ranks}
-        sent = [self._comm.isend(split[rank], rank) for rank in ranks if rank != own]
-        parts = [split[own] if rank == own else self._comm.recv(source=rank) for rank in ranks]
+        sent = [self._comm.isend(split[rank], rank) for rank in ranks if rank != this_rank]
+        parts = [split[this_rank] if rank == this_rank else self._comm.recv(source=rank) for rank in ranks]
         for request in sent:
             request.wait()
         rows, columns, data = (np.concatenate(part) for part in zip(*parts, strict=True))
-        return rows, columns, data, int(ends[own] - self._size[0])
+        return rows, columns, data, int(ends[this_rank] - self._size[0])
 
     def _set_up(self, matrix: Any) -> str | None:
         """Make a solver with the matrix.  Return the reason for a failure, or None."""
@@ -221,11 +221,11 @@ class SumInverse:
         """PETSc vector of unit norm with the free entries of the summed ``values``."""
         module = petsc()
         vector = matrix.createVecs()[0]
-        own = module.Vec().createWithArray(np.ascontiguousarray(values[self._free]), comm=module.COMM_SELF)
-        scatter = module.Scatter().create(own, None, vector, self._rows)
-        scatter.scatter(own, vector, addv=module.InsertMode.INSERT)
+        local = module.Vec().createWithArray(np.ascontiguousarray(values[self._free]), comm=module.COMM_SELF)
+        scatter = module.Scatter().create(local, None, vector, self._rows)
+        scatter.scatter(local, vector, addv=module.InsertMode.INSERT)
         scatter.destroy()
-        own.destroy()
+        local.destroy()
         vector.normalize()
         return vector
 
@@ -277,17 +277,17 @@ class SumInverse:
     def _failure(self) -> str | None:
         """Solve with the current right-hand side.  Return the reason for a failure, or None."""
         module, vectors = petsc(), (self._right, self._solution)
-        own = [
+        sequential = [
             module.Vec().createWithArray(vector.getArray(), comm=module.COMM_SELF)
             for vector in vectors
             if self._on_one  # KSP on one rank needs sequential vectors, which share the memory
         ]
         try:
-            self._solver.solve(*(own or vectors))
+            self._solver.solve(*(sequential or vectors))
         except module.Error as error:
             return str(error)
         finally:
-            for vector in own:
+            for vector in sequential:
                 vector.destroy()
         return _reason(self._solver) if self._solver.getConvergedReason() < 0 else None
 
@@ -327,9 +327,9 @@ class PETScInverse(BaseMatrix):
 
     def Update(self) -> None:
         """Factorise the changed matrix again, as NGSolve's inverses do."""
-        own = self.matrix.local_mat  # contributions of this rank's cells
-        csr = tuple(np.array(part) for part in own.CSR())
-        self._inverse.factorise(sp.csr_matrix(csr, shape=(own.height, own.width)))
+        local = self.matrix.local_mat  # contributions of this rank's cells
+        csr = tuple(np.array(part) for part in local.CSR())
+        self._inverse.factorise(sp.csr_matrix(csr, shape=(local.height, local.width)))
 
     def release(self) -> None:
         """Release PETSc's objects, as ``SumInverse`` does."""
@@ -338,9 +338,9 @@ class PETScInverse(BaseMatrix):
     def Mult(self, rows: BaseVector, unknowns: BaseVector) -> None:
         """Set ``unknowns`` to matrix^{-1} ``rows``, and to 0 in constrained unknowns; collective."""
         rows.Distribute()
-        found = self._inverse.of_parts(rows.FV().NumPy())
+        solution = self._inverse.of_parts(rows.FV().NumPy())
         unknowns.SetParallelStatus(PARALLEL_STATUS.CUMULATED)
-        unknowns.FV().NumPy()[:] = found
+        unknowns.FV().NumPy()[:] = solution
 
     def Shape(self) -> Any:
         return self.matrix.shape

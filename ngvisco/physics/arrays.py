@@ -86,8 +86,10 @@ class _Node(ABC):
 
     def mapped(self, matrix: np.ndarray, shape: tuple[int, ...]) -> Self:
         """The tensor of ``shape`` whose entries, in row-major order, are ``matrix`` @ these entries."""
-        own = self.shape
-        return self._mapped(shape, lambda a: _applied(matrix, a, shape), lambda g: _applied(matrix.T, g, own))
+        source_shape = self.shape
+        return self._mapped(
+            shape, lambda a: _applied(matrix, a, shape), lambda g: _applied(matrix.T, g, source_shape)
+        )
 
     def masked(self, mask: np.ndarray) -> Self:
         """The vector or matrix with zeros in the rows where ``mask`` is False."""
@@ -214,9 +216,9 @@ class Array(_Node):
         value = np.exp(self.value)
         return Array(value, [(self, lambda g: g * value)])
 
-    def _require_scalar(self, what: str) -> None:
+    def _require_scalar(self, operation: str) -> None:
         if not self.is_scalar:
-            raise TypeError(f"only scalars have {what}")
+            raise TypeError(f"only scalars have {operation}")
 
     def cofactor(self) -> Array:
         """The cofactors of 3x3 tensors, (det A) A^-T."""
@@ -349,21 +351,21 @@ def derivatives(result: Array, arguments: Sequence[Array]) -> list[np.ndarray]:
     if not result.is_scalar:
         raise TypeError("only scalars are differentiated")
     size, wanted = max(a.value.shape[-1] for a in arguments), {a.number for a in arguments}
-    found = {node.number: g for node, g in _backwards(result, np.ones(size)) if node.number in wanted}
-    return [found.get(a.number, np.zeros(a.value.shape)) for a in arguments]
+    slopes = {node.number: g for node, g in _backwards(result, np.ones(size)) if node.number in wanted}
+    return [slopes.get(a.number, np.zeros(a.value.shape)) for a in arguments]
 
 
 def _backwards(root: Any, seed: np.ndarray) -> Iterator[tuple[Any, np.ndarray]]:
     """Yield ``root`` and the nodes that it depends on, latest first, each with the derivative by the node;
     ``seed`` is the derivative by ``root``."""
-    found, nodes = {root.number: seed}, {root.number: root}
+    slopes, nodes = {root.number: seed}, {root.number: root}
     while nodes:
         number = max(nodes)  # every node computed from this one has a larger number
-        node, g = nodes.pop(number), found.pop(number)
+        node, g = nodes.pop(number), slopes.pop(number)
         yield node, g
         for parent, pull in node.parents:
             share = pull(g)
-            found[parent.number] = found[parent.number] + share if parent.number in found else share
+            slopes[parent.number] = slopes[parent.number] + share if parent.number in slopes else share
             nodes[parent.number] = parent
 
 
@@ -395,9 +397,9 @@ def contracted(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def _divisor(value: Any) -> Array:
-    if not (found := _array(value)).is_scalar:
+    if not (divisor := _array(value)).is_scalar:
         raise TypeError("division by a tensor is not defined")
-    return found
+    return divisor
 
 
 def _transposed(a: np.ndarray) -> np.ndarray:

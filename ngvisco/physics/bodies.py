@@ -136,13 +136,13 @@ class Fractions:
 
     def taking_part(self, z: Values) -> dict[str, Any]:
         """The factor chi_i of each body, smooth in theta_i: 0 at theta_i <= 0, 1/2 at 1/5, 0.996 at 1/2."""
-        found = {}
+        factors = {}
         for name, theta in self.at(z).items():
-            others, own = 1 - theta, (1 / _HALF - 1) * if_positive(theta, theta, 0.0 * theta)
-            others, own = others * others, own * own
-            others, own = others * others, own * own
-            found[name] = own / (others + own)
-        return found
+            rest, share = 1 - theta, (1 / _HALF - 1) * if_positive(theta, theta, 0.0 * theta)
+            rest, share = rest * rest, share * share
+            rest, share = rest * rest, share * share
+            factors[name] = share / (rest + share)
+        return factors
 
     def positive(self, z: Values, body: str) -> Any:
         """The fraction theta_i of one body, smoothed to be > 0; about ``TRACE`` where theta_i vanishes."""

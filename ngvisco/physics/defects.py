@@ -48,7 +48,7 @@ def relative_defects(material: Material, z: Values, traced: Collection[str] = ()
     determinant.
     """
     variables = {v.name: v for v in material.variables}
-    found: dict[str, Tensor] = {}
+    defects: dict[str, Tensor] = {}
     volume = next((v for v in material.variables if isinstance(v, (Jacobian, ReciprocalJacobian))), None)
     for variable in material.variables:
         ratio = variable.volume_ratio(z[variable.name])
@@ -56,26 +56,26 @@ def relative_defects(material: Material, z: Values, traced: Collection[str] = ()
             continue
         det, n = ratio
         if abs(n) < 1e-12:
-            found[f"det {variable.name} and 1"] = det - 1
+            defects[f"det {variable.name} and 1"] = det - 1
         elif volume is not None:
             J = z[volume.name] if isinstance(volume, Jacobian) else 1 / z[volume.name]
             name = f"det {variable.name}" if variable.creeps else variable.name
-            found[f"{name} and {volume.name}"] = det * J ** float(-n) - 1
+            defects[f"{name} and {volume.name}"] = det * J ** float(-n) - 1
     for name, variable in variables.items():
         if isinstance(variable, LogJacobian):
             A = z[variable.reciprocal]
-            found[f"{name} and {variable.reciprocal}"] = z[name] / A + log(A)
-    for kind, of in ((Cofactor, Distortion), (CofactorLeftCauchyGreen, LeftCauchyGreen)):
+            defects[f"{name} and {variable.reciprocal}"] = z[name] / A + log(A)
+    for kind, partner_kind in ((Cofactor, Distortion), (CofactorLeftCauchyGreen, LeftCauchyGreen)):
         for name in [name for name, v in variables.items() if isinstance(v, kind)]:
-            own = next(names for names in material.distortions.values() if name in names)
-            partner = next((one for one in own if isinstance(variables[one], of)), None)
+            distortion = next(names for names in material.distortions.values() if name in names)
+            partner = next((one for one in distortion if isinstance(variables[one], partner_kind)), None)
             if partner is not None:
                 cofactor = Cof(z[partner])
                 # J^b Cof F is a multiple of Cof z for z = J^a F; the size is free where J is not known
                 scale = sqrt(square(z[name]) / square(cofactor))
                 gap = sqrt(square(z[name] - scale * cofactor) / square(z[name]))
-                found[f"{name} and Cof {partner}"] = gap
-    return found
+                defects[f"{name} and Cof {partner}"] = gap
+    return defects
 
 
 def drifts(material: Material, z: Values, traced: Collection[str] = ()) -> dict[str, Tensor]:
@@ -93,14 +93,14 @@ def drifts(material: Material, z: Values, traced: Collection[str] = ()) -> dict[
     if volume is None or volume.name in material.continued:
         return {}
     J = z[volume.name] if isinstance(volume, Jacobian) else 1 / z[volume.name]
-    found = {}
+    result = {}
     for v in material.variables:
         if isinstance(v, DistortionTensor) and not {v.name} & {*traced, *material.continued}:
             n, d = 3 * v.exponent + v.degree, 1 / v.degree
             drift = (Det(z[v.name]) * J ** float(-n)) ** d - 1
             is_lost = v.frame == "actual"
-            found[f"det {v.name} and {volume.name}"] = if_positive(drift, 0.0, drift) if is_lost else drift
-    return found
+            result[f"det {v.name} and {volume.name}"] = if_positive(drift, 0.0, drift) if is_lost else drift
+    return result
 
 
 def may_part(material: Material, moves: bool) -> str | None:

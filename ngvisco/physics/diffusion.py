@@ -71,8 +71,8 @@ class Diffusion:
         """Raise ParameterError for a material that does not carry the variable as a conserved scalar."""
         known = [v.name for v in material.variables if v.kind == "scalar" and v.is_conserved]
         if self.variable not in known:
-            of, carried = type(material).__name__, ", ".join(v.name for v in material.variables)
+            owner, carried = type(material).__name__, ", ".join(v.name for v in material.variables)
             expected = (
-                f"a conserved scalar of the material: {of} carries {carried}, of which such are {known}"
+                f"a conserved scalar of the material: {owner} carries {carried}, of which such are {known}"
             )
             raise ParameterError("Diffusion.variable", self.variable, expected)

@@ -88,8 +88,8 @@ def check_bound(material: Material, field: str, function: Callable[..., Coeffici
         return evaluated(lambda c: function(**tensors(lambda: c)), states)[:, 0]
 
     rest, states = rest_state(material, 3), sampling.changed(sampling.fitting())
-    if not (found := float(at(rest[None])[0])) > 0:
-        raise ParameterError(field, function, f"a function that is positive at rest, where it is {found:.4g}")
+    if not (value := float(at(rest[None])[0])) > 0:
+        raise ParameterError(field, function, f"a function that is positive at rest, where it is {value:.4g}")
     Q = np.linalg.qr(sampling._rng.standard_normal((3, 3)))[0]
     Q[:, 0] *= np.linalg.det(Q)
     if not np.allclose(at(_turned(material, 3, Q, states)), at(states), rtol=1e-8, equal_nan=True):
@@ -114,7 +114,7 @@ def _names(material: Material) -> str:
 
 
 def _of_state(
-    material: Material, field: str, given: object, function: Callable[[Values], CoefficientFunction]
+    material: Material, field: str, argument: object, function: Callable[[Values], CoefficientFunction]
 ) -> tuple[CoefficientFunction, list[float]]:
     """The value of ``function`` at a state without symmetries, and absolute entries of its derivatives.
 
@@ -122,8 +122,8 @@ def _of_state(
     """
     names = _names(material)
 
-    def refusal(what: str) -> ParameterError:
-        return ParameterError(field, given, what)
+    def refusal(expected: str) -> ParameterError:
+        return ParameterError(field, argument, expected)
 
     F = CF((1.2, 0.1, 0, -0.2, 0.9, 0, 0, 0, 1.05), dims=(3, 3))
     z = {v.name: v.from_distortion(F).MakeVariable() for v in material.variables}
@@ -136,10 +136,10 @@ def _of_state(
     if not isinstance(phi, CoefficientFunction):
         raise refusal(f"a function of {names} that returns a coefficient function, not {phi!r:.60}")
     if phi.dim != 1 or phi.is_complex:
-        what = "a complex number" if phi.is_complex else f"an array of shape {tuple(phi.dims)}"
-        raise refusal(f"a function of {names} that returns a real scalar, not {what}")
+        description = "a complex number" if phi.is_complex else f"an array of shape {tuple(phi.dims)}"
+        raise refusal(f"a function of {names} that returns a real scalar, not {description}")
     text = str(phi)
-    read = [what for leaves, what in _OTHERS.items() if any(leaf in text for leaf in leaves)]
+    read = [description for leaves, description in _OTHERS.items() if any(leaf in text for leaf in leaves)]
     if reads_time(phi):
         read.append("the time")
     if read:
@@ -186,11 +186,11 @@ class StateSampling:
 
     def named(self, components: np.ndarray) -> dict[str, np.ndarray]:
         """The values of one state's components, scalars and 3x3 arrays by the variables' names."""
-        found = {}
+        values = {}
         for name, space in self.space.spaces.items():
-            own = components[self.space.slices[name]]
-            found[name] = np.array(own[0]) if space.is_scalar else (space.columns @ own).reshape(3, 3)
-        return found
+            part = components[self.space.slices[name]]
+            values[name] = np.array(part[0]) if space.is_scalar else (space.columns @ part).reshape(3, 3)
+        return values
 
 
 _STATES = 256
@@ -277,8 +277,8 @@ def check_convexity(
     strains, response = sampling.space.strains, respond(material, dim)
     fitting = sampling.fitting()
     if states is not None and not strains.all():
-        own = sampling._rng.choice(np.asarray(states, dtype=float), len(fitting))
-        fitting[:, ~strains] = own[:, ~strains]
+        chosen = sampling._rng.choice(np.asarray(states, dtype=float), len(fitting))
+        fitting[:, ~strains] = chosen[:, ~strains]
     a = sampling.changed(fitting)
     other = sampling.fitting()
     b = sampling.changed(other)
@@ -291,15 +291,15 @@ def check_convexity(
         weakest = _weakest_directions(known, start, strains)
         rounds.append((reachable, start, known, [t * weakest for t in steps] + far))
     worst, samples = 0.0, 0
-    found: tuple[bool, np.ndarray, np.ndarray] | None = None
+    violation: tuple[bool, np.ndarray, np.ndarray] | None = None
     for reachable, start, known, increments in rounds:
         count, smallest, pair = _worst_bregman(sampling, known, start, increments)
         samples, worst = samples + count, min(worst, smallest)
-        if found is None and pair is not None:
-            found = (reachable, *pair)
-    if found is None:
+        if violation is None and pair is not None:
+            violation = (reachable, *pair)
+    if violation is None:
         return ConvexityReport(samples)
-    reachable, at, along = found
+    reachable, at, along = violation
     near = rest_state(material, dim)[None] if states is None else np.asarray(states, dtype=float)
     report = ConvexityReport(
         samples,

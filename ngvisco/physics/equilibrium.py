@@ -91,11 +91,11 @@ def equilibrium(
 
 def _compliance(y: np.ndarray, excess: np.ndarray, second: np.ndarray) -> np.ndarray:
     """The inverses psi''^-1, with zeros for the volume of a body that is held at its least, psi_J > m."""
-    found = _inverse(second)
+    compliance = _inverse(second)
     held = (y[..., 0] <= _FLAT) & (excess[..., 0] > 0)
-    found[held, 0], found[held, :, 0] = 0.0, 0.0
-    found[held, 1:, 1:] = 1 / second[held, 1:, 1:]
-    return found
+    compliance[held, 0], compliance[held, :, 0] = 0.0, 0.0
+    compliance[held, 1:, 1:] = 1 / second[held, 1:, 1:]
+    return compliance
 
 
 def _inverse(A: np.ndarray) -> np.ndarray:
@@ -135,14 +135,14 @@ class MixedHeat:
     def has_one_pressure(self) -> bool:
         """Whether all bodies have the same thermal pressure as a function of J and theta."""
         J, theta = np.meshgrid([0.5, 1.0, 2.0], [1.0, 300.0])
-        first, *others = (each.pressure(theta, J) for each in self.parts.values())
-        return all(abs(other - first).max() <= _SAME * abs(first).max() for other in others)
+        first, *pressures = (each.pressure(theta, J) for each in self.parts.values())
+        return all(abs(other - first).max() <= _SAME * abs(first).max() for other in pressures)
 
     @property
     def reference_temperature(self) -> float | None:
         """The theta_R, K, that all bodies have; None if they differ."""
-        found = {each.theta_R for each in self.parts.values()}
-        return found.pop() if len(found) == 1 else None
+        temperatures = {each.theta_R for each in self.parts.values()}
+        return temperatures.pop() if len(temperatures) == 1 else None
 
     def capacity(self, n: Mapping[str, Any]) -> Any:
         """The heat capacity sum n_i c_i, J/(m^3 K)."""

@@ -87,19 +87,19 @@ class Heat:
 
     def __post_init__(self) -> None:
         require_fields(self)
-        given, owner = self.conductivity, "Heat.conductivity"
-        number = as_number(given)
+        conductivity, owner = self.conductivity, "Heat.conductivity"
+        number = as_number(conductivity)
         if number is not None:
             if number < 0:
-                raise ParameterError(owner, given, "a finite number >= 0")
+                raise ParameterError(owner, conductivity, "a finite number >= 0")
             object.__setattr__(self, "conductivity", number)
-        elif callable(given) and not isinstance(given, CoefficientFunction):
-            values = np.array([given(np.float64(theta)) for theta in _TEMPERATURES])
+        elif callable(conductivity) and not isinstance(conductivity, CoefficientFunction):
+            values = np.array([conductivity(np.float64(theta)) for theta in _TEMPERATURES])
             if not (np.isfinite(values).all() and (values >= 0).all()):
                 worst = float(np.nanmin(values)) if np.isfinite(values).any() else values[0]
                 raise ParameterError(owner, worst, "a function of the temperature, finite and >= 0")
         else:
-            object.__setattr__(self, "conductivity", _matrix(owner, given))
+            object.__setattr__(self, "conductivity", _matrix(owner, conductivity))
 
     @property
     def conducts(self) -> bool:
@@ -121,21 +121,21 @@ class Heat:
         return self.size(theta) * slope
 
 
-def _matrix(owner: str, given: object) -> tuple[tuple[float, ...], ...]:
+def _matrix(owner: str, value: object) -> tuple[tuple[float, ...], ...]:
     """The rows of a conductivity matrix; raises ParameterError for any other value."""
     try:
-        matrix = np.array(given, dtype=float)
+        matrix = np.array(value, dtype=float)
     except (TypeError, ValueError):
         matrix = np.zeros(0)
     expected = "a number >= 0, a function of the temperature, or a 3x3 matrix"
     if matrix.shape != (3, 3) or not np.isfinite(matrix).all():
-        raise ParameterError(owner, given, expected)
+        raise ParameterError(owner, value, expected)
     size = abs(matrix).max()
     if abs(matrix - matrix.T).max() > 1e-12 * size:
-        raise ParameterError(owner, given, f"{expected}, symmetric")
+        raise ParameterError(owner, value, f"{expected}, symmetric")
     if (least := np.linalg.eigvalsh(matrix)[0]) < -1e-12 * size:
         expected = f"{expected}, positive semidefinite; it has an eigenvalue {least:.4g}"
-        raise ParameterError(owner, given, expected)
+        raise ParameterError(owner, value, expected)
     return tuple(map(tuple, matrix.tolist()))
 
 
@@ -179,6 +179,6 @@ class HeatLaw:
         """The heat flux kappa grad theta, W/m^2."""
         return self._sum(z, lambda law: law.flux(theta, slope, dim))
 
-    def _sum(self, z: Values, of: Callable[[Heat], Any]) -> Any:
+    def _sum(self, z: Values, quantity: Callable[[Heat], Any]) -> Any:
         conducting = {name: law for name, law in self.parts.items() if law.conducts or name is None}
-        return reduce(add, (self.share(name, z) * of(law) for name, law in conducting.items()))
+        return reduce(add, (self.share(name, z) * quantity(law) for name, law in conducting.items()))

@@ -206,9 +206,9 @@ class Material(ABC):
         ``continued``, under "" the functions of several variables.
         """
         kept = (v for v in self.variables if v.name not in self.continued)
-        found = {v.name: v.positive(z[v.name]) for v in kept}
+        bounds = {v.name: v.positive(z[v.name]) for v in kept}
         domain = self.domain(z)
-        return found | {"": domain} if domain else found
+        return bounds | {"": domain} if domain else bounds
 
     @property
     def where_means_do(self) -> frozenset[str]:
@@ -237,8 +237,8 @@ class Material(ABC):
         share = self.taking_part(z).get(variable.name)
         if share is not None:
             L, Pi = skw(L) + share * sym(L), share * Pi
-        found = variable.rate(z, L, Pi)
-        return found + tr(L) * z[variable.name] if variable.by_flux else found
+        rate = variable.rate(z, L, Pi)
+        return rate + tr(L) * z[variable.name] if variable.by_flux else rate
 
     def states(self, dim: int) -> StateSpace:
         """The space of the states on meshes of dimension ``dim``."""
@@ -263,8 +263,8 @@ def check_material(material: Material) -> None:
     for variable in material.variables:
         for other in set(variable.requires).difference(names):
             raise ParameterError(field, names, f"{other!r} too: the rate of {variable.name!r} reads it")
-    for own in material.distortions.values():
-        tensors = (v for v in material.variables if v.name in own)
+    for distortion in material.distortions.values():
+        tensors = (v for v in material.variables if v.name in distortion)
         frames = {v.frame: v.name for v in tensors if v.frame is not None}
         if len(frames) > 1:
             expected = (
@@ -369,8 +369,8 @@ def mandel_stress(
 def volume_ratio(material: Material, z: Values) -> Tensor:
     """J from the first scalar that determines it, else from the first tensor whose determinant does."""
     variables = sorted(material.variables, key=lambda v: v.kind != "scalar")
-    found = (v.volume_ratio(z[v.name]) for v in variables)
-    power, exponent = next(ratio for ratio in found if ratio is not None and abs(ratio[1]) > 1e-12)
+    ratios = (v.volume_ratio(z[v.name]) for v in variables)
+    power, exponent = next(ratio for ratio in ratios if ratio is not None and abs(ratio[1]) > 1e-12)
     return power ** (1 / exponent)
 
 

@@ -36,29 +36,29 @@ class MixedViscosity(Viscosity):
 
     @property
     def reads(self) -> frozenset[str]:  # type: ignore[override]
-        own = {INTERFACE} if self.in_series else set()
-        return frozenset[str](own).union(*(part.reads for _, part in self.parts))
+        interface = {INTERFACE} if self.in_series else set()
+        return frozenset[str](interface).union(*(part.reads for _, part in self.parts))
 
     @cached_property
     def in_series(self) -> dict[str, float]:
         """Typical shear viscosities, Pa s, by the bodies' names; empty unless layers act in series."""
         stokes = {name: part for name, part in self.parts if isinstance(part, StokesViscosity)}
-        found = {name: typical_value(part.G_v) for name, part in stokes.items()}
-        all_are = len(found) == len(self.fractions.bodies) > 1 and min(found.values()) > 0
-        return found if all_are and max(found.values()) > min(found.values()) else {}
+        viscosities = {name: typical_value(part.G_v) for name, part in stokes.items()}
+        all_are = len(viscosities) == len(self.fractions.bodies) > 1 and min(viscosities.values()) > 0
+        return viscosities if all_are and max(viscosities.values()) > min(viscosities.values()) else {}
 
     @property
     def is_linear(self) -> bool:  # type: ignore[override]
         return all(part.is_linear for _, part in self.parts)
 
-    def _mean(self, z: Values, of: Callable[[Viscosity], Any]) -> Any:
+    def _mean(self, z: Values, quantity: Callable[[Viscosity], Any]) -> Any:
         theta = self.fractions.not_negative(z)
-        return reduce(add, (theta[name] * of(part) for name, part in self.parts))
+        return reduce(add, (theta[name] * quantity(part) for name, part in self.parts))
 
     def stress(self, eps: Tensor, z: Values) -> Tensor:
-        found = self._mean(z, lambda part: part.stress(eps, z))
+        mean = self._mean(z, lambda part: part.stress(eps, z))
         if not self.in_series:
-            return found
+            return mean
         theta, P, shear = self.fractions.not_negative(z), z[INTERFACE], dev(eps)
         values = {
             name: value_at(part.G_v, z) for name, part in self.parts if isinstance(part, StokesViscosity)
@@ -68,7 +68,7 @@ class MixedViscosity(Viscosity):
         across = total * total / reduce(add, (theta[name] / G_v for name, G_v in values.items()))
         normal_part = P * shear
         across_interface = dev(normal_part + normal_part.trans - 2 * (normal_part * P))
-        return found - (2 * (along - across)) * across_interface
+        return mean - (2 * (along - across)) * across_interface
 
     def shear_viscosity(self, z: Values) -> ValueOfModulus:
         return self._mean(z, lambda part: part.shear_viscosity(z))

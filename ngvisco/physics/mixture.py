@@ -113,8 +113,8 @@ class Mixture(Material):
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
         """Parameters of moduli, of the bodies' variables and of the model's other laws."""
-        own = (v for body in self.bodies for v in body.material.variables if isinstance(v, Parameter))
-        return distinct((*parameters_in(self.bodies), *self.carried, *own))
+        carried = (v for body in self.bodies for v in body.material.variables if isinstance(v, Parameter))
+        return distinct((*parameters_in(self.bodies), *self.carried, *carried))
 
     @property
     def fractions(self) -> Fractions:
@@ -124,8 +124,8 @@ class Mixture(Material):
     def contents(self, body: str) -> tuple[Content, ...]:
         """The contents X_i of a body, in the order of its energy's tensors."""
         tensors = self.energies[body].tensors
-        own = (replace(v, name=f"{v.name}_{body}", exponent=v.exponent - 1) for v in tensors)
-        return tuple(Content(v.name, v.kind, v, 1 / len(self.bodies)) for v in own)
+        scaled = (replace(v, name=f"{v.name}_{body}", exponent=v.exponent - 1) for v in tensors)
+        return tuple(Content(v.name, v.kind, v, 1 / len(self.bodies)) for v in scaled)
 
     @cached_property
     def plastic_contents(self) -> dict[tuple[str, str | None], PlasticContent]:
@@ -151,8 +151,8 @@ class Mixture(Material):
     def densities(self, body: str) -> tuple[Variable, ...]:
         """Densities that a body carries: X_i, n_i, and K_i if the body hardens."""
         hardened = {K.name for (owner, _), K in self.plastic_contents.items() if owner == body}
-        own = {X.name for X in self.contents(body)} | {AMOUNT + body} | hardened
-        return tuple(v for v in self.variables if v.name in own)
+        names = {X.name for X in self.contents(body)} | {AMOUNT + body} | hardened
+        return tuple(v for v in self.variables if v.name in names)
 
     @cached_property
     def variables(self) -> tuple[Variable, ...]:
@@ -174,13 +174,13 @@ class Mixture(Material):
     @cached_property
     def has_one_volume(self) -> bool:
         """Whether U_i' is one function of J for all bodies, so that V has an expression."""
-        first, *others = self.energies.values()
-        if not others:
+        first, *energies = self.energies.values()
+        if not energies:
             return True
         if any(psi.reads_parameters_in_volume for psi in self.energies.values()):
             return False
         size = _SAME * abs(first.pressures).max()
-        same = all(abs(psi.pressures - first.pressures).max() <= size for psi in others)
+        same = all(abs(psi.pressures - first.pressures).max() <= size for psi in energies)
         return same and (self.heat is None or self.heat.has_one_pressure)
 
     @cached_property
@@ -200,19 +200,19 @@ class Mixture(Material):
             each = zip(sizes, n.values(), strict=True)
             return reduce(add, ((size / min(sizes) - share) * amount for size, amount in each))
 
-        found = {"the sum of the amounts": total}
+        bounds = {"the sum of the amounts": total}
         if not self.has_one_volume:
-            found["the compliance of the bodies"] = above(0.1, [1 / K for K in self.stiffnesses.values()])
+            bounds["the compliance of the bodies"] = above(0.1, [1 / K for K in self.stiffnesses.values()])
         if self.heat is not None:
-            found["the heat capacity of the bodies"] = above(0.1, [b.c for b in self.heat.parts.values()])
+            bounds["the heat capacity of the bodies"] = above(0.1, [b.c for b in self.heat.parts.values()])
         nonlinear = not all(psi.is_linear for psi in self.energies.values())
         if nonlinear or self.plastic_contents:
             half = 0.5 * (TRACE if nonlinear else HARDENING_TRACE)
-            found |= {f"{AMOUNT}{name} + {half:g} N": value + half * total for name, value in n.items()}
+            bounds |= {f"{AMOUNT}{name} + {half:g} N": value + half * total for name, value in n.items()}
         densities = [body.density or 0.0 for body in self.bodies]
         if max(densities) > 2 * min(densities):
-            found[_LIGHTEST] = above(0.5, densities)
-        return {"": found}
+            bounds[_LIGHTEST] = above(0.5, densities)
+        return {"": bounds}
 
     @property
     def where_means_do(self) -> frozenset[str]:
@@ -221,10 +221,10 @@ class Mixture(Material):
     @cached_property
     def linear(self) -> tuple[str, ...]:
         """Names of variables in which the energy of shear and hardening is linear."""
-        found = list(self.linear_contents)
+        names = list(self.linear_contents)
         if all(psi.is_linear for psi in self.energies.values()) and not self.plastic_contents:
-            found += [AMOUNT + body.name for body in self.bodies]
-        return tuple(found if self.heat is None else [*found, self.heat.entropy.name])
+            names += [AMOUNT + body.name for body in self.bodies]
+        return tuple(names if self.heat is None else [*names, self.heat.entropy.name])
 
     @cached_property
     def linear_contents(self) -> dict[str, str]:
@@ -241,11 +241,11 @@ class Mixture(Material):
     def filled(self, shares: Mapping[str, Any], F: Tensor | Mapping[str, Tensor]) -> dict[str, Any]:
         """n_i and X_i by name for volume ``shares`` of the bodies and their distortion F: one for all, or F
         by the bodies' names."""
-        of = F if isinstance(F, Mapping) else dict.fromkeys(shares, F)
-        found = {AMOUNT + name: share / Det(of[name]) for name, share in shares.items()}
+        by_body = F if isinstance(F, Mapping) else dict.fromkeys(shares, F)
+        values = {AMOUNT + name: share / Det(by_body[name]) for name, share in shares.items()}
         for name, share in shares.items():
-            found |= {X.name: share * X.tensor.from_distortion(of[name]) for X in self.contents(name)}
-        return found
+            values |= {X.name: share * X.tensor.from_distortion(by_body[name]) for X in self.contents(name)}
+        return values
 
     def at_rest(self, z: Values) -> Values:
         total = self.fractions.total(z)
@@ -254,8 +254,8 @@ class Mixture(Material):
 
     def shears(self, z: Values) -> dict[str, Any]:
         """The energies n_i f_i(X_i/n_i), plus n_i phi_h(K_i/n_i) with hardening, by the bodies' names, Pa."""
-        total, found = self.fractions.total(z), {}
-        own = {v.name: z[v.name] for v in self.parameters}
+        total, energies = self.fractions.total(z), {}
+        parameters = {v.name: z[v.name] for v in self.parameters}
         for body in self.bodies:
             psi, n = self.energies[body.name], z[AMOUNT + body.name]
             one = 1 + 0 * n
@@ -270,21 +270,21 @@ class Mixture(Material):
                 inverse = 1 / weight
                 X = {name: inverse * (value + trace * unit[name]) for name, value in X.items()}
             rest = {name: size * each for name, each in unit.items()}
-            shear = psi.energy({**own, **X, "J": one}) - psi.energy({**own, **rest, "J": one})
-            found[body.name] = weight * shear
+            shear = psi.energy({**parameters, **X, "J": one}) - psi.energy({**parameters, **rest, "J": one})
+            energies[body.name] = weight * shear
             for branch, rule in body.rules.items():
                 if rule.hardening is None:
                     continue
                 content = z[self.plastic_contents[body.name, branch].name]
-                of_yield = rule.hardening.energy(self.fractions.hardened(z, body.name), content, own)
-                found[body.name] = found[body.name] + of_yield
-        return found
+                of_yield = rule.hardening.energy(self.fractions.hardened(z, body.name), content, parameters)
+                energies[body.name] = energies[body.name] + of_yield
+        return energies
 
     def volumetric(self, body: str, z: Values) -> Any:
         """U_i(J), plus u_i(S, J) for a body with heat, Pa per reference volume; ``z`` has J, S and the
         parameters."""
-        found = self.energies[body].volumetric(z)
-        return found if self.heat is None else found + self.heat.energy(body, z["S"], z["J"])
+        energy = self.energies[body].volumetric(z)
+        return energy if self.heat is None else energy + self.heat.energy(body, z["S"], z["J"])
 
     def volumes(self, z: Values, J: Any) -> dict[str, Any]:
         """n_i (U_i + u_i) by the bodies' names, Pa, for bodies of one volume J and one temperature."""
@@ -340,10 +340,14 @@ class _InEquilibrium:
         size = 1 + len(self.shared)
 
         def energies(y: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, ...]:
-            own = states[np.ix_(points, self.parameters)]
-            found = [of(np.column_stack([y[:, i], own])) for i, of in enumerate(self.volumes)]
-            psi, slope = (np.stack([getattr(f, name) for f in found], axis=1) for name in ("energy", "slope"))
-            return psi, slope[..., :size], np.stack([f.hessian[:, :size, :size] for f in found], axis=1)
+            parameters = states[np.ix_(points, self.parameters)]
+            responses = [
+                volume(np.column_stack([y[:, i], parameters])) for i, volume in enumerate(self.volumes)
+            ]
+            psi, slope = (
+                np.stack([getattr(f, name) for f in responses], axis=1) for name in ("energy", "slope")
+            )
+            return psi, slope[..., :size], np.stack([f.hessian[:, :size, :size] for f in responses], axis=1)
 
         where = [*self.amounts.values(), *self.shared]
         n = np.ascontiguousarray(states[:, where[: len(self.amounts)]])

@@ -127,8 +127,8 @@ class Model:
         _require_distinct("Model.loads", [load.name for load in self.loads])
         check_material(self.material)
         names = ("material", "viscosity", "hyperviscosity", "creep")
-        taken = [] if entropy_in(self.material) is None else [TEMPERATURE]
-        laws = told_apart((getattr(self, name) for name in names), taken)
+        reserved = [] if entropy_in(self.material) is None else [TEMPERATURE]
+        laws = told_apart((getattr(self, name) for name in names), reserved)
         for name, law in zip(names, laws, strict=True):
             object.__setattr__(self, name, law)
         carried = parameters_in(laws)
@@ -186,22 +186,24 @@ class Model:
     @property
     def mechanisms(self) -> tuple[CreepMechanism, ...]:
         """Creep mechanisms of the material, of each branch of a network, or of each body."""
-        of = self.material
-        if (network := part_of(of, Network)) is not None:
+        material = self.material
+        if (network := part_of(material, Network)) is not None:
             return tuple(
-                CreepMechanism(branch.creep, of.distortions[name], of.conformation_of(name), name)
+                CreepMechanism(branch.creep, material.distortions[name], material.conformation_of(name), name)
                 for name, branch in network.parts.items()
-                if branch.creep is not None and branch.creep.flows and of.distortions[name]
+                if branch.creep is not None and branch.creep.flows and material.distortions[name]
             )
-        if not isinstance(of, Mixture):
-            names = tuple(v.name for v in of.variables if v.creeps)
-            mechanism = CreepMechanism(self.creep, names, of.conformation) if self.creep is not None else None
+        if not isinstance(material, Mixture):
+            names = tuple(v.name for v in material.variables if v.creeps)
+            mechanism = (
+                CreepMechanism(self.creep, names, material.conformation) if self.creep is not None else None
+            )
             return (mechanism,) if mechanism is not None and mechanism.rule.flows else ()
         return tuple(
-            CreepMechanism(rule, names, branch=branch, body=body.name, fractions=of.fractions)
+            CreepMechanism(rule, names, branch=branch, body=body.name, fractions=material.fractions)
             for body in self.bodies
             for branch, rule in body.rules.items()
-            if (names := of.contents_of(body.name, branch))
+            if (names := material.contents_of(body.name, branch))
         )
 
     @property
@@ -231,8 +233,8 @@ class Model:
         entropy = entropy_in(material)
         if self.heat is not None and entropy is None:
             raise ParameterError("Model.heat", self.heat, _NO_TEMPERATURE)
-        own = part_of(material, Thermal) is None and not isinstance(material, Mixture)
-        if entropy is not None and own and not (slope := warming(material, entropy)) > 0:
+        is_custom = part_of(material, Thermal) is None and not isinstance(material, Mixture)
+        if entropy is not None and is_custom and not (slope := warming(material, entropy)) > 0:
             expected = f"an energy convex in the entropy: at rest d theta/d s is {slope:.4g} K, not > 0"
             raise ParameterError("Model.material", material, expected)
         if self.heat is not None and self.heat.numerical_heating and material.response(3) is not None:
@@ -268,13 +270,13 @@ class Model:
             raise ParameterError("Model.bodies", without, "one body at most without a place, the rest")
         law = self.regularisation
         if isinstance(law, Regularisation):
-            for name, given, none in (
+            for name, number, none in (
                 ("rho_max", law.rho_max, None),
                 ("delta_density", law.delta_density, 0.0),
             ):
-                if given != none:
+                if number != none:
                     why = "the density is the sum of theirs, which nothing cuts off or mixes"
-                    raise ParameterError(f"Regularisation.{name}", given, f"{none} with bodies: {why}")
+                    raise ParameterError(f"Regularisation.{name}", number, f"{none} with bodies: {why}")
         for body in self.bodies:
             for part, fault in _faults(body, self.bodies):
                 raise ParameterError(f"bodies[{body.name!r}].{part}", attrgetter(part)(body), fault)

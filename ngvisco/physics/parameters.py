@@ -304,8 +304,8 @@ def _as_modulus(full: str, value: object, said: Declared) -> Modulus:
         expected = "a function of the initial place; it reads the time, as loads and walls may"
         raise ParameterError(full, value, expected)
     mean: Any = said.mean or ("geometric" if is_positive else "root")
-    own = Parameter(full.rpartition(".")[2], start=value, typical=1.0, mean=mean)
-    return _Modulus(full, own, is_positive, is_own=True)
+    parameter = Parameter(full.rpartition(".")[2], start=value, typical=1.0, mean=mean)
+    return _Modulus(full, parameter, is_positive, is_own=True)
 
 
 def parameters_in(values: Iterable[object]) -> tuple[Parameter, ...]:
@@ -325,13 +325,13 @@ def distinct(parameters: Iterable[Parameter]) -> tuple[Parameter, ...]:
 
     Raises ParameterError if two parameters of one name differ, for example in their start values.
     """
-    found: dict[str, Parameter] = {}
+    by_name: dict[str, Parameter] = {}
     for parameter in parameters:
-        known = found.setdefault(parameter.name, parameter)
+        known = by_name.setdefault(parameter.name, parameter)
         if known is not parameter and not (known == parameter and known.start is parameter.start):
             expected = "one parameter, or names of their own for two"
             raise ParameterError("Parameter.name", parameter.name, expected)
-    return tuple(found.values())
+    return tuple(by_name.values())
 
 
 def expressions_in(value: object) -> Iterator[ParameterExpression]:
@@ -365,9 +365,9 @@ def substituted(law: T, value_of: Callable[[ParameterExpression], Any]) -> T:
 
     if not _is_law(law):
         return law
-    own = {each.name: getattr(law, each.name) for each in dataclasses.fields(law)}  # type: ignore[arg-type]
-    found = {name: within(part) for name, part in own.items()}
-    changes = {name: part for name, part in found.items() if part is not own[name]}
+    fields = {each.name: getattr(law, each.name) for each in dataclasses.fields(law)}  # type: ignore[arg-type]
+    replaced = {name: within(part) for name, part in fields.items()}
+    changes = {name: part for name, part in replaced.items() if part is not fields[name]}
     if not changes:
         return law
     result = copy(law)
@@ -380,7 +380,7 @@ def renamed(law: T, prefix: str) -> T:
     """A law with ``prefix`` before the names of the parameters that were made of its moduli."""
 
     # a renamed parameter is not marked as own, so that it gets one prefix only
-    return _with_own_names(law, lambda own: prefix + own.name, is_own=False)
+    return _with_own_names(law, lambda parameter: prefix + parameter.name, is_own=False)
 
 
 def told_apart(laws: Iterable[T], taken: Iterable[str] = ()) -> list[T]:
@@ -390,10 +390,10 @@ def told_apart(laws: Iterable[T], taken: Iterable[str] = ()) -> list[T]:
     """
     known: dict[str, Parameter | None] = dict.fromkeys(taken)
 
-    def with_number(own: Parameter) -> str:
-        name, numbers = own.name, count(2)
-        while (other := known.setdefault(name, own)) is None or other.start is not own.start:
-            name = f"{own.name}_{next(numbers)}"
+    def with_number(parameter: Parameter) -> str:
+        name, numbers = parameter.name, count(2)
+        while (other := known.setdefault(name, parameter)) is None or other.start is not parameter.start:
+            name = f"{parameter.name}_{next(numbers)}"
         return name
 
     return [_with_own_names(law, with_number, is_own=True) for law in laws]
@@ -405,10 +405,10 @@ def _with_own_names(law: T, name_of: Callable[[Parameter], str], is_own: bool) -
     def named(expression: ParameterExpression) -> ParameterExpression:
         if not (isinstance(expression, _Modulus) and expression.is_own):
             return expression
-        (own,) = expression.parameters
-        if (name := name_of(own)) == own.name:
+        (parameter,) = expression.parameters
+        if (name := name_of(parameter)) == parameter.name:
             return expression
-        return replace(expression, expression=replace(own, name=name), is_own=is_own)
+        return replace(expression, expression=replace(parameter, name=name), is_own=is_own)
 
     return substituted(law, named)
 

@@ -89,8 +89,8 @@ def respond(material: Material, dim: int, linear: Iterable[str] = ()) -> Respond
     ParameterError
         If arrays cannot evaluate the energy and NGSolve's second derivative of it is wrong.
     """
-    if (own := material.response(dim)) is not None:
-        return own
+    if (response := material.response(dim)) is not None:
+        return response
     by_expression, both = ExpressionResponse(material, dim), energy_and_slope(material, dim)
     if both is None or not by_expression.agrees(both):
         by_expression.check()
@@ -158,24 +158,24 @@ class ExpressionResponse:
 
     def __call__(self, states: np.ndarray) -> Response:
         n, size = states.shape
-        found = self._values(self._all, states, 1 + size + size**2)
-        energy, slope, hessian = np.split(found, [1, 1 + size], axis=1)
+        values = self._values(self._all, states, 1 + size + size**2)
+        energy, slope, hessian = np.split(values, [1, 1 + size], axis=1)
         return Response(energy[:, 0], slope, hessian.reshape(n, size, size))
 
     def slope(self, z: np.ndarray) -> np.ndarray:
         """phi'(z), both (N, points), real."""
-        found = self._values(self._first_compiled, z.T, 1 + self.size).T
-        return where_energy_is(found[0], found[1:])
+        values = self._values(self._first_compiled, z.T, 1 + self.size).T
+        return where_energy_is(values[0], values[1:])
 
     def _values(self, function: CoefficientFunction, states: np.ndarray, width: int) -> np.ndarray:
         """Values, (n, width), of a function of the state; NaN or inf outside of the energy's domain."""
-        found = np.empty((len(states), width))
+        result = np.empty((len(states), width))
         for start in range(0, len(states), len(self.points)):
             some = states[start : start + len(self.points)]
             self.state.vec.FV().NumPy().reshape(self.size, -1)[:, : len(some)] = some.T
             values = np.asarray(function(self.points[: len(some)]))
-            found[start : start + len(some)] = values.reshape(len(some), width)
-        return found
+            result[start : start + len(some)] = values.reshape(len(some), width)
+        return result
 
     def _sampled(self) -> np.ndarray:
         """Random states near rest, and near the vector of ones."""
@@ -187,9 +187,9 @@ class ExpressionResponse:
         states = self._sampled()
         expected = self._values(self._first, states, 1 + self.size)
         energy, slope = both(np.ascontiguousarray(states.T))
-        found, known = np.column_stack([energy, slope.T]), np.isfinite(expected)
-        for own in (slice(0, 1), slice(1, None)):
-            a, b = found[:, own][known[:, own]], expected[:, own][known[:, own]]
+        actual, known = np.column_stack([energy, slope.T]), np.isfinite(expected)
+        for part in (slice(0, 1), slice(1, None)):
+            a, b = actual[:, part][known[:, part]], expected[:, part][known[:, part]]
             if not np.allclose(a, b, rtol=1e-9, atol=1e-12 * abs(b).max(initial=0.0)):
                 return False
         return True
@@ -200,12 +200,12 @@ class ExpressionResponse:
         along = np.random.default_rng(1).standard_normal(states.shape)
         ahead, behind = (self._values(self._first, states + s * step * along, 1 + self.size) for s in (1, -1))
         expected = (ahead - behind)[:, 1:] / (2 * step)
-        found = np.einsum("nij,nj->ni", self(states).hessian, along)
+        change = np.einsum("nij,nj->ni", self(states).hessian, along)
         known = np.isfinite(expected).all(axis=1)
         if not known.any():
             return
         size = abs(expected[known]).max(axis=1)
-        off = abs(found - expected)[known].max(axis=1)
+        off = abs(change - expected)[known].max(axis=1)
         if not (off <= _DIFFERENCE * size + 1e-9 * size.max()).all():
             field = self.material.energy_parameter
             raise ParameterError(

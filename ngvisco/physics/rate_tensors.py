@@ -82,14 +82,14 @@ class RateTensors:
 
         rates, of_mixed = np.array([rates_by(X) for X in np.eye(len(mixed))]), rates_by(mixed)
         result = RateTensors(rates[:, :, 0], rates[:, :, 1 : n + 1] - rates[:, :, :1], g, dim)
-        others, nonlinear = slice(n + 1, None), []
+        samples, nonlinear = slice(n + 1, None), []
         for v in variables:
-            own = states.slices[v.name]
-            if _differ(np.tensordot(mixed, rates[:, own], 1), of_mixed[own]):
+            part = states.slices[v.name]
+            if _differ(np.tensordot(mixed, rates[:, part], 1), of_mixed[part]):
                 expected = "linear in L and Pi together; any other part of the rate belongs in a term"
                 raise ParameterError(f"{type(v).__name__}.rate", v.name, expected)
-            affine = result.rate(values[:, others], mixed[:, None])
-            if _differ(affine[own], of_mixed[own, others]):
+            affine = result.rate(values[:, samples], mixed[:, None])
+            if _differ(affine[part], of_mixed[part, samples]):
                 nonlinear.append(v.name)
         return replace(result, nonlinear_variables=tuple(nonlinear))
 

@@ -334,9 +334,9 @@ def _require_equal(one: np.ndarray, other: np.ndarray, expected: str) -> None:
     difference = np.abs(one - other)
     at = np.unravel_index(int(np.argmax(difference)), one.shape)
     if difference[at] > _TOLERANCE * np.abs(one).max():
-        found = f"{float(one[at])!r} at {''.join(str(int(i) + 1) for i in at)}"
+        value = f"{float(one[at])!r} at {''.join(str(int(i) + 1) for i in at)}"
         opposite = f"{expected}: there is {float(other[at])!r} opposite to it"
-        raise ParameterError("LinearViscosity.D", found, opposite)
+        raise ParameterError("LinearViscosity.D", value, opposite)
 
 
 def _as_tuples(array: np.ndarray) -> Any:

@@ -24,26 +24,26 @@ def reads_time(function: CoefficientFunction) -> bool:
     """Whether a function changes with the run's time; NGSolve's other parameters count as numbers."""
     if not may_read_time(function):
         return False
-    present, found = time.Get(), []
+    present, samples = time.Get(), []
     try:
         for t in (present, present + 0.37, 2 * present + 1.9):
             time.Set(t)
-            found.append(sampled(function))
+            samples.append(sampled(function))
     finally:
         time.Set(present)
-    return not all(one_value(list(values)) for values in zip(*found, strict=True))
+    return not all(one_value(list(values)) for values in zip(*samples, strict=True))
 
 
 def sampled(function: CoefficientFunction) -> list[float]:
     """The values at places in cells of two sizes; [inf, nan] for a function that cannot be evaluated."""
-    found = []
+    values = []
     for cells in (1, 3):
         mesh = MakeStructured2DMesh(quads=False, nx=cells, ny=cells)
         try:
-            found += [function(mesh(place, 0.5 * place)) for place in _PLACES]
+            values += [function(mesh(place, 0.5 * place)) for place in _PLACES]
         except Exception:  # NGSolve's errors for functions that no mesh can evaluate
             return [np.inf, np.nan]
-    return found
+    return values
 
 
 def one_value(found: list[float]) -> bool:
@@ -152,8 +152,8 @@ def _checked(name: str, rows: np.ndarray) -> np.ndarray:
         raise ParameterError(name, "a number that is not finite", "finite numbers")
     times = rows[:, 0]
     if (late := np.flatnonzero(np.diff(times) <= 0)).size:
-        found = f"{times[late[0]]:g} s, then {times[late[0] + 1]:g} s"
-        raise ParameterError(f"{name}, times", found, "times that increase from row to row")
+        instants = f"{times[late[0]]:g} s, then {times[late[0] + 1]:g} s"
+        raise ParameterError(f"{name}, times", instants, "times that increase from row to row")
     return rows
 
 
@@ -163,8 +163,8 @@ def _rows_from(times: Sequence[float], values: Sequence[float] | Sequence[Sequen
     except (TypeError, ValueError):
         raise ParameterError("table", (times, values), "times, and as many values or rows of them") from None
     if first.ndim != 1 or rest.ndim not in (1, 2) or len(first) != len(rest):
-        found = f"{first.shape} times, values of shape {rest.shape}"
-        raise ParameterError("table", found, "times, and as many values or rows of them")
+        shapes = f"{first.shape} times, values of shape {rest.shape}"
+        raise ParameterError("table", shapes, "times, and as many values or rows of them")
     return np.column_stack([first, rest])
 
 
@@ -184,6 +184,6 @@ def _rows_of(path: str) -> np.ndarray:
             expected = f"numbers in line {number} of {path!r}"
             raise ParameterError("table", ",".join(parts), expected) from None
         if len(rows[-1]) != len(rows[0]):
-            found, expected = f"{len(rows[-1])} numbers", f"{len(rows[0])} in line {number} of {path!r}, too"
-            raise ParameterError("table", found, expected)
+            count, expected = f"{len(rows[-1])} numbers", f"{len(rows[0])} in line {number} of {path!r}, too"
+            raise ParameterError("table", count, expected)
     return np.array(rows).reshape(len(rows), -1 if rows else 0)

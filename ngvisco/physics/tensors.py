@@ -99,8 +99,8 @@ def constant(array: np.ndarray) -> Tensor:
 def _constant(numbers: bytes, shape: tuple[int, ...]) -> Tensor:
     """Make ``constant``, with each distinct number once: NGSolve takes 0.1 ms to convert a number."""
     values, which = np.unique(np.frombuffer(numbers), return_inverse=True)
-    made = [CF(float(value)) for value in values]
-    return CF(tuple(made[i] for i in which.ravel()), dims=shape)
+    functions = [CF(float(value)) for value in values]
+    return CF(tuple(functions[i] for i in which.ravel()), dims=shape)
 
 
 def linear_map(matrix: np.ndarray, A: Tensor, shape: tuple[int, ...]) -> Tensor:

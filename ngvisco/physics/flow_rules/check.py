@@ -34,14 +34,14 @@ def values_at_rest(material: Material, parameters: Mapping[str, float] | None = 
     states, components = material.states(3), rest_state(material, 3)[:, None]
     for name in states.slices.keys() & (parameters or {}).keys():
         components[states.slices[name]] = (parameters or {})[name]
-    found = {name: states.tensor(name, Array(components, None)) for name in states.slices}
-    found[PRESSURE] = found[HARDENING] = Array(np.zeros(1), None)
-    found[INTERFACE] = Array(np.zeros((3, 3, 1)), None)
-    found[CONFORMATION] = Array(np.eye(3)[:, :, None], None)
+    values = {name: states.tensor(name, Array(components, None)) for name in states.slices}
+    values[PRESSURE] = values[HARDENING] = Array(np.zeros(1), None)
+    values[INTERFACE] = Array(np.zeros((3, 3, 1)), None)
+    values[CONFORMATION] = Array(np.eye(3)[:, :, None], None)
     thermal = part_of(material.bodies[0].material if isinstance(material, Mixture) else material, Thermal)
     if thermal is not None:
-        found[TEMPERATURE] = found[PRESSURE].like(float(thermal.theta_R))
-    return found
+        values[TEMPERATURE] = values[PRESSURE].like(float(thermal.theta_R))
+    return values
 
 
 def _readable(name: str, law: FlowRule | Viscosity, material: Material) -> dict[str, Any]:
@@ -70,10 +70,10 @@ def check_viscosity(law: Viscosity, material: Material) -> None:
     sizes = np.tile(_SIZES, 8)
     with np.errstate(all="ignore"):
         with _naming(f"{name}.stress", law):
-            made = [law.stress(Array(e, None), z).value for e in (eps, 1.001 * eps)]
-            found = [np.broadcast_to(stress, eps.shape) for stress in made]
-        power, risen = (((stress * eps).sum(axis=(0, 1)) / sizes) for stress in found)
-        asked, large = np.isfinite(power) & np.isfinite(risen), np.sqrt((found[0] ** 2).sum(axis=(0, 1)))
+            unshaped = [law.stress(Array(e, None), z).value for e in (eps, 1.001 * eps)]
+            stresses = [np.broadcast_to(stress, eps.shape) for stress in unshaped]
+        power, risen = (((stress * eps).sum(axis=(0, 1)) / sizes) for stress in stresses)
+        asked, large = np.isfinite(power) & np.isfinite(risen), np.sqrt((stresses[0] ** 2).sum(axis=(0, 1)))
         _refuse(f"{name}.stress", power < -_ROUNDING * large, asked, power, sizes, "D(eps) : eps >= 0", "eps")
         falls = risen - power < -_ROUNDING * large
         expected = "a stress that rises with eps, of a convex potential"
@@ -136,8 +136,8 @@ def _refuse(
     value: np.ndarray,
     sizes: np.ndarray,
     expected: str,
-    of: str = "M",
+    argument: str = "M",
 ) -> None:
     if (at := np.flatnonzero(wrong & asked)).size:
-        where = f"{expected}, here at |{of}| = {sizes[at[0]]:g} {'Pa' if of == 'M' else '1/s'}"
+        where = f"{expected}, here at |{argument}| = {sizes[at[0]]:g} {'Pa' if argument == 'M' else '1/s'}"
         raise ParameterError(field, float(value[at[0]]), where)

@@ -37,7 +37,7 @@ def resolved(
     size = np.linalg.norm(Y, axis=1)
     along = Y / np.where(size > 0, size, 1.0)[:, None]
     low, high, s = np.zeros_like(size), np.full_like(size, np.inf), size if start is None else start
-    moved, found = np.full_like(size, np.inf), np.zeros(len(size), dtype=bool)
+    moved, done = np.full_like(size, np.inf), np.zeros(len(size), dtype=bool)
     for _ in range(_ITERATIONS):
         value = (rate((s + 1j * TINY)[:, None] * along) * along).sum(axis=1)
         defect = s + c * value.real - size
@@ -45,11 +45,11 @@ def resolved(
         newton = s - defect / (1 + c * value.imag / TINY)
         length = abs(newton - s)
         # on an exponential Newton's steps have one length: then the bracket is halved
-        taken = (newton >= low) & (newton <= high) & (length <= 0.5 * moved)
+        accepted = (newton >= low) & (newton <= high) & (length <= 0.5 * moved)
         middle = np.where(high < np.inf, 0.5 * (low + high), 2 * s)  # no upper end if the rate gives energy
-        s, moved = np.where(found, s, np.where(taken, newton, middle)), np.where(taken, length, np.inf)
-        found |= taken & (length <= _LAST * size)
-        if found.all():
+        s, moved = np.where(done, s, np.where(accepted, newton, middle)), np.where(accepted, length, np.inf)
+        done |= accepted & (length <= _LAST * size)
+        if done.all():
             break
     M = s[:, None] * along
     Pi = rate(M)

@@ -222,9 +222,9 @@ class Damaged(Wrapper):
 
     @property
     def variables(self) -> tuple[Variable, ...]:
-        own = self.material.variables
-        volume = () if self.is_linearised or ReciprocalJacobian() in own else (ReciprocalJacobian(),)
-        return (*own, *volume, *(() if self.area == "actual" else (WHOLE_F,)), DAMAGE, self.slope)
+        carried = self.material.variables
+        volume = () if self.is_linearised or ReciprocalJacobian() in carried else (ReciprocalJacobian(),)
+        return (*carried, *volume, *(() if self.area == "actual" else (WHOLE_F,)), DAMAGE, self.slope)
 
     @property
     def slope(self) -> DamageSlope:
@@ -258,39 +258,39 @@ class Damaged(Wrapper):
 
     def parts(self, z: Values) -> tuple[Tensor, Tensor | None]:
         """The degraded part a(z) of the energy, Pa, and the rest c(z), Pa, or None without a rest."""
-        own = {v.name: z[v.name] for v in self.material.variables}
-        whole = self._breaking.energy(own)
-        left = None if self.breaking is None else self.material.energy(own) - whole
+        values = {v.name: z[v.name] for v in self.material.variables}
+        whole = self._breaking.energy(values)
+        left = None if self.breaking is None else self.material.energy(values) - whole
         if self.is_linearised:
             if self.part == "all":
                 return whole, left
-            compressed = self._breaking.energy({name: sph(E) for name, E in own.items()})
-            compression = -tr(next(iter(own.values())))  # one trace for all branches
+            compressed = self._breaking.energy({name: sph(E) for name, E in values.items()})
+            compression = -tr(next(iter(values.values())))  # one trace for all branches
         else:
-            rest = self._spherical_energy(own, 1 + 0 * z["A"]) if self._rest is None else self._rest
+            rest = self._spherical_energy(values, 1 + 0 * z["A"]) if self._rest is None else self._rest
             whole = whole - rest * z["A"]
             if self.part == "all":
                 return whole, left
-            J = own["J"] if "J" in own else 1 / z["A"]
-            compressed, compression = self._spherical_energy(own, J) - rest / J, 1 - J
+            J = values["J"] if "J" in values else 1 / z["A"]
+            compressed, compression = self._spherical_energy(values, J) - rest / J, 1 - J
         kept = if_positive(compression, compressed, 0 * compressed)
         return whole - kept, kept if left is None else kept + left
 
     def _spherical_energy(self, z: Values, J: Any) -> Any:
         """phi without damage at F = J^{1/3} I; ``z`` gives parameters, and the kind, array or function."""
-        found: dict[str, Any] = {}
+        state: dict[str, Any] = {}
         for v in self.material.variables:
             if isinstance(v, Parameter):
-                found[v.name] = z[v.name]
+                state[v.name] = z[v.name]
             elif isinstance(v, LogJacobian):
-                found[v.name] = log(J) / J
+                state[v.name] = log(J) / J
             else:
                 ratio = v.volume_ratio(CF(1.0) if v.kind == "scalar" else IDENTITY)
                 assert ratio is not None  # ``_check_rest`` has checked it
                 power = ratio[1] if v.kind == "scalar" else ratio[1] / 3
                 size = J if power == 1 else J ** float(power)
-                found[v.name] = size if v.kind == "scalar" else size * identity_like(z[v.name])
-        return self._breaking.energy(found)
+                state[v.name] = size if v.kind == "scalar" else size * identity_like(z[v.name])
+        return self._breaking.energy(state)
 
     def surface_energy(self, z: Values) -> Tensor:
         """The surface energy of cracks, per actual volume, Pa."""
@@ -300,6 +300,6 @@ class Damaged(Wrapper):
         return self.weight(z) * (of_damage * w + of_slope * square(q))
 
     def energy(self, z: Values) -> Tensor:
-        taken, kept = self.parts(z)
-        phi = self.degradation(z[DAMAGE.name]) * taken + self.surface_energy(z)
+        degraded, kept = self.parts(z)
+        phi = self.degradation(z[DAMAGE.name]) * degraded + self.surface_energy(z)
         return phi if kept is None else phi + kept

@@ -318,9 +318,9 @@ class _WithCofactor(IsotropicElastic):
 
     @property
     def variables(self) -> tuple[Variable, ...]:
-        first, *others = super().variables
+        first, *volumetric = super().variables
         by_F, by_B = Cofactor("N", exponent=-7 / 6), CofactorLeftCauchyGreen(exponent=-7 / 3)
-        return (first, by_B if self.is_by_B else by_F, *others)
+        return (first, by_B if self.is_by_B else by_F, *volumetric)
 
     def energy(self, z: Values) -> Tensor:
         second = tr(z["N"]) if self.is_by_B else square(z["N"])

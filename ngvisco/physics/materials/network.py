@@ -117,13 +117,13 @@ class Network(Material):
     def with_elastic_state(self, state: ElasticState) -> Network:
         state = "B" if any(branch.flows for branch in self.parts.values()) else state
         parts = self.parts.items()
-        made = {n: replace(b, material=b.material.with_elastic_state(state)) for n, b in parts}
-        return replace(self, branches=made)
+        branches = {n: replace(b, material=b.material.with_elastic_state(state)) for n, b in parts}
+        return replace(self, branches=branches)
 
     def own(self, name: str) -> dict[str, Variable]:
         """The variables that only this branch carries, by their names in the branch's material."""
-        found = (v for v in self.parts[name].material.variables if v.creeps)
-        return {v.name: replace(v, name=f"{v.name}_{name}") for v in found}
+        tensors = (v for v in self.parts[name].material.variables if v.creeps)
+        return {v.name: replace(v, name=f"{v.name}_{name}") for v in tensors}
 
     @property
     def distortions(self) -> dict[str, tuple[str, ...]]:
@@ -150,43 +150,47 @@ class Network(Material):
 
     @property
     def continued(self) -> frozenset[str]:
-        found: set[str] = set()
+        names: set[str] = set()
         for name, branch in self.parts.items():
-            own = {v.name: new.name for v, new in self._renamed(name)}
-            found |= {own[one] for one in branch.material.continued if one in own}
+            new_names = {v.name: new.name for v, new in self._renamed(name)}
+            names |= {new_names[one] for one in branch.material.continued if one in new_names}
         # a shared variable is continued only if the energies of all branches that have it are
         ends = {v.name for b in self.parts.values() for v in b.material.variables if not v.creeps}
         for shared in ends:
             with_it = [b.material for b in self.parts.values() if _carries(b.material, shared)]
             if all(shared in material.continued for material in with_it):
-                found.add(shared)
-        return frozenset(found)
+                names.add(shared)
+        return frozenset(names)
 
     @property
     def referential_density(self) -> float | Tensor | None:
-        given = (branch.material.referential_density for branch in self.parts.values())
-        return next((density for density in given if density is not None), None)
+        densities = (branch.material.referential_density for branch in self.parts.values())
+        return next((density for density in densities if density is not None), None)
 
     def values_of(self, name: str, z: Values) -> dict[str, Tensor]:
         """The values of a branch's variables, by their names in the branch's material."""
-        own = self.own(name)
+        tensors = self.own(name)
         material = self.parts[name].material
-        return {v.name: z[own[v.name].name if v.name in own else v.name] for v in material.variables}
+        return {v.name: z[tensors[v.name].name if v.name in tensors else v.name] for v in material.variables}
 
     def energy_of(self, name: str, z: Values) -> Tensor:
         """The energy phi_i of a branch, Pa."""
         return self.parts[name].material.energy(self.values_of(name, z))
 
     def domain(self, z: Values) -> Values:
-        of = {name: branch.material.domain(self.values_of(name, z)) for name, branch in self.parts.items()}
-        return {f"{what} of {name}": value for name, each in of.items() for what, value in each.items()}
+        domains = {
+            name: branch.material.domain(self.values_of(name, z)) for name, branch in self.parts.items()
+        }
+        return {
+            f"{bound} of {name}": value for name, each in domains.items() for bound, value in each.items()
+        }
 
     def energy(self, z: Values) -> Tensor:
         return reduce(add, (self.energy_of(name, z) for name in self.parts))
 
     def _renamed(self, name: str) -> Iterator[tuple[Variable, Variable]]:
-        own = self.own(name)
-        return ((v, own[v.name]) for v in self.parts[name].material.variables if v.name in own)
+        tensors = self.own(name)
+        return ((v, tensors[v.name]) for v in self.parts[name].material.variables if v.name in tensors)
 
     def _check_names(self) -> None:
         """Raise ParameterError if two variables of the branches have one name."""

@@ -143,8 +143,8 @@ class Ogden(Material):
             raise ParameterError("Ogden.mu", self.mu, f"{len(self.alpha)} moduli, one for each exponent")
         least = 2.0 if self.elastic_state == "B" else 1.0
         if not all(least <= abs(alpha) <= 12 for alpha in self.alpha):
-            of = ' by B; take elastic_state = "F"' if least == 2 else ""
-            raise ParameterError("Ogden.alpha", self.alpha, f"{least:g} <= |alpha| <= 12, to be convex{of}")
+            form = ' by B; take elastic_state = "F"' if least == 2 else ""
+            raise ParameterError("Ogden.alpha", self.alpha, f"{least:g} <= |alpha| <= 12, to be convex{form}")
         if not all(0 < mu * alpha < math.inf for mu, alpha in zip(self.mu, self.alpha, strict=True)):
             raise ParameterError("Ogden.mu", self.mu, "finite moduli of the signs of their exponents")
 
@@ -170,12 +170,12 @@ class Ogden(Material):
         for variable, sign in zip(self.variables, self._signs, strict=False):
             A = z[variable.name]
             both = zip(self.mu, self.alpha, strict=True)
-            of = {abs(alpha) / 2: mu / alpha for mu, alpha in both if alpha * sign > 0}
+            weights = {abs(alpha) / 2: mu / alpha for mu, alpha in both if alpha * sign > 0}
             if self.elastic_state == "B":
                 invariants = (tr(A), tr(cof(A)), det(A))
             else:
                 invariants = (square(A), square(cof(A)), det(A) * det(A))
-            phi = phi + powers_of_stretches(invariants, of) - 3 * sum(of.values())
+            phi = phi + powers_of_stretches(invariants, weights) - 3 * sum(weights.values())
         return phi
 
     @property

@@ -106,11 +106,11 @@ class PerReferentialVolume(Material):
     def _own(self, z: Values) -> Values:
         """The values of psi's variables, by name."""
         J = 1 / z["A"]
-        own = {v.name: z[v.name] for v in self.material.variables if not v.is_strain}
+        values = {v.name: z[v.name] for v in self.material.variables if not v.is_strain}
         for v in self.material.variables:
             if v.is_strain:
-                own[v.name] = z[f"A{v.name}"] * J if isinstance(v, DistortionTensor) else J
-        return own
+                values[v.name] = z[f"A{v.name}"] * J if isinstance(v, DistortionTensor) else J
+        return values
 
     def domain(self, z: Values) -> Values:
         # perspectives of psi's bounds, concave where these are
@@ -175,8 +175,8 @@ class ReferenceEnergy(Material):
         of_volume = (Jacobian, ReciprocalJacobian, LogJacobian)
         for v in self.material.variables:
             if not isinstance(v, (DistortionTensor, *of_volume, Parameter)):
-                of = "a material of J and of F, Cof F, F F^T, Cof(F F^T) times powers of J"
-                expected = f"{of}, not of {v.name!r}"
+                known = "a material of J and of F, Cof F, F F^T, Cof(F F^T) times powers of J"
+                expected = f"{known}, not of {v.name!r}"
                 if isinstance(v, SmallStrain):
                     expected += "; ReferentialNeoHookean of half the G_e is LinearElastic at small strains"
                 raise ParameterError(self.owner, self.material, expected)
@@ -194,26 +194,26 @@ class ReferenceEnergy(Material):
     @property
     def tensors(self) -> tuple[DistortionTensor, ...]:
         """The tensors that psi reads, with the names of the material's variables."""
-        found = (v for v in self.material.variables if isinstance(v, DistortionTensor))
-        return tuple(replace(v, exponent=v.exponent + 1) if _is_density(v) else v for v in found)
+        tensors = (v for v in self.material.variables if isinstance(v, DistortionTensor))
+        return tuple(replace(v, exponent=v.exponent + 1) if _is_density(v) else v for v in tensors)
 
     @property
     def variables(self) -> tuple[Variable, ...]:
-        own = tuple(v for v in self.material.variables if isinstance(v, Parameter))
-        return (*self.tensors, Jacobian("J"), *distinct((*own, *parameters_in((self.material,)))))
+        parameters = tuple(v for v in self.material.variables if isinstance(v, Parameter))
+        return (*self.tensors, Jacobian("J"), *distinct((*parameters, *parameters_in((self.material,)))))
 
     def energy(self, z: Values) -> Tensor:
-        J, own = z["J"], {}
+        J, values = z["J"], {}
         for v in self.material.variables:
             if isinstance(v, ReciprocalJacobian):
-                own[v.name] = 1 / J
+                values[v.name] = 1 / J
             elif isinstance(v, LogJacobian):
-                own[v.name] = log(J) / J
+                values[v.name] = log(J) / J
             elif isinstance(v, Jacobian):
-                own[v.name] = J
+                values[v.name] = J
             else:
-                own[v.name] = (1 / J) * z[v.name] if _is_density(v) else z[v.name]
-        return J * substituted(self.material, lambda expression: expression.at(z)).energy(own)
+                values[v.name] = (1 / J) * z[v.name] if _is_density(v) else z[v.name]
+        return J * substituted(self.material, lambda expression: expression.at(z)).energy(values)
 
     def volumetric(self, z: Values) -> Tensor:
         """The volumetric energy U(J) = psi(I, J), Pa."""

@@ -156,5 +156,5 @@ def _scaled(material: Any, share: float, keeps_bulk: bool) -> Material:
         changes |= {name: 0.0 for name in _BULK if hasattr(material, name)}
         if hasattr(material, "J_min"):
             changes["J_min"] = None
-    found: Material = replace(material, **changes)
-    return found
+    scaled: Material = replace(material, **changes)
+    return scaled

@@ -173,9 +173,9 @@ class Thermal(Material):
 
     @property
     def variables(self) -> tuple[Variable, ...]:
-        own = self.isothermal_material.variables
-        volume = () if ReciprocalJacobian() in own else (ReciprocalJacobian(),)
-        return (*own, *volume, self.entropy)
+        carried = self.isothermal_material.variables
+        volume = () if ReciprocalJacobian() in carried else (ReciprocalJacobian(),)
+        return (*carried, *volume, self.entropy)
 
     @property
     def referential_density(self) -> Modulus | None:
@@ -215,8 +215,8 @@ class Thermal(Material):
         A, heat, J = z["A"], self.c * self.theta_R, 1 / z["A"]
         unit = self.entropy.unit / self.c
         if self.coupling and self.isothermal_material.lagged:
-            taken, clamped = self.taken(z)
-            return heat * (A * exp(unit * z["s"] * J) - A) - clamped + self._degradation(z) * taken
+            degraded, clamped = self.taken(z)
+            return heat * (A * exp(unit * z["s"] * J) - A) - clamped + self._degradation(z) * degraded
         phi = heat * (A * exp(unit * z["s"] * J - self.g(J)) - A)
         if self.coupling and not self.is_absolute:
             phi = phi + heat * self._Gamma * (1 - A)

@@ -37,11 +37,11 @@ class Carrying(Wrapper):
 
     @property
     def variables(self) -> tuple[Variable, ...]:
-        own = self.material.variables
+        carried = self.material.variables
         if not self.hardening:
-            return (*own, *self.carried)
-        volume = () if ReciprocalJacobian() in own else (ReciprocalJacobian(),)
-        return (*own, *volume, *self.carried, *(content for content, _ in self.hardening))
+            return (*carried, *self.carried)
+        volume = () if ReciprocalJacobian() in carried else (ReciprocalJacobian(),)
+        return (*carried, *volume, *self.carried, *(content for content, _ in self.hardening))
 
     @property
     def lagged(self) -> frozenset[str]:
@@ -74,8 +74,8 @@ def carrying(
         return carrying(material.material, (*material.carried, *parameters), hardening)
     if not (parameters or hardening):
         return material
-    own = tuple(v for v in material.variables if isinstance(v, Parameter))
-    carried = distinct((*own, *parameters))[len(own) :]
+    known = tuple(v for v in material.variables if isinstance(v, Parameter))
+    carried = distinct((*known, *parameters))[len(known) :]
     return Carrying(material=material, carried=carried, hardening=hardening)
 
 
@@ -227,10 +227,10 @@ class _Approximation:
         n, size = states.shape
         energy, slope = np.full(n, np.nan), np.full((n, size), np.nan)
         hessian = np.full((n, size, size), np.nan)
-        given = np.flatnonzero(np.isfinite(states).all(axis=1))
+        finite = np.flatnonzero(np.isfinite(states).all(axis=1))
         with np.errstate(all="ignore"):
-            y, at_y, solved = self._minimise(states[given])
-            z, where = states[given][solved], given[solved]
+            y, at_y, solved = self._minimise(states[finite])
+            z, where = states[finite][solved], finite[solved]
             S, H = at_y.slope[solved], at_y.hessian[solved]
             root = np.sqrt(self.weights)
             system = np.eye(size) + root[:, None] * H * root
@@ -244,22 +244,22 @@ class _Approximation:
             S = S + np.einsum("nij,nj->ni", H, rest)
             energy[where] = at_y.energy[solved][definite] + 0.5 * (S * S) @ self.weights
             slope[where], hessian[where] = S, H
-        return Response(energy, slope, hessian, self._failure(states, given, solved, definite))
+        return Response(energy, slope, hessian, self._failure(states, finite, solved, definite))
 
     def _failure(
-        self, states: np.ndarray, given: np.ndarray, solved: np.ndarray, definite: np.ndarray
+        self, states: np.ndarray, finite: np.ndarray, solved: np.ndarray, definite: np.ndarray
     ) -> str | None:
         text = f"Yosida approximation with eps = {self.eps:g}: "
-        if len(given) < len(states):
-            return f"{text}the variables are not finite at {len(states) - len(given)} points"
-        for good, at, what, remedy in (
-            (solved, given, "no minimiser at {} points", ", or not singular where it ends"),
-            (definite, given[solved], "{} points are no minima", ", take a smaller eps"),
+        if len(finite) < len(states):
+            return f"{text}the variables are not finite at {len(states) - len(finite)} points"
+        for good, at, fault, remedy in (
+            (solved, finite, "no minimiser at {} points", ", or not singular where it ends"),
+            (definite, finite[solved], "{} points are no minima", ", take a smaller eps"),
         ):
             if not good.all():
                 example = np.array2string(states[at[~good][0]], precision=4)
-                found = f"{what.format(int((~good).sum()))}, e.g. for the components {example}"
-                return f"{text}{found}: the energy is not convex{remedy}"
+                description = f"{fault.format(int((~good).sum()))}, e.g. for the components {example}"
+                return f"{text}{description}: the energy is not convex{remedy}"
         return None
 
     def _minimise(self, z: np.ndarray) -> tuple[np.ndarray, Response, np.ndarray]:
@@ -287,9 +287,9 @@ class _Approximation:
                 next_r = np.linalg.norm(trial - z[active[trying]] + self.weights * at.slope, axis=1)
                 shorter = next_r <= (1 - 1e-4 * length[trying]) * bound[trying]
                 good = at.finite & (small[trying] | shorter)
-                taken = active[trying[good]]
-                y[taken], energy[taken] = trial[good], at.energy[good]
-                slope[taken], hessian[taken] = at.slope[good], at.hessian[good]
+                accepted = active[trying[good]]
+                y[accepted], energy[accepted] = trial[good], at.energy[good]
+                slope[accepted], hessian[accepted] = at.slope[good], at.hessian[good]
                 moved[trying[good]] = True
                 trying = trying[~good]
                 if not len(trying):
