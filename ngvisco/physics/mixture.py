@@ -113,8 +113,8 @@ class Mixture(Material):
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
         """Parameters of moduli, of the bodies' variables and of the model's other laws."""
-        carried = (v for body in self.bodies for v in body.material.variables if isinstance(v, Parameter))
-        return distinct((*parameters_in(self.bodies), *self.carried, *carried))
+        parameters = (v for body in self.bodies for v in body.material.variables if isinstance(v, Parameter))
+        return distinct((*parameters_in(self.bodies), *self.carried, *parameters))
 
     @property
     def fractions(self) -> Fractions:

@@ -37,11 +37,11 @@ class Carrying(Wrapper):
 
     @property
     def variables(self) -> tuple[Variable, ...]:
-        carried = self.material.variables
+        variables = self.material.variables
         if not self.hardening:
-            return (*carried, *self.carried)
-        volume = () if ReciprocalJacobian() in carried else (ReciprocalJacobian(),)
-        return (*carried, *volume, *self.carried, *(content for content, _ in self.hardening))
+            return (*variables, *self.carried)
+        volume = () if ReciprocalJacobian() in variables else (ReciprocalJacobian(),)
+        return (*variables, *volume, *self.carried, *(content for content, _ in self.hardening))
 
     @property
     def lagged(self) -> frozenset[str]:
