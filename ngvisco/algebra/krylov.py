@@ -10,7 +10,7 @@ Products = Callable[[np.ndarray, np.ndarray], np.ndarray]
 """Inner products of n vectors, (n, unknowns), with one vector, as an array (n,)."""
 
 _BREAKDOWN = 1e-14
-"""Component of a new direction orthogonal to the earlier ones, relative to its length, that is rounding."""
+"""Orthogonal component, relative to the length, below which a new direction is rounding."""
 
 _ORTHOGONAL = 0.5
 """Orthogonal component, relative to the length, above which Gram-Schmidt is not repeated."""

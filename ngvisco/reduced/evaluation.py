@@ -244,7 +244,7 @@ class CellTerms:
     ) -> dict[str, np.ndarray]:
         """Derivatives of ``factors`` in k directions, (..., k, points).
 
-        ``along`` has the directions, as in ``incremented``."""
+        ``along`` has the directions by the names of unknowns, as in ``incremented``."""
         parts = [
             {name: derivative_of(g, k) for name, g in self.factors(terms, changed).items()}
             for k, changed in incremented(u, **along)

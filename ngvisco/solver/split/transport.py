@@ -197,7 +197,7 @@ class TransportSweeps:
         return result
 
     def _without_slopes(self, at: Evaluation) -> np.ndarray:
-        """A cell's basis functions, evaluated in the cell's middle, at its sides' points."""
+        """Values of a cell's basis functions in the cell's middle, for each point of its sides."""
         reach = at.facets.context.reach
         if self._flat is None:
             self._flat = flat = self.residual.side_op.z.blocks.copy()
