@@ -30,11 +30,11 @@ def growth_message(step: Step, row: Mapping[str, float]) -> str:
     if step.damage is None or row[GROWTH] <= MUCH:
         return ""
     length = step.damage.law.length
-    unit, of, size = ("m", "l", length) if step.mesh.dim == 2 else ("m^2", "l^2", length**2)
+    unit, symbol, size = ("m", "l", length) if step.mesh.dim == 2 else ("m^2", "l^2", length**2)
     return (
         f"in the step of {row['dt']:.3g} s to t = {row['time']:.4g} s the damage grew by {row[GROWTH]:.2g} "
-        f"at a point, and cracks by {row[CRACKED]:.3g} {unit}, {row[CRACKED] / size:.2g} {of}: the load at "
-        "which the body breaks depends on the step's length; take shorter steps there, as "
+        f"at a point, and cracks by {row[CRACKED]:.3g} {unit}, {row[CRACKED] / size:.2g} {symbol}: the load "
+        "at which the body breaks depends on the step's length; take shorter steps there, as "
         "AdaptiveSteps(damage_growth=0.05) does"
     )
 

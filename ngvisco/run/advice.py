@@ -98,35 +98,35 @@ class Scales:
     def numbers(self) -> dict[str, float]:
         """Dimensionless numbers by name, without those that do not exist or are not known."""
         fast, slow = self.speeds
-        found: dict[str, float] = {}
+        numbers: dict[str, float] = {}
         if self.velocity > 0:
-            found["Courant, v dt/h"] = self.velocity * self.dt / self.cell
+            numbers["Courant, v dt/h"] = self.velocity * self.dt / self.cell
             if fast > 0:
-                found["Mach, v/c of longitudinal waves"] = self.velocity / fast
+                numbers["Mach, v/c of longitudinal waves"] = self.velocity / fast
         if fast > 0:
-            found["Courant of longitudinal waves, c dt/h"] = fast * self.dt / self.cell
+            numbers["Courant of longitudinal waves, c dt/h"] = fast * self.dt / self.cell
         if slow > 0 and self.velocity > 0:
-            found["Mach of shear waves"] = self.velocity / slow
+            numbers["Mach of shear waves"] = self.velocity / slow
         if self.kinematic_viscosity > 0 and self.velocity > 0:
-            found["Reynolds, rho v L/G_v"] = self.velocity * self.length / self.kinematic_viscosity
+            numbers["Reynolds, rho v L/G_v"] = self.velocity * self.length / self.kinematic_viscosity
         if math.isfinite(self.maxwell):
             if self.velocity > 0:
-                found["Deborah, Maxwell time v/L"] = self.maxwell * self.velocity / self.length
-            found["Maxwell time/dt"] = self.maxwell / self.dt
+                numbers["Deborah, Maxwell time v/L"] = self.maxwell * self.velocity / self.length
+            numbers["Maxwell time/dt"] = self.maxwell / self.dt
         if fast > 0 and slow > 0:
-            found["longitudinal over shear modulus, about K_e/G_e"] = (fast / slow) ** 2
+            numbers["longitudinal over shear modulus, about K_e/G_e"] = (fast / slow) ** 2
         if self.weight > 0:
-            found["weight over longitudinal modulus"] = self.weight
+            numbers["weight over longitudinal modulus"] = self.weight
         if self.overstress > 0:
-            found["overstress over yield, G_m v/(L sigma_Y)"] = self.overstress
+            numbers["overstress over yield, G_m v/(L sigma_Y)"] = self.overstress
         if self.densities > 1 + 1e-6:
-            found["largest over least density"] = self.densities
+            numbers["largest over least density"] = self.densities
         for name in self.placed:
             if (cells := self.bodies.get(name, 0.0)) > 0:
-                found[f"cells across the body {name!r}"] = cells
+                numbers[f"cells across the body {name!r}"] = cells
                 if self.smears:
-                    found[f"strains until {name!r} has lost 3 % of its area"] = (cells / _SMEARED) ** 4
-        return found
+                    numbers[f"strains until {name!r} has lost 3 % of its area"] = (cells / _SMEARED) ** 4
+        return numbers
 
     @property
     def advice(self) -> list[str]:
@@ -273,11 +273,11 @@ def largest_velocity(simulation: RunState) -> float:
     largest one at the start and of walls.
     """
     ranks, said = simulation.ranks, simulation.given_velocity_scale
-    taken = [row["v_max"] for row in simulation.ledger.rows]
+    velocities = [row["v_max"] for row in simulation.ledger.rows]
     walls = simulation.rothe_step.moving_walls.velocities().values()
     moving = ranks.most(np.concatenate([np.zeros(1), *(abs(v).ravel() for v in walls)]))
-    if len(taken) > 1:
-        return max(*taken, moving)
+    if len(velocities) > 1:
+        return max(*velocities, moving)
     start = math.sqrt(simulation.sampler.extrema(square(simulation.rothe_step.now.v))[1])
     return said or max(start, moving)
 
@@ -285,7 +285,7 @@ def largest_velocity(simulation: RunState) -> float:
 def _thickness(simulation: RunState) -> dict[str, float]:
     """The least extent, in cells, of the part of each body with a fraction of at least one half."""
     step, sampler, ranks = simulation.rothe_step, simulation.sampler, simulation.ranks
-    material, found = step.model.material, {}
+    material, extents = step.model.material, {}
     if not isinstance(material, Mixture):
         return {}
     places = sampler.coordinates(np.arange(len(sampler.points)))
@@ -296,5 +296,5 @@ def _thickness(simulation: RunState) -> dict[str, float]:
             continue
         spans = [ranks.most(along[inside]) - ranks.least(along[inside]) for along in places.T]
         cell = float(np.median(np.concatenate(ranks.gathered(sizes[inside]))))
-        found[name] = min(spans) / cell
-    return found
+        extents[name] = min(spans) / cell
+    return extents

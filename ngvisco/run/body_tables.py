@@ -65,7 +65,7 @@ class FractionSamples:
             parts = self._ranks.gathered((table, cells))
             starts = np.cumsum([0, *(len(each) for each, _ in parts)])
             table = np.concatenate([each for each, _ in parts])
-            cells = np.concatenate([own + start for (_, own), start in zip(parts, starts, strict=False)])
+            cells = np.concatenate([part + start for (_, part), start in zip(parts, starts, strict=False)])
         dim, count = self.dim, len(self.names)
         _, number = places(table[:, :dim])
         sums = [np.bincount(number, theta) for theta in table[:, -count:].T]
@@ -130,17 +130,17 @@ class _Tractions:
 
     def stresses(self) -> np.ndarray:
         """Mean stresses, Pa, (bodies, components); NaN for a body without volume."""
-        found = np.asarray(self._step.quadrature.integrate_cells(self._stresses), dtype=float)
-        volumes, sums = found[: len(self._theta), None], found[len(self._theta) :]
+        integrals = np.asarray(self._step.quadrature.integrate_cells(self._stresses), dtype=float)
+        volumes, sums = integrals[: len(self._theta), None], integrals[len(self._theta) :]
         return sums.reshape(len(volumes), -1) / np.where(volumes > 0, volumes, np.nan)
 
     def forces(self, centres: np.ndarray) -> np.ndarray:
         """Forces, N, and torques, N m, about the bodies' ``centres``, (bodies, dim): (bodies, components)."""
         for name, chi in self._chi.items():
             chi.Set(self._theta[name])
-        found = np.asarray(self._step.quadrature.integrate_cells(self._forces), dtype=float)
-        found = found.reshape(len(self._chi), -1)
-        force, torque = found[:, : self._dim], found[:, self._dim :]
+        integrals = np.asarray(self._step.quadrature.integrate_cells(self._forces), dtype=float)
+        integrals = integrals.reshape(len(self._chi), -1)
+        force, torque = integrals[:, : self._dim], integrals[:, self._dim :]
         arm = np.pad(centres, ((0, 0), (0, 3 - self._dim)))
         about = np.cross(arm, np.pad(force, ((0, 0), (0, 3 - self._dim))))
         return np.hstack([force, torque - about[:, -torque.shape[1] :]])
@@ -279,11 +279,11 @@ class Bodies(Series):
         self._fractions.read()
         smeared = np.array([[self._fractions.smeared(name)] for name in self._names])
         self._look(simulation, smeared[:, 0])
-        found = [values, extents, smeared]
-        found += [
+        blocks = [values, extents, smeared]
+        blocks += [
             self._measured(measure, values[:, 2 : 2 + dim]) for measure in self.measures if measure != "gap"
         ]
-        row = np.hstack(found).ravel()
+        row = np.hstack(blocks).ravel()
         if "gap" in self.measures:
             cuts = [[self._fractions.cut(name).ends for name in pair] for pair in self._pairs]
             gaps = np.array([distance(*both) for both in cuts])

@@ -96,7 +96,7 @@ class Checkpoints:
         self._kept = {}
         if simulation.ranks.is_first and simulation.number > 0 and self.path.exists():
             with opened(self.path) as file:
-                earlier = {int(name): load(self.path, of) for name, of in file["checkpoints"].items()}
+                earlier = {int(name): load(self.path, group) for name, group in file["checkpoints"].items()}
             since = 0 if self.chosen is None else self.chosen.step  # earlier states are on another mesh
             self._kept = {n: kept for n, kept in earlier.items() if since <= n < simulation.number}
         self._write(simulation)

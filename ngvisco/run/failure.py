@@ -86,18 +86,18 @@ class FailureReport:
         near = "" if self.wall is None else f", nearest wall {self.wall!r}"
         at = f"at ({', '.join(f'{c:.4g}' for c in self.place)}) m{near}"
         cell = "" if self.fastest is None else f"in cell {self.fastest} "
-        first, *others = self.advice
+        first, *further_advice = self.advice
         where = f"the flow is fastest {at}" if self.courant else "from rest"
         if self.nearest is not None:
             where = f"before the step {self.nearest}"
-        what = self.violation or self.parted or f"no solution was found; {where}"
+        failure = self.violation or self.parted or f"no solution was found; {where}"
         fast = f"Courant number {self.courant:.3g} at most, {cell}{at}"
         lines = [
-            f"what       step {self.number} over {self.tau:.4g} s was not taken: {what}",
+            f"what       step {self.number} over {self.tau:.4g} s was not taken: {failure}",
             f"change     {first}",
             f"reached    t = {self.time:.6g} s, {self.number - 1} step{'' if self.number == 2 else 's'}",
             _RULE,
-            *(f"or change  {line}" for line in others),
+            *(f"or change  {line}" for line in further_advice),
             f"reason     {self.reason}",
             f"flow       {fast if self.courant else 'at rest'}",
             *(f"tried      {line}" for line in _described(self.history)),
@@ -205,13 +205,13 @@ def showing(simulation: RunState, state: np.ndarray) -> Iterator[None]:
     """Context in which the simulation's ``fields`` show other coefficients, e.g. of a ``FailureReport``."""
     step = simulation.rothe_step
     values = step.state.vec.FV().NumPy()
-    own = values.copy()
+    present = values.copy()
     try:
         values[:] = state
         step.local_unknowns.update_stored()
         yield
     finally:
-        values[:] = own
+        values[:] = present
         step.local_unknowns.update_stored()
 
 
@@ -224,10 +224,10 @@ def write_failure(text: Path, fields: Path, simulation: RunState, report: Failur
     ranks = simulation.ranks
     shown_in = shown_by(fields, ranks)
     state = simulation.rothe_step.state.vec.FV().NumPy().copy()
-    what = f"the last state, t = {report.time:g} s"
+    title = f"the last state, t = {report.time:g} s"
     if report.state is not None:
-        state, what = report.state, "the solution that was refused"
-    written = f"{report}\nfields     {shown_in.name}: {what}\n".encode()
+        state, title = report.state, "the solution that was refused"
+    written = f"{report}\nfields     {shown_in.name}: {title}\n".encode()
     ranks.on_first(lambda: write_atomically(text, written))
     outside = GridFunction(L2(simulation.mesh, order=0))
     with showing(simulation, state):

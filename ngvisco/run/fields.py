@@ -61,15 +61,15 @@ def require_names_of_their_own(material: Material, further: Sequence[str], carri
     ``carried`` are names of passive fields.
     """
     bodies = material.bodies if isinstance(material, Mixture) else ()
-    taken = (*_OWN, *NAMES, *(body.name + _FRACTION for body in bodies), *(["body"] if bodies else []))
-    taken = (*taken, *(v.strain for v in material.variables if isinstance(v, PlasticContent)))
+    reserved = (*_OWN, *NAMES, *(body.name + _FRACTION for body in bodies), *(["body"] if bodies else []))
+    reserved = (*reserved, *(v.strain for v in material.variables if isinstance(v, PlasticContent)))
     if entropy_in(material) is not None:  # else laws read a given temperature
-        taken = (*taken, TEMPERATURE)
+        reserved = (*reserved, TEMPERATURE)
     for variable in material.variables:
-        if variable.name in taken:
+        if variable.name in reserved:
             raise ParameterError("Variable.name", variable.name, _TAKEN)
     for name in further:
-        if name in (*taken, *carried):
+        if name in (*reserved, *carried):
             raise ParameterError("Unknown.name", name, _TAKEN)
 
 
@@ -223,26 +223,26 @@ def usual(names: Iterable[str]) -> list[str]:
 def further_fields(step: Step, cauchy: CoefficientFunction, u: Fields) -> dict[str, CoefficientFunction]:
     """The module's further fields that the model has, at ``u``; ``cauchy`` is the Cauchy stress there."""
     model, dim = step.model, step.mesh.dim
-    found: dict[str, CoefficientFunction] = {}
+    result: dict[str, CoefficientFunction] = {}
     rates = step.context.rates.mean_creep(u)
-    found |= {f"creep_rate{suffix}": Pi for suffix, Pi in rates.items()}
+    result |= {f"creep_rate{suffix}": Pi for suffix, Pi in rates.items()}
     if part_of(model.material, Network) is not None:
         for branch, names in model.material.distortions.items():
             driving = mandel_stress(model.material, u.z_tensors, u.zeta_tensors, dim, names)
-            found[f"mandel_stress_{branch}"] = driving
+            result[f"mandel_stress_{branch}"] = driving
     elif any(variable.creeps for variable in model.material.variables):
-        found["mandel_stress"] = mandel_stress(model.material, u.z_tensors, u.zeta_tensors, dim)
+        result["mandel_stress"] = mandel_stress(model.material, u.z_tensors, u.zeta_tensors, dim)
     if model.viscosity is not None:
-        found["viscous_stress"] = model.viscosity.stress(
+        result["viscous_stress"] = model.viscosity.stress(
             sym(u.L), step.context.rates.read_values(model.viscosity, u)
         )
     if model.hyperviscosity is not None:
-        found |= {f"hyperstress_{i + 1}": _hyperstress(u, i) for i in range(dim)}
-    found["principal_stresses"] = eigenvalues(cauchy)
+        result |= {f"hyperstress_{i + 1}": _hyperstress(u, i) for i in range(dim)}
+    result["principal_stresses"] = eigenvalues(cauchy)
     stretches = principal_stretches(step, u)
     if stretches is not None:
-        found["principal_stretches"] = stretches
-    return found
+        result["principal_stretches"] = stretches
+    return result
 
 
 def eigenvalues(A: CoefficientFunction) -> CoefficientFunction:

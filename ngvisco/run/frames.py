@@ -156,10 +156,10 @@ def read_series_files(directory: str | os.PathLike[str]) -> list[tuple[float, Pa
     Raises CheckpointError if there is none.
     """
     place = Path(directory)
-    found = [(time, place / name) for time, name in read_pvd(place / "fields.pvd")]
-    if not found:
+    series = [(time, place / name) for time, name in read_pvd(place / "fields.pvd")]
+    if not series:
         raise CheckpointError(f"{place}: no VTK series (output.vtk.enabled = true writes one)")
-    return found
+    return series
 
 
 def read_pvd(path: Path) -> list[tuple[float, str]]:
@@ -170,8 +170,8 @@ def read_pvd(path: Path) -> list[tuple[float, str]]:
     if not path.exists():
         return []
     try:
-        found = re.findall(r'timestep="([^"]+)"[^>]*file="([^"]+)"', path.read_text(encoding="utf-8"))
-        series = [(float(time), name) for time, name in found]
+        entries = re.findall(r'timestep="([^"]+)"[^>]*file="([^"]+)"', path.read_text(encoding="utf-8"))
+        series = [(float(time), name) for time, name in entries]
     except ValueError as error:
         raise CheckpointError(f"{path}: not a readable file of a VTK series ({error})") from error
     if not series:

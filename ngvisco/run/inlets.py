@@ -57,12 +57,12 @@ class Inlets:
             if name.startswith(("power_", "dissipation_")) and not name.startswith("power_stored_")
         )
         for name, wall in self._walls.items():
-            given = sorted(self._strains & wall.values.keys())
+            named = sorted(self._strains & wall.values.keys())
             lost = row[f"dissipation_inflow_{name}"]
-            if given and lost > _MATTERS * worked:
+            if named and lost > _MATTERS * worked:
                 return (
                     f"at t = {row['time']:.4g} s what flows in through {name!r} by the values of "
-                    f"{', '.join(given)} that are given has another stress than the body inside: where both "
+                    f"{', '.join(named)} that are given has another stress than the body inside: where both "
                     f"meet {lost:.3g} W are lost, {lost / worked:.0%} of all powers, and a jump stays there; "
                     "give values (and a density) that belong to the stress at the wall, or none: then matter "
                     "comes in as it is inside"

@@ -123,9 +123,9 @@ class Ledger:
         """``velocity`` gives the run's velocity scale, m/s, which momenta are compared with."""
         self.step, self.sampler, self.closed = step, sampler, closed
         self.momentum = Momentum(step, sampler, velocity)
-        own = (Entry(name, "numerical", Integrand()) for name in (*NUMERICAL, LIMITER, LIMITER_WALLS))
+        of_scheme = (Entry(name, "numerical", Integrand()) for name in (*NUMERICAL, LIMITER, LIMITER_WALLS))
         of_damage = () if step.damage is None else step.damage.entries
-        self.entries = [*step.entries(), *own, *of_damage]
+        self.entries = [*step.entries(), *of_scheme, *of_damage]
         names = [entry.name for entry in self.entries]
         if twice := [name for name in names if names.count(name) > 1]:
             raise ParameterError("Entry.name", twice[0], "names that no other term's columns have")
@@ -268,8 +268,8 @@ class Ledger:
         return [*self._foreign_energies(names), *self.momentum.foreign(names)]
 
     def _foreign_energies(self, names: Iterable[str]) -> list[str]:
-        prefixes, own = ("dissipation_", "power_", TRANSFER), self.columns
-        return [name for name in names if name not in own and name.startswith(prefixes)]
+        prefixes, columns = ("dissipation_", "power_", TRANSFER), self.columns
+        return [name for name in names if name not in columns and name.startswith(prefixes)]
 
     def keep(self, names: Iterable[str]) -> None:
         """Add entries of value 0 for the columns ``names`` of an earlier part that this part lacks."""

@@ -103,8 +103,8 @@ class Momentum:
 
     def _others(self, names: Iterable[str]) -> list[str]:
         first = column("", self.motions[0])
-        found = [n.removesuffix(first) for n in names if n.startswith(IMPULSE) and n.endswith(first)]
-        return sorted(set(found) - {*self._given, *self._at_once})
+        impulses = [n.removesuffix(first) for n in names if n.startswith(IMPULSE) and n.endswith(first)]
+        return sorted(set(impulses) - {*self._given, *self._at_once})
 
     def keep(self, names: Iterable[str]) -> None:
         """Add columns for the impulses among ``names`` that this part of the run does not have."""
@@ -112,11 +112,11 @@ class Momentum:
 
     def forces(self) -> dict[str, float]:
         """Forces, N, and torques, N m, at the present stage, by the names of their impulses' columns."""
-        found: dict[str, float] = {}
+        forces: dict[str, float] = {}
         for name, values in self.impulses().items():
             quantity = f"defect_{name}" if name in DEFECTS else IMPULSE + name
-            found |= dict(zip(self._names(quantity), map(float, values), strict=True))
-        return found
+            forces |= dict(zip(self._names(quantity), map(float, values), strict=True))
+        return forces
 
     def transferred(self, before: Mapping[str, float], after: Mapping[str, float]) -> dict[str, float]:
         """The impulse of a transfer, by columns, from the rows before and after the transfer."""

@@ -44,7 +44,7 @@ class Cut:
         alone = np.where(count == 1, above.argmax(axis=1), (~above).argmax(axis=1))
         order = np.take_along_axis(order, (alone[:, None] + [0, 1, 2]) % 3, axis=1)
         corners = np.take_along_axis(corners, order[:, :, None], axis=1)
-        points, values = (np.take_along_axis(of, order, axis=1) for of in (points, values))
+        points, values = (np.take_along_axis(array, order, axis=1) for array in (points, values))
         one, two = count == 1, count == 2
         falls = np.where((one | two)[:, None], values[:, :1] - values[:, 1:], 1.0)
         shares = (values[:, :1] - level) / falls
@@ -76,7 +76,7 @@ class Cut:
         begun = [
             i for i, start in enumerate(self.edges[:, 0]) if int(start) not in reached
         ]  # open lines first
-        left, found = dict.fromkeys(range(len(self.edges))), []
+        left, lines = dict.fromkeys(range(len(self.edges))), []
         for start in (*begun, *range(len(self.edges))):
             if start not in left:
                 continue
@@ -85,8 +85,8 @@ class Cut:
                 del left[i]
                 line.append(self.ends[i, 1])
                 i = after.get(int(self.edges[i, 1]), -1)
-            found.append(np.array(line))
-        return found
+            lines.append(np.array(line))
+        return lines
 
 
 @dataclass(frozen=True)

@@ -260,7 +260,7 @@ class _Carrier:
             is_solved = bool(solver.residuals[-1] <= ENOUGH * solver.residuals[0])
         solution.vec.data += form.harmonic_extension * solution.vec
         solution.vec.data += form.inner_solve * rhs
-        found: np.ndarray = solution.components[0].vec.FV().NumPy().copy()
-        if not np.isfinite(found).all():
+        values: np.ndarray = solution.components[0].vec.FV().NumPy().copy()
+        if not np.isfinite(values).all():
             return old.copy(), False
-        return found, is_solved
+        return values, is_solved

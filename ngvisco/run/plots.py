@@ -158,8 +158,8 @@ def plot_comparison(
     }
     written = {}
     for name, tables in pictures.items():
-        first, *others = tables.values()
-        common = [column for column in first if all(column in table for table in others) and column != "time"]
+        first, *rest = tables.values()
+        common = [column for column in first if all(column in table for table in rest) and column != "time"]
         if common:
             written[name] = Path(out) / f"comparison-{name}.{kind}"
             _draw(tables, common[:_MOST], written[name])
@@ -193,42 +193,42 @@ def _energies(place: Path) -> dict[str, np.ndarray]:
     if not path.exists():
         raise CheckpointError(f"{place}: not a run directory with results (no run.h5)")
     ledger = read_ledger(path)
-    found = {"time": ledger["time"], "kinetic energy, J": ledger["kinetic"]}
-    found["stored energy − initial, J"] = ledger["stored"] - ledger["stored"][0]
-    for what, title in (("dissipation_", "dissipated, J"), ("power_", "work of loads and walls, J")):
-        rates = [column for name, column in ledger.items() if name.startswith(what)]
+    columns = {"time": ledger["time"], "kinetic energy, J": ledger["kinetic"]}
+    columns["stored energy − initial, J"] = ledger["stored"] - ledger["stored"][0]
+    for prefix, title in (("dissipation_", "dissipated, J"), ("power_", "work of loads and walls, J")):
+        rates = [column for name, column in ledger.items() if name.startswith(prefix)]
         if rates:
-            found[title] = np.cumsum(ledger["dt"] * sum(rates))
-    return found
+            columns[title] = np.cumsum(ledger["dt"] * sum(rates))
+    return columns
 
 
 def _probes(place: Path) -> dict[str, np.ndarray]:
     """The columns of all probes, without those of lines, forces and integrals."""
-    found: dict[str, np.ndarray] = {}
+    columns: dict[str, np.ndarray] = {}
     for path in sorted((place / "samples").glob("*.csv")):
         table = read_columns(path)
         if any(column.startswith(f"{path.stem}.") for column in table):
-            found = table | found
-    return found
+            columns = table | columns
+    return columns
 
 
 def _of_fields(probes: dict[str, np.ndarray], fields: Sequence[str] | None) -> dict[str, np.ndarray]:
     """The times, and the columns of the named fields or components, with their units."""
-    wanted, found = USUAL if fields is None else fields, {}
+    wanted, columns = USUAL if fields is None else fields, {}
     for column, values in probes.items():
         field = column.partition(".")[2]
         if column == "time" or field in wanted or field.rpartition("_")[0] in wanted:
             unit = field_unit(field)
-            found[f"{column}, {unit}" if unit else column] = values
-    return found
+            columns[f"{column}, {unit}" if unit else column] = values
+    return columns
 
 
 def _bodies(place: Path) -> dict[str, np.ndarray]:
     path = place / "bodies.csv"
     table = read_columns(path) if path.exists() else {}
-    found = {}
+    columns = {}
     for name, values in table.items():
         unit = _OF_BODIES.get(name.rpartition("_")[2])
         if "_" in name and unit is not None and "_momentum_" not in name:
-            found[f"{name}, {unit}"] = values
-    return found | {"time": table["time"]} if found else {}
+            columns[f"{name}, {unit}"] = values
+    return columns | {"time": table["time"]} if columns else {}

@@ -241,9 +241,9 @@ class Integrals(Series):
 
 
 def _one_point(name: str, value: Any, dim: int) -> np.ndarray:
-    if len(found := as_points(name, value, dim)) != 1:
+    if len(points := as_points(name, value, dim)) != 1:
         raise ParameterError(name, value, "one point")
-    return found[0]
+    return points[0]
 
 
 def _chosen(owner: str, fields: Sequence[str] | None) -> list[str] | None:

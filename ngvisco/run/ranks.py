@@ -32,15 +32,15 @@ class _Numbers:
     """Maps a rank's unknowns to the unknowns of a space on the whole mesh; collective.
 
     ``whole`` is the space on the whole mesh, None but on the first rank; ``chosen`` there restricts the
-    numbering to these unknowns, in this order.  ``own``, (unknowns,), holds the rank's numbers; unknowns of
+    numbering to these unknowns, in this order.  ``dofs``, (unknowns,), holds the rank's numbers; unknowns of
     no cell, as images of identified ones, have -1.
     """
 
     def __init__(
-        self, own: np.ndarray, whole: FESpace | None, ranks: Communicator, chosen: np.ndarray | None = None
+        self, dofs: np.ndarray, whole: FESpace | None, ranks: Communicator, chosen: np.ndarray | None = None
     ) -> None:
         self._count, self._ranks = 0 if whole is None else whole.ndof, ranks
-        self._parts = ranks.mpi.gather(own)
+        self._parts = ranks.mpi.gather(dofs)
         if whole is not None and chosen is not None:
             self._count, place = len(chosen), np.full(whole.ndof + 1, -1)
             place[chosen] = np.arange(len(chosen))
@@ -57,8 +57,8 @@ class _Numbers:
 
     def own(self, values: np.ndarray | None) -> np.ndarray:
         parts = None if values is None else [np.append(values, 0.0)[numbers] for numbers in self._parts]
-        found: np.ndarray = self._ranks.mpi.scatter(parts)
-        return found
+        part: np.ndarray = self._ranks.mpi.scatter(parts)
+        return part
 
 
 class Numbering:
@@ -88,11 +88,11 @@ class Numbering:
         self.mesh = mesh = part.whole
         self.layout = None if mesh is None else step.layout.on(mesh)
         whole = None if self.layout is None else self.layout.space
-        own = numbers_in(part, step.layout.space, whole)
+        numbers = numbers_in(part, step.layout.space, whole)
         evolved = None if self.layout is None else _evolved(self.layout)
         self._numbers = {
-            "": _Numbers(own, whole, ranks),
-            "stepping": _Numbers(own[_evolved(step.layout)], whole, ranks, evolved),
+            "": _Numbers(numbers, whole, ranks),
+            "stepping": _Numbers(numbers[_evolved(step.layout)], whole, ranks, evolved),
         }
         spaces: dict[str, tuple[FESpace, FESpace | None]] = {}
         for name, stress in step.stresses.functions.items():
@@ -123,8 +123,8 @@ class Numbering:
 
 
 def _key(name: str) -> str:
-    part, _, own = name.rpartition("/")
-    if part == "passive" or (part == "solver" and own.startswith(STRESS)):
+    part, _, array_name = name.rpartition("/")
+    if part == "passive" or (part == "solver" and array_name.startswith(STRESS)):
         return name
     return "stepping" if part == "stepping" else ""
 
@@ -153,15 +153,15 @@ def _of_cells(space: FESpace, cells: Iterable[int]) -> np.ndarray:
     return np.concatenate([np.zeros(0, dtype=np.int64), *(dofs[dofs >= 0] for dofs in each)])
 
 
-def tell(ranks: Communicator, observer: object, what: Callable[..., None], *arguments: object) -> None:
+def tell(ranks: Communicator, observer: object, method: Callable[..., None], *arguments: object) -> None:
     """Call an observer's method; an error on one rank is raised on all ranks."""
     if not ranks.is_distributed:
-        what(*arguments)
+        method(*arguments)
         return
     failure: BaseException | None = None
     try:
         if ranks.is_first or not getattr(observer, "on_first_rank", False):
-            what(*arguments)
+            method(*arguments)
     except BaseException as error:
         failure = error
     together = ranks.agree(failure)

@@ -186,9 +186,9 @@ def stretches(
 
 def _moved(simulation: Simulation, cells: _First) -> Simulation:
     """The run on the mesh that its present state needs; ``simulation`` itself if it has this mesh."""
-    if (found := cells.under(simulation)) is None:
+    if (refined := cells.under(simulation)) is None:
         return simulation
-    target, chosen = found
+    target, chosen = refined
     transfer(simulation, target)
     go_on(simulation, target)
     _tell_checkpoints(target, chosen)
@@ -264,7 +264,7 @@ def _cells_at(mesh: Mesh, points: np.ndarray) -> np.ndarray:
     """Cells that contain the points; for a point in no cell, beside a curved wall, the nearest cell."""
     if not len(points):
         return np.zeros(0, dtype=int)
-    found = np.asarray(mesh(*points.T)["nr"], dtype=int)
-    outside = found < 0
-    found[outside] = cKDTree(_centres(mesh)).query(points[outside])[1]
-    return found
+    cells = np.asarray(mesh(*points.T)["nr"], dtype=int)
+    outside = cells < 0
+    cells[outside] = cKDTree(_centres(mesh)).query(points[outside])[1]
+    return cells

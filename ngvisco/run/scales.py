@@ -84,9 +84,9 @@ class ExtremePlace:
         if creep is not None and creep.flows and shear > 0:
             maxwell = creep.relaxation_time(shear, rest)
         for branch in () if network is None else network.parts.values():
-            _, own = moduli(branch.material, dim, z)
-            if branch.creep is not None and branch.creep.flows and own > 0:
-                maxwell = min(maxwell, branch.creep.relaxation_time(own, rest))
+            _, branch_shear = moduli(branch.material, dim, z)
+            if branch.creep is not None and branch.creep.flows and branch_shear > 0:
+                maxwell = min(maxwell, branch.creep.relaxation_time(branch_shear, rest))
         return (
             math.sqrt(max(longitudinal, 0.0) / self.density),
             math.sqrt(max(shear, 0.0) / self.density),
@@ -106,8 +106,8 @@ def extreme_places(step: Step, sampler: Sampler) -> list[ExtremePlace]:
     bodies = material.bodies if isinstance(material, Mixture) else ()
     if not (carried or bodies):
         return []
-    own = cell_numbers(step.mesh)[sampler.cells]
-    order = np.argsort(np.concatenate(sampler.ranks.gathered(own)), kind="stable")
+    numbers = cell_numbers(step.mesh)[sampler.cells]
+    order = np.argsort(np.concatenate(sampler.ranks.gathered(numbers)), kind="stable")
 
     def everywhere(f: CoefficientFunction) -> np.ndarray:
         """Values of f at all ranks' points, in the order of one process, so that ties have one winner."""
@@ -121,13 +121,13 @@ def extreme_places(step: Step, sampler: Sampler) -> list[ExtremePlace]:
 
         Points whose values differ by rounding count once, since a whole line often has the least value.
         """
-        found: dict[int, dict[str, float]] = {}
+        places: dict[int, dict[str, float]] = {}
         ends = [values[name][among] for name in names]
         for i in sorted({int(among[at]) for v in ends for at in (v.argmin(), v.argmax())}) or [usual]:
             here = {name: float(value[i]) for name, value in values.items()}
-            if not any(np.allclose(list(here.values()), list(z.values()), 1e-6, 0) for z in found.values()):
-                found[i] = here
-        return found
+            if not any(np.allclose(list(here.values()), list(z.values()), 1e-6, 0) for z in places.values()):
+                places[i] = here
+        return places
 
     if not isinstance(material, Mixture):
         points = chosen(carried, np.arange(len(rho)))
@@ -182,8 +182,8 @@ def typical_velocity(step: Step, sampler: Sampler, dt: float) -> float:
     # at rest nothing gives a velocity: strains of a tenth are assumed
     if places:
         return min(0.1 * max(wave_speed(step, p.state, p.density) for p in places), farthest) or 1.0
-    own = np.asarray(sampler.values(u.z)).reshape(-1, step.layout.states.size)
-    state = np.concatenate(ranks.gathered(own))[0]
+    states = np.asarray(sampler.values(u.z)).reshape(-1, step.layout.states.size)
+    state = np.concatenate(ranks.gathered(states))[0]
     return min(0.1 * wave_speed(step, state, least), farthest) or 1.0
 
 

@@ -84,8 +84,8 @@ def _write_page(
 
     def packed(values: Sequence[np.ndarray]) -> dict[str, str]:
         parts = {"values": 0, "inside": 1}
-        of = list(zip(values, (drawn[i] for i in mesh), strict=True))
-        return {name: _packed(np.concatenate([v[at[k]] for v, at in of])) for name, k in parts.items()}
+        pairs = list(zip(values, (drawn[i] for i in mesh), strict=True))
+        return {name: _packed(np.concatenate([v[at[k]] for v, at in pairs])) for name, k in parts.items()}
 
     data = {
         "title": title,

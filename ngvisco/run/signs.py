@@ -67,7 +67,7 @@ class Signs:
         """Columns by checked sums: the viscous columns have a sign together, not each by itself."""
         powers = step.context.rates.powers_of_creep(step.now)
         power = reduce(lambda a, b: if_positive(a - b, b, a), powers) if powers else None
-        found = {} if power is None else {CREEP_POWER: power}
+        at_points = {} if power is None else {CREEP_POWER: power}
         everywhere = (
             step.energy.projected is None
         )  # else laws may read values that are known at the forms' points alone
@@ -81,8 +81,8 @@ class Signs:
             together = _OF_VISCOSITY if name.startswith(_OF_VISCOSITY) else name
             self._columns.setdefault(together, []).append(name)
             if value is not None and everywhere and name != DELTA_FIELDS:
-                found[together] = found[together] + value if together in found else value
-        self.at_points: dict[str, CoefficientFunction] = found
+                at_points[together] = at_points[together] + value if together in at_points else value
+        self.at_points: dict[str, CoefficientFunction] = at_points
         """Dissipations that are not negative at any point, W/m^3."""
         self._on_walls = self._wall_forms()
 
@@ -117,11 +117,11 @@ class Signs:
 
     def check(self, row: Mapping[str, float]) -> None:
         """Warn of a row's columns, and of a wall's facets, that give energy or destroy entropy."""
-        made = {name: sum(row[one] for one in parts) for name, parts in self._columns.items()}
+        sums = {name: sum(row[one] for one in parts) for name, parts in self._columns.items()}
         nearly = {name: row[name] for name in self._nearly}
-        total = sum(map(abs, (*made.values(), *nearly.values())))
+        total = sum(map(abs, (*sums.values(), *nearly.values())))
         power = (abs(row["kinetic"]) + abs(row["stored"])) / row["dt"]
-        for columns, share, rounding in ((made, _NEGATIVE, _ROUNDING), (nearly, _MISSED, _NEGATIVE)):
+        for columns, share, rounding in ((sums, _NEGATIVE, _ROUNDING), (nearly, _MISSED, _NEGATIVE)):
             for name, value in columns.items():
                 if value < -share * total - rounding * power:
                     self._say(name, f"{value:.3g} W", row["time"])
@@ -136,27 +136,28 @@ class Signs:
             if least < -_NEGATIVE * largest:
                 self._say(name, f"{least:.3g} W on the facet of a cell", time)
 
-    def _say(self, name: str, what: str, time: float) -> None:
+    def _say(self, name: str, power: str, time: float) -> None:
         cause = "a law has the wrong sign there"
         if name == UPWINDING and self._step.layout.states.strains.all():
             cause = "the cells are too large for what jumps, or the energy is not convex"
         elif name == UPWINDING:
             cause = "a carried modulus that jumps is smeared, in which the energy is not convex"
-        message = f"at t = {time:.4g} s {name} gives energy, {what}: {cause}, though the ledger closes"
+        message = f"at t = {time:.4g} s {name} gives energy, {power}: {cause}, though the ledger closes"
         self._warn(message, DissipationWarning)
 
     def _check_entropy(self, row: Mapping[str, float]) -> None:
-        made = {name: row[name] for name in self._productions}
-        least = min(made, key=lambda name: made[name], default="")
+        productions = {name: row[name] for name in self._productions}
+        least = min(productions, key=lambda name: productions[name], default="")
         # near rest all productions are an iteration's error relative to the whole entropy
         rate = abs(row.get("entropy", 0.0)) / row["dt"]
         share, rounding = _NEGATIVE, _ROUNDING * rate
         if least == PRODUCTION + UPWINDING.removeprefix("dissipation_"):  # its sign holds up to projections
             share, rounding = _MISSED, _NEGATIVE * rate
-        if made and made[least] < -share * sum(map(abs, made.values())) - rounding:
+        if productions and productions[least] < -share * sum(map(abs, productions.values())) - rounding:
             message = (
-                f"at t = {row['time']:.4g} s {least} is {made[least]:.3g} W/K: where that is conduction, "
-                "the cells are too large for the slopes of the temperature; else a law gives energy"
+                f"at t = {row['time']:.4g} s {least} is {productions[least]:.3g} W/K: where that is "
+                "conduction, the cells are too large for the slopes of the temperature; else a law gives "
+                "energy"
             )
             self._warn(message, EntropyWarning)
 

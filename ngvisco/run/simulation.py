@@ -151,13 +151,13 @@ class Simulation(RunState):
         self.observers = list(observers)
         self.interruption = Interruption(self)
 
-    def on(self, mesh: Mesh, **others: Any) -> Simulation:
+    def on(self, mesh: Mesh, **changes: Any) -> Simulation:
         """A new simulation at its start, on another mesh or with other arguments of the class.
 
         ``nv.transfer`` carries the present state over to it.
         """
-        given = {"model": self.model, **self.arguments, "observers": self.observers}
-        return Simulation(mesh, **given | others)
+        arguments = {"model": self.model, **self.arguments, "observers": self.observers}
+        return Simulation(mesh, **arguments | changes)
 
     def _repr_html_(self) -> str:
         steps = "adaptive steps" if self.is_adaptive else f"steps of {self.dt:g} s"

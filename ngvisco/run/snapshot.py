@@ -87,10 +87,10 @@ def digest_of(numbers: Mapping[str, float], arrays: Mapping[str, np.ndarray]) ->
 
 def _verify(path: Path, group: h5py.Group, checksum: str) -> None:
     """Raise CheckpointError unless the group has the checksum ``checksum``."""
-    found = group.attrs.get(CHECKSUM)
-    if found != checksum:
-        what = "has no checksum" if found is None else "is damaged (its checksum differs)"
-        raise CheckpointError(f"{path}: {group.name.lstrip('/')} {what}; go on from another copy of the file")
+    stored = group.attrs.get(CHECKSUM)
+    if stored != checksum:
+        flaw = "has no checksum" if stored is None else "is damaged (its checksum differs)"
+        raise CheckpointError(f"{path}: {group.name.lstrip('/')} {flaw}; go on from another copy of the file")
 
 
 @contextlib.contextmanager
@@ -134,9 +134,9 @@ def snapshot(simulation: RunState, solving: Mapping[str, KeptPart]) -> Snapshot:
         **solving,
         "passive": ({}, simulation.passive.arrays()),
     }
-    arrays = {f"{part}/{name}": array for part, (_, own) in parts.items() for name, array in own.items()}
+    arrays = {f"{part}/{name}": array for part, (_, data) in parts.items() for name, array in data.items()}
     return Snapshot(
-        {f"{part}/{name}": number for part, (own, _) in parts.items() for name, number in own.items()},
+        {f"{part}/{name}": number for part, (data, _) in parts.items() for name, number in data.items()},
         {name: simulation.numbering.whole(array, name) for name, array in arrays.items()},
     )
 
@@ -158,15 +158,15 @@ def take_up(
     read: list[Snapshot] = []
 
     def read_all() -> tuple[Any, ...]:
-        own = {name: value for name, value in identity(simulation).items() if name not in may_differ}
-        one = _read_checkpoint(path, own | dict(attributes or {}), step)
+        must_match = {name: value for name, value in identity(simulation).items() if name not in may_differ}
+        one = _read_checkpoint(path, must_match | dict(attributes or {}), step)
         size, expected = one.arrays["/state"].size, simulation.unknowns
         if size != expected:
             raise CheckpointError(f"{path}: the state has {size} coefficients, not {expected}")
         read.append(one)
-        number, found = int(one.numbers["/step"]), read_ledger(path)
-        names = list(found) if may_differ else [*ledger.columns, *ledger.foreign(found)]
-        rows = [row for row in _rows(path, found, names) if row["step"] <= number]
+        number, columns = int(one.numbers["/step"]), read_ledger(path)
+        names = list(columns) if may_differ else [*ledger.columns, *ledger.foreign(columns)]
+        rows = [row for row in _rows(path, columns, names) if row["step"] <= number]
         if [row["step"] for row in rows] != list(range(number + 1)):
             raise CheckpointError(f"{path}: its ledger has not the rows of steps 0 to {number}")
         with opened(path) as file:  # older files have no limits: this run's hold
@@ -175,8 +175,8 @@ def take_up(
 
     numbers, arrays, names, rows, limits = ranks.on_first(read_all)
     whole = read[0].arrays if read else {}
-    own = {name: numbering.own(whole.get(name), name) for name in arrays if numbering.knows(name)}
-    one = Snapshot(numbers, own)
+    arrays_of_rank = {name: numbering.own(whole.get(name), name) for name in arrays if numbering.knows(name)}
+    one = Snapshot(numbers, arrays_of_rank)
     simulation.passive.load(one.part("passive")[1])
     simulation.rothe_step.state.vec.FV().NumPy()[:] = one.arrays["/state"]
     ledger.keep(names)
@@ -187,11 +187,11 @@ def _read_checkpoint(path: Path, expected: dict[str, Any], step: int | None) -> 
     """A checkpoint, by default the last one, from a file that must have the expected attributes."""
     with opened(path) as file:
         for name, value in expected.items():
-            found = file.attrs.get(name)
-            if name != "ngvisco" and found != value:
-                found = found.item() if isinstance(found, np.generic) else found
+            stored = file.attrs.get(name)
+            if name != "ngvisco" and stored != value:
+                stored = stored.item() if isinstance(stored, np.generic) else stored
                 verb = "are" if name in ("bodies", "energies") else "is"
-                message = f"its {name} {verb} {found!r}, this run's {verb} {value!r}"
+                message = f"its {name} {verb} {stored!r}, this run's {verb} {value!r}"
                 raise CheckpointError(f"{path}: {message}")
         names = sorted(file["checkpoints"])
         if not names:
@@ -215,13 +215,13 @@ def read_ledger(path: AnyPath) -> dict[str, np.ndarray]:
         return columns
 
 
-def _rows(path: Path, found: Mapping[str, np.ndarray], columns: Sequence[str]) -> list[dict[str, float]]:
+def _rows(path: Path, ledger: Mapping[str, np.ndarray], columns: Sequence[str]) -> list[dict[str, float]]:
     """Rows of a ledger with the given columns; raises CheckpointError for a missing or too short column."""
-    if missing := [name for name in columns if name not in found]:
+    if missing := [name for name in columns if name not in ledger]:
         raise CheckpointError(f"{path}: its ledger has no column {', '.join(missing)}")
-    if len({found[name].shape for name in columns}) != 1 or found[columns[0]].ndim != 1:
+    if len({ledger[name].shape for name in columns}) != 1 or ledger[columns[0]].ndim != 1:
         raise CheckpointError(f"{path}: the columns of its ledger have different lengths")
-    numbers = [found[name].astype(int if name in _WHOLE else float).tolist() for name in columns]
+    numbers = [ledger[name].astype(int if name in _WHOLE else float).tolist() for name in columns]
     return [dict(zip(columns, row, strict=True)) for row in zip(*numbers, strict=True)]
 
 

@@ -122,15 +122,15 @@ class TimeSteps:
                 raise ParameterError("TimeSteps.dt", self.dt, expected)
             require_effect(self, False, "beside adaptive steps, which are halved down to dt_min", "halvings")
         require_effect(self, self.made.A != ((1.0,),), "with backward Euler itself", "startup")
-        made, tolerance = self.made, None if self.adaptive is None else self.adaptive.tolerance
-        constant = abs(made.error_constant) * math.factorial(made.order + 1)
+        scheme, tolerance = self.made, None if self.adaptive is None else self.adaptive.tolerance
+        constant = abs(scheme.error_constant) * math.factorial(scheme.order + 1)
         if tolerance is not None and constant < LEAST_CONSTANT:
             expected = (
-                f"None with this scheme, whose local error is not that of its order {made.order}: "
-                f"its error constant is {made.error_constant:.1e}"
+                f"None with this scheme, whose local error is not that of its order {scheme.order}: "
+                f"its error constant is {scheme.error_constant:.1e}"
             )
             raise ParameterError("AdaptiveSteps.tolerance", tolerance, expected)
-        if self.relaxation and (self.adaptive is None or made.A != midpoint().A):
+        if self.relaxation and (self.adaptive is None or scheme.A != midpoint().A):
             expected = "False, or the scheme 'midpoint' with adaptive steps"
             raise ParameterError("TimeSteps.relaxation", self.relaxation, expected)
 
@@ -150,20 +150,20 @@ class TimeSteps:
             raise ParameterError(field, error.value, error.expected) from error
 
 
-def time_steps(time: TimeSteps | None, given: Mapping[str, Any]) -> TimeSteps:
-    """The ``TimeSteps`` in the arguments of ``Simulation``: ``time``, or its parameters in ``given``.
+def time_steps(time: TimeSteps | None, keywords: Mapping[str, Any]) -> TimeSteps:
+    """The ``TimeSteps`` in the arguments of ``Simulation``: ``time``, or its parameters in ``keywords``.
 
     Raises ParameterError if both or neither are given; TypeError for an unknown argument.
     """
     known = [field.name for field in fields(TimeSteps)]
-    for name in given:
+    for name in keywords:
         if name not in known:
             raise TypeError(f"Simulation(): {UnknownNameError('keyword argument', name, known)}")
     if time is None:
-        return TimeSteps(**{"dt": None, **given})
+        return TimeSteps(**{"dt": None, **keywords})
     require_type("Simulation.time", time, TimeSteps)
-    if given:
-        raise ParameterError("Simulation.time", time, f"None beside {', '.join(given)}, parameters of it")
+    if keywords:
+        raise ParameterError("Simulation.time", time, f"None beside {', '.join(keywords)}, parameters of it")
     return time
 
 
@@ -283,9 +283,9 @@ class FixedStepper:
             size = self._parts >> level
             tau = self.dt * size / self._parts
             try:
-                taken = run.integrator.advance(t, tau, self._first + whole)
+                step = run.integrator.advance(t, tau, self._first + whole)
                 self._level = level
-                return Accepted(self._time(position + size), taken, rejections)
+                return Accepted(self._time(position + size), step, rejections)
             except StepError as failure:
                 reason, history = str(failure.__cause__ or failure), failure.history
                 if level == self.halvings:
@@ -354,7 +354,7 @@ class AdaptiveStepper:
         while True:
             tau, new_time = self._length(t, stop)
             try:
-                taken = integrator.advance(t, tau, run.number, meets=new_time == stop)
+                step = integrator.advance(t, tau, run.number, meets=new_time == stop)
             except StepError as failure:
                 # the cause: its message does not repeat the step
                 reason = str(failure.__cause__ or failure)
@@ -367,7 +367,7 @@ class AdaptiveStepper:
                         reason += f"; {refused}"
             else:
                 if new_time != stop:
-                    new_time = t + taken.tau
+                    new_time = t + step.tau
                 try:
                     error = None if estimate is None else estimate(new_time, scheme)
                 except BaseException:  # an interrupt must not leave the state of an unaccepted step
@@ -378,8 +378,8 @@ class AdaptiveStepper:
                     reason = f"estimated error {error:.2e} is above {tolerance:.2e}"
                     fraction = (SAFETY * tolerance / error) ** (1 / (scheme.order + 1))
                     shorter = max(shorter, tau * fraction)
-                elif reason := self._growth.refused(tau, taken.rates):
-                    shorter = max(shorter, self._growth.allowed(tau, taken.rates, SAFETY))
+                elif reason := self._growth.refused(tau, step.rates):
+                    shorter = max(shorter, self._growth.allowed(tau, step.rates, SAFETY))
                 else:
                     break
                 integrator.undo()
@@ -393,8 +393,8 @@ class AdaptiveStepper:
         if estimate is not None:
             estimate.keep(new_time)
         self._choose(tau, error, scheme.order, bool(rejections))
-        self.dt = min(self.dt, self._growth.allowed(tau, taken.rates, SAFETY))
-        return Accepted(new_time, taken, len(rejections), error)
+        self.dt = min(self.dt, self._growth.allowed(tau, step.rates, SAFETY))
+        return Accepted(new_time, step, len(rejections), error)
 
     def _estimate_of(self, run: Stepped) -> ErrorEstimate | None:
         if self._estimate is None and self.options.tolerance is not None:

@@ -183,26 +183,26 @@ def _set_fields(source: Simulation, target: Simulation, points: QuadraturePoints
             continue
         unknown, function = new.layout.unknowns[name], old.now.parts[name]
         if unknown.on is None:
-            given, columns = points, at.values(function).T
+            targets, columns = points, at.values(function).T
             unions.put_in(columns, function)
         else:
-            given = QuadraturePoints(new.quadrature, unknown.on)
-            columns = _located(old.mesh, given).values(function).T
-        value = CF(tuple(given.function(column) for column in columns))
+            targets = QuadraturePoints(new.quadrature, unknown.on)
+            columns = _located(old.mesh, targets).values(function).T
+        value = CF(tuple(targets.function(column) for column in columns))
         project(unknown, parts[name], new.quadrature, value)
     if new.model.bodies:
         z, slices = parts["z"].vec.FV().NumPy().reshape(new.layout.states.size, -1), new.layout.states.slices
         names = [v.name for v in target.model.material.variables if isinstance(v, Amount)]
-        of = (old.now.z_tensors, new.now.z_tensors)
-        kept = {name: (of[0][name], of[1][name], z[slices[name].start]) for name in names}
+        tensors = (old.now.z_tensors, new.now.z_tensors)
+        kept = {name: (tensors[0][name], tensors[1][name], z[slices[name].start]) for name in names}
     else:
         kept = {"mass": (old.now.rho, new.now.rho, parts["rho"].vec.FV().NumPy())}
     factors = []
     for name, (had, has, coefficients) in kept.items():
         before, after = float(old.quadrature.integrate_cells(had)), float(new.quadrature.integrate_cells(has))
         if not after > 0:
-            what, found = name.removeprefix(AMOUNT), f"an integral of {after:.3g}"
-            raise InitialDataError(f"transferred amount of {what}", found, "> 0: take a finer mesh")
+            amount, integral = name.removeprefix(AMOUNT), f"an integral of {after:.3g}"
+            raise InitialDataError(f"transferred amount of {amount}", integral, "> 0: take a finer mesh")
         factors.append(before / after)
         coefficients *= factors[-1]
     return max(factors, key=lambda factor: abs(factor - 1))
@@ -261,9 +261,9 @@ class _Unions:
     def _moments(self, values: np.ndarray) -> np.ndarray:
         """Integrals int b_i values_j over the cells, (cells, functions, columns)."""
         products = self._weights[:, None, None] * self._basis_from[:, :, None] * values[:, None, :]
-        found = np.zeros((self._count, *products.shape[1:]))
-        np.add.at(found, self._cell_from, products)
-        return found
+        moments = np.zeros((self._count, *products.shape[1:]))
+        np.add.at(moments, self._cell_from, products)
+        return moments
 
 
 def resume_changed(

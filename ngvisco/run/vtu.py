@@ -52,11 +52,11 @@ def _content(table: np.ndarray, cells: np.ndarray, widths: Mapping[str, int]) ->
     """Content of a .vtu file with simplices; a row of ``table`` has a point and the fields' values there."""
     blocks: list[bytes] = []
 
-    def array(name: str, kind: str, values: np.ndarray, of: str = "") -> str:
+    def array(name: str, kind: str, values: np.ndarray, attributes: str = "") -> str:
         offset = sum(map(len, blocks))
         data = np.ascontiguousarray(values, dtype=_KINDS[kind]).tobytes()
         blocks.append(struct.pack("<I", len(data)) + data)
-        return f'<DataArray type="{kind}" Name="{name}"{of} format="appended" offset="{offset}"/>\n'
+        return f'<DataArray type="{kind}" Name="{name}"{attributes} format="appended" offset="{offset}"/>\n'
 
     count, corners = cells.shape
     points = array("Points", "Float64", table[:, :3], ' NumberOfComponents="3"')
