@@ -77,6 +77,8 @@ class Context:
         self.mesh, self.old = mesh, old
         self.energy = energy or StoredEnergy(model.material, mesh.dim)
         self.rates = Rates(model, mesh.dim, old.layout.symmetry.is_axisymmetric)
+        self.recovered_slope: CoefficientFunction | None = None
+        """Slope of the viscosities' mean logarithm for constants in cells, 1/m (``RecoveredSlope``)."""
         self.lagged: UnknownValues = old
         """Fields at the step's start, for the variables that the material lags."""
         self.terms: Sequence[Any] = ()

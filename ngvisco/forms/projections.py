@@ -9,14 +9,14 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from ngsolve import BaseMatrix, BilinearForm, CoefficientFunction, FESpace, GridFunction, LinearForm
+from ngsolve import BaseMatrix, BilinearForm, CoefficientFunction, FESpace, GridFunction, LinearForm, VectorL2
 
 from ngvisco.forms.context import Context
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.mesh.mesh_arrays import is_simplicial
 from ngvisco.forms.mesh.quadrature import Quadrature
 from ngvisco.forms.spaces import Layout
-from ngvisco.forms.term import Integrands, tested
+from ngvisco.forms.term import Integrand, Integrands, tested
 from ngvisco.forms.unknown import Unknown
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.exchange import Exchange
@@ -62,6 +62,34 @@ class FacetProjection:
     def __call__(self) -> None:
         loads = self._exchange.sum(self.load.Assemble().vec.FV().NumPy().copy())
         self.target.vec.FV().NumPy()[:] = self._kept(loads / self._areas)
+
+
+class RecoveredSlope:
+    """Slope in each cell K of a function s that is constant in cells: int_dK (s_hat - s) n over |K|.
+
+    s_hat is the mean of both sides' values on facets, and s on walls.
+    """
+
+    def __init__(
+        self,
+        space: FESpace,
+        quadrature: Quadrature,
+        share: CoefficientFunction,
+        normal: CoefficientFunction,
+        value: CoefficientFunction,
+    ) -> None:
+        """``space`` has constants on facets; ``share`` is that of a side's value in s_hat."""
+        mean = GridFunction(space)
+        self.target = GridFunction(VectorL2(quadrature.mesh, order=0))
+        self._mean = FacetProjection(mean, quadrature, share, value)
+        jump = mean - value
+        self._project = LocalProjection(
+            self.target, quadrature, lambda test: [Integrand(facets=jump * inner(normal, test))]
+        )
+
+    def __call__(self) -> None:
+        self._mean()
+        self._project()
 
 
 def inverse_mass(space: FESpace, quadrature: Quadrature) -> BaseMatrix:

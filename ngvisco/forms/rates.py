@@ -138,7 +138,7 @@ class Rates:
         if PRESSURE in law.reads:
             found[PRESSURE] = self.pressure(u)
         if isinstance(law, MixedViscosity) and law.in_series:
-            found[INTERFACE] = self._interface(law, u.context.old)
+            found[INTERFACE] = self._interface(law, u)
         if TEMPERATURE in law.reads:  # from the projected conjugates, K
             found[TEMPERATURE] = temperature(self.material, u.zeta_tensors)
         if CONFORMATION in law.reads and mechanism is not None and mechanism.conformation is not None:
@@ -147,24 +147,30 @@ class Rates:
             found[HARDENING] = mechanism.matter(u.z_tensors) * u.zeta_tensors[mechanism.plastic_content.name]
         return found
 
-    def _interface(self, law: MixedViscosity, old: UnknownValues) -> CoefficientFunction:
+    def _interface(self, law: MixedViscosity, u: UnknownValues) -> CoefficientFunction:
         """Projection n x n, 3x3, on the slope n of the viscosities' mean logarithm at the step's start.
 
         It tends to zero where the mean changes by less than ``NO_INTERFACE`` in a cell: a slope of rounding
         has any direction.
         """
-        states, dim = old.layout.states, old.dim
-        theta, weights = law.fractions.at(old.z_tensors), {n: math.log(G) for n, G in law.in_series.items()}
-        mean = reduce(add, (weight * theta[name] for name, weight in weights.items()))
-        parts = []
-        for name, weight in weights.items():
+        if u.context.recovered_slope is not None:
+            slope = u.context.given(u.context.recovered_slope)
+        else:
+            slope = self._slope_of_logarithm(law, u.context.old)
+        dim = u.dim
+        column = linear_map(np.kron(np.eye(3, dim), np.eye(3)[:, :1]), slope, (3, 3))
+        least = NO_INTERFACE / u.context.h
+        return (1 / (square(column) + least * least)) * (column * column.trans)
+
+    def _slope_of_logarithm(self, law: MixedViscosity, old: UnknownValues) -> CoefficientFunction:
+        """Slope of the viscosities' mean logarithm in cells, times the amount of matter, 1/m."""
+        states, mean, parts = old.layout.states, law.mean_logarithm(old.z_tensors), []
+        for name, G_v in law.in_series.items():
             row = np.zeros((1, states.size))
             row[0, states.slices[AMOUNT + name]] = 1.0
-            parts.append((weight - mean) * linear_map(np.kron(row, np.eye(dim)), old.grad_z, (dim,)))
-        slope = reduce(add, parts)
-        column = linear_map(np.kron(np.eye(3, dim), np.eye(3)[:, :1]), slope, (3, 3))
-        least = NO_INTERFACE / old.context.h
-        return (1 / (square(column) + least * least)) * (column * column.trans)
+            of_amount = linear_map(np.kron(row, np.eye(old.dim)), old.grad_z, (old.dim,))
+            parts.append((math.log(G_v) - mean) * of_amount)
+        return reduce(add, parts)
 
     def pressure(self, u: UnknownValues) -> CoefficientFunction:
         """Pressure -tr T/3 from the projected conjugates, Pa."""

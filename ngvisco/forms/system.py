@@ -52,7 +52,7 @@ from ngvisco.forms.fields import Fields, Tests
 from ngvisco.forms.mesh.mesh_arrays import check_mesh
 from ngvisco.forms.mesh.quadrature import Quadrature
 from ngvisco.forms.mesh.symmetry import Symmetry
-from ngvisco.forms.projections import FacetProjection, LocalProjection
+from ngvisco.forms.projections import FacetProjection, LocalProjection, RecoveredSlope
 from ngvisco.forms.rates import Rates, TabulatedRates
 from ngvisco.forms.spaces import Discretisation, Layout
 from ngvisco.forms.term import (
@@ -96,6 +96,7 @@ from ngvisco.forms.upwinding import Largest, mean_share
 from ngvisco.physics.material import part_of
 from ngvisco.physics.materials.damaged import Damaged
 from ngvisco.physics.materials.thermal import entropy_in
+from ngvisco.physics.mixed_viscosity import MixedViscosity
 from ngvisco.physics.model import Model
 
 
@@ -290,6 +291,7 @@ class Step:
             self.passages,
         )
         self.context.terms = self.terms
+        self._recovered = self._recovered_slope()
         self.lagged: GridFunction | None = None
         """z of the last ``freeze``, whose lagged variables enter other variables' conjugates, or None."""
         if model.material.lagged:
@@ -310,6 +312,17 @@ class Step:
         law = part_of(model.material, Damaged)
         self.damage = None if law is None else DamageGrowth(self, law)
         """The growth of damage after a step; None without damage."""
+
+    def _recovered_slope(self) -> RecoveredSlope | None:
+        """What recovers the direction of interfaces from fractions that are constant in cells, or None."""
+        law = self.model.viscosity
+        if self.discretisation.m > 0 or not isinstance(law, MixedViscosity) or not law.in_series:
+            return None
+        share, of_facets = mean_share(self.context.inner), self.layout.scalar_space("z_hat")
+        value = law.mean_logarithm(self.old.z_tensors)
+        made = RecoveredSlope(of_facets, self.quadrature, share, self.context.normal, value)
+        self.context.recovered_slope = made.target
+        return made
 
     @cached_property
     def whole_residual(self) -> BilinearForm:
@@ -400,10 +413,14 @@ class Step:
         for name in self.layout.evolving:
             old[ranges[name]] = sum(weight * part.values[name] for weight, part in parts)
         self.momentum_old.vec.FV().NumPy()[:] = sum(weight * part.momentum for weight, part in parts)
+        if self._recovered is not None:
+            self._recovered()
 
     def start_from_old(self) -> None:
         """Start the step from ``state_old``: m_old = rho_old v_old."""
         self.momentum_old.Interpolate(self.old.rho * self.old.v)
+        if self._recovered is not None:
+            self._recovered()
 
     def entries(self, fields: Fields | None = None) -> list[Entry]:
         """All entries of the energy ledger at ``fields`` (default: the present state)."""

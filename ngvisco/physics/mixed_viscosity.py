@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, reduce
@@ -27,7 +28,7 @@ class MixedViscosity(Viscosity):
     of dev eps the viscosity is H, 1/H = sum theta_i/G_i; for the rest, which both sides share, the viscosity
     is A = sum theta_i G_i.  D = 2 A dev eps - 2 (A - H) S(dev eps) is symmetric, and D : eps >= 0.  n is the
     normal at the step's start.  The viscosity is A for all parts if a body has no shear viscosity, or a
-    nonlinear one, and where fractions are constant in cells (m = 0), so that no normal is known.
+    nonlinear one.
     """
 
     parts: tuple[tuple[str, Viscosity], ...]
@@ -46,6 +47,11 @@ class MixedViscosity(Viscosity):
         viscosities = {name: typical_value(part.G_v) for name, part in stokes.items()}
         all_are = len(viscosities) == len(self.fractions.bodies) > 1 and min(viscosities.values()) > 0
         return viscosities if all_are and max(viscosities.values()) > min(viscosities.values()) else {}
+
+    def mean_logarithm(self, z: Values) -> Any:
+        """The mean logarithm of viscosities in series, whose slope is along the interface's normal."""
+        theta = self.fractions.at(z)
+        return reduce(add, (math.log(G_v) * theta[name] for name, G_v in self.in_series.items()))
 
     @property
     def is_linear(self) -> bool:  # type: ignore[override]

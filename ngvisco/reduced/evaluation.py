@@ -122,7 +122,7 @@ class CellContext:
 
     def __init__(self, step: Step, operators: Operators, rates: TabulatedRates, sampled: Sampled) -> None:
         self._step, self._op, self.rates, self.terms = step, operators, rates, step.terms
-        self.sampled = sampled
+        self.sampled, self.recovered_slope = sampled, step.context.recovered_slope
 
     @property
     def h(self) -> Array:

@@ -118,7 +118,8 @@ class OnePoint:
             "rates": step.tabulated_rates,
             "terms": step.terms,
         }
-        inside = SimpleNamespace(momentum_old=known(d), average=told["given"], **told)
+        slope = step.context.recovered_slope
+        inside = SimpleNamespace(momentum_old=known(d), average=told["given"], recovered_slope=slope, **told)
         evolving, cells = set(layout.evolving).intersection(self._shapes), in_cells(layout)
         inside.old = fields(inside, evolving, evolving, CELLS, old=True)
         one = Array(np.ones(1), None)

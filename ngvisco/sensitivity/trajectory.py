@@ -61,7 +61,7 @@ class Trajectory:
     """Records the steps of a run, as one of the integrator's ``carried`` objects.
 
     Raises ParameterError for a run without derivatives: with growing damage, pistons on oblique walls,
-    relaxed steps, or several ranks.
+    relaxed steps, viscosities in series for constants in cells, or several ranks.
     """
 
     simulation: Simulation
@@ -78,6 +78,8 @@ class Trajectory:
             "relaxation": run.arguments["time"].relaxation
             and "the length of a relaxed step is a function of its solution",
             "mesh": run.ranks.is_distributed and "the transposed systems of several ranks are not known",
+            "interfaces": run.rothe_step.context.recovered_slope is not None
+            and "with constants in cells the direction of interfaces between viscosities has none",
             "material": self._lacks_derivatives()
             and "with an energy without an expression diffusion and laws of the pressure have none",
         }

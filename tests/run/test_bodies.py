@@ -287,16 +287,24 @@ def test_bulk_moduli_that_differ_much_are_warned_of_by_name(K_e, m, warns):
     assert all("'disc' and 'rest' have bulk moduli of 10 and 0.4 Pa" in text for text in found), found
 
 
-@pytest.mark.parametrize(("solver", "viscosities"), [("split", (1.0, 10.0)), ("coupled", (10.0, 1.0))])
-def test_layers_with_a_face_inside_a_cell_are_in_series(solver, viscosities):
+@pytest.mark.parametrize(
+    ("solver", "viscosities", "k"),
+    [
+        ("split", (1.0, 10.0), 2),
+        ("coupled", (10.0, 1.0), 2),
+        ("coupled", (1.0, 10.0), 1),
+        ("split", (10.0, 1.0), 1),
+    ],
+)
+def test_layers_with_a_face_inside_a_cell_are_in_series(solver, viscosities, k):
     """Couette flow of two layers, the face in the middle of a cell; with the arithmetic mean
-    there the force is 7 per cent too large.
+    there the force is 7 per cent too large, with constants in cells 8 and 10.
 
     In the face's cell the fluidity and so the shear rate are linear, from one layer's to the other's, where
     the exact one jumps: by the rates' difference D the velocity is D h/8 off at the face, 2.3 and 2.8 per
     cent.  So the force, the velocity beside this cell and its mean are within 2 per cent of the lid's, and
     the velocity in it is not.  The best parabola between the cell's ends is 0.037 D h off, with rates at the
-    ends that are outside both layers'.
+    ends that are outside both layers'.  A velocity of order 1 misses D h/4 there, whatever its rate is.
     """
     face, (low, high) = 0.5625, viscosities
     stress = 1 / (face / low + (1 - face) / high)
@@ -314,6 +322,8 @@ def test_layers_with_a_face_inside_a_cell_are_in_series(solver, viscosities):
         initial=nv.Initial(velocity=CF((exact, 0))),
         walls={"top": nv.PrescribedTangential((1.0, 0)), "bottom": nv.NoSlip()},
         solver=solver,
+        discretisation=nv.Discretisation(k=k, m=k - 1),
+        newton=nv.NewtonOptions(tolerance=1e-12),
     )
     ledger = run.run(8.0)
     assert ledger.column("power_wall_top")[-1] == pytest.approx(0.25 * stress, rel=1e-3)
@@ -321,9 +331,9 @@ def test_layers_with_a_face_inside_a_cell_are_in_series(solver, viscosities):
     at = np.linspace(0.05, 0.95, 145)
     off = [run.fields["velocity"](run.mesh(0.06, place))[0] - exact(run.mesh(0.06, place)) for place in at]
     is_beside, off = (at < 0.5) | (at > 0.625), np.abs(off)
-    assert off[is_beside].max() <= 0.001 and np.sqrt(np.mean(off**2)) <= 0.007
+    missed = stress * abs(1 / low - 1 / high) / 8 / (4 * k)  # 0.0232 and 0.0285 with 8 cells, k = 2
+    assert off[is_beside].max() <= 0.001 and np.sqrt(np.mean(off**2)) <= 0.25 * missed
     through = Integrate(run.fields["velocity"][0], run.mesh)
     mean = stress / low * face**2 / 2 + (1 - face) - stress / high * (1 - face) ** 2 / 2
     assert through == pytest.approx(0.25 * mean, rel=0.02)
-    parabola = stress * abs(1 / low - 1 / high) / 8 / 8  # 0.0232 and 0.0285 with 8 cells
-    assert 0.9 * parabola <= off.max() <= 1.05 * parabola
+    assert 0.9 * missed <= off.max() <= 1.05 * missed

@@ -71,6 +71,20 @@ def test_both_are_what_differences_tend_to(make, name, value, options):
     assert np.allclose(adjoint, tangent, rtol=1e-6, atol=0)
 
 
+def test_viscosities_in_series_of_constants_in_cells_are_refused():
+    matter = nv.BarotropicFluid(B=10.0, gamma=1.5)
+    low, high = (
+        nv.Body(
+            name=name, where=where, material=matter, viscosity=nv.StokesViscosity(K_v=1, G_v=G), density=1
+        )
+        for name, where, G in (("low", 0.5 - x, 1.0), ("high", None, 2.0))
+    )
+    options = {"initial": nv.Initial(velocity=VELOCITY), "discretisation": nv.Discretisation(k=1, m=0)}
+    run = started(nv.Model(bodies=[low, high]), **options)
+    with pytest.raises(nv.ParameterError, match="direction of interfaces between viscosities"):
+        nv.gradient(run, UNTIL, of={"motion": "kinetic at 0.06"}, by=["bodies.low.density"])
+
+
 def test_damage_is_refused():
     material = nv.Damaged(material=nv.LinearElastic(K_e=10, G_e=5), G_c=1.0, length=0.5)
     with pytest.raises(nv.ParameterError, match="minimum under bounds"):
