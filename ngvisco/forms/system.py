@@ -314,7 +314,7 @@ class Step:
         """The growth of damage after a step; None without damage."""
 
     def _recovered_slope(self) -> RecoveredSlope | None:
-        """What recovers the direction of interfaces from fractions that are constant in cells, or None."""
+        """The slope of viscosities in series for fractions that are constant in cells, or None."""
         law = self.model.viscosity
         if self.discretisation.m > 0 or not isinstance(law, MixedViscosity) or not law.in_series:
             return None
