@@ -132,7 +132,7 @@ class TwoLevelSolver:
 
     Parameters
     ----------
-    free, vertices, others : (unknowns,) arrays of bool
+    free, vertices, beside_velocity : (unknowns,) arrays of bool
         Masks of free unknowns, of velocities at vertices, and of unknowns that are no velocities.
     factorised : callable
         Makes the solver of the coarse problem.
@@ -147,22 +147,22 @@ class TwoLevelSolver:
         self,
         free: np.ndarray,
         vertices: np.ndarray,
-        others: np.ndarray,
+        beside_velocity: np.ndarray,
         factorised: Factorising,
         exchange: Exchange,
         *,
         dropped: float = 1e-2,
     ) -> None:
-        self.free, self.vertices, self.others = free, vertices, others
+        self.free, self.vertices, self.beside_velocity = free, vertices, beside_velocity
         self.factorised, self.exchange, self.dropped = factorised, exchange, dropped
         self.coarse: Direct | None = None
 
     def factorise(self, matrix: sp.csr_matrix) -> None:
         matrix, exchange = matrix.tocsr(), self.exchange
-        is_coarse = self.vertices | self.others
-        beside = exchange.communicator.any(self.others.any())
+        is_coarse = self.vertices | self.beside_velocity
+        beside = exchange.communicator.any(self.beside_velocity.any())
         if beside:
-            is_coarse[matrix[self.others].indices] = True
+            is_coarse[matrix[self.beside_velocity].indices] = True
             is_coarse = exchange.sum(is_coarse.astype(float)) > 0
         self.release()
         self.coarse = self.factorised(self.free & is_coarse, matrix, not beside)
@@ -173,12 +173,12 @@ class TwoLevelSolver:
         self._to_coarse = matrix[coarse][:, fine].tocsr().astype(precision.SINGLE)
         rows = matrix[fine]
         self._from_coarse = rows[:, coarse].tocsr().astype(precision.SINGLE)
-        own = rows[:, fine].tocsr()
+        among_fine = rows[:, fine].tocsr()
         del rows
-        _drop_small(own, diagonal[fine], self.dropped)
-        self._own = own.astype(precision.SINGLE)
+        _drop_small(among_fine, diagonal[fine], self.dropped)
+        self._among_fine = among_fine.astype(precision.SINGLE)
         # a sum of matrices, scaled by its diagonal, has no larger eigenvalue than its scaled parts
-        largest = exchange.communicator.most(largest_eigenvalue(own))
+        largest = exchange.communicator.most(largest_eigenvalue(among_fine))
         self._smoother = (DAMPING / (largest * diagonal[fine])).astype(precision.SINGLE)
 
     def __call__(self, r: np.ndarray) -> np.ndarray:
@@ -188,7 +188,7 @@ class TwoLevelSolver:
         r_coarse = r.copy()
         r_coarse[self._coarse] -= self._of_coarse.sum(self._to_coarse @ x)
         result = self.coarse(r_coarse)
-        change = self._own @ x + self._from_coarse @ result[self._coarse].astype(precision.SINGLE)
+        change = self._among_fine @ x + self._from_coarse @ result[self._coarse].astype(precision.SINGLE)
         r_fine -= self._of_fine.sum(change)
         result[self._fine] = x + self._smoothed(r_fine)
         return result
@@ -201,7 +201,7 @@ class TwoLevelSolver:
         """Result of the sweeps from zero for the fine functions' residual ``r``."""
         x = self._smoother * r
         for _ in range(SWEEPS - 1):
-            x += self._smoother * (r - self._of_fine.sum(self._own @ x))
+            x += self._smoother * (r - self._of_fine.sum(self._among_fine @ x))
         return x
 
 

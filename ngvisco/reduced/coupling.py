@@ -59,16 +59,16 @@ class FacetCoupling:
 
     def blocks(
         self,
-        own: np.ndarray,
+        direct: np.ndarray,
         to_trace: np.ndarray,
         from_trace: np.ndarray,
         values: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Derivatives of int (own z + from_trace z_hat) q, where z_hat solves mass z_hat = int to_trace z t.
+        """Derivatives of int (direct z + from_trace z_hat) q, with mass z_hat = int to_trace z t.
 
         Parameters
         ----------
-        own, to_trace, from_trace : ndarray, shape (sides' points,)
+        direct, to_trace, from_trace : ndarray, shape (sides' points,)
         values : ndarray, shape (cells, points, functions), optional
             Replacements of the basis functions of z at the sides' points; default the basis itself.
 
@@ -76,8 +76,8 @@ class FacetCoupling:
         -------
         derivatives by the cell's z, (cells, q, q), and by z across each side, (cells, sides, q, q)
         """
-        own, to_trace, from_trace = (
-            self._weights * g.reshape(self._weights.shape) for g in (own, to_trace, from_trace)
+        direct, to_trace, from_trace = (
+            self._weights * g.reshape(self._weights.shape) for g in (direct, to_trace, from_trace)
         )
         z = self._z
         if values is not None:
@@ -85,7 +85,7 @@ class FacetCoupling:
             z = Functions(by_sides.swapaxes(1, 2), None)
         to_hat = integrals(self._hat, z, to_trace)
         from_hat = np.matmul(integrals(self._z, self._hat, from_trace), self._mass.inverses[self._facet])
-        here = integrals(self._z, z, own) + np.matmul(from_hat, to_hat)
+        here = integrals(self._z, z, direct) + np.matmul(from_hat, to_hat)
         there = np.matmul(from_hat, self.beyond(to_hat))
         by_cells = (self.cells, self.sides, self.functions, self.functions)
         return here.reshape(by_cells).sum(axis=1), there.reshape(by_cells)

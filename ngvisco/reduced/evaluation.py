@@ -178,10 +178,10 @@ class SideContext:
         self,
         step: Step,
         operators: SideOperators,
-        given: WeakKeyDictionary[CoefficientFunction, np.ndarray],
+        samples: WeakKeyDictionary[CoefficientFunction, np.ndarray],
     ) -> None:
-        """``given`` holds values of functions at the points of all sides, sampled once a step."""
-        self._step, self._op, self.known = step, operators, given
+        """``samples`` holds values of functions at the points of all sides, taken once a step."""
+        self._step, self._op, self.known = step, operators, samples
         self.normal, self.h = Array(operators.normals, None), Array(operators.h, None)
         self.inner, self.crossed = Array(operators.inner, None), Array(operators.crossed, None)
         self.reach = step.context.reach
@@ -281,10 +281,10 @@ class FacetTerms:
         self,
         step: Step,
         operators: SideOperators,
-        given: WeakKeyDictionary[CoefficientFunction, np.ndarray] | None = None,
+        samples: WeakKeyDictionary[CoefficientFunction, np.ndarray] | None = None,
     ) -> None:
         self.layout, self.op, self._step = step.layout, operators, step
-        known = WeakKeyDictionary[CoefficientFunction, np.ndarray]() if given is None else given
+        known = WeakKeyDictionary[CoefficientFunction, np.ndarray]() if samples is None else samples
         self.context = SideContext(step, operators, known)
         self._tests, self._names = tests_of(step, False, self.context), [*on_sides(step), "zeta"]
 

@@ -32,7 +32,7 @@ class FlowSchurComplement:
 
     Attributes
     ----------
-    own : array, (cells, local dim, dim local)
+    to_velocity : array, (cells, local dim, dim local)
         Maps v to rows of v.
     to_fields : array, (cells, q n, dim local)
         Maps v to rows of the fields.
@@ -54,9 +54,9 @@ class FlowSchurComplement:
         """Number of unknowns of v, and number of unknowns of the flow without the normal derivatives."""
         self.gradients = residual.rates.tensors.gradients
         """Number of entries of grad v on which the fields' rates depend."""
-        self.others: RestrictedForm | None = None
-        if others := residual.couplings.beside_the_points():
-            self.others = RestrictedForm(residual.step, u.velocity_block, others)
+        self.by_forms: RestrictedForm | None = None
+        if terms := residual.couplings.beside_the_points():
+            self.by_forms = RestrictedForm(residual.step, u.velocity_block, terms)
         self.leading, self.inertial = residual.couplings.of_gradients(), residual.couplings.of_inertia()
         self._assembled = ElementAssembly(op.v.unknowns, op.v.width)
         self.cells, self.local, self.functions = op.v.cells, op.v.local, op.z.local
@@ -66,8 +66,8 @@ class FlowSchurComplement:
         self._scatter = op.v.scatter.astype(precision.SINGLE)
         rows, of_fields = self.local * self.dim, self.functions * self.components
         self._of_velocity = np.empty((self.cells, rows + of_fields, rows), precision.SINGLE)
-        """The rows of ``own`` and then of ``to_fields``: one product gives rows of v and of the fields."""
-        self.own, self.to_fields = self._of_velocity[:, :rows], self._of_velocity[:, rows:]
+        """The rows of ``to_velocity`` above those of ``to_fields``: one product gives both."""
+        self.to_velocity, self.to_fields = self._of_velocity[:, :rows], self._of_velocity[:, rows:]
         self.from_fields = np.empty((self.cells, rows, of_fields), precision.SINGLE)
 
     def update(self, at: Evaluation, everything: bool = True) -> None:
@@ -104,7 +104,7 @@ class FlowSchurComplement:
         mass = self._mass(fine, at)
         for i in range(d):
             blocks[:, :, i, i] += mass
-        self.own[where] = blocks.reshape(cells, local * d, d * local)
+        self.to_velocity[where] = blocks.reshape(cells, local * d, d * local)
         # from (v, grad v) to rows of z: - rate(z; grad dv) + (dv . grad) z
         to_z = np.empty((count, n, d, 1 + d), precision.SINGLE)
         to_z[..., 0] = p.fields.grad_z.value.transpose(2, 0, 1)
@@ -145,7 +145,7 @@ class FlowSchurComplement:
 
     def _rest(self) -> sp.csr_matrix | None:
         """The matrix of walls, damping, the creep rate field and users' terms."""
-        rest = None if self.others is None else self.others.jacobian()
+        rest = None if self.by_forms is None else self.by_forms.jacobian()
         if "Pi" not in self.residual.unknowns.velocity_block:
             return rest
         # the change of M with a creep rate field Pi in a step; the coupling to v is left out
@@ -185,9 +185,9 @@ class FlowSchurComplement:
     def _with_fields(self, dv: np.ndarray) -> np.ndarray:
         """Rows of v, (dim, .), from an increment of v, with the fields' response and without
         hyperviscosity."""
-        rows, own = np.matmul(self._of_velocity, self._gathered(dv)), self.dim * self.local
-        carried = self.sweep.fields(-rows[:, own:].reshape(-1, self.components))
-        of_cells = np.ascontiguousarray(rows[:, :own])
+        rows, height = np.matmul(self._of_velocity, self._gathered(dv)), self.dim * self.local
+        carried = self.sweep.fields(-rows[:, height:].reshape(-1, self.components))
+        of_cells = np.ascontiguousarray(rows[:, :height])
         of_cells += np.matmul(self.from_fields, carried.reshape(self.cells, self.from_fields.shape[2], 1))
         return self._scattered(of_cells)
 
@@ -242,7 +242,7 @@ class FlowSchurComplement:
         d, local = self.dim, self.local
         rows = self.to_fields.reshape(self.cells * self.functions, self.components * d * local)
         fields = self.sweep.in_cells(rows).reshape(self.to_fields.shape)
-        cells = (self.own - self.from_fields @ fields).reshape(self.cells, local, d, d, local)
+        cells = (self.to_velocity - self.from_fields @ fields).reshape(self.cells, local, d, d, local)
         del rows, fields
         hyper_tangent = None
         if hyper is not None and at.hyper is not None:

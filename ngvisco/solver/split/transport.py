@@ -38,13 +38,13 @@ class SweptMatrix:
     def __init__(self, diagonal: np.ndarray, across: np.ndarray, coupling: FacetCoupling) -> None:
         """``diagonal`` and ``across`` are the blocks that ``FacetCoupling.blocks`` returns."""
         count, sides, q, _ = across.shape
-        self._coupling, self._own = coupling, diagonal
+        self._coupling, self._diagonal = coupling, diagonal
         self._across = across.transpose(0, 2, 1, 3).reshape(count, q, sides * q)
         self._rows = np.concatenate([diagonal, self._across], axis=2).astype(precision.SINGLE)
 
     def invert(self) -> SweptMatrix:
         """Invert the cells' own blocks; raises LinAlgError if one is singular."""
-        inverse = np.linalg.inv(self._own)
+        inverse = np.linalg.inv(self._diagonal)
         self.cells = inverse.astype(precision.SINGLE)
         self._carried = (-np.matmul(inverse, self._across)).astype(precision.SINGLE)
         return self
@@ -68,7 +68,7 @@ class SweptMatrix:
 
     def _by_cells(self, x: np.ndarray) -> np.ndarray:
         values = x.astype(precision.SINGLE, copy=False)
-        return values.reshape(*self._own.shape[:2], x.shape[1] if x.ndim == 2 else 1)
+        return values.reshape(*self._diagonal.shape[:2], x.shape[1] if x.ndim == 2 else 1)
 
     def _beside(self, x: np.ndarray) -> np.ndarray:
         """The neighbours' values side by side, (cells, sides q, n), from values (cells, q, n)."""
