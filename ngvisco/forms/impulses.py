@@ -109,16 +109,19 @@ class Impulses:
         """Rows of v by group."""
         found: dict[str, _Rows] = {}
         test, dim = self._space.TestFunction(), self.step.mesh.dim
+        on_facets, of_motions = self._tests(test, Grad(test)), {}
+        for motion, e in self.motions.items():
+            spin = CF(tuple(e[i].Diff(place) for i in range(dim) for place in (x, y, z)[:dim]))
+            gradient = spin.Reshape((dim, dim)) if motion.startswith("torque") else None
+            of_motions[motion] = self._tests(e, gradient)
         for term in self.step.terms:
             wall = getattr(term, "wall", None)
             on = None if wall is None else [wall]
             with refused_by_name(term):
-                for name, parts in impulses_of(term, self.step.now, self._tests(test, Grad(test))).items():
+                for name, parts in impulses_of(term, self.step.now, on_facets).items():
                     if facets := [part.facets for part in parts if not _is_zero(part.facets)]:
                         found.setdefault(name, _Rows()).facets.append((reduce(add, facets), on))
-                for motion, e in self.motions.items():
-                    spin = CF(tuple(e[i].Diff(place) for i in range(dim) for place in (x, y, z)[:dim]))
-                    tests = self._tests(e, spin.Reshape((dim, dim)) if motion.startswith("torque") else None)
+                for motion, tests in of_motions.items():
                     for name, parts in impulses_of(term, self.step.now, tests).items():
                         if rows := [p for p in parts if not (_is_zero(p.cells) and _is_zero(p.collocated))]:
                             found.setdefault(name, _Rows()).cells.setdefault(motion, []).extend(rows)

@@ -13,7 +13,6 @@ from ngsolve import BaseMatrix, BilinearForm, CoefficientFunction, FESpace, Grid
 
 from ngvisco.forms.context import Context
 from ngvisco.forms.fields import Fields
-from ngvisco.forms.mesh.mesh_arrays import is_simplicial
 from ngvisco.forms.mesh.quadrature import Quadrature
 from ngvisco.forms.spaces import Layout
 from ngvisco.forms.term import Integrand, Integrands, tested
@@ -97,9 +96,7 @@ def inverse_mass(space: FESpace, quadrature: Quadrature) -> BaseMatrix:
 
     ``Mass`` gives it on straight simplices without a weight only.
     """
-    mesh, is_plain = quadrature.mesh, quadrature.symmetry.radius is None
-    # one choice for all ranks, including ranks without cells
-    if is_plain and mesh.comm.Max(mesh.GetCurveOrder()) <= 1 and mesh.comm.Min(is_simplicial(mesh)):
+    if quadrature.has_constant_weights:
         return space.Mass(1).Inverse()
     trial, test = space.TnT()
     mass = BilinearForm(space, symmetric=True, condense=True)

@@ -37,7 +37,7 @@ from ngsolve.comp import IntegrationRuleSpace
 
 from ngvisco.errors import InitialDataError, ParameterError
 from ngvisco.forms.mesh.integrand import Integrand
-from ngvisco.forms.mesh.mesh_arrays import VERTICES, rules
+from ngvisco.forms.mesh.mesh_arrays import VERTICES, is_simplicial, rules
 from ngvisco.forms.mesh.symmetry import NO_SYMMETRY, Symmetry, weighted
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.mesh import number_of
@@ -97,6 +97,14 @@ class Quadrature:
     def cell_rules(self) -> dict[Any, IntegrationRule]:
         """The rules of all types of cells."""
         return rules(self.mesh.dim, self.volume_degree)
+
+    @cached_property
+    def has_constant_weights(self) -> bool:
+        """Whether the integrals of all cells have constant weights: straight simplices, no symmetry."""
+        is_plain = self.symmetry.radius is None
+        # one choice for all ranks, including ranks without cells
+        mesh, comm = self.mesh, self.mesh.comm
+        return bool(is_plain and comm.Max(mesh.GetCurveOrder()) <= 1 and comm.Min(is_simplicial(mesh)))
 
     @cached_property
     def _facet_rules(self) -> dict[Any, IntegrationRule]:
