@@ -98,7 +98,4 @@ def tangents_of(material: Material, dim: int, m: int, response: Respond) -> Tang
     """
     if m > 0 and material.response(dim) is not None and not material.continued:
         return None
-    rest = rest_state(material, dim)
-    if is_affine(response, rest):
-        return None
-    return TangentForce()
+    return None if is_affine(response, rest_state(material, dim)) else TangentForce()
