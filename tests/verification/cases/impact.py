@@ -49,7 +49,7 @@ class Rows(NamedTuple):
         return f"{self.across} x {self.along}"
 
 
-COARSE, FINE = Rows(3, 15, 1.0, 0.5), Rows(4, 16, 1.1, 1.0)
+COARSE, FINE = Rows(3, 15, 1.0, 0.5), Rows(4, 20, 1.15, 0.5)
 
 
 def rectangles(r: Sequence[float], h: Sequence[float], pattern: Pattern) -> Mesh:
