@@ -276,19 +276,23 @@ def oscillation(degree: int, maxh: float, material: nv.Material) -> tuple[nv.Sim
     - relative error of 0T4 <= 2e-2: eight quadratic cells in a diameter
     - least ratio of the errors of both meshes >= 2.0: order h^2 at least: 1.55^2 = 2.4
     - difference of finite and small strain, 0T2 <= 1e-3: strains of half a per cent
-    - change of the energy <= 1e-4: the problem is linear except for upwinding
+    - change of the energy, less what upwinding dissipates <= 1e-5: the problem is linear except for upwinding
+    - energy that upwinding dissipates, over all in [0, 5e-3]: 0T4 on the coarse mesh has three cells in a
+      half-wave
     - closure
     """)
 def _toroidal() -> Measured:
     degrees, linear = (2, 3, 4), nv.LinearElastic(K_e=K_E, G_e=G_E)
-    rows, curves, errors, changes = [], [], {}, []
+    rows, curves, errors, changes, upwinding = [], [], {}, [], []
     for degree in degrees:
         exact = root(degree)
         for maxh in SIZES:
             run, s, values = oscillation(degree, maxh, linear)
             errors[degree, maxh] = abs(abs(s.imag) / exact - 1)
             energy = run.ledger.column("kinetic") + run.ledger.column("stored")
-            changes.append(abs(float(energy[-1] / energy[0]) - 1))
+            taken = float((run.ledger.column("dt") * run.ledger.column("dissipation_upwinding"))[1:].sum())
+            changes.append(abs(float((energy[-1] + taken) / energy[0]) - 1))
+            upwinding.append(taken / float(energy[0]))
             rows.append([degree, run.mesh.ne, abs(s.imag), exact, abs(s.imag) / exact - 1, -s.real])
         times = run.ledger.column("time") * exact / (2 * math.pi)
         curves.append(Curve(f"0T{degree}", times, values, "o"))
@@ -303,7 +307,9 @@ def _toroidal() -> Measured:
     gains = [errors[degree, coarse] / errors[degree, best] for degree in degrees]
     yield "least ratio of the errors of both meshes", min(gains)
     yield "difference of finite and small strain, 0T2", abs(abs(finite.imag) / rows[0][2] - 1)
-    yield "change of the energy", max(changes)
+    yield "change of the energy, less what upwinding dissipates", max(changes)
+    yield "energy that upwinding dissipates, over all", max(upwinding)
+    yield "Until upwinding had a column the bound was 1e-4 for all; 1.3e-3 was seen before 5e-3 was written."
     yield Table("frequencies", "l | tetrahedra | omega, 1/s | exact | error | decay, 1/s", rows)
     yield Plot("Toroidal modes, finer mesh", "t, periods of each", "amplitude of v", curves)
     yield "In the picture the values fall behind by the midpoint rule's own error, (omega tau)²/12 = 1.3 %."
