@@ -77,7 +77,7 @@ class TangentForce(PointTerm):
     """
 
     linearised, group = False, ENTERING
-    kept = (TangentGap.name, WithoutEnergy.name)
+    kept = (WithoutEnergy.name,)
 
     def excess(self, u: Fields) -> CoefficientFunction:
         """The integrand -side N/2 on the boundaries of cells, Pa."""
