@@ -71,7 +71,7 @@ def test_of_energies_without_arrays(kind, monkeypatch):
     if kind == "by its response":
         material = nv.Yosida(material=material, eps=1e-3)
     else:
-        monkeypatch.setattr("ngvisco.reduced.slope.respond", ExpressionResponse)
+        monkeypatch.setattr("ngvisco.forms.rates.respond", ExpressionResponse)
     assert_is_the_derivative(simulation(material=material))
 
 
