@@ -98,7 +98,7 @@ def run_or_resume(case: str, directory: str, threads: int, stop: str) -> tuple[i
     what = ["resume", directory] if begun else ["run", case, "-o", directory]
     options = ["--threads", str(threads), "--quiet", "--ends-with-stdin"]
     command = [sys.executable, "-m", "ngvisco", *what, *options]
-    # the pipe closes if this process is killed, which makes the run end its step
+    # the pipe closes if this process is killed, which makes the run give up its step
     read, held = os.pipe()
     process = subprocess.Popen(
         command,
@@ -121,7 +121,7 @@ def run_or_resume(case: str, directory: str, threads: int, stop: str) -> tuple[i
 
 @atexit.register
 def _end_all() -> None:
-    """Terminate the runs when their study or worker ends; each ends its step and leaves a checkpoint."""
+    """Terminate the runs when their study or worker ends; each gives up its step and leaves a checkpoint."""
     for process in list(_running):
         process.terminate()
 
@@ -136,7 +136,7 @@ def _waited(process: subprocess.Popen[str], event: Any) -> tuple[int, str]:
             except subprocess.TimeoutExpired:
                 looks += 1
             if not asked and looks % _ASK == 0 and event.is_set():
-                process.terminate()  # the run ends its step, writes a checkpoint and exits with 143
+                process.terminate()  # the run gives up its step, writes a checkpoint and exits with 143
                 asked = True
     except BaseException:  # the scheduler is gone, or this worker is closed
         process.terminate()

@@ -185,7 +185,7 @@ class Study:
         report : callable
             Called with each run's outcome when it ends.
         stop : threading.Event, optional
-            Event that makes each run finish its step and write a checkpoint.
+            Event that makes each run give up its present step and write a checkpoint.
         """
         count = as_integer(max(1, (os.cpu_count() or 1) // threads) if workers is None else workers)
         if count is None or count < 1:

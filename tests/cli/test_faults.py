@@ -206,7 +206,7 @@ def test_texts_are_utf_8_whatever_the_locale(tmp_path, case_file):
         assert title in (out / name).read_text(encoding="utf-8")
 
 
-def test_a_signal_ends_the_step_and_says_how_to_resume(tmp_path, case_file):
+def test_a_signal_ends_the_run_and_says_how_to_resume(tmp_path, case_file):
     """Nothing else writes where a run is at work; the only checkpoint was written for the signal."""
     place = tmp_path / "out"
     process = start("run", case_file, "-o", place, *LONG, "--set", "output.checkpoint.every=1000")
@@ -227,6 +227,65 @@ def test_a_signal_ends_the_step_and_says_how_to_resume(tmp_path, case_file):
     assert done < 1000 and "stopped on request" in (place / "log.txt").read_text()
     assert list(nv.read_ledger(place / "run.h5")["step"])[-1] == done
     assert_goes_on(place, case_file, done)
+
+
+WITHIN = """
+import sys, time
+from pathlib import Path
+from ngvisco.cli.main import main
+from ngvisco.reduced.residual import ReducedResidual
+from ngvisco.run.simulation import Simulation
+from ngvisco.solver.newton import CondensedJacobian
+solver, note, *words = sys.argv[1:]
+owner, name = {"split": (ReducedResidual, "__call__"), "coupled": (CondensedJacobian, "solve")}[solver]
+advance, request_stop, evaluate = Simulation.advance, Simulation.request_stop, getattr(owner, name)
+calls, asked = {}, []
+
+def advanced(run, *given):
+    calls["step"], calls["number"] = run.number + 1, 0
+    return advance(run, *given)
+
+def evaluated(*given):
+    calls["number"] += 1
+    if (calls["step"], calls["number"]) == (2, 3):
+        Path(note).write_text("within")
+        while not asked:
+            time.sleep(0.01)
+    return evaluate(*given)
+
+def requested(run):
+    asked.append(calls["step"])
+    request_stop(run)
+
+Simulation.advance, Simulation.request_stop = advanced, requested
+setattr(owner, name, evaluated)
+code = main(words)
+Path(note).write_text(str(calls))
+sys.exit(code)
+"""
+"""Runs the command; the third evaluation in the second step waits until the run is asked to stop."""
+
+
+@pytest.mark.parametrize("solver", ["split", pytest.param("coupled", marks=REST)])
+def test_a_signal_within_an_iteration_ends_the_run_before_the_next_one(solver, tmp_path, case_file):
+    """SIGTERM in the second step's third evaluation: at most two more, the rest of one iteration, follow."""
+    case_file.write_text(CASE.replace("every = 1\n", f'every = 1000\n[solver]\nmethod = "{solver}"\n'))
+    place, note = tmp_path / "out", tmp_path / "note.txt"
+    words = [sys.executable, "-c", WITHIN, solver, note, "run", case_file, "-o", place, *LONG]
+    process = subprocess.Popen(
+        words, env=environment(), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    try:
+        wait_for(note.exists, process)
+        process.send_signal(signal.SIGTERM)
+        out, err = process.communicate(timeout=60)
+    finally:
+        process.kill()
+    assert process.returncode == 128 + signal.SIGTERM and "Traceback" not in err, err
+    assert "SIGTERM: stopped after step 1" in out and f"ngvisco resume {place}" in out
+    assert note.read_text() in [str({"step": 2, "number": number}) for number in (3, 4, 5)]
+    assert rows(place) == 2 and list(nv.read_ledger(place / "run.h5")["step"]) == [0, 1]
+    assert_goes_on(place, case_file, 1)
 
 
 @pytest.mark.long
