@@ -9,7 +9,7 @@ random field, so that the approximate inverse is a linear map. T is factorised f
 which sweeps do not resolve, and for components that cells exchange across facets (``Exchanged``). A nonlinear
 density equation has its own Jacobian.
 
-The blocks are written by hand since ``FacetTangent`` of the same terms takes 40 to 180 times as long
+The blocks are written by hand since ``FacetTangent`` of the same terms takes 30 to 170 times as long
 (``tests/benchmarks/kernels.py``); ``tests/solver/test_flow_operator.py`` compares them with the rows.
 """
 
@@ -160,13 +160,7 @@ class TransportSweeps:
     def update(self, at: Evaluation) -> None:
         """Form the matrices and invert at an evaluation."""
         r, coupling = self.residual, self.coupling
-        storage, convection = r.step.context.rate(self._mass), self._convection(at)
-        share = mean_share(r.side_op.inner)
-        normal_velocity = r.side_op.crossed * (r.side_op.points.normals * at.facets.v.value).sum(axis=0)
-        inward = normal_velocity - abs(normal_velocity)
-        diagonal, across = coupling.blocks(-inward, share, inward)
-        diagonal += self._entering("z", at, inward)
-        diagonal += storage + convection
+        diagonal, across = self.blocks("z", at)
         if self._whole is not None:
             transport = of_blocks(diagonal, across, coupling.neighbours, coupling.halo.count)
             self._whole.factorise((transport + self._laplacian).tocsr())
@@ -176,11 +170,21 @@ class TransportSweeps:
             self.of_z = SweptMatrix(diagonal, across, coupling).invert()
         self._count_sweeps()
         if self._density is None and r.unknowns.density:
-            diagonal, across = coupling.blocks(abs(normal_velocity), share, inward)
-            diagonal += self._entering("rho", at, inward)
-            diagonal += storage - convection.transpose(0, 2, 1)
             with r.ranks.together(np.linalg.LinAlgError):
-                self.of_rho = SweptMatrix(diagonal, across, coupling).invert()
+                self.of_rho = SweptMatrix(*self.blocks("rho", at), coupling).invert()
+
+    def blocks(self, name: str, at: Evaluation) -> tuple[np.ndarray, np.ndarray]:
+        """The blocks of the transport of ``"z"`` or ``"rho"``, see ``FacetCoupling.blocks``."""
+        r = self.residual
+        share = mean_share(r.side_op.inner)
+        normal_velocity = r.side_op.crossed * (r.side_op.points.normals * at.facets.v.value).sum(axis=0)
+        inward, convection = normal_velocity - abs(normal_velocity), self._convection(at)
+        direct = -inward
+        if name == "rho":
+            direct, convection = abs(normal_velocity), -convection.transpose(0, 2, 1)
+        diagonal, across = self.coupling.blocks(direct, share, inward)
+        diagonal += self._entering(name, at, inward)
+        return diagonal + r.step.context.rate(self._mass) + convection, across
 
     def _entering(self, name: str, at: Evaluation, inward: np.ndarray) -> np.ndarray | float:
         """The contribution to the rows of ``"rho"`` or ``"z"`` of matter that flows in through walls."""
