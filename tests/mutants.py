@@ -55,8 +55,8 @@ MUTANTS = [
         ),
         (
             "loads",
-            "return u.rho * average if isinstance(self.load, (Gravity, CentralGravity)) else average",
-            "return -(u.rho * average if isinstance(self.load, (Gravity, CentralGravity)) else average)",
+            "return u.rho * average if self.load.is_weight else average",
+            "return -(u.rho * average if self.load.is_weight else average)",
             SIGNS + "test_loads_pull_where_they_point",
         ),
         (

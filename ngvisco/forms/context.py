@@ -26,6 +26,7 @@ from ngvisco.errors import InputWarning
 from ngvisco.forms.energy import StoredEnergy
 from ngvisco.forms.mesh.mesh_arrays import inner_facets
 from ngvisco.forms.rates import Rates
+from ngvisco.forms.spaces import Layout
 from ngvisco.forms.time_means import TOLERANCE, TimeMean, mean_in_cells, mean_on_walls
 from ngvisco.forms.unknown_values import UnknownValues
 from ngvisco.parallel.communicator import Communicator
@@ -209,6 +210,13 @@ class Context:
         begin, over, tilt = self.loads_window
         made[1].update(begin, over, 0.0 if is_even else tilt)
         return made
+
+
+class StepLayout(Layout):
+    """The layout of a step's unknowns, with the data of the step."""
+
+    context: Context
+    """The data, set by the layout's owner (``ngvisco.forms.system.Step``)."""
 
 
 def _shaped(function: GridFunction, value: CoefficientFunction) -> CoefficientFunction:

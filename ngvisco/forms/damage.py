@@ -51,13 +51,13 @@ from ngsolve import (
 
 from ngvisco.algebra.box import minimise_in_box
 from ngvisco.errors import InputWarning, ParameterError, StepError
-from ngvisco.forms.context import Context
+from ngvisco.forms.context import Context, StepLayout
 from ngvisco.forms.energy import StoredEnergy
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.mesh.mesh_arrays import is_simplicial
 from ngvisco.forms.mesh.points import csr
 from ngvisco.forms.mesh.quadrature import Quadrature
-from ngvisco.forms.spaces import Discretisation, Layout
+from ngvisco.forms.spaces import Discretisation
 from ngvisco.forms.term import PRODUCTION, Entry, Integrand
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.physics.material import conjugates, part_of
@@ -86,7 +86,7 @@ class Breaking(Protocol):
 
     mesh: Mesh
     model: Model
-    layout: Layout
+    layout: StepLayout
     discretisation: Discretisation
     quadrature: Quadrature
     context: Context

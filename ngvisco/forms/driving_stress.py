@@ -26,10 +26,10 @@ from typing import Any, TypeAlias
 import numpy as np
 from ngsolve import CoefficientFunction, GridFunction
 
+from ngvisco.forms.context import StepLayout
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.mesh.quadrature import Quadrature, values_of
 from ngvisco.forms.rates import Conjugate, Rates, TabulatedRates
-from ngvisco.forms.spaces import Layout
 from ngvisco.forms.unknown_values import UnknownValues
 from ngvisco.physics.arrays import TINY, Array
 from ngvisco.physics.flow_rules.resolvent import PointRate, resolved, slope_of
@@ -61,7 +61,7 @@ class LinearisationStress:
     """
 
     def __init__(
-        self, rates: TabulatedRates, layout: Layout, quadrature: Quadrature, state: GridFunction
+        self, rates: TabulatedRates, layout: StepLayout, quadrature: Quadrature, state: GridFunction
     ) -> None:
         self.rates, self.layout, self.space = rates, layout, rates.creep_space
         self.mechanisms = tuple(
@@ -337,7 +337,9 @@ class LinearisedTabulatedRates(LinearisedRates, TabulatedRates):
     def _now(self, u: UnknownValues) -> UnknownValues:
         """The values without the imaginary parts of an increment."""
         parts = {name: Array(u.parts[name].value.real, None) for name in ("z", "zeta")}
-        return Fields(u.layout, parts, u.context, lambda name: Array(u.gradient(name).value.real, None))
+        return Fields(
+            self.stresses.layout, parts, u.context, lambda name: Array(u.gradient(name).value.real, None)
+        )
 
     def _off(self, mechanism: CreepMechanism, u: UnknownValues) -> Array:
         stress, slope = self.stresses.of(mechanism)

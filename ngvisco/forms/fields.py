@@ -8,17 +8,18 @@ from typing import Any
 
 from ngsolve import CoefficientFunction
 
-from ngvisco.forms.context import Context
-from ngvisco.forms.spaces import Layout
+from ngvisco.forms.context import Context, StepLayout
 from ngvisco.forms.unknown_values import Part, UnknownValues
 
 
 class Fields(UnknownValues):
     """The unknowns of a step (or tests, or known values) with the step's context."""
 
+    layout: StepLayout
+
     def __init__(
         self,
-        layout: Layout,
+        layout: StepLayout,
         parts: Mapping[str, Any],
         context: Context | None = None,
         gradient: Callable[[str], Any] | None = None,
@@ -34,7 +35,7 @@ class Fields(UnknownValues):
         self._context = context
 
     @classmethod
-    def of(cls, layout: Layout, parts: Sequence[Any]) -> Fields:
+    def of(cls, layout: StepLayout, parts: Sequence[Any]) -> Fields:
         """Fields of trial or test proxies, or of a grid function's components, in the layout's order."""
         return cls(layout, dict(zip(layout.names, parts, strict=True)))
 

@@ -11,10 +11,9 @@ from collections.abc import Callable
 import numpy as np
 from ngsolve import BaseMatrix, BilinearForm, CoefficientFunction, FESpace, GridFunction, LinearForm, VectorL2
 
-from ngvisco.forms.context import Context
+from ngvisco.forms.context import Context, StepLayout
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.mesh.quadrature import Quadrature
-from ngvisco.forms.spaces import Layout
 from ngvisco.forms.term import Integrand, Integrands, tested
 from ngvisco.forms.unknown import Unknown
 from ngvisco.parallel.communicator import Communicator
@@ -126,7 +125,7 @@ def project(
     release(inverse)
 
 
-def set_traces(layout: Layout, state: GridFunction, context: Context, quadrature: Quadrature) -> None:
+def set_traces(layout: StepLayout, state: GridFunction, context: Context, quadrature: Quadrature) -> None:
     """Set the state's traces to the means of both sides' rho, z, ... and d_n v, in L2 of every facet."""
     parts, now = dict(zip(layout.names, state.components, strict=True)), Fields.of(layout, state.components)
     kinds: dict[tuple[str, int], list[Unknown]] = {}

@@ -34,7 +34,6 @@ from ngvisco.forms.term import Integrand, tested
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.exchange import Exchange, Interpolation
 from ngvisco.physics.tensors import if_positive, inner, is_number, masked
-from ngvisco.physics.walls import HELD
 
 
 class WallReactions:
@@ -87,9 +86,9 @@ class WallReactions:
         squares = CF(tuple(n[i] * n[i] for i in range(mesh.dim)))
         hats = np.arange(space.ndof) % (space.ndof // mesh.dim) < mesh.nv  # other basis functions change sign
         exchange, masks, claims = Exchange.of(space, self._ranks), {}, {}
-        for name, wall in walls.conditions.items():
-            own, is_fixed = walls.region([name]), isinstance(wall, HELD)
-            regions = [own if is_fixed or name in of_axis else None for of_axis in walls.axis]
+        for name in walls.conditions:
+            own, is_held = walls.region([name]), name in walls.held
+            regions = [own if is_held or name in of_axis else None for of_axis in walls.axis]
             masks[name] = mask = MovingWalls.constrained(step.layout, regions)
             load = LinearForm(inner(squares, w.Trace()) * ds(definedon=own))
             claims[name] = np.where(mask & hats, exchange.sum(load.Assemble().vec.FV().NumPy()), 0.0)

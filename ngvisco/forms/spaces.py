@@ -32,7 +32,7 @@ import copy
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Annotated, Any, Protocol
+from typing import Annotated, Protocol
 
 from ngsolve import (
     H1,
@@ -90,9 +90,6 @@ class Introducing(Protocol):
 
 class Layout:
     """The compound space of a Rothe step, its blocks by name, and fields of its parts."""
-
-    context: Any
-    """The data of the step, set by the layout's owner (``ngvisco.forms.system.Step``)."""
 
     def __init__(
         self,

@@ -44,7 +44,7 @@ from ngsolve import (
 from ngvisco.forms.boundary.axis import require_symmetry
 from ngvisco.forms.boundary.wall_terms import Impenetrability, passages_of, wall_terms
 from ngvisco.forms.boundary.walls import Conditions, MovingWalls, Walls
-from ngvisco.forms.context import Context
+from ngvisco.forms.context import Context, StepLayout
 from ngvisco.forms.damage import DamageGrowth
 from ngvisco.forms.driving_stress import KeptRates, LinearisationStress, LinearisedRates
 from ngvisco.forms.energy import PointwiseEnergy, StoredEnergy
@@ -54,7 +54,7 @@ from ngvisco.forms.mesh.quadrature import Quadrature
 from ngvisco.forms.mesh.symmetry import Symmetry
 from ngvisco.forms.projections import FacetProjection, LocalProjection, RecoveredSlope
 from ngvisco.forms.rates import Rates, TabulatedRates
-from ngvisco.forms.spaces import Discretisation, Layout
+from ngvisco.forms.spaces import Discretisation
 from ngvisco.forms.term import (
     Entry,
     GivenParts,
@@ -105,7 +105,7 @@ class LocalUnknowns:
 
     def __init__(
         self,
-        layout: Layout,
+        layout: StepLayout,
         state: GridFunction,
         quadrature: Quadrature,
         terms: Iterable[PointTerm],
@@ -257,7 +257,7 @@ class Step:
             *known,
         )
         self.point_terms, self.sources = point_terms(self.terms), sources
-        self.layout = Layout(
+        self.layout = StepLayout(
             mesh,
             model.material,
             self.discretisation,

@@ -8,7 +8,7 @@ from ngsolve import CF
 from ngvisco.errors import InputWarning
 from ngvisco.forms.mesh.quadrature import Sampler
 from ngvisco.forms.system import Step
-from ngvisco.physics.loads import CentralGravity, Gravity, force_of
+from ngvisco.physics.loads import force_of
 from ngvisco.physics.model import Model
 from ngvisco.physics.variables import PRESSURE
 
@@ -43,7 +43,7 @@ class Tension:
             return
         self.is_said = True
         place = self.sampler.largest_in_words(-p, {})
-        weighs = any(isinstance(load, (Gravity, CentralGravity)) for load in self.step.model.loads)
+        weighs = any(load.is_weight for load in self.step.model.loads)
         remedy = '; a start that bears its weight is [initial] equilibrium = "hydrostatic"' if weighs else ""
         message = (
             f"at t = {t:.4g} s {_subject(self.laws)} a negative pressure, "
@@ -55,7 +55,7 @@ class Tension:
 def unborne_weight(step: Step, sampler: Sampler) -> str | None:
     """Message of a start whose pressure, read by a law, does not bear the weight; else None."""
     laws, ranks, dim = readers(step.model), sampler.ranks, step.mesh.dim
-    loads = (load for load in step.model.loads if isinstance(load, (Gravity, CentralGravity)))
+    loads = (load for load in step.model.loads if load.is_weight)
     weight = sum((step.now.rho * force_of(load, dim) for load in loads), CF((0.0,) * dim))
     heaviest = ranks.most(np.linalg.norm(sampler.rows(weight), axis=1))
     if not laws or not heaviest > 0:

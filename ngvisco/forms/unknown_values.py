@@ -73,7 +73,7 @@ class UnknownValues:
     """Projected coefficient c_s of the hyperstress."""
 
     context: Any
-    """The known data at the same points; ``Fields`` have the context of their step."""
+    """The known data at the same points; ``Fields`` have the ``Context`` of their step."""
 
     def __init__(
         self,

@@ -3,7 +3,7 @@
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, TypeAlias
+from typing import Annotated, Any, ClassVar, TypeAlias
 
 import numpy as np
 from ngsolve import CF, CoefficientFunction, sqrt, x, y, z
@@ -31,8 +31,14 @@ class Gravity:
         Acceleration, a component for each dimension; a function of x and of the run's time.
     name : str
         The load's power is the ledger's column power_<name>.
+
+    Attributes
+    ----------
+    is_weight : bool
+        Whether the load is an acceleration, with the force density rho g.
     """
 
+    is_weight: ClassVar[bool] = True
     g: Annotated[VectorLike, Quantity("m/s^2", example=[0.0, -9.81])]
     name: str = "gravity"
 
@@ -49,6 +55,7 @@ class BodyForce:
         As for ``Gravity``.
     """
 
+    is_weight: ClassVar[bool] = False
     force: Annotated[VectorLike, Quantity("N/m^3", example=[0.0, "-sin(t)"])]
     name: str = "body_force"
 
@@ -74,6 +81,7 @@ class CentralGravity:
         As for ``Gravity``.
     """
 
+    is_weight: ClassVar[bool] = True
     strength: Annotated[float, Quantity("m/s^2", example=9.81)]
     centre: Annotated[tuple[float, ...], Quantity("m", example=[0.0, 0.0])] = (0.0, 0.0)
     radius: Annotated[float, Quantity("m", "> 0", 1.0)] = 1.0

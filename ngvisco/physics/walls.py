@@ -6,7 +6,7 @@ The tangential part of a vector is a_t = a - (a.n) n.  Names of walls are the me
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 from ngsolve import CoefficientFunction
 
@@ -28,6 +28,10 @@ class Wall:
 
     straight = False
     """Whether the facets of the wall are meant to be straight, see ``Slip``."""
+    moves: ClassVar[bool] = False
+    """Whether the wall has a ``velocity`` that v, or its normal part, is equal to."""
+    is_held: ClassVar[bool] = False
+    """Whether v is prescribed in full on the wall."""
     heat: WallHeat | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
@@ -54,6 +58,8 @@ class Slip(Wall):
 class NoSlip(Wall):
     """v = 0 on the wall.  Raises ParameterError if ``heat`` is no WallHeat."""
 
+    is_held = True
+
 
 @dataclass(frozen=True)
 class PrescribedTangential(Wall):
@@ -68,6 +74,7 @@ class PrescribedTangential(Wall):
         vanish up to the geometry's approximation, as the wall is not open.
     """
 
+    moves = is_held = True
     velocity: Annotated[VectorLike, Quantity("m/s", example=["0.1*y", "-0.1*x"])]
 
 
@@ -161,6 +168,7 @@ class Inflow(Passage):
         time.  The mesh does not move: a w that stands for the wall's place has to be small beside a cell.
     """
 
+    moves = is_held = True
     velocity: Annotated[VectorLike, Quantity("m/s", example=["y*(1 - y)", 0.0])]
 
 
@@ -182,6 +190,7 @@ class PrescribedNormal(Passage):
         As for ``Inflow``.
     """
 
+    moves = True
     velocity: Annotated[Function, Quantity("m/s", example="-0.1*sin(t)")]
 
 
@@ -217,9 +226,3 @@ class Open(Passage):
     impedance: Annotated[tuple[float, float], Quantity("Pa s/m", ">= 0", [1.0, 0.5])] = (0.0, 0.0)
     stiffness: Annotated[tuple[float, float], Quantity("Pa/m", ">= 0", [100.0, 0.0])] = (0.0, 0.0)
     backflow: bool = True
-
-
-MOVING = PrescribedTangential, Inflow, PrescribedNormal
-"""Classes of walls with a given velocity, or a given normal part of it."""
-HELD = NoSlip, PrescribedTangential, Inflow
-"""Classes of walls on which v is prescribed in full."""

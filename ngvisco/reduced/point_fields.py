@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from ngvisco.errors import NgviscoError
+from ngvisco.forms.context import StepLayout
 from ngvisco.forms.fields import Fields
-from ngvisco.forms.spaces import Layout
 from ngvisco.physics.arrays import TINY, Array
 
 TOGETHER = 8192
@@ -43,7 +43,7 @@ class Lazy(dict[str, Any]):
 
 def lazy_fields(
     kind: type[Fields],
-    layout: Layout,
+    layout: StepLayout,
     values: tuple[Callable[[str], Any], Iterable[str]],
     gradients: tuple[Callable[[str], Any], Iterable[str]],
     place: str,

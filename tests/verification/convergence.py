@@ -10,11 +10,10 @@ from ngsolve import BilinearForm, CoefficientFunction, GridFunction, Mesh, x
 
 import ngvisco as nv
 from ngvisco.forms.boundary.walls import Walls
-from ngvisco.forms.context import Context, time
+from ngvisco.forms.context import Context, StepLayout, time
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.mesh.quadrature import Quadrature
 from ngvisco.forms.rates import TabulatedRates
-from ngvisco.forms.spaces import Layout
 from ngvisco.forms.start.initial import complete
 from ngvisco.forms.system import LocalUnknowns, equations
 from ngvisco.forms.term import Entry, Integrand, Term, point_terms
@@ -242,7 +241,7 @@ def free_solution(
 # --- transport alone --------------------------------------------------------------------------------------
 
 
-class PartialLayout(Layout):
+class PartialLayout(StepLayout):
     """Layout with some of a step's blocks; the other fields are given functions."""
 
     def __init__(

@@ -30,11 +30,11 @@ from ngvisco.algebra.factorised import DirectSolver
 from ngvisco.algebra.krylov import conjugate_gradients
 from ngvisco.errors import StepError
 from ngvisco.forms.boundary.wall_terms import Impenetrability
+from ngvisco.forms.context import StepLayout
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.mesh.mesh_arrays import mask_of
 from ngvisco.forms.mesh.points import csr
 from ngvisco.forms.mesh.quadrature import Quadrature
-from ngvisco.forms.spaces import Layout
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.exchange import Exchange
 from ngvisco.parallel.petsc import SumInverse
@@ -53,7 +53,7 @@ class WallProjection:
     """
 
     def __init__(
-        self, layout: Layout, term: Impenetrability, quadrature: Quadrature, free: np.ndarray
+        self, layout: StepLayout, term: Impenetrability, quadrature: Quadrature, free: np.ndarray
     ) -> None:
         names = ("v", "wall_stress")
         space = FESpace([layout.blocks[name] for name in names])
@@ -148,7 +148,7 @@ class VelocityOfMomentum:
 
     def __init__(
         self,
-        layout: Layout,
+        layout: StepLayout,
         state: GridFunction,
         density: CoefficientFunction,
         momentum: CoefficientFunction,
@@ -235,7 +235,7 @@ def _same(x: np.ndarray) -> np.ndarray:
 
 
 def project_velocity(
-    layout: Layout,
+    layout: StepLayout,
     state: GridFunction,
     v_0: CoefficientFunction,
     term: Impenetrability | None,

@@ -45,6 +45,7 @@ from ngvisco.forms.boundary.boundaries import (
     require_curved_cells,
     walls_of,
 )
+from ngvisco.forms.context import StepLayout
 from ngvisco.forms.given_values import as_shape
 from ngvisco.forms.mesh.mesh_arrays import mask_of
 from ngvisco.forms.spaces import Layout
@@ -54,7 +55,7 @@ from ngvisco.parallel.exchange import Exchange, Interpolation
 from ngvisco.physics.loads import as_vector
 from ngvisco.physics.signals import may_read_time
 from ngvisco.physics.tensors import inner
-from ngvisco.physics.walls import HELD, MOVING, NoSlip, Passage, PrescribedNormal, Slip, Traction, Wall
+from ngvisco.physics.walls import NoSlip, Passage, PrescribedNormal, Slip, Traction, Wall
 
 OPEN = 1e-3  # |V.n|^2/|V|^2 that an approximate geometry may leave in a tangential velocity
 
@@ -96,8 +97,9 @@ class Walls:
         """Walls that matter crosses with a prescribed v.n."""
         by_components = [*closed, *self.pistons]
         self.axis = [[name for name in group if name in by_components] for group in self.axis]
-        fixed = self._having(*HELD)
-        self.multiplied = [n for n in self.oblique if n in by_components and n not in fixed]
+        self.held = [name for name, wall in self.conditions.items() if wall.is_held]
+        """Walls on which v is prescribed in full."""
+        self.multiplied = [n for n in self.oblique if n in by_components and n not in self.held]
         """Oblique or curved walls, on which a multiplier holds v.n."""
         declared = [name for name, wall in self.conditions.items() if wall.straight]
         curved = [name for name in self.multiplied if name not in declared]
@@ -107,7 +109,7 @@ class Walls:
                 expected = "False: the wall is not bent by small angles between straight facets"
                 raise ParameterError(f"walls[{name!r}].straight", True, expected)
         for name, wall in self.conditions.items():
-            if isinstance(wall, MOVING):
+            if wall.moves:
                 velocity_of(wall, mesh.dim, f"walls[{name!r}]")
             if isinstance(wall, Traction):
                 as_vector(wall.f, mesh.dim, f"walls[{name!r}].f")
@@ -118,8 +120,7 @@ class Walls:
     @property
     def dirichlet(self) -> tuple[Region, ...]:
         """Regions on which v_i is prescribed, one for each i."""
-        fixed = self._having(*HELD)
-        return tuple(self.region([*names, *fixed]) for names in self.axis)
+        return tuple(self.region([*names, *self.held]) for names in self.axis)
 
     @property
     def homogeneous(self) -> tuple[Region, ...]:
@@ -159,11 +160,10 @@ class Walls:
 
 def velocity_of(wall: Wall, dim: int, owner: str) -> CoefficientFunction:
     """The velocity that a wall prescribes, m/s, or its normal part; ParameterError for an invalid one."""
-    assert isinstance(wall, MOVING)
-    field = f"{owner}.velocity"
-    if isinstance(wall, PrescribedNormal):
-        return as_shape(field, wall.velocity, ()) * specialcf.normal(dim)
-    return as_vector(wall.velocity, dim, field)
+    field, velocity = f"{owner}.velocity", vars(wall)["velocity"]
+    if wall.is_held:
+        return as_vector(velocity, dim, field)
+    return as_shape(field, velocity, ()) * specialcf.normal(dim)
 
 
 def _vertices(region: Region) -> np.ndarray:
@@ -195,7 +195,7 @@ class MovingWalls:
     are the wall's reaction; tested by v they give its power, a part of the energy identity.
     """
 
-    def __init__(self, walls: Walls, layout: Layout, state: GridFunction) -> None:
+    def __init__(self, walls: Walls, layout: StepLayout, state: GridFunction) -> None:
         self.walls, self.layout = walls, layout
         self._v = state.vec.FV().NumPy()[layout.ranges["v"]]
         self._values = GridFunction(layout.blocks["v"])
@@ -207,7 +207,7 @@ class MovingWalls:
         self._means: dict[str, tuple[np.ndarray, TimeMean]] = {}
         taken, dim = self.zero.copy(), walls.mesh.dim
         for name, wall in walls.conditions.items():
-            if isinstance(wall, MOVING) and name not in walls.multiplied:
+            if wall.moves and name not in walls.multiplied:
                 region = walls.region([name])
                 is_piston = name in walls.pistons
                 regions = [region if not is_piston or name in names else None for names in walls.axis]

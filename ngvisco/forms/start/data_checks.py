@@ -55,7 +55,7 @@ from ngvisco.physics.mixture import AMOUNT, Mixture
 from ngvisco.physics.signals import time
 from ngvisco.physics.tensors import square, tr
 from ngvisco.physics.variables import Distortion
-from ngvisco.physics.walls import HELD, MOVING, PrescribedNormal, Traction
+from ngvisco.physics.walls import PrescribedNormal, Traction
 
 _FLAT = 1e-12  # |a.n|^2/|a|^2 on axis-parallel walls, whose normals are exact
 _ROUNDING = 1e-20  # share of the mean of |a|^2 in the domain: sin(pi x) at x = 1 is 1e-16
@@ -396,12 +396,10 @@ def warn_of_corners(step: Step, times: Sequence[float]) -> None:
 def _corner_cells(step: Step) -> list[tuple[int, int]]:
     """Pairs of a cell and its vertex on a moving wall whose edges all lie on walls that prescribe v."""
     mesh, conditions = step.mesh, step.walls.conditions
-    moving = [
-        name for name, wall in conditions.items() if isinstance(wall, MOVING) and isinstance(wall, HELD)
-    ]
+    held = step.walls.held
+    moving = [name for name in held if conditions[name].moves]
     if not moving:
         return []
-    held = [name for name, wall in conditions.items() if isinstance(wall, HELD)]
     # an edge or a vertex may lie on walls only by facets of other ranks, which these spaces include
     on_walls = ~mask_of(HCurl(mesh, order=0, dirichlet=step.walls.region(held)).FreeDofs())
     moved = ~mask_of(H1(mesh, order=1, dirichlet=step.walls.region(moving)).FreeDofs())

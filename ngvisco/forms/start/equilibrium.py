@@ -46,7 +46,7 @@ from ngvisco.forms.system import Step
 from ngvisco.forms.term import tested
 from ngvisco.parallel.exchange import Exchange
 from ngvisco.parallel.petsc import inverse_of, release
-from ngvisco.physics.loads import CentralGravity, Gravity, force_of
+from ngvisco.physics.loads import force_of
 from ngvisco.physics.material import part_of
 from ngvisco.physics.materials.thermal import Thermal
 from ngvisco.physics.materials.wrapped import carrying
@@ -125,7 +125,7 @@ class Column:
         force = CF((0.0,) * dim)
         for load in self.step.model.loads:
             one = force_of(load, dim)
-            force = force + (rho * one if isinstance(load, (Gravity, CentralGravity)) else one)
+            force = force + (rho * one if load.is_weight else one)
         return force
 
     def _rho(self) -> CoefficientFunction:

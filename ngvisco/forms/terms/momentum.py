@@ -22,7 +22,7 @@ from ngvisco.forms.fields import Fields
 from ngvisco.forms.term import CHANGE, SKEW, CellMean, Entry, Integrand, PointTerm, point_terms
 from ngvisco.forms.unknown import Setting, Unknown
 from ngvisco.forms.upwinding import FacetMean, mean_share, side, speed
-from ngvisco.physics.loads import CentralGravity, Gravity, Load, force_of
+from ngvisco.physics.loads import Load, force_of
 from ngvisco.physics.regularisation import Regularisation
 from ngvisco.physics.rheology import Viscosity
 from ngvisco.physics.tensors import if_positive, inner, square, sym
@@ -265,7 +265,7 @@ class Loading(PointTerm):
     def force(self, u: Fields) -> CoefficientFunction:
         """Force density f, N/m^3."""
         average = u.context.average(self.vector)
-        return u.rho * average if isinstance(self.load, (Gravity, CentralGravity)) else average
+        return u.rho * average if self.load.is_weight else average
 
     def cells(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         return [-inner(self.force(u), w.v)]
