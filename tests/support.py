@@ -191,13 +191,11 @@ def step_of(case: Case) -> Step:
 
 
 def randomise(step: Step, seed: int = 0, size: float = 0.15) -> None:
-    """Random values of all unknowns, old and new; rho, J, |Hs|^2 and [z] : [zeta] positive."""
+    """Random values of all unknowns, old and new; rho, J and |Hs|^2 positive."""
     rng = np.random.default_rng(seed)
     for target in (step.state_old, step.state):
         target.vec.FV().NumPy()[:] = smooth_state(step)
         target.vec.FV().NumPy()[:] += size * rng.uniform(-1, 1, step.layout.space.ndof)
-        if (jumps := step.layout.ranges.get("conjugate_jump")) is not None:
-            target.vec.FV().NumPy()[jumps] += 1.0
     step.start_from_old()
     positive = {"rho": step.now.rho, "J": step.now.z_tensors.get("J")}
     if "hess_square" in step.layout.names:

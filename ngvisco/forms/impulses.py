@@ -16,8 +16,8 @@ summands vanish for the exact solution; they are momentum that the scheme create
 
       sum_K int_{dK} (e . n) ((z_hat - z) : zeta + phi(z)),
 
-  less the parts of ``TangentForce`` and of walls that matter crosses: the thrust of a jump, zero if both
-  sides' tangents of phi meet at the trace;
+  less the parts of ``TangentForce`` and of walls that matter crosses: the thrust of a jump, which is left
+  where a trace has no energy;
 - **cells**: the rest of B_h(e; z, zeta) without the shares of facets and walls: the quadrature of phi in
   cells and on facets, on curved cells the projection of (e . grad) z, and conjugates of another state
   (``Material.lagged``).

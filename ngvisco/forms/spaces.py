@@ -10,9 +10,8 @@
 | zeta             | their conjugates, P_m                             | local          | Conjugates |
 | z_hat            | the trace of z                                    | global         | Trace |
 | zeta_hat         | mean of both sides' conjugates, with heat         | global         | MeanConjugates |
-| tangent_gap      | gap of both sides' tangents, P_0 on facets        | global         | TangentGap |
+| tangent_gap      | half of a jump's thrust N, P_0 on facets          | global         | TangentGap |
 | without_energy   | traces without an energy, P_0 on facets           | global         | WithoutEnergy |
-| conjugate_jump   | [z] : [zeta], P_0 on facets                       | global         | ConjugateJump |
 | cell_velocity    | mean of v over a cell                             | local          | CellVelocity |
 | unbalanced_momentum | mean residual of the continuity equation tested by v | local    | UnbalancedMomentum |
 | stored_mean      | mean of an energy without values on walls         | local          | StoredMean |

@@ -187,7 +187,7 @@ def equations(model: Model, rates: TabulatedRates, m: int = 1) -> tuple[Term, ..
     terms += [Kinematics(model), Conjugates(model), Trace()]
     tangents = tangents_of(model.material, dim, m, rates.response)
     if tangents is not None:
-        terms += [TangentGap(), WithoutEnergy(), *tangents.jumps, tangents]
+        terms += [TangentGap(), WithoutEnergy(), tangents]
     if entropy_in(model.material) is not None:
         terms.append(MeanConjugates())
     terms.append(Upwinding(tangents))

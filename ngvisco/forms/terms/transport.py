@@ -137,7 +137,7 @@ class Upwinding(PointTerm):
     """Upwinding sum_K int_{dK} |v . n| (z - z_hat) : G, that is 1/2 int |v . n| [z] : [G] over the facets.
 
     With the mean trace in B_h the transport is upwind.  Tested by zeta, the term dissipates
-    1/2 int |v . n| [z] : [zeta]; with the power of ``TangentForce`` 1/2 int (|v . n| + b v . n) [z] : [zeta].
+    1/2 int |v . n| [z] : [zeta]; with the power of ``TangentForce`` int 1/2 |v . n| [z] : [zeta] - (v . n) N.
     """
 
     tangents: TangentForce | None = None
