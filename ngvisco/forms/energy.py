@@ -7,16 +7,17 @@ approximation) they are computed and stored at the quadrature points: with their
 
 which at z = z_k is the slope with its exact derivative, as a residual and its Jacobian need.  ``refresh``
 updates them to the present state and is called before every use.  They depend on z alone, so that
-checkpoints omit them.  Further states (``follow``) have separate values, and sides of cells have means of
-phi.
+checkpoints omit them.  Further states (``follow``) have separate values, and sides of cells have
+projections of phi and phi'.
 """
 
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import partial
 
 import numpy as np
 import scipy.sparse as sp
 from ngsolve import CF, L2, CoefficientFunction, Discontinuous, FacetFESpace, GridFunction
+from scipy.sparse.linalg import splu
 
 from ngvisco.errors import StepError
 from ngvisco.forms.mesh.points import SidePoints
@@ -126,7 +127,7 @@ class PointwiseEnergy(StoredEnergy):
         self.follow(now)
         self._hessian = quadrature.vectors(self._size * self._size)
         self.projected = GridFunction(L2(quadrature.mesh, order=order))
-        self._means_of_sides: GridFunction | None = None
+        self._at_sides: _SideValues | None = None
 
     def follow(self, u: UnknownValues) -> None:
         self._values[u] = _Values(*(self._quadrature.vectors(size) for size in (1, self._size, self._size)))
@@ -158,25 +159,14 @@ class PointwiseEnergy(StoredEnergy):
         return self.projected
 
     def on_sides(self, u: UnknownValues) -> CoefficientFunction:
-        if self._means_of_sides is None:
-            self._means_of_sides = GridFunction(Discontinuous(FacetFESpace(self._quadrature.mesh, order=0)))
-        return self._means_of_sides
-
-    @cached_property
-    def _sides(self) -> tuple[SidePoints, sp.csr_matrix]:
-        """Points of the cells' sides, and the matrix from a component's coefficients to its values there."""
-        points = SidePoints(self._quadrature.mesh, self._quadrature.facet_degree, self._quadrature.symmetry)
-        return points, points.values(self.fields.layout.scalar_space("z"))
+        if self._at_sides is None:
+            self._at_sides = _SideValues(self._quadrature, self.fields, self._size)
+        here = self._at_sides
+        return here.energy if u is self.fields else here.energy + inner(here.slope, u.z - self.fields.z)
 
     def refresh_sides(self) -> None:
-        if self._means_of_sides is None:
-            return
-        points, values = self._sides
-        states = values @ self.fields.z.vec.FV().NumPy().reshape(self._size, -1).T
-        weights = points.weights.reshape(-1, points.per_side)
-        energy = self.response(states).energy.reshape(weights.shape)
-        means = (weights * energy).sum(axis=1) / weights.sum(axis=1)
-        self._means_of_sides.vec.FV().NumPy()[:] = means
+        if self._at_sides is not None:
+            self._at_sides.refresh(self.response)
 
     def samples(self, z: Values, sampler: Sampler) -> np.ndarray:
         components = self.material.states(self.dim).components(z)
@@ -239,3 +229,29 @@ class _Values:
     state: GridFunction
     slope: GridFunction
     at: np.ndarray | None = None
+
+
+class _SideValues:
+    """Energy phi and slope phi' on the sides of cells, L2 projections to P_m of each side.
+
+    Integrals of phi over a side, and of phi' : z for z in P_m, are those of the values at the rule's points.
+    """
+
+    def __init__(self, quadrature: Quadrature, fields: UnknownValues, size: int) -> None:
+        self._points = SidePoints(quadrature.mesh, quadrature.facet_degree, quadrature.symmetry)
+        z = fields.layout.scalar_space("z")
+        self._z, self._at_points = fields.z, self._points.values(z)
+        space = Discontinuous(FacetFESpace(quadrature.mesh, order=fields.layout.unknowns["z"].order))
+        values = GridFunction(space ** (1 + size))
+        self.energy, self.slope = values.components[0], CF(tuple(values.components[1:]))
+        self._values = values
+        onto = self._points.values(space)
+        self._loads = (onto.T @ sp.diags(self._points.weights)).tocsr()
+        self._mass = splu((self._loads @ onto).tocsc())
+
+    def refresh(self, response: Respond) -> None:
+        """Compute the values at the present state."""
+        count = self._at_points.shape[1]
+        found = response(self._at_points @ self._z.vec.FV().NumPy().reshape(-1, count).T)
+        values = np.column_stack((found.energy, found.slope))
+        self._values.vec.FV().NumPy()[:] = self._mass.solve(self._loads @ values).T.ravel()
