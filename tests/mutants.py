@@ -262,6 +262,15 @@ MUTANTS = [
         ),
     ),
     *_of(
+        "forms/energy.py",
+        (
+            "slope of an energy on sides in Newton's matrix",
+            "here.energy + inner(here.slope, u.z - self.fields.z)",
+            "here.energy - inner(here.slope, u.z - self.fields.z)",
+            "tests/forms/test_energy.py::test_jacobian_is_the_difference_of_the_refreshed_residual",
+        ),
+    ),
+    *_of(
         "forms/terms/transport.py",
         (
             "tangents in upwinding's column",
