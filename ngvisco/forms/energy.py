@@ -248,10 +248,14 @@ class _SideValues:
         onto = self._points.values(space)
         self._loads = (onto.T @ sp.diags(self._points.weights)).tocsr()
         self._mass = splu((self._loads @ onto).tocsc())
+        self._at: np.ndarray | None = None
 
     def refresh(self, response: Respond) -> None:
-        """Compute the values at the present state."""
-        count = self._at_points.shape[1]
-        found = response(self._at_points @ self._z.vec.FV().NumPy().reshape(-1, count).T)
+        """Update the values to the present state."""
+        z = self._z.vec.FV().NumPy()
+        if self._at is not None and np.array_equal(z, self._at):
+            return
+        self._at = z.copy()
+        found = response(self._at_points @ z.reshape(-1, self._at_points.shape[1]).T)
         values = np.column_stack((found.energy, found.slope))
         self._values.vec.FV().NumPy()[:] = self._mass.solve(self._loads @ values).T.ravel()

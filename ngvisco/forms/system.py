@@ -154,6 +154,7 @@ class LocalUnknowns:
     def update_stored(self) -> None:
         """Update the energy and the stresses that are stored at points to the present state."""
         self.update_energy()
+        self.energy.refresh_sides()
         if self.stresses:
             self.stresses.refresh()
 

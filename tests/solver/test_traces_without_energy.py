@@ -33,6 +33,8 @@ def start(place, solver):
 
 @pytest.mark.parametrize("solver", ["coupled", "split"])
 @pytest.mark.parametrize("place", [0.5, 1.0], ids=["between cells", "on a wall"])
+# near the domain's edge projected conjugates are far from those of the traces
+@pytest.mark.filterwarnings("ignore::ngvisco.run.signs.DissipationWarning")
 def test_a_step_is_solved_whose_facets_have_a_trace_without_an_energy(place, solver):
     run, *_ = start(place, solver)
     row = run.advance()
