@@ -26,6 +26,10 @@ _ENOUGH = 1e-3
 """Largest relative residual, for a random right-hand side, with which factors in single precision are
 accepted."""
 
+DROPPED = 1e-2
+"""Fraction of the diagonal below which sweeps omit entries; these are two thirds of all entries, and GMRES
+takes one per cent more iterations."""
+
 SWEEPS, DAMPING = 2, 1.65
 """Number of Jacobi sweeps before and after the coarse problem, and their damping, below 2, in units of
 1/(largest eigenvalue of D^{-1} A), which depends on the mesh."""
@@ -138,9 +142,6 @@ class TwoLevelSolver:
         Makes the solver of the coarse problem.
     exchange : Exchange
         Exchange of the unknowns; over ranks matrices are in parts.
-    dropped : float
-        Fraction of the diagonal below which sweeps omit entries; these are two thirds of all entries, and
-        GMRES takes one per cent more iterations.
     """
 
     def __init__(
@@ -150,11 +151,9 @@ class TwoLevelSolver:
         beside_velocity: np.ndarray,
         factorised: Factorising,
         exchange: Exchange,
-        *,
-        dropped: float = 1e-2,
     ) -> None:
         self.free, self.vertices, self.beside_velocity = free, vertices, beside_velocity
-        self.factorised, self.exchange, self.dropped = factorised, exchange, dropped
+        self.factorised, self.exchange = factorised, exchange
         self.coarse: Direct | None = None
 
     def factorise(self, matrix: sp.csr_matrix) -> None:
@@ -175,7 +174,7 @@ class TwoLevelSolver:
         self._from_coarse = rows[:, coarse].tocsr().astype(precision.SINGLE)
         among_fine = rows[:, fine].tocsr()
         del rows
-        _drop_small(among_fine, diagonal[fine], self.dropped)
+        _drop_small(among_fine, diagonal[fine])
         self._among_fine = among_fine.astype(precision.SINGLE)
         # a sum of matrices, scaled by its diagonal, has no larger eigenvalue than its scaled parts
         largest = exchange.communicator.most(largest_eigenvalue(among_fine))
@@ -205,10 +204,10 @@ class TwoLevelSolver:
         return x
 
 
-def _drop_small(matrix: sp.csr_matrix, diagonal: np.ndarray, share: float) -> None:
-    """Remove entries below ``share`` times the geometric mean of the two diagonal entries, in place."""
+def _drop_small(matrix: sp.csr_matrix, diagonal: np.ndarray) -> None:
+    """Remove entries below ``DROPPED`` times the geometric mean of the two diagonal entries, in place."""
     size = np.sqrt(abs(diagonal))
-    bound = np.repeat(share * size, np.diff(matrix.indptr))
+    bound = np.repeat(DROPPED * size, np.diff(matrix.indptr))
     bound *= size[matrix.indices]
     matrix.data[abs(matrix.data) < bound] = 0.0
     matrix.eliminate_zeros()

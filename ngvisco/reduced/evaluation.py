@@ -8,7 +8,7 @@ and the imaginary part of a row is its derivative along the imaginary part of th
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -70,9 +70,12 @@ class Sampled:
 
     def __init__(self, step: Step, operators: Operators) -> None:
         self._step, self._points, self.old = step, operators.points, dict[str, np.ndarray]()
+        self._now: dict[str, Callable[[CoefficientFunction], CoefficientFunction]] = {
+            "average": step.context.average_now,
+            "given": lambda value: value,
+        }
         # keyed weakly by the function: a term may make a new function at each evaluation
-        self._averages = WeakKeyDictionary[CoefficientFunction, GridFunction]()
-        self._given = WeakKeyDictionary[CoefficientFunction, GridFunction]()
+        self._functions = {how: WeakKeyDictionary[CoefficientFunction, GridFunction]() for how in self._now}
 
     def start(self) -> None:
         """Evaluate the data that are constant during the step: old fields, averaged loads, given
@@ -83,10 +86,9 @@ class Sampled:
             size = layout.unknowns[name].size
             of_name = state[layout.ranges[name]].copy()
             self.old[name] = of_name if size is None else of_name.reshape(size, -1)
-        for value, function in self._averages.items():
-            _put(function, step.context.average_now(value))
-        for value, function in self._given.items():
-            _put(function, value)
+        for how, functions in self._functions.items():
+            for value, function in functions.items():
+                _put(function, self._now[how](value))
 
     @property
     def momentum_old(self) -> np.ndarray | None:
@@ -95,23 +97,17 @@ class Sampled:
         is_known = self._points.count * dim == momentum.space.ndof
         return self._points.read(momentum, dim) if is_known else None
 
-    def average(self, value: CoefficientFunction) -> np.ndarray:
-        """Time averages at the points, (components, points); see ``CellContext.average``."""
-        with ALONE:
-            if value not in self._averages:
-                function = self._points.function(value.dim)
-                _put(function, self._step.context.average_now(value))
-                self._averages[value] = function
-        return self._points.read(self._averages[value], value.dim)
+    def values(self, how: str, value: CoefficientFunction) -> np.ndarray:
+        """Values of a function at the points, (components, points).
 
-    def given(self, value: CoefficientFunction) -> np.ndarray:
-        """Values at the end of the step, (components, points); see ``CellContext.given``."""
+        ``how`` is ``"average"`` or ``"given"``, see the methods of ``CellContext``."""
+        functions = self._functions[how]
         with ALONE:
-            if value not in self._given:
+            if value not in functions:
                 function = self._points.function(value.dim)
-                _put(function, value)
-                self._given[value] = function
-        return self._points.read(self._given[value], value.dim)
+                _put(function, self._now[how](value))
+                functions[value] = function
+        return self._points.read(functions[value], value.dim)
 
 
 class CellContext:
@@ -150,13 +146,14 @@ class CellContext:
 
     def average(self, value: CoefficientFunction) -> Array:
         """The mean over the step of a scalar, a vector or a matrix, see ``Context.average``."""
-        return self._part(self.sampled.average(value), value)
+        return self._part("average", value)
 
     def given(self, value: CoefficientFunction) -> Array:
         """The value at the end of the step, see ``Context.given``."""
-        return self._part(self.sampled.given(value), value)
+        return self._part("given", value)
 
-    def _part(self, values: np.ndarray, value: CoefficientFunction) -> Array:
+    def _part(self, how: str, value: CoefficientFunction) -> Array:
+        values = self.sampled.values(how, value)
         return Array(values[:, self._op.places].reshape(*value.dims, -1), None)
 
 

@@ -78,7 +78,7 @@ class SideOperators:
         self.cells, self.weights, self.normals = slice(0, step.mesh.ne), points.weights, points.normals
         self._whole: SideOperators | None = None
         self._made: dict[tuple[str, int], LocalMatrix] = {}
-        self.z, self.hat, self.v = map(self.of, ("z", "z_hat", "v"))
+        self.z, self.v = self.of("z"), self.of("v")
         self.inner = np.round(points.sample(context.inner))
         """The number 1 between two cells, 0 on walls."""
         self.crossed = self.inner
@@ -110,7 +110,7 @@ class SideOperators:
         part._whole, part._made, part.cells = self, {}, cells
         part.inner, part.crossed, part.h = self.inner[where], self.crossed[where], self.h[where]
         part.weights, part.normals = self.weights[where], self.normals[:, where]
-        part.z, part.hat, part.v = map(part.of, ("z", "z_hat", "v"))
+        part.z, part.v = part.of("z"), part.of("v")
         return part
 
     @cached_property

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from ngsolve import CF, BilinearForm, FESpace, Grad, GridFunction, LinearForm
+from ngsolve import BilinearForm, FESpace, Grad, GridFunction, LinearForm, ZeroCF
 from ngsolve.la import PARALLEL_STATUS
 
 from ngvisco.algebra.sparse import apply, inverse_of_blocks, mass_matrix
@@ -54,13 +54,11 @@ class RestrictedForm:
         self.space = FESpace([layout.blocks[name] for name in self.names])
         trial, test = (dict(zip(self.names, parts, strict=True)) for parts in self.space.TnT())
         known = dict(zip(layout.names, step.state.components, strict=True))
-        tests = {name: _zero(layout.blocks[name]) for name in layout.names} | test
+        tests = {name: ZeroCF(tuple(known[name].dims)) for name in layout.names} | test
 
         def gradient(name: str) -> Any:  # NGSolve has no gradient of a constant
             value = tests[name]
-            if name in self.names:
-                return Grad(value)
-            return CF((0.0,) * (value.dim * layout.mesh.dim), dims=(*value.dims, layout.mesh.dim))
+            return Grad(value) if name in self.names else ZeroCF((*value.dims, layout.mesh.dim))
 
         u, w = Fields(layout, known | trial), Tests(layout, tests, gradient=gradient)
         self.form = BilinearForm(self.space, check_unused=False)
@@ -86,11 +84,6 @@ class RestrictedForm:
         self._load()
         self.form.AssembleLinearization(self.at.vec)
         return csr(self.form.mat)
-
-
-def _zero(space: FESpace) -> Any:
-    trial = space.TrialFunction()
-    return CF((0.0,) * trial.dim, dims=tuple(trial.dims)) if trial.dims else CF(0.0)
 
 
 class RightHandSide:

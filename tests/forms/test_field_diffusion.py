@@ -37,7 +37,8 @@ class Diffusion:
         self.side = SideOperators(step)
         self.slope = PointwiseSlope(step, op.points)
         self.term = next(term for term in step.terms if isinstance(term, FieldDiffusion))
-        traces = FacetMass(self.side.hat, Exchange(self.side.hat.width, {}, Communicator()))
+        self.hat = self.side.of("z_hat")
+        traces = FacetMass(self.hat, Exchange(self.hat.width, {}, Communicator()))
         self.rows = FieldDiffusionRows(step, op, self.slope, self.term, traces)
         self.inverse_mass = inverse_of_blocks(mass_matrix(op.z.matrix, op.weights))
 
@@ -82,7 +83,7 @@ class Diffusion:
 
     def _mean(self, values):
         """Means of both sides; on walls the value itself."""
-        hat, weights = self.side.hat, self.side.points.weights
+        hat, weights = self.hat, self.side.points.weights
         inverse = inverse_of_blocks(mass_matrix(hat.matrix, weights))
         return hat(apply(inverse, hat.test(values)))
 
