@@ -73,7 +73,7 @@ KINDS = (
     Kind(
         "effort",
         "<=",
-        "iterations|steps without a solution|rejected steps|runs that ended early|cells over",
+        "iterations|processor time|steps without a solution|rejected steps|runs that ended early|cells over",
         "work: less is better",
     ),
     Kind("effort", ">=", "share of the steps", "the share of the work that went well, 1 at most"),
