@@ -78,7 +78,7 @@ def test_a_bar_that_is_pulled_at_both_ends_has_no_momentum(kind, scheme, solver,
     "solver", ["coupled", pytest.param("split", marks=[pytest.mark.long, pytest.mark.ci])]
 )
 def test_a_ring_under_pressure_widens_and_stays_where_it_is(solver):
-    """The widening is Lame's to 3 % on 26 cells; its way in 20 s is less than a thousandth of the widening."""
+    """The widening is Lame's to 3 % on 26 cells; its way in 20 s is less than a thousandth of that."""
     ring = Circle((0, 0), 2.0).Face() - Circle((0, 0), 1.0).Face()
     for edge in ring.edges:
         edge.name = "outer" if np.hypot(edge.start.x, edge.start.y) > 1.5 else "inner"
