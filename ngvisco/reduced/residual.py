@@ -15,8 +15,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import scipy.sparse as sp
@@ -154,27 +153,34 @@ class Evaluation:
         return self.terms[1].fields(self.coefficients)
 
 
+PartFields: TypeAlias = tuple[Fields, Fields]
+"""Values at the points of some cells, and of their sides; each is computed at its first access."""
+
+
 class CellPart:
-    """A range of cells and their sides: values at their points fit the cache, and are not stored."""
+    """A range of cells and their sides, the values at whose points fit the cache."""
 
     def __init__(self, residual: ReducedResidual, cells: slice) -> None:
         self.cells, self.residual = cells, residual
         self.inside, self.sides = residual.cell_terms.part(cells), residual.facet_terms.part(cells)
 
-    def conjugates(self, c: Coefficients) -> np.ndarray:
+    def fields(self, c: Coefficients) -> PartFields:
+        """The unknowns with the coefficients ``c`` at the points of the cells, and of their sides."""
+        return self.inside.fields(c), self.sides.fields(c)
+
+    def conjugates(self, at: PartFields) -> np.ndarray:
         """Loads of phi'(z), (n, cells' unknowns)."""
-        values = self.inside.fields(c).z.value
-        return self.inside.op.z.loads(self.residual.slope(values))
+        return self.inside.op.z.loads(self.residual.slope(at[0].z.value))
 
-    def trace(self, term: PointTerm, name: str, c: Coefficients) -> np.ndarray:
+    def trace(self, at: PartFields, term: PointTerm, name: str) -> np.ndarray:
         """Loads of the equation of the facet mean ``name``."""
-        return self.sides.loads_of(term, name, self.sides.fields(c))
+        return self.sides.loads_of(term, name, at[1])
 
-    def mean(self, term: CellMean, c: Coefficients) -> np.ndarray:
+    def mean(self, at: PartFields, term: CellMean) -> np.ndarray:
         """Means over the cells, (components, cells), or (cells,) for a scalar."""
         op, sides = self.inside.op, self.sides.op
-        parts = [(term.value(self.inside.fields(c)), op.weights, op.z.per_cell)]
-        if (on_sides := term.value_on_sides(self.sides.fields(c))) is not None:
+        parts = [(term.value(at[0]), op.weights, op.z.per_cell)]
+        if (on_sides := term.value_on_sides(at[1])) is not None:
             parts.append((on_sides, sides.weights, sides.z.per_cell))
         total = sum(
             (a.value * weights).reshape(*a.value.shape[:-1], op.z.cells, per).sum(axis=-1)
@@ -183,12 +189,12 @@ class CellPart:
         volumes: np.ndarray = op.weights.reshape(op.z.cells, op.z.per_cell).sum(axis=1)
         return total / volumes
 
-    def loads(self, c: Coefficients, hyper: HyperValues | None) -> tuple[Rows, Rows]:
+    def loads(self, at: PartFields, hyper: HyperValues | None) -> tuple[Rows, Rows]:
         """Loads of all terms that are evaluated at points: in the cells, and on their sides."""
-        terms, s = self.residual.at_points, self.sides.fields(c)
+        terms, (inside, s) = self.residual.at_points, at
         if hyper is not None:
             s.__dict__["jump"] = Array(hyper.jumps[:, self.sides.op.places], None)
-        return self.inside.loads(terms, self.inside.fields(c)), self.sides.loads(terms, s)
+        return self.inside.loads(terms, inside), self.sides.loads(terms, s)
 
 
 def parts_of(cells: int, points: int) -> list[slice]:
@@ -257,10 +263,9 @@ class ReducedResidual:
         orders = {step.layout.unknowns[name].order: name for _, name in self.means_of_sides}
         self._masses = {order: self._mass_of_traces(exchange, name) for order, name in orders.items()}
         self._masses[step.layout.unknowns["z_hat"].order] = self.trace_mass
-        self._whole = [CellPart(self, slice(0, step.mesh.ne))]
-        self.parts = self._whole
-        if self.slope.is_local:
-            self.parts = [CellPart(self, cells) for cells in parts_of(step.mesh.ne, self.op.points.per_cell)]
+        cells = step.mesh.ne
+        ranges = parts_of(cells, self.op.points.per_cell) if self.slope.is_local else [slice(0, cells)]
+        self.parts = [CellPart(self, each) for each in ranges]
 
     def _mass_of_traces(self, exchange: Exchange, name: str) -> FacetMass:
         """The mass matrix of facet means with the polynomial order of the unknown ``name``."""
@@ -284,8 +289,8 @@ class ReducedResidual:
         With ``anew`` the flow rules are linearised at x (``LinearisationStress``); else their slopes stay.
         NGSolve's forms read the state: for a complex x their linearisation about the state is used.
         """
-        c, hyper = self._derived(x)
-        inside, on_sides = zip(*self.share(lambda part: part.loads(c, hyper), self.parts), strict=True)
+        c, hyper, at = self._derived(x)
+        inside, on_sides = zip(*self.share(lambda part: part.loads(at(part), hyper), self.parts), strict=True)
         rows = [self.cell_terms.summed(_joined(inside)), self.facet_terms.summed(_joined(on_sides))]
         if self.collocated_terms is not None:
             n = self._at_collocation_points(self.collocated_terms, c, not np.iscomplexobj(x))
@@ -315,7 +320,7 @@ class ReducedResidual:
 
     def put(self, x: np.ndarray) -> None:
         """Make a real ``x``, and the unknowns derived from it, the step's state."""
-        c, _ = self._derived(x)
+        c, *_ = self._derived(x)
         if self.collocated_terms is not None:
             self._at_collocation_points(self.collocated_terms, c, True)
 
@@ -326,22 +331,37 @@ class ReducedResidual:
             self.step.stresses.refresh(lambda: (n.z.value, n.zeta.value))
         return n
 
-    def _derived(self, x: np.ndarray) -> tuple[dict[str, np.ndarray], HyperValues | None]:
-        """Coefficients of all unknowns at x, and the hyperviscosity's values; a real x is put into the
-        state."""
-        hyper, run = None, self.share
-        c = self.unknowns.coefficients(x)
-        parts = self.parts if self.slope.is_local else self._whole
-        c["zeta"] = apply(self.inverse_mass, np.concatenate(run(lambda p: p.conjugates(c), parts), axis=-1))
+    def _fields_at(self, c: Coefficients) -> Callable[[CellPart], PartFields]:
+        """A function of a part that gives its fields with the coefficients ``c``.
+
+        If the mesh is one part, its values are evaluated once for all equations; values of more points would
+        not fit the cache, and are evaluated anew for each equation.
+        """
+        if len(self.parts) > 1:
+            return lambda part: part.fields(c)
+        fields = self.parts[0].fields(c)
+        return lambda _: fields
+
+    def _derived(
+        self, x: np.ndarray
+    ) -> tuple[dict[str, np.ndarray], HyperValues | None, Callable[[CellPart], PartFields]]:
+        """Coefficients of all unknowns at x, the hyperviscosity's values, and the parts' fields; a real x is
+        put into the state."""
+        hyper, c = None, self.unknowns.coefficients(x)
+        at = self._fields_at(c)
+
+        def joined(loads: Callable[..., np.ndarray], *of: Any) -> np.ndarray:
+            return np.concatenate(self.share(lambda part: loads(part, at(part), *of), self.parts), axis=-1)
+
+        c["zeta"] = apply(self.inverse_mass, joined(CellPart.conjugates))
         for term, name in self.means_of_sides:
-            loads = run(partial(CellPart.trace, term=term, name=name, c=c), self.parts)
+            loads = joined(CellPart.trace, term, name)
             mass, values = self.mass_of(name), self.side_op.of(name)
-            c[name] = -mass.solve(mass.exchange.sum(values.summed(np.concatenate(loads, axis=-1))))
+            c[name] = -mass.solve(mass.exchange.sum(values.summed(loads)))
             if term.stays:
                 c[name] = self.step.local_unknowns.largest(name, c[name].real)
         for mean in self.couplings.of_kernel["cell means"]:
-            of_parts = run(partial(CellPart.mean, term=mean, c=c), self.parts)
-            c[mean.name] = np.concatenate(of_parts, axis=-1)
+            c[mean.name] = joined(CellPart.mean, mean)
         if self.diffusion is not None:
             c |= self.diffusion.slopes(self.op.z(c["z"]), c)
         if self.hyper is not None:
@@ -349,7 +369,7 @@ class ReducedResidual:
             c |= hyper.local
         if not np.iscomplexobj(x):
             self.unknowns.unpack(x, c)
-        return c, hyper
+        return c, hyper, at
 
     def derivative(self, at: Evaluation) -> Callable[[np.ndarray], np.ndarray]:
         """The map from packed directions d to the rows dR d at an evaluation; its x has to be the state.
