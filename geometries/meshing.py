@@ -186,13 +186,13 @@ def _interior(shape: Any, dim: int) -> Any:
     return shape.faces if dim == 2 else shape.solids
 
 
-def _check_count(field: str, value: float, measure: float, h: float, dim: int, of: int, unit: float) -> None:
-    """Raise ParameterError if a cell size of the domain (of = dim) or of a wall makes too many cells."""
+def _check_count(field: str, value: float, measure: float, h: float, dim: int, n: int, unit: float) -> None:
+    """Raise ParameterError if a cell size of the domain (n = dim) or of a wall makes too many cells."""
     # cell sizes grow with the distance s to a wall: int measure c / (h + 0.3 s)^dim ds
-    factor = _CELLS_PER[dim] * measure / (1.0 if of == dim else _GRADING * (dim - 1))
-    if not factor <= MAX_CELLS * h**of:
-        least = (factor / MAX_CELLS) ** (1 / of) * unit
-        count = math.exp(min(math.log(factor) - of * math.log(h), 700))
+    factor = _CELLS_PER[dim] * measure / (1.0 if n == dim else _GRADING * (dim - 1))
+    if not factor <= MAX_CELLS * h**n:
+        least = (factor / MAX_CELLS) ** (1 / n) * unit
+        count = math.exp(min(math.log(factor) - n * math.log(h), 700))
         raise ParameterError(field, value, f"at least {least:.2g}: this one makes about {count:.0e} cells")
 
 
@@ -212,7 +212,7 @@ def _require_all(owner: str, shape: Any, mesh: Mesh, walls: Iterable[str], is_ro
         )
 
 
-def try_apart(owner: str, what: str, code: str, *arguments: str, patience: float | None = None) -> None:
+def try_apart(owner: str, action: str, code: str, *arguments: str, patience: float | None = None) -> None:
     """Run ``code`` in a separate process; raise MeshError if it fails or takes longer than ``patience``, s.
 
     The code has this process's ``sys.path``, for clones without installation, and its ``arguments`` in
@@ -225,8 +225,8 @@ def try_apart(owner: str, what: str, code: str, *arguments: str, patience: float
     except subprocess.TimeoutExpired as error:
         raise MeshError(f"{owner}: Netgen has no mesh of it after {patience:g} s") from error
     if trial.returncode != 0:
-        said = trial.stderr.strip().splitlines()
-        raise MeshError(f"{owner}: Netgen cannot {what} it ({said[-1] if said else 'it crashes'})")
+        messages = trial.stderr.strip().splitlines()
+        raise MeshError(f"{owner}: Netgen cannot {action} it ({messages[-1] if messages else 'it crashes'})")
 
 
 def try_shape(owner: str, shape: Any, dim: int, maxh: float) -> None:

@@ -217,7 +217,7 @@ class Declared(NamedTuple):
         for kind in self.kinds:
             if (taken := _taken(kind, self.range, value)) is not None:
                 return taken
-        choices = [one for kind in self.kinds if get_origin(kind) is Literal for one in get_args(kind)]
+        choices = [choice for kind in self.kinds if get_origin(kind) is Literal for choice in get_args(kind)]
         hint = nearest(value, map(str, choices)) if isinstance(value, str) else ""
         raise ParameterError(field, value, self.expected + hint)
 
@@ -261,7 +261,7 @@ def _members(hint: Any, range: str, values: Iterable[Any]) -> tuple[Any, ...] | 
     kinds = _kinds(hint)
     if not all(isinstance(kind, type) and _is_known(kind) for kind in kinds):
         return tuple(values)
-    found = [next((t for k in kinds if (t := _taken(k, range, one)) is not None), None) for one in values]
+    found = [next((t for k in kinds if (t := _taken(k, range, part)) is not None), None) for part in values]
     return None if any(member is None for member in found) else tuple(found)
 
 
@@ -309,15 +309,15 @@ def declared(kind: type) -> dict[str, Declared]:
 
     If a class annotates a parameter of its base again without a quantity, the base's range applies.
     """
-    said: dict[str, Quantity] = {}
+    annotated: dict[str, Quantity] = {}
     for each in reversed(inspect.getmro(kind)):
         for name, hint in get_type_hints(each, include_extras=True).items():
             for part in getattr(hint, "__metadata__", ()):
                 if isinstance(part, Quantity):
-                    said[name] = part
+                    annotated[name] = part
     hints = get_type_hints(kind)
     names = [field.name for field in dataclasses.fields(kind) if field.init]
-    quantities = {name: said.get(name, Quantity()) for name in names}
+    quantities = {name: annotated.get(name, Quantity()) for name in names}
     return {name: Declared(q.range, _kinds(hints[name]), q.mean) for name, q in quantities.items()}
 
 
@@ -329,9 +329,9 @@ def require_fields(owner: Any, called: str = "") -> None:
     object in the error, by default that of its class.
     """
     called = called or type(owner).__name__
-    for name, said in declared(type(owner)).items():  # type: ignore[arg-type]
+    for name, declaration in declared(type(owner)).items():  # type: ignore[arg-type]
         value = getattr(owner, name)
-        if (taken := said.taken(f"{called}.{name}", value)) is not value:
+        if (taken := declaration.taken(f"{called}.{name}", value)) is not value:
             object.__setattr__(owner, name, taken)
 
 

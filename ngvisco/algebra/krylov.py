@@ -55,20 +55,20 @@ def gmres(
             length = length or float(np.sqrt(square))
             new -= np.asarray(shares, right.dtype) @ basis[: k + 1]
             column += shares
-            rest = float(np.sqrt(max(square - np.dot(shares, shares), 0.0)))
-            if rest > _ORTHOGONAL * np.sqrt(square):
+            orthogonal = float(np.sqrt(max(square - np.dot(shares, shares), 0.0)))
+            if orthogonal > _ORTHOGONAL * np.sqrt(square):
                 break
         hessenberg[: k + 1, k] = column
-        hessenberg[k + 1, k] = rest
+        hessenberg[k + 1, k] = orthogonal
         last = float(column[0])  # the rotations of the earlier columns act on it
         for (cosine, sine), value in zip(rotations, column[1:].tolist(), strict=True):
             last = cosine * value - sine * last
-        turned = math.hypot(last, rest)
-        rotations.append((last / turned, rest / turned) if turned else (0.0, 1.0))
+        turned = math.hypot(last, orthogonal)
+        rotations.append((last / turned, orthogonal / turned) if turned else (0.0, 1.0))
         left *= rotations[-1][1]
-        if left <= rtol * size or rest <= _BREAKDOWN * length:
+        if left <= rtol * size or orthogonal <= _BREAKDOWN * length:
             break
-        new /= rest
+        new /= orthogonal
     y = np.linalg.lstsq(hessenberg[: k + 2, : k + 1], start[: k + 2], rcond=None)[0]
     return y.astype(right.dtype) @ basis[: k + 1], k + 1
 

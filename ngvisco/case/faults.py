@@ -85,7 +85,7 @@ class Locator:
         key = ".".join(path)
         above = (path[:length] for length in range(len(path), 0, -1))
         written = ((key[-1], given(self.data, key)) for key in above)
-        if converted := next((one for one in written if one in self.converted), None):
+        if converted := next((key for key in written if key in self.converted), None):
             message = f"{message} (in SI units; written was {shown(converted[1])})"
         is_within = any(path[: len(o)] == o for o in self.overridden)
         is_made = path not in self.lines and any(o[: len(path)] == path for o in self.overridden)
@@ -97,18 +97,18 @@ class Locator:
 def faults_of(error: ValidationError, model: type[Section], locator: Locator) -> list[Fault]:
     """One fault for each of pydantic's errors, in the order of the file."""
     faults = []
-    for one in error.errors():
-        path, here, known = _resolve(model, one["loc"])
-        raised = (one.get("ctx") or {}).get("error")
-        if one["type"] == "union_tag_invalid":
-            path = (*path, one["ctx"]["discriminator"].strip("'"))
+    for entry in error.errors():
+        path, here, known = _resolve(model, entry["loc"])
+        raised = (entry.get("ctx") or {}).get("error")
+        if entry["type"] == "union_tag_invalid":
+            path = (*path, entry["ctx"]["discriminator"].strip("'"))
         if isinstance(raised, ParameterError):
             parts = names_in(raised.field)  # NeoHookean.G_e is the key G_e in [material]
             path = (*path, *parts[1:]) if path else tuple(parts)
             written = given(locator.data, path) if is_dataclass(raised.value) else None
             message = refused(raised.value if written is None else written, raised)
         else:
-            message = _message(one, raised, path, here, known)
+            message = _message(entry, raised, path, here, known)
         faults.append(locator.fault(path, message))
     return sorted(faults, key=lambda fault: (fault.line is None, fault.line or 0))
 
@@ -118,8 +118,8 @@ def names_in(field: str) -> list[str]:
     return re.sub(r"\[[\"']?(.*?)[\"']?\]", r".\1", field).split(".")
 
 
-def _message(one: Any, raised: object, path: tuple[str, ...], here: str, known: list[str]) -> str:
-    kind, value, context = one["type"], one["input"], one.get("ctx") or {}
+def _message(fault: Any, raised: object, path: tuple[str, ...], here: str, known: list[str]) -> str:
+    kind, value, context = fault["type"], fault["input"], fault.get("ctx") or {}
     if isinstance(value, Wrong):
         return str(value)
     if raised is not None:
@@ -138,7 +138,7 @@ def _message(one: Any, raised: object, path: tuple[str, ...], here: str, known: 
         return f"the key {wanted!r} is missing{hint}"
     if kind == "list_type" and isinstance(value, dict):
         return f"{shown(value)}: expected an array of tables, [[{'.'.join(path)}]]"
-    words = _WORDS[kind].format(**context) if kind in _WORDS else one["msg"].lower()
+    words = _WORDS[kind].format(**context) if kind in _WORDS else fault["msg"].lower()
     return f"{shown(value)}: {words}"
 
 
@@ -166,7 +166,7 @@ def in_case(text: str) -> str:
         path, kind = _places()[name]
         if parameter is not None:
             return f"{path}.{parameter}"
-        settings = [one.split("=", 1) for one in arguments.split(", ") if "=" in one and "..." not in one]
+        settings = [part.split("=", 1) for part in arguments.split(", ") if "=" in part and "..." not in part]
         kinds = [] if kind is None else [f'{path}.kind = "{kind}"']
         return ", ".join([*kinds, *(f"{path}.{key} = {value}" for key, value in settings)]) or path
 
@@ -191,7 +191,7 @@ def _places() -> dict[str, tuple[str, str | None]]:
 
     look(CaseSections, ())
     # a later entry replaces an earlier one: the last has the class's own name and is nearest to the top
-    nearest = sorted(places, key=lambda one: one[0], reverse=True)
+    nearest = sorted(places, key=lambda place: place[0], reverse=True)
     return {name: (path, kind) for _, name, path, kind in nearest}
 
 
@@ -204,8 +204,8 @@ def _resolve(model: type[Section], location: tuple[Any, ...]) -> tuple[tuple[str
     path: list[str] = []
     models, here, known = [model], "the case", list(model.model_fields)
     for part in location:
-        fields = {name: field for one in models for name, field in one.model_fields.items()}
-        chosen = [one for one in models if one.__name__ == part]
+        fields = {name: field for each_model in models for name, field in each_model.model_fields.items()}
+        chosen = [each_model for each_model in models if each_model.__name__ == part]
         if chosen not in ([], models) and part not in fields:
             models = chosen
         elif not str(part).startswith("<"):  # a tag in <> names the form of a value and is no key
@@ -348,16 +348,16 @@ def _reached(node: Any, path: tuple[str, ...], names: Sequence[str]) -> list[tup
     """
     if not names:
         return []
-    name, rest = names[0], names[1:]
+    name, inner_names = names[0], names[1:]
     inner: list[tuple[tuple[str, ...], Any]] = []
     if isinstance(node, Section) and name in type(node).model_fields:
         inner = [((*path, name), getattr(node, name))]
     elif isinstance(node, dict) and name in node:
         inner = [((*path, name), node[name])]
     elif isinstance(node, list):
-        members = [str(i) for i, one in enumerate(node) if name in (str(i), getattr(one, "name", None))]
+        members = [str(i) for i, member in enumerate(node) if name in (str(i), getattr(member, "name", None))]
         inner = [((*path, i), node[int(i)]) for i in members[:1]]
     if not inner:
         tables = tables_of(node, path)
         inner = [(p, t) for p, t in tables if name in (type(t).__name__, owner_of(type(t)).__name__)]
-    return [key for p, part in inner for key in _reached(part, p, rest) or [p]]
+    return [key for p, part in inner for key in _reached(part, p, inner_names) or [p]]

@@ -77,8 +77,10 @@ def sections_of(
         raise CaseError(source, out)
     units = [name for name in ("length", "time") if name in converter.scales]
     if units and "velocity" not in converter.scales and (keys := plain_velocities(locator.data)):
-        said = " and ".join(f"{name} in {locator.data['units'][name]}" for name in units)
-        message = f"[units] has {said}, and plain velocities are in m/s: {', '.join(keys)}; units.velocity"
+        units_in = " and ".join(f"{name} in {locator.data['units'][name]}" for name in units)
+        message = (
+            f"[units] has {units_in}, and plain velocities are in m/s: {', '.join(keys)}; units.velocity"
+        )
         warnings.warn(f"{message} changes their unit", InputWarning, stacklevel=3)
     return sections, locator
 

@@ -96,18 +96,18 @@ _SAME_KEYS = {
 def _walk(model: type[Section], path: tuple[str, ...], kinds: tuple[str, ...]) -> Iterator[KeyEntry]:
     keys = [(name, field) for name, field in model.model_fields.items() if name not in TAGS]
     for name, field in sorted(keys, key=lambda key: bool(models_in(key[1].annotation))):  # tables come last
-        inner, said = models_in(field.annotation), quantity(model, name)
+        inner, annotation = models_in(field.annotation), quantity(model, name)
         default = None if inner or field.is_required() else field.default
-        is_empty = default in (None, "", [], {}, False) and said.example is not None
+        is_empty = default in (None, "", [], {}, False) and annotation.example is not None
         yield KeyEntry(
             (*path, name),
             kinds,
-            ", ".join(filter(None, (type_text(field.annotation), said.range))),
-            said.unit,
+            ", ".join(filter(None, (type_text(field.annotation), annotation.range))),
+            annotation.unit,
             field.is_required(),
             default,
             meaning(model, name),
-            None if inner else said.example if is_empty else default,
+            None if inner else annotation.example if is_empty else default,
         )
         below = (*path, name, *place_in(field.annotation))
         if inner and below not in _SAME_KEYS:
@@ -190,8 +190,8 @@ def explain(path: str) -> str:
     if wanted and below:
         title = [f"[{path}]  {entry.type}: {entry.meaning}" for entry in exact]
         return "\n".join([*title, *(line(entry) for entry in below)])
-    if said := [*cards(exact), *fields] or _mentions(every, list(kinds), wanted):
-        return "\n\n".join(said)
+    if hits := [*cards(exact), *fields] or _mentions(every, list(kinds), wanted):
+        return "\n\n".join(hits)
     known = [*dict.fromkeys(entry.name for entry in every), *kinds]
     close = [names[name] or name for name in difflib.get_close_matches(last, names, n=2)]
     close = list(dict.fromkeys([*close, *difflib.get_close_matches(path, known, n=3, cutoff=0.4)]))[:3]
@@ -217,9 +217,9 @@ def _mentions(every: Sequence[KeyEntry], kinds: Sequence[str], wanted: tuple[str
         return []
     word = re.compile(rf"\b{re.escape(wanted[0])}", re.IGNORECASE)
     docs = {kind: re.split(r"\n\w+\n--", inspect.getdoc(KINDS[kind]) or "")[0] for kind in kinds}
-    said = [_said_of(kind) for kind, doc in docs.items() if word.search(doc)]
-    said += [line(entry).strip() for entry in every if word.search(f"{entry.type} {entry.meaning}")]
-    return said if len(said) < _MANY else []
+    matches = [_said_of(kind) for kind, doc in docs.items() if word.search(doc)]
+    matches += [line(entry).strip() for entry in every if word.search(f"{entry.type} {entry.meaning}")]
+    return matches if len(matches) < _MANY else []
 
 
 _MANY = 40
@@ -312,13 +312,13 @@ class _Described(GenerateJsonSchema):
     def model_schema(self, schema: core_schema.ModelSchema) -> dict[str, Any]:
         node, model = super().model_schema(schema), schema["cls"]
         for name in node["properties"].keys() - set(TAGS):
-            said, key = quantity(model, name), node["properties"][name]
-            has_unit = said.unit not in ("", "1")
-            if has_unit and said.unit != "any":
+            annotation, key = quantity(model, name), node["properties"][name]
+            has_unit = annotation.unit not in ("", "1")
+            if has_unit and annotation.unit != "any":
                 key = _with_quantities(key)
-            words = ", ".join(filter(None, (meaning(model, name), said.range)))
-            described = {"title": name, "description": f"{words} [{said.unit}]" if has_unit else words}
-            examples = {} if said.example is None else {"examples": [said.example]}
+            words = ", ".join(filter(None, (meaning(model, name), annotation.range)))
+            described = {"title": name, "description": f"{words} [{annotation.unit}]" if has_unit else words}
+            examples = {} if annotation.example is None else {"examples": [annotation.example]}
             node["properties"][name] = {**key, **described, **examples}
         return node
 
@@ -342,8 +342,8 @@ def _with_quantities(node: Any) -> Any:
 def meaning(model: type[Section], name: str) -> str:
     """The description of a key; it falls back to the description of the nested section."""
     field = model.model_fields[name]
-    said = field.description or meanings(owner_of(model)).get(name)
-    return said or summary(owner_of(models_in(field.annotation)[0]))
+    text = field.description or meanings(owner_of(model)).get(name)
+    return text or summary(owner_of(models_in(field.annotation)[0]))
 
 
 _SAME = re.compile(r"As for (\w+)")

@@ -174,9 +174,9 @@ def _go(
     if (met := simulation.stepper.met(end)) != end:
         notes.append(f"until {end:.10g} s: {met:.10g} s, the nearest end of a step")
         end = met
-    for one in observers:
-        if isinstance(one, Progress):
-            one.until = end
+    for observer in observers:
+        if isinstance(observer, Progress):
+            observer.until = end
     _check_times(place, case, simulation, end)
     log = Log(place.log_file, end, case.sections.output.log_every)
     # an end time given to ``resume`` is an output time too

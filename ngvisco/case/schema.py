@@ -61,8 +61,8 @@ class Heated(Section):
         try:
             return Thermal(material=made, **parameters(self.thermal))
         except ParameterError as error:
-            owner, *rest = error.field.split(".")
-            key = ".".join([owner, *(["thermal"] if owner == "Thermal" else []), *rest])
+            owner, *names = error.field.split(".")
+            key = ".".join([owner, *(["thermal"] if owner == "Thermal" else []), *names])
             raise ParameterError(key, error.value, error.expected) from error
 
 
@@ -396,7 +396,7 @@ class CaseSections(Section):
         for i, body in enumerate(self.bodies):
             if any(other.name == body.name for other in self.bodies[:i]):
                 raise ParameterError(f"bodies.{i}.name", body.name, "a name that no other body has")
-        rest = [i for i, body in enumerate(self.bodies) if body.where is None]
-        if len(rest) > 1:
-            expected = f"a place: bodies.{rest[0]} has none, and fills the rest of the domain"
-            raise ParameterError(f"bodies.{rest[1]}.where", None, expected)
+        placeless = [i for i, body in enumerate(self.bodies) if body.where is None]
+        if len(placeless) > 1:
+            expected = f"a place: bodies.{placeless[0]} has none, and fills the rest of the domain"
+            raise ParameterError(f"bodies.{placeless[1]}.where", None, expected)

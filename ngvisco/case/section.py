@@ -132,7 +132,7 @@ def section(
     """
     types = {**_TYPES, **types}
     # get_type_hints resolves the fields' hints by the names in the module of each class
-    hints, said = get_type_hints(target), get_type_hints(target, include_extras=True)
+    hints, annotated = get_type_hints(target), get_type_hints(target, include_extras=True)
     fields: dict[str, Any] = {}
     if tag is not None:
         fields[tag[0]] = (Literal[tag[1]], tag[1] if is_default else ...)
@@ -149,7 +149,7 @@ def section(
             default = {}
         elif isinstance(default, tuple):
             default = list(default)
-        for part in getattr(said.get(name), "__metadata__", ()):
+        for part in getattr(annotated.get(name), "__metadata__", ()):
             annotation = Annotated[annotation, part]
         fields[name] = (annotation, default)
     model = create_model(tag[1] if tag else target.__name__, __base__=base, **fields)
@@ -186,9 +186,9 @@ def owner_of(model: type[Section]) -> Any:
 def quantity(model: type[Section], name: str) -> Quantity:
     """Unit, range and example of a key; without an annotation a number has the unit "1"."""
     field = model.model_fields[name]
-    said = [part for part in field.metadata if isinstance(part, Quantity)]
+    quantities = [part for part in field.metadata if isinstance(part, Quantity)]
     is_number = {int, float} & set(_parts(field.annotation))
-    return said[0] if said else Quantity("1" if is_number else "")
+    return quantities[0] if quantities else Quantity("1" if is_number else "")
 
 
 def _parts(annotation: Any) -> Iterator[Any]:

@@ -163,12 +163,12 @@ def _add_sensitivities(commands: Any, parents: list[argparse.ArgumentParser]) ->
     text = "bounds of a key (default: 1/1000 and 1000 times its start value; repeatable)"
     fit.add_argument("--bounds", metavar="KEY=LOW,HIGH", action="append", default=[], help=text)
     fit.add_argument("--format", choices=("png", "pdf", "svg"), default="png", help="format of the picture")
-    for one, kind in ((gradient, "gradient"), (fit, "fit")):
+    for subcommand, kind in ((gradient, "gradient"), (fit, "fit")):
         text = "keys of the case, e.g. material.G_e,rheology.creep.G_m"
-        one.add_argument("--by", type=_names, metavar="KEYS", required=True, help=text)
+        subcommand.add_argument("--by", type=_names, metavar="KEYS", required=True, help=text)
         text = f"directory of the results (default results/<name of the case>-{kind})"
-        one.add_argument("-o", "--output", metavar="DIR", help=text)
-        one.add_argument("--force", action="store_true", help="replace earlier results")
+        subcommand.add_argument("-o", "--output", metavar="DIR", help=text)
+        subcommand.add_argument("--force", action="store_true", help="replace earlier results")
 
 
 def _threads(text: str) -> int:
@@ -249,8 +249,8 @@ def _ended(options: argparse.Namespace) -> int:
         if not isinstance(error, NgviscoError):
             raise  # a fault of the program: a report needs the traceback
         code = BAD_FILE if isinstance(error, (CheckpointError, MeshError)) else BAD_INPUT
-        said = "\n".join([str(error), *getattr(error, "__notes__", [])])
-        return _say(said, FAILED if isinstance(error, StepError) else code)
+        message = "\n".join([str(error), *getattr(error, "__notes__", [])])
+        return _say(message, FAILED if isinstance(error, StepError) else code)
 
 
 def _command(name: str) -> Callable[[argparse.Namespace], int]:

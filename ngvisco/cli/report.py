@@ -73,16 +73,16 @@ def check(options: argparse.Namespace) -> int:
         _say_scales(replace(scales(run), unborne=start.unborne))
     print(f"memory     {_peak():.0f} MB, measured")
     total = first + (steps - 1) * later
-    said = f"{later:.2g} s a step, {_duration(total)} in all"
+    estimate = f"{later:.2g} s a step, {_duration(total)} in all"
     if writing is not None:
         each, files = writing
         if adaptive is None:
-            said += f", and {_duration(each * files)} for {files} file{'s' * (files > 1)} of fields"
+            estimate += f", and {_duration(each * files)} for {files} file{'s' * (files > 1)} of fields"
         else:
-            said += f", and {each:.2g} s for each file of fields"
+            estimate += f", and {each:.2g} s for each file of fields"
     if adaptive is not None:
-        said += f", if all steps were of dt_max; those taken are {run.stepper.dt:.3g} s long by now"
-    print(f"estimate   {said} (by its first {count})")
+        estimate += f", if all steps were of dt_max; those taken are {run.stepper.dt:.3g} s long by now"
+    print(f"estimate   {estimate} (by its first {count})")
     return 0
 
 
@@ -111,7 +111,7 @@ def _say_scales(sizes: Scales) -> None:
 def _output(case: cases.Case, run: Simulation) -> tuple[float, int] | None:
     """Seconds for a file of the VTK series, measured, and the number of files; None without a series."""
     with tempfile.TemporaryDirectory() as place:
-        series = [one for one in case.observers(Path(place), case.until) if isinstance(one, VTKSeries)]
+        series = [o for o in case.observers(Path(place), case.until) if isinstance(o, VTKSeries)]
         if not series:
             return None
         began = clock.perf_counter()

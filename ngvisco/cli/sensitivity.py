@@ -123,7 +123,7 @@ def _write_gradient(result: Gradient, path: Path) -> None:
         table = csv.writer(file)
         table.writerow(["number", "value", *result.by])
         for name, value, row in zip(result.of, result.values, result.jacobian, strict=True):
-            table.writerow([name, repr(float(value)), *(repr(float(one)) for one in row)])
+            table.writerow([name, repr(float(value)), *(repr(float(number)) for number in row)])
 
 
 def _write_fit(result: Fit, path: Path) -> None:
@@ -132,4 +132,4 @@ def _write_fit(result: Fit, path: Path) -> None:
         table.writerow(["parameter", "start", "value", "deviation", *(f"covariance {n}" for n in result.by)])
         for i, name in enumerate(result.by):
             numbers = [result.start[i], result.values[i], result.deviations[i], *result.covariance[i]]
-            table.writerow([name, *(repr(float(one)) for one in numbers)])
+            table.writerow([name, *(repr(float(number)) for number in numbers)])

@@ -95,9 +95,9 @@ class Violation:
         return f"{where}, {near} {self.wall!r}"
 
     def __str__(self) -> str:
-        what = "minimum of the cells' means" if self.is_mean else "minimum"
+        least = "minimum of the cells' means" if self.is_mean else "minimum"
         others = f" and {self.cells - 1} other cells" if self.cells > 1 else ""
-        return f"{self.quantity} is not positive ({what} {self.value:.3e} {self.where}{others})"
+        return f"{self.quantity} is not positive ({least} {self.value:.3e} {self.where}{others})"
 
 
 @dataclass(frozen=True)
@@ -157,7 +157,7 @@ class Bounds:
         """Functions that have to be positive: tuples of variable, name and value."""
         of_rho = {"rho": rho} if self._densest is None else {"rho": rho, OF_CUT_OFF: self._densest - rho}
         groups = [(None, of_rho), *self.step.model.material.positive(z).items()]
-        return [(variable, name, value) for variable, of in groups for name, value in of.items()]
+        return [(variable, name, value) for variable, parts in groups for name, value in parts.items()]
 
     @cached_property
     def _means(self) -> CellMeans:
@@ -271,7 +271,7 @@ class Bounds:
         if not domain:
             return None
         at_rest = material.domain(material.at_rest(z))
-        values, of_rest = (points.rows(CF(tuple(of.values()))) for of in (domain, at_rest))
+        values, of_rest = (points.rows(CF(tuple(part.values()))) for part in (domain, at_rest))
         mine = None
         if len(values):
             at, bound = np.unravel_index(np.argmin(values / of_rest), values.shape)
@@ -279,8 +279,8 @@ class Bounds:
             where = points.coordinates(np.array([at]))[0]
             found = self._violation(list(domain)[bound], value, int(points.cells[at]), where)
             mine = value / rest, rest, found
-        every = [one for one in self._ranks.gathered(mine) if one is not None]
-        _, rest, found = min(every, key=lambda one: one[0])
+        every = [entry for entry in self._ranks.gathered(mine) if entry is not None]
+        _, rest, found = min(every, key=lambda entry: entry[0])
         nearest = self._beside_wall(*found)
         return f"{nearest.quantity} is {nearest.value:.3g} {nearest.where}, and {rest:.3g} at rest"
 
@@ -331,20 +331,20 @@ class Bounds:
         required, outside = found.required & group, (found.broken & group).any(axis=1)
         place = np.full(self.step.mesh.ne, -1)
         place[found.cells[outside]] = np.flatnonzero(outside)
-        dofs, of = self._means.functions(place >= 0)
-        cells, values = place[of], self._means.coefficients(name)
+        dofs, owners = self._means.functions(place >= 0)
+        cells, values = place[owners], self._means.coefficients(name)
         scaled = np.ones(1, dtype=bool) if name == "rho" else self.step.layout.states.strains
-        centre = self._means.of_cells(name)[:, of] * self._means.one[dofs]
+        centre = self._means.of_cells(name)[:, owners] * self._means.one[dofs]
         centre = np.where(scaled[:, None], centre, values[:, dofs])  # ``ranges`` limits parameters
-        rest = values[:, dofs] - centre
+        variation = values[:, dofs] - centre
         low, high = np.zeros(len(found.cells)), np.ones(len(found.cells))
         for _ in range(_HALVINGS if outside.any() else 0):
             middle = 0.5 * (low + high)
-            values[:, dofs] = centre + middle[cells] * rest
+            values[:, dofs] = centre + middle[cells] * variation
             least = least_of(self.sampler.rows(self._present, found.points), found.owner, len(found.cells))
             holds = (~required | (least >= SHARE * found.means)).all(axis=1)
             low, high = np.where(holds, middle, low), np.where(holds, high, middle)
-        values[:, dofs] = centre + low[cells] * rest
+        values[:, dofs] = centre + low[cells] * variation
         if name == "rho" or self.step.model.bodies:
             self._share.vec.FV().NumPy()[found.cells[outside]] = low[outside]
 
@@ -395,11 +395,11 @@ class Bounds:
     def _worst(self, found: _Outside, broken: np.ndarray, values: np.ndarray, is_mean: bool) -> Violation:
         """The violation of the first broken bound over all ranks, with its least value and place."""
         mine = self._worst_here(found, broken, values, is_mean) if broken.any() else None
-        named = [one for one in self._ranks.gathered(mine) if one is not None]
+        named = [entry for entry in self._ranks.gathered(mine) if entry is not None]
 
-        def order(one: tuple[Violation, float]) -> tuple[int, float, int]:
-            value, cell = one[0].value, one[0].cell
-            return self.names.index(one[0].quantity), _or_least(value), -1 if cell is None else cell
+        def order(entry: tuple[Violation, float]) -> tuple[int, float, int]:
+            value, cell = entry[0].value, entry[0].cell
+            return self.names.index(entry[0].quantity), _or_least(value), -1 if cell is None else cell
 
         worst = self._beside_wall(*min(named, key=order))
         return replace(worst, cells=int(self._ranks.total(int(broken.any(axis=1).sum()))))

@@ -139,9 +139,9 @@ class Ranges:
                 downwards = np.where(below > 0, (wanted - low) / below, np.inf)
                 upwards = np.where(above > 0, (high - wanted) / above, np.inf)
             share = np.clip(np.minimum(downwards, upwards), 0.0, 1.0)
-            dofs, of = self._means.functions(outside[i])
+            dofs, cell = self._means.functions(outside[i])
             own = values[self.components[i]]
-            own[dofs] = wanted[of] * one[dofs] + share[of] * (own[dofs] - means[i][of] * one[dofs])
+            own[dofs] = wanted[cell] * one[dofs] + share[cell] * (own[dofs] - means[i][cell] * one[dofs])
         return np.flatnonzero(outside.any(axis=0))
 
     def _outside(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -205,7 +205,7 @@ class Stretches:
         least = np.linalg.eigvalsh(inverse @ value @ inverse.transpose(0, 2, 1))[:, 0]
         share = np.ones(self.step.mesh.ne)
         np.minimum.at(share, cells, (1 - SHARE) / (1 - np.minimum(least, 0.0)))
-        values, (dofs, of) = self._means.coefficients("z"), self._means.functions(share < 1)
-        uniform = means[X][:, of] / means[n][of] * values[n, dofs]
-        values[X, dofs] = uniform + share[of] * (values[X, dofs] - uniform)
+        values, (dofs, cell) = self._means.coefficients("z"), self._means.functions(share < 1)
+        uniform = means[X][:, cell] / means[n][cell] * values[n, dofs]
+        values[X, dofs] = uniform + share[cell] * (values[X, dofs] - uniform)
         return np.unique(cells)

@@ -131,7 +131,7 @@ class LinearisationStress:
         else:
             sizes = [None] * len(rules) if self._at is None else np.linalg.norm(self._at.stress, axis=2)
             each = zip(rules, target, self._softness.ravel(), sizes, strict=True)
-            stress, rate = map(np.stack, zip(*(resolved(*one) for one in each), strict=True))
+            stress, rate = map(np.stack, zip(*(resolved(*arguments) for arguments in each), strict=True))
         self._before = self._at
         self._take(_State(key.copy(), z, zeta, M, stress, rate))
         if anew:
@@ -299,14 +299,14 @@ class LinearisedRates(KeptRates):
         return self._along(super().hardening_rate, mechanism, Pi, u)
 
     def _along(
-        self, of: _OfRate, mechanism: CreepMechanism, Pi: CoefficientFunction, u: UnknownValues
+        self, function: _OfRate, mechanism: CreepMechanism, Pi: CoefficientFunction, u: UnknownValues
     ) -> CoefficientFunction:
-        """The function ``of`` Pi plus its derivative in the direction of the rate's correction."""
+        """The function of Pi plus its derivative in the direction of the rate's correction."""
         now = self._now(u)
         if mechanism not in self.stresses.stress or u is now:
-            return of(mechanism, Pi, u)
-        return of(mechanism, Pi, u) + self._derivative(
-            lambda rate: of(mechanism, rate, now), Pi, self._off(mechanism, u)
+            return function(mechanism, Pi, u)
+        return function(mechanism, Pi, u) + self._derivative(
+            lambda rate: function(mechanism, rate, now), Pi, self._off(mechanism, u)
         )
 
     def _now(self, u: UnknownValues) -> UnknownValues:
@@ -321,10 +321,10 @@ class LinearisedRates(KeptRates):
         return kept.space.tensor(kept.slope[mechanism].Reshape((p, p)) * off)
 
     @staticmethod
-    def _derivative(of: Callable[[Any], Any], Pi: Any, off: Any) -> Any:
+    def _derivative(function: Callable[[Any], Any], Pi: Any, off: Any) -> Any:
         """The derivative of a function of Pi in the direction ``off``."""
         variable = Pi.MakeVariable()
-        return of(variable).Diff(variable, off)
+        return function(variable).Diff(variable, off)
 
 
 class LinearisedTabulatedRates(LinearisedRates, TabulatedRates):
@@ -349,11 +349,11 @@ class LinearisedTabulatedRates(LinearisedRates, TabulatedRates):
         return self.stresses.space.tensor(Array(changed.reshape(M.shape), None))
 
     @staticmethod
-    def _derivative(of: Callable[[Any], Any], Pi: Any, off: Any) -> Any:
+    def _derivative(function: Callable[[Any], Any], Pi: Any, off: Any) -> Any:
         at, parts = Pi.value.real, [off.value.real]
         if np.iscomplexobj(off.value):
             parts.append(off.value.imag)
-        found = [of(Array(at + (TINY * 1j) * part, None)).value.imag / TINY for part in parts]
+        found = [function(Array(at + (TINY * 1j) * part, None)).value.imag / TINY for part in parts]
         return Array(found[0] + 1j * found[1] if len(found) > 1 else found[0], None)
 
 

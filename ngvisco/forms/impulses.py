@@ -140,7 +140,7 @@ class Impulses:
     @cached_property
     def _zeros(self) -> dict[str, CoefficientFunction]:
         """The zero of each unknown, by its name."""
-        return {name: ZeroCF(tuple(one.dims)) for name, one in self.step.now.parts.items()}
+        return {name: ZeroCF(tuple(part.dims)) for name, part in self.step.now.parts.items()}
 
     @cached_property
     def _is_held(self) -> np.ndarray:

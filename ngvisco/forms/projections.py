@@ -142,8 +142,8 @@ def set_traces(layout: StepLayout, state: GridFunction, context: Context, quadra
         # facets of coarser meshes and identified copies are not free
         inverse = inverse_of(mass.Assemble().mat, space.FreeDofs(), Communicator.of(layout.mesh))
         for unknown in unknowns:
-            target, of = parts[unknown.name].vec, unknown.trace_of or ""
-            value = (now.grad_v * n)[unknown.component] if place == "normals" else now.parts[of]
+            target, traced = parts[unknown.name].vec, unknown.trace_of or ""
+            value = (now.grad_v * n)[unknown.component] if place == "normals" else now.parts[traced]
             for i in range(value.dim):
                 component = value[i] if value.dim > 1 else value
                 load = LinearForm(quadrature.facets(component * test)).Assemble()

@@ -140,7 +140,7 @@ class Sharpening:
     def _averaged(self, values: np.ndarray) -> np.ndarray:
         """Values at corners of cells, (cells, corners), averaged over the corners at each vertex."""
         weights = np.repeat(self._volumes, values.shape[1])
-        sums = [np.bincount(self._vertices.ravel(), of) for of in (weights * values.ravel(), weights)]
+        sums = [np.bincount(self._vertices.ravel(), sizes) for sizes in (weights * values.ravel(), weights)]
         found: np.ndarray = (sums[0] / np.maximum(sums[1], np.finfo(float).tiny))[self._vertices]
         return found
 

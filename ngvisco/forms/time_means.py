@@ -142,8 +142,8 @@ class _RuleSearch:
         whole = self._integral(a, b)
         off = np.abs(whole - sum(look[1:], look[0]))
         if self._size(off) <= TOLERANCE * (b - a):
-            one = np.array([[0.5 * (a + b)], [b - a]])
-            return one if self._is_constant(a, b) else _gauss((a, b)), off
+            midpoint = np.array([[0.5 * (a + b)], [b - a]])
+            return midpoint if self._is_constant(a, b) else _gauss((a, b)), off
         panels = [self._halved(*ends, known) for ends, known in zip(_equal(a, b), look, strict=True)]
         heapify(panels)
         done, error = [], np.zeros_like(whole)

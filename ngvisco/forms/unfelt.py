@@ -66,7 +66,7 @@ class Unfelt:
     def __call__(self) -> float:
         """Energy of the unfelt motion at the present state, J."""
         self._project()
-        unfelt, kinetic = (float(one) for one in np.asarray(self.quadrature.integrate_cells(self._densities)))
+        unfelt, kinetic = (float(E) for E in np.asarray(self.quadrature.integrate_cells(self._densities)))
         if unfelt > _SHARE * kinetic and not self.is_said:
             self.is_said = True
             message = (

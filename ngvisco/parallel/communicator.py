@@ -201,9 +201,9 @@ class Communicator:
         """Whether ``value`` is true on every rank."""
         return not self.any(not value)
 
-    def products(self, several: np.ndarray, one: np.ndarray) -> np.ndarray:
-        """Inner products, (n,), of vectors (n, entries) with ``one``; one rank alone holds each entry."""
-        return several @ one if self.size == 1 else Working.of(self.mpi).sums(several @ one)
+    def products(self, several: np.ndarray, vector: np.ndarray) -> np.ndarray:
+        """Inner products, (n,), of vectors (n, entries) with ``vector``; one rank alone holds each entry."""
+        return several @ vector if self.size == 1 else Working.of(self.mpi).sums(several @ vector)
 
     def dot(self, a: np.ndarray, b: np.ndarray) -> float:
         """Inner product of two vectors over the ranks with cells; one rank alone holds each entry."""
@@ -246,7 +246,7 @@ class Communicator:
         """The error of the lowest rank that has one, returned on all ranks; None if no rank has an error."""
         if self.size == 1 or not self.any(error is not None):
             return error
-        errors = [one for one in self.gathered(_packed(error)) if one is not None]
+        errors = [entry for entry in self.gathered(_packed(error)) if entry is not None]
         together = _unpacked(errors[0])
         vars(together)[OF_ALL_RANKS] = True
         return together

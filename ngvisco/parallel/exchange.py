@@ -154,11 +154,11 @@ class Exchange(Owned):
         TRAFFIC.bytes += sum(part.nbytes for part in sent.values())
         return got
 
-    def products(self, several: np.ndarray, one: np.ndarray) -> np.ndarray:
-        """Inner products, (n,), of summed vectors ``several``, (n, unknowns), with ``one``; collective."""
+    def products(self, several: np.ndarray, vector: np.ndarray) -> np.ndarray:
+        """Inner products, (n,), of summed vectors ``several``, (n, unknowns), with ``vector``; collective."""
         if not self.is_distributed:
-            return several @ one
-        return self.communicator.products(several, np.where(self.owned, one, 0.0))
+            return several @ vector
+        return self.communicator.products(several, np.where(self.owned, vector, 0.0))
 
     def norm(self, values: np.ndarray, where: slice = slice(None)) -> float:
         """Euclidean norm of a summed vector, or of a slice of the vector; collective."""

@@ -386,8 +386,8 @@ def _cross(A: np.ndarray, B: np.ndarray) -> np.ndarray:
 
 def _minors(A: np.ndarray, B: np.ndarray) -> np.ndarray:
     """The tensor with the entries A_jJ B_kK - A_jK B_kJ at (i, I), for (i, j, k) and (I, J, K) cyclic."""
-    one, two = (np.roll(np.arange(3), -1), np.roll(np.arange(3), -2))
-    return A[one][:, one] * B[two][:, two] - A[one][:, two] * B[two][:, one]
+    first, second = (np.roll(np.arange(3), -1), np.roll(np.arange(3), -2))
+    return A[first][:, first] * B[second][:, second] - A[first][:, second] * B[second][:, first]
 
 
 def contracted(a: np.ndarray, b: np.ndarray) -> np.ndarray:

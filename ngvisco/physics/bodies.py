@@ -138,10 +138,10 @@ class Fractions:
         """The factor chi_i of each body, smooth in theta_i: 0 at theta_i <= 0, 1/2 at 1/5, 0.996 at 1/2."""
         factors = {}
         for name, theta in self.at(z).items():
-            rest, share = 1 - theta, (1 / _HALF - 1) * if_positive(theta, theta, 0.0 * theta)
-            rest, share = rest * rest, share * share
-            rest, share = rest * rest, share * share
-            factors[name] = share / (rest + share)
+            complement, share = 1 - theta, (1 / _HALF - 1) * if_positive(theta, theta, 0.0 * theta)
+            complement, share = complement * complement, share * share
+            complement, share = complement * complement, share * share
+            factors[name] = share / (complement + share)
         return factors
 
     def positive(self, z: Values, body: str) -> Any:

@@ -68,7 +68,7 @@ def relative_defects(material: Material, z: Values, traced: Collection[str] = ()
     for kind, partner_kind in ((Cofactor, Distortion), (CofactorLeftCauchyGreen, LeftCauchyGreen)):
         for name in [name for name, v in variables.items() if isinstance(v, kind)]:
             distortion = next(names for names in material.distortions.values() if name in names)
-            partner = next((one for one in distortion if isinstance(variables[one], partner_kind)), None)
+            partner = next((n for n in distortion if isinstance(variables[n], partner_kind)), None)
             if partner is not None:
                 cofactor = Cof(z[partner])
                 # J^b Cof F is a multiple of Cof z for z = J^a F; the size is free where J is not known

@@ -67,10 +67,10 @@ def equilibrium(
             weight[active] = _compliance(y[active], slope[active] - m[active, None], second[active])
             active = active[~done[active]]
             at, amounts, inverse = y[active], n[active], weight[active]
-            rest = m[active, None] - slope[active]
-            missing = total[active] - _sum(amounts, at + _times(inverse, rest))
+            defect = m[active, None] - slope[active]
+            missing = total[active] - _sum(amounts, at + _times(inverse, defect))
             dm = _times(_inverse(_sum(np.maximum(amounts, 0.0), inverse)), missing)
-            step, sizes = _times(inverse, rest + dm[:, None]), at.copy()
+            step, sizes = _times(inverse, defect + dm[:, None]), at.copy()
             curvatures = np.diagonal(second[active], axis1=2, axis2=3)
             sizes[..., 1:] = (slope[active] / curvatures)[..., 1:]  # psi_S = theta is like exp(S/c)
             lowest = np.maximum(_LEAST * at[..., 0], _FLAT) - at[..., 0]

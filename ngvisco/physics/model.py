@@ -355,4 +355,4 @@ def open_state(creep: FlowRule | None, material: Material, m: int) -> tuple[Elas
 def _flows(creep: FlowRule | None, material: Material) -> bool:
     network = part_of(material, Network)
     branches = () if network is None else network.parts.values()
-    return (creep is not None and creep.flows) or any(one.flows for one in branches)
+    return (creep is not None and creep.flows) or any(branch.flows for branch in branches)

@@ -273,37 +273,37 @@ def require_fields(owner: Any) -> None:
     Moduli may also be functions of the initial place and expressions, other parameters functions of the
     actual place.
     """
-    for name, said in declared(type(owner)).items():  # type: ignore[arg-type]
+    for name, declaration in declared(type(owner)).items():  # type: ignore[arg-type]
         value, full = getattr(owner, name), f"{type(owner).__name__}.{name}"
-        if not said.is_number or (value is None and type(None) in said.kinds):
+        if not declaration.is_number or (value is None and type(None) in declaration.kinds):
             continue
-        if ParameterExpression in said.kinds:
-            object.__setattr__(owner, name, _as_modulus(full, value, said))
-        elif CoefficientFunction in said.kinds and not _is_scalar_function(value):
-            if (number := said.number(value)) is None:
-                expected = f"{said.expected}, or a scalar function of the place and the time"
+        if ParameterExpression in declaration.kinds:
+            object.__setattr__(owner, name, _as_modulus(full, value, declaration))
+        elif CoefficientFunction in declaration.kinds and not _is_scalar_function(value):
+            if (number := declaration.number(value)) is None:
+                expected = f"{declaration.expected}, or a scalar function of the place and the time"
                 raise ParameterError(full, value, expected)
             object.__setattr__(owner, name, number)
     errors.require_fields(owner)
 
 
-def _as_modulus(full: str, value: object, said: Declared) -> Modulus:
+def _as_modulus(full: str, value: object, declaration: Declared) -> Modulus:
     """A modulus from a number in its range, an expression of parameters, or a function of the initial place,
     which becomes a parameter with the modulus' name."""
-    is_positive = said.range == "> 0"
-    if isinstance(value, _Modulus) or (number := said.number(value)) is not None:
+    is_positive = declaration.range == "> 0"
+    if isinstance(value, _Modulus) or (number := declaration.number(value)) is not None:
         return value if isinstance(value, _Modulus) else number
     if isinstance(value, ParameterExpression):
         return _Modulus(full, value, is_positive)
     if as_number(value) is not None:
-        raise ParameterError(full, value, said.expected)
+        raise ParameterError(full, value, declaration.expected)
     if not _is_scalar_function(value):
-        expected = f"{said.expected}, a function of the initial place, an expression of parameters"
+        expected = f"{declaration.expected}, a function of the initial place, an expression of parameters"
         raise ParameterError(full, value, expected)
     if reads_time(value):
         expected = "a function of the initial place; it reads the time, as loads and walls may"
         raise ParameterError(full, value, expected)
-    mean: Any = said.mean or ("geometric" if is_positive else "root")
+    mean: Any = declaration.mean or ("geometric" if is_positive else "root")
     parameter = Parameter(full.rpartition(".")[2], start=value, typical=1.0, mean=mean)
     return _Modulus(full, parameter, is_positive, is_own=True)
 
@@ -358,9 +358,9 @@ def substituted(law: T, value_of: Callable[[ParameterExpression], Any]) -> T:
         if isinstance(part, ParameterExpression):
             return value_of(part)
         if isinstance(part, tuple) and any(True for _ in expressions_in(part)):
-            return tuple(within(one) for one in part)
+            return tuple(within(element) for element in part)
         if isinstance(part, dict) and any(True for _ in expressions_in(part)):
-            return type(part)((name, within(one)) for name, one in part.items())
+            return type(part)((name, within(element)) for name, element in part.items())
         return substituted(part, value_of)
 
     if not _is_law(law):

@@ -141,8 +141,8 @@ def _choices(function: CoefficientFunction) -> Iterator[CoefficientFunction]:
 
 def may_read_time(function: CoefficientFunction) -> bool:
     """Whether a function contains a parameter of NGSolve, such as the run's time."""
-    said = str(function)
-    return "ParameterCoefficientFunction" in said or "ParameterCF" in said  # 2*t, for example
+    text = str(function)
+    return "ParameterCoefficientFunction" in text or "ParameterCF" in text  # 2*t, for example
 
 
 def _checked(name: str, rows: np.ndarray) -> np.ndarray:
@@ -159,13 +159,13 @@ def _checked(name: str, rows: np.ndarray) -> np.ndarray:
 
 def _rows_from(times: Sequence[float], values: Sequence[float] | Sequence[Sequence[float]]) -> np.ndarray:
     try:
-        first, rest = np.array(times, dtype=float), np.array(values, dtype=float)
+        first, rows = np.array(times, dtype=float), np.array(values, dtype=float)
     except (TypeError, ValueError):
         raise ParameterError("table", (times, values), "times, and as many values or rows of them") from None
-    if first.ndim != 1 or rest.ndim not in (1, 2) or len(first) != len(rest):
-        shapes = f"{first.shape} times, values of shape {rest.shape}"
+    if first.ndim != 1 or rows.ndim not in (1, 2) or len(first) != len(rows):
+        shapes = f"{first.shape} times, values of shape {rows.shape}"
         raise ParameterError("table", shapes, "times, and as many values or rows of them")
-    return np.column_stack([first, rest])
+    return np.column_stack([first, rows])
 
 
 def _rows_of(path: str) -> np.ndarray:

@@ -53,8 +53,8 @@ class FieldDiffusionRows:
         self._compliance = curvature.compliance
         cell, facet = step.layout.scalar_space("z"), step.layout.scalar_space("z_hat")
         names = ("zeta", "z_slope", "zeta_delta_hat", "z_slope_hat")
-        one = [VectorValued(scalar, 1) for scalar in (cell, facet, facet)]
-        space = FESpace([one[0], VectorValued(cell, step.mesh.dim), *one[1:]])
+        vectors = [VectorValued(scalar, 1) for scalar in (cell, facet, facet)]
+        space = FESpace([vectors[0], VectorValued(cell, step.mesh.dim), *vectors[1:]])
         u, w = (Fields(step.layout, dict(zip(names, parts, strict=True))) for parts in space.TnT())
         form = BilinearForm(space)
         step.quadrature.add(form, term.of_one_component(u, w))

@@ -134,11 +134,11 @@ class Scales:
         return [*self._of_waves(), *self._of_matter(), *self._of_motion(), *self._of_cells()]
 
     def _of_waves(self) -> list[str]:
-        (fast, slow), said = self.speeds, []
+        (fast, slow), lines = self.speeds, []
         name = "shear" if slow > 0 else "longitudinal"
         if math.isfinite(self.passage) and self.dt * _FOLLOWED > self.passage and not self.is_slow:
             does = "damps them" if self.scheme.order == 1 else "does not resolve them"
-            said.append(
+            lines.append(
                 f"{name} waves cross the domain in {self.passage:.2g} s, {self.passage / self.dt:.2g} "
                 f"steps: the scheme {self.scheme.name} {does}; to follow them take "
                 f"dt <= {self.passage / _FOLLOWED:.2g} s"
@@ -147,14 +147,14 @@ class Scales:
         if self.scheme.A == midpoint().A and hard > _RINGING:
             euler = "" if self.startup else "the first steps by backward Euler (time.startup = 2), "
             shorter = "" if self.is_slow else f", or dt <= {_RINGING * self.cell / fast:.2g} s"
-            said.append(
+            lines.append(
                 f"longitudinal waves cross {hard:.3g} cells a step, which {self.scheme.name} does not damp: "
                 f"they ring from step to step; take {euler}another scheme ('sdirk2' damps them){shorter}"
             )
-        return said
+        return lines
 
     def _of_matter(self) -> list[str]:
-        (fast, slow), said = self.speeds, []
+        (fast, slow), lines = self.speeds, []
         if slow > 0 and (fast / slow) ** 2 > _STIFF:
             ratio, remedies = (fast / slow) ** 2, []
             if self.k < 3:
@@ -164,70 +164,70 @@ class Scales:
                 least = max(1 / spare, _STIFF / ratio)
                 less = f"a K_e of {least:.1g} of this one is still stiff enough"
                 remedies.append(less + (" for the weight" if self.weight > 0 else ""))
-            said.append(
+            lines.append(
                 f"the modulus of compression is {ratio:.2g} times that of shear: steps are hard to solve"
-                + "".join(f"; {one}" for one in remedies)
+                + "".join(f"; {remedy}" for remedy in remedies)
             )
         if self.weight > _SINKS:
-            said.append(
+            lines.append(
                 f"the weight is {self.weight:.2g} of the modulus of compression: it makes a column shorter "
                 f"by about {50 * self.weight:.2g} %; where matter hardly yields take a larger K_e"
             )
         is_denser = self.densities > _DENSER * (1 + 1e-6)
         if is_denser:
-            said.append(
+            lines.append(
                 f"densities differ {self.densities:.2g} times: where their boundary moves through cells what "
                 "is light is thrown about, and steps are hard to solve; take a ratio up to "
                 f"{_DENSER:g}, and what is light as viscous as the other"
             )
         if is_denser and not self.one_bulk_energy:
-            said.append(
+            lines.append(
                 "bodies of such densities have different bulk energies: few steps are solved; where it does "
                 "not matter give all of them one, e.g. a medium beside ReferentialNeoHookean "
                 'kind = "Custom" with energy = "K_e/2*(J + 1/J - 2)"'
             )
         if self.overstress > _ABOVE_YIELD:
-            said.append(
+            lines.append(
                 f"at the rate v/L the stress is {self.overstress:.2g} of the yield stress above it: to hold "
                 f"it there take a G_m {self.overstress / _ABOVE_YIELD:.2g} times smaller"
             )
-        return said
+        return lines
 
     def _of_motion(self) -> list[str]:
-        said = []
+        lines = []
         if self.velocity * self.dt > self.cell:
-            said.append(
+            lines.append(
                 f"matter moves by {self.velocity * self.dt / self.cell:.2g} cells a step: steps are hard "
                 f"to solve and upwinding smears; take dt <= {self.cell / self.velocity:.2g} s"
             )
         if self.maxwell < _RELAXED * self.dt * (1 - 1e-6):  # finite differences round moduli
-            said.append(
+            lines.append(
                 f"stress relaxes in {self.maxwell:.2g} s, {self.maxwell / self.dt:.2g} steps: only the end "
                 f"of its relaxation is seen; to follow it take dt <= {self.maxwell / _RELAXED:.2g} s"
             )
-        said += filter(None, (self.parting, self.unborne))
-        return said
+        lines += filter(None, (self.parting, self.unborne))
+        return lines
 
     def _of_cells(self) -> list[str]:
-        said = []
+        lines = []
         layer = (
             math.sqrt(self.kinematic_viscosity * self.length / self.velocity) if self.velocity > 0 else 0.0
         )
         if self.cell * _ACROSS > self.length:
             across, enough = self.length / self.cell, self.length / _ACROSS
-            said.append(f"{across:.1f} cells across the domain: take maxh <= {enough:.2g} m")
+            lines.append(f"{across:.1f} cells across the domain: take maxh <= {enough:.2g} m")
         elif 0 < layer < self.cell:
-            said.append(
+            lines.append(
                 f"viscous layers are {layer:.2g} m thick, thinner than a cell: where they matter take maxh "
                 f"or refine <= {layer / 2:.2g} m"
             )
-        said += [
+        lines += [
             f"{cells:.1f} cells across the body {name!r} where it is thinnest: take cells "
             f"{_ACROSS / cells:.2g} times smaller there"
             for name, cells in self.bodies.items()
             if 0 < cells < _ACROSS
         ]
-        return said
+        return lines
 
 
 def scales(simulation: RunState) -> Scales:
@@ -272,14 +272,14 @@ def largest_velocity(simulation: RunState) -> float:
     It is the largest one in the steps taken and of walls; before any step the given velocity scale, else the
     largest one at the start and of walls.
     """
-    ranks, said = simulation.ranks, simulation.given_velocity_scale
+    ranks, given = simulation.ranks, simulation.given_velocity_scale
     velocities = [row["v_max"] for row in simulation.ledger.rows]
     walls = simulation.rothe_step.moving_walls.velocities().values()
     moving = ranks.most(np.concatenate([np.zeros(1), *(abs(v).ravel() for v in walls)]))
     if len(velocities) > 1:
         return max(*velocities, moving)
     start = math.sqrt(simulation.sampler.extrema(square(simulation.rothe_step.now.v))[1])
-    return said or max(start, moving)
+    return given or max(start, moving)
 
 
 def _thickness(simulation: RunState) -> dict[str, float]:

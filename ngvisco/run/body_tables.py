@@ -345,14 +345,14 @@ def _integrands(step: Step, name: str) -> list[CoefficientFunction]:
     for mechanism in rates.mechanisms:
         if mechanism.body == name:
             loss = loss + rates.power_of_creep(mechanism, rates.local_creep(mechanism, u), u)
-    shears, rest = material.shears(values), material.volumes(values, CF(1.0))
-    of_volume = rates.stored(u) - sum((*shears.values(), *rest.values()), CF(0.0))
+    shears, volumes = material.shears(values), material.volumes(values, CF(1.0))
+    of_volume = rates.stored(u) - sum((*shears.values(), *volumes.values()), CF(0.0))
     return [
         mass,
         theta,
         *(theta * coordinate for coordinate in place),
         *(mass * v[i] for i in range(step.mesh.dim)),
         0.5 * mass * inner(v, v),
-        shears.get(name, CF(0.0)) + rest[name] + theta * of_volume,
+        shears.get(name, CF(0.0)) + volumes[name] + theta * of_volume,
         loss,
     ]

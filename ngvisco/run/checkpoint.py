@@ -131,8 +131,8 @@ class Checkpoints:
             for observer in simulation.observers:
                 if isinstance(observer, Series) and observer.group is not None and observer.group not in file:
                     _store_table(file.create_group(observer.group), observer, observer.unit)
-            for number, one in kept.items():
-                _store(file.create_group(f"checkpoints/{number:08d}"), one)
+            for number, snapshot in kept.items():
+                _store(file.create_group(f"checkpoints/{number:08d}"), snapshot)
         return image.getvalue()
 
 
@@ -142,10 +142,10 @@ def _store_table(group: h5py.Group, table: Series | Ledger, unit: Callable[[str]
         data.attrs["unit"] = unit(column)
 
 
-def _store(group: h5py.Group, one: Snapshot) -> None:
-    group.attrs[CHECKSUM] = one.checksum
+def _store(group: h5py.Group, snapshot: Snapshot) -> None:
+    group.attrs[CHECKSUM] = snapshot.checksum
     for name in PARTS:
-        part, (numbers, arrays) = group.require_group(name) if name else group, one.part(name)
+        part, (numbers, arrays) = group.require_group(name) if name else group, snapshot.part(name)
         part.attrs.update(numbers)
         for key, array in arrays.items():
             part.create_dataset(key, data=array)

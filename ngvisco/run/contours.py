@@ -68,7 +68,7 @@ class Contours(Series):
             self.directory.mkdir(parents=True, exist_ok=True)
             if simulation.number > 0:
                 now = simulation.t * (1 + 1e-12)
-                self.written = [one for one in read_pvd(self.directory / "contours.pvd") if one[0] <= now]
+                self.written = [row for row in read_pvd(self.directory / "contours.pvd") if row[0] <= now]
                 simulation.ranks.on_first(self._remove_others)
         super().start(simulation)
 
@@ -97,5 +97,5 @@ class Contours(Series):
         name = f"contours_{simulation.number:06d}.vtu"
         columns = {"body": table[:, :1], "line": table[:, 1:2]}
         write_lines(self.directory / name, np.pad(table[:, 2:], ((0, 0), (0, 1))), segments, columns)
-        self.written = [one for one in self.written if one[1] != name] + [(simulation.t, name)]
+        self.written = [row for row in self.written if row[1] != name] + [(simulation.t, name)]
         write_pvd(self.directory / "contours.pvd", self.written)

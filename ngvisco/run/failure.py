@@ -115,7 +115,7 @@ def _described(history: Sequence[Attempt]) -> list[str]:
         if len(attempts) > 1:
             solved = sum(attempt.solution.converged for attempt in attempts)
             text += f" in {len(attempts)} attempts, {solved} of them solved; the last one"
-        increments = ", ".join(f"{one.increment:.1e}" for one in last.history[-_SHOWN:])
+        increments = ", ".join(f"{iteration.increment:.1e}" for iteration in last.history[-_SHOWN:])
         lines.append(text + f": {last.status.value}" + (f", increments {increments}" if increments else ""))
     return lines
 
@@ -156,8 +156,8 @@ def _fastest(simulation: RunState) -> tuple[float, int | None, tuple[float, ...]
         place = sampler.coordinates(np.array([fastest]))[0]
         cell = number_of(simulation.mesh, int(sampler.cells[fastest]))
         mine = float(rates[fastest]), cell, tuple(float(c) for c in place)
-    every = [one for one in simulation.ranks.gathered(mine) if one is not None]
-    rate, fastest, place = min(every, key=lambda one: (-one[0], -1 if one[1] is None else one[1]))
+    every = [entry for entry in simulation.ranks.gathered(mine) if entry is not None]
+    rate, fastest, place = min(every, key=lambda entry: (-entry[0], -1 if entry[1] is None else entry[1]))
     usual = simulation.velocity_scale / diameter(simulation.mesh, simulation.ranks)
     return rate if rate > _ROUNDING * usual else 0.0, fastest, place
 

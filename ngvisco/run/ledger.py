@@ -432,7 +432,7 @@ class Ledger:
         """
         if not self._defects:
             return math.nan, math.nan
-        largest = np.array([self.sampler.ranks.most(abs(one)) for one in values])
+        largest = np.array([self.sampler.ranks.most(abs(row)) for row in values])
         rms = np.sqrt(squares)
         worst = int(np.argmax(rms))
         if rms[worst] >= _DEFECT and DefectWarning not in self._warned:

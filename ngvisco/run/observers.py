@@ -274,7 +274,7 @@ class VTKSeries:
         self.written = []
         if simulation.number > 0:
             now = simulation.t * (1 - 1e-12)
-            self.written = [one for one in read_pvd(self.directory / "fields.pvd") if one[0] < now]
+            self.written = [row for row in read_pvd(self.directory / "fields.pvd") if row[0] < now]
             simulation.ranks.on_first(self._remove_others)
         if simulation.number == 0 or self._is_due(simulation):
             self._write(simulation)
@@ -321,7 +321,7 @@ def dissipation_advice(simulation: Simulation) -> str | None:
         return None
 
     def total(kind: str) -> float:
-        return float(ledger.exchanged(*(one.name for one in ledger.entries if one.kind == kind))[-1])
+        return float(ledger.exchanged(*(entry.name for entry in ledger.entries if entry.kind == kind))[-1])
 
     numerical = float(ledger.exchanged(*NUMERICAL)[-1])  # without the energy that a transfer took
     physical, stored = total("dissipation"), ledger.column("stored")
@@ -334,5 +334,5 @@ def dissipation_advice(simulation: Simulation) -> str | None:
             "take scheme = 'midpoint' (second order, one solve a step), 'sdirk2' where stiff parts are to be "
             "damped, or a much smaller dt"
         )
-    said = f"the time scheme {scheme.name} dissipated {numerical:.3g} J, the model {physical:.3g} J"
-    return f"{said}: {remedy}"
+    sentence = f"the time scheme {scheme.name} dissipated {numerical:.3g} J, the model {physical:.3g} J"
+    return f"{sentence}: {remedy}"

@@ -45,23 +45,23 @@ class Cut:
         order = np.take_along_axis(order, (alone[:, None] + [0, 1, 2]) % 3, axis=1)
         corners = np.take_along_axis(corners, order[:, :, None], axis=1)
         points, values = (np.take_along_axis(array, order, axis=1) for array in (points, values))
-        one, two = count == 1, count == 2
-        falls = np.where((one | two)[:, None], values[:, :1] - values[:, 1:], 1.0)
+        lone, pair = count == 1, count == 2
+        falls = np.where((lone | pair)[:, None], values[:, :1] - values[:, 1:], 1.0)
         shares = (values[:, :1] - level) / falls
         first, second = (
             corners[:, 0] + shares[:, i, None] * (corners[:, 1 + i] - corners[:, 0]) for i in (0, 1)
         )
         inside = [
             corners[count == 3],
-            np.stack([corners[one, 0], first[one], second[one]], axis=1),
-            np.stack([corners[two, 1], corners[two, 2], second[two]], axis=1),
-            np.stack([corners[two, 1], second[two], first[two]], axis=1),
+            np.stack([corners[lone, 0], first[lone], second[lone]], axis=1),
+            np.stack([corners[pair, 1], corners[pair, 2], second[pair]], axis=1),
+            np.stack([corners[pair, 1], second[pair], first[pair]], axis=1),
         ]
-        ends = [np.stack([first[one], second[one]], axis=1), np.stack([second[two], first[two]], axis=1)]
+        ends = [np.stack([first[lone], second[lone]], axis=1), np.stack([second[pair], first[pair]], axis=1)]
         size = int(points.max(initial=0)) + 1
         pairs = np.sort(np.stack([points[:, [0, 1]], points[:, [0, 2]]], axis=1), axis=2)
         numbers = pairs[..., 0] * size + pairs[..., 1]
-        edges = np.concatenate([numbers[one], numbers[two][:, ::-1]])
+        edges = np.concatenate([numbers[lone], numbers[pair][:, ::-1]])
         return cls(np.concatenate(inside), np.concatenate(ends), edges)
 
     @property

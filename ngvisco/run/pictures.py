@@ -214,14 +214,14 @@ class _Picture:
         for axis in axes.ravel()[len(names) :]:
             axis.set_axis_off()
         scalar_mappable = importlib.import_module("matplotlib.cm").ScalarMappable
-        self.scales = [scalar_mappable(cmap=_COLOURS, norm=one.norm) for one in colours]
+        self.scales = [scalar_mappable(cmap=_COLOURS, norm=colouring.norm) for colouring in colours]
         across = "xyz".replace(self._section.normal, "") if frame.dim == 3 else "xy"
-        for axis, scale, one in zip(self.axes, self.scales, colours, strict=True):
+        for axis, scale, colouring in zip(self.axes, self.scales, colours, strict=True):
             axis.set(aspect="equal")
             axis.margins(_MARGIN)
             for letter, along, side in zip(across, (axis.xaxis, axis.yaxis), corners.T, strict=True):
                 self._mark(letter, along, side, extent.max())
-            self.figure.colorbar(scale, ax=axis, shrink=_SHRINK, extend=one.extend)
+            self.figure.colorbar(scale, ax=axis, shrink=_SHRINK, extend=colouring.extend)
         self.images: list[Any] = []
         self._lines: list[Any] = []
         self.show(frame)
@@ -256,8 +256,8 @@ class _Picture:
 
     def show(self, frame: Frame) -> None:
         """Draw the fields of a frame, and the outlines of its bodies, in place of the former frame."""
-        for one in [*self.images, *self._lines]:
-            one.remove()
+        for artist in [*self.images, *self._lines]:
+            artist.remove()
         points, triangles, between = self._corners(frame)
         # matplotlib mixes the corners' colours; between very different values a mixture is not on the scale
         finer = int(np.clip((_DRAWN / len(triangles)) ** 0.5, 1, _PIECES))

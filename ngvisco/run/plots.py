@@ -158,8 +158,8 @@ def plot_comparison(
     }
     written = {}
     for name, tables in pictures.items():
-        first, *rest = tables.values()
-        common = [column for column in first if all(column in table for table in rest) and column != "time"]
+        first, *later = tables.values()
+        common = [column for column in first if all(column in table for table in later) and column != "time"]
         if common:
             written[name] = Path(out) / f"comparison-{name}.{kind}"
             _draw(tables, common[:_MOST], written[name])

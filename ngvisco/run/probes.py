@@ -169,7 +169,7 @@ class WallForces(Series):
     def finish(self, simulation: Simulation) -> None:
         super().finish(simulation)
         carried = simulation.integrator.carried
-        carried[:] = [one for one in carried if one is not self]
+        carried[:] = [field for field in carried if field is not self]
 
     # called by the integrator: forces are averaged over a step's stages, each while it is the present state
 

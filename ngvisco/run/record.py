@@ -57,7 +57,7 @@ def record(
         VTKSeries(out / "vtk", every=every),
         Checkpoints(out / "run.h5", every=checkpoints),
     ]
-    if simulation.model.bodies and not any(isinstance(one, Bodies) for one in simulation.observers):
+    if simulation.model.bodies and not any(isinstance(observer, Bodies) for observer in simulation.observers):
         files.insert(-1, Bodies(out / "bodies.csv"))
     before = list(simulation.observers)
     simulation.observers += files

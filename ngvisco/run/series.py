@@ -116,8 +116,8 @@ class Series(ABC):
         for row in rows:
             for column, value in zip(self.columns, row, strict=True):
                 if not math.isfinite(value) and not (math.isnan(value) and self.may_be_nan(column)):
-                    said = f"{type(self).__name__}: {self._said(column, row)} is {value}"
-                    raise NotANumberError(f"{said} at t = {simulation.t:g} s, and has to be a number")
+                    sentence = f"{type(self).__name__}: {self._said(column, row)} is {value}"
+                    raise NotANumberError(f"{sentence} at t = {simulation.t:g} s, and has to be a number")
         self._add(rows, simulation)
 
     def _said(self, column: str, row: list[float]) -> str:

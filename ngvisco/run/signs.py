@@ -117,7 +117,7 @@ class Signs:
 
     def check(self, row: Mapping[str, float]) -> None:
         """Warn of a row's columns, and of a wall's facets, that give energy or destroy entropy."""
-        sums = {name: sum(row[one] for one in parts) for name, parts in self._columns.items()}
+        sums = {name: sum(row[part] for part in parts) for name, parts in self._columns.items()}
         nearly = {name: row[name] for name in self._nearly}
         total = sum(map(abs, (*sums.values(), *nearly.values())))
         power = (abs(row["kinetic"]) + abs(row["stored"])) / row["dt"]

@@ -174,15 +174,15 @@ class Simulation(RunState):
         the file is missing or damaged, has no such checkpoint, or belongs to another mesh, discretisation or
         material; the message says which.
         """
-        one, rows, limits = take_up(self, path, step, attributes)
+        checkpoint, rows, limits = take_up(self, path, step, attributes)
         self.rothe_step.state_old.vec.data = self.rothe_step.state.vec
         self.rothe_step.start_from_old()
-        numbers, _ = one.part("")
+        numbers, _ = checkpoint.part("")
         self.set_time(numbers["time"], int(numbers["step"]))
         self.set_velocity_scale(numbers["velocity_scale"])
-        self.solver.load_state_dict(*one.part("solver"))
-        self.stepper.load_state_dict(self, *one.part("stepping"))
-        self.ledger.resume(one.balance, rows, limits)
+        self.solver.load_state_dict(*checkpoint.part("solver"))
+        self.stepper.load_state_dict(self, *checkpoint.part("stepping"))
+        self.ledger.resume(checkpoint.balance, rows, limits)
 
     def advance(self, stop: float = math.inf) -> dict[str, float]:
         """Take one step and return its row of the ledger; adaptive steps end at ``stop`` (s) at the latest.

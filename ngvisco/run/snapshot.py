@@ -65,14 +65,14 @@ class ChosenMesh:
 
 
 def load(path: Path, group: h5py.Group) -> Snapshot:
-    one = Snapshot({}, {})
+    snapshot = Snapshot({}, {})
     for name in PARTS:
         part = group[name] if name else group
-        one.numbers.update({f"{name}/{k}": float(v) for k, v in part.attrs.items() if k != CHECKSUM})
+        snapshot.numbers.update({f"{name}/{k}": float(v) for k, v in part.attrs.items() if k != CHECKSUM})
         arrays = {f"{name}/{k}": np.array(v) for k, v in part.items() if isinstance(v, h5py.Dataset)}
-        one.arrays.update(arrays)
-    _verify(path, group, one.checksum)
-    return one
+        snapshot.arrays.update(arrays)
+    _verify(path, group, snapshot.checksum)
+    return snapshot
 
 
 def digest_of(numbers: Mapping[str, float], arrays: Mapping[str, np.ndarray]) -> str:
@@ -159,28 +159,28 @@ def take_up(
 
     def read_all() -> tuple[Any, ...]:
         must_match = {name: value for name, value in identity(simulation).items() if name not in may_differ}
-        one = _read_checkpoint(path, must_match | dict(attributes or {}), step)
-        size, expected = one.arrays["/state"].size, simulation.unknowns
+        snapshot = _read_checkpoint(path, must_match | dict(attributes or {}), step)
+        size, expected = snapshot.arrays["/state"].size, simulation.unknowns
         if size != expected:
             raise CheckpointError(f"{path}: the state has {size} coefficients, not {expected}")
-        read.append(one)
-        number, columns = int(one.numbers["/step"]), read_ledger(path)
+        read.append(snapshot)
+        number, columns = int(snapshot.numbers["/step"]), read_ledger(path)
         names = list(columns) if may_differ else [*ledger.columns, *ledger.foreign(columns)]
         rows = [row for row in _rows(path, columns, names) if row["step"] <= number]
         if [row["step"] for row in rows] != list(range(number + 1)):
             raise CheckpointError(f"{path}: its ledger has not the rows of steps 0 to {number}")
         with opened(path) as file:  # older files have no limits: this run's hold
             limits = [(int(first), float(limit)) for first, limit in file["ledger"].attrs.get(CLOSURES, ())]
-        return one.numbers, list(one.arrays), names, rows, limits
+        return snapshot.numbers, list(snapshot.arrays), names, rows, limits
 
     numbers, arrays, names, rows, limits = ranks.on_first(read_all)
     whole = read[0].arrays if read else {}
     arrays_of_rank = {name: numbering.own(whole.get(name), name) for name in arrays if numbering.knows(name)}
-    one = Snapshot(numbers, arrays_of_rank)
-    simulation.passive.load(one.part("passive")[1])
-    simulation.rothe_step.state.vec.FV().NumPy()[:] = one.arrays["/state"]
+    snapshot = Snapshot(numbers, arrays_of_rank)
+    simulation.passive.load(snapshot.part("passive")[1])
+    simulation.rothe_step.state.vec.FV().NumPy()[:] = snapshot.arrays["/state"]
     ledger.keep(names)
-    return one, rows, limits
+    return snapshot, rows, limits
 
 
 def _read_checkpoint(path: Path, expected: dict[str, Any], step: int | None) -> Snapshot:
@@ -272,7 +272,7 @@ def _signature_of(value: object) -> str:
     if isinstance(value, (Material, Body)):
         return _material_signature(value)
     if isinstance(value, tuple):
-        return f"({', '.join(_signature_of(one) for one in value)}{',' * (len(value) == 1)})"
+        return f"({', '.join(_signature_of(element) for element in value)}{',' * (len(value) == 1)})"
     return getattr(value, "__qualname__", None) or repr(value)
 
 

@@ -241,8 +241,8 @@ class _Unions:
     def put_in(self, columns: np.ndarray, function: CoefficientFunction) -> None:
         """Replace ``columns``, (components, points), at the points of these cells; collective."""
         for i, column in enumerate(columns):
-            one = function if function.dim == 1 else function[i]
-            values = self._of_all(self._old.values(one))[self._from]
+            component = function if function.dim == 1 else function[i]
+            values = self._of_all(self._old.values(component))[self._from]
             if not self._count:
                 continue
             fitted = np.linalg.solve(self._mass, self._moments(values[:, None]))[:, :, 0]
@@ -280,17 +280,17 @@ def resume_changed(
     float
         Energy lost by the change of the stored energy, J: the column ``transfer`` of the next row.
     """
-    one, rows, limits = snapshot.take_up(
+    checkpoint, rows, limits = snapshot.take_up(
         simulation, path, attributes=attributes, may_differ=("material", "energies", "scheme")
     )
-    (numbers, _), step = one.part(""), simulation.rothe_step
+    (numbers, _), step = checkpoint.part(""), simulation.rothe_step
     complete(step)
     step.state_old.vec.data = step.state.vec
     step.start_from_old()
     number = int(numbers["step"])
     simulation.set_time(numbers["time"], number)
     simulation.stepper.begin(numbers["time"], number)
-    ledger, balance = simulation.ledger, one.balance
+    ledger, balance = simulation.ledger, checkpoint.balance
     lost = balance.energy - ledger.energy()
     ledger.add_once(TRANSFER, lost)
     rows = [{name: row.get(name, 0.0) for name in ledger.columns} for row in rows]

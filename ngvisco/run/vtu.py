@@ -65,8 +65,8 @@ def _content(table: np.ndarray, cells: np.ndarray, widths: Mapping[str, int]) ->
     of_cells += array("types", "UInt8", np.full(count, _TYPES[corners]))
     data, start = "", 3
     for name, width in widths.items():
-        said = f' NumberOfComponents="{width}"{_labels(name, width)}'
-        data += array(name, "Float64", table[:, start : start + width], said)
+        described = f' NumberOfComponents="{width}"{_labels(name, width)}'
+        data += array(name, "Float64", table[:, start : start + width], described)
         start += width
     head = (
         f"{_head('UnstructuredGrid')}\n<UnstructuredGrid>\n"

@@ -71,7 +71,7 @@ class Adjoint:
         if from_start:
             for j, near in enumerate(self.near):
                 self.jacobian[:, j] += slopes @ near.of_start
-        self.of_start = np.array([self.starts.through_functions(one) for one in slopes])
+        self.of_start = np.array([self.starts.through_functions(slope) for slope in slopes])
 
     def _seeds(self, weights: np.ndarray) -> np.ndarray:
         """Slopes of the numbers by the present state, (numbers, unknowns), for weights of the columns."""
@@ -85,49 +85,49 @@ class Adjoint:
         """Set the present state, and add the numbers' explicit dependence on the parameters there."""
         if weights.any():
             for j, near in enumerate(self.near):
-                values = [one.columns.state() for one in near.at(state)]
+                values = [follower.columns.state() for follower in near.at(state)]
                 self.jacobian[:, j] += weights @ near.derivative(values)
         self.base.at(state)
 
     def _step(self, number: int, taken: RecordedStep, slopes: np.ndarray) -> np.ndarray:
         """Slopes by the start of a step, from the slopes by its end."""
         solutions = [taken.state, *(stage.state for stage in taken.stages)]
-        of = np.zeros((len(solutions), *slopes.shape))
+        loads = np.zeros((len(solutions), *slopes.shape))
         if taken.is_combined:
-            self._end(number, taken, solutions, slopes, of)
+            self._end(number, taken, solutions, slopes, loads)
         else:
             self._read_at(taken.after, self.ends[:, number])
-            of[-1] = slopes + self._seeds(self.ends[:, number])
+            loads[-1] = slopes + self._seeds(self.ends[:, number])
         for i in range(len(taken.stages), 0, -1):
-            self._stage(number, taken, i, solutions, of)
-        return of[0]
+            self._stage(number, taken, i, solutions, loads)
+        return loads[0]
 
     def _stage(
-        self, number: int, taken: RecordedStep, i: int, solutions: list[np.ndarray], of: np.ndarray
+        self, number: int, taken: RecordedStep, i: int, solutions: list[np.ndarray], loads: np.ndarray
     ) -> None:
         stage, weights = taken.stages[i - 1], self.means[:, number]
         base = self.base
         base.pose(stage, [base.evolved(y) for y in solutions[:i]])
         self.linearised.at_stage(stage)  # also sets the present state
-        of[i] += self._seeds(stage.share * weights)
-        adjoints = np.array([self.linearised.stage(slope, transposed=True) for slope in of[i]])
+        loads[i] += self._seeds(stage.share * weights)
+        adjoints = np.array([self.linearised.stage(slope, transposed=True) for slope in loads[i]])
         for j, near in enumerate(self.near):
             if near.parameter.is_of_start:
                 continue
             found, columns = [], []
-            for one in near.followers:
-                one.pose(stage, [one.evolved(y) for y in solutions[:i]])
-                found.append(one.residual(stage.state))
+            for follower in near.followers:
+                follower.pose(stage, [follower.evolved(y) for y in solutions[:i]])
+                found.append(follower.residual(stage.state))
                 if weights.any():
-                    one.at(stage.state)
-                    columns.append(one.columns.stage(stage.share))
+                    follower.at(stage.state)
+                    columns.append(follower.columns.stage(stage.share))
             rows, prescribed = (near.derivative(values) for values in zip(*found, strict=True))
-            self.jacobian[:, j] += of[i] @ prescribed - adjoints @ rows
+            self.jacobian[:, j] += loads[i] @ prescribed - adjoints @ rows
             if columns:
                 self.jacobian[:, j] += weights @ near.derivative(columns)
         for k in np.flatnonzero(stage.starts[:i]):
             for n, adjoint in enumerate(adjoints):
-                of[k][n] -= self.starts.transposed(stage, solutions[:i], int(k), adjoint)
+                loads[k][n] -= self.starts.transposed(stage, solutions[:i], int(k), adjoint)
 
     def _end(
         self,
@@ -135,7 +135,7 @@ class Adjoint:
         taken: RecordedStep,
         solutions: list[np.ndarray],
         slopes: np.ndarray,
-        of: np.ndarray,
+        loads: np.ndarray,
     ) -> None:
         """Add the slopes by the stages, from the ``slopes`` by a combined end."""
         base, starts = self.base, self.starts
@@ -144,22 +144,22 @@ class Adjoint:
         is_v[ranges["v"]] = True
         self._read_at(taken.after, self.ends[:, number])
         whole = slopes + self._seeds(self.ends[:, number])
-        slopes = np.array([starts.through_functions(one) for one in whole])
+        slopes = np.array([starts.through_functions(slope) for slope in whole])
         self.linearised.at_end(taken)
-        adjoints = np.array([self.linearised.end(np.where(is_v & self.free, one, 0.0)) for one in slopes])
+        adjoints = np.array([self.linearised.end(np.where(is_v & self.free, slope, 0.0)) for slope in slopes])
         for j, near in enumerate(self.near):
             found = []
-            for one in near.followers:
-                states = [one.evolved(y) for y in solutions]
-                found.append(one.end(taken, states, solutions[-1], taken.after[ranges["v"]]))
+            for follower in near.followers:
+                states = [follower.evolved(y) for y in solutions]
+                found.append(follower.end(taken, states, solutions[-1], taken.after[ranges["v"]]))
             state, rows = (near.derivative(values) for values in zip(*found, strict=True))
             self.jacobian[:, j] += whole @ state - adjoints @ rows
         for n, (slope, adjoint) in enumerate(zip(slopes, adjoints, strict=True)):
             combined = slope - starts.momentum_transposed(taken.after, adjoint)
-            of[-1][n] += np.where(starts.evolving, 0.0, slope)
+            loads[-1][n] += np.where(starts.evolving, 0.0, slope)
             if taken.ends_at_stage:
-                of[-1][n] += np.where(is_v & ~self.free, combined, 0.0)
+                loads[-1][n] += np.where(is_v & ~self.free, combined, 0.0)
             kept = np.where(starts.evolving & ~is_v, combined, 0.0)
             for k in np.flatnonzero(taken.weights):
                 moved = starts.momentum_transposed(solutions[k], adjoint)
-                of[k][n] += taken.weights[k] * (kept + moved)
+                loads[k][n] += taken.weights[k] * (kept + moved)

@@ -24,9 +24,9 @@ def tables_of(simulation: Simulation) -> list[Series]:
     found: list[Series] = []
     for observer in simulation.observers:
         if isinstance(observer, _TABLES):
-            one = copy.copy(observer)
-            one.path, one.rows = None, []
-            found.append(one)
+            table = copy.copy(observer)
+            table.path, table.rows = None, []
+            found.append(table)
     return found
 
 

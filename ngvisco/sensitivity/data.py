@@ -49,7 +49,7 @@ class Data:
         for an invalid table, or one without rows, times or values.
         """
         if isinstance(data, Mapping):
-            return _checked("data", {str(name): _column(name, one) for name, one in data.items()}, {})
+            return _checked("data", {str(name): _column(name, values) for name, values in data.items()}, {})
         path = Path(data)
         try:
             with path.open(newline="", encoding="utf-8-sig") as file:
@@ -113,7 +113,7 @@ def _checked(where: str, columns: dict[str, np.ndarray], units: dict[str, str]) 
     columns.pop("step", None)  # a column of tables written by runs
     if not columns:
         raise DataError(f"{where}: no column beside {TIME!r}")
-    if not len(times) or any(len(one) != len(times) for one in columns.values()):
+    if not len(times) or any(len(column) != len(times) for column in columns.values()):
         raise DataError(f"{where}: expected as many values of each column as there are times, at least one")
     if not (np.isfinite(times) & (times >= 0)).all():
         raise DataError(f"{where}: expected times >= 0 in every row")

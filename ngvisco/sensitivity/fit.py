@@ -87,9 +87,9 @@ class Fit:
                 f"{name} = {self.values[i]:.6g} +- {self.deviations[i]:.2g}, from {self.start[i]:.6g}, "
                 f"within {low:.3g} and {high:.3g}{': AT ITS BOUND' if at_bound else ''}"
             )
-        for i, one in enumerate(self.by):
+        for i, first in enumerate(self.by):
             for j in range(i):
-                lines.append(f"correlation of {self.by[j]} and {one}: {self.correlation[i, j]:+.3f}")
+                lines.append(f"correlation of {self.by[j]} and {first}: {self.correlation[i, j]:+.3f}")
         count = sum(len(values) for values in self.data.values())
         lines.append(f"{count} data, half the sum of squares {self.misfit:.5g}, reduced {self.reduced:.3g}")
         for name in self.columns:
@@ -183,8 +183,8 @@ def _measured(simulation: Simulation, data: Data, factor: Callable[[str, str], f
     names = [name.removeprefix(INTEGRAL) for name in data.columns]
     columns = Columns(simulation, list(dict.fromkeys(names)), tables_of(simulation))
     units = {}
-    for name, of in zip(data.columns, names, strict=True):
-        unit = columns.unit(of)
+    for name, quantity in zip(data.columns, names, strict=True):
+        unit = columns.unit(quantity)
         units[name] = f"{unit} s" if unit is not None and name.startswith(INTEGRAL) else unit
     return converted(data, units, factor)
 
@@ -229,9 +229,9 @@ class _Search:
             needed = f"at least {len(parameters) + self.is_estimated}"
             raise DataError(f"{count} values for {len(parameters)} parameters: expected {needed}")
         for name in bounds:
-            if name not in [one.name for one in parameters]:
-                raise ParameterError("bounds", name, f"one of {', '.join(one.name for one in parameters)}")
-        self.bounds = np.array([_bounds(one, bounds.get(one.name)) for one in parameters])
+            if name not in [p.name for p in parameters]:
+                raise ParameterError("bounds", name, f"one of {', '.join(p.name for p in parameters)}")
+        self.bounds = np.array([_bounds(p, bounds.get(p.name)) for p in parameters])
         self.signs = np.where(self.bounds[:, 0] > 0, 1.0, np.where(self.bounds[:, 1] < 0, -1.0, 0.0))
         self.scales = np.where(np.isfinite(np.ptp(self.bounds, axis=1)), np.ptp(self.bounds, axis=1), 1.0)
         self.kept: dict[bytes, Gradient | None] = {}
@@ -253,10 +253,10 @@ class _Search:
             return self.kept[q.tobytes()]
         p, _ = self._outer(q)
         begin, found = clock.process_time(), None
-        values = dict(zip(self.parameters, (float(one) for one in p), strict=True))
+        values = dict(zip(self.parameters, (float(number) for number in p), strict=True))
         try:
             run = varied(self.simulation, values, tables_of(self.simulation))
-            found = gradient(run, self.until, of=self.of, by=[one.name for one in self.parameters], order=2)
+            found = gradient(run, self.until, of=self.of, by=[p.name for p in self.parameters], order=2)
             self.alone = found.seconds
         except StepError:
             if not self.kept:
@@ -264,13 +264,13 @@ class _Search:
         self.runs, self.spent = self.runs + 1, self.spent + clock.process_time() - begin
         self.kept[q.tobytes()] = found
         if self.progress is not None:
-            text = ", ".join(f"{one.name} = {value:.6g}" for one, value in values.items())
+            text = ", ".join(f"{parameter.name} = {value:.6g}" for parameter, value in values.items())
             half = "not solved" if found is None else f"{0.5 * np.sum(self._residuals(found) ** 2):.6g}"
             self.progress(f"run {self.runs}: {text}: half the sum of squares {half}")
         return found
 
     def _residuals(self, found: Gradient) -> np.ndarray:
-        data, sigma = (np.concatenate(list(of.values())) for of in (self.data, self.sigma))
+        data, sigma = (np.concatenate(list(columns.values())) for columns in (self.data, self.sigma))
         result: np.ndarray = (found.values - data) / sigma
         return result
 
@@ -291,14 +291,14 @@ class _Search:
         """Search for the least sum of squares."""
         from scipy.optimize import least_squares  # a tenth of the package's import time
 
-        start = np.array([one.value for one in self.parameters])
+        start = np.array([parameter.value for parameter in self.parameters])
         low, high = (self._inner(self.bounds[:, i]) for i in range(2))
         low, high = np.minimum(low, high), np.maximum(low, high)
         kinds = {"xtol": tolerance, "ftol": tolerance, "gtol": 1e-8}
         first = np.clip(self._inner(start), low, high)
         solved = least_squares(self.residuals, first, self.jacobian, (low, high), method="trf", **kinds)
-        tried = [one for one in self.kept.values() if one is not None]
-        found = min(tried, key=lambda one: float(np.sum(self._residuals(one) ** 2)))
+        tried = [result for result in self.kept.values() if result is not None]
+        found = min(tried, key=lambda result: float(np.sum(self._residuals(result) ** 2)))
         p, cost = found.at, 0.5 * float(np.sum(self._residuals(found) ** 2))
         J = found.jacobian / np.concatenate(list(self.sigma.values()))[:, None]
         free = max(len(self.of) - len(p), 1)
@@ -365,7 +365,7 @@ def _bounds(parameter: Named, given: tuple[float, float] | None) -> tuple[float,
         low, high = sorted((value / _RANGE, value * _RANGE))
         return low, high
     try:
-        low, high = (float(one) for one in given)
+        low, high = (float(bound) for bound in given)
     except (TypeError, ValueError):
         low, high = np.nan, np.nan
     if not low < high or not low <= value <= high:

@@ -58,8 +58,8 @@ class Gradient:
 
     def __getitem__(self, key: tuple[str, str]) -> float:
         """Derivative of a number by a parameter, given by their names."""
-        of, by = key
-        return float(self.jacobian[self._row(of), self.by.index(by)])
+        number, by = key
+        return float(self.jacobian[self._row(number), self.by.index(by)])
 
     def density(self, of: str, name: str) -> GridFunction:
         """Derivative of a number by the start values of a scalar field, per volume at the start.
@@ -100,16 +100,16 @@ class Gradient:
         result.vec.data = inverse_mass(result.space, step.quadrature) * slope
         return result
 
-    def _row(self, of: str) -> int:
-        if of not in self.of:
-            raise UnknownNameError("number", of, self.of)
-        return self.of.index(of)
+    def _row(self, name: str) -> int:
+        if name not in self.of:
+            raise UnknownNameError("number", name, self.of)
+        return self.of.index(name)
 
     def __str__(self) -> str:
         """Table with a line for each number and a column for each parameter."""
         head = ["", "value", *(f"d/d {name}" for name in self.by)]
         body = [
-            [name, f"{value:.8g}", *(f"{one:.8g}" for one in row)]
+            [name, f"{value:.8g}", *(f"{entry:.8g}" for entry in row)]
             for name, value, row in zip(self.of, self.values, self.jacobian, strict=True)
         ]
         widths = [max(len(line[i]) for line in (head, *body)) for i in range(len(head))]
@@ -168,14 +168,14 @@ def gradient(
         raise ParameterError("order", order, "4 or 2")
     numbers, parameters = Numbers.of(of, until), _parameters(by, simulation, method)
     base, is_start = _base(simulation, numbers.columns), simulation.number == 0
-    if not is_start and any(one.is_of_start for one in parameters):
+    if not is_start and any(parameter.is_of_start for parameter in parameters):
         expected = "no start values: the run has begun, and goes on from its present state"
         raise ParameterError("by", by, expected)
     slopes = Slopes(base) if method == "adjoint" else None
     trajectory, columns = Trajectory(simulation), base.columns
-    columns.has_ends = any(not one.is_integral for one in numbers.wanted)
-    columns.has_means = bool(columns.is_of_stages.any()) or any(one.is_integral for one in numbers.wanted)
-    near = [Neighbours(one, simulation, columns, order) for one in parameters]
+    columns.has_ends = any(not n.is_integral for n in numbers.wanted)
+    columns.has_means = bool(columns.is_of_stages.any()) or any(n.is_integral for n in numbers.wanted)
+    near = [Neighbours(parameter, simulation, columns, order) for parameter in parameters]
     begin = clock.process_time()
     trajectory.run(until)
     seconds = clock.process_time() - begin
@@ -194,8 +194,8 @@ def gradient(
         adjoint = Adjoint(trajectory, base, slopes, near, *numbers.weights(found, base.columns.is_of_stages))
         adjoint.run(is_start, tell)
         jacobian, of_start = adjoint.jacobian, adjoint.of_start
-    at = np.array([one.value for one in parameters])
-    names = tuple(numbers.names), tuple(one.name for one in parameters)
+    at = np.array([parameter.value for parameter in parameters])
+    names = tuple(numbers.names), tuple(parameter.name for parameter in parameters)
     values = numbers.values(parts)
     return Gradient(*names, values, jacobian, at, trajectory.limited, seconds, simulation, of_start)
 

@@ -126,9 +126,9 @@ class Numbers:
         )
         wanted: list[Wanted] = []
         named: dict[str, tuple[slice, Misfit | None]] = {}
-        for name, one in given.items():
-            misfit = one if isinstance(one, Misfit) else None
-            parts = [Wanted.of(text) for text in (one.data if isinstance(one, Misfit) else [one])]
+        for name, request in given.items():
+            misfit = request if isinstance(request, Misfit) else None
+            parts = [Wanted.of(text) for text in (request.data if isinstance(request, Misfit) else [request])]
             named[name] = slice(len(wanted), len(wanted) + len(parts)), misfit
             wanted += parts
         if not named:
@@ -147,9 +147,9 @@ class Numbers:
     def parts(self, history: History) -> np.ndarray:
         """Values of the parts in a history, (parts, ...)."""
         found = []
-        for one in self.wanted:
-            ends, integrals = one.weights(history.times)
-            column = self.columns.index(one.column)
+        for number in self.wanted:
+            ends, integrals = number.weights(history.times)
+            column = self.columns.index(number.column)
             of_ends, of_integrals = history.ends[:, column], history.integrals[:, column]
             found.append(np.tensordot(ends, of_ends, 1) + np.tensordot(integrals, of_integrals, 1))
         return np.array(found)
@@ -177,9 +177,9 @@ class Numbers:
         """
         times = history.times
         ends, integrals = (np.zeros((len(self.wanted), len(times), len(self.columns))) for _ in range(2))
-        for i, one in enumerate(self.wanted):
-            column = self.columns.index(one.column)
-            ends[i, :, column], integrals[i, :, column] = one.weights(times)
+        for i, number in enumerate(self.wanted):
+            column = self.columns.index(number.column)
+            ends[i, :, column], integrals[i, :, column] = number.weights(times)
         means = np.flip(np.cumsum(np.flip(integrals, 1), 1), 1)  # all later integrals contain a step
         means *= np.diff(times, prepend=times[0])[:, None]
         coefficients = self.coefficients(self.parts(history))

@@ -87,7 +87,7 @@ class Named:
             raise ParameterError(f"by: {name}", found, "a name that leads to a number, as material.G_e may")
         parent = _found(_root(simulation, keys[0]), keys[1:-1], name)
         beside = parent if isinstance(parent, (tuple, list)) else ()
-        size = max([abs(value), *(abs(as_number(one) or 0.0) for one in beside)])
+        size = max([abs(value), *(abs(as_number(neighbour) or 0.0) for neighbour in beside)])
         return cls(name, value, STEP * (size or 1.0), keys)
 
     @property
@@ -119,16 +119,16 @@ def varied(
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the original run has shown its warnings
         for parameter, value in values.items():
-            root, rest = parameter.keys[0], parameter.keys[1:]
+            root, inner_keys = parameter.keys[0], parameter.keys[1:]
             if root in _OF_RUN:
-                parts[root] = _changed(parts[root], rest, value)
+                parts[root] = _changed(parts[root], inner_keys, value)
             else:
-                changed = {root: _changed(getattr(model, root), rest, value)}
+                changed = {root: _changed(getattr(model, root), inner_keys, value)}
                 model = dataclasses.replace(model, **changed)
         given: dict[str, Any] = {"model": model, "time": steps, "passive": (), "observers": observers}
         other = simulation.on(simulation.mesh, **parts, **given)
     if len(other.rothe_step.state.vec) != len(simulation.rothe_step.state.vec):
-        names = ", ".join(one.name for one in values)
+        names = ", ".join(parameter.name for parameter in values)
         raise ParameterError("by", names, "parameters that change no number of unknowns")
     return other
 
@@ -145,7 +145,7 @@ def _member(owner: Any, key: str) -> Any:
     if isinstance(owner, Sequence) and not isinstance(owner, str):
         if key.lstrip("-").isdigit() and -len(owner) <= int(key) < len(owner):
             return int(key)
-        named = [i for i, one in enumerate(owner) if getattr(one, "name", None) == key]
+        named = [i for i, member in enumerate(owner) if getattr(member, "name", None) == key]
         return named[0] if named else None
     if dataclasses.is_dataclass(owner):
         names = [field.name for field in dataclasses.fields(owner)]
@@ -158,7 +158,7 @@ def _known(owner: Any) -> list[str]:
     if isinstance(owner, Mapping):
         return [str(key) for key in owner]
     if isinstance(owner, Sequence) and not isinstance(owner, str):
-        return [getattr(one, "name", str(i)) for i, one in enumerate(owner)]
+        return [getattr(member, "name", str(i)) for i, member in enumerate(owner)]
     return [field.name for field in dataclasses.fields(owner)] if dataclasses.is_dataclass(owner) else []
 
 
@@ -187,4 +187,4 @@ def _changed(owner: Any, keys: Sequence[str], value: float) -> Any:
         return dataclasses.replace(owner, **{place: part})  # type: ignore[type-var]
     if isinstance(owner, Mapping):
         return {**owner, place: part}
-    return tuple(part if i == place % len(owner) else one for i, one in enumerate(owner))
+    return tuple(part if i == place % len(owner) else member for i, member in enumerate(owner))

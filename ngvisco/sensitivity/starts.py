@@ -62,8 +62,8 @@ class Starts:
         self._state.vec.FV().NumPy()[:] = states[number]
         y = Fields.of(step.layout, self._state.components)
         self._momentum.Interpolate(y.rho * y.v)
-        rest = step.momentum_old.vec.FV().NumPy() - weights[number] * self._momentum.vec.FV().NumPy()
-        self._other_momentum.vec.FV().NumPy()[:] = rest
+        remaining = step.momentum_old.vec.FV().NumPy() - weights[number] * self._momentum.vec.FV().NumPy()
+        self._other_momentum.vec.FV().NumPy()[:] = remaining
         self._form.AssembleLinearization(self._state.vec)
         self._at.FV().NumPy()[:] = rows
         self._product.data = self._form.mat.T * self._at

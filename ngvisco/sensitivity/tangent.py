@@ -65,7 +65,7 @@ def tangents(
 
     ``from_start`` tells whether the start values depend on the parameters, as at the start of a run.
     """
-    runs = [_Tangent(one, base.state.copy(), from_start) for one in neighbours]
+    runs = [_Tangent(neighbour, base.state.copy(), from_start) for neighbour in neighbours]
     linearised, times = Linearised(base), [trajectory.steps[0].begin]
     ends, integrals = [np.stack([run.begin(trajectory.steps[0]) for run in runs], axis=-1)], []
     integrals.append(np.zeros_like(ends[0]))
@@ -126,8 +126,8 @@ class _Tangent:
         """Derivative of the present state by the parameter."""
         self._states: list[list[Evolved]] = []
 
-    def _differenced(self, of: Callable[[int, Follower], np.ndarray]) -> np.ndarray:
-        return self.near.derivative([of(i, one) for i, one in enumerate(self.near.followers)])
+    def _differenced(self, function: Callable[[int, Follower], np.ndarray]) -> np.ndarray:
+        return self.near.derivative([function(i, follower) for i, follower in enumerate(self.near.followers)])
 
     def begin(self, first: RecordedStep) -> np.ndarray:
         """Derivatives of the columns at the start of the first step."""
@@ -138,36 +138,38 @@ class _Tangent:
             return np.zeros(len(self.near.followers[0].columns.names))
         moved = self.near.moved(state, self.along)
 
-        def columns(i: int, one: Follower) -> np.ndarray:
-            one.at(moved[i])
-            return one.columns.state()
+        def columns(i: int, follower: Follower) -> np.ndarray:
+            follower.at(moved[i])
+            return follower.columns.state()
 
         return self._differenced(columns)
 
     def start(self, state: np.ndarray) -> None:
         """Begin a step from a state."""
         moved = self.near.moved(state, self.along)
-        self._states = [[one.evolved(u)] for one, u in zip(self.near.followers, moved, strict=True)]
+        self._states = [[follower.evolved(u)] for follower, u in zip(self.near.followers, moved, strict=True)]
         self._mean = np.zeros(len(self.near.followers[0].columns.names))
 
     def stage(self, stage: Stage, linearised: Linearised, is_read: bool) -> None:
         """Follow a stage with factorised R_u; ``is_read`` tells whether a later stage or end uses it."""
         found = []
-        for one, states in zip(self.near.followers, self._states, strict=True):
-            one.pose(stage, states)
-            found.append(one.residual(stage.state))
+        for follower, states in zip(self.near.followers, self._states, strict=True):
+            follower.pose(stage, states)
+            found.append(follower.residual(stage.state))
         rows, prescribed = (self.near.derivative(values) for values in zip(*found, strict=True))
         self.along = prescribed - linearised.stage(rows)
         self._last = moved = self.near.moved(stage.state, self.along)
 
-        def columns(i: int, one: Follower) -> np.ndarray:
-            one.at(moved[i])
-            return one.columns.stage(stage.share)
+        def columns(i: int, follower: Follower) -> np.ndarray:
+            follower.at(moved[i])
+            return follower.columns.stage(stage.share)
 
         if self.near.followers[0].columns.has_means:
             self._mean += self._differenced(columns)
-        for one, states, u in zip(self.near.followers, self._states, moved if is_read else [], strict=False):
-            states.append(one.evolved(u))
+        for follower, states, u in zip(
+            self.near.followers, self._states, moved if is_read else [], strict=False
+        ):
+            states.append(follower.evolved(u))
 
     def end(self, taken: RecordedStep, linearised: Linearised) -> tuple[np.ndarray, np.ndarray]:
         """Derivatives of the columns at the step's end, and of their means over its stages."""
@@ -180,16 +182,16 @@ class _Tangent:
     def _combine(self, taken: RecordedStep, linearised: Linearised) -> None:
         v = self.near.followers[0].step.layout.ranges["v"]
         found = [
-            one.end(taken, states, last, taken.after[v])
-            for one, states, last in zip(self.near.followers, self._states, self._last, strict=True)
+            follower.end(taken, states, last, taken.after[v])
+            for follower, states, last in zip(self.near.followers, self._states, self._last, strict=True)
         ]
         along, rows = (self.near.derivative(values) for values in zip(*found, strict=True))
         moved = self.near.moved(taken.after, along - linearised.end(rows))
         # unknowns that are functions of v follow v
-        self.along = self._differenced(lambda i, one: one.completed(moved[i]))
+        self.along = self._differenced(lambda i, follower: follower.completed(moved[i]))
         moved = self.near.moved(taken.after, self.along)
         if self.near.followers[0].columns.is_of_stages.any():
             last = self._last
             self._mean += self._differenced(
-                lambda i, one: one.impulse(taken, self._states[i], moved[i], last[i][v])
+                lambda i, follower: follower.impulse(taken, self._states[i], moved[i], last[i][v])
             )

@@ -110,7 +110,7 @@ class Trajectory:
         try:
             self.simulation.run(until)
         finally:
-            carried[:] = [one for one in carried if one is not self]
+            carried[:] = [field for field in carried if field is not self]
 
     # methods that the integrator calls
 

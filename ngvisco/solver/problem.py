@@ -84,12 +84,12 @@ class BlockNorm:
             squares = np.array([[part @ part for part in of_block] for of_block in parts])
             norms = np.sqrt(self._ranks.totals(squares))  # one reduction for all blocks
             for (name, unit), (norm, *of_states) in zip(self.units.items(), norms, strict=True):
-                one = unit * np.sqrt(self._counts[name])
+                length = unit * np.sqrt(self._counts[name])
                 if name in self.shared:
-                    turned = norm / (max(of_states) + FLOOR * one + norm) if norm != 0 else 0.0
+                    turned = norm / (max(of_states) + FLOOR * length + norm) if norm != 0 else 0.0
                     sizes.append(SHARE * turned)
                 else:
-                    scale = max(of_states) + floor * one
+                    scale = max(of_states) + floor * length
                     sizes.append(norm / scale if scale != 0 else 0.0)
         # numpy's maximum passes NaN on, Python's may drop it
         return float(np.max(sizes)), float(turned)

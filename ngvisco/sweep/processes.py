@@ -66,7 +66,7 @@ def _check_workers(client: Any, scheduler: str) -> None:
     others = {address: there for address, there in found.items() if there != own}
     if others:
         address, there = next(iter(others.items()))
-        own, there = (one or "one of a clone that is not installed" for one in (own, there))
+        own, there = (version or "one of a clone that is not installed" for version in (own, there))
         message = f"expected ngvisco {own} on its workers, but {address} has {there}"
         raise SweepError(f"--scheduler {scheduler}: {message}")
 
@@ -95,9 +95,9 @@ def run_or_resume(case: str, directory: str, threads: int, stop: str) -> tuple[i
     if event.is_set():
         return None, ""
     begun = os.path.exists(os.path.join(directory, "case.toml"))
-    what = ["resume", directory] if begun else ["run", case, "-o", directory]
+    action = ["resume", directory] if begun else ["run", case, "-o", directory]
     options = ["--threads", str(threads), "--quiet", "--ends-with-stdin"]
-    command = [sys.executable, "-m", "ngvisco", *what, *options]
+    command = [sys.executable, "-m", "ngvisco", *action, *options]
     # the pipe closes if this process is killed, which makes the run give up its step
     read, held = os.pipe()
     process = subprocess.Popen(
@@ -131,8 +131,8 @@ def _waited(process: subprocess.Popen[str], event: Any) -> tuple[int, str]:
     try:
         while True:
             try:
-                _, said = process.communicate(timeout=_POLL)
-                return process.returncode, said
+                _, output = process.communicate(timeout=_POLL)
+                return process.returncode, output
             except subprocess.TimeoutExpired:
                 looks += 1
             if not asked and looks % _ASK == 0 and event.is_set():
@@ -143,9 +143,9 @@ def _waited(process: subprocess.Popen[str], event: Any) -> tuple[int, str]:
         raise
 
 
-def message_of(said: str) -> str:
+def message_of(output: str) -> str:
     """Standard error of a process as one line, without warnings, which are in the run's log.txt."""
-    lines = [line.removeprefix("ngvisco: ") for line in said.splitlines()]
+    lines = [line.removeprefix("ngvisco: ") for line in output.splitlines()]
     if any(line.startswith("Traceback") for line in lines):
         lines = lines[-1:]
     return "; ".join(line.strip() for line in lines if line.strip() and not line.startswith("warning: "))

@@ -126,12 +126,12 @@ class Study:
         fixed = {setting.partition("=")[0].strip() for setting in settings}
         if twice := fixed & set(chosen[0].values):
             raise SweepError(f"{min(twice)}: expected --set or --vary, but it is in both")
-        self.cases = [load_case(path, [*settings, *one.settings]) for one in chosen]
+        self.cases = [load_case(path, [*settings, *variation.settings]) for variation in chosen]
         names: dict[str, str] = {}
-        for one, case in zip(chosen, self.cases, strict=True):
-            if (other := names.setdefault(case.resolved, one.name)) != one.name:
-                raise SweepError(f"{other} and {one.name} are the same case: expected one of them")
-        self.outcomes = [Outcome(one.name, one.values) for one in chosen]
+        for variation, case in zip(chosen, self.cases, strict=True):
+            if (other := names.setdefault(case.resolved, variation.name)) != variation.name:
+                raise SweepError(f"{other} and {variation.name} are the same case: expected one of them")
+        self.outcomes = [Outcome(variation.name, variation.values) for variation in chosen]
         self._others = [  # runs of earlier studies whose case files still exist
             other
             for other in read_table(self.table)
@@ -249,7 +249,7 @@ class Study:
     def _end(self, number: int, future: Any) -> None:
         outcome = self.outcomes[number]
         error = future.exception()
-        code, said = (1, f"{type(error).__name__}: {error}") if error is not None else future.result()
+        code, output = (1, f"{type(error).__name__}: {error}") if error is not None else future.result()
         try:
             outcome.read(self._place(outcome), self.cases[number])
         except CheckpointError as fault:
@@ -259,7 +259,7 @@ class Study:
             outcome.state = STOPPED
         elif code is not None and (code not in (0, 4) or not outcome.is_finished):  # None: not started
             outcome.state = FAILED
-            outcome.message = message_of(said) or f"ended with exit code {code}"
+            outcome.message = message_of(output) or f"ended with exit code {code}"
 
 
 def _build(cases: Sequence[Case]) -> None:

@@ -67,7 +67,7 @@ class ErrorEstimate:
         norms = np.sqrt(np.asarray(self.step.quadrature.integrate_cells(self._squares)))
         unknowns = [self.step.layout.unknowns[name] for name in self.step.layout.evolving]
         errors, sizes, root_volume = norms[: len(unknowns)], norms[len(unknowns) : -1], norms[-1]
-        scales = [self.velocity_scale() if one.place == "velocity" else one.scale for one in unknowns]
+        scales = [self.velocity_scale() if u.place == "velocity" else u.scale for u in unknowns]
         wholes = sizes + np.array(scales) * root_volume
         return float(max(e / s if s > 0 else e for e, s in zip(errors, wholes, strict=True)))
 

@@ -161,7 +161,7 @@ class Integrator:
             for name, value in (taken.rates | taken.numerical).items():
                 if not math.isfinite(value):
                     raise StepError(f"{name} of the step is {value}: take a smaller step or a finer mesh")
-            return replace(taken, unsolved=sum(getattr(one, "unsolved", 0) for one in self.carried))
+            return replace(taken, unsolved=sum(getattr(field, "unsolved", 0) for field in self.carried))
         except BaseException as error:  # also an interrupt: never leave half a step behind
             self.undo()
             if isinstance(error, StepError):
@@ -177,13 +177,13 @@ class Integrator:
         self.step.state_old.vec.data = self._before
         self.step.start_from_old()
         time.Set(self._t)
-        for one in self.carried:
-            one.begin()
+        for field in self.carried:
+            field.begin()
 
     def accept(self) -> None:
         """Accept the last step in the passive fields; it cannot be undone afterwards."""
-        for one in self.carried:
-            one.end(self._end)
+        for field in self.carried:
+            field.end(self._end)
 
     def _taken(self, scheme: TimeScheme, t: float, tau: float, history: list[Attempt]) -> StepTaken:
         states, rates = self._stages(scheme, t, tau, history)
@@ -211,8 +211,8 @@ class Integrator:
         states = [self.step.evolved()]
         self.impulse = None
         rates: dict[str, float] = {}
-        for one in self.carried:
-            one.begin()
+        for field in self.carried:
+            field.begin()
         begin = t
         for i in range(scheme.stages):
             own, end = scheme.A[i][i] * tau, t + scheme.c[i] * tau
@@ -221,8 +221,8 @@ class Integrator:
             begin = end
             states.append(self.step.evolved())
             _add(rates, scheme.b[i], self.meter())
-            for one in self.carried:
-                one.stage(scheme.starts[i], scheme.b[i])
+            for field in self.carried:
+                field.stage(scheme.starts[i], scheme.b[i])
         return states, rates
 
     def _combined(

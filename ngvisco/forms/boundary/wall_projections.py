@@ -72,7 +72,7 @@ class WallProjection:
             self._given += quadrature.facets(piston.prescribed(multiplier.TestFunction()))
         self._of = {
             piston.name: np.array(
-                [number for one in piston.region.Elements() for number in multiplier.GetDofNrs(one)],
+                [number for facet in piston.region.Elements() for number in multiplier.GetDofNrs(facet)],
                 dtype=int,
             )
             for piston in term.pistons
@@ -136,7 +136,7 @@ class WallProjection:
         count, shares = len(self._shared), self._constraint @ (rows / self._root**2)
         found = self._solver(np.concatenate([np.zeros(count), shares / self._length]))
         each = found[count:] / self._length * self._normal_velocity(v)
-        return {name: float(each[of].sum()) for name, of in self._of.items()}
+        return {name: float(each[numbers].sum()) for name, numbers in self._of.items()}
 
 
 class VelocityOfMomentum:

@@ -384,13 +384,13 @@ def wall_terms(
     walls: Walls, model: Model, held: Impenetrability | None, passages: Sequence[Carried]
 ) -> tuple[PointTerm, ...]:
     """Terms by which walls enter the system; a condition that the space imposes needs none."""
-    of = walls.conditions.items()
+    named = walls.conditions.items()
     return (
         *(() if held is None else (held, *held.pistons)),
-        *(TangentialStress(walls, name) for name, at in of if isinstance(at, (Traction, NavierFriction))),
+        *(TangentialStress(walls, name) for name, at in named if isinstance(at, (Traction, NavierFriction))),
         *([StoredMean()] if walls.crossed and model.material.response(walls.mesh.dim) is not None else []),
         *passages,
-        *(GivenStress(walls, name) for name, at in of if isinstance(at, Open)),
+        *(GivenStress(walls, name) for name, at in named if isinstance(at, Open)),
         *(moved for name in walls.crossed if (moved := displacement_of(walls, name)) is not None),
     )
 

@@ -83,8 +83,8 @@ class Located:
             given = [[np.flatnonzero(owner[nr] == rank) for rank in every] for nr, _ in found]
             wanted = [
                 [
-                    (local[nr[of[rank]]], reference[of[rank]])
-                    for (nr, reference), of in zip(found, given, strict=True)
+                    (local[nr[places[rank]]], reference[places[rank]])
+                    for (nr, reference), places in zip(found, given, strict=True)
                 ]
                 for rank in every
             ]
@@ -130,7 +130,7 @@ def nearest_wall(mesh: Mesh, point: np.ndarray) -> tuple[str | None, float]:
     ranks = Communicator.of(mesh)
     if isinstance(mesh, MeshPart):  # choose the same of two equally distant walls as on one process
         return ranks.on_first(lambda: _nearest_wall(mesh.whole, point))
-    return min(ranks.gathered(_nearest_wall(mesh, point)), key=lambda one: one[1])
+    return min(ranks.gathered(_nearest_wall(mesh, point)), key=lambda entry: entry[1])
 
 
 def _nearest_wall(mesh: Mesh, point: np.ndarray) -> tuple[str | None, float]:

@@ -264,7 +264,7 @@ class Sampler:
         if len(values):
             at = int(np.argmax(values))
             mine = (float(values[at]), tuple(float(c) for c in self.coordinates(np.array([at]))[0]))
-        return max(one for one in self.ranks.gathered(mine) if one is not None)[1]
+        return max(entry for entry in self.ranks.gathered(mine) if entry is not None)[1]
 
     def largest_in_words(self, sizes: np.ndarray, shares: Mapping[str, CoefficientFunction]) -> str:
         """Words for the place of the largest of ``sizes`` over all ranks, and for the largest share there."""
@@ -277,7 +277,7 @@ class Sampler:
                 theta = self.rows(CF(tuple(shares.values())), np.array([at]))[0]
                 body = f" in body {names[int(theta.argmax())]!r}"
             mine = (float(sizes[at]), f"at ({place}) m{body}")
-        return max(one for one in self.ranks.gathered(mine) if one is not None)[1]
+        return max(entry for entry in self.ranks.gathered(mine) if entry is not None)[1]
 
     def place_of_cells(self, cells: np.ndarray) -> str:
         """Words for the place of the first of this rank's ``cells``, and for the number on all ranks."""
@@ -286,7 +286,7 @@ class Sampler:
             own = np.flatnonzero(self.cells == cells[0])
             middle = tuple(float(c) for c in self.coordinates(own).mean(axis=0))
             mine = number_of(self.mesh, int(cells[0])), middle
-        every = [one for one in self.ranks.gathered(mine) if one is not None]
+        every = [entry for entry in self.ranks.gathered(mine) if entry is not None]
         if not every:
             return "somewhere"
         cell, place = every[0]

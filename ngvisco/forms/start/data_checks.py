@@ -345,7 +345,7 @@ def _moduli(step: Step) -> Iterator[str]:
     """Yield a warning of bulk moduli too different for overshooting amounts (``Mixture.positive``)."""
     material, m = step.model.material, step.discretisation.m
     if isinstance(material, Mixture) and m and not material.has_one_volume:
-        (soft, least), *_, (stiff, most) = sorted(material.stiffnesses.items(), key=lambda one: one[1])
+        (soft, least), *_, (stiff, most) = sorted(material.stiffnesses.items(), key=lambda item: item[1])
         if most > _STIFFER * least:
             yield (
                 f"bodies {stiff!r} and {soft!r} have bulk moduli of {most:.4g} and {least:.4g} Pa: where "
@@ -378,8 +378,8 @@ def warn_of_corners(step: Step, times: Sequence[float]) -> None:
         for (cell, vertex), place, of_times in zip(cells, places, rates.T, strict=True)
     ]
     # the order of one process: each rank numbers its vertices in the order of the undistributed mesh
-    every = sorted((one for of_rank in ranks.gathered(mine) for one in of_rank), key=lambda one: one[:2])
-    rates = np.array([one[3] for one in every]).T
+    every = sorted((row for of_rank in ranks.gathered(mine) for row in of_rank), key=lambda row: row[:2])
+    rates = np.array([row[3] for row in every]).T
     strains = rates.mean(axis=0) * duration
     worst = int(np.argmax(np.abs(strains)))
     if abs(strains[worst]) > 1:

@@ -108,8 +108,8 @@ class Column:
         for J in self.J.values():
             J.vec[:] = 0.0
             J.Set(CF(1.0))
-        of = H1(self.mesh, order=step.discretisation.m + 1)
-        self.space = Periodic(of) if step.walls.periodic else of
+        space = H1(self.mesh, order=step.discretisation.m + 1)
+        self.space = Periodic(space) if step.walls.periodic else space
         self.p, self.constant = GridFunction(self.space), Parameter(0.0)
         self.pressure = self.p + self.constant
         q, t = self.space.TnT()
@@ -124,8 +124,8 @@ class Column:
         dim, rho = self.mesh.dim, self._rho()
         force = CF((0.0,) * dim)
         for load in self.step.model.loads:
-            one = force_of(load, dim)
-            force = force + (rho * one if load.is_weight else one)
+            added = force_of(load, dim)
+            force = force + (rho * added if load.is_weight else added)
         return force
 
     def _rho(self) -> CoefficientFunction:
@@ -172,9 +172,11 @@ class Column:
         self._say_what_is_left()
         return self.J
 
-    def _mean(self, of: Callable[[str], CoefficientFunction]) -> CoefficientFunction:
+    def _mean(self, value: Callable[[str], CoefficientFunction]) -> CoefficientFunction:
         """Mean of a function of the bodies, weighted by their volume fractions."""
-        return sum((share * of(n) for n, share in self.shares.items()), CF(0.0)) if self.shares else of("")
+        return (
+            sum((share * value(n) for n, share in self.shares.items()), CF(0.0)) if self.shares else value("")
+        )
 
     def _bear(self, force: CoefficientFunction) -> None:
         """Solve for the pressure p that bears a force, up to a constant."""
@@ -211,8 +213,8 @@ class Column:
             if ranks.most(abs(values - before)) <= _CONVERGED:
                 return
         low, high = self.sampler.extrema(self.pressure)
-        of = f" of body {name!r}" if name else ""
-        expected = f"pressures that a volume{of} has, which those from {low:.4g} to {high:.4g} Pa are not"
+        owner = f" of body {name!r}" if name else ""
+        expected = f"pressures that a volume{owner} has, which those from {low:.4g} to {high:.4g} Pa are not"
         raise InitialDataError("equilibrium", "no volume found", expected)
 
     def _at(self, datum: object) -> Callable[[CoefficientFunction], float]:
@@ -237,7 +239,7 @@ class Column:
             if len(pressures):
                 i = int(np.argmin(pressures))
                 mine = float(pressures[i]), float(sampler.rows(f, np.array([i]))[0, 0])
-            return min(one for one in ranks.gathered(mine) if one is not None)[1]
+            return min(entry for entry in ranks.gathered(mine) if entry is not None)[1]
 
         return highest
 

@@ -29,7 +29,7 @@ def starting_fractions(mesh: Mesh, bodies: Sequence[Body], order: int) -> StartV
     names = [body.name for body in bodies]
     placed = sorted((body for body in bodies if body.where is not None), key=lambda body: body.order)
     shapes = {body.name: as_place(f"bodies[{body.name!r}].where", body.where) for body in placed}
-    rest = next((body for body in bodies if body.where is None), None)
+    filler = next((body for body in bodies if body.where is None), None)
     _require_order(mesh, placed, shapes)
     *of_placed, of_rest = volumes(mesh, list(shapes.values()))
     total = sum(of_placed) + of_rest
@@ -39,17 +39,17 @@ def starting_fractions(mesh: Mesh, bodies: Sequence[Body], order: int) -> StartV
             is_seen = volumes(mesh, [shapes[body.name]])[0] > _COVERED * total
             hidden = f"a place that {', '.join(above)}, of higher order, does not cover"
             raise ParameterError(f"bodies[{body.name!r}].where", body.where, hidden if is_seen else MISSED)
-    if rest is None and of_rest > _OVERLAP * total:
+    if filler is None and of_rest > _OVERLAP * total:
         expected = f"one without a place, for the rest: {of_rest / total:.2%} of the domain is in no body"
         raise ParameterError("Model.bodies", names, expected)
-    if rest is not None and of_rest <= _COVERED * total:
-        body, _ = max(zip(placed, of_placed, strict=True), key=lambda one: one[1])
-        expected = f"a place that leaves something of the domain to {rest.name!r}, the rest"
+    if filler is not None and of_rest <= _COVERED * total:
+        body, _ = max(zip(placed, of_placed, strict=True), key=lambda pair: pair[1])
+        expected = f"a place that leaves something of the domain to {filler.name!r}, the rest"
         raise ParameterError(f"bodies[{body.name!r}].where", body.where, expected)
     *found, of_none = fractions(mesh, list(shapes.values()), order)
     result: StartValues = dict(zip(shapes, found, strict=True))
-    if rest is not None:
-        result[rest.name] = of_none
+    if filler is not None:
+        result[filler.name] = of_none
     else:  # distribute uncovered volume, below ``_OVERLAP``, by the fractions
         _require_some_body_in_each_cell(mesh, names, of_none)
         known = reduce(add, found)
@@ -57,9 +57,9 @@ def starting_fractions(mesh: Mesh, bodies: Sequence[Body], order: int) -> StartV
     return {name: result[name] for name in names}
 
 
-def _require_some_body_in_each_cell(mesh: Mesh, names: Sequence[str], rest: CoefficientFunction) -> None:
+def _require_some_body_in_each_cell(mesh: Mesh, names: Sequence[str], remainder: CoefficientFunction) -> None:
     """Raise ParameterError for a cell without a body, which no fractions can fill."""
-    size, covered = (np.array(Integrate(f, mesh, VOL, element_wise=True)) for f in (CF(1.0), 1 - rest))
+    size, covered = (np.array(Integrate(f, mesh, VOL, element_wise=True)) for f in (CF(1.0), 1 - remainder))
     with Communicator.of(mesh).together(ParameterError):
         if np.any(empty := covered <= _COVERED * size):
             corners = mesh[ElementId(VOL, int(np.argmax(empty)))].vertices

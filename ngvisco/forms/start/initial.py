@@ -230,8 +230,8 @@ def _project(
         if not np.isfinite(step.energy.samples(z, sampler)).all():
             found = step.energy.last_failure or "not finite somewhere"
             is_at_rest = initial.F is None and not initial.values and not step.model.bodies
-            key, what = ("Model.material", "parameters") if is_at_rest else ("Initial", "start values")
-            raise InitialDataError("stored energy", found, f"{what} of a finite energy", key)
+            key, subject = ("Model.material", "parameters") if is_at_rest else ("Initial", "start values")
+            raise InitialDataError("stored energy", found, f"{subject} of a finite energy", key)
         complete(step)
     theta = temperature(material, step.now.zeta_tensors)
     if theta is not None:
@@ -347,8 +347,8 @@ def _materials_in(part: object) -> Iterator[Material]:
     if isinstance(part, (tuple, Material, Body)):
         if isinstance(part, Material):
             yield part
-        for one in part if isinstance(part, tuple) else vars(part).values():
-            yield from _materials_in(one)
+        for member in part if isinstance(part, tuple) else vars(part).values():
+            yield from _materials_in(member)
 
 
 def _further(step: Step, initial: Initial, sampler: Sampler) -> StartValues:

@@ -30,11 +30,11 @@ def penalty_weight(m: int) -> float:
     return 2.0 * (m + 1) ** 2
 
 
-def component(u: Fields, name: str, of: CoefficientFunction) -> CoefficientFunction:
+def component(u: Fields, name: str, value: CoefficientFunction) -> CoefficientFunction:
     """The row of a scalar variable in a gradient of all components."""
     row = np.zeros((u.layout.states.size, 1))
     row[u.layout.states.slices[name]] = 1.0
-    return linear_map(np.kron(row.T, np.eye(u.dim)), of, (u.dim,))
+    return linear_map(np.kron(row.T, np.eye(u.dim)), value, (u.dim,))
 
 
 class Flux(PointTerm):

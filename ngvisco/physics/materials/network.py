@@ -153,7 +153,7 @@ class Network(Material):
         names: set[str] = set()
         for name, branch in self.parts.items():
             new_names = {v.name: new.name for v, new in self._renamed(name)}
-            names |= {new_names[one] for one in branch.material.continued if one in new_names}
+            names |= {new_names[name] for name in branch.material.continued if name in new_names}
         # a shared variable is continued only if the energies of all branches that have it are
         ends = {v.name for b in self.parts.values() for v in b.material.variables if not v.creeps}
         for shared in ends:

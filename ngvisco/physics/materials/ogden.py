@@ -64,10 +64,10 @@ def _vector(factors: np.ndarray, value: Tensor) -> Tensor:
 
 def powers_of_stretches(invariants: tuple[Tensor, Tensor, Tensor], weights: Mapping[float, float]) -> Tensor:
     """sum_s a_s tr C^s for ``weights`` a_s by s > 0, from I_1 = tr C, I_2 = tr Cof C and I_3 = det C."""
-    one, two, three = invariants
-    sums = [3.0, one, one * one - 2 * two]  # tr C^k
+    first, second, third = invariants
+    sums = [3.0, first, first * first - 2 * second]  # tr C^k
     while len(sums) < max(weights) + 3:
-        sums.append(one * sums[-1] - two * sums[-2] + three * sums[-3])
+        sums.append(first * sums[-1] - second * sums[-2] + third * sums[-3])
     parts, tops = [], []
     for s, factor in weights.items():
         k = math.floor(s)
@@ -77,12 +77,12 @@ def powers_of_stretches(invariants: tuple[Tensor, Tensor, Tensor], weights: Mapp
         constant_part, linear_part, *of_nodes = factor * _weights(s - k)
         parts.append(float(linear_part) * sums[k + 1] + float(constant_part) * sums[k])
         # tr C^{k+1} (t + C)^{-1}, times det(t + C), by the theorem of Cayley and Hamilton
-        mixed = (sums[k + 1], one * sums[k + 1] - sums[k + 2], three * sums[k])
+        mixed = (sums[k + 1], first * sums[k + 1] - sums[k + 2], third * sums[k])
         powers = (_NODES**2, _NODES, np.ones_like(_NODES))
         tops += [_vector(of_nodes * power, each) for power, each in zip(powers, mixed, strict=True)]
     if tops:
         top = reduce(add, tops)
-        below = _vector(_NODES**2, one) + _vector(_NODES, two) + _vector(np.ones_like(_NODES), three)
+        below = _vector(_NODES**2, first) + _vector(_NODES, second) + _vector(np.ones_like(_NODES), third)
         parts += [top[j] / (float(t**3) + below[j]) for j, t in enumerate(_NODES)]
     return reduce(add, parts)
 

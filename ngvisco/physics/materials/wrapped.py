@@ -240,8 +240,8 @@ class _Approximation:
             H = np.linalg.solve(np.eye(size) + H * self.weights, H)
             H = 0.5 * (H + H.transpose(0, 2, 1))
             # phi'(y) loses no digits for small eps, unlike (z - y)/eps; the next lines correct rounding in y
-            rest = z - y[solved][definite] - self.weights * S
-            S = S + np.einsum("nij,nj->ni", H, rest)
+            defect = z - y[solved][definite] - self.weights * S
+            S = S + np.einsum("nij,nj->ni", H, defect)
             energy[where] = at_y.energy[solved][definite] + 0.5 * (S * S) @ self.weights
             slope[where], hessian[where] = S, H
         return Response(energy, slope, hessian, self._failure(states, finite, solved, definite))

@@ -145,9 +145,9 @@ class FlowSchurComplement:
 
     def _rest(self) -> sp.csr_matrix | None:
         """The matrix of walls, damping, the creep rate field and users' terms."""
-        rest = None if self.by_forms is None else self.by_forms.jacobian()
+        matrix = None if self.by_forms is None else self.by_forms.jacobian()
         if "Pi" not in self.residual.unknowns.velocity_block:
-            return rest
+            return matrix
         # the change of M with a creep rate field Pi in a step; the coupling to v is left out
         first, values = self.gradients, self.op.of("Pi")[0].matrix
         C = self.points.stiffness()[:, first:, first:] * self.op.weights[:, None, None]
@@ -156,7 +156,7 @@ class FlowSchurComplement:
         creep = sp.bmat(blocks)
         before = sp.csr_matrix((self.size - creep.shape[0],) * 2)
         creep = sp.block_diag([before, creep], format="csr")
-        return creep if rest is None else (rest + creep).tocsr()
+        return creep if matrix is None else (matrix + creep).tocsr()
 
     def __call__(self, flow: np.ndarray) -> np.ndarray:
         """Rows of the flow's unknowns and of a from their increment; each rank has the share of its cells."""

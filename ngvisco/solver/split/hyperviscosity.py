@@ -220,7 +220,7 @@ class HyperTangent:
         """
         each = sp.identity(dim)
         width = tangent.shape[0] - len(self.kept)
-        rest, count = matrix.shape[0] - dim * width, dim * len(self.kept)
-        right = sp.vstack([sp.kron(each, tangent[:width, width:]), sp.csr_matrix((rest, count))])
-        below = sp.hstack([sp.kron(each, tangent[width:, :width]), sp.csr_matrix((count, rest))])
+        beside, count = matrix.shape[0] - dim * width, dim * len(self.kept)
+        right = sp.vstack([sp.kron(each, tangent[:width, width:]), sp.csr_matrix((beside, count))])
+        below = sp.hstack([sp.kron(each, tangent[width:, :width]), sp.csr_matrix((count, beside))])
         return sp.bmat([[matrix, right], [below, sp.kron(each, tangent[width:, width:])]], format="csr")

@@ -236,11 +236,11 @@ def _resolvents(matrices: np.ndarray) -> np.ndarray:
     def size(matrices: np.ndarray) -> float:
         return float(abs(matrices).sum(axis=2).max(initial=0.0))
 
-    one = np.eye(matrices.shape[1])
+    identity = np.eye(matrices.shape[1])
     if not size(matrices) < 0.5:
-        return np.linalg.inv(one - matrices)
+        return np.linalg.inv(identity - matrices)
     power = precision.single(matrices)
-    result = power + one.astype(precision.SINGLE)
+    result = power + identity.astype(precision.SINGLE)
     while size(power) ** 2 > 1e-4:
         power = np.matmul(power, power)
         result += np.matmul(result, power)

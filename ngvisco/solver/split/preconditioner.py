@@ -88,13 +88,13 @@ class FieldsSystem:
         start = swept(rows).astype(float)  # squares may exceed single precision
         scale = np.sqrt(squares(start))
         scale[scale == 0] = 1.0
-        rest = swept(rows - matrix(start)).astype(float) / scale
-        size = float(np.sqrt(squares(rest).sum()))
+        remaining = swept(rows - matrix(start)).astype(float) / scale
+        size = float(np.sqrt(squares(remaining).sum()))
         if not max(tolerance, enough) < size < np.inf:  # good enough, or not finite
             self._swept_is_enough.add(swept)
             return start
         most = self.iterations
-        x, _ = gmres(mapped, rest.ravel(), rtol=tolerance / size, directions=most, products=products)
+        x, _ = gmres(mapped, remaining.ravel(), rtol=tolerance / size, directions=most, products=products)
         return start + scale * x.reshape(start.shape)
 
     def approximate(self, rows: np.ndarray) -> np.ndarray:

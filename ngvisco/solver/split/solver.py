@@ -352,7 +352,7 @@ def iterate(split: Split, problem: Problem, history: list[NewtonIteration]) -> S
                 split.residual.put(new)
                 return Status.CONVERGED
             split.reset_if_worn(f, size)
-            best = min(best, (size, x, f), key=lambda one: one[0])
+            best = min(best, (size, x, f), key=lambda entry: entry[0])
             x, last = new, size
         elif best[0] == np.inf:
             return Status.NOT_FINITE

@@ -121,9 +121,9 @@ class Exchanged:
 
         ``result`` has the increments of the other components, by transport alone."""
         result[:, self.rows] = 0.0
-        rest = r[:, self.rows] - self(result)
+        remaining = r[:, self.rows] - self(result)
         for n, (i, solver) in enumerate(zip(self.rows, self._solvers, strict=True)):
-            result[:, i] = _solved(solver, self._unknowns, rest[:, n])
+            result[:, i] = _solved(solver, self._unknowns, remaining[:, n])
 
 
 class TransportSweeps:
