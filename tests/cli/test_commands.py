@@ -114,6 +114,23 @@ def test_check_reports_and_writes_nothing(case_file, capsys, monkeypatch):
     assert list(case_file.parent.iterdir()) == [case_file]
 
 
+def test_check_counts_steps_that_a_run_chooses_by_the_longest_one(case_file, capsys):
+    """Counted by the first one, of a microsecond, there were a million steps: days for a run of seconds."""
+    settings = ["time.dt=1e-6", "time.until=1", "time.adaptive.dt_min=1e-7", "time.adaptive.dt_max=0.05"]
+    words = [word for setting in (*settings, "domain.size=[2,1]") for word in ("--set", setting)]
+    assert ended("check", case_file, *words) == 0
+    printed = capsys.readouterr().out
+    for pattern in (
+        r"adaptive steps to t = 1 s, the first 1e-06 s long; at least 20, if all have dt_max = 0.05 s",
+        r"scales +domain 1 to 2 m",
+        r"in all, and .* for each file of fields, if all steps were of dt_max; those taken are .* s long",
+    ):
+        assert re.search(pattern, printed), pattern
+    each, whole, unit = re.search(r"estimate +(\S+) s a step, (\S+) (s|min) in all", printed).groups()
+    first_and_others = float(whole) * {"s": 1, "min": 60}[unit] / float(each)
+    assert first_and_others > 15  # twenty, and what the first one takes longer
+
+
 @pytest.mark.long
 def test_the_estimate_of_time_is_right_within_a_factor(case_file, capsys, tmp_path):
     settings = ("--set", "time.until=2", "--set", "domain.maxh=0.2", "--set", "output.vtk.enabled=false")

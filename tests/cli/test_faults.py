@@ -82,6 +82,16 @@ def test_a_run_that_went_on_beyond_its_case_is_not_late(half):
     assert "t = 0.06 s, beyond the case's 0.04 s, step 3; finished" in command("info", half)[1]
 
 
+def test_an_end_with_its_unit_may_miss_a_step_by_rounding_and_steps_are_counted_from_the_start(
+    half, finished
+):
+    code, out, err = command("resume", half, "--until", "80.0001 ms")
+    assert code == DONE, err
+    assert "2 steps of 0.02 s" in out and "step     3/4 " in out and "step     4/4 " in out
+    assert "until 0.0800001 s: 0.08 s, the nearest end of a step" in (half / "log.txt").read_text()
+    assert_same_run(half, finished)
+
+
 def test_no_space_left_is_said(half):
     (half / "log.txt").unlink()
     (half / "log.txt").symlink_to("/dev/full")

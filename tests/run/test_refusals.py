@@ -184,6 +184,8 @@ WallHeat(flux=_) | None | WallHeat.flux | or a share of the friction
 WallHeat(friction_share=_) | 1.5 | WallHeat.friction_share | a number in [0, 1]
 Creep(G_m=1, nu=_) | -1 | Creep.nu | a finite number >= 0
 Creep(G_m=1, q=_) | 1 | Creep.q | a finite number > 1
+Creep(G_m=1, q=_) | 3.0 | Creep.q | no effect with nu = 0
+Norton(A=1.0, n=3, rate_floor=_) | 1e-3 | Norton.rate_floor | no effect with nu = 0
 Norton(A=_, n=3) | -1.0 | Norton.A | a finite number > 0
 Norton(A=1.0, n=_) | 0.5, nan | Norton.n | a number from 1 to 10
 Norton(A=1.0, n=3, nu=_) | -1.0 | Norton.nu | a finite number >= 0
