@@ -263,8 +263,9 @@ class Bounds:
         return None
 
     def nearest(self) -> str | None:
-        """Words for the bound of the energy's domain to which the present state is nearest relative to rest,
-        its least value and the place; None for an energy without bounds of its own.
+        """The nearest bound of the energy's domain in words, with its least value and the place.
+
+        Nearness is relative to the value at rest.  None for an energy without bounds of its own.
         """
         material, z, points = self.step.model.material, self.step.now.z_tensors, self.sampler
         domain = material.domain(z)

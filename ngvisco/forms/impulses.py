@@ -224,7 +224,7 @@ class Impulses:
         return self.step.energy.projected is None
 
     def _by_arrays(self) -> dict[str, np.ndarray]:
-        """Elastic force on facets from arrays, if there are any, by the formulas of the forms with w = n."""
+        """Elastic force on facets by arrays, from the terms' integrands with w = n; empty without arrays."""
         sides = self.on_sides() if self._has_arrays else None
         if sides is None:
             return {}

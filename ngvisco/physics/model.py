@@ -344,8 +344,8 @@ def _require_distinct(field_name: str, names: list[str]) -> None:
 def open_state(creep: FlowRule | None, material: Material, m: int) -> tuple[ElasticState, str]:
     """The elastic state of a material that leaves it open, with variables of order ``m``, and the reason.
 
-    "B" with creep, of the material or of a branch, since F then winds up.  "B" for m = 0: constants in cells
-    let det F and J drift apart faster than polynomials, and by F this drift frees rest energy.
+    "B" with creep, of the material or of a branch, since F then winds up.  "B" for m = 0: with constants
+    in cells det F and J drift apart faster than with polynomials, and with F this drift frees rest energy.
     """
     if _flows(creep, material):
         return "B", "there is creep"

@@ -24,11 +24,11 @@ _RINGING, _STIFF, _DENSER = 10.0, 1e4, 1e2
 _SLOW = 100.0
 """Passages of the waves in a step, above which inertia has no part in the motion."""
 _SINKS, _SMALL = 0.05, 0.01
-"""Relative compression of a body by its own weight: above the first the run says so; the second is little."""
+"""Relative compressions of a body by its own weight: one that is reported, and one that is small enough."""
 _SMEARED = 4.8
-"""Cells across a body whose interface fills a quarter of it after a strain of one.  In measurements the
-interface was 1.2 s^(1/4) cells wide after strains s; a body a quarter of which was interface had lost 3 % of
-its area within fraction 1/2."""
+"""Cells across a body whose interface fills a quarter of it after a strain of one.  In measurements
+interfaces were 1.2 s^(1/4) cells wide after a strain s.  Where the interface filled a quarter of a body, the
+area of fractions above 1/2 was 3 % too small."""
 _ABOVE_YIELD = 0.1
 """Ratio of viscous overstress and yield stress, above which yield does not hold the stress."""
 

@@ -255,7 +255,7 @@ def averaged(points: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 
 def places(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The first point at each place, and for each point the number of its place; closeness is relative."""
+    """The first point at each place, and each point's place by number; equal to a tolerance of the size."""
     size = float(np.ptp(points, axis=0).max(initial=0.0)) or 1.0
     rounded = np.round(points / (_SAME * size)).astype(np.int64)
     _, first, number = np.unique(rounded, axis=0, return_index=True, return_inverse=True)

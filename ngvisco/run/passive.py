@@ -46,7 +46,7 @@ largest number of iterations."""
 
 NAMES = ("F_tot", "reference_map", "creep_strain")
 CARRIED = (*NAMES, "displacement")
-"""Names of the fields that passive fields give."""
+"""Names of the output fields that passive fields give."""
 
 
 class PassiveFields:

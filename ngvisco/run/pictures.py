@@ -227,7 +227,7 @@ class _Picture:
         self.show(frame)
 
     def _mark(self, letter: str, along: Any, side: np.ndarray, longest: float) -> None:
-        """Label an axis with its name, and with numbers as far as the side has room beside the longest."""
+        """Label an axis with its name and with numbers, fewer for a side that is short beside the longest."""
         ends, share = (float(side.min()), float(side.max())), float(np.ptp(side)) / longest
         label = f"{letter}, {self._unit}"
         if share > 0.45:

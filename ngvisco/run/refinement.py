@@ -213,7 +213,7 @@ class _First:
             self._volumes = _volumes(self._straight)
 
     def under(self, simulation: Simulation) -> tuple[Simulation, ChosenMesh] | None:
-        """The run at its start on the mesh that a state needs, and this mesh; None if the state is on it.
+        """A new run on the mesh that a simulation's state needs, and this mesh; None if the state is on it.
 
         The mesh is read from its file, as in a resumed run.  Collective."""
         marked = self._refinement.steep(simulation)
@@ -225,8 +225,9 @@ class _First:
             return simulation.on(mesh_of(image)), ChosenMesh(image, simulation.number)
 
     def _refined(self, present: Mesh | None, marked: np.ndarray) -> bytes | None:
-        """The file of the first mesh, with cells divided that lie in a marked cell of the mesh ``present`` or
-        contain one; None if the result is ``present``."""
+        """File of the next mesh; None if this is the mesh ``present``.
+
+        It is the first mesh; cells that lie in a marked cell of ``present``, or contain one, are divided."""
         assert present is not None
         mesh = mesh_of(self._image)  # Netgen's ``Copy`` forgets identified walls
         straight = Mesh(present.ngmesh.Copy())

@@ -29,7 +29,7 @@ from ngvisco.physics.tensors import square
 from ngvisco.run.waves import moduli, wave_speed
 
 _AT_REST = 1e-12
-"""Difference of variables from their values at rest, below which it is rounding."""
+"""Largest difference of a variable from its value at rest that counts as rounding."""
 
 
 def edges_of(step: Step, ranks: Communicator) -> list[float]:

@@ -403,7 +403,7 @@ class AdaptiveStepper:
         return self._estimate
 
     def _length(self, t: float, stop: float) -> tuple[float, float]:
-        """Length and end of the next step: ``stop``, or half way there if less than two steps are left."""
+        """Length and end of the next step: at ``stop``, or half way there if two steps would pass it."""
         left = stop - t
         if self.dt >= left * (1 - _ROUNDING):
             return left, stop

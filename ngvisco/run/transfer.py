@@ -209,7 +209,7 @@ def _set_fields(source: Simulation, target: Simulation, points: QuadraturePoints
 
 
 class _Unions:
-    """New cells that are unions of old cells; values at their points are projections by the old points.
+    """New cells that are unions of old cells: fields are projected onto them by a rule at the old points.
 
     With the new points alone the projection of a jump between old cells would depend on where points happen
     to lie.  A rank gets the old points of all ranks and uses the points in its own new cells.

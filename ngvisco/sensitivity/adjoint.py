@@ -56,8 +56,7 @@ class Adjoint:
         self.jacobian = np.zeros((len(ends), len(neighbours)))
         """Derivatives by the parameters, (numbers, parameters)."""
         self.of_start = np.zeros((len(ends), len(base.state)))
-        """Slopes by the coefficients of the start, (numbers, unknowns), with dependent unknowns following
-        the independent ones."""
+        """Slopes by the independent coefficients of the start, (numbers, unknowns)."""
 
     def run(self, from_start: bool, progress: Callable[[int], None] = lambda number: None) -> None:
         """Go backwards through the steps; ``from_start`` tells whether start values depend on parameters."""
@@ -82,7 +81,7 @@ class Adjoint:
         return result
 
     def _read_at(self, state: np.ndarray, weights: np.ndarray) -> None:
-        """Set the present state, and add the numbers' explicit dependence on the parameters there."""
+        """Set the present state; add the numbers' derivatives by the parameters at this fixed state."""
         if weights.any():
             for j, near in enumerate(self.near):
                 values = [follower.columns.state() for follower in near.at(state)]

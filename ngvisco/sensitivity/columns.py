@@ -37,7 +37,7 @@ class Columns:
     """
 
     has_ends = has_means = True
-    """Whether values at ends of steps are needed, and means over stages."""
+    """Whether values at the ends of steps are read, and whether means over stages are."""
 
     def __init__(self, simulation: Simulation, names: Sequence[str], tables: Sequence[Series]) -> None:
         self.simulation, self.names = simulation, list(names)
@@ -108,9 +108,9 @@ class Columns:
         return share * values
 
     def impulse(self, rows: np.ndarray, v: np.ndarray | None) -> np.ndarray:
-        """Contribution to the columns of the walls' impulse in a step over its length, on ``rows`` of v, N.
+        """Contributions to the columns by the walls' impulse over a step's length, ``rows`` of v, N.
 
-        Its power on the velocity ``v`` of the last stage is included if ``v`` is given.
+        With ``v``, the velocity of the last stage, they include the impulse's power.
         """
         values = np.zeros(len(self.names))
         for name, (_, mask) in self.simulation.rothe_step.moving_walls.moving.items():

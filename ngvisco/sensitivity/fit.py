@@ -201,7 +201,7 @@ def _end(simulation: Simulation, data: Data, until: float | None) -> float:
 
 
 class _Search:
-    """Residuals and their Jacobian, which are computed together and stored."""
+    """The least-squares problem: one run gives residuals and Jacobian, which are stored."""
 
     def __init__(
         self,
@@ -238,17 +238,17 @@ class _Search:
         self.runs, self.spent, self.alone = 0, 0.0, 0.0
 
     def _inner(self, p: np.ndarray) -> np.ndarray:
-        """Unknowns of the search for parameters ``p``: the logarithm if bounds have one sign, else scaled."""
+        """Unknowns of the search from parameters ``p``: logarithms if bounds have one sign, else scaled."""
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.where(self.signs != 0, np.log(self.signs * p), p / self.scales)
 
     def _outer(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Parameters for unknowns ``q`` of the search, and their derivatives by these."""
+        """Parameters from unknowns ``q`` of the search, and their derivatives by ``q``."""
         p = np.where(self.signs != 0, self.signs * np.exp(np.where(self.signs != 0, q, 0.0)), q * self.scales)
         return p, np.where(self.signs != 0, p, self.scales)
 
     def _at(self, q: np.ndarray) -> Gradient | None:
-        """Run with parameters ``q`` and its derivatives; None if the run has no solution."""
+        """The run for unknowns ``q``, with derivatives by the parameters; None if the run has no solution."""
         if q.tobytes() in self.kept:
             return self.kept[q.tobytes()]
         p, _ = self._outer(q)

@@ -48,7 +48,7 @@ class Follower:
     def at(self, state: np.ndarray, stage: Stage | None = None) -> None:
         """Set the present state, and the stresses at which flow rules are linearised.
 
-        These stresses are the recorded ones of ``stage``; without a stage they are of the state.
+        The stresses are those recorded in ``stage``; without a stage they follow from the state.
         """
         self.state[:] = state
         self.step.stresses.start()
@@ -86,10 +86,10 @@ class Follower:
     def end(
         self, taken: RecordedStep, states: Sequence[Evolved], last: np.ndarray, v: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """A combined end with given velocity: the state, and the residual of the momentum equation.
+        """State at a combined end with a given velocity, and the momentum equation's residual there.
 
-        ``states`` are y_0, y_1, ..., ``last`` is the last stage's solution, and ``v`` are the coefficients of
-        the velocity, in which moving walls set their values.
+        ``states`` are y_0, y_1, ..., and ``last`` is the last stage's solution.  ``v`` are coefficients
+        of the velocity, of which moving walls replace the prescribed ones.
         """
         step, ranges = self.step, self.step.layout.ranges
         step.start_from(list(zip(taken.weights, states, strict=False)))
@@ -116,9 +116,9 @@ class Follower:
     def impulse(
         self, taken: RecordedStep, states: Sequence[Evolved], end: np.ndarray, v: np.ndarray
     ) -> np.ndarray:
-        """Contribution of the walls' impulse at a combined end to the columns, (columns,).
+        """The columns' contributions from the walls' impulse at a combined end, (columns,).
 
-        ``v`` is the velocity of the last stage, with which the impulse has power.
+        ``v`` is the velocity of the last stage, which determines the impulse's power.
         """
         self.step.start_from(list(zip(taken.weights, states, strict=False)))
         self.state[:] = end

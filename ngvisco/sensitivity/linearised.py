@@ -56,7 +56,7 @@ class Linearised:
         self._velocity[layout.ranges["v"]] = self.free[layout.ranges["v"]]
 
     def end(self, rows: np.ndarray) -> np.ndarray:
-        """Change of v for given ``rows`` of the momentum, in all coefficients; the system is symmetric."""
+        """Change of v, zero in other unknowns, from ``rows`` of the momentum; the matrix is symmetric."""
         self._rows.FV().NumPy()[:] = rows
         self._solution.data = self._mass * self._rows
         return np.where(self._velocity, self._solution.FV().NumPy(), 0.0)

@@ -62,8 +62,8 @@ class Wanted:
         return cls(found["column"], number, found["kind"] == "until")
 
     def weights(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Weights of the column's values at the ends of steps, ``times``, and of its integrals up to
-        these."""
+        """Weights of the column's values at the ends of steps, ``times``, and of its integrals up to these
+        times."""
         upper = int(np.clip(np.searchsorted(times, self.time * (1 - 1e-12)), 1, len(times) - 1))
         share = (self.time - times[upper - 1]) / (times[upper] - times[upper - 1])
         share = float(np.clip(share, 0.0, 1.0))
@@ -111,7 +111,7 @@ class Numbers:
     """Numbers by name; each is one part (a column at a time, or its integral) or a misfit of several."""
 
     wanted: tuple[Wanted, ...]
-    """The parts of all numbers."""
+    """The columns at times, or integrals, of which the numbers are made."""
     columns: list[str]
     of_names: dict[str, tuple[slice, Misfit | None]]
 

@@ -41,7 +41,7 @@ OFFSETS = {4: (-2.0, -1.0, 1.0, 2.0), 2: (-0.1, 0.1)}
 
 
 def differenced(values: Sequence[np.ndarray], h: float) -> np.ndarray:
-    """Derivative from values at four or two ``OFFSETS`` times h."""
+    """Derivative by p from values at p + o h, one for each of four or two ``OFFSETS`` o."""
     result: np.ndarray
     if len(values) == 2:
         result = (values[1] - values[0]) / ((OFFSETS[2][1] - OFFSETS[2][0]) * h)
@@ -154,7 +154,7 @@ def _member(owner: Any, key: str) -> Any:
 
 
 def _known(owner: Any) -> list[str]:
-    """Keys of an owner."""
+    """Keys by which the parts of an owner are named."""
     if isinstance(owner, Mapping):
         return [str(key) for key in owner]
     if isinstance(owner, Sequence) and not isinstance(owner, str):

@@ -51,7 +51,7 @@ class Starts:
         return form
 
     def transposed(self, stage: Stage, states: list[np.ndarray], number: int, rows: np.ndarray) -> np.ndarray:
-        """Product R_y^T ``rows`` for the start state y with this ``number`` in a stage.
+        """Product R_y^T ``rows``, where y is the stage's start state of this ``number``.
 
         The stage has to be posed, with its solution as the present state.
         """
@@ -88,7 +88,7 @@ class Starts:
 
     @cached_property
     def _functions(self) -> tuple[BilinearForm, np.ndarray]:
-        """Equations of the unknowns that are functions of others, and a mask of their coefficients."""
+        """Equations of dependent unknowns, functions of other unknowns, and a mask of their coefficients."""
         step, layout = self.step, self.step.layout
         u, w = step.linearised_fields(layout.space.TrialFunction()), step.tests()
         form, own = BilinearForm(layout.space), np.zeros(layout.space.ndof, dtype=bool)
@@ -100,7 +100,7 @@ class Starts:
         return form, own
 
     def through_functions(self, slope: np.ndarray) -> np.ndarray:
-        """Slope by the independent unknowns at the present state, with dependent unknowns following them."""
+        """Slope by the independent unknowns, of which dependent ones are functions, at the present state."""
         form, own = self._functions
         if not slope[own].any():
             return slope

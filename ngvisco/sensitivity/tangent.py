@@ -50,7 +50,7 @@ class Neighbours:
         return self.followers
 
     def moved(self, state: np.ndarray, along: np.ndarray) -> list[np.ndarray]:
-        """States at p + o h to first order, for a state at p and its derivative."""
+        """States at p + o h to first order, from the state at p and its derivative ``along``."""
         return [state + step * along for step in self.steps]
 
 
@@ -151,7 +151,7 @@ class _Tangent:
         self._mean = np.zeros(len(self.near.followers[0].columns.names))
 
     def stage(self, stage: Stage, linearised: Linearised, is_read: bool) -> None:
-        """Follow a stage with factorised R_u; ``is_read`` tells whether a later stage or end uses it."""
+        """Advance by a stage, R_u factorised; ``is_read`` tells whether a later stage or end reads it."""
         found = []
         for follower, states in zip(self.near.followers, self._states, strict=True):
             follower.pose(stage, states)

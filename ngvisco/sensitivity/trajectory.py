@@ -33,8 +33,8 @@ class Stage:
 class RecordedStep:
     """A step of the scheme, from ``state`` at time ``begin`` to ``after`` at time ``end``, s.
 
-    ``weights`` of y_0, y_1, ..., the start and the stages' solutions, make the end.  ``is_combined`` tells
-    whether the end differs from the last stage's solution, as for the midpoint rule.
+    The end is the sum of the start y_0 and the stages' solutions y_1, ... with ``weights``.  ``is_combined``
+    tells whether it differs from the last stage's solution, as for the midpoint rule.
     """
 
     begin: float
@@ -52,7 +52,7 @@ class RecordedStep:
 
     @property
     def ends_at_stage(self) -> bool:
-        """Whether the end is the last stage, changed by the limiter only, with its walls' velocities."""
+        """Whether the end is the last stage's solution, with its velocities of walls, but for the limiter."""
         return bool(np.count_nonzero(self.weights) == 1 and self.weights[-1] == 1.0)
 
 
@@ -89,7 +89,7 @@ class Trajectory:
         self._begin()
 
     def _lacks_derivatives(self) -> bool:
-        """Whether the equations need more than the slope of an energy that is known at points only."""
+        """Whether the energy is known at points only, and the equations need more than its slope."""
         model, step = self.simulation.model, self.simulation.rothe_step
         law = model.regularisation
         if step.energy.projected is None:

@@ -106,7 +106,7 @@ class Springs(Displacement):
 
 
 def displacement_of(walls: Walls, name: str) -> Displacement | None:
-    """The displacement's term of a wall that matter crosses; None without springs and ``displacement``."""
+    """Displacement term of a wall that matter crosses; None without springs and without ``displacement``."""
     wall = walls.conditions[name]
     assert isinstance(wall, Passage)
     if isinstance(wall, Open) and any(wall.stiffness):
@@ -115,7 +115,7 @@ def displacement_of(walls: Walls, name: str) -> Displacement | None:
 
 
 def _traces(mesh: Mesh, name: str, order: int) -> FESpace:
-    """Space of continuous vectors' traces on a wall with facets on any rank; collective."""
+    """Space of continuous vectors' traces on a wall, whose facets may belong to other ranks; collective."""
     space = H1(mesh, order=order)
     active = space.GetDofs(walls_of(mesh, [name]))
     on_some_rank = Exchange.of(space, Communicator.of(mesh)).sum(mask_of(active).astype(float))

@@ -42,7 +42,7 @@ from ngvisco.physics.tensors import inner
 
 _REDUCTION, _CORRECTIONS, _ITERATIONS = 1e-9, 4, 1000
 _ROUNDING, _ENOUGH = 3e-16, 1e-13
-"""Target and accepted residual relative to <m, .>; it enters the energy's closure."""
+"""Target of the residual relative to <m, .>, and the largest accepted one; it enters the energy's closure."""
 
 
 class WallProjection:
@@ -104,7 +104,7 @@ class WallProjection:
         self._solver.factorise(sp.bmat(blocks, format="csr"))
 
     def _taken(self, g: np.ndarray) -> np.ndarray:
-        """Return D^(1/2) y for C y = g."""
+        """D^(1/2) y, for the y of least y . D y with C y = g."""
         count = len(self._shared)
         found = self._solver(np.concatenate([np.zeros(count), g / self._length]))
         result: np.ndarray = self._transposed @ found[count:]
@@ -125,14 +125,14 @@ class WallProjection:
         return result
 
     def completed(self, v: np.ndarray) -> np.ndarray:
-        """Free coefficients of v, corrected so that the walls admit them with the prescribed ones."""
+        """The free coefficients, nearest to those of v, with which v fulfils the walls' condition."""
         rows = self._normal_velocity(v)
         if self._of:  # subtract the pistons' v.n at the present time
             rows -= self._given.Assemble().vec.FV().NumPy()
         return v[self.free] - self._taken(rows) / self._root
 
     def works(self, rows: np.ndarray, v: np.ndarray) -> dict[str, float]:
-        """Work on v of each piston's impulses, given in rows of free coefficients, by walls, J."""
+        """Work of each piston's impulse on v, J, by walls; ``rows`` are the momentum's free rows."""
         count, shares = len(self._shared), self._constraint @ (rows / self._root**2)
         found = self._solver(np.concatenate([np.zeros(count), shares / self._length]))
         each = found[count:] / self._length * self._normal_velocity(v)
@@ -172,7 +172,7 @@ class VelocityOfMomentum:
         self._walls = None if term is None else WallProjection(layout, term, quadrature, self.free)
 
     def works(self, rows: np.ndarray, v: np.ndarray) -> dict[str, float]:
-        """Work on v of the impulses of pistons with multipliers, from rows of ``__call__``, by walls, J."""
+        """Work of the impulses of pistons with multipliers on v, J, by walls; ``__call__`` gives ``rows``."""
         if self._walls is None:
             return {}
         ranks = self._exchange.communicator
@@ -186,7 +186,7 @@ class VelocityOfMomentum:
     def __call__(self, keeps_walls: bool = False) -> np.ndarray:
         """Solve; return the rows int rho v . w - <m, w>, nonzero at walls only, (unknowns of v,).
 
-        v.n on walls with multipliers has the value of the present time, or the state's if it ``keeps_walls``.
+        On walls with multipliers v.n is prescribed at the present time, or the state's (``keeps_walls``).
 
         The rows are summed over this rank's cells only.  Raises StepError if the linear system is not solved
         to rounding.

@@ -69,7 +69,7 @@ class Impenetrability(PointTerm):
         self.indicator = facet_indicator(walls.mesh, walls.multiplied)
         self._walls = walls
         self.pistons = [Piston(walls, name) for name in walls.pistons if name in walls.multiplied]
-        """Terms with the given v.n of the walls on which it is not 0."""
+        """Terms of the pistons among these walls, on which v.n is given."""
 
     def unknowns(self, setting: Setting) -> tuple[Unknown, ...]:
         if setting.k < 2:
@@ -246,13 +246,13 @@ class Carried(OnWall):
         return if_positive(self._normal_velocity(u), flux, 0.0 * flux) if self.backflow else flux
 
     def _stored(self, u: Fields) -> CoefficientFunction:
-        """Energy phi(z), Pa, on this wall, else 0: a trace elsewhere may have none (``StoredMean``)."""
+        """Energy phi(z), Pa, on this wall; 0 elsewhere, where traces may have no energy (``StoredMean``)."""
         if StoredMean.name in u.layout.unknowns:
             return u.parts[StoredMean.name] + inner(u.zeta, u.z - self._middle(u, "z"))
         return if_positive(u.context.given(self.indicator), u.context.rates.stored(u), 0.0)
 
     def _stored_outside(self, u: Fields) -> CoefficientFunction:
-        """Energy phi(z_in), Pa; its tangent at z if the energy has no values on walls."""
+        """Energy phi(z_in), Pa, or its tangent at z if phi has no values on walls."""
         if StoredMean.name in u.layout.unknowns:
             return self._stored(u) + inner(u.zeta, self.entering(u, "z") - u.z)
         outside = {"z": self.entering(u, "z")}

@@ -140,10 +140,10 @@ class Walls:
         """Space of the multiplier of v.n = 0 for velocities in P_k: P_{k-2}, and in 2D P_2 for k = 3.
 
         ``mesh`` is the step's mesh or the undistributed one.  The traces v.n allow at most P_{k-1}.  In 3D
-        this space has more unknowns than normal traces.  In 2D the numbers are equal on a closed curve; for
-        even k the trace with the same Legendre polynomial of degree k on every edge is orthogonal to the
-        space.  A chain of n edges with constrained v at its ends has n k - 1 traces, so that its edges at
-        such ends have one unknown less.
+        P_{k-1} has more unknowns than there are normal traces.  In 2D, on a closed curve, it has as many; but
+        for even k the trace with one Legendre polynomial of degree k on every edge is orthogonal to it.  A
+        chain of n edges with prescribed v at its ends has n k - 1 traces, so that the first and the last edge
+        have one unknown less.
         """
         fine = mesh.dim == 2 and k == 3
         order = k - 1 if fine else k - 2
@@ -167,7 +167,7 @@ def velocity_of(wall: Wall, dim: int, owner: str) -> CoefficientFunction:
 
 
 def _vertices(region: Region) -> np.ndarray:
-    """Mask of the vertices on a boundary with facets on any rank, (vertices,); collective."""
+    """Mask of the vertices on a boundary, whose facets may belong to other ranks, (vertices,); collective."""
     mesh = region.mesh
     found = np.zeros(mesh.nv)
     found[[v.nr for element in region.Elements() for v in element.vertices]] = 1.0
@@ -280,7 +280,7 @@ class MovingWalls:
         return self._values.vec.FV().NumPy()
 
     def _project(self, name: str, velocity: CoefficientFunction) -> None:
-        """Project in L2 on the wall, since ``Set`` counts a vertex twice in a facet that meets its image."""
+        """Project in L2 on the wall: ``Set`` is wrong in a facet one of whose vertices is another's image."""
         space, region = self._values.space, self.walls.region([name])
         trial, test = space.TnT()
         if name not in self._inverses:

@@ -66,7 +66,7 @@ class PlasticContent(Variable):
         return self.name.replace("content", "strain", 1)
 
     def rate(self, z: Values, L: Tensor, Pi: Tensor) -> Tensor:
-        """The rate by the content's flux alone: the growth by yield is not linear in Pi, and is in a term."""
+        """The rate by the content's flux alone.  The growth by yield is not linear in Pi: a term adds it."""
         return -tr(L) * z[self.name]
 
     def from_distortion(self, F: Tensor) -> Tensor:
