@@ -27,17 +27,17 @@ def has_petsc() -> bool:
 
 def run(*words: str | Path, ranks: int = 1, timeout: float = 900) -> subprocess.CompletedProcess[str]:
     """Run Python with arguments, on one rank without mpirun, for a limited number of seconds."""
-    allowed = (
-        "OMPI_ALLOW_RUN_AS_ROOT",
-        "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM",
-        "OMPI_MCA_rmaps_base_oversubscribe",
-    )
+    start = ["--oversubscribe", "-n", str(ranks)] if ranks > 1 else []
+    return launched([*start, PYTHON, *map(str, words)], timeout)
+
+
+def launched(words: list[str], timeout: float = 900) -> subprocess.CompletedProcess[str]:
+    """Run mpirun with the words if they begin with an option of it, else the words themselves."""
+    allowed = ("OMPI_ALLOW_RUN_AS_ROOT", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM")
     environment = os.environ | dict.fromkeys(allowed, "1")
     environment |= {"PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1", "NGS_NUM_THREADS": "1"}
-    start = [str(MPIRUN), "-n", str(ranks)] if ranks > 1 else []
-    return subprocess.run(
-        [*start, PYTHON, *map(str, words)], env=environment, capture_output=True, text=True, timeout=timeout
-    )
+    start = [str(MPIRUN)] if words[0].startswith("-") else []
+    return subprocess.run([*start, *words], env=environment, capture_output=True, text=True, timeout=timeout)
 
 
 def printed(*words: str | Path, ranks: int = 1, timeout: float = 900) -> Any:

@@ -1,9 +1,11 @@
 """Report of ``ngvisco info --parallel`` on an installation."""
 
+import re
 import sys
 
 import pytest
-from launch import needs_petsc, run
+from launch import PYTHON, ROOT, launched, needs_petsc, run
+from support import A_BODY, A_SWIRL, NO_VTK, TWO_STEPS
 
 from ngvisco.cli.main import main
 
@@ -20,6 +22,23 @@ def test_a_step_is_taken_where_all_is_there(ranks):
     assert {"MPI", "PETSc", "mumps", "gamg"} <= set(said)
     assert "1152 cells on" in said["mumps"]
     assert found.stdout.count("PETSc ") == 1  # the first rank speaks
+
+
+@needs_petsc
+@pytest.mark.long
+@pytest.mark.ci
+def test_the_readme_s_command_divides_a_run(tmp_path):
+    """The command runs as it is printed, on a machine with fewer slots than ranks too."""
+    (printed,) = re.findall(r"`mpirun ([^`]*)`", (ROOT / "README.md").read_text())
+    (tmp_path / "case.toml").write_text(A_BODY + A_SWIRL + TWO_STEPS + NO_VTK)
+    program, case = [PYTHON, "-m", "ngvisco"], [str(tmp_path / "case.toml")]
+    instead = {".venv-mpi/bin/ngvisco": program, "case.toml": case}
+    words = [word for one in printed.split() for word in instead.get(one, [one])]
+    assert words[0] == "--oversubscribe" and words[-2:] == ["run", *case]
+    found = launched([*words, "-o", str(tmp_path / "out")])
+    assert found.returncode == 0, found.stderr
+    log = (tmp_path / "out" / "log.txt").read_text()
+    assert "on 3 ranks, 2 of them with cells" in log and "finished" in log
 
 
 def test_what_is_missing_is_said(capsys, monkeypatch):
