@@ -230,8 +230,8 @@ def _kinds(hint: Any) -> tuple[Any, ...]:
 def _is_known(kind: Any) -> bool:
     """Whether a type can be checked here: a type of Python, a class of this package, or a container."""
     if not isinstance(kind, type) or get_origin(kind) is not None:
-        first, *others = get_args(kind) or (None,)
-        is_uniform = all(other in (first, Ellipsis) for other in others)
+        first, *kinds = get_args(kind) or (None,)
+        is_uniform = all(other in (first, Ellipsis) for other in kinds)
         return get_origin(kind) in (Literal, Sequence, Mapping) or (get_origin(kind) is tuple and is_uniform)
     is_ours = kind.__module__.partition(".")[0] == __name__.partition(".")[0]
     return kind in (int, float, bool, str, NoneType) or (is_ours and not getattr(kind, "_is_protocol", False))
@@ -261,8 +261,8 @@ def _members(hint: Any, range: str, values: Iterable[Any]) -> tuple[Any, ...] | 
     kinds = _kinds(hint)
     if not all(isinstance(kind, type) and _is_known(kind) for kind in kinds):
         return tuple(values)
-    found = [next((t for k in kinds if (t := _taken(k, range, part)) is not None), None) for part in values]
-    return None if any(member is None for member in found) else tuple(found)
+    members = [next((t for k in kinds if (t := _taken(k, range, part)) is not None), None) for part in values]
+    return None if any(member is None for member in members) else tuple(members)
 
 
 def _count(parts: tuple[Any, ...]) -> int | None:

@@ -25,9 +25,9 @@ class Notices:
     """
 
     def __init__(
-        self, say: Callable[[str, type[Warning]], None], others: Callable[..., None] | None = None
+        self, say: Callable[[str, type[Warning]], None], fallback: Callable[..., None] | None = None
     ) -> None:
-        self.say, self.others = say, others or warnings.showwarning
+        self.say, self.others = say, fallback or warnings.showwarning
         self._said: set[tuple[type[Warning], str]] = set()
 
     def __call__(self, message: Warning | str, category: type[Warning], *where: Any, **options: Any) -> None:

@@ -77,8 +77,8 @@ class Workers:
         """Start the threads; by default ``NGVISCO_THREADS``, or the processors over ``beside`` processes that
         share them."""
         if threads is None:
-            own = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-            threads = int(os.environ.get("NGVISCO_THREADS", 0)) or max(1, own // beside)
+            count = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+            threads = int(os.environ.get("NGVISCO_THREADS", 0)) or max(1, count // beside)
         self.threads = threads
         self._pool = ThreadPoolExecutor(threads) if threads > 1 else None
 
@@ -86,5 +86,5 @@ class Workers:
         """Results of ``work`` for every part, in order."""
         if self._pool is None or len(parts) < 2:
             return [work(part) for part in parts]
-        others = [self._pool.submit(copy_context().run, work, part) for part in parts[1:]]
-        return [work(parts[0]), *(each.result() for each in others)]
+        futures = [self._pool.submit(copy_context().run, work, part) for part in parts[1:]]
+        return [work(parts[0]), *(each.result() for each in futures)]

@@ -96,8 +96,8 @@ class Violation:
 
     def __str__(self) -> str:
         least = "minimum of the cells' means" if self.is_mean else "minimum"
-        others = f" and {self.cells - 1} other cells" if self.cells > 1 else ""
-        return f"{self.quantity} is not positive ({least} {self.value:.3e} {self.where}{others})"
+        elsewhere = f" and {self.cells - 1} other cells" if self.cells > 1 else ""
+        return f"{self.quantity} is not positive ({least} {self.value:.3e} {self.where}{elsewhere})"
 
 
 @dataclass(frozen=True)
@@ -131,11 +131,11 @@ class Bounds:
             densest = law.rho_max + law.width
             self._densest = densest if sampler.extrema(step.now.rho)[1] < densest else None
         _check_names(step.model.material, step.now.z_tensors)
-        found = self._bounds(step.now.rho, step.now.z_tensors)
-        self.names = tuple(name for _, name, _ in found)
-        self._variables = tuple(variable for variable, *_ in found)
+        bounds = self._bounds(step.now.rho, step.now.z_tensors)
+        self.names = tuple(name for _, name, _ in bounds)
+        self._variables = tuple(variable for variable, *_ in bounds)
         """Variable of each bound; None for rho, "" for several variables."""
-        self._present = CF(tuple(value for *_, value in found))
+        self._present = CF(tuple(value for *_, value in bounds))
         material = step.model.material
         self._where_means_do = np.array([name in material.where_means_do for name in self.names])
         self._share = GridFunction(L2(step.mesh, order=0))  # s of rho in the last limited state
@@ -187,14 +187,14 @@ class Bounds:
 
         With ``everywhere`` violations at points only, which the limiter would correct, count too.
         """
-        found = self._outside()
-        if found is None:
+        outside = self._outside()
+        if outside is None:
             return None
         if everywhere or not self.limits:
-            return self._worst(found, found.broken, found.least, is_mean=False)
-        broken = found.required & ~(found.means > 0)
+            return self._worst(outside, outside.broken, outside.least, is_mean=False)
+        broken = outside.required & ~(outside.means > 0)
         some = self._ranks.any(broken.any())
-        return self._worst(found, broken, found.means, is_mean=True) if some else None
+        return self._worst(outside, broken, outside.means, is_mean=True) if some else None
 
     def defect(self, is_solved: bool = True) -> str | None:
         """Message why the present state is not admissible, or None: rho, J, ... or the temperature is not
@@ -235,8 +235,8 @@ class Bounds:
     @cached_property
     def _drifts(self) -> dict[str, CoefficientFunction]:
         model = self.step.model
-        found = drifts(model.material, self.step.now.z_tensors, model.traced)
-        return {pair: drift.Compile() for pair, drift in found.items()}
+        pairs = drifts(model.material, self.step.now.z_tensors, model.traced)
+        return {pair: drift.Compile() for pair, drift in pairs.items()}
 
     @cached_property
     def _volumes(self) -> np.ndarray:
@@ -278,17 +278,17 @@ class Bounds:
             at, bound = np.unravel_index(np.argmin(values / of_rest), values.shape)
             value, rest = float(values[at, bound]), float(of_rest[at, bound])
             where = points.coordinates(np.array([at]))[0]
-            found = self._violation(list(domain)[bound], value, int(points.cells[at]), where)
-            mine = value / rest, rest, found
+            violation = self._violation(list(domain)[bound], value, int(points.cells[at]), where)
+            mine = value / rest, rest, violation
         every = [entry for entry in self._ranks.gathered(mine) if entry is not None]
-        _, rest, found = min(every, key=lambda entry: entry[0])
-        nearest = self._beside_wall(*found)
+        _, rest, violation = min(every, key=lambda entry: entry[0])
+        nearest = self._beside_wall(*violation)
         return f"{nearest.quantity} is {nearest.value:.3g} {nearest.where}, and {rest:.3g} at rest"
 
     def cells_outside(self) -> np.ndarray:
         """Numbers of the cells in which the present state is out of bounds at a point."""
-        found = self._outside()
-        return np.zeros(0, dtype=int) if found is None else found.cells
+        outside = self._outside()
+        return np.zeros(0, dtype=int) if outside is None else outside.cells
 
     def is_exceeded(self) -> bool:
         """Whether ``limit`` would change the present state."""
@@ -308,16 +308,16 @@ class Bounds:
         if self.sharpening is not None and tau > 0:
             self.sharpening.put_apart(tau)
         self._share.vec[:] = 1.0
-        changed, found = self.ranges.limit(), self._outside()
-        if found is not None:
+        changed, outside = self.ranges.limit(), self._outside()
+        if outside is not None:
             _ = self._means.owner  # made by all ranks together
             of_density = np.array([variable is None for variable in self._variables])
             if self.step.model.bodies:  # rho is a function of z
-                self._scale("z", found, np.ones_like(of_density))
+                self._scale("z", outside, np.ones_like(of_density))
             else:
-                self._scale("rho", found, of_density)
-                self._scale("z", found, ~of_density)
-            changed = np.union1d(changed, found.cells)
+                self._scale("rho", outside, of_density)
+                self._scale("z", outside, ~of_density)
+            changed = np.union1d(changed, outside.cells)
         self.takes_energy = self._ranks.total(len(changed)) > 0
         changed = np.union1d(changed, self.stretches.limit())
         return int(self._ranks.total(len(changed)))
@@ -393,9 +393,9 @@ class Bounds:
                 required[:, i] = largest > unread
         return required
 
-    def _worst(self, found: _Outside, broken: np.ndarray, values: np.ndarray, is_mean: bool) -> Violation:
+    def _worst(self, outside: _Outside, broken: np.ndarray, values: np.ndarray, is_mean: bool) -> Violation:
         """The violation of the first broken bound over all ranks, with its least value and place."""
-        mine = self._worst_here(found, broken, values, is_mean) if broken.any() else None
+        mine = self._worst_here(outside, broken, values, is_mean) if broken.any() else None
         named = [entry for entry in self._ranks.gathered(mine) if entry is not None]
 
         def order(entry: tuple[Violation, float]) -> tuple[int, float, int]:
@@ -405,26 +405,26 @@ class Bounds:
         worst = self._beside_wall(*min(named, key=order))
         return replace(worst, cells=int(self._ranks.total(int(broken.any(axis=1).sum()))))
 
-    def _beside_wall(self, found: Violation, size: float) -> Violation:
+    def _beside_wall(self, violation: Violation, size: float) -> Violation:
         """The violation in a cell of this size, m, with its nearest wall."""
-        wall, distance = nearest_wall(self.step.mesh, np.array(found.point))
-        return replace(found, wall=wall, distance=0.0 if distance < _ON_WALL * size else distance)
+        wall, distance = nearest_wall(self.step.mesh, np.array(violation.point))
+        return replace(violation, wall=wall, distance=0.0 if distance < _ON_WALL * size else distance)
 
     def _worst_here(
-        self, found: _Outside, broken: np.ndarray, values: np.ndarray, is_mean: bool
+        self, outside: _Outside, broken: np.ndarray, values: np.ndarray, is_mean: bool
     ) -> tuple[Violation, float]:
         """The worst violation on this rank, as ``_violation`` gives it."""
         bound = int(np.flatnonzero(broken.any(axis=0))[0])
         where = np.flatnonzero(broken[:, bound])
         i = int(where[np.argmin(_or_least(values[where, bound]))])
-        own = found.points[found.owner == i]
-        places = self.sampler.coordinates(own)
+        points = outside.points[outside.owner == i]
+        places = self.sampler.coordinates(points)
         place = places.mean(axis=0)
         if not is_mean:
-            at_points = self.sampler.rows(self._present, own)[:, bound]
+            at_points = self.sampler.rows(self._present, points)[:, bound]
             place = places[int(np.argmin(_or_least(at_points)))]
         return self._violation(
-            self.names[bound], float(values[i, bound]), int(found.cells[i]), place, is_mean
+            self.names[bound], float(values[i, bound]), int(outside.cells[i]), place, is_mean
         )
 
     def _violation(
@@ -432,8 +432,8 @@ class Bounds:
     ) -> tuple[Violation, float]:
         """A violation on this rank, without wall and number of cells, and the size of its cell, m."""
         point, number = tuple(float(c) for c in place), number_of(self.step.mesh, cell)
-        found = Violation(quantity, value, is_mean, number, point, wall=None, distance=np.inf, cells=0)
-        return found, float(self.step.context.h.vec[cell])
+        violation = Violation(quantity, value, is_mean, number, point, wall=None, distance=np.inf, cells=0)
+        return violation, float(self.step.context.h.vec[cell])
 
 
 def _check_names(material: Material, z: Values) -> None:

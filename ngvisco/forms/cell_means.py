@@ -140,8 +140,8 @@ class Ranges:
                 upwards = np.where(above > 0, (high - wanted) / above, np.inf)
             share = np.clip(np.minimum(downwards, upwards), 0.0, 1.0)
             dofs, cell = self._means.functions(outside[i])
-            own = values[self.components[i]]
-            own[dofs] = wanted[cell] * one[dofs] + share[cell] * (own[dofs] - means[i][cell] * one[dofs])
+            row = values[self.components[i]]
+            row[dofs] = wanted[cell] * one[dofs] + share[cell] * (row[dofs] - means[i][cell] * one[dofs])
         return np.flatnonzero(outside.any(axis=0))
 
     def _outside(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -202,14 +202,14 @@ class Context:
     def _mean(
         self, value: CoefficientFunction, walls: Region | None, is_even: bool = False
     ) -> tuple[GridFunction, TimeMean]:
-        made = (
+        mean = (
             mean_in_cells(value, self.mesh, self._degree)
             if walls is None
             else mean_on_walls(value, self.mesh, self._degree, walls)
         )
         begin, over, tilt = self.loads_window
-        made[1].update(begin, over, 0.0 if is_even else tilt)
-        return made
+        mean[1].update(begin, over, 0.0 if is_even else tilt)
+        return mean
 
 
 class StepLayout(Layout):

@@ -164,20 +164,20 @@ class DamageGrowth:
         """Forms of the second derivative H, and of the slope at delta = 0."""
         law, step = self.law, self.step
         z = step.now.z_tensors
-        taken, _ = substituted(law, lambda expression: expression.at(z)).parts(z)
+        driving, _ = substituted(law, lambda expression: expression.at(z)).parts(z)
         thermal = part_of(step.model.material, Thermal)
         if thermal is not None and thermal.coupling:
-            taken = taken + thermal.taken(z)[0]
+            driving = driving + thermal.taken(z)[0]
         (d, test), weight = space.TnT(), law.weight(z)
         of_damage, of_slope = law.surface
         is_quadratic = law.law == "AT2"
         stiff = 1 - law.floor
         q = z[law.slope.name][:, 0]
         hessian, slope = BilinearForm(space, symmetric=True), LinearForm(space)
-        curvature = 2 * stiff * taken + (2 * of_damage if is_quadratic else 0.0) * weight
+        curvature = 2 * stiff * driving + (2 * of_damage if is_quadratic else 0.0) * weight
         slopes = self._along(grad(d)) * self._along(grad(test))
         hessian += step.quadrature.cells(curvature * d * test + 2 * of_slope * weight * slopes)
-        force = -2 * stiff * (1 - self.damage) * taken
+        force = -2 * stiff * (1 - self.damage) * driving
         force += of_damage * weight * (2 * self.damage if is_quadratic else 1.0)
         carried = self._along(grad(test))
         along = sum(q[i] * carried[i] for i in range(step.mesh.dim))
@@ -214,10 +214,10 @@ class DamageGrowth:
         healing = law.viscosity if law.healing_viscosity is None else law.healing_viscosity
         rising, falling = (self._masses * viscosity / tau for viscosity in (law.viscosity, healing))
         try:
-            found = minimise_in_box(H, f, (rising, falling), low, high)
+            minimum = minimise_in_box(H, f, (rising, falling), low, high)
         except StepError as error:
             raise StepError(f"damage: {error}; the material's energy is negative somewhere") from error
-        delta, before = found.x, self._surface()
+        delta, before = minimum.x, self._surface()
         self._add(delta)
         dissipated = np.where(delta < 0, falling, rising) * delta * delta
         rates = {DISSIPATION: float(dissipated.sum()) / tau}
@@ -226,7 +226,7 @@ class DamageGrowth:
             self._delta.vec.FV().NumPy()[:] = dissipated / np.where(self._masses > 0, self._masses, 1.0)
             rates |= self._heat(self._delta, tau)
         step.freeze()
-        distance = float(0.5 * delta @ (H @ delta) - found.slope @ delta)
+        distance = float(0.5 * delta @ (H @ delta) - minimum.slope @ delta)
         return rates, {BREGMAN: distance}
 
     def _surface(self) -> float:
@@ -302,5 +302,5 @@ class _Heat:
             share += np.where(wanted > 0, missing / np.where(slope > 0, slope, 1.0), 0.0)
             if abs(missing).sum() <= _ROUNDING * abs(energy).sum():
                 break
-        made = unit * self.step.quadrature.each_cell(self._added).sum()
-        return {_POWER: float(wanted.sum()) / tau, _PRODUCTION: float(made) / tau}
+        produced = unit * self.step.quadrature.each_cell(self._added).sum()
+        return {_POWER: float(wanted.sum()) / tau, _PRODUCTION: float(produced) / tau}

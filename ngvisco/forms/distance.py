@@ -35,16 +35,16 @@ def storing(terms: Sequence[Term]) -> list[Storing]:
 
     Raises ParameterError for a term with some but not all methods of ``Storing``, whose energy would be lost.
     """
-    found: list[Storing] = []
+    storing: list[Storing] = []
     for term in terms:
         missing = [name for name in _METHODS if not hasattr(term, name)]
         if not missing:
-            found.append(cast(Storing, term))
+            storing.append(cast(Storing, term))
         elif len(missing) < len(_METHODS):
             name = type(term).__name__
             expected = f"a term with {', '.join(_METHODS)}, or none of them: it lacks {', '.join(missing)}"
             raise ParameterError("Simulation.terms", name, expected)
-    return found
+    return storing
 
 
 def energies(step: Step, u: Fields) -> dict[str, Integrand]:
@@ -101,13 +101,13 @@ class BregmanDistance:
 
 def _by_columns(columns: Sequence[str], entries: Sequence[tuple[Storing, Entry]]) -> dict[str, Integrand]:
     """Sum of the entries' integrands in each column."""
-    found: dict[str, list[Integrand]] = {name: [] for name in columns}
+    integrands: dict[str, list[Integrand]] = {name: [] for name in columns}
     for term, entry in entries:
-        if entry.name not in found:
+        if entry.name not in integrands:
             expected = f"{' or '.join(map(repr, columns))} as the column that it adds to"
             raise ParameterError(f"{type(term).__name__}: entry", entry.name, expected)
-        found[entry.name].append(entry.integrand)
-    return {name: _sum(parts) for name, parts in found.items()}
+        integrands[entry.name].append(entry.integrand)
+    return {name: _sum(parts) for name, parts in integrands.items()}
 
 
 def _sum(parts: Sequence[Integrand]) -> Integrand:

@@ -93,10 +93,10 @@ class LinearisationStress:
         if self:
             M, rules = self._driven(*self._values(self._now))
             with np.errstate(all="ignore"):
-                taken = self._softness * _rates(rules, M)
-                share = np.linalg.norm(M, axis=2) / np.linalg.norm(taken, axis=2)
+                strain = self._softness * _rates(rules, M)
+                share = np.linalg.norm(M, axis=2) / np.linalg.norm(strain, axis=2)
             # the end state of a scheme such as the midpoint rule can violate the flow rule: bound its rate
-            self._last = np.nan_to_num(np.minimum(share, 1.0)[..., None] * taken / self._softness)
+            self._last = np.nan_to_num(np.minimum(share, 1.0)[..., None] * strain / self._softness)
 
     def start(self) -> None:
         """Begin an iteration at the next state with the rates at the step's beginning.
@@ -239,11 +239,11 @@ class LinearisationStress:
         return rate
 
     def _values(self, parts: Sequence[GridFunction]) -> _Sampled:
-        found = []
+        fields = []
         for part in parts:
             self._sampled.Interpolate(part)
-            found.append(values_of(self._sampled).copy())
-        return found[0], found[1]
+            fields.append(values_of(self._sampled).copy())
+        return fields[0], fields[1]
 
 
 def _rates(rules: Sequence[PointRate], M: np.ndarray) -> np.ndarray:
@@ -353,8 +353,8 @@ class LinearisedTabulatedRates(LinearisedRates, TabulatedRates):
         at, parts = Pi.value.real, [off.value.real]
         if np.iscomplexobj(off.value):
             parts.append(off.value.imag)
-        found = [function(Array(at + (TINY * 1j) * part, None)).value.imag / TINY for part in parts]
-        return Array(found[0] + 1j * found[1] if len(found) > 1 else found[0], None)
+        derivatives = [function(Array(at + (TINY * 1j) * part, None)).value.imag / TINY for part in parts]
+        return Array(derivatives[0] + 1j * derivatives[1] if len(derivatives) > 1 else derivatives[0], None)
 
 
 def _stiffness(mechanism: CreepMechanism, rates: TabulatedRates) -> float:
@@ -362,8 +362,8 @@ def _stiffness(mechanism: CreepMechanism, rates: TabulatedRates) -> float:
     rest = rest_state(rates.material, rates.dim)[None]
     response, first = rates.response(rest), rates.tensors.gradients
     first += rates.creep_space.size * rates.mechanisms.index(mechanism)
-    own = slice(first, first + rates.creep_space.size)
+    creep = slice(first, first + rates.creep_space.size)
     columns = rates.columns(rest.T)[0]
     _, of_stress = rates.slopes(rest.T, np.zeros((columns.shape[1], 1)), response.slope.T)
-    force = of_stress[own, :, 0] + columns[:, own].T @ response.hessian[0]
-    return float(np.trace(force @ columns[:, own])) / rates.creep_space.size
+    force = of_stress[creep, :, 0] + columns[:, creep].T @ response.hessian[0]
+    return float(np.trace(force @ columns[:, creep])) / rates.creep_space.size

@@ -154,9 +154,9 @@ def bulk_pressure(
     """Pressure -tr T/3, Pa, at F = J^{1/3} I; ``given`` has variables that are no strains; theta in K."""
     z: StartValues = {}
     for v in material.variables:
-        own = not v.is_strain and v.name in given
+        is_given = not v.is_strain and v.name in given
         # a new F for each variable: the derivative by one variable must not see it within another
-        z[v.name] = given[v.name] if own else v.from_distortion(J ** (1 / 3) * Id(3))
+        z[v.name] = given[v.name] if is_given else v.from_distortion(J ** (1 / 3) * Id(3))
     entropy, thermal = entropy_in(material), part_of(material, Thermal)
     if entropy is not None and theta is not None and thermal is not None:
         z[entropy.name] = thermal.start(theta, 1 / J)
@@ -191,10 +191,10 @@ def is_let_in_by_pressure(wall: Passage, material: Material) -> bool:
         return False
     volumes = Jacobian, ReciprocalJacobian, LogJacobian
     strains = [v for v in material.variables if v.is_strain]
-    others = {v.name for v in material.variables if not v.is_strain}
+    parameters = {v.name for v in material.variables if not v.is_strain}
     if wall.temperature is not None and (entropy := entropy_in(material)) is not None:
-        others -= {entropy.name}
-    return bool(strains) and all(isinstance(v, volumes) for v in strains) and not others
+        parameters -= {entropy.name}
+    return bool(strains) and all(isinstance(v, volumes) for v in strains) and not parameters
 
 
 @dataclass(frozen=True)

@@ -107,7 +107,7 @@ class Impulses:
 
     def _by_groups(self) -> dict[str, _Rows]:
         """Rows of v by group."""
-        found: dict[str, _Rows] = {}
+        rows_of: dict[str, _Rows] = {}
         test, dim = self._space.TestFunction(), self.step.mesh.dim
         on_facets, of_motions = self._tests(test, Grad(test)), {}
         for motion, e in self.motions.items():
@@ -120,12 +120,12 @@ class Impulses:
             with refused_by_name(term):
                 for name, parts in impulses_of(term, self.step.now, on_facets).items():
                     if facets := [part.facets for part in parts if not _is_zero(part.facets)]:
-                        found.setdefault(name, _Rows()).facets.append((reduce(add, facets), on))
+                        rows_of.setdefault(name, _Rows()).facets.append((reduce(add, facets), on))
                 for motion, tests in of_motions.items():
                     for name, parts in impulses_of(term, self.step.now, tests).items():
                         if rows := [p for p in parts if not (_is_zero(p.cells) and _is_zero(p.collocated))]:
-                            found.setdefault(name, _Rows()).cells.setdefault(motion, []).extend(rows)
-        return found
+                            rows_of.setdefault(name, _Rows()).cells.setdefault(motion, []).extend(rows)
+        return rows_of
 
     def _tests(self, v: CoefficientFunction, gradient: CoefficientFunction | None) -> Tests:
         """Tests with v, and zero for all other unknowns; None as ``gradient`` is the zero gradient of v."""
@@ -211,12 +211,12 @@ class Impulses:
         for name in self._groups:
             values = [of_cells.get(f"{name}.{motion}", 0.0) for motion in self.motions]
             left[name] = left.get(name, none) + np.array(values)
-        found = {name: -left.get(name, none) for name in self.names}
-        if HELD_BY_WALLS in found:
-            found[HELD_BY_WALLS] += np.where(self._is_held, sum(left.values()), 0.0) + pressed
+        impulses = {name: -left.get(name, none) for name in self.names}
+        if HELD_BY_WALLS in impulses:
+            impulses[HELD_BY_WALLS] += np.where(self._is_held, sum(left.values()), 0.0) + pressed
         of_cells_ = -left[ELASTIC] - pressed - thrust
         defects = thrust - left.get(ENTERING, none), of_cells_, -left[SKEW]
-        return found | dict(zip(DEFECTS, defects, strict=True))
+        return impulses | dict(zip(DEFECTS, defects, strict=True))
 
     @cached_property
     def _has_arrays(self) -> bool:
@@ -282,8 +282,8 @@ def _is_zero(value: CoefficientFunction | None) -> bool:
 
 
 def _coefficients(space: FESpace, functions: Iterable[CoefficientFunction]) -> np.ndarray:
-    interpolated, interpolate, found = GridFunction(space), Interpolation(space), []
+    interpolated, interpolate, rows = GridFunction(space), Interpolation(space), []
     for function in functions:
         interpolate(interpolated, function)
-        found.append(interpolated.vec.FV().NumPy().copy())
-    return np.array(found)
+        rows.append(interpolated.vec.FV().NumPy().copy())
+    return np.array(rows)

@@ -87,10 +87,10 @@ class WallReactions:
         hats = np.arange(space.ndof) % (space.ndof // mesh.dim) < mesh.nv  # other basis functions change sign
         exchange, masks, claims = Exchange.of(space, self._ranks), {}, {}
         for name in walls.conditions:
-            own, is_held = walls.region([name]), name in walls.held
-            regions = [own if is_held or name in of_axis else None for of_axis in walls.axis]
+            region, is_held = walls.region([name]), name in walls.held
+            regions = [region if is_held or name in of_axis else None for of_axis in walls.axis]
             masks[name] = mask = MovingWalls.constrained(step.layout, regions)
-            load = LinearForm(inner(squares, w.Trace()) * ds(definedon=own))
+            load = LinearForm(inner(squares, w.Trace()) * ds(definedon=region))
             claims[name] = np.where(mask & hats, exchange.sum(load.Assemble().vec.FV().NumPy()), 0.0)
         scale = max((self._ranks.most(claim) for claim in claims.values()), default=0.0)
         total = sum(claims.values(), np.zeros(space.ndof))
@@ -104,7 +104,7 @@ class WallReactions:
     def _own_terms(self, name: str) -> list[list[CoefficientFunction]]:
         """Integrands of given stress, friction and multiplier on a wall, for each rigid motion."""
         step, u = self.step, self.step.now
-        found = []
+        rows = []
         for motion in self.motions.values():
             w = Fields(step.layout, {"v": motion})
             parts = [part for term in step.point_terms if term.wall == name for part in term.on_body(u, w)]
@@ -113,16 +113,16 @@ class WallReactions:
                 if name not in step.walls.crossed:
                     excess = excess - self._beside
                 parts.append(facet_indicator(step.mesh, [name]) * excess * (motion * step.context.normal))
-            found.append(parts)
-        return found
+            rows.append(parts)
+        return rows
 
     def of_rows(self, rows: np.ndarray) -> np.ndarray:
         """Force and torque on each wall, (walls, motions), from the reaction in the rows of v, N.
 
         Over ranks the rows are sums of the ranks' parts.
         """
-        own = np.array([[-(self._weights[n] * test) @ rows for test in self._tests] for n in self.names])
-        return self._ranks.totals(own)
+        sums = np.array([[-(self._weights[n] * test) @ rows for test in self._tests] for n in self.names])
+        return self._ranks.totals(sums)
 
     def __call__(self) -> dict[str, list[float]]:
         """The components of force, N, and of torque, N m, on each wall (per metre in plane strain, for a body
@@ -140,8 +140,8 @@ class WallReactions:
         rows = residual.FV().NumPy()[step.layout.ranges["v"]] + self._energy.vec.FV().NumPy()
         result = {}
         for name, of_rows in zip(self.names, self.of_rows(rows), strict=True):
-            own = [sum(integrate(part) for part in parts) for parts in self._terms[name]]
-            result[name] = [float(value) for value in of_rows + np.array(own)]
+            sums = [sum(integrate(part) for part in parts) for parts in self._terms[name]]
+            result[name] = [float(value) for value in of_rows + np.array(sums)]
         return result
 
 

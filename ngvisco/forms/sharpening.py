@@ -141,8 +141,8 @@ class Sharpening:
         """Values at corners of cells, (cells, corners), averaged over the corners at each vertex."""
         weights = np.repeat(self._volumes, values.shape[1])
         sums = [np.bincount(self._vertices.ravel(), sizes) for sizes in (weights * values.ravel(), weights)]
-        found: np.ndarray = (sums[0] / np.maximum(sums[1], np.finfo(float).tiny))[self._vertices]
-        return found
+        averages: np.ndarray = (sums[0] / np.maximum(sums[1], np.finfo(float).tiny))[self._vertices]
+        return averages
 
     def _mixed(self, means: np.ndarray, i: int, j: int) -> np.ndarray:
         """Mask of cells with bodies i and j and no other body, (cells,)."""
@@ -168,9 +168,9 @@ class Sharpening:
         swept = np.abs((moved * normal).sum(axis=1))
         giving, taking = np.where(up > 0, (one, other), (other, one))
         means, mass = self._means(u), self._masses.sum(axis=1)
-        own, others = means[self._amounts[i]], means[self._amounts[j]]
+        amounts_i, amounts_j = means[self._amounts[i]], means[self._amounts[j]]
         share = np.minimum(_RATE * np.abs(up) * swept / self._volumes[giving], _MOST)
-        amount = share * np.minimum(own[giving] * mass[giving], others[taking] * mass[taking])
+        amount = share * np.minimum(amounts_i[giving] * mass[giving], amounts_j[taking] * mass[taking])
         for body, source, target in ((i, giving, taking), (j, taking, giving)):
             n = means[self._amounts[body], source]
             for component in (self._amounts[body], *self._contents[body]):
@@ -182,8 +182,8 @@ class Sharpening:
     def _within(self, u: np.ndarray, i: int, j: int, heights: np.ndarray, mixed: np.ndarray) -> None:
         """Separate bodies i and j in mixed cells by planes across the slope of heights, in place."""
         means, chosen = self._means(u), np.flatnonzero(mixed & (np.ptp(heights, axis=1) > NO_INTERFACE))
-        own, both = means[self._amounts[i]], means[self._amounts[i]] + means[self._amounts[j]]
-        theta = own[chosen] / both[chosen]
+        amount_i, both = means[self._amounts[i]], means[self._amounts[i]] + means[self._amounts[j]]
+        theta = amount_i[chosen] / both[chosen]
         above = heights[chosen] @ self._lambda.T
         order = np.argsort(-above, axis=1, kind="stable")
         sizes = self._shares[order]
@@ -199,7 +199,7 @@ class Sharpening:
         slope *= np.minimum(1.0, np.minimum(low, high))[:, None]
         n_i, n_j = self._amounts[i], self._amounts[j]
         total = u[n_i, chosen] + u[n_j, chosen]
-        u[n_i, chosen] = own[chosen, None] + both[chosen, None] * slope
+        u[n_i, chosen] = amount_i[chosen, None] + both[chosen, None] * slope
         u[n_j, chosen] = total - u[n_i, chosen]
         for body, n in ((i, n_i), (j, n_j)):
             for component in self._contents[body]:
@@ -231,19 +231,19 @@ class Sharpening:
         nodes, facets = H1(self.mesh, order=1), FacetFESpace(self.mesh, order=0)
         vertices, sides = (_numbers(Periodic(s) if periodic else s) for s in (nodes, facets))
         points = np.array([vertex.point for vertex in self.mesh.vertices])
-        first, found = dict[int, tuple[int, int]](), []
+        first, rows = dict[int, tuple[int, int]](), []
         for cell, element in enumerate(self.mesh.Elements(VOL)):
-            own = [vertex.nr for vertex in element.vertices]
-            near = np.linalg.norm(self._x[cell][:, None] - points[own], axis=2).argmin(axis=1)
+            vertices_of = [vertex.nr for vertex in element.vertices]
+            near = np.linalg.norm(self._x[cell][:, None] - points[vertices_of], axis=2).argmin(axis=1)
             vertices[cell] = vertices[cell][near]
             for number, facet in zip(sides[cell], element.facets, strict=True):
                 on = {vertex.nr for vertex in self.mesh[facet].vertices}
-                corner = next(c for c, at in enumerate(near) if own[at] not in on)
+                corner = next(c for c, at in enumerate(near) if vertices_of[at] not in on)
                 if number in first:
-                    found.append([*first[number], cell])
+                    rows.append([*first[number], cell])
                 else:
                     first[number] = cell, corner
-        return vertices, np.array(found, dtype=int).reshape(-1, 3)
+        return vertices, np.array(rows, dtype=int).reshape(-1, 3)
 
 
 def _numbers(space: FESpace) -> np.ndarray:

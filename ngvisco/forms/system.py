@@ -122,11 +122,11 @@ class LocalUnknowns:
         for term in terms:
             with refused_by_name(term):
                 for name, load in term.projections(u):
-                    made = LocalProjection(parts[name], quadrature, load)
+                    projection = LocalProjection(parts[name], quadrature, load)
                     if layout.unknowns[name].is_mean:
-                        self._means.append(made)
+                        self._means.append(projection)
                     else:
-                        self.projections[name] = made
+                        self.projections[name] = projection
             if term.facet_mean is not None and (value := term.facet_projection(u)) is not None:
                 kept = [partial(self.largest, term.facet_mean)] if term.stays else []
                 share = mean_share(u.context.inner)
@@ -321,9 +321,9 @@ class Step:
             return None
         share, of_facets = mean_share(self.context.inner), self.layout.scalar_space("z_hat")
         value = law.mean_logarithm(self.old.z_tensors)
-        made = RecoveredSlope(of_facets, self.quadrature, share, self.context.normal, value)
-        self.context.recovered_slope = made.target
-        return made
+        slope = RecoveredSlope(of_facets, self.quadrature, share, self.context.normal, value)
+        self.context.recovered_slope = slope.target
+        return slope
 
     @cached_property
     def whole_residual(self) -> BilinearForm:
@@ -426,15 +426,15 @@ class Step:
     def entries(self, fields: Fields | None = None) -> list[Entry]:
         """All entries of the energy ledger at ``fields`` (default: the present state)."""
         u = self._solved if fields is None else fields
-        found: list[Entry] = []
+        entries: list[Entry] = []
         for term in self.terms:
             with refused_by_name(term):
-                found += term.entries(u)
+                entries += term.entries(u)
         k, m = self.discretisation.k, self.discretisation.m
         if m < k - 1:
-            found.append(Entry(UNFELT, "monitor", Integrand(), Unfelt(u, self.quadrature, m)))
+            entries.append(Entry(UNFELT, "monitor", Integrand(), Unfelt(u, self.quadrature, m)))
         # moving walls add the power of their reactions
-        return found + [
+        return entries + [
             Entry(f"power_wall_{name}", "power", Integrand(), partial(self._reaction_power, name))
             for name in self.moving_walls.moving
         ]

@@ -143,14 +143,14 @@ class PointTerm:
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
-        own = vars(cls)
+        members = vars(cls)
         for before, now in _RENAMED.items():
-            if before in own:
+            if before in members:
                 raise ParameterError(f"{cls.__name__}.{before}", "a method of this name", f"the name {now}")
-        if not {*PLACES, "form"}.isdisjoint(own):
-            cls.kernel, cls.group = own.get("kernel"), own.get("group")
-        if "form" in own:
-            cls.couples = own.get("couples", "flow")
+        if not {*PLACES, "form"}.isdisjoint(members):
+            cls.kernel, cls.group = members.get("kernel"), members.get("group")
+        if "form" in members:
+            cls.couples = members.get("couples", "flow")
 
     @property
     def impulse(self) -> str:

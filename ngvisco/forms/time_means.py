@@ -123,9 +123,9 @@ class _RuleSearch:
         pieces = list(pairwise(ends))
         # find the scale first: a small piece need not be resolved beside a large one
         looks = [[self._integral(*ends) for ends in _equal(a, b)] for a, b in pieces]
-        found = [self._resolved(a, b, look) for (a, b), look in zip(pieces, looks, strict=True)]
-        times, weights = np.concatenate([nodes for nodes, _ in found], axis=1)
-        error = self._size(sum(off for _, off in found[1:]) + found[0][1])
+        panels = [self._resolved(a, b, look) for (a, b), look in zip(pieces, looks, strict=True)]
+        times, weights = np.concatenate([nodes for nodes, _ in panels], axis=1)
+        error = self._size(sum(off for _, off in panels[1:]) + panels[0][1])
         return Rule(self.begin + self.length * times, weights, error)
 
     def _at(self, values: TimeFunction, s: float) -> np.ndarray:
@@ -133,9 +133,9 @@ class _RuleSearch:
 
     def _integral(self, a: float, b: float) -> np.ndarray:
         """Integral over [a, b] by Gauss points."""
-        found = [self._at(self.values, 0.5 * (a + b) + (b - a) * node) for node in _NODES]
-        self.largest = max(self.largest, self.ranks.most(np.abs(found).max(initial=0.0)))
-        return (b - a) * sum(w * value for w, value in zip(_WEIGHTS, found, strict=True))
+        values = [self._at(self.values, 0.5 * (a + b) + (b - a) * node) for node in _NODES]
+        self.largest = max(self.largest, self.ranks.most(np.abs(values).max(initial=0.0)))
+        return (b - a) * sum(w * value for w, value in zip(_WEIGHTS, values, strict=True))
 
     def _resolved(self, a: float, b: float, look: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         """Nodes and weights of a piece, one panel if it agrees with the first panels; and their error."""
@@ -168,8 +168,8 @@ class _RuleSearch:
         return -self._size(error), a, b, halves, error
 
     def _is_constant(self, a: float, b: float) -> bool:
-        found = [self._at(self.values, a + c * (b - a)) for c in (0.211, 0.5, 0.83)]
-        return all(self._size(found[0] - other) <= _ROUNDING for other in found[1:])
+        values = [self._at(self.values, a + c * (b - a)) for c in (0.211, 0.5, 0.83)]
+        return all(self._size(values[0] - other) <= _ROUNDING for other in values[1:])
 
     def _size(self, values: np.ndarray) -> float:
         size = self.ranks.most(float(np.abs(values).max(initial=0.0)))
@@ -244,11 +244,11 @@ class TimeMean:
 
         try:
             conditions = [self._at_points(c) for c in self._conditions]
-            found = rule(self._at_points(self._value), begin, length, conditions, self._knots, self._ranks)
-            self._mean[:] = found.tilted(tilt, begin, length).mean(at)
+            nodes = rule(self._at_points(self._value), begin, length, conditions, self._knots, self._ranks)
+            self._mean[:] = nodes.tilted(tilt, begin, length).mean(at)
         finally:
             time.Set(present)
-        return found.error
+        return nodes.error
 
     def _at_points(self, function: CoefficientFunction) -> TimeFunction:
         def values(t: float) -> np.ndarray:

@@ -63,11 +63,11 @@ class Largest:
     def __call__(self, name: str, values: np.ndarray) -> np.ndarray:
         """Return the largest values so far, including ``values``."""
         before = self._values.get(name)
-        found = values.copy() if before is None else np.maximum(before, values)
-        if before is not None and ((found > 0) & ~(before > 0)).any():
+        largest = values.copy() if before is None else np.maximum(before, values)
+        if before is not None and ((largest > 0) & ~(before > 0)).any():
             self.growths += 1
-        self._values[name] = found
-        return found
+        self._values[name] = largest
+        return largest
 
 
 class FacetMean(PointTerm):

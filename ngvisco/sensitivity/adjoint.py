@@ -113,14 +113,14 @@ class Adjoint:
         for j, near in enumerate(self.near):
             if near.parameter.is_of_start:
                 continue
-            found, columns = [], []
+            residuals, columns = [], []
             for follower in near.followers:
                 follower.pose(stage, [follower.evolved(y) for y in solutions[:i]])
-                found.append(follower.residual(stage.state))
+                residuals.append(follower.residual(stage.state))
                 if weights.any():
                     follower.at(stage.state)
                     columns.append(follower.columns.stage(stage.share))
-            rows, prescribed = (near.derivative(values) for values in zip(*found, strict=True))
+            rows, prescribed = (near.derivative(values) for values in zip(*residuals, strict=True))
             self.jacobian[:, j] += loads[i] @ prescribed - adjoints @ rows
             if columns:
                 self.jacobian[:, j] += weights @ near.derivative(columns)
@@ -147,11 +147,11 @@ class Adjoint:
         self.linearised.at_end(taken)
         adjoints = np.array([self.linearised.end(np.where(is_v & self.free, slope, 0.0)) for slope in slopes])
         for j, near in enumerate(self.near):
-            found = []
+            ends = []
             for follower in near.followers:
                 states = [follower.evolved(y) for y in solutions]
-                found.append(follower.end(taken, states, solutions[-1], taken.after[ranges["v"]]))
-            state, rows = (near.derivative(values) for values in zip(*found, strict=True))
+                ends.append(follower.end(taken, states, solutions[-1], taken.after[ranges["v"]]))
+            state, rows = (near.derivative(values) for values in zip(*ends, strict=True))
             self.jacobian[:, j] += whole @ state - adjoints @ rows
         for n, (slope, adjoint) in enumerate(zip(slopes, adjoints, strict=True)):
             combined = slope - starts.momentum_transposed(taken.after, adjoint)

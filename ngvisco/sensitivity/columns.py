@@ -21,13 +21,13 @@ _RATES = ("dissipation", "power", "production", "flux")
 
 def tables_of(simulation: Simulation) -> list[Series]:
     """Copies of the tables among a run's observers; the copies write no files."""
-    found: list[Series] = []
+    tables: list[Series] = []
     for observer in simulation.observers:
         if isinstance(observer, _TABLES):
             table = copy.copy(observer)
             table.path, table.rows = None, []
-            found.append(table)
-    return found
+            tables.append(table)
+    return tables
 
 
 class Columns:
@@ -82,11 +82,11 @@ class Columns:
     @property
     def is_of_stages(self) -> np.ndarray:
         """Whether each column is a mean over a step's stages, as rates and forces are, (columns,)."""
-        found = self._of_rates.copy()
+        mask = self._of_rates.copy()
         for table, _, places in self._of_tables:
             if isinstance(table, WallForces):
-                found |= np.array(places) >= 0
-        return found
+                mask |= np.array(places) >= 0
+        return mask
 
     def begin(self) -> None:
         """Begin a step."""
@@ -136,12 +136,12 @@ class Columns:
 
     def _values(self, of_state: np.ndarray, of_rates: np.ndarray) -> np.ndarray:
         values, ledger = np.zeros(len(self.names)), self.simulation.ledger
-        for where, found in (
+        for where, row in (
             (of_state, ledger.state() if of_state.any() else {}),
             (of_rates, ledger.rates() if of_rates.any() else {}),
         ):
             for i in np.flatnonzero(where):
-                values[i] = found[self.names[i]]
+                values[i] = row[self.names[i]]
         return values
 
     def _put(self, values: np.ndarray, table: Series, places: Sequence[int]) -> None:

@@ -66,14 +66,14 @@ class Data:
 def _head(path: Path, cells: Sequence[str]) -> tuple[list[str], dict[str, str]]:
     names, units = [], {}
     for cell in cells:
-        found = _HEAD.fullmatch(cell)
-        if found is None or as_number(_float(cell)) is not None:
+        head = _HEAD.fullmatch(cell)
+        if head is None or as_number(_float(cell)) is not None:
             raise DataError(
                 f"{path}: {cell!r:.60} is no name of a column, with its unit in brackets or without"
             )
-        names.append(found["name"])
-        if found["unit"] is not None:
-            units[found["name"]] = found["unit"].strip()
+        names.append(head["name"])
+        if head["unit"] is not None:
+            units[head["name"]] = head["unit"].strip()
     return names, units
 
 
@@ -87,23 +87,23 @@ def _float(cell: str) -> float | None:
 def _numbers(path: Path, line: int, row: Sequence[str], names: Sequence[str]) -> list[float]:
     if len(row) != len(names):
         raise DataError(f"{path}, row {line}: {len(row)} values, and {len(names)} names of columns")
-    found = []
+    numbers = []
     for name, cell in zip(names, row, strict=True):
         number = as_number(_float(cell))
         if number is None and cell.strip():
             raise DataError(f"{path}, row {line}: {name} = {cell!r:.40}, expected a finite number")
-        found.append(np.nan if number is None else number)
-    return found
+        numbers.append(np.nan if number is None else number)
+    return numbers
 
 
 def _column(name: Any, values: Any) -> np.ndarray:
     try:
-        found = np.array(values, dtype=float)
+        column = np.array(values, dtype=float)
     except (TypeError, ValueError) as error:
         raise DataError(f"data[{name!r}]: expected a sequence of numbers") from error
-    if found.ndim != 1 or np.isinf(found).any():
+    if column.ndim != 1 or np.isinf(column).any():
         raise DataError(f"data[{name!r}]: expected a sequence of finite numbers, NaN where there is none")
-    return found
+    return column
 
 
 def _checked(where: str, columns: dict[str, np.ndarray], units: dict[str, str]) -> Data:

@@ -252,39 +252,39 @@ class _Search:
         if q.tobytes() in self.kept:
             return self.kept[q.tobytes()]
         p, _ = self._outer(q)
-        begin, found = clock.process_time(), None
+        begin, result = clock.process_time(), None
         values = dict(zip(self.parameters, (float(number) for number in p), strict=True))
         try:
             run = varied(self.simulation, values, tables_of(self.simulation))
-            found = gradient(run, self.until, of=self.of, by=[p.name for p in self.parameters], order=2)
-            self.alone = found.seconds
+            result = gradient(run, self.until, of=self.of, by=[p.name for p in self.parameters], order=2)
+            self.alone = result.seconds
         except StepError:
             if not self.kept:
                 raise
         self.runs, self.spent = self.runs + 1, self.spent + clock.process_time() - begin
-        self.kept[q.tobytes()] = found
+        self.kept[q.tobytes()] = result
         if self.progress is not None:
             text = ", ".join(f"{parameter.name} = {value:.6g}" for parameter, value in values.items())
-            half = "not solved" if found is None else f"{0.5 * np.sum(self._residuals(found) ** 2):.6g}"
+            half = "not solved" if result is None else f"{0.5 * np.sum(self._residuals(result) ** 2):.6g}"
             self.progress(f"run {self.runs}: {text}: half the sum of squares {half}")
-        return found
+        return result
 
-    def _residuals(self, found: Gradient) -> np.ndarray:
+    def _residuals(self, outcome: Gradient) -> np.ndarray:
         data, sigma = (np.concatenate(list(columns.values())) for columns in (self.data, self.sigma))
-        result: np.ndarray = (found.values - data) / sigma
+        result: np.ndarray = (outcome.values - data) / sigma
         return result
 
     def residuals(self, q: np.ndarray) -> np.ndarray:
         """Residuals over standard deviations; infinite if the run has no solution."""
-        found = self._at(q)
-        return np.full(len(self.of), np.inf) if found is None else self._residuals(found)
+        result = self._at(q)
+        return np.full(len(self.of), np.inf) if result is None else self._residuals(result)
 
     def jacobian(self, q: np.ndarray) -> np.ndarray:
         """Jacobian of the residuals by the unknowns of the search."""
-        found = self._at(q)
-        assert found is not None  # the search has accepted this point
+        outcome = self._at(q)
+        assert outcome is not None  # the search has accepted this point
         _, slopes = self._outer(q)
-        result: np.ndarray = found.jacobian / np.concatenate(list(self.sigma.values()))[:, None] * slopes
+        result: np.ndarray = outcome.jacobian / np.concatenate(list(self.sigma.values()))[:, None] * slopes
         return result
 
     def run(self, tolerance: float) -> Fit:
@@ -298,9 +298,9 @@ class _Search:
         first = np.clip(self._inner(start), low, high)
         solved = least_squares(self.residuals, first, self.jacobian, (low, high), method="trf", **kinds)
         tried = [result for result in self.kept.values() if result is not None]
-        found = min(tried, key=lambda result: float(np.sum(self._residuals(result) ** 2)))
-        p, cost = found.at, 0.5 * float(np.sum(self._residuals(found) ** 2))
-        J = found.jacobian / np.concatenate(list(self.sigma.values()))[:, None]
+        best = min(tried, key=lambda result: float(np.sum(self._residuals(result) ** 2)))
+        p, cost = best.at, 0.5 * float(np.sum(self._residuals(best) ** 2))
+        J = best.jacobian / np.concatenate(list(self.sigma.values()))[:, None]
         free = max(len(self.of) - len(p), 1)
         reduced = 2 * cost / free
         if self.is_estimated:  # scales by the estimated deviation
@@ -313,9 +313,9 @@ class _Search:
         with np.errstate(invalid="ignore"):
             correlation = covariance / np.outer(deviations, deviations)
         sizes = np.cumsum([len(values) for values in self.data.values()])[:-1]
-        of_columns = dict(zip(self.data, np.split(found.values, sizes), strict=True))
+        of_columns = dict(zip(self.data, np.split(best.values, sizes), strict=True))
         return Fit(
-            by=found.by,
+            by=best.by,
             start=start,
             values=p,
             deviations=deviations,

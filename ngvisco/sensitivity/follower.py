@@ -137,5 +137,5 @@ class Follower:
     def free_velocity(self) -> np.ndarray:
         """Mask of the coefficients of v that no wall prescribes."""
         free = np.array(list(self.step.layout.space.FreeDofs()))
-        found: np.ndarray = free[self.step.layout.ranges["v"]]
-        return found
+        mask: np.ndarray = free[self.step.layout.ranges["v"]]
+        return mask

@@ -185,13 +185,13 @@ def gradient(
         if progress is not None:
             progress(number, total)
 
-    found, of_start = history(trajectory, base), None
-    parts = numbers.parts(found)
+    record, of_start = history(trajectory, base), None
+    parts = numbers.parts(record)
     if slopes is None:
         derivatives = tangents(trajectory, base, near, is_start, tell)
         jacobian = numbers.coefficients(parts) @ numbers.parts(derivatives)
     else:
-        adjoint = Adjoint(trajectory, base, slopes, near, *numbers.weights(found, base.columns.is_of_stages))
+        adjoint = Adjoint(trajectory, base, slopes, near, *numbers.weights(record, base.columns.is_of_stages))
         adjoint.run(is_start, tell)
         jacobian, of_start = adjoint.jacobian, adjoint.of_start
     at = np.array([parameter.value for parameter in parameters])

@@ -49,17 +49,17 @@ class Wanted:
 
         Raises ParameterError for any other text.
         """
-        found = _TEXT.fullmatch(text.strip()) if isinstance(text, str) else None
+        match = _TEXT.fullmatch(text.strip()) if isinstance(text, str) else None
         number = None
-        if found is not None:
+        if match is not None:
             try:
-                number = as_number(float(found["time"]))
+                number = as_number(float(match["time"]))
             except ValueError:
                 number = None
-        if found is None or number is None:
+        if match is None or number is None:
             expected = '"COLUMN at TIME", or "COLUMN until TIME" of its integral over time, TIME in s'
             raise ParameterError("of", text, expected)
-        return cls(found["column"], number, found["kind"] == "until")
+        return cls(match["column"], number, match["kind"] == "until")
 
     def weights(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Weights of the column's values at the ends of steps, ``times``, and of its integrals up to these
@@ -146,28 +146,28 @@ class Numbers:
 
     def parts(self, history: History) -> np.ndarray:
         """Values of the parts in a history, (parts, ...)."""
-        found = []
+        values = []
         for number in self.wanted:
             ends, integrals = number.weights(history.times)
             column = self.columns.index(number.column)
             of_ends, of_integrals = history.ends[:, column], history.integrals[:, column]
-            found.append(np.tensordot(ends, of_ends, 1) + np.tensordot(integrals, of_integrals, 1))
-        return np.array(found)
+            values.append(np.tensordot(ends, of_ends, 1) + np.tensordot(integrals, of_integrals, 1))
+        return np.array(values)
 
     def values(self, parts: np.ndarray) -> np.ndarray:
         """Values of the numbers from values of their parts, (numbers,)."""
         return np.array(
             [
-                parts[own][0] if misfit is None else 0.5 * np.sum(misfit.residuals(parts[own]) ** 2)
-                for own, misfit in self.of_names.values()
+                parts[where][0] if misfit is None else 0.5 * np.sum(misfit.residuals(parts[where]) ** 2)
+                for where, misfit in self.of_names.values()
             ]
         )
 
     def coefficients(self, parts: np.ndarray) -> np.ndarray:
         """Derivatives of the numbers by their parts, (numbers, parts)."""
         result = np.zeros((len(self.of_names), len(parts)))
-        for row, (own, misfit) in zip(result, self.of_names.values(), strict=True):
-            row[own] = 1.0 if misfit is None else misfit.residuals(parts[own]) / np.asarray(misfit.sigma)
+        for row, (at, misfit) in zip(result, self.of_names.values(), strict=True):
+            row[at] = 1.0 if misfit is None else misfit.residuals(parts[at]) / np.asarray(misfit.sigma)
         return result
 
     def weights(self, history: History, of_stages: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

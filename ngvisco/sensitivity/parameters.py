@@ -81,10 +81,10 @@ class Named:
         keys = keys[1:] if keys[0] in _IN_FRONT else keys
         if keys[0] not in (*_OF_MODEL, *_OF_RUN):
             raise UnknownNameError("part of a run", keys[0], (*_OF_MODEL, *_OF_RUN))
-        found = _found(_root(simulation, keys[0]), keys[1:], name)
-        value = as_number(found)
+        part = _found(_root(simulation, keys[0]), keys[1:], name)
+        value = as_number(part)
         if value is None:
-            raise ParameterError(f"by: {name}", found, "a name that leads to a number, as material.G_e may")
+            raise ParameterError(f"by: {name}", part, "a name that leads to a number, as material.G_e may")
         parent = _found(_root(simulation, keys[0]), keys[1:-1], name)
         beside = parent if isinstance(parent, (tuple, list)) else ()
         size = max([abs(value), *(abs(as_number(neighbour) or 0.0) for neighbour in beside)])

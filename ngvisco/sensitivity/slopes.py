@@ -104,9 +104,9 @@ class Slopes:
     def _differenced(self, value: CoefficientFunction, at: np.ndarray, dofs: np.ndarray) -> np.ndarray:
         state, result = self.follower.state, np.zeros(len(self.follower.state))
         for block in self.step.layout.ranges.values():
-            own = dofs[(block.start <= dofs) & (dofs < block.stop)]
-            h = _SPACING * (abs(state[own]).max(initial=0.0) or 1.0)
-            for dof in own:
+            dofs_of = dofs[(block.start <= dofs) & (dofs < block.stop)]
+            h = _SPACING * (abs(state[dofs_of]).max(initial=0.0) or 1.0)
+            for dof in dofs_of:
                 kept, values = state[dof], []
                 for offset in OFFSETS[4]:
                     state[dof] = kept + offset * h

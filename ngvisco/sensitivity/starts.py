@@ -40,8 +40,8 @@ class Starts:
     def _form(self) -> BilinearForm:
         step, layout = self.step, self.step.layout
         trial = dict(zip(layout.names, layout.space.TrialFunction(), strict=True))
-        others = dict(zip(layout.names, self._others.components, strict=True))
-        parts = {name: others[name] + self._weight * trial[name] for name in layout.evolving}
+        components = dict(zip(layout.names, self._others.components, strict=True))
+        parts = {name: components[name] + self._weight * trial[name] for name in layout.evolving}
         y = Fields(layout, trial)
         old = Fields(layout, GivenParts(parts, "it reads the old value of {name}, which does not evolve"))
         u = step.fields_from(old, self._other_momentum + self._weight * (y.rho * y.v))
@@ -56,8 +56,8 @@ class Starts:
         The stage has to be posed, with its solution as the present state.
         """
         weights, step = stage.starts, self.step
-        others = [(w, y) for k, (w, y) in enumerate(zip(weights, states, strict=False)) if k != number]
-        self._others.vec.FV().NumPy()[:] = sum((w * y for w, y in others), np.zeros_like(rows))
+        fixed = [(w, y) for k, (w, y) in enumerate(zip(weights, states, strict=False)) if k != number]
+        self._others.vec.FV().NumPy()[:] = sum((w * y for w, y in fixed), np.zeros_like(rows))
         self._weight.Set(float(weights[number]))
         self._state.vec.FV().NumPy()[:] = states[number]
         y = Fields.of(step.layout, self._state.components)
@@ -91,22 +91,22 @@ class Starts:
         """Equations of dependent unknowns, functions of other unknowns, and a mask of their coefficients."""
         step, layout = self.step, self.step.layout
         u, w = step.linearised_fields(layout.space.TrialFunction()), step.tests()
-        form, own = BilinearForm(layout.space), np.zeros(layout.space.ndof, dtype=bool)
+        form, dependent = BilinearForm(layout.space), np.zeros(layout.space.ndof, dtype=bool)
         for term in step.point_terms:
             for name, load in term.projections(u):
                 form += step.quadrature.cells(inner(u.parts[name], w.parts[name]).Compile())
                 step.quadrature.add(form, load(-1 * w.parts[name]))
-                own[layout.ranges[name]] = True
-        return form, own
+                dependent[layout.ranges[name]] = True
+        return form, dependent
 
     def through_functions(self, slope: np.ndarray) -> np.ndarray:
         """Slope by the independent unknowns, of which dependent ones are functions, at the present state."""
-        form, own = self._functions
-        if not slope[own].any():
+        form, dependent = self._functions
+        if not slope[dependent].any():
             return slope
         form.AssembleLinearization(self.step.state.vec)
-        rows = csr(form.mat)[own]
-        multiplier = spl.splu(rows[:, own].T.tocsc()).solve(slope[own])
+        rows = csr(form.mat)[dependent]
+        multiplier = spl.splu(rows[:, dependent].T.tocsc()).solve(slope[dependent])
         result = slope - rows.T @ multiplier
-        result[own] = 0.0
+        result[dependent] = 0.0
         return np.asarray(result)

@@ -70,9 +70,9 @@ def tangents(
     ends, integrals = [np.stack([run.begin(trajectory.steps[0]) for run in runs], axis=-1)], []
     integrals.append(np.zeros_like(ends[0]))
     for number, taken in enumerate(trajectory.steps):
-        found = _step(taken, base, linearised, runs)
-        ends.append(np.stack([end for end, _ in found], axis=-1))
-        integrals.append(integrals[-1] + taken.tau * np.stack([mean for _, mean in found], axis=-1))
+        derivatives = _step(taken, base, linearised, runs)
+        ends.append(np.stack([end for end, _ in derivatives], axis=-1))
+        integrals.append(integrals[-1] + taken.tau * np.stack([mean for _, mean in derivatives], axis=-1))
         times.append(taken.end)
         progress(number + 1)
     return History(np.array(times), np.array(ends), np.array(integrals))
@@ -152,11 +152,11 @@ class _Tangent:
 
     def stage(self, stage: Stage, linearised: Linearised, is_read: bool) -> None:
         """Advance by a stage, R_u factorised; ``is_read`` tells whether a later stage or end reads it."""
-        found = []
+        residuals = []
         for follower, states in zip(self.near.followers, self._states, strict=True):
             follower.pose(stage, states)
-            found.append(follower.residual(stage.state))
-        rows, prescribed = (self.near.derivative(values) for values in zip(*found, strict=True))
+            residuals.append(follower.residual(stage.state))
+        rows, prescribed = (self.near.derivative(values) for values in zip(*residuals, strict=True))
         self.along = prescribed - linearised.stage(rows)
         self._last = moved = self.near.moved(stage.state, self.along)
 
@@ -181,11 +181,11 @@ class _Tangent:
 
     def _combine(self, taken: RecordedStep, linearised: Linearised) -> None:
         v = self.near.followers[0].step.layout.ranges["v"]
-        found = [
+        ends = [
             follower.end(taken, states, last, taken.after[v])
             for follower, states, last in zip(self.near.followers, self._states, self._last, strict=True)
         ]
-        along, rows = (self.near.derivative(values) for values in zip(*found, strict=True))
+        along, rows = (self.near.derivative(values) for values in zip(*ends, strict=True))
         moved = self.near.moved(taken.after, along - linearised.end(rows))
         # unknowns that are functions of v follow v
         self.along = self._differenced(lambda i, follower: follower.completed(moved[i]))

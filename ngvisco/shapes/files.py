@@ -90,11 +90,11 @@ def _read(path: Path) -> np.ndarray:
     if not text.lstrip().startswith("solid") or "endsolid" not in text:
         raise ParameterError("ClosedSurface.path", str(path), "a whole STL file, text or binary")
     number = r"([+-]?[0-9.]+(?:[eE][+-]?[0-9]+)?)"
-    found = re.findall(rf"vertex\s+{number}\s+{number}\s+{number}", text)
-    if len(found) % 3 or len(found) != len(re.findall(r"\bvertex\b", text)):
+    vertices = re.findall(rf"vertex\s+{number}\s+{number}\s+{number}", text)
+    if len(vertices) % 3 or len(vertices) != len(re.findall(r"\bvertex\b", text)):
         raise ParameterError("ClosedSurface.path", str(path), "three corners of three numbers a triangle")
     try:
-        return np.array(found, dtype=float).reshape(-1, 3, 3)
+        return np.array(vertices, dtype=float).reshape(-1, 3, 3)
     except ValueError as error:
         raise ParameterError("ClosedSurface.path", str(path), f"numbers ({error})") from error
 
@@ -202,9 +202,9 @@ def _met(
     todo = np.flatnonzero(((at >= low) & (at <= high)).all(axis=1))
     if not len(todo):
         return
-    own = square(at[todo]) @ np.array([count, 1])
-    order = np.argsort(own, kind="stable")
-    squares, starts = np.unique(own[order], return_index=True)
+    numbers = square(at[todo]) @ np.array([count, 1])
+    order = np.argsort(numbers, kind="stable")
+    squares, starts = np.unique(numbers[order], return_index=True)
     for number, members in zip(squares, np.split(todo[order], starts[1:]), strict=True):
         i, j = divmod(int(number), count)
         meets = (first[:, 0] <= i) & (last[:, 0] >= i) & (first[:, 1] <= j) & (last[:, 1] >= j)

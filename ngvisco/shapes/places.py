@@ -59,11 +59,11 @@ class Places:
         """
         if self.pieces is None:
             return np.zeros(0, dtype=int)
-        found = np.zeros((len(self.cells), len(self.reference)), dtype=bool)
-        sides = inside.reshape(found.shape)[:, self.pieces]
+        mask = np.zeros((len(self.cells), len(self.reference)), dtype=bool)
+        sides = inside.reshape(mask.shape)[:, self.pieces]
         cell, piece = np.nonzero(sides.any(axis=2) & ~sides.all(axis=2))
-        found[cell[:, None], self.pieces[piece]] = True
-        return np.flatnonzero(found)
+        mask[cell[:, None], self.pieces[piece]] = True
+        return np.flatnonzero(mask)
 
     @cached_property
     def spacing(self) -> np.ndarray:

@@ -258,12 +258,12 @@ def _expected_of_edges(a: np.ndarray, b: np.ndarray) -> str | None:
     rounding = 1e-12 * np.ptp(a, axis=0).max()
     common = np.minimum(on.max(axis=0), length) - np.maximum(on.min(axis=0), 0)
     is_collinear = (abs(off) <= rounding * length).all(axis=0) & ~np.eye(len(a), dtype=bool)
-    for found, expected in (
+    for defect, expected in (
         (has_both_sides & has_both_sides.T, "edges that do not cross: {} and {} do"),
         (is_collinear & (common > rounding), "edges apart: {} and {} lie on each other"),
     ):
-        if found.any():
-            return expected.format(*(np.argwhere(found)[0] + 1))
+        if defect.any():
+            return expected.format(*(np.argwhere(defect)[0] + 1))
     return None
 
 

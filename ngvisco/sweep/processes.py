@@ -55,19 +55,19 @@ def connected(scheduler: str | None, workers: int) -> Iterator[Any]:
 
 
 def _check_workers(client: Any, scheduler: str) -> None:
-    own = version()
+    expected = version()
     try:
-        found = client.run(version)
+        versions = client.run(version)
     except Exception as error:  # the import on a worker may raise any error
         message = f"its workers cannot import ngvisco ({type(error).__name__}: {error})"
         raise SweepError(f"--scheduler {scheduler}: {message}") from error
-    if not found:
+    if not versions:
         raise SweepError(f"--scheduler {scheduler}: expected workers, but it has none; start dask worker")
-    others = {address: there for address, there in found.items() if there != own}
-    if others:
-        address, there = next(iter(others.items()))
-        own, there = (version or "one of a clone that is not installed" for version in (own, there))
-        message = f"expected ngvisco {own} on its workers, but {address} has {there}"
+    different = {address: there for address, there in versions.items() if there != expected}
+    if different:
+        address, there = next(iter(different.items()))
+        expected, there = (version or "one of a clone that is not installed" for version in (expected, there))
+        message = f"expected ngvisco {expected} on its workers, but {address} has {there}"
         raise SweepError(f"--scheduler {scheduler}: {message}")
 
 

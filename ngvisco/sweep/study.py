@@ -285,13 +285,13 @@ def read_table(path: Path) -> list[Outcome]:
         state = header.index("state")
         if header[0] != "run" or header[-1] != "message" or any(len(row) != len(header) for row in rows):
             raise ValueError
-        found = []
+        outcomes = []
         for row in rows:
             given = {name: text for name, text in zip(header, row, strict=True) if text}
             values = {key: given[key] for key in header[1:state] if key in given}
             last = {name: float(given[name]) for name in header[state + 1 : -1] if name in given}
-            found.append(Outcome(row[0], values, row[state], row[-1], last))
-        return found
+            outcomes.append(Outcome(row[0], values, row[state], row[-1], last))
+        return outcomes
     except ValueError:
         raise SweepError(
             f"{path}: expected the table of an earlier study, as it was written; move it away, or choose "

@@ -93,11 +93,11 @@ def combinations(variations: Sequence[Variation]) -> list[Combination]:
     for key in keys:
         if keys.count(key) > 1:
             raise SweepError(f"--vary {key}: expected all its values in one option, but it is there twice")
-    found = []
+    combinations = []
     for values in itertools.product(*(variation.values for variation in variations)):
         settings = tuple(f"{key}={value}" for key, value in zip(keys, values, strict=True))
-        found.append(Combination(_name(settings), dict(zip(keys, values, strict=True)), settings))
-    return found
+        combinations.append(Combination(_name(settings), dict(zip(keys, values, strict=True)), settings))
+    return combinations
 
 
 def _name(settings: Sequence[str]) -> str:

@@ -61,9 +61,9 @@ class ErrorEstimate:
         times = np.array(self._times[-p - 1 :])
         weights = [np.prod([(time - s) / (t - s) for s in times if s != t]) for t in times]
         missed = np.prod(time - times) / math.factorial(p + 1)
-        own = scheme.error_constant * (time - times[-1]) ** (p + 1)
+        weight = scheme.error_constant * (time - times[-1]) ** (p + 1)
         extrapolated = sum(w * u for w, u in zip(weights, self._states[-p - 1 :], strict=True))
-        self._difference.vec.FV().NumPy()[:] = own / (own + missed) * (self._values() - extrapolated)
+        self._difference.vec.FV().NumPy()[:] = weight / (weight + missed) * (self._values() - extrapolated)
         norms = np.sqrt(np.asarray(self.step.quadrature.integrate_cells(self._squares)))
         unknowns = [self.step.layout.unknowns[name] for name in self.step.layout.evolving]
         errors, sizes, root_volume = norms[: len(unknowns)], norms[len(unknowns) : -1], norms[-1]

@@ -215,9 +215,9 @@ class Integrator:
             field.begin()
         begin = t
         for i in range(scheme.stages):
-            own, end = scheme.A[i][i] * tau, t + scheme.c[i] * tau
+            length, end = scheme.A[i][i] * tau, t + scheme.c[i] * tau
             self.step.start_from(list(zip(scheme.starts[i], states, strict=False)))
-            history += self.rothe.solve(Interval(own, begin, end, t, tau, scheme.tilts[i]))
+            history += self.rothe.solve(Interval(length, begin, end, t, tau, scheme.tilts[i]))
             begin = end
             states.append(self.step.evolved())
             _add(rates, scheme.b[i], self.meter())
@@ -264,17 +264,17 @@ class Integrator:
             limiter_energy += self._limiter_energy_of_momentum(states[-1])
         impulse = self._velocity(keeps_walls=is_stage)
         self.impulse = impulse / tau
-        own, through_walls = before if is_changed else impulse, 0.0
+        rows, through_walls = before if is_changed else impulse, 0.0
         for name, (_, mask) in step.moving_walls.moving.items():
             v = states[-1].values["v"][mask]
-            rates[f"power_wall_{name}"] += self.rothe.exchange.communicator.dot(own[mask], v) / tau
+            rates[f"power_wall_{name}"] += self.rothe.exchange.communicator.dot(rows[mask], v) / tau
             if is_changed:
-                through_walls -= self.rothe.exchange.communicator.dot((impulse - own)[mask], v)
+                through_walls -= self.rothe.exchange.communicator.dot((impulse - rows)[mask], v)
         v = states[-1].values["v"]
-        for name, work in self._velocity.works(own, v).items():
+        for name, work in self._velocity.works(rows, v).items():
             rates[f"power_wall_{name}"] += work / tau
         if limited:
-            through_walls -= sum(self._velocity.works(impulse - own, v).values())
+            through_walls -= sum(self._velocity.works(impulse - rows, v).values())
         return step.evolved(), limited, {LIMITER: limiter_energy, LIMITER_WALLS: through_walls}
 
     def _limiter_energy_of_momentum(self, stage: Evolved) -> float:
@@ -307,22 +307,22 @@ class Integrator:
         self, scheme: TimeScheme, t: float, tau: float, history: list[Attempt], meets: bool
     ) -> StepTaken:
         """A midpoint step that ends at u_0 + omega (U - u_0), omega near 2, where R = 0."""
-        own = scheme.A[0][0] * tau
+        length = scheme.A[0][0] * tau
         for _ in range(_MEETINGS):
             # loads are averaged over the unrelaxed step, which has the length of two Rothe steps
-            states, rates = self._stages(scheme, t, own / scheme.A[0][0], history)
-            wanted = tau / own if meets else None
-            omega, numerical, rates, limited = self._relaxed_end(states, t, own, rates, wanted)
-            if not meets or abs(omega * own - tau) <= _MEETING * tau:
+            states, rates = self._stages(scheme, t, length / scheme.A[0][0], history)
+            wanted = tau / length if meets else None
+            omega, numerical, rates, limited = self._relaxed_end(states, t, length, rates, wanted)
+            if not meets or abs(omega * length - tau) <= _MEETING * tau:
                 self._complete()
                 self._end = np.array([1 - omega, omega])
-                return StepTaken(omega * own, history, rates, numerical, limited, self.impulse)
-            own = tau / omega
+                return StepTaken(omega * length, history, rates, numerical, limited, self.impulse)
+            length = tau / omega
             self.rothe.return_to(self._before)
         raise StepError("the relaxed step does not meet its end: take a smaller step")
 
     def _relaxed_end(
-        self, states: Sequence[Evolved], t: float, own: float, rates: dict[str, float], wanted: float | None
+        self, states: Sequence[Evolved], t: float, span: float, rates: dict[str, float], wanted: float | None
     ) -> tuple[float, dict[str, float], dict[str, float], int]:
         """Set the state u_0 + omega (U - u_0) with R = 0.  Return omega, R and the limiter's energies by
         columns, rates, and the number of limited cells.
@@ -333,7 +333,7 @@ class Integrator:
         distance, noise = sum(from_start.values()), self._noise(states[0])
 
         def end_at(omega: float) -> tuple[dict[str, float], dict[str, float], dict[str, float], int]:
-            of_end, length, numerical = dict(rates), omega * own, dict(from_start)
+            of_end, length, numerical = dict(rates), omega * span, dict(from_start)
             weights = np.array([1 - omega, omega])
             end, limited, by_limiter = self._combined(weights, states, t + length, length, of_end)
             _add(numerical, -1.0, self.distance(end, states[-1]))

@@ -49,7 +49,7 @@ def require_symmetry(symmetry: Symmetry, walls: Walls, model: Model, terms: Iter
 
 def axis_of(walls: Walls, near: float) -> list[str]:
     """Names of the walls that lie on the axis, up to ``near``, m; collective."""
-    ranks, r, found = Communicator.of(walls.mesh), coordinates(walls.mesh)[:, 0], []
+    ranks, r, names = Communicator.of(walls.mesh), coordinates(walls.mesh)[:, 0], []
     for name in walls.conditions:
         on = [
             bool((r[[v.nr for v in element.vertices]] <= near).all())
@@ -59,5 +59,5 @@ def axis_of(walls: Walls, near: float) -> list[str]:
         if ranks.any(any(on)):
             if not ranks.all(all(on)):
                 raise MeshError(f"wall {name!r} is the axis in a part only: give the axis a name of its own")
-            found.append(name)
-    return found
+            names.append(name)
+    return names

@@ -61,14 +61,14 @@ def axis_parallel_walls(mesh: Mesh) -> tuple[list[list[str]], list[str]]:
     """Names of the boundaries normal to each axis, and of the boundaries normal to no axis."""
     n = specialcf.normal(mesh.dim)
     walls: list[list[str]] = [[] for _ in range(mesh.dim)]
-    others: list[str] = []
+    oblique: list[str] = []
     for name in sorted(set(mesh.GetBoundaries())):
         region = walls_of(mesh, [name])
         area = Integrate(CF(1.0), mesh, BND, definedon=region)
         tilt = [abs(Integrate(1 - n[i] * n[i], mesh, BND, definedon=region)) for i in range(mesh.dim)]
         axis = int(np.argmin(tilt))
-        (walls[axis] if tilt[axis] <= _PARALLEL * area else others).append(name)
-    return walls, others
+        (walls[axis] if tilt[axis] <= _PARALLEL * area else oblique).append(name)
+    return walls, oblique
 
 
 def periodic_boundaries(mesh: Mesh) -> set[str]:
@@ -197,10 +197,10 @@ def _kinks(mesh: Mesh, wall: Region) -> tuple[list[float], list[float]]:
                 near.setdefault(frozenset(part), []).append(facet)
     chords, left = [], []
     for part, both in near.items():
-        for (chord, normals), (other, others) in combinations(both, 2):
+        for (chord, normals), (other, normals_there) in combinations(both, 2):
             if _FLAT < (angle := _angle(chord, other)) < _CORNER:
                 chords.append(angle)
-                left.append(float(np.mean([_angle(normals[end], others[end]) for end in part])))
+                left.append(float(np.mean([_angle(normals[end], normals_there[end]) for end in part])))
     return chords, left
 
 
@@ -212,14 +212,14 @@ def _facets(mesh: Mesh, wall: Region) -> list[_Facet]:
     corners = VERTICES[kind]
     mapped = mesh.MapToAllElements({kind: IntegrationRule(corners, [1.0] * len(corners))}, wall)
     where, normals = (np.asarray(f(mapped)).reshape(-1, len(corners), mesh.dim) for f in (position, n))
-    found = []
+    facets = []
     for element, X, N in zip(wall.Elements(), where, normals, strict=True):
         points, out = np.array([mesh[v].point for v in element.vertices]), outward[element.nr]
         chord = np.linalg.svd(points - points.mean(axis=0))[2][-1]
         nearest = [int(np.argmin(np.linalg.norm(X - point, axis=1))) for point in points]
         at = {p.tobytes(): np.sign(N[i] @ out) * N[i] for p, i in zip(points, nearest, strict=True)}
-        found.append((np.sign(chord @ out) * chord, at))
-    return found
+        facets.append((np.sign(chord @ out) * chord, at))
+    return facets
 
 
 def _angle(a: np.ndarray, b: np.ndarray) -> float:

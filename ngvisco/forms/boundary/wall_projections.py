@@ -106,9 +106,9 @@ class WallProjection:
     def _taken(self, g: np.ndarray) -> np.ndarray:
         """D^(1/2) y, for the y of least y . D y with C y = g."""
         count = len(self._shared)
-        found = self._solver(np.concatenate([np.zeros(count), g / self._length]))
-        result: np.ndarray = self._transposed @ found[count:]
-        result[self._shared] = found[:count]
+        solution = self._solver(np.concatenate([np.zeros(count), g / self._length]))
+        result: np.ndarray = self._transposed @ solution[count:]
+        result[self._shared] = solution[:count]
         return result
 
     def __call__(self, v: np.ndarray) -> np.ndarray:
@@ -134,8 +134,8 @@ class WallProjection:
     def works(self, rows: np.ndarray, v: np.ndarray) -> dict[str, float]:
         """Work of each piston's impulse on v, J, by walls; ``rows`` are the momentum's free rows."""
         count, shares = len(self._shared), self._constraint @ (rows / self._root**2)
-        found = self._solver(np.concatenate([np.zeros(count), shares / self._length]))
-        each = found[count:] / self._length * self._normal_velocity(v)
+        solution = self._solver(np.concatenate([np.zeros(count), shares / self._length]))
+        each = solution[count:] / self._length * self._normal_velocity(v)
         return {name: float(each[numbers].sum()) for name, numbers in self._of.items()}
 
 
@@ -176,8 +176,8 @@ class VelocityOfMomentum:
         if self._walls is None:
             return {}
         ranks = self._exchange.communicator
-        found = self._walls.works(self._exchange.sum(rows)[self.free], v)
-        return {name: float(ranks.total(work)) for name, work in found.items()}
+        works = self._walls.works(self._exchange.sum(rows)[self.free], v)
+        return {name: float(ranks.total(work)) for name, work in works.items()}
 
     def functional(self) -> np.ndarray:
         """Functional <m, .> in this rank's cells, (unknowns of v,)."""

@@ -198,13 +198,13 @@ class Carried(OnWall):
         A quantity that is not given enters with the cell's value without its slope, which would make the
         value grow from step to step.
         """
-        own = self._middle(u, name)
+        inner_value = self._middle(u, name)
         if self.continues(name):
-            return own
+            return inner_value
         given = self.means.mapped(u.context.given)
         if name == "rho":
             return given.density
-        inside = u.layout.states.tensors(lambda: own)
+        inside = u.layout.states.tensors(lambda: inner_value)
         here = u.context.given(self.indicator)  # elsewhere means are zero, and the energy may not be a number
         values = {name: inside[name] for name in inside}
         values |= {name: inside[name] + here * (value - inside[name]) for name, value in given.values.items()}
@@ -214,8 +214,8 @@ class Carried(OnWall):
 
     def _middle(self, u: Fields, name: str) -> CoefficientFunction:
         """Value at the middle of the cell."""
-        own, reach = u.parts[name], u.context.reach
-        return own if reach is None else own - u.gradient(name) * u.context.given(reach)
+        value, reach = u.parts[name], u.context.reach
+        return value if reach is None else value - u.gradient(name) * u.context.given(reach)
 
     def _normal_velocity(self, u: Fields) -> CoefficientFunction:
         """Normal velocity v . n on this wall, else 0."""
@@ -292,7 +292,7 @@ class Carried(OnWall):
         )
         stored = inward * self._stored_outside(u) - (normal_velocity + inward) * self._stored(u)
         mixing = inward * (self._stored_outside(u) - self._stored(u)) - inner(self._added(u, "z"), u.zeta)
-        found = [
+        entries = [
             Entry(f"power_kinetic_{name}", "power", Integrand(facets=-0.5 * flux * (u.v * u.v))),
             Entry(f"power_stored_{name}", "power", Integrand(facets=stored)),
             *(_beyond(f"dissipation_backflow_{name}", part) for part in self.on_body(u, u)),
@@ -302,8 +302,8 @@ class Carried(OnWall):
         if self.entropy is not None:
             carried = normal_velocity * u.z - self._added(u, "z")
             s = self.entropy.unit * u.layout.states.tensors(lambda: carried)[self.entropy.name]
-            found.append(Entry(f"entropy_supply_{name}_carried", "production", Integrand(facets=-s)))
-        return found
+            entries.append(Entry(f"entropy_supply_{name}_carried", "production", Integrand(facets=-s)))
+        return entries
 
 
 class StoredMean(CellMean):
@@ -356,11 +356,11 @@ class GivenStress(OnWall):
 
     def entries(self, u: Fields) -> list[Entry]:
         power = Integrand(facets=self.indicator * (self._traction(u) * u.v))
-        found = [Entry(f"power_traction_{self.name}", "power", power)]
+        entries = [Entry(f"power_traction_{self.name}", "power", power)]
         if any(self.impedance):
             resisted = self.indicator * (self._resistance(u) * u.v)
-            found.append(_beyond(f"dissipation_impedance_{self.name}", resisted))
-        return found
+            entries.append(_beyond(f"dissipation_impedance_{self.name}", resisted))
+        return entries
 
 
 def _beyond(name: str, dissipated: CoefficientFunction) -> Entry:

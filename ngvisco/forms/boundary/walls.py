@@ -149,9 +149,9 @@ class Walls:
         order = k - 1 if fine else k - 2
         space, multiplied = FacetFESpace(mesh, order=order), walls_of(mesh, self.multiplied)
         active = space.GetDofs(multiplied)
-        others = [name for name in self.conditions if name not in self.multiplied]
-        if fine and others:
-            ends = _vertices(walls_of(mesh, others))
+        unmultiplied = [name for name in self.conditions if name not in self.multiplied]
+        if fine and unmultiplied:
+            ends = _vertices(walls_of(mesh, unmultiplied))
             for element in multiplied.Elements():
                 if ends[[v.nr for v in element.vertices]].any():
                     active[max(space.GetDofNrs(element))] = False
@@ -169,9 +169,9 @@ def velocity_of(wall: Wall, dim: int, owner: str) -> CoefficientFunction:
 def _vertices(region: Region) -> np.ndarray:
     """Mask of the vertices on a boundary, whose facets may belong to other ranks, (vertices,); collective."""
     mesh = region.mesh
-    found = np.zeros(mesh.nv)
-    found[[v.nr for element in region.Elements() for v in element.vertices]] = 1.0
-    return Exchange.of(H1(mesh, order=1), Communicator.of(mesh)).sum(found) > 0
+    mask = np.zeros(mesh.nv)
+    mask[[v.nr for element in region.Elements() for v in element.vertices]] = 1.0
+    return Exchange.of(H1(mesh, order=1), Communicator.of(mesh)).sum(mask) > 0
 
 
 def _by_name(conditions: Conditions) -> dict[str, Wall]:
@@ -205,14 +205,14 @@ class MovingWalls:
         self.moving: dict[str, tuple[CoefficientFunction, np.ndarray]] = {}
         """Velocity, and mask of the coefficients of v, for each moving wall."""
         self._means: dict[str, tuple[np.ndarray, TimeMean]] = {}
-        taken, dim = self.zero.copy(), walls.mesh.dim
+        prescribed, dim = self.zero.copy(), walls.mesh.dim
         for name, wall in walls.conditions.items():
             if wall.moves and name not in walls.multiplied:
                 region = walls.region([name])
                 is_piston = name in walls.pistons
                 regions = [region if not is_piston or name in names else None for names in walls.axis]
-                mask = self.constrained(layout, regions) & ~taken
-                taken |= mask
+                mask = self.constrained(layout, regions) & ~prescribed
+                prescribed |= mask
                 velocity = velocity_of(wall, dim, f"walls[{name!r}]")
                 self.moving[name] = velocity, mask
                 if may_read_time(velocity):
@@ -266,11 +266,11 @@ class MovingWalls:
             size = Integrate(velocity * velocity, mesh, BND, definedon=region)
             normal_part = Integrate(normal * normal, mesh, BND, definedon=region)
             if not normal_part <= OPEN * size:
-                found = f"normal part {normal_part**0.5:.3g} of {size**0.5:.3g} in L2"
+                sizes = f"normal part {normal_part**0.5:.3g} of {size**0.5:.3g} in L2"
                 expected = (
                     "a tangential velocity: nothing crosses such a wall; an inlet is nv.Inflow(velocity=...)"
                 )
-                raise ParameterError(f"walls[{name!r}].velocity", found, expected)
+                raise ParameterError(f"walls[{name!r}].velocity", sizes, expected)
             velocity = velocity - normal * n
         self._values.vec[:] = 0.0
         if self.layout.periodic:

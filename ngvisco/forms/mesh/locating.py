@@ -38,10 +38,10 @@ def locate(mesh: Mesh, points: np.ndarray, names: Sequence[str]) -> np.ndarray:
     A point outside the domain counts as a point on its wall within 1e-3 of a cell's size.  Raises
     ParameterError for a point farther outside.
     """
-    found: np.ndarray = mesh(*points.T)
-    for number in np.flatnonzero(found["nr"] < 0):
-        found[number] = _on_wall(mesh, points[number], names[int(number)])
-    return found
+    places: np.ndarray = mesh(*points.T)
+    for number in np.flatnonzero(places["nr"] < 0):
+        places[number] = _on_wall(mesh, points[number], names[int(number)])
+    return places
 
 
 class Located:
@@ -63,7 +63,7 @@ class Located:
             raise ParameterError(names[0], "a distributed mesh", expected)
         mpi = self.ranks.mpi
         asked, called, cells = mpi.gather(points), mpi.gather(list(names)), mpi.gather(mesh.cells)
-        found: list[tuple[np.ndarray, np.ndarray]] = []
+        located: list[tuple[np.ndarray, np.ndarray]] = []
 
         def locate_all() -> None:
             assert mesh.whole is not None
@@ -71,7 +71,7 @@ class Located:
                 at = locate(mesh.whole, each, of_each) if len(each) else None
                 nr = np.zeros(0, dtype=int) if at is None else at["nr"].astype(int)
                 axes = "xyz"[: mesh.dim]
-                found.append((nr, each if at is None else np.stack([at[axis] for axis in axes], axis=1)))
+                located.append((nr, each if at is None else np.stack([at[axis] for axis in axes], axis=1)))
 
         self.ranks.on_first(locate_all)
         wanted, given = None, None
@@ -80,11 +80,11 @@ class Located:
             for rank, of_rank in enumerate(cells):
                 owner[of_rank], local[of_rank] = rank, np.arange(len(of_rank))
             every = range(self.ranks.size)
-            given = [[np.flatnonzero(owner[nr] == rank) for rank in every] for nr, _ in found]
+            given = [[np.flatnonzero(owner[nr] == rank) for rank in every] for nr, _ in located]
             wanted = [
                 [
                     (local[nr[places[rank]]], reference[places[rank]])
-                    for (nr, reference), places in zip(found, given, strict=True)
+                    for (nr, reference), places in zip(located, given, strict=True)
                 ]
                 for rank in every
             ]
@@ -95,11 +95,11 @@ class Located:
 
     def values(self, function: CoefficientFunction) -> np.ndarray:
         """Values of a function, (count, components)."""
-        own = np.asarray(function(self._at)).reshape(len(self._at), function.dim)
+        at_points = np.asarray(function(self._at)).reshape(len(self._at), function.dim)
         if not self.ranks.is_distributed:
-            return own
+            return at_points
         values = np.zeros((self.count, function.dim))
-        got = self.ranks.mpi.alltoall(np.split(own, self._ends[:-1]))
+        got = self.ranks.mpi.alltoall(np.split(at_points, self._ends[:-1]))
         for where, part in zip(self._from, got, strict=True):
             values[where] = part
         return values
@@ -113,9 +113,9 @@ def _on_wall(mesh: Mesh, point: np.ndarray, name: str) -> Any:
     for pull in _PULLS:
         for centre in centres:
             pulled = point + pull * (centre - point)
-            found = mesh(*pulled[:, None])[0]
-            if found["nr"] >= 0:
-                return found
+            place = mesh(*pulled[:, None])[0]
+            if place["nr"] >= 0:
+                return place
     size = np.ptp(vertices, axis=0).max()
     ends = np.round(np.array([vertices.min(axis=0), vertices.max(axis=0)]).T / size, 12) * size
     box = " x ".join(f"[{a:.6g}, {b:.6g}]" for a, b in ends + 0.0)

@@ -163,11 +163,11 @@ def check_mesh(mesh: Mesh) -> None:
         raise MeshError(f"the mesh has dimension {mesh.dim}: expected 2 (plane strain) or 3")
     if mesh.comm.Sum(mesh.ne) == 0:
         raise MeshError("the mesh has no volume elements: mesh the interior, not only its surface")
-    others: set[ET] = set()
+    unknown: set[ET] = set()
     if not is_simplicial(mesh):
-        others = {cell.type for cell in mesh.Elements(VOL)}.difference(_CELLS[mesh.dim])
-    if mesh.comm.Sum(len(others)):
-        names = ", ".join(sorted(_WORDS.get(kind, str(kind)) for kind in others)) or "others"
+        unknown = {cell.type for cell in mesh.Elements(VOL)}.difference(_CELLS[mesh.dim])
+    if mesh.comm.Sum(len(unknown)):
+        names = ", ".join(sorted(_WORDS.get(kind, str(kind)) for kind in unknown)) or "others"
         raise MeshError(
             f"the mesh has cells of the types {names}: expected triangles and quadrilaterals, or tetrahedra "
             "(mesh.ngmesh.Split2Tets() divides hexahedra and prisms)"

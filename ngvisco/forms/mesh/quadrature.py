@@ -220,13 +220,13 @@ class Sampler:
     @cached_property
     def points(self) -> np.ndarray:
         """Mesh points at the cells' vertices (just inside each cell) and at the forms' quadrature points."""
-        found = {}
+        rules = {}
         for et, vertices in VERTICES.items():
             if et in self.quadrature.cell_rules:
                 inner_points = list(self.quadrature.cell_rules[et].points)
                 points = [tuple(p)[: len(vertices[0])] for p in inner_points] + list(vertices)
-                found[et] = IntegrationRule(points, [0.0] * len(points))
-        return self.mesh.MapToAllElements(found, VOL)
+                rules[et] = IntegrationRule(points, [0.0] * len(points))
+        return self.mesh.MapToAllElements(rules, VOL)
 
     @property
     def cells(self) -> np.ndarray:
@@ -283,17 +283,17 @@ class Sampler:
         """Words for the place of the first of this rank's ``cells``, and for the number on all ranks."""
         mine = None
         if len(cells):
-            own = np.flatnonzero(self.cells == cells[0])
-            middle = tuple(float(c) for c in self.coordinates(own).mean(axis=0))
+            points = np.flatnonzero(self.cells == cells[0])
+            middle = tuple(float(c) for c in self.coordinates(points).mean(axis=0))
             mine = number_of(self.mesh, int(cells[0])), middle
         every = [entry for entry in self.ranks.gathered(mine) if entry is not None]
         if not every:
             return "somewhere"
         cell, place = every[0]
-        others = int(self.ranks.total(len(cells))) - 1
+        further = int(self.ranks.total(len(cells))) - 1
         at = f"at ({', '.join(f'{c:.4g}' for c in place)}) m"
         where = at if cell is None else f"in cell {cell} {at}"
-        return where + (f" and {others} other cell{'s' * (others > 1)}" if others else "")
+        return where + (f" and {further} other cell{'s' * (further > 1)}" if further else "")
 
     def require(
         self, f: CoefficientFunction, name: str, key: str = "Initial", minimum: float | None = None

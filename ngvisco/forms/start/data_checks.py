@@ -195,10 +195,10 @@ def warn_of_own_energy(step: Step, states: np.ndarray | None) -> None:
     material, ranks = step.model.material, Communicator.of(step.mesh)
     network = part_of(material, Network)
     branches = {} if network is None else network.parts
-    own = {name: branch.material for name, branch in branches.items() if _is_own(branch.material)}
-    if own or _is_own(material):
+    users = {name: branch.material for name, branch in branches.items() if _is_own(branch.material)}
+    if users or _is_own(material):
         near = None if states is None else np.concatenate(ranks.gathered(states))
-        ranks.on_first(partial(_warn_of_branches, own, step.mesh.dim))
+        ranks.on_first(partial(_warn_of_branches, users, step.mesh.dim))
         ranks.on_first(partial(check_convexity, material, dim=step.mesh.dim, states=near))
 
 
@@ -328,10 +328,10 @@ def _rest_stresses(step: Step) -> Iterator[str]:
     ``NeoHookean`` body is under tension at rest, a ``BarotropicFluid`` under pressure.  A body alone in its
     box is not affected; a drop in another body contracts or expands from the first step on.
     """
-    found = {body.name: rest_stress_and_modulus(body.material) for body in step.model.bodies}
-    stresses, stiffnesses = ([each[i] for each in found.values()] for i in range(2))
-    if found and max(stresses) - min(stresses) > _STRESS_ROUNDING * max(abs(K) for K in stiffnesses):
-        names = ", ".join(repr(name) for name in found)
+    responses = {body.name: rest_stress_and_modulus(body.material) for body in step.model.bodies}
+    stresses, stiffnesses = ([each[i] for each in responses.values()] for i in range(2))
+    if responses and max(stresses) - min(stresses) > _STRESS_ROUNDING * max(abs(K) for K in stiffnesses):
+        names = ", ".join(repr(name) for name in responses)
         values = ", ".join(f"{stress:.4g} Pa" for stress in stresses)
         yield (
             f"bodies {names} meet with different stresses at rest, T(I) = {values} (mean normal stress): "
@@ -403,13 +403,13 @@ def _corner_cells(step: Step) -> list[tuple[int, int]]:
     # an edge or a vertex may lie on walls only by facets of other ranks, which these spaces include
     on_walls = ~mask_of(HCurl(mesh, order=0, dirichlet=step.walls.region(held)).FreeDofs())
     moved = ~mask_of(H1(mesh, order=1, dirichlet=step.walls.region(moving)).FreeDofs())
-    found = set()
+    pairs = set()
     for vertex in (mesh.vertices[int(number)] for number in np.flatnonzero(moved)):
         around = {edge.nr for edge in vertex.edges}
         for cell in vertex.elements:
             if on_walls[list(around.intersection(edge.nr for edge in mesh[cell].edges))].all():
-                found.add((cell.nr, vertex.nr))
-    return sorted(found)
+                pairs.add((cell.nr, vertex.nr))
+    return sorted(pairs)
 
 
 def _divergences(
@@ -423,11 +423,11 @@ def _divergences(
     places = np.array([mesh.vertices[vertex].point for _, vertex in cells])
     wanted = []
     for (cell, _), place in zip(cells, places, strict=True):
-        own = np.flatnonzero(points["nr"] == cell)
-        wanted.append(own[np.argmin(np.linalg.norm(at[own] - place, axis=1))])
-    v, found = GridFunction(step.layout.blocks["v"]), []
+        corners = np.flatnonzero(points["nr"] == cell)
+        wanted.append(corners[np.argmin(np.linalg.norm(at[corners] - place, axis=1))])
+    v, rates = GridFunction(step.layout.blocks["v"]), []
     for _ in _at(times):
         for name, values in walls.velocities().items():
             v.vec.FV().NumPy()[walls.moving[name][1]] = values
-        found.append(np.asarray(tr(Grad(v))(points)).ravel()[wanted])
-    return places, np.array(found)
+        rates.append(np.asarray(tr(Grad(v))(points)).ravel()[wanted])
+    return places, np.array(rates)

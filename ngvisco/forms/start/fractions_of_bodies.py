@@ -46,13 +46,13 @@ def starting_fractions(mesh: Mesh, bodies: Sequence[Body], order: int) -> StartV
         body, _ = max(zip(placed, of_placed, strict=True), key=lambda pair: pair[1])
         expected = f"a place that leaves something of the domain to {filler.name!r}, the rest"
         raise ParameterError(f"bodies[{body.name!r}].where", body.where, expected)
-    *found, of_none = fractions(mesh, list(shapes.values()), order)
-    result: StartValues = dict(zip(shapes, found, strict=True))
+    *fractions_of, of_none = fractions(mesh, list(shapes.values()), order)
+    result: StartValues = dict(zip(shapes, fractions_of, strict=True))
     if filler is not None:
         result[filler.name] = of_none
     else:  # distribute uncovered volume, below ``_OVERLAP``, by the fractions
         _require_some_body_in_each_cell(mesh, names, of_none)
-        known = reduce(add, found)
+        known = reduce(add, fractions_of)
         result = {name: part / known for name, part in result.items()}
     return {name: result[name] for name in names}
 

@@ -228,10 +228,10 @@ def _project(
         for name, value in ((name, value) for each in signs for name, value in each.items()):
             sampler.require(value, f"projected {name}_0", f"Initial.values[{name!r}]", minimum=0.0)
         if not np.isfinite(step.energy.samples(z, sampler)).all():
-            found = step.energy.last_failure or "not finite somewhere"
+            failure = step.energy.last_failure or "not finite somewhere"
             is_at_rest = initial.F is None and not initial.values and not step.model.bodies
             key, subject = ("Model.material", "parameters") if is_at_rest else ("Initial", "start values")
-            raise InitialDataError("stored energy", found, f"{subject} of a finite energy", key)
+            raise InitialDataError("stored energy", failure, f"{subject} of a finite energy", key)
         complete(step)
     theta = temperature(material, step.now.zeta_tensors)
     if theta is not None:
@@ -250,9 +250,9 @@ def _ranges(step: Step, parameters: Given, sampler: Sampler) -> dict[str, tuple[
         if isinstance(variable, Parameter) and variable.limits is not None:
             (least, most), (low, high) = ranges[variable.name], variable.limits
             if not low <= least <= most <= high:
-                found, expected = f"from {least:.6g} to {most:.6g}", f"from {low:g} to {high:g}"
+                range_, expected = f"from {least:.6g} to {most:.6g}", f"from {low:g} to {high:g}"
                 key = f"Initial.values[{variable.name!r}]"
-                raise InitialDataError(f"parameter {variable.name}", found, expected, key)
+                raise InitialDataError(f"parameter {variable.name}", range_, expected, key)
             ranges[variable.name] = variable.limits
     return ranges
 
@@ -270,9 +270,9 @@ def _at_rest(
     if initial.density is not None:
         density = as_shape("Initial.density", initial.density, ())
         sampler.require(density, "density rho_0", "Initial.density", minimum=0.0)
-    others = {v.name: initial.values[v.name] for v in material.variables if v.name in initial.values}
+    given = {v.name: initial.values[v.name] for v in material.variables if v.name in initial.values}
     theta = temperature_for(material, initial.temperature, initial.values, "Initial")
-    column = Column(step, sampler, {**others, **parameters}, theta, shares, density)
+    column = Column(step, sampler, {**given, **parameters}, theta, shares, density)
     with TaskManager():
         J = column.solve(initial.datum or initial.datum_point, initial.datum_pressure)
     return {name: volume ** (1 / 3) * Id(3) for name, volume in J.items()}
@@ -353,13 +353,13 @@ def _materials_in(part: object) -> Iterator[Material]:
 
 def _further(step: Step, initial: Initial, sampler: Sampler) -> StartValues:
     """Given start values of the evolving unknowns other than v, rho and z."""
-    found = {}
+    values = {}
     for name in step.layout.further:
         if name in initial.values:
             shape, field_name = step.layout.unknowns[name].shape, f"Initial.values[{name!r}]"
-            found[name] = value = as_shape(field_name, initial.values[name], shape)
+            values[name] = value = as_shape(field_name, initial.values[name], shape)
             sampler.require(inner(value, value), f"|{name}_0|^2", field_name)
-    return found
+    return values
 
 
 def _check_density(
@@ -370,11 +370,11 @@ def _check_density(
     least, most = sampler.extrema(density * J / rho_R)
     if max(abs(least - 1), abs(most - 1)) > _CONTRADICTION:
         low, high = sampler.extrema(density * J)
-        found = f"rho_0 J_0 from {low:.7g} to {high:.7g} kg/m^3"
+        range_ = f"rho_0 J_0 from {low:.7g} to {high:.7g} kg/m^3"
         low, high = sampler.extrema(rho_R)
         known = f"rho_R = {low:.7g}" if low == high else f"rho_R, from {low:.7g} to {high:.7g} kg/m^3,"
         expected = f"{known} there, or one of density and J only, from which the other follows"
-        raise InitialDataError("density rho_0", found, expected, "Initial.density")
+        raise InitialDataError("density rho_0", range_, expected, "Initial.density")
 
 
 def _check_spaces(step: Step, given: Given, values: Given, sampler: Sampler) -> None:

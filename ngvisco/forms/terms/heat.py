@@ -73,34 +73,34 @@ class Heating(_OfEntropy):
 
     def _supplied(self, u: Fields) -> dict[str, CoefficientFunction]:
         """Sources of heat in cells other than dissipation, W/m^3, by the ledger's columns."""
-        found = {}
+        powers = {}
         if self._sources:
             given = u.context.given
             parts = (self.law.share(body, u.z_tensors) * given(source) for body, source in self._sources)
-            found["power_heat_source"] = reduce(add, parts)
+            powers["power_heat_source"] = reduce(add, parts)
         if self.law.numerical_heating:  # the dissipation of a backward Euler step, J/m^3
             c, old = u.context, u.context.old
             dv = u.v - (1 / old.rho) * c.momentum_old
             bregman = c.rates.stored(old) - c.rates.stored(u) - inner(u.zeta, old.z - u.z)
-            found["power_heat_numerical"] = c.rate(0.5 * old.rho * square(dv) + bregman)
-        return found
+            powers["power_heat_numerical"] = c.rate(0.5 * old.rho * square(dv) + bregman)
+        return powers
 
     def _taken_by_walls(self, u: Fields) -> dict[str, CoefficientFunction]:
         """Heat of friction that stays in walls, W/m^2, by the ledger's columns."""
-        found = {}
+        powers = {}
         dissipated = dissipations(u, self, "facets") if self._to_walls else {}
         for name, share in self._to_walls.items():
             if (friction := dissipated.get(f"dissipation_friction_{name}")) is None:
                 expected = "1 on a wall without friction, as NavierFriction or Traction(friction=...) have"
                 raise ParameterError(f"walls[{name!r}].heat.friction_share", 1 - share, expected)
-            found[f"power_heat_friction_{name}"] = -share * friction
-        return found
+            powers[f"power_heat_friction_{name}"] = -share * friction
+        return powers
 
     def _rows(
-        self, u: Fields, w: Fields, where: PointRule, others: Mapping[str, CoefficientFunction]
+        self, u: Fields, w: Fields, where: PointRule, further: Mapping[str, CoefficientFunction]
     ) -> Sequence[CoefficientFunction]:
-        """Rows of the entropy for dissipation and the heat ``others`` at the places ``where``."""
-        heat = [*dissipations(u, self, where).values(), *others.values()]
+        """Rows of the entropy for dissipation and the heat ``further`` at the places ``where``."""
+        heat = [*dissipations(u, self, where).values(), *further.values()]
         return [-(reduce(add, heat) * self.chi(u, w))] if heat else []
 
     def cells(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
@@ -125,8 +125,8 @@ class Heating(_OfEntropy):
             parts = [heat[name] / theta if name in heat else None for heat in places]
             column = PRODUCTION + name.removeprefix("dissipation_")
             produced.append(Entry(column, "production", Integrand(*parts)))
-        for place, others in (("cells", self._supplied(u)), ("facets", self._taken_by_walls(u))):
-            for name, heat in others.items():
+        for place, further in (("cells", self._supplied(u)), ("facets", self._taken_by_walls(u))):
+            for name, heat in further.items():
                 column = name.replace("power_heat_", "entropy_supply_")
                 if name == "power_heat_numerical":
                     column = PRODUCTION + "numerical"

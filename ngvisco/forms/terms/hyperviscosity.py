@@ -56,11 +56,11 @@ class Hyperviscosity(PointTerm):
             expected = "None with Discretisation(k=1), whose velocity is linear in cells; or k = 2"
             raise ParameterError("Model.hyperviscosity", self.law, expected)
         tensors = dim * hessian_basis(dim).shape[1]
-        found = [Unknown("hess", "cells", k - 2, tensors), Unknown("hyperstress", "cells", k - 2, tensors)]
+        unknowns = [Unknown("hess", "cells", k - 2, tensors), Unknown("hyperstress", "cells", k - 2, tensors)]
         if not self.law.is_linear:
-            found += [Unknown(name, "cells", 2 * k - 4) for name in ("hess_square", "hyper_coefficient")]
+            unknowns += [Unknown(name, "cells", 2 * k - 4) for name in ("hess_square", "hyper_coefficient")]
         normals = (Unknown(f"a_{i + 1}", "normals", k - 1, trace_of="v", component=i) for i in range(dim))
-        return (*found, *normals)
+        return (*unknowns, *normals)
 
     def projections(self, u: Fields) -> list[tuple[str, Integrands]]:
         if self.law.is_linear:
