@@ -149,13 +149,13 @@ class Context:
         begin, over, tilt = (parameter.Get() for parameter in self._window)
         return begin, over, tilt
 
-    def require_mean(self, value: str, error: float) -> None:
+    def require_mean(self, name: str, error: float) -> None:
         """Warn once if the error of a mean over the step exceeds the tolerance."""
         if error <= TOLERANCE or self._has_warned:
             return
         self._has_warned = True
         Communicator.of(self.mesh).warn(
-            f"the mean of {value} over the step from {self.loads_window[0]:g} s is known to {error:.0e} "
+            f"the mean of {name} over the step from t = {self.loads_window[0]:g} s is known to {error:.0e} "
             "of its largest value only: it changes too often in the step, or at other times at other places; "
             "shorter steps follow it",
             InputWarning,
