@@ -348,4 +348,5 @@ def test_every_argument_is_swept():
     assert set(arguments()) <= swept
     for argument, module in BY_ITS_OWN.items():
         text = (Path(__file__).parents[1] / module).read_text()
-        assert argument.split(".")[-1] in text, f"{argument} in {module}"
+        name = argument.split(".")[-1]
+        assert re.search(rf"\b{name}\s*=|[\"']{name}[\"']", text), f"{argument} in {module}"

@@ -263,6 +263,9 @@ def test_measures_and_contours_of_bodies_are_keys(tmp_path):
         "contours/contours_000002.vtu",
     ):
         assert (tmp_path / "parts" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
+    runs.run(case(text.replace("every = 1", "every = 2")), tmp_path / "second")
+    for run, count in (("whole", 3), ("second", 2)):
+        assert len(list((tmp_path / run / "contours").glob("*.vtu"))) == count
     columns = read_columns(tmp_path / "whole" / "bodies.csv")
     assert abs(columns["disc_D"]).max() < 0.1 and "disc_perimeter" not in columns
     outcome = Outcome("whole", {})

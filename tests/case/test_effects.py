@@ -272,4 +272,5 @@ def test_a_key_has_an_effect_or_is_refused(entry, kind, tmp_path):
 def test_what_acts_elsewhere_is_tested_there():
     for key, module in ELSEWHERE.items():
         text = (ROOT / module).read_text()
-        assert key.split(".")[-1].split()[0] in text, f"{key} in {module}"
+        name = key.split()[0].split(".")[-1]
+        assert re.search(rf"\b{name}\s*=|[\"'.]{name}\b", text), f"{key} in {module}"

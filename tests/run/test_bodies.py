@@ -122,6 +122,17 @@ def test_ledger_mass_and_energy_hold_and_both_solvers_agree(name):
     assert_same(*found)
 
 
+def test_the_body_of_higher_order_fills_what_two_have_in_common():
+    """Halves that overlap by 0.2 m, of 1 and 3 kg/m^3."""
+    for order, mass in ((1, 0.6 + 3 * 0.4), (-1, 0.4 + 3 * 0.6)):
+        bodies = [
+            rest(name="left", where=nv.HalfSpace((0.6, 0.0), (1.0, 0.0)), order=order),
+            rest(name="right", where=nv.HalfSpace((0.4, 0.0), (-1.0, 0.0)), density=3.0),
+        ]
+        run = small_run(structured_box((1, 1), (10, 1)), bodies=bodies)
+        assert Integrate(run.fields["density"], run.mesh) == pytest.approx(mass, rel=1e-9)
+
+
 @pytest.mark.parametrize("name", CASES)
 def test_energies_of_bodies_are_jointly_convex(name):
     """Two and three bodies, linear in X or not, have one volumetric energy or several."""

@@ -69,7 +69,7 @@ def test_progress_draws_itself_while_the_run_goes_on(monkeypatch):
         return Handle()
 
     monkeypatch.setattr(IPython.display, "display", display)
-    small([nv.NotebookProgress(0.06, seconds=0)]).run(0.06)
+    small([nv.NotebookProgress(until=0.06, seconds=0)]).run(0.06)
     assert len(pages) == 1 + 3 + 1
     assert "width:33.3%" in pages[1] and "width:100.0%" in pages[-1]
     assert "step 3" in words(pages[-1])
