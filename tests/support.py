@@ -2,7 +2,7 @@
 
 import importlib.util
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, fields
 from functools import cache
 from pathlib import Path
@@ -244,10 +244,24 @@ OF_EACH_KIND = (
     'BarotropicFluid(form="A")',
 )
 """Materials that cover every kind of variable."""
-ALL_BY_CI = [
-    pytest.param(name, marks=() if name in OF_EACH_KIND else (pytest.mark.long, pytest.mark.ci))
-    for name in EXAMPLES
-]
+
+
+def by_ci(*values: Any, id: str | None = None) -> Any:
+    """Values of a test's parameters that CI tries, and the default suite does not."""
+    return pytest.param(*values, marks=(pytest.mark.long, pytest.mark.ci), id=id)
+
+
+def others_by_ci(cases: Iterable[Any], *by_default: Any) -> list[Any]:
+    """All cases, each a name or a tuple: the default suite tries the given ones, CI the others."""
+    cases = list(cases)
+    assert set(by_default) <= set(cases)
+    return [
+        case if case in by_default else by_ci(*(case if isinstance(case, tuple) else (case,)))
+        for case in cases
+    ]
+
+
+ALL_BY_CI = others_by_ci(EXAMPLES, *OF_EACH_KIND)
 """Names of all materials; the default suite runs one of each kind."""
 SWIRL = (sin(pi * x) * cos(pi * y), -cos(pi * x) * sin(pi * y))
 A_BODY = """\

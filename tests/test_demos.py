@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from ngsolve import Integrate
+from support import by_ci
 from support import demo as load
 
 import ngvisco as nv
@@ -53,7 +54,7 @@ CLEAN = pytest.mark.filterwarnings("error::ngvisco.run.ledger.DefectWarning")
 @pytest.mark.parametrize(
     ("name", "steps", "options"),
     [
-        pytest.param("swirl", 5, {"until": 0.1, "maxh": 0.4}, marks=CLEAN),
+        pytest.param("swirl", 5, {"until": 0.1, "maxh": 0.4}, marks=[*CI, CLEAN]),
         pytest.param("swirl", 50, {}, marks=[LONG, CLEAN]),
         ("swirl3d", 2, {"until": 0.04, "maxh": 0.7}),
         pytest.param("swirl3d", 50, {}, marks=LONG),
@@ -77,6 +78,8 @@ def test_demo_keeps_energy_mass_and_positivity(name, steps, options, tmp_path):
         assert abs((ledger.column("inertial") + ledger.column("bregman")).sum()) <= 1e-5
 
 
+@pytest.mark.long
+@pytest.mark.ci
 def test_swirl_recoils_elastically():
     """The kinetic energy falls below 4 % of its start and comes back to more than three quarters."""
     run = load("swirl").simulation(maxh=0.35)
@@ -140,13 +143,16 @@ CELLS = {"soft_spot": [4, 2], "collision": [7, 4], "slab": [3, 4], "soft_disc": 
 """Rows of cells of boxes that are soon computed."""
 SCRIPTS = {"shear": lambda demo: demo.simulation(), "wave": lambda demo: demo.amplitudes(0.02, 2)[0]}
 """The run that the case file describes, where its mesh has no size to choose."""
-DEAR = ("cavity", "collision", "cylinder", "shell", "slab", "soft_disc", "swirl3d")
-"""More than a second of processor time each."""
+DEAR = (
+    *("cavity", "collision", "couette", "cylinder", "heat", "mooney_rivlin", "shell", "slab"),
+    *("soft_disc", "swirl", "swirl3d"),
+)
+"""About a second of processor time each, or more."""
 
 
 @pytest.mark.parametrize(
     "name",
-    [pytest.param(p.name, marks=CI if p.name in DEAR else ()) for p in sorted(DEMOS.iterdir()) if p.is_dir()],
+    [by_ci(p.name) if p.name in DEAR else p.name for p in sorted(DEMOS.iterdir()) if p.is_dir()],
 )
 def test_case_file_gives_the_numbers_of_its_script(name, tmp_path):
     """Through the run directory, whose mesh file keeps coordinates to rounding and curvature to 1e-9."""
@@ -180,6 +186,8 @@ def test_a_beam_on_ground_that_gives_comes_to_rest_as_beam_theory_says(tmp_path)
     written(tmp_path, "foundation.png")
 
 
+@pytest.mark.long
+@pytest.mark.ci
 def test_soft_disc_keeps_its_mass_and_is_carried_by_the_flow(tmp_path):
     demo = load("soft_disc")
     run = demo.main(str(tmp_path), until=0.15, cells=(4, 5))
@@ -228,6 +236,8 @@ def test_glacier_flows_by_its_closed_form():
     assert np.abs(ledger.column("closure_relative")).max() <= 1e-10
 
 
+@pytest.mark.long
+@pytest.mark.ci
 def test_crack_runs_from_the_notch(tmp_path):
     run = load("notch").main(str(tmp_path), until=0.1, maxh=0.3)
     assert balanced(run).column("dissipation_damage")[1:].min() > 0

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from documents import ROOT
+from support import by_ci
 
 GUIDE = ROOT / "ngvisco" / "GUIDE.md"
 BLOCK = re.compile(r"<!-- (\w+): (new file|change|run) ?([\w./]*) -->\n+```\w+\n(.*?)```", re.DOTALL)
@@ -49,7 +50,7 @@ def copied(folder: Path) -> Path:
 
 @pytest.mark.parametrize(
     "recipes",
-    [list(RECIPES), *(pytest.param([name], marks=pytest.mark.long) for name in RECIPES)],
+    [by_ci(list(RECIPES)), *(pytest.param([name], marks=pytest.mark.long) for name in RECIPES)],
     ids="+".join,
 )
 def test_recipes_work_as_they_are_written(recipes, tmp_path):

@@ -46,6 +46,8 @@ def test_public_docstrings_name_the_errors_that_are_raised():
     assert not silent
 
 
+@pytest.mark.long
+@pytest.mark.ci
 def test_wheel_holds_geometries_and_nothing_else_of_the_top_level_and_runs(tmp_path):
     source = tmp_path / "source"  # building leaves files beside the sources
     for name in ("ngvisco", "geometries", "demos"):

@@ -3,6 +3,7 @@
 import re
 
 import pytest
+from support import by_ci
 
 import ngvisco as nv
 from ngvisco.case.build import parse_case
@@ -38,7 +39,7 @@ def case(tmp_path, *settings):
     return parse_case(PULSE, "pulse.toml", tmp_path, settings)
 
 
-@pytest.mark.parametrize("until", [0.2, 0.3])
+@pytest.mark.parametrize("until", [0.2, by_ci(0.3)])
 def test_a_run_that_ended_early_goes_on_to_the_bit(tmp_path, until):
     whole = nv.case.run(case(tmp_path), tmp_path / "whole")
     nv.case.run(case(tmp_path, f"time.until={until}"), tmp_path / "parts")

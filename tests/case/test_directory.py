@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support import by_ci
 from support import state as values
 
 import ngvisco as nv
@@ -13,7 +14,8 @@ DEMOS = Path(__file__).resolve().parents[2] / "demos"
 
 
 @pytest.mark.parametrize(
-    "name", ["couette", "wave", *(pytest.param(n, marks=pytest.mark.long) for n in ("creep_finite", "shell"))]
+    "name",
+    [by_ci("couette"), "wave", *(pytest.param(n, marks=pytest.mark.long) for n in ("creep_finite", "shell"))],
 )
 def test_resumed_run_is_bitwise_identical_on_every_kind_of_domain(name, tmp_path):
     """Curved cells, moving walls, creep with its own equation, passive fields, a periodic cell."""

@@ -91,6 +91,7 @@ SOLUTE = {
 HALF_BROKEN = {"initial.values": {"damage": 0.5}}
 
 WITH = {
+    "material.thermal.expansion": (WARM, 1e-3, 2e-3),
     "material.thermal.gruneisen": ({"material.thermal": {"c": 2.0, "theta_R": 300.0}}, 0.1, 0.2),
     "material.c Gas": ({}, 1e3, 2e3),
     "material.J_min": ({**PUSHED}, 0.99, 0.98),

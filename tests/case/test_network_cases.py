@@ -50,6 +50,8 @@ def by_script(material):
     return nv.Simulation(box((1, 1), maxh=0.5), nv.Model(material=material), dt=0.05, initial=initial)
 
 
+@pytest.mark.long
+@pytest.mark.ci
 def test_a_network_is_that_of_a_script_and_goes_on_to_the_bit(tmp_path):
     case = load_case(written(tmp_path, NETWORK))
     first = run_case(case, tmp_path / "half")

@@ -56,6 +56,8 @@ def test_the_file_has_units_and_attributes(finished):
         assert file["checkpoints/00000004"].attrs["time"] == 0.08
 
 
+@pytest.mark.long
+@pytest.mark.ci
 def test_plot_and_info_and_list(finished, capsys):
     assert ended("plot", finished, "--fields", "J,velocity,cauchy_stress_12") == 0
     for name in ("energies.png", "history.png", "fields.png"):

@@ -39,6 +39,8 @@ def shell(text):
         yield out
 
 
+@pytest.mark.long
+@pytest.mark.ci
 def test_new_users_session(clone, capsys):
     printed = ""
     for language, text in session():  # from top to bottom

@@ -5,7 +5,7 @@ import pytest
 from netgen.occ import Axis, OCCGeometry, WorkPlane, Z
 from ngsolve import BND, CF, Id, IfPos, Integrate, Mesh, cos, exp, pi, sin, specialcf, x, y
 from scipy.integrate import solve_ivp
-from support import assert_balanced
+from support import assert_balanced, by_ci
 
 import ngvisco as nv
 from ngvisco.forms.given_values import entering
@@ -185,7 +185,7 @@ def light_and_stiff(walls, viscosity, dim=2, maxh=0.4, densities=(2.0, 0.5), loa
 
 
 @pytest.mark.filterwarnings("ignore::ngvisco.run.body_tables.SmearedWarning")  # in cells of its size
-@pytest.mark.parametrize("solver", ["split", "coupled"])
+@pytest.mark.parametrize("solver", [by_ci("split"), "coupled"])
 def test_bodies_of_different_bulk_moduli_fly_out_through_a_window(solver):
     walls = {("left", "right"): nv.Open(backflow=False)}
     initial, table = nv.Initial(velocity=(0.5, 0.0)), nv.Bodies()
@@ -238,7 +238,7 @@ def test_a_ball_flies_out_through_a_window_with_its_medium(solver):
     assert 0.4 < mass[-1] / mass[0] < 0.9
 
 
-@pytest.mark.parametrize("solver", ["split", "coupled"])
+@pytest.mark.parametrize("solver", [by_ci("split"), "coupled"])
 def test_bodies_of_different_bulk_moduli_have_the_pressure_of_the_window(solver):
     """0.05 Pa; the energy of the medium there, which would be missing, is 0.0025 Pa."""
     walls = {("left", "right"): nv.Open(pressure=0.05)}
@@ -250,7 +250,7 @@ def test_bodies_of_different_bulk_moduli_have_the_pressure_of_the_window(solver)
     assert pressure == pytest.approx(0.05, rel=0.01)
 
 
-@pytest.mark.parametrize(("solver", "as_body"), [("split", False), ("coupled", True)])
+@pytest.mark.parametrize(("solver", "as_body"), [by_ci("split", False), ("coupled", True)])
 def test_a_gas_vents_through_a_throttle_as_its_closed_form_says(solver, as_body):
     """p = rho^2 in a chamber of L = 1 m, from 1 Pa to P outside through Z v = p - P, slow beside its sound:
     p' = -2 p (p - P)/(Z L).  The mass to 1 %, the flow at the end, of a step as of its mean, to 2 %."""
@@ -542,7 +542,7 @@ def test_pistons_on_oblique_walls_have_each_the_power_of_their_own(velocities):
     assert abs(np.dot(found, (-along[1], along[0]))) < 1e-3 * force
 
 
-@pytest.mark.parametrize(("m", "solver"), [(1, "split"), (1, "coupled"), (2, "split")])
+@pytest.mark.parametrize(("m", "solver"), [by_ci(1, "split"), (1, "coupled"), by_ci(2, "split")])
 def test_a_slope_does_not_go_on_beyond_an_inlet(m, solver):
     """Carried through twelve times over, a density of 1 to 1.3 stays in that range and comes to rest."""
     walls = {("left", "right"): nv.Inflow(velocity=(1.0, 0.0))}

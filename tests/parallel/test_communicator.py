@@ -39,6 +39,8 @@ def test_processes_that_cannot_meet_are_refused(monkeypatch):
         Communicator.world()
 
 
+@pytest.mark.long
+@pytest.mark.ci
 @needs_petsc
 def test_first_rank_has_all_sums_and_sleeps_while_it_waits():
     """MPI's own waiting takes the whole processor."""

@@ -3,6 +3,7 @@
 from functools import cache
 from pathlib import Path
 
+import pytest
 from launch import needs_petsc, printed
 
 pytestmark = needs_petsc
@@ -28,6 +29,8 @@ def test_a_matrix_that_multigrid_does_not_take_is_factorised():
     )
 
 
+@pytest.mark.long
+@pytest.mark.ci
 def test_memory_does_not_grow_with_factorisations():
     growth, of_one = printed(Path(__file__).with_name("memory.py"))
     assert growth < 0.3 * of_one

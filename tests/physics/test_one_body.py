@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
 from flow_rules import EXAMPLES as RULES
 from materials import examples
 from ngsolve import CF, log
-from support import tensor, tensors, value, values
+from support import others_by_ci, tensor, tensors, value, values
 
 import ngvisco as nv
 from ngvisco.errors import ParameterError
@@ -93,13 +94,13 @@ def test_hardening_has_no_pressure(name):
     assert found[1] == pytest.approx(found[0], rel=1e-12)
 
 
-DEFAULT = ("linear hardening", "Perzyna, n = 2.5", "Drucker-Prager", "composite")
+BY_DEFAULT = ("Perzyna, n = 2.5", "split"), ("Drucker-Prager", "coupled"), ("composite", "coupled")
 
 
 @pytest.mark.parametrize(
-    "name", [n if n in DEFAULT else pytest.param(n, marks=(pytest.mark.long, pytest.mark.ci)) for n in RULES]
+    ("name", "solver"),
+    others_by_ci(product(RULES, ("split", "coupled")), *BY_DEFAULT),
 )
-@pytest.mark.parametrize("solver", ["split", "coupled"])
 def test_it_relaxes_alike(name, solver):
     """A stretched body that cannot move has the same stress, plastic strain and heat after three steps."""
     material = nv.ReferentialNeoHookean(K_e=10.0, G_e=5.0, elastic_state="B")

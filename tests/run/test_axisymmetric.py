@@ -1,10 +1,12 @@
 """Bodies of revolution: homogeneous stretch, statics, flow, the ledger, both solvers, and what is refused."""
 
+from itertools import product
+
 import numpy as np
 import pytest
 from ngsolve import CF, Integrate, Mesh, SetNumThreads, x, y
 from ngsolve.meshes import MakeStructured2DMesh
-from support import assert_goes_on, by_both_solvers, small_run
+from support import assert_goes_on, by_both_solvers, others_by_ci, small_run
 
 import ngvisco as nv
 from ngvisco.errors import CheckpointError, MeshError, ParameterError
@@ -212,8 +214,10 @@ GOES_ON = {
 
 
 @pytest.mark.filterwarnings("ignore:bodies .* meet with different stresses")  # the gas presses a little
-@pytest.mark.parametrize("name", GOES_ON)
-@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize(
+    ("solver", "name"),
+    others_by_ci(product(SOLVERS, GOES_ON), ("coupled", "one body")),
+)
 def test_a_resumed_run_is_the_uninterrupted_one_bit_by_bit(solver, name, tmp_path):
     """From the first step and from the last but one, with threads pinned to one: sums have one order."""
     SetNumThreads(1)

@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 import pytest
 from ngsolve import CF, IfPos, Integrate, x, y
-from support import assert_same, by_both_solvers, small_run, swirling
+from support import assert_same, by_both_solvers, by_ci, others_by_ci, small_run, swirling
 
 import ngvisco as nv
 from ngvisco.forms.term import PointTerm
@@ -94,12 +94,7 @@ def fractions(run):
 @pytest.mark.filterwarnings("ignore:bodies .* meet with different stresses")  # the gas presses
 @pytest.mark.parametrize(
     "name",
-    [
-        pytest.param(name, marks=[pytest.mark.long, pytest.mark.ci])
-        if name == "hardening and yielding"
-        else name
-        for name in CASES
-    ],
+    others_by_ci(CASES, "compressible", "solid in a fluid", "three, a layer on a layer"),
 )
 def test_ledger_mass_and_energy_hold_and_both_solvers_agree(name):
     """bregman and what the limiter takes are >= 0 each by itself, in every step, and rho is no unknown."""
@@ -265,6 +260,8 @@ def test_what_the_bodies_say_is_not_said_of_all(options, match):
         small_run(bodies=[disc(), rest()], **options)
 
 
+@pytest.mark.long
+@pytest.mark.ci
 def test_fields_of_bodies_diffuse_where_their_volumetric_energy_is_one():
     """Diffusion has a column and changes no body's mass; other bodies are refused with a remedy."""
     diffusing = {"regularisation": nv.Regularisation(delta_fields=1e-2)}
@@ -301,7 +298,7 @@ def test_bulk_moduli_that_differ_much_are_warned_of_by_name(K_e, m, warns):
 @pytest.mark.parametrize(
     ("solver", "viscosities", "k"),
     [
-        ("split", (1.0, 10.0), 2),
+        by_ci("split", (1.0, 10.0), 2),
         ("coupled", (10.0, 1.0), 2),
         ("coupled", (1.0, 10.0), 1),
         ("split", (10.0, 1.0), 1),

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from ngsolve import CF, IfPos, Integrate, cos, pi, sin, x, y
-from support import SWIRL, by_both_solvers, small_run
+from support import SWIRL, by_both_solvers, by_ci, small_run
 
 import ngvisco as nv
 from ngvisco.geometries import box, structured_box
@@ -30,7 +30,7 @@ DIFFUSING = nv.Regularisation(delta_fields=1e-3)
 @pytest.mark.parametrize(
     ("scheme", "regularisation"),
     [
-        ("backward-euler", DIFFUSING),
+        by_ci("backward-euler", DIFFUSING),
         ("midpoint", None),
         pytest.param("backward-euler", None, marks=pytest.mark.long),
         pytest.param("midpoint", DIFFUSING, marks=pytest.mark.long),

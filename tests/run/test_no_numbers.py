@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 from ngsolve import CF, sqrt, x
-from support import LINEAR, small_run
+from support import LINEAR, by_ci, small_run
 
 import ngvisco as nv
 from ngvisco.forms.bounds import Bounds
@@ -65,7 +65,7 @@ def test_an_energy_with_a_domain_is_kept_within_it(solver, scheme):
     assert 4.0 < largest(run, "B", lambda z: tr(z["B"])) < 5.0
 
 
-@pytest.mark.parametrize("solver", ["coupled", "split"])
+@pytest.mark.parametrize("solver", [by_ci("coupled"), "split"])
 def test_a_step_beyond_the_domain_is_refused_by_its_name(solver):
     """An elastic body that a lid draws on and on: the run ends in a step that it names."""
     run = sheared(GENT, 4.0, solver, creep=None, halvings=1)
@@ -82,6 +82,8 @@ def test_a_step_beyond_the_domain_is_refused_by_its_name(solver):
         assert found is not None and float(found[1]) == pytest.approx(3 + STRETCH - furthest, rel=0.01)
 
 
+@pytest.mark.long
+@pytest.mark.ci
 def test_a_coupled_step_at_a_bound_is_refused_after_few_iterations():
     """Steps of growing length end once the lengths left do not reach the whole step."""
     run = sheared(nv.FENEP(K_e=10, G_e=5, b=5), 4.0, "coupled", creep=None, halvings=0)

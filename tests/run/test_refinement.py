@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from ngsolve import CF, Integrate, Mesh, exp, x, y
-from support import assert_balanced
+from support import assert_balanced, by_ci
 
 import ngvisco as nv
 from ngvisco.forms.mesh.mesh_arrays import coordinates, vertices
@@ -68,7 +68,7 @@ def test_bodies_keep_their_masses_and_tables_have_no_seam(tmp_path):
     ]
 
 
-@pytest.mark.parametrize("interrupted", [pytest.param(0.04, marks=[pytest.mark.long, pytest.mark.ci]), 0.12])
+@pytest.mark.parametrize("interrupted", [by_ci(0.04), by_ci(0.12)])
 def test_a_run_goes_on_from_a_checkpoint_to_the_bit(tmp_path, interrupted):
     refinement = nv.Refinement(field="disc_fraction", every=0.06)
     whole = nv.run_refined(bodies(nv.Checkpoints(tmp_path / "whole.h5")), refinement, 0.16)
@@ -123,7 +123,9 @@ def test_the_displacement_of_a_wall_on_springs_is_carried_over(dim):
     assert other.ledger.rows[0]["stored_springs_right"] == pytest.approx(energies[0], rel=1e-8)
 
 
-@pytest.mark.parametrize(("size", "periodic"), [((1, 1), "x"), ((1, 1), "xy"), ((0.5, 0.5, 0.5), "x")])
+@pytest.mark.parametrize(
+    ("size", "periodic"), [((1, 1), "x"), by_ci((1, 1), "xy"), by_ci((0.5, 0.5, 0.5), "x")]
+)
 def test_identified_walls_are_divided_alike(size, periodic):
     """A disc, or a ball, is carried through them."""
     dim, length = len(size), size[0]

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from differentiated import AT, OF, UNTIL, run, started
 from ngsolve import Integrate, x, y
+from support import by_ci
 
 import ngvisco as nv
 from ngvisco.geometries import disc
@@ -16,7 +17,7 @@ from ngvisco.sensitivity.tangent import Neighbours, history, tangents
 from ngvisco.sensitivity.trajectory import Trajectory
 
 
-@pytest.mark.parametrize("scheme", ["backward-euler", "midpoint", "sdirk2"])
+@pytest.mark.parametrize("scheme", [by_ci("backward-euler"), by_ci("midpoint"), "sdirk2"])
 def test_adjoint_and_tangent_agree(scheme):
     by = ["creep.G_m", "initial.density"]
     tangent, adjoint = (
@@ -53,7 +54,7 @@ class Still:
         return simulation.on(simulation.mesh)
 
 
-@pytest.mark.parametrize("scheme", ["backward-euler", "midpoint", "sdirk2"])
+@pytest.mark.parametrize("scheme", [by_ci("backward-euler"), by_ci("midpoint"), "sdirk2"])
 def test_products_of_tangent_and_adjoint_are_equal(scheme, monkeypatch):
     """Products are of states that the parameters' differences do not enter."""
     of = {name: text for name, text in OF.items() if name != "stress"}
@@ -93,6 +94,8 @@ def test_the_density_of_the_density():
     assert np.allclose(whole, found.jacobian[:, 0], rtol=1e-8, atol=0)
 
 
+@pytest.mark.long
+@pytest.mark.ci
 def test_a_curved_wall_has_an_adjoint():
     """Its multipliers are in the solve of the velocity from the momentum."""
     velocity = (-y * (1 - x * x - y * y) + 0.2 * y, x * (1 - x * x - y * y))

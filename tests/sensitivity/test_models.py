@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from differentiated import UNTIL, VELOCITY, started
 from ngsolve import x
+from support import by_ci
 
 import ngvisco as nv
 from ngvisco.geometries import box
@@ -51,12 +52,10 @@ def smoothed(eps, **options):
 @pytest.mark.parametrize(
     ("make", "name", "value", "options"),
     [
-        pytest.param(bodies, "bodies.disc.material.G_e", 5.0, {}, marks=[pytest.mark.long, pytest.mark.ci]),
-        (heated, "material.expansion", 1e-3, {"solver": "split", "scheme": "backward-euler"}),
+        by_ci(bodies, "bodies.disc.material.G_e", 5.0, {}),
+        by_ci(heated, "material.expansion", 1e-3, {"solver": "split", "scheme": "backward-euler"}),
         (yielding, "creep.sigma_Y", 0.3, {}),
-        pytest.param(
-            smoothed, "material.eps", 0.01, {"scheme": "sdirk2"}, marks=[pytest.mark.long, pytest.mark.ci]
-        ),
+        by_ci(smoothed, "material.eps", 0.01, {"scheme": "sdirk2"}),
     ],
     ids=["bodies", "heat by split", "yield", "Yosida"],
 )

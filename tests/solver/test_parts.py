@@ -5,7 +5,7 @@ from weakref import ref
 
 import numpy as np
 import pytest
-from support import SWIRL
+from support import SWIRL, by_ci
 from test_split_agrees import model
 
 import ngvisco as nv
@@ -34,7 +34,9 @@ def solved(threads=1, points=None, monkeypatch=None, **parts):
     return run, run.solver.newton.step.state.vec.FV().NumPy().copy()
 
 
-@pytest.mark.parametrize("parts", [{}, {"creep": nv.Creep(G_m=5.0)}], ids=["elastic", "creeping"])
+@pytest.mark.parametrize(
+    "parts", [pytest.param({}, id="elastic"), by_ci({"creep": nv.Creep(G_m=5.0)}, id="creeping")]
+)
 def test_parts_and_threads(parts, monkeypatch):
     _, whole = solved(**parts)
     run, serial = solved(1, 40, monkeypatch, **parts)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from ngsolve import CF, cos, pi, sin, x, y
-from support import ALL_BY_CI, EXAMPLES, OF_EACH_KIND, SWIRL, assert_sound
+from support import ALL_BY_CI, EXAMPLES, OF_EACH_KIND, SWIRL, assert_sound, by_ci, others_by_ci
 
 import ngvisco as nv
 from ngvisco.forms.mesh.mesh_arrays import mask_of
@@ -129,7 +129,7 @@ BY_B = nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, elastic_state="B")
 
 @pytest.mark.parametrize(
     "material",
-    [pytest.param(None, id="F"), pytest.param(BY_B, marks=[pytest.mark.long, pytest.mark.ci], id="B")],
+    [by_ci(None, id="F"), by_ci(BY_B, id="B")],
 )
 def test_in_three_dimensions(material):
     assert_both_agree(box((1, 1, 1), maxh=1), model(material, dim=3), steps=1)
@@ -162,7 +162,8 @@ PARTS = {
 
 
 STRIP = (
-    *("a creep rate field", "delta of the fields"),
+    "a creep rate field",
+    by_ci("delta of the fields"),
     pytest.param("hyperviscosity and creep", marks=pytest.mark.long),
     pytest.param("delta of the density", marks=pytest.mark.long),
 )
@@ -194,12 +195,12 @@ def test_for_other_mechanisms(name):
     assert_both_agree(box((1, 1), maxh=0.5), model(**PARTS[name]))
 
 
-@pytest.mark.parametrize(("k", "m"), [(2, 0), (2, 2), (3, 1), (3, 2)])
+@pytest.mark.parametrize(("k", "m"), [(2, 0), by_ci(2, 2), (3, 1), by_ci(3, 2)])
 def test_for_other_orders(k, m):
     assert_both_agree(box((1, 1), maxh=0.5), model(), discretisation=nv.Discretisation(k=k, m=m))
 
 
-@pytest.mark.parametrize("periodic", ["x", "xy"])
+@pytest.mark.parametrize("periodic", [by_ci("x"), "xy"])
 def test_on_periodic_cells(periodic):
     assert_both_agree(
         box((1, 1), maxh=0.4, periodic=periodic),
@@ -223,7 +224,7 @@ WALLS = {
 }
 
 
-@pytest.mark.parametrize("name", WALLS)
+@pytest.mark.parametrize("name", others_by_ci(WALLS, "traction and friction", "no slip", "in and out"))
 def test_with_walls(name):
     assert_both_agree(box((1, 1), maxh=0.5), model(), walls=WALLS[name], initial=nv.Initial())
 
@@ -236,9 +237,9 @@ def test_on_a_curved_wall():
 @pytest.mark.parametrize(
     "beside",
     [
-        "the stress of a curved wall",
+        by_ci("the stress of a curved wall"),
         "a creep rate field",
-        pytest.param("both", marks=[pytest.mark.long, pytest.mark.ci]),
+        by_ci("both"),
     ],
 )
 def test_with_two_levels_and_unknowns_beside_the_velocity(beside):
@@ -252,9 +253,9 @@ def test_with_two_levels_and_unknowns_beside_the_velocity(beside):
 @pytest.mark.parametrize(
     ("dim", "m", "kind"),
     [
-        (2, 1, "neo-hookean"),
+        by_ci(2, 1, "neo-hookean"),
         (2, 0, "linear"),
-        pytest.param(2, 2, "neo-hookean", marks=[pytest.mark.long, pytest.mark.ci]),
+        by_ci(2, 2, "neo-hookean"),
         pytest.param(3, 1, "neo-hookean", marks=pytest.mark.long),
     ],
 )

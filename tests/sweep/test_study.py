@@ -135,6 +135,8 @@ def test_a_stopped_study_goes_on_where_it_was(case_file, tmp_path):
     assert study.unfinished == [0, 1] and study.outcomes[0].last["step"] == int(first["step"]) > 2
 
 
+@pytest.mark.long
+@pytest.mark.ci
 def test_a_run_of_a_study_ends_with_its_standard_input(case_file, tmp_path):
     out = tmp_path / "run"
     words = ["run", str(case_file), "-o", str(out), "--set", "time.until=40", "--quiet", "--ends-with-stdin"]

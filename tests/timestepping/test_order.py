@@ -10,7 +10,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from ngsolve import cos, sin, x, y
-from support import EXAMPLES, evolved, swirling
+from support import EXAMPLES, by_ci, evolved, swirling
 from test_ledger_of_schemes import ALL_TERMS
 
 import ngvisco as nv
@@ -45,8 +45,8 @@ STIFFER = {"CustomMaterial": 0.01}
 """Shorter runs, with shorter steps."""
 
 
-MARKS = dict.fromkeys(["LinearElastic", "NeoHookean", "OldroydB"], ()) | dict.fromkeys(
-    ["BarotropicFluid", "CustomMaterial"], (pytest.mark.long, pytest.mark.ci)
+MARKS = {"LinearElastic": ()} | dict.fromkeys(
+    ["NeoHookean", "OldroydB", "BarotropicFluid", "CustomMaterial"], (pytest.mark.long, pytest.mark.ci)
 )
 """Materials of every kind of variable: E, F with J, B with J; J alone and an energy of one's own."""
 
@@ -83,9 +83,9 @@ CURVED = "traction on a curved slip wall"
 @pytest.mark.parametrize(
     ("name", "scheme"),
     [
-        *((name, "midpoint") for name in SETTINGS if name != CURVED),
+        ("all terms", "midpoint"),
+        *(by_ci(name, "midpoint") for name in SETTINGS if name != "all terms"),
         *(pytest.param(name, "sdirk2", marks=pytest.mark.long) for name in SETTINGS),
-        pytest.param(CURVED, "midpoint", marks=[pytest.mark.long, pytest.mark.ci]),
     ],
 )
 def test_second_order_with(name, scheme):

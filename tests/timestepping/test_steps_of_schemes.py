@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from ngsolve import CF, IfPos, exp, pi, sin, x, y
-from support import SWIRL, assert_goes_on, small_run, state, swirling
+from support import SWIRL, assert_goes_on, by_ci, small_run, state, swirling
 
 import ngvisco as nv
 from ngvisco.run.ledger import NUMERICAL
@@ -39,6 +39,17 @@ SEED = 0.3 * exp(-20 * ((x - 0.5) ** 2 + (y - 0.5) ** 2))
 NEO_HOOKEAN = nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, elastic_state="F")
 RESTARTED = {
     "sdirk2, passive": {"scheme": "sdirk2", "passive": ("F_tot", "reference_map"), "solver": "split"},
+    "creep, passive": {
+        "creep": nv.Creep(G_m=2.0),
+        "passive": ("F_tot", "reference_map", "creep_strain"),
+        "scheme": "backward-euler",
+    },
+    # whose derivative reads the old momentum
+    "heat, coupled": HEATED | {"solver": "coupled"},
+    # linearised at stresses of iterates
+    "yield, coupled": YIELDING | {"solver": "coupled"},
+}
+OF_CI = {
     "moving wall": {
         "solver": "split",
         "walls": {"top": nv.PrescribedTangential((10 * nv.time * sin(pi * x), 0))},
@@ -48,16 +59,7 @@ RESTARTED = {
         "relaxation": True,
         "solver": "coupled",
     },
-    "creep, passive": {
-        "creep": nv.Creep(G_m=2.0),
-        "passive": ("F_tot", "reference_map", "creep_strain"),
-        "scheme": "backward-euler",
-    },
-    # whose derivative reads the old momentum
-    "heat, coupled": HEATED | {"solver": "coupled"},
     "heat, split": HEATED | {"solver": "split"},
-    # linearised at stresses of iterates
-    "yield, coupled": YIELDING | {"solver": "coupled"},
     "yield, split": YIELDING | {"solver": "split"},
     # nothing of the pointwise energies is in the file
     "Yosida": {"material": nv.Yosida(material=NEO_HOOKEAN, eps=0.02), "creep": nv.Creep(G_m=2.0)},
@@ -66,8 +68,6 @@ RESTARTED = {
         "initial": nv.Initial(velocity=SWIRL, values={"damage": SEED}),
         "solver": "split",
     },
-}
-OF_CI = {
     "backward-euler, adaptive": {
         "scheme": "backward-euler",
         "adaptive": nv.AdaptiveSteps(dt_min=1e-4, dt_max=0.08, tolerance=3e-3, patience=2),
@@ -81,10 +81,7 @@ OF_CI = {
     "options",
     [
         *(pytest.param(options, id=name) for name, options in RESTARTED.items()),
-        *(
-            pytest.param(options, id=name, marks=[pytest.mark.long, pytest.mark.ci])
-            for name, options in OF_CI.items()
-        ),
+        *(by_ci(options, id=name) for name, options in OF_CI.items()),
     ],
 )
 def test_a_run_goes_on_from_any_checkpoint_bit_for_bit(options, tmp_path):

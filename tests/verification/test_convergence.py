@@ -118,6 +118,8 @@ def test_wrong_sources_do_not_converge(
 # --- in time ----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
+@pytest.mark.ci
 def test_short_steps_converge_where_the_flow_turns_round() -> None:
     """The sign of v.n changes on a facet at t = 0.18."""
     exact = Exact(model("neo-hookean", 2, None), 2, 0.0)
