@@ -122,6 +122,8 @@ def test_modulus_in_z_is_refused_in_two_dimensions():
         case(HEAD + BODIES.replace("where = {", 'where = "z < 1" #')).model(2)
 
 
+@pytest.mark.long
+@pytest.mark.ci
 def test_run_directory_goes_on_without_the_shape_s_file(tmp_path):
     """It has a copy; mass, table and ledger go on from the checkpoint."""
     from matplotlib.image import imsave

@@ -238,7 +238,9 @@ def test_a_ball_flies_out_through_a_window_with_its_medium(solver):
     assert 0.4 < mass[-1] / mass[0] < 0.9
 
 
-@pytest.mark.parametrize("solver", [by_ci("split"), "coupled"])
+@pytest.mark.long
+@pytest.mark.ci
+@pytest.mark.parametrize("solver", ["split", "coupled"])
 def test_bodies_of_different_bulk_moduli_have_the_pressure_of_the_window(solver):
     """0.05 Pa; the energy of the medium there, which would be missing, is 0.0025 Pa."""
     walls = {("left", "right"): nv.Open(pressure=0.05)}

@@ -117,6 +117,8 @@ def test_sums_over_bodies_are_the_ledger_s(whole):
     assert total("dissipation")[1:] == pytest.approx(lost[1:], rel=1e-6)
 
 
+@pytest.mark.long
+@pytest.mark.ci
 def test_resumed_table_is_that_of_the_whole_run(whole, tmp_path):
     out, _, _ = whole
     observers = [nv.Bodies(tmp_path / "bodies.csv"), nv.Checkpoints(tmp_path / "run.h5", every=2)]

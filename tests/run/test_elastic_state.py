@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from ngsolve import CF, pi, sin, x
-from support import swirling, value
+from support import by_ci, swirling, value
 
 import ngvisco as nv
 from ngvisco.geometries import structured_box
@@ -164,6 +164,8 @@ def under_a_lid(state):
     return lid(of, 0.3, 0.05, creep=nv.Creep(G_m=0.005))
 
 
+@pytest.mark.long
+@pytest.mark.ci
 def test_run_that_winds_up_warns_once_and_ends_by_name_with_the_remedy():
     """From 1 % in the mean square on it warns; a cell whose mean is off by more than 10 % ends it."""
     run = under_a_lid("F")
@@ -219,6 +221,8 @@ def test_rest_energy_that_drift_frees_does_not_become_motion():
     assert kinetic.max() == kinetic[0] == pytest.approx(0.25, rel=0.01)
 
 
+@pytest.mark.long
+@pytest.mark.ci
 @pytest.mark.filterwarnings("ignore::ngvisco.run.ledger.DefectWarning")
 def test_who_asks_for_more_drift_gets_it():
     """A body that is torn at a corner needs it; a run that asks for less gets less."""
@@ -231,7 +235,7 @@ def test_who_asks_for_more_drift_gets_it():
     assert drift(strict) <= 0.01 and strict.t < 0.6
 
 
-@pytest.mark.parametrize(("state", "m"), [(None, 0), ("B", 1)])
+@pytest.mark.parametrize(("state", "m"), [(None, 0), by_ci("B", 1)])
 def test_by_B_the_wave_in_a_box_stays_below_its_start(state, m):
     """B is the default for m = 0."""
     run = in_a_closed_box(state, m)

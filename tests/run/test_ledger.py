@@ -10,6 +10,7 @@ from support import (
     SWIRL,
     Case,
     assert_balanced,
+    by_ci,
     parts_of,
     randomise,
     residual,
@@ -166,8 +167,10 @@ def test_ledger_closes_to_rounding(material: str) -> None:
         assert all(row[name] > 0 for name in ledger.columns if name.startswith("dissipation_"))
 
 
-@pytest.mark.parametrize("material", ["linear", "neo_hookean"])
-@pytest.mark.parametrize("tau", [0.5, 5.0])
+@pytest.mark.parametrize(
+    ("tau", "material"),
+    [(0.5, "linear"), (5.0, "linear"), (0.5, "neo_hookean"), by_ci(5.0, "neo_hookean")],
+)
 def test_energy_never_rises_without_load(material: str, tau: float) -> None:
     """Whatever the step (the paper's unconditional stability)."""
     ledger = run_of(material, tau, is_loaded=False).run(until=3 * tau)

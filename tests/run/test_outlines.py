@@ -165,6 +165,8 @@ def test_in_space_there_are_stress_traction_and_sharpness():
         nv.Contours().start(run)
 
 
+@pytest.mark.long
+@pytest.mark.ci
 def test_gaps_are_between_bodies_that_have_a_place():
     run = run_with(("one", nv.Ball((0.25, 0.5), 0.15)), ("two", nv.Ball((0.7, 0.5), 0.2)), maxh=0.07)
     assert measured(run, "gap")("gap_one_two") == pytest.approx(0.1, abs=0.007)  # a tenth of a cell

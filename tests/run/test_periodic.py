@@ -6,7 +6,7 @@ import pytest
 from netgen.meshing import Element1D, Element2D, Element3D, FaceDescriptor, MeshPoint, Pnt
 from netgen.meshing import Mesh as NetgenMesh
 from ngsolve import BND, CF, VOL, Integrate, Mesh, cos, pi, sin, specialcf, x, y, z
-from support import assert_balanced
+from support import assert_balanced, by_ci
 
 import ngvisco as nv
 from ngvisco.forms.boundary.boundaries import walls_of
@@ -178,7 +178,7 @@ def without_interfaces(mesh):
         (2, "top", "coupled"),
         (2, "interface", "split"),
         (2, "top", "split"),
-        (3, "top", "split"),
+        by_ci(3, "top", "split"),
         pytest.param(3, "interface", "split", marks=pytest.mark.long),
         pytest.param(3, "top", "coupled", marks=pytest.mark.long),
     ],

@@ -25,13 +25,12 @@ OF_REST = {"the paper's, F": 15.0005, "the paper's, B": 15.0005}
 """Stress of the paper's material at rest, 3 G_e + epsilon^2/(2 K_e), Pa, which its windows have to bear."""
 
 QUICK = {
-    ("E", "sdirk2", "split", 2),
     ("F", "midpoint", "coupled", 2),
     ("B", "backward-euler", "split", 2),
     ("the paper's, F", "backward-euler", "coupled", 2),
 }
 OF_CI = {(kind, scheme, "split", 3) for kind, scheme in zip("EFB", SCHEMES, strict=True)}
-OF_CI.add(("the paper's, B", "sdirk2", "split", 2))
+OF_CI |= {("E", "sdirk2", "split", 2), ("the paper's, B", "sdirk2", "split", 2)}
 
 
 def _marked(run):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from materials import examples
 from ngsolve import CF, Id, cos, pi, sin, x, y
-from support import small_run
+from support import by_ci, small_run
 
 import ngvisco as nv
 from ngvisco.forms.terms.momentum import Stokes
@@ -260,7 +260,7 @@ def test_all_bodies_all_stresses_and_the_remedy_are_named():
     "drop",
     [
         nv.ReferentialNeoHookean(K_e=1e9, G_e=5e8),
-        nv.PerReferentialVolume(material=nv.OldroydB(K_e=1e9, G_e=1.0)),
+        by_ci(nv.PerReferentialVolume(material=nv.OldroydB(K_e=1e9, G_e=1.0))),
         nv.LogarithmicNeoHookean(K_e=1.0, G_e=1.0, epsilon=0.3),
         nv.ReferentialNeoHookean(K_e=10.0, G_e=1.0 + x),
     ],
@@ -312,7 +312,7 @@ def test_a_body_at_rest_closes(material):
     require_rest(run_of(material, density=2.3 + x, solver="coupled"))
 
 
-@pytest.mark.parametrize("solver", ["coupled", "split"])
+@pytest.mark.parametrize("solver", [by_ci("coupled"), "split"])
 def test_bodies_at_rest_close(solver):
     place, inner = nv.Ball(centre=(0.5, 0.35), radius=0.2), nv.ReferentialNeoHookean(**MODULI)
     outer = nv.ReferentialMooneyRivlin(K_e=3.3, G_e=0.1, G_mr=0.1)

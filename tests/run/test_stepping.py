@@ -5,7 +5,7 @@ import io
 import numpy as np
 import pytest
 from ngsolve import sin
-from support import Rejections, assert_goes_on, state, swirling
+from support import Rejections, assert_goes_on, by_ci, state, swirling
 from support import state as values
 
 import ngvisco as nv
@@ -67,7 +67,7 @@ def test_a_failed_step_is_halved_recorded_and_grown_again(monkeypatch):
     assert ledger.column("dt").max() == 0.04  # grown back
 
 
-@pytest.mark.parametrize("why", ["too long", "its error"])
+@pytest.mark.parametrize("why", ["too long", by_ci("its error")])
 def test_a_rejected_step_leaves_no_trace(why, monkeypatch):
     """The state after a rejection is that of a run that took the short step at once."""
     tolerance = 1e-3 if why == "its error" else None
@@ -165,6 +165,8 @@ def test_a_step_that_is_not_solved_is_taken_in_quarters_and_the_run_goes_on(monk
     assert np.abs(ledger.column("closure_relative")).max() <= 1e-12
 
 
+@pytest.mark.long
+@pytest.mark.ci
 def test_what_is_written_every_so_many_steps_counts_whole_steps(monkeypatch, tmp_path):
     """Only the second step is taken in quarters; a run that goes on keeps what was written before."""
 
@@ -256,7 +258,7 @@ def test_a_restart_knows_which_solver_is_at_hand(tmp_path, monkeypatch):
     assert_goes_on(made, tmp_path / "run.h5", 4 * DT, 2)
 
 
-@pytest.mark.parametrize("solver", ["split", "coupled"])
+@pytest.mark.parametrize("solver", [by_ci("split"), "coupled"])
 def test_a_run_stops_within_a_step_and_goes_on_as_if_it_had_not(solver, tmp_path):
     """In the third iteration of the second step: what is written then is the first one's end."""
     whole = halving(solver=solver)

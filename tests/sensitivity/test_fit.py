@@ -72,6 +72,8 @@ def test_noise_leaves_deviations(tmp_path):
     assert (tmp_path / "fit.png").stat().st_size > 10_000
 
 
+@pytest.mark.long
+@pytest.mark.ci
 def test_bounds_are_kept_and_said():
     found = nv.fit(creep(), data_of(G_e=1.3), by=["material.G_e"], bounds={"material.G_e": (1.5, 3.0)})
     assert found["material.G_e"] == pytest.approx(1.5, rel=1e-4) and "AT ITS BOUND" in str(found)
@@ -83,6 +85,8 @@ def test_what_data_do_not_determine_has_no_deviation():
     assert np.isinf(found.deviations).all() or found.deviations[1] > 1e3 * found.deviations[0]
 
 
+@pytest.mark.long
+@pytest.mark.ci
 def test_a_file_has_units(tmp_path):
     path = tmp_path / "data.csv"
     rows = zip(TIMES * 1e3, data_of(G_e=1.3)[COLUMN] * 1e3, strict=True)

@@ -54,7 +54,7 @@ def smoothed(eps, **options):
     [
         by_ci(bodies, "bodies.disc.material.G_e", 5.0, {}),
         by_ci(heated, "material.expansion", 1e-3, {"solver": "split", "scheme": "backward-euler"}),
-        (yielding, "creep.sigma_Y", 0.3, {}),
+        by_ci(yielding, "creep.sigma_Y", 0.3, {}),
         by_ci(smoothed, "material.eps", 0.01, {"scheme": "sdirk2"}),
     ],
     ids=["bodies", "heat by split", "yield", "Yosida"],

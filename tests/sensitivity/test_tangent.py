@@ -19,7 +19,7 @@ FORCE = {"push": "bottom.force_2 at 0.06"}
     [
         by_ci("backward-euler", "material.G_e"),
         by_ci("midpoint", "material.G_e"),
-        ("midpoint", "creep.G_m"),
+        by_ci("midpoint", "creep.G_m"),
         ("sdirk2", "loads.gravity.g.1"),
         by_ci("midpoint", "initial.density"),
     ],
@@ -55,6 +55,8 @@ def test_the_run_is_that_without_derivatives():
     assert np.array_equal(*states)
 
 
+@pytest.mark.long
+@pytest.mark.ci
 def test_differences_of_second_order_are_nearly_as_good():
     fine, coarse = (nv.gradient(run(), UNTIL, of=OF, by=["creep.G_m"], order=order) for order in (4, 2))
     assert 0 < abs(coarse.jacobian / fine.jacobian - 1).max() < 1e-7
@@ -62,6 +64,8 @@ def test_differences_of_second_order_are_nearly_as_good():
         nv.gradient(run(), UNTIL, of=OF, by=["creep.G_m"], order=3)
 
 
+@pytest.mark.long
+@pytest.mark.ci
 def test_without_the_change_of_the_old_state_a_tangent_is_wrong(monkeypatch):
     """A negative control: what a step starts from counts."""
     found = nv.gradient(run(), UNTIL, of=["stored at 0.06"], by=["creep.G_m"]).jacobian
@@ -70,6 +74,8 @@ def test_without_the_change_of_the_old_state_a_tangent_is_wrong(monkeypatch):
     assert abs(cut / found - 1).max() > 0.1
 
 
+@pytest.mark.long
+@pytest.mark.ci
 def test_walls_that_move_have_derivatives():
     mesh, walls = box((1, 1), maxh=0.5), {"bottom": nv.NoSlip()}
 

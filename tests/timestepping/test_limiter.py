@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 import pytest
 from ngsolve import CF, pi, sin, x
-from support import assert_balanced, assert_goes_on
+from support import assert_balanced, assert_goes_on, by_ci
 
 import ngvisco as nv
 from ngvisco.geometries import box, structured_box
@@ -14,7 +14,7 @@ from ngvisco.physics.variables import Distortion, Jacobian
 from tests.verification.setups import lid_driven
 
 SCHEMES = ["backward-euler", "midpoint", "sdirk2"]
-MARKS = {("midpoint", "split"): (), ("sdirk2", "coupled"): (pytest.mark.long, pytest.mark.ci)}
+MARKS = dict.fromkeys([("midpoint", "split"), ("sdirk2", "coupled")], (pytest.mark.long, pytest.mark.ci))
 WITH_BOTH_SOLVERS = [
     pytest.param(scheme, solver, marks=MARKS.get((scheme, solver), pytest.mark.long))
     for scheme in SCHEMES
@@ -45,7 +45,9 @@ def test_a_limited_run_goes_on_with_closed_books_and_from_a_checkpoint(scheme, s
     assert_balanced(ledger, drift=1e-11)
 
 
-@pytest.mark.parametrize("scheme", ["backward-euler", pytest.param("midpoint", marks=pytest.mark.long)])
+@pytest.mark.parametrize(
+    "scheme", [by_ci("backward-euler"), pytest.param("midpoint", marks=pytest.mark.long)]
+)
 def test_without_a_limiter_the_run_ends_and_says_where(scheme):
     words = r"det F is not positive \(minimum -\S+ in cell \d+ at \(0, 0.75\) m, on 'left'\)"
     steps = nv.AdaptiveSteps(dt_min=0.9 * DT, dt_max=DT)  # no continuation
