@@ -44,9 +44,9 @@ BY_DEFAULT = {(*ALL[0][:1], 2, "split", 2, "midpoint")} | {
     (rule, 1 + i % 3, ("coupled", "split")[i // 2 % 2], 2 + (i == 4), SCHEMES[i % 3])
     for i, rule in enumerate(RULES)
 }
-DEAR_BY_CI = {case for case in BY_DEFAULT if case[0] in ("Bingham", "Drucker-Prager", "Perzyna, n = 2.5")}
-BY_DEFAULT -= DEAR_BY_CI
-OF_CI = {
+DEAR = {case for case in BY_DEFAULT if case[0] in ("Bingham", "Drucker-Prager", "Perzyna, n = 2.5")}
+BY_DEFAULT -= DEAR
+OF_CI = DEAR | {
     (rule, 1 + (i + 1) % 3, ("split", "coupled")[i // 2 % 2], 2 + (i % 4 == 1), SCHEMES[(i + i // 3) % 3])
     for i, rule in enumerate(EVERY)
 }
@@ -56,7 +56,7 @@ OF_CI = {
 def _marks(case):
     if case in BY_DEFAULT:
         return ()
-    return (pytest.mark.long, pytest.mark.ci) if case in OF_CI | DEAR_BY_CI else pytest.mark.long
+    return (pytest.mark.long, pytest.mark.ci) if case in OF_CI else pytest.mark.long
 
 
 @pytest.mark.filterwarnings("ignore::ngvisco.DefectWarning")
