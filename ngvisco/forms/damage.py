@@ -125,7 +125,7 @@ class DamageGrowth:
         self._part = GridFunction(step.layout.scalar_space("z"))
         self._of_surface = law.surface_energy(z)
         entropy = entropy_in(step.model.material)
-        self._heat = None if entropy is None else _Heat(step, entropy)
+        self._heat = None if entropy is None else _DamageHeat(step, entropy)
         self.entries = [
             Entry(DISSIPATION, "dissipation", Integrand()),
             Entry(BREGMAN, "numerical", Integrand()),
@@ -269,7 +269,7 @@ class DamageGrowth:
             z[row] += self._part.vec.FV().NumPy()
 
 
-class _Heat:
+class _DamageHeat:
     """Heat from the viscosity of damage, added as entropy to each cell."""
 
     def __init__(self, step: Breaking, entropy: Entropy) -> None:

@@ -28,7 +28,7 @@ from ngvisco.run.passive import PassiveFields
 _FAILED, _INTERRUPTED = 1, 130
 
 
-class _Numbers:
+class _Renumbering:
     """Maps a rank's unknowns to the unknowns of a space on the whole mesh; collective.
 
     ``whole`` is the space on the whole mesh, None but on the first rank; ``chosen`` there restricts the
@@ -78,7 +78,7 @@ class Numbering:
     def __init__(self, step: Step, passive: PassiveFields, ranks: Communicator) -> None:
         self.mesh: Mesh | None = step.mesh
         self.layout: Layout | None = step.layout
-        self._numbers: dict[str, _Numbers] | None = None
+        self._numbers: dict[str, _Renumbering] | None = None
         if not ranks.is_distributed:
             return
         part = step.mesh
@@ -91,8 +91,8 @@ class Numbering:
         numbers = numbers_in(part, step.layout.space, whole)
         evolved = None if self.layout is None else _evolved(self.layout)
         self._numbers = {
-            "": _Numbers(numbers, whole, ranks),
-            "stepping": _Numbers(numbers[_evolved(step.layout)], whole, ranks, evolved),
+            "": _Renumbering(numbers, whole, ranks),
+            "stepping": _Renumbering(numbers[_evolved(step.layout)], whole, ranks, evolved),
         }
         spaces: dict[str, tuple[FESpace, FESpace | None]] = {}
         for name, stress in step.stresses.functions.items():
@@ -104,7 +104,7 @@ class Numbering:
             cells = None if mesh is None else passive.space(name, mesh)
             spaces[f"passive/{name}"] = field.space, cells
         for name, (space, of_whole) in spaces.items():
-            self._numbers[name] = _Numbers(numbers_in(part, space, of_whole), of_whole, ranks)
+            self._numbers[name] = _Renumbering(numbers_in(part, space, of_whole), of_whole, ranks)
 
     def whole(self, values: np.ndarray, name: str) -> np.ndarray:
         """A checkpoint's array in the numbering of one process on the first rank, empty on other ranks."""
