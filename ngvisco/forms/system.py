@@ -85,8 +85,8 @@ from ngvisco.forms.terms.transport import (
     Conjugates,
     CreepRate,
     ElasticForce,
+    JumpHeat,
     Kinematics,
-    MeanConjugates,
     PlasticStraining,
     Trace,
     Upwinding,
@@ -190,7 +190,7 @@ def equations(model: Model, rates: TabulatedRates, m: int = 1) -> tuple[Term, ..
     if tangents is not None:
         terms += [TangentGap(), WithoutEnergy(), tangents]
     if entropy_in(model.material) is not None:
-        terms.append(MeanConjugates())
+        terms.append(JumpHeat())
     terms.append(Upwinding(tangents))
     if model.creep is not None and not model.creep.is_local:
         terms.append(CreepRate(model.creep))

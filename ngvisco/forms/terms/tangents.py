@@ -39,7 +39,7 @@ _ROUNDING = 1e-14
 
 
 class OfFacet(FacetMean):
-    """Equation of the mean of a function over a facet, Pa."""
+    """Equation of the mean of a function over a facet."""
 
     is_linear = False
 

@@ -18,7 +18,6 @@ the momentum equation *is* the rate of the stored energy (paper: ED-Euler-large-
 For smooth fields B_h(w; z, zeta) = int T : grad w with T of the paper.
 """
 
-from collections import ChainMap
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -27,7 +26,7 @@ from ngsolve import CoefficientFunction
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.rates import Conjugate
 from ngvisco.forms.term import ELASTIC, Entry, Integrand, Integrands, PointTerm, tested
-from ngvisco.forms.terms.tangents import TangentForce
+from ngvisco.forms.terms.tangents import OfFacet, TangentForce
 from ngvisco.forms.unknown import Setting, Unknown
 from ngvisco.forms.upwinding import FacetMean, speed
 from ngvisco.physics.flow_rules import FlowRule
@@ -147,10 +146,8 @@ class Upwinding(PointTerm):
         return [speed(u) * inner(u.z - u.z_hat, w.z)]
 
     def dissipated_on_facets(self, u: Fields) -> dict[str, CoefficientFunction]:
-        if MeanConjugates.name in u.layout.unknowns:  # both sides have the same share
-            parts = {"zeta": u.zeta - u.parts[MeanConjugates.name]}
-            u = Fields(u.layout, ChainMap(parts, u.parts), u.context)  # type: ignore[arg-type]
-        lost = speed(u) * inner(u.z - u.z_hat, u.zeta)
+        mean = JumpHeat.name in u.layout.unknowns  # both sides have the same share
+        lost = u.parts[JumpHeat.name] if mean else lost_by_jumps(u)
         if self.tangents is not None:
             lost = lost + (u.v * u.context.normal) * self.tangents.excess(u)
         return {UPWINDING: lost}
@@ -160,16 +157,18 @@ class Upwinding(PointTerm):
         return [replace(entry, has_sign=False) for entry in super().entries(u)]
 
 
-class MeanConjugates(FacetMean):
-    """Equation of zeta_hat, the mean of both sides' conjugates: both sides share the heat of a jump."""
+def lost_by_jumps(u: Fields) -> CoefficientFunction:
+    """Power of upwinding on a side, W/m^2; only the sum of both sides is >= 0."""
+    return speed(u) * inner(u.z - u.z_hat, u.zeta)
 
-    name = "zeta_hat"
 
-    def unknowns(self, setting: Setting) -> tuple[Unknown, ...]:
-        return (Unknown(self.name, "facets", setting.m, setting.states.size, trace_of="zeta"),)
+class JumpHeat(OfFacet):
+    """Equation of the mean of upwinding's power over a facet, W/m^2: both sides share the heat of a jump."""
+
+    name = "jump_heat"
 
     def value(self, u: Fields) -> CoefficientFunction:
-        return u.zeta
+        return lost_by_jumps(u)
 
 
 @dataclass(frozen=True)
