@@ -181,7 +181,7 @@ class Stretches:
         return np.unique(np.concatenate([np.zeros(0, dtype=int), *changed]))
 
     def _outside(self, content: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Points at which X_i of a participating body is not positive, their cells, and the means' B."""
+        """Points where X_i of a participating body is not positive, their cells, and B of cells' means."""
         signs = self.sampler.rows(self._signs[content])
         points = np.flatnonzero((signs[:, 0] > 0) & ~(signs[:, 1:] > 0).all(axis=1))
         if self.sampler.ranks.any(len(points) > 0):

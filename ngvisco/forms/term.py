@@ -261,7 +261,7 @@ def point_terms(terms: Iterable[object]) -> list[PointTerm]:
 
 
 def impulses_of(term: Term, u: Fields, w: Fields) -> dict[str, list[Integrand]]:
-    """See ``PointTerm.impulses``; those of another term have the name of its class."""
+    """Impulses of a term, see ``PointTerm.impulses``; for other terms under the name of their class."""
     return term.impulses(u, w) if isinstance(term, PointTerm) else {type(term).__name__: term.form(u, w)}
 
 
@@ -324,7 +324,7 @@ class GivenParts(dict[str, Any]):
 
 @contextmanager
 def refused_by_name(term: object) -> Iterator[None]:
-    """Raise ParameterError with the term's name if it reads a withheld field or a missing variable."""
+    """Raise ParameterError with the term's name if the term reads a withheld field or a missing variable."""
     try:
         yield
     except KeyError as error:

@@ -100,8 +100,8 @@ def _gauss(*intervals: tuple[float, float]) -> np.ndarray:
 
 
 _Panel: TypeAlias = tuple[float, float, float, tuple[np.ndarray, np.ndarray], np.ndarray]
-"""Panel [a, b]: minus the size of the error, a, b, the integrals over both halves, and the error.  The error
-is the difference of the halves' sum from the integral over the whole; a heap has the worst panel first."""
+"""A panel: minus the size of its error, its ends a and b, the integrals over its halves, and the error.  The
+error is the halves' sum less the integral of the whole.  A heap has the worst panel first."""
 
 
 class _RuleSearch:

@@ -39,7 +39,7 @@ from ngvisco.forms.system import Step
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.mesh import cell_numbers
 from ngvisco.physics.energy_checks import ConvexityWarning, check_convexity
-from ngvisco.physics.loads import BodyForce, CentralGravity, VectorLike, as_vector, force_of
+from ngvisco.physics.loads import CentralGravity, VectorLike, as_vector, force_of
 from ngvisco.physics.material import Material, part_of, rest_stress_and_modulus
 from ngvisco.physics.materials import (
     CustomMaterial,
@@ -93,7 +93,7 @@ def check_loads(step: Step, sampler: Sampler, times: Iterable[float]) -> None:
                 (owner, load, vector, "centre, strength, radius and exponent that give finite values")
             )
         else:
-            name = "force" if isinstance(load, BodyForce) else "g"
+            name = "g" if load.is_weight else "force"
             given.append((f"{owner}.{name}", getattr(load, name), vector, "finite values"))
     times = list(times)
     for field, value, function, expected in given:

@@ -180,7 +180,7 @@ class HeatThroughWall(_OfEntropy):
 class Conduction(_OfEntropy, Flux):
     """Heat conduction a(theta, chi), chi = q/zeta_s, by ``Flux`` with the potential theta.
 
-    The symmetrising term that ``Flux`` leaves out would, for chi = 1/theta, double a term without a sign.
+    ``Flux`` leaves out the symmetrising term: for chi = 1/theta it would double a term that has no sign.
     """
 
     name = "heat"
