@@ -336,11 +336,11 @@ def _largest() -> Measured:
       cylinder; two modes with different times have a drag between those that theory gives for small Wi.
     label: Tanner 1966; Hulsen, Fattal, Kupferman 2005
     setting: The channel of oldroyd-b-past-a-cylinder with twice its cells' size; Wi = 0.3 in one mode and in
-      two, 1.5 s from rest; two modes of 0.3 and 0.6 s, 6.75 s from rest.
+      two, 1 s from rest; two modes of 0.3 and 0.6 s, 5 s from rest.
     - largest difference of the drags of one mode and of its halves <= 1e-6: relative, in all steps
     - drag of modes of 0.3 and 0.6 s, N/m in [118.0, 121.7]: between 119.23, the published drag of one mode of
       their root mean square time, and 120.48, the mean of the published drags of both; 1 % outside
-    - change of the drag in the last step <= 2e-3: steady: six times the longer time
+    - change of the drag in the last step <= 2e-3: steady: eight times the longer time
     - drift
     - closure
     """)
@@ -349,12 +349,12 @@ def _two_modes() -> Measured:
     # So the change of the drag begins with a part linear in the stress of order Wi^2, sum share_i lambda_i^2:
     # that of one mode of the root mean square time, and the mean of the modes' own changes.
     mesh = half_channel(2.0)
-    one, halves = (_drags(mesh, modes, 1.5) for modes in (((0.3, 1.0),), ((0.3, 0.5), (0.3, 0.5))))
+    one, halves = (_drags(mesh, modes, 1.0) for modes in (((0.3, 1.0),), ((0.3, 0.5), (0.3, 0.5))))
     yield (
         "largest difference of the drags of one mode and of its halves",
         abs(halves.drag / one.drag - 1).max(),
     )
-    both = _drags(mesh, ((0.3, 0.5), (0.6, 0.5)), 6.75)
+    both = _drags(mesh, ((0.3, 0.5), (0.6, 0.5)), 5.0)
     yield "drag of modes of 0.3 and 0.6 s, N/m", both.drag[-1]
     yield "change of the drag in the last step", abs(both.drag[-1] / both.drag[-2] - 1)
     rows = [
