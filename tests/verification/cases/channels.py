@@ -277,7 +277,7 @@ def _drags(mesh: Mesh, modes: Modes, until: float) -> Drags:
     run = _past_cylinder(mesh, modes, forces, seconds, solver="split")
     run.run(until)
     drag, iterations = forces.column("cylinder.force_1"), run.ledger.column("newton_iterations")
-    return Drags(run, 2 * drag[1:], iterations[1:], np.diff(seconds.ended))
+    return Drags(run, 2 * drag, iterations[1:], np.diff(seconds.ended))
 
 
 @CASES(f"""oldroyd-b-past-a-cylinder-at-0.7
