@@ -23,16 +23,15 @@ class InflowWarning(NgviscoWarning):
 class Inlets:
     """Warns of inflows through a run's walls; it sums the mass that came in through each of them.
 
-    Bodies and temperatures mix by their nature: their values bring no warning.
+    Temperatures mix by their nature: they bring no warning.  Bodies whose amounts are given come in
+    unstrained.
     """
 
     def __init__(self, step: Step) -> None:
         law = step.model.material
         self._strains = {v.name for v in law.variables if v.is_strain}
-        self._walls: dict[str, Any] = {}
-        """The walls that matter crosses, by name; none where bodies mix."""
-        if not step.model.bodies:
-            self._walls = {wall.name: step.walls.conditions[wall.name] for wall in step.passages}
+        self._walls: dict[str, Any] = {wall.name: step.walls.conditions[wall.name] for wall in step.passages}
+        """The walls that matter crosses, by name."""
         is_known = law.referential_density is not None
         let_in = (name for name, wall in self._walls.items() if is_let_in_by_pressure(wall, law))
         self._entered = dict.fromkeys(() if is_known else let_in, 0.0)
@@ -58,11 +57,12 @@ class Inlets:
         )
         for name, wall in self._walls.items():
             named = sorted(self._strains & wall.values.keys())
+            given = f"values of {', '.join(named)}" if named else "amounts" if wall.amounts else ""
             lost = row[f"dissipation_inflow_{name}"]
-            if named and lost > _MATTERS * worked:
+            if given and lost > _MATTERS * worked:
                 return (
-                    f"at t = {row['time']:.4g} s what flows in through {name!r} by the values of "
-                    f"{', '.join(named)} that are given has another stress than the body inside: where both "
+                    f"at t = {row['time']:.4g} s what flows in through {name!r} by the {given} that are "
+                    "given has another stress than the body inside: where both "
                     f"meet {lost:.3g} W are lost, {lost / worked:.0%} of all powers, and a jump stays there; "
                     "give values (and a density) that belong to the stress at the wall, or none: then matter "
                     "comes in as it is inside"

@@ -160,6 +160,24 @@ def test_rest_that_flows_into_a_strained_body_has_no_thrust():
     assert abs(ledger.column("closure_relative")[-1]) < 1e-12
 
 
+@pytest.mark.parametrize("amounts", [{"bar": 1.0}, {}], ids=["given", "continued"])
+def test_unstrained_amounts_that_flow_into_a_strained_body_are_warned_of(amounts, recwarn):
+    bar = nv.Body(name="bar", material=STRESSED["by B"], density=1.3, viscosity=VISCOUS)
+    F = CF((1.05, 0, 0, 0, 1, 0, 0, 0, 1), dims=(3, 3))
+    run = nv.Simulation(
+        box((1, 0.7), 0.5),
+        nv.Model(bodies=[bar]),
+        dt=1e-3,
+        walls={("left", "right"): nv.Open(amounts=amounts, backflow=False)},
+        initial=nv.Initial(F=F, velocity=(0.3, 0.0)),
+        solver="coupled",
+    )
+    run.run(2e-3)
+    said = [str(w.message) for w in recwarn if issubclass(w.category, nv.InflowWarning)]
+    assert len(said) == len(amounts)
+    assert all("through 'left' by the amounts that are given has another stress" in text for text in said)
+
+
 @pytest.mark.parametrize("solver", ["split", "coupled"])
 def test_a_temperature_that_is_given_has_the_entropy_of_the_volume_that_is_there(solver):
     through = nv.Inflow(velocity=(1.0, 0.0), temperature=330.0)
