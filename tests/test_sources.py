@@ -3,6 +3,7 @@
 import ast
 import re
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 from documents import ROOT, tracked
@@ -14,9 +15,14 @@ NO_SUBJECT = re.compile(r"(What|Of|That|Those|And|By|As|The same)\b")
 """Words that a docstring without a subject begins with."""
 
 
+@cache
+def tree_of(path: Path) -> ast.Module:
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
 def docstrings(path: Path) -> Iterator[tuple[int, str]]:
     """Lines and texts of the docstrings of modules, classes, functions and attributes."""
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in ast.walk(tree_of(path)):
         body = getattr(node, "body", None)
         for part in body if isinstance(body, list) else []:
             value = part.value if isinstance(part, ast.Expr) else None
@@ -43,7 +49,7 @@ def test_a_module_is_short_enough_to_be_one_object():
 
 def type_names(path: Path) -> Iterator[str]:
     """Names of the classes and of the modules' aliases of types; those of variables are in capitals."""
-    for node in ast.walk(tree := ast.parse(path.read_text(encoding="utf-8"))):
+    for node in ast.walk(tree := tree_of(path)):
         if isinstance(node, ast.ClassDef):
             yield node.name
     for node in tree.body:

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from launch import needs_petsc, printed
 
-pytestmark = needs_petsc
+pytestmark = [needs_petsc, pytest.mark.long, pytest.mark.ci]
 
 
 @cache
@@ -29,8 +29,6 @@ def test_a_matrix_that_multigrid_does_not_take_is_factorised():
     )
 
 
-@pytest.mark.long
-@pytest.mark.ci
 def test_memory_does_not_grow_with_factorisations():
     growth, of_one = printed(Path(__file__).with_name("memory.py"))
     assert growth < 0.3 * of_one

@@ -36,7 +36,7 @@ def series(place, size, **options):
     return run
 
 
-@pytest.fixture(scope="module", params=[(1, 1), (1, 1, 0.5)], ids=["2d", "3d"])
+@pytest.fixture(scope="module", params=[pytest.param((1, 1), id="2d"), by_ci((1, 1, 0.5), id="3d")])
 def written(request, tmp_path_factory):
     place = tmp_path_factory.mktemp("series")
     return place, series(place, request.param, passive=["reference_map"])

@@ -114,6 +114,8 @@ def test_a_curved_wall_has_an_adjoint():
     assert abs(adjoint / tangent - 1).max() < 1e-8
 
 
+@pytest.mark.long
+@pytest.mark.ci
 def test_a_misfit_is_half_the_sum_of_squares():
     data, sigma = {"kinetic at 0.04": 0.1, "p.velocity_1 at 0.06": 0.2}, (0.01, 0.02)
     of = {"misfit": nv.Misfit(data, sigma), "motion": "kinetic at 0.04", "speed": "p.velocity_1 at 0.06"}

@@ -235,12 +235,14 @@ def test_on_a_curved_wall():
     assert_both_agree(disc(1.0, maxh=0.7), model(), initial=rotation)
 
 
+@pytest.mark.long
+@pytest.mark.ci
 @pytest.mark.parametrize(
     "beside",
     [
-        by_ci("the stress of a curved wall"),
+        "the stress of a curved wall",
         "a creep rate field",
-        by_ci("both"),
+        "both",
     ],
 )
 def test_with_two_levels_and_unknowns_beside_the_velocity(beside):

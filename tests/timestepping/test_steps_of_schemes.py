@@ -44,8 +44,6 @@ RESTARTED = {
         "passive": ("F_tot", "reference_map", "creep_strain"),
         "scheme": "backward-euler",
     },
-    # whose derivative reads the old momentum
-    "heat, coupled": HEATED | {"solver": "coupled"},
     # linearised at stresses of iterates
     "yield, coupled": YIELDING | {"solver": "coupled"},
 }
@@ -59,6 +57,8 @@ OF_CI = {
         "relaxation": True,
         "solver": "coupled",
     },
+    # whose derivative reads the old momentum
+    "heat, coupled": HEATED | {"solver": "coupled"},
     "heat, split": HEATED | {"solver": "split"},
     "yield, split": YIELDING | {"solver": "split"},
     # nothing of the pointwise energies is in the file
