@@ -79,11 +79,11 @@ def found(ranks, *names):
 
 
 GROUPS = {
-    "of default": "split creep; split, Newton-Krylov",
+    "of default": "split creep; delta, 2D, split",
     # with those above every mechanism once, by one of the solvers; in space, with an oblique, a curved wall
     "of CI": "carried; observed; sdirk2; adaptive; own term; channel; quadrilateral; slip disc; split; "
     "split crystal; split bodies; split parameters; split heated; split Yosida; split, two levels; "
-    "split, all regularisations; split own tableau; "
+    "split, Newton-Krylov; split, all regularisations; split own tableau; "
     "split relaxation; split block; split turned; split slip disc, two levels; split window; split network; "
     "split revolved",
     "networks": "network; split network",
