@@ -253,7 +253,7 @@ class _SideValues:
     def refresh(self, response: Respond) -> None:
         """Update the values to the present state."""
         z = self._z.vec.FV().NumPy()
-        if self._at is not None and np.array_equal(z, self._at):
+        if not len(z) or (self._at is not None and np.array_equal(z, self._at)):  # a rank may have no cells
             return
         self._at = z.copy()
         found = response(self._at_points @ z.reshape(-1, self._at_points.shape[1]).T)
