@@ -9,8 +9,8 @@
 | z                | transported components, P_m                       | local          | Kinematics |
 | zeta             | their conjugates, P_m                             | local          | Conjugates |
 | z_hat            | the trace of z                                    | global         | Trace |
-| jump_heat        | mean of upwinding's power over a facet, with heat | global         | JumpHeat       |
-| tangent_gap      | half of a jump's thrust N, P_0 on facets          | global         | TangentGap |
+| jump_heat        | mean of upwinding's power over a facet, with heat | global         | JumpHeat |
+| tangent_gap      | -1/2 of a jump's thrust N, P_0 on facets          | global         | TangentGap |
 | without_energy   | traces without an energy, P_0 on facets           | global         | WithoutEnergy |
 | cell_velocity    | mean of v over a cell                             | local          | CellVelocity |
 | unbalanced_momentum | mean residual of the continuity equation tested by v | local    | UnbalancedMomentum |

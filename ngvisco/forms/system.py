@@ -327,8 +327,8 @@ class Step:
 
     @cached_property
     def whole_residual(self) -> BilinearForm:
-        """The residual with the derivative by all unknowns, including ``PointTerm.kept``."""
-        return self._residual(keeps=False)
+        """The residual once more, with a matrix that the solver does not change."""
+        return self._residual()
 
     def residual_at(self, coefficients: np.ndarray) -> BilinearForm:
         """The residual over the cells that have one of ``coefficients``, a mask of those of v.
@@ -345,16 +345,13 @@ class Step:
         masks = [mask for _, mask in self.moving_walls.moving.values()]
         return self.residual_at(np.logical_or.reduce(masks))
 
-    def _residual(self, keeps: bool = True, cells: BitArray | None = None) -> BilinearForm:
+    def _residual(self, cells: BitArray | None = None) -> BilinearForm:
         """R(u; w) over all cells or ``cells`` as a nonlinear form with its element-local unknowns."""
         u, w = self.linearised_fields(self.layout.space.TrialFunction()), self.tests()
         form = BilinearForm(self.layout.space, condense=True)
-        state = dict(zip(self.layout.names, self.state.components, strict=True))
         for term in self.terms:
-            kept = {name: state[name] for name in getattr(term, "kept", ()) if keeps}
-            at = Fields(self.layout, {**u.parts, **kept}, u.context) if kept else u
             with refused_by_name(term):
-                self.quadrature.add(form, term.form(at, w), cells)
+                self.quadrature.add(form, term.form(u, w), cells)
         return form
 
     def tests(self) -> Tests:

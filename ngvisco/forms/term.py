@@ -118,13 +118,11 @@ class PointTerm:
     facet_mean : str or None
         Name of the mean of both sides that the term determines.
     stays : bool
-        Whether this mean is the largest value of all iterates in the solution of a step (``Largest``).
+        Whether this mean is the largest value of all iterates in the solution of a step (``Largest``); its
+        derivative has to be zero.
     is_mass : bool
         Whether the term's tangent is the mass matrix of v, integrated by the whole rule: fewer points make it
         singular.
-    kept : tuple of str
-        Unknowns, explicit functions of others, whose change Newton's matrix leaves out of the term: the term
-        follows them from iterate to iterate.
     plane_only : str or None
         Reason why a body of revolution cannot have the term; None if ``L`` has all that the term reads.
     """
@@ -138,7 +136,6 @@ class PointTerm:
     facet_mean: str | None = None
     stays: ClassVar[bool] = False
     is_mass: ClassVar[bool] = False
-    kept: tuple[str, ...] = ()
     plane_only: ClassVar[str | None] = None
 
     def __init_subclass__(cls, **options: Any) -> None:

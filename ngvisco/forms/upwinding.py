@@ -18,6 +18,7 @@ from ngsolve import CoefficientFunction
 
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.term import PointTerm
+from ngvisco.forms.unknown import Setting, Unknown
 from ngvisco.physics.tensors import if_positive, inner
 
 
@@ -104,3 +105,12 @@ class FacetMean(PointTerm):
 
     def facets(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         return [inner(self.difference(u), w.parts[self.name])]
+
+
+class OfFacet(FacetMean):
+    """Equation of the mean of a nonlinear function over a facet, one number, in the function's unit."""
+
+    is_linear = False
+
+    def unknowns(self, setting: Setting) -> tuple[Unknown, ...]:
+        return (Unknown(self.name, "facets", 0),)

@@ -51,10 +51,9 @@ class FacetTangent:
         self.residual, self.terms, self.coupling = residual, list(terms), coupling
         self.rows, self.columns = list(rows), list(rows)
         point = OnePoint(residual.step)
-        kept = {name for term in terms for name in term.kept}
         asking, self.means = list(terms), list[_Mean]()
         for term, name in reversed(residual.means_of_sides):
-            if name not in kept and (read := point.read(asking, [name])):
+            if not term.stays and (read := point.read(asking, [name])):
                 asking.append(term)
                 self.means.insert(0, _Mean(residual, term, name, [i for _, i in read], coupling))
         self._read = point.read(asking, ("z", "zeta"))

@@ -1,4 +1,4 @@
-"""The thrust of a jump, which the elastic force is without.
+"""Subtracts the thrust of jumps from the elastic force.
 
 For a constant w the bilinear form B_h(w; z, zeta) leaves on a facet between two cells
 
@@ -27,8 +27,7 @@ from ngsolve import CoefficientFunction
 
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.term import ENTERING, PointTerm
-from ngvisco.forms.unknown import Setting, Unknown
-from ngvisco.forms.upwinding import FacetMean, side
+from ngvisco.forms.upwinding import OfFacet, side
 from ngvisco.physics.material import Material
 from ngvisco.physics.pointwise import is_affine, rest_state
 from ngvisco.physics.response import Respond
@@ -36,15 +35,6 @@ from ngvisco.physics.tensors import if_positive, inner, is_number
 
 _ROUNDING = 1e-14
 """Share of a facet that counts as none."""
-
-
-class OfFacet(FacetMean):
-    """Equation of the mean of a function over a facet."""
-
-    is_linear = False
-
-    def unknowns(self, setting: Setting) -> tuple[Unknown, ...]:
-        return (Unknown(self.name, "facets", 0),)
 
 
 class TangentGap(OfFacet):
@@ -77,7 +67,6 @@ class TangentForce(PointTerm):
     """
 
     linearised, group = False, ENTERING
-    kept = (WithoutEnergy.name,)
 
     def excess(self, u: Fields) -> CoefficientFunction:
         """The integrand -side N/2 on the boundaries of cells, Pa."""

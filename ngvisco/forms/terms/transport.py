@@ -26,9 +26,9 @@ from ngsolve import CoefficientFunction
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.rates import Conjugate
 from ngvisco.forms.term import ELASTIC, Entry, Integrand, Integrands, PointTerm, tested
-from ngvisco.forms.terms.tangents import OfFacet, TangentForce
+from ngvisco.forms.terms.tangents import TangentForce
 from ngvisco.forms.unknown import Setting, Unknown
-from ngvisco.forms.upwinding import FacetMean, speed
+from ngvisco.forms.upwinding import FacetMean, OfFacet, speed
 from ngvisco.physics.flow_rules import FlowRule
 from ngvisco.physics.materials.wrapped import WithQuadratic
 from ngvisco.physics.model import CreepMechanism, Model
