@@ -86,7 +86,7 @@ def _pressed() -> Measured:
     medium = nv.Body(name="gas", material=gas, viscosity=stokes(LIGHT), density=LIGHT)
     run = nv.Simulation(
         structured_box(BOX, CELLS, grading=GRADING),
-        nv.Model(bodies=(medium, cylinder), loads=[nv.Gravity((0.0, -GRAVITY * ramp))]),
+        nv.Model(bodies=(medium, cylinder), loads=(nv.Gravity((0.0, -GRAVITY * ramp)),)),
         dt=STEP,
         solver="split",
         discretisation=nv.Discretisation(k=1, m=0),
