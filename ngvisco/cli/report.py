@@ -24,7 +24,6 @@ from ngvisco.run.observers import VTKSeries
 from ngvisco.run.passive import NAMES as PASSIVE
 from ngvisco.run.refinement import stretches
 from ngvisco.run.simulation import Simulation
-from ngvisco.threads import computing
 from ngvisco.timestepping.scheme import SCHEMES
 
 _STEPS, _SECONDS = 12, 30.0
@@ -66,9 +65,9 @@ def check(options: argparse.Namespace) -> int:
             f"{least}, if all have dt_max = {adaptive.dt_max:g} s"
         )
     sys.stdout.flush()  # show these lines now: a hard step takes minutes
-    writing, start = _output(case, run), scales(run)
+    start = scales(run)
     try:
-        first, later, count = _measure(run, steps)
+        first, later, count, writing = _measure(case, run, steps)
     finally:
         _say_scales(replace(scales(run), unborne=start.unborne))
     print(f"memory     {_peak():.0f} MB, measured")
@@ -108,33 +107,59 @@ def _say_scales(sizes: Scales) -> None:
         print(f"advice     {line}")
 
 
-def _output(case: cases.Case, run: Simulation) -> tuple[float, int] | None:
-    """Seconds for a file of the VTK series, measured, and the number of files; None without a series."""
-    with tempfile.TemporaryDirectory() as place:
-        series = [o for o in case.observers(Path(place), case.until) if isinstance(o, VTKSeries)]
-        if not series:
-            return None
-        began = clock.perf_counter()
-        series[0].start(run)
-        each = clock.perf_counter() - began
-    steps, every, times = round(case.until / run.dt), series[0].every, series[0].times
-    between = len(times) + (0 if every is None else steps // every)
-    meets_end = case.until in times or (every is not None and steps % every == 0)
-    return each, 1 + between + (not meets_end)
+def _measure(
+    case: cases.Case, run: Simulation, steps: int
+) -> tuple[float, float, int, tuple[float, int] | None]:
+    """Take the first steps of a case, with its observers, in a directory that is removed.
 
-
-def _measure(run: Simulation, steps: int) -> tuple[float, float, int]:
-    """Measure the seconds of the first step, and the median of later steps; also return their number.
-
-    A mean would mislead, since a single step may take ten times as many iterations as the others.
+    Returns the seconds of the first step, the median of later ones and their number, and the seconds of a
+    file of the VTK series and the number of files, None without a series.  A mean would mislead, since a
+    single step may take ten times as many iterations as the others.
     """
-    spent: list[float] = []
-    with computing():
-        while len(spent) < min(_STEPS, steps) and sum(spent) < _SECONDS:
-            began = clock.perf_counter()
-            run.advance()
-            spent.append(clock.perf_counter() - began)
-    return spent[0], float(np.median(spent[1:] or spent)), len(spent)
+    with tempfile.TemporaryDirectory() as place:
+        observers, watch = case.observers(Path(place), case.until), Stopwatch(min(_STEPS, steps), _SECONDS)
+        series = [o for o in observers if isinstance(o, VTKSeries)]
+        each = _writing(run, series[0]) if series else 0.0
+        run.observers = [*(o for o in observers if o not in series), watch]
+        run.run(case.until)
+    spent = watch.seconds
+    files = (each, _files(series[0], case.until, run.dt)) if series else None
+    return spent[0], float(np.median(spent[1:] or spent)), len(spent), files
+
+
+def _writing(run: Simulation, series: VTKSeries) -> float:
+    """Seconds for a file of the series, measured."""
+    began = clock.perf_counter()
+    series.start(run)
+    return clock.perf_counter() - began
+
+
+def _files(series: VTKSeries, until: float, dt: float) -> int:
+    """Number of files of the series in a run by steps of one length."""
+    steps, every, times = round(until / dt), series.every, series.times
+    between = len(times) + (0 if every is None else steps // every)
+    meets_end = until in times or (every is not None and steps % every == 0)
+    return 1 + between + (not meets_end)
+
+
+class Stopwatch:
+    """Observer that measures the seconds of each step, and ends the run after some steps or seconds."""
+
+    def __init__(self, steps: int, until: float) -> None:
+        self._steps, self._until = steps, until
+        self.seconds: list[float] = []
+
+    def start(self, _simulation: Simulation) -> None:
+        self._lap = clock.perf_counter()
+
+    def step(self, simulation: Simulation, _row: dict[str, float]) -> None:
+        began, self._lap = self._lap, clock.perf_counter()
+        self.seconds.append(self._lap - began)
+        if len(self.seconds) >= self._steps or sum(self.seconds) >= self._until:
+            simulation.request_stop()
+
+    def finish(self, _simulation: Simulation) -> None:
+        """Leave the seconds as they are."""
 
 
 def _peak() -> float:
