@@ -24,7 +24,7 @@ from ngvisco.forms.mesh.points import SidePoints
 from ngvisco.forms.mesh.quadrature import Quadrature, Sampler, values_of
 from ngvisco.forms.unknown_values import UnknownValues
 from ngvisco.parallel.communicator import Communicator
-from ngvisco.physics.material import Material, conjugates, conjugates_along
+from ngvisco.physics.material import Material, along, conjugates
 from ngvisco.physics.response import Respond
 from ngvisco.physics.tensors import inner
 from ngvisco.physics.variables import Values
@@ -73,13 +73,23 @@ class StoredEnergy:
         slope = self._conjugates(u)
         return [inner(S, w.zeta_tensors[name]) for name, S in slope.items()]
 
-    def curved(self, u: UnknownValues, slope: CoefficientFunction) -> list[CoefficientFunction]:
-        """Components of phi''(z) q_j, Pa/m, for the columns q_j of a slope (components, dim) of z."""
+    def curved(
+        self, u: UnknownValues, slope: CoefficientFunction, test: CoefficientFunction
+    ) -> list[CoefficientFunction]:
+        """Summands phi''(z) q_j : Y_j, one for each column of a slope q of z and of Y, (components, dim).
+
+        Derivatives in two directions are scalars: a gradient of one direction's derivative has tensors of
+        fourth order, whose pattern takes NGSolve half a minute for ``Ogden``.
+        """
         states = self.material.states(self.dim)
         variables = {name: value.MakeVariable() for name, value in u.z_tensors.items()}
-        phi = self.material.energy(variables)
-        slopes = (states.tensors(partial(column, slope, j)) for j in range(self.dim))
-        return [states.components(conjugates_along(phi, variables, along)) for along in slopes]
+        summands = []
+        for j in range(self.dim):
+            derivative = self.material.energy(variables)
+            for matrix in (slope, test):
+                derivative = along(derivative, variables, states.tensors(partial(column, matrix, j)))
+            summands.append(derivative)
+        return summands
 
     def near(self, u: UnknownValues) -> CoefficientFunction:
         """Energy phi(z), Pa, for integrals by the rule of the forms, with its derivative by z."""
@@ -146,10 +156,12 @@ class PointwiseEnergy(StoredEnergy):
         slope = self.material.states(self.dim).tensors(lambda: self.slope(u))
         return [inner(S, w.zeta_tensors[name]) for name, S in slope.items()]
 
-    def curved(self, u: UnknownValues, slope: CoefficientFunction) -> list[CoefficientFunction]:
+    def curved(
+        self, u: UnknownValues, slope: CoefficientFunction, test: CoefficientFunction
+    ) -> list[CoefficientFunction]:
         # phi'' at the state: Newton's matrix omits its change with z
         hessian = self._hessian.Reshape((self._size, self._size))
-        return [hessian * column(slope, j) for j in range(self.dim)]
+        return [inner(hessian * column(slope, j), column(test, j)) for j in range(self.dim)]
 
     def near(self, u: UnknownValues) -> CoefficientFunction:
         now = self._values[self.fields]

@@ -291,15 +291,23 @@ def conjugates(material: Material, z: Values) -> dict[str, Tensor]:
     return {name: phi.Diff(variable) for name, variable in variables.items()}
 
 
-def conjugates_along(phi: Tensor, variables: Values, along: Values) -> dict[str, Tensor]:
-    """The products phi''(z) ``along`` by name, for a direction ``along`` of some variables by name.
+def along(f: Tensor, variables: Values, direction: Values) -> Tensor:
+    """The derivative of a scalar ``f`` in a ``direction`` of some variables by name.
+
+    ``variables`` are the arguments of ``f``, made by ``MakeVariable``.
+    """
+    return reduce(add, (f.Diff(variables[name], change) for name, change in direction.items()))
+
+
+def conjugates_along(phi: Tensor, variables: Values, direction: Values) -> dict[str, Tensor]:
+    """The products phi''(z) ``direction`` by name, for a direction of some variables by name.
 
     The product is the gradient of a directional derivative, since NGSolve 6.2.2608 differentiates a gradient
     wrongly if phi has a cofactor, the trace of a product or a scalar times a tensor.
 
     ``variables`` are the arguments of ``phi``, made by ``MakeVariable``.
     """
-    change = reduce(add, (phi.Diff(variables[name], direction) for name, direction in along.items()))
+    change = along(phi, variables, direction)
     return {name: change.Diff(variable) for name, variable in variables.items()}
 
 

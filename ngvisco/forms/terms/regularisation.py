@@ -17,7 +17,6 @@ from operator import add
 
 from ngsolve import CF, CoefficientFunction, IfPos
 
-from ngvisco.forms.energy import column
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.term import Entry, Integrand, PointTerm, Term
 from ngvisco.forms.unknown import Setting, Unknown
@@ -124,9 +123,7 @@ class FieldDiffusion(PointTerm):
         delta = self.law.delta_fields
         if not self.curvature.strains.all():
             return {DELTA_FIELDS: delta * inner(self._of_strains(u.z_slope), u.grad_zeta)}
-        curved = u.context.energy.curved(u, u.z_slope)
-        parts = (inner(part, column(u.z_slope, j)) for j, part in enumerate(curved))
-        return {DELTA_FIELDS: delta * reduce(add, parts)}
+        return {DELTA_FIELDS: delta * reduce(add, u.context.energy.curved(u, u.z_slope, u.z_slope))}
 
     def dissipated_on_facets(self, u: Fields) -> dict[str, CoefficientFunction]:
         jump = self._jump(u)
@@ -138,8 +135,7 @@ class FieldDiffusion(PointTerm):
 
     def _curved(self, u: Fields, test: CoefficientFunction) -> list[CoefficientFunction]:
         """Summands of phi''(z) q : Y, and of q : Y for parameters and directions in which phi is linear."""
-        parts = u.context.energy.curved(u, u.z_slope)
-        summands = [inner(self._of_strains(part), column(test, j)) for j, part in enumerate(parts)]
+        summands = u.context.energy.curved(u, u.z_slope, self._of_strains(test))
         if self.of_itself is not None:
             summands.append(inner(self.of_itself * u.z_slope, test))
         return summands
