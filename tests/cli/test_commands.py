@@ -133,6 +133,30 @@ def test_check_counts_steps_that_a_run_chooses_by_the_longest_one(case_file, cap
     assert first_and_others > 15  # twenty, and what the first one takes longer
 
 
+@pytest.mark.filterwarnings("default::ngvisco.errors.InputWarning")
+@pytest.mark.parametrize(("kind", "count"), [("NeoHookean", 1), ("ReferentialNeoHookean", 0)])
+def test_check_says_which_stress_at_rest_open_walls_do_not_bear(kind, count, tmp_path, capsys):
+    law = "K_e = 10\nG_e = 5" + "\nepsilon = 0.1" * count
+    case = f"""[domain]
+geometry = "box"
+size = [1, 1]
+maxh = 1.0
+[material]
+kind = "{kind}"
+{law}
+[walls.left]
+kind = "Open"
+[time]
+dt = 0.02
+until = 0.02
+"""
+    (tmp_path / "bar.toml").write_text(case)
+    assert ended("check", tmp_path / "bar.toml") == 0
+    said = capsys.readouterr().err
+    assert said.count("at 'left' T(I) = 15.0005 Pa, given 0 Pa, difference 15 Pa") == count
+    assert said.count("stress of its own at rest") == count
+
+
 @pytest.mark.long
 def test_the_estimate_of_time_is_right_within_a_factor(case_file, capsys, tmp_path):
     settings = ("--set", "time.until=2", "--set", "domain.maxh=0.2", "--set", "output.vtk.enabled=false")

@@ -332,6 +332,7 @@ class GivenStress(OnWall):
         super().__init__(walls, name)
         wall, owner = walls.conditions[name], f"walls[{name!r}]"
         assert isinstance(wall, Open)
+        self._wall = wall
         self.pressure = as_shape(f"{owner}.pressure", wall.pressure, ())
         self.f: CoefficientFunction | None = None
         if wall.traction is not None:
@@ -343,6 +344,14 @@ class GivenStress(OnWall):
         c = u.context
         load = -c.average(self.pressure, self.region) * c.normal
         return load if self.f is None else load + c.average(self.f, self.region)
+
+    def at(self, u: Fields, n: CoefficientFunction) -> CoefficientFunction:
+        """Stress t of the wall and its springs at the present time and state, Pa, for points of the wall."""
+        wall, t = self._wall, -self.pressure * n
+        for factors, name in ((wall.impedance, "v"), (wall.stiffness, f"displacement_{self.name}")):
+            if any(factors):
+                t = t - along_and_across(factors, u.parts[name], n)
+        return t if self.f is None else t + self.f
 
     def _resistance(self, u: Fields) -> CoefficientFunction:
         """Resistance Z_p (v . n) n + Z_s v_t of the wall, Pa."""

@@ -35,12 +35,13 @@ from ngvisco.forms.boundary.walls import OPEN, velocity_of
 from ngvisco.forms.given_values import Given
 from ngvisco.forms.mesh.mesh_arrays import VERTICES, mask_of, rules
 from ngvisco.forms.mesh.quadrature import Sampler
+from ngvisco.forms.start.stresses_at_rest import on_open_walls, where_bodies_meet
 from ngvisco.forms.system import Step
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.mesh import cell_numbers
 from ngvisco.physics.energy_checks import ConvexityWarning, check_convexity
 from ngvisco.physics.loads import CentralGravity, VectorLike, as_vector, force_of
-from ngvisco.physics.material import Material, part_of, rest_stress_and_modulus
+from ngvisco.physics.material import Material, part_of
 from ngvisco.physics.materials import (
     CustomMaterial,
     Damaged,
@@ -61,7 +62,6 @@ _FLAT = 1e-12  # |a.n|^2/|a|^2 on axis-parallel walls, whose normals are exact
 _ROUNDING = 1e-20  # share of the mean of |a|^2 in the domain: sin(pi x) at x = 1 is 1e-16
 _MATCH = 1e-8
 _DEGREE = 6  # of the rule whose points on walls are checked
-_STRESS_ROUNDING = 1e-9  # share of the stiffness below which a stress is rounding
 _STIFFER = 10.0
 """Ratio of bulk moduli above which a run warns.  At a ratio of 20 steps have to be divided
 (``demos/collision``); from 5 on the compliance may be negative with overshoots of a quarter."""
@@ -227,8 +227,9 @@ def warn_of_doubts(
     messages = [*_moduli(step), *_heat_at_walls(step)]
     if step.sources is None:  # manufactured states need not fit
         messages += [*_mismatches(step, sampler, values), *_normal_parts(step, velocity)]
+        messages += on_open_walls(step)
         if is_at_rest:
-            messages += _rest_stresses(step)
+            messages += where_bodies_meet(step)
     for message in messages:
         sampler.ranks.warn(message, InputWarning, stacklevel=5)
 
@@ -319,26 +320,6 @@ def distortion_of(material: Material, values: Given) -> CoefficientFunction | No
     if exponent == 0:
         return H
     return None if abs(power) < 1e-12 else Det(H) ** (-exponent / power) * H
-
-
-def _rest_stresses(step: Step) -> Iterator[str]:
-    """Yield a warning of bodies with different stresses at rest, F = I, which push each other.
-
-    An energy per actual volume has the stress phi(I) I at rest, in addition to its derivatives' stress: a
-    ``NeoHookean`` body is under tension at rest, a ``BarotropicFluid`` under pressure.  A body alone in its
-    box is not affected; a drop in another body contracts or expands from the first step on.
-    """
-    responses = {body.name: rest_stress_and_modulus(body.material) for body in step.model.bodies}
-    stresses, stiffnesses = ([each[i] for each in responses.values()] for i in range(2))
-    if responses and max(stresses) - min(stresses) > _STRESS_ROUNDING * max(abs(K) for K in stiffnesses):
-        names = ", ".join(repr(name) for name in responses)
-        values = ", ".join(f"{stress:.4g} Pa" for stress in stresses)
-        yield (
-            f"bodies {names} meet with different stresses at rest, T(I) = {values} (mean normal stress): "
-            "they move from the first step on until they balance. Take energies without stress at rest "
-            "(ReferentialNeoHookean, OldroydB, ...), subtract the constant T(I) from an energy of your own, "
-            "or start where the stresses agree (Initial.F, or Initial.values of J)"
-        )
 
 
 def _moduli(step: Step) -> Iterator[str]:

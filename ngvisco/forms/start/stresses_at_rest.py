@@ -1,0 +1,87 @@
+"""Warnings of stresses at rest, F = I, that nothing balances: where bodies meet, and on open walls.
+
+An energy per actual volume has the stress phi(I) I at rest, in addition to its derivatives' stress: a
+``NeoHookean`` body is under tension at rest, a ``BarotropicFluid`` under pressure.  A body alone in its box
+does not feel it; a drop in another body, and a body between open walls, move from the first step on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+from ngsolve import BND, CF, BoundaryFromVolumeCF, Integrate, specialcf
+
+from ngvisco.forms.boundary.wall_terms import GivenStress
+from ngvisco.forms.system import Step
+from ngvisco.physics.material import Material, cauchy_stress, rest_stress_and_modulus
+from ngvisco.physics.mixture import Mixture
+from ngvisco.physics.walls import Open
+
+_ROUNDING = 1e-9
+"""Share of the stiffness below which a stress is rounding."""
+_MATTERS = 0.01
+"""Share of the stress at rest on a wall that may be without balance, and of the largest one that counts."""
+_REMEDY = (
+    "Take energies without stress at rest (ReferentialNeoHookean, OldroydB, ...), subtract the constant T(I) "
+    "from an energy of your own, "
+)
+
+
+def where_bodies_meet(step: Step) -> Iterator[str]:
+    """Yield a warning of bodies with different stresses at rest, which push each other."""
+    stresses, least = _at_rest({body.name: body.material for body in step.model.bodies})
+    if stresses and max(stresses.values()) - min(stresses.values()) > least:
+        names = ", ".join(repr(name) for name in stresses)
+        values = ", ".join(f"{stress:.4g} Pa" for stress in stresses.values())
+        yield (
+            f"bodies {names} meet with different stresses at rest, T(I) = {values} (mean normal stress): "
+            f"they move from the first step on until they balance. {_REMEDY}"
+            "or start where the stresses agree (Initial.F, or Initial.values of J)"
+        )
+
+
+def on_open_walls(step: Step) -> Iterator[str]:
+    """Yield a warning of open walls whose stress does not balance the matter's stress at rest.
+
+    T is the stress of the start state and T(I) that of matter at rest, weighted by the bodies' fractions; the
+    wall gives t.  T n - t is compared with T(I), both as roots of mean squares over the wall.  A pressure at
+    rest that meets a given pressure brings no warning, as in a gas that is let in or out.
+    """
+    walls = [name for name, wall in step.walls.conditions.items() if isinstance(wall, Open)]
+    material = step.model.material
+    laws = {body.name: body.material for body in step.model.bodies} or {"": material}
+    stresses, least = _at_rest(laws) if walls else ({}, 0.0)
+    largest = max((abs(stress) for stress in stresses.values()), default=0.0)
+    if not largest > least:
+        return
+    u, dim = step.now, step.mesh.dim
+    at_rest = CF(stresses.get("", 0.0))
+    if isinstance(material, Mixture):
+        shares = material.fractions.at(u.z_tensors)
+        at_rest = sum((stresses[name] * share for name, share in shares.items()), CF(0.0))
+    T = cauchy_stress(material, u.z_tensors, u.zeta_tensors, step.energy.anywhere(u))
+    own, rest, n = BoundaryFromVolumeCF(T), BoundaryFromVolumeCF(CF(at_rest)), specialcf.normal(dim)
+    unborne = []
+    for name in walls:
+        given = GivenStress(step.walls, name).at(u, n)
+        left = CF(tuple(sum(own[i, j] * n[j] for j in range(dim)) - given[i] for i in range(dim)))
+        means = CF((CF(1.0), left * left, rest * rest, rest, given * n))
+        area, *sums = Integrate(means, step.mesh, BND, definedon=step.walls.region([name]))
+        gap, size, mean, push = (total / area for total in sums)
+        gap, size = gap**0.5, size**0.5
+        is_pressed = mean < 0 and push < 0
+        if size > _MATTERS * largest and gap > _MATTERS * size and not is_pressed:
+            unborne.append(f"at {name!r} T(I) = {mean:.6g} Pa, given {push:.6g} Pa, difference {gap:.3g} Pa")
+    if unborne:
+        yield (
+            "matter beside open walls has a stress of its own at rest, T(I) (mean normal stress), and its "
+            "difference from what the walls give loads the body from the first step on: "
+            f"{'; '.join(unborne)}. {_REMEDY}or let the walls bear it: a pressure of -T(I) beside other loads"
+        )
+
+
+def _at_rest(laws: Mapping[str, Material]) -> tuple[dict[str, float], float]:
+    """Mean normal stresses at rest of laws, Pa, by their names, and the least one beyond rounding, Pa."""
+    known = {name: rest_stress_and_modulus(law) for name, law in laws.items()}
+    least = _ROUNDING * max((abs(modulus) for _, modulus in known.values()), default=0.0)
+    return {name: stress for name, (stress, _) in known.items()}, least

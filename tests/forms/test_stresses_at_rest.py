@@ -1,0 +1,102 @@
+"""Stresses at rest that open walls do not bear are said before the first step, with their sizes."""
+
+import math
+import re
+
+import pytest
+from ngsolve import Id
+from scipy.optimize import brentq
+
+import ngvisco as nv
+from ngvisco.geometries import structured_box
+from ngvisco.physics.variables import Jacobian
+
+K, G, EPSILON = 10.0, 5.0, 0.1
+AT_REST = 3 * G + EPSILON**2 / (2 * K)
+"""Stress of the paper's neo-Hookean material at rest, Pa: 15.0005."""
+PAPER = {state: nv.NeoHookean(K_e=K, G_e=G, epsilon=EPSILON, elastic_state=state) for state in "FB"}
+FREE = {state: nv.ReferentialNeoHookean(K_e=K, G_e=G, elastic_state=state) for state in "FB"}
+GAS = nv.BarotropicFluid(B=1.0, gamma=2.0, rho_R=1.0)  # of 1 Pa at rest
+
+
+def fluid(at_rest):
+    """A fluid with this stress at rest, Pa."""
+    energy = lambda J: 5 * (J + 1 / J - 2) + at_rest  # noqa: E731
+    return nv.CustomMaterial(transported=(Jacobian(),), stored_energy=energy)
+
+
+def between(material, F=None, bodies=None, **wall):
+    """A bar between open walls at its start."""
+    model = nv.Model(material=material) if bodies is None else nv.Model(bodies=bodies)
+    initial = nv.Initial(F=F) if bodies or F is None else nv.Initial(F=F, density=1.0)
+    walls = {("left", "right"): nv.Open(backflow=False, **wall)}
+    return nv.Simulation(structured_box((1, 0.5), (2, 2)), model, dt=0.05, walls=walls, initial=initial)
+
+
+def differences(said):
+    """T(I), the given stress and their difference, Pa, at each wall that a warning names."""
+    numbers = r"at '(\w+)' T\(I\) = (\S+) Pa, given (\S+) Pa, difference ([\d.e+-]+) Pa"
+    found = [match for w in said for match in re.findall(numbers, str(w.message))]
+    return {name: tuple(map(float, values)) for name, *values in found}
+
+
+@pytest.mark.parametrize("state", "FB")
+def test_a_stress_at_rest_that_open_walls_do_not_bear_is_said_before_the_first_step(state):
+    """With what is said it shoots off at metres a second; by the pressure that is said it stays."""
+    for pull in (0.0, 1.0):
+        with pytest.warns(nv.InputWarning, match="pressure of -T") as said:
+            run = between(PAPER[state], pressure=-pull)
+        found = differences(said)
+        assert found.keys() == {"left", "right"}
+        for given in found.values():
+            assert given == pytest.approx((AT_REST, pull, AT_REST - pull), rel=5e-3, abs=1e-9)
+    assert run.advance()["v_max"] > 1.0
+    rest = between(PAPER[state], pressure=-found["left"][0])
+    assert rest.advance()["v_max"] < 1e-3
+
+
+@pytest.mark.parametrize("state", "FB")
+def test_what_is_borne_and_what_has_no_stress_at_rest_bring_no_warning(state, recwarn):
+    between(PAPER[state], pressure=-AT_REST)
+    between(PAPER[state], pressure=-AT_REST * 1.009)
+    for wall in ({}, {"pressure": -1.0}, {"traction": (1.0, 0.0)}, {"stiffness": (1.0, 1.0)}):
+        between(FREE[state], **wall)
+    stiff = nv.NeoHookean(K_e=100.0, G_e=G, epsilon=EPSILON, elastic_state=state)
+
+    def stress(J):  # (J phi)' at F = J^(1/3) I
+        x = J - 1 + EPSILON / 100
+        return 50 * x * x + 3 * G - EPSILON * math.log(J) + J * (100 * x - EPSILON / J)
+
+    between(stiff, F=brentq(stress, 0.67, 0.9) ** (1 / 3) * Id(3))  # the state without stress is not F = I
+    assert not recwarn.list
+
+
+def test_one_per_cent_of_the_stress_at_rest_is_the_bound():
+    with pytest.warns(nv.InputWarning, match="stress of its own at rest"):
+        between(PAPER["B"], pressure=-AT_REST * 1.011)
+
+
+def test_a_gas_is_warned_of_where_nothing_presses_it(recwarn):
+    between(GAS, pressure=1.5)  # let in, 0.5 Pa above its pressure
+    between(GAS, pressure=0.5)
+    assert not recwarn.list
+    with pytest.warns(nv.InputWarning) as said:
+        between(GAS)
+    assert differences(said)["left"] == pytest.approx((-1.0, 0.0, 1.0), rel=1e-5)
+
+
+@pytest.mark.parametrize("place", ["at the walls", "inside"])
+def test_of_bodies_the_one_beside_a_wall_has_the_stress(place, recwarn):
+    """The mean over the wall is of the body's half alone; where the medium bears a load nothing is said."""
+    where = nv.Block((0.0, 0.0), (1.0, 0.25)) if place == "at the walls" else nv.Ball((0.5, 0.25), 0.1)
+    bodies = [
+        nv.Body(name="body", material=fluid(15.0), where=where, density=1.0),
+        nv.Body(name="medium", material=fluid(0.0), density=1.0),
+    ]
+    between(None, bodies=bodies, pressure=0.5)
+    found = differences(recwarn.list)
+    if place == "inside":
+        assert not found
+    else:  # on the body's half the difference is 15.5 Pa, on the medium's 0.5 Pa
+        assert found.keys() == {"left", "right"}
+        assert found["right"] == pytest.approx((7.5, -0.5, ((15.5**2 + 0.5**2) / 2) ** 0.5), rel=5e-3)
