@@ -394,17 +394,16 @@ def samples(case: CaseSections, run: Path) -> dict[tuple[str, ...], Series]:
         return run / "samples" / f"{name}.csv"
 
     if case.bodies:
-        every, measures = (1, []) if output.bodies is None else (output.bodies.every, output.bodies.measures)
-        series["output", "bodies"] = Bodies(run / "bodies.csv", every, measures)
+        chosen: dict[str, Any] = {} if output.bodies is None else parameters(output.bodies)
+        series["output", "bodies"] = Bodies(run / "bodies.csv", **chosen)
     if (c := output.contours) is not None:
-        series["output", "contours"] = Contours(run / "contours", c.bodies, c.every)
+        series["output", "contours"] = Contours(run / "contours", **parameters(c))
     for i, p in enumerate(output.probes):
         series["output", "probes", str(i)] = Probes({p.name: p.point}, p.fields, file(p.name), p.every)
     for i, e in enumerate(output.lines):
-        line = LineSamples(e.start, e.end, e.points, e.fields, file(e.name), e.every)
-        series["output", "lines", str(i)] = line
+        series["output", "lines", str(i)] = LineSamples(**parameters(e), path=file(e.name))
     if (f := output.forces) is not None:
-        series["output", "forces"] = WallForces(f.walls, f.about, file("forces"), f.every)
+        series["output", "forces"] = WallForces(**parameters(f), path=file("forces"))
     for i, s in enumerate(output.integrals):
         series["output", "integrals", str(i)] = Integrals({s.name: s.of}, file(s.name), s.every)
     return series

@@ -245,12 +245,6 @@ def tables_of(part: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str
         yield from tables_of(value, (*path, str(name)))
 
 
-def has_key(sections: Any, key: tuple[str, ...]) -> bool:
-    """Whether the schema of the table at a path has a key, given or not."""
-    table = given(sections, key[:-1])
-    return isinstance(table, Section) and key[-1] in type(table).model_fields
-
-
 def given(sections: Any, key: tuple[str, ...]) -> Any:
     """The value of a key in a case; None if the case does not have the key."""
     value = sections

@@ -22,6 +22,9 @@ from ngvisco.physics.heat import Heat
 from ngvisco.physics.material import Material
 from ngvisco.physics.materials import Branch, Thermal
 from ngvisco.physics.rheology import Viscosity
+from ngvisco.run.body_tables import Bodies
+from ngvisco.run.contours import Contours
+from ngvisco.run.probes import LineSamples, WallForces
 from ngvisco.run.refinement import Refinement
 
 _MAX_OUTPUT_TIMES = 100_000
@@ -201,15 +204,10 @@ class Checkpoint(Section):
     keep: AtLeastOne = Field(2, description="Number of checkpoints in run.h5")
 
 
-class Table(Section):
-    """A table over time."""
+class NamedTable(Section):
+    """One of several tables over time."""
 
     every: AtLeastOne = Field(1, description="A row every so many steps, and at the end")
-
-
-class NamedTable(Table):
-    """One of several tables."""
-
     name: Annotated[str, AfterValidator(_check_name), Quantity(example="middle")] = Field(
         description="Letters, digits, _ and -; the file is samples/NAME.csv"
     )
@@ -224,31 +222,6 @@ class Probe(NamedTable):
     fields: Components = Field(None, description=_COMPONENTS)
 
 
-class Line(NamedTable):
-    """A table of fields along a line over time."""
-
-    start: Annotated[list[float], Quantity("m", example=[0.0, 0.5])] = Field(
-        description="One end of the line, a coordinate for each dimension"
-    )
-    end: Annotated[list[float], Quantity("m", example=[1.0, 0.5])] = Field(description="Its other end")
-    points: int = Field(
-        101, ge=2, le=100_000, description="Number of equally spaced points, both ends included"
-    )
-    fields: Components = Field(None, description=_COMPONENTS)
-    every: AtLeastOne = Field(10, description="A row every so many steps, and at the end")
-
-
-class Forces(Table):
-    """A table of forces and torques on walls over time."""
-
-    walls: Annotated[Names | None, Quantity(example=["left"])] = Field(
-        None, description="Names of walls; default all"
-    )
-    about: Annotated[list[float] | None, Quantity("m", example=[0.5, 0.5])] = Field(
-        None, description="Reference point of torques; default the origin"
-    )
-
-
 class DomainIntegral(NamedTable):
     """A table over time of the integral of an expression of the fields over the domain."""
 
@@ -257,28 +230,10 @@ class DomainIntegral(NamedTable):
     )
 
 
-class BodyTable(Table):
-    """A table of each body over time."""
-
-    measures: Annotated[
-        list[Literal["deformation", "outline", "turning", "stress", "traction", "gap"]],
-        AfterValidator(_check_once),
-        Quantity(example=["deformation", "gap"]),
-    ] = Field(
-        [],
-        description="Further columns: length, breadth and angle (deformation), perimeter and area "
-        "(outline), tank-treading (turning), mean stress (stress), force and torque by other bodies "
-        "(traction), least distances (gap)",
-    )
-
-
-class Contour(Table):
-    """Outlines of bodies over time."""
-
-    bodies: Annotated[Names | None, Quantity(example=["disc"])] = Field(
-        None, description="Names of bodies; default all bodies with a place"
-    )
-    every: AtLeastOne = Field(10, description="Outlines every so many steps, and at the end")
+Line: Any = section(LineSamples, base=NamedTable, without=("path",), defaults={"every": 10})
+Forces = section(WallForces, without=("path",))
+BodyTable = section(Bodies, without=("path",))
+Contour = section(Contours, without=("directory",), defaults={"every": 10})
 
 
 class Output(Section):

@@ -122,22 +122,25 @@ def section(
     base: type[Section] = Section,
     is_whole: bool = True,
     without: Collection[str] = (),
+    defaults: Mapping[str, Any] = MappingProxyType({}),
 ) -> type[Section]:
-    """The section that holds the parameters of a dataclass or function.
+    """The section that holds the parameters of a class or function.
 
     ``tag`` is a key and the value that chooses this section, such as ``("kind", "NeoHookean")``; the key may
     be left out if the section ``is_default``.  ``types`` gives the schema's types for parameters that are
-    laws.  ``base`` adds further keys, and ``without`` names parameters that are no keys.  If not
-    ``is_whole``, the section alone does not suffice to make the object.
+    laws.  ``base`` adds further keys, ``without`` names parameters that are no keys, and ``defaults`` has
+    other defaults.  If not ``is_whole``, the section alone does not suffice to make the object.
     """
     types = {**_TYPES, **types}
     # get_type_hints resolves the fields' hints by the names in the module of each class
-    hints, annotated = get_type_hints(target), get_type_hints(target, include_extras=True)
+    is_class, is_dataclass = inspect.isclass(target), dataclasses.is_dataclass(target)
+    hinted = target.__init__ if is_class and not is_dataclass else target
+    hints, annotated = get_type_hints(hinted), get_type_hints(hinted, include_extras=True)
     fields: dict[str, Any] = {}
     if tag is not None:
         fields[tag[0]] = (Literal[tag[1]], tag[1] if is_default else ...)
     for name, parameter in inspect.signature(target).parameters.items():
-        hint, default = hints.get(name), parameter.default
+        hint, default = hints.get(name), defaults.get(name, parameter.default)
         annotation = None if name in without else _annotation(hint, types)
         if annotation is None:
             if default is inspect.Parameter.empty:
@@ -158,7 +161,7 @@ def section(
     # resolved yet
     returned = hints.get("return")
     is_material = isinstance(returned, type) and issubclass(returned, MaterialObject)
-    is_made_at_once = is_whole and (dataclasses.is_dataclass(target) or is_material)
+    is_made_at_once = is_whole and (is_class or is_dataclass or is_material)
     of_place = [part for key in fields for part in models_in(model.model_fields[key].annotation)]
     takes_functions = any(map(field_names, [model, *of_place]))
     model.is_checked = is_made_at_once and "path" not in fields and not takes_functions

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import combinations
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, get_args
 
 import numpy as np
 from ngsolve import CF, H1, CoefficientFunction, Grad, GridFunction, Periodic, x, y, z
 
-from ngvisco.errors import NgviscoWarning, ParameterError, require_some_names
+from ngvisco.errors import NgviscoWarning, ParameterError, Quantity, require_some_names
 from ngvisco.physics.bodies import AMOUNT
 from ngvisco.physics.mixture import Mixture
 from ngvisco.physics.tensors import inner, sym
@@ -146,7 +146,7 @@ class _Tractions:
         return np.hstack([force, torque - about[:, -torque.shape[1] :]])
 
 
-MEASURES = ("deformation", "outline", "turning", "stress", "traction", "gap")
+Measure: TypeAlias = Literal["deformation", "outline", "turning", "stress", "traction", "gap"]
 """Optional measures of bodies."""
 _PLANE = ("deformation", "outline", "turning", "gap")
 """Measures that need an outline, hence two dimensions."""
@@ -154,16 +154,6 @@ _PLANE = ("deformation", "outline", "turning", "gap")
 
 class Bodies(Series):
     """Table of each body of a model over time.
-
-    Parameters
-    ----------
-    path : path, optional
-        CSV file; without a path the rows are kept in memory only.
-    every : int
-        Number of steps from one row to the next; the end has a row too.
-    measures : sequence of str
-        Further columns: ``"deformation"``, ``"outline"``, ``"turning"``, ``"stress"``, ``"traction"``,
-        ``"gap"``.
 
     The columns are ``step``, ``time`` (s), and for each body, with theta its volume fraction and n its amount
     per volume, in SI units, per metre of thickness in plane strain:
@@ -199,16 +189,27 @@ class Bodies(Series):
     A run's HDF5 file (``Checkpoints``) holds the columns in the group ``bodies``.
     A run raises ParameterError for a model without bodies, for a measure that needs an outline in three
     dimensions, and for ``gap`` of fewer than two bodies that have a place.
+
+    Parameters
+    ----------
+    measures : sequence of str
+        Further columns: length, breadth and angle (deformation), perimeter and area (outline), tank-treading
+        (turning), mean stress (stress), force and torque by other bodies (traction), least distances (gap).
     """
 
     group = "bodies"
 
-    def __init__(self, path: AnyPath | None = None, every: int = 1, measures: Sequence[str] = ()) -> None:
+    def __init__(
+        self,
+        path: AnyPath | None = None,
+        every: int = 1,
+        measures: Annotated[Sequence[Measure], Quantity(example=["deformation", "gap"])] = (),
+    ) -> None:
         super().__init__(path, every)
         self.measures = require_some_names("Bodies.measures", measures) if len(measures) else []
         for name in self.measures:
-            if name not in MEASURES:
-                raise ParameterError("Bodies.measures", name, f"some of {', '.join(MEASURES)}")
+            if name not in get_args(Measure):
+                raise ParameterError("Bodies.measures", name, f"some of {', '.join(get_args(Measure))}")
         self._is_said: set[str] = set()
 
     def prepare(self, simulation: Simulation) -> list[str]:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
-from ngvisco.errors import ParameterError, UnknownNameError, require_path, require_some_names
+from ngvisco.errors import ParameterError, Quantity, UnknownNameError, require_path, require_some_names
 from ngvisco.run.body_tables import FractionSamples, require_bodies
 from ngvisco.run.files import AnyPath
 from ngvisco.run.frames import read_pvd
@@ -21,6 +21,13 @@ if TYPE_CHECKING:
 class Contours(Series):
     """The lines where the volume fraction of a body is one half, over time, in two dimensions.
 
+    The columns are ``step``, ``time`` (s), ``body``, the body's number from 1 as in the field ``body``,
+    ``line``, the number from 1 of a line of that body, and ``x``, ``y`` (m), row by row along the line with
+    the body on the left; a closed line ends with its first point.  In the .vtu files cells are segments, with
+    the numbers ``body`` and ``line`` at their points.
+    A run raises ParameterError for a model without bodies and in three dimensions, UnknownNameError for an
+    unknown body.
+
     Parameters
     ----------
     directory : path, optional
@@ -28,19 +35,13 @@ class Contours(Series):
         missing; without a directory the rows are kept in memory only.
     bodies : sequence of str, optional
         Names of bodies; default all bodies that have a place.
-    every : int
-        Number of steps from one sample to the next; the end is sampled too.
-
-    The columns are ``step``, ``time`` (s), ``body``, the body's number from 1 as in the field ``body``,
-    ``line``, the number from 1 of a line of that body, and ``x``, ``y`` (m), row by row along the line with
-    the body on the left; a closed line ends with its first point.  In the .vtu files cells are segments, with
-    the numbers ``body`` and ``line`` at their points.
-    A run raises ParameterError for a model without bodies and in three dimensions, UnknownNameError for an
-    unknown body.
     """
 
     def __init__(
-        self, directory: AnyPath | None = None, bodies: Sequence[str] | None = None, every: int = 1
+        self,
+        directory: AnyPath | None = None,
+        bodies: Annotated[Sequence[str] | None, Quantity(example=["disc"])] = None,
+        every: int = 1,
     ) -> None:
         place = None if directory is None else require_path("Contours.directory", directory)
         super().__init__(None if place is None else place / "contours.csv", every)

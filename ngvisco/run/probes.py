@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from ngsolve import CF, CoefficientFunction
 
-from ngvisco.errors import ParameterError, as_integer, require_collection, require_some_names
+from ngvisco.errors import Declared, ParameterError, Quantity, require_collection, require_some_names
 from ngvisco.expressions import parse
 from ngvisco.forms.mesh.locating import Located, as_points
 from ngvisco.forms.reactions import WallReactions
@@ -30,11 +30,8 @@ class Probes(Series):
     fields : sequence of str, optional
         Names out of ``simulation.fields``, or of components such as ``velocity_1``, ``F_12``; default all
         but the further fields of ``ngvisco.run.fields``.  A vector or tensor gives all its components.
-    path : path, optional
-        CSV file; without a path the rows are kept in memory only.
-    every : int
-        Number of steps from one row to the next; the end has a row too.
 
+    The parameters ``path`` and ``every`` are those of ``Series``.
     The columns are ``step``, ``time`` (s), and ``NAME.FIELD`` in the fields' SI units.
     A run raises ParameterError for a point outside the domain, UnknownNameError for an unknown field.
     """
@@ -65,37 +62,43 @@ class Probes(Series):
         return [self._at.values(self._values).ravel()]
 
 
+POINTS = Declared("from 2 to 100000", (int,))
+"""Number of points along a line."""
+
+
 class LineSamples(Series):
     """Fields along a line, over time; each point has a row for each time.
 
     Raises ParameterError if a parameter is out of its range.
 
-    Parameters
-    ----------
-    start, end : sequence of numbers
-        Ends of the line, m, in the domain.
-    points : int
-        Number of points, equally spaced, the ends included; >= 2.
-    fields, path, every
-        Parameters as for ``Probes``.
-
+    The parameters ``path`` and ``every`` are those of ``Series``.
     The columns are ``step``, ``time`` (s), ``s`` (distance from the start, m), ``x``, ``y``, in 3D ``z`` (m),
     and the fields in SI units.
+
+    Parameters
+    ----------
+    start : sequence of numbers, m
+        One end of the line, a coordinate for each dimension.
+    end : sequence of numbers, m
+        The other end of the line.
+    points : int
+        Number of points, equally spaced, the ends included.
+    fields : sequence of str, optional
+        Names of fields or of their components; default those of a VTK series.
     """
 
     def __init__(
         self,
-        start: Sequence[float],
-        end: Sequence[float],
-        points: int = 101,
-        fields: Sequence[str] | None = None,
+        start: Annotated[Sequence[float], Quantity("m", example=[0.0, 0.5])],
+        end: Annotated[Sequence[float], Quantity("m", example=[1.0, 0.5])],
+        points: Annotated[int, Quantity("1", POINTS.range)] = 101,
+        fields: Annotated[Sequence[str] | None, Quantity(example=["velocity", "F_12"])] = None,
         path: AnyPath | None = None,
         every: int = 1,
     ) -> None:
         super().__init__(path, every)
-        if (count := as_integer(points)) is None or count < 2:
-            raise ParameterError("LineSamples.points", points, "an integer >= 2")
-        self.ends, self.points, self.fields = (start, end), count, _chosen("LineSamples", fields)
+        self.points = POINTS.taken("LineSamples.points", points)
+        self.ends, self.fields = (start, end), _chosen("LineSamples", fields)
 
     def prepare(self, simulation: Simulation) -> list[str]:
         mesh = simulation.mesh
@@ -124,29 +127,28 @@ class WallForces(Series):
 
     Raises ParameterError if a parameter is out of its range.
 
-    Parameters
-    ----------
-    walls : sequence of str, optional
-        Names of walls; default all walls.
-    about : sequence of numbers, optional
-        The point that torques refer to, m; default the origin.
-    path, every
-        Parameters as for ``Probes``.
-
+    The parameters ``path`` and ``every`` are those of ``Series``.
     The columns are ``WALL.force_1`` ... (N) and ``WALL.torque`` (2D) or ``WALL.torque_1`` ... (N m), per
     metre of thickness in plane strain; for a body of revolution ``WALL.force_2``, N over 2 pi.  Forces are
     the reactions of the solved equations, by the elastic, viscous and hyperviscous stress
     (``ngvisco.forms.reactions``).  A row is the mean over the stages of the step that ends at its
     time, with the scheme's weights; hence the start has no row.  Backward Euler gives the forces at the
     step's end, the midpoint rule at its middle.
+
+    Parameters
+    ----------
+    walls : sequence of str, optional
+        Names of walls; default all walls.
+    about : sequence of numbers, optional
+        Reference point of torques, m; default the origin.
     """
 
     initial = False
 
     def __init__(
         self,
-        walls: Sequence[str] | None = None,
-        about: Sequence[float] | None = None,
+        walls: Annotated[Sequence[str] | None, Quantity(example=["left"])] = None,
+        about: Annotated[Sequence[float] | None, Quantity("m", example=[0.5, 0.5])] = None,
         path: AnyPath | None = None,
         every: int = 1,
     ) -> None:
@@ -195,9 +197,8 @@ class Integrals(Series):
     integrands : mapping of names to coefficient functions or expressions
         An expression is a text as in case files, in ``x``, ``y``, ``z``, ``t`` and the components of the
         run's fields: ``"density*velocity_1"``, ``"max(J - 1, 0)"``, ``"von_mises*(1 if x < 0.5 else 0)"``.
-    path, every
-        Parameters as for ``Probes``.
 
+    The parameters ``path`` and ``every`` are those of ``Series``.
     The quadrature is that of the forms and the ledger: the integral of ``"density"`` is the ledger's mass.
     In plane strain integrals are per metre of thickness.
     A run raises ParameterError for an integral that is not finite at its start, and NotANumberError for one

@@ -31,6 +31,13 @@ class Series(ABC):
 
     A value that is not finite ends the run with a NotANumberError, which names the column and the time.
 
+    ``path`` is the CSV file; without a path the rows are kept in memory only.
+
+    Parameters
+    ----------
+    every : int
+        Number of steps from one row to the next; the end has a row too.
+
     Attributes
     ----------
     columns : list of str

@@ -94,7 +94,7 @@ observed(Probes([(0, 0)], ["velocty"])) | did you mean 'velocity'
 observed(Probes([(0, 0)], every=0)) | Probes.every
 observed(LineSamples((0, 0), (0, 0))) | another point than start
 observed(LineSamples((0, 0), (0, 3))) | LineSamples.end
-observed(LineSamples((0, 0), (1, 0), 1)) | an integer >= 2
+observed(LineSamples((0, 0), (1, 0), 1)) | a whole number from 2 to 100000
 observed(WallForces(["lef"])) | did you mean 'left'
 observed(WallForces("left")) | a sequence of names
 observed(WallForces(about=(1,))) | WallForces.about
