@@ -28,7 +28,7 @@ def thrown(X: float) -> CF:
 def simulation(cells: tuple[int, int] = (14, 8), dt: float = 0.05, **options) -> nv.Simulation:
     """The quarter 0.7 m x 0.4 m of two discs of 1 kg/m^3 and 1 Pa of shear, with planes of symmetry."""
     damped, thin = (nv.StokesViscosity(K_v=eta, G_v=eta) for eta in (0.002, 4e-6))  # Pa s
-    soft = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: 0.001 * (J + 1 / J - 2))
+    soft = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: 0.001 * (J - 1) * (J - 1) / J)
     solid = nv.ReferentialNeoHookean(K_e=2.0, G_e=0.5)
     bodies = (
         nv.Body(name="medium", material=soft, viscosity=thin, density=0.001),

@@ -16,7 +16,9 @@ from ngvisco.run.pictures import figure
 
 def simulation(cells=(20, 22), dt: float = 0.05, K_e: float = 50.0, **options) -> nv.Simulation:
     """A box of 1 m x 1 m, 1 kg/m^3, 0.01 Pa s, with a disc of shear modulus 0.1 Pa and a lid of 1 m/s."""
-    fluid = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: K_e / 2 * (J + 1 / J - 2))
+    fluid = nv.CustomMaterial(
+        transported=(Jacobian(),), stored_energy=lambda J: K_e / 2 * (J - 1) * (J - 1) / J
+    )
     solid = nv.IsochoricNeoHookean(K_e=K_e, G_e=0.05, elastic_state="B")
     both = {"viscosity": nv.StokesViscosity(K_v=0.01, G_v=0.01), "density": 1.0}
     disc = nv.Body(name="disc", where=nv.Ball((0.6, 0.5), 0.2), material=solid, **both)

@@ -166,7 +166,8 @@ class Body:
 
         viscosity = nv.StokesViscosity(K_v=0.01, G_v=0.01)
         soft = nv.ReferentialNeoHookean(K_e=20.0, G_e=0.05)
-        fluid = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: 10 * (J - 2 + 1 / J))
+        U = lambda J: 10 * (J - 1) * (J - 1) / J
+        fluid = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=U)
         place = nv.Ball((0.6, 0.5), 0.2)
         disc = nv.Body(name="disc", where=place, material=soft, viscosity=viscosity, density=1.0)
         rest = nv.Body(name="rest", material=fluid, viscosity=viscosity, density=1.0)

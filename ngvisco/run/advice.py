@@ -184,7 +184,7 @@ class Scales:
             lines.append(
                 "bodies of such densities have different bulk energies: few steps are solved; where it does "
                 "not matter give all of them one, e.g. a medium beside ReferentialNeoHookean "
-                'kind = "Custom" with energy = "K_e/2*(J + 1/J - 2)"'
+                'kind = "Custom" with energy = "K_e/2*(J - 1)*(J - 1)/J"'
             )
         if self.overstress > _ABOVE_YIELD:
             lines.append(

@@ -46,7 +46,9 @@ def elastic(kind: str, bulk: float, shear: float) -> nv.Material:
 
 def fluid(bulk: float) -> nv.Material:
     """A material without shear stress, with the bulk modulus, Pa, of a neighbouring body."""
-    return nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: bulk / 2 * (J + 1 / J - 2))
+    return nv.CustomMaterial(
+        transported=(Jacobian(),), stored_energy=lambda J: bulk / 2 * (J - 1) * (J - 1) / J
+    )
 
 
 def at_rest(stiffness: float, weight: CoefficientFunction) -> CoefficientFunction:

@@ -37,7 +37,7 @@ def _rock(equilibrium: str | None, density: CF, cells: tuple[int, int] = (4, 8))
 
 def _soft(rows: int) -> nv.Simulation:
     def energy(B: CF, J: CF) -> CF:
-        return SOFT / 2 * (J - 2 + 1 / J) + SOFT / 4 * tr(B)
+        return SOFT / 2 * (J - 1) * (J - 1) / J + SOFT / 4 * tr(B)
 
     variables = (LeftCauchyGreen(exponent=-5 / 3), Jacobian())
     material = nv.CustomMaterial(transported=variables, stored_energy=energy, rho_R=DENSITY)

@@ -74,7 +74,7 @@ def _hertz(x: np.ndarray, p: np.ndarray) -> tuple[float, float]:
     """)
 def _pressed() -> Measured:
     ramp = IfPos(nv.time - LAID, 1.0, nv.time / LAID)
-    gas = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: LIGHT * (J + 1 / J - 2))
+    gas = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: LIGHT * (J - 1) * (J - 1) / J)
     solid = nv.ReferentialNeoHookean(K_e=BULK, G_e=SHEAR / 2)
     cylinder = nv.Body(
         name="cylinder",

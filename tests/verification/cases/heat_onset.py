@@ -91,7 +91,9 @@ def _rolls(plates: Plates, Ra: float, amplitude: float) -> np.ndarray:
     """
     expansion, K_e, c, middle = 3e-3, 1e9, 1e7, 10.0
     (_, *mode), k, g = _mode(plates, Ra), plates.wave, Ra / expansion
-    cold = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: K_e / 2 * (J - 2 + 1 / J))
+    cold = nv.CustomMaterial(
+        transported=(Jacobian(),), stored_energy=lambda J: K_e / 2 * (J - 1) * (J - 1) / J
+    )
     model = nv.Model(
         material=nv.Thermal(material=cold, c=c, theta_R=middle, expansion=expansion),
         viscosity=nv.StokesViscosity(K_v=1.0, G_v=1.0),
