@@ -5,8 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from ngsolve import CoefficientFunction
+
 from ngvisco.errors import NgviscoWarning
 from ngvisco.forms.given_values import is_let_in_by_pressure
+from ngvisco.physics.material import rest_stress_and_modulus
+from ngvisco.physics.tensors import square, sym
 
 if TYPE_CHECKING:
     from ngvisco.forms.system import Step
@@ -14,6 +18,12 @@ if TYPE_CHECKING:
 _MATTERS = 0.01
 """Share of all powers that matter may lose where it flows in, and of the mass that may come in with a density
 that nothing determines; a run warns of a larger one."""
+_FILLED = 0.2
+"""Share of the mass after whose entrance stresses are compared: before, those of the start are inside."""
+_DIFFERS = 0.1
+"""Share of the stresses, root mean squares over the inflow, by which those inside and outside may differ."""
+_ROUNDING = 1e-9
+"""Share of the bulk modulus below which a stress is rounding."""
 
 
 class InflowWarning(NgviscoWarning):
@@ -23,19 +33,59 @@ class InflowWarning(NgviscoWarning):
 class Inlets:
     """Warns of inflows through a run's walls; it sums the mass that came in through each of them.
 
-    Temperatures mix by their nature: they bring no warning.  Bodies whose amounts are given come in
-    unstrained.
+    Two measures tell whether given values have another stress than the body: the power that is lost where
+    both meet, which in slow straining is small beside others, and the difference of the stresses' deviators
+    beside elastic and viscous stresses.  Pressures have the first measure alone: what is hardly compressed
+    has the density of its neighbours, whatever its pressure.  Temperatures mix by their nature: they bring no
+    warning.  Bodies whose amounts are given come in unstrained.
     """
 
     def __init__(self, step: Step) -> None:
         law = step.model.material
-        self._strains = {v.name for v in law.variables if v.is_strain}
-        self._walls: dict[str, Any] = {wall.name: step.walls.conditions[wall.name] for wall in step.passages}
-        """The walls that matter crosses, by name."""
-        is_known = law.referential_density is not None
-        let_in = (name for name, wall in self._walls.items() if is_let_in_by_pressure(wall, law))
-        self._entered = dict.fromkeys(() if is_known else let_in, 0.0)
-        """Mass, kg, that came in with a density that nothing determines, by the wall's name."""
+        self._step = step
+        strains = {v.name for v in law.variables if v.is_strain}
+        self._given: dict[str, str] = {}
+        """Words for what is given, by the names of the walls that give strains or amounts."""
+        known_densities = law.referential_density is not None
+        self._unknown: list[str] = []
+        """Walls that let matter in whose density nothing determines."""
+        for term in step.passages:
+            wall: Any = step.walls.conditions[term.name]
+            named = sorted(strains & wall.values.keys())
+            if named or wall.amounts:
+                self._given[term.name] = f"values of {', '.join(named)}" if named else "amounts"
+            if not known_densities and is_let_in_by_pressure(wall, law):
+                self._unknown.append(term.name)
+        self._entered = dict.fromkeys((*self._given, *self._unknown), 0.0)
+        """Mass, kg, that came in, by the wall's name."""
+        # values of an energy without an expression have a stress that is not known
+        named_alone = [name for name, what in self._given.items() if what != "amounts"]
+        has_expression = law.response(step.mesh.dim) is None
+        self._compared = {
+            name: self._stresses(name) for name in self._given if has_expression or name not in named_alone
+        }
+        """Squares of the difference, of the stresses, and the inflow speed, for integrals over facets."""
+        laws = [body.material for body in step.model.bodies] or [law]
+        moduli = [abs(rest_stress_and_modulus(law)[1]) for law in laws] if self._given else [0.0]
+        self._rounding = _ROUNDING * max(moduli)
+
+    def _stresses(self, name: str) -> tuple[CoefficientFunction, CoefficientFunction, CoefficientFunction]:
+        step, u = self._step, self._step.now
+        term = next(term for term in step.passages if term.name == name)
+        inward, inside, outside = term.deviators(u)
+        sizes = square(inside) + square(outside)
+        if (law := step.model.viscosity) is not None:
+            sizes = sizes + square(law.stress(sym(u.L), step.context.rates.read_values(law, u)))
+        parts = (inward * square(outside - inside), inward * sizes, inward)
+        return tuple(part.Compile() for part in parts)
+
+    def _difference(self, name: str) -> tuple[float, float]:
+        """Difference of the stresses' deviators at a wall, and the stresses' size, Pa; collective."""
+        integrals = (self._step.quadrature.integrate_facets(f) for f in self._compared[name])
+        difference, size, inflow = integrals
+        if not inflow > 0:
+            return 0.0, 0.0
+        return (difference / inflow) ** 0.5, (size / inflow) ** 0.5
 
     def resume(self, rows: Sequence[Mapping[str, float]]) -> None:
         """Go on after the ledger's ``rows``."""
@@ -48,27 +98,30 @@ class Inlets:
             self._entered[name] += max(row[f"inflow_{name}"], 0.0) * row["dt"]
 
     def message(self, row: Mapping[str, float]) -> str:
-        """A warning about the step of a ledger's row, each step's row once; empty for little."""
+        """A warning about the step of a ledger's row, each step's row once; empty for little; collective."""
         self._add(row)
         worked = sum(
             abs(value)
             for name, value in row.items()
             if name.startswith(("power_", "dissipation_")) and not name.startswith("power_stored_")
         )
-        for name, wall in self._walls.items():
-            named = sorted(self._strains & wall.values.keys())
-            given = f"values of {', '.join(named)}" if named else "amounts" if wall.amounts else ""
-            lost = row[f"dissipation_inflow_{name}"]
-            if given and lost > _MATTERS * worked:
+        for name, given in self._given.items():
+            lost, meeting = row[f"dissipation_inflow_{name}"], ""
+            if lost > _MATTERS * worked:
+                meeting = f"where both meet {lost:.3g} W are lost, {lost / worked:.0%} of all powers"
+            elif name in self._compared and self._entered[name] > _FILLED * row["mass"]:
+                difference, size = self._difference(name)
+                if difference > max(_DIFFERS * size, self._rounding):
+                    meeting = f"their deviators differ by {difference:.3g} Pa, with {size:.3g} Pa at the wall"
+            if meeting:
                 return (
                     f"at t = {row['time']:.4g} s what flows in through {name!r} by the {given} that are "
-                    "given has another stress than the body inside: where both "
-                    f"meet {lost:.3g} W are lost, {lost / worked:.0%} of all powers, and a jump stays there; "
+                    f"given has another stress than the body inside: {meeting}, and a jump stays there; "
                     "give values (and a density) that belong to the stress at the wall, or none: then matter "
                     "comes in as it is inside"
                 )
-        for name, entered in self._entered.items():
-            if entered > _MATTERS * row["mass"]:
+        for name in self._unknown:
+            if self._entered[name] > _MATTERS * row["mass"]:
                 return (
                     f"at t = {row['time']:.4g} s a fluid comes in through {name!r} at a pressure, and with "
                     "the density of the cell inside, since the material has no rho_R that belongs to the "

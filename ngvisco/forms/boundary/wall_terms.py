@@ -46,9 +46,10 @@ from ngvisco.forms.given_values import as_shape, entering, entropy_at
 from ngvisco.forms.term import ENTERING, SKEW, CellMean, Entry, Integrand, PointTerm
 from ngvisco.forms.unknown import Setting, Unknown
 from ngvisco.physics.loads import as_vector
+from ngvisco.physics.material import cauchy_stress, conjugates
 from ngvisco.physics.materials.thermal import entropy_in
 from ngvisco.physics.model import Model
-from ngvisco.physics.tensors import if_positive, inner
+from ngvisco.physics.tensors import dev, if_positive, inner
 from ngvisco.physics.walls import NavierFriction, Open, Passage, PrescribedNormal, Traction
 
 HELD_BY_WALLS = "walls"
@@ -226,6 +227,18 @@ class Carried(OnWall):
         """Inflow speed (v . n)^- on this wall, else 0."""
         v_n = self._normal_velocity(u)
         return if_positive(v_n, 0.0 * v_n, -v_n)
+
+    def deviators(self, u: Fields) -> tuple[CoefficientFunction, CoefficientFunction, CoefficientFunction]:
+        """Inflow speed, m/s, and elastic stresses' deviators, Pa, inside and of what flows in; 0 elsewhere.
+
+        Bodies whose energy has no expression come in without a deviator, unstrained.
+        """
+        material, here, zero = self.material, u.context.given(self.indicator), CF((0.0,) * 9, dims=(3, 3))
+        inside, outside = cauchy_stress(material, u.z_tensors, u.zeta_tensors, CF(0.0)), zero
+        if StoredMean.name not in u.layout.unknowns:
+            z = u.layout.states.tensors(lambda: self.entering(u, "z"))
+            outside = cauchy_stress(material, z, conjugates(material, z), CF(0.0))
+        return self._inward(u), *(if_positive(here, dev(T), zero) for T in (inside, outside))
 
     def _added(self, u: Fields, name: str) -> CoefficientFunction:
         """Inflow speed times the difference of inflowing and inner value, of ``"rho"`` or ``"z"``."""
