@@ -3,12 +3,19 @@
 There are three tiers.  The default tier is all tests without the mark `long`; `-m quick` is a part of it.
 """
 
+import gc
 import os
+import sys
 from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # read when NGSolve loads its BLAS
 os.environ.setdefault("NGS_NUM_THREADS", "1")  # read by processes that tests start
 os.environ.setdefault("NGVISCO_THREADS", "1")
+if sys.dont_write_bytecode:  # all processes of a run share what one of them compiles, away from the sources
+    sys.pycache_prefix = str(Path(__file__).parents[1] / ".pytest_cache" / "bytecode")
+    sys.dont_write_bytecode = False
+    os.environ["PYTHONPYCACHEPREFIX"] = sys.pycache_prefix
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 import numpy as np
 import pytest
@@ -33,6 +40,16 @@ NOT_QUICK = {
     *(f"physics/test_{name}.py" for name in ("material_laws", "variables")),
 }
 """Modules of the edit loop's rooms that take too long for it."""
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection(session):
+    """Collect the tests without a search for garbage, which would go through all of them twenty times."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.enable()
 
 
 @pytest.hookimpl(tryfirst=True)

@@ -22,12 +22,15 @@ def tree_of(path: Path) -> ast.Module:
 
 def docstrings(path: Path) -> Iterator[tuple[int, str]]:
     """Lines and texts of the docstrings of modules, classes, functions and attributes."""
-    for node in ast.walk(tree_of(path)):
-        body = getattr(node, "body", None)
-        for part in body if isinstance(body, list) else []:
-            value = part.value if isinstance(part, ast.Expr) else None
-            if isinstance(value, ast.Constant) and isinstance(value.value, str):
-                yield part.lineno, value.value.strip()
+    nodes: list[ast.AST] = [tree_of(path)]
+    while nodes:
+        node = nodes.pop()
+        value = node.value if isinstance(node, ast.Expr) else None
+        if isinstance(value, ast.Constant) and isinstance(value.value, str):
+            yield node.lineno, value.value.strip()
+        for block in ("body", "orelse", "handlers", "finalbody", "cases"):
+            parts = getattr(node, block, None)
+            nodes += parts if isinstance(parts, list) else []
 
 
 def test_docstrings_begin_with_a_subject_or_a_verb():

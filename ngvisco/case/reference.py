@@ -67,7 +67,8 @@ class KeyEntry:
         return f"{self.path[-1]} = {toml.value_text(self.example)}"
 
 
-def entries() -> list[KeyEntry]:
+@cache
+def entries() -> tuple[KeyEntry, ...]:
     """Every key of a case file, in the order of the schema; kinds that agree on a key share its entry."""
     grouped: dict[tuple[Any, ...], KeyEntry] = {}
     for entry in _walk(CaseSections, (), ()):
@@ -75,7 +76,7 @@ def entries() -> list[KeyEntry]:
         same = (entry.path, *words, entry.required, repr(entry.default), repr(entry.example))
         known = grouped.get(same)
         grouped[same] = entry if known is None else replace(known, kinds=(*known.kinds, *entry.kinds))
-    return list(grouped.values())
+    return tuple(grouped.values())
 
 
 _SAME_KEYS = {
