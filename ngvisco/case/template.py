@@ -1,7 +1,7 @@
 """Annotated case files: a demo's case with every key explained and every optional key shown."""
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from ngvisco.case import toml
@@ -49,7 +49,7 @@ def template(name: str) -> str:
     return "\n".join(lines).rstrip() + "\n"
 
 
-def _annotated(block: str, every: list[KeyEntry]) -> Iterator[str]:
+def _annotated(block: str, every: Sequence[KeyEntry]) -> Iterator[str]:
     """Yield the lines of a table with their keys' meanings, and the table's other keys as comments."""
     header, kind = _TABLE.match(block), _KIND.search(block)
     path = tuple(header[1].split(".")) if header else ()
@@ -71,7 +71,7 @@ def _annotated(block: str, every: list[KeyEntry]) -> Iterator[str]:
     yield ""
 
 
-def _absent(path: tuple[str, ...], keys: list[KeyEntry]) -> Iterator[str]:
+def _absent(path: tuple[str, ...], keys: Sequence[KeyEntry]) -> Iterator[str]:
     """Yield a table that the demo lacks, as comments with examples."""
     kind = next((entry.example for entry in keys if entry.path[-1] == "kind"), None)
     title = ".".join(_shape(path))
