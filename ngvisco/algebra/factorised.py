@@ -171,6 +171,7 @@ class TwoLevelSolver:
         self._of_fine, self._of_coarse = exchange.part(fine), exchange.part(coarse)
         self._to_coarse = matrix[coarse][:, fine].tocsr().astype(precision.SINGLE)
         rows = matrix[fine]
+        del matrix
         self._from_coarse = rows[:, coarse].tocsr().astype(precision.SINGLE)
         among_fine = rows[:, fine].tocsr()
         del rows

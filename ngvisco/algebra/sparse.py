@@ -6,6 +6,9 @@ from scipy.sparse.csgraph import connected_components
 
 from ngvisco.algebra import precision
 
+_AT_ONCE = 1 << 16
+"""Number of entries of element matrices that are added up in one call."""
+
 
 def apply(matrix: sp.csr_matrix, rows: np.ndarray) -> np.ndarray:
     """Apply a matrix to each row, (..., width) -> (..., height); twice as fast as a product with columns."""
@@ -38,6 +41,30 @@ def widened(matrix: sp.csr_matrix, height: int, width: int) -> sp.csr_matrix:
     result = matrix.copy()
     result.resize((height, width))
     return result
+
+
+def beside(blocks: list[sp.csr_matrix]) -> sp.csr_matrix:
+    """Matrices with equally many rows, side by side; SciPy's ``hstack`` takes thrice the result's memory."""
+    lengths = np.array([np.diff(block.indptr) for block in blocks], np.int32)
+    ends, width = np.concatenate([[0], np.cumsum(lengths.sum(axis=0))]).astype(np.int32), 0
+    values, columns, first = np.empty(ends[-1]), np.empty(ends[-1], np.int32), ends[:-1].copy()
+    for block, count in zip(blocks, lengths, strict=True):
+        places = np.repeat(first - block.indptr[:-1], count)
+        places += np.arange(block.nnz, dtype=np.int32)
+        values[places], columns[places] = block.data, block.indices + width
+        first, width = first + count, width + block.shape[1]
+    return sp.csr_matrix((values, columns, ends), shape=(lengths.shape[1], width))
+
+
+def stacked(parts: list[sp.csr_matrix]) -> sp.csr_matrix:
+    """The rows of all parts, one part after the other; empties ``parts``, to free their memory early."""
+    width, lengths = parts[0].shape[1], np.concatenate([np.diff(part.indptr) for part in parts])
+    data, columns = [part.data for part in parts], [part.indices for part in parts]
+    parts.clear()
+    values = np.concatenate(data)
+    data.clear()
+    ends = np.concatenate([[0], np.cumsum(lengths)]).astype(columns[0].dtype)
+    return sp.csr_matrix((values, np.concatenate(columns), ends), shape=(len(lengths), width))
 
 
 def mass_matrix(values: sp.csr_matrix, weights: np.ndarray) -> sp.csr_matrix:
@@ -116,5 +143,9 @@ class ElementAssembly:
 
     def __call__(self, elements: np.ndarray) -> sp.csr_matrix:
         """Assemble element matrices (cells, local, local)."""
-        values = np.bincount(self._position, weights=elements.ravel(), minlength=len(self._columns))
-        return sp.csr_matrix((values, self._columns, self._ends), shape=(self.width, self.width), copy=True)
+        values, flat = np.zeros(len(self._columns)), elements.reshape(-1)
+        for first in range(0, len(flat), _AT_ONCE):  # NumPy copies the positions that it is given
+            some = slice(first, first + _AT_ONCE)
+            np.add.at(values, self._position[some], flat[some])
+        pattern = self._columns.copy(), self._ends.copy()
+        return sp.csr_matrix((values, *pattern), shape=(self.width, self.width))

@@ -1,4 +1,4 @@
-"""Small solvers: a quadratic function in a box, GMRES by the caller's products."""
+"""Small solvers and sparse matrices: a quadratic function in a box, GMRES, matrices beside each other."""
 
 import numpy as np
 import pytest
@@ -7,6 +7,7 @@ from scipy.sparse.linalg import gmres as scipy_gmres
 
 from ngvisco.algebra.box import minimise_in_box
 from ngvisco.algebra.krylov import gmres
+from ngvisco.algebra.sparse import ElementAssembly, beside, stacked
 from ngvisco.errors import StepError
 
 
@@ -82,3 +83,28 @@ def test_what_is_no_number_gives_none(bad):
     right = np.ones(3)
     assert np.isnan(gmres(lambda x: x, bad * right, rtol=1e-2, directions=3)[0]).all()
     assert np.isnan(gmres(lambda x: bad * x, right, rtol=1e-2, directions=3)[0]).all()
+
+
+def test_matrices_beside_and_above_each_other_are_those_of_scipy():
+    blocks = [sp.random(7, n, 0.4, "csr", random_state=n) for n in (3, 5, 4)]
+    row, expected = beside(blocks), sp.hstack(blocks, format="csr")
+    parts = [row, 2 * row, row[:0]]
+    both = stacked(parts)
+    assert not parts
+    for found, of_scipy in ((row, expected), (both, sp.vstack([expected, 2 * expected], format="csr"))):
+        assert found.shape == of_scipy.shape
+        for name in ("data", "indices", "indptr"):
+            assert np.array_equal(getattr(found, name), getattr(of_scipy, name))
+
+
+def test_element_matrices_are_summed_in_their_order(monkeypatch):
+    """Chunks of positions have no effect on the bits of the sums."""
+    random = np.random.default_rng(0)
+    unknowns, elements = random.integers(0, 9, (20, 3)), random.standard_normal((20, 3, 3))
+    rows, columns = (
+        np.broadcast_to(each, elements.shape) for each in (unknowns[:, :, None], unknowns[:, None])
+    )
+    expected = np.zeros((9, 9))
+    np.add.at(expected, (rows.ravel(), columns.ravel()), elements.ravel())
+    monkeypatch.setattr("ngvisco.algebra.sparse._AT_ONCE", 7)
+    assert np.array_equal(ElementAssembly(unknowns, 9)(elements).toarray(), expected)

@@ -19,7 +19,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ngvisco.algebra import precision
-from ngvisco.algebra.sparse import ElementAssembly
+from ngvisco.algebra.sparse import ElementAssembly, beside, stacked
 from ngvisco.reduced.evaluation import CellTerms
 from ngvisco.reduced.residual import CellPart, Evaluation, ReducedResidual, RestrictedForm
 from ngvisco.solver.split.hyperviscosity import HyperDerivative, HyperTangent
@@ -228,7 +228,18 @@ class FlowSchurComplement:
         blocks, n = [self._assembled(cells[:, :, i, k]) for k in range(self.dim)], self.op.v.width
         if hyper_tangent is not None:
             blocks[i] = blocks[i] + hyper_tangent[:n, :n]
-        return sp.hstack(blocks, format="csr")
+        return beside(blocks)
+
+    def _in_cells(self) -> np.ndarray:
+        """The tangent's element matrices without hyperviscosity, (cells, local, dim, dim, local)."""
+        d, local = self.dim, self.local
+        cells = np.empty((self.cells, local, d, d, local), precision.SINGLE)
+        for part in self.residual.parts:
+            where = part.cells
+            fields = self.sweep.in_cells(self.to_fields[where], where)
+            inner = self.to_velocity[where] - self.from_fields[where] @ fields
+            cells[where] = inner.reshape(-1, local, d, d, local)
+        return cells
 
     def tangent(self, at: Evaluation, hyper: HyperTangent | None) -> sp.csr_matrix:
         """The velocity tangent: a sparse matrix that approximates the operator, cell by cell.
@@ -239,16 +250,14 @@ class FlowSchurComplement:
         are a = E v: the mean of both sides' d_n v, weighted by the hyperviscosity's coefficient.  Each rank
         has the share of its cells.
         """
-        d, local = self.dim, self.local
-        rows = self.to_fields.reshape(self.cells * self.functions, self.components * d * local)
-        fields = self.sweep.in_cells(rows).reshape(self.to_fields.shape)
-        cells = (self.to_velocity - self.from_fields @ fields).reshape(self.cells, local, d, d, local)
-        del rows, fields
-        hyper_tangent = None
+        d, hyper_tangent = self.dim, None
         if hyper is not None and at.hyper is not None:
             with self.residual.ranks.together(np.linalg.LinAlgError):
                 hyper_tangent = hyper.update(at.hyper)
-        matrix = sp.vstack([self._rows_of(cells, hyper_tangent, i) for i in range(d)], format="csr")
+        cells = self._in_cells()
+        rows = [self._rows_of(cells, hyper_tangent, i) for i in range(d)]
+        del cells
+        matrix = stacked(rows)
         matrix.resize((self.size, self.size))
         if self.rest is not None:
             matrix = (matrix + self.rest).tocsr()

@@ -24,6 +24,7 @@ from ngvisco.forms.fields import Fields
 from ngvisco.forms.mesh.points import SidePoints
 from ngvisco.physics.arrays import Array
 from ngvisco.reduced.hyperviscosity import HyperValues, MatrixHyperviscosity, SideJumps, value_of
+from ngvisco.reduced.residual import parts_of
 
 
 class HyperDerivative:
@@ -181,31 +182,37 @@ class HyperTangent:
         self._assembled = ElementAssembly(number[values.unknowns], values.width)
         self._lifted, self._jump = np.split(values.blocks, [h.lift.per_cell], axis=1)
         pattern = squared(abs(self._jump), None, np.ones(self._jump.shape[:2]))
-        self._facets = Blocks(self._in_parts(pattern)[2])
+        self._facets = Blocks(self._in_parts(self._assembled(pattern))[2])
 
-    def _in_parts(self, elements: np.ndarray) -> tuple[sp.csr_matrix, sp.csr_matrix, sp.csr_matrix]:
-        """Assemble ``elements``; return the blocks of (v, kept a), of its coupling to the other a, and of the
-        other a."""
-        matrix, n = self._assembled(elements), self._assembled.width - len(self.eliminated)
+    def _in_parts(self, matrix: sp.csr_matrix) -> tuple[sp.csr_matrix, sp.csr_matrix, sp.csr_matrix]:
+        """The blocks of (v, kept a), of its coupling to the other a, and of the other a."""
+        n = self._assembled.width - len(self.eliminated)
         return matrix[:n, :n], matrix[:n, n:], matrix[n:, n:]
 
-    def _of_hessians(self, cell: np.ndarray) -> np.ndarray:
-        """Element matrices of the quadratic form |Hs|^2 with coefficients (cells,)."""
-        derivative, h = self.derivative, self.derivative.hyper
-        count, width = len(cell), self._lifted.shape[2]
-        of_each = h.h_values.blocks[:, None] @ self._lifted.reshape(count, h.size, h.h_values.local, width)
-        weights = np.tile(cell[:, None] * derivative.weights, (1, h.size))
-        return squared(of_each.reshape(count, weights.shape[1], width), None, weights)
+    def _add_hessians(self, elements: np.ndarray, cell: np.ndarray) -> None:
+        """Add the element matrices of the quadratic form |Hs|^2 with coefficients (cells,)."""
+        derivative, values = self.derivative, self.derivative.hyper.h_values
+        size, width = derivative.hyper.size, self._lifted.shape[2]
+        for some in parts_of(len(cell), size * values.per_cell):
+            lifted = self._lifted[some].reshape(-1, size, values.local, width)
+            of_each = values.part(some).blocks[:, None] @ lifted
+            weights = np.tile(cell[some, None] * derivative.weights[some], (1, size))
+            elements[some] += squared(of_each.reshape(len(weights), -1, width), None, weights)
 
     def update(self, at: HyperValues) -> sp.csr_matrix:
         """Form E and the facets' blocks at some values; return the matrix of v and the kept a."""
         cell, penalty = self.derivative.tangent_coefficients(at)
         weights, jumps = self.derivative.side_weights, self.derivative.sides.jump
-        of_jumps = squared(self._jump, jumps.shape, weights * penalty.reshape(weights.shape))
-        _, coupling, facets = self._in_parts(of_jumps)
+        elements = squared(self._jump, jumps.shape, weights * penalty.reshape(weights.shape))
+        _, coupling, facets = self._in_parts(self._assembled(elements))
         E = -(self._facets.inverse(facets) @ coupling.T).tocsr()
         self.E_t = Rounded(E.T)
-        of_v, coupling, of_rest = self._in_parts(of_jumps + self._of_hessians(cell))
+        del coupling, facets
+        self._add_hessians(elements, cell)
+        assembled = self._assembled(elements)
+        del elements
+        of_v, coupling, of_rest = self._in_parts(assembled)
+        del assembled
         cross = (coupling.T + of_rest @ E).tocsr()
         matrix: sp.csr_matrix = (of_v + coupling @ E + E.T @ cross).tocsr()
         # a = E v + (blocks)^{-1} (r - cross v), where v includes the kept a

@@ -247,9 +247,10 @@ class TransportSweeps:
             self.exchange.solve(r, result)
         return result
 
-    def in_cells(self, rows: np.ndarray) -> np.ndarray:
-        """The cells' own inverses times ``rows``, (cells' unknowns, .): no sweep, no diffusion."""
-        return self.of_z.swept(rows, 1)
+    def in_cells(self, rows: np.ndarray, cells: slice) -> np.ndarray:
+        """The own inverses of some cells times ``rows``, (cells, q n, .): no sweep, no diffusion."""
+        inverses = self.of_z.cells[cells]
+        return np.matmul(inverses, rows.reshape(*inverses.shape[:2], -1)).reshape(rows.shape)
 
     def density(self, r: np.ndarray) -> np.ndarray:
         """Increments of the density's unknowns from rows (unknowns,); sweeps also take (cells' unknowns,
