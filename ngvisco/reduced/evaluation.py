@@ -123,8 +123,7 @@ class CellContext:
     @property
     def h(self) -> Array:
         """The cells' sizes, m."""
-        sizes = self._step.context.h.vec.FV().NumPy()[self._op.cells]
-        return Array(np.repeat(sizes, self._op.points.per_cell), None)
+        return Array(self._op.h, None)
 
     @property
     def old(self) -> Fields:
@@ -253,10 +252,10 @@ class CellTerms:
         rows, count = Rows(), len(self.op.weights)
         for name, values in self.factors(terms, u).items():
             unknown = name.removeprefix("grad ")
-            value, derivatives = self.op.of(unknown)
-            tested = [(value, values)]
-            if unknown != name:
-                tested = [(D, values[..., j, :]) for j, D in enumerate(derivatives)]
+            if unknown == name:
+                tested = [(self.op.of(name), values)]
+            else:
+                tested = [(D, values[..., j, :]) for j, D in enumerate(self.op.slopes(unknown))]
             for operator, part in tested:
                 load = operator.loads(_full(part, count))
                 rows[unknown] = rows[unknown] + load if unknown in rows else load
@@ -264,7 +263,7 @@ class CellTerms:
 
     def summed(self, loads: Rows) -> Rows:
         """Rows of all unknowns, assembled from the loads of all cells."""
-        return {name: self.op.of(name)[0].summed(values) for name, values in loads.items()}
+        return {name: self.op.of(name).summed(values) for name, values in loads.items()}
 
     def rows(self, terms: Iterable[PointTerm], u: Fields) -> Rows:
         """Rows of the terms' integrals over the cells."""
@@ -296,7 +295,7 @@ class FacetTerms:
             return Array(self.op.of(name)(c[name]), None)
 
         def gradient(name: str) -> Array:
-            return Array(np.stack([D(c[name]) for D in self.op.dz], axis=-2), None)
+            return Array(np.stack([D(c[name]) for D in self.op.slopes("z")], axis=-2), None)
 
         names = [*self._names, *derived_in_cells(self.layout)]
         sloping = [name for name in ("rho", "z", "zeta") if name in names]
@@ -327,11 +326,10 @@ def _in_cells(op: Operators, c: Coefficients, names: Sequence[str], place: str, 
     """The unknowns ``names`` at the points; values and gradients are computed at first access."""
 
     def value(name: str) -> Array:
-        return Array(op.of(name)[0](c[name]), None)
+        return Array(op.of(name)(c[name]), None)
 
     def gradient(name: str) -> Array:
-        gradients = op.gradients(op.of(name)[1], np.atleast_2d(c[name]))
-        return Array(gradients.reshape(*c[name].shape[:-1], len(op.dv), -1), None)
+        return Array(np.stack([D(c[name]) for D in op.slopes(name)], axis=-2), None)
 
     return lazy_fields(Fields, op.layout, (value, names), (gradient, names), place, context)
 

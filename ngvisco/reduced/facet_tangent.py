@@ -130,7 +130,7 @@ class FacetTangent:
         rows = np.zeros((len(self.rows), r.op.z.width))
         if by_all is not None:
             slopes = self._change(by_all, r.op.points.count)
-            rows += sum(D.test(slopes[:, j]) for j, D in enumerate(r.op.dz))
+            rows += sum(D.test(slopes[:, j]) for j, D in enumerate(r.op.slopes("z")))
         if by_gradients is not None:
             rows += r.op.z.test(self._change(by_gradients, r.op.points.count))
         cells, q = self.coupling.cells, self.coupling.functions  # a rank may have no cells

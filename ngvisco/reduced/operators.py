@@ -6,13 +6,11 @@ If two ranks share a facet, each of them has one side, and both sides' contribut
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from copy import copy
-from functools import cached_property
+from typing import Self
 
 import numpy as np
 import scipy.sparse as sp
-from ngsolve import Grad
 
 from ngvisco.algebra.local import Functions, LocalMatrix, integrals
 from ngvisco.algebra.sparse import Blocks
@@ -22,113 +20,93 @@ from ngvisco.parallel.exchange import Exchange, Halo
 from ngvisco.threads import ALONE
 
 
-class Operators:
-    """Evaluates fields at the cells' points of one rule, and integrates against test functions there."""
+class PointOperators:
+    """Evaluates fields at the points of one rule, and integrates against test functions there."""
 
-    def __init__(self, step: Step, order: int) -> None:
-        self.layout, self.points = step.layout, CellPoints(step.mesh, order, step.layout.symmetry)
-        self.weights, self.cells = self.points.weights, slice(0, step.mesh.ne)
-        self._whole: Operators | None = None
-        self._made: dict[tuple[str, int], tuple[LocalMatrix, list[LocalMatrix]]] = {}
-        self.z, self.dz = self.of("z")
-        self.v, self.dv = self.of("v")
+    def __init__(self, step: Step, points: CellPoints | SidePoints, pieces: int = 1) -> None:
+        """``pieces`` is the number of equal parts of a cell's points, see ``LocalMatrix``."""
+        self.layout, self.points, self.pieces, self._h = step.layout, points, pieces, step.context.h
+        self.cells, self.weights = slice(0, step.mesh.ne), points.weights
+        self._whole: PointOperators | None = None
+        self._made: dict[tuple[str, int, bool], list[LocalMatrix]] = {}
+        self.z, self.v = self.of("z"), self.of("v")
 
-    def of(self, name: str) -> tuple[LocalMatrix, list[LocalMatrix]]:
-        """Matrices of the values, and of the partial derivatives, of one component of an unknown in cells."""
+    def of(self, name: str) -> LocalMatrix:
+        """The matrix of the values of one component of an unknown."""
+        return self._matrices(name, False)[0]
+
+    def slopes(self, name: str) -> list[LocalMatrix]:
+        """Matrices of the partial derivatives of one component of an unknown in cells."""
+        return self._matrices(name, True)
+
+    def _matrices(self, name: str, slopes: bool) -> list[LocalMatrix]:
         unknown = self.layout.unknowns[name]
-        key = unknown.place, unknown.order
+        key = unknown.place, unknown.order, slopes
         if key not in self._made and self._whole is not None:
             with ALONE:
-                value, slopes = self._whole.of(name)
-            self._made[key] = value.part(self.cells), [D.part(self.cells) for D in slopes]
+                self._made[key] = [each.part(self.cells) for each in self._whole._matrices(name, slopes)]
         elif key not in self._made:
             space, points = self.layout.scalar_space(name), self.points
-            value, *slopes = (
-                LocalMatrix(matrix, points.mesh.ne, self.weights, pieces=1)
-                for matrix in (points.values(space), *points.gradients(space))
-            )
-            self._made[key] = value, slopes
+            matrices = points.gradients(space) if slopes else [points.values(space)]
+            cells = points.mesh.ne
+            self._made[key] = [LocalMatrix(m, cells, self.weights, pieces=self.pieces) for m in matrices]
         return self._made[key]
+
+    @property
+    def h(self) -> np.ndarray:
+        """Sizes of the points' cells, m, (points,)."""
+        return np.repeat(self._h.vec.FV().NumPy()[self.cells], self.z.per_cell)
 
     @property
     def places(self) -> slice:
         """Range of this part's points among the points of all cells."""
-        return slice(self.points.per_cell * self.cells.start, self.points.per_cell * self.cells.stop)
+        return slice(self.z.per_cell * self.cells.start, self.z.per_cell * self.cells.stop)
 
-    def part(self, cells: slice) -> Operators:
+    def part(self, cells: slice) -> Self:
         """The operators of a range of cells, see ``LocalMatrix.part``."""
         part = copy(self)
         part._whole, part._made, part.cells = self, {}, cells
+        part.z, part.v = part.of("z"), part.of("v")
         part.weights = self.weights[part.places]
-        part.z, part.dz = part.of("z")
-        part.v, part.dv = part.of("v")
         return part
 
-    def gradients(self, operators: Sequence[LocalMatrix], rows: np.ndarray) -> np.ndarray:
-        """Partial derivatives of each of ``rows``, (rows, dim, points)."""
-        return np.stack([D(rows) for D in operators], axis=1)
+
+class Operators(PointOperators):
+    """Operators at the cells' points of the rule of even degree 2 ``order``."""
+
+    points: CellPoints
+
+    def __init__(self, step: Step, order: int) -> None:
+        super().__init__(step, CellPoints(step.mesh, order, step.layout.symmetry))
 
 
-class SideOperators:
-    """Evaluates fields at the points of the cells' sides, and integrates against test functions there."""
+class SideOperators(PointOperators):
+    """Operators at the points of the cells' sides.
+
+    Attributes
+    ----------
+    inner : (points,) array
+        The number 1 between two cells, 0 on walls.
+    crossed : (points,) array
+        The number 1 between two cells and on walls that matter crosses, 0 on other walls.
+    """
+
+    points: SidePoints
 
     def __init__(self, step: Step) -> None:
-        context, self.layout = step.context, step.layout
-        self.points = points = SidePoints(step.mesh, step.quadrature.facet_degree, step.layout.symmetry)
-        self.cells, self.weights, self.normals = slice(0, step.mesh.ne), points.weights, points.normals
-        self._whole: SideOperators | None = None
-        self._made: dict[tuple[str, int], LocalMatrix] = {}
-        self.z, self.v = self.of("z"), self.of("v")
-        self.inner = np.round(points.sample(context.inner))
-        """The number 1 between two cells, 0 on walls."""
-        self.crossed = self.inner
-        """The number 1 between two cells and on walls that matter crosses, 0 on other walls."""
+        points = SidePoints(step.mesh, step.quadrature.facet_degree, step.layout.symmetry)
+        super().__init__(step, points, points.per_cell)
+        context, self.normals = step.context, points.normals
+        self.inner = self.crossed = np.round(points.sample(context.inner))
         if context.crossed is not context.inner:
             self.crossed = np.round(points.sample(context.crossed))
-        self.h = np.repeat(context.h.vec.FV().NumPy(), self.z.per_cell)
-
-    def of(self, name: str) -> LocalMatrix:
-        """The matrix of the values of one component of an unknown in cells or on facets."""
-        unknown = self.layout.unknowns[name]
-        key = unknown.place, unknown.order
-        if key not in self._made and self._whole is not None:
-            with ALONE:
-                self._made[key] = self._whole.of(name).part(self.cells)
-        elif key not in self._made:
-            self._made[key] = self._local(self.points.values(self.layout.scalar_space(name)))
-        return self._made[key]
-
-    @property
-    def places(self) -> slice:
-        """Range of this part's points among the points of all cells' sides."""
-        return slice(self.z.per_cell * self.cells.start, self.z.per_cell * self.cells.stop)
 
     def part(self, cells: slice) -> SideOperators:
-        """The operators of the sides of a range of cells, see ``LocalMatrix.part``."""
-        part, where = copy(self), slice(self.z.per_cell * cells.start, self.z.per_cell * cells.stop)
-        part.__dict__.pop("dz", None)
-        part._whole, part._made, part.cells = self, {}, cells
-        part.inner, part.crossed, part.h = self.inner[where], self.crossed[where], self.h[where]
-        part.weights, part.normals = self.weights[where], self.normals[:, where]
-        part.z, part.v = part.of("z"), part.of("v")
+        part = super().part(cells)
+        where = part.places
+        part.inner, part.crossed = self.inner[where], self.crossed[where]
+        part.normals = self.normals[:, where]
         return part
-
-    @cached_property
-    def dz(self) -> list[LocalMatrix]:
-        """Matrices of the partial derivatives of one component of z, taken in the side's cell."""
-        if self._whole is not None:
-            with ALONE:
-                return [D.part(self.cells) for D in self._whole.dz]
-        space, points = self.layout.scalar_space("z"), self.points
-
-        def slope(j: int) -> sp.csr_matrix:
-            return points.operator(space, lambda u: Grad(u)[j])
-
-        return [self._local(slope(j)) for j in range(points.mesh.dim)]
-
-    def _local(self, matrix: sp.csr_matrix) -> LocalMatrix:
-        points = self.points
-        return LocalMatrix(matrix, points.mesh.ne, points.weights, pieces=points.per_cell)
 
 
 class FacetMass:

@@ -66,7 +66,7 @@ class Diffusion:
         """Facet terms of a symmetric interior penalty of z at G = zeta, for comparison."""
         op, side = self.op, self.side
         zeta = self.projected(self.slope(op.z(z)))
-        slopes = [op.gradients(op.dz, c) for c in (z, zeta)]
+        slopes = [np.stack([D(c) for D in op.slopes("z")], axis=1) for c in (z, zeta)]
         cells = (op.weights * slopes[0] * slopes[1]).sum()
         normal, weights = side.points.normals, side.points.weights
         through = [self._on_sides(slope) for slope in slopes]

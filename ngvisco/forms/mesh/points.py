@@ -156,6 +156,11 @@ class SidePoints:
         """The matrix that takes coefficients of a scalar space to values at the points."""
         return self.operator(space, lambda u: u)
 
+    def gradients(self, space: FESpace) -> list[sp.csr_matrix]:
+        """Matrices from coefficients of a scalar space to its functions' partial derivatives in the side's
+        cell."""
+        return [self.operator(space, lambda u: grad(u)[j]) for j in range(self.mesh.dim)]
+
     def operator(
         self, space: FESpace, value: Callable[[CoefficientFunction], CoefficientFunction]
     ) -> sp.csr_matrix:

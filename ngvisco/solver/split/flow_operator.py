@@ -61,7 +61,7 @@ class FlowSchurComplement:
         self._assembled = ElementAssembly(op.v.unknowns, op.v.width)
         self.cells, self.local, self.functions = op.v.cells, op.v.local, op.z.local
         # a periodic strip of one cell has an unknown twice: its blocks are filled up with zeros
-        shapes = np.stack([each.blocks.reshape(-1, self.local) for each in (op.v, *op.dv)], axis=1)
+        shapes = np.stack([each.blocks.reshape(-1, self.local) for each in (op.v, *op.slopes("v"))], axis=1)
         self._shapes = shapes.astype(precision.SINGLE)  # (points, 1 + d, local)
         self._scatter = op.v.scatter.astype(precision.SINGLE)
         rows, of_fields = self.local * self.dim, self.functions * self.components
@@ -149,7 +149,7 @@ class FlowSchurComplement:
         if "Pi" not in self.residual.unknowns.velocity_block:
             return matrix
         # the change of M with a creep rate field Pi in a step; the coupling to v is left out
-        first, values = self.gradients, self.op.of("Pi")[0].matrix
+        first, values = self.gradients, self.op.of("Pi").matrix
         C = self.points.stiffness()[:, first:, first:] * self.op.weights[:, None, None]
         size = C.shape[1]
         blocks = [[values.T @ sp.diags(C[:, i, k]) @ values for k in range(size)] for i in range(size)]
@@ -205,7 +205,7 @@ class FlowSchurComplement:
         op, p, d, plane = self.op, self.points, self.dim, self.dim**2
         assert p.force is not None
         values = at_points(p.force[:, : self.gradients], op.z(np.ascontiguousarray(dz.T)))
-        rows = np.sum([D.test(values[:plane][j::d]) for j, D in enumerate(op.dv)], axis=0)
+        rows = np.sum([D.test(values[:plane][j::d]) for j, D in enumerate(op.slopes("v"))], axis=0)
         if (radius := radius_of(p.terms.fields({}))) is not None:
             rows[:1] += op.v.test(values[plane:] / radius)
         return rows

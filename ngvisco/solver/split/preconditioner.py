@@ -253,15 +253,15 @@ class Preconditioner:
         dflow = self._flow(flow, tolerance)
         dv, dPi = dflow[: operator.nv].reshape(dim, -1), None
         if "Pi" in u.slices:
-            dPi = op.of("Pi")[0](dflow[u.slices["Pi"]].reshape(u.components["Pi"], -1))
+            dPi = op.of("Pi")(dflow[u.slices["Pi"]].reshape(u.components["Pi"], -1))
         dz = self.fields.z(of_z - operator.fields_rows(dv, dPi), of_fields)
         if alone is not None:
             dz = dz + alone
         if not u.density:
             return np.concatenate([dflow, dz.T.ravel()])
         rho = at.coefficients["rho"]
-        drho = op.z(rho) * sum(D(dv_j) for D, dv_j in zip(op.dv, dv, strict=True))
-        drho += sum(D(rho) * op.v(dv_j) for D, dv_j in zip(op.dz, dv, strict=True))
+        drho = op.z(rho) * sum(D(dv_j) for D, dv_j in zip(op.slopes("v"), dv, strict=True))
+        drho += sum(D(rho) * op.v(dv_j) for D, dv_j in zip(op.slopes("z"), dv, strict=True))
         density = at.residual[u.density_slice].copy()
         density[: rho.size] -= op.z.test(drho)
         return np.concatenate([dflow, self.fields.density(density, of_fields), dz.T.ravel()])

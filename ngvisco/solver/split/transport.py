@@ -207,7 +207,7 @@ class TransportSweeps:
             self._flat = flat = self.residual.side_op.z.blocks.copy()
             if reach is not None:
                 points, lengths = flat.reshape(-1, flat.shape[-1]), at.facets.context.given(reach).value
-                for length, D in zip(lengths, self.residual.side_op.dz, strict=True):
+                for length, D in zip(lengths, self.residual.side_op.slopes("z"), strict=True):
                     entries = D.matrix.tocoo()
                     slopes = length[entries.row] * entries.data
                     np.subtract.at(points, (entries.row, entries.col % flat.shape[-1]), slopes)
@@ -228,7 +228,7 @@ class TransportSweeps:
 
     def _convection(self, at: Evaluation) -> np.ndarray:
         """int (v . grad z) q in cells, (cells, q, q)."""
-        v, derivatives = at.cells.v.value, self.residual.op.dz
+        v, derivatives = at.cells.v.value, self.residual.op.slopes("z")
         along = sum(v_j.reshape(self._shape) * D.blocks for v_j, D in zip(v, derivatives, strict=True))
         return np.matmul(self._tests, along)
 
