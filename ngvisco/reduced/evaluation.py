@@ -9,7 +9,7 @@ and the imaginary part of a row is its derivative along the imaginary part of th
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any
+from typing import Any, Literal, TypeAlias
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -20,7 +20,7 @@ from ngvisco.forms.rates import TabulatedRates
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import PointRule, PointTerm
 from ngvisco.physics.arrays import Array, Linear, factors_of_tests
-from ngvisco.reduced.operators import Operators, SideOperators
+from ngvisco.reduced.operators import Operators, PointOperators, SideOperators
 from ngvisco.reduced.point_fields import CELLS, FACETS, derivative_of, incremented, lazy_fields, with_values
 from ngvisco.reduced.unknowns import derived_in_cells, in_cells
 from ngvisco.threads import ALONE
@@ -43,6 +43,13 @@ def on_sides(step: Step) -> list[str]:
     means = (term.facet_mean for term in step.point_terms if term.facet_mean is not None)
     density = [name for name in ("rho", "rho_hat") if name in step.layout.unknowns]
     return ["v", *density, "z", *means]
+
+
+def names_of(step: Step, inside: bool) -> tuple[list[str], list[str]]:
+    """Names of the unknowns with values at points, in cells or on sides, and of those with gradients."""
+    cells, derived = in_cells(step.layout), derived_in_cells(step.layout)
+    names = [*(cells if inside else (*on_sides(step), "zeta")), *derived]
+    return names, cells if inside else [name for name in ("rho", "z", "zeta") if name in names]
 
 
 def tests_of(step: Step, inside: bool, context: Any) -> Fields:
@@ -110,50 +117,58 @@ class Sampled:
         return self._points.read(functions[value], value.dim)
 
 
-class CellContext:
-    """The data of a step at the points of the cells: ``Context`` for arrays.
+class _PointContext:
+    """The data of a step at the points of one rule: ``Context`` for arrays."""
+
+    def __init__(self, step: Step, operators: PointOperators, rates: TabulatedRates) -> None:
+        self._step, self._op, self.rates, self.terms = step, operators, rates, step.terms
+
+    @property
+    def h(self) -> Array:
+        """Sizes of the points' cells, m."""
+        return Array(self._op.h, None)
+
+    def rate(self, difference: Any) -> Any:
+        """Return difference/tau for a number, an array of values or a linear form."""
+        is_number = isinstance(difference, (int, float))
+        return self._step.context.rate(Array.constant(difference) if is_number else difference)
+
+    def _here(self, values: np.ndarray, dims: Sequence[int]) -> Array:
+        """Values at the points of this part, from ``values`` (components, points) at all points."""
+        return Array(values[:, self._op.places].reshape(*dims, -1), None)
+
+
+class CellContext(_PointContext):
+    """The data of a step at the points of the cells.
 
     Values at points are not stored: each access to an old field evaluates it again.
     """
 
     def __init__(self, step: Step, operators: Operators, rates: TabulatedRates, sampled: Sampled) -> None:
-        self._step, self._op, self.rates, self.terms = step, operators, rates, step.terms
+        super().__init__(step, operators, rates)
         self.sampled, self.recovered_slope = sampled, step.context.recovered_slope
-
-    @property
-    def h(self) -> Array:
-        """The cells' sizes, m."""
-        return Array(self._op.h, None)
 
     @property
     def old(self) -> Fields:
         """The old state."""
         old = self.sampled.old
-        return _in_cells(self._op, old, list(old), "of the old state", self)
+        return _fields(self._op, old, (old, old), "of the old state", self)
 
     @property
     def momentum_old(self) -> Array:
         """m_old, kg/(m^2 s)."""
         if (known := self.sampled.momentum_old) is not None:
-            return Array(known[:, self._op.places], None)
+            return self._here(known, [len(known)])
         old = self.old  # a coarser rule serves tangents only
         return old.rho * old.v
 
-    def rate(self, difference: Any) -> Any:
-        """Return difference/tau for a number, an array of values or a linear form."""
-        return _rate(self._step, difference)
-
     def average(self, value: CoefficientFunction) -> Array:
         """The mean over the step of a scalar, a vector or a matrix, see ``Context.average``."""
-        return self._part("average", value)
+        return self._here(self.sampled.values("average", value), value.dims)
 
     def given(self, value: CoefficientFunction) -> Array:
         """The value at the end of the step, see ``Context.given``."""
-        return self._part("given", value)
-
-    def _part(self, how: str, value: CoefficientFunction) -> Array:
-        values = self.sampled.values(how, value)
-        return Array(values[:, self._op.places].reshape(*value.dims, -1), None)
+        return self._here(self.sampled.values("given", value), value.dims)
 
 
 def _put(function: GridFunction, value: CoefficientFunction) -> None:
@@ -161,31 +176,21 @@ def _put(function: GridFunction, value: CoefficientFunction) -> None:
     function.Interpolate(CF((value, 0.0)) if value.dim == 1 else value)
 
 
-def _rate(step: Step, difference: Any) -> Any:
-    """Return ``Context.rate`` of an array, a linear form or a number."""
-    known = Array.constant(difference) if isinstance(difference, (int, float)) else difference
-    return step.context.rate(known)
+Samples: TypeAlias = WeakKeyDictionary[CoefficientFunction, np.ndarray]
+"""Values of functions at points, (components, points)."""
 
 
-class SideContext:
-    """The data of a step at the points of the cells' sides: ``Context`` for arrays."""
+class SideContext(_PointContext):
+    """The data of a step at the points of the cells' sides."""
 
-    def __init__(
-        self,
-        step: Step,
-        operators: SideOperators,
-        samples: WeakKeyDictionary[CoefficientFunction, np.ndarray],
-    ) -> None:
+    _op: SideOperators
+
+    def __init__(self, step: Step, operators: SideOperators, samples: Samples) -> None:
         """``samples`` holds values of functions at the points of all sides, taken once a step."""
-        self._step, self._op, self.known = step, operators, samples
-        self.normal, self.h = Array(operators.normals, None), Array(operators.h, None)
-        self.inner, self.crossed = Array(operators.inner, None), Array(operators.crossed, None)
-        self.reach = step.context.reach
-        self.rates, self.terms = step.tabulated_rates, step.terms
-
-    def rate(self, difference: Any) -> Any:
-        """Return difference/tau."""
-        return _rate(self._step, difference)
+        super().__init__(step, operators, step.tabulated_rates)
+        self.known, self.reach = samples, step.context.reach
+        self.normal, self.inner = Array(operators.normals, None), Array(operators.inner, None)
+        self.crossed = Array(operators.crossed, None)
 
     def start(self) -> None:
         """Forget the sampled functions of the last step."""
@@ -197,7 +202,7 @@ class SideContext:
             if value not in self.known:
                 entries = [value[index] for index in np.ndindex(*value.dims)] if value.dims else [value]
                 self.known[value] = np.stack([self._op.points.sample(entry) for entry in entries])
-        return Array(self.known[value][:, self._op.places].reshape(*value.dims, -1), None)
+        return self._here(self.known[value], value.dims)
 
     @property
     def curvature(self) -> float:
@@ -205,7 +210,63 @@ class SideContext:
         return self._step.context.curvature.Get()
 
 
-class CellTerms:
+class _Terms:
+    """Evaluates the terms' integrals over the cells, or over both sides of all facets.
+
+    ``place`` names the terms' method whose integrands are evaluated.
+    """
+
+    op: Any
+    context: Any
+    place: PointRule | Literal["facets"]
+
+    def _begin(self, step: Step, inside: bool) -> None:
+        self.layout, self._step, self._inside = step.layout, step, inside
+        self._tests, self._names = tests_of(step, inside, self.context), names_of(step, inside)
+
+    def fields(self, c: Coefficients) -> Fields:
+        """The unknowns with the coefficients ``c`` at the points."""
+        return _fields(self.op, c, self._names, CELLS if self._inside else FACETS, self.context)
+
+    def factors(self, terms: Iterable[PointTerm], u: Fields) -> dict[str, np.ndarray]:
+        """Factors of each test and of its gradient, summed over the terms, (..., points)."""
+        # in u each point of the cells may occur several times
+        tests = tests_of(self._step, True, u.context) if self._inside else self._tests
+        return factors_of([part for term in terms for part in getattr(term, self.place)(u, tests)])
+
+    def loads(self, terms: Iterable[PointTerm], u: Fields) -> Rows:
+        """Integrals of the terms against the basis functions of each cell, see ``LocalMatrix.loads``.
+
+        Facet means have none on the cells' sides.
+        """
+        rows = Rows()
+        for name, values in self.factors(terms, u).items():
+            unknown = name.removeprefix("grad ")
+            if self.layout.unknowns[unknown].place == "facets":
+                continue
+            tested = [(self.op.of(unknown), values)]
+            if unknown != name:
+                tested = [(D, values[..., j, :]) for j, D in enumerate(self.op.slopes(unknown))]
+            for operator, part in tested:
+                load = operator.loads(self._full(part))
+                rows[unknown] = rows[unknown] + load if unknown in rows else load
+        return rows
+
+    def _full(self, values: np.ndarray) -> np.ndarray:
+        """Broadcast values that may be constant to all points."""
+        count = len(self.op.weights)
+        return values if values.shape[-1] == count else np.broadcast_to(values, (*values.shape[:-1], count))
+
+    def summed(self, loads: Rows) -> Rows:
+        """Rows of all unknowns, assembled from the loads of all cells."""
+        return {name: self.op.of(name).summed(values) for name, values in loads.items()}
+
+    def rows(self, terms: Iterable[PointTerm], u: Fields) -> Rows:
+        """Rows of the terms' integrals."""
+        return self.summed(self.loads(terms, u))
+
+
+class CellTerms(_Terms):
     """Evaluates the terms' integrals over the cells."""
 
     def __init__(
@@ -217,23 +278,14 @@ class CellTerms:
         sampled: Sampled | None = None,
     ) -> None:
         """``place`` names the terms' method whose integrands are evaluated, "cells" or "collocated"."""
-        self.layout, self.op, self.place, self._step = step.layout, operators, place, step
+        self.op, self.place = operators, place
         self.context = CellContext(step, operators, rates, sampled or Sampled(step, operators))
+        self._begin(step, True)
 
     def part(self, cells: slice) -> CellTerms:
         """Integrals over the range ``cells`` only; they have ``loads``, and no ``rows``."""
         operators, known = self.op.part(cells), self.context
         return CellTerms(self._step, operators, known.rates, self.place, known.sampled)
-
-    def fields(self, c: Coefficients) -> Fields:
-        """The unknowns with the coefficients ``c`` at the points of the cells."""
-        names = [*in_cells(self.layout), *derived_in_cells(self.layout)]
-        return _in_cells(self.op, c, names, CELLS, self.context)
-
-    def factors(self, terms: Iterable[PointTerm], u: Fields) -> dict[str, np.ndarray]:
-        """Factors of each test and of its gradient, summed over the terms, (..., points)."""
-        tests = tests_of(self._step, True, u.context)  # in u each point may occur several times
-        return factors_of([part for term in terms for part in getattr(term, self.place)(u, tests)])
 
     def derivatives(
         self, terms: Sequence[PointTerm], u: Fields, **along: np.ndarray
@@ -247,83 +299,36 @@ class CellTerms:
         ]
         return {name: np.concatenate([part[name] for part in parts], axis=-2) for name in parts[0]}
 
-    def loads(self, terms: Iterable[PointTerm], u: Fields) -> Rows:
-        """Integrals of the terms over each cell against its basis functions, see ``LocalMatrix.loads``."""
-        rows, count = Rows(), len(self.op.weights)
-        for name, values in self.factors(terms, u).items():
-            unknown = name.removeprefix("grad ")
-            if unknown == name:
-                tested = [(self.op.of(name), values)]
-            else:
-                tested = [(D, values[..., j, :]) for j, D in enumerate(self.op.slopes(unknown))]
-            for operator, part in tested:
-                load = operator.loads(_full(part, count))
-                rows[unknown] = rows[unknown] + load if unknown in rows else load
-        return rows
 
-    def summed(self, loads: Rows) -> Rows:
-        """Rows of all unknowns, assembled from the loads of all cells."""
-        return {name: self.op.of(name).summed(values) for name, values in loads.items()}
-
-    def rows(self, terms: Iterable[PointTerm], u: Fields) -> Rows:
-        """Rows of the terms' integrals over the cells."""
-        return self.summed(self.loads(terms, u))
-
-
-class FacetTerms:
+class FacetTerms(_Terms):
     """Evaluates the terms' integrals over both sides of all facets."""
 
-    def __init__(
-        self,
-        step: Step,
-        operators: SideOperators,
-        samples: WeakKeyDictionary[CoefficientFunction, np.ndarray] | None = None,
-    ) -> None:
-        self.layout, self.op, self._step = step.layout, operators, step
-        known = WeakKeyDictionary[CoefficientFunction, np.ndarray]() if samples is None else samples
-        self.context = SideContext(step, operators, known)
-        self._tests, self._names = tests_of(step, False, self.context), [*on_sides(step), "zeta"]
+    place = "facets"
+
+    def __init__(self, step: Step, operators: SideOperators, samples: Samples | None = None) -> None:
+        self.op = operators
+        self.context = SideContext(step, operators, Samples() if samples is None else samples)
+        self._begin(step, False)
 
     def part(self, cells: slice) -> FacetTerms:
         """Integrals over the sides of the range ``cells`` only, for ``loads``."""
         return FacetTerms(self._step, self.op.part(cells), self.context.known)
 
-    def fields(self, c: Coefficients) -> Fields:
-        """The unknowns with the coefficients ``c`` at the points of the sides."""
-
-        def value(name: str) -> Array:
-            return Array(self.op.of(name)(c[name]), None)
-
-        def gradient(name: str) -> Array:
-            return Array(np.stack([D(c[name]) for D in self.op.slopes("z")], axis=-2), None)
-
-        names = [*self._names, *derived_in_cells(self.layout)]
-        sloping = [name for name in ("rho", "z", "zeta") if name in names]
-        return lazy_fields(Fields, self.layout, (value, names), (gradient, sloping), FACETS, self.context)
-
-    def factors(self, terms: Iterable[PointTerm], u: Fields) -> dict[str, np.ndarray]:
-        """Factors of each test, summed over the terms, (..., points)."""
-        return factors_of([part for term in terms for part in term.facets(u, self._tests)])
-
-    def loads(self, terms: Iterable[PointTerm], u: Fields) -> Rows:
-        """Integrals over each cell's sides against its basis functions of v, rho and z; traces have none."""
-        factors = self.factors(terms, u)
-        count, names = len(self.op.weights), {"v", "rho", "z"}.intersection(factors)
-        return {name: self.op.of(name).loads(_full(factors[name], count)) for name in names}
-
     def loads_of(self, term: PointTerm, name: str, u: Fields) -> np.ndarray:
         """Loads of the equation of the facet unknown ``name``, evaluated where this unknown is zero."""
         shape = self.layout.unknowns[name].shape
         factors = self.factors([term], with_values(u, **{name: np.zeros((*shape, 1))}))
-        return self.op.of(name).loads(_full(factors[name], len(self.op.weights)))
-
-    def summed(self, loads: Rows) -> Rows:
-        """Rows of all unknowns, assembled from the loads of all cells."""
-        return {name: self.op.of(name).summed(values) for name, values in loads.items()}
+        return self.op.of(name).loads(self._full(factors[name]))
 
 
-def _in_cells(op: Operators, c: Coefficients, names: Sequence[str], place: str, context: Any) -> Fields:
-    """The unknowns ``names`` at the points; values and gradients are computed at first access."""
+def _fields(
+    op: PointOperators,
+    c: Coefficients,
+    names: tuple[Iterable[str], Iterable[str]],
+    place: str,
+    context: Any,
+) -> Fields:
+    """Unknowns at the points, see ``names_of``; values and gradients are computed at first access."""
 
     def value(name: str) -> Array:
         return Array(op.of(name)(c[name]), None)
@@ -331,9 +336,5 @@ def _in_cells(op: Operators, c: Coefficients, names: Sequence[str], place: str, 
     def gradient(name: str) -> Array:
         return Array(np.stack([D(c[name]) for D in op.slopes(name)], axis=-2), None)
 
-    return lazy_fields(Fields, op.layout, (value, names), (gradient, names), place, context)
-
-
-def _full(values: np.ndarray, count: int) -> np.ndarray:
-    """Broadcast values that may be constant over the points to all ``count`` points."""
-    return values if values.shape[-1] == count else np.broadcast_to(values, (*values.shape[:-1], count))
+    of_values, sloping = names
+    return lazy_fields(Fields, op.layout, (value, of_values), (gradient, sloping), place, context)

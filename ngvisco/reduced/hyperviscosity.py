@@ -19,53 +19,39 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from ngsolve import (
-    L2,
-    BilinearForm,
-    CoefficientFunction,
-    FESpace,
-    NormalFacetFESpace,
-    Periodic,
-    VectorValued,
-)
+from ngsolve import BilinearForm, CoefficientFunction, FESpace, VectorValued
 
 from ngvisco.algebra.local import LocalMatrix
 from ngvisco.algebra.sparse import apply, inverse_of_blocks, mass_matrix, pruned
 from ngvisco.forms.fields import Fields
-from ngvisco.forms.mesh.points import CellPoints, SidePoints, csr
+from ngvisco.forms.mesh.points import csr
 from ngvisco.forms.system import Step
 from ngvisco.forms.terms.hyperviscosity import Hyperviscosity
 from ngvisco.forms.unknown_values import hessian_basis
 from ngvisco.physics.arrays import Array, contracted
 from ngvisco.physics.variables import Values
+from ngvisco.reduced.operators import Operators, PointOperators, SideOperators
 from ngvisco.reduced.point_fields import FACETS, Lazy
 
 
 class SideJumps:
     """Jumps j = a - d_n v and the penalty's other arguments, at the sides' points of one rule."""
 
-    def __init__(self, hyper: MatrixHyperviscosity, points: SidePoints) -> None:
-        mesh = points.mesh
-        self.points, self.weights, self._layout = points, points.weights, hyper.step.layout
-        matrix = points.operator(hyper.component, lambda u: hyper.fields_of(u).jump[0])
-        self.jump = LocalMatrix(matrix, mesh.ne, self.weights, pieces=points.per_cell)
+    def __init__(self, hyper: MatrixHyperviscosity, op: PointOperators) -> None:
+        matrix = op.points.operator(hyper.component, lambda u: hyper.fields_of(u).jump[0])
+        self.jump = LocalMatrix(matrix, hyper.step.mesh.ne, op.weights, pieces=op.pieces)
         """The matrix from (v, a), side by side, to j."""
-        self.h = np.repeat(hyper.step.context.h.vec.FV().NumPy(), points.count // max(mesh.ne, 1))
-        self._context = hyper.step.context
+        self._op, self._context = op, hyper.step.context
+        self.weights, self.h = op.weights, op.h
         if not hyper.law.is_linear:
-            self.scalar = LocalMatrix(
-                points.values(hyper.squares), mesh.ne, self.weights, pieces=points.per_cell
-            )
-        if not hyper.is_uniform:
-            self._z = LocalMatrix(points.values(hyper.fields), mesh.ne, pieces=points.per_cell)
+            self.scalar = op.of("hess_square")
 
     def values(self, j: np.ndarray, s: np.ndarray | None, z: np.ndarray) -> Fields:
         """Fields on the sides: the jumps ``j``; |Hs|^2 and z have the coefficients ``s`` and ``z``."""
-        makers = {"z": lambda: Array(self._z(z), None)}
-        if s is not None:
-            makers["hess_square"] = lambda: Array(self.scalar(s), None)
-        known = SimpleNamespace(h=Array(self.h, None), curvature=self._context.curvature.Get())
-        u = Fields(self._layout, Lazy(lambda name: makers[name](), makers, FACETS), known)  # type: ignore[arg-type]
+        c = {"z": z} if s is None else {"z": z, "hess_square": s}
+        known: Any = SimpleNamespace(h=Array(self.h, None), curvature=self._context.curvature.Get())
+        parts = Lazy(lambda name: Array(self._op.of(name)(c[name]), None), c, FACETS)
+        u = Fields(self._op.layout, parts, known)
         u.__dict__["jump"] = Array(j, None)
         return u
 
@@ -96,53 +82,45 @@ class HyperValues:
 class MatrixHyperviscosity:
     """Evaluates the rows of v and a of one step's hyperviscosity."""
 
-    def __init__(self, step: Step, term: Hyperviscosity, points: CellPoints, sides: SidePoints) -> None:
+    def __init__(self, step: Step, term: Hyperviscosity, op: Operators, sides: SideOperators) -> None:
         self.step, self.term, self.law = step, term, term.law
         layout, self.dim = step.layout, step.mesh.dim
         k = layout.discretisation.k
         ones = layout.states.tensors(lambda: Array(np.ones((layout.states.size, 1)), None))
-        self.is_uniform = all(isinstance(modulus, (int, float)) for modulus in self.law.moduli(ones))
-        """Whether the law's moduli are the same everywhere."""
+        is_uniform = all(isinstance(modulus, (int, float)) for modulus in self.law.moduli(ones))
         # for k = 2 Hs and all functions of it are cellwise constant: one point suffices
-        constant = k == 2 and step.mesh.GetCurveOrder() <= 1 and self.is_uniform
-        self.points = CellPoints(step.mesh, 0, step.layout.symmetry) if constant else points
-        self.fields = L2(step.mesh, order=layout.discretisation.m)
-        velocity, normal = layout.scalar_space("v"), NormalFacetFESpace(step.mesh, order=k - 1)
+        constant = k == 2 and step.mesh.GetCurveOrder() <= 1 and is_uniform
+        self.op = Operators(step, 0) if constant else op
+        velocity = layout.scalar_space("v")
         self.velocities = velocity.ndof
-        self.component = FESpace([velocity, Periodic(normal) if layout.periodic else normal])
+        self.component = FESpace([velocity, layout.scalar_space(layout.names_of("normals")[0])])
         """The space of (v_i, a_i); linear functions of them are the same for every component i."""
-        self.squares = L2(step.mesh, order=2 * k - 4)
-        self._lifting(k)
+        self._lifting()
         self.sides = SideJumps(self, sides)
         if not self.law.is_linear:
-            self.s_values = self._local(self.points.values(self.squares))
-            self.s_inverse = inverse_of_blocks(mass_matrix(self.s_values.matrix, self.points.weights))
-        if not self.is_uniform:
-            self._z = LocalMatrix(self.points.values(self.fields), step.mesh.ne, pieces=1)
+            self.s_values = self.op.of("hess_square")
+            self.s_inverse = inverse_of_blocks(mass_matrix(self.s_values.matrix, self.op.weights))
 
     def tensors(self, z: np.ndarray) -> Values:
         """Values of the variables at the cells' points of this rule, from their coefficients."""
-        return self.step.layout.states.tensors(lambda: Array(self._z(z), None))
-
-    def _local(self, matrix: sp.csr_matrix) -> LocalMatrix:
-        return LocalMatrix(matrix, self.step.mesh.ne, self.points.weights, pieces=1)
+        return self.step.layout.states.tensors(lambda: Array(self.op.z(z), None))
 
     def fields_of(self, parts: Sequence[CoefficientFunction]) -> Fields:
         """One component of v and a as fields, from the joint space's functions."""
         names = ("v", self.step.layout.names_of("normals")[0])
         return Fields(self.step.layout, dict(zip(names, parts, strict=True)), rows=1)
 
-    def _lifting(self, k: int) -> None:
+    def _lifting(self) -> None:
         """Assemble the lifting of (v_i, a_i) from the term's form."""
         step, mesh = self.step, self.step.mesh
-        scalar, size = L2(mesh, order=k - 2), hessian_basis(self.dim).shape[1]
+        scalar, size = step.layout.scalar_space("hess"), hessian_basis(self.dim).shape[1]
         tests = VectorValued(scalar, size)
         form = BilinearForm(trialspace=self.component, testspace=tests)
         X = Fields(step.layout, {"hyperstress": tests.TestFunction()}, rows=1)
         step.quadrature.add(form, self.term.lifting(self.fields_of(self.component.TrialFunction()), X))
         loads = pruned(csr(form.Assemble().mat))
-        self.h_values = self._local(self.points.values(scalar))
-        self.h_inverse = inverse_of_blocks(mass_matrix(self.h_values.matrix, self.points.weights))
+        self.h_values = self.op.of("hess")
+        self.h_inverse = inverse_of_blocks(mass_matrix(self.h_values.matrix, self.op.weights))
         self.size, self.h_count = size, scalar.ndof
         # rows cell by cell, and in a cell component by component of Hs
         inverse = sp.block_diag([self.h_inverse] * size, format="csr")

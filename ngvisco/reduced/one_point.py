@@ -13,9 +13,9 @@ from ngvisco.forms.fields import Fields
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import PointTerm
 from ngvisco.physics.arrays import TINY, Array
-from ngvisco.reduced.evaluation import factors_of, on_sides, shapes_of, tests_of
+from ngvisco.reduced.evaluation import factors_of, names_of, shapes_of, tests_of
 from ngvisco.reduced.point_fields import CELLS, FACETS, NotAtPointsError, lazy_fields
-from ngvisco.reduced.unknowns import derived_in_cells, in_cells
+from ngvisco.reduced.unknowns import derived_in_cells
 
 
 @dataclass(frozen=True)
@@ -99,7 +99,7 @@ class OnePoint:
             return Array(ones(*shape), None)
 
         def fields(
-            context: Any, names: Iterable[str], sloping: Iterable[str], place: str, old: bool = False
+            context: Any, names: tuple[Iterable[str], Iterable[str]], place: str, old: bool = False
         ) -> Fields:
             changed = (lambda name, values: values) if old else along
 
@@ -109,7 +109,7 @@ class OnePoint:
             def gradient(name: str) -> Array:
                 return Array(changed(name, ones(*self._shapes[name], d)), None)
 
-            return lazy_fields(Fields, layout, (value, names), (gradient, sloping), place, context)
+            return lazy_fields(Fields, layout, (value, names[0]), (gradient, names[1]), place, context)
 
         told = {
             "rate": lambda difference: difference,
@@ -120,25 +120,16 @@ class OnePoint:
         }
         slope = step.context.recovered_slope
         inside = SimpleNamespace(momentum_old=known(d), average=told["given"], recovered_slope=slope, **told)
-        evolving, cells = set(layout.evolving).intersection(self._shapes), in_cells(layout)
-        inside.old = fields(inside, evolving, evolving, CELLS, old=True)
+        evolving = set(layout.evolving).intersection(self._shapes)
+        inside.old = fields(inside, (evolving, evolving), CELLS, old=True)
         one = Array(np.ones(1), None)
-        side = SimpleNamespace(
-            normal=known(d),
-            inner=one,
-            crossed=one,
-            curvature=1.0,
-            reach=step.context.reach,
-            **told,
-        )
-        derived = derived_in_cells(layout)
+        reach = step.context.reach
+        side = SimpleNamespace(normal=known(d), inner=one, crossed=one, curvature=1.0, reach=reach, **told)
         try:
             with np.errstate(all="ignore"):  # a law may not be defined at these values
-                u, w = fields(inside, (*cells, *derived), cells, CELLS), tests_of(step, True, inside)
+                u, w = fields(inside, names_of(step, True), CELLS), tests_of(step, True, inside)
                 in_all, collocated = list(term.cells(u, w)), list(term.collocated(u, w))
-                names = (*on_sides(step), "zeta", *derived)
-                sloping = [name for name in ("rho", "z", "zeta") if name in names]
-                u, w = fields(side, names, sloping, FACETS), tests_of(step, False, side)
+                u, w = fields(side, names_of(step, False), FACETS), tests_of(step, False, side)
                 u.__dict__["jump"] = known(d)
                 factors = factors_of(in_all + collocated), factors_of(list(term.facets(u, w)))
                 return [each for part in factors for each in part.items()], bool(factors_of(collocated))

@@ -7,7 +7,7 @@ If two ranks share a facet, each of them has one side, and both sides' contribut
 from __future__ import annotations
 
 from copy import copy
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 import scipy.sparse as sp
@@ -25,7 +25,8 @@ class PointOperators:
 
     def __init__(self, step: Step, points: CellPoints | SidePoints, pieces: int = 1) -> None:
         """``pieces`` is the number of equal parts of a cell's points, see ``LocalMatrix``."""
-        self.layout, self.points, self.pieces, self._h = step.layout, points, pieces, step.context.h
+        self.layout, self.pieces, self._h = step.layout, pieces, step.context.h
+        self.points: Any = points
         self.cells, self.weights = slice(0, step.mesh.ne), points.weights
         self._whole: PointOperators | None = None
         self._made: dict[tuple[str, int, bool], list[LocalMatrix]] = {}
@@ -74,8 +75,6 @@ class PointOperators:
 class Operators(PointOperators):
     """Operators at the cells' points of the rule of even degree 2 ``order``."""
 
-    points: CellPoints
-
     def __init__(self, step: Step, order: int) -> None:
         super().__init__(step, CellPoints(step.mesh, order, step.layout.symmetry))
 
@@ -90,8 +89,6 @@ class SideOperators(PointOperators):
     crossed : (points,) array
         The number 1 between two cells and on walls that matter crosses, 0 on other walls.
     """
-
-    points: SidePoints
 
     def __init__(self, step: Step) -> None:
         points = SidePoints(step.mesh, step.quadrature.facet_degree, step.layout.symmetry)

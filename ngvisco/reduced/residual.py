@@ -244,8 +244,8 @@ class ReducedResidual:
         """Rows, matrix and columns of each form's derivative, from the last call of ``derivative``."""
         self.hyper: MatrixHyperviscosity | None = None
         if couplings.of_kernel["hyperviscosity"]:
-            points = self.op.points, self.side_op.points
-            self.hyper = MatrixHyperviscosity(step, couplings.of_kernel["hyperviscosity"][0], *points)
+            term = couplings.of_kernel["hyperviscosity"][0]
+            self.hyper = MatrixHyperviscosity(step, term, self.op, self.side_op)
         self.right_hand_side = None if step.sources is None else RightHandSide(step)
         self.ranks, self.exchange = exchange.communicator, exchange.part(u.places(u.names))
         """Ranks and exchange of the packed unknowns."""

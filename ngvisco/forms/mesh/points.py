@@ -157,9 +157,12 @@ class SidePoints:
         return self.operator(space, lambda u: u)
 
     def gradients(self, space: FESpace) -> list[sp.csr_matrix]:
-        """Matrices from coefficients of a scalar space to its functions' partial derivatives in the side's
-        cell."""
-        return [self.operator(space, lambda u: grad(u)[j]) for j in range(self.mesh.dim)]
+        """Matrices from coefficients of a scalar space to partial derivatives, taken in the side's cell."""
+
+        def slope(j: int) -> sp.csr_matrix:
+            return self.operator(space, lambda u: grad(u)[j])
+
+        return [slope(j) for j in range(self.mesh.dim)]
 
     def operator(
         self, space: FESpace, value: Callable[[CoefficientFunction], CoefficientFunction]

@@ -24,6 +24,7 @@ from ngvisco.forms.fields import Fields
 from ngvisco.forms.mesh.points import SidePoints
 from ngvisco.physics.arrays import Array
 from ngvisco.reduced.hyperviscosity import HyperValues, MatrixHyperviscosity, SideJumps, value_of
+from ngvisco.reduced.operators import PointOperators
 from ngvisco.reduced.residual import parts_of
 
 
@@ -33,13 +34,11 @@ class HyperDerivative:
     def __init__(self, hyper: MatrixHyperviscosity, penalty_degree: int) -> None:
         step = hyper.step
         self.hyper, self.cells, self.dtype = hyper, step.mesh.ne, precision.SINGLE
-        coarse = step.discretisation.k == 2 and step.mesh.GetCurveOrder() <= 1
-        self.sides = (
-            SideJumps(hyper, SidePoints(step.mesh, penalty_degree, step.layout.symmetry))
-            if coarse
-            else hyper.sides
-        )
-        self.weights = hyper.points.weights.reshape(self.cells, hyper.h_values.per_cell)
+        self.sides = hyper.sides
+        if step.discretisation.k == 2 and step.mesh.GetCurveOrder() <= 1:
+            points = SidePoints(step.mesh, penalty_degree, step.layout.symmetry)
+            self.sides = SideJumps(hyper, PointOperators(step, points, points.per_cell))
+        self.weights = hyper.op.weights.reshape(self.cells, hyper.h_values.per_cell)
         self.side_weights = self.sides.weights.reshape(self.cells, self.sides.jump.per_cell)
         self._volume = self.weights.max(initial=0.0) or 1.0
         self.of_component = self._together()
@@ -64,7 +63,7 @@ class HyperDerivative:
         shape, hess_square = self.side_weights.shape, at.local.get("hess_square")
         on_sides = self._on_sides(at)
         c = value_of(law.linear(h.tensors(at.z))) if law.is_linear else self._coefficient(at)
-        c = weights * np.broadcast_to(c, h.points.count).reshape(weights.shape)
+        c = weights * np.broadcast_to(c, h.op.points.count).reshape(weights.shape)
         penalty = np.broadcast_to(value_of(h.term.stiffness(on_sides)), sides.h.shape)
         self._unit = unit = largest(c)
 
@@ -153,7 +152,7 @@ class HyperDerivative:
             c, on_sides = self._coefficient(at), law.coefficient(h.term.size(values), z_on_sides).value
 
         def mean(values: Any) -> np.ndarray:
-            at_points = np.broadcast_to(value_of(values), h.points.count).reshape(self.weights.shape)
+            at_points = np.broadcast_to(value_of(values), h.op.points.count).reshape(self.weights.shape)
             return (at_points * self.weights).sum(axis=1) / self.weights.sum(axis=1)
 
         def stretched(c: np.ndarray, mu_1: np.ndarray) -> np.ndarray:
