@@ -231,7 +231,7 @@ def _is_known(kind: Any) -> bool:
     """Whether a type can be checked here: a type of Python, a class of this package, or a container."""
     if not isinstance(kind, type) or get_origin(kind) is not None:
         first, *kinds = get_args(kind) or (None,)
-        is_uniform = all(other in (first, Ellipsis) for other in kinds)
+        is_uniform = all(member in (first, Ellipsis) for member in kinds)
         return get_origin(kind) in (Literal, Sequence, Mapping) or (get_origin(kind) is tuple and is_uniform)
     is_ours = kind.__module__.partition(".")[0] == __name__.partition(".")[0]
     return kind in (int, float, bool, str, NoneType) or (is_ours and not getattr(kind, "_is_protocol", False))
@@ -310,8 +310,8 @@ def declared(kind: type) -> dict[str, Declared]:
     If a class annotates a parameter of its base again without a quantity, the base's range applies.
     """
     annotated: dict[str, Quantity] = {}
-    for each in reversed(inspect.getmro(kind)):
-        for name, hint in get_type_hints(each, include_extras=True).items():
+    for base in reversed(inspect.getmro(kind)):
+        for name, hint in get_type_hints(base, include_extras=True).items():
             for part in getattr(hint, "__metadata__", ()):
                 if isinstance(part, Quantity):
                     annotated[name] = part

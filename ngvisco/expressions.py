@@ -246,8 +246,8 @@ class Evaluator:
         if name not in self.symbols:
             if name in self.functions:
                 raise self._error(node, f"function {name!r} needs its arguments in parentheses")
-            hint, known = nearest(name, self.symbols), listed(self.symbols)
-            raise self._error(node, f"unknown name {name!r}{hint} (known: {known})")
+            hint, symbols = nearest(name, self.symbols), listed(self.symbols)
+            raise self._error(node, f"unknown name {name!r}{hint} (known: {symbols})")
         self.seen.add(name)
         return self.symbols[name]
 
@@ -286,10 +286,10 @@ class Evaluator:
         name = node.func.id
         if node.keywords or any(isinstance(argument, ast.Starred) for argument in node.args):
             raise self._error(node, f"{name} takes plain arguments only")
-        known = [*self.functions, "where"]
-        if name not in known:
-            hint = nearest(name, known)
-            raise self._error(node, f"unknown function {name!r}{hint} (known: {', '.join(known)})")
+        functions = [*self.functions, "where"]
+        if name not in functions:
+            hint = nearest(name, functions)
+            raise self._error(node, f"unknown function {name!r}{hint} (known: {', '.join(functions)})")
         count, exact, general = (3, None, None) if name == "where" else self.functions[name]
         if len(node.args) != count:
             plural = "" if count == 1 else "s"

@@ -87,4 +87,4 @@ class Workers:
         if self._pool is None or len(parts) < 2:
             return [work(part) for part in parts]
         futures = [self._pool.submit(copy_context().run, work, part) for part in parts[1:]]
-        return [work(parts[0]), *(each.result() for each in futures)]
+        return [work(parts[0]), *(future.result() for future in futures)]

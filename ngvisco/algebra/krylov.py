@@ -87,11 +87,11 @@ def conjugate_gradients(
     ``product`` of two vectors; ``right``, (n,), is in the operator's range.
     """
     x, r = np.zeros_like(right), right.copy()
-    wanted = reduction**2 * product(right, right)
+    target = reduction**2 * product(right, right)
     z = inverse(r)
     p, rz = z.copy(), product(r, z)
     for _ in range(iterations):
-        if product(r, r) <= wanted or rz == 0:
+        if product(r, r) <= target or rz == 0:
             break
         q = operator(p)
         length = rz / product(p, q)

@@ -217,7 +217,7 @@ def integrals(left: Functions, right: Functions, weights: np.ndarray) -> np.ndar
     if not len(weights):  # a rank may have no cells
         return np.zeros((0, left.nodal.shape[1], right.nodal.shape[1]))
     points = np.eye(weights.shape[1])
-    a, b = (points if each.shape is None else each.shape for each in (left, right))
+    a, b = (points if matrix.shape is None else matrix.shape for matrix in (left, right))
     products = (a[:, None] * b).reshape(len(a) * len(b), len(points)).T
     masses = (weights @ products).reshape(len(weights), len(a), len(b))
     return np.matmul(np.matmul(left.nodal, masses), right.nodal.swapaxes(1, 2))

@@ -13,14 +13,7 @@ from typing import Any
 from ngsolve import Mesh
 
 from ngvisco.case import toml
-from ngvisco.case.faults import (
-    Blame,
-    CaseError,
-    Fault,
-    Locator,
-    refused,
-    tables_of,
-)
+from ngvisco.case.faults import Blame, CaseError, Fault, Locator, refused, tables_of
 from ngvisco.case.python import tables_of_python
 from ngvisco.case.reading import sections_of, text_of
 from ngvisco.case.schema import CaseSections
@@ -329,9 +322,11 @@ class Case:
             for name, value in values.items():
                 if isinstance(value, Section):
                     values[name] = self._made(value, (*path, name), dim)
-                elif isinstance(value, dict) and any(isinstance(each, Section) for each in value.values()):
+                elif isinstance(value, dict) and any(
+                    isinstance(member, Section) for member in value.values()
+                ):
                     values[name] = {
-                        key: self._made(each, (*path, name, key), dim) for key, each in value.items()
+                        key: self._made(member, (*path, name, key), dim) for key, member in value.items()
                     }
                 elif name in fields:
                     values[name] = self._function(value, (*path, name), dim)

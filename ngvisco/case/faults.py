@@ -17,13 +17,7 @@ from ngvisco.case.schema import CaseSections
 from ngvisco.case.section import TAGS, Section, models_in, owner_of, place_in
 from ngvisco.case.toml import line_of, value_text
 from ngvisco.case.values import Wrong
-from ngvisco.errors import (
-    InitialDataError,
-    MeshError,
-    NgviscoError,
-    ParameterError,
-    nearest,
-)
+from ngvisco.errors import InitialDataError, MeshError, NgviscoError, ParameterError, nearest
 from ngvisco.parallel.petsc import PETScError
 from ngvisco.run.ranks import abort_alone
 
@@ -98,7 +92,7 @@ def faults_of(error: ValidationError, model: type[Section], locator: Locator) ->
     """One fault for each of pydantic's errors, in the order of the file."""
     faults = []
     for entry in error.errors():
-        path, here, known = _resolve(model, entry["loc"])
+        path, here, keys = _resolve(model, entry["loc"])
         raised = (entry.get("ctx") or {}).get("error")
         if entry["type"] == "union_tag_invalid":
             path = (*path, entry["ctx"]["discriminator"].strip("'"))
@@ -108,7 +102,7 @@ def faults_of(error: ValidationError, model: type[Section], locator: Locator) ->
             written = given(locator.data, path) if is_dataclass(raised.value) else None
             message = refused(raised.value if written is None else written, raised)
         else:
-            message = _message(entry, raised, path, here, known)
+            message = _message(entry, raised, path, here, keys)
         faults.append(locator.fault(path, message))
     return sorted(faults, key=lambda fault: (fault.line is None, fault.line or 0))
 
@@ -118,24 +112,24 @@ def names_in(field: str) -> list[str]:
     return re.sub(r"\[[\"']?(.*?)[\"']?\]", r".\1", field).split(".")
 
 
-def _message(fault: Any, raised: object, path: tuple[str, ...], here: str, known: list[str]) -> str:
+def _message(fault: Any, raised: object, path: tuple[str, ...], here: str, keys: list[str]) -> str:
     kind, value, context = fault["type"], fault["input"], fault.get("ctx") or {}
     if isinstance(value, Wrong):
         return str(value)
     if raised is not None:
         return f"{shown(value)}: {raised}"
     if kind == "extra_forbidden":
-        return f"unknown key{nearest(path[-1], known)} (known in {here}: {', '.join(known)})"
+        return f"unknown key{nearest(path[-1], keys)} (known in {here}: {', '.join(keys)})"
     if kind == "missing":
-        return f"is missing (keys of {here}: {', '.join(known)})"
+        return f"is missing (keys of {here}: {', '.join(keys)})"
     if kind == "union_tag_invalid":
         tag, tags = str(context["tag"]), [t.strip("'") for t in context["expected_tags"].split(", ")]
         return f"{shown(tag)}: expected one of {', '.join(tags)}{nearest(tag, tags)}"
     if kind == "union_tag_not_found":
-        wanted = context["discriminator"].strip("'")
-        written = difflib.get_close_matches(wanted, [str(key) for key in value], n=1, cutoff=0.5)
-        hint = f"; {written[0]!r} is unknown: did you mean {wanted!r}?" if written else ""
-        return f"the key {wanted!r} is missing{hint}"
+        discriminator = context["discriminator"].strip("'")
+        written = difflib.get_close_matches(discriminator, [str(key) for key in value], n=1, cutoff=0.5)
+        hint = f"; {written[0]!r} is unknown: did you mean {discriminator!r}?" if written else ""
+        return f"the key {discriminator!r} is missing{hint}"
     if kind == "list_type" and isinstance(value, dict):
         return f"{shown(value)}: expected an array of tables, [[{'.'.join(path)}]]"
     words = _WORDS[kind].format(**context) if kind in _WORDS else fault["msg"].lower()
@@ -202,18 +196,18 @@ _OTHER = 100
 def _resolve(model: type[Section], location: tuple[Any, ...]) -> tuple[tuple[str, ...], str, list[str]]:
     """Key path without the unions' tags, the table that holds the key, and the table's keys."""
     path: list[str] = []
-    models, here, known = [model], "the case", list(model.model_fields)
+    models, here, keys = [model], "the case", list(model.model_fields)
     for part in location:
         fields = {name: field for each_model in models for name, field in each_model.model_fields.items()}
         chosen = [each_model for each_model in models if each_model.__name__ == part]
         if chosen not in ([], models) and part not in fields:
             models = chosen
         elif not str(part).startswith("<"):  # a tag in <> names the form of a value and is no key
-            here, known = ".".join(path) or "the case", list(fields)
+            here, keys = ".".join(path) or "the case", list(fields)
             if part in fields:
                 models = models_in(fields[part].annotation)
             path.append(str(part))
-    return tuple(path), here, known
+    return tuple(path), here, keys
 
 
 def numbers_out_of_range(sections: Section, locator: Locator) -> list[Fault]:

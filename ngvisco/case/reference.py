@@ -168,17 +168,17 @@ def explain(path: str) -> str:
         ``material``, or a kind, ``NeoHookean``, ``material.NeoHookean``; upper and lower case are equal.
     """
     every = entries()
-    wanted = tuple(part for part in path.strip().strip(".").split(".") if part)
+    user_path = tuple(part for part in path.strip().strip(".").split(".") if part)
     for place, same in _SAME_KEYS.items():
-        if len(wanted) > len(place) and matches(place, wanted[: len(place)]):
-            wanted = (*same, *wanted[len(place) :])
+        if len(user_path) > len(place) and matches(place, user_path[: len(place)]):
+            user_path = (*same, *user_path[len(place) :])
     kinds = {kind: entry.path[:-1] for entry in every for kind in entry.kinds}
-    last = wanted[-1] if wanted else ""
+    last = user_path[-1] if user_path else ""
     fields = [f"output: the field {name} is {description}" for name, description in _fields(last)]
     names = {entry.path[-1]: entry.name for entry in every} | dict.fromkeys(kinds, "")
     if not fields and last not in names:
         last = next((name for name in sorted(names) if name.lower() == last.lower()), last)
-        wanted = (*wanted[:-1], last)
+        user_path = (*user_path[:-1], last)
     if last in kinds:
         keys = [entry for entry in every if entry.path[:-1] == kinds[last]]
         tag = [replace(entry, example=last) for entry in keys if entry.path[-1] in TAGS]
@@ -186,16 +186,18 @@ def explain(path: str) -> str:
             [_said_of(last), *cards([*tag, *(entry for entry in keys if last in entry.kinds)])]
         )
     # a name alone stands for this key in every table that has it
-    exact = [e for e in every if matches(e.path, wanted)] or [e for e in every if e.path[-1:] == wanted]
-    below = [e for e in every if len(e.path) > len(wanted) and matches(e.path[: len(wanted)], wanted)]
-    if wanted and below:
+    exact = [e for e in every if matches(e.path, user_path)] or [e for e in every if e.path[-1:] == user_path]
+    below = [
+        e for e in every if len(e.path) > len(user_path) and matches(e.path[: len(user_path)], user_path)
+    ]
+    if user_path and below:
         title = [f"[{path}]  {entry.type}: {entry.meaning}" for entry in exact]
         return "\n".join([*title, *(line(entry) for entry in below)])
-    if hits := [*cards(exact), *fields] or _mentions(every, list(kinds), wanted):
+    if hits := [*cards(exact), *fields] or _mentions(every, list(kinds), user_path):
         return "\n\n".join(hits)
-    known = [*dict.fromkeys(entry.name for entry in every), *kinds]
+    paths = [*dict.fromkeys(entry.name for entry in every), *kinds]
     close = [names[name] or name for name in difflib.get_close_matches(last, names, n=2)]
-    close = list(dict.fromkeys([*close, *difflib.get_close_matches(path, known, n=3, cutoff=0.4)]))[:3]
+    close = list(dict.fromkeys([*close, *difflib.get_close_matches(path, paths, n=3, cutoff=0.4)]))[:3]
     hint = f"such as {', '.join(close)}; " if close else ""
     raise ParameterError("KEY", path, f"a key of a case file, {hint}ngvisco list --keys has them all")
 
@@ -212,11 +214,11 @@ def _fields(name: str) -> list[tuple[str, str]]:
     return [(name, description) for named, description in rows if named == re.sub(r"_\d$", "_i", name)]
 
 
-def _mentions(every: Sequence[KeyEntry], kinds: Sequence[str], wanted: tuple[str, ...]) -> list[str]:
+def _mentions(every: Sequence[KeyEntry], kinds: Sequence[str], user_path: tuple[str, ...]) -> list[str]:
     """Kinds and keys whose descriptions contain a word; none if there are ``_MANY`` or more."""
-    if len(wanted) != 1:
+    if len(user_path) != 1:
         return []
-    word = re.compile(rf"\b{re.escape(wanted[0])}", re.IGNORECASE)
+    word = re.compile(rf"\b{re.escape(user_path[0])}", re.IGNORECASE)
     docs = {kind: re.split(r"\n\w+\n--", inspect.getdoc(KINDS[kind]) or "")[0] for kind in kinds}
     matches = [_said_of(kind) for kind, doc in docs.items() if word.search(doc)]
     matches += [line(entry).strip() for entry in every if word.search(f"{entry.type} {entry.meaning}")]
@@ -231,10 +233,10 @@ def listing() -> str:
     return "\n".join(line(entry) for entry in entries())
 
 
-def matches(path: tuple[str, ...], wanted: tuple[str, ...]) -> bool:
-    """Whether a user's path ``wanted`` fits ``path``, with NAME for any name and N for any index."""
-    return len(path) == len(wanted) and all(
-        a == b or a == "NAME" or (a == "N" and b.isdigit()) for a, b in zip(path, wanted, strict=True)
+def matches(path: tuple[str, ...], user_path: tuple[str, ...]) -> bool:
+    """Whether a user's path ``user_path`` fits ``path``, with NAME for any name and N for any index."""
+    return len(path) == len(user_path) and all(
+        a == b or a == "NAME" or (a == "N" and b.isdigit()) for a, b in zip(path, user_path, strict=True)
     )
 
 
@@ -356,8 +358,8 @@ def meanings(owner: Any) -> Mapping[str, str]:
     from docstring_parser import DocstringStyle, parse  # runs do not need this package
 
     descriptions = {}
-    for each in reversed(inspect.getmro(owner) if inspect.isclass(owner) else (owner,)):
-        for part in parse(each.__doc__ or "", DocstringStyle.NUMPYDOC).params:
+    for described in reversed(inspect.getmro(owner) if inspect.isclass(owner) else (owner,)):
+        for part in parse(described.__doc__ or "", DocstringStyle.NUMPYDOC).params:
             text = " ".join((part.description or "").replace("``", "").split()).removesuffix(".")
             same = _SAME.fullmatch(text)
             if part.args[0] != "param":

@@ -43,9 +43,9 @@ _FIXED = (
     "domain",
     "initial",
     "discretisation",
+    "bodies",
     "material.kind",
     "material.thermal",
-    "bodies",
     "output.passive",
 )
 """Keys that a resumed run cannot change.  Bodies can change only numbers of materials and mechanisms. Another

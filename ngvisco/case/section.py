@@ -224,15 +224,17 @@ def parameters(part: Section) -> dict[str, Any]:
     not converted.
     """
     model, values = type(part), {}
-    known = inspect.signature(model.target).parameters
-    for name in (name for name in model.model_fields if name in known):
+    arguments = inspect.signature(model.target).parameters
+    for name in (name for name in model.model_fields if name in arguments):
         value = getattr(part, name)
         if isinstance(value, Section) and not field_names(type(value)):
             value = made(value)
         elif isinstance(value, list) and value and isinstance(value[0], Section):
-            value = [made(each) for each in value]
-        elif isinstance(value, dict) and any(isinstance(each, Section) for each in value.values()):
-            value = {key: each if field_names(type(each)) else made(each) for key, each in value.items()}
+            value = [made(member) for member in value]
+        elif isinstance(value, dict) and any(isinstance(member, Section) for member in value.values()):
+            value = {
+                key: member if field_names(type(member)) else made(member) for key, member in value.items()
+            }
         elif name in values_of(model):
             value = values_of(model)[name].made(value)
         if value is not None:

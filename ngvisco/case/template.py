@@ -35,10 +35,10 @@ def template(name: str) -> str:
     Each key has its unit and meaning beside it; optional keys and tables follow as comments, with their
     default, or else an example, as value.  Raises UnknownNameError if there is no such demo.
     """
-    known = demos()
-    if name not in known:
-        raise UnknownNameError("demo", name, known)
-    text, every = known[name].read_text(encoding="utf-8"), entries()
+    files = demos()
+    if name not in files:
+        raise UnknownNameError("demo", name, files)
+    text, every = files[name].read_text(encoding="utf-8"), entries()
     lines = _HEAD.format(name).split("\n")
     for block in re.split(r"^(?=\[)", text, flags=re.M):
         lines += _annotated(block, every)

@@ -53,24 +53,24 @@ def _registry() -> Any:
     return pint.UnitRegistry(cache_folder=None)
 
 
-def factor(unit: str, wanted: str) -> float:
-    """The value of one ``unit`` in ``wanted`` (SI).  Raises UnitError, also for an offset as in degC."""
-    value = converted(1.0, unit, wanted)
-    if not 0 < value < math.inf or converted(0.0, unit, wanted) != 0.0:
-        raise UnitError(f"{unit!r} cannot be converted to {wanted}")
+def factor(unit: str, si_unit: str) -> float:
+    """The value of one ``unit`` in ``si_unit`` (SI).  Raises UnitError, also for an offset as in degC."""
+    value = converted(1.0, unit, si_unit)
+    if not 0 < value < math.inf or converted(0.0, unit, si_unit) != 0.0:
+        raise UnitError(f"{unit!r} cannot be converted to {si_unit}")
     return value
 
 
-def converted(number: float, unit: str, wanted: str) -> float:
-    """A ``number`` in ``unit``, converted to the SI unit ``wanted``.  Raises UnitError."""
+def converted(number: float, unit: str, si_unit: str) -> float:
+    """A ``number`` in ``unit``, converted to the SI unit ``si_unit``.  Raises UnitError."""
     import pint
 
     _require_small_powers(unit)
     units = _registry()
     try:
-        value = units.Quantity(number, units.parse_units(unit)).to(units.parse_units(wanted)).magnitude
+        value = units.Quantity(number, units.parse_units(unit)).to(units.parse_units(si_unit)).magnitude
     except pint.DimensionalityError as error:
-        raise UnitError(f"{unit!r} has not the dimension of {wanted}") from error
+        raise UnitError(f"{unit!r} has not the dimension of {si_unit}") from error
     except Exception as error:  # pint's parser raises many kinds of errors
         raise UnitError(f"{unit!r} is no unit that is known") from error
     return float(value)

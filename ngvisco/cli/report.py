@@ -74,11 +74,11 @@ def check(options: argparse.Namespace) -> int:
     total = first + (steps - 1) * later
     estimate = f"{later:.2g} s a step, {_duration(total)} in all"
     if writing is not None:
-        each, files = writing
+        cost, files = writing
         if adaptive is None:
-            estimate += f", and {_duration(each * files)} for {files} file{'s' * (files > 1)} of fields"
+            estimate += f", and {_duration(cost * files)} for {files} file{'s' * (files > 1)} of fields"
         else:
-            estimate += f", and {each:.2g} s for each file of fields"
+            estimate += f", and {cost:.2g} s for each file of fields"
     if adaptive is not None:
         estimate += f", if all steps were of dt_max; those taken are {run.stepper.dt:.3g} s long by now"
     print(f"estimate   {estimate} (by its first {count})")
@@ -119,11 +119,11 @@ def _measure(
     with tempfile.TemporaryDirectory() as place:
         observers, watch = case.observers(Path(place), case.until), Stopwatch(min(_STEPS, steps), _SECONDS)
         series = [o for o in observers if isinstance(o, VTKSeries)]
-        each = _writing(run, series[0]) if series else 0.0
+        cost = _writing(run, series[0]) if series else 0.0
         run.observers = [*(o for o in observers if o not in series), watch]
         run.run(case.until)
     spent = watch.seconds
-    files = (each, _files(series[0], case.until, run.dt)) if series else None
+    files = (cost, _files(series[0], case.until, run.dt)) if series else None
     return spent[0], float(np.median(spent[1:] or spent)), len(spent), files
 
 

@@ -276,14 +276,14 @@ class Bounds:
         mine = None
         if len(values):
             at, bound = np.unravel_index(np.argmin(values / of_rest), values.shape)
-            value, rest = float(values[at, bound]), float(of_rest[at, bound])
+            value, value_at_rest = float(values[at, bound]), float(of_rest[at, bound])
             where = points.coordinates(np.array([at]))[0]
             violation = self._violation(list(domain)[bound], value, int(points.cells[at]), where)
-            mine = value / rest, rest, violation
+            mine = value / value_at_rest, value_at_rest, violation
         every = [entry for entry in self._ranks.gathered(mine) if entry is not None]
-        _, rest, violation = min(every, key=lambda entry: entry[0])
+        _, value_at_rest, violation = min(every, key=lambda entry: entry[0])
         nearest = self._beside_wall(*violation)
-        return f"{nearest.quantity} is {nearest.value:.3g} {nearest.where}, and {rest:.3g} at rest"
+        return f"{nearest.quantity} is {nearest.value:.3g} {nearest.where}, and {value_at_rest:.3g} at rest"
 
     def cells_outside(self) -> np.ndarray:
         """Numbers of the cells in which the present state is out of bounds at a point."""
@@ -438,11 +438,11 @@ class Bounds:
 
 def _check_names(material: Material, z: Values) -> None:
     """Raise UnknownNameError if ``Material.positive`` names a variable that the material lacks."""
-    known = [variable.name for variable in material.variables]
+    names = [variable.name for variable in material.variables]
     for name in material.positive(z):
-        if name and name not in known:
+        if name and name not in names:
             owner = type(material).__name__
-            raise UnknownNameError(f"variable of {owner}.positive ('' where it is of several)", name, known)
+            raise UnknownNameError(f"variable of {owner}.positive ('' where it is of several)", name, names)
 
 
 def _or_least(values: Any) -> Any:

@@ -133,15 +133,15 @@ class Ranges:
         values = self._means.coefficients("z")
         for i, name in enumerate(self.names):
             low, high = self.step.ranges[name]
-            wanted = np.clip(means[i], low, high)
+            targets = np.clip(means[i], low, high)
             below, above = means[i] - least[i], largest[i] - means[i]
             with np.errstate(divide="ignore", invalid="ignore"):
-                downwards = np.where(below > 0, (wanted - low) / below, np.inf)
-                upwards = np.where(above > 0, (high - wanted) / above, np.inf)
+                downwards = np.where(below > 0, (targets - low) / below, np.inf)
+                upwards = np.where(above > 0, (high - targets) / above, np.inf)
             share = np.clip(np.minimum(downwards, upwards), 0.0, 1.0)
             dofs, cell = self._means.functions(outside[i])
             row = values[self.components[i]]
-            row[dofs] = wanted[cell] * one[dofs] + share[cell] * (row[dofs] - means[i][cell] * one[dofs])
+            row[dofs] = targets[cell] * one[dofs] + share[cell] * (row[dofs] - means[i][cell] * one[dofs])
         return np.flatnonzero(outside.any(axis=0))
 
     def _outside(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -284,7 +284,7 @@ class _DamageHeat:
         """Add the heat ``xi``, J/m^3, to the present state; return power, W, and entropy, W/K, by columns."""
         state, ranges, unit = self.step.state.vec.FV().NumPy(), self.step.layout.ranges, self.entropy.unit
         s = state[ranges["z"]].reshape(self.step.layout.states.size, -1)[self._place]
-        before, wanted, energy = (
+        before, heat, energy = (
             s.copy(),
             self.step.quadrature.each_cell(xi),
             self.step.quadrature.each_cell(self._heat),
@@ -293,14 +293,14 @@ class _DamageHeat:
         direction = GridFunction(self._added.space)
         direction.vec.data = self._added.vec
         share = self._share.vec.FV().NumPy()
-        share[:] = wanted > 0
+        share[:] = heat > 0
         for _ in range(_NEWTON):
             self._added.Set(self._share * direction)
             s[:] = before + self._added.vec.FV().NumPy()
-            missing = wanted - (self.step.quadrature.each_cell(self._heat) - energy)
+            missing = heat - (self.step.quadrature.each_cell(self._heat) - energy)
             slope = unit * self.step.quadrature.each_cell(self._theta * direction)
-            share += np.where(wanted > 0, missing / np.where(slope > 0, slope, 1.0), 0.0)
+            share += np.where(heat > 0, missing / np.where(slope > 0, slope, 1.0), 0.0)
             if abs(missing).sum() <= _ROUNDING * abs(energy).sum():
                 break
         produced = unit * self.step.quadrature.each_cell(self._added).sum()
-        return {_POWER: float(wanted.sum()) / tau, _PRODUCTION: float(produced) / tau}
+        return {_POWER: float(heat.sum()) / tau, _PRODUCTION: float(produced) / tau}

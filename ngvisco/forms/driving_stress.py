@@ -65,11 +65,13 @@ class LinearisationStress:
     ) -> None:
         self.rates, self.layout, self.space = rates, layout, rates.creep_space
         self.mechanisms = tuple(
-            each for each in rates.mechanisms if rates.creep_is_collocated and not each.rule.reads_conjugate
+            mechanism
+            for mechanism in rates.mechanisms
+            if rates.creep_is_collocated and not mechanism.rule.reads_conjugate
         )
         p = self.space.size
         self.stress, self.slope = (
-            {each: quadrature.vectors(size, collocated=True) for each in self.mechanisms}
+            {mechanism: quadrature.vectors(size, collocated=True) for mechanism in self.mechanisms}
             for size in (p, p * p)
         )
         """Grid functions of M* and S by mechanism, read by forms."""
@@ -81,8 +83,10 @@ class LinearisationStress:
         self.start()
         self.state, self._own = state, layout.ranges["z"]
         self._increment = GridFunction(layout.space)
-        parts = (dict(zip(layout.names, each.components, strict=True)) for each in (state, self._increment))
-        self._now, self._along = ([each["z"], each["zeta"]] for each in parts)
+        parts = (
+            dict(zip(layout.names, vector.components, strict=True)) for vector in (state, self._increment)
+        )
+        self._now, self._along = ([part["z"], part["zeta"]] for part in parts)
         self._sampled = quadrature.vectors(layout.states.size, collocated=True)
 
     def __bool__(self) -> bool:
@@ -226,8 +230,8 @@ class LinearisationStress:
         dim = self.rates.dim
         parts = {"z": Array(z, None), "zeta": Array(zeta, None)}
         u = Fields(self.layout, parts, gradient=lambda name: Array(np.zeros((dim, dim, 1)), None))
-        M = np.stack([self.components(each, u, self.rates).value.T for each in self.mechanisms])
-        return M, [self._rule(each, u) for each in self.mechanisms]
+        M = np.stack([self.components(mechanism, u, self.rates).value.T for mechanism in self.mechanisms])
+        return M, [self._rule(mechanism, u) for mechanism in self.mechanisms]
 
     def _rule(self, mechanism: CreepMechanism, u: UnknownValues) -> PointRate:
         read = self.rates.read_values(mechanism.rule, u, mechanism)
@@ -283,8 +287,8 @@ class LinearisedRates(KeptRates):
         self, z: UnknownValues, Pi: Sequence[CoefficientFunction], G: UnknownValues, name: Conjugate
     ) -> Sequence[CoefficientFunction]:
         off = [
-            self._off(each, z) if each in self.stresses.stress else 0 * rate
-            for each, rate in zip(self.mechanisms, Pi, strict=True)
+            self._off(mechanism, z) if mechanism in self.stresses.stress else 0 * rate
+            for mechanism, rate in zip(self.mechanisms, Pi, strict=True)
         ]
         return [*super().creep_power(z, Pi, G, name), *super().creep_power(self._now(z), off, G, name)]
 
@@ -359,11 +363,11 @@ class LinearisedTabulatedRates(LinearisedRates, TabulatedRates):
 
 def _stiffness(mechanism: CreepMechanism, rates: TabulatedRates) -> float:
     """Stress per creep strain at rest, Pa, the mean over the components."""
-    rest = rest_state(rates.material, rates.dim)[None]
-    response, first = rates.response(rest), rates.tensors.gradients
+    values_at_rest = rest_state(rates.material, rates.dim)[None]
+    response, first = rates.response(values_at_rest), rates.tensors.gradients
     first += rates.creep_space.size * rates.mechanisms.index(mechanism)
     creep = slice(first, first + rates.creep_space.size)
-    columns = rates.columns(rest.T)[0]
-    _, of_stress = rates.slopes(rest.T, np.zeros((columns.shape[1], 1)), response.slope.T)
+    columns = rates.columns(values_at_rest.T)[0]
+    _, of_stress = rates.slopes(values_at_rest.T, np.zeros((columns.shape[1], 1)), response.slope.T)
     force = of_stress[creep, :, 0] + columns[:, creep].T @ response.hessian[0]
     return float(np.trace(force @ columns[:, creep])) / rates.creep_space.size

@@ -191,7 +191,7 @@ class PointwiseEnergy(StoredEnergy):
         u = self.fields if u is None else u
         # all ranks learn of a change or a failure on one rank
         found = self._ranks.gathered((self._refreshed(u), self._own_failure))
-        changed = any(one for one, _ in found)
+        changed = any(is_new for is_new, _ in found)
         if changed and u is self.fields:
             self.failure = next((failure for _, failure in found if failure is not None), None)
             self.last_failure = self.failure or self.last_failure
@@ -210,8 +210,10 @@ class PointwiseEnergy(StoredEnergy):
             values_of(self._hessian)[:] = response.hessian.reshape(len(response.energy), self._size**2).T
             energy, slope = response.energy, response.slope.T
         else:  # mostly a state with known values
-            known = (v for v in self._values.values() if v.at is not None and np.array_equal(states, v.at))
-            met = next(known, None)
+            evaluated = (
+                v for v in self._values.values() if v.at is not None and np.array_equal(states, v.at)
+            )
+            met = next(evaluated, None)
             if met is None:
                 response = self.response(states.T)
                 energy, slope = response.energy, response.slope.T

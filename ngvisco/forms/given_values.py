@@ -74,8 +74,8 @@ def starting_values(
 
 def carried_of(material: Material, values: StartValues) -> StartValues:
     """Values of a material's variables, with the carried numbers of parameters in place of their values."""
-    known = (v for v in material.variables if isinstance(v, Parameter) and v.name in values)
-    return values | {v.name: v.carried(values[v.name]) for v in known}
+    parameters = (v for v in material.variables if isinstance(v, Parameter) and v.name in values)
+    return values | {v.name: v.carried(values[v.name]) for v in parameters}
 
 
 def given_values(
@@ -121,16 +121,16 @@ def temperature_for(
             raise ParameterError(field, temperature, expected)
         return None
     if isinstance(material, Mixture):
-        known = None if material.heat is None else material.heat.reference_temperature
+        reference = None if material.heat is None else material.heat.reference_temperature
     elif (thermal := part_of(material, Thermal)) is not None:
-        known = thermal.theta_R
+        reference = thermal.theta_R
     else:
         expected = f"a value of {entropy.name!r}: by a temperature only nv.Thermal knows it"
         raise ParameterError(f"{owner}.values", "no entropy", expected)
-    if temperature is None and known is None:
+    if temperature is None and reference is None:
         expected = "a temperature: those of reference, theta_R, differ from body to body"
         raise ParameterError(field, None, expected)
-    return as_shape(field, known if temperature is None else temperature, ())
+    return as_shape(field, reference if temperature is None else temperature, ())
 
 
 def entropy_at(material: Material, theta: CoefficientFunction, values: Given) -> StartValues:
@@ -258,8 +258,8 @@ def entering(wall: Passage, owner: str, model: Model, mesh: Mesh) -> Entering:
                 "that of what flows in, kg/m^3, beside its volume among the values: the material has no "
             )
             raise ParameterError(f"{owner}.density", None, expected + "referential density that tells it")
-        known = starting_values(material, given | z, Id(3), owner=owner)
-        density = CF(value_at(material.referential_density, known)) / volume_ratio(material, known)
+        starting = starting_values(material, given | z, Id(3), owner=owner)
+        density = CF(value_at(material.referential_density, starting)) / volume_ratio(material, starting)
     return Entering(z, density, theta)
 
 

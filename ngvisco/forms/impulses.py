@@ -166,7 +166,7 @@ class Impulses:
                     [value for part in parts if (value := getattr(part, place)) is not None]
                     for place in ("cells", "collocated")
                 )
-                sums = (reduce(add, each) if each else None for each in integrands)
+                sums = (reduce(add, terms) if terms else None for terms in integrands)
                 entries[f"{name}.{motion}"] = Entry(
                     name, "monitor", Integrand(next(sums), collocated=next(sums))
                 )
@@ -231,7 +231,7 @@ class Impulses:
         (u, points), n = sides, sides[0].context.normal
         if self._levers is None:
             along = [inner(e, self.step.context.normal) for e in self.motions.values()]
-            self._levers = np.array([points.weights * points.sample(each) for each in along])
+            self._levers = np.array([points.weights * points.sample(arm) for arm in along])
         w, phi = Fields(u.layout, {"v": n}, u.context), _where_it_is(u.context.rates.stored(u))
         elastic = [
             part for term in self.step.point_terms if term.group == ELASTIC for part in term.facets(u, w)

@@ -50,9 +50,9 @@ class Rates:
         self.model, self.material, self.dim, self.hoop = model, model.material, dim, hoop
         self.mechanisms = model.mechanisms
         """The flow rules with the variables that they relax."""
-        self.is_local = all(each.rule.is_local for each in self.mechanisms)
+        self.is_local = all(mechanism.rule.is_local for mechanism in self.mechanisms)
         """Whether all flow rules give the rate as a function of the values at the point."""
-        self._has_trace = any(each.rule.has_trace for each in self.mechanisms)
+        self._has_trace = any(mechanism.rule.has_trace for mechanism in self.mechanisms)
 
     def power(
         self, z: UnknownValues, along: UnknownValues, G: UnknownValues, name: Conjugate
@@ -93,9 +93,9 @@ class Rates:
         tensors = _tensors(G, name)
         return [
             inner(self.material.rate(variable, z.z_tensors, 0 * rate, rate), tensors[variable.name])
-            for each, rate in zip(self.mechanisms, Pi, strict=True)
+            for mechanism, rate in zip(self.mechanisms, Pi, strict=True)
             for variable in self.material.variables
-            if variable.name in each.names
+            if variable.name in mechanism.names
         ]
 
     def mandel(self, u: UnknownValues, mechanism: CreepMechanism | None = None) -> CoefficientFunction:
@@ -105,14 +105,17 @@ class Rates:
 
     def creep(self, u: UnknownValues) -> list[CoefficientFunction]:
         """Rate Pi of every mechanism, 3x3, 1/s: from a local rule, or the unknown Pi."""
-        return [self.local_creep(each, u) if each.rule.is_local else u.Pi for each in self.mechanisms]
+        return [
+            self.local_creep(mechanism, u) if mechanism.rule.is_local else u.Pi
+            for mechanism in self.mechanisms
+        ]
 
     def mean_creep(self, u: UnknownValues) -> dict[str, CoefficientFunction]:
         """Creep rate Pi, or its mean sum theta_i Pi_i over the bodies, 3x3, 1/s, by the branch's suffix."""
         found: dict[str, CoefficientFunction] = {}
         for mechanism, Pi in zip(self.mechanisms, self.creep(u), strict=True):
-            part, known = mechanism.share(u.z_tensors) * Pi, found.get(mechanism.suffix)
-            found[mechanism.suffix] = part if known is None else known + part
+            part, total = mechanism.share(u.z_tensors) * Pi, found.get(mechanism.suffix)
+            found[mechanism.suffix] = part if total is None else total + part
         return found
 
     def local_creep(self, mechanism: CreepMechanism, u: UnknownValues) -> CoefficientFunction:
@@ -201,14 +204,15 @@ class Rates:
         """Power of creep, W/m^3, without the gradient term, summed over bodies, by the branch's suffix."""
         found: dict[str, CoefficientFunction] = {}
         for mechanism, power in zip(self.mechanisms, self.powers_of_creep(u), strict=True):
-            known = found.get(mechanism.suffix)
-            found[mechanism.suffix] = power if known is None else known + power
+            total = found.get(mechanism.suffix)
+            found[mechanism.suffix] = power if total is None else total + power
         return found
 
     def powers_of_creep(self, u: UnknownValues) -> list[CoefficientFunction]:
         """Power of creep of every mechanism, W/m^3."""
         return [
-            self.power_of_creep(each, Pi, u) for each, Pi in zip(self.mechanisms, self.creep(u), strict=True)
+            self.power_of_creep(mechanism, Pi, u)
+            for mechanism, Pi in zip(self.mechanisms, self.creep(u), strict=True)
         ]
 
     def power_of_creep(
@@ -242,8 +246,8 @@ class TabulatedRates(Rates):
         """Space of the tensors Pi and of their driving forces."""
         self.tensors, variables = self.constants, tuple(model.material.variables)
         creeping = tuple(v.name for v in variables if v.creeps)
-        if any(each.names != creeping for each in self.mechanisms):
-            names = (each.names for each in self.mechanisms)
+        if any(mechanism.names != creeping for mechanism in self.mechanisms):
+            names = (mechanism.names for mechanism in self.mechanisms)
             self.tensors = self.tensors.by_groups(tuple(names), StateSpace.of(variables, dim))
         self._states = states = model.material.states(dim)
         flux = np.zeros_like(self.tensors.linear)
@@ -357,4 +361,4 @@ class TabulatedRates(Rates):
         return self._components(self.creep(u))
 
     def _components(self, Pi: Sequence[Array]) -> np.ndarray:
-        return np.concatenate([self.creep_space.components(each).value for each in Pi])
+        return np.concatenate([self.creep_space.components(rate).value for rate in Pi])

@@ -159,14 +159,14 @@ class Sharpening:
         is_flat = np.ptp(heights, axis=1, keepdims=True) <= NO_INTERFACE
         slope = np.where(is_flat, 0.0, slope / np.where(is_flat, 1.0, size))
         facets = self._facets[mixed[self._facets[:, 0]] & mixed[self._facets[:, 2]]]
-        (one, corner), other = facets[:, :2].T, facets[:, 2]
-        normal = -self.dim * self._volumes[one, None] * self._slopes[one, corner]  # length = facet's area
+        (cell, corner), neighbour = facets[:, :2].T, facets[:, 2]
+        normal = -self.dim * self._volumes[cell, None] * self._slopes[cell, corner]  # length = facet's area
         area = np.linalg.norm(normal, axis=1)
-        up = 0.5 * ((slope[one] + slope[other]) * normal).sum(axis=1) / area
+        up = 0.5 * ((slope[cell] + slope[neighbour]) * normal).sum(axis=1) / area
         opposite = np.arange(path.shape[1]) == corner[:, None]
-        moved = np.where(opposite[:, :, None], 0.0, path[one]).sum(axis=1) / self.dim
+        moved = np.where(opposite[:, :, None], 0.0, path[cell]).sum(axis=1) / self.dim
         swept = np.abs((moved * normal).sum(axis=1))
-        giving, taking = np.where(up > 0, (one, other), (other, one))
+        giving, taking = np.where(up > 0, (cell, neighbour), (neighbour, cell))
         means, mass = self._means(u), self._masses.sum(axis=1)
         amounts_i, amounts_j = means[self._amounts[i]], means[self._amounts[j]]
         share = np.minimum(_RATE * np.abs(up) * swept / self._volumes[giving], _MOST)

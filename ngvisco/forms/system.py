@@ -194,7 +194,9 @@ def equations(model: Model, rates: TabulatedRates, m: int = 1) -> tuple[Term, ..
     terms.append(Upwinding(tangents))
     if model.creep is not None and not model.creep.is_local:
         terms.append(CreepRate(model.creep))
-    terms += [PlasticStraining(each) for each in model.mechanisms if each.rule.hardening is not None]
+    terms += [
+        PlasticStraining(mechanism) for mechanism in model.mechanisms if mechanism.rule.hardening is not None
+    ]
     return (*terms, *regularising_terms(model, dim))
 
 
@@ -241,7 +243,7 @@ class Step:
         self.mesh, self.model = mesh, model
         self.discretisation = discretisation or Discretisation()
         self.walls = Walls(mesh, conditions)
-        known = () if sources is None else (sources,)
+        source_terms = () if sources is None else (sources,)
         self.impenetrability = Impenetrability(self.walls) if self.walls.multiplied else None
         """The term of the multipliers on oblique or curved walls, or None."""
         self.passages = passages_of(self.walls, model)
@@ -255,7 +257,7 @@ class Step:
             *heat_terms(model, self.walls),
             *diffusion_terms(model, self.walls),
             *terms,
-            *known,
+            *source_terms,
         )
         self.point_terms, self.sources = point_terms(self.terms), sources
         self.layout = StepLayout(

@@ -20,7 +20,7 @@ _BORNE = 0.5
 
 def readers(model: Model) -> list[str]:
     """Names of a model's laws that read the pressure."""
-    laws = [model.creep, model.viscosity, *(each.rule for each in model.mechanisms)]
+    laws = [model.creep, model.viscosity, *(mechanism.rule for mechanism in model.mechanisms)]
     laws += [law for body in model.bodies for law in (body.creep, body.viscosity)]
     return sorted({type(law).__name__ for law in laws if law is not None and PRESSURE in law.reads})
 

@@ -144,7 +144,7 @@ class _RuleSearch:
         if self._size(off) <= TOLERANCE * (b - a):
             midpoint = np.array([[0.5 * (a + b)], [b - a]])
             return midpoint if self._is_constant(a, b) else _gauss((a, b)), off
-        panels = [self._halved(*ends, known) for ends, known in zip(_equal(a, b), look, strict=True)]
+        panels = [self._halved(*ends, half) for ends, half in zip(_equal(a, b), look, strict=True)]
         heapify(panels)
         done, error = [], np.zeros_like(whole)
         while panels:
@@ -157,8 +157,8 @@ class _RuleSearch:
                 error = error + off
                 continue
             self.left -= 1
-            for ends, known in zip(((a, middle), (middle, b)), halves, strict=True):
-                heappush(panels, self._halved(*ends, known))
+            for ends, half in zip(((a, middle), (middle, b)), halves, strict=True):
+                heappush(panels, self._halved(*ends, half))
         return np.concatenate(sorted(done, key=lambda nodes: nodes[0, 0]), axis=1), error
 
     def _halved(self, a: float, b: float, whole: np.ndarray) -> _Panel:

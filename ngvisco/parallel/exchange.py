@@ -287,6 +287,6 @@ def _turns(exchange: Exchange) -> tuple[int, int]:
     near = [rank for rank, numbers in exchange.shared.items() if is_crowded[numbers].any()]
     turns: list[int] = []
     for rank, neighbours in enumerate(exchange.communicator.gathered(near)):
-        used = {turns[other] for other in neighbours if other < rank}
+        used = {turns[neighbour] for neighbour in neighbours if neighbour < rank}
         turns.append(min(set(range(len(used) + 1)) - used))
     return turns[exchange.communicator.rank], max(turns) + 1

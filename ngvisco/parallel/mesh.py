@@ -104,7 +104,7 @@ def volume_and_surface(mesh: Mesh) -> list[float]:
     boundaries whose cells belong to other ranks.
     """
     integrals = (CF(1.0) * dx, CF(1.0) * dx(element_boundary=True))  # over this rank's cells alone
-    return [float(mesh.comm.Sum(Integrate(each, mesh))) for each in integrals]
+    return [float(mesh.comm.Sum(Integrate(integral, mesh))) for integral in integrals]
 
 
 def has_geometry(mesh: Mesh) -> bool:
@@ -156,11 +156,11 @@ def _numbers(part: MeshPart, ranks: Communicator) -> np.ndarray:
     if part.whole is not None:
         every, of_whole = _corners(part.whole)
         vertices = {place.tobytes(): number for number, place in enumerate(every)}
-        known = {nodes.tobytes(): number for number, nodes in enumerate(of_whole)}
+        number_of_cell = {nodes.tobytes(): number for number, nodes in enumerate(of_whole)}
         answers = []
         for points, nodes in zip(places, cells, strict=True):
             number = np.array([-1, *(vertices[place.tobytes()] for place in points)], dtype=np.int64)
-            numbers = [known[corners.tobytes()] for corners in number[nodes + 1]]
+            numbers = [number_of_cell[corners.tobytes()] for corners in number[nodes + 1]]
             answers.append(np.array(numbers, dtype=np.int64))
     result: np.ndarray = ranks.mpi.scatter(answers)
     return result

@@ -206,11 +206,11 @@ class SumInverse:
         else:
             preconditioner.setType(self.method)
             if self.kernel is not None:
-                held = [self._vector(matrix, each) for each in self.kernel]
+                held = [self._vector(matrix, vector) for vector in self.kernel]
                 held.append(module.NullSpace().create(vectors=held, comm=self._comm))
                 matrix.setNearNullSpace(held[-1])
-        for each in (*held, preconditioner, matrix):  # the solver keeps references to these objects
-            each.destroy()
+        for resource in (*held, preconditioner, matrix):  # the solver keeps references to these objects
+            resource.destroy()
         try:
             self._solver.setUp()
         except module.Error as error:
@@ -237,8 +237,8 @@ class SumInverse:
     def release(self) -> None:
         """Destroy the PETSc objects, to be called before another inverse is made; collective."""
         self._drop()
-        for each in self._held:
-            each.destroy()
+        for resource in self._held:
+            resource.destroy()
 
     def __call__(self, r: np.ndarray) -> np.ndarray:
         """Solve for a summed right-hand side; collective."""

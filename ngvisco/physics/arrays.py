@@ -119,7 +119,7 @@ class Array(_Node):
         """
         self.value, self.shape = value, value.shape[:-1]
         if parents:
-            parents = [each for each in parents if not each[0].is_constant] or None
+            parents = [parent for parent in parents if not parent[0].is_constant] or None
         self.is_constant = parents is None
         self.number = 0 if parents is None else next(_number)
         self.parents = parents or ()
@@ -350,8 +350,8 @@ def derivatives(result: Array, arguments: Sequence[Array]) -> list[np.ndarray]:
     """Derivatives of a scalar ``result`` by each of ``arguments``, in the arguments' shapes."""
     if not result.is_scalar:
         raise TypeError("only scalars are differentiated")
-    size, wanted = max(a.value.shape[-1] for a in arguments), {a.number for a in arguments}
-    slopes = {node.number: g for node, g in _backwards(result, np.ones(size)) if node.number in wanted}
+    size, numbers = max(a.value.shape[-1] for a in arguments), {a.number for a in arguments}
+    slopes = {node.number: g for node, g in _backwards(result, np.ones(size)) if node.number in numbers}
     return [slopes.get(a.number, np.zeros(a.value.shape)) for a in arguments]
 
 

@@ -69,10 +69,8 @@ class Diffusion:
 
     def require(self, material: Material) -> None:
         """Raise ParameterError for a material that does not carry the variable as a conserved scalar."""
-        known = [v.name for v in material.variables if v.kind == "scalar" and v.is_conserved]
-        if self.variable not in known:
+        conserved = [v.name for v in material.variables if v.kind == "scalar" and v.is_conserved]
+        if self.variable not in conserved:
             owner, carried = type(material).__name__, ", ".join(v.name for v in material.variables)
-            expected = (
-                f"a conserved scalar of the material: {owner} carries {carried}, of which such are {known}"
-            )
+            expected = f"a conserved scalar of the material: {owner} carries {carried}; such are {conserved}"
             raise ParameterError("Diffusion.variable", self.variable, expected)

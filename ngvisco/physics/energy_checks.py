@@ -87,15 +87,15 @@ def check_bound(material: Material, field: str, function: Callable[..., Coeffici
         tensors = sampling.space.tensors
         return evaluated(lambda c: function(**tensors(lambda: c)), states)[:, 0]
 
-    rest, states = rest_state(material, 3), sampling.changed(sampling.fitting())
-    if not (value := float(at(rest[None])[0])) > 0:
+    z_rest, states = rest_state(material, 3), sampling.changed(sampling.fitting())
+    if not (value := float(at(z_rest[None])[0])) > 0:
         raise ParameterError(field, function, f"a function that is positive at rest, where it is {value:.4g}")
     Q = np.linalg.qr(sampling._rng.standard_normal((3, 3)))[0]
     Q[:, 0] *= np.linalg.det(Q)
     if not np.allclose(at(_turned(material, 3, Q, states)), at(states), rtol=1e-8, equal_nan=True):
         raise ParameterError(field, function, "a function that no rotation of the observer changes")
     # states near rest too: every bound has admissible states there
-    states = np.concatenate([states, *(rest + share * (states - rest) for share in (0.3, 0.1, 0.03))])
+    states = np.concatenate([states, *(z_rest + share * (states - z_rest) for share in (0.3, 0.1, 0.03))])
     inside = states[at(states) > 0]
     for shift in range(1, _PAIRINGS + 1):
         middle = 0.5 * (inside + np.roll(inside, shift, axis=0))
@@ -280,20 +280,20 @@ def check_convexity(
         chosen = sampling._rng.choice(np.asarray(states, dtype=float), len(fitting))
         fitting[:, ~strains] = chosen[:, ~strains]
     a = sampling.changed(fitting)
-    other = sampling.fitting()
-    b = sampling.changed(other)
-    for end in (other, b):  # both ends of a pair have the same parameters
+    second = sampling.fitting()
+    b = sampling.changed(second)
+    for end in (second, b):  # both ends of a pair have the same parameters
         end[:, ~strains] = fitting[:, ~strains]
     steps = [t * spread for t in (1.0, 0.1, -1.0, -0.1)]
     # (reachable, states, their response, increments) in the order in which violations are cited
-    rounds = [(True, fitting, at_fitting := response(fitting), [other - fitting])]
-    for reachable, start, known, far in ((True, fitting, at_fitting, []), (False, a, response(a), [b - a])):
-        weakest = _weakest_directions(known, start, strains)
-        rounds.append((reachable, start, known, [t * weakest for t in steps] + far))
+    rounds = [(True, fitting, at_fitting := response(fitting), [second - fitting])]
+    for reachable, start, answer, far in ((True, fitting, at_fitting, []), (False, a, response(a), [b - a])):
+        weakest = _weakest_directions(answer, start, strains)
+        rounds.append((reachable, start, answer, [t * weakest for t in steps] + far))
     worst, samples = 0.0, 0
     violation: tuple[bool, np.ndarray, np.ndarray] | None = None
-    for reachable, start, known, increments in rounds:
-        count, smallest, pair = _worst_bregman(sampling, known, start, increments)
+    for reachable, start, answer, increments in rounds:
+        count, smallest, pair = _worst_bregman(sampling, answer, start, increments)
         samples, worst = samples + count, min(worst, smallest)
         if violation is None and pair is not None:
             violation = (reachable, *pair)
@@ -320,9 +320,9 @@ def check_convexity(
     return report
 
 
-def _weakest_directions(known: Response, states: np.ndarray, strains: np.ndarray) -> np.ndarray:
-    """Unit eigenvectors of the smallest eigenvalue of the Hessian, in ``known``, by the strains."""
-    hessian = np.nan_to_num(known.hessian, posinf=0, neginf=0)
+def _weakest_directions(response: Response, states: np.ndarray, strains: np.ndarray) -> np.ndarray:
+    """Unit eigenvectors of the smallest eigenvalue of the Hessian, in ``response``, by the strains."""
+    hessian = np.nan_to_num(response.hessian, posinf=0, neginf=0)
     weakest = np.zeros_like(states)
     weakest[:, strains] = np.linalg.eigh(hessian[:, strains][:, :, strains])[1][:, :, 0]
     return weakest
@@ -413,9 +413,9 @@ def check_isotropy(material: Material, *, dim: int = 3, spread: float = 0.4, see
         samples += int(finite.sum())
         if not finite.any():
             continue
-        known = energy[np.isfinite(energy)]
+        energies = energy[np.isfinite(energy)]
         # relative to the energy's spread, as its constant is arbitrary, and above rounding
-        bound = 1e-8 * np.ptp(known) + 1e-13 * np.abs(known).max()
+        bound = 1e-8 * np.ptp(energies) + 1e-13 * np.abs(energies).max()
         change = np.where(finite & (change > bound), change, 0.0)
         i = int(np.argmax(change))
         if change[i] > report.worst:

@@ -135,29 +135,29 @@ class MixedHeat:
     def has_one_pressure(self) -> bool:
         """Whether all bodies have the same thermal pressure as a function of J and theta."""
         J, theta = np.meshgrid([0.5, 1.0, 2.0], [1.0, 300.0])
-        first, *pressures = (each.pressure(theta, J) for each in self.parts.values())
-        return all(abs(other - first).max() <= _SAME * abs(first).max() for other in pressures)
+        first, *pressures = (part.pressure(theta, J) for part in self.parts.values())
+        return all(abs(pressure - first).max() <= _SAME * abs(first).max() for pressure in pressures)
 
     @property
     def reference_temperature(self) -> float | None:
         """The theta_R, K, that all bodies have; None if they differ."""
-        temperatures = {each.theta_R for each in self.parts.values()}
+        temperatures = {part.theta_R for part in self.parts.values()}
         return temperatures.pop() if len(temperatures) == 1 else None
 
     def capacity(self, n: Mapping[str, Any]) -> Any:
         """The heat capacity sum n_i c_i, J/(m^3 K)."""
-        return reduce(add, (each.c * n[name] for name, each in self.parts.items()))
+        return reduce(add, (part.c * n[name] for name, part in self.parts.items()))
 
     def total(self, n: Mapping[str, Any], log_theta: Any, J: Any) -> Any:
         """The carried entropy where all bodies have the volume J and the temperature exp(``log_theta``)."""
-        parts = (n[name] * each.entropy_of(log_theta, J) for name, each in self.parts.items())
+        parts = (n[name] * part.entropy_of(log_theta, J) for name, part in self.parts.items())
         return 1 / self.entropy.unit * reduce(add, parts)
 
     def entropies(self, n: Mapping[str, Any], s: Any, J: Any) -> dict[str, Any]:
         """S_i by the bodies' names, in the unit of s = sum n_i S_i, where all bodies have the volume J."""
         unit = self.entropy.unit
         log_theta = unit / self.capacity(n) * (s - self.total(n, 0.0, J))
-        return {name: 1 / unit * each.entropy_of(log_theta, J) for name, each in self.parts.items()}
+        return {name: 1 / unit * part.entropy_of(log_theta, J) for name, part in self.parts.items()}
 
     def energy(self, body: str, S: Any, J: Any) -> Any:
         """The thermal energy u_i(S, J) of a body, Pa."""

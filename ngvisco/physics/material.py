@@ -261,8 +261,8 @@ def check_material(material: Material) -> None:
     if len(set(names)) < len(names):
         raise ParameterError(field, names, "distinct names")
     for variable in material.variables:
-        for other in set(variable.requires).difference(names):
-            raise ParameterError(field, names, f"{other!r} too: the rate of {variable.name!r} reads it")
+        for required in set(variable.requires).difference(names):
+            raise ParameterError(field, names, f"{required!r} too: the rate of {variable.name!r} reads it")
     for distortion in material.distortions.values():
         tensors = (v for v in material.variables if v.name in distortion)
         frames = {v.frame: v.name for v in tensors if v.frame is not None}

@@ -85,9 +85,9 @@ class Mixture(Material):
         parts = {b.name: b.material for b in self.bodies if isinstance(b.material, Thermal)}
         if not parts:
             return None
-        units = [each.entropy_unit for each in parts.values() if each.entropy_unit]
-        unit = units[0] if units else max(each.c for each in parts.values())
-        return MixedHeat({name: replace(each, entropy_unit=unit) for name, each in parts.items()})
+        units = [part.entropy_unit for part in parts.values() if part.entropy_unit]
+        unit = units[0] if units else max(part.c for part in parts.values())
+        return MixedHeat({name: replace(part, entropy_unit=unit) for name, part in parts.items()})
 
     def amounts(self, z: Values) -> dict[str, Any]:
         """The amounts n_i by the bodies' names."""
@@ -139,7 +139,7 @@ class Mixture(Material):
 
     def contents_of(self, body: str, branch: str | None) -> tuple[str, ...]:
         """Names of the contents X_i of a body's branch; ``branch`` is None for a body without branches."""
-        material = next(each.material for each in self.bodies if each.name == body)
+        material = next(member.material for member in self.bodies if member.name == body)
         names = material.distortions[branch or ""]
         return tuple(X.name for X in self.contents(body) if X.tensor.name in {f"{n}_{body}" for n in names})
 
@@ -187,7 +187,7 @@ class Mixture(Material):
     def stiffnesses(self) -> dict[str, float]:
         """U_i'' at rest with its thermal part, by the bodies' names, Pa."""
         parts = {} if self.heat is None else self.heat.parts
-        of_heat = {name: each.stiffness for name, each in parts.items()}
+        of_heat = {name: part.stiffness for name, part in parts.items()}
         return {name: psi.stiffness + of_heat.get(name, 0.0) for name, psi in self.energies.items()}
 
     def positive(self, z: Values) -> dict[str, Values]:
@@ -197,8 +197,8 @@ class Mixture(Material):
 
         def above(share: float, sizes: Sequence[float]) -> Any:
             """The sum of size_i n_i over the least size, less ``share`` times N."""
-            each = zip(sizes, n.values(), strict=True)
-            return reduce(add, ((size / min(sizes) - share) * amount for size, amount in each))
+            pairs = zip(sizes, n.values(), strict=True)
+            return reduce(add, ((size / min(sizes) - share) * amount for size, amount in pairs))
 
         bounds = {"the sum of the amounts": total}
         if not self.has_one_volume:
@@ -269,8 +269,8 @@ class Mixture(Material):
                 size, weight = one, n + trace
                 inverse = 1 / weight
                 X = {name: inverse * (value + trace * unit[name]) for name, value in X.items()}
-            rest = {name: size * each for name, each in unit.items()}
-            shear = psi.energy({**parameters, **X, "J": one}) - psi.energy({**parameters, **rest, "J": one})
+            X_rest = {name: size * tensor for name, tensor in unit.items()}
+            shear = psi.energy({**parameters, **X, "J": one}) - psi.energy({**parameters, **X_rest, "J": one})
             energies[body.name] = weight * shear
             for branch, rule in body.rules.items():
                 if rule.hardening is None:

@@ -209,7 +209,7 @@ class Model:
     @property
     def traced(self) -> list[str]:
         """Names of tensors whose creep rate has a trace, so that J does not determine their determinants."""
-        return [name for each in self.mechanisms if each.rule.has_trace for name in each.names]
+        return [name for mechanism in self.mechanisms if mechanism.rule.has_trace for name in mechanism.names]
 
     @property
     def _hardening(self) -> tuple[tuple[PlasticContent, Hardening], ...]:
@@ -262,8 +262,10 @@ class Model:
         names = [body.name for body in self.bodies]
         _require_distinct("Model.bodies", names)
         for name in names:
-            if (other := name.removesuffix("_momentum")) != name and other in names:
-                expected = f"distinct columns of bodies; those of {name!r} would be the momentum of {other!r}"
+            if (shorter := name.removesuffix("_momentum")) != name and shorter in names:
+                expected = (
+                    f"distinct columns of bodies; those of {name!r} would be the momentum of {shorter!r}"
+                )
                 raise ParameterError("Model.bodies", names, expected)
         if sum(body.where is None for body in self.bodies) > 1:
             without = [body.name for body in self.bodies if body.where is None]
@@ -299,13 +301,13 @@ def _faults(body: Body, bodies: Sequence[Body]) -> Iterable[tuple[str, str]]:
         yield "material", "a material without damage: that of one body would be the damage of all"
     if law is not None and part_of(material, Network) is not None:
         yield "creep", "None with a Network, whose branches have theirs"
-    lightest = min(bodies, key=lambda each: each.density or 0.0)
+    lightest = min(bodies, key=lambda member: member.density or 0.0)
     if (body.density or 0.0) > MOST_DENSER * (lightest.density or 0.0):
         most = f"at most {MOST_DENSER:g} times that of {lightest.name!r}, {lightest.density:g} kg/m^3"
         yield "density", most
-    warm = [each for each in bodies if entropy_in(each.material) is not None]
-    thermal = [each.material for each in warm if isinstance(each.material, Thermal)]
-    units = {each.entropy_unit for each in thermal if each.entropy_unit is not None}
+    warm = [member for member in bodies if entropy_in(member.material) is not None]
+    thermal = [member.material for member in warm if isinstance(member.material, Thermal)]
+    units = {part.entropy_unit for part in thermal if part.entropy_unit is not None}
     if warm and body not in warm:
         yield "material", f"nv.Thermal(material=...), as {warm[0].name!r} has: all have one temperature"
     if body in warm and not isinstance(material, Thermal):

@@ -327,8 +327,8 @@ def distinct(parameters: Iterable[Parameter]) -> tuple[Parameter, ...]:
     """
     by_name: dict[str, Parameter] = {}
     for parameter in parameters:
-        known = by_name.setdefault(parameter.name, parameter)
-        if known is not parameter and not (known == parameter and known.start is parameter.start):
+        namesake = by_name.setdefault(parameter.name, parameter)
+        if namesake is not parameter and not (namesake == parameter and namesake.start is parameter.start):
             expected = "one parameter, or names of their own for two"
             raise ParameterError("Parameter.name", parameter.name, expected)
     return tuple(by_name.values())
@@ -341,8 +341,8 @@ def expressions_in(value: object) -> Iterator[ParameterExpression]:
     if isinstance(value, ParameterExpression):
         yield value
     elif dataclasses.is_dataclass(value) and not isinstance(value, type):
-        for each in dataclasses.fields(value):
-            yield from expressions_in(getattr(value, each.name))
+        for field in dataclasses.fields(value):
+            yield from expressions_in(getattr(value, field.name))
     elif isinstance(value, (tuple, Mapping)):
         for part in value.values() if isinstance(value, Mapping) else value:
             yield from expressions_in(part)
@@ -365,7 +365,7 @@ def substituted(law: T, value_of: Callable[[ParameterExpression], Any]) -> T:
 
     if not _is_law(law):
         return law
-    fields = {each.name: getattr(law, each.name) for each in dataclasses.fields(law)}  # type: ignore[arg-type]
+    fields = {field.name: getattr(law, field.name) for field in dataclasses.fields(law)}  # type: ignore[arg-type]
     replaced = {name: within(part) for name, part in fields.items()}
     changes = {name: part for name, part in replaced.items() if part is not fields[name]}
     if not changes:
@@ -388,11 +388,13 @@ def told_apart(laws: Iterable[T], taken: Iterable[str] = ()) -> list[T]:
 
     Parameters of one name and the same start value count as one; names in ``taken`` are not used.
     """
-    known: dict[str, Parameter | None] = dict.fromkeys(taken)
+    by_name: dict[str, Parameter | None] = dict.fromkeys(taken)
 
     def with_number(parameter: Parameter) -> str:
         name, numbers = parameter.name, count(2)
-        while (other := known.setdefault(name, parameter)) is None or other.start is not parameter.start:
+        while (
+            namesake := by_name.setdefault(name, parameter)
+        ) is None or namesake.start is not parameter.start:
             name = f"{parameter.name}_{next(numbers)}"
         return name
 

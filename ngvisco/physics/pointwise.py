@@ -187,9 +187,9 @@ class ExpressionResponse:
         states = self._sampled()
         expected = self._values(self._first, states, 1 + self.size)
         energy, slope = both(np.ascontiguousarray(states.T))
-        actual, known = np.column_stack([energy, slope.T]), np.isfinite(expected)
+        actual, is_finite = np.column_stack([energy, slope.T]), np.isfinite(expected)
         for part in (slice(0, 1), slice(1, None)):
-            a, b = actual[:, part][known[:, part]], expected[:, part][known[:, part]]
+            a, b = actual[:, part][is_finite[:, part]], expected[:, part][is_finite[:, part]]
             if not np.allclose(a, b, rtol=1e-9, atol=1e-12 * abs(b).max(initial=0.0)):
                 return False
         return True
@@ -201,11 +201,11 @@ class ExpressionResponse:
         ahead, behind = (self._values(self._first, states + s * step * along, 1 + self.size) for s in (1, -1))
         expected = (ahead - behind)[:, 1:] / (2 * step)
         change = np.einsum("nij,nj->ni", self(states).hessian, along)
-        known = np.isfinite(expected).all(axis=1)
-        if not known.any():
+        is_finite = np.isfinite(expected).all(axis=1)
+        if not is_finite.any():
             return
-        size = abs(expected[known]).max(axis=1)
-        off = abs(change - expected)[known].max(axis=1)
+        size = abs(expected[is_finite]).max(axis=1)
+        off = abs(change - expected)[is_finite].max(axis=1)
         if not (off <= _DIFFERENCE * size + 1e-9 * size.max()).all():
             field = self.material.energy_parameter
             raise ParameterError(

@@ -330,12 +330,12 @@ def full_tensor(mandel: np.ndarray) -> np.ndarray:
     return (_BASIS @ mandel @ _BASIS.T).reshape(3, 3, 3, 3)
 
 
-def _require_equal(one: np.ndarray, other: np.ndarray, expected: str) -> None:
-    difference = np.abs(one - other)
-    at = np.unravel_index(int(np.argmax(difference)), one.shape)
-    if difference[at] > _TOLERANCE * np.abs(one).max():
-        value = f"{float(one[at])!r} at {''.join(str(int(i) + 1) for i in at)}"
-        opposite = f"{expected}: there is {float(other[at])!r} opposite to it"
+def _require_equal(first: np.ndarray, second: np.ndarray, expected: str) -> None:
+    difference = np.abs(first - second)
+    at = np.unravel_index(int(np.argmax(difference)), first.shape)
+    if difference[at] > _TOLERANCE * np.abs(first).max():
+        value = f"{float(first[at])!r} at {''.join(str(int(i) + 1) for i in at)}"
+        opposite = f"{expected}: there is {float(second[at])!r} opposite to it"
         raise ParameterError("LinearViscosity.D", value, opposite)
 
 

@@ -24,11 +24,11 @@ class FacetCoupling:
         self._mass, self.halo = mass, mass.halo
         order = np.argsort(self._facet, kind="stable")
         first = np.flatnonzero(np.diff(self._facet[order]) == 0)
-        one, other = order[first], order[first + 1]
+        side, opposite = order[first], order[first + 1]
         self.across = np.arange(count)
         """Number of the side in the other cell, (sides,); on the boundary the side's own number.  Sides of
         other ranks' cells have numbers from ``count`` on."""
-        self.across[one], self.across[other] = other, one
+        self.across[side], self.across[opposite] = opposite, side
         side_of = np.zeros(len(mass.unknowns), dtype=np.int64)
         side_of[self._facet] = np.arange(count)
         self._border = side_of[mass.of_facets.places]

@@ -284,8 +284,8 @@ class CellTerms(_Terms):
 
     def part(self, cells: slice) -> CellTerms:
         """Integrals over the range ``cells`` only; they have ``loads``, and no ``rows``."""
-        operators, known = self.op.part(cells), self.context
-        return CellTerms(self._step, operators, known.rates, self.place, known.sampled)
+        operators, context = self.op.part(cells), self.context
+        return CellTerms(self._step, operators, context.rates, self.place, context.sampled)
 
     def derivatives(
         self, terms: Sequence[PointTerm], u: Fields, **along: np.ndarray

@@ -88,13 +88,13 @@ class FacetTangent:
         for i, mean in enumerate(self.means):
             of_mean, later = mean.solved(loads[i]), self.means[i + 1 :]  # A
             rows = np.zeros((count, height, mean.size))  # H
-            of_later = [np.zeros((count, other.size, mean.size)) for other in later]
+            of_later = [np.zeros((count, later_mean.size, mean.size)) for later_mean in later]
             for p in range(mean.size):
                 direction = mean.function(p, at.coefficients)
                 u = moved(sides, r.facet_terms.fields(direction), [mean.name])
                 rows[:, :, p] = self._on_sides(u)
-                for other, load in zip(later, of_later, strict=True):
-                    load[:, :, p] = other.load(u)
+                for later_mean, load in zip(later, of_later, strict=True):
+                    load[:, :, p] = later_mean.load(u)
             here += rows @ of_mean
             across += rows @ coupling.beyond(of_mean)
             for load, change in zip(loads[i + 1 :], of_later, strict=True):

@@ -132,7 +132,7 @@ class OnePoint:
                 u, w = fields(side, names_of(step, False), FACETS), tests_of(step, False, side)
                 u.__dict__["jump"] = known(d)
                 factors = factors_of(in_all + collocated), factors_of(list(term.facets(u, w)))
-                return [each for part in factors for each in part.items()], bool(factors_of(collocated))
+                return [factor for part in factors for factor in part.items()], bool(factors_of(collocated))
         except NotAtPointsError:
             raise
         except Exception as error:  # a user's term may raise anything

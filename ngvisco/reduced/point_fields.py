@@ -60,10 +60,10 @@ def lazy_fields(
 def with_values(u: Fields, **given: np.ndarray) -> Fields:
     """Fields in which some unknowns, or ``grad_v``, have the ``given`` values."""
     parts = {name: Array(values, None) for name, values in given.items()}
-    other = Fields(u.layout, ChainMap(parts, u.parts), u.context, u.gradient)  # type: ignore[arg-type]
+    result = Fields(u.layout, ChainMap(parts, u.parts), u.context, u.gradient)  # type: ignore[arg-type]
     if "grad_v" in parts:
-        other.__dict__["grad_v"] = parts["grad_v"]
-    return other
+        result.__dict__["grad_v"] = parts["grad_v"]
+    return result
 
 
 def moved(u: Fields, d: Fields, names: Iterable[str], values: bool = True) -> Fields:
@@ -106,8 +106,8 @@ def incremented(u: Fields, **along: np.ndarray) -> Iterator[tuple[int, Fields]]:
         changed = {}
         for name, directions in along.items():
             value, some = getattr(u, name).value, directions[start : start + size]
-            each = value[..., None, :] + (TINY * 1j) * np.moveaxis(some, 0, -2)
-            changed[name] = each.reshape(*value.shape[:-1], -1)
+            moved = value[..., None, :] + (TINY * 1j) * np.moveaxis(some, 0, -2)
+            changed[name] = moved.reshape(*value.shape[:-1], -1)
         yield len(some), with_values(u if len(some) == 1 else _repeated(u, len(some)), **changed)
 
 

@@ -52,14 +52,14 @@ class RestrictedForm:
         layout, self.names, self.step = step.layout, list(names), step
         self.space = FESpace([layout.blocks[name] for name in self.names])
         trial, test = (dict(zip(self.names, parts, strict=True)) for parts in self.space.TnT())
-        known = dict(zip(layout.names, step.state.components, strict=True))
-        tests = {name: ZeroCF(tuple(known[name].dims)) for name in layout.names} | test
+        components = dict(zip(layout.names, step.state.components, strict=True))
+        tests = {name: ZeroCF(tuple(components[name].dims)) for name in layout.names} | test
 
         def gradient(name: str) -> Any:  # NGSolve has no gradient of a constant
             value = tests[name]
             return Grad(value) if name in self.names else ZeroCF((*value.dims, layout.mesh.dim))
 
-        u, w = Fields(layout, known | trial), Tests(layout, tests, gradient=gradient)
+        u, w = Fields(layout, components | trial), Tests(layout, tests, gradient=gradient)
         self.form = BilinearForm(self.space, check_unused=False)
         for term in terms:
             step.quadrature.add(self.form, term.form(u, w))
@@ -210,7 +210,7 @@ def parts_of(cells: int, points: int) -> list[slice]:
 
 def _joined(loads: Sequence[Rows]) -> Rows:
     """Loads of all cells, joined from the loads of the parts."""
-    return {name: np.concatenate([each[name] for each in loads], axis=-1) for name in loads[0]}
+    return {name: np.concatenate([rows[name] for rows in loads], axis=-1) for name in loads[0]}
 
 
 class ReducedResidual:
@@ -265,7 +265,7 @@ class ReducedResidual:
         self._masses[step.layout.unknowns["z_hat"].order] = self.trace_mass
         cells = step.mesh.ne
         ranges = parts_of(cells, self.op.points.per_cell) if self.slope.is_local else [slice(0, cells)]
-        self.parts = [CellPart(self, each) for each in ranges]
+        self.parts = [CellPart(self, cell_range) for cell_range in ranges]
 
     def _mass_of_traces(self, exchange: Exchange, name: str) -> FacetMass:
         """The mass matrix of facet means with the polynomial order of the unknown ``name``."""

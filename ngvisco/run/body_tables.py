@@ -63,8 +63,8 @@ class FractionSamples:
         table, cells = self._lattice.values(self._values), self._lattice.cells
         if self._ranks.is_distributed:
             parts = self._ranks.gathered((table, cells))
-            starts = np.cumsum([0, *(len(each) for each, _ in parts)])
-            table = np.concatenate([each for each, _ in parts])
+            starts = np.cumsum([0, *(len(table) for table, _ in parts)])
+            table = np.concatenate([table for table, _ in parts])
             cells = np.concatenate([part + start for (_, part), start in zip(parts, starts, strict=False)])
         dim, count = self.dim, len(self.names)
         _, number = places(table[:, :dim])

@@ -126,12 +126,12 @@ def scalar_fields(
     Without ``names`` these are the fields of ``USUAL`` that the run has.
     """
     norms = {name: sqrt(square(value)) for name, value in fields.items() if value.dim > 1}
-    known = norms | components(fields)
-    chosen = [name for name in USUAL if name in known] if names is None else names
+    scalars = norms | components(fields)
+    chosen = [name for name in USUAL if name in scalars] if names is None else names
     for name in chosen:
-        if name not in known:
-            raise UnknownNameError("field", name, known)
-    return {name: known[name] for name in chosen}
+        if name not in scalars:
+            raise UnknownNameError("field", name, scalars)
+    return {name: scalars[name] for name in chosen}
 
 
 def components(fields: Mapping[str, CoefficientFunction]) -> dict[str, CoefficientFunction]:
@@ -206,10 +206,10 @@ def with_outlines(names: Sequence[str], available: Iterable[str]) -> list[str]:
 
     The fractions stand together before ``body``, by which ``frames.outlined`` finds them.
     """
-    known = list(available)
-    if "body" not in known:
+    names_of_run = list(available)
+    if "body" not in names_of_run:
         return list(names)
-    before = reversed(known[: known.index("body")])
+    before = reversed(names_of_run[: names_of_run.index("body")])
     outlines = list(takewhile(lambda name: name.endswith(_FRACTION), before))[::-1]
     return [*(name for name in names if name not in (*outlines, "body")), *outlines, "body"]
 

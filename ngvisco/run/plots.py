@@ -164,8 +164,8 @@ def plot_comparison(
             written[name] = Path(out) / f"comparison-{name}.{kind}"
             _draw(tables, common[:_MOST], written[name])
     if fields is not None and "probes" not in written:
-        known = {column.partition(".")[2] for table in probes.values() for column in table}
-        raise UnknownNameError("field of the probes", ", ".join(fields), known - {""})
+        field_names = {column.partition(".")[2] for table in probes.values() for column in table}
+        raise UnknownNameError("field of the probes", ", ".join(fields), field_names - {""})
     return list(written.values())
 
 
@@ -214,10 +214,10 @@ def _probes(place: Path) -> dict[str, np.ndarray]:
 
 def _of_fields(probes: dict[str, np.ndarray], fields: Sequence[str] | None) -> dict[str, np.ndarray]:
     """The times, and the columns of the named fields or components, with their units."""
-    wanted, columns = USUAL if fields is None else fields, {}
+    chosen, columns = USUAL if fields is None else fields, {}
     for column, values in probes.items():
         field = column.partition(".")[2]
-        if column == "time" or field in wanted or field.rpartition("_")[0] in wanted:
+        if column == "time" or field in chosen or field.rpartition("_")[0] in chosen:
             unit = field_unit(field)
             columns[f"{column}, {unit}" if unit else column] = values
     return columns

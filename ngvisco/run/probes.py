@@ -220,10 +220,10 @@ class Integrals(Series):
         self.integrands = dict(integrands)
 
     def prepare(self, simulation: Simulation) -> list[str]:
-        known = components(simulation.fields)
+        fields = components(simulation.fields)
         self._integrand = CF(
             tuple(
-                parse(value, tuple(known)).coefficient(known) if isinstance(value, str) else value
+                parse(value, tuple(fields)).coefficient(fields) if isinstance(value, str) else value
                 for value in self.integrands.values()
             )
         )

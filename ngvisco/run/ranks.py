@@ -136,10 +136,10 @@ def _evolved(layout: Layout) -> np.ndarray:
 
 def numbers_in(part: MeshPart, space: FESpace, whole: FESpace | None) -> np.ndarray:
     """Numbers of a rank's unknowns in ``whole``, a space on the whole mesh, on the first rank; collective."""
-    wanted = part.ranks.mpi.gather(part.cells)
+    cells_of_ranks = part.ranks.mpi.gather(part.cells)
     answers = None
     if whole is not None:
-        answers = [_of_cells(whole, cells) for cells in wanted]
+        answers = [_of_cells(whole, cells) for cells in cells_of_ranks]
     numbers, here = np.zeros((2, space.ndof))
     of_cells = _of_cells(space, range(part.ne))
     numbers[of_cells], here[of_cells] = part.ranks.mpi.scatter(answers), 1.0
@@ -149,8 +149,8 @@ def numbers_in(part: MeshPart, space: FESpace, whole: FESpace | None) -> np.ndar
 
 
 def _of_cells(space: FESpace, cells: Iterable[int]) -> np.ndarray:
-    each = (np.array(space.GetDofNrs(ElementId(VOL, int(cell))), dtype=np.int64) for cell in cells)
-    return np.concatenate([np.zeros(0, dtype=np.int64), *(dofs[dofs >= 0] for dofs in each)])
+    dofs_of_cells = (np.array(space.GetDofNrs(ElementId(VOL, int(cell))), dtype=np.int64) for cell in cells)
+    return np.concatenate([np.zeros(0, dtype=np.int64), *(dofs[dofs >= 0] for dofs in dofs_of_cells)])
 
 
 def tell(ranks: Communicator, observer: object, method: Callable[..., None], *arguments: object) -> None:

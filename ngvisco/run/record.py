@@ -48,8 +48,8 @@ def record(
     out = require_path("record.directory", directory)
     if (end := as_number(until)) is None or end <= simulation.t:
         raise ParameterError("record.until", until, f"a finite number > {simulation.t:g}")
-    known = tuple(components(simulation.fields))
-    pictures = {title: parse(text, known) for title, text in (show or {}).items()}
+    names = tuple(components(simulation.fields))
+    pictures = {title: parse(text, names) for title, text in (show or {}).items()}
     figure(1, 1, (1.0, 1.0))  # if matplotlib is missing, the run fails now, not at its end
     files: list[Observer] = [
         Progress(end),

@@ -234,14 +234,14 @@ class _First:
         places, times = _centres(straight)[marked], mesh.dim * self._refinement.levels
         for _ in range(times):
             centres = _centres(mesh)
-            wanted = marked[_cells_at(straight, centres)]
-            wanted[_cells_at(mesh, places)] = True
+            is_split = marked[_cells_at(straight, centres)]
+            is_split[_cells_at(mesh, places)] = True
             asked = self._volumes[_cells_at(self._straight, centres)] / 2**times
-            wanted &= _volumes(mesh) > _TOO_LARGE * asked
-            if not wanted.any():
+            is_split &= _volumes(mesh) > _TOO_LARGE * asked
+            if not is_split.any():
                 break
             for cell in mesh.Elements(VOL):
-                mesh.SetRefinementFlag(cell, bool(wanted[cell.nr]))
+                mesh.SetRefinementFlag(cell, bool(is_split[cell.nr]))
             mesh.Refine()
         if mesh.ne == present.ne and np.array_equal(_centres(mesh), _centres(present)):
             return None

@@ -77,16 +77,16 @@ class ExtremePlace:
     def scales(self, dim: int) -> tuple[float, float, float, float]:
         """Speeds of longitudinal and shear waves, m/s, G_v/rho, m^2/s, and the Maxwell time, s, at F = I."""
         viscosity, creep, z = self.laws.viscosity, self.laws.creep, self.parameters
-        rest = values_at_rest(self.laws.material, z)
-        thickness: Any = 0.0 if viscosity is None else viscosity.shear_viscosity(rest)
+        rest_values = values_at_rest(self.laws.material, z)
+        thickness: Any = 0.0 if viscosity is None else viscosity.shear_viscosity(rest_values)
         longitudinal, shear = moduli(self.laws.material, dim, z)
         maxwell, network = math.inf, part_of(self.laws.material, Network)
         if creep is not None and creep.flows and shear > 0:
-            maxwell = creep.relaxation_time(shear, rest)
+            maxwell = creep.relaxation_time(shear, rest_values)
         for branch in () if network is None else network.parts.values():
             _, branch_shear = moduli(branch.material, dim, z)
             if branch.creep is not None and branch.creep.flows and branch_shear > 0:
-                maxwell = min(maxwell, branch.creep.relaxation_time(branch_shear, rest))
+                maxwell = min(maxwell, branch.creep.relaxation_time(branch_shear, rest_values))
         return (
             math.sqrt(max(longitudinal, 0.0) / self.density),
             math.sqrt(max(shear, 0.0) / self.density),
@@ -162,13 +162,16 @@ def typical_velocity(step: Step, sampler: Sampler, dt: float) -> float:
     speed = math.sqrt(sampler.extrema(square(u.v))[1])
     length = diameter(step.mesh, ranks)
     fall = math.sqrt(largest_acceleration(step, sampler) * length)
-    rest = model.material.at_rest(u.z_tensors)
+    values_at_rest = model.material.at_rest(u.z_tensors)
     least = sampler.extrema(u.rho)[0]
     places = extreme_places(step, sampler)
-    strains = [abs(sampler.values(u.z_tensors[name] - value)).max(initial=0) for name, value in rest.items()]
+    strains = [
+        abs(sampler.values(u.z_tensors[name] - value)).max(initial=0)
+        for name, value in values_at_rest.items()
+    ]
     elastic = 0.0
     if ranks.most(np.array(strains)) > _AT_REST:  # an energy's rounding is no elastic release
-        excess = step.energy.samples(u.z_tensors, sampler) - step.energy.samples(rest, sampler)
+        excess = step.energy.samples(u.z_tensors, sampler) - step.energy.samples(values_at_rest, sampler)
         # the energy stored at a place moves the mass at this place
         inertia = np.asarray(sampler.values(u.rho)).reshape(excess.shape) if places else least
         elastic = math.sqrt(2 * ranks.most(abs(excess) / inertia))
@@ -176,9 +179,9 @@ def typical_velocity(step: Step, sampler: Sampler, dt: float) -> float:
     moving = ranks.most(np.concatenate([np.zeros(1), *(abs(v).ravel() for v in walls)]))
     # no faster than across the domain in a step
     farthest = length / dt
-    known = max(speed, moving, min(max(fall, elastic), farthest))
-    if known > 0:
-        return known
+    typical = max(speed, moving, min(max(fall, elastic), farthest))
+    if typical > 0:
+        return typical
     # at rest nothing gives a velocity: strains of a tenth are assumed
     if places:
         return min(0.1 * max(wave_speed(step, p.state, p.density) for p in places), farthest) or 1.0

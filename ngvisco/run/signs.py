@@ -94,9 +94,9 @@ class Signs:
             for entry in () if term.wall is None else term.entries(step.now):
                 if entry.name in self._columns and entry.integrand.facets is not None:
                     forms[entry.name] = LinearForm(space)
-                    each = Integrand(facets=entry.integrand.facets * space.TestFunction())
+                    density = Integrand(facets=entry.integrand.facets * space.TestFunction())
                     cells = cells_at(step.mesh, step.walls.region([str(term.wall)]))
-                    step.quadrature.add(forms[entry.name], [each], cells)
+                    step.quadrature.add(forms[entry.name], [density], cells)
         return forms
 
     def check_points(self, values: Mapping[str, np.ndarray], shares: Values, time: float) -> None:

@@ -155,10 +155,10 @@ def time_steps(time: TimeSteps | None, keywords: Mapping[str, Any]) -> TimeSteps
 
     Raises ParameterError if both or neither are given; TypeError for an unknown argument.
     """
-    known = [field.name for field in fields(TimeSteps)]
+    names = [field.name for field in fields(TimeSteps)]
     for name in keywords:
-        if name not in known:
-            raise TypeError(f"Simulation(): {UnknownNameError('keyword argument', name, known)}")
+        if name not in names:
+            raise TypeError(f"Simulation(): {UnknownNameError('keyword argument', name, names)}")
     if time is None:
         return TimeSteps(**{"dt": None, **keywords})
     require_type("Simulation.time", time, TimeSteps)

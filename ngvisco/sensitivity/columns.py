@@ -46,13 +46,13 @@ class Columns:
         of_tables = [table.prepare(simulation) for table in self._tables]
         rates = {entry.name for entry in ledger.entries if entry.kind in _RATES}
         state = {"kinetic", "stored", "mass"} | {e.name for e in ledger.entries if e.kind == "monitor"}
-        known = rates | state | {name for columns in of_tables for name in columns}
+        differentiable = rates | state | {name for columns in of_tables for name in columns}
         for name in self.names:
-            if name in ledger.columns and name not in known:
+            if name in ledger.columns and name not in differentiable:
                 expected = "a column that has a derivative: an energy, a rate, mass, or one of a table"
                 raise ParameterError("of", name, expected)
-            if name not in known:
-                raise UnknownNameError("column", name, known)
+            if name not in differentiable:
+                raise UnknownNameError("column", name, differentiable)
         self._of_state = np.array([name in state for name in names])
         self._of_rates = np.array([name in rates for name in names])
         self._of_tables = [
@@ -75,9 +75,9 @@ class Columns:
 
     def of(self, simulation: Simulation) -> Columns:
         """The columns of another run with equal mesh and model."""
-        other = Columns(simulation, self.names, self.tables)
-        other.has_ends, other.has_means = self.has_ends, self.has_means
-        return other
+        columns = Columns(simulation, self.names, self.tables)
+        columns.has_ends, columns.has_means = self.has_ends, self.has_means
+        return columns
 
     @property
     def is_of_stages(self) -> np.ndarray:

@@ -123,15 +123,15 @@ def _checked(where: str, columns: dict[str, np.ndarray], units: dict[str, str]) 
     return Data(times, columns, units)
 
 
-def converted(data: Data, wanted: Mapping[str, str | None], factor: Any = None) -> Data:
-    """The data in the SI units ``wanted`` of the columns; None is an unknown unit, which is not converted.
+def converted(data: Data, units: Mapping[str, str | None], factor: Any = None) -> Data:
+    """The data in the SI units ``units`` of the columns; None is an unknown unit, which is not converted.
 
     ``factor(unit, wanted)`` returns the size of a unit in wanted units; without it units have to be the
     wanted ones.  Raises DataError for a wrong unit.
     """
     scales = {}
     for name, unit in data.units.items():
-        right = "s" if name == TIME else wanted.get(name)
+        right = "s" if name == TIME else units.get(name)
         if right is None or unit == right:
             continue
         try:

@@ -85,10 +85,10 @@ class Gradient:
         step = self.simulation.rothe_step
         layout, slices = step.layout, step.layout.states.slices
         scalars = {name: part for name, part in slices.items() if part.stop - part.start == 1}
-        known = {"density": "rho"} if "rho" in layout.ranges else {}
-        if name not in (*known, *scalars):
-            raise UnknownNameError("scalar field", name, (*known, *scalars))
-        block = known.get(name, "z")
+        blocks = {"density": "rho"} if "rho" in layout.ranges else {}
+        if name not in (*blocks, *scalars):
+            raise UnknownNameError("scalar field", name, (*blocks, *scalars))
+        block = blocks.get(name, "z")
         variable = next((v for v in self.simulation.model.material.variables if v.name == name), None)
         if isinstance(variable, Parameter) and variable.mean != "arithmetic":
             expected = "a parameter that is carried itself; nv.Parameter(..., mean='arithmetic') is"

@@ -124,21 +124,21 @@ class Numbers:
             if isinstance(of, Mapping)
             else {str(text): text for text in require_collection("of", of, 'texts as "kinetic at 0.5"')}
         )
-        wanted: list[Wanted] = []
+        numbers: list[Wanted] = []
         named: dict[str, tuple[slice, Misfit | None]] = {}
         for name, request in given.items():
             misfit = request if isinstance(request, Misfit) else None
             parts = [Wanted.of(text) for text in (request.data if isinstance(request, Misfit) else [request])]
-            named[name] = slice(len(wanted), len(wanted) + len(parts)), misfit
-            wanted += parts
+            named[name] = slice(len(numbers), len(numbers) + len(parts)), misfit
+            numbers += parts
         if not named:
             raise ParameterError("of", of, "at least one number of the run")
         end = as_number(until)
-        for part in wanted:
+        for part in numbers:
             if end is None or not 0 <= part.time <= end * (1 + 1e-12):
                 expected = f"a time from 0 to the end of the run, {until} s"
                 raise ParameterError(f"of: {part.column}", part.time, expected)
-        return cls(tuple(wanted), list(dict.fromkeys(part.column for part in wanted)), named)
+        return cls(tuple(numbers), list(dict.fromkeys(part.column for part in numbers)), named)
 
     @property
     def names(self) -> list[str]:

@@ -126,11 +126,11 @@ def varied(
                 changed = {root: _changed(getattr(model, root), inner_keys, value)}
                 model = dataclasses.replace(model, **changed)
         given: dict[str, Any] = {"model": model, "time": steps, "passive": (), "observers": observers}
-        other = simulation.on(simulation.mesh, **parts, **given)
-    if len(other.rothe_step.state.vec) != len(simulation.rothe_step.state.vec):
+        changed_run = simulation.on(simulation.mesh, **parts, **given)
+    if len(changed_run.rothe_step.state.vec) != len(simulation.rothe_step.state.vec):
         names = ", ".join(parameter.name for parameter in values)
         raise ParameterError("by", names, "parameters that change no number of unknowns")
-    return other
+    return changed_run
 
 
 def _root(simulation: Simulation, name: str) -> Any:

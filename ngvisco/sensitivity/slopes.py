@@ -37,23 +37,25 @@ class Slopes:
         self._of: dict[str, Callable[[], np.ndarray]] = {}
         self._vector = self.step.state.vec.CreateVector()
         trial = self.step.linearised_fields(self.step.layout.space.TrialFunction())
-        known = {**energies(self.step, trial), "mass": Integrand(trial.rho)}
+        integrands = {**energies(self.step, trial), "mass": Integrand(trial.rho)}
         if self.step.energy.projected is not None:  # energy and slope are known at the state only
-            known["stored"] = Integrand(inner(self.step.energy.slope(self.step.now), trial.z))
-        known |= {entry.name: entry.integrand for entry in self.step.entries(trial) if entry.evaluate is None}
+            integrands["stored"] = Integrand(inner(self.step.energy.slope(self.step.now), trial.z))
+        integrands |= {
+            entry.name: entry.integrand for entry in self.step.entries(trial) if entry.evaluate is None
+        }
         for table in follower.columns.tables:
             columns = table.prepare(follower.simulation)
             if isinstance(table, Integrals):
                 fields = components(output_fields(self.step, trial))
                 for name, value in table.integrands.items():
                     if isinstance(value, str) and name in names:
-                        known[name] = Integrand(parse(value, tuple(fields)).coefficient(fields))
+                        integrands[name] = Integrand(parse(value, tuple(fields)).coefficient(fields))
             elif isinstance(table, Probes):
-                wanted = [name for name in names if name in columns]
-                self._of |= {name: self._probe(table, name) for name in wanted}
+                columns_of_table = [name for name in names if name in columns]
+                self._of |= {name: self._probe(table, name) for name in columns_of_table}
         for name in names:
-            if name in known:
-                self._of[name] = self._form(known[name])
+            if name in integrands:
+                self._of[name] = self._form(integrands[name])
         for name in names:
             if name not in self._of:
                 expected = "a column with a slope, for the adjoint; take the tangent for forces and bodies"

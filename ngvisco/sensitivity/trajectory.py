@@ -94,7 +94,7 @@ class Trajectory:
         law = model.regularisation
         if step.energy.projected is None:
             return False
-        reads = [each.rule.reads for each in model.mechanisms]
+        reads = [mechanism.rule.reads for mechanism in model.mechanisms]
         reads += [] if model.viscosity is None else [model.viscosity.reads]
         return any(PRESSURE in names for names in reads) or (law is not None and law.delta_fields > 0)
 

@@ -139,11 +139,11 @@ def _inward(corners: np.ndarray, part: np.ndarray, volumes: np.ndarray) -> np.nd
     largest_first = np.argsort(-abs(volumes), kind="stable")
     for number, piece in enumerate(pieces):
         within = ((low <= low[number]) & (high >= high[number])).all(axis=1)
-        for other in largest_first[within[largest_first]]:
-            if abs(volumes[other]) <= abs(volumes[number]):
+        for larger in largest_first[within[largest_first]]:
+            if abs(volumes[larger]) <= abs(volumes[number]):
                 break
-            if crossings(pieces[other], piece.mean(axis=1)).all():
-                around[number] = other
+            if crossings(pieces[larger], piece.mean(axis=1)).all():
+                around[number] = larger
                 break
     return volumes[around] < 0
 

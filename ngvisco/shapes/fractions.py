@@ -118,7 +118,7 @@ def _shares(
     for some in np.array_split(cut, max(1, len(cut) * len(pieces) // _AT_ONCE)):
         if len(some):
             levels = _levels(mesh, some, corners, shapes, np.concatenate([pieces, large]))
-            yield some, [_layered(share_of_simplex(levels[..., each])) for each in (pieces, large)]
+            yield some, [_layered(share_of_simplex(levels[..., numbers])) for numbers in (pieces, large)]
 
 
 def _levels(
@@ -155,10 +155,10 @@ def share_of_simplex(levels: np.ndarray) -> np.ndarray:
     count = np.sum(values > 0, axis=-1)
     last = values.shape[-1] - 1
     result = (count == last + 1).astype(float)
-    one, all_but_one = count == 1, count == last
+    is_single, all_but_one = count == 1, count == last
     # a corner of the simplex is cut off; its edges are cut at the zeros of the function
-    top, low = values[one, -1:], values[all_but_one, :1]
-    result[one] = np.prod(top / (top - values[one, :-1]), axis=-1)
+    top, low = values[is_single, -1:], values[all_but_one, :1]
+    result[is_single] = np.prod(top / (top - values[is_single, :-1]), axis=-1)
     result[all_but_one] = 1 - np.prod(low / (low - values[all_but_one, 1:]), axis=-1)
     if last == 3:
         two = count == 2

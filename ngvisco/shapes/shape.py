@@ -289,14 +289,14 @@ class Subdomain(Shape):
             object.__setattr__(self, "names", (self.names,))
 
     def level(self, at: Places) -> np.ndarray:
-        known = at.mesh.GetMaterials()
+        materials = at.mesh.GetMaterials()
         for name in self.names:
-            if name not in known:
-                raise UnknownNameError("subdomain", name, known, "Subdomain.names")
-        wanted = np.array([name in self.names for name in known])
+            if name not in materials:
+                raise UnknownNameError("subdomain", name, materials, "Subdomain.names")
+        is_named = np.array([name in self.names for name in materials])
         elements = at.mesh.ngmesh.Elements2D() if at.mesh.dim == 2 else at.mesh.ngmesh.Elements3D()
         index = elements.NumPy()["index"][at.cell_numbers]  # counted from 1
-        return np.where(wanted[index - 1], 1.0, -1.0)
+        return np.where(is_named[index - 1], 1.0, -1.0)
 
 
 def as_shape(field: str, value: object) -> Shape:

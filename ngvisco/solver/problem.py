@@ -138,11 +138,11 @@ class Solution:
 
 
 def unconverged(
-    status: Status, history: Sequence[NewtonIteration], solver: str, wanted: float, remedy: str
+    status: Status, history: Sequence[NewtonIteration], solver: str, tolerance: float, remedy: str
 ) -> Solution:
-    """The ``Solution`` of an attempt whose increments stayed above ``wanted``."""
+    """The ``Solution`` of an attempt whose increments stayed above ``tolerance``."""
     last = history[-1].increment if history else np.inf
-    ended = f"{status.value}; {len(history)} iterations, last increment {last:.1e}, wanted {wanted:.0e}"
+    ended = f"{status.value}; {len(history)} iterations, last increment {last:.1e}, wanted {tolerance:.0e}"
     return Solution(status, tuple(history), f"{solver} did not converge ({ended}): take {remedy}")
 
 

@@ -301,7 +301,9 @@ class RotheSolver:
     def _vectors(self) -> dict[str, np.ndarray]:
         """Vectors that a factorisation depends on, for reading and writing."""
         functions = {name: getattr(self.step, name) for name in _FACTORISED_AT}
-        return {name: each.vec.FV().NumPy() for name, each in functions.items() if each is not None}
+        return {
+            name: function.vec.FV().NumPy() for name, function in functions.items() if function is not None
+        }
 
     def _set(self, values: dict[str, np.ndarray]) -> None:
         for name, vector in self._vectors().items():

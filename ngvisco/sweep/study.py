@@ -129,13 +129,13 @@ class Study:
         self.cases = [load_case(path, [*settings, *variation.settings]) for variation in chosen]
         names: dict[str, str] = {}
         for variation, case in zip(chosen, self.cases, strict=True):
-            if (other := names.setdefault(case.resolved, variation.name)) != variation.name:
-                raise SweepError(f"{other} and {variation.name} are the same case: expected one of them")
+            if (earlier := names.setdefault(case.resolved, variation.name)) != variation.name:
+                raise SweepError(f"{earlier} and {variation.name} are the same case: expected one of them")
         self.outcomes = [Outcome(variation.name, variation.values) for variation in chosen]
         self._others = [  # runs of earlier studies whose case files still exist
-            other
-            for other in read_table(self.table)
-            if other.name not in names.values() and self._case_file(other.name).exists()
+            listed
+            for listed in read_table(self.table)
+            if listed.name not in names.values() and self._case_file(listed.name).exists()
         ]
         for outcome, case in zip(self.outcomes, self.cases, strict=True):
             place = self._place(outcome)

@@ -311,8 +311,8 @@ class Integrator:
         for _ in range(_MEETINGS):
             # loads are averaged over the unrelaxed step, which has the length of two Rothe steps
             states, rates = self._stages(scheme, t, length / scheme.A[0][0], history)
-            wanted = tau / length if meets else None
-            omega, numerical, rates, limited = self._relaxed_end(states, t, length, rates, wanted)
+            share = tau / length if meets else None
+            omega, numerical, rates, limited = self._relaxed_end(states, t, length, rates, share)
             if not meets or abs(omega * length - tau) <= _MEETING * tau:
                 self._complete()
                 self._end = np.array([1 - omega, omega])
@@ -322,7 +322,7 @@ class Integrator:
         raise StepError("the relaxed step does not meet its end: take a smaller step")
 
     def _relaxed_end(
-        self, states: Sequence[Evolved], t: float, span: float, rates: dict[str, float], wanted: float | None
+        self, states: Sequence[Evolved], t: float, span: float, rates: dict[str, float], share: float | None
     ) -> tuple[float, dict[str, float], dict[str, float], int]:
         """Set the state u_0 + omega (U - u_0) with R = 0.  Return omega, R and the limiter's energies by
         columns, rates, and the number of limited cells.
@@ -344,7 +344,7 @@ class Integrator:
             end_at(omega)
         if self.bounds.limits and self.bounds.takes_energy:
             # R jumps where cells begin to be limited, and limiting dissipates anyway
-            omega = 2.0 if wanted is None else wanted
+            omega = 2.0 if share is None else share
         elif distance > noise:
             from scipy.optimize import brentq  # a tenth of the package's import time
 
@@ -358,8 +358,8 @@ class Integrator:
                     "or a load has a kink: take smaller steps, or relaxation = False"
                 )
                 raise StepError(message) from error
-            if wanted is not None and abs(omega - wanted) <= noise / distance:
-                omega = wanted
+            if share is not None and abs(omega - share) <= noise / distance:
+                omega = share
         numerical, by_limiter, of_end, limited = end_at(omega)
         return omega, numerical | by_limiter, of_end, limited
 
@@ -372,8 +372,8 @@ class Integrator:
 
         drawn = []
         for _ in range(_NOISE_DRAWS):
-            other = replace(state, values={name: changed(values) for name, values in state.values.items()})
-            drawn.append(sum(self.distance(other, state).values()))
+            noisy = replace(state, values={name: changed(values) for name, values in state.values.items()})
+            drawn.append(sum(self.distance(noisy, state).values()))
         return _NOISE_MARGIN * float(np.sqrt(np.mean(np.square(drawn))))
 
 

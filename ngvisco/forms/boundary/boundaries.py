@@ -51,10 +51,10 @@ _CURVED = 0.5  # largest ratio of the facets' angle to their chords' angle; 1 if
 
 def check_boundary_names(mesh: Mesh, names: Iterable[str], owner: str = "walls") -> None:
     """Raise UnknownNameError for a name that no boundary of the mesh has; NGSolve stays silent."""
-    known = set(mesh.GetBoundaries())
+    walls_of_mesh = set(mesh.GetBoundaries())
     for name in names:
-        if name not in known:
-            raise UnknownNameError("boundary", name, known, f"{owner}[{name!r}]")
+        if name not in walls_of_mesh:
+            raise UnknownNameError("boundary", name, walls_of_mesh, f"{owner}[{name!r}]")
 
 
 def axis_parallel_walls(mesh: Mesh) -> tuple[list[list[str]], list[str]]:
@@ -102,13 +102,13 @@ def walls_of(mesh: Mesh, names: Iterable[str]) -> Region:
     Interfaces between subdomains often share the name of all unnamed boundaries.  A name whose parts are all
     interfaces keeps all of them.
     """
-    wanted, known = set(names), mesh.GetBoundaries()
-    mask = BitArray(len(known))
+    chosen, boundaries = set(names), mesh.GetBoundaries()
+    mask = BitArray(len(boundaries))
     mask.Clear()
-    left_out = _interfaces(mesh) if any(known.count(name) > 1 for name in wanted) else set()
-    outer = {name for i, name in enumerate(known) if i not in left_out}
-    for i, name in enumerate(known):
-        if name in wanted and not (i in left_out and name in outer):
+    left_out = _interfaces(mesh) if any(boundaries.count(name) > 1 for name in chosen) else set()
+    outer = {name for i, name in enumerate(boundaries) if i not in left_out}
+    for i, name in enumerate(boundaries):
+        if name in chosen and not (i in left_out and name in outer):
             mask[i] = True
     return Region(mesh, BND, mask)
 
@@ -197,8 +197,8 @@ def _kinks(mesh: Mesh, wall: Region) -> tuple[list[float], list[float]]:
                 near.setdefault(frozenset(part), []).append(facet)
     chords, left = [], []
     for part, both in near.items():
-        for (chord, normals), (other, normals_there) in combinations(both, 2):
-            if _FLAT < (angle := _angle(chord, other)) < _CORNER:
+        for (chord, normals), (chord_there, normals_there) in combinations(both, 2):
+            if _FLAT < (angle := _angle(chord, chord_there)) < _CORNER:
                 chords.append(angle)
                 left.append(float(np.mean([_angle(normals[end], normals_there[end]) for end in part])))
     return chords, left

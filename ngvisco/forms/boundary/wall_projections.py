@@ -135,8 +135,8 @@ class WallProjection:
         """Work of each piston's impulse on v, J, by walls; ``rows`` are the momentum's free rows."""
         count, shares = len(self._shared), self._constraint @ (rows / self._root**2)
         solution = self._solver(np.concatenate([np.zeros(count), shares / self._length]))
-        each = solution[count:] / self._length * self._normal_velocity(v)
-        return {name: float(each[numbers].sum()) for name, numbers in self._of.items()}
+        corrections = solution[count:] / self._length * self._normal_velocity(v)
+        return {name: float(corrections[numbers].sum()) for name, numbers in self._of.items()}
 
 
 class VelocityOfMomentum:

@@ -67,28 +67,28 @@ class Located:
 
         def locate_all() -> None:
             assert mesh.whole is not None
-            for each, of_each in zip(asked, called, strict=True):
-                at = locate(mesh.whole, each, of_each) if len(each) else None
+            for points, of_each in zip(asked, called, strict=True):
+                at = locate(mesh.whole, points, of_each) if len(points) else None
                 nr = np.zeros(0, dtype=int) if at is None else at["nr"].astype(int)
                 axes = "xyz"[: mesh.dim]
-                located.append((nr, each if at is None else np.stack([at[axis] for axis in axes], axis=1)))
+                located.append((nr, points if at is None else np.stack([at[axis] for axis in axes], axis=1)))
 
         self.ranks.on_first(locate_all)
-        wanted, given = None, None
+        requests, given = None, None
         if mesh.whole is not None:
             owner, local = (np.zeros(mesh.whole.ne, dtype=int) for _ in range(2))
             for rank, of_rank in enumerate(cells):
                 owner[of_rank], local[of_rank] = rank, np.arange(len(of_rank))
             every = range(self.ranks.size)
             given = [[np.flatnonzero(owner[nr] == rank) for rank in every] for nr, _ in located]
-            wanted = [
+            requests = [
                 [
                     (local[nr[places[rank]]], reference[places[rank]])
                     for (nr, reference), places in zip(located, given, strict=True)
                 ]
                 for rank in every
             ]
-        mine = mpi.scatter(wanted)
+        mine = mpi.scatter(requests)
         self._from: list[np.ndarray] = mpi.scatter(given)  # for each rank, the points that it evaluates
         self._ends = np.cumsum([len(local) for local, _ in mine])
         self._at = mesh_points(mesh, *(np.concatenate(parts) for parts in zip(*mine, strict=True)))

@@ -402,13 +402,13 @@ def _divergences(
     points = points[np.isin(points["nr"], [cell for cell, _ in cells])]
     at = np.asarray(CF((x, y, z)[: mesh.dim])(points))
     places = np.array([mesh.vertices[vertex].point for _, vertex in cells])
-    wanted = []
+    numbers = []
     for (cell, _), place in zip(cells, places, strict=True):
         corners = np.flatnonzero(points["nr"] == cell)
-        wanted.append(corners[np.argmin(np.linalg.norm(at[corners] - place, axis=1))])
+        numbers.append(corners[np.argmin(np.linalg.norm(at[corners] - place, axis=1))])
     v, rates = GridFunction(step.layout.blocks["v"]), []
     for _ in _at(times):
         for name, values in walls.velocities().items():
             v.vec.FV().NumPy()[walls.moving[name][1]] = values
-        rates.append(np.asarray(tr(Grad(v))(points)).ravel()[wanted])
+        rates.append(np.asarray(tr(Grad(v))(points)).ravel()[numbers])
     return places, np.array(rates)

@@ -152,11 +152,11 @@ class Column:
         Pa.  Raises InitialDataError if no volume has the pressure, ParameterError or UnknownNameError for a
         datum that is neither a wall nor a point of the domain.
         """
-        at, rest = self._at(datum), self._mean(lambda name: self.pressure_of(name, CF(1.0), True))
+        at, rest_pressure = self._at(datum), self._mean(lambda name: self.pressure_of(name, CF(1.0), True))
         last, ranks = self.p.vec.FV().NumPy().copy(), self.sampler.ranks
         for _ in range(_ROUNDS):
             self._bear(self.weight())
-            self.constant.Set(above_rest + at(rest) - at(self.p))
+            self.constant.Set(above_rest + at(rest_pressure) - at(self.p))
             for name in self.laws:
                 self._invert(name)
             values = self.p.vec.FV().NumPy().copy()

@@ -35,7 +35,7 @@ def starting_fractions(mesh: Mesh, bodies: Sequence[Body], order: int) -> StartV
     total = sum(of_placed) + of_rest
     for i, (body, volume) in enumerate(zip(placed, of_placed, strict=True)):
         if volume <= _COVERED * total:
-            above = [other.name for other in placed[i + 1 :] if other.order > body.order]
+            above = [later.name for later in placed[i + 1 :] if later.order > body.order]
             is_seen = volumes(mesh, [shapes[body.name]])[0] > _COVERED * total
             hidden = f"a place that {', '.join(above)}, of higher order, does not cover"
             raise ParameterError(f"bodies[{body.name!r}].where", body.where, hidden if is_seen else MISSED)
@@ -52,8 +52,8 @@ def starting_fractions(mesh: Mesh, bodies: Sequence[Body], order: int) -> StartV
         result[filler.name] = of_none
     else:  # distribute uncovered volume, below ``_OVERLAP``, by the fractions
         _require_some_body_in_each_cell(mesh, names, of_none)
-        known = reduce(add, fractions_of)
-        result = {name: part / known for name, part in result.items()}
+        covered = reduce(add, fractions_of)
+        result = {name: part / covered for name, part in result.items()}
     return {name: result[name] for name in names}
 
 
@@ -72,7 +72,7 @@ def _require_some_body_in_each_cell(mesh: Mesh, names: Sequence[str], remainder:
 def _require_order(mesh: Mesh, placed: Sequence[Body], shapes: Mapping[str, Shape]) -> None:
     """Raise ParameterError for two overlapping bodies of one order."""
     for i, first in enumerate(placed):
-        for second in (other for other in placed[i + 1 :] if other.order == first.order):
+        for second in (later for later in placed[i + 1 :] if later.order == first.order):
             a, b = shapes[first.name], shapes[second.name]
             common, size = volumes(mesh, [a & b])[0], min(volumes(mesh, [s])[0] for s in (a, b))
             if common > _OVERLAP * size:

@@ -142,8 +142,8 @@ def set_initial(step: Step, initial: Initial, sampler: Sampler) -> CoefficientFu
     strains = {v.name for v in step.model.material.variables if v.is_strain}
     is_at_rest = initial.F is None and initial.equilibrium is None and not strains & {*initial.values}
     warn_of_doubts(step, sampler, values, initial.velocity, is_at_rest)
-    known = distortion_of(step.model.material, values)
-    return F if known is None else known
+    distortion = distortion_of(step.model.material, values)
+    return F if distortion is None else distortion
 
 
 def _data(
@@ -225,7 +225,7 @@ def _project(
         signs = [*(v.positive(z[v.name]) for v in material.variables), material.domain(z)]
         if step.model.bodies:  # a body's variables vanish outside it
             signs = list(material.positive(z).values())
-        for name, value in ((name, value) for each in signs for name, value in each.items()):
+        for name, value in ((name, value) for positive in signs for name, value in positive.items()):
             sampler.require(value, f"projected {name}_0", f"Initial.values[{name!r}]", minimum=0.0)
         if not np.isfinite(step.energy.samples(z, sampler)).all():
             failure = step.energy.last_failure or "not finite somewhere"
@@ -372,8 +372,8 @@ def _check_density(
         low, high = sampler.extrema(density * J)
         range_ = f"rho_0 J_0 from {low:.7g} to {high:.7g} kg/m^3"
         low, high = sampler.extrema(rho_R)
-        known = f"rho_R = {low:.7g}" if low == high else f"rho_R, from {low:.7g} to {high:.7g} kg/m^3,"
-        expected = f"{known} there, or one of density and J only, from which the other follows"
+        referential = f"rho_R = {low:.7g}" if low == high else f"rho_R, from {low:.7g} to {high:.7g} kg/m^3,"
+        expected = f"{referential} there, or one of density and J only, from which the other follows"
         raise InitialDataError("density rho_0", range_, expected, "Initial.density")
 
 

@@ -60,12 +60,12 @@ def on_open_walls(step: Step) -> Iterator[str]:
         shares = material.fractions.at(u.z_tensors)
         at_rest = sum((stresses[name] * share for name, share in shares.items()), CF(0.0))
     T = cauchy_stress(material, u.z_tensors, u.zeta_tensors, step.energy.anywhere(u))
-    own, rest, n = BoundaryFromVolumeCF(T), BoundaryFromVolumeCF(CF(at_rest)), specialcf.normal(dim)
+    own, rest_stress, n = BoundaryFromVolumeCF(T), BoundaryFromVolumeCF(CF(at_rest)), specialcf.normal(dim)
     unborne = []
     for name in walls:
         given = GivenStress(step.walls, name).at(u, n)
         left = CF(tuple(sum(own[i, j] * n[j] for j in range(dim)) - given[i] for i in range(dim)))
-        means = CF((CF(1.0), left * left, rest * rest, rest, given * n))
+        means = CF((CF(1.0), left * left, rest_stress * rest_stress, rest_stress, given * n))
         area, *sums = Integrate(means, step.mesh, BND, definedon=step.walls.region([name]))
         gap, size, mean, push = (total / area for total in sums)
         gap, size = gap**0.5, size**0.5
@@ -82,6 +82,6 @@ def on_open_walls(step: Step) -> Iterator[str]:
 
 def _at_rest(laws: Mapping[str, Material]) -> tuple[dict[str, float], float]:
     """Mean normal stresses at rest of laws, Pa, by their names, and the least one beyond rounding, Pa."""
-    known = {name: rest_stress_and_modulus(law) for name, law in laws.items()}
-    least = _ROUNDING * max((abs(modulus) for _, modulus in known.values()), default=0.0)
-    return {name: stress for name, (stress, _) in known.items()}, least
+    of_laws = {name: rest_stress_and_modulus(law) for name, law in laws.items()}
+    least = _ROUNDING * max((abs(modulus) for _, modulus in of_laws.values()), default=0.0)
+    return {name: stress for name, (stress, _) in of_laws.items()}, least

@@ -135,11 +135,11 @@ class Heating(_OfEntropy):
         entropy = self.entropy.unit * u.z_tensors[self.entropy.name]
         return [*powers, Entry("entropy", "monitor", Integrand(entropy)), *produced]
 
-    def _require_all(self, known: set[str], u: Fields) -> None:
+    def _require_all(self, dissipations: set[str], u: Fields) -> None:
         """Raise ParameterError for a term whose ``dissipated`` lacks a dissipation of its ledger columns."""
         for term in u.context.terms:
             for entry in () if term is self else term.entries(u):
-                if entry.kind == "dissipation" and entry.name not in known and not entry.is_outside:
+                if entry.kind == "dissipation" and entry.name not in dissipations and not entry.is_outside:
                     name = type(term).__name__
                     expected = f"{name}: {entry.name!r} stated by ``dissipated``, from which heat is made"
                     raise ParameterError("Simulation.terms", name, expected)

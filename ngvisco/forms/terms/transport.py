@@ -253,7 +253,7 @@ class CreepRate(PointTerm):
 
 def _dissipation(u: Fields) -> dict[str, CoefficientFunction]:
     """Dissipation of creep by ledger names, one a branch of a network."""
-    return {f"dissipation_creep{suffix}": of for suffix, of in u.context.rates.dissipation(u).items()}
+    return {f"dissipation_creep{suffix}": power for suffix, power in u.context.rates.dissipation(u).items()}
 
 
 @dataclass(frozen=True)

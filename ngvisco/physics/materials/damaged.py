@@ -200,20 +200,20 @@ class Damaged(Wrapper):
     def _check_rest(self) -> None:
         """Raise ParameterError for a variable without known spherical states, or for stress at rest."""
         for v in self.material.variables:
-            known = isinstance(v, (SmallStrain, Jacobian, ReciprocalJacobian, LogJacobian, Parameter))
-            if not known and v.volume_ratio(CF((1, 0, 0, 0, 1, 0, 0, 0, 1), dims=(3, 3))) is None:
+            is_spherical = isinstance(v, (SmallStrain, Jacobian, ReciprocalJacobian, LogJacobian, Parameter))
+            if not is_spherical and v.volume_ratio(CF((1, 0, 0, 0, 1, 0, 0, 0, 1), dims=(3, 3))) is None:
                 expected = f"a material without {v.name!r}, of which no spherical state is known"
                 raise ParameterError("Damaged.material", self.material, expected)
         if any(True for _ in expressions_in(self.material)):
             return
-        rest = float(energies_at(self._breaking, rest_state(self.material, 3)[None], 3)[0])
+        energy_at_rest = float(energies_at(self._breaking, rest_state(self.material, 3)[None], 3)[0])
         slope, stiffness = rest_stress_and_modulus(self._breaking)
-        if not abs(slope) <= 1e-9 * max(abs(stiffness), abs(rest)):
+        if not abs(slope) <= 1e-9 * max(abs(stiffness), abs(energy_at_rest)):
             expected = (
                 f"one without stress at rest, where d phi/dJ is {slope:.4g} Pa; a Referential one has none"
             )
             raise ParameterError("Damaged.material", self.material, expected)
-        object.__setattr__(self, "_rest", rest)
+        object.__setattr__(self, "_rest", energy_at_rest)
 
     @property
     def is_linearised(self) -> bool:
@@ -267,12 +267,14 @@ class Damaged(Wrapper):
             compressed = self._breaking.energy({name: sph(E) for name, E in values.items()})
             compression = -tr(next(iter(values.values())))  # one trace for all branches
         else:
-            rest = self._spherical_energy(values, 1 + 0 * z["A"]) if self._rest is None else self._rest
-            whole = whole - rest * z["A"]
+            energy_at_rest = (
+                self._spherical_energy(values, 1 + 0 * z["A"]) if self._rest is None else self._rest
+            )
+            whole = whole - energy_at_rest * z["A"]
             if self.part == "all":
                 return whole, left
             J = values["J"] if "J" in values else 1 / z["A"]
-            compressed, compression = self._spherical_energy(values, J) - rest / J, 1 - J
+            compressed, compression = self._spherical_energy(values, J) - energy_at_rest / J, 1 - J
         kept = if_positive(compression, compressed, 0 * compressed)
         return whole - kept, kept if left is None else kept + left
 

@@ -182,7 +182,7 @@ class Network(Material):
             name: branch.material.domain(self.values_of(name, z)) for name, branch in self.parts.items()
         }
         return {
-            f"{bound} of {name}": value for name, each in domains.items() for bound, value in each.items()
+            f"{bound} of {name}": value for name, bounds in domains.items() for bound, value in bounds.items()
         }
 
     def energy(self, z: Values) -> Tensor:

@@ -79,7 +79,9 @@ def powers_of_stretches(invariants: tuple[Tensor, Tensor, Tensor], weights: Mapp
         # tr C^{k+1} (t + C)^{-1}, times det(t + C), by the theorem of Cayley and Hamilton
         mixed = (sums[k + 1], first * sums[k + 1] - sums[k + 2], third * sums[k])
         powers = (_NODES**2, _NODES, np.ones_like(_NODES))
-        tops += [_vector(of_nodes * power, each) for power, each in zip(powers, mixed, strict=True)]
+        tops += [
+            _vector(of_nodes * power, coefficient) for power, coefficient in zip(powers, mixed, strict=True)
+        ]
     if tops:
         top = reduce(add, tops)
         below = _vector(_NODES**2, first) + _vector(_NODES, second) + _vector(np.ones_like(_NODES), third)

@@ -84,8 +84,8 @@ class PerReferentialVolume(Material):
             raise ParameterError(field_name, self.material, "a material without branches: wrap each of them")
         for v in self.material.variables:
             if v.is_strain and not isinstance(v, (Jacobian, DistortionTensor)):
-                known = "a material of J = det F and of F, Cof F, F F^T, Cof(F F^T) times powers of J"
-                raise ParameterError(field_name, self.material, f"{known}, not of {v.name!r}")
+                admitted = "a material of J = det F and of F, Cof F, F F^T, Cof(F F^T) times powers of J"
+                raise ParameterError(field_name, self.material, f"{admitted}, not of {v.name!r}")
 
     def with_elastic_state(self, state: ElasticState) -> Self:
         return replace(self, material=self.material.with_elastic_state(state))
@@ -175,8 +175,8 @@ class ReferenceEnergy(Material):
         of_volume = (Jacobian, ReciprocalJacobian, LogJacobian)
         for v in self.material.variables:
             if not isinstance(v, (DistortionTensor, *of_volume, Parameter)):
-                known = "a material of J and of F, Cof F, F F^T, Cof(F F^T) times powers of J"
-                expected = f"{known}, not of {v.name!r}"
+                admitted = "a material of J and of F, Cof F, F F^T, Cof(F F^T) times powers of J"
+                expected = f"{admitted}, not of {v.name!r}"
                 if isinstance(v, SmallStrain):
                     expected += "; ReferentialNeoHookean of half the G_e is LinearElastic at small strains"
                 raise ParameterError(self.owner, self.material, expected)
@@ -185,8 +185,8 @@ class ReferenceEnergy(Material):
         if self.material.response(3) is not None:
             expected = "a material whose energy is an expression; a Yosida approximation has none"
             raise ParameterError(self.owner, self.material, expected)
-        rest = {v.name: v.from_distortion(IDENTITY) for v in self.material.variables}
-        if domain := self.material.domain(rest):
+        values_at_rest = {v.name: v.from_distortion(IDENTITY) for v in self.material.variables}
+        if domain := self.material.domain(values_at_rest):
             bounds = ", ".join(f"{name} > 0" for name in domain)
             expected = f"a material whose energy has a value for every strain, not for {bounds} alone"
             raise ParameterError(self.owner, self.material, expected)

@@ -74,8 +74,8 @@ def carrying(
         return carrying(material.material, (*material.carried, *parameters), hardening)
     if not (parameters or hardening):
         return material
-    known = tuple(v for v in material.variables if isinstance(v, Parameter))
-    carried = distinct((*known, *parameters))[len(known) :]
+    present = tuple(v for v in material.variables if isinstance(v, Parameter))
+    carried = distinct((*present, *parameters))[len(present) :]
     return Carrying(material=material, carried=carried, hardening=hardening)
 
 
@@ -107,9 +107,9 @@ class WithQuadratic(Wrapper):
         super().__post_init__()
         forms = [self.material.with_elastic_state("F"), self.material.with_elastic_state("B")]
         strains = [{v.name for v in form.variables if v.is_strain} for form in forms]
-        known, named = strains[0] | strains[1], set(self.only or ())
-        for name in sorted(named - known):
-            raise UnknownNameError("material variable", name, known, "WithQuadratic.only")
+        strain_names, named = strains[0] | strains[1], set(self.only or ())
+        for name in sorted(named - strain_names):
+            raise UnknownNameError("material variable", name, strain_names, "WithQuadratic.only")
         having = [form for form, names in zip(forms, strains, strict=True) if named <= names]
         if not having:
             raise ParameterError("WithQuadratic.only", self.only, "variables of one form, by F or by B")

@@ -45,7 +45,7 @@ class HyperDerivative:
         self._at_points = hyper.h_values.blocks.swapaxes(1, 2).astype(self.dtype)
         if not hyper.law.is_linear:
             squares = (hyper.s_values.blocks, self.sides.scalar.blocks)
-            self._s_points, self._s_sides = (each.astype(self.dtype) for each in squares)
+            self._s_points, self._s_sides = (square.astype(self.dtype) for square in squares)
 
     def _together(self) -> LocalMatrix:
         """B of the module's docstring: a cell's coefficients of Hs, component by component, then its
@@ -53,7 +53,7 @@ class HyperDerivative:
         parts = (self.hyper.lift.matrix, self.sides.jump.at_nodes)
         numbers = np.arange(sum(part.shape[0] for part in parts))
         of_parts = np.split(numbers, [parts[0].shape[0]])
-        order = [each.reshape(self.cells, len(each) // max(self.cells, 1)) for each in of_parts]
+        order = [rows.reshape(self.cells, len(rows) // max(self.cells, 1)) for rows in of_parts]
         both = sp.vstack(parts, format="csr")[np.concatenate(order, axis=1).ravel()]
         return LocalMatrix(both, self.cells, dtype=self.dtype)
 
@@ -224,9 +224,9 @@ class HyperTangent:
 
         ``tangent`` is the matrix of one component of v and of the kept a.
         """
-        each = sp.identity(dim)
+        identity = sp.identity(dim)
         width = tangent.shape[0] - len(self.kept)
         beside, count = matrix.shape[0] - dim * width, dim * len(self.kept)
-        right = sp.vstack([sp.kron(each, tangent[:width, width:]), sp.csr_matrix((beside, count))])
-        below = sp.hstack([sp.kron(each, tangent[width:, :width]), sp.csr_matrix((count, beside))])
-        return sp.bmat([[matrix, right], [below, sp.kron(each, tangent[width:, width:])]], format="csr")
+        right = sp.vstack([sp.kron(identity, tangent[:width, width:]), sp.csr_matrix((beside, count))])
+        below = sp.hstack([sp.kron(identity, tangent[width:, :width]), sp.csr_matrix((count, beside))])
+        return sp.bmat([[matrix, right], [below, sp.kron(identity, tangent[width:, width:])]], format="csr")

@@ -179,7 +179,7 @@ class PointTangent(_AtPoints):
         X[:g] = rates.entries_of_L(u)
         if rates.mechanisms and not rates.creep_is_collocated:
             X[g:] = rates.creep_components(u)
-        K, force = (each.transpose(2, 0, 1) for each in rates.slopes(z, X, zeta))
+        K, force = (slope.transpose(2, 0, 1) for slope in rates.slopes(z, X, zeta))
         force = force + np.matmul(columns.swapaxes(1, 2), curvature)
         force[:, rates.tensors.trace] += zeta.T[:, None]
         if not (self._asked or self._creeps):

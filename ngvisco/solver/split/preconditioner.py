@@ -181,10 +181,10 @@ class Preconditioner:
         beside_v = (number >= operator.nv) & (number < operator.size)
         vertices = (number < operator.nv) & (number % width < mesh.nv)
         if self.ranks.any(beside_v.any()):
-            known = " and ".join(
+            unknowns = " and ".join(
                 _IN_WORDS.get(name, name) for name in self.unknowns.velocity_block if name != "v"
             )
-            self.without_multigrid = f"with {known} beside v the matrix is not positive definite"
+            self.without_multigrid = f"with {unknowns} beside v the matrix is not positive definite"
         self._multigrid = self._coarse != "direct" and self.without_multigrid is None
         self._kernel = rigid_motions(mesh, width, len(free)) if self._multigrid else None
         return TwoLevelSolver(free, vertices, beside_v, self._factorised, exchange)

@@ -119,9 +119,9 @@ class Split:
             self.step.local_unknowns.update_stored()
             self._relax()  # a run resumed here has no strengthened solver either
             return Solution(status, tuple(history))
-        wanted = self.options.split.margin * self.options.tolerance
+        tolerance = self.options.split.margin * self.options.tolerance
         remedy = "a smaller step or the coupled solver"
-        return unconverged(status, history, "the split solver", wanted, remedy)
+        return unconverged(status, history, "the split solver", tolerance, remedy)
 
     def increment(
         self, problem: Problem, x: np.ndarray, at: Evaluation, last: float

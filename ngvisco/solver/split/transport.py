@@ -188,13 +188,13 @@ class TransportSweeps:
 
     def _entering(self, name: str, at: Evaluation, inward: np.ndarray) -> np.ndarray | float:
         """The contribution to the rows of ``"rho"`` or ``"z"`` of matter that flows in through walls."""
-        known, passages = at.facets.context.given, self.residual.step.context.passages
+        given, passages = at.facets.context.given, self.residual.step.context.passages
         if not passages:
             return 0.0
         none = np.zeros_like(inward)
         result = np.zeros_like(self._mass)
         for wall in passages:
-            flow = -0.5 * inward * known(wall.indicator).value
+            flow = -0.5 * inward * given(wall.indicator).value
             result = result + self.coupling.blocks(flow, none, none)[0]
             if wall.continues(name):
                 result = result - self.coupling.blocks(flow, none, none, self._without_slopes(at))[0]
