@@ -5,9 +5,9 @@ elastic force use the same trace for either flow direction: with one-sided weigh
 be a thrust on the body, of the size of the Bregman distance between both sides
 (``ngvisco.forms.terms.transport``).  Upwinding is a separate term, in the transport alone,
 
-    sum_K int_{dK} |v . n| (a - a_hat) t = 1/2 int |v . n| [a] [t]    over the facets between two cells,
+    sum_K int_{dK} |v . n| (a - a_hat) t = 1/2 int |v . n| [a] [t]    over the facets between two cells.
 
-with which the whole flux is the upstream side's.
+Both terms together are the flux of the upstream side's value.
 """
 
 from abc import abstractmethod

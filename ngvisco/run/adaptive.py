@@ -96,7 +96,7 @@ class GrowthControl:
         return max(self.dt_min, tau * safety * self.most / rates[GROWTH])
 
     def refused(self, tau: float, rates: Mapping[str, float]) -> str:
-        """The reason why a step is not accepted; empty for an accepted step, as the shortest always is."""
+        """Reason why a step is refused; empty for an accepted step.  The shortest step is always accepted."""
         if self.most is None or rates[GROWTH] <= self.most or tau <= self.dt_min:
             return ""
         return f"the damage grows by {rates[GROWTH]:.2g} at a point, more than {self.most:.2g}"

@@ -200,7 +200,7 @@ class Scales:
                 f"matter moves by {self.velocity * self.dt / self.cell:.2g} cells a step: steps are hard "
                 f"to solve and upwinding smears; take dt <= {self.cell / self.velocity:.2g} s"
             )
-        if self.maxwell < _RELAXED * self.dt * (1 - 1e-6):  # finite differences round moduli
+        if self.maxwell < _RELAXED * self.dt * (1 - 1e-6):  # moduli by finite differences have rounding
             lines.append(
                 f"stress relaxes in {self.maxwell:.2g} s, {self.maxwell / self.dt:.2g} steps: only the end "
                 f"of its relaxation is seen; to follow it take dt <= {self.maxwell / _RELAXED:.2g} s"

@@ -263,7 +263,7 @@ class Bodies(Series):
         return self._units.get(column) or super().unit(column)
 
     def may_be_nan(self, column: str) -> bool:
-        return column not in ("step", "time")  # a body may be thinner than a cell, or have left
+        return column not in ("step", "time")  # the body may be thinner than a cell, or have left the domain
 
     def _sample(self, simulation: Simulation) -> Any:
         dim = simulation.mesh.dim

@@ -97,12 +97,14 @@ class Checkpoints:
         if simulation.ranks.is_first and simulation.number > 0 and self.path.exists():
             with opened(self.path) as file:
                 earlier = {int(name): load(self.path, group) for name, group in file["checkpoints"].items()}
-            since = 0 if self.chosen is None else self.chosen.step  # earlier states are on another mesh
+            # states before step ``since`` are on another mesh
+            since = 0 if self.chosen is None else self.chosen.step
             self._kept = {n: kept for n, kept in earlier.items() if since <= n < simulation.number}
         self._write(simulation)
 
     def step(self, simulation: Simulation, row: dict[str, float]) -> None:
-        if simulation.number % self.every == 0:  # parts of a halved step count, which takes long to compute
+        # a part of a halved step counts as a step, since it takes as long to compute
+        if simulation.number % self.every == 0:
             self._write(simulation)
 
     def finish(self, simulation: Simulation) -> None:
@@ -114,7 +116,7 @@ class Checkpoints:
         kept = {number: kept[number] for number in sorted(kept)[-self.keep :]}
         if simulation.ranks.is_first:
             write_atomically(self.path, self._image(simulation, kept))
-        self._kept = kept  # only after writing: after an error the run's end has to try again
+        self._kept = kept  # set only after writing, so that after an error the end of the run tries again
 
     def _image(self, simulation: Simulation, kept: Mapping[int, Snapshot]) -> bytes:
         image = io.BytesIO()

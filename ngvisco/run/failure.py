@@ -180,7 +180,8 @@ def _advice(simulation: RunState, violation: Violation | None, courant: float, r
             lines.insert(0, met)
         creep = model.creep
         is_sharp = creep is not None and not isinstance(creep, Creep) and creep.nu != 0
-        if creep is not None and is_sharp and creep.rate_floor < _SHARP * rate:  # far below the flow's rates
+        # the floor is far below the flow's rates
+        if creep is not None and is_sharp and creep.rate_floor < _SHARP * rate:
             floor = f"rheology.creep.rate_floor, {creep.rate_floor:.3g}/s, to a thousandth of the rates of"
             lines.insert(0, f"{floor} creep; the velocity varies by up to {rate:.2g}/s")
         return [*lines, "more viscosity, or a start, walls and loads that change over several steps"]

@@ -63,7 +63,7 @@ def require_names_of_their_own(material: Material, further: Sequence[str], carri
     bodies = material.bodies if isinstance(material, Mixture) else ()
     reserved = (*_OWN, *NAMES, *(body.name + _FRACTION for body in bodies), *(["body"] if bodies else []))
     reserved = (*reserved, *(v.strain for v in material.variables if isinstance(v, PlasticContent)))
-    if entropy_in(material) is not None:  # else laws read a given temperature
+    if entropy_in(material) is not None:  # without an entropy the name may be a given temperature's
         reserved = (*reserved, TEMPERATURE)
     for variable in material.variables:
         if variable.name in reserved:
@@ -255,7 +255,8 @@ def eigenvalues(A: CoefficientFunction) -> CoefficientFunction:
     p = sqrt(if_positive(s, s, 0.0))
     # in a spherical tensor every direction is a principal one: any phi is right
     cosine = 0.5 * det(deviator) / if_positive(s, s * p, 1.0)
-    cosine = if_positive(cosine - 1, 1.0, if_positive(cosine + 1, cosine, -1.0))  # rounding
+    # rounding may take the cosine beyond -1 or 1
+    cosine = if_positive(cosine - 1, 1.0, if_positive(cosine + 1, cosine, -1.0))
     phi = acos(cosine) / 3
     return CF(tuple(q + 2 * p * cos(phi + 2 * math.pi * k / 3) for k in (0, 2, 1)))
 

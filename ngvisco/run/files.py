@@ -25,7 +25,7 @@ _DIGITS = 1e-5
 
 
 def write_atomically(path: Path, content: bytes) -> None:
-    """Write a file beside ``path`` and rename it; an error leaves the old file as it was, and no new one."""
+    """Write a file beside ``path`` and rename it; after an error the old file is unchanged."""
     path.parent.mkdir(parents=True, exist_ok=True)
     draft = path.with_name(path.name + ".part")
     with _named(path):
@@ -130,6 +130,7 @@ def mesh_in(path: Path) -> Mesh:
     if mesh.GetCurveOrder() > 1 and has_geometry(mesh):
         sizes = volume_and_surface(mesh)
         mesh.Curve(mesh.GetCurveOrder())
-        if not np.allclose(volume_and_surface(mesh), sizes, rtol=_DIGITS, atol=0):  # another geometry
+        # the given geometry does not belong to the mesh
+        if not np.allclose(volume_and_surface(mesh), sizes, rtol=_DIGITS, atol=0):
             return Mesh(str(path))
     return mesh

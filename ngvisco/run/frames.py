@@ -35,9 +35,9 @@ _CUTS = {
     3: (((0, 3), (1, 3), (2, 3)), [(0, 1, 2)]),
 }
 """Cut edges of a tetrahedron, and triangles, by the number of its points above; these come first."""
-_SAME = 1e-9  # of the points' extent: points this close are one
-_FLAT = 1e-6  # of the largest triangle's area: a smaller one is a corner or an edge
-_HALVINGS = 2  # of the triangles in which a line is drawn
+_SAME = 1e-9  # share of the points' extent; points that are closer than this are one
+_FLAT = 1e-6  # share of the largest triangle's area; a smaller triangle is a corner or an edge
+_HALVINGS = 2  # number of halvings of the triangles in which a line is drawn
 
 
 @dataclass(frozen=True)
@@ -182,7 +182,7 @@ def read_pvd(path: Path) -> list[tuple[float, str]]:
 def read_frame(path: Path) -> Frame:
     """The frame in a file of a series; raises CheckpointError if it is damaged or of another program."""
     try:
-        if path.suffix == ".pvtu":  # it names the files of the ranks
+        if path.suffix == ".pvtu":  # a .pvtu file names the files of the ranks
             pieces = ElementTree.parse(path).getroot().iter("Piece")
             return _joined([read_frame(path.parent / piece.attrib["Source"]) for piece in pieces])
         head, mark, tail = path.read_bytes().partition(_MARK)

@@ -33,11 +33,11 @@ class InflowWarning(NgviscoWarning):
 class Inlets:
     """Warns of inflows through a run's walls; it sums the mass that came in through each of them.
 
-    Two measures tell whether given values have another stress than the body: the power that is lost where
-    both meet, which in slow straining is small beside others, and the difference of the stresses' deviators
-    beside elastic and viscous stresses.  Pressures have the first measure alone: what is hardly compressed
-    has the density of its neighbours, whatever its pressure.  Temperatures mix by their nature: they bring no
-    warning.  Bodies whose amounts are given come in unstrained.
+    Two measures tell whether given values have another stress than the body.  One is the power that is lost
+    where both meet; in slow straining this power is small beside others.  The other is the difference of the
+    stresses' deviators beside elastic and viscous stresses.  Pressures have the first measure alone: matter
+    that is hardly compressed has its neighbours' density at any pressure.  Temperatures mix by their nature
+    and bring no warning.  Bodies whose amounts are given come in unstrained.
     """
 
     def __init__(self, step: Step) -> None:
@@ -58,7 +58,7 @@ class Inlets:
                 self._unknown.append(term.name)
         self._entered = dict.fromkeys((*self._given, *self._unknown), 0.0)
         """Mass, kg, that came in, by the wall's name."""
-        # values of an energy without an expression have a stress that is not known
+        # the stress of given values is not known for an energy without an expression
         named_alone = [name for name, what in self._given.items() if what != "amounts"]
         has_expression = law.response(step.mesh.dim) is None
         self._compared = {

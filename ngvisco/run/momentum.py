@@ -56,7 +56,7 @@ def unit(name: str) -> str | None:
 
 @dataclass(frozen=True)
 class _Totals:
-    """Totals of all rows so far: defect, exchange, and last momentum by motions; largest |momentum|."""
+    """Totals of all rows so far, by motions: defect, exchange, last momentum; and the largest |momentum|."""
 
     lost: np.ndarray
     exchanged: np.ndarray

@@ -90,13 +90,13 @@ class Progress:
         self._set_out(simulation)
         self._total, steps = "", "adaptive steps"
         if not simulation.is_adaptive:
-            # the steps before may have had other lengths
+            # earlier steps may have had other lengths
             count = simulation.stepper.step_of(self.until, simulation.number)[0]
             done = simulation.step_number
             steps = f"{count - done if done else count} steps of {simulation.dt:g} s"
             self._total = f"/{count}"
         line = f"{simulation.cells} cells, {simulation.unknowns} unknowns, {steps}, {simulation.scheme}"
-        if line != self._last:  # a run on meshes that follow a field starts on each of them
+        if line != self._last:  # a run on meshes that follow a field starts anew on each mesh
             self._print(line)
         self._last = line
 
@@ -170,7 +170,7 @@ class NotebookProgress(Progress):
         """Ignore rejected steps: they are not drawn."""
 
     def finish(self, simulation: Simulation) -> None:
-        if self._handle is not None:  # outside of a notebook there is no handle
+        if self._handle is not None:  # there is no handle outside of a notebook
             self._handle.update(self._page(simulation))
 
     def _page(self, simulation: Simulation) -> Any:
@@ -323,7 +323,8 @@ def dissipation_advice(simulation: Simulation) -> str | None:
     def total(kind: str) -> float:
         return float(ledger.exchanged(*(entry.name for entry in ledger.entries if entry.kind == kind))[-1])
 
-    numerical = float(ledger.exchanged(*NUMERICAL)[-1])  # without the energy that a transfer took
+    # the energy lost in a transfer to another mesh is not in it
+    numerical = float(ledger.exchanged(*NUMERICAL)[-1])
     physical, stored = total("dissipation"), ledger.column("stored")
     moved = max(ledger.column("kinetic").max(), abs(stored - stored[0]).max()) + abs(total("power"))
     if numerical <= max(physical, NEGLIGIBLE * moved):

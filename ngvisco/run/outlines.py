@@ -75,7 +75,7 @@ class Cut:
         reached = set(map(int, self.edges[:, 1]))
         begun = [
             i for i, start in enumerate(self.edges[:, 0]) if int(start) not in reached
-        ]  # open lines first
+        ]  # open lines come first
         left, lines = dict.fromkeys(range(len(self.edges))), []
         for start in (*begun, *range(len(self.edges))):
             if start not in left:

@@ -137,7 +137,7 @@ class PassiveFields:
         The present state and the length in the step's context must be the stage's.
         """
         for carrier in dict.fromkeys(self._solvers.values()):
-            carrier.form.Assemble()  # for the present velocity and step length
+            carrier.form.Assemble()  # the matrix is that of the present velocity and step length
         carried = {}
         for key, solver in self._solvers.items():
             old = _combined(weights, self._stages, key)
@@ -201,8 +201,8 @@ class _Growth(Rates):
 class _Carrier:
     """Solves f/tau + (v . grad) f - A f = f_old/tau + source, with one matrix for many fields.
 
-    The form is that of the material's variables (``ngvisco.forms.terms.transport``).  The cells' unknowns are
-    condensed: the system is for the traces between cells.
+    Fields have the form of transport of the material's variables (``ngvisco.forms.terms.transport``).  The
+    unknowns in cells are condensed, so that the system has the traces between cells alone.
     """
 
     def __init__(self, step: Step, vector: bool, rate: CoefficientFunction | None) -> None:
@@ -225,7 +225,7 @@ class _Carrier:
         self.form += rules.cells(cells.Compile())
         self.form += rules.facets(facets.Compile())
         self._preconditioner = ngs.Preconditioner(self.form, "local")
-        # the old value has the matrix's quadrature: with another rule errors grow at rest
+        # the old value has the quadrature of the matrix: with another rule a field at rest would grow
         self._old = GridFunction(self.cells)
         self._load = ngs.LinearForm(self.space)
         self._load += rules.cells(c.rate(inner(self._old, g)))

@@ -26,13 +26,15 @@ _LEVEL = 1e-10
 """Relative variation below which a quantity is drawn as constant."""
 _COLOURS, _SHRINK = "viridis", 0.75
 """The scale of colours, and its length over the height of its axes."""
-_PIECES, _DRAWN = 6, 200_000  # parts of a triangle's side at most, and triangles in all
-_USUAL, _SPIKE = (0.5, 99.5), 0.3  # percentiles; a smaller share of the range between them is a spike
-_ORDERS, _DECADES = 1e-2, 1e-6  # of the largest rate: median for a logarithmic scale, and its least value
+_PIECES, _DRAWN = 6, 200_000  # largest numbers: parts of a triangle's side, and triangles of a picture
+# percentiles, and the share of the whole range below which the range between them shows a spike
+_USUAL, _SPIKE = (0.5, 99.5), 0.3
+# shares of the largest rate: median below which the scale is logarithmic, and the scale's least value
+_ORDERS, _DECADES = 1e-2, 1e-6
 _UNITS = (("km", 1e3, 2e3), ("m", 1.0, 0.1), ("mm", 1e-3, 1e-4), ("µm", 1e-6, 1e-7), ("nm", 1e-9, 0.0))
 """Units of length: name, size in m, and least length in m that is shown in the unit."""
-_MARKS, _MARGIN = 5, 0.02  # numbers along the longer side, and margin over the body's side
-_GREYS = 32  # colours of a .gif for smooth edges of lines and letters
+_MARKS, _MARGIN = 5, 0.02  # number of labels along the longer side, and the margin's share of the body's side
+_GREYS = 32  # number of greys in a .gif, for smooth edges of lines and letters
 
 
 class PlotError(NgviscoError, RuntimeError):
@@ -206,7 +208,7 @@ class _Picture:
         corners = self._corners(frame)[0]
         extent = np.ptp(corners, axis=0)
         ratio = float(np.clip(extent[1] / extent[0], 0.3, 2.0))
-        height = 0.75 + 0.62 * PAGE / wide * ratio  # of a field with title, labels and scale
+        height = 0.75 + 0.62 * PAGE / wide * ratio  # inches for a field with title, labels and scale
         self.figure, axes = figure(rows, wide, (PAGE, rows * height + 0.4))
         self.axes = axes.ravel()[: len(names)]
         _, _, between = self._corners(frame)

@@ -54,7 +54,8 @@ def plot_energies(ledger: Ledger, path: AnyPath) -> None:
     above.plot(t, stored - stored[0], label="stored − initial")
     for entry in ledger.entries:
         label, column = entry.name.replace("_", " "), ledger.column(entry.name)
-        if entry.kind == "monitor" and entry.name.startswith("stored_"):  # a share of the stored energy
+        # the entry is a share of the stored energy
+        if entry.kind == "monitor" and entry.name.startswith("stored_"):
             above.plot(t, column - column[0], "-.", label=f"{label} − initial")
         elif entry.kind in _OF_ENERGY:
             style = "--" if entry.kind == "power" else ":"
@@ -116,7 +117,7 @@ def plot_history(ledger: Ledger, path: AnyPath) -> None:
     for axis, (title, names) in zip(axes.ravel(), panels.items(), strict=True):
         for name in names:
             values, of_steps = ledger.column(name), name in _OF_STEPS
-            first = int(of_steps or name in kinds)  # no rate before the first step
+            first = int(of_steps or name in kinds)  # there is no rate before the first step
             style = "--" if kinds.get(name) == "power" else "." if of_steps and len(t) < 200 else "-"
             axis.plot(t[first:], values[first:], style, label=name.removeprefix(PRODUCTION).replace("_", " "))
             if of_steps:

@@ -31,9 +31,9 @@ _FAILED, _INTERRUPTED = 1, 130
 class _Renumbering:
     """Maps a rank's unknowns to the unknowns of a space on the whole mesh; collective.
 
-    ``whole`` is the space on the whole mesh, None but on the first rank; ``chosen`` there restricts the
-    numbering to these unknowns, in this order.  ``dofs``, (unknowns,), holds the rank's numbers; unknowns of
-    no cell, as images of identified ones, have -1.
+    ``whole`` is the space on the whole mesh on the first rank, None on other ranks.  ``chosen`` lists the
+    unknowns to be numbered, in their order; default all.  ``dofs``, (unknowns,), holds the rank's numbers; an
+    unknown without a cell, as the image of an identified unknown, has the number -1.
     """
 
     def __init__(
@@ -50,7 +50,7 @@ class _Renumbering:
         parts = self._ranks.mpi.gather(values)
         if parts is None:
             return np.zeros(0)
-        result = np.zeros(self._count + 1)  # one more entry, for -1
+        result = np.zeros(self._count + 1)  # the last entry takes the values of unknowns numbered -1
         for numbers, part in zip(self._parts, parts, strict=True):
             result[numbers] = part
         return result[:-1]
@@ -107,7 +107,7 @@ class Numbering:
             self._numbers[name] = _Renumbering(numbers_in(part, space, of_whole), of_whole, ranks)
 
     def whole(self, values: np.ndarray, name: str) -> np.ndarray:
-        """A checkpoint's array in the numbering of one process on the first rank, empty on other ranks."""
+        """A checkpoint's array on the first rank, numbered as on one process; empty on other ranks."""
         return values if self._numbers is None else self._numbers[_key(name)].whole(values)
 
     def own(self, values: np.ndarray | None, name: str) -> np.ndarray:
@@ -118,7 +118,7 @@ class Numbering:
         return values
 
     def knows(self, name: str) -> bool:
-        """Whether this simulation has the array ``name``: passive fields and flow rules may be others."""
+        """Whether this simulation has the array ``name``; its passive fields and flow rules may differ."""
         return self._numbers is None or _key(name) in self._numbers
 
 
@@ -143,7 +143,7 @@ def numbers_in(part: MeshPart, space: FESpace, whole: FESpace | None) -> np.ndar
     numbers, here = np.zeros((2, space.ndof))
     of_cells = _of_cells(space, range(part.ne))
     numbers[of_cells], here[of_cells] = part.ranks.mpi.scatter(answers), 1.0
-    exchange = Exchange.of(space, part.ranks)  # periodic: a rank has unknowns of other ranks' cells
+    exchange = Exchange.of(space, part.ranks)  # in a periodic space a rank has unknowns of other ranks' cells
     numbers, count = exchange.sum(numbers), exchange.sum(here)
     return np.where(count > 0, numbers / np.maximum(count, 1), -1).astype(np.int64)
 

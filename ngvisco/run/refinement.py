@@ -83,7 +83,7 @@ class Refinement:
             raise MeshError("only triangles and tetrahedra are bisected; this mesh has other cells")
         simulation.stepper.check("Refinement.every", self.every)
         self.steep(simulation)
-        require_fit(simulation, simulation)  # later meshes need the same fit
+        require_fit(simulation, simulation)  # later meshes have to fit in the same way
 
     def steep(self, simulation: Simulation) -> np.ndarray:
         """Whether each cell of the whole mesh is to be divided, (cells,), on the first rank; collective."""
@@ -137,7 +137,8 @@ def run_refined(
     """
     require_type("run_refined.simulation", simulation, Simulation)
     require_type("run_refined.refinement", refinement, Refinement)
-    if simulation.number or simulation.ledger.balance is not None:  # it has begun, or was carried over
+    # the run has begun, or was carried over from another mesh
+    if simulation.number or simulation.ledger.balance is not None:
         expected = "before its first step"
         raise ParameterError("run_refined.simulation", f"at step {simulation.number}", expected)
     refinement.check(simulation)
@@ -164,7 +165,7 @@ def stretches(
     """
     cells, every = _First(first, simulation.ranks, refinement), refinement.every
     if simulation.number == 0 and simulation.ledger.balance is None:
-        for _ in range(refinement.levels):  # the finer mesh resolves start values better
+        for _ in range(refinement.levels):  # a finer mesh resolves the start values better
             if (finer := cells.under(simulation)) is None:
                 break
             simulation, chosen = finer
@@ -209,7 +210,8 @@ class _First:
         whole = whole_of(mesh) if ranks.is_first else None
         if whole is not None:
             self._image, self._order = mesh_image(whole), whole.GetCurveOrder()
-            self._straight = Mesh(whole.ngmesh.Copy())  # bisection halves straight cells' volumes exactly
+            # bisection halves the volumes of straight cells exactly
+            self._straight = Mesh(whole.ngmesh.Copy())
             self._volumes = _volumes(self._straight)
 
     def under(self, simulation: Simulation) -> tuple[Simulation, ChosenMesh] | None:
@@ -221,13 +223,16 @@ class _First:
         if image is None:
             return None
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", NgviscoWarning)  # about start values: the first mesh gave them
+            # warnings about start values were given on the first mesh
+            warnings.simplefilter("ignore", NgviscoWarning)
             return simulation.on(mesh_of(image)), ChosenMesh(image, simulation.number)
 
     def _refined(self, present: Mesh | None, marked: np.ndarray) -> bytes | None:
         """File of the next mesh; None if this is the mesh ``present``.
 
-        It is the first mesh; cells that lie in a marked cell of ``present``, or contain one, are divided."""
+        In the next mesh those cells of the first mesh are divided that lie in a marked cell of ``present`` or
+        contain one.
+        """
         assert present is not None
         mesh = mesh_of(self._image)  # Netgen's ``Copy`` forgets identified walls
         straight = Mesh(present.ngmesh.Copy())
@@ -247,7 +252,7 @@ class _First:
             return None
         if self._order == 1:
             return mesh_image(mesh)
-        mesh.Curve(1)  # Netgen writes curved edges by numbers that only a mesh read anew has
+        mesh.Curve(1)  # Netgen writes curved edges by numbers, which only a mesh read from a file has
         curved = mesh_of(mesh_image(mesh))
         curved.Curve(self._order)
         return mesh_image(curved)

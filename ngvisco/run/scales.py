@@ -96,7 +96,7 @@ class ExtremePlace:
 
 
 def extreme_places(step: Step, sampler: Sampler) -> list[ExtremePlace]:
-    """The places where a parameter is least or largest, the same places on all ranks.
+    """The places where a parameter is least or largest; all ranks return the same places.
 
     With bodies each body has its own places, among the points where it has the largest amount, and is taken
     to be alone there; a body without parameters has one place.  Empty without parameters and bodies.
@@ -139,7 +139,7 @@ def extreme_places(step: Step, sampler: Sampler) -> list[ExtremePlace]:
         names = [p.name for p in parameters_in((body,))]
         names += [v.name for v in body.material.variables if isinstance(v, Parameter)]
         among = np.flatnonzero(most == number)
-        if not len(among):  # the body is smaller than a cell
+        if not len(among):  # a body smaller than a cell has the largest amount nowhere
             among = amounts[:, [number]].argmax(axis=0)
         alone = np.zeros(states.shape[1])
         for variable in material.densities(body.name):
@@ -170,19 +170,20 @@ def typical_velocity(step: Step, sampler: Sampler, dt: float) -> float:
         for name, value in values_at_rest.items()
     ]
     elastic = 0.0
-    if ranks.most(np.array(strains)) > _AT_REST:  # an energy's rounding is no elastic release
+    # rounding of the energy at rest is no elastic energy to release
+    if ranks.most(np.array(strains)) > _AT_REST:
         excess = step.energy.samples(u.z_tensors, sampler) - step.energy.samples(values_at_rest, sampler)
         # the energy stored at a place moves the mass at this place
         inertia = np.asarray(sampler.values(u.rho)).reshape(excess.shape) if places else least
         elastic = math.sqrt(2 * ranks.most(abs(excess) / inertia))
     walls = step.moving_walls.velocities().values()
     moving = ranks.most(np.concatenate([np.zeros(1), *(abs(v).ravel() for v in walls)]))
-    # no faster than across the domain in a step
+    # by gravity and elastic energy matter moves at most across the domain in a step
     farthest = length / dt
     typical = max(speed, moving, min(max(fall, elastic), farthest))
     if typical > 0:
         return typical
-    # at rest nothing gives a velocity: strains of a tenth are assumed
+    # a body at rest has no velocity scale: strains of a tenth are assumed
     if places:
         return min(0.1 * max(wave_speed(step, p.state, p.density) for p in places), farthest) or 1.0
     states = np.asarray(sampler.values(u.z)).reshape(-1, step.layout.states.size)

@@ -105,7 +105,7 @@ class Series(ABC):
         if not self.columns or self._has(simulation.number):
             return
         number, rows = self._found
-        if number == simulation.number and not self.initial:  # no step was made: keep the last step's rows
+        if number == simulation.number and not self.initial:  # no step was made: the last step's rows stay
             self._add(rows, simulation)
         elif self.initial or simulation.number > 0:
             self._note(simulation)

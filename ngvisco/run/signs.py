@@ -68,9 +68,8 @@ class Signs:
         powers = step.context.rates.powers_of_creep(step.now)
         power = reduce(lambda a, b: if_positive(a - b, b, a), powers) if powers else None
         at_points = {} if power is None else {CREEP_POWER: power}
-        everywhere = (
-            step.energy.projected is None
-        )  # else laws may read values that are known at the forms' points alone
+        # the law of a projected energy may read values that are known at the forms' points alone
+        everywhere = step.energy.projected is None
         for entry in entries:
             name, value = entry.name, entry.integrand.cells
             if entry.kind != "dissipation" or name == _OF_CREEP:
@@ -148,10 +147,11 @@ class Signs:
     def _check_entropy(self, row: Mapping[str, float]) -> None:
         productions = {name: row[name] for name in self._productions}
         least = min(productions, key=lambda name: productions[name], default="")
-        # near rest all productions are an iteration's error relative to the whole entropy
+        # near rest every production is an error of the iteration, whose size is relative to the whole entropy
         rate = abs(row.get("entropy", 0.0)) / row["dt"]
         share, rounding = _NEGATIVE, _ROUNDING * rate
-        if least == PRODUCTION + UPWINDING.removeprefix("dissipation_"):  # its sign holds up to projections
+        # production by upwinding is >= 0 up to an error of projection
+        if least == PRODUCTION + UPWINDING.removeprefix("dissipation_"):
             share, rounding = _MISSED, _NEGATIVE * rate
         if productions and productions[least] < -share * sum(map(abs, productions.values())) - rounding:
             message = (

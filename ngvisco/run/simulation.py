@@ -205,7 +205,8 @@ class Simulation(RunState):
                 raise
             try:
                 row = self.ledger.record(number, step.time, step.taken, step.rejections, step.error)
-            except BaseException as error:  # an interrupt, or a warning as error: no step without its row
+            # after an interrupt, or a warning raised as error, no step stays without its row
+            except BaseException as error:
                 self.integrator.undo()
                 if isinstance(error, StepError):
                     error.report = failure_report(self, error)

@@ -1,4 +1,4 @@
-"""A state of a run as a checkpoint holds it, read from the run's file, and checked to belong to the run."""
+"""Snapshots, the states of a run in its checkpoints: copied, read from a file, checked to fit the run."""
 
 from __future__ import annotations
 
@@ -103,7 +103,8 @@ def opened(path: Path) -> Iterator[h5py.File]:
             yield file
     except CheckpointError:
         raise
-    except (OSError, KeyError, RuntimeError, ValueError, TypeError) as error:  # h5py's, by the kind of damage
+    # h5py raises them, by the kind of damage
+    except (OSError, KeyError, RuntimeError, ValueError, TypeError) as error:
         raise CheckpointError(f"{path}: not a readable run file ({error})") from error
 
 
@@ -169,7 +170,7 @@ def take_up(
         rows = [row for row in _rows(path, columns, names) if row["step"] <= number]
         if [row["step"] for row in rows] != list(range(number + 1)):
             raise CheckpointError(f"{path}: its ledger has not the rows of steps 0 to {number}")
-        with opened(path) as file:  # older files have no limits: this run's hold
+        with opened(path) as file:  # files of older versions have no limits; then the limits of this run hold
             limits = [(int(first), float(limit)) for first, limit in file["ledger"].attrs.get(CLOSURES, ())]
         return snapshot.numbers, list(snapshot.arrays), names, rows, limits
 
@@ -235,13 +236,14 @@ def identity(simulation: RunState) -> dict[str, Any]:
     assert layout is not None and mesh is not None
     spaces = ", ".join(f"{name} {layout.blocks[name].ndof}" for name in layout.names)
     material = simulation.model.material
-    # bodies to which the state's amounts belong
+    # the amounts in the state belong to these bodies
     amounts = [v for v in material.variables if isinstance(v, Amount)]
     return {
         "format": FORMAT,
         "ngvisco": version() or "0+unknown",
         "mesh": _mesh_hash(mesh),
-        "material": _material_signature(material),  # before the spaces, which follow from it
+        # the material is compared before the spaces, which follow from it
+        "material": _material_signature(material),
         "spaces": spaces + (", about an axis" if layout.symmetry.is_axisymmetric else ""),
         "bodies": ", ".join(f"{v.name.removeprefix(AMOUNT)} of {v.density!r} kg/m^3" for v in amounts),
         "scheme": _scheme_signature(simulation),
@@ -263,7 +265,7 @@ def _material_signature(material: object) -> str:
     values = [
         f"{field.name}={_signature_of(getattr(material, field.name))}"
         for field in (dataclasses.fields(material) if dataclasses.is_dataclass(material) else ())
-        if field.repr  # a body's place describes the start alone
+        if field.repr  # fields without repr, as a body's place, describe the start alone
     ]
     return f"{type(material).__name__}({', '.join(values)})"
 

@@ -224,7 +224,8 @@ class FixedStepper:
     """
 
     def __init__(self, dt: float, halvings: int = HALVINGS) -> None:
-        self.dt, self.halvings, self._parts = dt, halvings, 1 << halvings  # the shortest parts of a step
+        # number of the shortest parts of a step
+        self.dt, self.halvings, self._parts = dt, halvings, 1 << halvings
         self.longest = dt
         self.begin(0.0, 0)
 
@@ -265,7 +266,7 @@ class FixedStepper:
         """Number of the step to which the state at ``time`` (s), row ``number`` of the ledger, belongs, and
         whether the state ends the step, not a part."""
         position = self._position(time)
-        if position < 0:  # steps of another length led there
+        if position < 0:  # steps of another length led to this time
             return number, True
         whole, part = divmod(position, self._parts)
         return self._first + whole + (part > 0), part == 0
@@ -356,7 +357,7 @@ class AdaptiveStepper:
             try:
                 step = integrator.advance(t, tau, run.number, meets=new_time == stop)
             except StepError as failure:
-                # the cause: its message does not repeat the step
+                # the message of the cause does not repeat the step
                 reason = str(failure.__cause__ or failure)
                 history, shorter = failure.history, tau / 2
                 if shorter < self.options.dt_min:
@@ -419,7 +420,8 @@ class AdaptiveStepper:
             if self.streak >= self.options.patience:
                 self.dt, self.streak = min(2 * self.dt, self.options.dt_max), 0
             return
-        aim, floor = SAFETY * tolerance, 1e-3 * tolerance  # an error of 0 does not scale with tau
+        # the floor of the error: an error of 0 does not scale with tau
+        aim, floor = SAFETY * tolerance, 1e-3 * tolerance
         power = 1 / (order + 1)
         factor = (aim / max(error, floor)) ** (INTEGRAL * power)
         if last is not None:

@@ -119,7 +119,8 @@ def transfer(source: Simulation, target: Simulation) -> Transfer:
 def go_on(source: Simulation, target: Simulation) -> None:
     """Give the step numbers, step lengths and ledger of ``source`` to ``target``, which has its state."""
     target.set_time(source.t, source.number)
-    numbers, _ = source.stepper.state_dict()  # arrays of an error estimate belong to the old mesh
+    # the arrays of the error estimate belong to the old mesh and are left out
+    numbers, _ = source.stepper.state_dict()
     target.stepper.load_state_dict(target, numbers, {})
     had, ledger = source.ledger, target.ledger
     assert had.balance is not None
@@ -138,7 +139,8 @@ def require_fit(source: Simulation, target: Simulation) -> None:
         if isinstance(v, Amount) and densities.get(v.name, v.density) != v.density:
             name = f"bodies[{v.name.removeprefix(AMOUNT)!r}].density"
             expected = f"{densities[v.name]:.6g} kg/m^3, as in the run that it goes on"
-            raise ParameterError(name, v.density, expected)  # mass and volume could not both be kept
+            # with another density either mass or volume would change
+            raise ParameterError(name, v.density, expected)
     if [(v.name, repr(v)) for v in had] != [(v.name, repr(v)) for v in has]:
         names = [", ".join(v.name for v in side) for side in (had, has)]
         expected = f"those of the source, {names[0]}: take its material, with the same elastic_state"
@@ -225,7 +227,8 @@ class _Unions:
         volumes = np.bincount(of_new, points.weights, count)
         filled = np.bincount(of_old[here], weights[here], count)
         has_parts = np.bincount(of_old[here], minlength=count) > np.bincount(of_new, minlength=count)
-        unions = np.append(has_parts & (abs(filled - volumes) <= _WHOLE * volumes), False)  # for number -1
+        # the last entry is read by unions numbered -1
+        unions = np.append(has_parts & (abs(filled - volumes) <= _WHOLE * volumes), False)
         self._count = int(unions.sum())
         number = np.where(unions, np.cumsum(unions) - 1, -1)
         self._from, self._to = here & unions[of_old], unions[of_new]

@@ -78,7 +78,7 @@ class Heating(_OfEntropy):
             given = u.context.given
             parts = (self.law.share(body, u.z_tensors) * given(source) for body, source in self._sources)
             powers["power_heat_source"] = reduce(add, parts)
-        if self.law.numerical_heating:  # the dissipation of a backward Euler step, J/m^3
+        if self.law.numerical_heating:  # the dissipation of a backward Euler step, J/m^3, is a source too
             c, old = u.context, u.context.old
             dv = u.v - (1 / old.rho) * c.momentum_old
             bregman = c.rates.stored(old) - c.rates.stored(u) - inner(u.zeta, old.z - u.z)

@@ -146,7 +146,7 @@ class Upwinding(PointTerm):
         return [speed(u) * inner(u.z - u.z_hat, w.z)]
 
     def dissipated_on_facets(self, u: Fields) -> dict[str, CoefficientFunction]:
-        mean = JumpHeat.name in u.layout.unknowns  # both sides have the same share
+        mean = JumpHeat.name in u.layout.unknowns  # with the mean both sides have the same share
         lost = u.parts[JumpHeat.name] if mean else lost_by_jumps(u)
         if self.tangents is not None:
             lost = lost + (u.v * u.context.normal) * self.tangents.excess(u)
