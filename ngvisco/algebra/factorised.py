@@ -52,15 +52,10 @@ Factorising = Callable[[np.ndarray, sp.csr_matrix, bool], Direct]
 
 
 class DirectSolver:
-    """A direct solver in the free unknowns; other unknowns are set to 0.
+    """A direct solver in the free unknowns of a mask; other unknowns are set to 0.
 
-    Parameters
-    ----------
-    free : (unknowns,) array of bool
-    symmetric : bool
-        Whether to take the matrix's symmetric part.
-    approximate : bool
-        Whether factors in single precision suffice, if accurate enough: half of the time and the memory.
+    With ``symmetric`` the matrix's symmetric part is taken.  With ``approximate`` factors in single precision
+    suffice, if accurate enough: half of the time and the memory.
     """
 
     def __init__(self, free: np.ndarray, symmetric: bool = False, approximate: bool = False) -> None:
@@ -134,14 +129,8 @@ class TwoLevelSolver:
     belong to the coarse problem, together with the velocities coupled to them.  Iterations grow if the
     fourth-order term dominates at the mesh's scale.
 
-    Parameters
-    ----------
-    free, vertices, beside_velocity : (unknowns,) arrays of bool
-        Masks of free unknowns, of velocities at vertices, and of unknowns that are no velocities.
-    factorised : callable
-        Makes the solver of the coarse problem.
-    exchange : Exchange
-        Exchange of the unknowns; over ranks matrices are in parts.
+    There are masks of free unknowns, of velocities at ``vertices``, and of unknowns that are no velocities.
+    ``factorised`` makes the solver of the coarse problem.  Over ranks matrices are in parts.
     """
 
     def __init__(

@@ -23,16 +23,8 @@ def gmres(
 
     If ``directions`` do not suffice, x has the least residual in their span.  The classical Gram-Schmidt
     method makes a direction orthogonal, and is repeated if it leaves little: one or two reductions over ranks
-    for each direction.  (SciPy's GMRES has no reductions.)
-
-    Parameters
-    ----------
-    operator : callable
-        Linear map of vectors (unknowns,).
-    right : array, (unknowns,)
-        Right-hand side; x is NaN if the right-hand side or a product is not finite.
-    products : callable
-        Inner products (``Products``), collective over ranks.
+    for each direction.  (SciPy's GMRES has no reductions.)  x is NaN if the right-hand side or a product is
+    not finite.
     """
     size = float(np.sqrt(products(right[None], right)[0]))
     if size == 0:

@@ -24,17 +24,10 @@ SAMPLE, NEGLIGIBLE = 100, 1e-12
 
 
 class Functions(NamedTuple):
-    """Functions on sides, by their values at the nodes.
+    """Functions on sides, by their values at the nodes."""
 
-    Attributes
-    ----------
-    nodal : (sides, functions, nodes) array
-    shape : (nodes, points) array or None
-        Interpolates from the nodes; None if all points are nodes.
-    """
-
-    nodal: np.ndarray
-    shape: np.ndarray | None
+    nodal: np.ndarray  # (sides, functions, nodes)
+    shape: np.ndarray | None  # interpolates from the nodes, (nodes, points); None if all points are nodes
 
     @property
     def values(self) -> np.ndarray:
@@ -51,12 +44,9 @@ class Functions(NamedTuple):
 class LocalMatrix:
     """A sparse matrix with dense blocks for cells, and its transpose with weighted rows.
 
-    Attributes
-    ----------
-    nodal : (cells, unknowns of a cell, nodes of a cell) array
-        Transposed blocks of the rows at the nodes.
-    shape : (nodes of a piece, rows of a piece) array or None
-        Interpolates from the nodes; None if all rows are nodes.
+    ``nodal``, (cells, unknowns of a cell, nodes of a cell), has the transposed blocks of the rows at the
+    nodes.  ``shape``, (nodes of a piece, rows of a piece), interpolates from the nodes; None if all rows are
+    nodes.
     """
 
     def __init__(
@@ -69,16 +59,8 @@ class LocalMatrix:
     ) -> None:
         """Split a matrix by cells.
 
-        Parameters
-        ----------
-        matrix : csr_matrix
-        cells : int
-        weights : (rows,) array, optional
-            Weights of a quadrature rule, which multiply rows in tests.
-        dtype : type
-        pieces : int
-            Number of equal parts of a cell's rows, its sides, each with nodes at the same places; by default
-            all rows are nodes.
+        ``weights``, (rows,), of a quadrature rule multiply rows in tests.  ``pieces`` is the number of equal
+        parts of a cell's rows, its sides, each with nodes at the same places; by default all rows are nodes.
         """
         self.cells, self.weights, self.pieces = cells, weights, pieces
         self.height, self.width = matrix.shape

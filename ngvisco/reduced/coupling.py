@@ -64,17 +64,11 @@ class FacetCoupling:
         from_trace: np.ndarray,
         values: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Derivatives of int (direct z + from_trace z_hat) q, with mass z_hat = int to_trace z t.
+        """Derivatives of int (direct z + from_trace z_hat) q, with mass z_hat = int to_trace z t, by the
+        cell's z, (cells, q, q), and by z across each side, (cells, sides, q, q).
 
-        Parameters
-        ----------
-        direct, to_trace, from_trace : ndarray, shape (sides' points,)
-        values : ndarray, shape (cells, points, functions), optional
-            Replacements of the basis functions of z at the sides' points; default the basis itself.
-
-        Returns
-        -------
-        derivatives by the cell's z, (cells, q, q), and by z across each side, (cells, sides, q, q)
+        The weights are (sides' points,).  ``values``, (cells, points, functions), replace the basis functions
+        of z.
         """
         direct, to_trace, from_trace = (
             self._weights * g.reshape(self._weights.shape) for g in (direct, to_trace, from_trace)

@@ -34,17 +34,6 @@ class Couplings:
 
     Raises ParameterError for a term that contradicts its declaration, for a term that only the coupled solver
     takes, and for a variable whose rate is not linear in the variables.
-
-    Attributes
-    ----------
-    at_points : list of PointTerm
-        Terms that are evaluated by arrays.
-    by_forms : list of Term
-        Terms with rows of the flow, evaluated by forms.
-    of_kernel : dict
-        Terms by the name of the matrices that evaluate them.
-    forms_ask_for : set of str
-        Names of the attributes of the step's ``Context`` that the forms read.
     """
 
     def __init__(self, step: Step) -> None:
@@ -53,10 +42,10 @@ class Couplings:
                 f"the rate of {names[0]!r} is not linear in the variables, as the split solver needs it"
             )
             raise ParameterError("Variable.rate", names[0], expected)
-        self.at_points: list[PointTerm] = []
-        self.by_forms: list[Term] = []
-        self.of_kernel = defaultdict[str, list[Any]](list)
-        self.forms_ask_for: set[str] = set()
+        self.at_points: list[PointTerm] = []  # evaluated by arrays
+        self.by_forms: list[Term] = []  # with rows of the flow, evaluated by forms
+        self.of_kernel = defaultdict[str, list[Any]](list)  # by the name of the matrices that evaluate them
+        self.forms_ask_for: set[str] = set()  # names of attributes of ``Context`` that the forms read
         self._is_bent, self._rows = density_by_forms(step), dict[int, TermRows]()
         for term in step.terms:
             if term is not step.sources:
@@ -187,10 +176,7 @@ class _Asked:
 def _require_flow_rows(step: Step, term: Term) -> set[str]:
     """Names of the attributes of the context that a term's form reads.
 
-    Raises
-    ------
-    ParameterError
-        If the form tests an unknown that does not belong to the flow.
+    Raises ParameterError if the form tests an unknown that does not belong to the flow.
     """
     layout, names = step.layout, Unknowns(step).velocity_block
     trial, test = layout.space.TnT()

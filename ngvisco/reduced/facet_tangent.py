@@ -33,12 +33,7 @@ if TYPE_CHECKING:
 class FacetTangent:
     """Computes the blocks of the components of z in which the terms have rows.
 
-    Attributes
-    ----------
-    rows : list of int
-        Components of z in which the terms have rows.
-    columns : list of int
-        Components of z that these rows depend on.
+    ``rows`` are these components, and ``columns`` those on which the rows depend.
     """
 
     def __init__(
@@ -57,9 +52,7 @@ class FacetTangent:
                 asking.append(term)
                 self.means.insert(0, _Mean(residual, term, name, [i for _, i in read], coupling))
         self._read = point.read(asking, ("z", "zeta"))
-        z = residual.op.z
-        tests = (residual.op.weights.reshape(z.cells, z.per_cell, 1) * z.blocks).swapaxes(1, 2)
-        self._projecting = np.linalg.solve(tests @ z.blocks, tests)  # (cells, q, points)
+        self._projecting = residual.op.projection()
 
     def __call__(self, at: Evaluation) -> tuple[np.ndarray, np.ndarray]:
         """Derivatives of a cell's rows, q functions a component; also sets ``columns``.

@@ -60,23 +60,15 @@ class SideJumps:
 class HyperValues:
     """Values of the hyperviscosity's quantities at one (v, a).
 
-    Attributes
-    ----------
-    x : (dim, unknowns of v and a) array
-    local : dict
-        Coefficients of the local unknowns by name: "hess" and "hyperstress", (dim components, functions).
-        If the hyperstress is nonlinear, also |Hs|^2, "hess_square", and c_s, "hyper_coefficient".
-    jumps : (dim, sides' points) array
-    z : (n, functions) array
-        Coefficients of the fields.
-    rows : array of x's shape
+    ``local`` has the coefficients of the local unknowns by name: "hess" and "hyperstress", (dim components,
+    functions); if the hyperstress is nonlinear, also |Hs|^2, "hess_square", and c_s, "hyper_coefficient".
     """
 
-    x: np.ndarray
+    x: np.ndarray  # (dim, unknowns of v and a)
     local: dict[str, np.ndarray]
-    jumps: np.ndarray
-    z: np.ndarray
-    rows: np.ndarray
+    jumps: np.ndarray  # (dim, sides' points)
+    z: np.ndarray  # coefficients, (n, functions)
+    rows: np.ndarray  # as x
 
 
 class MatrixHyperviscosity:

@@ -20,21 +20,11 @@ from ngvisco.reduced.unknowns import derived_in_cells
 
 @dataclass(frozen=True)
 class TermRows:
-    """The rows of a term.
+    """The rows of a term."""
 
-    Attributes
-    ----------
-    names : dict of str to bool
-        Names of the tests, and whether their rows depend on z or zeta.
-    components : frozenset of int
-        Components of z that have rows.
-    collocated : bool
-        Whether a row is integrated by a collocated rule: one point per coefficient of a field.
-    """
-
-    names: dict[str, bool]
-    components: frozenset[int]
-    collocated: bool
+    names: dict[str, bool]  # of the tests, and whether their rows depend on z or zeta
+    components: frozenset[int]  # of z that have rows
+    collocated: bool  # whether a row is integrated by a collocated rule: one point per coefficient of a field
 
 
 class OnePoint:

@@ -78,16 +78,21 @@ class Operators(PointOperators):
     def __init__(self, step: Step, order: int) -> None:
         super().__init__(step, CellPoints(step.mesh, order, step.layout.symmetry))
 
+    def tests(self) -> np.ndarray:
+        """The functions of z times the points' weights, (cells, functions, points)."""
+        return (self.weights.reshape(self.z.cells, self.z.per_cell, 1) * self.z.blocks).swapaxes(1, 2)
+
+    def projection(self) -> np.ndarray:
+        """Matrices that project values at the points onto the functions of z, (cells, functions, points)."""
+        tests = self.tests()
+        return np.linalg.solve(tests @ self.z.blocks, tests)
+
 
 class SideOperators(PointOperators):
     """Operators at the points of the cells' sides.
 
-    Attributes
-    ----------
-    inner : (points,) array
-        The number 1 between two cells, 0 on walls.
-    crossed : (points,) array
-        The number 1 between two cells and on walls that matter crosses, 0 on other walls.
+    ``inner``, (points,), is 1 between two cells and 0 on walls; ``crossed`` is 1 also on walls that matter
+    crosses.
     """
 
     def __init__(self, step: Step) -> None:

@@ -91,13 +91,9 @@ def moved(u: Fields, d: Fields, names: Iterable[str], values: bool = True) -> Fi
 def incremented(u: Fields, **along: np.ndarray) -> Iterator[tuple[int, Fields]]:
     """Yield the number of some directions, and ``u`` with imaginary increments in these directions.
 
-    The points are repeated for each direction, one direction after the other: an operation on more points
-    takes hardly longer.
-
-    Parameters
-    ----------
-    along
-        Directions by the name of the unknown, or of ``grad_v``, (k, ..., points or 1).
+    ``along`` has directions by the name of the unknown, or of ``grad_v``, (k, ..., points or 1).  The points
+    are repeated for each direction, one direction after the other: an operation on more points takes hardly
+    longer.
     """
     first = next(iter(along))
     points = getattr(u, first).value.shape[-1]

@@ -121,26 +121,13 @@ def source_obstacle(step: Step) -> str | None:
 
 @dataclass
 class Evaluation:
-    """The residual at one set of iterated unknowns, and the quantities that it was computed from.
+    """The residual at one set of iterated unknowns, and the quantities that it was computed from."""
 
-    Attributes
-    ----------
-    x : (unknowns,) array
-        The iterated unknowns, packed.
-    coefficients : dict
-        Coefficients of the iterated and of the derived unknowns by name, (components, functions).
-    hyper : HyperValues or None
-    residual : (unknowns,) array
-        The rows, packed like the unknowns.
-    terms : CellTerms, FacetTerms
-        The integrals whose ``fields`` evaluate unknowns at points.
-    """
-
-    x: np.ndarray
-    coefficients: dict[str, np.ndarray]
+    x: np.ndarray  # the iterated unknowns, packed
+    coefficients: dict[str, np.ndarray]  # of iterated and derived unknowns, (components, functions)
     hyper: HyperValues | None
-    residual: np.ndarray
-    terms: tuple[CellTerms, FacetTerms]
+    residual: np.ndarray  # the rows, packed like the unknowns
+    terms: tuple[CellTerms, FacetTerms]  # whose ``fields`` evaluate unknowns at points
 
     @property
     def cells(self) -> Fields:

@@ -120,12 +120,7 @@ class NewtonIteration:
 class Solution:
     """The end of an attempt; the state that the solver was made for has the values.
 
-    Attributes
-    ----------
-    status : Status
-    history : tuple of NewtonIteration
-    reason : str
-        Reason of a failure, with figures and a remedy; empty after convergence.
+    ``reason`` is the reason of a failure, with figures and a remedy; it is empty after convergence.
     """
 
     status: Status

@@ -50,13 +50,8 @@ with the size of the velocity."""
 class RotheSolver:
     """Solves a Step, the implicit Euler formula (paper: Euler-large-viscoelastodyn+disc).
 
-    Parameters
-    ----------
-    step : Step
-    options : NewtonOptions
-    defect : callable, optional
-        Returns the defect of a solution (rho <= 0, J <= 0, not finite) in words, or None.  The equations of
-        a long step also have solutions of negative density; they are not accepted.
+    ``defect`` returns the defect of a solution (rho <= 0, J <= 0, not finite) in words, or None.  The
+    equations of a long step also have solutions of negative density; they are not accepted.
     """
 
     def __init__(
@@ -161,20 +156,8 @@ class RotheSolver:
     def solve(self, interval: Interval) -> list[Attempt]:
         """Solve the step from ``step.old``; ``step.state``, the start value, becomes the solution.
 
-        Parameters
-        ----------
-        interval : Interval
-
-        Returns
-        -------
-        list of Attempt
-            The step's history; the last entry is the solution.
-
-        Raises
-        ------
-        StepError
-            If no solution with positive rho and J is found.  The state is then the start value again, and the
-            error has the history.
+        The step's history is returned; its last entry is the solution.  Raises StepError if no solution with
+        positive rho and J is found.  The state is then the start value again, and the error has the history.
         """
         self._start.data = self.step.state.vec
         self.step.stresses.begin()

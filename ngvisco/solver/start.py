@@ -36,34 +36,25 @@ class Extrapolation:
         """Forget the kept solutions, as the next state will not follow from them."""
         self._kept.clear()
 
-    def _change(self, time: float, where: slice) -> np.ndarray | None:
-        """The change of some coefficients from the last solution to ``time``.
+    def guess(self, time: float) -> BaseVector | None:
+        """The state extrapolated to ``time``, s, or None.
 
-        None if ``time`` is too far from the last solution, or if fewer than two solutions are kept."""
+        None if fewer than two solutions are kept, if ``time`` is too far from the last one, or if an evolving
+        unknown other than v would change by more than ``LARGEST_CHANGE`` relative to its size."""
         if len(self._kept) < 2:
             return None
         (earlier, before), (last, now) = self._kept
         # stages of a tableau need not go forward in time
         if last <= earlier or not 0 < (reach := (time - last) / (last - earlier)) <= FARTHEST:
             return None
-        return reach * (now[where] - before[where])
-
-    def guess(self, time: float) -> BaseVector | None:
-        """The state extrapolated to ``time``, s, or None.
-
-        None if ``_change`` is None, or if an evolving unknown other than v would change by more than
-        ``LARGEST_CHANGE`` relative to its size."""
-        change = self._change(time, slice(None))
-        if change is None:
-            return None
-        last = self._kept[1][1]
+        change = reach * (now - before)
         for name in self.step.layout.evolving:
             where = self.step.layout.ranges[name]
-            size, change_of = (self._ranks.most(abs(u[where]).max(initial=0.0)) for u in (last, change))
+            size, change_of = (self._ranks.most(abs(u[where]).max(initial=0.0)) for u in (now, change))
             if not change_of < LARGEST_CHANGE * size and name != "v":
                 return None
         guess = self.step.state.vec.CreateVector()
-        guess.FV().NumPy()[:] = last + change
+        guess.FV().NumPy()[:] = now + change
         return guess
 
     def state_dict(self) -> tuple[dict[str, float], dict[str, np.ndarray]]:

@@ -96,10 +96,7 @@ def split_obstacle(step: Step, ranks: Communicator) -> str | None:
 def chosen_method(step: Step, options: NewtonOptions) -> str:
     """The solver with which a run begins, ``"coupled"`` or ``"split"``.
 
-    Raises
-    ------
-    ParameterError
-        If ``options.method`` is ``"split"`` for a step that the split solver cannot take.
+    Raises ParameterError if ``options.method`` is ``"split"`` for a step that the split solver cannot take.
     """
     ranks = Communicator.of(step.mesh)
     if options.method == "coupled":

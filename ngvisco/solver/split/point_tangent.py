@@ -40,10 +40,7 @@ class _AtPoints:
         self.components = residual.step.layout.states.size
         self.slope = PointwiseSlope(residual.step, self.op.points)
         z = self.op.z
-        functions = z.blocks.swapaxes(1, 2)
-        tests = functions * self.op.weights.reshape(z.cells, 1, z.per_cell)
-        of_values = np.linalg.solve(tests @ z.blocks, tests)  # (cells, q, points)
-        by_points = of_values[:, :, None] * functions[:, None]
+        by_points = self.op.projection()[:, :, None] * z.blocks.swapaxes(1, 2)[:, None]
         self._projecting = by_points.reshape(z.cells, z.local**2, z.per_cell)
         """Projects values at the points, times each basis function, onto the basis, (cells, q q, points)."""
 
@@ -103,22 +100,12 @@ class CollocatedTangent(_AtPoints):
 
 @dataclass
 class PointValues:
-    """Values at the points of some cells, for element matrices.
+    """Values at the points of some cells, for element matrices."""
 
-    Attributes
-    ----------
-    terms : CellTerms
-        Integrals over these cells.
-    fields : Fields
-    columns : (points, n, X) array
-        d rate/dX.
-    force : (points, X, n) array
-    """
-
-    terms: CellTerms
+    terms: CellTerms  # integrals over these cells
     fields: Fields
-    columns: np.ndarray
-    force: np.ndarray
+    columns: np.ndarray  # d rate/dX, (points, n, X)
+    force: np.ndarray  # (points, X, n)
 
 
 class PointTangent(_AtPoints):

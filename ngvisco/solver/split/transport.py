@@ -134,7 +134,7 @@ class TransportSweeps:
         self.coupling = FacetCoupling(residual.side_op, residual.trace_mass)
         op = residual.op
         self._shape = (self.coupling.cells, op.z.per_cell, 1)
-        self._tests = np.ascontiguousarray((op.weights.reshape(self._shape) * op.z.blocks).transpose(0, 2, 1))
+        self._tests = np.ascontiguousarray(op.tests())
         self._mass = np.matmul(self._tests, op.z.blocks)
         self._flat: np.ndarray | None = None
         """Values of a cell's basis functions without their slopes, at its sides' points: values that flow in
