@@ -31,13 +31,16 @@ import copy
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Annotated, Protocol
+from typing import Annotated, Any, Protocol
 
 from ngsolve import (
+    CF,
     H1,
     L2,
+    CoefficientFunction,
     FacetFESpace,
     FESpace,
+    Grad,
     Mesh,
     NormalFacetFESpace,
     Periodic,
@@ -85,6 +88,21 @@ class Introducing(Protocol):
     """A term as the layout of the unknowns sees it."""
 
     def unknowns(self, setting: Setting) -> tuple[Unknown, ...]: ...
+
+
+@dataclass(frozen=True)
+class Functions:
+    """Trial or test functions by the unknowns' names, those of z and zeta also by the variables' names."""
+
+    whole: dict[str, Any]
+    of_variables: dict[str, dict[str, Any]]
+
+    def gradient(self, name: str) -> CoefficientFunction:
+        """The gradient of an unknown, (components, dim)."""
+        if name not in self.of_variables:
+            return Grad(self.whole[name])
+        rows = [Grad(part) for part in self.of_variables[name].values()]
+        return CF(tuple(rows)).Reshape((self.whole[name].dim, rows[0].dims[1]))
 
 
 class Layout:
@@ -138,6 +156,33 @@ class Layout:
         self.space = FESpace(list(self.blocks.values()))
         ranges = (self.space.Range(i) for i in range(len(self.names)))
         self.ranges = {name: slice(r.start, r.stop) for name, r in zip(self.names, ranges, strict=True)}
+
+    def by_variables(self) -> FESpace:
+        """The compound space with a block for each variable's part of z and of zeta; the coefficients are the
+        same.
+
+        NGSolve evaluates an integrand's derivative for each component of each block that the integrand reads,
+        times each component of the blocks that test it.
+        """
+        spaces: list[FESpace] = []
+        for name, block in self.blocks.items():
+            if name in _BY_VARIABLES:
+                unknown = self.unknowns[name]
+                spaces += [self._of_place(unknown, each.size) for each in self.states.spaces.values()]
+            else:
+                spaces.append(block)
+        return FESpace(spaces)
+
+    def functions(self, of_blocks: Sequence[Any]) -> Functions:
+        """Trial or test functions of ``by_variables`` by the unknowns' names."""
+        given, whole, parts = iter(of_blocks), dict[str, Any](), dict[str, dict[str, Any]]()
+        for name in self.names:
+            if name in _BY_VARIABLES:
+                parts[name] = {variable: next(given) for variable in self.states.spaces}
+                whole[name] = CF(tuple(parts[name].values()))
+            else:
+                whole[name] = next(given)
+        return Functions(whole, parts)
 
     def count(self) -> int:
         """Number of unknowns on the whole mesh; collective."""
@@ -196,6 +241,9 @@ class Layout:
         free &= space.FreeDofs()
         return identified
 
+
+_BY_VARIABLES = ("z", "zeta")
+"""Unknowns whose parts, one for each variable of the material, the laws read one by one."""
 
 _SPACES = {
     "velocity": H1,

@@ -37,6 +37,7 @@ from ngsolve import (
     BitArray,
     CoefficientFunction,
     ElementId,
+    FESpace,
     GridFunction,
     Mesh,
 )
@@ -347,10 +348,19 @@ class Step:
         masks = [mask for _, mask in self.moving_walls.moving.values()]
         return self.residual_at(np.logical_or.reduce(masks))
 
+    @cached_property
+    def _by_variables(self) -> FESpace:
+        return self.layout.by_variables()
+
     def _residual(self, cells: BitArray | None = None) -> BilinearForm:
         """R(u; w) over all cells or ``cells`` as a nonlinear form with its element-local unknowns."""
-        u, w = self.linearised_fields(self.layout.space.TrialFunction()), self.tests()
-        form = BilinearForm(self.layout.space, condense=True)
+        space = self._by_variables
+        trial, test = (self.layout.functions(functions) for functions in space.TnT())
+        context = self._context(self._linearised) if self.stresses else None
+        u = Fields(self.layout, trial.whole, context, trial.gradient, variables=trial.of_variables)
+        given = GivenParts(test.whole, _NO_EQUATION)
+        w = Tests(self.layout, given, gradient=test.gradient, variables=test.of_variables)
+        form = BilinearForm(space, condense=True)
         for term in self.terms:
             with refused_by_name(term):
                 self.quadrature.add(form, term.form(u, w), cells)
@@ -374,9 +384,12 @@ class Step:
 
     def _fields(self, parts: Sequence[Any], rates: Rates) -> Fields:
         """Fields with the creep rates ``rates``."""
+        return Fields(self.layout, dict(zip(self.layout.names, parts, strict=True)), self._context(rates))
+
+    def _context(self, rates: Rates) -> Context:
         context = copy.copy(self.context)
         context.rates = rates
-        return Fields(self.layout, dict(zip(self.layout.names, parts, strict=True)), context)
+        return context
 
     def evolved(self) -> Evolved:
         """Copies of the present state's evolving unknowns."""

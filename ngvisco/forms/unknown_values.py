@@ -25,6 +25,10 @@ def hessian_basis(dim: int) -> np.ndarray:
     return np.array(columns).T
 
 
+NO_PARTS: Mapping[str, Mapping[str, Any]] = {}
+"""No functions of single variables."""
+
+
 class Part:
     """Descriptor of the part of ``UnknownValues`` with the attribute's name."""
 
@@ -81,12 +85,15 @@ class UnknownValues:
         parts: Mapping[str, Any],
         gradient: Callable[[str], Any] | None = None,
         rows: int | None = None,
+        variables: Mapping[str, Mapping[str, Any]] = NO_PARTS,
     ) -> None:
+        """``variables`` are parts of z and zeta by the variables' names, if they are functions themselves."""
         self.layout, self.parts = layout, parts
         self.dim: int = layout.mesh.dim
         self.rows = self.dim if rows is None else rows
         # of the parts alone: a reference to the values would keep their arrays until cycles are collected
         self.gradient = gradient or (lambda name: Grad(parts[name]))
+        self._variables = variables
 
     @cached_property
     def grad_v(self) -> CoefficientFunction:
@@ -139,14 +146,16 @@ class UnknownValues:
     @cached_property
     def z_tensors(self) -> Values:
         """Transported variables by name, 3x3 or scalar."""
-        parts = self.parts  # a reference to self would keep the fields and their values alive
-        return self.layout.states.tensors(lambda: parts["z"])
+        return self._tensors("z")
 
     @cached_property
     def zeta_tensors(self) -> Values:
         """Conjugates by name, 3x3 or scalar."""
-        parts = self.parts
-        return self.layout.states.tensors(lambda: parts["zeta"])
+        return self._tensors("zeta")
+
+    def _tensors(self, name: str) -> Values:
+        parts = self.parts  # a reference to self would keep the fields and their values alive
+        return self.layout.states.tensors(lambda: parts[name], self._variables.get(name))
 
     @cached_property
     def hess(self) -> CoefficientFunction:

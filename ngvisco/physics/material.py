@@ -88,9 +88,12 @@ class StateSpace:
         matrix[:, where] = space.columns
         return linear_map(matrix, components, (3, 3))
 
-    def tensors(self, components: Callable[[], Tensor]) -> Values:
-        """All values by name; each is made at its first access."""
-        return _Tensors(self, components)
+    def tensors(self, components: Callable[[], Tensor], parts: Mapping[str, Tensor] | None = None) -> Values:
+        """All values by name; each is made at its first access.
+
+        ``parts`` are the components of each variable, if they are functions of their own.
+        """
+        return _Tensors(self, components, parts)
 
     def density(self, components: Tensor, size: int = 1) -> Tensor:
         """The density sum rho_i n_i of components; for entries (components, ``size``) all ``size`` sums."""
@@ -111,15 +114,20 @@ class StateSpace:
 class _Tensors(Mapping[str, Tensor]):
     """Values by name; each is made of the components at its first access."""
 
-    def __init__(self, space: StateSpace, components: Callable[[], Tensor]) -> None:
-        self._space, self._components = space, components
+    def __init__(
+        self, space: StateSpace, components: Callable[[], Tensor], parts: Mapping[str, Tensor] | None
+    ) -> None:
+        self._space, self._components, self._parts = space, components, parts
         self._made: dict[str, Tensor] = {}
 
     def __getitem__(self, name: str) -> Tensor:
         if name not in self._space.slices:
             raise KeyError(name)
         if name not in self._made:
-            self._made[name] = self._space.tensor(name, self._components())
+            if self._parts is None:
+                self._made[name] = self._space.tensor(name, self._components())
+            else:
+                self._made[name] = self._space.spaces[name].tensor(self._parts[name])
         return self._made[name]
 
     def __iter__(self) -> Iterator[str]:
