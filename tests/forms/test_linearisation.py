@@ -9,6 +9,7 @@ from support import (
     jacobian_times,
     random_direction,
     randomise,
+    residual,
     step_of,
     uncondensed,
 )
@@ -54,6 +55,19 @@ def test_linearisation_of_the_whole_residual_is_its_difference(case: Case) -> No
     parts = [part for term in step.terms for part in integrands(step, term)]
     # |v . n| has a kink, which may lie within the difference of some of the states
     assert min(mismatch(step, parts, seed) for seed in range(6)) < TOLERANCE
+
+
+@pytest.mark.parametrize("case", CASES[:4], ids=str)
+def test_a_block_for_each_variable_changes_no_coefficient(case: Case) -> None:
+    """Rows and free unknowns of the step's form are those of z and zeta as vectors."""
+    step = step_of(case)
+    randomise(step, 1)
+    assert list(step.residual.space.FreeDofs(True)) == list(step.layout.space.FreeDofs(True))
+    u, w = step.linearised_fields(step.layout.space.TrialFunction()), step.tests()
+    forms = step.residual, uncondensed(step, [part for term in step.terms for part in term.form(u, w)])
+    by_blocks, whole = (residual(form, step.state.vec) for form in forms)
+    for rows in step.layout.ranges.values():
+        assert np.allclose(by_blocks[rows], whole[rows], rtol=0, atol=1e-13 * np.abs(whole).max())
 
 
 @pytest.mark.parametrize("case", CASES, ids=str)
