@@ -9,7 +9,8 @@ from typing import Any
 from ngsolve import CoefficientFunction
 
 from ngvisco.forms.context import Context, StepLayout
-from ngvisco.forms.unknown_values import NO_PARTS, Part, UnknownValues
+from ngvisco.forms.spaces import Proxies
+from ngvisco.forms.unknown_values import Part, UnknownValues
 
 
 class Fields(UnknownValues):
@@ -24,16 +25,16 @@ class Fields(UnknownValues):
         context: Context | None = None,
         gradient: Callable[[str], Any] | None = None,
         rows: int | None = None,
-        variables: Mapping[str, Mapping[str, Any]] = NO_PARTS,
+        functions: Proxies | None = None,
     ) -> None:
         """``parts`` are proxies, grid functions or arrays of values by the unknowns' names.
 
         ``context`` has the known data at the same points, by default the layout's; ``gradient`` returns the
         gradient of a part, by default NGSolve's.  With ``rows = 1`` the fields have one component of v: forms
-        linear in v, a and the hyperstress are equal for all components.  ``variables`` are parts of z and
-        zeta by the variables' names, if these are functions themselves.
+        linear in v, a and the hyperstress are equal for all components.  ``functions``, if given, are those
+        whose parts are ``parts``.
         """
-        super().__init__(layout, parts, gradient, rows, variables)
+        super().__init__(layout, parts, gradient, rows, functions)
         self._context = context
 
     @classmethod

@@ -91,7 +91,7 @@ class Introducing(Protocol):
 
 
 @dataclass(frozen=True)
-class Functions:
+class Proxies:
     """Trial or test functions by the unknowns' names, those of z and zeta also by the variables' names."""
 
     whole: dict[str, Any]
@@ -173,7 +173,7 @@ class Layout:
                 spaces.append(block)
         return FESpace(spaces)
 
-    def functions(self, of_blocks: Sequence[Any]) -> Functions:
+    def functions(self, of_blocks: Sequence[Any]) -> Proxies:
         """Trial or test functions of ``by_variables`` by the unknowns' names."""
         given, whole, parts = iter(of_blocks), dict[str, Any](), dict[str, dict[str, Any]]()
         for name in self.names:
@@ -182,7 +182,7 @@ class Layout:
                 whole[name] = CF(tuple(parts[name].values()))
             else:
                 whole[name] = next(given)
-        return Functions(whole, parts)
+        return Proxies(whole, parts)
 
     def count(self) -> int:
         """Number of unknowns on the whole mesh; collective."""

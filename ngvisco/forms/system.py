@@ -37,7 +37,6 @@ from ngsolve import (
     BitArray,
     CoefficientFunction,
     ElementId,
-    FESpace,
     GridFunction,
     Mesh,
 )
@@ -55,7 +54,7 @@ from ngvisco.forms.mesh.quadrature import Quadrature
 from ngvisco.forms.mesh.symmetry import Symmetry
 from ngvisco.forms.projections import FacetProjection, LocalProjection, RecoveredSlope
 from ngvisco.forms.rates import Rates, TabulatedRates
-from ngvisco.forms.spaces import Discretisation
+from ngvisco.forms.spaces import Discretisation, Proxies
 from ngvisco.forms.term import (
     Entry,
     GivenParts,
@@ -348,18 +347,12 @@ class Step:
         masks = [mask for _, mask in self.moving_walls.moving.values()]
         return self.residual_at(np.logical_or.reduce(masks))
 
-    @cached_property
-    def _by_variables(self) -> FESpace:
-        return self.layout.by_variables()
-
     def _residual(self, cells: BitArray | None = None) -> BilinearForm:
         """R(u; w) over all cells or ``cells`` as a nonlinear form with its element-local unknowns."""
-        space = self._by_variables
+        space = self.layout.by_variables()
         trial, test = (self.layout.functions(functions) for functions in space.TnT())
-        context = self._context(self._linearised) if self.stresses else None
-        u = Fields(self.layout, trial.whole, context, trial.gradient, variables=trial.of_variables)
-        given = GivenParts(test.whole, _NO_EQUATION)
-        w = Tests(self.layout, given, gradient=test.gradient, variables=test.of_variables)
+        u = self.linearised_fields(list(trial.whole.values()), trial)
+        w = Tests(self.layout, GivenParts(test.whole, _NO_EQUATION), functions=test)
         form = BilinearForm(space, condense=True)
         for term in self.terms:
             with refused_by_name(term):
@@ -371,9 +364,9 @@ class Step:
         test = self.layout.space.TestFunction()
         return Tests(self.layout, GivenParts(dict(zip(self.layout.names, test, strict=True)), _NO_EQUATION))
 
-    def linearised_fields(self, parts: Sequence[Any]) -> Fields:
+    def linearised_fields(self, parts: Sequence[Any], functions: Proxies | None = None) -> Fields:
         """Fields of trial functions, with creep rates linearised at the stored stresses."""
-        return self._fields(parts, self._linearised) if self.stresses else Fields.of(self.layout, parts)
+        return self._fields(parts, self._linearised if self.stresses else self.context.rates, functions)
 
     def fields_from(self, old: Fields, momentum: CoefficientFunction) -> Fields:
         """Fields of the present state in a step from other old fields and old momentum, kg/(m^2 s)."""
@@ -382,14 +375,13 @@ class Step:
         context.old, context.momentum_old = old, momentum
         return Fields(self.layout, u.parts, context)
 
-    def _fields(self, parts: Sequence[Any], rates: Rates) -> Fields:
+    def _fields(self, parts: Sequence[Any], rates: Rates, functions: Proxies | None = None) -> Fields:
         """Fields with the creep rates ``rates``."""
-        return Fields(self.layout, dict(zip(self.layout.names, parts, strict=True)), self._context(rates))
-
-    def _context(self, rates: Rates) -> Context:
         context = copy.copy(self.context)
         context.rates = rates
-        return context
+        return Fields(
+            self.layout, dict(zip(self.layout.names, parts, strict=True)), context, functions=functions
+        )
 
     def evolved(self) -> Evolved:
         """Copies of the present state's evolving unknowns."""

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from ngsolve import CF, CoefficientFunction, Grad, specialcf
 
-from ngvisco.forms.spaces import Layout
+from ngvisco.forms.spaces import Layout, Proxies
 from ngvisco.physics.tensors import constant, embed_gradient, trace_free_tensors
 from ngvisco.physics.variables import Values
 
@@ -23,10 +23,6 @@ def hessian_basis(dim: int) -> np.ndarray:
         B[i, j] = B[j, i] = 1.0 if i == j else np.sqrt(0.5)
         columns.append(B.ravel())
     return np.array(columns).T
-
-
-NO_PARTS: Mapping[str, Mapping[str, Any]] = {}
-"""No functions of single variables."""
 
 
 class Part:
@@ -85,15 +81,15 @@ class UnknownValues:
         parts: Mapping[str, Any],
         gradient: Callable[[str], Any] | None = None,
         rows: int | None = None,
-        variables: Mapping[str, Mapping[str, Any]] = NO_PARTS,
+        functions: Proxies | None = None,
     ) -> None:
-        """``variables`` are parts of z and zeta by the variables' names, if they are functions themselves."""
+        """``functions``, if given, are those whose parts are ``parts``, with gradients and variables."""
         self.layout, self.parts = layout, parts
         self.dim: int = layout.mesh.dim
         self.rows = self.dim if rows is None else rows
         # of the parts alone: a reference to the values would keep their arrays until cycles are collected
-        self.gradient = gradient or (lambda name: Grad(parts[name]))
-        self._variables = variables
+        self.gradient = gradient or (functions.gradient if functions else lambda name: Grad(parts[name]))
+        self._variables = functions.of_variables if functions else {}
 
     @cached_property
     def grad_v(self) -> CoefficientFunction:
