@@ -73,7 +73,7 @@ class Initial:
         "hydrostatic": the volume J_0, one for each body, bears the loads at the start (F_0 = J_0^{1/3} I).
         J_0 is the inverse of the bulk law at the pressure of the weight above and the local temperature.
         The density is rho_R/J_0 for a material with a referential density and for bodies, else the given
-        one. An equilibrium needs one process, and m >= 1 unless k = 1.
+        one. With k > 1 an equilibrium needs m >= 1.
     datum : str, optional
         With an equilibrium, the wall at which the mean pressure is ``datum_pressure``; without a wall and a
         point the datum is the place of the least pressure.
