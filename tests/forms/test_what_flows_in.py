@@ -220,6 +220,31 @@ def test_unstrained_amounts_that_flow_into_a_strained_body_are_warned_of(amounts
     assert all("through 'left' by the amounts that are given has another stress" in text for text in said)
 
 
+@pytest.mark.parametrize("solver", [by_ci("split"), "coupled"])
+def test_amounts_that_are_given_bring_their_masses(solver):
+    """Three tenths of 2 kg/m^3 and seven of 0.5 come in at 0.2 m/s through 0.5 m: 0.06 and 0.035 kg/s."""
+    bodies = [
+        nv.Body(name="heavy", material=FLUID, density=2.0, where=nv.Block((0.0, 0.0), (0.25, 0.5))),
+        nv.Body(name="light", material=FLUID, density=0.5),
+    ]
+    through, table = nv.Inflow(velocity=(0.2, 0.0), amounts={"heavy": 0.3, "light": 0.7}), nv.Bodies()
+    run = nv.Simulation(
+        structured_box((1, 0.5), (4, 1)),
+        nv.Model(bodies=bodies),
+        dt=0.1,
+        walls={"left": through, "right": nv.Inflow(velocity=(0.2, 0.0))},
+        initial=nv.Initial(velocity=(0.2, 0.0)),
+        solver=solver,
+        observers=[table],
+    )
+    ledger = run.run(0.2)
+    assert ledger.column("inflow_left")[1:] == pytest.approx(2 * [0.095], rel=1e-9)
+    assert ledger.column("inflow_right")[1:] == pytest.approx(2 * [-0.05], rel=1e-3)  # the light one alone
+    heavy, light = (table.column(f"{name}_mass") for name in ("heavy", "light"))
+    assert heavy[-1] - heavy[0] == pytest.approx(0.06 * 0.2, rel=1e-3)
+    assert light[-1] - light[0] == pytest.approx((0.035 - 0.05) * 0.2, rel=1e-3)
+
+
 @pytest.mark.parametrize("solver", ["split", "coupled"])
 def test_a_temperature_that_is_given_has_the_entropy_of_the_volume_that_is_there(solver):
     through = nv.Inflow(velocity=(1.0, 0.0), temperature=330.0)
