@@ -155,14 +155,6 @@ class CellPart:
         """The unknowns with the coefficients ``c`` at the points of the cells, and of their sides."""
         return self.inside.fields(c), self.sides.fields(c)
 
-    def conjugates(self, at: PartFields) -> np.ndarray:
-        """Loads of phi'(z), (n, cells' unknowns)."""
-        return self.inside.op.z.loads(self.residual.slope(at[0].z.value))
-
-    def trace(self, at: PartFields, term: PointTerm, name: str) -> np.ndarray:
-        """Loads of the equation of the facet mean ``name``."""
-        return self.sides.loads_of(term, name, at[1])
-
     def mean(self, at: PartFields, term: CellMean) -> np.ndarray:
         """Means over the cells, (components, cells), or (cells,) for a scalar."""
         op, sides = self.inside.op, self.sides.op
@@ -340,9 +332,10 @@ class ReducedResidual:
         def joined(loads: Callable[..., np.ndarray], *of: Any) -> np.ndarray:
             return np.concatenate(self.share(lambda part: loads(part, at(part), *of), self.parts), axis=-1)
 
-        c["zeta"] = apply(self.inverse_mass, joined(CellPart.conjugates))
+        slopes = joined(lambda part, u: part.inside.op.z.loads(self.slope(u[0].z.value)))
+        c["zeta"] = apply(self.inverse_mass, slopes)
         for term, name in self.means_of_sides:
-            loads = joined(CellPart.trace, term, name)
+            loads = joined(lambda part, u, *of: part.sides.loads_of(*of, u[1]), term, name)
             mass, values = self.mass_of(name), self.side_op.of(name)
             c[name] = -mass.solve(mass.exchange.sum(values.summed(loads)))
             if term.stays:

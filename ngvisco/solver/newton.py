@@ -119,22 +119,12 @@ class CondensedJacobian:
 class Newton:
     """Solves R(u; .) = 0 for ``state``; keeps its vectors and factorisation between solves.
 
-    Parameters
-    ----------
-    form, state, norm, options
-    update : callable
-        Recomputes the local unknowns of ``state`` from the others.
-    update_stored : callable
-        Called before the form is evaluated at a state for which ``update`` was not called last.
-    exchange : Exchange, optional
-        Exchange of the form's space, if ranks may share the space.
-    stresses : LinearisationStress, optional
-        Stresses at which flow rules are linearised, unknowns in addition to the state.
-    has_energy : callable, optional
-        Says whether the state has a stored energy.  An iterate without energy counts as one without a
-        residual: the derivative of a logarithm is finite also where the logarithm is not defined.
-    growths : callable, optional
-        Counts changes of the equations that evaluations cause (``ngvisco.forms.upwinding.Largest``).
+    ``update`` recomputes the local unknowns of ``state`` from the others; ``update_stored`` is called before
+    the form is evaluated at a state for which ``update`` was not called last.  At ``stresses``, unknowns in
+    addition to the state, flow rules are linearised.  ``has_energy`` says whether the state has a stored
+    energy: an iterate without energy counts as one without a residual, as the derivative of a logarithm is
+    finite also where the logarithm is not defined.  ``growths`` counts changes of the equations that
+    evaluations cause (``ngvisco.forms.upwinding.Largest``).
     """
 
     def __init__(

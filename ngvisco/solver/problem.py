@@ -41,14 +41,9 @@ SHARE = 1e-4
 class BlockNorm:
     """The norm of the module's docstring.
 
-    Parameters
-    ----------
-    ranges : mapping of block names to slices of the coefficient vector
-    units : mapping from the names of the blocks that count to s_u, and from "v" to h/tau
-    exchange : Exchange, optional
-        Exchange of the vectors' space, if ranks may share the space.
-    shared : collection of str
-        Names of the blocks that count by ``SHARE`` times their relative increment.
+    ``ranges`` has the blocks of the coefficient vector, and ``units`` s_u of the blocks that count, h/tau for
+    "v".  ``shared`` blocks count by ``SHARE`` times their relative increment.  ``exchange`` belongs to the
+    vectors' space, if ranks may share the space.
     """
 
     def __init__(

@@ -30,14 +30,9 @@ from ngvisco.solver.split.transport import TransportSweeps
 class FlowSchurComplement:
     """The operator at the evaluation of the last ``update``, as element matrices.
 
-    Attributes
-    ----------
-    to_velocity : array, (cells, local dim, dim local)
-        Maps v to rows of v.
-    to_fields : array, (cells, q n, dim local)
-        Maps v to rows of the fields.
-    from_fields : array, (cells, local dim, q n)
-        Maps increments of the fields by the transport alone to rows of v.
+    ``to_velocity`` maps v to rows of v, (cells, local dim, dim local), and ``to_fields`` to rows of the
+    fields, (cells, q n, dim local); ``from_fields`` maps increments of the fields by the transport alone to
+    rows of v, (cells, local dim, q n).
     """
 
     def __init__(

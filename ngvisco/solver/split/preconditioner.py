@@ -238,7 +238,7 @@ class Preconditioner:
         """The packed increment; ``tolerance`` holds for the flow's system, ``of_fields`` for the fields'
         systems."""
         op, operator, dim, u = self.op, self.operator, self.dim, self.unknowns
-        of_z = self._rows_of_z(at.residual)
+        of_z = np.ascontiguousarray(at.residual[u.slices["z"]].reshape(u.components["z"], -1).T)
         flow, alone = at.residual[: self._size].copy(), None
         if self._relaxes:
             # a stress that does not fulfil a steep flow rule leaves a residual as large as the rule's slope:
@@ -265,11 +265,6 @@ class Preconditioner:
         density = at.residual[u.density_slice].copy()
         density[: rho.size] -= op.z.test(drho)
         return np.concatenate([dflow, self.fields.density(density, of_fields), dz.T.ravel()])
-
-    def _rows_of_z(self, residual: np.ndarray) -> np.ndarray:
-        """The rows of z, (cells' unknowns, n)."""
-        where = self.unknowns.slices["z"]
-        return np.ascontiguousarray(residual[where].reshape(self.unknowns.components["z"], -1).T)
 
     def _flow(self, right: np.ndarray, tolerance: float) -> np.ndarray:
         """Solve the flow's system by GMRES, preconditioned with the tangent."""

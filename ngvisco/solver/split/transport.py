@@ -32,27 +32,41 @@ SHARE = 0.05
 """Relative error of a random field after the sweeps."""
 
 
-class SweptMatrix:
-    """A matrix of cells' blocks in single precision, and an approximate inverse by sweeps over the cells."""
+class CellBlocks:
+    """A matrix of cells' blocks in single precision, which multiply own and neighbours' values."""
 
     def __init__(self, diagonal: np.ndarray, across: np.ndarray, coupling: FacetCoupling) -> None:
-        """``diagonal`` and ``across`` are the blocks that ``FacetCoupling.blocks`` returns."""
-        count, sides, q, _ = across.shape
-        self._coupling, self._diagonal = coupling, diagonal
-        self._across = across.transpose(0, 2, 1, 3).reshape(count, q, sides * q)
-        self._rows = np.concatenate([diagonal, self._across], axis=2).astype(precision.SINGLE)
+        """``diagonal`` and ``across`` are blocks as ``FacetCoupling.blocks`` returns, or rectangular ones."""
+        self._coupling = coupling
+        blocks = np.concatenate([diagonal, _side_by_side(across)], axis=2)
+        self._rows = blocks.astype(precision.SINGLE)
 
-    def invert(self) -> SweptMatrix:
-        """Invert the cells' own blocks; raises LinAlgError if one is singular."""
-        inverse = np.linalg.inv(self._diagonal)
+    def product(self, values: np.ndarray) -> np.ndarray:
+        """The matrix times ``values`` (cells, q, n)."""
+        return np.matmul(self._rows, np.concatenate([values, self._beside(values)], axis=1))
+
+    def _beside(self, x: np.ndarray) -> np.ndarray:
+        """The neighbours' values side by side, (cells, sides q, n), from values (cells, q, n)."""
+        neighbours = self._coupling.neighbours
+        beside = self._coupling.halo.with_others(x)[neighbours]
+        return beside.reshape(len(neighbours), neighbours.shape[1] * x.shape[1], x.shape[2])
+
+
+class SweptMatrix(CellBlocks):
+    """A matrix of cells' square blocks, and an approximate inverse by sweeps over the cells.
+
+    Raises LinAlgError if a cell's own block is singular.
+    """
+
+    def __init__(self, diagonal: np.ndarray, across: np.ndarray, coupling: FacetCoupling) -> None:
+        super().__init__(diagonal, across, coupling)
+        inverse = np.linalg.inv(diagonal)
         self.cells = inverse.astype(precision.SINGLE)
-        self._carried = (-np.matmul(inverse, self._across)).astype(precision.SINGLE)
-        return self
+        self._carried = (-np.matmul(inverse, _side_by_side(across))).astype(precision.SINGLE)
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
         """The matrix times coefficients x, both (cells' unknowns, n) or (cells' unknowns,)."""
-        values = self._by_cells(x)
-        return np.matmul(self._rows, np.concatenate([values, self._beside(values)], axis=1)).reshape(x.shape)
+        return self.product(self._by_cells(x)).reshape(x.shape)
 
     def swept(self, r: np.ndarray, sweeps: int) -> np.ndarray:
         """Solve approximately for rows r by a number of sweeps; r is (cells' unknowns, n) or (cells'
@@ -68,13 +82,13 @@ class SweptMatrix:
 
     def _by_cells(self, x: np.ndarray) -> np.ndarray:
         values = x.astype(precision.SINGLE, copy=False)
-        return values.reshape(*self._diagonal.shape[:2], x.shape[1] if x.ndim == 2 else 1)
+        return values.reshape(*self.cells.shape[:2], x.shape[1] if x.ndim == 2 else 1)
 
-    def _beside(self, x: np.ndarray) -> np.ndarray:
-        """The neighbours' values side by side, (cells, sides q, n), from values (cells, q, n)."""
-        neighbours = self._coupling.neighbours
-        beside = self._coupling.halo.with_others(x)[neighbours]
-        return beside.reshape(len(neighbours), neighbours.shape[1] * x.shape[1], x.shape[2])
+
+def _side_by_side(across: np.ndarray) -> np.ndarray:
+    """Blocks (cells, sides, q, n) as (cells, q, sides n)."""
+    cells, sides, q, n = across.shape
+    return across.transpose(0, 2, 1, 3).reshape(cells, q, sides * n)
 
 
 class Exchanged:
@@ -93,27 +107,20 @@ class Exchanged:
     def update(self, at: Evaluation, diagonal: np.ndarray, across: np.ndarray) -> None:
         """Linearise and factorise; ``diagonal`` and ``across`` are the blocks of transport."""
         (here, there), coupling = self.tangent(at), self._coupling
-        q, cells = coupling.functions, coupling.cells
+        q = coupling.functions
         self._columns = self.tangent.columns
         for n, (i, solver) in enumerate(zip(self.rows, self._solvers, strict=True)):
             row, column = (slice(q * k, q * (k + 1)) for k in (n, self._columns.index(i)))
             whole = diagonal + here[:, row, column], across + there[:, :, row, column]
             solver.factorise(of_blocks(*whole, coupling.neighbours, coupling.halo.count))
-        blocks = np.concatenate([here[:, None], there], axis=1).astype(precision.SINGLE)
-        self._blocks = blocks.transpose(0, 2, 1, 3).reshape(
-            cells, q * len(self.rows), (1 + coupling.sides) * q * len(self._columns)
-        )
+        self._blocks = CellBlocks(here, there, coupling)
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
         """The exchange's rows, (cells' unknowns, rows), of coefficients x (cells' unknowns, n)."""
         coupling, q = self._coupling, self._coupling.functions
         by_cells = x[:, self._columns].astype(precision.SINGLE).reshape(coupling.cells, q, len(self._columns))
-        values = np.ascontiguousarray(by_cells.swapaxes(1, 2)).reshape(coupling.cells, q * len(self._columns))
-        beside = coupling.halo.with_others(values)[coupling.neighbours]
-        of_both = np.concatenate([values[:, None], beside], axis=1).reshape(
-            coupling.cells, self._blocks.shape[2], 1
-        )
-        increments = np.matmul(self._blocks, of_both).reshape(coupling.cells, len(self.rows), q)
+        values = by_cells.swapaxes(1, 2).reshape(coupling.cells, q * len(self._columns), 1)
+        increments = self._blocks.product(values).reshape(coupling.cells, len(self.rows), q)
         return increments.swapaxes(1, 2).reshape(len(x), len(self.rows))
 
     def solve(self, r: np.ndarray, result: np.ndarray) -> None:
@@ -167,11 +174,11 @@ class TransportSweeps:
         if self.exchange is not None:
             self.exchange.update(at, diagonal, across)
         with r.ranks.together(np.linalg.LinAlgError):
-            self.of_z = SweptMatrix(diagonal, across, coupling).invert()
+            self.of_z = SweptMatrix(diagonal, across, coupling)
         self._count_sweeps()
         if self._density is None and r.unknowns.density:
             with r.ranks.together(np.linalg.LinAlgError):
-                self.of_rho = SweptMatrix(*self.blocks("rho", at), coupling).invert()
+                self.of_rho = SweptMatrix(*self.blocks("rho", at), coupling)
 
     def blocks(self, name: str, at: Evaluation) -> tuple[np.ndarray, np.ndarray]:
         """The blocks of the transport of ``"z"`` or ``"rho"``, see ``FacetCoupling.blocks``."""
