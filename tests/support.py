@@ -5,6 +5,7 @@ import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, fields
 from functools import cache
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -259,6 +260,23 @@ def others_by_ci(cases: Iterable[Any], *by_default: Any) -> list[Any]:
         found.append(made(*case) if isinstance(case, tuple) else made(case))
     assert sum(not each.marks for each in found) == len(by_default)
     return found
+
+
+def each_once(*factors: Iterable[Any]) -> list[Any]:
+    """All combinations of factors: the default suite tries each value of every factor, CI the others."""
+    lists = [list(factor) for factor in factors]
+    turns = range(max(map(len, lists)))
+    by_default = {tuple(turn % len(values) for values in lists) for turn in turns}
+    cases = product(*(enumerate(values) for values in lists))
+    return [
+        (pytest.param if tuple(i for i, _ in case) in by_default else by_ci)(*(value for _, value in case))
+        for case in cases
+    ]
+
+
+def one_of(number: int, cases: Iterable[Any]) -> list[Any]:
+    """All cases, each a value: the default suite tries one of so many, CI the others."""
+    return [by_ci(case) if i % number else case for i, case in enumerate(cases)]
 
 
 ALL_BY_CI = others_by_ci(EXAMPLES, *OF_EACH_KIND)

@@ -148,8 +148,9 @@ SCRIPTS = {"shear": lambda demo: demo.simulation(), "wave": lambda demo: demo.am
 DEAR = (
     *("cavity", "collision", "couette", "cylinder", "heat", "mooney_rivlin", "shell", "slab"),
     *("soft_disc", "swirl", "swirl3d"),
+    *("creep", "creep_finite", "glacier", "notch", "plume", "wave"),
 )
-"""About a second of processor time each, or more."""
+"""More than half a second of processor time each."""
 
 
 @pytest.mark.parametrize(

@@ -77,7 +77,13 @@ CASES = {
 }
 
 
-OF_CI = ("slip, hole", "slip, disc", "accelerated rotating wall", "traction with friction")
+OF_CI = (
+    "slip, hole",
+    "slip, disc",
+    "slip, disc, pre-stretched",
+    "accelerated rotating wall",
+    "traction with friction",
+)
 """CI tries these; schemes have walls that change in time by default, in test_ledger_of_schemes."""
 
 

@@ -293,7 +293,7 @@ def falls(dt, solver, densities):
     return Integrate(error * error, run.mesh) ** 0.5
 
 
-@pytest.mark.parametrize("solver", ["split", "coupled"])
+@pytest.mark.parametrize("solver", [by_ci("split"), "coupled"])
 def test_bodies_of_different_bulk_moduli_fall_freely_between_windows(solver):
     assert falls(0.2, solver, (1.0, 1.0)) < 1e-9
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from materials import examples
 from ngsolve import CF, L2, GridFunction, Parameter, specialcf, x
-from support import tensor, tensors, value
+from support import each_once, tensor, tensors, value
 
 import ngvisco as nv
 from ngvisco.geometries import box
@@ -18,8 +18,7 @@ from ngvisco.physics.variables import Distortion, Jacobian, SmallStrain
 EXAMPLES = {e.constructor: e.material for e in examples()}
 
 
-@pytest.mark.parametrize("dim", [2, 3])
-@pytest.mark.parametrize("name", EXAMPLES)
+@pytest.mark.parametrize(("name", "dim"), each_once(EXAMPLES, [2, 3]))
 def test_every_material_is_the_same_for_every_observer(name, dim):
     report = nv.check_isotropy(EXAMPLES[name], dim=dim)
     assert report.passed and report.samples > 500

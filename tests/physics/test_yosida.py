@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from materials import examples
 from ngsolve import Det, log
+from support import each_once
 
 import ngvisco as nv
 from ngvisco.errors import NgviscoError
@@ -29,8 +30,7 @@ def approximation(material: nv.Material, eps: float, z: np.ndarray, dim: int) ->
     return response
 
 
-@pytest.mark.parametrize("dim", [2, 3])
-@pytest.mark.parametrize("name", EXAMPLES)
+@pytest.mark.parametrize(("name", "dim"), each_once(EXAMPLES, [2, 3]))
 def test_the_approximation_satisfies_its_definition(name: str, dim: int) -> None:
     """y = z - eps phi_eps' has phi'(y) = phi_eps'(z) and the energy phi(y) + |z - y|^2/(2 eps)."""
     material, eps = EXAMPLES[name], 0.02

@@ -1,8 +1,10 @@
 """Every material of the catalogue runs with loads and creep, and keeps what the paper proves."""
 
+from itertools import product
+
 import numpy as np
 import pytest
-from support import EXAMPLES, OF_EACH_KIND, assert_sound, others_by_ci, swirling
+from support import EXAMPLES, OF_EACH_KIND, assert_sound, each_once, others_by_ci, swirling
 
 import ngvisco as nv
 from ngvisco.geometries import box
@@ -42,10 +44,16 @@ def test_ledger_closes_and_mass_and_positivity_hold(name, m):
 
 
 @pytest.mark.parametrize(
-    "name",
-    [pytest.param(name, marks=[] if name in OF_EACH_KIND else [pytest.mark.long]) for name in EXAMPLES],
+    ("name", "dt"),
+    [
+        *each_once(OF_EACH_KIND, [0.02, 5.0]),
+        *(
+            pytest.param(name, dt, marks=pytest.mark.long)
+            for name, dt in product(EXAMPLES, [0.02, 5.0])
+            if name not in OF_EACH_KIND
+        ),
+    ],
 )
-@pytest.mark.parametrize("dt", [0.02, 5.0])
 def test_energy_decays_without_loads(name, dt):
     ledger = simulation(EXAMPLES[name], gravity=0, dt=dt).run(3 * dt)
     energy = ledger.column("kinetic") + ledger.column("stored")

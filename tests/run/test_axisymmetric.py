@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from ngsolve import CF, Integrate, Mesh, SetNumThreads, x, y
 from ngsolve.meshes import MakeStructured2DMesh
-from support import assert_goes_on, by_both_solvers, others_by_ci, small_run
+from support import assert_goes_on, by_both_solvers, each_once, others_by_ci, small_run
 
 import ngvisco as nv
 from ngvisco.errors import CheckpointError, MeshError, ParameterError
@@ -21,8 +21,7 @@ def about_the_axis(mesh=0.5, dt=0.02, **options):
     return small_run(mesh, dt, **{"symmetry": "axisymmetric", **options})
 
 
-@pytest.mark.parametrize("elastic_state", ["F", "B"])
-@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize(("solver", "elastic_state"), each_once(SOLVERS, ["F", "B"]))
 def test_homogeneous_stretch_is_that_of_a_point(solver, elastic_state):
     """v = (a r, b y) held on the walls, the body carried through them: backward Euler's F at a point, its
     density, viscous power and stress, to rounding; and F_33 is F_rr."""

@@ -4,6 +4,7 @@ import h5py
 import numpy as np
 import pytest
 from ngsolve import CF, IfPos, Integrate, cos, pi, sin, x, y
+from support import each_once
 
 import ngvisco as nv
 from ngvisco.forms.impulses import DEFECTS
@@ -93,10 +94,9 @@ def run_between(walls, scheme="backward-euler", solver="coupled", **options) -> 
     )
 
 
-@pytest.mark.parametrize("walls", WALLS.values(), ids=list(WALLS))
-@pytest.mark.parametrize("scheme", SCHEMES)
-def test_momentum_changes_by_the_impulses_and_by_what_the_columns_say(walls, scheme):
-    run = run_between(walls, scheme)
+@pytest.mark.parametrize(("between", "scheme"), each_once(WALLS, SCHEMES))
+def test_momentum_changes_by_the_impulses_and_by_what_the_columns_say(between, scheme):
+    run = run_between(WALLS[between], scheme)
     before = momenta(run)
     ledger = run.run(until=0.15)
     after = momenta(run)
@@ -110,12 +110,11 @@ def test_momentum_changes_by_the_impulses_and_by_what_the_columns_say(walls, sch
     assert abs(of(ledger, "momentum_defect")).max() < 0.02 * size
 
 
-@pytest.mark.parametrize("walls", [WALLS["slip"], WALLS["a moving lid"]], ids=["slip", "a moving lid"])
-@pytest.mark.parametrize("scheme", SCHEMES)
-def test_the_impulse_of_walls_is_that_of_their_reactions(walls, scheme):
+@pytest.mark.parametrize(("between", "scheme"), each_once(["slip", "a moving lid"], SCHEMES))
+def test_the_impulse_of_walls_is_that_of_their_reactions(between, scheme):
     """Against ``WallForces``, which takes the rows of the residual that are not solved."""
     forces = nv.WallForces()
-    run = run_between(walls, scheme, observers=[forces])
+    run = run_between(WALLS[between], scheme, observers=[forces])
     ledger = run.run(until=0.1)
     rows = np.array(forces.rows)[:, 2:].reshape(2, -1, 3)
     on_body = -0.05 * rows.sum(axis=1)

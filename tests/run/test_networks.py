@@ -84,7 +84,7 @@ def test_ledger_closes_and_every_branch_dissipates(rule, branches, solver, dim, 
 @pytest.mark.parametrize(
     ("material", "creep"),
     [
-        (nv.LinearElastic(K_e=10.0, G_e=5.0), nv.Creep(G_m=2.0)),
+        by_ci(nv.LinearElastic(K_e=10.0, G_e=5.0), nv.Creep(G_m=2.0)),
         by_ci(nv.ReferentialMooneyRivlin(K_e=10.0, G_e=3.0, G_mr=2.0), RULES["Voce"]),
         (nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, elastic_state="F"), nv.Norton(A=0.3, n=3)),
         (nv.FENEP(K_e=10.0, G_e=5.0, b=30.0), nv.Creep(G_m=2.0, law="conformation")),

@@ -36,7 +36,7 @@ def bodies(*observers):
     return nv.Simulation(box((1, 1), 0.3), model, dt=0.02, observers=observers)
 
 
-@pytest.mark.parametrize("solver", ["split", "coupled"])
+@pytest.mark.parametrize("solver", [by_ci("split"), "coupled"])
 def test_a_pulse_is_followed(solver):
     cells = Cells()
     start = pulse(cells, solver=solver)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from ngsolve import CF
 from scipy.optimize import brentq
+from support import each_once
 from test_rules_in_flows import MATERIALS, sheared
 
 import ngvisco as nv
@@ -43,8 +44,7 @@ def relaxed(law, A=1.0):
     return e, k
 
 
-@pytest.mark.parametrize("solver", ["split", "coupled"])
-@pytest.mark.parametrize("name", LAWS)
+@pytest.mark.parametrize(("name", "solver"), each_once(LAWS, ["split", "coupled"]))
 def test_the_yield_stress_grows_by_the_law_and_its_work_is_stored(name, solver):
     """A step at a point is a scalar equation, and what the ledger has follows from its solution."""
     law = LAWS[name]

@@ -51,7 +51,7 @@ LAWS = {
     "power law": {"creep": Cubic(A=0.1)},
     "power law with a gradient": {"creep": Cubic(A=0.1, nu=1e-3)},
 }
-LATER = ("linear hyperviscosity", "power law with a gradient")
+LATER = ("creep", "linear hyperviscosity", "power law with a gradient")
 """Whose solutions are compared by CI; derivatives of all are, by default."""
 UNIFORM = {
     "viscosity": {"viscosity": nv.StokesViscosity(K_v=0.1, G_v=0.1)},

@@ -7,7 +7,7 @@ import pytest
 from ngsolve import CF, cos, pi, sin, x, y
 from ngsolve.meshes import MakeStructured2DMesh
 from scipy.sparse.linalg import LinearOperator, gmres
-from support import SWIRL, state
+from support import SWIRL, by_ci, state
 
 import ngvisco as nv
 from ngvisco.algebra import precision
@@ -184,7 +184,7 @@ def test_sources_of_unknowns_and_of_derived_rows_are_for_the_coupled_solver(reas
     assert not isinstance(simulation(maxh=0.05, sources=source, solver="auto").solver.newton, Split)
 
 
-@pytest.mark.parametrize("k", [2, 3])
+@pytest.mark.parametrize("k", [2, by_ci(3)])
 def test_two_levels_lead_to_the_same_solution(k):
     order = nv.Discretisation(k=k)
     direct = simulation(discretisation=order)

@@ -115,7 +115,7 @@ def test_times_go_on_after_a_restart_with_other_steps(before, after, tmp_path):
     assert np.allclose(np.diff(ledger.column("time")), ledger.column("dt")[1:], rtol=0, atol=1e-15)
 
 
-@pytest.mark.parametrize("where", ["solution", "row", "estimate"])
+@pytest.mark.parametrize("where", [by_ci("solution"), by_ci("row"), "estimate"])
 def test_an_interrupt_leaves_the_state_before_the_step(where, monkeypatch, tmp_path):
     """Neither a state without its row of the ledger, nor a checkpoint that no run can go on from."""
     options = {"adaptive": nv.AdaptiveSteps(dt_min=1e-4, dt_max=0.02, tolerance=0.1), "passive": ("F_tot",)}
@@ -224,7 +224,7 @@ def test_a_relaxed_run_dissipates_nothing_numerically():
     assert np.abs(sum(plain.column(name) for name in NUMERICAL)).max() > 1e-9 * energy
 
 
-@pytest.mark.parametrize(("dt", "speed"), [(1e-4, 1.0), (0.02, 1e-4), (0.02, 1e-6), (0.02, 0.0)])
+@pytest.mark.parametrize(("dt", "speed"), [(1e-4, 1.0), by_ci(0.02, 1e-4), by_ci(0.02, 1e-6), (0.02, 0.0)])
 def test_a_relaxed_run_ends_where_little_moves(dt, speed):
     """The remainder of a short step, or of a slow motion, is rounding of the energies: so is its zero."""
     slow = nv.Initial(velocity=(speed * SWIRL[0], speed * SWIRL[1]))
