@@ -61,15 +61,15 @@ class Inlets:
         # the stress of given values is not known for an energy without an expression
         named_alone = [name for name, what in self._given.items() if what != "amounts"]
         has_expression = law.response(step.mesh.dim) is None
-        self._compared = {
-            name: self._stresses(name) for name in self._given if has_expression or name not in named_alone
-        }
-        """Squares of the difference, of the stresses, and the inflow speed, for integrals over facets."""
+        self._compared = {name for name in self._given if has_expression or name not in named_alone}
+        """Walls whose stresses are compared."""
+        self._integrands: dict[str, tuple[CoefficientFunction, ...]] = {}
         laws = [body.material for body in step.model.bodies] or [law]
         moduli = [abs(rest_stress_and_modulus(law)[1]) for law in laws] if self._given else [0.0]
         self._rounding = _ROUNDING * max(moduli)
 
-    def _stresses(self, name: str) -> tuple[CoefficientFunction, CoefficientFunction, CoefficientFunction]:
+    def _squares(self, name: str) -> tuple[CoefficientFunction, ...]:
+        """Squares of the stresses' difference and size, and 1, times the inflow speed, on a wall."""
         step, u = self._step, self._step.now
         term = next(term for term in step.passages if term.name == name)
         inward, inside, outside = term.deviators(u)
@@ -81,8 +81,10 @@ class Inlets:
 
     def _difference(self, name: str) -> tuple[float, float]:
         """Difference of the stresses' deviators at a wall, and the stresses' size, Pa; collective."""
-        integrals = (self._step.quadrature.integrate_facets(f) for f in self._compared[name])
-        difference, size, inflow = integrals
+        if name not in self._integrands:
+            self._integrands[name] = self._squares(name)
+        integrate = self._step.quadrature.integrate_facets
+        difference, size, inflow = (integrate(integrand) for integrand in self._integrands[name])
         if not inflow > 0:
             return 0.0, 0.0
         return (difference / inflow) ** 0.5, (size / inflow) ** 0.5
