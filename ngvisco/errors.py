@@ -215,8 +215,8 @@ class Declared(NamedTuple):
         if (value is None and NoneType in self.kinds) or not all(map(_is_known, self.kinds)):
             return value
         for kind in self.kinds:
-            if (taken := _taken(kind, self.range, value)) is not None:
-                return taken
+            if (converted := _taken(kind, self.range, value)) is not None:
+                return converted
         choices = [choice for kind in self.kinds if get_origin(kind) is Literal for choice in get_args(kind)]
         hint = nearest(value, map(str, choices)) if isinstance(value, str) else ""
         raise ParameterError(field, value, self.expected + hint)
@@ -331,8 +331,8 @@ def require_fields(owner: Any, called: str = "") -> None:
     called = called or type(owner).__name__
     for name, declaration in declared(type(owner)).items():  # type: ignore[arg-type]
         value = getattr(owner, name)
-        if (taken := declaration.taken(f"{called}.{name}", value)) is not value:
-            object.__setattr__(owner, name, taken)
+        if (converted := declaration.taken(f"{called}.{name}", value)) is not value:
+            object.__setattr__(owner, name, converted)
 
 
 def require_effect(owner: Any, has_effect: bool, where: str, *names: str) -> None:

@@ -274,14 +274,14 @@ MUTANTS = [
         "forms/terms/transport.py",
         (
             "tangents in upwinding's column",
-            "lost = lost + (u.v * u.context.normal) * self.tangents.excess(u)",
-            "lost = lost - (u.v * u.context.normal) * self.tangents.excess(u)",
+            "loss = loss + (u.v * u.context.normal) * self.tangents.excess(u)",
+            "loss = loss - (u.v * u.context.normal) * self.tangents.excess(u)",
             "tests/run/test_ledger.py::test_closure_is_the_residual_tested_by_the_solution",
         ),
         (
             "both sides' share of upwinding's heat",
-            "lost = u.parts[JumpHeat.name] if mean else lost_by_jumps(u)",
-            "lost = lost_by_jumps(u)",
+            "loss = u.parts[JumpHeat.name] if mean else lost_by_jumps(u)",
+            "loss = lost_by_jumps(u)",
             "tests/forms/test_heat.py::test_heat_of_upwinding_is_shared_by_both_sides_of_a_facet",
         ),
         (

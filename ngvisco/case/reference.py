@@ -74,8 +74,8 @@ def entries() -> tuple[KeyEntry, ...]:
     for entry in _walk(CaseSections, (), ()):
         words = (entry.type, entry.unit, entry.meaning)
         same = (entry.path, *words, entry.required, repr(entry.default), repr(entry.example))
-        known = grouped.get(same)
-        grouped[same] = entry if known is None else replace(known, kinds=(*known.kinds, *entry.kinds))
+        first = grouped.get(same)
+        grouped[same] = entry if first is None else replace(first, kinds=(*first.kinds, *entry.kinds))
     return tuple(grouped.values())
 
 

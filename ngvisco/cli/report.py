@@ -211,8 +211,8 @@ def info(options: argparse.Namespace) -> int:
     if "momentum_size" in ledger:
         axes = [name for name in ("momentum_1", "momentum_2", "momentum_3") if name in ledger]
         now = ", ".join(f"{ledger[name][-1]:.4e}" for name in axes)
-        lost = np.abs(ledger["momentum_defect_relative"]).max()
-        print(f"momentum   ({now}) kg m/s, largest relative defect {lost:.1e}")
+        defect = np.abs(ledger["momentum_defect_relative"]).max()
+        print(f"momentum   ({now}) kg m/s, largest relative defect {defect:.1e}")
     for path in [*place.results, *place.failures]:
         print(f"  {path.stat().st_size:12d} bytes  {path.relative_to(place.path)}")
     return 0

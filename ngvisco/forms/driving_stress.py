@@ -75,7 +75,8 @@ class LinearisationStress:
             for size in (p, p * p)
         )
         """Grid functions of M* and S by mechanism, read by forms."""
-        self._stiffness = np.array([_stiffness(each, rates) for each in self.mechanisms]).reshape(-1, 1, 1)
+        stiffness = [_stiffness(mechanism, rates) for mechanism in self.mechanisms]
+        self._stiffness = np.array(stiffness).reshape(-1, 1, 1)
         self._last: np.ndarray | None = None
         self._slopes = np.zeros((len(self.mechanisms), 0, p, p))
         self._frozen: _State | None = None  # the iterate of the slopes

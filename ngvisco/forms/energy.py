@@ -65,8 +65,8 @@ class StoredEnergy:
             return conjugates(self.material, z)
         before = u.context.lagged.z_tensors
         seen = {name: before[name] if name in lagged else value for name, value in z.items()}
-        of_others, own = conjugates(self.material, seen), conjugates(self.material, z)
-        return {name: own[name] if name in lagged else of_others[name] for name in z}
+        of_others, own_conjugates = conjugates(self.material, seen), conjugates(self.material, z)
+        return {name: own_conjugates[name] if name in lagged else of_others[name] for name in z}
 
     def tested_slope(self, u: UnknownValues, w: UnknownValues) -> list[CoefficientFunction]:
         """Summands of phi'(z) : X, X the test function of zeta, with their derivative by z."""
@@ -190,10 +190,10 @@ class PointwiseEnergy(StoredEnergy):
     def refresh(self, u: UnknownValues | None = None) -> bool:
         u = self.fields if u is None else u
         # all ranks learn of a change or a failure on one rank
-        found = self._ranks.gathered((self._refreshed(u), self._own_failure))
-        changed = any(is_new for is_new, _ in found)
+        results = self._ranks.gathered((self._refreshed(u), self._own_failure))
+        changed = any(is_new for is_new, _ in results)
         if changed and u is self.fields:
-            self.failure = next((failure for _, failure in found if failure is not None), None)
+            self.failure = next((failure for _, failure in results if failure is not None), None)
             self.last_failure = self.failure or self.last_failure
         return changed
 
@@ -270,6 +270,6 @@ class _SideValues:
         if not len(z) or (self._at is not None and np.array_equal(z, self._at)):  # a rank may have no cells
             return
         self._at = z.copy()
-        found = response(self._at_points @ z.reshape(-1, self._at_points.shape[1]).T)
-        values = np.column_stack((found.energy, found.slope))
+        responses = response(self._at_points @ z.reshape(-1, self._at_points.shape[1]).T)
+        values = np.column_stack((responses.energy, responses.slope))
         self._values.vec.FV().NumPy()[:] = self._mass.solve(self._loads @ values).T.ravel()

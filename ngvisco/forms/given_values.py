@@ -172,12 +172,12 @@ def _at_pressure(
     logarithm = L2(mesh, order=0).TrialFunction()
     _, modulus = rest_stress_and_modulus(material)
     # logarithms of large pressures: a gas' are linear in the logarithm of the volume
-    law, wanted = (
+    law, target = (
         log(part + (part * part + 1) ** 0.5)
         for part in (bulk_pressure(material, exp(logarithm), {}, theta) / modulus, p / modulus)
     )
     beyond = if_positive(logarithm - _VACUUM, logarithm - _VACUUM, CF(0.0))
-    excess = law - wanted - beyond
+    excess = law - target - beyond
     # with ``time - time`` J is evaluated on facets once a step: linearised forms cannot contain NewtonCF
     J = exp(NewtonCF(excess, CF(0.0), tol=_INVERTED, maxiter=_STEPS)) + (time - time)
     return {v.name: v.from_distortion(J ** (1 / 3) * Id(3)) for v in material.variables if v.is_strain}

@@ -112,11 +112,11 @@ class Rates:
 
     def mean_creep(self, u: UnknownValues) -> dict[str, CoefficientFunction]:
         """Creep rate Pi, or its mean sum theta_i Pi_i over the bodies, 3x3, 1/s, by the branch's suffix."""
-        found: dict[str, CoefficientFunction] = {}
+        sums: dict[str, CoefficientFunction] = {}
         for mechanism, Pi in zip(self.mechanisms, self.creep(u), strict=True):
-            part, total = mechanism.share(u.z_tensors) * Pi, found.get(mechanism.suffix)
-            found[mechanism.suffix] = part if total is None else total + part
-        return found
+            part, total = mechanism.share(u.z_tensors) * Pi, sums.get(mechanism.suffix)
+            sums[mechanism.suffix] = part if total is None else total + part
+        return sums
 
     def local_creep(self, mechanism: CreepMechanism, u: UnknownValues) -> CoefficientFunction:
         """Rate Pi of a mechanism from the values at the point, 3x3, 1/s."""
@@ -137,18 +137,20 @@ class Rates:
 
         ``mechanism`` is that of a rule that may harden.
         """
-        found = {**u.z_tensors}
+        tensors = {**u.z_tensors}
         if PRESSURE in law.reads:
-            found[PRESSURE] = self.pressure(u)
+            tensors[PRESSURE] = self.pressure(u)
         if isinstance(law, MixedViscosity) and law.in_series:
-            found[INTERFACE] = self._interface(law, u)
+            tensors[INTERFACE] = self._interface(law, u)
         if TEMPERATURE in law.reads:  # from the projected conjugates, K
-            found[TEMPERATURE] = temperature(self.material, u.zeta_tensors)
+            tensors[TEMPERATURE] = temperature(self.material, u.zeta_tensors)
         if CONFORMATION in law.reads and mechanism is not None and mechanism.conformation is not None:
-            found[CONFORMATION] = u.z_tensors[mechanism.conformation]
+            tensors[CONFORMATION] = u.z_tensors[mechanism.conformation]
         if HARDENING in law.reads and mechanism is not None:  # A phi_h'(k), Pa, per volume of the body
-            found[HARDENING] = mechanism.matter(u.z_tensors) * u.zeta_tensors[mechanism.plastic_content.name]
-        return found
+            tensors[HARDENING] = (
+                mechanism.matter(u.z_tensors) * u.zeta_tensors[mechanism.plastic_content.name]
+            )
+        return tensors
 
     def _interface(self, law: MixedViscosity, u: UnknownValues) -> CoefficientFunction:
         """Projection n x n, 3x3, on the slope n of the viscosities' mean logarithm at the step's start.
@@ -202,11 +204,11 @@ class Rates:
 
     def dissipation(self, u: UnknownValues) -> dict[str, CoefficientFunction]:
         """Power of creep, W/m^3, without the gradient term, summed over bodies, by the branch's suffix."""
-        found: dict[str, CoefficientFunction] = {}
+        sums: dict[str, CoefficientFunction] = {}
         for mechanism, power in zip(self.mechanisms, self.powers_of_creep(u), strict=True):
-            total = found.get(mechanism.suffix)
-            found[mechanism.suffix] = power if total is None else total + power
-        return found
+            total = sums.get(mechanism.suffix)
+            sums[mechanism.suffix] = power if total is None else total + power
+        return sums
 
     def powers_of_creep(self, u: UnknownValues) -> list[CoefficientFunction]:
         """Power of creep of every mechanism, W/m^3."""
@@ -300,17 +302,17 @@ class TabulatedRates(Rates):
 
     def rate(self, z: UnknownValues, X: np.ndarray, first: int = 0) -> np.ndarray:
         """Rates rate(z; X), (n, points), for the X from ``first`` on; for densities their production."""
-        found = self.production.rate(z.z.value, X, first)
+        rates = self.production.rate(z.z.value, X, first)
         if self.weighed is not None:
-            found = found + self.weights(z.z.value) * self.weighed.rate(z.z.value, X, first)
-        return found
+            rates = rates + self.weights(z.z.value) * self.weighed.rate(z.z.value, X, first)
+        return rates
 
     def stress(self, z: UnknownValues, zeta: np.ndarray, first: int, stop: int) -> np.ndarray:
         """Derivatives d(zeta : rate)/dX for X = first ... stop - 1, (X, points)."""
-        found = self.production.stress(z.z.value, zeta, first, stop)
+        slopes = self.production.stress(z.z.value, zeta, first, stop)
         if self.weighed is not None:
-            found = found + self.weighed.stress(z.z.value, self.weights(z.z.value) * zeta, first, stop)
-        return found
+            slopes = slopes + self.weighed.stress(z.z.value, self.weights(z.z.value) * zeta, first, stop)
+        return slopes
 
     def power(
         self, z: UnknownValues, along: UnknownValues, G: UnknownValues, name: Conjugate
@@ -350,9 +352,9 @@ class TabulatedRates(Rates):
             with np.errstate(all="ignore"):  # NaN outside the energy's domain
                 return self.material.energy(u.z_tensors)
         z = u.z.value
-        found = self.response(np.ascontiguousarray(z.real.T))
-        along = 1j * (found.slope.T * z.imag).sum(axis=0) if np.iscomplexobj(z) else 0.0
-        return Array(found.energy + along, None)
+        response = self.response(np.ascontiguousarray(z.real.T))
+        along = 1j * (response.slope.T * z.imag).sum(axis=0) if np.iscomplexobj(z) else 0.0
+        return Array(response.energy + along, None)
 
     stored_near = stored_on_sides = stored
 

@@ -343,8 +343,8 @@ def _worst_bregman(
         """Functions that are > 0 where the energy has to be convex: J, the minors of B, ...; det F is left
         out, as its positive set is not convex."""
         z = sampling.space.tensors(lambda: components)
-        asked = (v for v in material.variables if v.kind != "full" and v.name not in material.continued)
-        return CF((1.0, *(value for v in asked for value in v.positive(z[v.name]).values())))
+        variables = (v for v in material.variables if v.kind != "full" and v.name not in material.continued)
+        return CF((1.0, *(value for v in variables for value in v.positive(z[v.name]).values())))
 
     phi_b = energies_at(material, a + step, sampling.dim)
     first_order = np.einsum("ij,ij->i", slope_a, step)

@@ -186,5 +186,5 @@ class RateTensors:
 
 def _differ(a: np.ndarray, b: np.ndarray) -> bool:
     """Whether values differ by more than rounding; pairs without a finite value are not compared."""
-    asked = np.isfinite(a) | np.isfinite(b)
-    return bool((~(abs(a - b) <= _ROUNDING * (1 + abs(a) + abs(b))) & asked).any())
+    is_finite = np.isfinite(a) | np.isfinite(b)
+    return bool((~(abs(a - b) <= _ROUNDING * (1 + abs(a) + abs(b))) & is_finite).any())

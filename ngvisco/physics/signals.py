@@ -46,9 +46,9 @@ def sampled(function: CoefficientFunction) -> list[float]:
     return values
 
 
-def one_value(found: list[float]) -> bool:
+def one_value(values: list[float]) -> bool:
     """Whether values are equal up to rounding."""
-    return bool(np.allclose(found, found[0], rtol=1e-12, atol=0.0, equal_nan=True))
+    return bool(np.allclose(values, values[0], rtol=1e-12, atol=0.0, equal_nan=True))
 
 
 _CHOICE = "IfPosCoefficientFunction"

@@ -157,8 +157,8 @@ class CellContext(_PointContext):
     @property
     def momentum_old(self) -> Array:
         """m_old, kg/(m^2 s)."""
-        if (known := self.sampled.momentum_old) is not None:
-            return self._here(known, [len(known)])
+        if (momentum := self.sampled.momentum_old) is not None:
+            return self._here(momentum, [len(momentum)])
         old = self.old  # a coarser rule serves tangents only
         return old.rho * old.v
 

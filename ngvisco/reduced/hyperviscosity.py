@@ -49,9 +49,9 @@ class SideJumps:
     def values(self, j: np.ndarray, s: np.ndarray | None, z: np.ndarray) -> Fields:
         """Fields on the sides: the jumps ``j``; |Hs|^2 and z have the coefficients ``s`` and ``z``."""
         c = {"z": z} if s is None else {"z": z, "hess_square": s}
-        known: Any = SimpleNamespace(h=Array(self.h, None), curvature=self._context.curvature.Get())
+        context: Any = SimpleNamespace(h=Array(self.h, None), curvature=self._context.curvature.Get())
         parts = Lazy(lambda name: Array(self._op.of(name)(c[name]), None), c, FACETS)
-        u = Fields(self._op.layout, parts, known)
+        u = Fields(self._op.layout, parts, context)
         u.__dict__["jump"] = Array(j, None)
         return u
 

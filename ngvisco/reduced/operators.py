@@ -45,7 +45,7 @@ class PointOperators:
         key = unknown.place, unknown.order, slopes
         if key not in self._made and self._whole is not None:
             with ALONE:
-                self._made[key] = [each.part(self.cells) for each in self._whole._matrices(name, slopes)]
+                self._made[key] = [matrix.part(self.cells) for matrix in self._whole._matrices(name, slopes)]
         elif key not in self._made:
             space, points = self.layout.scalar_space(name), self.points
             matrices = points.gradients(space) if slopes else [points.values(space)]

@@ -59,7 +59,7 @@ class Inlets:
         self._entered = dict.fromkeys((*self._given, *self._unknown), 0.0)
         """Mass, kg, that came in, by the wall's name."""
         # the stress of given values is not known for an energy without an expression
-        named_alone = [name for name, what in self._given.items() if what != "amounts"]
+        named_alone = [name for name, kind in self._given.items() if kind != "amounts"]
         has_expression = law.response(step.mesh.dim) is None
         self._compared = {name for name in self._given if has_expression or name not in named_alone}
         """Walls whose stresses are compared."""
@@ -108,9 +108,9 @@ class Inlets:
             if name.startswith(("power_", "dissipation_")) and not name.startswith("power_stored_")
         )
         for name, given in self._given.items():
-            lost, meeting = row[f"dissipation_inflow_{name}"], ""
-            if lost > _MATTERS * worked:
-                meeting = f"where both meet {lost:.3g} W are lost, {lost / worked:.0%} of all powers"
+            loss, meeting = row[f"dissipation_inflow_{name}"], ""
+            if loss > _MATTERS * worked:
+                meeting = f"where both meet {loss:.3g} W are lost, {loss / worked:.0%} of all powers"
             elif name in self._compared and self._entered[name] > _FILLED * row["mass"]:
                 difference, size = self._difference(name)
                 if difference > max(_DIFFERS * size, self._rounding):

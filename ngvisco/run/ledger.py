@@ -285,17 +285,17 @@ class Ledger:
         self._pending[name] = value
 
     def record(
-        self, number: int, time: float, taken: StepTaken, rejections: int = 0, error: float | None = None
+        self, number: int, time: float, step: StepTaken, rejections: int = 0, error: float | None = None
     ) -> dict[str, float]:
-        """Append and return the row of the step ``taken``, which ends in the present state at ``time``, s.
+        """Append and return the row of ``step``, which ends in the present state at ``time``, s.
 
         ``error`` is the estimate of the step's relative error, None without an estimate.  Raises StepError
         for a column that has to be a number and is none; the row is then not appended.
         """
         assert self.balance is not None
-        tau = taken.tau
+        tau = step.tau
         self.step.energy.require()
-        values = self._idle() | self._pending | self._numbers(self.state) | taken.rates | taken.numerical
+        values = self._idle() | self._pending | self._numbers(self.state) | step.rates | step.numerical
         energy = energy_of(values)
         dissipated, worked, remainder, inflow = (
             sum(values[entry.name] for entry in self.entries if entry.kind == kind)
@@ -312,9 +312,9 @@ class Ledger:
             **{"step": number, "time": time, "dt": tau, "closure": closure},
             **{"closure_relative": closure / scale if scale else closure},
             **{"mass_drift": (values["mass"] - expected) / expected},
-            **dict(zip(_COUNTS, (taken.iterations, rejections, taken.limited, taken.unsolved), strict=True)),
+            **dict(zip(_COUNTS, (step.iterations, rejections, step.limited, step.unsolved), strict=True)),
             "error_estimate": math.nan if error is None else error,
-            **self.momentum.row(values, tau, taken.impulse),
+            **self.momentum.row(values, tau, step.impulse),
             **self._measured(tau, time),
         }
         for name in self.columns:

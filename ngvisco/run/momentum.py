@@ -143,8 +143,8 @@ class Momentum:
             for name, force in zip(names, self.impulses.of_rows(at_end), strict=True):
                 row[name] += tau * float(force)
         impulses = [self._array(row, quantity) for quantity in (*self._given, *self._at_once)]
-        lost = self._array(row, "momentum") - self._totals.last - sum(impulses, np.zeros(len(self.motions)))
-        row |= dict(zip(self._names(DEFECT), map(float, lost), strict=True))
+        defect = self._array(row, "momentum") - self._totals.last - sum(impulses, np.zeros(len(self.motions)))
+        row |= dict(zip(self._names(DEFECT), map(float, defect), strict=True))
         totals = self._added(row)
         # a direction without a load has rounding from the impulses in other directions
         rounding = _ROUNDING * (totals.exchanged / self._reach).max(initial=0.0)
@@ -158,8 +158,8 @@ class Momentum:
         before, exchanged = self._totals, self._totals.exchanged
         for quantity in self._given:
             exchanged = exchanged + abs(self._array(row, quantity))
-        lost, moving = before.lost + self._array(row, DEFECT), max(before.moving, row[SIZE])
-        return _Totals(lost, exchanged, moving, self._array(row, "momentum"))
+        defect, moving = before.lost + self._array(row, DEFECT), max(before.moving, row[SIZE])
+        return _Totals(defect, exchanged, moving, self._array(row, "momentum"))
 
     def count(self, row: Mapping[str, float]) -> None:
         """Add the next row to the totals."""

@@ -241,8 +241,8 @@ class _First:
             centres = _centres(mesh)
             is_split = marked[_cells_at(straight, centres)]
             is_split[_cells_at(mesh, places)] = True
-            asked = self._volumes[_cells_at(self._straight, centres)] / 2**times
-            is_split &= _volumes(mesh) > _TOO_LARGE * asked
+            target_volumes = self._volumes[_cells_at(self._straight, centres)] / 2**times
+            is_split &= _volumes(mesh) > _TOO_LARGE * target_volumes
             if not is_split.any():
                 break
             for cell in mesh.Elements(VOL):

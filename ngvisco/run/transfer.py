@@ -294,8 +294,8 @@ def resume_changed(
     simulation.set_time(numbers["time"], number)
     simulation.stepper.begin(numbers["time"], number)
     ledger, balance = simulation.ledger, checkpoint.balance
-    lost = balance.energy - ledger.energy()
-    ledger.add_once(TRANSFER, lost)
+    loss = balance.energy - ledger.energy()
+    ledger.add_once(TRANSFER, loss)
     rows = [{name: row.get(name, 0.0) for name in ledger.columns} for row in rows]
     ledger.resume(balance, rows, limits)
-    return lost
+    return loss

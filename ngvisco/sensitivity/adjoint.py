@@ -88,23 +88,23 @@ class Adjoint:
                 self.jacobian[:, j] += weights @ near.derivative(values)
         self.base.at(state)
 
-    def _step(self, number: int, taken: RecordedStep, slopes: np.ndarray) -> np.ndarray:
+    def _step(self, number: int, recorded: RecordedStep, slopes: np.ndarray) -> np.ndarray:
         """Slopes by the start of a step, from the slopes by its end."""
-        solutions = [taken.state, *(stage.state for stage in taken.stages)]
+        solutions = [recorded.state, *(stage.state for stage in recorded.stages)]
         loads = np.zeros((len(solutions), *slopes.shape))
-        if taken.is_combined:
-            self._end(number, taken, solutions, slopes, loads)
+        if recorded.is_combined:
+            self._end(number, recorded, solutions, slopes, loads)
         else:
-            self._read_at(taken.after, self.ends[:, number])
+            self._read_at(recorded.after, self.ends[:, number])
             loads[-1] = slopes + self._seeds(self.ends[:, number])
-        for i in range(len(taken.stages), 0, -1):
-            self._stage(number, taken, i, solutions, loads)
+        for i in range(len(recorded.stages), 0, -1):
+            self._stage(number, recorded, i, solutions, loads)
         return loads[0]
 
     def _stage(
-        self, number: int, taken: RecordedStep, i: int, solutions: list[np.ndarray], loads: np.ndarray
+        self, number: int, recorded: RecordedStep, i: int, solutions: list[np.ndarray], loads: np.ndarray
     ) -> None:
-        stage, weights = taken.stages[i - 1], self.means[:, number]
+        stage, weights = recorded.stages[i - 1], self.means[:, number]
         base = self.base
         base.pose(stage, [base.evolved(y) for y in solutions[:i]])
         self.linearised.at_stage(stage)  # also sets the present state
@@ -131,7 +131,7 @@ class Adjoint:
     def _end(
         self,
         number: int,
-        taken: RecordedStep,
+        recorded: RecordedStep,
         solutions: list[np.ndarray],
         slopes: np.ndarray,
         loads: np.ndarray,
@@ -141,24 +141,24 @@ class Adjoint:
         ranges = base.step.layout.ranges
         is_v = np.zeros(len(base.state), dtype=bool)
         is_v[ranges["v"]] = True
-        self._read_at(taken.after, self.ends[:, number])
+        self._read_at(recorded.after, self.ends[:, number])
         whole = slopes + self._seeds(self.ends[:, number])
         slopes = np.array([starts.through_functions(slope) for slope in whole])
-        self.linearised.at_end(taken)
+        self.linearised.at_end(recorded)
         adjoints = np.array([self.linearised.end(np.where(is_v & self.free, slope, 0.0)) for slope in slopes])
         for j, near in enumerate(self.near):
             ends = []
             for follower in near.followers:
                 states = [follower.evolved(y) for y in solutions]
-                ends.append(follower.end(taken, states, solutions[-1], taken.after[ranges["v"]]))
+                ends.append(follower.end(recorded, states, solutions[-1], recorded.after[ranges["v"]]))
             state, rows = (near.derivative(values) for values in zip(*ends, strict=True))
             self.jacobian[:, j] += whole @ state - adjoints @ rows
         for n, (slope, adjoint) in enumerate(zip(slopes, adjoints, strict=True)):
-            combined = slope - starts.momentum_transposed(taken.after, adjoint)
+            combined = slope - starts.momentum_transposed(recorded.after, adjoint)
             loads[-1][n] += np.where(starts.evolving, 0.0, slope)
-            if taken.ends_at_stage:
+            if recorded.ends_at_stage:
                 loads[-1][n] += np.where(is_v & ~self.free, combined, 0.0)
             kept = np.where(starts.evolving & ~is_v, combined, 0.0)
-            for k in np.flatnonzero(taken.weights):
+            for k in np.flatnonzero(recorded.weights):
                 moved = starts.momentum_transposed(solutions[k], adjoint)
-                loads[k][n] += taken.weights[k] * (kept + moved)
+                loads[k][n] += recorded.weights[k] * (kept + moved)

@@ -84,7 +84,7 @@ class Follower:
         return form
 
     def end(
-        self, taken: RecordedStep, states: Sequence[Evolved], last: np.ndarray, v: np.ndarray
+        self, recorded: RecordedStep, states: Sequence[Evolved], last: np.ndarray, v: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """State at a combined end with a given velocity, and the momentum equation's residual there.
 
@@ -92,15 +92,15 @@ class Follower:
         of the velocity, of which moving walls replace the prescribed ones.
         """
         step, ranges = self.step, self.step.layout.ranges
-        step.start_from(list(zip(taken.weights, states, strict=False)))
+        step.start_from(list(zip(recorded.weights, states, strict=False)))
         self.state[:] = last
         old, walls = step.state_old.vec.FV().NumPy(), self.state[ranges["v"]].copy()
         for name in step.layout.evolving:
             self.state[ranges[name]] = old[ranges[name]]
         fixed = ~self.free_velocity
-        self.state[ranges["v"]] = np.where(fixed & taken.ends_at_stage, walls, v)
-        if not taken.ends_at_stage:
-            time.Set(taken.end)
+        self.state[ranges["v"]] = np.where(fixed & recorded.ends_at_stage, walls, v)
+        if not recorded.ends_at_stage:
+            time.Set(recorded.end)
             step.moving_walls.set_present_values()
         step.stresses.start()
         step.local_unknowns.update()
@@ -114,18 +114,18 @@ class Follower:
         return self.state.copy()
 
     def impulse(
-        self, taken: RecordedStep, states: Sequence[Evolved], end: np.ndarray, v: np.ndarray
+        self, recorded: RecordedStep, states: Sequence[Evolved], end: np.ndarray, v: np.ndarray
     ) -> np.ndarray:
         """The columns' contributions from the walls' impulse at a combined end, (columns,).
 
         ``v`` is the velocity of the last stage, which determines the impulse's power.
         """
-        self.step.start_from(list(zip(taken.weights, states, strict=False)))
+        self.step.start_from(list(zip(recorded.weights, states, strict=False)))
         self.state[:] = end
         if (multiplier := self.step.layout.ranges.get("wall_stress")) is not None:
             self.state[multiplier] = 0.0
-        rows = self._momentum_rows()[self.step.layout.ranges["v"]] / taken.tau
-        return self.columns.impulse(rows, None if taken.ends_at_stage else v)
+        rows = self._momentum_rows()[self.step.layout.ranges["v"]] / recorded.tau
+        return self.columns.impulse(rows, None if recorded.ends_at_stage else v)
 
     def _momentum_rows(self) -> np.ndarray:
         self.momentum.Apply(self.step.state.vec, self._residual)

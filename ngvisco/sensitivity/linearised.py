@@ -38,10 +38,10 @@ class Linearised:
         solve(self._rows, self._solution)
         return np.where(self.free, self._solution.FV().NumPy(), 0.0)
 
-    def at_end(self, taken: RecordedStep) -> None:
+    def at_end(self, recorded: RecordedStep) -> None:
         """Factorise the mass matrix of a combined end, with the walls' multipliers."""
         step = self.follower.step
-        step.state.vec.FV().NumPy()[:] = taken.after
+        step.state.vec.FV().NumPy()[:] = recorded.after
         form, layout = self.follower.momentum, step.layout
         form.AssembleLinearization(step.state.vec)
         kept = BitArray(layout.space.ndof)

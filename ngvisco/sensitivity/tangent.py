@@ -69,11 +69,11 @@ def tangents(
     linearised, times = Linearised(base), [trajectory.steps[0].begin]
     ends, integrals = [np.stack([run.begin(trajectory.steps[0]) for run in runs], axis=-1)], []
     integrals.append(np.zeros_like(ends[0]))
-    for number, taken in enumerate(trajectory.steps):
-        derivatives = _step(taken, base, linearised, runs)
+    for number, recorded in enumerate(trajectory.steps):
+        derivatives = _step(recorded, base, linearised, runs)
         ends.append(np.stack([end for end, _ in derivatives], axis=-1))
-        integrals.append(integrals[-1] + taken.tau * np.stack([mean for _, mean in derivatives], axis=-1))
-        times.append(taken.end)
+        integrals.append(integrals[-1] + recorded.tau * np.stack([mean for _, mean in derivatives], axis=-1))
+        times.append(recorded.end)
         progress(number + 1)
     return History(np.array(times), np.array(ends), np.array(integrals))
 
@@ -84,37 +84,37 @@ def history(trajectory: Trajectory, base: Follower) -> History:
     base.at(steps[0].state)
     ends, integrals = [columns.state()], [np.zeros(len(columns.names))]
     v = base.step.layout.ranges["v"]
-    for taken in steps:
-        states, mean = [base.evolved(taken.state)], np.zeros(len(columns.names))
-        for stage in taken.stages:
+    for recorded in steps:
+        states, mean = [base.evolved(recorded.state)], np.zeros(len(columns.names))
+        for stage in recorded.stages:
             base.pose(stage, states)
             base.at(stage.state, stage)
             mean += columns.stage(stage.share)
             states.append(base.evolved(stage.state))
-        if taken.is_combined and columns.is_of_stages.any():
-            mean += base.impulse(taken, states, taken.after, taken.stages[-1].state[v])
-        base.at(taken.after)
+        if recorded.is_combined and columns.is_of_stages.any():
+            mean += base.impulse(recorded, states, recorded.after, recorded.stages[-1].state[v])
+        base.at(recorded.after)
         ends.append(np.where(columns.is_of_stages, mean, columns.state()))
-        integrals.append(integrals[-1] + taken.tau * mean)
-    times = [steps[0].begin, *(taken.end for taken in steps)]
+        integrals.append(integrals[-1] + recorded.tau * mean)
+    times = [steps[0].begin, *(recorded.end for recorded in steps)]
     return History(np.array(times), np.array(ends), np.array(integrals))
 
 
 def _step(
-    taken: RecordedStep, base: Follower, linearised: Linearised, runs: Sequence[_Tangent]
+    recorded: RecordedStep, base: Follower, linearised: Linearised, runs: Sequence[_Tangent]
 ) -> list[tuple[np.ndarray, np.ndarray]]:
-    states = [base.evolved(taken.state)]
+    states = [base.evolved(recorded.state)]
     for run in runs:
-        run.start(taken.state)
-    for stage in taken.stages:
+        run.start(recorded.state)
+    for stage in recorded.stages:
         base.pose(stage, states)
         linearised.at_stage(stage)
         for run in runs:
-            run.stage(stage, linearised, taken.is_combined or stage is not taken.stages[-1])
+            run.stage(stage, linearised, recorded.is_combined or stage is not recorded.stages[-1])
         states.append(base.evolved(stage.state))
-    if taken.is_combined:
-        linearised.at_end(taken)
-    return [run.end(taken, linearised) for run in runs]
+    if recorded.is_combined:
+        linearised.at_end(recorded)
+    return [run.end(recorded, linearised) for run in runs]
 
 
 class _Tangent:
@@ -171,27 +171,27 @@ class _Tangent:
         ):
             states.append(follower.evolved(u))
 
-    def end(self, taken: RecordedStep, linearised: Linearised) -> tuple[np.ndarray, np.ndarray]:
+    def end(self, recorded: RecordedStep, linearised: Linearised) -> tuple[np.ndarray, np.ndarray]:
         """Derivatives of the columns at the step's end, and of their means over its stages."""
-        if taken.is_combined:
-            self._combine(taken, linearised)
-        values = self._columns_at(taken.after)
+        if recorded.is_combined:
+            self._combine(recorded, linearised)
+        values = self._columns_at(recorded.after)
         of_stages = self.near.followers[0].columns.is_of_stages
         return np.where(of_stages, self._mean, values), self._mean
 
-    def _combine(self, taken: RecordedStep, linearised: Linearised) -> None:
+    def _combine(self, recorded: RecordedStep, linearised: Linearised) -> None:
         v = self.near.followers[0].step.layout.ranges["v"]
         ends = [
-            follower.end(taken, states, last, taken.after[v])
+            follower.end(recorded, states, last, recorded.after[v])
             for follower, states, last in zip(self.near.followers, self._states, self._last, strict=True)
         ]
         along, rows = (self.near.derivative(values) for values in zip(*ends, strict=True))
-        moved = self.near.moved(taken.after, along - linearised.end(rows))
+        moved = self.near.moved(recorded.after, along - linearised.end(rows))
         # unknowns that are functions of v follow v
         self.along = self._differenced(lambda i, follower: follower.completed(moved[i]))
-        moved = self.near.moved(taken.after, self.along)
+        moved = self.near.moved(recorded.after, self.along)
         if self.near.followers[0].columns.is_of_stages.any():
             last = self._last
             self._mean += self._differenced(
-                lambda i, follower: follower.impulse(taken, self._states[i], moved[i], last[i][v])
+                lambda i, follower: follower.impulse(recorded, self._states[i], moved[i], last[i][v])
             )

@@ -133,8 +133,8 @@ class Trajectory:
         state = self.simulation.rothe_step.state.vec.FV().NumPy().copy()
         is_combined = not np.array_equal(state, self._stages[-1].state)
         row = self.simulation.ledger.rows[-1]
-        taken = RecordedStep(
+        recorded = RecordedStep(
             self._t, row["time"], self._start, tuple(self._stages), np.array(weights), state, is_combined
         )
-        self.steps.append(taken)
+        self.steps.append(recorded)
         self.limited += int(row["limited_cells"])

@@ -127,7 +127,7 @@ def _end_all() -> None:
 
 
 def _waited(process: subprocess.Popen[str], event: Any) -> tuple[int, str]:
-    looks, asked = 0, False
+    looks, is_asked = 0, False
     try:
         while True:
             try:
@@ -135,9 +135,9 @@ def _waited(process: subprocess.Popen[str], event: Any) -> tuple[int, str]:
                 return process.returncode, output
             except subprocess.TimeoutExpired:
                 looks += 1
-            if not asked and looks % _ASK == 0 and event.is_set():
+            if not is_asked and looks % _ASK == 0 and event.is_set():
                 process.terminate()  # the run gives up its step, writes a checkpoint and exits with 143
-                asked = True
+                is_asked = True
     except BaseException:  # the scheduler is gone, or this worker is closed
         process.terminate()
         raise

@@ -151,17 +151,17 @@ class Integrator:
             scheme = self.scheme_of(number)
             self.step.freeze()
             if self.relaxed and scheme is self.scheme:
-                taken = self._relaxed(scheme, t, tau, history, meets)
+                result = self._relaxed(scheme, t, tau, history, meets)
             else:
-                taken = self._taken(scheme, t, tau, history)
+                result = self._taken(scheme, t, tau, history)
             if self.step.damage is not None:  # damage grows after the step, with z fixed
-                rates, numerical = self.step.damage(taken.tau)
+                rates, numerical = self.step.damage(result.tau)
                 self._complete()
-                taken = replace(taken, rates=taken.rates | rates, numerical=taken.numerical | numerical)
-            for name, value in (taken.rates | taken.numerical).items():
+                result = replace(result, rates=result.rates | rates, numerical=result.numerical | numerical)
+            for name, value in (result.rates | result.numerical).items():
                 if not math.isfinite(value):
                     raise StepError(f"{name} of the step is {value}: take a smaller step or a finer mesh")
-            return replace(taken, unsolved=sum(getattr(field, "unsolved", 0) for field in self.carried))
+            return replace(result, unsolved=sum(getattr(field, "unsolved", 0) for field in self.carried))
         except BaseException as error:  # also an interrupt: never leave half a step behind
             self.undo()
             if isinstance(error, StepError):

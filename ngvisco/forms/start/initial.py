@@ -388,9 +388,9 @@ def _check_spaces(step: Step, given: Given, values: Given, sampler: Sampler) -> 
             continue
         value, is_given = values[variable.name], variable.name in given
         key = f"Initial.values[{variable.name!r}]" if is_given else "Initial.F"
-        lost = value - space.tensor(space.components(value))
+        difference = value - space.tensor(space.components(value))
         sampler.require(square(value), f"{variable.name}_0", key)
-        if sampler.extrema(square(lost))[1] > 1e-20 * (1 + sampler.extrema(square(value))[1]):
+        if sampler.extrema(square(difference))[1] > 1e-20 * (1 + sampler.extrema(square(value))[1]):
             shape = "symmetric" if variable.kind == "symmetric" else "3x3"
             if step.mesh.dim == 2:
                 shape += " with zero 13, 23, 31, 32 entries (plane strain)"

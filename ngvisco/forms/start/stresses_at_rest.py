@@ -60,11 +60,11 @@ def on_open_walls(step: Step) -> Iterator[str]:
         shares = material.fractions.at(u.z_tensors)
         at_rest = sum((stresses[name] * share for name, share in shares.items()), CF(0.0))
     T = cauchy_stress(material, u.z_tensors, u.zeta_tensors, step.energy.anywhere(u))
-    own, rest_stress, n = BoundaryFromVolumeCF(T), BoundaryFromVolumeCF(CF(at_rest)), specialcf.normal(dim)
+    inside, rest_stress, n = BoundaryFromVolumeCF(T), BoundaryFromVolumeCF(CF(at_rest)), specialcf.normal(dim)
     unborne = []
     for name in walls:
         given = GivenStress(step.walls, name).at(u, n)
-        left = CF(tuple(sum(own[i, j] * n[j] for j in range(dim)) - given[i] for i in range(dim)))
+        left = CF(tuple(sum(inside[i, j] * n[j] for j in range(dim)) - given[i] for i in range(dim)))
         means = CF((CF(1.0), left * left, rest_stress * rest_stress, rest_stress, given * n))
         area, *sums = Integrate(means, step.mesh, BND, definedon=step.walls.region([name]))
         gap, size, mean, push = (total / area for total in sums)

@@ -147,10 +147,10 @@ class Upwinding(PointTerm):
 
     def dissipated_on_facets(self, u: Fields) -> dict[str, CoefficientFunction]:
         mean = JumpHeat.name in u.layout.unknowns  # with the mean both sides have the same share
-        lost = u.parts[JumpHeat.name] if mean else lost_by_jumps(u)
+        loss = u.parts[JumpHeat.name] if mean else lost_by_jumps(u)
         if self.tangents is not None:
-            lost = lost + (u.v * u.context.normal) * self.tangents.excess(u)
-        return {UPWINDING: lost}
+            loss = loss + (u.v * u.context.normal) * self.tangents.excess(u)
+        return {UPWINDING: loss}
 
     def entries(self, u: Fields) -> list[Entry]:
         """Columns of the dissipation, >= 0 up to the error of the conjugates' projection."""

@@ -73,11 +73,13 @@ def check_viscosity(law: Viscosity, material: Material) -> None:
             unshaped = [law.stress(Array(e, None), z).value for e in (eps, 1.001 * eps)]
             stresses = [np.broadcast_to(stress, eps.shape) for stress in unshaped]
         power, risen = (((stress * eps).sum(axis=(0, 1)) / sizes) for stress in stresses)
-        asked, large = np.isfinite(power) & np.isfinite(risen), np.sqrt((stresses[0] ** 2).sum(axis=(0, 1)))
-        _refuse(f"{name}.stress", power < -_ROUNDING * large, asked, power, sizes, "D(eps) : eps >= 0", "eps")
+        tested, large = np.isfinite(power) & np.isfinite(risen), np.sqrt((stresses[0] ** 2).sum(axis=(0, 1)))
+        _refuse(
+            f"{name}.stress", power < -_ROUNDING * large, tested, power, sizes, "D(eps) : eps >= 0", "eps"
+        )
         falls = risen - power < -_ROUNDING * large
         expected = "a stress that rises with eps, of a convex potential"
-        _refuse(f"{name}.stress", falls, asked, risen - power, sizes, expected, "eps")
+        _refuse(f"{name}.stress", falls, tested, risen - power, sizes, expected, "eps")
 
 
 def check_rule(rule: FlowRule, material: Material) -> None:
@@ -101,22 +103,22 @@ def check_rule(rule: FlowRule, material: Material) -> None:
         Pi = np.broadcast_to(value, M.value.shape)
         size = np.sqrt((Pi * Pi).sum(axis=(0, 1)))
         power = (Pi * M.value).sum(axis=(0, 1))
-        asked = np.isfinite(power) & np.isfinite(size)
-        if not asked.any():
+        tested = np.isfinite(power) & np.isfinite(size)
+        if not tested.any():
             raise ParameterError(f"{name}.rate", rule, "finite rates for some M between 1e-9 and 1e12 Pa")
-        _refuse(f"{name}.rate", power < -_ROUNDING * size * sizes, asked, power, sizes, "M : Pi >= 0")
+        _refuse(f"{name}.rate", power < -_ROUNDING * size * sizes, tested, power, sizes, "M : Pi >= 0")
         skew = abs(Pi - Pi.swapaxes(0, 1)).max(axis=(0, 1))
-        _refuse(f"{name}.rate", skew > _ROUNDING * size, asked, skew, sizes, "a symmetric Pi")
+        _refuse(f"{name}.rate", skew > _ROUNDING * size, tested, skew, sizes, "a symmetric Pi")
         if not rule.has_trace:
             trace = abs(np.einsum("iip->p", Pi))
-            _refuse(f"{name}.rate", trace > _ROUNDING * size, asked, trace, sizes, "tr Pi = 0")
+            _refuse(f"{name}.rate", trace > _ROUNDING * size, tested, trace, sizes, "tr Pi = 0")
         if rule.is_local:
             return
         force = rule.force(Array(Pi, None), z).value
         force = force - np.eye(3)[:, :, None] * np.einsum("iip->p", force) / 3
         gap = np.sqrt(((force - M.value) ** 2).sum(axis=(0, 1))) / sizes
-        asked &= (size > 1e3 * rule.rate_floor) & np.isfinite(gap)
-        _refuse(f"{name}.psi", gap > _INVERSE, asked, gap, sizes, "psi'(rate(M)) = M; its relative distance")
+        tested &= (size > 1e3 * rule.rate_floor) & np.isfinite(gap)
+        _refuse(f"{name}.psi", gap > _INVERSE, tested, gap, sizes, "psi'(rate(M)) = M; its relative distance")
 
 
 @contextmanager
@@ -132,12 +134,12 @@ def _naming(field: str, law: object) -> Iterator[None]:
 def _refuse(
     field: str,
     wrong: np.ndarray,
-    asked: np.ndarray,
+    tested: np.ndarray,
     value: np.ndarray,
     sizes: np.ndarray,
     expected: str,
     argument: str = "M",
 ) -> None:
-    if (at := np.flatnonzero(wrong & asked)).size:
+    if (at := np.flatnonzero(wrong & tested)).size:
         where = f"{expected}, here at |{argument}| = {sizes[at[0]]:g} {'Pa' if argument == 'M' else '1/s'}"
         raise ParameterError(field, float(value[at[0]]), where)

@@ -70,12 +70,12 @@ def referential_volume(K_e: Any, epsilon: Any, kappa: float, J: Tensor, J_min: f
     and its rounding is a force without resistance (``forms.terms.tangents``).
     """
     is_without = isinstance(epsilon, (int, float)) and epsilon == 0
-    rest = 1.0 if is_without else 1 - kappa * epsilon / K_e
+    J_rest = 1.0 if is_without else 1 - kappa * epsilon / K_e
 
     def square_over_J(a: Any) -> Any:
-        return 0.5 * K_e * (a - rest) * (a - rest) / a
+        return 0.5 * K_e * (a - J_rest) * (a - J_rest) / a
 
-    volume = continued(square_over_J, lambda a: 0.5 * K_e * (1 - (rest / a) * (rest / a)), J, J_min)
+    volume = continued(square_over_J, lambda a: 0.5 * K_e * (1 - (J_rest / a) * (J_rest / a)), J, J_min)
     return volume if is_without else volume + inverse_power(epsilon, kappa + 1, J, J_min)
 
 
@@ -305,8 +305,8 @@ class LogarithmicNeoHookean(IsotropicElastic):
         return (super().variables[0], ReciprocalJacobian(), LogJacobian())
 
     def energy(self, z: Values) -> Tensor:
-        A, rest = z["A"], 1 - self.epsilon / self.K_e
-        volume = 0.5 * self.K_e * (1 - rest * A) * (1 - rest * A) / A
+        A, J_rest = z["A"], 1 - self.epsilon / self.K_e
+        volume = 0.5 * self.K_e * (1 - J_rest * A) * (1 - J_rest * A) / A
         return volume + self.G_e * self.first_invariant(z) - self.epsilon * z["K"]
 
 

@@ -56,7 +56,7 @@ class FlowSchurComplement:
         self._assembled = ElementAssembly(op.v.unknowns, op.v.width)
         self.cells, self.local, self.functions = op.v.cells, op.v.local, op.z.local
         # a periodic strip of one cell has an unknown twice: its blocks are filled up with zeros
-        shapes = np.stack([each.blocks.reshape(-1, self.local) for each in (op.v, *op.slopes("v"))], axis=1)
+        shapes = np.stack([part.blocks.reshape(-1, self.local) for part in (op.v, *op.slopes("v"))], axis=1)
         self._shapes = shapes.astype(precision.SINGLE)  # (points, 1 + d, local)
         self._scatter = op.v.scatter.astype(precision.SINGLE)
         rows, of_fields = self.local * self.dim, self.functions * self.components
