@@ -43,6 +43,9 @@ class Direct(Protocol):
 
     def __call__(self, r: np.ndarray) -> np.ndarray: ...
 
+    def forget(self) -> None:
+        """Free the last factorisation's memory; collective over ranks."""
+
     def release(self) -> None:
         """Free the memory; collective over ranks."""
 
@@ -83,8 +86,10 @@ class DirectSolver:
             result[self.free] = self._solve(r[self.free])
         return result
 
-    def release(self) -> None:
+    def forget(self) -> None:
         self._solve = None
+
+    release = forget
 
 
 def _in_single(matrix: sp.csr_matrix) -> Callable[[np.ndarray], np.ndarray] | None:
@@ -152,7 +157,7 @@ class TwoLevelSolver:
         if beside:
             is_coarse[matrix[self.beside_velocity].indices] = True
             is_coarse = exchange.sum(is_coarse.astype(float)) > 0
-        self.release()
+        self.forget()
         self.coarse = self.factorised(self.free & is_coarse, matrix, not beside)
         diagonal = exchange.sum(matrix.diagonal())
         fine = self._fine = np.flatnonzero(self.free & ~is_coarse & (diagonal != 0))
@@ -182,9 +187,13 @@ class TwoLevelSolver:
         result[self._fine] = x + self._smoothed(r_fine)
         return result
 
-    def release(self) -> None:
+    def forget(self) -> None:
         if self.coarse is not None:
             self.coarse.release()
+        self.coarse = None
+        self._to_coarse = self._from_coarse = self._among_fine = sp.csr_matrix((0, 0))
+
+    release = forget
 
     def _smoothed(self, r: np.ndarray) -> np.ndarray:
         """Result of the sweeps from zero for the fine functions' residual ``r``."""

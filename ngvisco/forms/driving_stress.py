@@ -21,6 +21,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -83,15 +84,20 @@ class LinearisationStress:
         self._given: np.ndarray | None = None  # the stresses of the next state
         self.start()
         self.state, self._own = state, layout.ranges["z"]
-        self._increment = GridFunction(layout.space)
-        parts = (
-            dict(zip(layout.names, vector.components, strict=True)) for vector in (state, self._increment)
-        )
-        self._now, self._along = ([part["z"], part["zeta"]] for part in parts)
+        self._now = self._parts(state)
         self._sampled = quadrature.vectors(layout.states.size, collocated=True)
 
     def __bool__(self) -> bool:
         return bool(self.mechanisms)
+
+    def _parts(self, state: GridFunction) -> list[GridFunction]:
+        """z and zeta of a state."""
+        parts = dict(zip(self.layout.names, state.components, strict=True))
+        return [parts["z"], parts["zeta"]]
+
+    @cached_property
+    def _increment(self) -> GridFunction:
+        return GridFunction(self.layout.space)
 
     def begin(self) -> None:
         """Begin a step at the present state."""
@@ -161,7 +167,7 @@ class LinearisationStress:
         """Prepare the stresses for a next state: the present one minus ``length`` times ``increment``."""
         if self:
             self._increment.vec.data = -1.0 * increment
-            self.follow_fields(*self._values(self._along), length)
+            self.follow_fields(*self._values(self._parts(self._increment)), length)
 
     def follow_fields(self, dz: np.ndarray, dzeta: np.ndarray, length: float) -> None:
         """Compute the target Y after ``length`` times the increments ``dz`` and ``dzeta`` there."""

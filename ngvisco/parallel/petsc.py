@@ -147,7 +147,7 @@ class SumInverse:
         with self.communicator.together(SingularError):
             if self.communicator.is_idle:
                 return
-            self._drop()  # first: two factorisations at once would take the most memory of a run
+            self.forget()  # first: two factorisations at once would take the most memory of a run
             matrix, failure = self._matrix(0.5 * (local + local.T) if self.symmetric else local), None
             if self._solving is not None:
                 failure = self._set_up(matrix)
@@ -229,14 +229,15 @@ class SumInverse:
         vector.normalize()
         return vector
 
-    def _drop(self) -> None:
+    def forget(self) -> None:
+        """Free the last factorisation's memory; collective."""
         if self._solver is not None:
             self._solver.destroy()
             self._solver = None
 
     def release(self) -> None:
         """Destroy the PETSc objects, to be called before another inverse is made; collective."""
-        self._drop()
+        self.forget()
         for resource in self._held:
             resource.destroy()
 

@@ -127,7 +127,7 @@ def snapshot(simulation: RunState, solving: Mapping[str, KeptPart]) -> Snapshot:
     balance = simulation.ledger.balance
     assert balance is not None
     numbers = {"time": simulation.t, "step": simulation.number, "velocity_scale": simulation.velocity_scale}
-    parts: dict[str, tuple[dict[str, float], dict[str, np.ndarray]]] = {
+    parts: dict[str, KeptPart] = {
         "": (
             numbers | dataclasses.asdict(balance),
             {"state": simulation.rothe_step.state.vec.FV().NumPy().copy()},
@@ -135,7 +135,11 @@ def snapshot(simulation: RunState, solving: Mapping[str, KeptPart]) -> Snapshot:
         **solving,
         "passive": ({}, simulation.passive.arrays()),
     }
-    arrays = {f"{part}/{name}": array for part, (_, data) in parts.items() for name, array in data.items()}
+    arrays = {
+        f"{part}/{name}": np.asarray(array)
+        for part, (_, data) in parts.items()
+        for name, array in data.items()
+    }
     return Snapshot(
         {f"{part}/{name}": number for part, (data, _) in parts.items() for name, number in data.items()},
         {name: simulation.numbering.whole(array, name) for name, array in arrays.items()},

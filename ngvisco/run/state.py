@@ -7,9 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cached_property
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
-import numpy as np
 from ngsolve import CoefficientFunction
 
 from ngvisco.errors import ParameterError
@@ -34,8 +33,8 @@ from ngvisco.timestepping.scheme import TimeScheme
 
 _LOOKED_AT = 4
 
-KeptPart: TypeAlias = tuple[dict[str, float], dict[str, np.ndarray]]
-"""Numbers and arrays of a part of a run that a restart needs."""
+KeptPart: TypeAlias = tuple[dict[str, float], dict[str, Any]]
+"""Numbers, and arrays or what NumPy makes arrays of, of a part of a run that a restart needs."""
 
 
 class RunState:

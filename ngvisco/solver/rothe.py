@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from ngsolve import BaseVector
@@ -20,15 +21,18 @@ from ngvisco.solver.newton import Newton
 from ngvisco.solver.options import NewtonOptions
 from ngvisco.solver.problem import Attempt, BlockNorm, Interval, Problem, Solution, Status
 from ngvisco.solver.split.solver import Split
-from ngvisco.solver.start import Extrapolation
+from ngvisco.solver.start import Extrapolation, KeptState
 from ngvisco.solver.turns import Turns
 from ngvisco.threads import on_arrays
 
 _PARAMETERS = ("tau", "end", "loads_from", "loads_over", "loads_tilt")
 
-_FACTORISED_AT = {"state": None, "state_old": None, "lagged": "z"}
-"""States that a factorisation depends on, and the unknown that each is restricted to; a checkpoint stores
-whole states."""
+_FACTORISED_AT = "state", "state_old", "lagged"
+"""States that a factorisation depends on; a checkpoint stores whole states."""
+
+_BY_SPLIT = "factorised_by_split"
+"""Number of a checkpoint: 1 if the state of the last factorisation has only the unknowns on which the split
+solver iterates."""
 
 _TOO_FAST = 0.8
 """Courant number to which the split solver reduces a faster start value: if tau grad v is above one, the
@@ -71,12 +75,13 @@ class RotheSolver:
         self.interrupted: Callable[[], bool] = lambda: False
         """Whether to give up the step; called before each iteration."""
         self._last_tau: float | None = None
-        self._factorised: dict[str, np.ndarray] = {}
+        self._factorised: dict[str, KeptState] = {}
         """States of the last factorisation, which nothing writes to."""
         self._factorised_at: Interval | None = None
         self._stresses: dict[str, np.ndarray] = {}
         """Linearisation stresses of flow rules at the last factorisation."""
-        self._start = step.state.vec.CreateVector()
+        self.start = step.state.vec.CreateVector()
+        """The state at which the last step was begun."""
         self._met: list[str] = []
         """Reasons, from all attempts at a step, why an iterate had no finite energy."""
         self.extrapolation = Extrapolation(step)
@@ -159,7 +164,7 @@ class RotheSolver:
         The step's history is returned; its last entry is the solution.  Raises StepError if no solution with
         positive rho and J is found.  The state is then the start value again, and the error has the history.
         """
-        self._start.data = self.step.state.vec
+        self.start.data = self.step.state.vec
         self.step.stresses.begin()
         if interval.tau != self._last_tau:
             self.newton.reset()
@@ -181,7 +186,7 @@ class RotheSolver:
                     notes = dict.fromkeys(note for note in self._met if note not in reason)
                     raise StepError("; ".join([reason, *notes]), attempts)
         except BaseException:  # also an interrupt: never leave an iterate behind
-            self.return_to(self._start)
+            self.return_to(self.start)
             raise
         self.extrapolation.keep(interval.end)
         return attempts
@@ -190,9 +195,9 @@ class RotheSolver:
         """Yield the start values in the order of the attempts, with their names for the history."""
         if self.method == "split":
             guess = self.extrapolation.guess(interval.end)
-            if guess is not None and self._courant(interval, (guess - self._start).Evaluate()) <= _TOO_FAR:
+            if guess is not None and self._courant(interval, (guess - self.start).Evaluate()) <= _TOO_FAR:
                 yield "from extrapolated values", guess
-        guess, courant = self._start.Copy(), self._courant(interval, self._start)
+        guess, courant = self.start.Copy(), self._courant(interval, self.start)
         if self.method == "split" and courant > _TOO_FAST:
             self._velocity(guess)[:] *= _TOO_FAST / courant
         yield "from the last state", guess
@@ -204,7 +209,7 @@ class RotheSolver:
 
         Steep flow rules, and heat that leaves in long steps, need them.
         """
-        guess, solved, factor = self._start.Copy(), 0.0, _FACTOR
+        guess, solved, factor = self.start.Copy(), 0.0, _FACTOR
         length = _SHORTEST
         for left in reversed(range(_LENGTHS)):
             solution = self._attempt(interval.shortened(length), guess)
@@ -250,30 +255,31 @@ class RotheSolver:
         self.extrapolation.drop()
         self.newton.reset()
 
-    def state_dict(self) -> tuple[dict[str, float], dict[str, np.ndarray]]:
+    def state_dict(self) -> tuple[dict[str, float], dict[str, Any]]:
         """Data of earlier steps that the next step depends on, among them the state of the last
         factorisation.
 
         A resumed run factorises there again, so that it continues bit for bit like the run that wrote the
-        data.  The arrays are not copies.
+        data.  The states, of which NumPy makes arrays of all unknowns, are not copies.
         """
-        numbers, arrays = self.extrapolation.state_dict()
+        numbers, states = self.extrapolation.state_dict()
         numbers |= self.turns.state_dict()
         if self._last_tau is None or not self.newton.is_factorised:
-            return numbers, arrays
+            return numbers, states
         numbers |= {name: getattr(self._factorised_at, name) for name in _PARAMETERS}
-        numbers["last_tau"] = self._last_tau
-        return numbers, arrays | self._factorised | self._stresses
+        numbers |= {"last_tau": self._last_tau, _BY_SPLIT: float(self.method == "split")}
+        return numbers, states | self._factorised | self._stresses
 
-    def load_state_dict(self, numbers: dict[str, float], arrays: dict[str, np.ndarray]) -> None:
+    def load_state_dict(self, numbers: dict[str, float], arrays: dict[str, Any]) -> None:
         """Restore the data that ``state_dict`` gave; state, old state and time do not change."""
         self.turns.load_state_dict(numbers)
         self.newton.reset()
         self.extrapolation.load_state_dict(numbers, arrays)
-        if "last_tau" not in numbers:
+        is_split = float(self.method == "split")
+        if "last_tau" not in numbers or numbers.get(_BY_SPLIT, is_split) != is_split:
             return
         now, kept = time.Get(), {name: vector.copy() for name, vector in self._vectors().items()}
-        self._set({name: arrays[name][self._part(name)] for name in kept})
+        self._set({name: np.asarray(arrays[name])[self._part(name)] for name in kept})
         self.step.stresses.give(arrays)
         parameters = {name: numbers[name] for name in _PARAMETERS}
         self.newton.factorise(self.problem(Interval(begin=now, **parameters)))
@@ -295,15 +301,19 @@ class RotheSolver:
 
     def _part(self, name: str) -> slice:
         """Range of the vector's numbers in the numbers of a whole state."""
-        unknown = _FACTORISED_AT[name]
-        return slice(None) if unknown is None else self.step.layout.ranges[unknown]
+        return self.step.layout.ranges["z"] if name == "lagged" else slice(None)
 
     def remember(self, interval: Interval) -> None:
         """Store the present state as the state of the last factorisation, in a step over this interval."""
         self._factorised_at, self._stresses = interval, self.step.stresses.frozen()
-        self._factorised = {name: np.zeros(len(self.step.state.vec)) for name in self._vectors()}
-        for name, values in self._vectors().items():
-            self._factorised[name][self._part(name)] = values
+        layout, newton, vectors = self.step.layout, self.newton, self._vectors()
+        names = newton.unknowns.names if isinstance(newton, Split) else layout.names
+        self._factorised = {
+            "state": KeptState.of(layout, vectors["state"], names),
+            "state_old": KeptState.of(layout, vectors["state_old"], layout.evolving),
+        }
+        if "lagged" in vectors:
+            self._factorised["lagged"] = KeptState(layout, {"z": vectors["lagged"]})
 
     def _judged(self, solution: Solution) -> Solution:
         """The solution, turned into a failure if its energy is not finite, or rho or J is not positive."""

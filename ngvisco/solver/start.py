@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
+from typing import Any
+
 import numpy as np
 from ngsolve import BaseVector
 
+from ngvisco.forms.context import StepLayout
 from ngvisco.forms.system import Step
 from ngvisco.parallel.communicator import Communicator
+from ngvisco.reduced.unknowns import Unknowns
 
 FARTHEST = 3.0
 """Largest time from the last solution to the step's end, relative to the time between the two solutions."""
@@ -15,13 +20,46 @@ LARGEST_CHANGE = 0.5
 """Largest relative change of density and elastic variables: it keeps them in the energy's domain."""
 
 
+class KeptState:
+    """Coefficients of some unknowns of a state, by name; NumPy converts it to an array of the whole state.
+
+    The other unknowns are functions of those that are kept, and have the coefficients 0 in the array.
+    """
+
+    def __init__(self, layout: StepLayout, values: Mapping[str, np.ndarray]) -> None:
+        """Copy the unknowns' coefficients."""
+        self._layout, self._values = layout, {name: part.copy() for name, part in values.items()}
+
+    @classmethod
+    def of(cls, layout: StepLayout, state: np.ndarray, names: Iterable[str]) -> KeptState:
+        """Keep the unknowns ``names`` of ``state``, an array of all unknowns."""
+        return cls(layout, {name: state[layout.ranges[name]] for name in names})
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        return self._values[name]
+
+    def put(self, state: np.ndarray) -> None:
+        """Set the kept unknowns of ``state``, an array of all unknowns."""
+        for name, values in self._values.items():
+            state[self._layout.ranges[name]] = values
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
+        whole = np.zeros(self._layout.space.ndof, dtype)
+        self.put(whole)
+        return whole
+
+
 class Extrapolation:
-    """Keeps the last two solutions, which a checkpoint stores, and extrapolates them."""
+    """Keeps the last two solutions, which a checkpoint stores, and extrapolates them.
+
+    Only the unknowns on which the split solver iterates are kept.
+    """
 
     def __init__(self, step: Step) -> None:
         self.step, self._ranks = step, Communicator.of(step.mesh)
-        self._kept: list[tuple[float, np.ndarray]] = []
-        """Times, s, and coefficients of the solutions; the arrays are not written to."""
+        self._kept: list[tuple[float, KeptState]] = []
+        """Times, s, and coefficients of the solutions; the coefficients are not written to."""
+        self._names = Unknowns(step).names
 
     @property
     def is_empty(self) -> bool:
@@ -30,7 +68,8 @@ class Extrapolation:
 
     def keep(self, time: float) -> None:
         """Keep ``step.state`` as the solution at ``time``, s."""
-        self._kept = [*self._kept[-1:], (time, self.step.state.vec.FV().NumPy().copy())]
+        state = self.step.state.vec.FV().NumPy()
+        self._kept = [*self._kept[-1:], (time, KeptState.of(self.step.layout, state, self._names))]
 
     def drop(self) -> None:
         """Forget the kept solutions, as the next state will not follow from them."""
@@ -39,30 +78,36 @@ class Extrapolation:
     def guess(self, time: float) -> BaseVector | None:
         """The state extrapolated to ``time``, s, or None.
 
-        None if fewer than two solutions are kept, if ``time`` is too far from the last one, or if an evolving
-        unknown other than v would change by more than ``LARGEST_CHANGE`` relative to its size."""
+        None if ``time`` is too far from the last solution, if fewer than two solutions are kept, or if an
+        evolving unknown other than v would change by more than ``LARGEST_CHANGE`` relative to its size.
+        Unknowns that follow from those that are kept have their present values."""
         if len(self._kept) < 2:
             return None
         (earlier, before), (last, now) = self._kept
         # stages of a tableau need not go forward in time
         if last <= earlier or not 0 < (reach := (time - last) / (last - earlier)) <= FARTHEST:
             return None
-        change = reach * (now - before)
-        for name in self.step.layout.evolving:
-            where = self.step.layout.ranges[name]
-            size, change_of = (self._ranks.most(abs(u[where]).max(initial=0.0)) for u in (now, change))
+        guess, ranges = self.step.state.vec.Copy(), self.step.layout.ranges
+        values = guess.FV().NumPy()
+        for name in self._names:
+            change = reach * (now[name] - before[name])
+            values[ranges[name]] = now[name] + change
+            if name not in self.step.layout.evolving:
+                continue
+            size, change_of = (self._ranks.most(abs(u).max(initial=0.0)) for u in (now[name], change))
             if not change_of < LARGEST_CHANGE * size and name != "v":
                 return None
-        guess = self.step.state.vec.CreateVector()
-        guess.FV().NumPy()[:] = now + change
         return guess
 
-    def state_dict(self) -> tuple[dict[str, float], dict[str, np.ndarray]]:
-        """Numbers and arrays that a checkpoint stores; the arrays are not copies."""
+    def state_dict(self) -> tuple[dict[str, float], dict[str, Any]]:
+        """Numbers and states that a checkpoint stores; the states are not copies."""
         kept = list(zip(("earlier", "last"), self._kept, strict=False))
         return {f"{name}_time": t for name, (t, _) in kept}, {name: u for name, (_, u) in kept}
 
-    def load_state_dict(self, numbers: dict[str, float], arrays: dict[str, np.ndarray]) -> None:
-        """Restore the data that ``state_dict`` gave."""
-        names = [name for name in ("earlier", "last") if name in arrays]
-        self._kept = [(numbers[f"{name}_time"], np.array(arrays[name])) for name in names]
+    def load_state_dict(self, numbers: dict[str, float], states: dict[str, Any]) -> None:
+        """Restore the data that ``state_dict`` gave, or whole states."""
+        self._kept = [
+            (numbers[f"{which}_time"], KeptState.of(self.step.layout, np.asarray(states[which]), self._names))
+            for which in ("earlier", "last")
+            if which in states
+        ]

@@ -119,7 +119,8 @@ class Integrator:
         self.rothe, self.step, self.scheme, self.bounds = rothe, rothe.step, scheme, bounds
         self.meter, self.carried, self.startup, self.relaxed = meter, list(carried), startup, relaxed
         self.distance = BregmanDistance(self.step)
-        self._before = self.step.state.vec.CreateVector()
+        self._before = rothe.start
+        """The state before the step; until the second stage it is the start of the solver's step."""
         self._t = 0.0
         self.tried = 0.0
         """Length of the last attempted step, s."""
@@ -144,6 +145,7 @@ class Integrator:
         Raises StepError if a stage is not solved or the end is not admissible; the state before the step is
         then restored.
         """
+        self._before = self.rothe.start
         self._before.data = self.step.state.vec
         self._t, self.tried = t, tau
         history: list[Attempt] = []
@@ -219,6 +221,8 @@ class Integrator:
             self.step.start_from(list(zip(scheme.starts[i], states, strict=False)))
             history += self.rothe.solve(Interval(length, begin, end, t, tau, scheme.tilts[i]))
             begin = end
+            if i + 1 < scheme.stages and self._before is self.rothe.start:
+                self._before = self.rothe.start.Copy()
             states.append(self.step.evolved())
             _add(rates, scheme.b[i], self.meter())
             for field in self.carried:

@@ -4,7 +4,7 @@ import h5py
 import numpy as np
 import pytest
 from ngsolve import SetNumThreads, sin, x, y
-from support import assert_goes_on, swirling
+from support import assert_goes_on, assert_same, swirling
 
 import ngvisco as nv
 from ngvisco.geometries import box, disc
@@ -43,6 +43,17 @@ def test_a_run_goes_on_with_another_flow_rule(tmp_path, solver):
     rest.restore(tmp_path / "run.h5")
     ledger = rest.run(0.08)
     assert abs(ledger.column("closure_relative")).max() < 1e-12 and not ledger.column("rejections").any()
+
+
+@pytest.mark.parametrize("solver, other", [("split", "coupled"), ("coupled", "split")])
+def test_a_run_goes_on_with_the_other_solver(tmp_path, solver, other):
+    """A checkpoint by the split solver has only the unknowns on which that solver iterates."""
+    whole = simulation([nv.Checkpoints(tmp_path / "run.h5", every=1, keep=9)], SOLID, solver=solver)
+    whole.run(0.06)
+    again = simulation(material=SOLID, solver=other)
+    again.restore(tmp_path / "run.h5", step=2)
+    again.run(0.06)
+    assert_same(whole, again)
 
 
 def test_a_checkpoint_of_something_else_is_refused_with_the_reason(tmp_path):

@@ -225,6 +225,7 @@ class Preconditioner:
     def update(self, at: Evaluation) -> None:
         """Form operator and tangent at an evaluation; its unknowns have to be the step's state."""
         self.linearise(at, everything=True)
+        self.solver.forget()  # before the memory for the next tangent is taken
         self.solver.factorise(self.operator.tangent(at, self.hyper_tangent))
 
     def linearise(self, at: Evaluation, everything: bool) -> None:

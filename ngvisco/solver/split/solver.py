@@ -63,7 +63,6 @@ class Split:
         self.residual = ReducedResidual(step, exchange, workers)
         self.unknowns = self.residual.unknowns
         self.preconditioner = Preconditioner(self.residual, options)
-        self._full = step.state.vec.CreateVector()
         self._turned = 0.0
         """The last relative increment of a creep rate field."""
         self._stale = False
@@ -89,10 +88,11 @@ class Split:
     def factorise(self, problem: Problem) -> None:
         """Compute the tangent at the present state; raises StepError if it is singular."""
         problem.pose()
-        self.step.local_unknowns.update_stored()
         with on_arrays():
             self.residual.start()
-            self.renew(problem, self.residual(self.unknowns.pack()))
+            self.residual.put(x := self.unknowns.pack())  # the other unknowns may be those of another state
+            self.step.local_unknowns.update_stored()
+            self.renew(problem, self.residual(x))
 
     def solve(self, problem: Problem, guess: BaseVector) -> Solution:
         """Iterate from ``guess``; the step's state becomes the solution, or an iterate if there is none."""
@@ -227,11 +227,12 @@ class Split:
 
     def sizes(self, f: np.ndarray, *states: BaseVector, coarse: bool = False) -> tuple[float, float]:
         """The norm of an increment, and the relative increment of a creep rate field."""
-        full = self._full.FV().NumPy()
+        increment = self.step.state.vec.CreateVector()
+        full = increment.FV().NumPy()
         full[:] = 0.0
         for name in self.unknowns.names:
             full[self.unknowns.ranges[name]] = f[self.unknowns.slices[name]]
-        return self.norm.sizes(self._full, self.step.state.vec, *states, coarse=coarse)
+        return self.norm.sizes(increment, self.step.state.vec, *states, coarse=coarse)
 
 
 def damped(split: Split, problem: Problem, history: list[NewtonIteration]) -> Status:
