@@ -196,7 +196,7 @@ class HyperTangent:
             lifted = self._lifted[some].reshape(-1, size, values.local, width)
             of_each = values.part(some).blocks[:, None] @ lifted
             weights = np.tile(cell[some, None] * derivative.weights[some], (1, size))
-            elements[some] += squared(of_each.reshape(len(weights), -1, width), None, weights)
+            elements[some] += squared(of_each.reshape(*weights.shape, width), None, weights)
 
     def update(self, at: HyperValues) -> sp.csr_matrix:
         """Form E and the facets' blocks at some values; return the matrix of v and the kept a."""

@@ -257,7 +257,9 @@ class TransportSweeps:
     def in_cells(self, rows: np.ndarray, cells: slice) -> np.ndarray:
         """The own inverses of some cells times ``rows``, (cells, q n, .): no sweep, no diffusion."""
         inverses = self.of_z.cells[cells]
-        return np.matmul(inverses, rows.reshape(*inverses.shape[:2], -1)).reshape(rows.shape)
+        q = self._mass.shape[1]
+        by_functions = rows.reshape(len(rows), q, rows.shape[1] * rows.shape[2] // q)  # perhaps of no cells
+        return np.matmul(inverses, by_functions).reshape(rows.shape)
 
     def density(self, r: np.ndarray) -> np.ndarray:
         """Increments of the density's unknowns from rows (unknowns,); sweeps also take (cells' unknowns,
