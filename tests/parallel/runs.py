@@ -20,7 +20,7 @@ import ngvisco as nv
 from ngvisco.geometries import box, structured_box
 from ngvisco.geometries import disc as round_disc
 from ngvisco.parallel.communicator import TRAFFIC, Communicator
-from ngvisco.physics.variables import Jacobian
+from ngvisco.physics.variables import Concentration, Jacobian, ReciprocalJacobian
 from ngvisco.reduced.residual import Evaluation
 from ngvisco.run.passive import NAMES
 from ngvisco.solver.options import SplitOptions
@@ -224,6 +224,20 @@ def heated(solver: str) -> nv.Simulation:
     return nv.Simulation(mesh, model, dt=0.02, initial=initial, walls=walls, solver=solver)
 
 
+def solute(solver: str) -> nv.Simulation:
+    """A gel that swells with a solute, which spreads and comes in through a wall, in a swirl."""
+
+    def energy(A, c):
+        room = 1 - A - 0.2 * c
+        return 10 * room * room / A + 0.5 * c * c / A + 0.1 * A * A
+
+    gel = nv.CustomMaterial(transported=(ReciprocalJacobian(), Concentration()), stored_energy=energy)
+    law = nv.Diffusion(variable="c", mobility=0.1, walls={"left": nv.WallExchange(flux=0.05)})
+    model = nv.Model(material=gel, viscosity=VISCOSITY, diffusion=law)
+    initial = nv.Initial(density=1.0, velocity=SWIRL, values={"c": 0.5 + 0.3 * x})
+    return nv.Simulation(box((1, 1), maxh=0.4), model, dt=0.02, initial=initial, solver=solver)
+
+
 def revolved(solver: str) -> nv.Simulation:
     """A body of revolution that yields in a vortex, between a wall with friction and an open wall."""
     model = nv.Model(
@@ -308,7 +322,7 @@ def carried(dim: int) -> nv.Simulation:
 
 OF_BOTH: dict[str, Callable[[str], nv.Simulation]] = {
     **{"Yosida": yosida, "bodies": bodies, "heated": heated, "parameters": parameters, "block": block},
-    "network": network,
+    **{"network": network, "solute": solute},
     **{"disc": disc, "lid": lid, "window": window, "revolved": revolved},
 }
 OF_DENSITY = {

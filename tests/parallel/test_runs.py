@@ -85,8 +85,8 @@ GROUPS = {
     "split crystal; split bodies; split parameters; split heated; split Yosida; split, two levels; "
     "split, Newton-Krylov; split, all regularisations; split own tableau; "
     "split relaxation; split block; split turned; split slip disc, two levels; split window; split network; "
-    "split revolved",
-    "networks": "network; split network",
+    "split revolved; split solute",
+    "networks and a solute": "network; split network; solute; split solute",
     "coupled": "carried; carried in space; Yosida; observed; parameters; heated; bodies; observed block; "
     "swirl; midpoint; sdirk2; adaptive; block; disc; lid; window; creep; limited",
     "split": "split Yosida; split bodies; split parameters; split heated; split; split, two levels; "
@@ -108,6 +108,7 @@ ACTS = {
     **dict.fromkeys(("limited", "split crowded", "parameters", "split parameters"), "limited_cells"),
     **dict.fromkeys(("heated", "split heated"), "entropy_production_conduction"),
     **dict.fromkeys(("own term", "split own term"), "dissipation_drag"),
+    **dict.fromkeys(("solute", "split solute"), "dissipation_diffusion_c"),
     **dict.fromkeys(("network", "split network"), "dissipation_creep_hard"),
     "cut-off, 3D, split": "cutoff_volume",
 }
