@@ -259,7 +259,7 @@ class Blame:
     locator: Locator
 
     def error(self, path: tuple[str, ...], message: str) -> CaseError:
-        """The error of one fault, at a key path."""
+        """A ``CaseError`` with one fault, at the key ``path``."""
         return CaseError(self.source, [self.locator.fault(path, in_case(message))])
 
     @contextmanager

@@ -226,7 +226,7 @@ class _Scaled(ast.NodeTransformer):
 
 
 def _with_exponents(unit: str, model: type[Section], data: dict[str, Any]) -> str:
-    """The unit after its exponents that name keys of the section are replaced by the values of these keys."""
+    """The unit with numbers as exponents: an exponent that names a key of the section becomes its value."""
 
     def exponent(match: re.Match[str]) -> str:
         name = match[2]

@@ -22,8 +22,8 @@ from ngvisco.reduced.unknowns import derived_in_cells
 class TermRows:
     """The rows of a term."""
 
-    names: dict[str, bool]  # of the tests, and whether their rows depend on z or zeta
-    components: frozenset[int]  # of z that have rows
+    names: dict[str, bool]  # by each test's name, whether its rows depend on z or zeta
+    components: frozenset[int]  # numbers of the components of z that have rows
     collocated: bool  # whether a row is integrated by a collocated rule: one point per coefficient of a field
 
 

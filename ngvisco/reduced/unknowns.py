@@ -28,10 +28,10 @@ def derived_in_cells(layout: Layout) -> list[str]:
 class Unknowns:
     """Packs the iterated unknowns of the state into one vector, and unpacks them.
 
-    Blocks in their order: ``velocity_block`` is v, and the wall stress and the creep rate field if the step
-    has them; ``normals`` are the facets' normal derivatives; ``density`` is rho, and its traces if the
-    continuity equation is not linear; then follows z.  With bodies rho is a sum of components of z, and no
-    unknown.
+    The vector has the following blocks in this order.  ``velocity_block`` is v, and the wall stress and the
+    creep rate field if the step has them; ``normals`` are the facets' normal derivatives; ``density`` is rho,
+    and its traces if the continuity equation is not linear; the last block is z.  With bodies rho is a sum of
+    components of z, and no unknown.
     """
 
     def __init__(self, step: Step) -> None:
