@@ -214,7 +214,8 @@ class Case:
         with self.blame.located(*path, "where"):
             values["where"] = None if part.where is None else Union(shapes)
         with self.blame.located(*path):
-            return Body(name=part.name, density=part.density, order=part.order, **values)
+            plain = {name: getattr(part, name) for name in ("name", "density", "parts", "order")}
+            return Body(**plain, **values)
 
     def _shapes(self, number: int) -> list[tuple[tuple[str, ...], Shape]]:
         """Key paths and shapes whose union is a body's place; none for a body without a place."""

@@ -30,6 +30,7 @@ from ngvisco.forms.spaces import Layout
 from ngvisco.forms.time_means import TOLERANCE, TimeMean, mean_in_cells, mean_on_walls
 from ngvisco.forms.unknown_values import UnknownValues
 from ngvisco.parallel.communicator import Communicator
+from ngvisco.physics.bodies import Interface
 from ngvisco.physics.model import Model
 from ngvisco.physics.signals import may_read_time, time
 
@@ -78,8 +79,8 @@ class Context:
         self.mesh, self.old = mesh, old
         self.energy = energy or StoredEnergy(model.material, mesh.dim)
         self.rates = Rates(model, mesh.dim, old.layout.symmetry.is_axisymmetric)
-        self.recovered_slope: CoefficientFunction | None = None
-        """Slope of the viscosities' mean logarithm for constants in cells, 1/m (``RecoveredSlope``)."""
+        self.recovered_slopes: dict[Interface, CoefficientFunction] = {}
+        """Slopes of interfaces' mean quantities for constants in cells (``RecoveredSlope``)."""
         self.lagged: UnknownValues = old
         """Fields at the step's start, for the variables that the material lags."""
         self.terms: Sequence[Any] = ()

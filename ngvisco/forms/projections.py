@@ -9,10 +9,24 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from ngsolve import BaseMatrix, BilinearForm, CoefficientFunction, FESpace, GridFunction, LinearForm, VectorL2
+from ngsolve import (
+    H1,
+    BaseMatrix,
+    BilinearForm,
+    CoefficientFunction,
+    FESpace,
+    GridFunction,
+    LinearForm,
+    Mesh,
+    Periodic,
+    VectorL2,
+    dx,
+    grad,
+)
 
 from ngvisco.forms.context import Context, StepLayout
 from ngvisco.forms.fields import Fields
+from ngvisco.forms.mesh.mesh_arrays import rules
 from ngvisco.forms.mesh.quadrature import Quadrature
 from ngvisco.forms.term import Integrand, Integrands, tested
 from ngvisco.forms.unknown import Unknown
@@ -88,6 +102,28 @@ class RecoveredSlope:
     def __call__(self) -> None:
         self._mean()
         self._project()
+
+
+class VertexSlope:
+    """Slope of a function s that is constant in cells: the slope of the continuous function, linear in
+    simplices, whose values at vertices are means of s over the cells there."""
+
+    def __init__(self, mesh: Mesh, value: CoefficientFunction, periodic: bool) -> None:
+        space, in_the_middle = H1(mesh, order=1), dx(intrules=rules(mesh.dim, 1))
+        space = Periodic(space) if periodic else space
+        test = space.TestFunction()
+        self._exchange = Exchange.of(space, Communicator.of(mesh))
+        self._recovered = GridFunction(space)
+        self._load = LinearForm(value * test * in_the_middle)
+        volumes = self._summed(LinearForm(test * in_the_middle))
+        self._volumes = np.where(volumes > 0, volumes, 1.0)
+        self.target = grad(self._recovered)
+
+    def __call__(self) -> None:
+        self._recovered.vec.FV().NumPy()[:] = self._summed(self._load) / self._volumes
+
+    def _summed(self, form: LinearForm) -> np.ndarray:
+        return self._exchange.sum(form.Assemble().vec.FV().NumPy().copy())
 
 
 def inverse_mass(space: FESpace, quadrature: Quadrature) -> BaseMatrix:

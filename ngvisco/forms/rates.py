@@ -4,7 +4,6 @@
 constant tensors.  A term reads ``u.context.rates`` and works with either class.
 """
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property, reduce
@@ -16,7 +15,7 @@ from ngsolve import CoefficientFunction
 
 from ngvisco.forms.unknown_values import UnknownValues
 from ngvisco.physics.arrays import TINY, Array, Linear
-from ngvisco.physics.bodies import AMOUNT, NO_INTERFACE
+from ngvisco.physics.bodies import AMOUNT, NO_INTERFACE, Interface
 from ngvisco.physics.flow_rules.rule import FlowRule
 from ngvisco.physics.material import StateSpace, mandel_stress, rate_power
 from ngvisco.physics.materials.thermal import temperature
@@ -32,7 +31,9 @@ from ngvisco.physics.tensors import (
     identity_like,
     inner,
     linear_map,
+    opening,
     square,
+    sym,
     symmetric_tensors,
     trace_free_tensors,
 )
@@ -61,7 +62,7 @@ class Rates:
 
         Densities have their production only: their flux contains the rest.
         """
-        zero, tensors, values = 0 * along.L, _tensors(G, name), z.z_tensors
+        zero, tensors, values = 0 * along.L, _tensors(G, name), self.parted(z)
         parts = []
         for variable in self.material.variables:
             if not variable.is_conserved:
@@ -140,8 +141,8 @@ class Rates:
         tensors = {**u.z_tensors}
         if PRESSURE in law.reads:
             tensors[PRESSURE] = self.pressure(u)
-        if isinstance(law, MixedViscosity) and law.in_series:
-            tensors[INTERFACE] = self._interface(law, u)
+        if isinstance(law, MixedViscosity) and law.interface is not None:
+            tensors[INTERFACE] = self._normals(law.interface, u)
         if TEMPERATURE in law.reads:  # from the projected conjugates, K
             tensors[TEMPERATURE] = temperature(self.material, u.zeta_tensors)
         if CONFORMATION in law.reads and mechanism is not None and mechanism.conformation is not None:
@@ -152,29 +153,34 @@ class Rates:
             )
         return tensors
 
-    def _interface(self, law: MixedViscosity, u: UnknownValues) -> CoefficientFunction:
-        """Projection n x n, 3x3, on the slope n of the viscosities' mean logarithm at the step's start.
+    def parted(self, u: UnknownValues) -> Values:
+        """z, with the projection on the normals of interfaces at which the material parts."""
+        interface = self.material.interface
+        return u.z_tensors if interface is None else {**u.z_tensors, INTERFACE: self._normals(interface, u)}
+
+    def _normals(self, interface: Interface, u: UnknownValues) -> CoefficientFunction:
+        """Projection n x n, 3x3, on the slope n of the interface's quantity at the step's start.
 
         It tends to zero where the mean changes by less than ``NO_INTERFACE`` in a cell: a slope of rounding
         has any direction.
         """
-        if u.context.recovered_slope is not None:
-            slope = u.context.given(u.context.recovered_slope)
+        if interface in u.context.recovered_slopes:
+            slope = u.context.given(u.context.recovered_slopes[interface])
         else:
-            slope = self._slope_of_logarithm(law, u.context.old)
+            slope = self._slope_of_mean(interface, u.context.old)
         dim = u.dim
         column = linear_map(np.kron(np.eye(3, dim), np.eye(3)[:, :1]), slope, (3, 3))
         least = NO_INTERFACE / u.context.h
         return (1 / (square(column) + least * least)) * (column * column.trans)
 
-    def _slope_of_logarithm(self, law: MixedViscosity, old: UnknownValues) -> CoefficientFunction:
-        """Slope of the viscosities' mean logarithm in cells, times the amount of matter, 1/m."""
-        states, mean, parts = old.layout.states, law.mean_logarithm(old.z_tensors), []
-        for name, G_v in law.in_series.items():
+    def _slope_of_mean(self, interface: Interface, old: UnknownValues) -> CoefficientFunction:
+        """Slope of the mean of an interface's quantity in cells, times the amount of matter, 1/m."""
+        states, mean, parts = old.layout.states, interface.mean(old.z_tensors), []
+        for name, value in interface.values:
             row = np.zeros((1, states.size))
             row[0, states.slices[AMOUNT + name]] = 1.0
             of_amount = linear_map(np.kron(row, np.eye(old.dim)), old.grad_z, (old.dim,))
-            parts.append((math.log(G_v) - mean) * of_amount)
+            parts.append((value - mean) * of_amount)
         return reduce(add, parts)
 
     def pressure(self, u: UnknownValues) -> CoefficientFunction:
@@ -272,46 +278,99 @@ class TabulatedRates(Rates):
         """Energies and their first two derivatives for arrays of states."""
         return respond(self.material, self.dim)
 
-    def weights(self, z: np.ndarray) -> np.ndarray:
-        """Weights with which the components take part, (n, points)."""
-        values = self.material.taking_part(self._states.tensors(lambda: Array(z, None)))
-        weights = np.ones(z.shape, z.dtype)
+    def weights(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Weights with which the components take part, and with which they do not where matter parts, both
+        (n, points)."""
+        values = self._states.tensors(lambda: Array(z, None))
+        shares, others = self.material.taking_part(values), self.material.parted(values)
+        weights, parted = np.ones(z.shape, z.dtype), np.zeros(z.shape, z.dtype)
         for name, own in self._shared.items():
-            weights[own] = values[name].value
-        return weights
+            weights[own] = shares[name].value
+            if name in others:
+                parted[own] = weights[own] * others[name].value
+        return weights, parted
 
-    def columns(self, z: np.ndarray) -> np.ndarray:
+    def openings(self, u: UnknownValues) -> np.ndarray | None:
+        """Matrix of ``opening`` where the material parts, (dim^2, entries of L, points); None for none.
+
+        It maps the entries of L to entries of a velocity gradient.
+        """
+        interface = self.material.interface
+        if interface is None:
+            return None
+        P, units = self._normals(interface, u), np.eye(9).reshape(9, 3, 3, 1)
+        columns = [opening(sym(Array(unit, None)), P).value for unit in units]
+        entries = [(i, j) for i in range(self.dim) for j in range(self.dim)]
+        rows, of_L = [3 * i + j for i, j in entries], [*(3 * i + j for i, j in entries), *[8] * self.hoop]
+        return np.stack(columns, axis=2).reshape(9, 9, -1)[np.ix_(rows, of_L)]
+
+    def columns(self, z: np.ndarray, openings: np.ndarray | None = None) -> np.ndarray:
         """Derivative d rate/dX, (points, n, X), including the part in the densities' flux."""
         columns = self.tensors.columns(z)
         if self.weighed is not None:
-            columns += self.weights(z).T[:, :, None] * self.weighed.columns(z)
+            weights, parted = self.weights(z)
+            shared = self.weighed.columns(z)
+            columns += weights.T[:, :, None] * shared
+            if openings is not None:
+                columns -= parted.T[:, :, None] * self._opened(shared.T, openings).T
         return columns
 
-    def slopes(self, z: np.ndarray, X: np.ndarray, zeta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def slopes(
+        self, z: np.ndarray, X: np.ndarray, zeta: np.ndarray, openings: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Derivatives d rate/dz, (n, n, points), and d^2(zeta : rate)/dX dz, (X, n, points)."""
         of_rate, of_stress = self.tensors.rate_slope(X), self.tensors.stress_slope(zeta)
         if self.weighed is not None:
-            weights, by_z = self.weights(z), np.empty_like(of_rate)
-            for m, along in enumerate((TINY * 1j) * np.eye(len(z))):
-                by_z[:, m] = self.weights(z + along[:, None]).imag / TINY
+            (weights, parted), shared = self.weights(z), self.weighed.columns(z)
             of_rate += weights[:, None] * self.weighed.rate_slope(X)
-            of_rate += by_z * self.weighed.rate(z, X)[:, None]
             of_stress += self.weighed.stress_slope(weights * zeta)
-            of_stress += np.einsum("pnx,nmp,np->xmp", self.weighed.columns(z), by_z, zeta)
+            by_z, parted_by_z = np.empty_like(of_rate), np.empty_like(of_rate)
+            for m, along in enumerate((TINY * 1j) * np.eye(len(z))):
+                changed = self.weights(z + along[:, None])
+                by_z[:, m], parted_by_z[:, m] = (each.imag / TINY for each in changed)
+            of_rate += by_z * self.weighed.rate(z, X)[:, None]
+            of_stress += np.einsum("pnx,nmp,np->xmp", shared, by_z, zeta)
+            if openings is not None:
+                opened = self._opening(X, openings)
+                of_rate -= parted[:, None] * self.weighed.rate_slope(opened)
+                of_rate -= parted_by_z * self.weighed.rate(z, opened)[:, None]
+                of_stress -= self._opened(self.weighed.stress_slope(parted * zeta), openings)
+                columns = self._opened(shared.T, openings).T
+                of_stress -= np.einsum("pnx,nmp,np->xmp", columns, parted_by_z, zeta)
         return of_rate, of_stress
+
+    def _opening(self, X: np.ndarray, openings: np.ndarray) -> np.ndarray:
+        """The X (X, points) of the openings alone."""
+        opening = np.zeros_like(X)
+        opening[: len(openings)] = np.einsum("xyp,yp->xp", openings, X[: self.tensors.gradients])
+        return opening
+
+    def _opened(self, stress: np.ndarray, openings: np.ndarray) -> np.ndarray:
+        """Derivatives by X, (X, ..., points), of a function of openings with the derivatives ``stress``."""
+        opened = np.zeros_like(stress)
+        of_L = np.einsum("x...p,xyp->y...p", stress[: len(openings)], openings)
+        opened[: self.tensors.gradients] = of_L
+        return opened
 
     def rate(self, z: UnknownValues, X: np.ndarray, first: int = 0) -> np.ndarray:
         """Rates rate(z; X), (n, points), for the X from ``first`` on; for densities their production."""
         rates = self.production.rate(z.z.value, X, first)
         if self.weighed is not None:
-            rates = rates + self.weights(z.z.value) * self.weighed.rate(z.z.value, X, first)
+            weights, parted = self.weights(z.z.value)
+            rates = rates + weights * self.weighed.rate(z.z.value, X, first)
+            if not first and (openings := self.openings(z)) is not None:
+                rates -= parted * self.weighed.rate(z.z.value, self._opening(X, openings))
         return rates
 
     def stress(self, z: UnknownValues, zeta: np.ndarray, first: int, stop: int) -> np.ndarray:
-        """Derivatives d(zeta : rate)/dX for X = first ... stop - 1, (X, points)."""
+        """Derivatives d(zeta : rate)/dX for X = first ... stop - 1, (X, points); with ``first`` = 0 for all
+        entries of L."""
         slopes = self.production.stress(z.z.value, zeta, first, stop)
         if self.weighed is not None:
-            slopes = slopes + self.weighed.stress(z.z.value, self.weights(z.z.value) * zeta, first, stop)
+            weights, parted = self.weights(z.z.value)
+            slopes = slopes + self.weighed.stress(z.z.value, weights * zeta, first, stop)
+            if not first and (openings := self.openings(z)) is not None:
+                slopes -= self._opened(self.weighed.stress(z.z.value, parted * zeta, 0, stop), openings)
         return slopes
 
     def power(

@@ -154,6 +154,52 @@ class Fractions:
         return (1 / (1 + HARDENING_TRACE)) * (z[AMOUNT + body] + HARDENING_TRACE * self.total(z))
 
 
+@dataclass(frozen=True)
+class Interface:
+    """A quantity of bodies; the slope of its mean is along the normals of the interfaces between them."""
+
+    values: tuple[tuple[str, float], ...]
+    """Pairs of a body's name and its value of the quantity."""
+    fractions: Fractions
+
+    def mean(self, z: Values) -> Any:
+        """The mean of the values, weighted by the volume fractions."""
+        theta = self.fractions.at(z)
+        return reduce(add, (value * theta[name] for name, value in self.values))
+
+
+@dataclass(frozen=True)
+class Parting:
+    """The shares of an interface's opening that strain a body which parts from more compressible matter.
+
+    In a cell with the interface's normal n, body i has the strain rate D_i = D - o_i opening(D, n x n): of a
+    change of volume along n, and of shear across n, its own share is r_i = 1 - o_i.  r_i is the compliance
+    1/K_i at rest over the mean sum theta_j/K_j: the bodies have one pressure, so that r_i is the body's share
+    of the change of volume.
+    """
+
+    stiffnesses: tuple[tuple[str, float], ...]
+    """Pairs of a body's name and its bulk modulus K_i at rest, Pa."""
+    bodies: frozenset[str]
+    """Names of the bodies that part."""
+
+    @property
+    def fractions(self) -> Fractions:
+        return Fractions(tuple(name for name, _ in self.stiffnesses))
+
+    @property
+    def interface(self) -> Interface:
+        """The interface whose quantity is the compliance."""
+        return Interface(tuple((name, 1 / K) for name, K in self.stiffnesses), self.fractions)
+
+    def shares(self, z: Values) -> dict[str, Any]:
+        """The shares o_i by the names of the bodies that part."""
+        theta = self.fractions.not_negative(z)
+        compliances = (1 / K * theta[name] for name, K in self.stiffnesses)
+        mean = reduce(add, theta.values()) / reduce(add, compliances)
+        return {name: 1 - 1 / K * mean for name, K in self.stiffnesses if name in self.bodies}
+
+
 @dataclass(frozen=True, kw_only=True)
 class Body:
     """A body of one material, with its place at the start.
@@ -199,6 +245,10 @@ class Body:
         temperature.
     density : float, optional
         Density where J = 1; default rho_R of the material.
+    parts : bool
+        Whether the body parts from more compressible matter, as a solid in a light gas does from what it
+        touches.  In cells that both share, a change of volume strains the body along the interface's normal
+        by its own compliance alone, and shear across the interface not at all (FORMULATION.md, Section 9).
     order : int
         The body of higher order fills the overlap of two bodies at the start.  Bodies of one order must not
         overlap.  The body without a place is below all others and has no order.
@@ -211,6 +261,7 @@ class Body:
     creep: FlowRule | None = None
     heat: Heat | None = None
     density: Annotated[float | None, Quantity("kg/m^3", "> 0", 1000.0)] = None
+    parts: bool = False
     order: int = 0
 
     @property

@@ -20,7 +20,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, reduce
 from operator import add
-from typing import Literal, Self, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Literal, Self, TypeAlias, TypeVar
 
 import numpy as np
 from ngsolve import CF, Id
@@ -36,13 +36,17 @@ from ngvisco.physics.tensors import (
     constant,
     inner,
     linear_map,
+    opening,
     skw,
     sym,
     tensor_space,
     tr,
     trace_free_tensors,
 )
-from ngvisco.physics.variables import Values, Variable
+from ngvisco.physics.variables import INTERFACE, Values, Variable
+
+if TYPE_CHECKING:
+    from ngvisco.physics.bodies import Interface
 
 
 class StateSpace:
@@ -240,11 +244,26 @@ class Material(ABC):
         """Factors in [0, 1] of sym L and Pi in rates, by the variables' names; 1 if not named."""
         return {}
 
+    @property
+    def interface(self) -> Interface | None:
+        """The interfaces at which matter parts; None (default) for none."""
+        return None
+
+    def parted(self, z: Values) -> Values:
+        """Shares of an interface's opening that other matter takes, by variables' names; 0 if not named."""
+        return {}
+
     def rate(self, variable: Variable, z: Values, L: Tensor, Pi: Tensor) -> Tensor:
-        """rate(z; L, Pi) of a variable; for a density without the part -(tr L) z, which its flux contains."""
+        """rate(z; L, Pi) of a variable; for a density without the part -(tr L) z, which its flux contains.
+
+        With ``INTERFACE`` in ``z``, n x n, matter parts there (``parted``).
+        """
         share = self.taking_part(z).get(variable.name)
         if share is not None:
-            L, Pi = skw(L) + share * sym(L), share * Pi
+            D, Pi = sym(L), share * Pi
+            if INTERFACE in z and (parted := self.parted(z).get(variable.name)) is not None:
+                D = D - parted * opening(D, z[INTERFACE])
+            L = skw(L) + share * D
         rate = variable.rate(z, L, Pi)
         return rate + tr(L) * z[variable.name] if variable.by_flux else rate
 

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, reduce
 from operator import add
 from typing import Any
 
-from ngvisco.physics.bodies import Body, Fractions
+from ngvisco.physics.bodies import Body, Fractions, Interface, Parting
 from ngvisco.physics.parameters import typical_value, value_at
 from ngvisco.physics.rheology import StokesViscosity, ValueOfModulus, Viscosity
-from ngvisco.physics.tensors import Tensor, dev
+from ngvisco.physics.tensors import Tensor, dev, opening, opening_stress, shear_across
 from ngvisco.physics.variables import INTERFACE, Values
 
 
@@ -29,29 +29,37 @@ class MixedViscosity(Viscosity):
     is A = sum theta_i G_i.  D = 2 A dev eps - 2 (A - H) S(dev eps) is symmetric, and D : eps >= 0.  n is the
     normal at the step's start.  The viscosity is A for all parts if a body has no shear viscosity, or a
     nonlinear one.
+
+    If bodies part, D_i acts on the body's own strain rate instead, and its stress in return (``Parting``).
     """
 
     parts: tuple[tuple[str, Viscosity], ...]
     """Pairs of a body's name and its viscosity, for the bodies that have one."""
     fractions: Fractions
+    parting: Parting | None = None
 
     @property
     def reads(self) -> frozenset[str]:  # type: ignore[override]
-        interface = {INTERFACE} if self.in_series else set()
+        interface = set() if self.interface is None else {INTERFACE}
         return frozenset[str](interface).union(*(part.reads for _, part in self.parts))
 
     @cached_property
     def in_series(self) -> dict[str, float]:
         """Typical shear viscosities, Pa s, by the bodies' names; empty unless layers act in series."""
+        if self.parting is not None:
+            return {}
         stokes = {name: part for name, part in self.parts if isinstance(part, StokesViscosity)}
         viscosities = {name: typical_value(part.G_v) for name, part in stokes.items()}
         all_are = len(viscosities) == len(self.fractions.bodies) > 1 and min(viscosities.values()) > 0
         return viscosities if all_are and max(viscosities.values()) > min(viscosities.values()) else {}
 
-    def mean_logarithm(self, z: Values) -> Any:
-        """The mean logarithm of viscosities in series, whose slope is along the interface's normal."""
-        theta = self.fractions.at(z)
-        return reduce(add, (math.log(G_v) * theta[name] for name, G_v in self.in_series.items()))
+    @property
+    def interface(self) -> Interface | None:
+        """The interface of bodies that part, else that of logarithms of viscosities in series, else None."""
+        if self.parting is not None:
+            return self.parting.interface
+        logarithms = tuple((name, math.log(G_v)) for name, G_v in self.in_series.items())
+        return Interface(logarithms, self.fractions) if logarithms else None
 
     @property
     def is_linear(self) -> bool:  # type: ignore[override]
@@ -62,6 +70,8 @@ class MixedViscosity(Viscosity):
         return reduce(add, (theta[name] * quantity(part) for name, part in self.parts))
 
     def stress(self, eps: Tensor, z: Values) -> Tensor:
+        if self.parting is not None:
+            return self._parted_stress(eps, z, self.parting.shares(z))
         mean = self._mean(z, lambda part: part.stress(eps, z))
         if not self.in_series:
             return mean
@@ -72,9 +82,17 @@ class MixedViscosity(Viscosity):
         along = reduce(add, (theta[name] * G_v for name, G_v in values.items()))
         total = reduce(add, theta.values())
         across = total * total / reduce(add, (theta[name] / G_v for name, G_v in values.items()))
-        normal_part = P * shear
-        across_interface = dev(normal_part + normal_part.trans - 2 * (normal_part * P))
-        return mean - (2 * (along - across)) * across_interface
+        return mean - (2 * (along - across)) * dev(shear_across(shear, P))
+
+    def _parted_stress(self, eps: Tensor, z: Values, shares: Mapping[str, Any]) -> Tensor:
+        theta, P, parts = self.fractions.not_negative(z), z[INTERFACE], []
+        for name, part in self.parts:
+            if name not in shares:
+                parts.append(theta[name] * part.stress(eps, z))
+                continue
+            stress = part.stress(eps - shares[name] * opening(eps, P), z)
+            parts.append(theta[name] * (stress - shares[name] * opening_stress(stress, P)))
+        return reduce(add, parts)
 
     def shear_viscosity(self, z: Values) -> ValueOfModulus:
         return self._mean(z, lambda part: part.shear_viscosity(z))
@@ -84,7 +102,8 @@ class MixedViscosity(Viscosity):
             part.require_dimension(dim)
 
 
-def mixed_viscosity(bodies: Sequence[Body]) -> Viscosity | None:
+def mixed_viscosity(bodies: Sequence[Body], parting: Parting | None = None) -> Viscosity | None:
     """The common viscosity of bodies; None if no body has one."""
     parts = tuple((b.name, b.viscosity) for b in bodies if b.viscosity is not None)
-    return MixedViscosity(parts=parts, fractions=Fractions(tuple(b.name for b in bodies))) if parts else None
+    fractions = Fractions(tuple(b.name for b in bodies))
+    return MixedViscosity(parts=parts, fractions=fractions, parting=parting) if parts else None

@@ -29,7 +29,17 @@ import numpy as np
 from ngsolve import Det
 
 from ngvisco.errors import NgviscoError, ParameterError
-from ngvisco.physics.bodies import AMOUNT, HARDENING_TRACE, TRACE, Amount, Body, Content, Fractions
+from ngvisco.physics.bodies import (
+    AMOUNT,
+    HARDENING_TRACE,
+    TRACE,
+    Amount,
+    Body,
+    Content,
+    Fractions,
+    Interface,
+    Parting,
+)
 from ngvisco.physics.equilibrium import MixedHeat, equilibrium
 from ngvisco.physics.flow_rules.rule import PlasticContent
 from ngvisco.physics.material import ElasticState, Material
@@ -99,6 +109,10 @@ class Mixture(Material):
         for body in self.bodies:
             psi = self.energies[body.name]
             psi.require()
+            softest = min(self.stiffnesses.values())
+            if body.parts and not (psi.tensors and 0 < softest < (1 - _SAME) * self.stiffnesses[body.name]):
+                expected = "False for a fluid, and for a body that meets nothing more compressible"
+                raise ParameterError(f"bodies[{body.name!r}].parts", True, expected)
             if psi.reads_parameters_in_volume and not self.has_one_volume:
                 expected = "a bulk modulus that is a number, or bodies with one volumetric energy"
                 raise ParameterError(f"bodies[{body.name!r}].material", body.material, expected)
@@ -236,6 +250,20 @@ class Mixture(Material):
         if len(self.bodies) == 1:
             return {}
         shares = self.fractions.taking_part(z)
+        return {X.name: share for name, share in shares.items() for X in self.contents(name)}
+
+    @cached_property
+    def parting(self) -> Parting | None:
+        """The law of the bodies that part; None without these."""
+        names = frozenset(body.name for body in self.bodies if body.parts)
+        return Parting(tuple(self.stiffnesses.items()), names) if names else None
+
+    @property
+    def interface(self) -> Interface | None:
+        return None if self.parting is None else self.parting.interface
+
+    def parted(self, z: Values) -> Values:
+        shares = {} if self.parting is None else self.parting.shares(z)
         return {X.name: share for name, share in shares.items() for X in self.contents(name)}
 
     def filled(self, shares: Mapping[str, Any], F: Tensor | Mapping[str, Tensor]) -> dict[str, Any]:

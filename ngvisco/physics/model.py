@@ -284,7 +284,7 @@ class Model:
                 raise ParameterError(f"bodies[{body.name!r}].{part}", attrgetter(part)(body), fault)
         mixture = Mixture(bodies=self.bodies)
         object.__setattr__(self, "material", mixture)
-        object.__setattr__(self, "viscosity", mixed_viscosity(mixture.bodies))
+        object.__setattr__(self, "viscosity", mixed_viscosity(mixture.bodies, mixture.parting))
 
 
 MOST_DENSER = 1e10

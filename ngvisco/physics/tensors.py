@@ -53,6 +53,23 @@ def dev(A: Tensor) -> Tensor:
     return A - sph(A)
 
 
+def shear_across(A: Tensor, P: Tensor) -> Tensor:
+    """P A + A P - 2 P A P of symmetric A, 3x3: the shear across the normal n, P = n x n."""
+    PA = P * A
+    return PA + PA.trans - 2 * (PA * P)
+
+
+def opening(D: Tensor, P: Tensor) -> Tensor:
+    """(tr D) P and the shear across, 3x3: opening and sliding of an interface of normal n, P = n x n, at the
+    rate D.  The rest of D stretches matter along the interface and keeps its volume."""
+    return tr(D) * P + shear_across(D, P)
+
+
+def opening_stress(T: Tensor, P: Tensor) -> Tensor:
+    """Transpose of ``opening``, 3x3: its product with D is T : opening(D, P)."""
+    return inner(P, T) * identity_like(T) + shear_across(T, P)
+
+
 def inner(A: Tensor, B: Tensor) -> Tensor:
     """The inner product A : B (or a . b)."""
     return InnerProduct(A, B)

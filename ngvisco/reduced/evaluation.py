@@ -146,7 +146,7 @@ class CellContext(_PointContext):
 
     def __init__(self, step: Step, operators: Operators, rates: TabulatedRates, sampled: Sampled) -> None:
         super().__init__(step, operators, rates)
-        self.sampled, self.recovered_slope = sampled, step.context.recovered_slope
+        self.sampled, self.recovered_slopes = sampled, step.context.recovered_slopes
 
     @property
     def old(self) -> Fields:

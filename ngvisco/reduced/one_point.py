@@ -108,8 +108,10 @@ class OnePoint:
             "rates": step.tabulated_rates,
             "terms": step.terms,
         }
-        slope = step.context.recovered_slope
-        inside = SimpleNamespace(momentum_old=known(d), average=told["given"], recovered_slope=slope, **told)
+        slopes = step.context.recovered_slopes
+        inside = SimpleNamespace(
+            momentum_old=known(d), average=told["given"], recovered_slopes=slopes, **told
+        )
         evolving = set(layout.evolving).intersection(self._shapes)
         inside.old = fields(inside, (evolving, evolving), CELLS, old=True)
         one = Array(np.ones(1), None)

@@ -79,7 +79,7 @@ def output_fields(step: Step, fields: Fields | None = None) -> dict[str, Coeffic
     All are evaluated at the state ``fields``, by default the present one.
     """
     u, material = step.now if fields is None else fields, step.model.material
-    T = cauchy_stress(material, u.z_tensors, u.zeta_tensors, step.energy.anywhere(u))
+    T = cauchy_stress(material, step.context.rates.parted(u), u.zeta_tensors, step.energy.anywhere(u))
     theta = temperature(material, u.zeta_tensors)
     vectors = [v.name for v in material.variables if v.kind == "vector"]
     return {

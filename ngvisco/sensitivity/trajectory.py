@@ -78,7 +78,7 @@ class Trajectory:
             "relaxation": run.arguments["time"].relaxation
             and "the length of a relaxed step is a function of its solution",
             "mesh": run.ranks.is_distributed and "the transposed systems of several ranks are not known",
-            "interfaces": run.rothe_step.context.recovered_slope is not None
+            "interfaces": bool(run.rothe_step.context.recovered_slopes)
             and "with constants in cells the direction of interfaces between viscosities has none",
             "material": self._lacks_derivatives()
             and "with an energy without an expression diffusion and laws of the pressure have none",

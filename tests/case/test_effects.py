@@ -69,6 +69,7 @@ ELSEWHERE = {
     "bodies.N.where.threshold": "shapes/test_files.py",
     "bodies.N.where.dark": "shapes/test_files.py",
     "bodies.N.order": "run/test_bodies.py",
+    "bodies.N.parts": "run/test_parting.py",
 }
 """Keys that act where a run needs more than a step and a square: tests that name them."""
 

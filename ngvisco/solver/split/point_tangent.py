@@ -145,7 +145,8 @@ class PointTangent(_AtPoints):
     def update(self, part: tuple[slice, CellTerms], at: Evaluation) -> PointValues:
         """Form K and its resolvent in some cells; return d rate/dX and the force's derivative."""
         (cells, terms), u = part, part[1].fields(at.coefficients)
-        columns, where = self.residual.rates.columns(u.z.value), terms.op.places
+        rates, where = self.residual.rates, terms.op.places
+        columns = rates.columns(u.z.value, rates.openings(u))
         K, force = self._by_fields(terms, u, columns)
         self.rate_slope[where] = K
         if self.force is not None and self.columns is not None:
@@ -166,7 +167,8 @@ class PointTangent(_AtPoints):
         X[:g] = rates.entries_of_L(u)
         if rates.mechanisms and not rates.creep_is_collocated:
             X[g:] = rates.creep_components(u)
-        K, force = (slope.transpose(2, 0, 1) for slope in rates.slopes(z, X, zeta))
+        slopes = rates.slopes(z, X, zeta, rates.openings(u))
+        K, force = (slope.transpose(2, 0, 1) for slope in slopes)
         force = force + np.matmul(columns.swapaxes(1, 2), curvature)
         force[:, rates.tensors.trace] += zeta.T[:, None]
         if not (self._asked or self._creeps):

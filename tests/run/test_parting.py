@@ -1,0 +1,88 @@
+"""Bodies that part: in cells that a body shares with a gas, an interface's opening strains the gas alone."""
+
+import numpy as np
+import pytest
+from ngsolve import x, y
+
+import ngvisco as nv
+from ngvisco.errors import ParameterError
+from ngvisco.forms.projections import VertexSlope
+from ngvisco.geometries import box, structured_box
+from ngvisco.physics.tensors import constant, opening
+from ngvisco.physics.variables import Jacobian
+from tests.support import assert_same, others_by_ci
+
+SOLID = nv.ReferentialNeoHookean(K_e=2.0, G_e=0.5)
+DAMPED = nv.StokesViscosity(K_v=0.02, G_v=0.02)
+THIN = nv.StokesViscosity(K_v=1e-4, G_v=1e-4)
+
+
+def gas(bulk):
+    return nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: bulk / 2 * (J + 1 / J - 2))
+
+
+def pulled(parts=True, solver="split", m=0, cells=(2, 4), **options):
+    """A block on the bottom of a box, under a gas; half of the second row of cells is its own."""
+    block = {"name": "block", "where": 0.4 - y, "material": SOLID, "density": 1.0, "viscosity": DAMPED}
+    bodies = [
+        nv.Body(**block, parts=parts),
+        nv.Body(name="gas", material=gas(2e-3), density=1e-3, viscosity=THIN),
+    ]
+    return nv.Simulation(
+        structured_box((0.5, 1.0), cells),
+        nv.Model(bodies=bodies, loads=(nv.Gravity((0.2 * y, -0.5)),)),
+        dt=0.1,
+        solver=solver,
+        discretisation=nv.Discretisation(k=m + 1, m=m),
+        **options,
+    )
+
+
+@pytest.mark.parametrize("m", others_by_ci((0, 1), 0))
+def test_both_solvers_agree_and_the_identity_holds(m):
+    runs = [pulled(solver=solver, m=m) for solver in ("split", "coupled")]
+    for run in runs:
+        ledger = run.run(0.3)
+        assert np.abs(ledger.column("closure_relative")).max() <= 1e-12
+        assert ledger.column("bregman")[1:].min() >= 0
+        assert np.ptp(ledger.column("mass")) <= 1e-12 * ledger.column("mass")[0]
+    assert_same(*runs)
+    other = pulled(parts=False, m=m)
+    other.run(0.3)
+    assert abs(other.ledger.column("stored")[-1] / runs[0].ledger.column("stored")[-1] - 1) > 1e-3
+
+
+def test_an_opening_strains_no_body_and_a_stretch_along_the_interface_does():
+    """D = n x n and n x t + t x n are openings; t x t - n x n, which keeps the volume, is none."""
+    n, t = np.array([0.6, 0.8, 0.0]), np.array([-0.8, 0.6, 0.0])
+    P, zero = constant(np.outer(n, n)), np.zeros((3, 3))
+    mesh = box((1, 1), 1.0)
+    nn, nt, tt = np.outer(n, n), np.outer(n, t) + np.outer(t, n), np.outer(t, t)
+    for D, found in ((nn, nn), (nt, nt), (tt - nn, zero)):
+        assert np.reshape(opening(constant(D), P)(mesh(0.5, 0.5)), (3, 3)) == pytest.approx(found, abs=1e-14)
+
+
+def test_slopes_from_vertices_are_those_of_a_linear_function_in_cells_without_walls():
+    mesh = structured_box((1, 1), (6, 6))
+    slope = VertexSlope(mesh, 2 * x - y, periodic=False)
+    slope()
+    assert slope.target(mesh(0.45, 0.55)) == pytest.approx((2.0, -1.0), abs=1e-12)
+
+
+@pytest.mark.parametrize("bulk", [2.0, 20.0])
+def test_a_body_that_meets_nothing_more_compressible_is_refused(bulk):
+    bodies = [
+        nv.Body(name="block", where=0.4 - y, material=SOLID, density=1.0, parts=True),
+        nv.Body(name="gas", material=gas(bulk), density=1.0),
+    ]
+    with pytest.raises(ParameterError, match=r"block.*parts.*nothing more compressible"):
+        nv.Simulation(box((1, 1), 0.5), nv.Model(bodies=bodies), dt=0.1)
+
+
+def test_a_fluid_that_parts_is_refused():
+    bodies = [
+        nv.Body(name="water", where=0.4 - y, material=gas(2.0), density=1.0, parts=True),
+        nv.Body(name="gas", material=gas(1e-3), density=1.0),
+    ]
+    with pytest.raises(ParameterError, match=r"water.*parts.*fluid"):
+        nv.Simulation(box((1, 1), 0.5), nv.Model(bodies=bodies), dt=0.1)
