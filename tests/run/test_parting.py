@@ -42,14 +42,14 @@ def pulled(parts=True, solver="split", m=0, cells=(2, 4), **options):
 def test_both_solvers_agree_and_the_identity_holds(m):
     runs = [pulled(solver=solver, m=m) for solver in ("split", "coupled")]
     for run in runs:
-        ledger = run.run(0.3)
+        ledger = run.run(0.2)
         assert np.abs(ledger.column("closure_relative")).max() <= 1e-12
         assert ledger.column("bregman")[1:].min() >= 0
         assert np.ptp(ledger.column("mass")) <= 1e-12 * ledger.column("mass")[0]
     assert_same(*runs)
-    other = pulled(parts=False, m=m)
-    other.run(0.3)
-    assert abs(other.ledger.column("stored")[-1] / runs[0].ledger.column("stored")[-1] - 1) > 1e-3
+    other = pulled(parts=False, m=m).run(0.2)
+    stored = [np.diff(each.column("stored")) for each in (ledger, other)]
+    assert np.abs(stored[1] / stored[0] - 1).max() > 1e-2
 
 
 def test_an_opening_strains_no_body_and_a_stretch_along_the_interface_does():
