@@ -167,8 +167,8 @@ class PointTangent(_AtPoints):
         X[:g] = rates.entries_of_L(u)
         if rates.mechanisms and not rates.creep_is_collocated:
             X[g:] = rates.creep_components(u)
-        slopes = rates.slopes(z, X, zeta, rates.openings(u))
-        K, force = (slope.transpose(2, 0, 1) for slope in slopes)
+        of_rates = rates.slopes(z, X, zeta, rates.openings(u))
+        K, force = (slope.transpose(2, 0, 1) for slope in of_rates)
         force = force + np.matmul(columns.swapaxes(1, 2), curvature)
         force[:, rates.tensors.trace] += zeta.T[:, None]
         if not (self._asked or self._creeps):
