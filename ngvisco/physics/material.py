@@ -20,7 +20,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, reduce
 from operator import add
-from typing import TYPE_CHECKING, Literal, Self, TypeAlias, TypeVar
+from typing import Any, Literal, Self, TypeAlias, TypeVar
 
 import numpy as np
 from ngsolve import CF, Id
@@ -44,9 +44,6 @@ from ngvisco.physics.tensors import (
     trace_free_tensors,
 )
 from ngvisco.physics.variables import INTERFACE, Values, Variable
-
-if TYPE_CHECKING:
-    from ngvisco.physics.bodies import Interface
 
 
 class StateSpace:
@@ -245,8 +242,8 @@ class Material(ABC):
         return {}
 
     @property
-    def interface(self) -> Interface | None:
-        """The interfaces at which matter parts; None (default) for none."""
+    def interface(self) -> Any:
+        """The ``Interface`` at which matter parts; None (default) for none."""
         return None
 
     def parted(self, z: Values) -> Values:
