@@ -30,10 +30,14 @@ from ngvisco.forms.mesh.mesh_arrays import rules
 from ngvisco.forms.mesh.quadrature import Quadrature
 from ngvisco.forms.term import Integrand, Integrands, tested
 from ngvisco.forms.unknown import Unknown
+from ngvisco.forms.upwinding import mean_share
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.exchange import Exchange
 from ngvisco.parallel.petsc import inverse_of, release
-from ngvisco.physics.tensors import inner
+from ngvisco.physics.bodies import Interface
+from ngvisco.physics.mixed_viscosity import MixedViscosity
+from ngvisco.physics.model import Model
+from ngvisco.physics.tensors import inner, log
 
 
 class LocalProjection:
@@ -124,6 +128,24 @@ class VertexSlope:
 
     def _summed(self, form: LinearForm) -> np.ndarray:
         return self._exchange.sum(form.Assemble().vec.FV().NumPy().copy())
+
+
+def slopes_of_interfaces(
+    model: Model, layout: StepLayout, context: Context, quadrature: Quadrature
+) -> dict[Interface, RecoveredSlope | VertexSlope]:
+    """Slopes at a step's start along the normals of interfaces, for fractions that are constant in cells."""
+    slopes: dict[Interface, RecoveredSlope | VertexSlope] = {}
+    if layout.discretisation.m > 0:
+        return slopes
+    if (parting := model.material.interface) is not None:
+        value = log(parting.mean(context.old.z_tensors))
+        slopes[parting] = VertexSlope(layout.mesh, value, layout.periodic)
+    series = model.viscosity.interface if isinstance(model.viscosity, MixedViscosity) else None
+    if series is not None and series not in slopes:
+        share, value = mean_share(context.inner), series.mean(context.old.z_tensors)
+        of_facets = layout.scalar_space("z_hat")
+        slopes[series] = RecoveredSlope(of_facets, quadrature, share, context.normal, value)
+    return slopes
 
 
 def inverse_mass(space: FESpace, quadrature: Quadrature) -> BaseMatrix:

@@ -52,7 +52,7 @@ from ngvisco.forms.fields import Fields, Tests
 from ngvisco.forms.mesh.mesh_arrays import check_mesh
 from ngvisco.forms.mesh.quadrature import Quadrature
 from ngvisco.forms.mesh.symmetry import Symmetry
-from ngvisco.forms.projections import FacetProjection, LocalProjection, RecoveredSlope, VertexSlope
+from ngvisco.forms.projections import FacetProjection, LocalProjection, slopes_of_interfaces
 from ngvisco.forms.rates import Rates, TabulatedRates
 from ngvisco.forms.spaces import Discretisation, Proxies
 from ngvisco.forms.term import (
@@ -93,13 +93,10 @@ from ngvisco.forms.terms.transport import (
 )
 from ngvisco.forms.unfelt import UNFELT, Unfelt
 from ngvisco.forms.upwinding import Largest, mean_share
-from ngvisco.physics.bodies import Interface
 from ngvisco.physics.material import part_of
 from ngvisco.physics.materials.damaged import Damaged
 from ngvisco.physics.materials.thermal import entropy_in
-from ngvisco.physics.mixed_viscosity import MixedViscosity
 from ngvisco.physics.model import Model
-from ngvisco.physics.tensors import log
 
 
 class LocalUnknowns:
@@ -296,7 +293,8 @@ class Step:
             self.passages,
         )
         self.context.terms = self.terms
-        self._recovered = self._recovered_slopes()
+        self._recovered = slopes_of_interfaces(model, self.layout, self.context, self.quadrature)
+        self.context.recovered_slopes |= {at: slope.target for at, slope in self._recovered.items()}
         self.lagged: GridFunction | None = None
         """z of the last ``freeze``, whose lagged variables enter other variables' conjugates, or None."""
         if model.material.lagged:
@@ -317,23 +315,6 @@ class Step:
         law = part_of(model.material, Damaged)
         self.damage = None if law is None else DamageGrowth(self, law)
         """The growth of damage after a step; None without damage."""
-
-    def _recovered_slopes(self) -> list[RecoveredSlope | VertexSlope]:
-        """Slopes along the normals of interfaces, for fractions that are constant in cells."""
-        slopes: dict[Interface, RecoveredSlope | VertexSlope] = {}
-        if self.discretisation.m > 0:
-            return []
-        if (parting := self.model.material.interface) is not None:
-            value = log(parting.mean(self.old.z_tensors))
-            slopes[parting] = VertexSlope(self.mesh, value, self.layout.periodic)
-        law = self.model.viscosity
-        series = law.interface if isinstance(law, MixedViscosity) else None
-        if series is not None and series not in slopes:
-            share, of_facets = mean_share(self.context.inner), self.layout.scalar_space("z_hat")
-            value = series.mean(self.old.z_tensors)
-            slopes[series] = RecoveredSlope(of_facets, self.quadrature, share, self.context.normal, value)
-        self.context.recovered_slopes |= {interface: slope.target for interface, slope in slopes.items()}
-        return list(slopes.values())
 
     @cached_property
     def whole_residual(self) -> BilinearForm:
@@ -426,13 +407,13 @@ class Step:
         for name in self.layout.evolving:
             old[ranges[name]] = sum(weight * part.values[name] for weight, part in parts)
         self.momentum_old.vec.FV().NumPy()[:] = sum(weight * part.momentum for weight, part in parts)
-        for slope in self._recovered:
+        for slope in self._recovered.values():
             slope()
 
     def start_from_old(self) -> None:
         """Start the step from ``state_old``: m_old = rho_old v_old."""
         self.momentum_old.Interpolate(self.old.rho * self.old.v)
-        for slope in self._recovered:
+        for slope in self._recovered.values():
             slope()
 
     def entries(self, fields: Fields | None = None) -> list[Entry]:
