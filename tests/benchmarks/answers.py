@@ -1,29 +1,36 @@
 """Error over seconds by order, cells, step and scheme: ``python -m tests.benchmarks.answers [PROBLEM ...]``.
 
 The error is that of the kinetic energy at the end, against a finer run with the midpoint rule, half of the
-smallest step and velocities of degree 3. For the soft disc it is the distance of the centroid, over the
-length of its path, from the path by another method (``tests/verification/cases/soft_disc.py``). Seconds are
-processor time of one thread without the set-up; only their ratios within one call are comparable. A table
-marks a problem's runs for which no cheaper run has a smaller error.
+smallest step and velocities of degree 3; for the ball, against the closed form. For the soft disc it is the
+distance of the centroid, over the length of its path, from the path by another method on 128 x 128 cells
+(``tests/verification/immersed.py``), which has rows for coarser grids too. Seconds are processor time of one
+thread without the set-up. The column "relative" has them as multiples of the run ``UNIT``, which is taken
+before and after each problem: these are comparable between calls. A table marks a problem's runs for which no
+cheaper run has a smaller error. The last table has the seconds of the cheapest run within a given error.
 """
 
 import argparse
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-from ngsolve import CF, SetNumThreads, cos, pi, sin, x, y
+from ngsolve import CF, IfPos, SetNumThreads, cos, pi, sin, sqrt, x, y, z
 
 import ngvisco as nv
-from ngvisco.geometries import box, structured_box
+from ngvisco.geometries import box, sphere, structured_box
 from ngvisco.physics.variables import Jacobian
 from tests.benchmarks.table import add_files, against, read, write
 from tests.verification.cases.soft_disc import PATH
+from tests.verification.immersed import CAVITY, computed
 
 SCHEMES = ("backward-euler", "midpoint")
+UNIT = ("shear wave", (2, 1), 6, 20, "midpoint")
+"""The run whose seconds are one: problem, orders, cells a side, number of steps and scheme."""
+ERRORS = (0.1, 0.03, 0.01, 0.003)
+"""Errors of the last table."""
 REFERENCE = ((3, 2), 9, 40, "midpoint")
 """Orders, cells a side, number of steps and scheme of the finer run."""
 
@@ -62,6 +69,39 @@ def soft_disc(cells: int, **options: object) -> nv.Simulation:
     return nv.Simulation(mesh, nv.Model(bodies=[rest, disc]), walls=walls, **options)  # type: ignore[arg-type]
 
 
+ROOT, RADIUS, AMPLITUDE = 4.493409457909064, 0.5, 1e-3
+"""The first root of tan s = s; the ball's radius, m, and start velocity, m/s."""
+
+
+def ball(cells: int, **options: object) -> nv.Simulation:
+    """A ball that is turned about the z-axis, in its first torsional mode, with its surface at rest.
+
+    The velocity is AMPLITUDE j_1(ROOT r/RADIUS) about the axis, j_1 a spherical Bessel function; cells have
+    the size of the diameter over ``cells``.
+    """
+    solid = nv.LinearElastic(K_e=10.0, G_e=SOLID.G_e)
+    s = ROOT / RADIUS * sqrt(x * x + y * y + z * z)
+    bessel_over_s = IfPos(s - 1e-3, (sin(s) / s - cos(s)) / s**2, 1 / 3)
+    turning = AMPLITUDE * ROOT / RADIUS * bessel_over_s
+    initial = nv.Initial(velocity=(-turning * y, turning * x, 0.0))
+    model = nv.Model(material=solid, viscosity=VISCOSITY)
+    mesh = sphere(RADIUS, maxh=2 * RADIUS / cells)
+    return nv.Simulation(mesh, model, initial=initial, walls={"wall": nv.NoSlip()}, **options)  # type: ignore[arg-type]
+
+
+def kept_of_ball(t: float) -> np.ndarray:
+    """Kinetic energy over that of the start: a mode of the wave equation, damped by viscosity."""
+    per_length = (ROOT / RADIUS) ** 2
+    decay = float(VISCOSITY.G_v) * per_length / 2
+    rate = (float(SOLID.G_e) * per_length - decay**2) ** 0.5
+    return np.array([(np.exp(-decay * t) * (np.cos(rate * t) - decay / rate * np.sin(rate * t))) ** 2])
+
+
+def kept(run: nv.Simulation) -> np.ndarray:
+    """The kinetic energy over that of the start."""
+    return np.array([run.ledger.rows[-1]["kinetic"] / run.ledger.rows[0]["kinetic"]])
+
+
 def kinetic(run: nv.Simulation) -> np.ndarray:
     """The kinetic energy, J."""
     return np.array([run.ledger.rows[-1]["kinetic"]])
@@ -88,8 +128,12 @@ class Problem:
         End of the run, s.
     orders, cells, steps : tuple
         The pairs k and m, the cells a side, and the numbers of steps.
+    schemes : tuple, optional
+        The schemes of time.
     exact : array, optional
         The exact answer; the default is the answer of ``REFERENCE``.
+    peers : callable, optional
+        Gives the name, answer and seconds of runs by other methods.
     """
 
     make: Callable[..., nv.Simulation]
@@ -98,7 +142,21 @@ class Problem:
     orders: tuple[tuple[int, int], ...] = ((2, 1), (3, 2))
     cells: tuple[int, ...] = (3, 6)
     steps: tuple[int, ...] = (5, 20)
+    schemes: tuple[str, ...] = SCHEMES
     exact: np.ndarray | None = None
+    peers: Callable[[], Iterator[tuple[str, np.ndarray, float]]] = lambda: iter(())
+
+
+def immersed() -> Iterator[tuple[str, np.ndarray, float]]:
+    """The soft disc until 2 s by Lagrangian triangles in a fixed grid."""
+    for cells in (32, 64):
+        began = time.process_time()
+        path = computed(CAVITY, cells, np.array([0.0, 2.0]))
+        yield (
+            f"immersed triangles, {cells} x {cells} cells",
+            path[-1, 1:3] - CENTRE,
+            time.process_time() - began,
+        )
 
 
 PROBLEMS = {
@@ -109,10 +167,13 @@ PROBLEMS = {
         displacement,
         until=2.0,
         orders=((2, 1), (3, 1)),
-        cells=(6, 10),
+        cells=(6, 8),
         steps=(20, 40),
+        schemes=("midpoint",),
         exact=PATH[PATH[:, 0] == 2.0][0, 1:] - CENTRE,
+        peers=immersed,
     ),
+    "ball": Problem(ball, kept, cells=(4, 6), schemes=("midpoint",), exact=kept_of_ball(0.2)),
 }
 
 
@@ -133,33 +194,64 @@ def rows_of(name: str) -> list[dict]:
     problem = PROBLEMS[name]
     exact = measured(name, *REFERENCE)[0] if problem.exact is None else problem.exact
     size, rows = float(np.linalg.norm(exact)), []
-    for (k, m), cells, steps, scheme in product(problem.orders, problem.cells, problem.steps, SCHEMES):
-        answer, seconds = measured(name, (k, m), cells, steps, scheme)
+    units = [measured(*UNIT)[1]]
+
+    def add(choice: dict, answer: np.ndarray, seconds: float) -> None:
         error = float(np.linalg.norm(answer - exact)) / size
-        choice = {"problem": name, "scheme": scheme, "k": k, "m": m, "cells": cells}
-        rows.append(choice | {"dt": problem.until / steps, "error": error, "seconds": seconds, "exact": size})
+        rows.append({"problem": name, **choice, "error": error, "seconds": seconds, "exact": size})
+
+    for (k, m), cells, steps, scheme in product(
+        problem.orders, problem.cells, problem.steps, problem.schemes
+    ):
+        choice = {"scheme": scheme, "k": k, "m": m, "cells": cells, "dt": problem.until / steps}
+        add(choice, *measured(name, (k, m), cells, steps, scheme))
+    for peer, answer, seconds in problem.peers():
+        add({"scheme": peer}, answer, seconds)
+    units.append(measured(*UNIT)[1])
     rows.sort(key=lambda row: row["seconds"])
     least = float("inf")
     for row in rows:
+        row["relative"] = row["seconds"] / float(np.mean(units))
         row["best"] = row["error"] < least
         least = min(least, row["error"])
     return rows
 
 
+def _choice(row: dict) -> str:
+    """Orders, cells a side and step of a run; empty for another method."""
+    return f"{row['k']}, {row['m']} | {row['cells']} | {row['dt']:g}" if "k" in row else "| |"
+
+
 def markdown(rows: list[dict]) -> str:
     """A Markdown table of one problem's rows."""
     lines = [
-        f"| {rows[0]['problem']} | k, m | cells a side | dt, s | error | time, s | best |",
-        "|" + "---|" * 7,
+        f"| {rows[0]['problem']} | k, m | cells a side | dt, s | error | time, s | relative | best |",
+        "|" + "---|" * 8,
     ]
     for row in rows:
-        values = f"{row['k']}, {row['m']} | {row['cells']} | {row['dt']:g} | {row['error']:.2%}"
-        lines.append(f"| {row['scheme']} | {values} | {row['seconds']:.1f} | {'*' if row['best'] else ''} |")
+        cost = f"{row['seconds']:.1f} | {row['relative']:.2g} | {'*' if row['best'] else ''}"
+        lines.append(f"| {row['scheme']} | {_choice(row)} | {row['error']:.2%} | {cost} |")
     return "\n".join([*lines, "", f"Size of the reference: {rows[0]['exact']:.6g}.", ""])
 
 
+def to_the_same_error(rows: list[dict]) -> str:
+    """A Markdown table of the cheapest run of each problem, and of each other method, within each error."""
+    head = "| error at most | problem | k, m | cells a side | dt, s | scheme | time, s | relative |"
+    lines = [head, "|" + "---|" * 8]
+    methods = dict.fromkeys((row["problem"], "k" in row) for row in rows)
+    for error, (problem, ours) in product(ERRORS, methods):
+        within = [r for r in rows if (r["problem"], "k" in r) == (problem, ours) and r["error"] <= error]
+        if not within:
+            lines.append(f"| {error:.1%} | {problem} | | | | {'none' if ours else 'no other method'} | | |")
+            continue
+        row = min(within, key=lambda row: row["seconds"])
+        what = f"{problem} | {_choice(row)} | {row['scheme']}"
+        lines.append(f"| {error:.1%} | {what} | {row['seconds']:.1f} | {row['relative']:.2g} |")
+    return "\n".join([*lines, ""])
+
+
 def main(arguments: list[str] | None = None) -> int:
-    """Print a table for each problem, and ratios to an older table."""
+    """Print a table for each problem, the seconds to the same error, and ratios to an older table."""
     parser = argparse.ArgumentParser(prog="python -m tests.benchmarks.answers")
     parser.add_argument(
         "problems", nargs="*", metavar="PROBLEM", help=f"of {', '.join(PROBLEMS)}: default all"
@@ -175,9 +267,11 @@ def main(arguments: list[str] | None = None) -> int:
         rows += (new := rows_of(name))
         text += f"{markdown(new)}\n"
         print(markdown(new), flush=True)
-    compared = against(rows, older, ("problem", "scheme", "k", "m", "cells", "dt"), ("seconds", "error"))
-    print(compared)
-    write(chosen.output, "answers", rows, text + compared)
+    compared = against(
+        rows, older, ("problem", "scheme", "k", "m", "cells", "dt"), ("seconds", "relative", "error")
+    )
+    print(last := f"{to_the_same_error(rows)}\n{compared}")
+    write(chosen.output, "answers", rows, text + last)
     return 0
 
 

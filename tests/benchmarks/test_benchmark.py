@@ -69,6 +69,9 @@ def test_answers_say_what_to_choose_and_how_that_is_to_an_older_table(tmp_path, 
     for row in rows:  # what is not marked is beaten by something cheaper
         beaten = any(r["error"] <= row["error"] and r["seconds"] <= row["seconds"] for r in rows if r != row)
         assert row["best"] or beaten
+    for error, line in zip(answers.ERRORS, answers.to_the_same_error(rows).splitlines()[2:], strict=True):
+        within = [row["seconds"] for row in rows if row["error"] <= error]
+        assert f" {min(within):.1f} | {min(within) / 240:.2g} |" in line  # the unit takes 6 x 20 x 2 s
     speed = 0.5
     capsys.readouterr()
     assert answers.main(["swirl", "--against", str(tmp_path / "answers.json")]) == 0
