@@ -4,7 +4,7 @@ import math
 import re
 
 import pytest
-from ngsolve import Id
+from ngsolve import CF, Id
 from scipy.optimize import brentq
 
 import ngvisco as nv
@@ -68,6 +68,22 @@ def test_what_is_borne_and_what_has_no_stress_at_rest_bring_no_warning(state, re
         return 50 * x * x + 3 * G - EPSILON * math.log(J) + J * (100 * x - EPSILON / J)
 
     between(stiff, F=brentq(stress, 0.67, 0.9) ** (1 / 3) * Id(3))  # the state without stress is not F = I
+    assert not recwarn.list
+
+
+@pytest.mark.parametrize("resists", ["impedance", "stiffness"])
+def test_what_dashpots_and_springs_bear_at_the_start_counts(resists, recwarn):
+    """At 0.1 m/s, or displaced by 0.1 m, to the right: 2 Pa against the right wall's, with the left one's."""
+    walls = {
+        name: nv.Open(pressure=-AT_REST - load, backflow=False, **{resists: (20.0, 0.0)})
+        for name, load in (("left", -2.0), ("right", 2.0))
+    }
+    moved = CF((0.1, 0.0))
+    at_start = {f"displacement_{name}": moved for name in walls} if resists == "stiffness" else {}
+    velocity = moved if resists == "impedance" else None
+    initial = nv.Initial(density=1.0, velocity=velocity, values=at_start)
+    mesh, model = structured_box((1, 0.5), (2, 2)), nv.Model(material=PAPER["B"])
+    nv.Simulation(mesh, model, dt=0.05, walls=walls, initial=initial)
     assert not recwarn.list
 
 
