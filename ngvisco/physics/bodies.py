@@ -249,6 +249,8 @@ class Body:
         Whether the body parts from more compressible matter, as a solid in a light gas does from what it
         touches.  In cells that both share, a change of volume strains the body along the interface's normal
         by its own compliance alone, and shear across the interface not at all (FORMULATION.md, Section 9).
+        These cells then resist compression by the bulk modulus alone: discs of four cells across that meet do
+        not rebound with it.  It is for bodies whose surface is a small part of them.
     order : int
         The body of higher order fills the overlap of two bodies at the start.  Bodies of one order must not
         overlap.  The body without a place is below all others and has no order.
