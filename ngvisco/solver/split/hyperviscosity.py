@@ -200,6 +200,8 @@ class HyperTangent:
 
     def update(self, at: HyperValues) -> sp.csr_matrix:
         """Form E and the facets' blocks at some values; return the matrix of v and the kept a."""
+        # the maps of the last update are freed before the next ones take memory
+        self.E_t = self.of_velocity = self.of_rows = Rounded(sp.csr_matrix((0, 0)))
         cell, penalty = self.derivative.tangent_coefficients(at)
         weights, jumps = self.derivative.side_weights, self.derivative.sides.jump
         elements = squared(self._jump, jumps.shape, weights * penalty.reshape(weights.shape))
