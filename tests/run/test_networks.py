@@ -51,7 +51,7 @@ OF_CI = DEAR | {
     (rule, 1 + (i + 1) % 3, ("split", "coupled")[i // 2 % 2], 2 + (i % 4 == 1), SCHEMES[(i + i // 3) % 3])
     for i, rule in enumerate(EVERY)
 }
-"""One more of each rule; in 3D by the split solver: three branches take the coupled one tens of seconds."""
+"""One more of each rule; in 3D by the split solver: three branches take the coupled one up to ten seconds."""
 
 
 def _marks(case):
