@@ -173,7 +173,9 @@ PROBLEMS = {
         exact=PATH[PATH[:, 0] == 2.0][0, 1:] - CENTRE,
         peers=immersed,
     ),
-    "ball": Problem(ball, kept, cells=(4, 6), schemes=("midpoint",), exact=kept_of_ball(0.2)),
+    "ball": Problem(
+        ball, kept, orders=((2, 1),), cells=(4, 6, 8), schemes=("midpoint",), exact=kept_of_ball(0.2)
+    ),
 }
 
 
