@@ -67,10 +67,10 @@ def _marks(case):
 def test_ledger_closes_and_every_branch_dissipates(rule, branches, solver, dim, scheme, record_property):
     made = network(None if rule is None else EVERY[rule], branches)
     ledger = simulation(made, dim, solver=solver, scheme=scheme).run(0.1)
-    record_property("closure", np.abs(ledger.column("closure_relative")).max())
+    record_property("closure", float(np.abs(ledger.column("closure_relative")).max()))
     for column in ledger.columns:
         if column.startswith(("dissipation_creep", "creep_power_min")):
-            record_property(column, ledger.column(column)[1:].min())
+            record_property(column, float(ledger.column(column)[1:].min()))
     assert np.abs(ledger.column("closure_relative")).max() <= 1e-10
     flowing = (["slow"] if rule else []) + (["chains"] if branches == 3 else [])
     columns = [name for name in ledger.columns if name.startswith("dissipation_creep")]
