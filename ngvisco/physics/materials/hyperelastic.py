@@ -64,18 +64,10 @@ def inverse_power(epsilon: Any, kappa: float, J: Tensor, J_min: float | None) ->
 
 
 def referential_volume(K_e: Any, epsilon: Any, kappa: float, J: Tensor, J_min: float | None) -> Tensor:
-    """The volumetric energy [K_e/2 (J - 1 + c)^2 + epsilon/J^kappa]/J with c = kappa epsilon/K_e.
-
-    The square is not multiplied out: near J = 1 the sum K_e/2 (J - 2 + 1/J) is a difference of large numbers,
-    and its rounding is a force without resistance (``forms.terms.tangents``).
-    """
+    """The volumetric energy [K_e/2 (J - 1 + c)^2 + epsilon/J^kappa]/J with c = kappa epsilon/K_e."""
     is_without = isinstance(epsilon, (int, float)) and epsilon == 0
-    J_rest = 1.0 if is_without else 1 - kappa * epsilon / K_e
-
-    def square_over_J(a: Any) -> Any:
-        return 0.5 * K_e * (a - J_rest) * (a - J_rest) / a
-
-    volume = continued(square_over_J, lambda a: 0.5 * K_e * (1 - (J_rest / a) * (J_rest / a)), J, J_min)
+    rest = 1.0 if is_without else 1 - kappa * epsilon / K_e
+    volume = 0.5 * K_e * (J - 2 * rest) + inverse_power(0.5 * K_e * rest * rest, 1.0, J, J_min)
     return volume if is_without else volume + inverse_power(epsilon, kappa + 1, J, J_min)
 
 
@@ -130,8 +122,7 @@ class NeoHookean(IsotropicElastic):
     phi is jointly convex in (F, J) (paper: convexity-neo-Hookean), strictly in J, and blows up as J -> 0+.
     Its minimum is on SO(3).  The stress at rest is phi(I, 1) I = (3 G_e + epsilon^2/(2 K_e)) I (with kappa:
     (3 G_e + epsilon + (kappa epsilon)^2/(2 K_e)) I), since the energy is per *actual* volume; a body of fixed
-    shape does not feel it, and open walls have to bear it, by a pressure of minus this stress.  In simple
-    shear F = I + gamma e1 x e2, T_12 is 2 G_e gamma.
+    shape does not feel it.  In simple shear F = I + gamma e1 x e2, T_12 is 2 G_e gamma.
 
     With ``elastic_state="B"`` phi is linear in B = J^{-2/3} F F^T and convex in (B, J), strictly in J.
     Raises ParameterError if a modulus is not positive, or ``elastic_state`` is neither "F" nor "B".
@@ -306,8 +297,8 @@ class LogarithmicNeoHookean(IsotropicElastic):
         return (super().variables[0], ReciprocalJacobian(), LogJacobian())
 
     def energy(self, z: Values) -> Tensor:
-        A, J_rest = z["A"], 1 - self.epsilon / self.K_e
-        volume = 0.5 * self.K_e * (1 - J_rest * A) * (1 - J_rest * A) / A
+        A, rest = z["A"], 1 - self.epsilon / self.K_e
+        volume = 0.5 * self.K_e * (1 / A - 2 * rest + rest * rest * A)
         return volume + self.G_e * self.first_invariant(z) - self.epsilon * z["K"]
 
 
