@@ -122,7 +122,8 @@ class NeoHookean(IsotropicElastic):
     phi is jointly convex in (F, J) (paper: convexity-neo-Hookean), strictly in J, and blows up as J -> 0+.
     Its minimum is on SO(3).  The stress at rest is phi(I, 1) I = (3 G_e + epsilon^2/(2 K_e)) I (with kappa:
     (3 G_e + epsilon + (kappa epsilon)^2/(2 K_e)) I), since the energy is per *actual* volume; a body of fixed
-    shape does not feel it.  In simple shear F = I + gamma e1 x e2, T_12 is 2 G_e gamma.
+    shape does not feel it, and open walls have to bear it, by a pressure of minus this stress.  In simple
+    shear F = I + gamma e1 x e2, T_12 is 2 G_e gamma.
 
     With ``elastic_state="B"`` phi is linear in B = J^{-2/3} F F^T and convex in (B, J), strictly in J.
     Raises ParameterError if a modulus is not positive, or ``elastic_state`` is neither "F" nor "B".
@@ -297,8 +298,8 @@ class LogarithmicNeoHookean(IsotropicElastic):
         return (super().variables[0], ReciprocalJacobian(), LogJacobian())
 
     def energy(self, z: Values) -> Tensor:
-        A, rest = z["A"], 1 - self.epsilon / self.K_e
-        volume = 0.5 * self.K_e * (1 / A - 2 * rest + rest * rest * A)
+        A, J_rest = z["A"], 1 - self.epsilon / self.K_e
+        volume = 0.5 * self.K_e * (1 - J_rest * A) * (1 - J_rest * A) / A
         return volume + self.G_e * self.first_invariant(z) - self.epsilon * z["K"]
 
 
