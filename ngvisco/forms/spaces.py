@@ -156,6 +156,9 @@ class Layout:
         self.space = FESpace(list(self.blocks.values()))
         ranges = (self.space.Range(i) for i in range(len(self.names)))
         self.ranges = {name: slice(r.start, r.stop) for name, r in zip(self.names, ranges, strict=True)}
+        kinds = {(u.place, u.order): u for u in self.unknowns.values() if u.place in _SPACES}
+        # here, by all ranks together: a space made on demand would wait for ever for a rank that has failed
+        self._scalars = {kind: self._of_place(unknown, None) for kind, unknown in kinds.items()}
 
     def by_variables(self) -> FESpace:
         """The compound space with a block for each variable's part of z and of zeta; the coefficients are the
@@ -217,7 +220,8 @@ class Layout:
 
     def scalar_space(self, name: str) -> FESpace:
         """Scalar space of every component of an unknown, without constraints."""
-        return self._of_place(self.unknowns[name], None)
+        unknown = self.unknowns[name]
+        return self._scalars[unknown.place, unknown.order]
 
     def _of_place(self, unknown: Unknown, size: int | None) -> FESpace:
         space = _SPACES[unknown.place](self.mesh, order=unknown.order)
