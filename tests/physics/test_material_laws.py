@@ -13,6 +13,7 @@ from support import by_ci, plane_strain, random_rotation, tensor, tensors, trace
 
 import ngvisco as nv
 from ngvisco.physics.material import cauchy_stress, conjugates, mandel_stress
+from ngvisco.physics.materials.hyperelastic import referential_volume
 from ngvisco.physics.tensors import square
 from ngvisco.physics.variables import Cofactor, Distortion, Jacobian, LogJacobian, ReciprocalJacobian
 
@@ -442,3 +443,12 @@ def test_table_lists_every_material_with_a_label_of_the_paper():
 def test_convexity_is_asked_for_in_the_energy_s_domain(energy, passes):
     material = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=energy)
     assert nv.check_convexity(material, dim=2, warn=False).passed is passes
+
+
+def test_volumetric_energy_is_no_difference_of_large_numbers():
+    """K_e/2 (J - 2 + 1/J) has K_e times the rounding of 1, four orders above the energy at J = 1 + 1e-10."""
+    for J in (1 + 2.0**-33, 1 - 2.0**-33):
+        assert referential_volume(1e10, 0.0, 1.0, J, None) == pytest.approx(0.5e10 * 2.0**-66 / J, rel=1e-15)
+    slight = nv.LogarithmicNeoHookean(K_e=1e10, G_e=1e-15, epsilon=1e-15)
+    F = (1 + 2.0**-33) ** (1 / 3) * np.eye(3)
+    assert energy_at(slight, F) == pytest.approx(0.5e10 * 2.0**-66, rel=1e-2)

@@ -64,10 +64,18 @@ def inverse_power(epsilon: Any, kappa: float, J: Tensor, J_min: float | None) ->
 
 
 def referential_volume(K_e: Any, epsilon: Any, kappa: float, J: Tensor, J_min: float | None) -> Tensor:
-    """The volumetric energy [K_e/2 (J - 1 + c)^2 + epsilon/J^kappa]/J with c = kappa epsilon/K_e."""
+    """The volumetric energy [K_e/2 (J - 1 + c)^2 + epsilon/J^kappa]/J with c = kappa epsilon/K_e.
+
+    The square is not multiplied out: near J = 1 the sum K_e/2 (J - 2 + 1/J) is a difference of large numbers,
+    and its rounding is a force without resistance (``forms.terms.tangents``).
+    """
     is_without = isinstance(epsilon, (int, float)) and epsilon == 0
-    rest = 1.0 if is_without else 1 - kappa * epsilon / K_e
-    volume = 0.5 * K_e * (J - 2 * rest) + inverse_power(0.5 * K_e * rest * rest, 1.0, J, J_min)
+    J_rest = 1.0 if is_without else 1 - kappa * epsilon / K_e
+
+    def square_over_J(a: Any) -> Any:
+        return 0.5 * K_e * (a - J_rest) * (a - J_rest) / a
+
+    volume = continued(square_over_J, lambda a: 0.5 * K_e * (1 - (J_rest / a) * (J_rest / a)), J, J_min)
     return volume if is_without else volume + inverse_power(epsilon, kappa + 1, J, J_min)
 
 

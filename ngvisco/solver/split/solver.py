@@ -260,11 +260,13 @@ def damped(split: Split, problem: Problem, history: list[NewtonIteration]) -> St
         by_new = split.size(new_f, base) if new_size < np.inf else np.inf
         left = min(by_old, by_new) / split.size(f, base) if size > 0 else 0.0
         history.append(NewtonIteration(size, left, damping, True))
-        if left <= 1 - damping / 4:
-            if split.has_converged(new_f, new_size, size):
-                split.follow(new_f)
-                split.residual.put(new - new_f)
-                return Status.CONVERGED
+        is_shorter = left <= 1 - damping / 4
+        # after a whole increment the next one may be as long by rounding alone
+        if (is_shorter or damping == 1) and split.has_converged(new_f, new_size, size):
+            split.follow(new_f)
+            split.residual.put(new - new_f)
+            return Status.CONVERGED
+        if is_shorter:
             x, f, size, damping = new, new_f, new_size, min(1.0, 2 * damping)
         elif damping < _MIN_DAMPING:
             return Status.STALLED
