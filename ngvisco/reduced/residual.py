@@ -124,9 +124,7 @@ class Evaluation:
     """The residual at one set of iterated unknowns, and the quantities that it was computed from."""
 
     x: np.ndarray  # the iterated unknowns, packed
-    coefficients: dict[
-        str, np.ndarray
-    ]  # by the names of iterated and derived unknowns, (components, functions)
+    coefficients: dict[str, np.ndarray]  # of iterated and derived unknowns, (components, functions)
     hyper: HyperValues | None
     residual: np.ndarray  # the rows, packed like the unknowns
     terms: tuple[CellTerms, FacetTerms]  # whose ``fields`` evaluate unknowns at points

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from ngsolve import x, y
+from ngsolve import x, y, z
 
 import ngvisco as nv
 from ngvisco.errors import ParameterError
@@ -10,7 +10,7 @@ from ngvisco.forms.projections import VertexSlope
 from ngvisco.geometries import box, structured_box
 from ngvisco.physics.tensors import constant, opening
 from ngvisco.physics.variables import Jacobian
-from tests.support import assert_same, others_by_ci
+from tests.support import assert_goes_on, assert_same, others_by_ci
 
 SOLID = nv.ReferentialNeoHookean(K_e=2.0, G_e=0.5)
 DAMPED = nv.StokesViscosity(K_v=0.02, G_v=0.02)
@@ -21,38 +21,61 @@ def gas(bulk):
     return nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: bulk / 2 * (J + 1 / J - 2))
 
 
-def pulled(parts=True, solver="split", m=0):
+def pulled(parts=True, solver="split", m=0, dim=2, creep=None, **options):
     """A block on the bottom of a box, under a gas; half of the second row of cells is its own.
 
     With m = 1 the gas has a fifth of the block's modulus: from 10 : 1 on amounts of order one overshoot.
     """
     bulk, light = ((2e-3, 1e-3), (0.4, 0.2))[m]
-    block = {"name": "block", "where": 0.4 - y, "material": SOLID, "density": 1.0, "viscosity": DAMPED}
+    mesh = structured_box((0.5, 1.0), (2, 4)) if dim == 2 else structured_box((0.5, 0.5, 1.0), (1, 1, 3))
+    up = y if dim == 2 else z
+    shear = 0.0 if "symmetry" in options else 0.2 * up
+    block = {"name": "block", "where": 0.4 - up, "material": SOLID, "density": 1.0, "viscosity": DAMPED}
     bodies = [
-        nv.Body(**block, parts=parts),
+        nv.Body(**block, creep=creep, parts=parts),
         nv.Body(name="gas", material=gas(bulk), density=light, viscosity=THIN),
     ]
     return nv.Simulation(
-        structured_box((0.5, 1.0), (2, 4)),
-        nv.Model(bodies=bodies, loads=(nv.Gravity((0.2 * y, -0.5)),)),
+        mesh,
+        nv.Model(bodies=bodies, loads=(nv.Gravity((shear, *(dim - 2) * [0.0], -0.5)),)),
         dt=0.1,
         solver=solver,
         discretisation=nv.Discretisation(k=m + 1, m=m),
+        **options,
     )
 
 
-@pytest.mark.parametrize("m", others_by_ci((0, 1), 0))
-def test_both_solvers_agree_and_the_identity_holds(m):
-    runs = [pulled(solver=solver, m=m) for solver in ("split", "coupled")]
+SETTINGS = {
+    "constants in cells": {},
+    "linear in cells": {"m": 1},
+    "in space": {"dim": 3},
+    "linear in cells in space": {"dim": 3, "m": 1},
+    "about an axis": {"symmetry": "axisymmetric"},
+    "creep": {"creep": nv.Creep(G_m=1.0)},
+    "midpoint": {"scheme": "midpoint"},
+}
+
+
+@pytest.mark.parametrize("name", others_by_ci(SETTINGS, "about an axis"))
+def test_both_solvers_agree_and_the_identity_holds(name):
+    setting = SETTINGS[name]
+    runs = [pulled(solver=solver, **setting) for solver in ("split", "coupled")]
     for run in runs:
         ledger = run.run(0.2)
         assert np.abs(ledger.column("closure_relative")).max() <= 1e-12
         assert ledger.column("bregman")[1:].min() >= 0
         assert np.ptp(ledger.column("mass")) <= 1e-12 * ledger.column("mass")[0]
     assert_same(*runs)
-    other = pulled(parts=False, m=m).run(0.2)
+    other = pulled(parts=False, **setting).run(0.2)
     stored = [np.diff(each.column("stored")) for each in (ledger, other)]
     assert np.abs(stored[1] / stored[0] - 1).max() > 1e-2
+
+
+@pytest.mark.long
+@pytest.mark.ci
+def test_a_run_goes_on_to_the_bit(tmp_path):
+    """The normals are those of the step's start, which a resumed run finds again."""
+    assert_goes_on(pulled, tmp_path / "run.h5", 0.4, 2)
 
 
 def test_an_opening_strains_no_body_and_a_stretch_along_the_interface_does():
