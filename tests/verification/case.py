@@ -255,6 +255,8 @@ class Cases(list[Case]):
         if missing := {"statement", "label", "setting"} - said.keys():
             raise VerificationError(f"{head}: a case without {', '.join(sorted(missing))}")
         name, reduced = head.removesuffix(" (reduced)"), head.endswith(" (reduced)")
+        if not re.fullmatch(r"[a-z0-9-]+", name):  # pages link to it, and the kept report finds its row by it
+            raise VerificationError(f"{name}: a case's name has small letters, digits and hyphens")
 
         def add(run: Run) -> Run:
             case = Case(name=name, bounds=bounds, run=run, reduced=reduced, theme=self.theme, **said)

@@ -126,6 +126,8 @@ def test_case_is_declared_by_a_text_above_the_function_that_measures_it():
     }.items():
         with pytest.raises(VerificationError, match=message):
             cases(TEXT.replace(wrong, ""))(len)
+    with pytest.raises(VerificationError, match=r"limit-tau-0\.7: a case's name has"):
+        cases(TEXT.replace("limit-tau", "limit-tau-0.7"))
 
 
 def test_closure_and_drift_are_those_of_all_runs_of_a_case(monkeypatch):

@@ -284,7 +284,7 @@ def _drags(mesh: Mesh, modes: Modes, until: float, solver: Solver = "coupled") -
     return Drags(run, 2 * drag, iterations[1:], np.diff(seconds.ended))
 
 
-@CASES(f"""oldroyd-b-past-a-cylinder-at-0.7
+@CASES(f"""oldroyd-b-past-a-cylinder-at-wi-07
     An Oldroyd-B fluid passes the cylinder at Wi = 0.7 with the published drag, and a step costs no more than
       twice a step at Wi = 0.1.
     label: rheoTool, issue 36
