@@ -18,7 +18,7 @@ its pressure, and equally if all n_i are zero.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from ngsolve import CF, L2, CoefficientFunction, GridFunction, LinearForm, ds, specialcf, x, y, z
@@ -64,17 +64,17 @@ class WallReactions:
         self._weights = self._shares()
         # on walls that nothing crosses; the residual has this integral on all others
         free = step.layout.velocity_space((None,) * step.mesh.dim)
-        closed = facet_indicator(step.mesh, [name for name in walls if name not in step.walls.crossed])
+        self._closed = facet_indicator(step.mesh, [name for name in walls if name not in step.walls.crossed])
         normal_test = free.TestFunction() * step.context.normal
         self._energy = LinearForm(free)
         # a trace may have no energy although all points of the cells' rule have one
-        projected, density = GridFunction(L2(step.mesh, order=step.discretisation.m)), step.energy.density
-        self._project = LocalProjection(projected, step.quadrature, tested(density(step.now)))
-        phi = step.energy.anywhere(step.now)
-        self._beside = beside_the_stress(step.now, is_number(phi, phi, projected))
-        flux = if_positive(closed, self._beside, 0.0) * normal_test
+        self._projected = GridFunction(L2(step.mesh, order=step.discretisation.m))
+        self._project = LocalProjection(
+            self._projected, step.quadrature, tested(step.energy.density(step.now))
+        )
+        flux = self._energy_flux(step.now) * normal_test
         step.quadrature.add(self._energy, [Integrand(facets=flux)])
-        self._terms = {name: self._own_terms(name) for name in self.names}
+        self._terms = {name: self._own_terms(name, step.now) for name in self.names}
         shared = sum((self._weights[name] for name in self.names), np.zeros(space.ndof))
         self._residual = step.residual_at(shared != 0)
 
@@ -101,9 +101,18 @@ class WallReactions:
             for name, mask in masks.items()
         }
 
-    def _own_terms(self, name: str) -> list[list[CoefficientFunction]]:
+    def _beside(self, u: Fields) -> CoefficientFunction:
+        """Pressure phi - z_f : zeta_f, Pa, with a trace of phi everywhere."""
+        phi = self.step.energy.anywhere(u)
+        return beside_the_stress(u, is_number(phi, phi, self._projected))
+
+    def _energy_flux(self, u: Fields) -> CoefficientFunction:
+        """The pressure that the residual lacks on walls that nothing crosses, Pa."""
+        return if_positive(self._closed, self._beside(u), 0.0)
+
+    def _own_terms(self, name: str, u: Fields) -> list[list[CoefficientFunction]]:
         """Integrands of given stress, friction and multiplier on a wall, for each rigid motion."""
-        step, u = self.step, self.step.now
+        step = self.step
         rows = []
         for motion in self.motions.values():
             w = Fields(step.layout, {"v": motion})
@@ -111,7 +120,7 @@ class WallReactions:
             if name in step.walls.multiplied:
                 excess = u.wall_stress
                 if name not in step.walls.crossed:
-                    excess = excess - self._beside
+                    excess = excess - self._beside(u)
                 parts.append(facet_indicator(step.mesh, [name]) * excess * (motion * step.context.normal))
             rows.append(parts)
         return rows
@@ -121,8 +130,36 @@ class WallReactions:
 
         Over ranks the rows are sums of the ranks' parts.
         """
-        sums = np.array([[-(self._weights[n] * test) @ rows for test in self._tests] for n in self.names])
+        sums = np.array([[self.weights(n, motion) @ rows for motion in self.motions] for n in self.names])
         return self._ranks.totals(sums)
+
+    def weights(self, name: str, motion: str) -> np.ndarray:
+        """Weights -w_Gamma of the rows of v in a component of force or torque on a wall."""
+        return -self._weights[name] * self._tests[list(self.motions).index(motion)]
+
+    def beside_the_rows(self, name: str, motion: str, u: Fields) -> tuple[Integrand, Callable[[], None]]:
+        """Summands at ``u`` of a component of force or torque on a wall besides the residual's rows.
+
+        Their derivative by u is exact at the present state after a call of the function returned with them.
+        """
+        step, energy = self.step, self.step.energy
+        w = GridFunction(step.layout.blocks["v"])
+        w.vec.FV().NumPy()[:] = self.weights(name, motion)
+        normal = w * step.context.normal
+        own = self._own_terms(name, u)[list(self.motions).index(motion)]
+        # a projected energy has the derivative int phi' q, q the projection of what multiplies the energy
+        is_projected = CF(1.0)
+        if energy.projected is None:
+            phi = energy.anywhere(step.now)
+            is_projected = is_number(phi, 0.0, 1.0)
+        factor = if_positive(self._closed, is_projected, 0.0) * normal
+        if name in step.walls.multiplied and name not in step.walls.crossed:
+            along = self.motions[motion] * step.context.normal
+            factor = factor - facet_indicator(step.mesh, [name]) * is_projected * along
+        q = GridFunction(self._projected.space)
+        project = LocalProjection(q, step.quadrature, lambda test: [Integrand(facets=factor * test)])
+        facets = sum(own, self._energy_flux(u) * normal)
+        return Integrand(q * energy.near(u), facets), project
 
     def __call__(self) -> dict[str, list[float]]:
         """The components of force, N, and of torque, N m, on each wall (per metre in plane strain, for a body

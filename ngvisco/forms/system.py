@@ -321,28 +321,29 @@ class Step:
         """The residual once more, with a matrix that the solver does not change."""
         return self._residual()
 
-    def residual_at(self, coefficients: np.ndarray) -> BilinearForm:
+    def residual_at(self, coefficients: np.ndarray, condense: bool = True) -> BilinearForm:
         """The residual over the cells that have one of ``coefficients``, a mask of those of v.
 
-        The rows of these coefficients are those of the whole residual.
+        The rows of these coefficients are those of the whole residual; with ``condense=False`` also those of
+        its linearisation's matrix.
         """
         velocity, cells = self.layout.blocks["v"], BitArray(self.layout.mesh.ne)
         for cell in range(self.layout.mesh.ne):
             cells[cell] = bool(coefficients[list(velocity.GetDofNrs(ElementId(VOL, cell)))].any())
-        return self._residual(cells=cells)
+        return self._residual(cells, condense)
 
     @cached_property
     def _residual_at_moving_walls(self) -> BilinearForm:
         masks = [mask for _, mask in self.moving_walls.moving.values()]
         return self.residual_at(np.logical_or.reduce(masks))
 
-    def _residual(self, cells: BitArray | None = None) -> BilinearForm:
+    def _residual(self, cells: BitArray | None = None, condense: bool = True) -> BilinearForm:
         """R(u; w) over all cells or ``cells`` as a nonlinear form with its element-local unknowns."""
         space = self.layout.by_variables()
         trial, test = (self.layout.functions(functions) for functions in space.TnT())
         u = self.linearised_fields(list(trial.whole.values()), trial)
         w = Tests(self.layout, GivenParts(test.whole, _NO_EQUATION), functions=test)
-        form = BilinearForm(space, condense=True)
+        form = BilinearForm(space, condense=condense)
         for term in self.terms:
             with refused_by_name(term):
                 self.quadrature.add(form, term.form(u, w), cells)

@@ -159,10 +159,10 @@ class WallForces(Series):
     def prepare(self, simulation: Simulation) -> list[str]:
         dim = simulation.mesh.dim
         about = _one_point("WallForces.about", [0.0] * dim if self.about is None else self.about, dim)
-        self._reactions = WallReactions(simulation.rothe_step, self.walls, about.tolist())
+        self.reactions = WallReactions(simulation.rothe_step, self.walls, about.tolist())
         self._integrator = simulation.integrator
         self.begin()
-        return [f"{name}.{part}" for name in self._reactions.names for part in self._reactions.motions]
+        return [f"{name}.{part}" for name in self.reactions.names for part in self.reactions.motions]
 
     def start(self, simulation: Simulation) -> None:
         super().start(simulation)
@@ -176,14 +176,14 @@ class WallForces(Series):
     # called by the integrator: forces are averaged over a step's stages, each while it is the present state
 
     def begin(self) -> None:
-        self._mean = np.zeros((len(self._reactions.names), len(self._reactions.motions)))
+        self._mean = np.zeros((len(self.reactions.names), len(self.reactions.motions)))
 
     def stage(self, weights: np.ndarray, share: float) -> None:
-        self._mean += share * np.array(list(self._reactions().values()))
+        self._mean += share * np.array(list(self.reactions().values()))
 
     def end(self, weights: np.ndarray) -> None:
         if self._integrator.impulse is not None:
-            self._mean += self._reactions.of_rows(self._integrator.impulse)
+            self._mean += self.reactions.of_rows(self._integrator.impulse)
 
     def _sample(self, simulation: Simulation) -> Any:
         return [self._mean.ravel()]

@@ -4,9 +4,11 @@ Let g_i be the slope of a number J by the solution U_i of a stage.  From the las
 
     R_U^T lambda_i = g_i,     g_k <- g_k - R_{y_k}^T lambda_i for the start states y_k of the stage.
 
-Then dJ/dp is - sum_i lambda_i . R_p, plus the slope by the start times the derivative of the start, plus the
-explicit dependence of J on p.  Derivatives by p at fixed states are differences of fourth order, as in the
-tangent.  One adjoint gives the derivatives by all parameters, and by the start values of all fields.
+If J has rows of R at walls, c . R, as forces on walls do, then g_i contains R_U^T c, and the products with
+R_{y_k}^T and R_p are those of lambda_i - c.  Then dJ/dp is - sum_i lambda_i . R_p, plus the slope by the
+start times the derivative of the start, plus the explicit dependence of J on p.  Derivatives by p at fixed
+states are differences of fourth order, as in the tangent.  One adjoint gives the derivatives by all
+parameters, and by the start values of all fields.
 """
 
 from __future__ import annotations
@@ -108,7 +110,8 @@ class Adjoint:
         base = self.base
         base.pose(stage, [base.evolved(y) for y in solutions[:i]])
         self.linearised.at_stage(stage)  # also sets the present state
-        loads[i] += self._seeds(stage.share * weights)
+        c = self.slopes.rows.weights(stage.share * weights, stage.state)
+        loads[i] += self._seeds(stage.share * weights) + self.slopes.rows.slopes(stage.share * weights, c)
         adjoints = np.array([self.linearised.stage(slope, transposed=True) for slope in loads[i]])
         for j, near in enumerate(self.near):
             if near.parameter.is_of_start:
@@ -125,8 +128,7 @@ class Adjoint:
             if columns:
                 self.jacobian[:, j] += weights @ near.derivative(columns)
         for k in np.flatnonzero(stage.starts[:i]):
-            for n, adjoint in enumerate(adjoints):
-                loads[k][n] -= self.starts.transposed(stage, solutions[:i], int(k), adjoint)
+            loads[k] -= self.starts.transposed(stage, solutions[:i], int(k), adjoints - c)
 
     def _end(
         self,
@@ -143,7 +145,9 @@ class Adjoint:
         is_v[ranges["v"]] = True
         self._read_at(recorded.after, self.ends[:, number])
         whole = slopes + self._seeds(self.ends[:, number])
-        slopes = np.array([starts.through_functions(slope) for slope in whole])
+        c = self._impulses(number, recorded, solutions, loads)
+        of_rows = starts.momentum_transposed(recorded.after, c)
+        slopes = np.array([starts.through_functions(slope) for slope in whole + of_rows])
         self.linearised.at_end(recorded)
         adjoints = np.array([self.linearised.end(np.where(is_v & self.free, slope, 0.0)) for slope in slopes])
         for j, near in enumerate(self.near):
@@ -152,13 +156,29 @@ class Adjoint:
                 states = [follower.evolved(y) for y in solutions]
                 ends.append(follower.end(recorded, states, solutions[-1], recorded.after[ranges["v"]]))
             state, rows = (near.derivative(values) for values in zip(*ends, strict=True))
-            self.jacobian[:, j] += whole @ state - adjoints @ rows
-        for n, (slope, adjoint) in enumerate(zip(slopes, adjoints, strict=True)):
-            combined = slope - starts.momentum_transposed(recorded.after, adjoint)
-            loads[-1][n] += np.where(starts.evolving, 0.0, slope)
-            if recorded.ends_at_stage:
-                loads[-1][n] += np.where(is_v & ~self.free, combined, 0.0)
-            kept = np.where(starts.evolving & ~is_v, combined, 0.0)
-            for k in np.flatnonzero(recorded.weights):
-                moved = starts.momentum_transposed(solutions[k], adjoint)
-                loads[k][n] += recorded.weights[k] * (kept + moved)
+            self.jacobian[:, j] += whole @ state - (adjoints - c) @ rows
+        combined = slopes - starts.momentum_transposed(recorded.after, adjoints)
+        loads[-1] += np.where(starts.evolving, 0.0, slopes)
+        if recorded.ends_at_stage:
+            loads[-1] += np.where(is_v & ~self.free, combined, 0.0)
+        kept = np.where(starts.evolving & ~is_v, combined, 0.0)
+        for k in np.flatnonzero(recorded.weights):
+            moved = starts.momentum_transposed(solutions[k], adjoints - c)
+            loads[k] += recorded.weights[k] * (kept + moved)
+
+    def _impulses(
+        self, number: int, recorded: RecordedStep, solutions: list[np.ndarray], loads: np.ndarray
+    ) -> np.ndarray:
+        """Weights of the momentum's rows at a combined end in the numbers, (numbers, unknowns).
+
+        The rows' power has slopes by the last stage's velocity, which are added to ``loads``.
+        """
+        weights, rows = self.means[:, number] / recorded.tau, self.slopes.rows
+        if recorded.ends_at_stage:
+            return rows.weights(weights, None)
+        if rows.powers:
+            states = [self.base.evolved(y) for y in solutions]
+            impulse = self.base.impulse_rows(recorded, states, recorded.after)
+            loads[-1] += rows.of_velocity(weights, impulse)
+            self.base.at(recorded.after)
+        return rows.weights(weights, solutions[-1])

@@ -120,12 +120,16 @@ class Follower:
 
         ``v`` is the velocity of the last stage, which determines the impulse's power.
         """
+        rows = self.impulse_rows(recorded, states, end)[self.step.layout.ranges["v"]] / recorded.tau
+        return self.columns.impulse(rows, None if recorded.ends_at_stage else v)
+
+    def impulse_rows(self, recorded: RecordedStep, states: Sequence[Evolved], end: np.ndarray) -> np.ndarray:
+        """Rows of the momentum equation at a combined end, N s: the walls' impulse where walls hold v."""
         self.step.start_from(list(zip(recorded.weights, states, strict=False)))
         self.state[:] = end
         if (multiplier := self.step.layout.ranges.get("wall_stress")) is not None:
             self.state[multiplier] = 0.0
-        rows = self._momentum_rows()[self.step.layout.ranges["v"]] / recorded.tau
-        return self.columns.impulse(rows, None if recorded.ends_at_stage else v)
+        return self._momentum_rows()
 
     def _momentum_rows(self) -> np.ndarray:
         self.momentum.Apply(self.step.state.vec, self._residual)

@@ -15,9 +15,10 @@ from ngvisco.forms.mesh.quadrature import compiled
 from ngvisco.forms.term import Integrand
 from ngvisco.physics.tensors import inner
 from ngvisco.run.fields import components, output_fields
-from ngvisco.run.probes import Integrals, Probes
+from ngvisco.run.probes import Integrals, Probes, WallForces
 from ngvisco.sensitivity.follower import Follower
 from ngvisco.sensitivity.parameters import OFFSETS, differenced
+from ngvisco.sensitivity.wall_rows import WallRows
 
 _SPACING = 1e-3
 """Spacing of differences by a cell's coefficients, relative to the unknown's largest one in the cell."""
@@ -27,12 +28,13 @@ class Slopes:
     """The slopes of a follower's columns at its present state.
 
     Slopes of ledger columns and of integrals are variations of forms.  The value of a probe is differenced by
-    the coefficients of the probe's cell.  Raises ParameterError for a column without a slope: a force on a
-    wall, the power of a moving wall, or a column of a table of bodies.
+    the coefficients of the probe's cell.  Columns with ``rows`` of the residual have slopes here besides
+    those by the rows.  Raises ParameterError for a column without a slope, such as a column of a table of
+    bodies.
     """
 
     def __init__(self, follower: Follower) -> None:
-        self.follower, self.step = follower, follower.step
+        self.follower, self.step, self.rows = follower, follower.step, WallRows(follower)
         names = follower.columns.names
         self._of: dict[str, Callable[[], np.ndarray]] = {}
         self._vector = self.step.state.vec.CreateVector()
@@ -53,19 +55,27 @@ class Slopes:
             elif isinstance(table, Probes):
                 columns_of_table = [name for name in names if name in columns]
                 self._of |= {name: self._probe(table, name) for name in columns_of_table}
+            elif isinstance(table, WallForces):
+                for name in set(self.rows.forces) & set(columns):
+                    wall, motion = name.rsplit(".", 1)
+                    beside = table.reactions.beside_the_rows(wall, motion, trial)
+                    self._of[name] = self._form(*beside)
+        self._of |= {name: lambda: np.zeros(len(follower.state)) for name in self.rows.powers}
         for name in names:
             if name in integrands:
                 self._of[name] = self._form(integrands[name])
         for name in names:
             if name not in self._of:
-                expected = "a column with a slope, for the adjoint; take the tangent for forces and bodies"
+                expected = "a column with a slope, for the adjoint; take the tangent for a table of bodies"
                 raise ParameterError("of", name, expected)
 
     def __call__(self, name: str) -> np.ndarray:
         """Slope of a column at the present state by all coefficients, (unknowns,)."""
         return self._of[name]()
 
-    def _form(self, integrand: Integrand) -> Callable[[], np.ndarray]:
+    def _form(
+        self, integrand: Integrand, prepare: Callable[[], None] = lambda: None
+    ) -> Callable[[], np.ndarray]:
         quadrature, form = self.step.quadrature, BilinearForm(self.step.layout.space)
         for part, integral in (
             (integrand.cells, quadrature.cells),
@@ -76,6 +86,7 @@ class Slopes:
                 form += Variation(integral(compiled(part)))
 
         def slope() -> np.ndarray:
+            prepare()
             form.Apply(self.step.state.vec, self._vector)
             return self._vector.FV().NumPy().copy()
 

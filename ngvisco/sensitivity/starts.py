@@ -51,13 +51,14 @@ class Starts:
         return form
 
     def transposed(self, stage: Stage, states: list[np.ndarray], number: int, rows: np.ndarray) -> np.ndarray:
-        """Product R_y^T ``rows``, where y is the stage's start state of this ``number``.
+        """Products R_y^T of each of ``rows``, (numbers, unknowns); y is the stage's start state of this
+        ``number``.
 
         The stage has to be posed, with its solution as the present state.
         """
         weights, step = stage.starts, self.step
         fixed = [(w, y) for k, (w, y) in enumerate(zip(weights, states, strict=False)) if k != number]
-        self._others.vec.FV().NumPy()[:] = sum((w * y for w, y in fixed), np.zeros_like(rows))
+        self._others.vec.FV().NumPy()[:] = sum((w * y for w, y in fixed), np.zeros(rows.shape[1]))
         self._weight.Set(float(weights[number]))
         self._state.vec.FV().NumPy()[:] = states[number]
         y = Fields.of(step.layout, self._state.components)
@@ -65,9 +66,16 @@ class Starts:
         remaining = step.momentum_old.vec.FV().NumPy() - weights[number] * self._momentum.vec.FV().NumPy()
         self._other_momentum.vec.FV().NumPy()[:] = remaining
         self._form.AssembleLinearization(self._state.vec)
-        self._at.FV().NumPy()[:] = rows
-        self._product.data = self._form.mat.T * self._at
-        return np.where(self.evolving, self._product.FV().NumPy(), 0.0)
+        return self._products(self._form, rows)
+
+    def _products(self, form: BilinearForm, rows: np.ndarray) -> np.ndarray:
+        """Products of the transposed linearisation with ``rows``, by the unknowns that a step reads."""
+        result = np.zeros_like(rows)
+        for product, weights in zip(result, rows, strict=True):
+            self._at.FV().NumPy()[:] = weights
+            self._product.data = form.mat.T * self._at
+            product[:] = self._product.FV().NumPy()
+        return np.where(self.evolving, result, 0.0)
 
     @cached_property
     def _state(self) -> GridFunction:
@@ -78,13 +86,12 @@ class Starts:
         return self.step.quadrature.vectors(self.step.mesh.dim)
 
     def momentum_transposed(self, state: np.ndarray, rows: np.ndarray) -> np.ndarray:
-        """Product of ``rows`` with the transposed derivative of int rho v . w by a state."""
+        """Products of ``rows``, (numbers, unknowns), with the transposed derivative of int rho v . w by a
+        state."""
         form = self.follower.momentum
         self._at.FV().NumPy()[:] = state
         form.AssembleLinearization(self._at)
-        self._at.FV().NumPy()[:] = rows
-        self._product.data = form.mat.T * self._at
-        return np.where(self.evolving, self._product.FV().NumPy(), 0.0)
+        return self._products(form, rows)
 
     @cached_property
     def _functions(self) -> tuple[BilinearForm, np.ndarray]:

@@ -64,7 +64,7 @@ class Still:
 @pytest.mark.parametrize("scheme", [by_ci("backward-euler"), by_ci("midpoint"), "sdirk2"])
 def test_products_of_tangent_and_adjoint_are_equal(scheme, solver):
     """Products are of states that the parameters' differences do not enter."""
-    of = {name: text for name, text in OF.items() if name != "stress"}
+    of = {name: text for name, text in OF.items() if name != "stress"} | FORCES
     by_tangent, by_adjoint = directional(partial(run, solver=solver), scheme, of)
     assert abs(by_adjoint / by_tangent - 1).max() < 1e-10
 
@@ -76,6 +76,60 @@ def test_without_the_change_of_the_old_state_an_adjoint_is_wrong(monkeypatch):
     monkeypatch.setattr(Starts, "transposed", lambda self, stage, states, number, rows: 0 * rows)
     by_tangent, by_adjoint = directional(run, "midpoint", {"motion": OF["motion"]})
     assert abs(by_adjoint / by_tangent - 1).max() > 0.1
+
+
+FORCES = {"push": "bottom.force_2 at 0.06", "turn": "bottom.torque until 0.05"}
+
+
+def between(stiffness, **options):
+    """A body between a wall that moves and one with springs, beside walls with friction."""
+    walls = {
+        "top": nv.PrescribedTangential((1.2 * x * (1 - x), 0.0)),
+        "bottom": nv.Open(stiffness=(10.0, 1.0), density=1.0),
+        **{side: nv.NavierFriction(0.2) for side in ("left", "right")},
+    }
+    return run(AT | {"material.G_e": stiffness}, walls=walls, **options)
+
+
+def smooth(stiffness, **options):
+    """A body whose energy has values at points only."""
+    material = nv.Yosida(material=nv.NeoHookean(K_e=10, G_e=stiffness, epsilon=0.1), eps=0.01)
+    model = nv.Model(material=material, viscosity=nv.StokesViscosity(K_v=0.1, G_v=0.1))
+    return started(model, **options)
+
+
+def curved(stiffness, **options):
+    """A disc in a wall with friction and multipliers."""
+    velocity = (-y * (1 - x * x - y * y) + 0.2 * y, x * (1 - x * x - y * y) + 0.1 * x * x)
+    return run(
+        AT | {"material.G_e": stiffness},
+        mesh=disc(radius=1, maxh=1.5),
+        walls={"wall": nv.NavierFriction(0.2)},
+        initial=nv.Initial(density=1.0, velocity=velocity),
+        **options,
+    )
+
+
+@pytest.mark.parametrize(
+    ("make", "options", "columns"),
+    [
+        (between, {}, ("top.force_1", "bottom.force_2", "left.torque", "power_wall_top")),
+        by_ci(between, {"solver": "split", "scheme": "sdirk2"}, ("top.force_1", "power_wall_top")),
+        by_ci(smooth, {}, ("right.force_1", "top.torque")),
+        by_ci(curved, {"scheme": "backward-euler"}, ("wall.force_1", "wall.torque")),
+    ],
+)
+def test_forces_and_powers_of_walls_have_adjoints(make, options, columns):
+    given = {"observers": [nv.WallForces()]} | options
+    of = [f"{name} {when}" for name in columns for when in ("at 0.06", "until 0.05")]
+    name, value, h = "material.G_e", 5.0, 5e-3
+    tangent, adjoint = (
+        nv.gradient(make(value, **given), UNTIL, of=of, by=[name], method=method).jacobian[:, 0]
+        for method in ("tangent", "adjoint")
+    )
+    assert np.allclose(adjoint, tangent, rtol=1e-8, atol=1e-9 * abs(tangent).max())
+    up, down = (measure(make(value + s * h, **given), UNTIL, of) for s in (1, -1))
+    assert np.allclose(adjoint, (up - down) / (2 * h), rtol=1e-5, atol=1e-6 * abs(tangent).max())
 
 
 def soft(change=0.0, scheme="midpoint", **options):
@@ -145,7 +199,6 @@ def test_a_misfit_is_half_the_sum_of_squares():
 @pytest.mark.parametrize(
     ("given", "said"),
     [
-        ({"of": ["bottom.force_2 at 0.06"]}, "take the tangent for forces"),
         ({"method": "forward"}, "'tangent' or 'adjoint'"),
         ({"of": {"m": "kinetic at 0.06"}, "method": "tangent", "by": []}, "at least one parameter"),
     ],

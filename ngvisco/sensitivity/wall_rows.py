@@ -1,0 +1,78 @@
+"""Columns with rows of the residual at walls: forces on walls, and powers of moving walls."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+from ngsolve import BilinearForm
+
+from ngvisco.run.probes import WallForces
+from ngvisco.sensitivity.follower import Follower
+
+
+class WallRows:
+    """Weights c with which columns contain rows of the residual, c . R(u; .), and the products R_u^T c.
+
+    Arrays are (numbers, unknowns), for weights of the columns in numbers, (numbers, columns).  A force has
+    constant c; the power of a moving wall has c = v on the wall.
+    """
+
+    def __init__(self, follower: Follower) -> None:
+        self.follower, step, self.names = follower, follower.step, follower.columns.names
+        rows_of_v = step.layout.ranges["v"]
+        self.forces: dict[str, np.ndarray] = {}
+        """Constant weights of a force's rows, (unknowns,)."""
+        self.powers: dict[str, np.ndarray] = {}
+        """Masks of a moving wall's rows, (unknowns,)."""
+        for table in follower.columns.tables:
+            if isinstance(table, WallForces):
+                table.prepare(follower.simulation)
+                for wall in table.reactions.names:
+                    for motion in table.reactions.motions:
+                        if (name := f"{wall}.{motion}") in self.names:
+                            self.forces[name] = np.zeros(step.layout.space.ndof)
+                            self.forces[name][rows_of_v] = table.reactions.weights(wall, motion)
+        for wall, (_, mask) in step.moving_walls.moving.items():
+            if (name := f"power_wall_{wall}") in self.names:
+                self.powers[name] = np.zeros(step.layout.space.ndof, dtype=bool)
+                self.powers[name][rows_of_v] = mask
+
+    @cached_property
+    def _form(self) -> BilinearForm:
+        rows = self.follower.step.layout.ranges["v"]
+        parts = [weights != 0 for weights in (*self.forces.values(), *self.powers.values())]
+        return self.follower.step.residual_at(np.logical_or.reduce(parts)[rows], condense=False)
+
+    def weights(self, of_columns: np.ndarray, v: np.ndarray | None) -> np.ndarray:
+        """Weights c of the rows in the numbers, with powers of the velocity in the state ``v`` if given."""
+        result = np.zeros((len(of_columns), self.follower.step.layout.space.ndof))
+        for name, c in self.forces.items():
+            result += np.outer(of_columns[:, self.names.index(name)], c)
+        if v is not None:
+            result += self.of_velocity(of_columns, v)
+        return result
+
+    def of_velocity(self, of_columns: np.ndarray, values: np.ndarray) -> np.ndarray:
+        """``values`` at the rows of moving walls: of v, weights of the rows; of rows, slopes by v."""
+        result = np.zeros((len(of_columns), len(values)))
+        for name, mask in self.powers.items():
+            result += np.outer(of_columns[:, self.names.index(name)], np.where(mask, values, 0.0))
+        return result
+
+    def slopes(self, of_columns: np.ndarray, c: np.ndarray) -> np.ndarray:
+        """Slopes of c . R by the present state, the solution of the posed stage, with weights ``c``."""
+        if not c.any():
+            return np.zeros_like(c)
+        state = self.follower.step.state.vec
+        rows, product = (state.CreateVector() for _ in range(2))
+        self._form.AssembleLinearization(state)
+        result = np.zeros_like(c)
+        for slope, weights in zip(result, c, strict=True):
+            rows.FV().NumPy()[:] = weights
+            product.data = self._form.mat.T * rows
+            slope[:] = product.FV().NumPy()
+        if self.powers:
+            self._form.Apply(state, rows)
+            result += self.of_velocity(of_columns, rows.FV().NumPy())
+        return result
