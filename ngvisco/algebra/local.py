@@ -5,7 +5,8 @@ only.  The product for all components of a field is one small dense product in e
 faster than a sparse product for each component.
 
 On straight cells functions are polynomials, so that their values at all points of a rule follow from the
-values at a few points, the nodes, by one matrix for all cells.  Only the blocks of the nodes are stored.
+values at a few points, the nodes, by one matrix for all cells.  Only the blocks of the nodes are stored, once
+for all rules whose values follow from them.
 """
 
 from __future__ import annotations
@@ -56,11 +57,13 @@ class LocalMatrix:
         weights: np.ndarray | None = None,
         dtype: type = np.float64,
         pieces: int = 0,
+        other: LocalMatrix | None = None,
     ) -> None:
         """Split a matrix by cells.
 
         ``weights``, (rows,), of a quadrature rule multiply rows in tests.  ``pieces`` is the number of equal
         parts of a cell's rows, its sides, each with nodes at the same places; by default all rows are nodes.
+        ``other`` has the same functions at the points of another rule; its nodes are shared if they suffice.
         """
         self.cells, self.weights, self.pieces = cells, weights, pieces
         self.height, self.width = matrix.shape
@@ -84,7 +87,13 @@ class LocalMatrix:
         self.unknowns[of_cell, place] = unknown
         blocks = np.zeros((cells, self.local, self.per_cell), dtype)
         blocks[cell, place[position], row] = entries.data
-        self.nodal, self.shape = _nodes(blocks, pieces)
+        self.nodal: np.ndarray
+        self.shape: np.ndarray | None
+        shape = None if other is None or not cells else _shape(other, self.unknowns, blocks, pieces)
+        if other is not None and shape is not None:
+            self.unknowns, self.nodal, self.shape = other.unknowns, other.nodal, shape
+        else:
+            self.nodal, self.shape = _nodes(blocks, pieces)
         # coefficients of a discontinuous space are ordered by cells
         self._in_order = np.array_equal(self.unknowns.ravel(), np.arange(self.width))
         self._first = 0
@@ -218,6 +227,19 @@ def squared(nodal: np.ndarray, shape: np.ndarray | None, weights: np.ndarray) ->
     masses = (weights.reshape(-1, points) @ products).reshape(cells, count // nodes, nodes, nodes)
     weighted = np.matmul(masses, nodal.reshape(cells, count // nodes, nodes, columns))
     return np.matmul(nodal.swapaxes(1, 2), weighted.reshape(nodal.shape))
+
+
+def _shape(other: LocalMatrix, unknowns: np.ndarray, blocks: np.ndarray, pieces: int) -> np.ndarray | None:
+    """The matrix that gives transposed ``blocks``, (cells, unknowns, rows), from the nodes of ``other``, or
+    None."""
+    if pieces != other.pieces or not np.array_equal(unknowns, other.unknowns):
+        return None
+    nodal, by_pieces = (part.reshape(*part.shape[:2], pieces, -1) for part in (other.nodal, blocks))
+    sample = np.linspace(0, len(blocks) - 1, min(len(blocks), SAMPLE)).astype(int)
+    of_nodes, of_rows = (part[sample].reshape(-1, part.shape[3]) for part in (nodal, by_pieces))
+    shape: np.ndarray = la.lstsq(of_nodes, of_rows)[0]
+    error = abs(nodal @ shape - by_pieces).max(axis=(1, 2, 3))
+    return shape if (error <= NEGLIGIBLE * abs(blocks).max(axis=(1, 2))).all() else None
 
 
 def _nodes(blocks: np.ndarray, pieces: int) -> tuple[np.ndarray, np.ndarray | None]:

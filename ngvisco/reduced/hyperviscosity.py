@@ -37,11 +37,17 @@ from ngvisco.reduced.point_fields import FACETS, Lazy
 class SideJumps:
     """Jumps j = a - d_n v and the penalty's other arguments, at the sides' points of one rule."""
 
-    def __init__(self, hyper: MatrixHyperviscosity, op: PointOperators) -> None:
+    def __init__(
+        self, hyper: MatrixHyperviscosity, op: PointOperators, other: SideJumps | None = None
+    ) -> None:
+        """``other`` has the jumps at the points of another rule."""
         matrix = op.points.operator(hyper.component, lambda u: hyper.fields_of(u).jump[0])
-        self.jump = LocalMatrix(matrix, hyper.step.mesh.ne, op.weights, pieces=op.pieces)
+        shared = None if other is None else other.jump
+        self.jump: LocalMatrix = LocalMatrix(
+            matrix, hyper.step.mesh.ne, op.weights, pieces=op.pieces, other=shared
+        )
         """The matrix from (v, a), side by side, to j."""
-        self._op, self._context = op, hyper.step.context
+        self.op, self._context = op, hyper.step.context
         self.weights, self.h = op.weights, op.h
         if not hyper.law.is_linear:
             self.scalar = op.of("hess_square")
@@ -50,8 +56,8 @@ class SideJumps:
         """Fields on the sides: the jumps ``j``; |Hs|^2 and z have the coefficients ``s`` and ``z``."""
         c = {"z": z} if s is None else {"z": z, "hess_square": s}
         context: Any = SimpleNamespace(h=Array(self.h, None), curvature=self._context.curvature.Get())
-        parts = Lazy(lambda name: Array(self._op.of(name)(c[name]), None), c, FACETS)
-        u = Fields(self._op.layout, parts, context)
+        parts = Lazy(lambda name: Array(self.op.of(name)(c[name]), None), c, FACETS)
+        u = Fields(self.op.layout, parts, context)
         u.__dict__["jump"] = Array(j, None)
         return u
 

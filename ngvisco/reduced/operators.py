@@ -23,9 +23,17 @@ from ngvisco.threads import ALONE
 class PointOperators:
     """Evaluates fields at the points of one rule, and integrates against test functions there."""
 
-    def __init__(self, step: Step, points: CellPoints | SidePoints, pieces: int = 1) -> None:
-        """``pieces`` is the number of equal parts of a cell's points, see ``LocalMatrix``."""
-        self.layout, self.pieces, self._h = step.layout, pieces, step.context.h
+    def __init__(
+        self,
+        step: Step,
+        points: CellPoints | SidePoints,
+        pieces: int = 1,
+        other: PointOperators | None = None,
+    ) -> None:
+        """``pieces`` is the number of equal parts of a cell's points, see ``LocalMatrix``.
+
+        ``other`` has the points of another rule, in the same pieces of a cell."""
+        self.layout, self.pieces, self._h, self._other = step.layout, pieces, step.context.h, other
         self.points: Any = points
         self.cells, self.weights = slice(0, step.mesh.ne), points.weights
         self._whole: PointOperators | None = None
@@ -49,8 +57,11 @@ class PointOperators:
         elif key not in self._made:
             space, points = self.layout.scalar_space(name), self.points
             matrices = points.gradients(space) if slopes else [points.values(space)]
-            cells = points.mesh.ne
-            self._made[key] = [LocalMatrix(m, cells, self.weights, pieces=self.pieces) for m in matrices]
+            others = [None] * len(matrices) if self._other is None else self._other._matrices(name, slopes)
+            self._made[key] = [
+                LocalMatrix(matrix, points.mesh.ne, self.weights, pieces=self.pieces, other=other)
+                for matrix, other in zip(matrices, others, strict=True)
+            ]
         return self._made[key]
 
     @property
@@ -75,8 +86,9 @@ class PointOperators:
 class Operators(PointOperators):
     """Operators at the cells' points of the rule of even degree 2 ``order``."""
 
-    def __init__(self, step: Step, order: int) -> None:
-        super().__init__(step, CellPoints(step.mesh, order, step.layout.symmetry))
+    def __init__(self, step: Step, order: int, other: Operators | None = None) -> None:
+        """``other`` has the points of another rule."""
+        super().__init__(step, CellPoints(step.mesh, order, step.layout.symmetry), other=other)
 
     def tests(self) -> np.ndarray:
         """The functions of z times the points' weights, (cells, functions, points)."""

@@ -9,9 +9,9 @@ from ngvisco.algebra.local import Functions, LocalMatrix, integrals, squared
 CELLS, PIECES, POINTS, WIDTH = 12, 3, 7, 20
 
 
-def matrix(rng, bent=None):
+def matrix(rng, bent=None, x=None):
     """Values of five unknowns of each cell at points of its pieces, quadratic but in the cell ``bent``."""
-    x = np.linspace(0.0, 1.0, POINTS)
+    x = np.linspace(0.0, 1.0, POINTS) if x is None else x
     functions = np.stack([np.ones(POINTS), x, x * x])
     blocks = rng.standard_normal((CELLS, 5, PIECES, 3)) @ functions
     if bent is not None:
@@ -47,6 +47,18 @@ def test_products_are_those_of_the_sparse_matrix(bent, nodes):
     assert np.abs(local.from_nodes(per_cell).swapaxes(0, 1).reshape(2, -1) - x @ A.T).max() <= 1e-12
     tested = local.tested(local.to_nodes(y.reshape(2, CELLS, -1).swapaxes(0, 1)))
     assert np.abs(tested - A.T @ y.T).max() <= 1e-11
+
+
+@pytest.mark.parametrize("bent", [None, 4])
+def test_the_points_of_two_rules_share_nodes_that_suffice(bent):
+    """Seven other points; in a cell that is not quadratic the second rule keeps its own values."""
+    first = LocalMatrix(matrix(np.random.default_rng(3)), CELLS, pieces=PIECES)
+    B = matrix(np.random.default_rng(3), bent, np.linspace(0.1, 0.8, POINTS) ** 2)
+    local = LocalMatrix(B, CELLS, pieces=PIECES, other=first)
+    assert (local.nodal is first.nodal) == (bent is None)
+    x, y = np.random.default_rng(4).standard_normal((2, WIDTH)), np.ones(CELLS * PIECES * POINTS)
+    assert np.abs(local(x) - x @ B.T).max() <= 1e-12
+    assert np.abs(local.test(y) - y @ B).max() <= 1e-11
 
 
 @pytest.mark.parametrize("bent", [None, 1])

@@ -95,6 +95,27 @@ def test_inertia_convection_and_viscosity(run):
     assert np.abs(difference).max() <= 1e-8 * np.abs(expected).max()
 
 
+@pytest.mark.parametrize("strain", [0.02, 0.2])
+def test_the_resolvent_by_its_series_is_the_inverse(run, strain, monkeypatch):
+    """Strains of a step for which the series has few terms, and many; both leave 1e-4 at most."""
+    _, at, operator = prepared(run, strain * linear(run, lambda x, y: (x + 2 * y, -y)), 0.01)
+    points = operator.points
+    assert 0 < points._kept[0][0] <= 14 and points._kept[0][1] is None
+    dz = np.random.default_rng(5).standard_normal((points.op.z.width, points.components))
+    found, inverses = points.resolved(dz), []
+
+    def inverted(N):
+        inverses.append(np.linalg.inv(np.eye(N.shape[1]) - N))
+        return inverses[-1], 0
+
+    monkeypatch.setattr(point_tangent, "_resolvents", inverted)
+    operator.update(at)
+    expected = (np.concatenate(inverses) @ dz.reshape(len(inverses[0]), -1, 1)).reshape(dz.shape)
+    assert 0.01 < np.abs(expected - dz).max() < 2
+    assert np.abs(found - expected).max() <= 3e-4
+    assert np.abs(points.resolved(dz) - expected).max() <= 1e-12
+
+
 @pytest.mark.parametrize("run", [None, "bodies"], indirect=True)
 def test_the_force_is_the_rows_derivative_by_fields_that_are_continuous(run, monkeypatch):
     """At rest, of a linear change of a uniform state: no facet takes part; phi'' is by differences.
@@ -113,7 +134,7 @@ def test_the_force_is_the_rows_derivative_by_fields_that_are_continuous(run, mon
     uniform = mean * (1 + 0.02 * rng.standard_normal(mean.shape))
     u[z] = coefficients(np.broadcast_to(uniform, at.cells.z.value.shape).copy()).ravel()
     at = residual(u)
-    monkeypatch.setattr(point_tangent, "_resolvents", lambda matrices: np.eye(matrices.shape[1]))
+    monkeypatch.setattr(point_tangent, "_resolvents", lambda matrices: (np.eye(matrices.shape[1]), 0))
     operator.update(at)
     direction = np.zeros(len(u))
     slope, densities = rng.standard_normal((len(mean), 2)), split.step.layout.states.densities

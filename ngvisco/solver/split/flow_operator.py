@@ -119,7 +119,7 @@ class FlowSchurComplement:
         left = np.matmul(slopes.transpose(0, 2, 1), force.reshape(count, slopes.shape[1], d * n))
         back = np.matmul(z_tests, left.reshape(cells, per, local * d * n))
         back = back.reshape(cells, q, local * d, n).transpose(0, 2, 1, 3).reshape(cells, local * d, q * n)
-        np.matmul(precision.single(back), self.points.resolvent[where], out=self.from_fields[where])
+        np.matmul(precision.single(back), precision.single(p.resolvent), out=self.from_fields[where])
 
     def _mass(self, part: CellPart, at: Evaluation) -> np.ndarray:
         """The mass matrix of one component of v, (cells, local, local)."""
@@ -212,11 +212,6 @@ class FlowSchurComplement:
             values = at_points(self.points.columns[:, :, self.gradients :], dPi)
             rows -= self.op.z.test(values).T
         return rows
-
-    def resolved(self, dz: np.ndarray) -> np.ndarray:
-        """Return (1 - tau P K)^{-1} dz for coefficients dz, both (cells' unknowns, n)."""
-        cells = dz.reshape(*self.points.resolvent.shape[:2], 1)  # a rank may have no cells
-        return np.matmul(self.points.resolvent, cells).reshape(dz.shape)
 
     def _rows_of(self, cells: np.ndarray, hyper_tangent: sp.csr_matrix | None, i: int) -> sp.csr_matrix:
         """Rows of component i of v, from element matrices and one component's hyperviscosity."""

@@ -37,7 +37,8 @@ class HyperDerivative:
         self.sides = hyper.sides
         if step.discretisation.k == 2 and step.mesh.GetCurveOrder() <= 1:
             points = SidePoints(step.mesh, penalty_degree, step.layout.symmetry)
-            self.sides = SideJumps(hyper, PointOperators(step, points, points.per_cell))
+            sides = PointOperators(step, points, points.per_cell, hyper.sides.op)
+            self.sides = SideJumps(hyper, sides, hyper.sides)
         self.weights = hyper.op.weights.reshape(self.cells, hyper.h_values.per_cell)
         self.side_weights = self.sides.weights.reshape(self.cells, self.sides.jump.per_cell)
         self._volume = self.weights.max(initial=0.0) or 1.0

@@ -100,7 +100,7 @@ class FieldsSystem:
     def approximate(self, rows: np.ndarray) -> np.ndarray:
         """Increments of z by sweeps of the transport, then by the resolvent of rates and creep in each
         cell."""
-        return self.operator.resolved(self.sweep.fields(rows))
+        return self.operator.points.resolved(self.sweep.fields(rows))
 
     def rows(self, dz: np.ndarray) -> np.ndarray:
         """Rows of z from increments of z, both (cells' unknowns, n)."""
@@ -128,7 +128,7 @@ class Preconditioner:
         # on triangles a rule of degree 2, k - 1, misses convection if there is no hyperviscosity: at a
         # Courant number of 0.2 a step takes 16 iterations and seven operators instead of 9 and one
         least = k if self.dim == 2 and residual.hyper is None else k - 1
-        self.op = residual.op if bends or varies else Operators(step, max(least, m))
+        self.op = residual.op if bends or varies else Operators(step, max(least, m), residual.op)
         self.sweep = TransportSweeps(residual)
         derivative = (
             None if residual.hyper is None else HyperDerivative(residual.hyper, self.options.penalty_degree)
@@ -245,7 +245,7 @@ class Preconditioner:
             # a stress that does not fulfil a steep flow rule leaves a residual as large as the rule's slope:
             # each cell relaxes its residual before the transport carries it to other cells
             alone = operator.points.tau * apply(operator.residual.inverse_mass, of_z.T)
-            alone = operator.resolved(np.ascontiguousarray(alone.T))
+            alone = operator.points.resolved(np.ascontiguousarray(alone.T))
             of_z = of_z - self.fields.rows(alone)
             flow[: operator.nv] -= self._of_velocity.sum(operator.force_of(alone)).ravel()
         force = operator.force(self.sweep.fields(of_z))
