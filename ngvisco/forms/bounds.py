@@ -135,7 +135,7 @@ class Bounds:
         self.names = tuple(name for _, name, _ in bounds)
         self._variables = tuple(variable for variable, *_ in bounds)
         """Variable of each bound; None for rho, "" for several variables."""
-        self._present = CF(tuple(value for *_, value in bounds))
+        self._present = CF(tuple(value for *_, value in bounds)).Compile()
         material = step.model.material
         self._where_means_do = np.array([name in material.where_means_do for name in self.names])
         self._share = GridFunction(L2(step.mesh, order=0))  # s of rho in the last limited state
@@ -176,7 +176,7 @@ class Bounds:
     @cached_property
     def _of_means(self) -> CoefficientFunction:
         z = self.step.layout.states.tensors(lambda: self._means.z)
-        return CF(tuple(value for *_, value in self._bounds(self._means.rho, z)))
+        return CF(tuple(value for *_, value in self._bounds(self._means.rho, z))).Compile()
 
     @cached_property
     def _slope(self) -> CoefficientFunction:

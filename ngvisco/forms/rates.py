@@ -101,6 +101,9 @@ class Rates:
 
     def mandel(self, u: UnknownValues, mechanism: CreepMechanism | None = None) -> CoefficientFunction:
         """Mandel stress of the projected conjugates, 3x3, Pa, of the variables of a mechanism, or of all."""
+        return u.once(f"M of {mechanism and mechanism.names}", lambda: self._mandel(u, mechanism))
+
+    def _mandel(self, u: UnknownValues, mechanism: CreepMechanism | None) -> CoefficientFunction:
         names = None if mechanism is None else mechanism.names
         return mandel_stress(self.material, u.z_tensors, u.zeta_tensors, self.dim, names)
 
@@ -397,7 +400,7 @@ class TabulatedRates(Rates):
         rate = self.rate(z, self._components(Pi), self.tensors.gradients)
         return [G.parts[name].InnerProduct(Array(rate, None))]
 
-    def mandel(self, u: UnknownValues, mechanism: CreepMechanism | None = None) -> Array:
+    def _mandel(self, u: UnknownValues, mechanism: CreepMechanism | None) -> Array:
         """Mandel stress of the projected conjugates, 3x3, Pa, of a mechanism, by default of the first."""
         size = self.creep_space.size
         first = self.tensors.gradients + size * (0 if mechanism is None else self.mechanisms.index(mechanism))
@@ -407,6 +410,10 @@ class TabulatedRates(Rates):
 
     def stored(self, u: UnknownValues) -> Array:
         """phi(z), Pa."""
+        phi: Array = u.once("phi", lambda: self._stored(u))
+        return phi
+
+    def _stored(self, u: UnknownValues) -> Array:
         if isinstance(self.response, ArrayResponse):
             with np.errstate(all="ignore"):  # NaN outside the energy's domain
                 return self.material.energy(u.z_tensors)

@@ -90,6 +90,13 @@ class UnknownValues:
         # of the parts alone: a reference to the values would keep their arrays until cycles are collected
         self.gradient = gradient or (functions.gradient if functions else lambda name: Grad(parts[name]))
         self._variables = functions.of_variables if functions else {}
+        self._made: dict[str, Any] = {}
+
+    def once(self, name: str, make: Callable[[], Any]) -> Any:
+        """What ``make`` returns, a function of these values, made once for all terms that read it."""
+        if name not in self._made:
+            self._made[name] = make()
+        return self._made[name]
 
     @cached_property
     def grad_v(self) -> CoefficientFunction:

@@ -185,6 +185,13 @@ class Material(ABC):
         return {"": tuple(v.name for v in self.variables if v.creeps)}
 
     @property
+    def summed(self) -> tuple[tuple[str, ...], ...]:
+        """Groups of names of variables, phi being a sum of energies that read one group each, and any of the
+        variables that no group names; none by default.
+        """
+        return ()
+
+    @property
     def referential_density(self) -> Modulus | None:
         """The density rho_R, kg/m^3, of an energy that reads rho = rho_R/J; None (default) for others.
 

@@ -9,7 +9,7 @@ and the imaginary part of a row is its derivative along the imaginary part of th
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any, Literal, TypeAlias
+from typing import Any, Literal, TypeAlias, cast
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -21,7 +21,7 @@ from ngvisco.forms.system import Step
 from ngvisco.forms.term import PointRule, PointTerm
 from ngvisco.physics.arrays import Array, Linear, factors_of_tests
 from ngvisco.reduced.operators import Operators, PointOperators, SideOperators
-from ngvisco.reduced.point_fields import CELLS, FACETS, derivative_of, incremented, lazy_fields, with_values
+from ngvisco.reduced.point_fields import CELLS, FACETS, Lazy, derivative_of, incremented, lazy_fields
 from ngvisco.reduced.unknowns import derived_in_cells, in_cells
 from ngvisco.threads import ALONE
 
@@ -315,9 +315,14 @@ class FacetTerms(_Terms):
         return FacetTerms(self._step, self.op.part(cells), self.context.known)
 
     def loads_of(self, term: PointTerm, name: str, u: Fields) -> np.ndarray:
-        """Loads of the equation of the facet unknown ``name``, evaluated where this unknown is zero."""
-        shape = self.layout.unknowns[name].shape
-        factors = self.factors([term], with_values(u, **{name: np.zeros((*shape, 1))}))
+        """Loads of the equation of the facet unknown ``name``, evaluated where this unknown is zero.
+
+        The values that ``u`` computes for the equation stay for other equations.
+        """
+        shape, parts = self.layout.unknowns[name].shape, cast(Lazy, u.parts)
+        parts[name] = Array(np.zeros((*shape, 1)), None)
+        factors = self.factors([term], u)
+        del parts[name]  # the next access reads the coefficients, known by then
         return self.op.of(name).loads(self._full(factors[name]))
 
 

@@ -3,6 +3,7 @@ response."""
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 
 import numpy as np
@@ -24,6 +25,16 @@ class PointwiseSlope:
         """Mask of the components of lagged variables."""
         for name in material.lagged:
             self.lagged[states.slices[name]] = True
+        names = () if self.lagged.any() else material.summed  # lagged phi'' is not symmetric
+        every = np.arange(states.size)
+        groups = [np.concatenate([every[states.slices[v]] for v in group]) for group in names if group]
+        self._shared = np.setdiff1d(every, np.concatenate([*groups, every[:0]]))
+        """Components that are in no group of ``Material.summed``."""
+        self._own = {int(m): group for group in groups for m in group}
+        by_groups = itertools.zip_longest(*groups)
+        self._together = [[int(m) for m in columns if m is not None] for columns in by_groups]
+        """Components of whose columns of phi'' one derivative gives all."""
+        self._together += [[int(m)] for m in self._shared]
         self._frozen: tuple[np.ndarray, np.ndarray] | None = None
         self.response = step.tabulated_rates.response
         self.arrays = self.response.slope if isinstance(self.response, ArrayResponse) else None
@@ -49,10 +60,23 @@ class PointwiseSlope:
         return lambda dz: np.where(self.lagged, derivative(dz), of_others(np.where(self.lagged, 0.0, dz)))
 
     def hessian(self, z_values: np.ndarray) -> np.ndarray:
-        """phi''(z), (n, n, points), for real z."""
-        along = self.derivative(z_values)
-        units = np.eye(self.components)[:, :, None]
-        return np.stack([along(np.broadcast_to(e, z_values.shape)) for e in units], axis=1)
+        """phi''(z), (n, n, points), for real z.
+
+        One derivative gives a column of each branch: phi'' is zero between branches, and symmetric.
+        """
+        along, n = self.derivative(z_values), self.components
+        result = np.zeros((n, n, z_values.shape[1]))
+        for columns in self._together:
+            direction = np.zeros((n, 1))
+            direction[columns] = 1.0
+            change = along(np.broadcast_to(direction, z_values.shape))
+            for m in columns:
+                rows = slice(None) if len(columns) == 1 else self._own[m]
+                result[rows, m] = change[rows]
+        for columns in self._together:
+            for m in columns if len(columns) > 1 else ():
+                result[self._shared, m] = result[m, self._shared]
+        return result
 
     def _seen(self, z_values: np.ndarray) -> np.ndarray:
         """z with the old values of lagged variables, for the conjugates of variables that do not lag."""

@@ -5,8 +5,9 @@ from ngsolve import CoefficientFunction
 from support import small_run
 
 import ngvisco as nv
-from ngvisco.physics.tensors import square
-from ngvisco.physics.variables import Distortion, Jacobian
+from ngvisco.physics.pointwise import rest_state
+from ngvisco.physics.tensors import square, tr
+from ngvisco.physics.variables import CofactorLeftCauchyGreen, Distortion, Jacobian, LeftCauchyGreen
 
 
 def energy(F, J):
@@ -40,3 +41,29 @@ def test_rounding_at_rest_is_no_difference():
     slope = run.solver.newton.residual.slope
     run.advance()
     assert slope.arrays is not None
+
+
+def test_one_derivative_gives_a_column_of_each_branch():
+    coupled = nv.CustomMaterial(
+        transported=(LeftCauchyGreen(exponent=-5 / 3), CofactorLeftCauchyGreen(exponent=-4 / 3), Jacobian()),
+        stored_energy=lambda B, N, J: tr(B) * tr(B) / J + tr(N) * tr(N) + 20 * (J - 1) * (J - 1) / J,
+    )
+    made = {
+        "slow": coupled,
+        "spring": nv.ReferentialNeoHookean(K_e=0.0, G_e=1.0, elastic_state="B"),
+        "chains": nv.OldroydB(K_e=3.0, G_e=2.0),
+    }
+    creep = {"slow": nv.Creep(G_m=2.0)}
+    branches = {name: nv.Branch(material=each, creep=creep.get(name)) for name, each in made.items()}
+    run = small_run(material=nv.Network(branches=branches), solver="split")
+    slope, states = run.solver.newton.residual.slope, run.rothe_step.layout.states
+    z = rest_state(run.model.material, 2)[:, None]
+    z = z + 0.1 * np.random.default_rng(0).standard_normal((states.size, 5))
+    along, arrays, calls = slope.derivative(z), slope.arrays, []
+    by_columns = np.stack([along(np.broadcast_to(e[:, None], z.shape)) for e in np.eye(states.size)], axis=1)
+    slope.arrays = lambda values: calls.append(1) or arrays(values)
+    found = slope.hessian(z)
+    largest = sum(states.spaces[name].size for name in ("B_slow", "N_slow"))
+    assert len(calls) == largest + 1 < states.size  # and J
+    assert abs(found[states.slices["B_slow"], states.slices["J"]]).max() > 0.1
+    assert np.allclose(found, by_columns, rtol=0, atol=1e-14 * abs(by_columns).max())

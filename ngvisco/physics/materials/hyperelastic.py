@@ -63,13 +63,18 @@ def inverse_power(epsilon: Any, kappa: float, J: Tensor, J_min: float | None) ->
     return continued(lambda a: epsilon * a**-kappa, lambda a: -epsilon * kappa * a ** (-kappa - 1), J, J_min)
 
 
-def referential_volume(K_e: Any, epsilon: Any, kappa: float, J: Tensor, J_min: float | None) -> Tensor:
-    """The volumetric energy [K_e/2 (J - 1 + c)^2 + epsilon/J^kappa]/J with c = kappa epsilon/K_e.
+def referential_volume(
+    K_e: Any, epsilon: Any, kappa: float, J: Tensor, J_min: float | None
+) -> Tensor | float:
+    """The volumetric energy [K_e/2 (J - 1 + c)^2 + epsilon/J^kappa]/J with c = kappa epsilon/K_e; the number
+    0 for a branch with K_e = 0, whose energy does not read J.
 
     The square is not multiplied out: near J = 1 the sum K_e/2 (J - 2 + 1/J) is a difference of large numbers,
     and its rounding is a force without resistance (``forms.terms.tangents``).
     """
     is_without = isinstance(epsilon, (int, float)) and epsilon == 0
+    if is_without and isinstance(K_e, (int, float)) and K_e == 0:
+        return 0.0
     J_rest = 1.0 if is_without else 1 - kappa * epsilon / K_e
 
     def square_over_J(a: Any) -> Any:

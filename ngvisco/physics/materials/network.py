@@ -122,12 +122,28 @@ class Network(Material):
 
     def own(self, name: str) -> dict[str, Variable]:
         """The variables that only this branch carries, by their names in the branch's material."""
-        tensors = (v for v in self.parts[name].material.variables if v.creeps)
+        tensors = (v for v in self.branches[name].material.variables if v.creeps)
         return {v.name: replace(v, name=f"{v.name}_{name}") for v in tensors}
+
+    @cached_property
+    def _names(self) -> dict[str, dict[str, str]]:
+        """Names of each branch's variables in the network, by branch and by names in the branch's material.
+
+        Energies read these names at each evaluation.
+        """
+        return {
+            name: {v.name: v.name for v in branch.material.variables}
+            | {own: variable.name for own, variable in self.own(name).items()}
+            for name, branch in self.branches.items()
+        }
 
     @property
     def distortions(self) -> dict[str, tuple[str, ...]]:
         return {name: tuple(v.name for v in self.own(name).values()) for name in self.parts}
+
+    @property
+    def summed(self) -> tuple[tuple[str, ...], ...]:
+        return tuple(self.distortions.values())
 
     def conformation_of(self, branch: str) -> str | None:
         name = self.parts[branch].material.conformation
@@ -169,13 +185,11 @@ class Network(Material):
 
     def values_of(self, name: str, z: Values) -> dict[str, Tensor]:
         """The values of a branch's variables, by their names in the branch's material."""
-        tensors = self.own(name)
-        material = self.parts[name].material
-        return {v.name: z[tensors[v.name].name if v.name in tensors else v.name] for v in material.variables}
+        return {own: z[of_network] for own, of_network in self._names[name].items()}
 
     def energy_of(self, name: str, z: Values) -> Tensor:
         """The energy phi_i of a branch, Pa."""
-        return self.parts[name].material.energy(self.values_of(name, z))
+        return self.branches[name].material.energy(self.values_of(name, z))
 
     def domain(self, z: Values) -> Values:
         domains = {
@@ -186,7 +200,7 @@ class Network(Material):
         }
 
     def energy(self, z: Values) -> Tensor:
-        return reduce(add, (self.energy_of(name, z) for name in self.parts))
+        return reduce(add, (self.energy_of(name, z) for name in self.branches))
 
     def _renamed(self, name: str) -> Iterator[tuple[Variable, Variable]]:
         tensors = self.own(name)

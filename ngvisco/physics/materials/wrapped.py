@@ -47,6 +47,10 @@ class Carrying(Wrapper):
     def lagged(self) -> frozenset[str]:
         return self.material.lagged
 
+    @property
+    def summed(self) -> tuple[tuple[str, ...], ...]:
+        return self.material.summed
+
     def energy(self, z: Values) -> Tensor:
         at_this_point = substituted(self.material, lambda expression: expression.at(z))
         phi = at_this_point.energy({v.name: z[v.name] for v in self.material.variables})
