@@ -93,7 +93,7 @@ class UnknownValues:
         self._made: dict[str, Any] = {}
 
     def once(self, name: str, make: Callable[[], Any]) -> Any:
-        """What ``make`` returns, a function of these values, made once for all terms that read it."""
+        """The result of ``make``, a function of these values, made once for all terms that read it."""
         if name not in self._made:
             self._made[name] = make()
         return self._made[name]
