@@ -186,9 +186,7 @@ class Material(ABC):
 
     @property
     def summed(self) -> tuple[tuple[str, ...], ...]:
-        """Groups of names of variables, phi being a sum of energies that read one group each, and any of the
-        variables that no group names; none by default.
-        """
+        """Groups of variables: phi is a sum of energies that read one group each, and variables of no group."""
         return ()
 
     @property
