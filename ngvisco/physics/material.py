@@ -186,7 +186,7 @@ class Material(ABC):
 
     @property
     def summed(self) -> tuple[tuple[str, ...], ...]:
-        """Groups of variables: phi is a sum of energies that read one group each, and variables of no group."""
+        """Groups of variables: phi is a sum of energies that read one group each, and the other variables."""
         return ()
 
     @property
