@@ -123,6 +123,9 @@ class PointTerm:
     is_mass : bool
         Whether the term's tangent is the mass matrix of v, integrated by the whole rule: fewer points make it
         singular.
+    weighs : bool
+        Whether the rows of v contain the density, which is a function of z if there are bodies.  The tangent
+        by increments then has their derivative by z, also of a term that is not ``linearised``.
     plane_only : str or None
         Reason why a body of revolution cannot have the term; None if ``L`` has all that the term reads.
     """
@@ -136,6 +139,7 @@ class PointTerm:
     facet_mean: str | None = None
     stays: ClassVar[bool] = False
     is_mass: ClassVar[bool] = False
+    weighs: ClassVar[bool] = False
     plane_only: ClassVar[str | None] = None
 
     def __init_subclass__(cls, **options: Any) -> None:

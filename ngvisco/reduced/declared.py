@@ -107,12 +107,14 @@ class Couplings:
         return [term for term in self.at_points if term.is_mass]
 
     def of_state(self) -> list[PointTerm]:
-        """Terms, except rates and the elastic force, with rows of z or stresses that depend on z or zeta."""
+        """Terms, except rates and the elastic force, with rows of z, stresses or weights that depend on z or
+        zeta."""
         stresses, terms = {id(term) for term in self.of_gradients()}, []
         for term in self.at_points:
             reads = self._rows[id(term)].names
             is_stress = id(term) in stresses and any(reads.values())
-            if term.linearised and (reads.get("z") or is_stress):
+            of_increments = term.linearised and (reads.get("z") or is_stress)
+            if of_increments or (term.weighs and reads.get("v")):
                 terms.append(term)
         return terms
 

@@ -99,7 +99,7 @@ class MeanFlux(FacetMean):
 class Inertia(PointTerm):
     """Inertia (rho v - m_old)/tau . w - 1/2 (rho - rho_old)/tau v . w."""
 
-    linearised, is_mass = False, True
+    linearised, is_mass, weighs = False, True, True
 
     def unknowns(self, setting: Setting) -> tuple[Unknown, ...]:
         return (Unknown("v", "velocity", setting.k, setting.dim, evolves=True),)
@@ -250,7 +250,7 @@ class Loading(PointTerm):
 
     load: Load
     dim: int
-    linearised = False
+    linearised, weighs = False, True
 
     @property
     def impulse(self) -> str:

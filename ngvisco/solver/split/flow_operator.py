@@ -112,9 +112,12 @@ class FlowSchurComplement:
         # from z to rows of v: the elastic force of (1 - tau P K)^{-1} dz
         force = precision.single(p.force[:, : d * d]).reshape(count, d, d, n).swapaxes(1, 2)
         slopes = shapes[:, 1:]
-        if radius is not None:
+        if radius is not None or p.weight is not None:
             of_values = np.zeros((count, 1, d, n), precision.SINGLE)
-            of_values[:, 0, 0] = p.force[:, d * d] / radius[:, None]
+            if p.weight is not None:
+                of_values[:, 0] = p.weight
+            if radius is not None:
+                of_values[:, 0, 0] += p.force[:, d * d] / radius[:, None]
             force, slopes = np.concatenate([of_values, force], axis=1), shapes
         left = np.matmul(slopes.transpose(0, 2, 1), force.reshape(count, slopes.shape[1], d * n))
         back = np.matmul(z_tests, left.reshape(cells, per, local * d * n))
@@ -199,8 +202,11 @@ class FlowSchurComplement:
         Each rank has the share of its cells."""
         op, p, d, plane = self.op, self.points, self.dim, self.dim**2
         assert p.force is not None
-        values = at_points(p.force[:, : self.gradients], op.z(np.ascontiguousarray(dz.T)))
+        values_of_z = op.z(np.ascontiguousarray(dz.T))
+        values = at_points(p.force[:, : self.gradients], values_of_z)
         rows = np.sum([D.test(values[:plane][j::d]) for j, D in enumerate(op.slopes("v"))], axis=0)
+        if p.weight is not None:
+            rows += op.v.test(at_points(p.weight, values_of_z))
         if (radius := radius_of(p.terms.fields({}))) is not None:
             rows[:1] += op.v.test(values[plane:] / radius)
         return rows
