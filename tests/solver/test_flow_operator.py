@@ -119,7 +119,7 @@ def test_the_resolvent_by_its_series_is_the_inverse(run, strain, monkeypatch):
 
 @pytest.mark.parametrize("run", [None, "bodies"], indirect=True)
 def test_the_force_is_the_rows_derivative_by_fields_that_are_continuous(run, monkeypatch):
-    """Of a linear change of a uniform state: no facet takes part; phi'' is by differences.
+    """The change is a linear one of a uniform state: no facet takes part; phi'' is by differences.
 
     Weight, inertia and convection of bodies change with their density; increments leave out the balance of
     momentum, which sees means over cells.
