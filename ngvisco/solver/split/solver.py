@@ -24,6 +24,7 @@ import numpy as np
 from ngsolve import BaseVector
 
 from ngvisco.algebra.krylov import gmres
+from ngvisco.algebra.memory import return_large_arrays
 from ngvisco.errors import StepError
 from ngvisco.forms.system import Step
 from ngvisco.parallel.exchange import Exchange
@@ -59,6 +60,7 @@ class Split:
         """``exchange`` belongs to the step's space."""
         self.step, self.norm, self.options = step, norm, options
         self.is_factorised = False
+        return_large_arrays()
         workers = Workers(options.threads, exchange.communicator.size)
         self.residual = ReducedResidual(step, exchange, workers)
         self.unknowns = self.residual.unknowns
