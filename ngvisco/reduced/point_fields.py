@@ -95,13 +95,14 @@ def incremented(u: Fields, **along: np.ndarray) -> Iterator[tuple[int, Fields]]:
     are repeated for each direction, one direction after the other: an operation on more points takes hardly
     longer.
     """
+    values = {name: (u.grad_v if name == "grad_v" else u.parts[name]).value for name in along}
     first = next(iter(along))
-    points = getattr(u, first).value.shape[-1]
+    points = values[first].shape[-1]
     size = max(1, TOGETHER // max(points, 1))
     for start in range(0, len(along[first]), size):
         changed = {}
         for name, directions in along.items():
-            value, some = getattr(u, name).value, directions[start : start + size]
+            value, some = values[name], directions[start : start + size]
             moved = value[..., None, :] + (TINY * 1j) * np.moveaxis(some, 0, -2)
             changed[name] = moved.reshape(*value.shape[:-1], -1)
         yield len(some), with_values(u if len(some) == 1 else _repeated(u, len(some)), **changed)

@@ -192,7 +192,7 @@ class MomentumBalance(PointTerm):
     continuous v.  R(q) = 0 for the exact solution: the term is consistent.
     """
 
-    linearised, group = False, SKEW
+    linearised, weighs, group = False, True, SKEW
 
     def cells(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
         c, v_K = u.context, u.parts[CellVelocity.name]

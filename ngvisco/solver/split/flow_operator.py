@@ -112,16 +112,23 @@ class FlowSchurComplement:
         # from z to rows of v: the elastic force of (1 - tau P K)^{-1} dz
         force = precision.single(p.force[:, : d * d]).reshape(count, d, d, n).swapaxes(1, 2)
         slopes = shapes[:, 1:]
-        if radius is not None or p.weight is not None:
+        if radius is not None or "v" in p.beside:
             of_values = np.zeros((count, 1, d, n), precision.SINGLE)
-            if p.weight is not None:
-                of_values[:, 0] = p.weight
+            if "v" in p.beside:
+                of_values[:, 0] = p.beside["v"]
             if radius is not None:
                 of_values[:, 0, 0] += p.force[:, d * d] / radius[:, None]
             force, slopes = np.concatenate([of_values, force], axis=1), shapes
         left = np.matmul(slopes.transpose(0, 2, 1), force.reshape(count, slopes.shape[1], d * n))
         back = np.matmul(z_tests, left.reshape(cells, per, local * d * n))
         back = back.reshape(cells, q, local * d, n).transpose(0, 2, 1, 3).reshape(cells, local * d, q * n)
+        for of_z, of_mean in self.points.of_means(p):  # through a mean over each cell
+            tested = shapes[:, 0, :, None, None] * (of_mean * op.weights[:, None, None])[:, None]
+            rows = tested.reshape(cells, per, local * d, -1).sum(axis=1)
+            means = np.matmul(z_tests, of_z.reshape(cells, per, -1)).reshape(cells, q, -1, n)
+            means = means.transpose(0, 2, 1, 3).reshape(cells, -1, q * n)
+            means /= op.weights.reshape(cells, per).sum(axis=1)[:, None, None]
+            back = back + precision.single(np.matmul(rows, means))
         np.matmul(precision.single(back), precision.single(p.resolvent), out=self.from_fields[where])
 
     def _mass(self, part: CellPart, at: Evaluation) -> np.ndarray:

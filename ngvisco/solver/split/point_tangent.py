@@ -114,7 +114,7 @@ class PointValues:
     fields: Fields
     columns: np.ndarray  # d rate/dX, (points, n, X)
     force: np.ndarray  # (points, X, n)
-    weight: np.ndarray | None  # (points, d, n)
+    beside: dict[str, np.ndarray]  # derivatives by z of rows of v, and of cell means, (points, d, n)
     resolvent: np.ndarray  # (cells, q n, q n), see ``PointTangent.resolved``
 
 
@@ -140,17 +140,20 @@ class PointTangent(_AtPoints):
         resolvent."""
         self.force: np.ndarray | None = None
         self.columns: np.ndarray | None = None
+        self._weighing = [term for term in self._asked if term.weighs]
+        self._means = list(residual.couplings.of_kernel["cell means"]) if self._weighing else []
         self.weight: np.ndarray | None = None
         """The derivative by z of the rows of v beside the force: of inertia and weight, (points, d, n)."""
         if self.collocated is not None or "Pi" in residual.unknowns.velocity_block:
             # steep rules and creep rate fields need both at the points
             self.force, self.columns = np.zeros((count, X, n)), np.zeros((count, n, X))
-            if any(term.weighs for term in self._asked):
+            if self._weighing:
                 self.weight = np.zeros((count, rates.dim, n))
 
     def _read(self, terms: CellTerms, u: Fields) -> dict[str, np.ndarray]:
         creep = {"creep": self.residual.rates.creep_components(u)} if self._creeps else {}
-        return creep | super()._read(terms, u)
+        means = {mean.name: mean.value(u).value for mean in self._means}
+        return creep | means | super()._read(terms, u)
 
     def begin(self, at: Evaluation) -> None:
         """Start the linearisation at an evaluation: linearise at the collocation points of all cells."""
@@ -163,19 +166,27 @@ class PointTangent(_AtPoints):
         (cells, terms), u = part, part[1].fields(at.coefficients)
         rates, where = self.residual.rates, terms.op.places
         columns = rates.columns(u.z.value, rates.openings(u))
-        K, force, weight = self._by_fields(terms, u, columns)
+        K, force, beside = self._by_fields(terms, u, columns)
         self.rate_slope[where] = K
         if self.force is not None and self.columns is not None:
             self.force[where], self.columns[where] = force, columns
-            if self.weight is not None and weight is not None:
-                self.weight[where] = weight
-        return PointValues(terms, u, columns, force, weight, self._resolvent(cells))
+            if self.weight is not None:
+                self.weight[where] = beside["v"]
+        return PointValues(terms, u, columns, force, beside, self._resolvent(cells))
+
+    def of_means(self, p: PointValues) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """Yield, for each cell mean, its rate of change with z at the points, (points, c, n), and that of the
+        rows of v with the mean, (points, d, c)."""
+        for mean in self._means:
+            along = np.eye(len(p.beside[mean.name][0]))[:, :, None]
+            rows = p.terms.derivatives(self._weighing, p.fields, **{mean.name: along})["v"]
+            yield p.beside[mean.name], rows.transpose(2, 0, 1)
 
     def _by_fields(
         self, terms: CellTerms, u: Fields, columns: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-        """K, (points, n, n), and derivatives of the force, (points, X, n), and of what has the density,
-        (points, d, n), or None; zeta follows z by phi''.
+    ) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
+        """K, (points, n, n), derivatives of the force, (points, X, n), and those ``beside`` it in
+        ``PointValues``; zeta follows z by phi''.
 
         Rates are constant tensors; creep, and terms that read z or zeta, are differentiated by complex
         increments of z and zeta.  To leading order -(w . grad z) : zeta with its facets' part is
@@ -192,8 +203,8 @@ class PointTangent(_AtPoints):
         force = force + np.matmul(columns.swapaxes(1, 2), curvature)
         force[:, rates.tensors.trace] += zeta.T[:, None]
         if not (self._asked or self._creeps):
-            return K, force, None
-        K, of_creep, weight = K.copy(), columns[:, :, g:], None
+            return K, force, {}
+        K, of_creep, beside = K.copy(), columns[:, :, g:], dict[str, np.ndarray]()
         for some, slopes in self._slopes(terms, u, curvature):
             if "creep" in slopes:
                 K[:, :, some] += np.matmul(of_creep, slopes["creep"].transpose(2, 0, 1))
@@ -202,14 +213,13 @@ class PointTangent(_AtPoints):
             if "grad v" in slopes:
                 stress = slopes["grad v"]
                 force[:, :plane, some] += stress.reshape(plane, *stress.shape[2:]).transpose(2, 0, 1)
-            if "v" in slopes:
-                of_v = slopes["v"].transpose(2, 0, 1)
-                if (radius := radius_of(u)) is not None:
-                    force[:, plane, some] += (radius * slopes["v"][0]).T
-                    of_v[:, 0] = 0.0
-                weight = np.zeros((*of_v.shape[:2], len(z))) if weight is None else weight
-                weight[:, :, some] += of_v
-        return K, force, weight
+            if (radius := radius_of(u)) is not None and "v" in slopes:
+                force[:, plane, some] += (radius * slopes["v"][0]).T
+                slopes["v"][0] = 0.0
+            for name in slopes.keys() - {"z", "grad z", "creep", "grad v"}:
+                of_name = beside.setdefault(name, np.zeros((len(K), len(slopes[name]), len(z))))
+                of_name[:, :, some] = slopes[name].transpose(2, 0, 1)
+        return K, force, beside
 
     def fields_rows(self, dz: np.ndarray) -> np.ndarray:
         """Rows (K dz, .) including the part of the collocated terms."""
