@@ -247,9 +247,12 @@ class Impulses:
         """
         return self._ranks.totals(self._velocities @ rows)
 
-    def momentum(self) -> list[CoefficientFunction]:
-        """Densities of momentum, kg/(m^2 s), and angular momentum, kg/(m s), by motions, and |rho v|."""
-        u = self.step.now
+    def momentum(self, fields: Fields | None = None) -> list[CoefficientFunction]:
+        """Densities of momentum, kg/(m^2 s), and angular momentum, kg/(m s), by motions, and |rho v|.
+
+        They are evaluated at ``fields``, by default the present state.
+        """
+        u = self.step.now if fields is None else fields
         along = [u.rho * inner(u.v, motion) for motion in self.motions.values()]
         return [*along, sqrt(square(u.rho * u.v))]
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from ngvisco.errors import NgviscoWarning
 from ngvisco.forms.boundary.wall_terms import HELD_BY_WALLS
+from ngvisco.forms.fields import Fields
 from ngvisco.forms.impulses import DEFECTS, Impulses
 from ngvisco.forms.mesh.mesh_arrays import coordinates
 from ngvisco.forms.mesh.quadrature import Sampler
@@ -91,9 +92,9 @@ class Momentum:
     def _array(self, row: Mapping[str, float], quantity: str) -> np.ndarray:
         return np.array([row[name] for name in self._names(quantity)])
 
-    def densities(self) -> dict[str, Integrand]:
-        """Densities that are integrated over the cells, by columns."""
-        parts = map(Integrand, self.impulses.momentum())
+    def densities(self, u: Fields | None = None) -> dict[str, Integrand]:
+        """Densities that are integrated over the cells, by columns, at ``u`` or the present state."""
+        parts = map(Integrand, self.impulses.momentum(u))
         return dict(zip([*self._names("momentum"), SIZE], parts, strict=True))
 
     def foreign(self, names: Iterable[str]) -> list[str]:

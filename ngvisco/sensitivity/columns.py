@@ -11,6 +11,7 @@ from ngvisco.errors import ParameterError, UnknownNameError
 from ngvisco.run.body_tables import Bodies
 from ngvisco.run.fields import field_unit
 from ngvisco.run.ledger import unit
+from ngvisco.run.momentum import SIZE
 from ngvisco.run.probes import Integrals, Probes, WallForces
 from ngvisco.run.series import Series
 from ngvisco.run.simulation import Simulation
@@ -46,10 +47,13 @@ class Columns:
         of_tables = [table.prepare(simulation) for table in self._tables]
         rates = {entry.name for entry in ledger.entries if entry.kind in _RATES}
         state = {"kinetic", "stored", "mass"} | {e.name for e in ledger.entries if e.kind == "monitor"}
+        state |= set(ledger.momentum.densities()) - {SIZE}  # the size has a kink at rest
         differentiable = rates | state | {name for columns in of_tables for name in columns}
         for name in self.names:
             if name in ledger.columns and name not in differentiable:
-                expected = "a column that has a derivative: an energy, a rate, mass, or one of a table"
+                expected = (
+                    "a column that has a derivative: an energy, a rate, mass, momentum, or one of a table"
+                )
                 raise ParameterError("of", name, expected)
             if name not in differentiable:
                 raise UnknownNameError("column", name, differentiable)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cached_property
 
 import numpy as np
 from ngsolve import VOL, BilinearForm, CoefficientFunction, ElementId, Variation
@@ -13,6 +14,7 @@ from ngvisco.forms.distance import energies
 from ngvisco.forms.mesh.locating import as_points, locate
 from ngvisco.forms.mesh.quadrature import compiled
 from ngvisco.forms.term import Integrand
+from ngvisco.physics.parameters import Parameter
 from ngvisco.physics.tensors import inner
 from ngvisco.run.fields import components, output_fields
 from ngvisco.run.probes import Integrals, Probes, WallForces
@@ -40,6 +42,7 @@ class Slopes:
         self._vector = self.step.state.vec.CreateVector()
         trial = self.step.linearised_fields(self.step.layout.space.TrialFunction())
         integrands = {**energies(self.step, trial), "mass": Integrand(trial.rho)}
+        integrands |= follower.simulation.ledger.momentum.densities(trial)
         if self.step.energy.projected is not None:  # energy and slope are known at the state only
             integrands["stored"] = Integrand(inner(self.step.energy.slope(self.step.now), trial.z))
         integrands |= {
@@ -96,7 +99,7 @@ class Slopes:
         step, mesh = self.step, self.step.mesh
         name, field = column.rsplit(".", 1)
         at = locate(mesh, as_points(name, table.points[name], mesh.dim), [name])
-        value = components(output_fields(step))[field]
+        value = self._fields[field]
         dofs = np.array(step.layout.space.GetDofNrs(ElementId(VOL, int(at["nr"][0]))))
         dofs = dofs[dofs >= 0]
         is_linear = self._is_linear(field)
@@ -109,9 +112,19 @@ class Slopes:
 
         return slope
 
+    @cached_property
+    def _fields(self) -> dict[str, CoefficientFunction]:
+        """Components of the fields at the present state, by their names."""
+        return components(output_fields(self.step))
+
     def _is_linear(self, field: str) -> bool:
         """Whether a field is linear in the state, so that its slope is constant."""
-        names = {"velocity", "density", *self.step.layout.states.slices}
+        carried = {
+            variable.name
+            for variable in self.step.model.material.variables
+            if not isinstance(variable, Parameter) or variable.mean == "arithmetic"
+        }
+        names = {"velocity", "density", *carried}
         return field in names or field.rpartition("_")[0] in names
 
     def _differenced(self, value: CoefficientFunction, at: np.ndarray, dofs: np.ndarray) -> np.ndarray:

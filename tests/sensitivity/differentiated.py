@@ -17,6 +17,7 @@ OF = {
     "stress": "p.cauchy_stress_12 at 0.06",
     "way": "p.velocity_2 until 0.06",
     "share": "share at 0.06",
+    "spin": "angular_momentum at 0.06",
 }
 AT = {
     "material.G_e": 5.0,

@@ -152,6 +152,24 @@ def test_a_field_has_a_density_of_derivatives():
     assert np.allclose(density, (up - down) / 2e-3, rtol=1e-5, atol=0)
 
 
+def test_a_probe_of_a_field_that_is_carried_otherwise_has_the_slope_of_each_time():
+    """The stiffness is the exponential of the carried field."""
+    theta = nv.Parameter("theta", start=2 + x, mean="geometric")
+    viscosity = nv.StokesViscosity(K_v=0.1, G_v=0.1)
+    model = nv.Model(material=nv.NeoHookean(K_e=10, G_e=theta, epsilon=0.1), viscosity=viscosity)
+    tangent, adjoint = (
+        nv.gradient(
+            started(model, observers=[nv.Probes({"p": (0.3, 0.6)}, ["theta"])]),
+            UNTIL,
+            of=["p.theta until 0.06", "p.theta at 0.06"],
+            by=["viscosity.G_v"],
+            method=method,
+        ).jacobian
+        for method in ("tangent", "adjoint")
+    )
+    assert np.allclose(adjoint, tangent, rtol=1e-8, atol=0)
+
+
 def test_the_density_of_the_density():
     """All of it by the same share is the number's own derivative."""
     simulation = run()

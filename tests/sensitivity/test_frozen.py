@@ -1,0 +1,88 @@
+"""Quantities that derivatives treat as constants: sides of upwinding, and the limiter's change of a state."""
+
+import numpy as np
+import pytest
+from differentiated import VELOCITY, started
+from ngsolve import IfPos, pi, sin, x
+
+import ngvisco as nv
+from ngvisco.geometries import structured_box
+from ngvisco.sensitivity.gradient import measure
+
+
+def recoiling(stiffness):
+    """A swirl that turns back between 0.1 s and 0.2 s, with a facet at x = 0.5 m."""
+    model = nv.Model(
+        material=nv.NeoHookean(K_e=10, G_e=stiffness, epsilon=0.1),
+        viscosity=nv.StokesViscosity(K_v=0.01, G_v=0.01),
+    )
+    return started(
+        model,
+        scheme="backward-euler",
+        mesh=structured_box((1, 1), (2, 2)),
+        initial=nv.Initial(density=1.0 + 0.3 * sin(pi * x), velocity=VELOCITY),
+        observers=[nv.Probes({"facet": (0.5, 0.2)}, ["velocity"])],
+        limiter=False,
+    )
+
+
+@pytest.mark.long
+@pytest.mark.ci
+def test_sides_that_change_in_time_make_no_error():
+    of = ["kinetic at 0.24", "stored at 0.24", "facet.velocity_1 at 0.24"]
+    run = recoiling(5.0)
+    found = nv.gradient(run, 0.24, of=of, by=["material.G_e"]).jacobian[:, 0]
+    across = run.observers[0].column("facet.velocity_1")
+    assert (np.diff(np.sign(across)) != 0).any()
+    h = 5e-4
+    up, down = (measure(recoiling(5.0 + s * h), 0.24, of) for s in (1, -1))
+    assert abs((up - down) / (2 * h) / found - 1).max() < 1e-6
+
+
+def resting(push):
+    """Two densities, which meet at facets, at rest without a push."""
+    model = nv.Model(
+        material=nv.ReferentialNeoHookean(K_e=10, G_e=5),
+        viscosity=nv.StokesViscosity(K_v=0.01, G_v=0.01),
+        loads=[nv.Gravity((push, 0))],
+    )
+    given = {
+        "mesh": structured_box((1, 1), (2, 1)),
+        "initial": nv.Initial(density=IfPos(x - 0.5, 2.0, 1.0)),
+        "observers": [nv.Integrals({"right": "density*(1 if x > 0.5 else 0)"})],
+        "limiter": False,
+    }
+    return started(model, scheme="backward-euler", **given)
+
+
+def test_at_rest_a_gradient_is_between_the_derivatives_to_both_sides():
+    """What crosses the face has the density upstream, 1 or 2."""
+    of, h = ["right at 0.04"], 1e-4
+    found = nv.gradient(resting(0.0), 0.04, of=of, by=["loads.gravity.g.0"]).jacobian[0, 0]
+    down, here, up = (measure(resting(s * h), 0.04, of)[0] for s in (-1, 0, 1))
+    to_right, to_left = (up - here) / h, (here - down) / h
+    assert to_left == pytest.approx(2 * to_right, rel=1e-2)
+    assert 0.999 * to_right < found < 1.001 * to_left
+
+
+def limited(stiffness):
+    """A swirl of two densities that meet within cells."""
+    model = nv.Model(
+        material=nv.NeoHookean(K_e=10, G_e=stiffness, epsilon=0.1),
+        viscosity=nv.StokesViscosity(K_v=0.1, G_v=0.1),
+    )
+    initial = nv.Initial(density=IfPos(x - 0.4, 2.0, 0.1), velocity=VELOCITY)
+    mesh = structured_box((1, 1), (3, 3))
+    return started(model, scheme="backward-euler", mesh=mesh, initial=initial)
+
+
+@pytest.mark.long
+@pytest.mark.ci
+def test_the_limiter_is_frozen():
+    of = ["kinetic at 0.06", "share at 0.06"]
+    found = nv.gradient(limited(5.0), 0.06, of=of, by=["material.G_e"])
+    h = 5e-4
+    up, down = (measure(limited(5.0 + s * h), 0.06, of) for s in (1, -1))
+    error = abs((up - down) / (2 * h) / found.jacobian[:, 0] - 1).max()
+    assert found.limited > 0
+    assert 1e-6 < error < 0.1
