@@ -56,7 +56,7 @@ def resting(push):
 
 
 def test_at_rest_a_gradient_is_between_the_derivatives_to_both_sides():
-    """What crosses the face has the density upstream, 1 or 2."""
+    """Matter that crosses the face has the density upstream, 1 or 2."""
     of, h = ["right at 0.04"], 1e-4
     found = nv.gradient(resting(0.0), 0.04, of=of, by=["loads.gravity.g.0"]).jacobian[0, 0]
     down, here, up = (measure(resting(s * h), 0.04, of)[0] for s in (-1, 0, 1))
