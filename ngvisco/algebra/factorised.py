@@ -69,7 +69,7 @@ class DirectSolver:
         self._solve = None
         if not len(self.free):
             return
-        matrix = matrix[self.free][:, self.free]
+        matrix = matrix[self.free][:, self.free].astype(float, copy=False)
         if self.symmetric:
             matrix = 0.5 * (matrix + matrix.T)
         try:
@@ -163,14 +163,14 @@ class TwoLevelSolver:
         fine = self._fine = np.flatnonzero(self.free & ~is_coarse & (diagonal != 0))
         coarse = self._coarse = np.flatnonzero(self.free & is_coarse)
         self._of_fine, self._of_coarse = exchange.part(fine), exchange.part(coarse)
-        self._to_coarse = matrix[coarse][:, fine].tocsr().astype(precision.SINGLE)
+        self._to_coarse = matrix[coarse][:, fine].tocsr().astype(precision.SINGLE, copy=False)
         rows = matrix[fine]
         del matrix
-        self._from_coarse = rows[:, coarse].tocsr().astype(precision.SINGLE)
+        self._from_coarse = rows[:, coarse].tocsr().astype(precision.SINGLE, copy=False)
         among_fine = rows[:, fine].tocsr()
         del rows
         _drop_small(among_fine, diagonal[fine])
-        self._among_fine = among_fine.astype(precision.SINGLE)
+        self._among_fine = among_fine.astype(precision.SINGLE, copy=False)
         # a sum of matrices, scaled by its diagonal, has no larger eigenvalue than its scaled parts
         largest = exchange.communicator.most(largest_eigenvalue(among_fine))
         self._smoother = (DAMPING / (largest * diagonal[fine])).astype(precision.SINGLE)

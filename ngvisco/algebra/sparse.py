@@ -43,11 +43,12 @@ def widened(matrix: sp.csr_matrix, height: int, width: int) -> sp.csr_matrix:
     return result
 
 
-def beside(blocks: list[sp.csr_matrix]) -> sp.csr_matrix:
+def beside(blocks: list[sp.csr_matrix], dtype: type = np.float64) -> sp.csr_matrix:
     """Matrices with equally many rows, side by side; SciPy's ``hstack`` takes thrice the result's memory."""
     lengths = np.array([np.diff(block.indptr) for block in blocks], np.int32)
     ends, width = np.concatenate([[0], np.cumsum(lengths.sum(axis=0))]).astype(np.int32), 0
-    values, columns, first = np.empty(ends[-1]), np.empty(ends[-1], np.int32), ends[:-1].copy()
+    values, columns = np.empty(ends[-1], dtype), np.empty(ends[-1], np.int32)
+    first = ends[:-1].copy()
     for block, count in zip(blocks, lengths, strict=True):
         places = np.repeat(first - block.indptr[:-1], count)
         places += np.arange(block.nnz, dtype=np.int32)

@@ -226,12 +226,14 @@ class FlowSchurComplement:
             rows -= self.op.z.test(values).T
         return rows
 
-    def _rows_of(self, cells: np.ndarray, hyper_tangent: sp.csr_matrix | None, i: int) -> sp.csr_matrix:
+    def _rows_of(
+        self, cells: np.ndarray, hyper_tangent: sp.csr_matrix | None, i: int, dtype: type
+    ) -> sp.csr_matrix:
         """Rows of component i of v, from element matrices and one component's hyperviscosity."""
         blocks, n = [self._assembled(cells[:, :, i, k]) for k in range(self.dim)], self.op.v.width
         if hyper_tangent is not None:
             blocks[i] = blocks[i] + hyper_tangent[:n, :n]
-        return beside(blocks)
+        return beside(blocks, dtype)
 
     def _in_cells(self) -> np.ndarray:
         """The tangent's element matrices without hyperviscosity, (cells, local, dim, dim, local)."""
@@ -244,21 +246,21 @@ class FlowSchurComplement:
             cells[where] = inner.reshape(-1, local, d, d, local)
         return cells
 
-    def tangent(self, at: Evaluation, hyper: HyperTangent | None) -> sp.csr_matrix:
+    def tangent(self, at: Evaluation, hyper: HyperTangent | None, dtype: type = np.float64) -> sp.csr_matrix:
         """The velocity tangent: a sparse matrix that approximates the operator, cell by cell.
 
         ``at`` is the evaluation of the last ``update``.  The transport is replaced by its block in each
         cell, without the neighbours' contribution, so that the tangent is a sum over the cells.  Its unknowns
         are the flow's, and last the normal derivatives that ``hyper`` keeps.  The other normal derivatives
         are a = E v: the mean of both sides' d_n v, weighted by the hyperviscosity's coefficient.  Each rank
-        has the share of its cells.
+        has the share of its cells.  Without rows beside those of v its entries have the precision ``dtype``.
         """
         d, hyper_tangent = self.dim, None
         if hyper is not None and at.hyper is not None:
             with self.residual.ranks.together(np.linalg.LinAlgError):
                 hyper_tangent = hyper.update(at.hyper)
         cells = self._in_cells()
-        rows = [self._rows_of(cells, hyper_tangent, i) for i in range(d)]
+        rows = [self._rows_of(cells, hyper_tangent, i, dtype) for i in range(d)]
         del cells
         matrix = stacked(rows)
         matrix.resize((self.size, self.size))

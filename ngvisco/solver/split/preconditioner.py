@@ -226,7 +226,10 @@ class Preconditioner:
         """Form operator and tangent at an evaluation; its unknowns have to be the step's state."""
         self.linearise(at, everything=True)
         self.solver.forget()  # before the memory for the next tangent is taken
-        self.solver.factorise(self.operator.tangent(at, self.hyper_tangent))
+        # two levels on one process work in single precision; the others, and PETSc, take all digits
+        rounds = isinstance(self.solver, TwoLevelSolver) and not self.exchange.is_distributed
+        kind = precision.SINGLE if rounds and not self._multigrid else np.float64
+        self.solver.factorise(self.operator.tangent(at, self.hyper_tangent, kind))
 
     def linearise(self, at: Evaluation, everything: bool) -> None:
         """Linearise the operator at an evaluation; without ``everything`` only hyperviscosity and a nonlinear
