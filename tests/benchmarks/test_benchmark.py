@@ -25,7 +25,7 @@ def test_quick_run_saves_its_table(tmp_path, capsys):
 
 
 def test_a_second_branch_has_a_row_of_ratios():
-    head, _, row = branches.rows(1, [(2, 2.0, "split")])
+    head, _, row = branches.rows(1, 1, [(2, 2.0, "split")])
     assert head.count("|") == row.count("|") and "| split |" in row
 
 

@@ -240,6 +240,22 @@ WRONG = {
 }
 
 
+@pytest.mark.filterwarnings("ignore::ngvisco.DefectWarning")
+def test_a_network_goes_on_over_meshes_that_follow_a_field():
+    """Every branch keeps its tensors and its hardening from one mesh to the next."""
+    start = simulation(network(RULES["linear hardening"], 3), solver="split")
+    followed = nv.Refinement(field="plastic_strain_slow", above=0.3, every=0.1)
+    run = nv.run_refined(start, followed, 0.2)
+    ledger = run.ledger
+    assert run.mesh.ne > start.mesh.ne and ledger.column("transfer").any()
+    assert np.abs(ledger.column("closure_relative")).max() <= 1e-10
+    assert ledger.column("creep_power_min")[1:].min() >= -1e-12
+    assert ledger.column("dissipation_creep_chains")[1:].min() > 0
+    assert ledger.column("dissipation_creep_slow")[3] > 0  # of the first step on the new mesh
+    before, after = (Integrate(each.fields["plastic_strain_slow"], each.mesh) for each in (start, run))
+    assert after > before > 0  # it grows, and is not lost where the mesh changes
+
+
 @pytest.mark.parametrize("name", WRONG)
 def test_what_is_no_network_is_refused(name):
     branches, said = WRONG[name]

@@ -70,10 +70,10 @@ class Network(Material):
     A branch ``slow`` of a material with the variable B carries ``B_slow``; its hardening carries
     ``plastic_content_slow``. If any branch flows, or m = 0, branches that leave ``elastic_state`` open are by
     B = F F^T. The bulk modulus is the sum of the branches' moduli; K_e = 0 is allowed for branches of small
-    strain, ``Referential...``, ``IsochoricNeoHookean``, ``OldroydB`` and ``FENEP``. Raises ParameterError for
-    an invalid name, no branches, a part of the wrong type, a flow rule with a gradient term, a flow rule that
-    needs a conformation tensor which its branch does not have, materials with heat, damage or branches,
-    materials without a common volume, and a network without a bulk modulus.
+    strain, ``Referential...``, ``IsochoricNeoHookean``, ``Gent``, ``Ogden``, ``OldroydB`` and ``FENEP``.
+    Raises ParameterError for an invalid name, no branches, a part of the wrong type, a flow rule with a
+    gradient term, a flow rule that needs a conformation tensor which its branch does not have, materials with
+    heat, damage or branches, materials without a common volume, and a network without a bulk modulus.
 
     Example::
 
