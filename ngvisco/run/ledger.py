@@ -19,7 +19,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from ngsolve import CF, CoefficientFunction, Det, sqrt
+from ngsolve import CF, Det, sqrt
 
 from ngvisco.errors import InitialDataError, NgviscoWarning, ParameterError, StepError, UnknownNameError
 from ngvisco.forms.distance import ENERGIES, NUMERICAL, energies
@@ -143,7 +143,7 @@ class Ledger:
         watched = {"temperature_min": theta, "temperature_max": theta, CREEP_POWER: power}
         self._watched = {name: value for name, value in watched.items() if value is not None}
         definite = (v.name for v in step.model.material.variables if v.is_positive_definite)
-        self._definite = {EIGENVALUE + name: step.now.z_tensors[name].Compile() for name in definite}
+        self._definite = {EIGENVALUE + name: step.now.z_tensors[name] for name in definite}
         self._prepare_monitors()
         self._inlets = Inlets(step)
         self._pending: dict[str, float] = {}
@@ -401,11 +401,15 @@ class Ledger:
         self._squares = CF((1.0, gap * gap, *(defect * defect for defect in defects))).Compile()
         speed = sqrt(square(u.v))
         at_points = (u.rho, J, speed, speed / self.step.context.h, *self._watched.values(), *defects)
-        self._at_points = CF((*at_points, *self._signs.at_points.values())).Compile()
+        at_points = (*self._definite.values(), *at_points, *self._signs.at_points.values())
+        self._at_points = CF(at_points).Compile()
 
     def _measured(self, tau: float, time: float) -> dict[str, float]:
         ranks, values = self.sampler.ranks, self.sampler.rows(self._at_points).T
         least, most = ranks.least, ranks.most
+        tensors, values = np.split(values, [9 * len(self._definite)])
+        tensors = tensors.T.reshape(values.shape[1], len(self._definite), 3, 3)
+        eigenvalues = dict(zip(self._definite, np.linalg.eigvalsh(tensors)[..., 0].T, strict=True))
         (rho, J, speed, rate), values = values[:4], values[4:]
         watched, values = dict(zip(self._watched, values, strict=False)), values[len(self._watched) :]
         defects, powers = values[: len(self._defects)], values[len(self._defects) :]
@@ -415,15 +419,11 @@ class Ledger:
         return {
             **{"rho_min": least(rho), "rho_max": most(rho), "J_min": least(J)},
             **{name: (most if name.endswith("_max") else least)(v) for name, v in watched.items()},
-            **{name: least(self._eigenvalues(tensor)) for name, tensor in self._definite.items()},
+            **{name: least(found) for name, found in eigenvalues.items()},
             **{"v_max": most(speed), "cfl": tau * most(rate)},
             "J_defect": math.sqrt(gap) if self._has_both else math.nan,
             **{"defect_rms": rms, "defect_max": largest},
         }
-
-    def _eigenvalues(self, tensor: CoefficientFunction) -> np.ndarray:
-        """Least eigenvalue of a symmetric tensor at each point."""
-        return np.linalg.eigvalsh(self.sampler.rows(tensor).reshape(-1, 3, 3))[:, 0]
 
     def _relative_defects(self, values: np.ndarray, squares: np.ndarray, time: float) -> tuple[float, float]:
         """Largest root mean square and largest value of the relative defects; warns once from 1 % on.
