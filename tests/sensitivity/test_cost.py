@@ -1,0 +1,79 @@
+"""Costs of derivatives in numbers of runs, matrices, solves and residuals, which no other process changes."""
+
+from collections import Counter
+
+import numpy as np
+import pytest
+from ngsolve import CF, Integrate
+from test_demos import load
+
+import ngvisco as nv
+from ngvisco.sensitivity.follower import Follower
+from ngvisco.sensitivity.starts import Starts
+from ngvisco.solver.newton import CondensedJacobian
+
+COUNTED = {
+    "steps": (nv.Simulation, "advance"),
+    "matrices": (CondensedJacobian, "factorise"),
+    "solves": (CondensedJacobian, "solve"),
+    "transposed solves": (CondensedJacobian, "solve_transposed"),
+    "matrices by the start": (Starts, "transposed"),
+    "residuals": (Follower, "residual"),
+}
+
+
+@pytest.fixture
+def counts(monkeypatch):
+    """Calls so far, by ``COUNTED``."""
+    found = Counter()
+
+    def count(name, function):
+        def counted(*given, **named):
+            found[name] += 1
+            return function(*given, **named)
+
+        return counted
+
+    for name, (owner, method) in COUNTED.items():
+        monkeypatch.setattr(owner, method, count(name, getattr(owner, method)))
+    return found
+
+
+def test_an_adjoint_costs_less_than_two_runs_for_any_number_of_parameters(counts):
+    """A stage of the adjoint takes two matrices and one solve; the run takes more iterations."""
+    demo = load("soft_spot")
+
+    def ground():
+        return demo.simulation(nv.Parameter("stiffness", start=3.0), cells=(4, 2), solver="coupled")
+
+    ground().run(demo.UNTIL)
+    alone = counts.copy()
+    counts.clear()
+    data = dict.fromkeys((f"s{i}.velocity_1 until {demo.UNTIL}" for i in range(demo.STATIONS)), 1e-3)
+    of = {"misfit": nv.Misfit(data, demo.NOISE)}
+    found = nv.gradient(ground(), demo.UNTIL, of=of, method="adjoint")
+    density = found.density("misfit", "stiffness")
+    of_blocks = Integrate(density * CF(tuple(demo.blocks())), density.space.mesh, order=3)
+    assert len(of_blocks) == 50 and np.any(of_blocks)
+    kinds = ("matrices", "matrices by the start", "transposed solves")
+    assert counts - alone == Counter(dict.fromkeys(kinds, alone["steps"]))
+    assert 3 * alone["steps"] <= 2 * alone["solves"]
+
+
+@pytest.mark.long
+@pytest.mark.ci
+def test_a_fit_costs_less_than_ten_runs(counts):
+    """Each of its runs has two solves and four residuals a stage for its two derivatives."""
+    demo = load("creep_test")
+    data = demo.record(2.0, maxh=1.2)
+    counts.clear()
+    demo.simulation(1.2).run(2.0)
+    alone = counts.copy()
+    counts.clear()
+    found = nv.fit(demo.simulation(1.2), data, by=list(demo.TRUE), sigma=demo.NOISE)
+    steps = found.runs * alone["steps"]
+    of_runs = counts["solves"] - 2 * steps
+    assert counts["steps"] == steps and counts["residuals"] == 4 * steps
+    assert counts["solves"] < 10 * alone["solves"]
+    assert of_runs + counts["residuals"] < 10 * alone["solves"]  # an iteration of a run has a residual
+    assert counts["matrices"] - steps < 10 * alone["matrices"]
