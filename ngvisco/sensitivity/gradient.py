@@ -153,7 +153,8 @@ def gradient(
         ``"initial.density"``; the adjoint also accepts none, for ``Gradient.density`` alone.
     method : str
         ``"tangent"``, whose cost grows with the number of parameters, or ``"adjoint"``, whose cost grows with
-        the number of results, and which has no tables of bodies.
+        the number of results, and which has no tables of bodies, but ``Integrals`` of their fractions:
+        ``"disc_fraction*x"``.
     order : int
         Order of the differences by the parameters at fixed states: 4 gives derivatives right to 1e-9, 2 to
         1e-7 at half of the evaluations.

@@ -69,7 +69,10 @@ class Slopes:
                 self._of[name] = self._form(integrands[name])
         for name in names:
             if name not in self._of:
-                expected = "a column with a slope, for the adjoint; take the tangent for a table of bodies"
+                expected = (
+                    "a column with a slope, for the adjoint; for a table of bodies take the tangent, or "
+                    "Integrals of NAME_fraction"
+                )
                 raise ParameterError("of", name, expected)
 
     def __call__(self, name: str) -> np.ndarray:
