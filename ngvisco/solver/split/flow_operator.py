@@ -123,10 +123,11 @@ class FlowSchurComplement:
         back = np.matmul(z_tests, left.reshape(cells, per, local * d * n))
         back = back.reshape(cells, q, local * d, n).transpose(0, 2, 1, 3).reshape(cells, local * d, q * n)
         for of_z, of_mean in self.points.of_means(p):  # through a mean over each cell
+            size = of_z.shape[1]
             tested = shapes[:, 0, :, None, None] * (of_mean * op.weights[:, None, None])[:, None]
-            rows = tested.reshape(cells, per, local * d, -1).sum(axis=1)
-            means = np.matmul(z_tests, of_z.reshape(cells, per, -1)).reshape(cells, q, -1, n)
-            means = means.transpose(0, 2, 1, 3).reshape(cells, -1, q * n)
+            rows = tested.reshape(cells, per, local * d, size).sum(axis=1)
+            means = np.matmul(z_tests, of_z.reshape(cells, per, size * n)).reshape(cells, q, size, n)
+            means = means.transpose(0, 2, 1, 3).reshape(cells, size, q * n)
             means /= op.weights.reshape(cells, per).sum(axis=1)[:, None, None]
             back = back + precision.single(np.matmul(rows, means))
         np.matmul(precision.single(back), precision.single(p.resolvent), out=self.from_fields[where])

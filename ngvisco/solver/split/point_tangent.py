@@ -178,7 +178,7 @@ class PointTangent(_AtPoints):
         """Yield, for each cell mean, its rate of change with z at the points, (points, c, n), and that of the
         rows of v with the mean, (points, d, c)."""
         for mean in self._means:
-            along = np.eye(len(p.beside[mean.name][0]))[:, :, None]
+            along = np.eye(p.beside[mean.name].shape[1])[:, :, None]
             rows = p.terms.derivatives(self._weighing, p.fields, **{mean.name: along})["v"]
             yield p.beside[mean.name], rows.transpose(2, 0, 1)
 
