@@ -178,7 +178,8 @@ class PointTangent(_AtPoints):
         """Yield, for each cell mean, its rate of change with z at the points, (points, c, n), and that of the
         rows of v with the mean, (points, d, c)."""
         for mean in self._means:
-            along = np.eye(p.beside[mean.name].shape[1])[:, :, None]
+            size, kind = p.beside[mean.name].shape[1], mean.value(p.fields).value.shape[:-1]
+            along = np.eye(size).reshape(size, *kind, 1)
             rows = p.terms.derivatives(self._weighing, p.fields, **{mean.name: along})["v"]
             yield p.beside[mean.name], rows.transpose(2, 0, 1)
 
@@ -217,8 +218,9 @@ class PointTangent(_AtPoints):
                 force[:, plane, some] += (radius * slopes["v"][0]).T
                 slopes["v"][0] = 0.0
             for name in slopes.keys() - {"z", "grad z", "creep", "grad v"}:
-                of_name = beside.setdefault(name, np.zeros((len(K), len(slopes[name]), len(z))))
-                of_name[:, :, some] = slopes[name].transpose(2, 0, 1)
+                slope = slopes[name].reshape(-1, *slopes[name].shape[-2:])  # of a number or a vector
+                of_name = beside.setdefault(name, np.zeros((len(K), len(slope), len(z))))
+                of_name[:, :, some] = slope.transpose(2, 0, 1)
         return K, force, beside
 
     def fields_rows(self, dz: np.ndarray) -> np.ndarray:
