@@ -130,8 +130,8 @@ class Case:
     def _settled(self) -> tuple[dict[str, Any], list[tuple[dict[str, Any], Path]]]:
         """The case's data, and pairs of a table and its file, for shapes and Python materials.
 
-        The data include defaults that depend on the model: F or B for the material, and the density of a
-        material without a referential density.
+        The data include defaults that depend on the model: the material's elastic state, F or B, and the
+        initial density of a material without a referential density.
         """
         data = self.sections.model_dump()
         files = []
@@ -156,7 +156,7 @@ class Case:
 
     @property
     def carried(self) -> str:
-        """The variables of the material, and its elastic state if the case leaves it open; else empty."""
+        """The material's variables, and its elastic state if the case leaves it open; empty for bodies."""
         if self.sections.material is None:
             return ""
         material = made(self.sections.material)

@@ -77,7 +77,7 @@ class RunDirectory:
 
     @property
     def results(self) -> list[Path]:
-        """Files of an earlier run, without ``failures``."""
+        """Result files of an earlier run, without the reports in ``failures``."""
         return [path for pattern in _RESULTS for path in self.path.glob(pattern)]
 
     @property
@@ -182,7 +182,7 @@ class RunDirectory:
         return mesh_in(self.mesh_file)
 
     def chosen_mesh(self) -> ChosenMesh | None:
-        """The mesh of the last state; None if it is the initial mesh."""
+        """The mesh of the last state; None if the last state is on the initial mesh."""
         return mesh_of_checkpoints(self.run_file) if self.run_file.exists() else None
 
     def present_mesh(self) -> Mesh:

@@ -40,7 +40,7 @@ from ngvisco.physics.variables import (
 )
 
 EnergyText = NewType("EnergyText", str)
-"""A text for ``parse_energy``."""
+"""An energy written as a text, for ``parse_energy``."""
 
 _IDENTITY = "I"
 _RESERVED = (*CONSTANTS, _IDENTITY)
@@ -85,7 +85,7 @@ class EnergyExpression:
 
 
 def parse_law(text: str) -> Callable[[Any], Any]:
-    """The law theta -> value of a text; raises ExpressionError like ``parse_energy``."""
+    """The law theta -> value that a text describes; raises ExpressionError like ``parse_energy``."""
     law = parse_energy(text, (Entropy(name="theta"),), what="a law of the temperature")
     return lambda theta: law(theta=theta)
 
@@ -96,7 +96,7 @@ def parse_energy(
     parameters: Mapping[str, float] | None = None,
     what: str = "an energy",
 ) -> EnergyExpression:
-    """The energy of a text, after a complete check.
+    """Check a text completely, and return the energy that it describes.
 
     Raises ExpressionError, with the position and the allowed forms, for wrong syntax, unknown names and
     functions, operands of the wrong rank, constant parts that are not finite, a tensor as the result, and a

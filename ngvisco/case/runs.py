@@ -122,8 +122,8 @@ def resume(
     """Resume the run in a directory from its last checkpoint, or from its start if it has none.
 
     ``until`` (s) replaces the case's end time; steps of one length end at the nearest multiple of dt if it is
-    within a thousandth of dt.  ``settings`` change the case from now on, as far as ``changed`` admits; the
-    directory also keeps the earlier case.
+    within a thousandth of dt.  ``settings`` change the case from now on, within the limits of ``changed``;
+    the directory also keeps the earlier case.
     """
     place, ranks = RunDirectory(directory), Communicator.world()
     require_petsc(ranks)
@@ -293,7 +293,7 @@ def _write_change(place: RunDirectory, case: Case, new: Case, settings: Sequence
 
 
 def _pending_change(place: RunDirectory, case: Case) -> str | None:
-    """Hash of the case in run.h5, if the last change has no checkpoint yet; else None."""
+    """The hash of run.h5's case if no checkpoint has followed the last change of the case; else None."""
     changes = place.read_versions().get("changes", [])
     if not changes or changes[-1]["to"] != case.hash or changes[-1]["from"] == case.hash:
         return None

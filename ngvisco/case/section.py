@@ -203,7 +203,7 @@ def _parts(annotation: Any) -> Iterator[Any]:
 
 @functools.cache
 def values_of(model: type[Section]) -> dict[str, type[Value]]:
-    """The keys of a section with values other than numbers and texts, and their kinds of value."""
+    """Keys of a section whose values are neither numbers nor texts, with the kind of each value."""
     kinds = {}
     for name, field in model.model_fields.items():
         for part in _parts(field.annotation):
@@ -252,7 +252,7 @@ _TYPES[Mapping[str, WallExchange]] = dict[str, section(WallExchange)]  # type: i
 
 
 def tagged(key: str, table: Mapping[str, Any], base: type[Section] = Section) -> Any:
-    """The choice among the sections of a table by ``key``, each with the further keys of ``base``."""
+    """A section of a table, chosen by the value of ``key``; every section also has the keys of ``base``."""
     return _choice(key, [section(target, (key, name), base=base) for name, target in table.items()])
 
 

@@ -38,8 +38,8 @@ _QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*([A-Za
 
 
 class UnitError(ValueError):
-    """The error of an unknown unit or a wrong dimension; ``key`` names the faulty key if it is not the
-    converted one."""
+    """The error of an unknown unit or a wrong dimension; ``key`` is the faulty key, None for the key whose
+    value is being converted."""
 
     def __init__(self, message: str, key: str | None = None) -> None:
         self.key = key
@@ -114,7 +114,7 @@ class Converter:
     """
 
     def __init__(self, chosen: Any, directory: Path = Path()) -> None:
-        """``chosen`` is the value of ``[units]``, a table if it is right; files are in ``directory``."""
+        """``chosen`` is the value of ``[units]``, perhaps no table; files' paths start at ``directory``."""
         self._directory = directory
         self.faults: list[tuple[tuple[str, ...], str]] = []
         self.converted: list[tuple[str, Any]] = []
