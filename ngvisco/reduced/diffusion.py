@@ -9,8 +9,8 @@ where the left-hand side is tested by the functions of a cell.  L_j is the lifte
 the projection on the directions in which the energy is linear, C the compliance.  For parameters, which have
 no rows, zeta and phi'' are left out, and P is one.
 
-Over ranks L_j and S also have columns of the cells across shared facets (``Halo``).  Rows that L_j^T gives to
-these cells are sent back to their ranks.
+Over ranks L_j and S also have columns of the cells across shared facets (``Halo``).  Products with
+L_j^T have rows in these cells, which are sent back to the cells' ranks.
 """
 
 from __future__ import annotations

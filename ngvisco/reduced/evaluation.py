@@ -172,7 +172,7 @@ class CellContext(_PointContext):
 
 
 def _put(function: GridFunction, value: CoefficientFunction) -> None:
-    """Interpolate ``value`` at the points; a grid function of points has at least two components."""
+    """Interpolate ``value`` at the points; a scalar gets a second component, as point functions need two."""
     function.Interpolate(CF((value, 0.0)) if value.dim == 1 else value)
 
 
@@ -213,7 +213,7 @@ class SideContext(_PointContext):
 class _Terms:
     """Evaluates the terms' integrals over the cells, or over both sides of all facets.
 
-    ``place`` names the terms' method whose integrands are evaluated.
+    ``place`` is the name of the terms' method that returns the integrands.
     """
 
     op: Any
@@ -230,14 +230,14 @@ class _Terms:
 
     def factors(self, terms: Iterable[PointTerm], u: Fields) -> dict[str, np.ndarray]:
         """Factors of each test and of its gradient, summed over the terms, (..., points)."""
-        # in u each point of the cells may occur several times
+        # u repeats the points of the cells for each direction of an increment
         tests = tests_of(self._step, True, u.context) if self._inside else self._tests
         return factors_of([part for term in terms for part in getattr(term, self.place)(u, tests)])
 
     def loads(self, terms: Iterable[PointTerm], u: Fields) -> Rows:
         """Integrals of the terms against the basis functions of each cell, see ``LocalMatrix.loads``.
 
-        Facet means have none on the cells' sides.
+        Facet means have no such integrals on the cells' sides.
         """
         rows = Rows()
         for name, values in self.factors(terms, u).items():
@@ -277,13 +277,13 @@ class CellTerms(_Terms):
         place: PointRule = "cells",
         sampled: Sampled | None = None,
     ) -> None:
-        """``place`` names the terms' method whose integrands are evaluated, "cells" or "collocated"."""
+        """``place`` is the name of the terms' method that returns integrands, "cells" or "collocated"."""
         self.op, self.place = operators, place
         self.context = CellContext(step, operators, rates, sampled or Sampled(step, operators))
         self._begin(step, True)
 
     def part(self, cells: slice) -> CellTerms:
-        """Integrals over the range ``cells`` only; they have ``loads``, and no ``rows``."""
+        """The integrals over the range ``cells`` only: ``loads`` may be called, ``rows`` not."""
         operators, context = self.op.part(cells), self.context
         return CellTerms(self._step, operators, context.rates, self.place, context.sampled)
 
@@ -311,18 +311,18 @@ class FacetTerms(_Terms):
         self._begin(step, False)
 
     def part(self, cells: slice) -> FacetTerms:
-        """Integrals over the sides of the range ``cells`` only, for ``loads``."""
+        """The integrals over the sides of the range ``cells`` only: ``loads`` may be called, ``rows`` not."""
         return FacetTerms(self._step, self.op.part(cells), self.context.known)
 
     def loads_of(self, term: PointTerm, name: str, u: Fields) -> np.ndarray:
         """Loads of the equation of the facet unknown ``name``, evaluated where this unknown is zero.
 
-        The values that ``u`` computes for the equation stay for other equations.
+        ``u`` keeps the values that it computes for this equation, for use in other equations.
         """
         shape, parts = self.layout.unknowns[name].shape, cast(Lazy, u.parts)
         parts[name] = Array(np.zeros((*shape, 1)), None)
         factors = self.factors([term], u)
-        del parts[name]  # the next access reads the coefficients, known by then
+        del parts[name]  # the next access reads the coefficients, which exist by then
         return self.op.of(name).loads(self._full(factors[name]))
 
 

@@ -40,7 +40,7 @@ class SideJumps:
     def __init__(
         self, hyper: MatrixHyperviscosity, op: PointOperators, other: SideJumps | None = None
     ) -> None:
-        """``other`` has the jumps at the points of another rule."""
+        """``other`` are the jumps at another rule's points; both share nodes."""
         matrix = op.points.operator(hyper.component, lambda u: hyper.fields_of(u).jump[0])
         shared = None if other is None else other.jump
         self.jump: LocalMatrix = LocalMatrix(
@@ -74,7 +74,7 @@ class HyperValues:
     local: dict[str, np.ndarray]
     jumps: np.ndarray  # (dim, sides' points)
     z: np.ndarray  # coefficients, (n, functions)
-    rows: np.ndarray  # as x
+    rows: np.ndarray  # (dim, unknowns of v and a)
 
 
 class MatrixHyperviscosity:

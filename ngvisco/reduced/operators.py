@@ -32,7 +32,7 @@ class PointOperators:
     ) -> None:
         """``pieces`` is the number of equal parts of a cell's points, see ``LocalMatrix``.
 
-        ``other`` has the points of another rule, in the same pieces of a cell."""
+        ``other`` are operators at another rule's points, in the same pieces of a cell; both share nodes."""
         self.layout, self.pieces, self._h, self._other = step.layout, pieces, step.context.h, other
         self.points: Any = points
         self.cells, self.weights = slice(0, step.mesh.ne), points.weights
@@ -87,7 +87,7 @@ class Operators(PointOperators):
     """Operators at the cells' points of the rule of even degree 2 ``order``."""
 
     def __init__(self, step: Step, order: int, other: Operators | None = None) -> None:
-        """``other`` has the points of another rule."""
+        """``other`` are operators at another rule's points; both share nodes."""
         super().__init__(step, CellPoints(step.mesh, order, step.layout.symmetry), other=other)
 
     def tests(self) -> np.ndarray:
@@ -129,8 +129,8 @@ class FacetMass:
     A block is the sum over the facet's sides of int weight u t."""
 
     def __init__(self, values: LocalMatrix, exchange: Exchange) -> None:
-        """``values`` evaluates functions on facets at the sides' points; ``exchange`` shares their
-        unknowns."""
+        """``values`` evaluates functions on facets at the sides' points; ``exchange`` belongs to the
+        functions' unknowns."""
         matrix, self.exchange = values.at_nodes, exchange
         (self.unknowns,) = Blocks(abs(matrix).T @ abs(matrix)).groups or [np.zeros((0, 1), dtype=np.int64)]
         self.of_facets = exchange.part(self.unknowns[:, 0])

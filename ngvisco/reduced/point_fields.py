@@ -51,7 +51,7 @@ def lazy_fields(
 ) -> Fields:
     """Unknowns or tests whose values and gradients are computed at first access.
 
-    ``values`` and ``gradients`` are pairs of a function of a name and the names that it takes.  ``place``
+    ``values`` and ``gradients`` are pairs: a function of a name, and the names that are allowed.  ``place``
     says in error messages where the points lie."""
     parts, slopes = Lazy(*values, place), Lazy(*gradients, f"{place}, as a gradient")
     return kind(layout, parts, context, slopes.__getitem__)
@@ -89,7 +89,7 @@ def moved(u: Fields, d: Fields, names: Iterable[str], values: bool = True) -> Fi
 
 
 def incremented(u: Fields, **along: np.ndarray) -> Iterator[tuple[int, Fields]]:
-    """Yield the number of some directions, and ``u`` with imaginary increments in these directions.
+    """Divide directions into groups; for each group yield its size, and ``u`` with imaginary increments.
 
     ``along`` has directions by the name of the unknown, or of ``grad_v``, (k, ..., points or 1).  The points
     are repeated for each direction, one direction after the other: an operation on more points takes hardly

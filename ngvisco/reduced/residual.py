@@ -304,17 +304,17 @@ class ReducedResidual:
             self._at_collocation_points(self.collocated_terms, c, True)
 
     def _at_collocation_points(self, terms: CellTerms, c: dict[str, np.ndarray], is_real: bool) -> Fields:
-        """Fields at the collocation points; if real, they become the state of the linearisation stresses."""
+        """Fields at the collocation points; the state of the linearisation stresses if ``is_real``."""
         n = terms.fields(c)
         if is_real:
             self.step.stresses.refresh(lambda: (n.z.value, n.zeta.value))
         return n
 
     def _fields_at(self, c: Coefficients) -> Callable[[CellPart], PartFields]:
-        """A function of a part that gives its fields with the coefficients ``c``.
+        """A function that returns the fields of a part with the coefficients ``c``.
 
-        If the mesh is one part, its values are evaluated once for all equations; values of more points would
-        not fit the cache, and are evaluated anew for each equation.
+        The fields are evaluated once for all equations if the mesh is one part, else anew for each equation:
+        values at the points of several parts would not fit the cache.
         """
         if len(self.parts) > 1:
             return lambda part: part.fields(c)

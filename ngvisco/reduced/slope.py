@@ -33,7 +33,7 @@ class PointwiseSlope:
         self._own = {int(m): group for group in groups for m in group}
         by_groups = itertools.zip_longest(*groups)
         self._together = [[int(m) for m in columns if m is not None] for columns in by_groups]
-        """Components of whose columns of phi'' one derivative gives all."""
+        """Groups of components; one derivative gives the columns of phi'' of all components in a group."""
         self._together += [[int(m)] for m in self._shared]
         self._frozen: tuple[np.ndarray, np.ndarray] | None = None
         self.response = step.tabulated_rates.response
