@@ -11,9 +11,9 @@ long would pass the test because it makes the scale grow.
 Rounding. The residual sums parts that cancel. Near F = I the parts of the elastic force have the size of the
 modulus G, and their rounding leaves a force of eps G/h. No stiffness resists this force if it moves the body
 as a whole, so that v is known to eps G tau/(rho h) only. This noise is measured: the state is perturbed by
-one unit in the last place of every number, and iterations cannot remove the change of the increment. If a
-fresh Jacobian no longer advances the iteration, it ends with an increment as large as the noise, or with one
-below the tolerance in the norm with the coarse floor.
+one unit in the last place of every number, and iterations cannot remove the change of the increment. When
+a fresh Jacobian no longer advances the iteration, an increment as large as the noise is accepted, and so is
+an increment below the tolerance in the norm with the coarse floor.
 """
 
 from __future__ import annotations
@@ -120,8 +120,8 @@ class Newton:
     """Solves R(u; .) = 0 for ``state``; keeps its vectors and factorisation between solves.
 
     ``update`` recomputes the local unknowns of ``state`` from the others; ``update_stored`` is called before
-    the form is evaluated at a state for which ``update`` was not called last.  At ``stresses``, unknowns in
-    addition to the state, flow rules are linearised.  ``has_energy`` says whether the state has a stored
+    the form is evaluated at a state for which ``update`` was not called last.  Flow rules are linearised
+    at ``stresses``, which are unknowns beside the state.  ``has_energy`` says whether the state has a stored
     energy: an iterate without energy counts as one without a residual, as the derivative of a logarithm is
     finite also where the logarithm is not defined.  ``growths`` counts changes of the equations that
     evaluations cause (``ngvisco.forms.upwinding.Largest``).
@@ -172,7 +172,7 @@ class Newton:
             self.form.Apply(self.state, residual)
 
     def solve(self, problem: Problem, guess: BaseVector) -> Solution:
-        """Iterate from ``guess``; ``state`` becomes the solution, or an iterate if there is none."""
+        """Iterate from ``guess``; ``state`` becomes the solution, or an iterate after a failure."""
         history: list[NewtonIteration] = []
         self.state.data = guess
         problem.pose()

@@ -54,7 +54,7 @@ class SplitOptions:
     changes suddenly, is linearised again."""
     stale_above: Positive = 0.2
     """Ratio of an increment to the one before, above which operator and preconditioner are renewed.  With a
-    steep flow rule only the operator is renewed then, and ``renewed_above`` counts tenfold."""
+    steep flow rule such a ratio renews the operator only, and ``renewed_above`` counts tenfold."""
     bends_above: Positive = 0.03
     """Relative increment of a creep rate field above which operator and preconditioner are renewed, unless
     the increment before was more than three times as large."""

@@ -113,7 +113,7 @@ class NewtonIteration:
 
 @dataclass(frozen=True)
 class Solution:
-    """The end of an attempt; the state that the solver was made for has the values.
+    """The result of an attempt; the unknowns' values are in the state that the solver was made for.
 
     ``reason`` is the reason of a failure, with figures and a remedy; it is empty after convergence.
     """

@@ -259,8 +259,8 @@ class RotheSolver:
         """Data of earlier steps that the next step depends on, among them the state of the last
         factorisation.
 
-        A resumed run factorises there again, so that it continues bit for bit like the run that wrote the
-        data.  The states, of which NumPy makes arrays of all unknowns, are not copies.
+        A resumed run factorises at this state again, so that it continues bit for bit like the run that wrote
+        the data.  The states are not copies; NumPy converts each to an array of all unknowns.
         """
         numbers, states = self.extrapolation.state_dict()
         numbers |= self.turns.state_dict()
@@ -300,7 +300,7 @@ class RotheSolver:
         self.step.start_from_old()  # the numerical heating of backward Euler brings m_old into the derivative
 
     def _part(self, name: str) -> slice:
-        """Range of the vector's numbers in the numbers of a whole state."""
+        """Range of the vector ``name`` in an array of a whole state."""
         return self.step.layout.ranges["z"] if name == "lagged" else slice(None)
 
     def remember(self, interval: Interval) -> None:

@@ -80,7 +80,7 @@ class Extrapolation:
 
         None if ``time`` is too far from the last solution, if fewer than two solutions are kept, or if an
         evolving unknown other than v would change by more than ``LARGEST_CHANGE`` relative to its size.
-        Unknowns that follow from those that are kept have their present values."""
+        Unknowns that are not kept have their present values."""
         if len(self._kept) < 2:
             return None
         (earlier, before), (last, now) = self._kept
@@ -105,7 +105,7 @@ class Extrapolation:
         return {f"{name}_time": t for name, (t, _) in kept}, {name: u for name, (_, u) in kept}
 
     def load_state_dict(self, numbers: dict[str, float], states: dict[str, Any]) -> None:
-        """Restore the data that ``state_dict`` gave, or whole states."""
+        """Restore the data of ``state_dict``, or arrays of whole states."""
         self._kept = [
             (numbers[f"{which}_time"], KeptState.of(self.step.layout, np.asarray(states[which]), self._names))
             for which in ("earlier", "last")

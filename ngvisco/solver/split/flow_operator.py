@@ -6,11 +6,11 @@ Schur complement of Newton's matrix when z is eliminated. ``ngvisco.solver.split
 fields' response to an increment at a point.
 
 Element matrices are integrated by a coarse rule, except inertia: the mass matrix is singular for a rule that
-does not determine all of P_k.  There are three of them, from v to v, from v to the fields' rows, and from the
-fields to v.  A product with the operator so costs three small dense products a cell, whatever the number of
-points.  In a cell, an increment of v is ordered by components and functions, (dim, local), rows of v by
-functions and components, (local, dim), fields by functions and components, (q, n): the matrices come out of
-their products in these orders.
+does not determine all of P_k.  Each cell has three element matrices: from v to v, from v to the fields'
+rows, and from the fields to v.  A product with the operator therefore costs three small dense products a
+cell, whatever the number of points.  In a cell, an increment of v is ordered by components and functions,
+(dim, local), rows of v by functions and components, (local, dim), fields by functions and components, (q, n):
+products give the matrices in these orders.
 """
 
 from __future__ import annotations
@@ -122,7 +122,7 @@ class FlowSchurComplement:
         left = np.matmul(slopes.transpose(0, 2, 1), force.reshape(count, slopes.shape[1], d * n))
         back = np.matmul(z_tests, left.reshape(cells, per, local * d * n))
         back = back.reshape(cells, q, local * d, n).transpose(0, 2, 1, 3).reshape(cells, local * d, q * n)
-        for of_z, of_mean in self.points.of_means(p):  # through a mean over each cell
+        for of_z, of_mean in self.points.of_means(p):  # rows of v also depend on z through means over cells
             size = of_z.shape[1]
             tested = shapes[:, 0, :, None, None] * (of_mean * op.weights[:, None, None])[:, None]
             rows = tested.reshape(cells, per, local * d, size).sum(axis=1)
@@ -254,7 +254,8 @@ class FlowSchurComplement:
         cell, without the neighbours' contribution, so that the tangent is a sum over the cells.  Its unknowns
         are the flow's, and last the normal derivatives that ``hyper`` keeps.  The other normal derivatives
         are a = E v: the mean of both sides' d_n v, weighted by the hyperviscosity's coefficient.  Each rank
-        has the share of its cells.  Without rows beside those of v its entries have the precision ``dtype``.
+        has the share of its cells.  If there are no rows beside those of v, entries have the precision
+        ``dtype``.
         """
         d, hyper_tangent = self.dim, None
         if hyper is not None and at.hyper is not None:

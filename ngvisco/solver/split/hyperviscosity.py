@@ -142,8 +142,8 @@ class HyperDerivative:
     def tangent_coefficients(self, at: HyperValues) -> tuple[np.ndarray, np.ndarray]:
         """Coefficients of |Hs|^2, (cells,), and of the penalty, (sides' points,), for ``HyperTangent``.
 
-        They are c + (c - mu_1)(p - 2)/2.  The second derivative of |.|^p/p couples the components of v; the
-        coefficient is the middle between its smallest and its largest eigenvalue.
+        Both are c + (c - mu_1)(p - 2)/2.  The second derivative of |.|^p/p couples the components of v; the
+        coefficient is the middle between the derivative's smallest and largest eigenvalue.
         """
         h, law, sides, values = self.hyper, self.hyper.law, self.sides, self._on_sides(at)
         in_cells, z_on_sides = h.tensors(at.z), values.z_tensors
@@ -185,7 +185,7 @@ class HyperTangent:
         self._facets = Blocks(self._in_parts(self._assembled(pattern))[2])
 
     def _in_parts(self, matrix: sp.csr_matrix) -> tuple[sp.csr_matrix, sp.csr_matrix, sp.csr_matrix]:
-        """The blocks of (v, kept a), of its coupling to the other a, and of the other a."""
+        """The block of (v, kept a), its coupling to the eliminated a, and the block of the eliminated a."""
         n = self._assembled.width - len(self.eliminated)
         return matrix[:n, :n], matrix[:n, n:], matrix[n:, n:]
 

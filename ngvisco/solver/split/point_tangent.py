@@ -136,14 +136,14 @@ class PointTangent(_AtPoints):
         kind = precision.SINGLE if self.collocated is None else np.float64
         self.rate_slope = np.zeros((count, n, n), kind)
         self._kept: dict[int, tuple[int, np.ndarray | None]] = {}
-        """For each part, by its first cell: the number of terms of the resolvent's series; or the
-        resolvent."""
+        """Number of terms of the resolvent's series, and the resolvent if it is stored, by a part's first
+        cell."""
         self.force: np.ndarray | None = None
         self.columns: np.ndarray | None = None
         self._weighing = [term for term in self._asked if term.weighs]
         self._means = list(residual.couplings.of_kernel["cell means"]) if self._weighing else []
         self.weight: np.ndarray | None = None
-        """The derivative by z of the rows of v beside the force: of inertia and weight, (points, d, n)."""
+        """The derivative by z of inertia and weight in the rows of v, (points, d, n)."""
         if self.collocated is not None or "Pi" in residual.unknowns.velocity_block:
             # steep rules and creep rate fields need both at the points
             self.force, self.columns = np.zeros((count, X, n)), np.zeros((count, n, X))
@@ -175,8 +175,8 @@ class PointTangent(_AtPoints):
         return PointValues(terms, u, columns, force, beside, self._resolvent(cells))
 
     def of_means(self, p: PointValues) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        """Yield, for each cell mean, its rate of change with z at the points, (points, c, n), and that of the
-        rows of v with the mean, (points, d, c)."""
+        """For each cell mean, yield its derivative by z at the points, (points, c, n), and the derivative of
+        the rows of v by the mean, (points, d, c)."""
         for mean in self._means:
             size, kind = p.beside[mean.name].shape[1], mean.value(p.fields).value.shape[:-1]
             along = np.eye(size).reshape(size, *kind, 1)
@@ -186,8 +186,8 @@ class PointTangent(_AtPoints):
     def _by_fields(
         self, terms: CellTerms, u: Fields, columns: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
-        """K, (points, n, n), derivatives of the force, (points, X, n), and those ``beside`` it in
-        ``PointValues``; zeta follows z by phi''.
+        """K, (points, n, n), the force's derivatives, (points, X, n), and the derivatives ``beside`` of
+        ``PointValues``; zeta changes with z by phi''.
 
         Rates are constant tensors; creep, and terms that read z or zeta, are differentiated by complex
         increments of z and zeta.  To leading order -(w . grad z) : zeta with its facets' part is
@@ -234,7 +234,7 @@ class PointTangent(_AtPoints):
         return self.tau * self.force @ (resolvent @ self.columns)
 
     def _resolvent(self, cells: slice) -> np.ndarray:
-        """The resolvent of some cells, (cells, q n, q n), which is kept if its series is long."""
+        """The resolvent of some cells, (cells, q n, q n); it is stored unless its series replaces it."""
         q, n = self.op.z.local, self.components
         tested = self.tested(cells)
         if self.collocated is not None:
@@ -249,8 +249,8 @@ class PointTangent(_AtPoints):
         """Return (1 - tau P K)^{-1} dz for coefficients dz, both (cells' unknowns, n); P projects onto the
         fields' space.
 
-        The resolvent acts on coefficients, not on values at points: tau K may be large at some points of a
-        cell only, those that yield.  Where tau P K is small, its series replaces the cells' matrices.
+        The resolvent acts on coefficients, not on values at points: tau K may be large at single points of
+        a cell, where matter yields.  Where tau P K is small, its series replaces the cells' matrices.
         """
         op, n, result = self.op.z, self.components, np.empty(dz.shape, self.rate_slope.dtype)
         for cells, _ in self.parts:

@@ -51,7 +51,7 @@ class FieldsSystem:
         self.operator, self.sweep, self.enough = operator, operator.sweep, enough
         self.iterations = ITERATIONS
         self._swept_is_enough: set[Operator] = set()
-        """Approximate inverses of which one application was enough since the operator's last update."""
+        """Approximate inverses that solved a system by one application since the operator's last update."""
 
     def renew(self) -> None:
         """Let the next solution of each system test again whether sweeps are enough."""
@@ -157,7 +157,8 @@ class Preconditioner:
         )
         self._held = np.flatnonzero(~self.free)
         self._whole: Callable[[], Direct] | None = None
-        """Makes a solver that factorises the whole tangent, if it may replace the two levels; else None."""
+        """Makes a solver that factorises the whole tangent, to replace the two levels; None if there are no
+        two levels, or too many unknowns."""
         self._two_levels: Direct | None = None
         self.solver = self._solver(np.append(self.free, np.ones(len(places) - count, dtype=bool)))
         self._blocks = [unknowns.slices[name] for name in unknowns.velocity_block]
@@ -226,7 +227,7 @@ class Preconditioner:
         """Form operator and tangent at an evaluation; its unknowns have to be the step's state."""
         self.linearise(at, everything=True)
         self.solver.forget()  # before the memory for the next tangent is taken
-        # two levels on one process work in single precision; the others, and PETSc, take all digits
+        # two levels without PETSc work in single precision, all other solvers in double precision
         rounds = isinstance(self.solver, TwoLevelSolver) and not self.exchange.is_distributed
         kind = precision.SINGLE if rounds and not self._multigrid else np.float64
         self.solver.factorise(self.operator.tangent(at, self.hyper_tangent, kind))

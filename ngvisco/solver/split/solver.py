@@ -92,12 +92,12 @@ class Split:
         problem.pose()
         with on_arrays():
             self.residual.start()
-            self.residual.put(x := self.unknowns.pack())  # the other unknowns may be those of another state
+            self.residual.put(x := self.unknowns.pack())  # derived unknowns may be of another state
             self.step.local_unknowns.update_stored()
             self.renew(problem, self.residual(x))
 
     def solve(self, problem: Problem, guess: BaseVector) -> Solution:
-        """Iterate from ``guess``; the step's state becomes the solution, or an iterate if there is none."""
+        """Iterate from ``guess``; the step's state becomes the solution, or an iterate after a failure."""
         history: list[NewtonIteration] = []
         self._turned, self._stale = 0.0, False
         self.step.stresses.start()
@@ -200,8 +200,8 @@ class Split:
         return self.size(f, coarse=True) <= gained * tolerance
 
     def reset_if_worn(self, f: np.ndarray, size: float) -> None:
-        """Reset the tangent, so that the next increment renews it, if the increment f shows that it is
-        outdated."""
+        """Reset the tangent if the increment f shows that it is outdated; the next increment then renews
+        it."""
         options = self.options.split
         slow = self.preconditioner.iterations > options.renewed_after
         slow |= self._stale and not self.is_steep  # steep rules renew the operator alone
@@ -339,7 +339,10 @@ def newton_krylov(split: Split, problem: Problem, x: np.ndarray, history: list[N
 
 
 def iterate(split: Split, problem: Problem, history: list[NewtonIteration]) -> Status:
-    """Iterate from the present state, which becomes the solution or an iterate; append to ``history``."""
+    """Iterate from the present state, which becomes the solution, or an iterate after a failure.
+
+    Each iteration is appended to ``history``.
+    """
     options = split.options.split
     x = split.unknowns.pack()
     last, halvings = np.inf, 0

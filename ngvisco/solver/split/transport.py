@@ -33,7 +33,7 @@ SHARE = 0.05
 
 
 class CellBlocks:
-    """A matrix of cells' blocks in single precision, which multiply own and neighbours' values."""
+    """A matrix in single precision, whose blocks multiply the values of a cell and of its neighbours."""
 
     def __init__(self, diagonal: np.ndarray, across: np.ndarray, coupling: FacetCoupling) -> None:
         """``diagonal`` and ``across`` are blocks as ``FacetCoupling.blocks`` returns, or rectangular ones."""
@@ -255,10 +255,11 @@ class TransportSweeps:
         return result
 
     def in_cells(self, rows: np.ndarray, cells: slice) -> np.ndarray:
-        """The own inverses of some cells times ``rows``, (cells, q n, .): no sweep, no diffusion."""
+        """Inverses of some cells' own blocks times ``rows``, (cells, q n, .); no sweeps and no diffusion."""
         inverses = self.of_z.cells[cells]
         q = self._mass.shape[1]
-        by_functions = rows.reshape(len(rows), q, rows.shape[1] * rows.shape[2] // q)  # perhaps of no cells
+        # a length -1 would fail on a rank without cells
+        by_functions = rows.reshape(len(rows), q, rows.shape[1] * rows.shape[2] // q)
         return np.matmul(inverses, by_functions).reshape(rows.shape)
 
     def density(self, r: np.ndarray) -> np.ndarray:
