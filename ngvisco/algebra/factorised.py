@@ -134,7 +134,7 @@ class TwoLevelSolver:
     belong to the coarse problem, together with the velocities coupled to them.  Iterations grow if the
     fourth-order term dominates at the mesh's scale.
 
-    There are masks of free unknowns, of velocities at ``vertices``, and of unknowns that are no velocities.
+    Masks select the unknowns that are ``free``, velocities at ``vertices``, and unknowns beside velocities.
     ``factorised`` makes the solver of the coarse problem.  Over ranks matrices are in parts.
     """
 
