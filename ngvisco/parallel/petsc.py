@@ -197,7 +197,7 @@ class SumInverse:
         self._solver = module.KSP().create(comm=self._solving)
         self._solver.setOperators(matrix)
         self._solver.setType("preonly")
-        preconditioner, held = self._solver.getPC(), []
+        preconditioner, resources = self._solver.getPC(), []
         if self.method == "mumps":
             preconditioner.setType("lu")
             preconditioner.setFactorSolverType("mumps")
@@ -206,10 +206,10 @@ class SumInverse:
         else:
             preconditioner.setType(self.method)
             if self.kernel is not None:
-                held = [self._vector(matrix, vector) for vector in self.kernel]
-                held.append(module.NullSpace().create(vectors=held, comm=self._comm))
-                matrix.setNearNullSpace(held[-1])
-        for resource in (*held, preconditioner, matrix):  # the solver keeps references to these objects
+                resources = [self._vector(matrix, vector) for vector in self.kernel]
+                resources.append(module.NullSpace().create(vectors=resources, comm=self._comm))
+                matrix.setNearNullSpace(resources[-1])
+        for resource in (*resources, preconditioner, matrix):  # the solver keeps references to these objects
             resource.destroy()
         try:
             self._solver.setUp()
