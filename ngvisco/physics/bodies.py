@@ -170,10 +170,10 @@ class Interface:
 
 @dataclass(frozen=True)
 class Parting:
-    """The shares of an interface's opening that strain a body which parts from more compressible matter.
+    """The law by which bodies part: an interface's opening strains more compressible matter in their place.
 
-    In a cell with the interface's normal n, body i has the strain rate D_i = D - o_i opening(D, n x n): of a
-    change of volume along n, and of shear across n, its own share is r_i = 1 - o_i.  r_i is the compliance
+    In a cell with the interface's normal n, body i has the strain rate D_i = D - o_i opening(D, n x n): its
+    own share of a change of volume along n, and of shear across n, is r_i = 1 - o_i.  r_i is the compliance
     1/K_i at rest over the mean sum theta_j/K_j: the bodies have one pressure, so that r_i is the body's share
     of the change of volume.
     """
@@ -193,7 +193,7 @@ class Parting:
         return Interface(tuple((name, 1 / K) for name, K in self.stiffnesses), self.fractions)
 
     def shares(self, z: Values) -> dict[str, Any]:
-        """The shares o_i by the names of the bodies that part."""
+        """The openings' shares o_i that do not strain the bodies, by the names of the bodies that part."""
         theta = self.fractions.not_negative(z)
         compliances = (1 / K * theta[name] for name, K in self.stiffnesses)
         mean = reduce(add, theta.values()) / reduce(add, compliances)

@@ -186,7 +186,7 @@ class Material(ABC):
 
     @property
     def summed(self) -> tuple[tuple[str, ...], ...]:
-        """Groups of variables: phi is a sum of energies that read one group each, and the other variables."""
+        """Groups of variables: phi is a sum of energies, each of one group and of variables in no group."""
         return ()
 
     @property

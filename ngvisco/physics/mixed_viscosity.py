@@ -30,7 +30,8 @@ class MixedViscosity(Viscosity):
     normal at the step's start.  The viscosity is A for all parts if a body has no shear viscosity, or a
     nonlinear one.
 
-    If bodies part, D_i acts on the body's own strain rate instead, and its stress in return (``Parting``).
+    If bodies part, D_i acts on the body's own strain rate instead (``Parting``), and the stress is mapped by
+    the transpose.
     """
 
     parts: tuple[tuple[str, Viscosity], ...]
@@ -55,7 +56,7 @@ class MixedViscosity(Viscosity):
 
     @property
     def interface(self) -> Interface | None:
-        """The interface of bodies that part, else that of logarithms of viscosities in series, else None."""
+        """The interface of bodies that part, or of logarithms of viscosities in series, else None."""
         if self.parting is not None:
             return self.parting.interface
         logarithms = tuple((name, math.log(G_v)) for name, G_v in self.in_series.items())

@@ -254,7 +254,7 @@ class Mixture(Material):
 
     @cached_property
     def parting(self) -> Parting | None:
-        """The law of the bodies that part; None without these."""
+        """The law of the bodies that part; None without such bodies."""
         names = frozenset(body.name for body in self.bodies if body.parts)
         return Parting(tuple(self.stiffnesses.items()), names) if names else None
 

@@ -60,8 +60,8 @@ def shear_across(A: Tensor, P: Tensor) -> Tensor:
 
 
 def opening(D: Tensor, P: Tensor) -> Tensor:
-    """(tr D) P and the shear across, 3x3: opening and sliding of an interface of normal n, P = n x n, at the
-    rate D.  The rest of D stretches matter along the interface and keeps its volume."""
+    """(tr D) P plus D's shear across n, 3x3: opening and sliding of an interface of normal n, P = n x n, at
+    the rate D.  The rest of D stretches matter along the interface and keeps its volume."""
     return tr(D) * P + shear_across(D, P)
 
 

@@ -133,7 +133,7 @@ class Network(Material):
         """
         return {
             name: {v.name: v.name for v in branch.material.variables}
-            | {own: variable.name for own, variable in self.own(name).items()}
+            | {in_branch: variable.name for in_branch, variable in self.own(name).items()}
             for name, branch in self.branches.items()
         }
 
@@ -185,7 +185,7 @@ class Network(Material):
 
     def values_of(self, name: str, z: Values) -> dict[str, Tensor]:
         """The values of a branch's variables, by their names in the branch's material."""
-        return {own: z[of_network] for own, of_network in self._names[name].items()}
+        return {in_branch: z[of_network] for in_branch, of_network in self._names[name].items()}
 
     def energy_of(self, name: str, z: Values) -> Tensor:
         """The energy phi_i of a branch, Pa."""
