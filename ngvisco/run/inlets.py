@@ -19,9 +19,9 @@ _MATTERS = 0.01
 """Share of all powers that matter may lose where it flows in, and of the mass that may come in with a density
 that nothing determines; a run warns of a larger one."""
 _FILLED = 0.2
-"""Share of the mass after whose entrance stresses are compared: before, those of the start are inside."""
+"""Share of the mass that comes in before stresses are compared: until then the start's stress is inside."""
 _DIFFERS = 0.1
-"""Share of the stresses, root mean squares over the inflow, by which those inside and outside may differ."""
+"""Share of the stresses, root mean squares over the inflow, by which inside and outside may differ."""
 _ROUNDING = 1e-9
 """Share of the bulk modulus below which a stress is rounding."""
 
@@ -45,10 +45,10 @@ class Inlets:
         self._step = step
         strains = {v.name for v in law.variables if v.is_strain}
         self._given: dict[str, str] = {}
-        """Words for what is given, by the names of the walls that give strains or amounts."""
+        """The given data in words, by the names of the walls that give strains or amounts."""
         known_densities = law.referential_density is not None
         self._unknown: list[str] = []
-        """Walls that let matter in whose density nothing determines."""
+        """Walls through which matter of an undetermined density comes in."""
         for term in step.passages:
             wall: Any = step.walls.conditions[term.name]
             named = sorted(strains & wall.values.keys())
@@ -100,7 +100,7 @@ class Inlets:
             self._entered[name] += max(row[f"inflow_{name}"], 0.0) * row["dt"]
 
     def message(self, row: Mapping[str, float]) -> str:
-        """A warning about the step of a ledger's row, each step's row once; empty for little; collective."""
+        """A warning about the step of a ledger's row, or ""; to be called once for each row; collective."""
         self._add(row)
         worked = sum(
             abs(value)

@@ -419,7 +419,7 @@ class Ledger:
         return {
             **{"rho_min": least(rho), "rho_max": most(rho), "J_min": least(J)},
             **{name: (most if name.endswith("_max") else least)(v) for name, v in watched.items()},
-            **{name: least(found) for name, found in eigenvalues.items()},
+            **{name: least(lowest) for name, lowest in eigenvalues.items()},
             **{"v_max": most(speed), "cfl": tau * most(rate)},
             "J_defect": math.sqrt(gap) if self._has_both else math.nan,
             **{"defect_rms": rms, "defect_max": largest},

@@ -103,7 +103,7 @@ def opened(path: Path) -> Iterator[h5py.File]:
             yield file
     except CheckpointError:
         raise
-    # h5py raises them, by the kind of damage
+    # h5py raises one of these, by the kind of damage
     except (OSError, KeyError, RuntimeError, ValueError, TypeError) as error:
         raise CheckpointError(f"{path}: not a readable run file ({error})") from error
 

@@ -34,7 +34,7 @@ from ngvisco.timestepping.scheme import TimeScheme
 _LOOKED_AT = 4
 
 KeptPart: TypeAlias = tuple[dict[str, float], dict[str, Any]]
-"""Numbers, and arrays or what NumPy makes arrays of, of a part of a run that a restart needs."""
+"""Numbers, and arrays or objects that NumPy converts to arrays: a part of a run's data for a restart."""
 
 
 class RunState:
