@@ -133,7 +133,7 @@ def gradient(
     discretised derivatives of the continuous equations.  The lengths of adaptive steps, the limiter's change
     of a state and the sides of upwinding are constants in the derivatives.  The limiter makes errors of 0.1 %
     where it acts in a few cells; sides make none, except where matter rests at a facet with a jump: there the
-    derivative is between those to both sides.
+    derivative is between the derivatives to both sides.
 
     Raises ParameterError or UnknownNameError for an unknown number or parameter, and for damage, relaxed
     steps and several ranks, which have no derivatives here; StepError as ``Simulation.run``.

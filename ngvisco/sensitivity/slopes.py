@@ -31,8 +31,8 @@ class Slopes:
 
     Slopes of ledger columns and of integrals are variations of forms.  The value of a probe is differenced by
     the coefficients of the probe's cell.  Columns with ``rows`` of the residual have slopes here besides
-    those by the rows.  Raises ParameterError for a column without a slope, such as a column of a table of
-    bodies.
+    the slopes by their rows.  Raises ParameterError for a column without a slope, such as a column of a table
+    of bodies.
     """
 
     def __init__(self, follower: Follower) -> None:

@@ -45,7 +45,7 @@ class WallRows:
         return self.follower.step.residual_at(np.logical_or.reduce(parts)[rows], condense=False)
 
     def weights(self, of_columns: np.ndarray, v: np.ndarray | None) -> np.ndarray:
-        """Weights c of the rows in the numbers, with powers of the velocity in the state ``v`` if given."""
+        """Weights c of the rows in the numbers; of powers they are velocities of a state ``v``, if given."""
         result = np.zeros((len(of_columns), self.follower.step.layout.space.ndof))
         for name, c in self.forces.items():
             result += np.outer(of_columns[:, self.names.index(name)], c)
@@ -54,7 +54,7 @@ class WallRows:
         return result
 
     def of_velocity(self, of_columns: np.ndarray, values: np.ndarray) -> np.ndarray:
-        """``values`` at the rows of moving walls: of v, weights of the rows; of rows, slopes by v."""
+        """Weights of moving walls' rows from ``values`` of v, or slopes by v from ``values`` of the rows."""
         result = np.zeros((len(of_columns), len(values)))
         for name, mask in self.powers.items():
             result += np.outer(of_columns[:, self.names.index(name)], np.where(mask, values, 0.0))
