@@ -79,7 +79,7 @@ class StoredEnergy:
         """Summands phi''(z) q_j : Y_j, one for each column of a slope q of z and of Y, (components, dim).
 
         Derivatives in two directions are scalars: a gradient of one direction's derivative has tensors of
-        fourth order, whose pattern takes NGSolve half a minute for ``Ogden``.
+        fourth order; NGSolve takes half a minute to find their pattern for ``Ogden``.
         """
         states = self.material.states(self.dim)
         variables = {name: value.MakeVariable() for name, value in u.z_tensors.items()}

@@ -31,8 +31,8 @@ class Fields(UnknownValues):
 
         ``context`` has the known data at the same points, by default the layout's; ``gradient`` returns the
         gradient of a part, by default NGSolve's.  With ``rows = 1`` the fields have one component of v: forms
-        linear in v, a and the hyperstress are equal for all components.  ``functions``, if given, are those
-        whose parts are ``parts``.
+        linear in v, a and the hyperstress are equal for all components.  ``functions``, if given, are the
+        trial or test functions with these parts.
         """
         super().__init__(layout, parts, gradient, rows, functions)
         self._context = context

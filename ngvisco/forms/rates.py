@@ -164,8 +164,8 @@ class Rates:
     def _normals(self, interface: Interface, u: UnknownValues) -> CoefficientFunction:
         """Projection n x n, 3x3, on the slope n of the interface's quantity at the step's start.
 
-        It tends to zero where the mean changes by less than ``NO_INTERFACE`` in a cell: a slope of rounding
-        has any direction.
+        The projection tends to zero where the mean changes by less than ``NO_INTERFACE`` in a cell: there the
+        slope is rounding, of any direction.
         """
         if interface in u.context.recovered_slopes:
             slope = u.context.given(u.context.recovered_slopes[interface])
@@ -282,21 +282,21 @@ class TabulatedRates(Rates):
         return respond(self.material, self.dim)
 
     def weights(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Weights with which the components take part, and with which they do not where matter parts, both
+        """Weights of the components' rates, and of the openings' rates subtracted where matter parts, both
         (n, points)."""
         values = self._states.tensors(lambda: Array(z, None))
-        shares, others = self.material.taking_part(values), self.material.parted(values)
+        shares, of_openings = self.material.taking_part(values), self.material.parted(values)
         weights, parted = np.ones(z.shape, z.dtype), np.zeros(z.shape, z.dtype)
-        for name, own in self._shared.items():
-            weights[own] = shares[name].value
-            if name in others:
-                parted[own] = weights[own] * others[name].value
+        for name, components in self._shared.items():
+            weights[components] = shares[name].value
+            if name in of_openings:
+                parted[components] = weights[components] * of_openings[name].value
         return weights, parted
 
     def openings(self, u: UnknownValues) -> np.ndarray | None:
-        """Matrix of ``opening`` where the material parts, (dim^2, entries of L, points); None for none.
+        """Matrix of ``opening`` where the material parts, (dim^2, entries of L, points), else None.
 
-        It maps the entries of L to entries of a velocity gradient.
+        The matrix maps the entries of L to entries of a velocity gradient.
         """
         interface = self.material.interface
         if interface is None:
@@ -330,7 +330,7 @@ class TabulatedRates(Rates):
             by_z, parted_by_z = np.empty_like(of_rate), np.empty_like(of_rate)
             for m, along in enumerate((TINY * 1j) * np.eye(len(z))):
                 changed = self.weights(z + along[:, None])
-                by_z[:, m], parted_by_z[:, m] = (each.imag / TINY for each in changed)
+                by_z[:, m], parted_by_z[:, m] = (values.imag / TINY for values in changed)
             of_rate += by_z * self.weighed.rate(z, X)[:, None]
             of_stress += np.einsum("pnx,nmp,np->xmp", shared, by_z, zeta)
             if openings is not None:
@@ -343,13 +343,13 @@ class TabulatedRates(Rates):
         return of_rate, of_stress
 
     def _opening(self, X: np.ndarray, openings: np.ndarray) -> np.ndarray:
-        """The X (X, points) of the openings alone."""
+        """The motion of the openings alone, (X, points), from a motion X."""
         opening = np.zeros_like(X)
         opening[: len(openings)] = np.einsum("xyp,yp->xp", openings, X[: self.tensors.gradients])
         return opening
 
     def _opened(self, stress: np.ndarray, openings: np.ndarray) -> np.ndarray:
-        """Derivatives by X, (X, ..., points), of a function of openings with the derivatives ``stress``."""
+        """Derivatives by X, (X, ..., points), of a function whose derivatives by openings are ``stress``."""
         opened = np.zeros_like(stress)
         of_L = np.einsum("x...p,xyp->y...p", stress[: len(openings)], openings)
         opened[: self.tensors.gradients] = of_L

@@ -146,8 +146,8 @@ class WallReactions:
         w = GridFunction(step.layout.blocks["v"])
         w.vec.FV().NumPy()[:] = self.weights(name, motion)
         normal = w * step.context.normal
-        own = self._own_terms(name, u)[list(self.motions).index(motion)]
-        # a projected energy has the derivative int phi' q, q the projection of what multiplies the energy
+        integrands = self._own_terms(name, u)[list(self.motions).index(motion)]
+        # a projected energy has the derivative int phi' q, with q the projection of the energy's factor
         is_projected = CF(1.0)
         if energy.projected is None:
             phi = energy.anywhere(step.now)
@@ -158,7 +158,7 @@ class WallReactions:
             factor = factor - facet_indicator(step.mesh, [name]) * is_projected * along
         q = GridFunction(self._projected.space)
         project = LocalProjection(q, step.quadrature, lambda test: [Integrand(facets=factor * test)])
-        facets = sum(own, self._energy_flux(u) * normal)
+        facets = sum(integrands, self._energy_flux(u) * normal)
         return Integrand(q * energy.near(u), facets), project
 
     def __call__(self) -> dict[str, list[float]]:

@@ -161,8 +161,8 @@ class Layout:
         self._scalars = {kind: self._of_place(unknown, None) for kind, unknown in kinds.items()}
 
     def by_variables(self) -> FESpace:
-        """The compound space with a block for each variable's part of z and of zeta; the coefficients are the
-        same.
+        """The compound space with a block for each variable's part of z and of zeta, with the coefficients of
+        ``space``.
 
         NGSolve evaluates an integrand's derivative for each component of each block that the integrand reads,
         times each component of the blocks that test it.
@@ -171,7 +171,7 @@ class Layout:
         for name, block in self.blocks.items():
             if name in _BY_VARIABLES:
                 unknown = self.unknowns[name]
-                spaces += [self._of_place(unknown, each.size) for each in self.states.spaces.values()]
+                spaces += [self._of_place(unknown, part.size) for part in self.states.spaces.values()]
             else:
                 spaces.append(block)
         return FESpace(spaces)
@@ -247,7 +247,7 @@ class Layout:
 
 
 _BY_VARIABLES = ("z", "zeta")
-"""Unknowns whose parts, one for each variable of the material, the laws read one by one."""
+"""Unknowns with a part for each variable of the material; laws read the parts one by one."""
 
 _SPACES = {
     "velocity": H1,

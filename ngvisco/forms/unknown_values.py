@@ -83,7 +83,7 @@ class UnknownValues:
         rows: int | None = None,
         functions: Proxies | None = None,
     ) -> None:
-        """``functions``, if given, are those whose parts are ``parts``, with gradients and variables."""
+        """``functions``, if given, are the trial or test functions with these parts; they have gradients."""
         self.layout, self.parts = layout, parts
         self.dim: int = layout.mesh.dim
         self.rows = self.dim if rows is None else rows

@@ -229,7 +229,7 @@ class Carried(OnWall):
         return if_positive(v_n, 0.0 * v_n, -v_n)
 
     def deviators(self, u: Fields) -> tuple[CoefficientFunction, CoefficientFunction, CoefficientFunction]:
-        """Inflow speed, m/s, and elastic stresses' deviators, Pa, inside and of what flows in; 0 elsewhere.
+        """Inflow speed, m/s, and deviators of the elastic stress, Pa, inside and in the inflow; 0 elsewhere.
 
         Bodies whose energy has no expression come in without a deviator, unstrained.
         """

@@ -20,7 +20,8 @@ from ngvisco.physics.walls import Open
 _ROUNDING = 1e-9
 """Share of the stiffness below which a stress is rounding."""
 _MATTERS = 0.01
-"""Share of the stress at rest on a wall that may be without balance, and of the largest one that counts."""
+"""Share of a wall's stress at rest that may be unbalanced; and the wall's share of the largest stress at rest
+up to which there is no warning."""
 _REMEDY = (
     "Take energies without stress at rest (ReferentialNeoHookean, OldroydB, ...), subtract the constant T(I) "
     "from an energy of your own, "
@@ -29,8 +30,8 @@ _REMEDY = (
 
 def where_bodies_meet(step: Step) -> Iterator[str]:
     """Yield a warning of bodies with different stresses at rest, which push each other."""
-    stresses, least = _at_rest({body.name: body.material for body in step.model.bodies})
-    if stresses and max(stresses.values()) - min(stresses.values()) > least:
+    stresses, rounding = _at_rest({body.name: body.material for body in step.model.bodies})
+    if stresses and max(stresses.values()) - min(stresses.values()) > rounding:
         names = ", ".join(repr(name) for name in stresses)
         values = ", ".join(f"{stress:.4g} Pa" for stress in stresses.values())
         yield (
@@ -43,16 +44,16 @@ def where_bodies_meet(step: Step) -> Iterator[str]:
 def on_open_walls(step: Step) -> Iterator[str]:
     """Yield a warning of open walls whose stress does not balance the matter's stress at rest.
 
-    T is the stress of the start state and T(I) that of matter at rest, weighted by the bodies' fractions; the
-    wall gives t.  T n - t is compared with T(I), both as roots of mean squares over the wall.  A pressure at
-    rest that meets a given pressure brings no warning, as in a gas that is let in or out.
+    T is the stress of the start state, T(I) the stress of matter at rest, weighted by the bodies' fractions,
+    and t the wall's stress.  T n - t is compared with T(I), both as roots of mean squares over the wall.  A
+    pressure at rest that meets a given pressure brings no warning, as in a gas that is let in or out.
     """
     walls = [name for name, wall in step.walls.conditions.items() if isinstance(wall, Open)]
     material = step.model.material
     laws = {body.name: body.material for body in step.model.bodies} or {"": material}
-    stresses, least = _at_rest(laws) if walls else ({}, 0.0)
+    stresses, rounding = _at_rest(laws) if walls else ({}, 0.0)
     largest = max((abs(stress) for stress in stresses.values()), default=0.0)
-    if not largest > least:
+    if not largest > rounding:
         return
     u, dim = step.now, step.mesh.dim
     at_rest = CF(stresses.get("", 0.0))
@@ -64,8 +65,8 @@ def on_open_walls(step: Step) -> Iterator[str]:
     unborne = []
     for name in walls:
         given = GivenStress(step.walls, name).at(u, n)
-        left = CF(tuple(sum(inside[i, j] * n[j] for j in range(dim)) - given[i] for i in range(dim)))
-        means = CF((CF(1.0), left * left, rest_stress * rest_stress, rest_stress, given * n))
+        load = CF(tuple(sum(inside[i, j] * n[j] for j in range(dim)) - given[i] for i in range(dim)))
+        means = CF((CF(1.0), load * load, rest_stress * rest_stress, rest_stress, given * n))
         area, *sums = Integrate(means, step.mesh, BND, definedon=step.walls.region([name]))
         gap, size, mean, push = (total / area for total in sums)
         gap, size = gap**0.5, size**0.5
@@ -74,14 +75,14 @@ def on_open_walls(step: Step) -> Iterator[str]:
             unborne.append(f"at {name!r} T(I) = {mean:.6g} Pa, given {push:.6g} Pa, difference {gap:.3g} Pa")
     if unborne:
         yield (
-            "matter beside open walls has a stress of its own at rest, T(I) (mean normal stress), and its "
-            "difference from what the walls give loads the body from the first step on: "
+            "matter beside open walls has a stress of its own at rest, T(I) (mean normal stress); its "
+            "difference from the stress of the walls loads the body from the first step on: "
             f"{'; '.join(unborne)}. {_REMEDY}or let the walls bear it: a pressure of -T(I) beside other loads"
         )
 
 
 def _at_rest(laws: Mapping[str, Material]) -> tuple[dict[str, float], float]:
-    """Mean normal stresses at rest of laws, Pa, by their names, and the least one beyond rounding, Pa."""
+    """Mean normal stresses at rest, Pa, by the laws' names, and the stress up to which it is rounding, Pa."""
     of_laws = {name: rest_stress_and_modulus(law) for name, law in laws.items()}
-    least = _ROUNDING * max((abs(modulus) for _, modulus in of_laws.values()), default=0.0)
-    return {name: stress for name, (stress, _) in of_laws.items()}, least
+    rounding = _ROUNDING * max((abs(modulus) for _, modulus in of_laws.values()), default=0.0)
+    return {name: stress for name, (stress, _) in of_laws.items()}, rounding
