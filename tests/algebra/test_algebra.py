@@ -91,10 +91,10 @@ def test_matrices_beside_and_above_each_other_are_those_of_scipy():
     parts = [row, 2 * row, row[:0]]
     both = stacked(parts)
     assert not parts
-    for found, of_scipy in ((row, expected), (both, sp.vstack([expected, 2 * expected], format="csr"))):
-        assert found.shape == of_scipy.shape
+    for matrix, of_scipy in ((row, expected), (both, sp.vstack([expected, 2 * expected], format="csr"))):
+        assert matrix.shape == of_scipy.shape
         for name in ("data", "indices", "indptr"):
-            assert np.array_equal(getattr(found, name), getattr(of_scipy, name))
+            assert np.array_equal(getattr(matrix, name), getattr(of_scipy, name))
 
 
 def test_element_matrices_are_summed_in_their_order(monkeypatch):
@@ -102,7 +102,7 @@ def test_element_matrices_are_summed_in_their_order(monkeypatch):
     random = np.random.default_rng(0)
     unknowns, elements = random.integers(0, 9, (20, 3)), random.standard_normal((20, 3, 3))
     rows, columns = (
-        np.broadcast_to(each, elements.shape) for each in (unknowns[:, :, None], unknowns[:, None])
+        np.broadcast_to(places, elements.shape) for places in (unknowns[:, :, None], unknowns[:, None])
     )
     expected = np.zeros((9, 9))
     np.add.at(expected, (rows.ravel(), columns.ravel()), elements.ravel())

@@ -189,7 +189,7 @@ def faults_of(path, table, key, what, is_made):
 def tried(turn, number, by_default):
     """Wrong values of a key, and whether a run is made of each: every fourth one by default, by CI the rest.
 
-    Numbers that the schema lets pass are alike but for the extremes, of which the default suite makes one.
+    Numbers that the schema lets pass are alike except the extremes; the default suite runs one extreme.
     """
     made = {what: what in ("huge", "tiny") or isinstance(WRONG[what], (str, list, dict)) for what in WRONG}
     other = ("tiny", "huge")[number % 2]

@@ -1,4 +1,4 @@
-"""Stresses at rest that open walls do not bear are said before the first step, with their sizes."""
+"""Stresses at rest that open walls do not bear: a warning before the first step names their sizes."""
 
 import math
 import re
@@ -33,26 +33,26 @@ def between(material, F=None, bodies=None, **wall):
     return nv.Simulation(structured_box((1, 0.5), (2, 2)), model, dt=0.05, walls=walls, initial=initial)
 
 
-def differences(said):
+def differences(warned):
     """T(I), the given stress and their difference, Pa, at each wall that a warning names."""
     numbers = r"at '(\w+)' T\(I\) = (\S+) Pa, given (\S+) Pa, difference ([\d.e+-]+) Pa"
-    found = [match for w in said for match in re.findall(numbers, str(w.message))]
-    return {name: tuple(map(float, values)) for name, *values in found}
+    matches = [match for warning in warned for match in re.findall(numbers, str(warning.message))]
+    return {name: tuple(map(float, values)) for name, *values in matches}
 
 
 @pytest.mark.parametrize("state", "FB")
 def test_a_stress_at_rest_that_open_walls_do_not_bear_is_said_before_the_first_step(state):
-    """With what is said it shoots off at metres a second; by the pressure that is said it stays."""
+    """With that difference a bar moves off at metres a second; with the pressure that is named it stays."""
     for pull in (0.0, 1.0):
-        with pytest.warns(nv.InputWarning, match="pressure of -T") as said:
+        with pytest.warns(nv.InputWarning, match="pressure of -T") as warned:
             run = between(PAPER[state], pressure=-pull)
-        found = differences(said)
-        assert found.keys() == {"left", "right"}
-        for given in found.values():
-            assert given == pytest.approx((AT_REST, pull, AT_REST - pull), rel=5e-3, abs=1e-9)
+        by_wall = differences(warned)
+        assert by_wall.keys() == {"left", "right"}
+        for stresses in by_wall.values():
+            assert stresses == pytest.approx((AT_REST, pull, AT_REST - pull), rel=5e-3, abs=1e-9)
     assert run.advance()["v_max"] > 1.0
-    rest = between(PAPER[state], pressure=-found["left"][0])
-    assert rest.advance()["v_max"] < 1e-3
+    borne = between(PAPER[state], pressure=-by_wall["left"][0])
+    assert borne.advance()["v_max"] < 1e-3
 
 
 @pytest.mark.parametrize("state", "FB")
@@ -73,7 +73,7 @@ def test_what_is_borne_and_what_has_no_stress_at_rest_bring_no_warning(state, re
 
 @pytest.mark.parametrize("resists", ["impedance", "stiffness"])
 def test_what_dashpots_and_springs_bear_at_the_start_counts(resists, recwarn):
-    """At 0.1 m/s, or displaced by 0.1 m, to the right: 2 Pa against the right wall's, with the left one's."""
+    """Dashpots bear 2 Pa at 0.1 m/s, springs at 0.1 m; the pressures are off by as much, to either side."""
     walls = {
         name: nv.Open(pressure=-AT_REST - load, backflow=False, **{resists: (20.0, 0.0)})
         for name, load in (("left", -2.0), ("right", 2.0))
@@ -96,23 +96,23 @@ def test_a_gas_is_warned_of_where_nothing_presses_it(recwarn):
     between(GAS, pressure=1.5)  # let in, 0.5 Pa above its pressure
     between(GAS, pressure=0.5)
     assert not recwarn.list
-    with pytest.warns(nv.InputWarning) as said:
+    with pytest.warns(nv.InputWarning) as warned:
         between(GAS)
-    assert differences(said)["left"] == pytest.approx((-1.0, 0.0, 1.0), rel=1e-5)
+    assert differences(warned)["left"] == pytest.approx((-1.0, 0.0, 1.0), rel=1e-5)
 
 
 @pytest.mark.parametrize("place", ["at the walls", "inside"])
 def test_of_bodies_the_one_beside_a_wall_has_the_stress(place, recwarn):
-    """The mean over the wall is of the body's half alone; where the medium bears a load nothing is said."""
+    """The mean over the wall is of the body's half alone; a medium that bears a load brings no warning."""
     where = nv.Block((0.0, 0.0), (1.0, 0.25)) if place == "at the walls" else nv.Ball((0.5, 0.25), 0.1)
     bodies = [
         nv.Body(name="body", material=fluid(15.0), where=where, density=1.0),
         nv.Body(name="medium", material=fluid(0.0), density=1.0),
     ]
     between(None, bodies=bodies, pressure=0.5)
-    found = differences(recwarn.list)
+    by_wall = differences(recwarn.list)
     if place == "inside":
-        assert not found
+        assert not by_wall
     else:  # on the body's half the difference is 15.5 Pa, on the medium's 0.5 Pa
-        assert found.keys() == {"left", "right"}
-        assert found["right"] == pytest.approx((7.5, -0.5, ((15.5**2 + 0.5**2) / 2) ** 0.5), rel=5e-3)
+        assert by_wall.keys() == {"left", "right"}
+        assert by_wall["right"] == pytest.approx((7.5, -0.5, ((15.5**2 + 0.5**2) / 2) ** 0.5), rel=5e-3)

@@ -173,8 +173,8 @@ GIVEN = {
 
 @pytest.mark.parametrize("given", GIVEN)
 def test_stresses_that_differ_are_warned_of_in_slow_straining_too(given, recwarn):
-    """A strained bar goes on through its windows; what is lost where rest meets it is 0.2 % of all powers, a
-    strain of 0.4 % over 2, but the stresses differ by all that there is.  By 5 % they may differ."""
+    """A strained bar moves through its windows.  Where matter at rest meets it, 0.2 % of all powers are lost,
+    the strain of 0.4 % over 2, but the stresses differ by the whole stress.  They may differ by 5 %."""
     walls = {
         "left": nv.Inflow(velocity=(0.11, 0.0), **GIVEN[given]),
         "right": nv.Open(pressure=-4e-3 * (10.0 + 4 / 3 * 5.0), backflow=False),
@@ -186,13 +186,13 @@ def test_stresses_that_differ_are_warned_of_in_slow_straining_too(given, recwarn
         walls=walls,
         initial=nv.Initial(density=1.0, velocity=(0.11, 0.0), values={"E": STRAINED}),
     )
-    ledger, said = run.run(2.5), [w for w in recwarn if issubclass(w.category, nv.InflowWarning)]
-    assert len(said) == (given == "rest")
-    if said:
+    ledger, warned = run.run(2.5), [w for w in recwarn if issubclass(w.category, nv.InflowWarning)]
+    assert len(warned) == (given == "rest")
+    if warned:
         pattern = (
             r"at t = (\S+) s .* by the values of E .* deviators differ by (\S+) Pa, with (\S+) Pa at the wall"
         )
-        t, difference, size = map(float, re.search(pattern, str(said[0].message)).groups())
+        t, difference, size = map(float, re.search(pattern, str(warned[0].message)).groups())
         assert t == pytest.approx(2.0)  # a fifth of the mass is in after 1.8 s
         bar = 2 * 5.0 * (2 / 3) ** 0.5 * 4e-3
         assert 0.75 * bar < difference < 1.02 * bar  # it grows to the bar's within the inlet's cell

@@ -54,7 +54,7 @@ def test_one_derivative_gives_a_column_of_each_branch():
         "chains": nv.OldroydB(K_e=3.0, G_e=2.0),
     }
     creep = {"slow": nv.Creep(G_m=2.0)}
-    branches = {name: nv.Branch(material=each, creep=creep.get(name)) for name, each in made.items()}
+    branches = {name: nv.Branch(material=part, creep=creep.get(name)) for name, part in made.items()}
     run = small_run(material=nv.Network(branches=branches), solver="split")
     slope, states = run.solver.newton.residual.slope, run.rothe_step.layout.states
     z = rest_state(run.model.material, 2)[:, None]
@@ -62,8 +62,8 @@ def test_one_derivative_gives_a_column_of_each_branch():
     along, arrays, calls = slope.derivative(z), slope.arrays, []
     by_columns = np.stack([along(np.broadcast_to(e[:, None], z.shape)) for e in np.eye(states.size)], axis=1)
     slope.arrays = lambda values: calls.append(1) or arrays(values)
-    found = slope.hessian(z)
+    hessian = slope.hessian(z)
     largest = sum(states.spaces[name].size for name in ("B_slow", "N_slow"))
     assert len(calls) == largest + 1 < states.size  # and J
-    assert abs(found[states.slices["B_slow"], states.slices["J"]]).max() > 0.1
-    assert np.allclose(found, by_columns, rtol=0, atol=1e-14 * abs(by_columns).max())
+    assert abs(hessian[states.slices["B_slow"], states.slices["J"]]).max() > 0.1
+    assert np.allclose(hessian, by_columns, rtol=0, atol=1e-14 * abs(by_columns).max())

@@ -66,8 +66,8 @@ def test_both_solvers_agree_and_the_identity_holds(name):
         assert ledger.column("bregman")[1:].min() >= 0
         assert np.ptp(ledger.column("mass")) <= 1e-12 * ledger.column("mass")[0]
     assert_same(*runs)
-    other = pulled(parts=False, **setting).run(0.2)
-    stored = [np.diff(each.column("stored")) for each in (ledger, other)]
+    sticking = pulled(parts=False, **setting).run(0.2)
+    stored = [np.diff(of_run.column("stored")) for of_run in (ledger, sticking)]
     assert np.abs(stored[1] / stored[0] - 1).max() > 1e-2
 
 
@@ -84,8 +84,9 @@ def test_an_opening_strains_no_body_and_a_stretch_along_the_interface_does():
     P, zero = constant(np.outer(n, n)), np.zeros((3, 3))
     mesh = box((1, 1), 1.0)
     nn, nt, tt = np.outer(n, n), np.outer(n, t) + np.outer(t, n), np.outer(t, t)
-    for D, found in ((nn, nn), (nt, nt), (tt - nn, zero)):
-        assert np.reshape(opening(constant(D), P)(mesh(0.5, 0.5)), (3, 3)) == pytest.approx(found, abs=1e-14)
+    for D, expected in ((nn, nn), (nt, nt), (tt - nn, zero)):
+        entries = opening(constant(D), P)(mesh(0.5, 0.5))
+        assert np.reshape(entries, (3, 3)) == pytest.approx(expected, abs=1e-14)
 
 
 def test_slopes_from_vertices_are_those_of_a_linear_function_in_cells_without_walls():

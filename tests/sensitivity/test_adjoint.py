@@ -64,8 +64,8 @@ class Still:
 @pytest.mark.parametrize("scheme", [by_ci("backward-euler"), by_ci("midpoint"), "sdirk2"])
 def test_products_of_tangent_and_adjoint_are_equal(scheme, solver):
     """Products are of states that the parameters' differences do not enter."""
-    of = {name: text for name, text in OF.items() if name != "stress"} | FORCES
-    by_tangent, by_adjoint = directional(partial(run, solver=solver), scheme, of)
+    numbers = {name: text for name, text in OF.items() if name != "stress"} | FORCES
+    by_tangent, by_adjoint = directional(partial(run, solver=solver), scheme, numbers)
     assert abs(by_adjoint / by_tangent - 1).max() < 1e-10
 
 
@@ -121,14 +121,14 @@ def curved(stiffness, **options):
 )
 def test_forces_and_powers_of_walls_have_adjoints(make, options, columns):
     given = {"observers": [nv.WallForces()]} | options
-    of = [f"{name} {when}" for name in columns for when in ("at 0.06", "until 0.05")]
+    numbers = [f"{name} {when}" for name in columns for when in ("at 0.06", "until 0.05")]
     name, value, h = "material.G_e", 5.0, 5e-3
     tangent, adjoint = (
-        nv.gradient(make(value, **given), UNTIL, of=of, by=[name], method=method).jacobian[:, 0]
+        nv.gradient(make(value, **given), UNTIL, of=numbers, by=[name], method=method).jacobian[:, 0]
         for method in ("tangent", "adjoint")
     )
     assert np.allclose(adjoint, tangent, rtol=1e-8, atol=1e-9 * abs(tangent).max())
-    up, down = (measure(make(value + s * h, **given), UNTIL, of) for s in (1, -1))
+    up, down = (measure(make(value + s * h, **given), UNTIL, numbers) for s in (1, -1))
     assert np.allclose(adjoint, (up - down) / (2 * h), rtol=1e-5, atol=1e-6 * abs(tangent).max())
 
 
@@ -144,11 +144,11 @@ def soft(change=0.0, scheme="midpoint", **options):
 
 
 def test_a_field_has_a_density_of_derivatives():
-    of = {name: OF[name] for name in ("motion", "stress", "share")}
+    numbers = {name: OF[name] for name in ("motion", "stress", "share")}
     simulation, tilt = soft()
-    found = nv.gradient(simulation, UNTIL, of=of, method="adjoint")
-    density = [Integrate(found.density(name, "theta") * tilt, simulation.mesh) for name in of]
-    up, down = (measure(soft(change)[0], UNTIL, of) for change in (1e-3, -1e-3))
+    found = nv.gradient(simulation, UNTIL, of=numbers, method="adjoint")
+    density = [Integrate(found.density(name, "theta") * tilt, simulation.mesh) for name in numbers]
+    up, down = (measure(soft(change)[0], UNTIL, numbers) for change in (1e-3, -1e-3))
     assert np.allclose(density, (up - down) / 2e-3, rtol=1e-5, atol=0)
 
 
@@ -188,10 +188,10 @@ def test_a_curved_wall_has_an_adjoint():
         observers=[nv.Probes({"p": (0.3, 0.2)}, ["velocity"])],
         initial=nv.Initial(density=1.0, velocity=velocity),
     )
-    of = {"motion": "kinetic at 0.06", "way": "p.velocity_1 until 0.06"}
+    numbers = {"motion": "kinetic at 0.06", "way": "p.velocity_1 until 0.06"}
     tangent, adjoint = (
         nv.gradient(
-            run(**given), UNTIL, of=of, by=["material.G_e", "initial.density"], method=method
+            run(**given), UNTIL, of=numbers, by=["material.G_e", "initial.density"], method=method
         ).jacobian
         for method in ("tangent", "adjoint")
     )
@@ -202,10 +202,10 @@ def test_a_curved_wall_has_an_adjoint():
 @pytest.mark.ci
 def test_a_misfit_is_half_the_sum_of_squares():
     data, sigma = {"kinetic at 0.04": 0.1, "p.velocity_1 at 0.06": 0.2}, (0.01, 0.02)
-    of = {"misfit": nv.Misfit(data, sigma), "motion": "kinetic at 0.04", "speed": "p.velocity_1 at 0.06"}
+    numbers = {"misfit": nv.Misfit(data, sigma), "motion": "kinetic at 0.04", "speed": "p.velocity_1 at 0.06"}
     by = ["material.G_e", "creep.G_m"]
     tangent, adjoint = (
-        nv.gradient(run(), UNTIL, of=of, by=by, method=method) for method in ("tangent", "adjoint")
+        nv.gradient(run(), UNTIL, of=numbers, by=by, method=method) for method in ("tangent", "adjoint")
     )
     off = (tangent.values[1:] - np.array([0.1, 0.2])) / sigma
     assert tangent.values[0] == pytest.approx(0.5 * off @ off, rel=1e-14)

@@ -25,18 +25,18 @@ COUNTED = {
 @pytest.fixture
 def counts(monkeypatch):
     """Calls so far, by ``COUNTED``."""
-    found = Counter()
+    calls = Counter()
 
     def count(name, function):
         def counted(*given, **named):
-            found[name] += 1
+            calls[name] += 1
             return function(*given, **named)
 
         return counted
 
     for name, (owner, method) in COUNTED.items():
         monkeypatch.setattr(owner, method, count(name, getattr(owner, method)))
-    return found
+    return calls
 
 
 def test_an_adjoint_costs_less_than_two_runs_for_any_number_of_parameters(counts):
@@ -50,9 +50,9 @@ def test_an_adjoint_costs_less_than_two_runs_for_any_number_of_parameters(counts
     alone = counts.copy()
     counts.clear()
     data = dict.fromkeys((f"s{i}.velocity_1 until {demo.UNTIL}" for i in range(demo.STATIONS)), 1e-3)
-    of = {"misfit": nv.Misfit(data, demo.NOISE)}
-    found = nv.gradient(ground(), demo.UNTIL, of=of, method="adjoint")
-    density = found.density("misfit", "stiffness")
+    numbers = {"misfit": nv.Misfit(data, demo.NOISE)}
+    gradient = nv.gradient(ground(), demo.UNTIL, of=numbers, method="adjoint")
+    density = gradient.density("misfit", "stiffness")
     of_blocks = Integrate(density * CF(tuple(demo.blocks())), density.space.mesh, order=3)
     assert len(of_blocks) == 50 and np.any(of_blocks)
     kinds = ("matrices", "matrices by the start", "transposed solves")
@@ -70,8 +70,8 @@ def test_a_fit_costs_less_than_ten_runs(counts):
     demo.simulation(1.2).run(2.0)
     alone = counts.copy()
     counts.clear()
-    found = nv.fit(demo.simulation(1.2), data, by=list(demo.TRUE), sigma=demo.NOISE)
-    steps = found.runs * alone["steps"]
+    fit = nv.fit(demo.simulation(1.2), data, by=list(demo.TRUE), sigma=demo.NOISE)
+    steps = fit.runs * alone["steps"]
     of_runs = counts["solves"] - 2 * steps
     assert counts["steps"] == steps and counts["residuals"] == 4 * steps
     assert counts["solves"] < 10 * alone["solves"]

@@ -29,14 +29,14 @@ def recoiling(stiffness):
 @pytest.mark.long
 @pytest.mark.ci
 def test_sides_that_change_in_time_make_no_error():
-    of = ["kinetic at 0.24", "stored at 0.24", "facet.velocity_1 at 0.24"]
+    numbers = ["kinetic at 0.24", "stored at 0.24", "facet.velocity_1 at 0.24"]
     run = recoiling(5.0)
-    found = nv.gradient(run, 0.24, of=of, by=["material.G_e"]).jacobian[:, 0]
+    gradient = nv.gradient(run, 0.24, of=numbers, by=["material.G_e"]).jacobian[:, 0]
     across = run.observers[0].column("facet.velocity_1")
     assert (np.diff(np.sign(across)) != 0).any()
     h = 5e-4
-    up, down = (measure(recoiling(5.0 + s * h), 0.24, of) for s in (1, -1))
-    assert abs((up - down) / (2 * h) / found - 1).max() < 1e-6
+    up, down = (measure(recoiling(5.0 + s * h), 0.24, numbers) for s in (1, -1))
+    assert abs((up - down) / (2 * h) / gradient - 1).max() < 1e-6
 
 
 def resting(push):
@@ -57,12 +57,12 @@ def resting(push):
 
 def test_at_rest_a_gradient_is_between_the_derivatives_to_both_sides():
     """Matter that crosses the face has the density upstream, 1 or 2."""
-    of, h = ["right at 0.04"], 1e-4
-    found = nv.gradient(resting(0.0), 0.04, of=of, by=["loads.gravity.g.0"]).jacobian[0, 0]
-    down, here, up = (measure(resting(s * h), 0.04, of)[0] for s in (-1, 0, 1))
-    to_right, to_left = (up - here) / h, (here - down) / h
+    numbers, h = ["right at 0.04"], 1e-4
+    gradient = nv.gradient(resting(0.0), 0.04, of=numbers, by=["loads.gravity.g.0"]).jacobian[0, 0]
+    down, unmoved, up = (measure(resting(s * h), 0.04, numbers)[0] for s in (-1, 0, 1))
+    to_right, to_left = (up - unmoved) / h, (unmoved - down) / h
     assert to_left == pytest.approx(2 * to_right, rel=1e-2)
-    assert 0.999 * to_right < found < 1.001 * to_left
+    assert 0.999 * to_right < gradient < 1.001 * to_left
 
 
 def limited(stiffness):
@@ -79,10 +79,10 @@ def limited(stiffness):
 @pytest.mark.long
 @pytest.mark.ci
 def test_the_limiter_is_frozen():
-    of = ["kinetic at 0.06", "share at 0.06"]
-    found = nv.gradient(limited(5.0), 0.06, of=of, by=["material.G_e"])
+    numbers = ["kinetic at 0.06", "share at 0.06"]
+    gradient = nv.gradient(limited(5.0), 0.06, of=numbers, by=["material.G_e"])
     h = 5e-4
-    up, down = (measure(limited(5.0 + s * h), 0.06, of) for s in (1, -1))
-    error = abs((up - down) / (2 * h) / found.jacobian[:, 0] - 1).max()
-    assert found.limited > 0
+    up, down = (measure(limited(5.0 + s * h), 0.06, numbers) for s in (1, -1))
+    error = abs((up - down) / (2 * h) / gradient.jacobian[:, 0] - 1).max()
+    assert gradient.limited > 0
     assert 1e-6 < error < 0.1

@@ -103,7 +103,7 @@ def test_the_resolvent_by_its_series_is_the_inverse(run, strain, monkeypatch):
     points = operator.points
     assert 0 < points._kept[0][0] <= 14 and points._kept[0][1] is None
     dz = np.random.default_rng(5).standard_normal((points.op.z.width, points.components))
-    found, inverses, series = points.resolved(dz), [], []
+    by_series, inverses, series = points.resolved(dz), [], []
 
     def inverted(N):
         inverses.append(np.linalg.inv(np.eye(N.shape[1]) - N))
@@ -114,9 +114,9 @@ def test_the_resolvent_by_its_series_is_the_inverse(run, strain, monkeypatch):
     operator.update(at)
     expected = (np.concatenate(inverses) @ dz.reshape(len(inverses[0]), -1, 1)).reshape(dz.shape)
     assert 0.01 < np.abs(expected - dz).max() < 2
-    assert np.abs(found - expected).max() <= 3e-4
+    assert np.abs(by_series - expected).max() <= 3e-4
     partial = (np.concatenate(series) @ dz.reshape(len(series[0]), -1, 1)).reshape(dz.shape)
-    assert np.abs(found - partial).max() <= 3e-6  # each of its terms
+    assert np.abs(by_series - partial).max() <= 3e-6  # each of its terms
     assert np.abs(points.resolved(dz) - expected).max() <= 1e-12
 
 

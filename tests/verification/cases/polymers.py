@@ -213,13 +213,13 @@ def _lid() -> Measured:
     times, energies = ledger.column("time"), ledger.column("kinetic") / 0.01
     curves = [Curve("12 x 12", times, energies, ".-")]
     for name, published in REFERENCES.items():
-        found = {t: np.interp(t, times, energies) for t in published}
+        computed = {t: np.interp(t, times, energies) for t in published}
         yield (
             f"largest relative distance of the kinetic energy to {name}",
-            max(abs(found[t] / energy - 1) for t, energy in published.items()),
+            max(abs(computed[t] / energy - 1) for t, energy in published.items()),
         )
         head = f"t, s | kinetic energy, J/m | {name}"
-        yield Table(f"Wi = 1, {name}", head, [[t, found[t], of] for t, of in published.items()])
+        yield Table(f"Wi = 1, {name}", head, [[t, computed[t], energy] for t, energy in published.items()])
         curves.append(Curve(name, published.keys(), published.values(), "o"))
     yield "largest kinetic energy for density 1, J/m", energies.max()
     yield "least dissipation by upwinding, W/m", ledger.column("dissipation_upwinding")[1:].min()
