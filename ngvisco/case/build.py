@@ -98,7 +98,7 @@ class Case:
     def resolved(self) -> str:
         """The case as TOML with every default written out and the mesh file's path made absolute.
 
-        Paths of other files name their copies in the run directory, ``files``.
+        Paths of other files are the paths of their copies in the run directory (``files``).
         """
         data, files = self._settled()
         for table, file in files:
@@ -312,7 +312,7 @@ class Case:
     def _all_made(
         self, table: Section, names: Iterable[str], path: tuple[str, ...], dim: int
     ) -> dict[str, Any]:
-        """Make the objects of those named sections that a table has."""
+        """Make the objects of a table's sections ``names``, without missing ones."""
         parts = {name: getattr(table, name) for name in names}
         return {n: self._made(part, (*path, n), dim) for n, part in parts.items() if part is not None}
 

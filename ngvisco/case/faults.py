@@ -190,7 +190,7 @@ def _places() -> dict[str, tuple[str, str | None]]:
 
 
 _OTHER = 100
-"""Levels added to the depth of a table whose name is not its class's name, so that it is found last."""
+"""Depth added to a table whose name is not its class's name; such a table is then found last."""
 
 
 def _resolve(model: type[Section], location: tuple[Any, ...]) -> tuple[tuple[str, ...], str, list[str]]:

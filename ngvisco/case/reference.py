@@ -30,7 +30,7 @@ from ngvisco.run import passive
 
 @dataclass(frozen=True)
 class KeyEntry:
-    """One key of the reference, with the kinds of its section that have it; no kinds if all have it.
+    """One key of the reference; ``kinds`` are the kinds of the section that have the key, empty for all.
 
     A table of keys has no example.
     """

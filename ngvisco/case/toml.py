@@ -96,7 +96,7 @@ def override(data: dict[str, Any], path: tuple[str, ...], value: Any) -> None:
 
 
 def write(data: dict[str, Any]) -> str:
-    """The TOML text of nested tables of numbers, texts, booleans and arrays; None is left out."""
+    """The TOML text of nested tables of numbers, texts, booleans and arrays; keys with None are left out."""
     lines: list[str] = []
     _write_table(data, (), lines)
     return "\n".join(lines).lstrip("\n") + "\n"

@@ -43,7 +43,7 @@ class Value(ABC):
 
 
 def is_table(value: Any) -> bool:
-    """Whether a value is a table of time; reading a case replaces the name of the table's file by it."""
+    """Whether a value is a table of time, which stands in place of the name of the table's file."""
     return isinstance(value, dict) and set(value) == {"times", "values"}
 
 
@@ -186,7 +186,7 @@ class RegionText(Value):
 
 
 class Wrong(str):
-    """A message in the place of a value with a wrong unit, which every key refuses."""
+    """A message that replaces a value with a wrong unit; every key refuses the message as its value."""
 
 
 def as_function(value: Any) -> Any:
