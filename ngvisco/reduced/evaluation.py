@@ -99,7 +99,7 @@ class Sampled:
 
     @property
     def momentum_old(self) -> np.ndarray | None:
-        """m_old, (dim, points), kg/(m^2 s); None if this rule is not the rule of the forms."""
+        """m_old, (dim, points), kg/(m^2 s); None for another rule than the forms' rule."""
         momentum, dim = self._step.momentum_old, self._step.mesh.dim
         is_known = self._points.count * dim == momentum.space.ndof
         return self._points.read(momentum, dim) if is_known else None

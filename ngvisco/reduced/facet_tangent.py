@@ -8,8 +8,9 @@ the side's rows is
 
     (own + H A) dz + H A(other side) dz(other cell),    summed over the means.
 
-In the integrals over cells the blocks contain the terms with a gradient, of the increment or of the test; the
-point tangent has the others.  zeta follows z by the projection of phi''(z), cell by cell.
+Of the integrals over cells the blocks contain all terms with a gradient of the increment or of the test; the
+point tangent contains the terms without gradients.  zeta follows z by the projection of phi''(z), cell by
+cell.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ if TYPE_CHECKING:
 class FacetTangent:
     """Computes the blocks of the components of z in which the terms have rows.
 
-    ``rows`` are these components, and ``columns`` those on which the rows depend.
+    ``rows`` are the numbers of these components; ``columns`` are the components on which the rows depend.
     """
 
     def __init__(
