@@ -250,12 +250,12 @@ class FlowSchurComplement:
     def tangent(self, at: Evaluation, hyper: HyperTangent | None, dtype: type = np.float64) -> sp.csr_matrix:
         """The velocity tangent: a sparse matrix that approximates the operator, cell by cell.
 
-        ``at`` is the evaluation of the last ``update``.  The transport is replaced by its block in each
-        cell, without the neighbours' contribution, so that the tangent is a sum over the cells.  Its unknowns
-        are the flow's, and last the normal derivatives that ``hyper`` keeps.  The other normal derivatives
-        are a = E v: the mean of both sides' d_n v, weighted by the hyperviscosity's coefficient.  Each rank
-        has the share of its cells.  If there are no rows beside those of v, entries have the precision
-        ``dtype``.
+        ``at`` is the evaluation of the last ``update``.  The transport is replaced by its block in each cell,
+        without the neighbours' contribution, so that the tangent is a sum over the cells.  The tangent's
+        unknowns are the flow's, and last the normal derivatives that ``hyper`` keeps.  The other normal
+        derivatives are a = E v: the mean of both sides' d_n v, weighted by the hyperviscosity's coefficient.
+        Each rank has the share of its cells.  If there are no rows beside those of v, entries have the
+        precision ``dtype``.
         """
         d, hyper_tangent = self.dim, None
         if hyper is not None and at.hyper is not None:

@@ -3,11 +3,12 @@
 In a cell the law reads x = (v, a) through B x: the coefficients of Hs, and the jumps at the sides' points.
 One small dense product gives B x for all components of v, (cells, dim, rows).  Arrays have the points last,
 so that sums run at the speed of memory. The rows are B^T times the law's derivative. In the velocity tangent
-a is eliminated. Only on facets between ranks, where each rank has one side, a stays an unknown: the matrix is
-then a sum over the ranks' cells.
+a is eliminated, except on facets between ranks. There each rank has one side, and a stays an unknown, so that
+the matrix is a sum over the ranks' cells.
 
 The derivative is written by hand since complex increments of the rows take 4 to 5 times as long
-(``tests/benchmarks/kernels.py``); ``tests/solver/test_split_solver.py`` compares it with the rows.
+(``tests/benchmarks/kernels.py``); ``tests/solver/test_split_solver.py`` compares the derivative with the
+rows.
 """
 
 from __future__ import annotations

@@ -190,8 +190,8 @@ class PointTangent(_AtPoints):
         ``PointValues``; zeta changes with z by phi''.
 
         Rates are constant tensors; creep, and terms that read z or zeta, are differentiated by complex
-        increments of z and zeta.  To leading order -(w . grad z) : zeta with its facets' part is
-        div w times phi'(z) : dz, and the flux of densities is approximated alike.
+        increments of z and zeta.  To leading order the increment of -(w . grad z) : zeta, with its part
+        on facets, is div w times phi'(z) : dz; the flux of densities is approximated alike.
         """
         rates, curvature, z, zeta = self.residual.rates, self._curvature(u), u.z.value, u.zeta.value
         g, plane = rates.tensors.gradients, rates.dim**2

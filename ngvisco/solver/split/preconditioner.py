@@ -5,8 +5,8 @@ of the velocity, the fields' linear equations. For dz these are T dz - (K dz, .)
 (``TransportSweeps``) and the derivative K of rates and creep (``PointTangent``); for drho K is left out.
 Sweeps, followed by (1 - tau K)^{-1} in every cell, invert T - K up to tau^2 (products of T and K) and the
 sweeps' remainder. They are accurate if Courant number and strain of a step are below a half, and useless if
-either is above one, even in one cell, as at a wall that starts to move at once. Then they only precondition
-GMRES.
+either is above one, even in one cell, as at a wall that starts to move at once. Useless sweeps only
+precondition GMRES.
 """
 
 from __future__ import annotations

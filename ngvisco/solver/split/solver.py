@@ -240,8 +240,8 @@ class Split:
 def damped(split: Split, problem: Problem, history: list[NewtonIteration]) -> Status:
     """Iterate with a new tangent for each increment, shortened until the next increment is shorter.
 
-    The next increment may be the one by the same tangent or by the next tangent: a material that begins to
-    yield resists a velocity less than the elastic tangent predicts.
+    The next increment is compared by the same tangent and by the next tangent, and the shorter one counts: a
+    material that begins to yield resists a velocity less than the elastic tangent predicts.
     """
     state = split.step.state.vec
     base = state.CreateVector()

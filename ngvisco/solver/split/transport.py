@@ -4,13 +4,13 @@ Each component of z, and rho, has the scalar matrix T = M/tau + convection + fac
 Its dense blocks multiply a cell's own values and the values across its sides (``FacetCoupling``). The flux
 through a facet depends on the cell's values and on the facet's trace, a weighted mean of both sides' values.
 Sweeps over the cells (block Jacobi) solve each cell with its neighbours' last values; the larger the Courant
-number, the slower they converge. ``update`` fixes the number of sweeps for its velocity, by the error of a
-random field, so that the approximate inverse is a linear map. T is factorised for components that diffuse,
-which sweeps do not resolve, and for components that cells exchange across facets (``Exchanged``). A nonlinear
-density equation has its own Jacobian.
+number, the slower they converge. ``update`` fixes the number of sweeps for the present velocity, by the error
+of a random field, so that the approximate inverse is a linear map. T is factorised for components that
+diffuse, which sweeps do not resolve, and for components that cells exchange across facets (``Exchanged``). A
+nonlinear density equation has its own Jacobian.
 
 The blocks are written by hand since ``FacetTangent`` of the same terms takes 30 to 170 times as long
-(``tests/benchmarks/kernels.py``); ``tests/solver/test_flow_operator.py`` compares them with the rows.
+(``tests/benchmarks/kernels.py``); ``tests/solver/test_flow_operator.py`` compares the blocks with the rows.
 """
 
 from __future__ import annotations
