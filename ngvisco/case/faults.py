@@ -330,7 +330,7 @@ _ALIASES = {
 
 
 def _reached(node: Any, path: tuple[str, ...], names: Sequence[str]) -> list[tuple[str, ...]]:
-    """The keys reached from a part of a case by names of keys, of members, and of tables' classes.
+    """The keys to which names lead from ``node``; a name is a key, a member or the class of a table.
 
     The search ends at the first name that is not found; if this is the first of ``names``, there is no key.
     """

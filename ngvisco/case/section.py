@@ -58,7 +58,7 @@ class Section(BaseModel):
     target: ClassVar[Any] = None
     """The class or function whose parameters the section holds."""
     is_checked: ClassVar[bool] = False
-    """Whether validation makes the section's object as a check; the section alone must suffice for it."""
+    """Whether validation checks the section by making its object; the section alone must suffice for this."""
 
     @model_validator(mode="before")
     @classmethod
