@@ -179,7 +179,7 @@ class CellPart:
 def parts_of(cells: int, points: int) -> list[slice]:
     """Divide the cells into ranges of nearly equal size: one range, or an even number of ranges.
 
-    Each cell has ``points`` points.  The ranges do not depend on the number of threads.
+    ``points`` is the number of points in a cell.  The ranges do not depend on the number of threads.
     """
     count = -(-cells * points // TOGETHER)
     count = max(count + count % 2, 1) if count > 1 else 1

@@ -89,7 +89,7 @@ class Unknowns:
         return result
 
     def scales(self, x: np.ndarray, exchange: Exchange) -> np.ndarray:
-        """Scales of the unknowns for lengths: the norm of the block, times 1000 if v determines the block.
+        """The unknowns' scales for lengths of vectors: a block's norm, times 1000 if v determines the block.
 
         ``exchange`` belongs to the packed unknowns.
         """
