@@ -290,8 +290,9 @@ class Newton:
         """The change of the present increment if every number of the state changes by one unit in the last
         place.
 
-        It includes the change of the state itself, which is by far smaller.  A wrong derivative, a fold or a
-        kink of the equations does not enlarge it: their increments do not change with the rounding.
+        The noise includes the change of the state itself, which is by far smaller.  A wrong derivative, a
+        fold or a kink of the equations does not enlarge the noise: their increments do not change with the
+        rounding.
         """
         u = self.state
         kept, rows, change = (u.CreateVector() for _ in range(3))

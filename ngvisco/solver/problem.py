@@ -1,7 +1,7 @@
 """The problem that a nonlinear solver is given, the norm of its increments, and the solution it returns.
 
-A solver is made for equations R(u) = 0 whose parameters a ``Problem`` sets. It returns a ``Solution`` also if
-it finds none, with the reason, and raises only for a fault of the program.
+A solver is made for equations R(u) = 0 whose parameters a ``Problem`` sets. A failed attempt also returns a
+``Solution``, with the reason; only a fault of the program raises an exception.
 
 The norm of an increment is
 

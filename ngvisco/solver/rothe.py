@@ -207,7 +207,7 @@ class RotheSolver:
     def _grows(self, interval: Interval, attempts: list[Attempt]) -> bool:
         """Whether steps of growing length lead to the whole step, each solution being the next start value.
 
-        Steep flow rules, and heat that leaves in long steps, need them.
+        Steep flow rules, and heat that leaves in long steps, need such start values.
         """
         guess, solved, factor = self.start.Copy(), 0.0, _FACTOR
         length = _SHORTEST

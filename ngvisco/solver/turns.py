@@ -44,7 +44,7 @@ class Turns:
 
     @cached_property
     def obstacle(self) -> str | None:
-        """The reason why only the first solver is tried; None if the other one may be tried."""
+        """The reason why only the first solver is tried; None if both solvers may be tried."""
         if self.options.method != "auto":
             return f"solver.method is {self.options.method!r}"
         if self.first == "coupled":
@@ -87,7 +87,7 @@ class Turns:
 
 
 def split_obstacle(step: Step, ranks: Communicator) -> str | None:
-    """The reason why the split solver cannot take a step; None if it can."""
+    """The reason why the split solver cannot take a step; None without such a reason."""
     if not ranks.all(is_simplicial(step.mesh)):
         return "the split solver needs a mesh of triangles or tetrahedra only"
     return source_obstacle(step) or term_obstacle(step)

@@ -12,7 +12,8 @@ operator follows hyperviscosity only, which changes suddenly.
 the smallest increment so far, the iterate is given up for one nearer to the best iterate. ``damped`` makes a
 tangent for each increment, and shortens the increment until the next one is shorter. ``newton_krylov`` solves
 P^{-1} dR d = f by GMRES with complex increments of R (``ReducedResidual.derivative``). Creep rate fields (nu
-> 0) need it: P leaves their coupling to v out. Measurements are in ``ngvisco/solver/NOTES.md``.
+> 0) need ``newton_krylov``: P leaves their coupling to v out. Measurements are in
+``ngvisco/solver/NOTES.md``.
 """
 
 from __future__ import annotations
