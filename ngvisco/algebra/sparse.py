@@ -146,7 +146,7 @@ class ElementAssembly:
         """Assemble element matrices (cells, local, local)."""
         values, flat = np.zeros(len(self._columns)), elements.reshape(-1)
         for first in range(0, len(flat), _AT_ONCE):  # NumPy copies the positions that it is given
-            some = slice(first, first + _AT_ONCE)
-            np.add.at(values, self._position[some], flat[some])
+            chunk = slice(first, first + _AT_ONCE)
+            np.add.at(values, self._position[chunk], flat[chunk])
         pattern = self._columns.copy(), self._ends.copy()
         return sp.csr_matrix((values, *pattern), shape=(self.width, self.width))

@@ -332,10 +332,10 @@ def full_tensor(mandel: np.ndarray) -> np.ndarray:
 
 def _require_equal(first: np.ndarray, second: np.ndarray, expected: str) -> None:
     difference = np.abs(first - second)
-    at = np.unravel_index(int(np.argmax(difference)), first.shape)
-    if difference[at] > _TOLERANCE * np.abs(first).max():
-        value = f"{float(first[at])!r} at {''.join(str(int(i) + 1) for i in at)}"
-        opposite = f"{expected}: there is {float(second[at])!r} opposite to it"
+    worst = np.unravel_index(int(np.argmax(difference)), first.shape)
+    if difference[worst] > _TOLERANCE * np.abs(first).max():
+        value = f"{float(first[worst])!r} at {''.join(str(int(i) + 1) for i in worst)}"
+        opposite = f"{expected}: there is {float(second[worst])!r} opposite to it"
         raise ParameterError("LinearViscosity.D", value, opposite)
 
 

@@ -188,21 +188,21 @@ class SideContext(_PointContext):
     def __init__(self, step: Step, operators: SideOperators, samples: Samples) -> None:
         """``samples`` holds values of functions at the points of all sides, taken once a step."""
         super().__init__(step, operators, step.tabulated_rates)
-        self.known, self.reach = samples, step.context.reach
+        self.samples, self.reach = samples, step.context.reach
         self.normal, self.inner = Array(operators.normals, None), Array(operators.inner, None)
         self.crossed = Array(operators.crossed, None)
 
     def start(self) -> None:
         """Forget the sampled functions of the last step."""
-        self.known.clear()
+        self.samples.clear()
 
     def given(self, value: CoefficientFunction) -> Array:
         """The value of a scalar, a vector or a matrix at the end of the step, see ``Context.given``."""
         with ALONE:
-            if value not in self.known:
+            if value not in self.samples:
                 entries = [value[index] for index in np.ndindex(*value.dims)] if value.dims else [value]
-                self.known[value] = np.stack([self._op.points.sample(entry) for entry in entries])
-        return self._here(self.known[value], value.dims)
+                self.samples[value] = np.stack([self._op.points.sample(entry) for entry in entries])
+        return self._here(self.samples[value], value.dims)
 
     @property
     def curvature(self) -> float:
@@ -312,7 +312,7 @@ class FacetTerms(_Terms):
 
     def part(self, cells: slice) -> FacetTerms:
         """The integrals over the sides of the range ``cells`` only: ``loads`` may be called, ``rows`` not."""
-        return FacetTerms(self._step, self.op.part(cells), self.context.known)
+        return FacetTerms(self._step, self.op.part(cells), self.context.samples)
 
     def loads_of(self, term: PointTerm, name: str, u: Fields) -> np.ndarray:
         """Loads of the equation of the facet unknown ``name``, evaluated where this unknown is zero.

@@ -85,7 +85,7 @@ class OnePoint:
         def ones(*shape: int) -> np.ndarray:
             return 1.0 + 0.1 * random.random((*shape, 1))
 
-        def known(*shape: int) -> Array:
+        def datum(*shape: int) -> Array:
             return Array(ones(*shape), None)
 
         def fields(
@@ -101,28 +101,28 @@ class OnePoint:
 
             return lazy_fields(Fields, layout, (value, names[0]), (gradient, names[1]), place, context)
 
-        told = {
+        data = {
             "rate": lambda difference: difference,
-            "given": lambda value: known(*value.dims),
-            "h": known(),
+            "given": lambda value: datum(*value.dims),
+            "h": datum(),
             "rates": step.tabulated_rates,
             "terms": step.terms,
         }
         slopes = step.context.recovered_slopes
         inside = SimpleNamespace(
-            momentum_old=known(d), average=told["given"], recovered_slopes=slopes, **told
+            momentum_old=datum(d), average=data["given"], recovered_slopes=slopes, **data
         )
         evolving = set(layout.evolving).intersection(self._shapes)
         inside.old = fields(inside, (evolving, evolving), CELLS, old=True)
         one = Array(np.ones(1), None)
         reach = step.context.reach
-        side = SimpleNamespace(normal=known(d), inner=one, crossed=one, curvature=1.0, reach=reach, **told)
+        side = SimpleNamespace(normal=datum(d), inner=one, crossed=one, curvature=1.0, reach=reach, **data)
         try:
             with np.errstate(all="ignore"):  # a law may not be defined at these values
                 u, w = fields(inside, names_of(step, True), CELLS), tests_of(step, True, inside)
                 in_all, collocated = list(term.cells(u, w)), list(term.collocated(u, w))
                 u, w = fields(side, names_of(step, False), FACETS), tests_of(step, False, side)
-                u.__dict__["jump"] = known(d)
+                u.__dict__["jump"] = datum(d)
                 factors = factors_of(in_all + collocated), factors_of(list(term.facets(u, w)))
                 return [factor for part in factors for factor in part.items()], bool(factors_of(collocated))
         except NotAtPointsError:

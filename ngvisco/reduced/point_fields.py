@@ -102,10 +102,10 @@ def incremented(u: Fields, **along: np.ndarray) -> Iterator[tuple[int, Fields]]:
     for start in range(0, len(along[first]), size):
         changed = {}
         for name, directions in along.items():
-            value, some = values[name], directions[start : start + size]
-            moved = value[..., None, :] + (TINY * 1j) * np.moveaxis(some, 0, -2)
+            value, group = values[name], directions[start : start + size]
+            moved = value[..., None, :] + (TINY * 1j) * np.moveaxis(group, 0, -2)
             changed[name] = moved.reshape(*value.shape[:-1], -1)
-        yield len(some), with_values(u if len(some) == 1 else _repeated(u, len(some)), **changed)
+        yield len(group), with_values(u if len(group) == 1 else _repeated(u, len(group)), **changed)
 
 
 def derivative_of(values: np.ndarray, directions: int) -> np.ndarray:

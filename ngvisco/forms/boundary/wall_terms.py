@@ -233,12 +233,12 @@ class Carried(OnWall):
 
         Bodies whose energy has no expression come in without a deviator, unstrained.
         """
-        material, here, zero = self.material, u.context.given(self.indicator), CF((0.0,) * 9, dims=(3, 3))
+        material, on_wall, zero = self.material, u.context.given(self.indicator), CF((0.0,) * 9, dims=(3, 3))
         inside, outside = cauchy_stress(material, u.z_tensors, u.zeta_tensors, CF(0.0)), zero
         if StoredMean.name not in u.layout.unknowns:
             z = u.layout.states.tensors(lambda: self.entering(u, "z"))
             outside = cauchy_stress(material, z, conjugates(material, z), CF(0.0))
-        return self._inward(u), *(if_positive(here, dev(T), zero) for T in (inside, outside))
+        return self._inward(u), *(if_positive(on_wall, dev(T), zero) for T in (inside, outside))
 
     def _added(self, u: Fields, name: str) -> CoefficientFunction:
         """Inflow speed times the difference of inflowing and inner value, of ``"rho"`` or ``"z"``."""

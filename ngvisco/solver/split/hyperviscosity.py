@@ -194,11 +194,11 @@ class HyperTangent:
         """Add the element matrices of the quadratic form |Hs|^2 with coefficients (cells,)."""
         derivative, values = self.derivative, self.derivative.hyper.h_values
         size, width = derivative.hyper.size, self._lifted.shape[2]
-        for some in parts_of(len(cell), size * values.per_cell):
-            lifted = self._lifted[some].reshape(-1, size, values.local, width)
-            of_each = values.part(some).blocks[:, None] @ lifted
-            weights = np.tile(cell[some, None] * derivative.weights[some], (1, size))
-            elements[some] += squared(of_each.reshape(*weights.shape, width), None, weights)
+        for cells in parts_of(len(cell), size * values.per_cell):
+            lifted = self._lifted[cells].reshape(-1, size, values.local, width)
+            in_cells = values.part(cells).blocks[:, None] @ lifted
+            weights = np.tile(cell[cells, None] * derivative.weights[cells], (1, size))
+            elements[cells] += squared(in_cells.reshape(*weights.shape, width), None, weights)
 
     def update(self, at: HyperValues) -> sp.csr_matrix:
         """Form E and the facets' blocks at some values; return the matrix of v and the kept a."""

@@ -266,8 +266,8 @@ class PointTangent(_AtPoints):
             start = dz[rows].reshape(len(blocks), op.local, n).astype(result.dtype)
             x = start
             for _ in range(terms - 1):
-                at = np.matmul(tau_K, np.matmul(blocks, x).reshape(-1, n, 1))
-                x = start + np.matmul(projection, at.reshape(len(blocks), op.per_cell, n))
+                increment = np.matmul(tau_K, np.matmul(blocks, x).reshape(-1, n, 1))
+                x = start + np.matmul(projection, increment.reshape(len(blocks), op.per_cell, n))
             result[rows] = x.reshape(-1, n)
         return result
 
