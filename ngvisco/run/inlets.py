@@ -110,17 +110,17 @@ class Inlets:
         for name, given in self._given.items():
             loss, meeting = row[f"dissipation_inflow_{name}"], ""
             if loss > _MATTERS * worked:
-                meeting = f"where both meet {loss:.3g} W are lost, {loss / worked:.0%} of all powers"
+                meeting = f"where they meet, {loss:.3g} W are lost, {loss / worked:.0%} of all powers"
             elif name in self._compared and self._entered[name] > _FILLED * row["mass"]:
                 difference, size = self._difference(name)
                 if difference > max(_DIFFERS * size, self._rounding):
                     meeting = f"their deviators differ by {difference:.3g} Pa, with {size:.3g} Pa at the wall"
             if meeting:
                 return (
-                    f"at t = {row['time']:.4g} s what flows in through {name!r} by the {given} that are "
-                    f"given has another stress than the body inside: {meeting}, and a jump stays there; "
-                    "give values (and a density) that belong to the stress at the wall, or none: then matter "
-                    "comes in as it is inside"
+                    f"at t = {row['time']:.4g} s the inflow through {name!r} by the {given} that are "
+                    f"given has another stress than the body inside: {meeting}, and a jump stays at "
+                    "the wall; give values (and a density) that belong to the stress at the wall, or no "
+                    "values: matter then comes in with the values inside"
                 )
         for name in self._unknown:
             if self._entered[name] > _MATTERS * row["mass"]:
