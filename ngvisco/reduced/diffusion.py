@@ -1,7 +1,7 @@
 """delta Laplace z with the slope of z and its traces eliminated, cell by cell and facet by facet.
 
 The constant matrices of ``FieldDiffusion`` are the same for every component, and are assembled once.  Only
-phi''(z) depends on the state.  It enters the cells' equations of the slope q,
+phi''(z) depends on the state.  phi''(z) enters the cells' equations of the slope q,
 
     (phi''(z) + P) q_j = L_j (zeta + P z),        rows of z:  delta (sum_j L_j^T q_j + C S (zeta + P z)),
 

@@ -304,7 +304,7 @@ class ReducedResidual:
             self._at_collocation_points(self.collocated_terms, c, True)
 
     def _at_collocation_points(self, terms: CellTerms, c: dict[str, np.ndarray], is_real: bool) -> Fields:
-        """Fields at the collocation points; the state of the linearisation stresses if ``is_real``."""
+        """Fields at the collocation points; if ``is_real``, the linearisation stresses take their values."""
         n = terms.fields(c)
         if is_real:
             self.step.stresses.refresh(lambda: (n.z.value, n.zeta.value))
