@@ -35,8 +35,8 @@ from ngvisco.solver.split.transport import TransportSweeps
 TOLERANCE, ITERATIONS = 0.05, 20
 """Tolerance of the increments of z and rho, and the largest number of GMRES iterations for them."""
 ENOUGH, ENOUGH_WHERE_STEEP = 0.15, 0.05
-"""Relative residual up to which sweeps alone suffice, without GMRES; Newton's iteration then contracts by
-about this factor.  The second value is for steep rules: local creep rules that are not linear."""
+"""Relative residual up to which sweeps alone suffice, without GMRES; Newton's iteration contracts by
+about the same factor.  The second value is for steep rules: local creep rules that are not linear."""
 _LINEAR = 1e-3
 """GMRES directions of the flow's linear systems are in single precision if the tolerance is above this
 value."""
