@@ -332,7 +332,7 @@ _ALIASES = {
 def _reached(node: Any, path: tuple[str, ...], names: Sequence[str]) -> list[tuple[str, ...]]:
     """The keys to which names lead from ``node``; a name is a key, a member or the class of a table.
 
-    The search ends at the first name that is not found; there is no key if the first of ``names`` is not found.
+    The search ends at the first name that is not found; without the first of ``names`` there is no key.
     """
     if not names:
         return []
