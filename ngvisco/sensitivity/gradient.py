@@ -131,9 +131,9 @@ def gradient(
 
     The derivatives are exact for the numbers that this run computes with its mesh and its steps; they are not
     discretised derivatives of the continuous equations.  The lengths of adaptive steps, the limiter's change
-    of a state and the sides of upwinding are constants in the derivatives.  The limiter makes errors of 0.1 %
-    where it acts in a few cells; sides make none, except where matter rests at a facet with a jump: there the
-    derivative is between the derivatives to both sides.
+    of a state and the sides of upwinding are constants in the derivatives.  The limiter made errors of 0.1 %
+    in runs with three limited cells; sides make none, except where matter rests at a facet with a jump: there
+    the derivative is between the derivatives to both sides.
 
     Raises ParameterError or UnknownNameError for an unknown number or parameter, and for damage, relaxed
     steps and several ranks, which have no derivatives here; StepError as ``Simulation.run``.

@@ -59,7 +59,7 @@ def shear_wave(cells: int, **options: object) -> nv.Simulation:
 
 def soft_disc(cells: int, **options: object) -> nv.Simulation:
     """The disc of Zhao, Freund and Moser in a lid-driven cavity; cells of 1 m/cells, halved at the lid."""
-    fluid = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: 25 * (J + 1 / J - 2))
+    fluid = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: 25 * (J - 1) * (J - 1) / J)
     solid = nv.IsochoricNeoHookean(K_e=50.0, G_e=0.05, elastic_state="B")
     both = {"viscosity": VISCOSITY, "density": 1.0}
     disc = nv.Body(name="disc", where=nv.Ball(tuple(CENTRE), 0.2), material=solid, **both)  # type: ignore[arg-type]

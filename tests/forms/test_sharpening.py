@@ -16,7 +16,7 @@ from ngvisco.physics.tensors import tr
 from ngvisco.physics.variables import INTERFACE, Jacobian
 
 K = 10.0
-FLUID = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: K / 2 * (J + 1 / J - 2))
+FLUID = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: K / 2 * (J - 1) * (J - 1) / J)
 LINEAR = nv.ReferentialNeoHookean(K_e=K, G_e=1.0)
 TWO_TENSORS = nv.ReferentialMooneyRivlin(K_e=K, G_e=0.6, G_mr=0.4)
 SHARP = nv.Discretisation(m=1, sharp=True)

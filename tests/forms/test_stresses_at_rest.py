@@ -21,7 +21,7 @@ GAS = nv.BarotropicFluid(B=1.0, gamma=2.0, rho_R=1.0)  # of 1 Pa at rest
 
 def fluid(at_rest):
     """A fluid with this stress at rest, Pa."""
-    energy = lambda J: 5 * (J + 1 / J - 2) + at_rest  # noqa: E731
+    energy = lambda J: 5 * (J - 1) * (J - 1) / J + at_rest  # noqa: E731
     return nv.CustomMaterial(transported=(Jacobian(),), stored_energy=energy)
 
 

@@ -16,7 +16,7 @@ from ngvisco.geometries import box, disc, sphere, structured_box
 from ngvisco.physics.variables import Jacobian
 from ngvisco.run.inlets import Inlets
 
-FLUID = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: 5 * (J + 1 / J - 2))
+FLUID = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: 5 * (J - 1) * (J - 1) / J)
 ELASTIC = nv.ReferentialNeoHookean(K_e=10.0, G_e=1.0)
 VISCOUS = nv.StokesViscosity(K_v=0.1, G_v=0.1)
 WARM = nv.Thermal(material=ELASTIC, c=2.0, expansion=1e-3, theta_R=300.0)
@@ -260,7 +260,9 @@ def light_and_stiff(walls, viscosity, dim=2, maxh=0.4, densities=(2.0, 0.5), loa
     """A disc or ball in a medium of a twentieth of its bulk modulus, 0.5 Pa, that has no expression for
     both."""
     what = {"viscosity": nv.StokesViscosity(K_v=viscosity, G_v=viscosity)}
-    medium = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: 0.25 * (J + 1 / J - 2))
+    medium = nv.CustomMaterial(
+        transported=(Jacobian(),), stored_energy=lambda J: 0.25 * (J - 1) * (J - 1) / J
+    )
     place = nv.Ball((0.7, 0.5, 0.5)[:dim], 0.25)
     disc = nv.Body(name="disc", where=place, material=ELASTIC, density=densities[0], **what)
     medium = nv.Body(name="medium", material=medium, density=densities[1], **what)

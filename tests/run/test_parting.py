@@ -18,7 +18,9 @@ THIN = nv.StokesViscosity(K_v=1e-4, G_v=1e-4)
 
 
 def gas(bulk):
-    return nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: bulk / 2 * (J + 1 / J - 2))
+    return nv.CustomMaterial(
+        transported=(Jacobian(),), stored_energy=lambda J: bulk / 2 * (J - 1) * (J - 1) / J
+    )
 
 
 def pulled(parts=True, solver="split", m=0, dim=2, creep=None, **options):

@@ -10,7 +10,7 @@ from ngvisco.forms.mesh.mesh_arrays import coordinates, vertices
 from ngvisco.geometries import box, disc
 from ngvisco.physics.variables import Jacobian
 
-FLUID = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: 10 * (J + 1 / J - 2))
+FLUID = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: 10 * (J - 1) * (J - 1) / J)
 
 
 class Cells(nv.Observer):

@@ -224,12 +224,14 @@ def test_at_rest_rounding_of_the_energy_is_no_elastic_release():
 
 
 MESH = box((1, 1), 0.5)
-FLUID = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: 5 * (J + 1 / J - 2))
+FLUID = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: 5 * (J - 1) * (J - 1) / J)
 
 
 def tense(stress):
     """A fluid with this stress at rest, Pa, and no other energy then."""
-    return nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: 5 * (J + 1 / J - 2) + stress)
+    return nv.CustomMaterial(
+        transported=(Jacobian(),), stored_energy=lambda J: 5 * (J - 1) * (J - 1) / J + stress
+    )
 
 
 TENSE = tense(15.0005)

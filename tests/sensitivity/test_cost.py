@@ -1,4 +1,6 @@
-"""Costs of derivatives in numbers of runs, matrices, solves and residuals, which no other process changes."""
+"""Work of derivatives, counted in matrices, solves and residuals: no other process changes these numbers.
+
+They are not times: a matrix takes much longer than a solve (``ngvisco/sensitivity/NOTES.md``)."""
 
 from collections import Counter
 
@@ -39,7 +41,7 @@ def counts(monkeypatch):
     return calls
 
 
-def test_an_adjoint_costs_less_than_two_runs_for_any_number_of_parameters(counts):
+def test_the_work_of_an_adjoint_does_not_grow_with_the_number_of_parameters(counts):
     """A stage of the adjoint takes two matrices and one solve; the run takes more iterations."""
     demo = load("soft_spot")
 
@@ -62,7 +64,7 @@ def test_an_adjoint_costs_less_than_two_runs_for_any_number_of_parameters(counts
 
 @pytest.mark.long
 @pytest.mark.ci
-def test_a_fit_costs_less_than_ten_runs(counts):
+def test_a_fit_takes_fewer_solves_than_ten_runs(counts):
     """Each of its runs has two solves and four residuals a stage for its two derivatives."""
     demo = load("creep_test")
     data = demo.record(2.0, maxh=1.2)

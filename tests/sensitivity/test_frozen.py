@@ -85,4 +85,4 @@ def test_the_limiter_is_frozen():
     up, down = (measure(limited(5.0 + s * h), 0.06, numbers) for s in (1, -1))
     error = abs((up - down) / (2 * h) / gradient.jacobian[:, 0] - 1).max()
     assert gradient.limited > 0
-    assert 1e-6 < error < 0.1
+    assert 3e-4 < error < 3e-3  # a thousandth

@@ -114,7 +114,7 @@ def _block(parts: bool) -> tuple[float, float, float]:
     """Forces of the wall over the weight, pressed and at the end, and the block's rise, m."""
     pulled = PULL * IfPos(nv.time - PRESSED - 0.5, 1.0, 2 * (nv.time - PRESSED))
     load = IfPos(nv.time - PRESSED, pulled, -IfPos(nv.time - 1, 1.0, nv.time))
-    gas = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: LIGHT * (J + 1 / J - 2))
+    gas = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: LIGHT * (J - 1) * (J - 1) / J)
     block = nv.Body(
         name="block",
         where=(y - GAP) * (GAP + BLOCK - y),
