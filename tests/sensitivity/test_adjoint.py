@@ -9,7 +9,7 @@ from ngsolve import Integrate, x, y
 from support import by_ci
 
 import ngvisco as nv
-from ngvisco.geometries import disc
+from ngvisco.geometries import disc, structured_box
 from ngvisco.sensitivity.adjoint import Adjoint
 from ngvisco.sensitivity.gradient import _base, measure
 from ngvisco.sensitivity.numbers import Numbers
@@ -130,6 +130,29 @@ def test_forces_and_powers_of_walls_have_adjoints(make, options, columns):
     assert np.allclose(adjoint, tangent, rtol=1e-8, atol=1e-9 * abs(tangent).max())
     up, down = (measure(make(value + s * h, **given), UNTIL, numbers) for s in (1, -1))
     assert np.allclose(adjoint, (up - down) / (2 * h), rtol=1e-5, atol=1e-6 * abs(tangent).max())
+
+
+def lid(velocity, **options):
+    """A body under a wall that moves with a constant velocity between its corners."""
+    mesh = structured_box((1, 1), (3, 1))
+    return run(mesh=mesh, walls={"top": nv.PrescribedTangential((velocity, 0.0))}, **options)
+
+
+@pytest.mark.parametrize("scheme", ["midpoint", by_ci("backward-euler"), by_ci("sdirk2")])
+def test_the_power_of_a_moving_wall_has_a_derivative_by_its_velocity(scheme):
+    """The power is v . R: the velocity counts itself, besides the force that it causes."""
+    of = [
+        f"{name} {when}" for name in ("power_wall_top", "top.force_1") for when in ("at 0.06", "until 0.05")
+    ]
+    name, value, h = "walls.top.velocity.0", 0.3, 1e-4
+    given = {"observers": [nv.WallForces()], "scheme": scheme}
+    tangent, adjoint = (
+        nv.gradient(lid(value, **given), UNTIL, of=of, by=[name], method=method).jacobian[:, 0]
+        for method in ("tangent", "adjoint")
+    )
+    assert np.allclose(adjoint, tangent, rtol=1e-8, atol=0)
+    up, down = (measure(lid(value + s * h, **given), UNTIL, of) for s in (1, -1))
+    assert np.allclose(adjoint, (up - down) / (2 * h), rtol=1e-6, atol=0)
 
 
 def soft(change=0.0, scheme="midpoint", **options):
