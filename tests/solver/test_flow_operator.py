@@ -7,6 +7,7 @@ from ngsolve import CF
 import ngvisco as nv
 from ngvisco.forms.terms.momentum import MomentumBalance, UnbalancedMomentum
 from ngvisco.geometries import box
+from ngvisco.reduced.residual import CellPart
 from ngvisco.solver.split import point_tangent
 
 STEP = 1e-5
@@ -15,9 +16,9 @@ STEP = 1e-5
 pytestmark = pytest.mark.usefixtures("double_precision")
 
 
-def bodies(viscosity):
+def bodies(viscosity, bulk=10.0):
     """Two, whose densities go by their flux."""
-    inner, outer = (nv.ReferentialNeoHookean(K_e=10.0, G_e=G) for G in (5.0, 2.0))
+    inner, outer = (nv.ReferentialNeoHookean(K_e=K, G_e=G) for K, G in ((10.0, 5.0), (bulk, 2.0)))
     return [
         nv.Body(
             name="ball", material=inner, viscosity=viscosity, density=1.0, where=nv.Ball((0.5, 0.5), 0.3)
@@ -35,8 +36,12 @@ def run(request):
         "viscosity": viscosity,
         "creep": asked,
     }
+    options = {}
     if asked == "bodies":
         matter = {"bodies": bodies(viscosity)}
+    if asked == "window":  # bodies without an expression for their energy, and a mean of it in each cell
+        matter = {"bodies": bodies(viscosity, bulk=5.0)}
+        options = {"walls": {"right": nv.Open()}, "discretisation": nv.Discretisation(m=0)}
     if asked == "heat":
         solid = nv.Thermal(material=nv.LinearElastic(K_e=10.0, G_e=5.0), c=2.0, theta_R=100.0)
         matter = {"material": solid, "viscosity": viscosity, "heat": nv.Heat(conductivity=5.0)}
@@ -44,7 +49,12 @@ def run(request):
         **matter, hyperviscosity=nv.HyperViscosity(mu=1e-4, p=4), loads=[nv.Gravity((0.0, -1.0))]
     )
     run = nv.Simulation(
-        box((1, 1), maxh=0.4), model, dt=0.5, initial=nv.Initial(velocity=CF((0.0, 0.0))), solver="split"
+        box((1, 1), maxh=0.4),
+        model,
+        dt=0.5,
+        initial=nv.Initial(velocity=CF((0.0, 0.0))),
+        solver="split",
+        **options,
     )
     return run
 
@@ -94,6 +104,16 @@ def test_inertia_convection_and_viscosity(run):
     tests[:, : run.mesh.nv] = True  # linear ones
     difference = (found[: operator.nv] - expected)[tests.ravel()]
     assert np.abs(difference).max() <= 1e-8 * np.abs(expected).max()
+
+
+@pytest.mark.parametrize("run", [None, "bodies", "window", nv.Creep(G_m=1.0)], indirect=True)
+def test_a_part_without_cells_is_linearised(run):
+    """A rank may have no cells."""
+    split, at, operator = prepared(run, linear(run, lambda x, y: (x + 2 * y, -y)), 0.01)
+    before = operator.from_fields.copy()
+    points, empty = operator.points, slice(0, 0)
+    operator._form((empty, points.terms.part(empty)), CellPart(split.residual, empty), at)
+    assert (operator.from_fields == before).all()
 
 
 @pytest.mark.parametrize("strain", [0.02, 0.2])

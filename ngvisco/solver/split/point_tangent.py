@@ -218,9 +218,10 @@ class PointTangent(_AtPoints):
                 force[:, plane, some] += (radius * slopes["v"][0]).T
                 slopes["v"][0] = 0.0
             for name in slopes.keys() - {"z", "grad z", "creep", "grad v"}:
-                slope = slopes[name].reshape(-1, *slopes[name].shape[-2:])  # of a number or a vector
-                of_name = beside.setdefault(name, np.zeros((len(K), len(slope), len(z))))
-                of_name[:, :, some] = slope.transpose(2, 0, 1)
+                *kind, components, points = slopes[name].shape  # kind is empty for a number
+                size = math.prod(kind)  # a length -1 would fail on a rank without cells
+                of_name = beside.setdefault(name, np.zeros((len(K), size, len(z))))
+                of_name[:, :, some] = slopes[name].reshape(size, components, points).transpose(2, 0, 1)
         return K, force, beside
 
     def fields_rows(self, dz: np.ndarray) -> np.ndarray:
