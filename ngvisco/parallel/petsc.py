@@ -32,7 +32,7 @@ ON_ONE_RANK_UP_TO = 5_000
 """Largest number of unknowns that one rank factorises alone; PETSc's option
 ``-ngvisco_on_one_rank_up_to`` overrides it."""
 
-MISSING = "petsc4py is missing or does not load: see 'Several processes' in the README for what to install"
+MISSING = "petsc4py is missing or does not load: ngvisco/parallel/RANKS.md says what to install"
 
 _loaded: list[Any] = []
 """The loaded module ``petsc4py.PETSc``; empty before the first use."""

@@ -1,4 +1,4 @@
-"""A new user's session, word for word as the README has it; ``test_package`` installs."""
+"""A new user's session, word for word as its page has it; ``test_package`` installs."""
 
 import re
 import shlex
@@ -7,19 +7,19 @@ import pytest
 from command import ROOT, command
 
 MARKED = re.compile(r"<!-- session begins -->(.*?)<!-- session ends -->", re.S)
-README = (ROOT / "README.md").read_text(encoding="utf-8")
+README, PAGE = ((ROOT / name).read_text(encoding="utf-8") for name in ("README.md", "ngvisco/cli/SESSION.md"))
 
 
 def session():
-    """The blocks of code, (language, text), between the README's markers."""
-    (marked,) = MARKED.findall(README)
+    """The blocks of code, (language, text), between the page's markers."""
+    (marked,) = MARKED.findall(PAGE)
     return re.findall(r"```(sh|python)\n(.*?)```", marked, re.S)
 
 
 @pytest.fixture
 def clone(tmp_path, monkeypatch):
     """The demos, and what the README's earlier command leaves behind: the results of swirl."""
-    assert "demos/swirl/swirl.py" in README.split("<!-- session begins -->")[0]
+    assert "demos/swirl/swirl.py" in README
     (tmp_path / "results/swirl").mkdir(parents=True)
     for name in ("ledger.csv", "run.h5"):
         (tmp_path / "results/swirl" / name).write_text("of demos/swirl/swirl.py")
@@ -47,7 +47,7 @@ def test_new_users_session(clone, capsys):
         if language == "sh":
             printed += "".join(shell(text))
         else:
-            exec(compile(text, "README.md", "exec"), {})
+            exec(compile(text, "SESSION.md", "exec"), {})
     printed += capsys.readouterr().out
     assert "valid" in printed and "t = 0.2 s after 10 steps" in printed and "finished" in printed
     assert re.search(r"kinetic energy 0\.2\d\d J at first, \d\.\d+ J at t = 0\.20 s", printed)

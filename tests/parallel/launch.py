@@ -47,6 +47,4 @@ def printed(*words: str | Path, ranks: int = 1, timeout: float = 900) -> Any:
     return json.loads(result.stdout.splitlines()[-1])
 
 
-needs_petsc = pytest.mark.skipif(
-    not has_petsc(), reason="no MPI or PETSc: see the README's 'Several processes'"
-)
+needs_petsc = pytest.mark.skipif(not has_petsc(), reason="no MPI or PETSc: see ngvisco/parallel/RANKS.md")

@@ -27,9 +27,9 @@ def test_a_step_is_taken_where_all_is_there(ranks):
 @needs_petsc
 @pytest.mark.long
 @pytest.mark.ci
-def test_the_readme_s_command_divides_a_run(tmp_path):
+def test_the_page_s_command_divides_a_run(tmp_path):
     """The command runs as it is printed, on a machine with fewer slots than ranks too."""
-    (printed,) = re.findall(r"`mpirun ([^`]*)`", (ROOT / "README.md").read_text())
+    (printed,) = re.findall(r"`mpirun ([^`]*)`", (ROOT / "ngvisco/parallel/RANKS.md").read_text())
     (tmp_path / "case.toml").write_text(A_BODY + A_SWIRL + TWO_STEPS + NO_VTK)
     program, case = [PYTHON, "-m", "ngvisco"], [str(tmp_path / "case.toml")]
     instead = {".venv-mpi/bin/ngvisco": program, "case.toml": case}
