@@ -17,8 +17,8 @@ from ngvisco.case.faults import Blame, CaseError, Fault, Locator, refused, table
 from ngvisco.case.python import tables_of_python
 from ngvisco.case.reading import sections_of, text_of
 from ngvisco.case.schema import CaseSections
-from ngvisco.case.section import Section, field_names, made, parameters, values_of
-from ngvisco.case.values import LawValue, RegionText, as_function, is_table
+from ngvisco.case.section import parameters, values_of
+from ngvisco.case.values import LawValue, RegionText, VectorValue
 from ngvisco.errors import ParameterError, UnknownNameError, require_path
 from ngvisco.expressions import ExpressionError, parse, parse_region
 from ngvisco.forms.boundary.boundaries import check_boundary_names
@@ -85,7 +85,7 @@ class Case:
     def refinement(self) -> Refinement | None:
         """The refinement by which the mesh follows a field; None for a fixed mesh."""
         adapt = self.sections.domain.adapt  # type: ignore[attr-defined]
-        return None if adapt is None else made(adapt)
+        return None if adapt is None else adapt.built
 
     def output_times(self, until: float) -> tuple[float, ...]:
         """Multiples of ``output.vtk.interval`` up to ``until``; empty without an interval."""
@@ -142,7 +142,7 @@ class Case:
         files += [(table, Path(table["path"])) for table in tables_of_python(data)]
         if self.sections.material is None:
             return data, files
-        material = made(self.sections.material)
+        material = self.sections.material.built
         if data["initial"]["density"] is None and material.referential_density is None:
             data["initial"]["density"] = 1.0
         state, _ = self._open_state(material)
@@ -152,14 +152,14 @@ class Case:
     def _open_state(self, material: Material) -> tuple[ElasticState, str]:
         sections: Any = self.sections
         creep = sections.rheology.creep
-        return open_state(None if creep is None else made(creep), material, sections.discretisation.m)
+        return open_state(None if creep is None else creep.built, material, sections.discretisation.m)
 
     @property
     def carried(self) -> str:
         """The material's variables, and its elastic state if the case leaves it open; empty for bodies."""
         if self.sections.material is None:
             return ""
-        material = made(self.sections.material)
+        material = self.sections.material.built
         state, reason = self._open_state(material)
         by_F, by_B = material.with_elastic_state("F").variables, material.with_elastic_state("B").variables
         names = ", ".join(v.name for v in (by_B if state == "B" else by_F))
@@ -183,39 +183,37 @@ class Case:
         """Material, mechanisms and loads in ``dim`` dimensions; raises CaseError."""
         self._check_place(dim)
         sections: Any = self.sections
-        rheology = sections.rheology
-        parts = self._all_made(rheology, type(rheology).model_fields, ("rheology",), dim)
-        parts["loads"] = tuple(
-            self._made(load, ("loads", str(i)), dim) for i, load in enumerate(sections.loads)
-        )
+        parts = _built(sections.rheology, type(sections.rheology).model_fields)
+        parts["loads"] = tuple(load.built for load in sections.loads)
         if sections.bodies:
-            parts["bodies"] = tuple(self._body(i, dim) for i in range(len(sections.bodies)))
+            parts["bodies"] = tuple(self._body(i) for i in range(len(sections.bodies)))
         else:
             with self.blame.located("material"):
-                parts["material"] = made(sections.material)
+                parts["material"] = sections.material.built
         with self.blame.located("bodies" if sections.bodies else "loads"):
             return Model(**parts).at_order(sections.discretisation.m)
 
     def _check_place(self, dim: int) -> None:
-        """Raise CaseError for a function or a body's place that reads z in two dimensions."""
-        for path, part in tables_of(self.sections) if dim == 2 else ():
+        """Raise CaseError for a vector of another length, and in two dimensions for a text that reads z."""
+        for path, part in tables_of(self.sections):
             for name, kind in values_of(type(part)).items():
+                place, value = (*path, name), getattr(part, name)
+                if kind is VectorValue and isinstance(value, list) and len(value) != dim:
+                    message = f"{value!r:.60}: expected an array of {dim} components, not {len(value)}"
+                    raise self.blame.error(place, message)
                 parsed = parse_region if kind is RegionText else parse
-                texts = _texts_in(getattr(part, name), (*path, name)) if kind is not LawValue else ()
-                for key, text in texts:
+                for key, text in _texts_in(value, place) if dim == 2 and kind is not LawValue else ():
                     if "z" in parsed(text).names:
                         message = f"{text!r:.60}: there is no z in a mesh of two dimensions"
                         raise self.blame.error(key, message)
 
-    def _body(self, number: int, dim: int) -> Body:
+    def _body(self, number: int) -> Body:
         part, path = self.sections.bodies[number], ("bodies", str(number))
-        values = self._all_made(part, ("material", "viscosity", "creep", "heat"), path, dim)
         shapes = [shape for _, shape in self._shapes(number)]
         with self.blame.located(*path, "where"):
-            values["where"] = None if part.where is None else Union(shapes)
+            place = None if part.where is None else Union(shapes)
         with self.blame.located(*path):
-            plain = {name: getattr(part, name) for name in ("name", "density", "parts", "order")}
-            return Body(**plain, **values)
+            return Body(**parameters(part) | {"where": place})
 
     def _shapes(self, number: int) -> list[tuple[tuple[str, ...], Shape]]:
         """Key paths and shapes whose union is a body's place; none for a body without a place."""
@@ -242,21 +240,19 @@ class Case:
 
     def simulation(self, mesh: Mesh, observers: Sequence[Observer] = ()) -> Simulation:
         """The simulation at its initial state; raises CaseError for data that the model refuses."""
-        sections = self.sections
+        sections: Any = self.sections
         self._check_place(mesh.dim)
         with self.blame.located("walls"):
             check_boundary_names(mesh, sections.walls)
-        parts = self._all_made(sections, ("initial", "discretisation", "solver", "time"), (), mesh.dim)
-        walls: dict[str | tuple[str, ...], Wall] = {
-            name: self._made(wall, ("walls", name), mesh.dim) for name, wall in sections.walls.items()
-        }
+        parts = _built(sections, ("initial", "discretisation", "solver", "time"))
+        walls: dict[str | tuple[str, ...], Wall] = {name: wall.built for name, wall in sections.walls.items()}
         time.Set(0.0)
         model = self.model(mesh.dim)
         self._check_bodies(mesh)
         with self.blame.located("initial"):
             parts["newton"] = parts.pop("solver")
             passive = sections.output.passive
-            parts["symmetry"] = sections.domain.symmetry  # type: ignore[attr-defined]
+            parts["symmetry"] = sections.domain.symmetry
             run = Simulation(mesh, model, walls=walls, passive=passive, observers=observers, **parts)
             run.check_data(self.until)
         if self.refinement is not None:
@@ -309,40 +305,10 @@ class Case:
             except ExpressionError as error:
                 raise refuse((*path, "of"), str(error)) from error
 
-    def _all_made(
-        self, table: Section, names: Iterable[str], path: tuple[str, ...], dim: int
-    ) -> dict[str, Any]:
-        """Make the objects of a table's sections ``names``, without missing ones."""
-        parts = {name: getattr(table, name) for name in names}
-        return {n: self._made(part, (*path, n), dim) for n, part in parts.items() if part is not None}
 
-    def _made(self, part: Section, path: tuple[str, ...], dim: int) -> Any:
-        """Make the object of a section, with coefficient functions for its expressions."""
-        with self.blame.located(*path):
-            values, fields = parameters(part), field_names(type(part))
-            for name, value in values.items():
-                if isinstance(value, Section):
-                    values[name] = self._made(value, (*path, name), dim)
-                elif isinstance(value, dict) and any(
-                    isinstance(member, Section) for member in value.values()
-                ):
-                    values[name] = {
-                        key: self._made(member, (*path, name, key), dim) for key, member in value.items()
-                    }
-                elif name in fields:
-                    values[name] = self._function(value, (*path, name), dim)
-            return part.completed(type(part).target(**values))
-
-    def _function(self, value: Any, path: tuple[str, ...], dim: int) -> Any:
-        """The number or the coefficient functions of a key's value."""
-        is_vector = isinstance(value, list) and not any(isinstance(part, list) for part in value)
-        if is_vector and len(value) != dim:
-            message = f"{value!r:.60}: expected an array of {dim} components, not {len(value)}"
-            raise self.blame.error(path, message)
-        with self.blame.located(*path):
-            if isinstance(value, dict) and not is_table(value):
-                return {key: as_function(field) for key, field in value.items()}
-            return value if isinstance(value, (int, float)) else as_function(value)
+def _built(table: Any, names: Iterable[str]) -> dict[str, Any]:
+    """The objects that a table's sections ``names`` describe, without missing ones."""
+    return {name: part.built for name in names if (part := getattr(table, name)) is not None}
 
 
 def _texts_in(value: Any, path: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], str]]:

@@ -7,7 +7,7 @@ import difflib
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, is_dataclass
+from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
@@ -74,6 +74,14 @@ class Locator:
         self.converted: list[tuple[str, Any]] = []
         """Pairs of last key and written value, for values that were converted to SI units."""
 
+    def written(self, path: tuple[str, ...], value: object) -> object:
+        """The text, array or table of a key from which an object or a number ``value`` was made; else
+        ``value``."""
+        text = given(self.data, path)
+        is_plain = isinstance(value, (int, float, str, list))
+        is_its_text = isinstance(text, str) and (path[-1], text) not in self.converted
+        return text if text is not None and (is_its_text or not is_plain) else value
+
     def fault(self, path: tuple[str, ...], message: str) -> Fault:
         """The fault at a key path, with its line if the file contains the key."""
         key = ".".join(path)
@@ -99,8 +107,7 @@ def faults_of(error: ValidationError, model: type[Section], locator: Locator) ->
         if isinstance(raised, ParameterError):
             parts = names_in(raised.field)  # NeoHookean.G_e is the key G_e in [material]
             path = (*path, *parts[1:]) if path else tuple(parts)
-            written = given(locator.data, path) if is_dataclass(raised.value) else None
-            message = refused(raised.value if written is None else written, raised)
+            message = refused(locator.written(path, raised.value), raised)
         else:
             message = _message(entry, raised, path, here, keys)
         faults.append(locator.fault(path, message))

@@ -27,7 +27,6 @@ from pydantic import (
 
 from ngvisco.case.laws import EnergyText
 from ngvisco.case.values import (
-    FieldValue,
     LawValue,
     ModulusValue,
     NumberValues,
@@ -57,8 +56,8 @@ class Section(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
     target: ClassVar[Any] = None
     """The class or function whose parameters the section holds."""
-    is_checked: ClassVar[bool] = False
-    """Whether validation checks the section by making its object; the section alone must suffice for this."""
+    is_made_at_once: ClassVar[bool] = False
+    """Whether validation makes the section's object; the section alone must suffice for this."""
 
     @model_validator(mode="before")
     @classmethod
@@ -67,12 +66,17 @@ class Section(BaseModel):
 
     @model_validator(mode="after")
     def _possible(self) -> Any:
-        if self.is_checked:
+        if self.is_made_at_once:
             try:
-                made(self)
+                self.built  # noqa: B018
             except UnknownNameError as error:  # a KeyError, which pydantic would let through
                 raise ValueError(str(error)) from error
         return self
+
+    @functools.cached_property
+    def built(self) -> Any:
+        """The object that the section describes."""
+        return self.completed(type(self).target(**parameters(self)))
 
     def completed(self, made: Any) -> Any:
         """Complete the object by the keys that are no parameters of the target."""
@@ -133,8 +137,8 @@ def section(
     """
     types = {**_TYPES, **types}
     # get_type_hints resolves the fields' hints by the names in the module of each class
-    is_class, is_dataclass = inspect.isclass(target), dataclasses.is_dataclass(target)
-    hinted = target.__init__ if is_class and not is_dataclass else target
+    is_class = inspect.isclass(target)
+    hinted = target.__init__ if is_class and not dataclasses.is_dataclass(target) else target
     hints, annotated = get_type_hints(hinted), get_type_hints(hinted, include_extras=True)
     fields: dict[str, Any] = {}
     if tag is not None:
@@ -161,10 +165,7 @@ def section(
     # resolved yet
     returned = hints.get("return")
     is_material = isinstance(returned, type) and issubclass(returned, MaterialObject)
-    is_made_at_once = is_whole and (is_class or is_dataclass or is_material)
-    of_place = [part for key in fields for part in models_in(model.model_fields[key].annotation)]
-    takes_functions = any(map(field_names, [model, *of_place]))
-    model.is_checked = is_made_at_once and "path" not in fields and not takes_functions
+    model.is_made_at_once = is_whole and "path" not in fields and (is_class or is_material)
     return model
 
 
@@ -212,39 +213,27 @@ def values_of(model: type[Section]) -> dict[str, type[Value]]:
     return kinds
 
 
-def field_names(model: type[Section]) -> set[str]:
-    """The keys of a section whose values may be functions of space and time."""
-    return {name for name, value in values_of(model).items() if issubclass(value, FieldValue)}
-
-
 def parameters(part: Section) -> dict[str, Any]:
     """The parameters of a section's target by name; other keys and values of None are left out.
 
-    A nested section becomes its object; functions of space and time, and sections with such functions, are
-    not converted.
+    Sections become the objects that they describe, and texts functions.
     """
-    model, values = type(part), {}
-    arguments = inspect.signature(model.target).parameters
-    for name in (name for name in model.model_fields if name in arguments):
-        value = getattr(part, name)
-        if isinstance(value, Section) and not field_names(type(value)):
-            value = made(value)
-        elif isinstance(value, list) and value and isinstance(value[0], Section):
-            value = [made(member) for member in value]
-        elif isinstance(value, dict) and any(isinstance(member, Section) for member in value.values()):
-            value = {
-                key: member if field_names(type(member)) else made(member) for key, member in value.items()
-            }
-        elif name in values_of(model):
-            value = values_of(model)[name].made(value)
-        if value is not None:
-            values[name] = value
-    return values
+    kinds, arguments = values_of(type(part)), inspect.signature(type(part).target).parameters
+    values = {name: getattr(part, name) for name in type(part).model_fields if name in arguments}
+    return {
+        name: kinds[name].made(value) if name in kinds else _built(value)
+        for name, value in values.items()
+        if value is not None
+    }
 
 
-def made(part: Section) -> Any:
-    """Make the object of a section without functions of space and time."""
-    return part.completed(type(part).target(**parameters(part)))
+def _built(value: Any) -> Any:
+    """A value with objects in place of sections, also in arrays and tables."""
+    if isinstance(value, dict):
+        return {name: _built(part) for name, part in value.items()}
+    if isinstance(value, list):
+        return [_built(part) for part in value]
+    return value.built if isinstance(value, Section) else value
 
 
 _TYPES |= {described: section(described) for described in (AdaptiveSteps, WallHeat)}

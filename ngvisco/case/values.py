@@ -56,7 +56,13 @@ def _checked_number(value: Any, alternative: str = "an expression in quotes") ->
 
 
 class FieldValue(Value):
-    """A function of place and time, which ``as_function`` turns into a coefficient function."""
+    """A number, or a function of place and time, or a table of functions by name."""
+
+    @classmethod
+    def made(cls, value: Any) -> Any:
+        if isinstance(value, dict) and not is_table(value):
+            return {name: as_function(part) for name, part in value.items()}
+        return value if isinstance(value, (int, float)) else as_function(value)
 
 
 class ScalarValue(FieldValue):

@@ -21,8 +21,9 @@ ENTRIES = reference.entries()
 COMPANIONS = {
     "theta": {"scheme": "theta"},
     "relaxation": {"scheme": "midpoint", "adaptive": {"dt_min": 0.001, "dt_max": 0.1}},
+    **{key: {"equilibrium": "hydrostatic"} for key in ("datum", "datum_point", "datum_pressure")},
 }
-"""Keys of [time] that are refused without others, and those."""
+"""Keys of [time] and [initial] that are refused without others, and those."""
 NUMBERS = ("number", "array of numbers", "table of numbers")
 BASE = A_BODY + TWO_STEPS
 OF_BODY = {"kind": "ReferentialNeoHookean", "K_e": 10, "G_e": 5}
@@ -118,12 +119,15 @@ def test_every_example_is_admitted(entry, kind, schema):
     data = placed(entry, kind)
     if entry.name == "time.adaptive.dt_max":
         data["time"]["adaptive"]["dt_min"] = 0.001
-    data["time"] |= COMPANIONS.get(entry.name.removeprefix("time."), {})
+    if entry.path[:-1] in (("time",), ("initial",)):
+        data[entry.path[0]] |= COMPANIONS.get(entry.path[-1], {})
     if entry.name == "material.breaking":
         branches = {"slow": {"material": WITHIN["Prony"]["material"]}}
         data["material"]["material"] = {"kind": "Network", "branches": branches}
     if entry.path[:3] == ("rheology", "diffusion", "walls"):
         data["rheology"]["diffusion"] |= {"variable": "c", "mobility": 0.1}
+        if entry.path[-1] != "flux":  # potential and coefficient go together
+            data["rheology"]["diffusion"]["walls"]["left"] |= {"potential": 2.0, "coefficient": 10.0}
     if kind == "Prony":
         data["material"] |= {"C_1": {"C_2": 51.6}, "C_2": {"C_1": 17.4}}.get(entry.path[-1], {})
     loaded = CaseSections.model_validate(data)

@@ -127,7 +127,7 @@ def test_adaptive_steps_are_counted_by_the_longest_one():
 def test_all_faults_are_reported_at_once():
     broken = (
         CASE.replace("G_e = 5", "Ge = 5").replace("dt = 0.02", "dt = -1").replace("[initial]", "[intial]")
-    )
+    ).replace('kind = "Slip"', 'kind = "Open"\ndensity = -1\npressure = "x"')
     with pytest.raises(CaseError) as caught:
         case(broken)
     assert {fault.key for fault in caught.value.faults} >= {
@@ -135,6 +135,7 @@ def test_all_faults_are_reported_at_once():
         "material.G_e",
         "time.dt",
         "intial",
+        "walls.left.density",
     }
 
 
