@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import combinations
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, get_args
 
@@ -19,6 +19,7 @@ from ngvisco.run.outlines import Cut, Moments, distance
 from ngvisco.run.series import Series
 
 if TYPE_CHECKING:
+    from ngvisco.forms.fields import Fields
     from ngvisco.forms.system import Step
     from ngvisco.run.simulation import Simulation
 
@@ -28,7 +29,7 @@ _MIXED = (0.05, 0.95)
 """Fractions between which a point is in the interface."""
 _WIDE = 3.0
 """Width of the interface in cells, above which a run warns that the body dissolves."""
-_PIECES = 2
+PIECES = 2
 """Parts into which an edge of a cell is cut: with one areas are too small, with three perimeters too long."""
 
 
@@ -53,14 +54,14 @@ class FractionSamples:
         assert isinstance(material, Mixture)
         theta, mesh = material.fractions.at(step.now.z_tensors), step.mesh
         self.names, self.dim, self._ranks = list(names), mesh.dim, simulation.ranks
-        self._lattice = Lattice(mesh, _PIECES)
+        self.lattice = Lattice(mesh, PIECES)
         place, v = (x, y, z)[: mesh.dim], step.now.v
         values = (*place, *(v[i] for i in range(mesh.dim)), step.context.h, *(theta[n] for n in names))
         self._values = CF(values).Compile()
 
     def read(self) -> None:
-        """Sample the present state."""
-        table, cells = self._lattice.values(self._values), self._lattice.cells
+        """Sample the present state; ``places`` then numbers the places of the points, (points,)."""
+        table, cells = self.lattice.values(self._values), self.lattice.cells
         if self._ranks.is_distributed:
             parts = self._ranks.gathered((table, cells))
             starts = np.cumsum([0, *(len(table) for table, _ in parts)])
@@ -72,6 +73,7 @@ class FractionSamples:
         averaged = (np.array(sums) / np.bincount(number))[:, number]
         self._points, self._sizes = number[cells], table[cells[:, 0], 2 * dim]
         self._corners = table[cells][:, :, : 2 * dim]
+        self.places = number
         self._averaged = dict(zip(self.names, averaged[:, cells], strict=True))
         self._own = dict(zip(self.names, table[:, -count:].T[:, cells], strict=True))
         self._cuts: dict[str, Cut] = {}
@@ -81,6 +83,19 @@ class FractionSamples:
         if name not in self._cuts:
             self._cuts[name] = Cut.of(self._corners, self._points, self._averaged[name], _HALF)
         return self._cuts[name]
+
+    def traced(self, name: str) -> tuple[Cut, np.ndarray, np.ndarray]:
+        """A body's cut with columns x, y, v_1, v_2, the shares of a part's three corners, and the part's
+        number.
+
+        With it come the corners' places, (parts, 3, 2), and the averaged fractions there, (parts, 3).
+        """
+        count = len(self._corners)
+        shares = np.broadcast_to(np.eye(3), (count, 3, 3))
+        number = np.broadcast_to(np.arange(count, dtype=float)[:, None, None], (count, 3, 1))
+        corners = np.concatenate([self._corners, shares, number], axis=2)
+        theta = self._averaged[name]
+        return Cut.of(corners, self._points, theta, _HALF), self._corners[:, :, :2], theta
 
     def smeared(self, name: str) -> float:
         """The width of a body's interface in cells; NaN without an interface.
@@ -98,7 +113,7 @@ class FractionSamples:
         return mixed / of_one_cell if of_one_cell > 0 else np.nan
 
 
-class _Tractions:
+class Tractions:
     """Mean stress of bodies, and the force and torque that other bodies exert on them.
 
     The stress sigma is the sum of the elastic and the viscous one.  With a continuous chi, the fraction
@@ -110,23 +125,37 @@ class _Tractions:
         self._step, self._dim = step, step.mesh.dim
         space = H1(step.mesh, order=1)
         space = Periodic(space) if step.walls.periodic else space
-        self._theta = {name: fields[f"{name}_fraction"] for name in names}
-        self._chi = {name: GridFunction(space) for name in names}
-        stress = fields["cauchy_stress"]
-        stress = stress + fields["viscous_stress"] if "viscous_stress" in fields else stress
+        self.chi = {name: GridFunction(space) for name in names}
         pairs = [(0, 0), (1, 1), (2, 2), (0, 1), *([(0, 2), (1, 2)] if self._dim == 3 else [])]
-        self.of_stress = [f"stress_{i + 1}{j + 1}" for i, j in pairs]
-        shares = (theta * stress[i, j] for theta in self._theta.values() for i, j in pairs)
+        self.of_stress = {f"stress_{i + 1}{j + 1}": (i, j) for i, j in pairs}
+        axes = "xyz"[: self._dim]
+        torques = ["torque"] if self._dim == 2 else [f"torque_{axis}" for axis in axes]
+        self.of_traction = [*(f"force_{axis}" for axis in axes), *torques]
+        self._theta = {name: fields[f"{name}_fraction"] for name in names}
+        shares = (share for name in names for share in self.shares(name, fields).values())
         self._stresses = CF((*self._theta.values(), *shares)).Compile()
-        parts = (part for chi in self._chi.values() for part in self._force(stress, chi))
+        parts = (part for chi in self.chi.values() for part in self.densities(fields, Grad(chi)).values())
         self._forces = CF(tuple(parts)).Compile()
 
-    def _force(self, stress: CoefficientFunction, chi: GridFunction) -> list[CoefficientFunction]:
-        """Densities of the force and of its torque about the origin."""
-        place, slope, dim = (x, y, z), Grad(chi), self._dim
+    @staticmethod
+    def _stress(fields: Mapping[str, CoefficientFunction]) -> CoefficientFunction:
+        stress = fields["cauchy_stress"]
+        return stress + fields["viscous_stress"] if "viscous_stress" in fields else stress
+
+    def shares(self, name: str, fields: Mapping[str, CoefficientFunction]) -> dict[str, CoefficientFunction]:
+        """A body's shares theta sigma_ij in the stress, Pa, from the fields of a state, by their columns."""
+        stress, theta = self._stress(fields), fields[f"{name}_fraction"]
+        return {column: theta * stress[i, j] for column, (i, j) in self.of_stress.items()}
+
+    def densities(
+        self, fields: Mapping[str, CoefficientFunction], slope: CoefficientFunction
+    ) -> dict[str, CoefficientFunction]:
+        """Densities of force and torque about the origin for a slope grad chi, by their columns."""
+        place, stress, dim = (x, y, z), self._stress(fields), self._dim
         f = [-sum((stress[i, j] * slope[j] for j in range(dim)), CF(0.0)) for i in range(dim)]
         axes = [(0, 1)] if dim == 2 else [(1, 2), (2, 0), (0, 1)]
-        return [*f, *(place[i] * f[j] - place[j] * f[i] for i, j in axes)]
+        torques = [place[i] * f[j] - place[j] * f[i] for i, j in axes]
+        return dict(zip(self.of_traction, (*f, *torques), strict=True))
 
     def stresses(self) -> np.ndarray:
         """Mean stresses, Pa, (bodies, components); NaN for a body without volume."""
@@ -134,12 +163,16 @@ class _Tractions:
         volumes, sums = integrals[: len(self._theta), None], integrals[len(self._theta) :]
         return sums.reshape(len(volumes), -1) / np.where(volumes > 0, volumes, np.nan)
 
+    def average(self) -> None:
+        """Set every chi to the mean over the cells at a vertex of the fraction's projection to P1 in each."""
+        for name, chi in self.chi.items():
+            chi.Set(self._theta[name])
+
     def forces(self, centres: np.ndarray) -> np.ndarray:
         """Forces, N, and torques, N m, about the bodies' ``centres``, (bodies, dim): (bodies, components)."""
-        for name, chi in self._chi.items():
-            chi.Set(self._theta[name])
+        self.average()
         integrals = np.asarray(self._step.quadrature.integrate_cells(self._forces), dtype=float)
-        integrals = integrals.reshape(len(self._chi), -1)
+        integrals = integrals.reshape(len(self.chi), -1)
         force, torque = integrals[:, : self._dim], integrals[:, self._dim :]
         arm = np.pad(centres, ((0, 0), (0, 3 - self._dim)))
         about = np.cross(arm, np.pad(force, ((0, 0), (0, 3 - self._dim))))
@@ -224,34 +257,34 @@ class Bodies(Series):
         units |= {"kinetic": "J", "stored": "J", "dissipation": "W"}
         units |= {f"{axis}_{end}": "m" for axis in axes for end in ("min", "max")}
         units |= {"smeared": "1"}
-        self._names = names = [body.name for body in bodies]
+        self.names = names = [body.name for body in bodies]
         self._placed = [body.name for body in bodies if body.where is not None]
-        self._fractions = FractionSamples(simulation, names)
-        self._tractions = _Tractions(simulation, names) if {"stress", "traction"} & {*self.measures} else None
+        self.fractions = FractionSamples(simulation, names)
+        self.tractions = Tractions(simulation, names) if {"stress", "traction"} & {*self.measures} else None
         for measure in self.measures:
-            units |= self._units_of(measure, axes)
+            units |= self._units_of(measure)
         self._units = {f"{name}_{quantity}": unit for name in names for quantity, unit in units.items()}
         if "gap" in self.measures:
             if len(self._placed) < 2:
                 raise ParameterError(
                     "Bodies.measures", "gap", "two bodies at least that have a place (where)"
                 )
-            self._pairs = list(combinations(self._placed, 2))
-            self._units |= {f"gap_{one}_{other}": "m" for one, other in self._pairs}
-        self._integrand = CF(tuple(part for name in names for part in _integrands(step, name)))
+            self.pairs = {f"gap_{one}_{other}": (one, other) for one, other in combinations(self._placed, 2)}
+            self._units |= dict.fromkeys(self.pairs, "m")
+        parts = (part for name in names for part in densities(step, name, step.now).values())
+        self._integrand = CF(tuple(parts))
         theta = material.fractions.at(step.now.z_tensors)  # type: ignore[attr-defined]
         self._theta = CF(tuple(theta[name] for name in names))
         sampler = simulation.sampler
         self._places = sampler.coordinates(np.arange(len(sampler.points)))
         return list(self._units)
 
-    def _units_of(self, measure: str, axes: str) -> dict[str, str]:
+    def _units_of(self, measure: str) -> dict[str, str]:
         """Units of a measure's columns, by the columns' names without the body's name."""
-        if measure == "stress" and self._tractions is not None:
-            return dict.fromkeys(self._tractions.of_stress, "Pa")
-        if measure == "traction":
-            torques = ["torque"] if len(axes) == 2 else [f"torque_{axis}" for axis in axes]
-            return {f"force_{axis}": "N" for axis in axes} | dict.fromkeys(torques, "N m")
+        if measure == "stress" and self.tractions is not None:
+            return dict.fromkeys(self.tractions.of_stress, "Pa")
+        if measure == "traction" and self.tractions is not None:
+            return {name: "N" if name.startswith("force") else "N m" for name in self.tractions.of_traction}
         return {
             "deformation": {"L": "m", "B": "m", "D": "1", "angle": "rad"},
             "outline": {"perimeter": "m", "inside": "m^2"},
@@ -261,6 +294,15 @@ class Bodies(Series):
     def unit(self, column: str) -> str:
         """SI unit of a column (per metre of thickness in plane strain)."""
         return self._units.get(column) or super().unit(column)
+
+    @property
+    def jumping(self) -> dict[str, str]:
+        """Columns that have no derivative with respect to the state, with the reason."""
+        axes = "xyz"[: self.fractions.dim]
+        extents = [f"{axis}_{end}" for axis in axes for end in ("min", "max")]
+        reasons = dict.fromkeys(extents, "an extent jumps from point to point of the quadrature")
+        reasons["smeared"] = "the width of an interface counts parts of cells"
+        return {f"{name}_{column}": why for name in self.names for column, why in reasons.items()}
 
     def may_be_nan(self, column: str) -> bool:
         return column not in ("step", "time")  # the body may be thinner than a cell, or have left the domain
@@ -277,8 +319,8 @@ class Bodies(Series):
         extents = np.where(there, ends, -np.inf).max(axis=1, initial=-np.inf)
         extents = simulation.ranks.largest(extents) * np.tile([-1, 1], dim)
         extents[np.isinf(extents)] = np.nan
-        self._fractions.read()
-        smeared = np.array([[self._fractions.smeared(name)] for name in self._names])
+        self.fractions.read()
+        smeared = np.array([[self.fractions.smeared(name)] for name in self.names])
         self._look(simulation, smeared[:, 0])
         blocks = [values, extents, smeared]
         blocks += [
@@ -286,16 +328,16 @@ class Bodies(Series):
         ]
         row = np.hstack(blocks).ravel()
         if "gap" in self.measures:
-            cuts = [[self._fractions.cut(name).ends for name in pair] for pair in self._pairs]
+            cuts = [[self.fractions.cut(name).ends for name in pair] for pair in self.pairs.values()]
             gaps = np.array([distance(*both) for both in cuts])
             row = np.append(row, np.where(np.isinf(gaps), np.nan, gaps))
         return [row]
 
     def _measured(self, measure: str, centres: np.ndarray) -> np.ndarray:
         """Values of a measure, (bodies, columns)."""
-        if self._tractions is not None and measure in ("stress", "traction"):
-            return self._tractions.stresses() if measure == "stress" else self._tractions.forces(centres)
-        cuts = [self._fractions.cut(name) for name in self._names]
+        if self.tractions is not None and measure in ("stress", "traction"):
+            return self.tractions.stresses() if measure == "stress" else self.tractions.forces(centres)
+        cuts = [self.fractions.cut(name) for name in self.names]
         if measure == "outline":
             areas = [moments.area if (moments := Moments.of(cut.inside)) else 0.0 for cut in cuts]
             return np.array([[cut.length, area] for cut, area in zip(cuts, areas, strict=True)])
@@ -310,7 +352,7 @@ class Bodies(Series):
 
     def _look(self, simulation: Simulation, smeared: np.ndarray) -> None:
         """Warn, once for each body, of an interface that has become wide."""
-        for name, width in zip(self._names, smeared, strict=True):
+        for name, width in zip(self.names, smeared, strict=True):
             if name in self._placed and name not in self._is_said and width > _WIDE:
                 self._is_said.add(name)
                 message = (
@@ -328,32 +370,35 @@ def require_bodies(owner: str, material: Any) -> tuple[Any, ...]:
     return material.bodies
 
 
-def _integrands(step: Step, name: str) -> list[CoefficientFunction]:
-    """Densities of a body's mass, volume, first moments, momentum, energies and dissipation."""
-    u, material = step.now, step.model.material
+def densities(step: Step, name: str, u: Fields) -> dict[str, CoefficientFunction]:
+    """Densities of a body's mass, volume, first moments, momentum, energies and dissipation at ``u``.
+
+    The keys are the columns; those of the first moments, ``x``, ``y``, ``z``, are of integrals over the
+    volume.
+    """
+    material, rates = step.model.material, u.context.rates
     assert isinstance(material, Mixture)
     body = next(body for body in material.bodies if body.name == name)
     values, theta = u.z_tensors, material.fractions.at(u.z_tensors)[name]
     mass = (body.density or 0.0) * values[AMOUNT + name]
-    place, v = (x, y, z)[: step.mesh.dim], u.v
+    axes, v = dict(zip("xyz"[: step.mesh.dim], (x, y, z), strict=False)), u.v
     loss = CF(0.0)
     if body.viscosity is not None:
-        eps, read = sym(u.L), step.context.rates.read_values(body.viscosity, u)
+        eps, read = sym(u.L), rates.read_values(body.viscosity, u)
         share = material.fractions.not_negative(values)[name]
         loss = loss + share * body.viscosity.bulk_dissipation(eps, read)
         loss = loss + share * body.viscosity.shear_dissipation(eps, read)
-    rates = step.context.rates
     for mechanism in rates.mechanisms:
         if mechanism.body == name:
             loss = loss + rates.power_of_creep(mechanism, rates.local_creep(mechanism, u), u)
     shears, volumes = material.shears(values), material.volumes(values, CF(1.0))
-    of_volume = rates.stored(u) - sum((*shears.values(), *volumes.values()), CF(0.0))
-    return [
-        mass,
-        theta,
-        *(theta * coordinate for coordinate in place),
-        *(mass * v[i] for i in range(step.mesh.dim)),
-        0.5 * mass * inner(v, v),
-        shears.get(name, CF(0.0)) + volumes[name] + theta * of_volume,
-        loss,
-    ]
+    of_volume = rates.stored_near(u) - sum((*shears.values(), *volumes.values()), CF(0.0))
+    return {
+        "mass": mass,
+        "volume": theta,
+        **{axis: theta * coordinate for axis, coordinate in axes.items()},
+        **{f"momentum_{axis}": mass * v[i] for i, axis in enumerate(axes)},
+        "kinetic": 0.5 * mass * inner(v, v),
+        "stored": shears.get(name, CF(0.0)) + volumes[name] + theta * of_volume,
+        "dissipation": loss,
+    }

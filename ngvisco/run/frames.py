@@ -118,23 +118,31 @@ class Lattice:
     ----------
     cells : array (parts, dim + 1)
         Numbers of the simplices' corners; each cell has points of its own.
+    rules : dict of element types to IntegrationRule
+        Rules with these points, of weight 1 in the reference cell, whose "integrals" are sums over points.
     """
 
     def __init__(self, mesh: Mesh, pieces: int) -> None:
         self._points, self.cells = None, np.zeros((0, mesh.dim + 1), dtype=int)
+        self.rules: dict[ET, IntegrationRule] = {}
         if mesh.ne == 0:  # a rank without cells
             return
         lattices = {ET.TRIG: subdivision(2, pieces), ET.QUAD: subdivision(2, pieces, True)}
         if mesh.dim == 3:
             lattices = {ET.TET: subdivision(3, pieces)}
-        rules = {
-            kind: IntegrationRule([tuple(map(float, corner)) for corner in corners], [0.0] * len(corners))
+        self.rules = {
+            kind: IntegrationRule([tuple(map(float, corner)) for corner in corners], [1.0] * len(corners))
             for kind, (corners, _) in lattices.items()
         }
-        self._points = mesh.MapToAllElements(rules, VOL)
+        self._points = mesh.MapToAllElements(self.rules, VOL)
         kinds = [cell.type for cell in mesh.Elements(VOL)]
         starts = np.cumsum([0, *(len(lattices[kind][0]) for kind in kinds)])
         self.cells = np.concatenate([lattices[k][1] + start for k, start in zip(kinds, starts, strict=False)])
+
+    @property
+    def of_points(self) -> np.ndarray:
+        """The number of each point's cell in the mesh, (points,)."""
+        return np.zeros(0, dtype=int) if self._points is None else np.asarray(self._points["nr"])
 
     def values(self, value: CoefficientFunction) -> np.ndarray:
         """Values of a function at the points, (points, components)."""

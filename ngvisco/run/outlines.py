@@ -154,20 +154,54 @@ class Moments:
         return float(np.linalg.det(axes) * (W[1, 0] - W[0, 1]) / 2)
 
 
+@dataclass(frozen=True)
+class Gap:
+    """The place where two outlines are closest: a point of one, and a point on a segment of the other.
+
+    Attributes
+    ----------
+    width : float, m
+    is_turned : bool
+        Whether the point is on the second outline, and the segment on the first.
+    point, segment : int
+        Number of the segment that begins at the point, and of the segment on the other outline.
+    share : float
+        Place of the closest point on the segment, 0 at its start and 1 at its end.
+    """
+
+    width: float
+    is_turned: bool
+    point: int
+    segment: int
+    share: float
+
+
+def closest(one: np.ndarray, other: np.ndarray) -> Gap | None:
+    """The closest place of outlines that do not cross, (segments, 2, columns) each; None if one is empty."""
+    if not (len(one) and len(other)):
+        return None
+    pairs = [Gap(*_to_segments(one[:, 0, :2], other, False)), Gap(*_to_segments(other[:, 0, :2], one, True))]
+    return min(pairs, key=lambda gap: gap.width)
+
+
 def distance(one: np.ndarray, other: np.ndarray) -> float:
     """Least distance of outlines that do not cross, (segments, 2, columns) each; inf if one is empty."""
-    if not (len(one) and len(other)):
-        return np.inf
-    return min(_to_segments(one[:, 0, :2], other), _to_segments(other[:, 0, :2], one))
+    gap = closest(one, other)
+    return np.inf if gap is None else gap.width
 
 
-def _to_segments(points: np.ndarray, ends: np.ndarray) -> float:
-    """Least distance of points from segments."""
+def _to_segments(
+    points: np.ndarray, ends: np.ndarray, is_turned: bool
+) -> tuple[float, bool, int, int, float]:
+    """Least distance of points from segments, and its place, as the attributes of a ``Gap``."""
     start, along = ends[:, 0, :2], ends[:, 1, :2] - ends[:, 0, :2]
     squares = np.maximum((along**2).sum(axis=1), np.finfo(float).tiny)
-    least, step = np.inf, max(1, _CHUNK // len(ends))
+    least, place, step = np.inf, (0, 0, 0.0), max(1, _CHUNK // len(ends))
     for first in range(0, len(points), step):
         off = points[first : first + step, None] - start
         share = np.clip((off * along).sum(axis=2) / squares, 0, 1)
-        least = min(least, float(((off - share[:, :, None] * along) ** 2).sum(axis=2).min()))
-    return float(np.sqrt(least))
+        apart = ((off - share[:, :, None] * along) ** 2).sum(axis=2)
+        i, j = np.unravel_index(apart.argmin(), apart.shape)
+        if apart[i, j] < least:
+            least, place = float(apart[i, j]), (first + int(i), int(j), float(share[i, j]))
+    return float(np.sqrt(least)), is_turned, *place

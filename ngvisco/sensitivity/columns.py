@@ -49,7 +49,12 @@ class Columns:
         state = {"kinetic", "stored", "mass"} | {e.name for e in ledger.entries if e.kind == "monitor"}
         state |= set(ledger.momentum.densities()) - {SIZE}  # the size has a kink at rest
         differentiable = rates | state | {name for columns in of_tables for name in columns}
+        jumping: dict[str, str] = {}
+        for table in self._tables:
+            jumping |= table.jumping if isinstance(table, Bodies) else {}
         for name in self.names:
+            if name in jumping:
+                raise ParameterError("of", name, f"a column that has a derivative: {jumping[name]}")
             if name in ledger.columns and name not in differentiable:
                 expected = (
                     "a column that has a derivative: an energy, a rate, mass, momentum, or one of a table"

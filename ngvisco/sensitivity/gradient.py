@@ -148,13 +148,14 @@ def gradient(
     of : sequence of str, or mapping of names to texts or to Misfit
         ``"COLUMN at TIME"``, or ``"COLUMN until TIME"`` for the integral over time, of a column of the ledger
         or of a table among the run's observers (``Probes``, ``Integrals``, ``WallForces``, ``Bodies``).
+        A body's extents and the width of its interface jump, and are refused; a perimeter, an angle or a gap
+        has kinks, e.g. where the length of a body is its breadth.
     by : sequence of str
         Paths of parameters, as ``"material.G_e"``, ``"creep.G_m"``, ``"loads.gravity.g.1"``,
         ``"initial.density"``; the adjoint also accepts none, for ``Gradient.density`` alone.
     method : str
         ``"tangent"``, whose cost grows with the number of parameters, or ``"adjoint"``, whose cost grows with
-        the number of results, and which has no tables of bodies, but ``Integrals`` of their fractions:
-        ``"disc_fraction*x"``.
+        the number of results.
     order : int
         Order of the differences by the parameters at fixed states: 4 gives derivatives right to 1e-9, 2 to
         1e-7 at half of the evaluations.

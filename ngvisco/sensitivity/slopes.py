@@ -3,23 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
-from ngsolve import VOL, BilinearForm, CoefficientFunction, ElementId, Variation
+from ngsolve import VOL, CoefficientFunction, ElementId
 
 from ngvisco.errors import ParameterError
 from ngvisco.expressions import parse
 from ngvisco.forms.distance import energies
 from ngvisco.forms.mesh.locating import as_points, locate
-from ngvisco.forms.mesh.quadrature import compiled
 from ngvisco.forms.term import Integrand
 from ngvisco.physics.parameters import Parameter
 from ngvisco.physics.tensors import inner
-from ngvisco.run.fields import components, output_fields
+from ngvisco.run.body_tables import Bodies
+from ngvisco.run.fields import components
 from ngvisco.run.probes import Integrals, Probes, WallForces
+from ngvisco.sensitivity.body_slopes import BodySlopes
 from ngvisco.sensitivity.follower import Follower
 from ngvisco.sensitivity.parameters import OFFSETS, differenced
+from ngvisco.sensitivity.variations import Variations
 from ngvisco.sensitivity.wall_rows import WallRows
 
 _SPACING = 1e-3
@@ -31,16 +33,16 @@ class Slopes:
 
     Slopes of ledger columns and of integrals are variations of forms.  The value of a probe is differenced by
     the coefficients of the probe's cell.  Columns with ``rows`` of the residual have slopes here besides
-    the slopes by their rows.  Raises ParameterError for a column without a slope, such as a column of a table
-    of bodies.
+    the slopes by their rows.  Raises ParameterError for a column without a slope, such as an integral of a
+    coefficient function.
     """
 
     def __init__(self, follower: Follower) -> None:
         self.follower, self.step, self.rows = follower, follower.step, WallRows(follower)
         names = follower.columns.names
         self._of: dict[str, Callable[[], np.ndarray]] = {}
-        self._vector = self.step.state.vec.CreateVector()
-        trial = self.step.linearised_fields(self.step.layout.space.TrialFunction())
+        self._variations = variations = Variations(self.step)
+        trial = variations.trial
         integrands = {**energies(self.step, trial), "mass": Integrand(trial.rho)}
         integrands |= follower.simulation.ledger.momentum.densities(trial)
         if self.step.energy.projected is not None:  # energy and slope are known at the state only
@@ -51,10 +53,11 @@ class Slopes:
         for table in follower.columns.tables:
             columns = table.prepare(follower.simulation)
             if isinstance(table, Integrals):
-                fields = components(output_fields(self.step, trial))
-                for name, value in table.integrands.items():
-                    if isinstance(value, str) and name in names:
-                        integrands[name] = Integrand(parse(value, tuple(fields)).coefficient(fields))
+                self._of |= {
+                    name: variations.of_fields(partial(_parsed, value))
+                    for name, value in table.integrands.items()
+                    if isinstance(value, str) and name in names
+                }
             elif isinstance(table, Probes):
                 columns_of_table = [name for name in names if name in columns]
                 self._of |= {name: self._probe(table, name) for name in columns_of_table}
@@ -62,41 +65,21 @@ class Slopes:
                 for name in set(self.rows.forces) & set(columns):
                     wall, motion = name.rsplit(".", 1)
                     beside = table.reactions.beside_the_rows(wall, motion, trial)
-                    self._of[name] = self._form(*beside)
+                    self._of[name] = variations.of(*beside)
+            elif isinstance(table, Bodies):
+                bodies = BodySlopes(table, variations)
+                self._of |= {name: bodies.of(name) for name in names if name in columns}
         self._of |= {name: lambda: np.zeros(len(follower.state)) for name in self.rows.powers}
         for name in names:
             if name in integrands:
-                self._of[name] = self._form(integrands[name])
+                self._of[name] = variations.of(integrands[name])
         for name in names:
             if name not in self._of:
-                expected = (
-                    "a column with a slope, for the adjoint; for a table of bodies take the tangent, or "
-                    "Integrals of NAME_fraction"
-                )
-                raise ParameterError("of", name, expected)
+                raise ParameterError("of", name, "a column with a slope, for the adjoint; take the tangent")
 
     def __call__(self, name: str) -> np.ndarray:
         """Slope of a column at the present state by all coefficients, (unknowns,)."""
         return self._of[name]()
-
-    def _form(
-        self, integrand: Integrand, prepare: Callable[[], None] = lambda: None
-    ) -> Callable[[], np.ndarray]:
-        quadrature, form = self.step.quadrature, BilinearForm(self.step.layout.space)
-        for part, integral in (
-            (integrand.cells, quadrature.cells),
-            (integrand.facets, quadrature.facets),
-            (integrand.collocated, quadrature.collocated),
-        ):
-            if part is not None:
-                form += Variation(integral(compiled(part)))
-
-        def slope() -> np.ndarray:
-            prepare()
-            form.Apply(self.step.state.vec, self._vector)
-            return self._vector.FV().NumPy().copy()
-
-        return slope
 
     def _probe(self, table: Probes, column: str) -> Callable[[], np.ndarray]:
         step, mesh = self.step, self.step.mesh
@@ -118,7 +101,7 @@ class Slopes:
     @cached_property
     def _fields(self) -> dict[str, CoefficientFunction]:
         """Components of the fields at the present state, by their names."""
-        return components(output_fields(self.step))
+        return components(self._variations.fields)
 
     def _is_linear(self, field: str) -> bool:
         """Whether a field is linear in the state, so that its slope is constant."""
@@ -145,3 +128,9 @@ class Slopes:
                 state[dof] = kept
                 result[dof] = differenced(values, h)
         return result
+
+
+def _parsed(text: str, fields: dict[str, CoefficientFunction]) -> CoefficientFunction:
+    """The function of components of fields that a text describes."""
+    scalars = components(fields)
+    return parse(text, tuple(scalars)).coefficient(scalars)

@@ -30,17 +30,21 @@ def test_adjoint_and_tangent_agree(scheme):
     assert abs(adjoint.jacobian / tangent.jacobian - 1).max() < 1e-8
 
 
-def directional(make, scheme, of):
-    """The derivative along a random change of the start, by the tangent and by the adjoint."""
+def directional(make, scheme, of, size=1.0, block=None):
+    """The derivative along a random change of the start, or of one block of it, by tangent and adjoint."""
     simulation, numbers = make(scheme=scheme), Numbers.of(of, UNTIL)
     base, trajectory = _base(simulation, numbers.columns), Trajectory(simulation)
     slopes = Slopes(base)
     one = Neighbours(Still(), make(scheme=scheme), base.columns)
     trajectory.run(UNTIL)
     found, starts = history(trajectory, base), Starts(base)
-    random = np.random.default_rng(0).standard_normal(len(base.state))
-    free = np.array(list(base.step.layout.space.FreeDofs()))
-    one.of_start = np.where(starts.evolving & free, random, 0.0)
+    random = size * np.random.default_rng(0).standard_normal(len(base.state))
+    moved = starts.evolving & np.array(list(base.step.layout.space.FreeDofs()))
+    if block is not None:
+        others = np.ones(len(moved), dtype=bool)
+        others[base.step.layout.ranges[block]] = False
+        moved &= ~others
+    one.of_start = np.where(moved, random, 0.0)
     by_tangent = numbers.parts(tangents(trajectory, base, [one], True))[:, 0]
     adjoint = Adjoint(trajectory, base, slopes, [], *numbers.weights(found, base.columns.is_of_stages))
     adjoint.run(True)

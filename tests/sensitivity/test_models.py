@@ -70,6 +70,18 @@ def test_both_are_what_differences_tend_to(make, name, value, options):
     assert np.allclose(adjoint, tangent, rtol=1e-6, atol=0)
 
 
+def test_integrals_of_stresses_follow_an_energy_without_an_expression():
+    """Stress and pressure read a projection of the energy's values at points."""
+    table = nv.Integrals({"pressed": "pressure*x", "square": "cauchy_stress_11**2"})
+    of = ["pressed at 0.04", "square at 0.04"]
+    options = {"observers": [table], "scheme": "backward-euler"}
+    tangent, adjoint = (
+        nv.gradient(smoothed(0.01, **options), 0.04, of=of, by=["viscosity.G_v"], method=method).jacobian
+        for method in ("tangent", "adjoint")
+    )
+    assert np.allclose(adjoint, tangent, rtol=1e-7, atol=0)
+
+
 def test_viscosities_in_series_of_constants_in_cells_are_refused():
     matter = nv.BarotropicFluid(B=10.0, gamma=1.5)
     low, high = (
