@@ -55,10 +55,6 @@ _WORDS = {
     "model_type": "expected a table",
     "model_attributes_type": "expected a table",
     "too_short": "expected at least one; leave the key out for all",
-    "greater_than": "expected a number > {gt:g}",
-    "greater_than_equal": "expected a number >= {ge:g}",
-    "less_than": "expected a number < {lt:g}",
-    "less_than_equal": "expected a number <= {le:g}",
     "literal_error": "expected {expected}",
 }
 """Messages that replace those of pydantic, by the type of its error."""

@@ -309,6 +309,9 @@ is A : A) and `exp log sqrt abs sinh cosh tanh min max` of scalars.
 """
 
 
+_BOUNDS = {">": "exclusiveMinimum", ">=": "minimum"}
+
+
 class _Described(GenerateJsonSchema):
     """A schema generator that adds meanings, units and examples, and admits texts for numbers with a unit."""
 
@@ -322,7 +325,9 @@ class _Described(GenerateJsonSchema):
             words = ", ".join(filter(None, (meaning(model, name), annotation.range)))
             described = {"title": name, "description": f"{words} [{annotation.unit}]" if has_unit else words}
             examples = {} if annotation.example is None else {"examples": [annotation.example]}
-            node["properties"][name] = {**key, **described, **examples}
+            sign, _, least = annotation.range.partition(" ")
+            bounds = {_BOUNDS[sign]: float(least)} if sign in _BOUNDS else {}
+            node["properties"][name] = {**key, **described, **examples, **bounds}
         return node
 
 

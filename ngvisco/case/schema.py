@@ -21,6 +21,7 @@ from ngvisco.physics.flow_rules import FlowRule
 from ngvisco.physics.heat import Heat
 from ngvisco.physics.material import Material
 from ngvisco.physics.materials import Branch, Thermal
+from ngvisco.physics.model import require_names_and_one_rest, require_names_of_loads
 from ngvisco.physics.rheology import Viscosity
 from ngvisco.run.body_tables import Bodies
 from ngvisco.run.contours import Contours
@@ -116,8 +117,6 @@ class Time(TimeSteps):  # type: ignore[misc]
 
     @model_validator(mode="after")
     def _ends(self) -> Time:
-        if not 0 < self.until < math.inf:
-            raise ParameterError("Time.until", self.until, "a finite number > 0")
         # adaptive steps grow: dt is the first step's length, and dt_max bounds the number of steps from below
         longest = self.dt if self.adaptive is None else self.adaptive.dt_max
         if self.until / longest > _MAX_STEPS:
@@ -172,7 +171,7 @@ def _check_name(name: str) -> str:
 Names = Annotated[list[str], Field(min_length=1), AfterValidator(_check_once)]
 """A selection by name; a key that is left out selects everything."""
 Components = Annotated[Names | None, Quantity(example=["velocity", "F_12"])]
-AtLeastOne = Annotated[int, Field(ge=1)]
+AtLeastOne = Annotated[int, Quantity("1", ">= 1")]
 _COMPONENTS = "Names of fields or of their components; default as for output.vtk.fields"
 
 
@@ -183,8 +182,6 @@ class VTK(Section):
     every: AtLeastOne = Field(10, description="A file every so many steps")
     interval: Annotated[float | None, Quantity("s", "> 0", 0.1)] = Field(
         None,
-        gt=0,
-        allow_inf_nan=False,
         description="A file at every multiple of this time instead of every so many steps",
     )
     fields: Annotated[Names | None, Quantity(example=["velocity", "density"])] = Field(
@@ -192,8 +189,8 @@ class VTK(Section):
         description="Names of fields; default all but creep_rate, mandel_stress, viscous_stress, "
         "hyperstress_1 (to 3), principal_stresses, principal_stretches",
     )
-    subdivision: int = Field(
-        0, ge=0, le=4, description="Bisections of cells in the files, 0 to 4; each piece has linear fields"
+    subdivision: Annotated[int, Quantity("1", "from 0 to 4")] = Field(
+        0, description="Bisections of cells in the files; each piece has linear fields"
     )
 
 
@@ -323,11 +320,8 @@ class CaseSections(Section):
             table = getattr(self.output, key)
             if table is not None and not self.bodies:
                 raise ParameterError(f"output.{key}", table, "no such table in a case without [[bodies]]")
-        names = [str(load.name) for load in self.loads]  # type: ignore[attr-defined]
-        for i, name in enumerate(names):
-            if name in names[:i]:
-                expected = f"a name that no other load has: it names the ledger's column power_{name}"
-                raise ParameterError(f"loads.{i}.name", name, expected)
+        require_names_of_loads(self.loads)
+        require_names_and_one_rest(self.bodies)
         interval = self.output.vtk.interval
         if interval is not None and self.time.until / interval > _MAX_OUTPUT_TIMES:
             raise ParameterError("output.vtk.interval", interval, f"at most {_MAX_OUTPUT_TIMES} output times")
@@ -348,10 +342,3 @@ class CaseSections(Section):
             if (part := getattr(self.rheology, name)) is not None:
                 expected = f"no such table beside [[bodies]]: each body has its own, [bodies.{name}]"
                 raise ParameterError(f"rheology.{name}", part, expected)
-        for i, body in enumerate(self.bodies):
-            if any(other.name == body.name for other in self.bodies[:i]):
-                raise ParameterError(f"bodies.{i}.name", body.name, "a name that no other body has")
-        placeless = [i for i, body in enumerate(self.bodies) if body.where is None]
-        if len(placeless) > 1:
-            expected = f"a place: bodies.{placeless[0]} has none, and fills the rest of the domain"
-            raise ParameterError(f"bodies.{placeless[1]}.where", None, expected)

@@ -22,6 +22,7 @@ from pydantic import (
     Discriminator,
     ValidationInfo,
     create_model,
+    field_validator,
     model_validator,
 )
 
@@ -36,7 +37,7 @@ from ngvisco.case.values import (
     Value,
     VectorValue,
 )
-from ngvisco.errors import Quantity, UnknownNameError
+from ngvisco.errors import Declared, Quantity, UnknownNameError
 from ngvisco.physics.diffusion import WallExchange
 from ngvisco.physics.heat import Conductivity, WallHeat
 from ngvisco.physics.material import Material as MaterialObject
@@ -63,6 +64,12 @@ class Section(BaseModel):
     @classmethod
     def _converted(cls, data: Any, info: ValidationInfo) -> Any:
         return info.context(cls, data) if info.context and isinstance(data, dict) else data
+
+    @field_validator("*")
+    @classmethod
+    def _in_range(cls, value: Any, info: ValidationInfo) -> Any:
+        is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
+        return _declaration(cls, name := str(info.field_name)).taken(name, value) if is_number else value
 
     @model_validator(mode="after")
     def _possible(self) -> Any:
@@ -193,6 +200,13 @@ def quantity(model: type[Section], name: str) -> Quantity:
     quantities = [part for part in field.metadata if isinstance(part, Quantity)]
     is_number = {int, float} & set(_parts(field.annotation))
     return quantities[0] if quantities else Quantity("1" if is_number else "")
+
+
+@functools.cache
+def _declaration(model: type[Section], name: str) -> Declared:
+    """Type and range of a key's numbers."""
+    is_whole = int in _parts(model.model_fields[name].annotation)
+    return Declared(quantity(model, name).range, (int if is_whole else float,))
 
 
 def _parts(annotation: Any) -> Iterator[Any]:

@@ -124,7 +124,7 @@ class Model:
         require_fields(self)
         for load in self.loads:
             check_name(load)
-        _require_distinct("Model.loads", [load.name for load in self.loads])
+        require_names_of_loads(self.loads)
         check_material(self.material)
         names = ("material", "viscosity", "hyperviscosity", "creep")
         reserved = [] if entropy_in(self.material) is None else [TEMPERATURE]
@@ -259,17 +259,14 @@ class Model:
             # ``replace`` of a model with bodies passes the mixture's material and viscosity on
             if not (value is None or isinstance(value, (Mixture, MixedViscosity))):
                 raise ParameterError(f"Model.{name}", value, "None with bodies, which have theirs")
+        require_names_and_one_rest(self.bodies)
         names = [body.name for body in self.bodies]
-        _require_distinct("Model.bodies", names)
         for name in names:
             if (shorter := name.removesuffix("_momentum")) != name and shorter in names:
                 expected = (
                     f"distinct columns of bodies; those of {name!r} would be the momentum of {shorter!r}"
                 )
                 raise ParameterError("Model.bodies", names, expected)
-        if sum(body.where is None for body in self.bodies) > 1:
-            without = [body.name for body in self.bodies if body.where is None]
-            raise ParameterError("Model.bodies", without, "one body at most without a place, the rest")
         law = self.regularisation
         if isinstance(law, Regularisation):
             for name, number, none in (
@@ -338,9 +335,24 @@ def _require_bulk(material: Material) -> None:
         raise ParameterError(f"{type(part).__name__}.K_e", K_e, expected)
 
 
-def _require_distinct(field_name: str, names: list[str]) -> None:
-    if len(set(names)) < len(names):
-        raise ParameterError(field_name, names, "distinct names")
+def require_names_of_loads(loads: Sequence[Any]) -> None:
+    """Raise ParameterError for a load, or its table in a case file, with the name of an earlier one."""
+    for i, name in enumerate(names := [load.name for load in loads]):
+        if name in names[:i]:
+            expected = f"a name that no other load has: it names the ledger's column power_{name}"
+            raise ParameterError(f"loads[{i}].name", name, expected)
+
+
+def require_names_and_one_rest(bodies: Sequence[Any]) -> None:
+    """Raise ParameterError for a body, or its table, with the name of an earlier one, or without a place."""
+    rest = None
+    for i, body in enumerate(bodies):
+        if body.name in [earlier.name for earlier in bodies[:i]]:
+            raise ParameterError(f"bodies[{i}].name", body.name, "a name that no other body has")
+        if body.where is None and rest is not None:
+            expected = f"a place: {rest!r} has none, and fills the rest of the domain"
+            raise ParameterError(f"bodies[{i}].where", None, expected)
+        rest = body.name if body.where is None else rest
 
 
 def open_state(creep: FlowRule | None, material: Material, m: int) -> tuple[ElasticState, str]:

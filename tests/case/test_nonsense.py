@@ -107,7 +107,7 @@ TWO | LAW_OF_DISC -> kind = "NeoHookean", K_e = 10, G_e = 5, epsilon = 0.1
 TWO | name = "disc" -> name = "rest" | bodies.1.name: 'rest': expected a name that no other
 TWO | name = "disc" -> name = "a disc" | bodies.1.name: 'a disc': expected a letter
 TWO | name = "disc" ->  | bodies.1.name: is missing
-TWO | where = BALL ->  | bodies.1.where: is missing: expected a place: bodies.0 has none
+TWO | where = BALL ->  | bodies.1.where: is missing: expected a place: 'rest' has none
 TWO | kind = "Ball" -> kind = "Bal" | bodies.1.where.kind: 'Bal': expected one of Ball, Block
 TWO | radius = 0.2 -> radius = -1 | bodies.1.where.radius: -1.0: expected a finite number > 0
 TWO | G_e = 5 -> G_e = -5 | bodies.1.material.G_e: -5.0: expected a finite number > 0

@@ -200,9 +200,9 @@ class SharesOnly:
     ("make", "match"),
     [
         (lambda: [disc(name="a b")], "Body.name"),
-        (lambda: [disc(), disc()], "distinct names"),
+        (lambda: [disc(), disc()], r"bodies\[1\].name = 'disc': .*a name that no other body has"),
         (lambda: [disc(), rest(name="disc_momentum")], "distinct columns.*'disc_momentum'"),
-        (lambda: [rest(), rest(name="other")], "one body at most without a place"),
+        (lambda: [rest(), rest(name="other")], r"bodies\[1\].where = None: .*a place: 'rest' has none"),
         (lambda: [disc(where="here"), rest()], r"bodies\['disc'\].where"),
         (lambda: [disc(where=nv.Ball), rest()], r"bodies\['disc'\].where.*a shape"),
         (lambda: [disc(where=SharesOnly()), rest()], r"bodies\['disc'\].where.*a shape"),

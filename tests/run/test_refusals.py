@@ -263,7 +263,6 @@ def test_bad_parameter_is_named_with_its_value(make, value, field, expected):
 
 
 LISTS = """\
-Model(material=LINEAR, loads=_) | (Gravity((0, 1)), Gravity((1, 0))), | Model.loads | distinct names
 CustomMaterial(transported=(), stored_energy=_) | lambda: CF(1) | CustomMaterial.variables | at least one
 CustomMaterial(transported=TWICE, stored_energy=_) | lambda F: F[0] | CustomMaterial.variables | distinct
 CustomMaterial(transported=K, stored_energy=_) | lambda K: -K | CustomMaterial.variables | 'A' too: the rate
@@ -436,6 +435,11 @@ def test_unknown_names_are_said_with_the_known_ones_or_the_nearest():
     assert isinstance(error.value, KeyError)
     with pytest.raises(nv.UnknownNameError, match="unknown ledger column 'kinetik'; did you mean 'kinetic'"):
         simulation().ledger.column("kinetik")
+
+
+def test_a_load_with_the_name_of_an_earlier_one_is_named():
+    with pytest.raises(nv.ParameterError, match=r"loads\[1\].name = 'gravity': .*column power_gravity"):
+        nv.Model(material=LINEAR, loads=[nv.Gravity((0, 1)), nv.Gravity((1, 0))])
 
 
 def test_until_may_miss_a_multiple_by_rounding():
