@@ -1,24 +1,27 @@
 """Conservative sharpening of interfaces between bodies at the end of a step, which keeps their width.
 
 Transport smears a jump of the amounts n_i over ever more cells.  After each step (``Discretisation.sharp``)
-bodies i and j are separated, in the cells that contain both, in two moves.
+bodies i and j are separated, in cells that contain no other body, in two moves.
 
-1. *Between two mixed cells.*  Through their facet the amount
+1. *Between cells.*  The step has carried the amounts F_i, F_j out of a cell through a facet.  Of the strip
+   that was swept through the facet, the share s lay behind the plane that bounds body i in this cell at the
+   start of the step.  The facet's cells exchange the defect of the flux,
 
-       a = C tau int |v . n| |e . n| / |K_d|  min(n_i |K_d|, n_j |K_r|),    at most 1/8 of either,
+       s (F_i + F_j) - F_i    of body i, and as much of body j in the other direction,
 
-   of body i goes to K_r, the cell with more of i, and the same amount of body j comes back; e is the
-   direction in which theta_i grows.  Each body takes its tensors with it, a (X/n) of its cell.  An interface
-   at rest does not change, as under upwinding, whose smearing this move balances.
-2. *In a mixed cell* n_i becomes the mean plus the slope of the projected indicator of a half-space that has
-   this mean and a boundary plane across e, scaled until theta_i is in [0, 1]; n_j is the rest of n_i + n_j,
-   and X becomes n (X/n) with the quotient of the means.
+   scaled so that no cell gives more of a body than it has (Zalesak, J. Comput. Phys. 31, 1979).  What the
+   limiter holds back is tried once more.  Each body takes its tensors with it, in the ratio X/n of its cell.
+2. *In a cell* n_i becomes the mean plus the slope of the projected indicator of body i's part, scaled until
+   theta_i is in [0, 1]; n_j is the rest of n_i + n_j, and X becomes n (X/n) with the quotient of the means.
+
+A plane bounds body i in a cell: its normal is the slope of theta_i averaged at the vertices, and it cuts off
+the cell's mean of theta_i.  The strip is a prism between the facet and its place before the step.
 
 The moves keep N at every point, int n_i and int X_i: masses, sum theta = 1, rho and momentum too, since
 bodies have one density.  A common volumetric energy depends on N alone, and n f(X/n) = C : (X - n I), f
 linear in X, on the integrals alone: the stored energy is kept to rounding, and the step's identity holds.
 Other f would lose energy if they had degree one in (n, X); the bodies' f have it up to traces of matter only,
-and are refused.  The cost is shape: a body of a few cells becomes somewhat angular along them (NOTES).
+and are refused.
 """
 
 from __future__ import annotations
@@ -31,6 +34,8 @@ from ngsolve import (
     ET,
     H1,
     VOL,
+    CoefficientFunction,
+    Discontinuous,
     ElementId,
     FacetFESpace,
     FESpace,
@@ -45,19 +50,23 @@ from ngsolve import (
 
 from ngvisco.errors import ParameterError
 from ngvisco.forms.mesh.mesh_arrays import VERTICES
+from ngvisco.forms.mesh.quadrature import compiled
 from ngvisco.forms.system import Step
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.physics.bodies import AMOUNT, NO_INTERFACE
 from ngvisco.physics.mixture import Mixture
+from ngvisco.physics.tensors import if_positive
 
-_RATE = 1 / 4
-"""Factor C: half of upwinding's smearing at a jump, 1/2 |v . n|; a larger C is sharper and less round."""
-_MOST = 1 / 8
-"""Largest share of a body in a cell that goes through one facet."""
 _LEAST = 1e-3
 """Fraction below which a cell does not contain a body."""
-_DEGREE = 20
-"""Degree of the rule that places a plane in a cell."""
+_PASSES = 2
+"""Number of exchanges between cells: the second one meets what the first has moved."""
+_PLANES = 2
+"""Number of planes that are placed in a cell, each with a better normal."""
+_HALVINGS = 45
+"""Number of halvings of the interval of a plane's place, which determine the place to rounding."""
+_APART = 1e-6
+"""Distance, over their range, to which equal values at a simplex' vertices are parted."""
 _FIELD = "Discretisation.sharp"
 
 
@@ -101,109 +110,163 @@ class Sharpening:
             [i for X in material.contents(name) for i in range(slices[X.name].start, slices[X.name].stop)]
             for name in names
         ]
-        self._kind = ET.TRIG if self.dim == 2 else ET.TET
-        places = np.array(VERTICES[self._kind])
-        rule = IntegrationRule([tuple(map(float, place)) for place in places], [0.0] * len(places))
-        self._corners = self.mesh.MapToAllElements({self._kind: rule}, VOL)
-        self._x = np.asarray(CF((x, y, z)[: self.dim])(self._corners)).reshape(-1, len(places), self.dim)
+        kind = ET.TRIG if self.dim == 2 else ET.TET
+        rule = IntegrationRule(VERTICES[kind], [0.0] * (self.dim + 1))
+        self._corners = self.mesh.MapToAllElements({kind: rule}, VOL)
+        self._x = np.asarray(CF((x, y, z)[: self.dim])(self._corners)).reshape(-1, self.dim + 1, self.dim)
         self._basis, self._inverse, self._masses = self._of_cells()
-        self._vertices, self._facets = self._of_vertices_and_facets()
-        rule = IntegrationRule(self._kind, _DEGREE)
-        points = np.hstack([np.array(rule.points)[:, : self.dim], np.ones((len(rule), 1))])
-        self._lambda = points @ np.linalg.inv(np.hstack([places, np.ones((len(places), 1))]))
-        self._shares = np.array(rule.weights) / sum(rule.weights)
-        weighed = self._lambda.T * self._shares
-        self._fit = np.linalg.solve(weighed @ self._lambda, weighed)
+        self._mass = self._masses.sum(axis=1)
+        self._vertices, self._facets, self._sides = self._of_vertices_and_facets()
+        self._outflows = [self._outflow(step.now.z[n]) for n in self._amounts]
+        corners = range(self.dim + 1)
+        self._on = np.array([[c for c in corners if c != opposite] for opposite in corners])
         edges = self._x[:, 1:] - self._x[:, :1]
         self._volumes = np.abs(np.linalg.det(edges)) / (2 if self.dim == 2 else 6)
+        self._longest = float(self._volumes.max()) ** (1 / self.dim)
         slopes = np.swapaxes(np.linalg.inv(edges), 1, 2)
         self._slopes = np.concatenate([-slopes.sum(axis=1, keepdims=True), slopes], axis=1)  # of lambda
 
+    # --- a step, as the integrator's ``carried`` objects follow it ---------------------------------------
+
+    def begin(self) -> None:
+        """Begin a step, or repeat it, from the present state."""
+        self._start = self._values()
+        shape = self._x.shape
+        self._flux, self._velocity = np.zeros((len(self._amounts), *shape[:2])), np.zeros(shape)
+
+    def stage(self, weights: np.ndarray, share: float) -> None:
+        """Add what a stage, the present state, carries through facets, with the scheme's weight ``share``."""
+        self._velocity += share * np.asarray(self.step.now.v(self._corners)).reshape(self._x.shape)
+        for flux, form in zip(self._flux, self._outflows, strict=True):
+            out = form.Assemble().vec.FV().NumPy().reshape(self._sides.shape)
+            flux += share * np.take_along_axis(out, self._sides, axis=1)
+
+    def end(self, weights: np.ndarray) -> None:
+        """Accept the step: nothing is kept for the next one."""
+
     def put_apart(self, tau: float) -> None:
         """Separate bodies of the present state at the end of a step of length ``tau``, s."""
-        dofs = self._basis
-        state = self.step.state.vec.FV().NumPy()[self.step.layout.ranges["z"]]
-        state = state.reshape(self.step.layout.states.size, -1)
-        u = np.einsum("kcf,skf->skc", np.linalg.inv(self._inverse), state[:, dofs])
-        v = np.asarray(self.step.now.v(self._corners)).reshape(self._x.shape)
+        u = self._values()
         for i, j in combinations(range(len(self._amounts)), 2):
-            mixed = self._mixed(self._means(u), i, j)
-            heights = self._averaged(np.clip(u[self._amounts[i]] / sum(u[n] for n in self._amounts), 0, 1))
-            self._between(u, i, j, heights, tau * v, mixed)
-            self._within(u, i, j, heights, mixed)
-        state[:, dofs] = np.einsum("kfc,skc->skf", self._inverse, u)
+            pair = self._is_pair(self._start, i, j) & self._is_pair(u, i, j)
+            self._between(u, i, j, self._defects(i, j, tau), pair)
+            self._within(u, i, j, pair)
+        self._state()[:, self._basis] = np.einsum("kfc,skc->skf", self._inverse, u)
+
+    def _state(self) -> np.ndarray:
+        """View of the present coefficients of z, (components, functions)."""
+        state = self.step.state.vec.FV().NumPy()[self.step.layout.ranges["z"]]
+        return state.reshape(self.step.layout.states.size, -1)
+
+    def _values(self) -> np.ndarray:
+        """Values of the present z at the cells' corners, (components, cells, corners)."""
+        return np.einsum("kcf,skf->skc", np.linalg.inv(self._inverse), self._state()[:, self._basis])
 
     def _means(self, u: np.ndarray) -> np.ndarray:
         """Cell means of linear functions with values (components, cells, corners)."""
-        return np.einsum("skc,kc->sk", u, self._masses) / self._masses.sum(axis=1)
+        return np.einsum("skc,kc->sk", u, self._masses) / self._mass
 
-    def _averaged(self, values: np.ndarray) -> np.ndarray:
+    def _is_pair(self, u: np.ndarray, i: int, j: int) -> np.ndarray:
+        """Mask of cells with no other bodies than i and j, (cells,)."""
+        amounts = self._means(u[self._amounts])
+        return np.asarray(amounts[[i, j]].sum(axis=0) > (1 - _LEAST) * amounts.sum(axis=0))
+
+    def _averaged(self, values: np.ndarray, weights: np.ndarray) -> np.ndarray:
         """Values at corners of cells, (cells, corners), averaged over the corners at each vertex."""
-        weights = np.repeat(self._volumes, values.shape[1])
+        weights = np.repeat(weights, values.shape[1])
         sums = [np.bincount(self._vertices.ravel(), sizes) for sizes in (weights * values.ravel(), weights)]
         averages: np.ndarray = (sums[0] / np.maximum(sums[1], np.finfo(float).tiny))[self._vertices]
         return averages
 
-    def _mixed(self, means: np.ndarray, i: int, j: int) -> np.ndarray:
-        """Mask of cells with bodies i and j and no other body, (cells,)."""
-        amounts = means[self._amounts]
-        least, both = _LEAST * amounts.sum(axis=0), amounts[[i, j]]
-        return np.asarray((both > least).all(axis=0) & (both.sum(axis=0) > amounts.sum(axis=0) - least))
+    def _behind(self, u: np.ndarray, i: int) -> np.ndarray:
+        """Values at corners of linear functions > 0 in body i's part of a cell, which is behind a plane,
+        (cells, corners); 0 in cells without an interface.
 
-    def _between(
-        self, u: np.ndarray, i: int, j: int, heights: np.ndarray, path: np.ndarray, mixed: np.ndarray
-    ) -> None:
-        """Exchange bodies i and j between mixed cells, in place; ``path`` is tau v at corners of cells."""
-        slope = np.einsum("kc,kcd->kd", heights, self._slopes)
-        size = np.linalg.norm(slope, axis=1, keepdims=True)
-        is_flat = np.ptp(heights, axis=1, keepdims=True) <= NO_INTERFACE
-        slope = np.where(is_flat, 0.0, slope / np.where(is_flat, 1.0, size))
-        facets = self._facets[mixed[self._facets[:, 0]] & mixed[self._facets[:, 2]]]
-        (cell, corner), neighbour = facets[:, :2].T, facets[:, 2]
-        normal = -self.dim * self._volumes[cell, None] * self._slopes[cell, corner]  # length = facet's area
-        area = np.linalg.norm(normal, axis=1)
-        up = 0.5 * ((slope[cell] + slope[neighbour]) * normal).sum(axis=1) / area
-        opposite = np.arange(path.shape[1]) == corner[:, None]
-        moved = np.where(opposite[:, :, None], 0.0, path[cell]).sum(axis=1) / self.dim
-        swept = np.abs((moved * normal).sum(axis=1))
-        giving, taking = np.where(up > 0, (cell, neighbour), (neighbour, cell))
-        means, mass = self._means(u), self._masses.sum(axis=1)
-        amounts_i, amounts_j = means[self._amounts[i]], means[self._amounts[j]]
-        share = np.minimum(_RATE * np.abs(up) * swept / self._volumes[giving], _MOST)
-        amount = share * np.minimum(amounts_i[giving] * mass[giving], amounts_j[taking] * mass[taking])
-        for body, source, target in ((i, giving, taking), (j, taking, giving)):
-            n = means[self._amounts[body], source]
-            for component in (self._amounts[body], *self._contents[body]):
-                carried = amount * means[component, source] / n
-                count = len(mass)
-                change = np.bincount(target, carried, count) - np.bincount(source, carried, count)
-                u[component] += (change / mass)[:, None]
+        The first normals are slopes of averaged fractions, the second ones of averaged distances from the
+        first planes.
+        """
+        amounts, theta = u[self._amounts], self._fraction(u, i)
+        values, is_cut = np.clip(amounts[i] / amounts.sum(axis=0), 0, 1), np.ones(len(theta), dtype=bool)
+        height = values
+        for _ in range(_PLANES):
+            averaged = self._averaged(values, is_cut * self._volumes)
+            height = np.where(is_cut[:, None], averaged, height)
+            has_slope = np.ptp(height, axis=1) > NO_INTERFACE
+            height = np.where(has_slope[:, None], height - _level(height, theta)[:, None], 0.0)
+            is_cut = has_slope & (np.minimum(theta, 1 - theta) > _LEAST)
+            size = np.linalg.norm(np.einsum("kc,kcd->kd", height, self._slopes), axis=1) * self._longest
+            values = height / np.where(is_cut, size, 1.0)[:, None]
+        return height
 
-    def _within(self, u: np.ndarray, i: int, j: int, heights: np.ndarray, mixed: np.ndarray) -> None:
-        """Separate bodies i and j in mixed cells by planes across the slope of heights, in place."""
-        means, chosen = self._means(u), np.flatnonzero(mixed & (np.ptp(heights, axis=1) > NO_INTERFACE))
-        amount_i, both = means[self._amounts[i]], means[self._amounts[i]] + means[self._amounts[j]]
-        theta = amount_i[chosen] / both[chosen]
-        above = heights[chosen] @ self._lambda.T
-        order = np.argsort(-above, axis=1, kind="stable")
-        sizes = self._shares[order]
-        filled = np.clip((theta[:, None] - (np.cumsum(sizes, axis=1) - sizes)) / sizes, 0, 1)
-        inside = np.empty_like(above)
-        np.put_along_axis(inside, order, filled, axis=1)
-        slope = inside @ self._fit.T
-        weights = self._masses[chosen]
-        slope -= (slope * weights).sum(axis=1, keepdims=True) / weights.sum(axis=1, keepdims=True)
+    def _fraction(self, u: np.ndarray, i: int) -> np.ndarray:
+        """Mean of theta_i in each cell, in [0, 1], (cells,)."""
+        means = self._means(u[self._amounts])
+        return np.clip(means[i] / means.sum(axis=0), 0, 1)
+
+    def _defects(self, i: int, j: int, tau: float) -> np.ndarray:
+        """Amount of body i that the step's outflow lacks by the planes at its start, (cells, facets).
+
+        Facets are numbered by their opposite corners.
+        """
+        height, on, out = self._behind(self._start, i), self._on, tau * self._flux
+        cut = np.flatnonzero(np.ptp(height, axis=1) > 0)
+        height, path, slopes = height[cut], tau * self._velocity[cut], self._slopes[cut]
+        turning = np.einsum("kcd,kce->kde", path, slopes)
+        back = path - 0.5 * np.einsum("kde,kce->kcd", turning, path)  # the path is an arc
+        before = height - np.einsum("kcd,ked,ke->kc", back, slopes, height)
+        prism = [[height[:, on[:, n:]], before[:, on[:, : n + 1]]] for n in range(self.dim)]
+        shares = np.stack([_share(np.concatenate(part, axis=2)) for part in prism], axis=2)
+        sizes = np.maximum(-np.einsum("kond,kod->kon", path[:, on], slopes), 0)
+        size = sizes.sum(axis=2)
+        behind = np.repeat(self._fraction(self._start, i)[:, None], self.dim + 1, axis=1)
+        of_strip = (shares * sizes).sum(axis=2) / np.where(size > 0, size, 1.0)
+        behind[cut] = np.where(size > 0, of_strip, behind[cut])
+        return np.asarray(behind * (out[i] + out[j]) - out[i])
+
+    def _between(self, u: np.ndarray, i: int, j: int, defects: np.ndarray, pair: np.ndarray) -> None:
+        """Exchange the fluxes' defects between cells of the mask ``pair``, in place."""
+        facets = self._facets[pair[self._facets[:, 0]] & pair[self._facets[:, 2]]]
+        cell, corner, neighbour, opposite = facets.T
+        left, count = defects[cell, corner] - defects[neighbour, opposite], len(self._mass)
+        giving, taking = np.where(left > 0, (cell, neighbour), (neighbour, cell))
+        left = np.abs(left)
+        for _ in range(_PASSES):
+            means, amount = self._means(u), left
+            for body, source in ((i, giving), (j, taking)):
+                has = np.maximum(means[self._amounts[body]], 0.0) * self._mass
+                gives = np.bincount(source, left, count)
+                share = np.minimum(1.0, has / np.where(gives > 0, gives, 1.0))
+                amount = np.minimum(amount, left * share[source])
+            for body, source, target in ((i, giving, taking), (j, taking, giving)):
+                n = means[self._amounts[body], source]
+                share = np.where(n > 0, amount / np.where(n > 0, n, 1.0), 0.0)
+                for component in (self._amounts[body], *self._contents[body]):
+                    carried = share * means[component, source]
+                    change = np.bincount(target, carried, count) - np.bincount(source, carried, count)
+                    u[component] += (change / self._mass)[:, None]
+            left = left - amount
+
+    def _within(self, u: np.ndarray, i: int, j: int, pair: np.ndarray) -> None:
+        """Separate bodies i and j by planes in cells of the mask ``pair``, in place."""
+        height, theta, means = self._behind(u, i), self._fraction(u, i), self._means(u)
+        chosen = np.flatnonzero(pair & (np.ptp(height, axis=1) > 0))
+        height, theta = height[chosen], theta[chosen]
+        doubled = (np.column_stack([height, height[:, c]]) for c in range(self.dim + 1))
+        slope = np.stack([_share(heights) for heights in doubled], axis=1)
+        slope -= (slope * self._masses[chosen]).sum(axis=1, keepdims=True) / self._mass[chosen, None]
+        slope *= self.dim + 2
         tiny = np.finfo(float).tiny
         low = theta / np.maximum(-slope.min(axis=1), tiny)
         high = (1 - theta) / np.maximum(slope.max(axis=1), tiny)
         slope *= np.minimum(1.0, np.minimum(low, high))[:, None]
-        n_i, n_j = self._amounts[i], self._amounts[j]
-        total = u[n_i, chosen] + u[n_j, chosen]
-        u[n_i, chosen] = amount_i[chosen, None] + both[chosen, None] * slope
-        u[n_j, chosen] = total - u[n_i, chosen]
-        for body, n in ((i, n_i), (j, n_j)):
-            for component in self._contents[body]:
-                u[component, chosen] = u[n, chosen] * (means[component, chosen] / means[n, chosen])[:, None]
+        pairs = ((self._amounts[i], self._contents[i], slope), (self._amounts[j], self._contents[j], -slope))
+        both = sum(means[n, chosen] for n, *_ in pairs)[:, None]
+        total = sum(u[n, chosen] for n, *_ in pairs)
+        for n, contents, part in pairs:
+            u[n, chosen] = means[n, chosen, None] * total / both + both * part
+            some = chosen[means[n, chosen] > NO_INTERFACE * both[:, 0]]  # no quotients of rounding
+            for component in contents:
+                u[component, some] = u[n, some] * (means[component, some] / means[n, some])[:, None]
 
     # --- arrays of cells, vertices and facets -----------------------------------------------------------
 
@@ -224,26 +287,71 @@ class Sharpening:
         inverse = np.linalg.inv(values)
         return dofs, inverse, np.einsum("kf,kfc->kc", integrals, inverse)
 
-    def _of_vertices_and_facets(self) -> tuple[np.ndarray, np.ndarray]:
-        """Numbers of the cells' vertices, (cells, corners), and facets between two cells: rows of one cell,
-        its corner opposite, and the other cell.  Identified vertices and facets count once."""
+    def _outflow(self, amount: CoefficientFunction) -> LinearForm:
+        """Form of what an amount's upwind flux carries out of the cells, one row a side of a facet."""
+        side = Discontinuous(FacetFESpace(self.mesh, order=0))
+        context = self.step.context
+        speed = context.crossed * (self.step.now.v * context.normal)
+        form = LinearForm(side)
+        form += self.step.quadrature.facets(
+            compiled(if_positive(speed, speed, 0 * speed) * amount * side.TestFunction())
+        )
+        return form
+
+    def _of_vertices_and_facets(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Numbers of the cells' vertices, (cells, corners); facets between two cells: rows of one cell, its
+        corner opposite, the other cell and its corner; and the number in its cell of the facet opposite to
+        each corner, (cells, corners).  Identified vertices and facets count once."""
         periodic = bool(self.step.walls.periodic)
         nodes, facets = H1(self.mesh, order=1), FacetFESpace(self.mesh, order=0)
         vertices, sides = (_numbers(Periodic(s) if periodic else s) for s in (nodes, facets))
         points = np.array([vertex.point for vertex in self.mesh.vertices])
-        first, rows = dict[int, tuple[int, int]](), []
+        first, rows, opposite = dict[int, tuple[int, int]](), [], np.empty_like(sides)
         for cell, element in enumerate(self.mesh.Elements(VOL)):
             vertices_of = [vertex.nr for vertex in element.vertices]
             near = np.linalg.norm(self._x[cell][:, None] - points[vertices_of], axis=2).argmin(axis=1)
             vertices[cell] = vertices[cell][near]
-            for number, facet in zip(sides[cell], element.facets, strict=True):
+            for at, (number, facet) in enumerate(zip(sides[cell], element.facets, strict=True)):
                 on = {vertex.nr for vertex in self.mesh[facet].vertices}
-                corner = next(c for c, at in enumerate(near) if vertices_of[at] not in on)
+                corner = next(c for c, place in enumerate(near) if vertices_of[place] not in on)
+                opposite[cell, corner] = at
                 if number in first:
-                    rows.append([*first[number], cell])
+                    rows.append([*first[number], cell, corner])
                 else:
                     first[number] = cell, corner
-        return vertices, np.array(rows, dtype=int).reshape(-1, 3)
+        return vertices, np.array(rows, dtype=int).reshape(-1, 4), opposite
+
+
+def _level(heights: np.ndarray, theta: np.ndarray) -> np.ndarray:
+    """Value above which linear functions with the values ``heights``, (cells, corners), are in the share
+    ``theta`` of their cells, (cells,)."""
+    low, high = heights.min(axis=1), heights.max(axis=1)
+    level = np.where(theta < 0.5, high, low)
+    cut = np.minimum(theta, 1 - theta) > NO_INTERFACE
+    heights, theta, low, high = heights[cut], theta[cut], low[cut], high[cut]
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        is_more = _share(heights - middle[:, None]) > theta
+        low, high = np.where(is_more, middle, low), np.where(is_more, high, middle)
+    level[cut] = 0.5 * (low + high)
+    return level
+
+
+def _share(values: np.ndarray) -> np.ndarray:
+    """Share of simplices in which linear functions with ``values`` at the vertices are > 0, (..., vertices).
+
+    With d + 1 vertices it is sum over the v_i > 0 of v_i^d / prod_{j != i} (v_i - v_j).  A vertex that is
+    given twice weighs the simplex by (d + 1) lambda of this vertex.
+    """
+    count = values.shape[-1]
+    values = np.sort(values, axis=-1)
+    spread = _APART * np.maximum(np.ptp(values, axis=-1, keepdims=True), NO_INTERFACE)
+    values = values + spread * np.arange(count)
+    most = (values > 0).sum(axis=-1, keepdims=True) > count / 2
+    values = np.where(most, -values, values)  # few and large summands do not cancel
+    differences = values[..., :, None] - values[..., None, :] + np.eye(count)
+    share = (np.maximum(values, 0.0) ** (count - 1) / differences.prod(axis=-1)).sum(axis=-1)
+    return np.where(most[..., 0], 1 - share, share)
 
 
 def _numbers(space: FESpace) -> np.ndarray:

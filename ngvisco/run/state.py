@@ -75,7 +75,7 @@ class RunState:
             time.made,
             self.ledger.rates,
             self.bounds,
-            carried=[self.passive],
+            carried=[part for part in (self.passive, self.bounds.sharpening) if part is not None],
             startup=time.startup,
             relaxed=time.relaxation,
         )

@@ -61,7 +61,7 @@ class Trajectory:
     """Records the steps of a run, as one of the integrator's ``carried`` objects.
 
     Raises ParameterError for a run without derivatives: with growing damage, pistons on oblique walls,
-    relaxed steps, viscosities in series for constants in cells, or several ranks.
+    relaxed steps, sharp interfaces, viscosities in series for constants in cells, or several ranks.
     """
 
     simulation: Simulation
@@ -77,6 +77,8 @@ class Trajectory:
             and "the impulse of a piston on an oblique or curved wall at a step's end has none",
             "relaxation": run.arguments["time"].relaxation
             and "the length of a relaxed step is a function of its solution",
+            "discretisation": run.bounds.sharpening is not None
+            and "what sharp puts apart at a step's end has none",
             "mesh": run.ranks.is_distributed and "the transposed systems of several ranks are not known",
             "interfaces": bool(run.rothe_step.context.recovered_slopes)
             and "with constants in cells the direction of interfaces between viscosities has none",

@@ -1,4 +1,4 @@
-"""Bodies that are put apart at the end of a step: what is kept, what falls, and what is refused."""
+"""Bodies that are put apart at the end of a step: what is kept, what moves, and what is refused."""
 
 from dataclasses import replace
 
@@ -7,13 +7,16 @@ import pytest
 from ngsolve import CF, sin, x, y
 
 import ngvisco as nv
+from ngvisco.forms import sharpening
 from ngvisco.forms.bounds import Bounds
 from ngvisco.forms.mesh.quadrature import Sampler
+from ngvisco.forms.sharpening import Sharpening, _share
 from ngvisco.forms.start.initial import set_initial
 from ngvisco.forms.system import Step
 from ngvisco.geometries import box, structured_box
 from ngvisco.physics.tensors import tr
 from ngvisco.physics.variables import INTERFACE, Jacobian
+from ngvisco.shapes.shape import Where
 
 K = 10.0
 FLUID = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: K / 2 * (J - 1) * (J - 1) / J)
@@ -22,16 +25,17 @@ TWO_TENSORS = nv.ReferentialMooneyRivlin(K_e=K, G_e=0.6, G_mr=0.4)
 SHARP = nv.Discretisation(m=1, sharp=True)
 
 
-def bodies(material=LINEAR, density=1.0):
-    disc = nv.Body(name="disc", where=nv.Ball((0.5,) * 2, 0.3), material=material, density=density)
+def bodies(material=LINEAR, density=1.0, dim=2):
+    disc = nv.Body(name="disc", where=nv.Ball((0.5,) * dim, 0.3), material=material, density=density)
     return [nv.Body(name="fluid", material=FLUID, density=1.0), disc]
 
 
 def smeared(material=LINEAR, mesh=None):
     """A disc whose fraction falls over some cells and which is stretched unevenly, in a flow."""
     F = CF((1 + 0.2 * sin(5 * y), 0.3 * x, 0, 0, 1 / (1 + 0.2 * sin(5 * y)), 0, 0, 0, 1), dims=(3, 3))
-    start = nv.Initial(velocity=(y - 0.5, 0.5 - x), F=F)
-    step = Step(mesh or box((1, 1), 0.2), nv.Model(bodies=bodies(material)), SHARP)
+    mesh = mesh or box((1, 1), 0.2)
+    start = nv.Initial(velocity=(y - 0.5, 0.5 - x, 0.0)[: mesh.dim], F=F)
+    step = Step(mesh, nv.Model(bodies=bodies(material, dim=mesh.dim)), SHARP)
     sampler = Sampler(step.mesh, step.quadrature)
     set_initial(step, start, sampler)
     bounds = Bounds(step, sampler)
@@ -39,8 +43,10 @@ def smeared(material=LINEAR, mesh=None):
         z, by = step.state.vec.FV().NumPy()[step.layout.ranges["z"]], bounds.sharpening
         z = z.reshape(step.layout.states.size, -1)
         u = np.einsum("kcf,skf->skc", np.linalg.inv(by._inverse), z[:, by._basis])
-        mean = np.array([by._averaged(of) for of in u])
+        mean = np.array([by._averaged(of, by._volumes) for of in u])
         z[:, by._basis] = np.einsum("kfc,skc->skf", by._inverse, 0.5 * (u + mean))
+    bounds.sharpening.begin()
+    bounds.sharpening.stage(np.ones(1), 1.0)
     return step, bounds
 
 
@@ -52,11 +58,17 @@ def totals(step):
     return np.asarray(step.quadrature.integrate_cells(step.now.z))
 
 
+MESHES = {
+    "periodic": lambda: structured_box((1, 1), (5, 5), periodic="x"),
+    "plane": lambda: box((1, 1), 0.2),
+    "space": lambda: box((1, 1, 1), 0.35),
+}
+
+
 @pytest.mark.parametrize("material", [LINEAR, TWO_TENSORS])
-@pytest.mark.parametrize("periodic", [False, True])
-def test_masses_sum_of_amounts_and_energy_are_kept(material, periodic):
-    mesh = structured_box((1, 1), (5, 5), periodic="x") if periodic else box((1, 1), 0.2)
-    step, bounds = smeared(material, mesh)
+@pytest.mark.parametrize("mesh", MESHES)
+def test_masses_sum_of_amounts_and_energy_are_kept(material, mesh):
+    step, bounds = smeared(material, MESHES[mesh]())
     z, sampler = step.now.z_tensors, bounds.sampler
     both = (z["n_disc"] + z["n_fluid"]).Compile()
     before, N, energy = totals(step), sampler.values(both), stored(step)
@@ -67,6 +79,39 @@ def test_masses_sum_of_amounts_and_energy_are_kept(material, periodic):
     after = sampler.values(z["n_disc"] / both)
     assert np.abs(after - share).max() > 0.03 and after.min() > -0.05 and after.max() < 1.05
     assert stored(step) == pytest.approx(energy, rel=1e-13)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_shares_of_simplices_above_a_value(rng, dim):
+    """Against points of the simplex, and with equal values; a vertex given twice weighs by its lambda."""
+    points = rng.dirichlet(np.ones(dim + 1), 200_000)
+    cases = [rng.uniform(-1, 1, dim + 1) for _ in range(6)]
+    cases += [np.array([1.0, *[0.0] * (dim - 1), -1.0]), np.array([*[0.5] * dim, -0.5])]
+    for values in cases:
+        above = points @ values > 0
+        assert _share(values) == pytest.approx(above.mean(), abs=5e-3)
+        for c in range(dim + 1):
+            weighed = (dim + 1) * (above * points[:, c]).mean()
+            assert _share(np.append(values, values[c])) == pytest.approx(weighed, abs=1e-2)
+    assert _share(np.full((1, dim + 1), 0.3)) == 1 and _share(np.full((1, dim + 1), -0.3)) == 0
+
+
+def test_no_cell_gives_more_of_a_body_than_it_has(rng):
+    """Whatever the defects are: means of fractions stay in [0, 1], and those of tensors positive definite."""
+    step, bounds = smeared()
+    by = bounds.sharpening
+    u = by._values()
+    cells = u.shape[1]
+    u[...] = by._means(u)[..., None]
+    before = u.copy()
+    by._between(u, 1, 0, rng.uniform(-1, 1, (cells, 3)) * by._mass[:, None], np.ones(cells, dtype=bool))
+    after = by._means(u)
+    n, states = after[by._amounts], step.layout.states
+    (X,) = (X.name for X in step.model.material.contents("disc"))
+    tensors = (after[by._contents[1]].T @ states.spaces[X].columns.T).reshape(-1, 3, 3)
+    assert np.abs(after - by._means(before)).max() > 0.3 and n.min() > -1e-14
+    assert after @ by._mass == pytest.approx(by._means(before) @ by._mass, abs=1e-13)
+    assert np.linalg.eigvalsh(tensors).min() > -1e-13
 
 
 def test_an_even_mixture_has_no_interface_whatever_rounding_makes_of_it(rng):
@@ -82,6 +127,8 @@ def test_an_even_mixture_has_no_interface_whatever_rounding_makes_of_it(rng):
             u[component] = share
     z[:, by._basis] = np.einsum("kfc,skc->skf", by._inverse, u)
     before = z.copy()
+    by.begin()
+    by.stage(np.ones(1), 1.0)
     by.put_apart(0.01)
     assert np.abs(z - before).max() < 1e-10 * np.abs(before).max()
 
@@ -90,6 +137,8 @@ def test_an_interface_at_rest_is_left_where_it_is():
     """No velocity: nothing goes between cells, and what is apart in cells already stays."""
     step, bounds = smeared()
     step.state.vec.FV().NumPy()[step.layout.ranges["v"]] = 0.0
+    bounds.sharpening.begin()
+    bounds.sharpening.stage(np.ones(1), 1.0)
     bounds.sharpening.put_apart(0.05)
     once = step.state.vec.FV().NumPy().copy()
     means = step.quadrature.each_cell(step.now.z_tensors["n_disc"])
@@ -131,6 +180,34 @@ def test_a_run_closes_and_both_solvers_agree():
     assert np.abs(table("disc_mass") / table("disc_mass")[0] - 1).max() < 1e-12
 
 
+def strip_off(scheme):
+    """L1 error, over the area, of the means of a strip's fraction after two cells through a periodic box."""
+    strip = nv.Body(name="strip", where=0.04 - (x - 0.5) * (x - 0.5), material=FLUID, density=1.0)
+    run = nv.Simulation(
+        structured_box((1, 0.5), (8, 4), periodic="xy"),
+        nv.Model(bodies=[nv.Body(name="fluid", material=FLUID, density=1.0), strip]),
+        time=nv.TimeSteps(dt=0.0125, scheme=scheme),
+        initial=nv.Initial(velocity=(1.0, 0.0)),
+        discretisation=SHARP,
+    )
+    run.run(0.25)
+    z, exact = run.rothe_step.now.z_tensors, Where(0.04 - (x - 0.75) * (x - 0.75)).inside(run.mesh, 1)
+    off = z["n_strip"] / (z["n_strip"] + z["n_fluid"]) - exact
+    return np.abs(run.rothe_step.quadrature.each_cell(off)).sum() / 0.2
+
+
+@pytest.mark.parametrize("scheme", ["backward-euler", "midpoint", "sdirk2"])
+def test_a_strip_goes_where_it_is_carried(scheme, monkeypatch):
+    """The fluxes of all stages count; without an exchange, or with one the wrong way, it does not."""
+    assert strip_off(scheme) < 0.03
+    monkeypatch.setattr(sharpening, "_PASSES", 0)
+    assert strip_off(scheme) > 0.1
+    monkeypatch.setattr(sharpening, "_PASSES", 2)
+    defects = Sharpening._defects
+    monkeypatch.setattr(Sharpening, "_defects", lambda *of: -defects(*of))
+    assert strip_off(scheme) > 0.3
+
+
 def passed_through(sharp):
     """A disc without shear stress, five cells across, that goes once through a periodic box: its table."""
     table = nv.Bodies(measures=["outline", "deformation"])
@@ -150,11 +227,11 @@ def passed_through(sharp):
 @pytest.mark.long
 @pytest.mark.ci
 def test_an_interface_that_moves_stays_as_wide_as_it_is():
-    """After one passage through ten cells: a width of 1.7 without; the price is a D of some hundredths."""
+    """After one passage through ten cells: a width of 1.7 without; the price is a D of a hundredth."""
     plain, sharp = passed_through(False), passed_through(True)
-    assert plain("disc_smeared")[-1] > 1.5 and 1.0 < sharp("disc_smeared")[-1] < 1.3
+    assert plain("disc_smeared")[-1] > 1.5 and 0.5 < sharp("disc_smeared")[-1] < 1.0
     assert sharp("disc_inside")[-1] == pytest.approx(np.pi / 16, rel=0.03)
-    assert 0.005 < sharp("disc_D")[-1] < 0.06
+    assert sharp("disc_D")[-1] < 0.03
 
 
 @pytest.mark.parametrize(

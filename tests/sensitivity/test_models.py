@@ -82,7 +82,14 @@ def test_integrals_of_stresses_follow_an_energy_without_an_expression():
     assert np.allclose(adjoint, tangent, rtol=1e-7, atol=0)
 
 
-def test_viscosities_in_series_of_constants_in_cells_are_refused():
+@pytest.mark.parametrize(
+    ("discretisation", "said"),
+    [
+        (nv.Discretisation(k=1, m=0), "direction of interfaces between viscosities"),
+        (nv.Discretisation(sharp=True), "what sharp puts apart"),
+    ],
+)
+def test_interfaces_without_derivatives_are_refused(discretisation, said):
     matter = nv.BarotropicFluid(B=10.0, gamma=1.5)
     low, high = (
         nv.Body(
@@ -90,9 +97,9 @@ def test_viscosities_in_series_of_constants_in_cells_are_refused():
         )
         for name, where, G in (("low", 0.5 - x, 1.0), ("high", None, 2.0))
     )
-    options = {"initial": nv.Initial(velocity=VELOCITY), "discretisation": nv.Discretisation(k=1, m=0)}
+    options = {"initial": nv.Initial(velocity=VELOCITY), "discretisation": discretisation}
     run = started(nv.Model(bodies=[low, high]), **options)
-    with pytest.raises(nv.ParameterError, match="direction of interfaces between viscosities"):
+    with pytest.raises(nv.ParameterError, match=said):
         nv.gradient(run, UNTIL, of={"motion": "kinetic at 0.06"}, by=["bodies.low.density"])
 
 
