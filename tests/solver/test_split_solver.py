@@ -17,6 +17,7 @@ from ngvisco.geometries import box, disc
 from ngvisco.solver.options import SplitOptions
 from ngvisco.solver.problem import Status
 from ngvisco.solver.rothe import Interval
+from ngvisco.solver.split import solver as split_solver
 from ngvisco.solver.split.solver import Split
 from ngvisco.solver.split.transport import LEAST
 
@@ -193,6 +194,38 @@ def test_two_levels_lead_to_the_same_solution(k):
     for run in (direct, two_level):
         run.run(0.04)
     assert np.linalg.norm(state(two_level) - state(direct)) <= 1e-9 * np.linalg.norm(state(direct))
+
+
+def test_an_increment_is_solved_no_more_exactly_than_the_end_of_the_iteration_needs(monkeypatch):
+    """The last increments take fewer directions, as many iterations, and the solution is as near as asked."""
+    loosest, runs = split_solver._LOOSEST, []
+    for bound, tolerance in ((loosest, 1e-10), (0.0, 1e-10), (0.0, 1e-13)):
+        monkeypatch.setattr(split_solver, "_LOOSEST", bound)
+        options = replace(TWO_LEVELS, tolerance=tolerance)
+        run = simulation(mesh=box((1, 1, 1), maxh=0.4), newton=options)
+        used, newton = systems(run), run.solver.newton
+        runs.append((run.advance(), newton.unknowns.pack(), *zip(*used, strict=True)))
+    (row, state, loose, directions), (strict_row, _, strict, more), (_, solution, _, _) = runs
+    assert row["newton_iterations"] == strict_row["newton_iterations"]
+    assert loose[:3] == strict[:3] and loose[:3] == (split_solver._FORCING[3],) * 3
+    assert strict[-1] < loose[-1] <= 0.03
+    assert directions[:3] == more[:3] and sum(directions) <= sum(more) - 3
+    assert newton.size(state - solution) <= 1e-11  # a tenth of the tolerance
+    assert abs(row["closure_relative"]) <= 1e-13
+
+
+def systems(run):
+    """Tolerances of the flow's linear systems, and the directions that they take."""
+    preconditioner, used = run.solver.newton.preconditioner, []
+
+    class Noted(type(preconditioner)):
+        def __call__(self, at, tolerance, *more):
+            increment = super().__call__(at, tolerance, *more)
+            used.append((tolerance, self.iterations))
+            return increment
+
+    preconditioner.__class__ = Noted
+    return used
 
 
 def test_where_two_levels_do_not_solve_the_flow_the_tangent_is_factorised_as_a_whole():

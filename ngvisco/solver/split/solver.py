@@ -37,6 +37,9 @@ from ngvisco.threads import Workers, on_arrays
 
 _FORCING = {2: 0.03, 3: 0.003}
 """Tolerances of the flow's linear systems by dimension; in 3D residuals are dear, and fewer of them pay."""
+_LEFT, _LOOSEST = 0.3, 0.03
+"""Share of the error that the iteration may end with, which the flow's linear system may leave of the
+expected increment; and the largest tolerance for which this is a reason."""
 _STEEP = 0.01
 """Increment above which the operator of steep flow rules is renewed at the next iterate in any case."""
 TOLERANCE, _DIRECTIONS = 0.01, 40
@@ -72,6 +75,8 @@ class Split:
         """Whether the last increment was too long relative to the increment before."""
         self.is_fresh = True
         """Whether the tangent was renewed for the last increment."""
+        self._left = 0.0
+        """Tolerance of the last increment's linear system: the part of this increment that it may leave."""
         self.damps = False
         """Whether ``solve`` uses ``damped``."""
 
@@ -127,11 +132,11 @@ class Split:
         return unconverged(status, history, "the split solver", tolerance, remedy)
 
     def increment(
-        self, problem: Problem, x: np.ndarray, at: Evaluation, last: float
+        self, problem: Problem, x: np.ndarray, at: Evaluation, last: float, expected: float = np.inf
     ) -> tuple[np.ndarray, float]:
         """The increment at the unknowns x, and its size, infinite if R is not finite.
 
-        ``at`` is R evaluated at x, ``last`` the size of the increment before.
+        ``at`` is R evaluated at x, ``last`` the size of the increment before, ``expected`` that of this one.
         """
         problem.poll()
         options, fresh = self.options.split, not self.is_factorised
@@ -142,11 +147,11 @@ class Split:
             self.renew(problem, at)
         else:
             self.preconditioner.linearise(at, self._follows(last))
-        f = self.solved(at)
+        f = self.solved(at, expected)
         for better in (lambda: not fresh, self.preconditioner.strengthen):
             if self.preconditioner.iterations >= options.flow_iterations and better():  # not solved
                 self.renew(problem, at)
-                f = self.solved(at)
+                f = self.solved(at, expected)
         size = self.size(f)
         self._stale = size > options.stale_above * last
         return f, size
@@ -191,7 +196,7 @@ class Split:
         before."""
         options, tolerance = self.options.split, self.options.tolerance
         # estimates all increments after f from the contraction; that of a first increment is unknown
-        contraction = 0.5 if last == np.inf else min(size / last, 1.0)
+        contraction = 0.5 if last == np.inf else min(max(size / last, self._left), 1.0)
         if size <= tolerance and size * contraction <= (1 - contraction) * options.margin * tolerance:
             return True
         if not 0.5 * last < size:
@@ -213,9 +218,15 @@ class Split:
         if worn or bends or size > far:
             self.reset()
 
-    def solved(self, at: Evaluation) -> np.ndarray:
-        """The increment by the present tangent."""
-        return self.preconditioner(at, _FORCING[self.step.mesh.dim])
+    def solved(self, at: Evaluation, expected: float = np.inf) -> np.ndarray:
+        """The increment by the present tangent, no more exact than the iteration's end needs it.
+
+        ``expected`` is the size that the increment probably has."""
+        error, tolerance = _LEFT * self.options.split.margin * self.options.tolerance, _LOOSEST
+        if expected > 0:
+            tolerance = min(tolerance, error / expected)
+        self._left = max(tolerance, _FORCING[self.step.mesh.dim])
+        return self.preconditioner(at, self._left)
 
     def renew(self, problem: Problem, at: Evaluation) -> None:
         """Compute the tangent at an evaluation; its unknowns have to be the step's state."""
@@ -351,7 +362,9 @@ def iterate(split: Split, problem: Problem, history: list[NewtonIteration]) -> S
     while len(history) < split.options.max_iterations:
         if len(history) > options.slow and last <= options.krylov_below:
             return newton_krylov(split, problem, x, history)
-        f, size = split.increment(problem, x, split.evaluated(x, last), last)
+        # increments contract as they did before; nothing is known after an iterate that was given up
+        expected = last * history[-1].contraction if last < np.inf else np.inf
+        f, size = split.increment(problem, x, split.evaluated(x, last), last, expected)
         history.append(NewtonIteration(size, size / last if last < np.inf else 1.0, 1.0, split.is_fresh))
         if size <= options.growth * max(best[0], _FAR):
             new = x - f
