@@ -19,6 +19,7 @@ from ngvisco.errors import (
     NotANumberError,
     ParameterError,
     StepError,
+    StopRequested,
     UnknownNameError,
 )
 from ngvisco.forms.context import time
@@ -255,6 +256,7 @@ __all__ = [
     "SmearedWarning",
     "StepError",
     "StokesViscosity",
+    "StopRequested",
     "Subdomain",
     "Thermal",
     "TimeScheme",

@@ -94,7 +94,10 @@ class InitialDataError(NgviscoError, ValueError):
 
 
 class StopRequested(NgviscoError):
-    """A step was abandoned because the run was asked to stop; the state before the step is restored."""
+    """A step, or derivatives of a run, were given up because the run was asked to stop.
+
+    The state is the one before the step.
+    """
 
 
 class StepError(NgviscoError, RuntimeError):

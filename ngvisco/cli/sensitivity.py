@@ -3,7 +3,11 @@ data."""
 
 import argparse
 import csv
+import shutil
+import signal
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any, TypeVar
 
 from ngsolve import SetNumThreads
 
@@ -11,13 +15,17 @@ from ngvisco import case as cases
 from ngvisco.case.build import Case, samples
 from ngvisco.case.units import factor
 from ngvisco.cli import streams
-from ngvisco.cli.streams import DONE
-from ngvisco.errors import ParameterError, as_number
+from ngvisco.cli.streams import DONE, Stopping
+from ngvisco.errors import ParameterError, StopRequested, as_number
 from ngvisco.run.simulation import Simulation
 from ngvisco.sensitivity.fit import Fit
 from ngvisco.sensitivity.fit import fit as fitted
 from ngvisco.sensitivity.gradient import Gradient
 from ngvisco.sensitivity.gradient import gradient as differentiated
+
+RESTART = "restart"
+"""Folder in the output, from which the same command goes on after an interruption; it goes with the end."""
+_Result = TypeVar("_Result")
 
 
 def gradient(options: argparse.Namespace) -> int:
@@ -29,20 +37,22 @@ def gradient(options: argparse.Namespace) -> int:
         if not options.quiet and (number == total or number % max(total // 10, 1) == 0):
             streams.write(f"differentiated {number} of {total} steps\n")
 
-    result = differentiated(
-        simulation, case.until, of=options.of, by=options.by, method=options.method, progress=tell
-    )
-    out.mkdir(parents=True, exist_ok=True)
+    given = {"of": options.of, "by": options.by, "method": options.method, "progress": tell}
+    result, code = _stoppable(differentiated, simulation, case.until, **given, restart=out / RESTART)
+    if result is None:
+        return code
     _write_gradient(result, out / "gradient.csv")
+    shutil.rmtree(out / RESTART)
     streams.write(f"{result}\n{_of_limiter(result)}{out / 'gradient.csv'}\n")
-    return DONE
+    return code
 
 
 def fit(options: argparse.Namespace) -> int:
     """Fit some of a case's numbers to data, and write report, table and picture."""
     case, simulation = _simulation(options)
     out = _directory(options, "fit.txt", "fit")
-    result = fitted(
+    result, code = _stoppable(
+        fitted,
         simulation,
         options.data,
         by=options.by,
@@ -51,17 +61,32 @@ def fit(options: argparse.Namespace) -> int:
         until=case.until,
         factor=factor,
         progress=None if options.quiet else lambda line: streams.write(line + "\n"),
+        restart=out / RESTART,
     )
-    out.mkdir(parents=True, exist_ok=True)
+    if result is None:
+        return code
     settings = " ".join(f"--set {n}={v:.10g}" for n, v in zip(result.by, result.values, strict=True))
     report = f"{result}\nngvisco run {options.case} {settings}\n"
     (out / "fit.txt").write_text(report)
     _write_fit(result, out / "fit.csv")
     result.plot(out / f"fit.{options.format}")
+    shutil.rmtree(out / RESTART)
     streams.write(
         report + "".join(f"{out / name}\n" for name in ("fit.txt", "fit.csv", f"fit.{options.format}"))
     )
-    return DONE
+    return code
+
+
+def _stoppable(
+    compute: Callable[..., _Result], simulation: Simulation, *arguments: Any, **options: Any
+) -> tuple[_Result | None, int]:
+    """The result of a function of a simulation, and the exit code; None if a signal stopped it."""
+    with Stopping(simulation.request_stop) as signals:
+        try:
+            return compute(simulation, *arguments, **options), DONE
+        except StopRequested:
+            streams.write(f"{signal.Signals(signals.received).name}: stopped; the same command goes on\n")
+            return None, 128 + signals.received
 
 
 def _simulation(options: argparse.Namespace) -> tuple[Case, Simulation]:
@@ -80,6 +105,8 @@ def _directory(options: argparse.Namespace, name: str, kind: str) -> Path:
     out = Path(options.output or Path("results") / f"{Path(options.case).stem}-{kind}")
     if (out / name).exists() and not options.force:
         raise ParameterError("-o", str(out), f"a directory without {name}, or --force")
+    if options.force:
+        shutil.rmtree(out / RESTART, ignore_errors=True)
     return out
 
 

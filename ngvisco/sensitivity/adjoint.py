@@ -24,6 +24,9 @@ from ngvisco.sensitivity.starts import Starts
 from ngvisco.sensitivity.tangent import Neighbours
 from ngvisco.sensitivity.trajectory import RecordedStep, Trajectory
 
+_KEPT = "adjoint"
+"""Part of the restart folder: the adjoint's state, and the number of the steps that it has still to take."""
+
 
 class Adjoint:
     """The adjoints of some numbers of a run.
@@ -63,9 +66,13 @@ class Adjoint:
     def run(self, from_start: bool, progress: Callable[[int], None] = lambda number: None) -> None:
         """Go backwards through the steps; ``from_start`` tells whether start values depend on parameters."""
         steps = self.trajectory.steps
-        slopes = np.zeros_like(self.of_start)
-        for number in range(len(steps), 0, -1):
+        slopes, left = np.zeros_like(self.of_start), len(steps)
+        if (kept := self.trajectory.kept(_KEPT)) is not None:
+            left, arrays = kept
+            slopes, self.jacobian = arrays["slopes"], arrays["jacobian"]
+        for number in range(left, 0, -1):
             slopes = self._step(number, steps[number - 1], slopes)
+            self.trajectory.keep(_KEPT, number - 1, {"slopes": slopes, "jacobian": self.jacobian})
             progress(len(steps) - number + 1)
         self._read_at(steps[0].state, self.ends[:, 0])
         slopes += self._seeds(self.ends[:, 0])
@@ -106,6 +113,7 @@ class Adjoint:
     def _stage(
         self, number: int, recorded: RecordedStep, i: int, solutions: list[np.ndarray], loads: np.ndarray
     ) -> None:
+        self.trajectory.require_going_on()
         stage, weights = recorded.stages[i - 1], self.means[:, number]
         base = self.base
         base.pose(stage, [base.evolved(y) for y in solutions[:i]])

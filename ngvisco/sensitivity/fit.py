@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ngvisco.errors import ParameterError, StepError, as_number, require_collection
+from ngvisco.errors import ParameterError, StepError, StopRequested, as_number, require_collection
 from ngvisco.run.files import AnyPath
 from ngvisco.run.pictures import LABELS, PAGE, figure, save
 from ngvisco.run.simulation import Simulation
@@ -17,6 +17,7 @@ from ngvisco.sensitivity.columns import Columns, tables_of
 from ngvisco.sensitivity.data import INTEGRAL, TIME, Data, DataError, converted
 from ngvisco.sensitivity.gradient import Gradient, gradient
 from ngvisco.sensitivity.parameters import Named, varied
+from ngvisco.sensitivity.restart import Restart
 
 _RANGE = 1e3
 """Factor from the start value to the default bounds of a parameter, downwards and upwards."""
@@ -127,6 +128,7 @@ def fit(
     tolerance: float = 1e-3,
     factor: Callable[[str, str], float] | None = None,
     progress: Callable[[str], None] | None = None,
+    restart: AnyPath | None = None,
 ) -> Fit:
     """Fit parameters of a run to measured data by least squares.
 
@@ -136,7 +138,7 @@ def fit(
 
     Raises DataError for invalid data, or for times, columns or units that the run does not have;
     ParameterError or UnknownNameError for an unknown parameter or invalid bounds; StepError if the run from
-    the start values has no solution.
+    the start values has no solution; StopRequested after ``simulation.request_stop()``, within a step.
 
     Parameters
     ----------
@@ -161,6 +163,9 @@ def fit(
         ``factor(unit, wanted)`` returns the size of a unit in wanted units; without it units have to be SI.
     progress : callable, optional
         Function that is called with a line of text for every run.
+    restart : path of a folder, optional
+        Folder in which the results and derivatives of finished runs are kept, so that the same call does not
+        repeat them; a run that was interrupted begins anew.  Raises CheckpointError as ``gradient``.
     """
     if simulation.number != 0:
         raise ParameterError(
@@ -175,6 +180,11 @@ def fit(
     if (ends := as_number(tolerance)) is None or ends <= 0:
         raise ParameterError("fit.tolerance", tolerance, "a number > 0")
     search = _Search(simulation, parameters, measured, sigma, bounds or {}, end, progress)
+    simulation.stop_requested = False
+    if restart is not None:
+        parts = {"by": names, "data": measured.columns, "times": measured.times}
+        options = {"sigma": sigma, "bounds": bounds, "until": end, "tolerance": ends}
+        search.take_up(Restart.at(restart, simulation, parts | options))
     return search.run(ends)
 
 
@@ -198,6 +208,23 @@ def _end(simulation: Simulation, data: Data, until: float | None) -> float:
     if end is None or last > end * (1 + 1e-9):
         raise DataError(f"data at {TIME} = {last:g} s, after the end of the run, {until} s")
     return end
+
+
+class _StopWith:
+    """Observer that stops a copy of a simulation after a step if the simulation is asked to stop."""
+
+    def __init__(self, simulation: Simulation) -> None:
+        self._simulation = simulation
+
+    def start(self, copied: Simulation) -> None:
+        if self._simulation.stop_requested:
+            copied.request_stop()
+
+    def step(self, copied: Simulation, row: dict[str, float]) -> None:
+        self.start(copied)
+
+    def finish(self, copied: Simulation) -> None:
+        """Leave the copy as it is."""
 
 
 class _Search:
@@ -236,6 +263,33 @@ class _Search:
         self.scales = np.where(np.isfinite(np.ptp(self.bounds, axis=1)), np.ptp(self.bounds, axis=1), 1.0)
         self.kept: dict[bytes, Gradient | None] = {}
         self.runs, self.spent, self.alone = 0, 0.0, 0.0
+        self._restart: Restart | None = None
+
+    def take_up(self, restart: Restart) -> None:
+        """Keep finished runs in a folder, and go on after those that it has."""
+        self._restart = restart
+        while (part := restart.read(_name(self.runs + 1))) is not None:
+            numbers, arrays = part
+            result = None
+            if numbers["is_solved"]:
+                names = tuple(self.of), tuple(parameter.name for parameter in self.parameters)
+                jacobian = arrays["jacobian"], arrays["at"]
+                self.alone = numbers["alone"]
+                result = Gradient(*names, arrays["values"], *jacobian, int(numbers["limited"]), self.alone)
+            self.kept[arrays["unknowns"].tobytes()] = result
+            self.runs, self.spent = self.runs + 1, numbers["spent"]
+
+    def _keep(self, q: np.ndarray, result: Gradient | None) -> None:
+        """Add the last run, from unknowns ``q`` of the search, to the finished ones."""
+        self.kept[q.tobytes()] = result
+        if self._restart is None:
+            return
+        numbers = {"is_solved": float(result is not None), "spent": self.spent, "alone": self.alone}
+        arrays = {"unknowns": q}
+        if result is not None:
+            numbers["limited"] = result.limited
+            arrays |= {"values": result.values, "jacobian": result.jacobian, "at": result.at}
+        self._restart.keep(_name(self.runs), numbers, arrays)
 
     def _inner(self, p: np.ndarray) -> np.ndarray:
         """Unknowns of the search from parameters ``p``: logarithms if bounds have one sign, else scaled."""
@@ -255,14 +309,23 @@ class _Search:
         begin, result = clock.process_time(), None
         values = dict(zip(self.parameters, (float(number) for number in p), strict=True))
         try:
-            run = varied(self.simulation, values, tables_of(self.simulation))
-            result = gradient(run, self.until, of=self.of, by=[p.name for p in self.parameters], order=2)
+            stop = _StopWith(self.simulation)
+            run = varied(self.simulation, values, [*tables_of(self.simulation), stop])
+            by = [parameter.name for parameter in self.parameters]
+            result = gradient(
+                run, self.until, of=self.of, by=by, order=2, progress=lambda *_: stop.start(run)
+            )
             self.alone = result.seconds
         except StepError:
             if not self.kept:
                 raise
+        except StopRequested as error:
+            after = "" if self._restart is None else f"; the same call goes on from {self._restart.folder}"
+            raise StopRequested(
+                f"the fit was given up in run {self.runs + 1}, as requested{after}"
+            ) from error
         self.runs, self.spent = self.runs + 1, self.spent + clock.process_time() - begin
-        self.kept[q.tobytes()] = result
+        self._keep(q, result)
         if self.progress is not None:
             text = ", ".join(f"{parameter.name} = {value:.6g}" for parameter, value in values.items())
             half = "not solved" if result is None else f"{0.5 * np.sum(self._residuals(result) ** 2):.6g}"
@@ -333,6 +396,11 @@ class _Search:
             cost=self.spent / self.alone,
             message=str(solved.message).strip("`"),
         )
+
+
+def _name(run: int) -> str:
+    """The part of the restart folder with a run."""
+    return f"run-{run:04d}"
 
 
 def _covariance(J: np.ndarray) -> np.ndarray:

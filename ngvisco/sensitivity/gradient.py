@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time as clock
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -13,12 +12,14 @@ from ngsolve import GridFunction
 from ngvisco.errors import ParameterError, UnknownNameError, require_collection
 from ngvisco.forms.projections import inverse_mass
 from ngvisco.physics.parameters import Parameter
+from ngvisco.run.files import AnyPath
 from ngvisco.run.simulation import Simulation
 from ngvisco.sensitivity.adjoint import Adjoint
 from ngvisco.sensitivity.columns import Columns, tables_of
 from ngvisco.sensitivity.follower import Follower
 from ngvisco.sensitivity.numbers import Misfit, Numbers
 from ngvisco.sensitivity.parameters import OFFSETS, Named
+from ngvisco.sensitivity.restart import Restart
 from ngvisco.sensitivity.slopes import Slopes
 from ngvisco.sensitivity.tangent import Neighbours, history, tangents
 from ngvisco.sensitivity.trajectory import Trajectory
@@ -126,6 +127,7 @@ def gradient(
     method: str = "tangent",
     order: int = 4,
     progress: Callable[[int, int], None] | None = None,
+    restart: AnyPath | None = None,
 ) -> Gradient:
     """Run a simulation until a time, and differentiate its results by parameters.
 
@@ -136,7 +138,8 @@ def gradient(
     the derivative is between the derivatives to both sides.
 
     Raises ParameterError or UnknownNameError for an unknown number or parameter, and for damage, relaxed
-    steps and several ranks, which have no derivatives here; StepError as ``Simulation.run``.
+    steps and several ranks, which have no derivatives here; StepError as ``Simulation.run``; StopRequested
+    after ``simulation.request_stop()``.
 
     Parameters
     ----------
@@ -161,6 +164,12 @@ def gradient(
         1e-7 at half of the evaluations.
     progress : callable, optional
         Function that is called with the numbers of differentiated steps and of all steps.
+    restart : path of a folder, optional
+        Folder in which the run's steps and the state of the derivatives are kept, so that the same call goes
+        on after an interruption, with equal bits on one machine with one thread.  ``Simulation.request_stop``
+        ends the run between two iterations and the derivatives between two stages, by StopRequested; after a
+        process that died, up to ten steps of the run are repeated.  The folder has the states of all steps.
+        Raises CheckpointError for a damaged folder, or one that belongs to another run or request.
 
     Returns
     -------
@@ -176,13 +185,13 @@ def gradient(
         expected = "no start values: the run has begun, and goes on from its present state"
         raise ParameterError("by", by, expected)
     slopes = Slopes(base) if method == "adjoint" else None
-    trajectory, columns = Trajectory(simulation), base.columns
+    request = {"of": of, "by": list(by), "until": until, "method": method, "order": order}
+    folder = None if restart is None else Restart.at(restart, simulation, request)
+    trajectory, columns = Trajectory(simulation, folder), base.columns
     columns.has_ends = any(not n.is_integral for n in numbers.wanted)
     columns.has_means = bool(columns.is_of_stages.any()) or any(n.is_integral for n in numbers.wanted)
     near = [Neighbours(parameter, simulation, columns, order) for parameter in parameters]
-    begin = clock.process_time()
     trajectory.run(until)
-    seconds = clock.process_time() - begin
     total = len(trajectory.steps)
 
     def tell(number: int) -> None:
@@ -201,7 +210,9 @@ def gradient(
     at = np.array([parameter.value for parameter in parameters])
     names = tuple(numbers.names), tuple(parameter.name for parameter in parameters)
     values = numbers.values(parts)
-    return Gradient(*names, values, jacobian, at, trajectory.limited, seconds, simulation, of_start)
+    return Gradient(
+        *names, values, jacobian, at, trajectory.limited, trajectory.seconds, simulation, of_start
+    )
 
 
 def measure(

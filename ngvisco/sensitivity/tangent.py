@@ -69,12 +69,22 @@ def tangents(
     linearised, times = Linearised(base), [trajectory.steps[0].begin]
     ends, integrals = [np.stack([run.begin(trajectory.steps[0]) for run in runs], axis=-1)], []
     integrals.append(np.zeros_like(ends[0]))
+    done = 0
+    if (kept := trajectory.kept(_KEPT)) is not None:
+        done, arrays = kept
+        for run, along in zip(runs, arrays["along"], strict=True):
+            run.along = along
     for number, recorded in enumerate(trajectory.steps):
-        derivatives = _step(recorded, base, linearised, runs)
-        ends.append(np.stack([end for end, _ in derivatives], axis=-1))
-        integrals.append(integrals[-1] + recorded.tau * np.stack([mean for _, mean in derivatives], axis=-1))
+        if number < done:
+            row = trajectory.require_kept(_of_step(number))
+        else:
+            row = _row(recorded, base, linearised, runs, trajectory.require_going_on)
+            trajectory.keep(_of_step(number), number, row)
+            trajectory.keep(_KEPT, number + 1, {"along": np.array([run.along for run in runs])})
+            progress(number + 1)
+        ends.append(row["ends"])
+        integrals.append(integrals[-1] + recorded.tau * row["means"])
         times.append(recorded.end)
-        progress(number + 1)
     return History(np.array(times), np.array(ends), np.array(integrals))
 
 
@@ -100,13 +110,28 @@ def history(trajectory: Trajectory, base: Follower) -> History:
     return History(np.array(times), np.array(ends), np.array(integrals))
 
 
-def _step(
-    recorded: RecordedStep, base: Follower, linearised: Linearised, runs: Sequence[_Tangent]
-) -> list[tuple[np.ndarray, np.ndarray]]:
+_KEPT = "tangent"
+"""Part of the restart folder: derivatives of the state after a number of steps."""
+
+
+def _of_step(number: int) -> str:
+    """Part of the restart folder with derivatives of the columns in a step."""
+    return f"{_KEPT}-{number + 1:08d}"
+
+
+def _row(
+    recorded: RecordedStep,
+    base: Follower,
+    linearised: Linearised,
+    runs: Sequence[_Tangent],
+    require_going_on: Callable[[], None],
+) -> dict[str, np.ndarray]:
+    """Derivatives of the columns at the end of a step and of their means over it, (columns, parameters)."""
     states = [base.evolved(recorded.state)]
     for run in runs:
         run.start(recorded.state)
     for stage in recorded.stages:
+        require_going_on()
         base.pose(stage, states)
         linearised.at_stage(stage)
         for run in runs:
@@ -114,7 +139,10 @@ def _step(
         states.append(base.evolved(stage.state))
     if recorded.is_combined:
         linearised.at_end(recorded)
-    return [run.end(recorded, linearised) for run in runs]
+    derivatives = zip(*(run.end(recorded, linearised) for run in runs), strict=True)
+    return {
+        name: np.stack(of_runs, axis=-1) for name, of_runs in zip(("ends", "means"), derivatives, strict=True)
+    }
 
 
 class _Tangent:

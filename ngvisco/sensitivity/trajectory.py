@@ -3,15 +3,24 @@ from."""
 
 from __future__ import annotations
 
+import dataclasses
+import time as clock
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ngvisco.errors import ParameterError
+from ngvisco.errors import ParameterError, StopRequested
 from ngvisco.forms.context import time
 from ngvisco.physics.variables import PRESSURE
+from ngvisco.run.checkpoint import Checkpoints
 from ngvisco.run.simulation import Simulation
 from ngvisco.solver.problem import Interval
+
+if TYPE_CHECKING:
+    from ngvisco.sensitivity.restart import Restart
 
 
 @dataclass(frozen=True)
@@ -60,14 +69,20 @@ class RecordedStep:
 class Trajectory:
     """Records the steps of a run, as one of the integrator's ``carried`` objects.
 
+    With a ``restart`` folder each step is stored there too, and ``run`` begins after the steps that the
+    folder has.  Parts of the derivatives' state are kept there by name.
+
     Raises ParameterError for a run without derivatives: with growing damage, pistons on oblique walls,
     relaxed steps, sharp interfaces, viscosities in series for constants in cells, or several ranks.
     """
 
     simulation: Simulation
+    restart: Restart | None = None
     steps: list[RecordedStep] = field(default_factory=list)
     limited: int = 0
     """Number of cells that the limiter changed, summed over the steps."""
+    seconds: float = 0.0
+    """Processor time of the run, s."""
 
     def __post_init__(self) -> None:
         run = self.simulation
@@ -106,13 +121,58 @@ class Trajectory:
         self._stages: list[Stage] = []
 
     def run(self, until: float) -> None:
-        """Run until a time, s, and record the steps."""
-        carried = self.simulation.integrator.carried
-        carried.append(self)
+        """Run until a time, s, and record the steps.
+
+        Raises StopRequested if the run is asked to stop, and CheckpointError for an invalid restart folder.
+        """
+        run, checkpoints = self.simulation, []
+        if self.restart is not None:
+            path = self.restart.path(_RUN)
+            if path.exists():
+                self._take_up(path)
+            checkpoints = [Checkpoints(path, every=_EVERY, keep=1)]
+        self._clock = clock.process_time() - self.seconds
+        run.integrator.carried.append(self)
+        run.observers += checkpoints
         try:
-            self.simulation.run(until)
+            run.run(until)
         finally:
-            carried[:] = [field for field in carried if field is not self]
+            run.integrator.carried[:] = [field for field in run.integrator.carried if field is not self]
+            run.observers[:] = [observer for observer in run.observers if observer not in checkpoints]
+        self.seconds = clock.process_time() - self._clock
+        self.require_going_on()
+
+    def require_going_on(self) -> None:
+        """Raise StopRequested if the run was asked to stop, also after its last step."""
+        if self.simulation.stop_requested:
+            after = "" if self.restart is None else f"; the same call goes on from {self.restart.folder}"
+            raise StopRequested(f"the derivatives of the run were given up, as requested{after}")
+
+    def keep(self, name: str, number: int, arrays: Mapping[str, np.ndarray]) -> None:
+        """Keep arrays of the derivatives with a number of steps in the restart folder, if there is one."""
+        if self.restart is not None:
+            self.restart.keep(name, {"number": number}, arrays)
+
+    def kept(self, name: str) -> tuple[int, dict[str, np.ndarray]] | None:
+        """What ``keep`` stored last under a name; None without it."""
+        found = None if self.restart is None else self.restart.read(name)
+        return None if found is None else (int(found[0]["number"]), found[1])
+
+    def require_kept(self, name: str) -> dict[str, np.ndarray]:
+        """Arrays that ``keep`` stored under a name."""
+        assert self.restart is not None
+        return self.restart.require(name)[1]
+
+    def _take_up(self, path: Path) -> None:
+        """Go on after the last checkpoint in the file ``path``, with the steps before it."""
+        assert self.restart is not None
+        before = self.simulation.number
+        self.simulation.restore(path)
+        for number in range(before + 1, self.simulation.number + 1):
+            numbers, arrays = self.restart.require(_name(number))
+            self.steps.append(_step_of(numbers, arrays))
+            self.limited, self.seconds = int(numbers["limited"]), numbers["seconds"]
+        self._begin()
 
     # methods that the integrator calls
 
@@ -140,3 +200,48 @@ class Trajectory:
         )
         self.steps.append(recorded)
         self.limited += int(row["limited_cells"])
+        if self.restart is not None:
+            totals = {"limited": self.limited, "seconds": clock.process_time() - self._clock}
+            numbers, arrays = _parts_of(recorded)
+            self.restart.keep(_name(int(row["step"])), numbers | totals, arrays)
+
+
+_RUN, _EVERY = "run", 10
+"""Part with the run's checkpoints, and steps between them."""
+
+
+def _name(number: int) -> str:
+    """The part of a step."""
+    return f"step-{number:08d}"
+
+
+def _parts_of(step: RecordedStep) -> tuple[dict[str, float], dict[str, np.ndarray]]:
+    """Numbers and arrays of a step, by name."""
+    numbers = {"begin": step.begin, "end": step.end, "is_combined": float(step.is_combined)}
+    arrays = {"state": step.state, "weights": step.weights, "after": step.after}
+    for i, stage in enumerate(step.stages):
+        of_stage = {"state": stage.state, "starts": stage.starts, "share": np.array(stage.share)}
+        of_stage["interval"] = np.array(dataclasses.astuple(stage.interval))
+        of_stage |= {f"stress {name}": values for name, values in stage.stresses.items()}
+        arrays |= {f"stage {i} {name}": values for name, values in of_stage.items()}
+    return numbers, arrays
+
+
+def _step_of(numbers: Mapping[str, float], arrays: Mapping[str, np.ndarray]) -> RecordedStep:
+    """The step with these numbers and arrays."""
+    stages = []
+    for i in range(sum(name.endswith(" interval") for name in arrays)):
+        front = f"stage {i} "
+        own = {name.removeprefix(front): array for name, array in arrays.items() if name.startswith(front)}
+        stresses = {n.removeprefix("stress "): a for n, a in own.items() if n.startswith("stress ")}
+        interval = Interval(*map(float, own["interval"]))
+        stages.append(Stage(own["state"], own["starts"], float(own["share"]), interval, stresses))
+    return RecordedStep(
+        numbers["begin"],
+        numbers["end"],
+        arrays["state"],
+        tuple(stages),
+        arrays["weights"],
+        arrays["after"],
+        bool(numbers["is_combined"]),
+    )

@@ -1,9 +1,12 @@
 """``ngvisco gradient`` and ``ngvisco fit``."""
 
 import csv
+import signal
+import subprocess
+import sys
 
 import pytest
-from command import CASE, command
+from command import CASE, command, environment
 
 PROBE = """
 [[output.probes]]
@@ -38,6 +41,59 @@ def test_a_gradient_is_printed_and_written(case, tmp_path):
     code, _, err = command("gradient", case, *asked, "-o", tmp_path / "out")
     assert code == 2 and "--force" in err
     assert not (tmp_path / "samples").exists()  # nothing else is written
+
+
+STOPPED = """
+import sys
+from ngvisco.cli.main import main
+from ngvisco.run.simulation import Simulation
+from ngvisco.sensitivity.adjoint import Adjoint
+where, places = sys.argv[1], {"run": (Simulation, "advance"), "adjoint": (Adjoint, "_step")}
+owner, name = places[where]
+done, one = [], getattr(owner, name)
+def waiting(self, *arguments):
+    done.append(0)
+    if len(done) == 2:
+        print("waits", flush=True)
+        while not (self if where == "run" else self.trajectory.simulation).stop_requested:
+            pass
+    return one(self, *arguments)
+setattr(owner, name, waiting)
+sys.exit(main(sys.argv[2:]))
+"""
+"""Runs the command; the second step of the run or of the adjoint waits until it is asked to stop."""
+
+
+@pytest.mark.parametrize("where", ["run", "adjoint"])
+@pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
+def test_a_gradient_stopped_by_a_signal_goes_on(case, tmp_path, where):
+    words = [
+        "gradient",
+        case,
+        "--of",
+        "kinetic at 0.08",
+        "--by",
+        "material.G_e",
+        "--method",
+        "adjoint",
+        "--quiet",
+    ]
+    whole, out = tmp_path / "whole", tmp_path / "out"
+    assert command(*words, "-o", whole)[0] == 0
+    call = [sys.executable, "-c", STOPPED, where, *map(str, words), "-o", str(out)]
+    process = subprocess.Popen(call, env=environment(), stdout=subprocess.PIPE, text=True)
+    try:
+        assert process.stdout.readline() == "waits\n"
+        process.send_signal(signal.SIGTERM)
+        said, _ = process.communicate(timeout=60)
+    finally:
+        process.kill()
+    assert process.returncode == 128 + signal.SIGTERM and "the same command goes on" in said
+    assert [path.name for path in out.iterdir()] == ["restart"]
+    code, _, err = command(*words, "-o", out)
+    assert code == 0, err
+    assert [path.name for path in out.iterdir()] == ["gradient.csv"]
+    assert (out / "gradient.csv").read_text() == (whole / "gradient.csv").read_text()
 
 
 @pytest.mark.long

@@ -143,3 +143,27 @@ def test_what_cannot_be_fitted_is_refused(options, said):
     data = given.pop("data")
     with pytest.raises(nv.NgviscoError, match=said):
         nv.fit(creep(), data, **given)
+
+
+def test_a_stopped_fit_repeats_no_finished_run(tmp_path):
+    """The second call stops in its first run, the search's third, within a step."""
+    data, given = data_of(G_e=1.3), {"by": ["material.G_e"], "sigma": 1e-4, "restart": tmp_path}
+    seen, simulation = [], creep()
+
+    def stop(line):
+        seen.append(line)
+        if len(seen) == 2:
+            simulation.request_stop()
+
+    with pytest.raises(nv.StopRequested, match="given up in run 3"):
+        nv.fit(simulation, data, progress=stop, **given)
+    assert {path.name for path in tmp_path.iterdir()} == {"case.h5", "run-0001.h5", "run-0002.h5"}
+    later = []
+    found = nv.fit(creep(), data, progress=later.append, **given)
+    whole = nv.fit(creep(), data, **given | {"restart": None})
+    assert np.array_equal(found.values, whole.values) and np.array_equal(found.covariance, whole.covariance)
+    assert len(later) == found.runs - 2 and found.runs == whole.runs
+    with pytest.raises(nv.CheckpointError, match="another sigma"):
+        nv.fit(creep(), data, **given | {"sigma": 2e-4})
+    with pytest.raises(nv.CheckpointError, match="another data"):
+        nv.fit(creep(), data_of(G_e=1.4), **given)

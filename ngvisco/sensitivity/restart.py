@@ -1,0 +1,129 @@
+"""The folder from which an interrupted gradient goes on: steps of the run, and the state of its derivatives.
+
+Each part is an HDF5 file with a checksum, written whole or not at all.  A step's file is written once, so
+that the folder grows with the number of steps; the state of the derivatives replaces the one before it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import io
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from ngsolve import CoefficientFunction, GridFunction
+
+from ngvisco.errors import CheckpointError, require_path
+from ngvisco.run.files import AnyPath, write_atomically
+from ngvisco.run.simulation import Simulation
+from ngvisco.run.snapshot import CHECKSUM, digest_of, opened
+
+_CASE = "case"
+"""Part that says to which run and which derivatives the folder belongs."""
+_SAME = 1e-9
+"""Relative difference of start states below which they are equal: threads change the order of sums."""
+
+Kept = tuple[dict[str, float], dict[str, np.ndarray]]
+"""Numbers and arrays of a part, by name."""
+
+
+@dataclass(frozen=True)
+class Restart:
+    """A folder of parts, each with numbers and arrays."""
+
+    folder: Path
+
+    @classmethod
+    def at(cls, folder: AnyPath, simulation: Simulation, request: Mapping[str, Any]) -> Restart:
+        """The folder of a run from its present state, and of a ``request``; it is made if there is none.
+
+        Raises CheckpointError if the folder belongs to another run or request; the message says which part
+        differs.
+        """
+        restart = cls(require_path("restart", folder))
+        parts = {"model": simulation.model, **simulation.arguments, **request, "step": simulation.number}
+        found = {name: hashlib.sha256(signature(part).encode()).hexdigest() for name, part in parts.items()}
+        start = simulation.rothe_step.state.vec.FV().NumPy()
+        place = restart.path(_CASE)
+        if not place.exists():
+            restart.keep(_CASE, {}, {"start": start}, found)
+            return restart
+        with opened(place) as file:
+            kept = {name: file.attrs.get(name) for name in found}
+        others = [name for name, value in found.items() if kept[name] != value]
+        there = restart.require(_CASE)[1]["start"]
+        if not others and (
+            there.shape != start.shape or abs(there - start).max() > _SAME * abs(there).max(initial=0)
+        ):
+            others = ["start values or mesh"]
+        if others:
+            differ = f"another {', '.join(others)}"
+            raise CheckpointError(
+                f"{restart.folder}: belongs to a gradient or fit with {differ}; take a new folder"
+            )
+        return restart
+
+    def path(self, name: str) -> Path:
+        """The file of a part."""
+        return self.folder / f"{name}.h5"
+
+    def keep(
+        self,
+        name: str,
+        numbers: Mapping[str, float],
+        arrays: Mapping[str, np.ndarray],
+        attributes: Mapping[str, str] | None = None,
+    ) -> None:
+        """Write a part; after an error the part is as before."""
+        image = io.BytesIO()
+        with h5py.File(image, "w") as file:
+            for key, number in numbers.items():
+                file.attrs[key] = float(number)
+            file.attrs.update({**(attributes or {}), CHECKSUM: digest_of(numbers, arrays)})
+            for key, array in arrays.items():
+                file.create_dataset(key, data=array)
+        write_atomically(self.path(name), image.getvalue())
+
+    def read(self, name: str) -> Kept | None:
+        """A part; None if there is none.  Raises CheckpointError for a damaged file."""
+        return self.require(name) if self.path(name).exists() else None
+
+    def require(self, name: str) -> Kept:
+        """A part; raises CheckpointError if it is missing or damaged."""
+        with opened(self.path(name)) as file:
+            texts = {k: v for k, v in file.attrs.items() if isinstance(v, str)}
+            numbers = {k: float(v) for k, v in file.attrs.items() if k not in texts}
+            arrays = {key: np.array(data) for key, data in file.items()}
+            if texts.get(CHECKSUM) != digest_of(numbers, arrays):
+                raise CheckpointError(
+                    f"{self.path(name)}: is damaged (its checksum differs); take a new folder"
+                )
+        return numbers, arrays
+
+
+def signature(value: object) -> str:
+    """A text that differs for other numbers, functions and options.
+
+    Coefficient functions are described by their expressions, to six digits, and other functions by name.
+    """
+    if isinstance(value, GridFunction):
+        return f"{value.space.type}{digest_of({}, {'': value.vec.FV().NumPy()})}"
+    if isinstance(value, CoefficientFunction):
+        return str(value)
+    if isinstance(value, np.ndarray):
+        return digest_of({}, {"": value})
+    if isinstance(value, Mapping):
+        return f"{{{', '.join(f'{key!r}: {signature(part)}' for key, part in value.items())}}}"
+    if isinstance(value, Sequence) and not isinstance(value, (str, bytes)):
+        return f"[{', '.join(map(signature, value))}]"
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        parts = (f"{f.name}={signature(getattr(value, f.name))}" for f in dataclasses.fields(value))
+        return f"{type(value).__qualname__}({', '.join(parts)})"
+    if isinstance(value, (str, bytes, int, float, complex, type(None), np.generic)):
+        return repr(value)
+    return str(getattr(value, "__qualname__", type(value).__qualname__))

@@ -1,0 +1,163 @@
+"""Gradients that go on after an interruption."""
+
+import numpy as np
+import pytest
+from differentiated import AT, UNTIL, run
+from support import by_ci
+
+import ngvisco as nv
+from ngvisco.sensitivity.adjoint import Adjoint
+from ngvisco.sensitivity.trajectory import Trajectory
+
+OF = {"motion": "kinetic at 0.06", "loss": "dissipation_creep until 0.06", "push": "bottom.force_2 at 0.05"}
+BY = ["material.G_e", "initial.density"]
+
+
+def found(simulation, folder, method="adjoint", **options):
+    return nv.gradient(
+        simulation, UNTIL, **{"of": OF, "by": BY, "method": method, "restart": folder} | options
+    )
+
+
+def same(one, other):
+    return np.array_equal(one.values, other.values) and np.array_equal(one.jacobian, other.jacobian)
+
+
+class StopsAt:
+    """Requests a stop after a number of steps."""
+
+    def __init__(self, step):
+        self.at = step
+
+    def start(self, simulation):
+        self.step(simulation, {})
+
+    def step(self, simulation, row):
+        if simulation.number == self.at:
+            simulation.request_stop()
+
+    def finish(self, simulation):
+        pass
+
+
+@pytest.mark.parametrize(
+    ("method", "scheme"),
+    [
+        ("adjoint", "midpoint"),
+        ("tangent", "backward-euler"),
+        by_ci("tangent", "sdirk2"),
+        by_ci("adjoint", "sdirk2"),
+    ],
+)
+def test_an_interrupted_gradient_goes_on_as_if_it_had_not_been(tmp_path, method, scheme):
+    """It is stopped in the run, then in the derivatives, and is complete after two more calls."""
+    whole = found(run(scheme=scheme), None, method)
+    stopped, second = run(scheme=scheme), run(scheme=scheme)
+    stopped.observers.append(StopsAt(1))
+    with pytest.raises(nv.StopRequested, match="the same call goes on from"):
+        found(stopped, tmp_path, method)
+    steps = []
+
+    def stop(number, total):
+        steps.append(number)
+        second.request_stop()
+
+    with pytest.raises(nv.StopRequested):
+        found(second, tmp_path, method, progress=stop)
+    assert steps == [1] and second.number == 3
+    steps.clear()
+    third = found(run(scheme=scheme), tmp_path, method, progress=lambda number, total: steps.append(number))
+    assert steps == [2, 3]
+    assert same(third, whole)
+    assert same(found(run(scheme=scheme), tmp_path, method, progress=lambda *_: pytest.fail()), whole)
+    if method == "adjoint":
+        assert np.array_equal(third._of_start, whole._of_start)
+
+
+def test_a_stop_within_a_step_leaves_the_step_before_it(tmp_path, monkeypatch):
+    """The request comes in the second step's first stage; no part of this step is kept."""
+    stopped, stage = run(), Trajectory.stage
+
+    def stop(self, weights, share):
+        stage(self, weights, share)
+        if self.simulation.number == 1:
+            self.simulation.request_stop()
+
+    monkeypatch.setattr(Trajectory, "stage", stop)
+    with pytest.raises(nv.StopRequested):
+        found(stopped, tmp_path)
+    monkeypatch.undo()
+    assert {path.name for path in tmp_path.iterdir()} >= {"case.h5", "run.h5", "step-00000001.h5"}
+    assert not list(tmp_path.glob("*.part"))
+    assert same(found(run(), tmp_path), found(run(), None))
+
+
+def test_a_stop_is_honoured_between_two_stages_of_an_adjoint(tmp_path, monkeypatch):
+    simulation, stages, one = run(scheme="sdirk2"), [], Adjoint._stage
+
+    def counted(self, *arguments):
+        simulation.request_stop()
+        one(self, *arguments)
+        stages.append(arguments[2])
+
+    monkeypatch.setattr(Adjoint, "_stage", counted)
+    with pytest.raises(nv.StopRequested):
+        found(simulation, tmp_path)
+    assert stages == []
+
+
+def test_a_stop_without_a_folder_gives_no_truncated_gradient():
+    stopped = run()
+    stopped.observers.append(StopsAt(2))
+    with pytest.raises(nv.StopRequested, match=r"given up, as requested$"):
+        found(stopped, None)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"values": AT | {"material.G_e": 6.0}}, "another model"),
+        ({"scheme": "sdirk2"}, "another time"),
+        ({"initial": nv.Initial(density=1.0)}, "another initial"),
+        ({"walls": {"top": nv.NavierFriction(0.2)}}, "another walls"),
+        ({"solver": "split"}, "another newton"),
+    ],
+)
+def test_the_folder_of_another_run_is_refused(tmp_path, change, said):
+    first = run()
+    first.observers.append(StopsAt(0))
+    with pytest.raises(nv.StopRequested):
+        found(first, tmp_path)
+    with pytest.raises(nv.CheckpointError, match=said):
+        found(run(**change), tmp_path)
+
+
+def test_the_folder_of_other_derivatives_or_a_damaged_one_is_refused(tmp_path):
+    first = run()
+    first.observers.append(StopsAt(2))
+    with pytest.raises(nv.StopRequested):
+        found(first, tmp_path)
+    for options, said in (
+        ({"of": ["kinetic at 0.06"]}, "another of"),
+        ({"by": BY[:1]}, "another by"),
+        ({"method": "tangent"}, "another method"),
+        ({"order": 2}, "another order"),
+    ):
+        with pytest.raises(nv.CheckpointError, match=said):
+            found(run(), tmp_path, **options)
+    part = tmp_path / "step-00000002.h5"
+    part.write_bytes(part.read_bytes()[:-200])
+    with pytest.raises(nv.CheckpointError, match=r"step-00000002\.h5"):
+        found(run(), tmp_path)
+    part.unlink()
+    with pytest.raises(nv.CheckpointError, match="no such file"):
+        found(run(), tmp_path)
+
+
+def test_the_folder_grows_with_the_number_of_steps(tmp_path):
+    sizes = []
+    for steps in (3, 6):
+        folder = tmp_path / str(steps)
+        nv.gradient(run(), 0.02 * steps, of=["kinetic at 0.06"], by=BY[:1], restart=folder)
+        sizes.append(sum(path.stat().st_size for path in folder.glob("*-*.h5")))
+    assert sizes[1] == pytest.approx(2 * sizes[0], rel=0.02)
