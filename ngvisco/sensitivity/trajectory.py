@@ -154,7 +154,7 @@ class Trajectory:
             self.restart.keep(name, {"number": number}, arrays)
 
     def kept(self, name: str) -> tuple[int, dict[str, np.ndarray]] | None:
-        """What ``keep`` stored last under a name; None without it."""
+        """The number and the arrays that ``keep`` stored last under a name; None without them."""
         found = None if self.restart is None else self.restart.read(name)
         return None if found is None else (int(found[0]["number"]), found[1])
 
