@@ -25,7 +25,7 @@ from ngvisco.sensitivity.gradient import gradient as differentiated
 
 RESTART = "restart"
 """Folder in the output, from which the same command goes on after an interruption; it goes with the end."""
-_Result = TypeVar("_Result")
+Computed = TypeVar("Computed")
 
 
 def gradient(options: argparse.Namespace) -> int:
@@ -78,8 +78,8 @@ def fit(options: argparse.Namespace) -> int:
 
 
 def _stoppable(
-    compute: Callable[..., _Result], simulation: Simulation, *arguments: Any, **options: Any
-) -> tuple[_Result | None, int]:
+    compute: Callable[..., Computed], simulation: Simulation, *arguments: Any, **options: Any
+) -> tuple[Computed | None, int]:
     """The result of a function of a simulation, and the exit code; None if a signal stopped it."""
     with Stopping(simulation.request_stop) as signals:
         try:
