@@ -23,6 +23,7 @@ from ngvisco.sensitivity.restart import Restart
 from ngvisco.sensitivity.slopes import Slopes
 from ngvisco.sensitivity.tangent import Neighbours, history, tangents
 from ngvisco.sensitivity.trajectory import Trajectory
+from ngvisco.threads import computing
 
 METHODS = ("tangent", "adjoint")
 
@@ -118,6 +119,7 @@ class Gradient:
         return "\n".join(lines)
 
 
+@computing()
 def gradient(
     simulation: Simulation,
     until: float,
@@ -215,6 +217,7 @@ def gradient(
     )
 
 
+@computing()
 def measure(
     simulation: Simulation, until: float, of: Sequence[str] | Mapping[str, str | Misfit]
 ) -> np.ndarray:
