@@ -135,8 +135,16 @@ class Bounds:
         self.names = tuple(name for _, name, _ in bounds)
         self._variables = tuple(variable for variable, *_ in bounds)
         """Variable of each bound; None for rho, "" for several variables."""
-        self._present = CF(tuple(value for *_, value in bounds)).Compile()
-        material = step.model.material
+        material, model = step.model.material, step.model
+        self._drifts = drifts(material, step.now.z_tensors, model.traced) if step.sources is None else {}
+        """Relative differences of variables of one distortion; none with sources, whose fields may differ."""
+        values = [value for *_, value in bounds]
+        self._present = CF(tuple(values)).Compile()
+        self._with_drifts = CF((*values, *self._drifts.values())).Compile()
+        self._sound: np.ndarray | None = None
+        """Coefficients of rho and z of the last state that was within its bounds at all points."""
+        self._farthest = 0.0
+        """Largest drift at this rank's points of the last state that ``_outside`` evaluated."""
         self._where_means_do = np.array([name in material.where_means_do for name in self.names])
         self._share = GridFunction(L2(step.mesh, order=0))  # s of rho in the last limited state
         self.sharpening = Sharpening(step) if step.layout.discretisation.sharp else None
@@ -233,12 +241,6 @@ class Bounds:
         return f"the unknown {bad[0]!r} of the state is no number somewhere" if bad else None
 
     @cached_property
-    def _drifts(self) -> dict[str, CoefficientFunction]:
-        model = self.step.model
-        pairs = drifts(model.material, self.step.now.z_tensors, model.traced)
-        return {pair: drift.Compile() for pair, drift in pairs.items()}
-
-    @cached_property
     def _volumes(self) -> np.ndarray:
         return self.step.quadrature.each_cell(CF(1.0))
 
@@ -246,10 +248,11 @@ class Bounds:
         """Message that variables of one distortion differ by more than ``most`` in the mean of a cell; None
         if none do, and with sources, whose fields may differ.
         """
-        if self.step.sources is not None:
+        self._outside()
+        if not self._ranks.any(not self._farthest <= self.most):  # nor does a mean of the points
             return None
         for pair, drift in self._drifts.items():
-            means = self.step.quadrature.each_cell(drift) / self._volumes
+            means = self.step.quadrature.each_cell(drift.Compile()) / self._volumes
             far = np.flatnonzero(abs(means) > self.most)
             if self._ranks.any(len(far) > 0):
                 worst = self._ranks.most(abs(means))
@@ -351,10 +354,16 @@ class Bounds:
 
     def _outside(self) -> _Outside | None:
         """The cells that are out of bounds, or NaN, at one of the sampler's points; None without any."""
-        values = self.sampler.rows(self._present)
-        bad = ~(values > 0)
-        if not self._ranks.any(bad.any()):  # all ranks continue together, even without cells
+        state, ranges = self.step.state.vec.FV().NumPy(), self.step.layout.ranges
+        here = np.concatenate([state[ranges[name]] for name in ("rho", "z") if name in ranges])
+        if not self._ranks.any(self._sound is None or not np.array_equal(self._sound, here)):
             return None
+        values, drift = np.split(self.sampler.rows(self._with_drifts), [len(self.names)], axis=1)
+        self._farthest, bad = abs(drift).max(initial=0.0), ~(values > 0)
+        if not self._ranks.any(bad.any()):  # all ranks continue together, even without cells
+            self._sound = here
+            return None
+        self._sound = None
         numbers = self.sampler.cells
         cells = np.unique(numbers[bad.any(axis=1)])
         points = np.flatnonzero(np.isin(numbers, cells))

@@ -124,10 +124,14 @@ class Rates:
 
     def local_creep(self, mechanism: CreepMechanism, u: UnknownValues) -> CoefficientFunction:
         """Rate Pi of a mechanism from the values at the point, 3x3, 1/s."""
+        return self.creep_by(mechanism, self.driving(mechanism, u), u)
+
+    def creep_by(
+        self, mechanism: CreepMechanism, M: CoefficientFunction, u: UnknownValues
+    ) -> CoefficientFunction:
+        """Rate Pi of a mechanism that the stress M, 3x3, Pa, drives, 3x3, 1/s."""
         zeta = None if mechanism.conformation is None else u.zeta_tensors[mechanism.conformation]
-        return mechanism.rule.rate(
-            self.driving(mechanism, u), zeta, self.read_values(mechanism.rule, u, mechanism)
-        )
+        return mechanism.rule.rate(M, zeta, self.read_values(mechanism.rule, u, mechanism))
 
     def driving(self, mechanism: CreepMechanism, u: UnknownValues) -> CoefficientFunction:
         """Mandel stress that drives a mechanism, per volume of its body, 3x3, Pa."""
@@ -402,10 +406,17 @@ class TabulatedRates(Rates):
 
     def _mandel(self, u: UnknownValues, mechanism: CreepMechanism | None) -> Array:
         """Mandel stress of the projected conjugates, 3x3, Pa, of a mechanism, by default of the first."""
-        size = self.creep_space.size
-        first = self.tensors.gradients + size * (0 if mechanism is None else self.mechanisms.index(mechanism))
-        M = Array(self.stress(u, u.zeta.value, first, first + size), None)
-        tensor = -self.creep_space.tensor(M)
+        where = self.components_of(0 if mechanism is None else self.mechanisms.index(mechanism))
+        return self.mandel_of(self.stress(u, u.zeta.value, where.start, where.stop))
+
+    def components_of(self, mechanism: int) -> slice:
+        """The range of a mechanism's Pi among the X."""
+        size, first = self.creep_space.size, self.tensors.gradients
+        return slice(first + size * mechanism, first + size * (mechanism + 1))
+
+    def mandel_of(self, stress: np.ndarray) -> Array:
+        """Mandel stress, 3x3, from derivatives d(zeta : rate)/dPi by a mechanism's Pi, (p, points)."""
+        tensor = -self.creep_space.tensor(Array(stress, None))
         return dev(tensor) if self._has_trace else tensor
 
     def stored(self, u: UnknownValues) -> Array:

@@ -33,6 +33,10 @@ def slope_along(function: Map, at: np.ndarray, direction: np.ndarray) -> np.ndar
 _number = count(1)
 
 
+_ONE = np.ones(1)
+"""The derivative of a sum by its summands."""
+
+
 class _Node(ABC):
     """The common base of arrays and linear forms: linear maps of entries, each with its transpose."""
 
@@ -293,7 +297,7 @@ class Linear(_Node):
         b = _array(other).value
         if b.ndim - 1 != self.rank:
             raise TypeError("the inner product of a scalar and a tensor is not defined")
-        return Linear((), [(self, lambda g: g * b)])
+        return Linear((), [(self, lambda g: b if g is _ONE else g * b)])
 
 
 _PRODUCTS = {
@@ -343,7 +347,7 @@ def factors_of_tests(form: Linear) -> dict[str, np.ndarray]:
     """The factors of the test functions in a scalar linear form, by the functions' names."""
     if form.shape:
         raise TypeError("an integrand is a scalar")
-    return {node.test: g for node, g in _backwards(form, np.ones(1)) if node.test is not None}
+    return {node.test: g for node, g in _backwards(form, _ONE) if node.test is not None}
 
 
 def derivatives(result: Array, arguments: Sequence[Array]) -> list[np.ndarray]:

@@ -148,17 +148,16 @@ class RateTensors:
         places: Callable[[int, int], tuple[np.ndarray, np.ndarray]],
     ) -> None:
         """Add (C_xn + sum_m T_xnm z_m) factor to target for all x, n; ``places`` has target and factor."""
-        for (x, n), C in self._entries[0]:
-            if first <= x < stop:
-                target, factor = places(x - first, n)
-                target += C * factor
+        of_constant, of_linear = self._entries_within(first, stop)
+        for (x, n), C in of_constant:
+            target, factor = places(x - first, n)
+            target += C * factor
         product: np.ndarray | None = None
-        for (x, n, m), T in self._entries[1]:
-            if first <= x < stop:
-                target, factor = places(x - first, n)
-                product = np.multiply(factor, z[m], out=product)
-                product *= T
-                target += product
+        for (x, n, m), T in of_linear:
+            target, factor = places(x - first, n)
+            product = np.multiply(factor, z[m], out=product)
+            product *= T
+            target += product
 
     def rate_slope(self, X: np.ndarray) -> np.ndarray:
         """d rate(z; X)/dz, (n, n, points), for X (X, points)."""
@@ -169,12 +168,19 @@ class RateTensors:
         """d^2(zeta : rate)/dX dz, (X, n, points)."""
         return (self._slopes[1] @ zeta).reshape(*self.linear.shape[:2], -1)
 
+    def _entries_within(self, first: int, stop: int) -> list[list[tuple[tuple[int, ...], float]]]:
+        """Indices and values of the non-zero entries of C and of T with x in first ... stop - 1."""
+        if (first, stop) not in self._within:
+            self._within[first, stop] = [
+                [(tuple(i), float(A[tuple(i)])) for i in np.argwhere(A).tolist() if first <= i[0] < stop]
+                for A in (self.constant, self.linear)
+            ]
+        return self._within[first, stop]
+
     @cached_property
-    def _entries(self) -> list[list[tuple[tuple[int, ...], float]]]:
-        """Indices and values of the non-zero entries of C and of T."""
-        return [
-            [(tuple(i), float(A[tuple(i)])) for i in np.argwhere(A)] for A in (self.constant, self.linear)
-        ]
+    def _within(self) -> dict[tuple[int, int], list[list[tuple[tuple[int, ...], float]]]]:
+        """The results of ``_entries_within``."""
+        return {}
 
     @cached_property
     def _slopes(self) -> tuple[sp.csr_matrix, sp.csr_matrix]:

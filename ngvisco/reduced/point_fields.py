@@ -100,12 +100,15 @@ def incremented(u: Fields, **along: np.ndarray) -> Iterator[tuple[int, Fields]]:
     points = values[first].shape[-1]
     size = max(1, TOGETHER // max(points, 1))
     for start in range(0, len(along[first]), size):
-        changed = {}
-        for name, directions in along.items():
-            value, group = values[name], directions[start : start + size]
-            moved = value[..., None, :] + (TINY * 1j) * np.moveaxis(group, 0, -2)
-            changed[name] = moved.reshape(*value.shape[:-1], -1)
-        yield len(group), with_values(u if len(group) == 1 else _repeated(u, len(group)), **changed)
+        changed = {name: repeated_along(values[name], d[start : start + size]) for name, d in along.items()}
+        count = min(size, len(along[first]) - start)
+        yield count, with_values(u if count == 1 else repeated(u, count), **changed)
+
+
+def repeated_along(value: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    """``value`` (..., points) with an imaginary increment along each of k ``directions``, (..., k points)."""
+    moved = value[..., None, :] + (TINY * 1j) * np.moveaxis(directions, 0, -2)
+    return moved.reshape(*value.shape[:-1], moved.shape[-2] * moved.shape[-1])
 
 
 def derivative_of(values: np.ndarray, directions: int) -> np.ndarray:
@@ -113,8 +116,8 @@ def derivative_of(values: np.ndarray, directions: int) -> np.ndarray:
     return values.imag.reshape(*values.shape[:-1], directions, -1) / TINY
 
 
-def _repeated(u: Fields, times: int) -> Fields:
-    """Fields, and the data of the step, with all points repeated ``times`` times."""
+def repeated(u: Fields, times: int) -> Fields:
+    """``u``, with the data of the step, and all points repeated ``times`` times."""
 
     def over(value: Array) -> Array:
         return value if value.value.shape[-1] == 1 else Array(np.tile(value.value, times), None)
@@ -133,7 +136,7 @@ class _Repeated:
     def __getattr__(self, name: str) -> Any:
         value, over = getattr(self._context, name), self._over
         if name == "old":
-            value = _repeated(value, self._times)
+            value = repeated(value, self._times)
         elif name in ("average", "given"):
             return lambda function: over(value(function))
         elif isinstance(value, Array):

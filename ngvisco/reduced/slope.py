@@ -4,7 +4,7 @@ response."""
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from ngvisco.forms.mesh.points import CellPoints
 from ngvisco.forms.system import Step
 from ngvisco.physics.arrays import slope_along
 from ngvisco.physics.pointwise import ArrayResponse, slope_at
+from ngvisco.reduced.point_fields import TOGETHER, derivative_of, repeated_along
 
 
 class PointwiseSlope:
@@ -31,6 +32,10 @@ class PointwiseSlope:
         self._shared = np.setdiff1d(every, np.concatenate([*groups, every[:0]]))
         """Components that are in no group of ``Material.summed``."""
         self._own = {int(m): group for group in groups for m in group}
+        self.owner = np.full(states.size, -1)
+        """Number of the group of each component, -1 for components that are in none."""
+        for number, group in enumerate(groups):
+            self.owner[group] = number
         by_groups = itertools.zip_longest(*groups)
         self._together = [[int(m) for m in columns if m is not None] for columns in by_groups]
         """Groups of components; one derivative gives the columns of phi'' of all components in a group."""
@@ -64,19 +69,34 @@ class PointwiseSlope:
 
         One derivative gives a column of each branch: phi'' is zero between branches, and symmetric.
         """
-        along, n = self.derivative(z_values), self.components
+        n = self.components
         result = np.zeros((n, n, z_values.shape[1]))
-        for columns in self._together:
-            direction = np.zeros((n, 1))
-            direction[columns] = 1.0
-            change = along(np.broadcast_to(direction, z_values.shape))
-            for m in columns:
+        directions = np.zeros((n, len(self._together)))
+        for k, columns in enumerate(self._together):
+            directions[columns, k] = 1.0
+        for k, change in enumerate(self._along(z_values, directions)):
+            for m in (columns := self._together[k]):
                 rows = slice(None) if len(columns) == 1 else self._own[m]
                 result[rows, m] = change[rows]
         for columns in self._together:
             for m in columns if len(columns) > 1 else ():
                 result[self._shared, m] = result[m, self._shared]
         return result
+
+    def _along(self, z_values: np.ndarray, directions: np.ndarray) -> Iterator[np.ndarray]:
+        """Yield phi''(z) d, (n, points), for each column d of ``directions``, (n, k).
+
+        The points are repeated for several directions at once: a law of many operations takes hardly longer.
+        """
+        count, points = directions.shape[1], z_values.shape[1]
+        if self.arrays is None or self.lagged.any():
+            along = self.derivative(z_values)
+            yield from (along(np.broadcast_to(d[:, None], z_values.shape)) for d in directions.T)
+            return
+        for start in range(0, count, size := max(1, TOGETHER // max(1, points))):
+            group = directions.T[start : start + size, :, None]
+            slopes = self.arrays(repeated_along(z_values, group))
+            yield from derivative_of(slopes, len(group)).swapaxes(0, 1)
 
     def _seen(self, z_values: np.ndarray) -> np.ndarray:
         """z with the old values of lagged variables, for the conjugates of variables that do not lag."""

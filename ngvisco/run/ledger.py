@@ -30,7 +30,7 @@ from ngvisco.forms.term import Entry, Integrand, Kind
 from ngvisco.physics.defects import parted, relative_defects
 from ngvisco.physics.materials.thermal import entropy_in, temperature
 from ngvisco.physics.mixture import Mixture
-from ngvisco.physics.tensors import square
+from ngvisco.physics.tensors import least_eigenvalues, square
 from ngvisco.physics.variables import Distortion, Jacobian, ReciprocalJacobian, Values
 from ngvisco.run.adaptive import CRACKED, GROWTH, DamageWarning, growth_message
 from ngvisco.run.inlets import InflowWarning, Inlets
@@ -409,7 +409,7 @@ class Ledger:
         least, most = ranks.least, ranks.most
         tensors, values = np.split(values, [9 * len(self._definite)])
         tensors = tensors.T.reshape(values.shape[1], len(self._definite), 3, 3)
-        eigenvalues = dict(zip(self._definite, np.linalg.eigvalsh(tensors)[..., 0].T, strict=True))
+        eigenvalues = {name: least_eigenvalues(tensors[:, i]) for i, name in enumerate(self._definite)}
         (rho, J, speed, rate), values = values[:4], values[4:]
         watched, values = dict(zip(self._watched, values, strict=False)), values[len(self._watched) :]
         defects, powers = values[: len(self._defects)], values[len(self._defects) :]

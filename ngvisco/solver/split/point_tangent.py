@@ -23,7 +23,7 @@ from ngvisco.forms.fields import Fields
 from ngvisco.forms.term import PointTerm
 from ngvisco.reduced.evaluation import CellTerms
 from ngvisco.reduced.operators import Operators
-from ngvisco.reduced.point_fields import derivative_of, incremented
+from ngvisco.reduced.point_fields import TOGETHER, derivative_of, incremented, repeated, repeated_along
 from ngvisco.reduced.residual import Evaluation, ReducedResidual
 from ngvisco.reduced.slope import PointwiseSlope
 
@@ -50,32 +50,36 @@ class _AtPoints:
         return np.ascontiguousarray(self.slope.hessian(u.z.value).transpose(2, 0, 1))
 
     def _slopes(
-        self, terms: CellTerms, u: Fields, curvature: np.ndarray
+        self, terms: CellTerms, u: Fields, curvature: np.ndarray, creep: bool = False
     ) -> Iterator[tuple[slice, dict[str, np.ndarray]]]:
-        """Yield derivatives of the asked terms' factors, and of creep, by z; zeta follows z by phi''.
+        """Yield derivatives of the asked terms' factors, and of ``creep``, by z; zeta follows z by phi''.
 
         Each item has a range of z's components and the derivatives by them."""
         first, zeta = 0, curvature.transpose(2, 1, 0)
         for k, changed in incremented(u, z=np.eye(self.components)[:, :, None], zeta=zeta):
             some, first = slice(first, first + k), first + k
-            yield some, {name: derivative_of(g, k) for name, g in self._read(terms, changed).items()}
+            yield some, {name: derivative_of(g, k) for name, g in self._read(terms, changed, creep).items()}
 
-    def _read(self, terms: CellTerms, u: Fields) -> dict[str, np.ndarray]:
+    def _read(self, terms: CellTerms, u: Fields, creep: bool) -> dict[str, np.ndarray]:
         return terms.factors(self._asked, u)
 
     def _places(self, cells: slice) -> slice:
         """The points of some cells."""
         return slice(self.op.z.per_cell * cells.start, self.op.z.per_cell * cells.stop)
 
-    def tested(self, cells: slice) -> np.ndarray:
-        """tau P K for the coefficients of some cells, (cells, q q, n n)."""
-        z, where, n = self.op.z.part(cells), self._places(cells), self.components
-        values = self.tau * self.rate_slope[where].reshape(z.cells, z.per_cell, n * n)
+    def tested(self, cells: slice, some: np.ndarray) -> np.ndarray:
+        """tau P K for the coefficients of some cells and of ``some`` n components, (cells, q n, q n)."""
+        z, where, n = self.op.z.part(cells), self._places(cells), len(some)
+        K = self.rate_slope[where]
+        K = K if n == self.components else K[:, some[:, None], some]
+        values = self.tau * K.reshape(z.cells, z.per_cell, n * n)
         kind = np.float64 if abs(values).max(initial=0.0) > 1 else precision.SINGLE
         # values at the points, times each basis function, are projected onto the basis
         by_points = self._projection[cells][:, :, None] * z.blocks.swapaxes(1, 2)[:, None]
         by_points = by_points.reshape(z.cells, z.local**2, z.per_cell)
-        return by_points.astype(kind) @ values.astype(kind)
+        tested = by_points.astype(kind) @ values.astype(kind)
+        tested = tested.reshape(z.cells, z.local, z.local, n, n).transpose(0, 1, 3, 2, 4)
+        return tested.reshape(z.cells, z.local * n, z.local * n)
 
     def rows(self, dz: np.ndarray) -> np.ndarray:
         """Rows (K dz, .) from coefficients dz, both (cells' unknowns, n)."""
@@ -150,10 +154,11 @@ class PointTangent(_AtPoints):
             if self._weighing:
                 self.weight = np.zeros((count, rates.dim, n))
 
-    def _read(self, terms: CellTerms, u: Fields) -> dict[str, np.ndarray]:
-        creep = {"creep": self.residual.rates.creep_components(u)} if self._creeps else {}
-        means = {mean.name: mean.value(u).value for mean in self._means}
-        return creep | means | super()._read(terms, u)
+    def _read(self, terms: CellTerms, u: Fields, creep: bool) -> dict[str, np.ndarray]:
+        values = {mean.name: mean.value(u).value for mean in self._means}
+        if creep:
+            values["creep"] = self.residual.rates.creep_components(u)
+        return values | super()._read(terms, u, creep)
 
     def begin(self, at: Evaluation) -> None:
         """Start the linearisation at an evaluation: linearise at the collocation points of all cells."""
@@ -202,11 +207,16 @@ class PointTangent(_AtPoints):
         of_rates = rates.slopes(z, X, zeta, rates.openings(u))
         K, force = (slope.transpose(2, 0, 1) for slope in of_rates)
         force = force + np.matmul(columns.swapaxes(1, 2), curvature)
+        by_stress = self._creep_by_stress(u) if self._creeps else []
+        if by_stress is not None:  # by the chain rule: force has the derivatives of the driving stresses
+            for i, of_stress in enumerate(by_stress):
+                where = rates.components_of(i)
+                K = K + np.matmul(columns[:, :, where], np.matmul(of_stress, force[:, where]))
         force[:, rates.tensors.trace] += zeta.T[:, None]
-        if not (self._asked or self._creeps):
+        if by_stress is not None and not self._asked:
             return K, force, {}
         K, of_creep, beside = K.copy(), columns[:, :, g:], dict[str, np.ndarray]()
-        for some, slopes in self._slopes(terms, u, curvature):
+        for some, slopes in self._slopes(terms, u, curvature, by_stress is None):
             if "creep" in slopes:
                 K[:, :, some] += np.matmul(of_creep, slopes["creep"].transpose(2, 0, 1))
             if "z" in slopes:
@@ -224,6 +234,37 @@ class PointTangent(_AtPoints):
                 of_name[:, :, some] = slopes[name].reshape(size, components, points).transpose(2, 0, 1)
         return K, force, beside
 
+    def _creep_by_stress(self, u: Fields) -> list[np.ndarray] | None:
+        """Derivatives of each mechanism's Pi by d(zeta : rate)/dPi, (points, p, p): through the driving
+        stress.
+
+        None if a rate depends on z or zeta in other ways, which a random increment of both shows."""
+        rates, size = self.residual.rates, self.residual.rates.creep_space.size
+        if any(mechanism.body is not None for mechanism in rates.mechanisms):
+            return None  # the share of a body is a factor of its driving stress
+        stresses = [
+            rates.stress(u, u.zeta.value, where.start, where.stop)
+            for where in map(rates.components_of, range(len(rates.mechanisms)))
+        ]
+        probe = np.random.default_rng(0).standard_normal((1, self.components, 1))
+        _, changed = next(incremented(u, z=probe, zeta=probe))
+        slopes = []
+        for mechanism, stress in zip(rates.mechanisms, stresses, strict=True):
+            Pi = rates.creep_by(mechanism, rates.mandel_of(stress), changed)
+            if derivative_of(Pi.value, 1).any():
+                return None
+            slopes.append(np.empty((stress.shape[1], size, size)))
+        units, points = np.eye(size)[:, :, None], len(slopes[0])
+        for start in range(0, size, group := max(1, TOGETHER // max(points, 1))):
+            some = slice(start, min(start + group, size))
+            k = some.stop - some.start
+            many = repeated(u, k)
+            for mechanism, stress, slope in zip(rates.mechanisms, stresses, slopes, strict=True):
+                Pi = rates.creep_by(mechanism, rates.mandel_of(repeated_along(stress, units[some])), many)
+                of_stress = derivative_of(rates.creep_space.components(Pi).value, k)
+                slope[:, :, some] = of_stress.transpose(2, 0, 1)
+        return slopes
+
     def fields_rows(self, dz: np.ndarray) -> np.ndarray:
         """Rows (K dz, .) including the part of the collocated terms."""
         return self.rows(dz) if self.collocated is None else self.rows(dz) + self.collocated.rows(dz)
@@ -236,15 +277,42 @@ class PointTangent(_AtPoints):
 
     def _resolvent(self, cells: slice) -> np.ndarray:
         """The resolvent of some cells, (cells, q n, q n); it is stored unless its series replaces it."""
-        q, n = self.op.z.local, self.components
-        tested = self.tested(cells)
-        if self.collocated is not None:
-            tested = tested + self.collocated.tested(cells)
-        matrix = tested.reshape(-1, q, q, n, n).transpose(0, 1, 3, 2, 4).reshape(-1, q * n, q * n)
-        resolvent, terms = _resolvents(matrix)
+        groups = self._groups(cells)
+        q, n, results = self.op.z.local, self.components, list[tuple[np.ndarray, int]]()
+        for some in groups:
+            tested = self.tested(cells, some)
+            if self.collocated is not None:
+                tested = tested + self.collocated.tested(cells, some)
+            results.append(_resolvents(tested))
+        terms = min(count for _, count in results) and max(count for _, count in results)
+        resolvent = results[0][0]
+        if len(groups) > 1:
+            whole = np.zeros((len(resolvent), q, n, q, n), np.result_type(*(part for part, _ in results)))
+            for some, (part, _) in zip(groups, results, strict=True):
+                size = len(some)
+                blocks = part.reshape(len(part), q, size, q, size)
+                whole[:, :, some[:, None], :, some] = blocks.transpose(2, 4, 0, 1, 3)
+            resolvent = whole.reshape(len(whole), q * n, q * n)
         is_kept = terms == 0 or self.collocated is not None
         self._kept[cells.start] = terms, resolvent.astype(self.rate_slope.dtype) if is_kept else None
         return resolvent
+
+    def _groups(self, cells: slice) -> list[np.ndarray]:
+        """Components by which the resolvent of some cells is inverted: of each branch with the shared ones.
+
+        All components together where the rate of a branch depends on another branch, or that of a shared
+        component on a branch: else the rows and columns of a group are closed under products.
+        """
+        owner, every = self.slope.owner, np.arange(self.components)
+        if owner.max(initial=-1) < 1:
+            return [every]
+        foreign = (owner[:, None] != owner) & (owner >= 0)
+        slopes = [self.rate_slope[self._places(cells)]]
+        if self.collocated is not None:
+            slopes.append(self.collocated.rate_slope[self.collocated._places(cells)])
+        if any(slope[:, foreign].any() for slope in slopes):
+            return [every]
+        return [np.flatnonzero((owner == i) | (owner < 0)) for i in range(owner.max() + 1)]
 
     def resolved(self, dz: np.ndarray) -> np.ndarray:
         """Return (1 - tau P K)^{-1} dz for coefficients dz, both (cells' unknowns, n); P projects onto the
@@ -262,12 +330,12 @@ class PointTangent(_AtPoints):
                 result[rows] = np.matmul(resolvent, of_cells).reshape(-1, n)
                 continue
             blocks = op.part(cells).blocks.astype(result.dtype)
-            tau_K = self.tau * self.rate_slope[self._places(cells)]
+            K = self.rate_slope[self._places(cells)]
             projection = self._projection[cells].astype(result.dtype)
             start = dz[rows].reshape(len(blocks), op.local, n).astype(result.dtype)
             x = start
             for _ in range(terms - 1):
-                increment = np.matmul(tau_K, np.matmul(blocks, x).reshape(-1, n, 1))
+                increment = np.matmul(K, np.matmul(blocks, self.tau * x).reshape(-1, n, 1))
                 x = start + np.matmul(projection, increment.reshape(len(blocks), op.per_cell, n))
             result[rows] = x.reshape(-1, n)
         return result
