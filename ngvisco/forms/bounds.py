@@ -135,16 +135,12 @@ class Bounds:
         self.names = tuple(name for _, name, _ in bounds)
         self._variables = tuple(variable for variable, *_ in bounds)
         """Variable of each bound; None for rho, "" for several variables."""
-        material, model = step.model.material, step.model
-        self._drifts = drifts(material, step.now.z_tensors, model.traced) if step.sources is None else {}
-        """Relative differences of variables of one distortion; none with sources, whose fields may differ."""
-        values = [value for *_, value in bounds]
+        material, values = step.model.material, [value for *_, value in bounds]
+        self._drifts = drifts(material, step.now.z_tensors, step.model.traced)
         self._present = CF(tuple(values)).Compile()
         self._with_drifts = CF((*values, *self._drifts.values())).Compile()
-        self._sound: np.ndarray | None = None
-        """Coefficients of rho and z of the last state that was within its bounds at all points."""
-        self._farthest = 0.0
-        """Largest drift at this rank's points of the last state that ``_outside`` evaluated."""
+        self._sound: np.ndarray | None = None  # rho and z of the last state within its bounds at all points
+        self._farthest = 0.0  # largest drift at this rank's points in the last call of ``_outside``
         self._where_means_do = np.array([name in material.where_means_do for name in self.names])
         self._share = GridFunction(L2(step.mesh, order=0))  # s of rho in the last limited state
         self.sharpening = Sharpening(step) if step.layout.discretisation.sharp else None
@@ -240,19 +236,15 @@ class Bounds:
         bad = [name for names in self._ranks.gathered(bad) for name in names]
         return f"the unknown {bad[0]!r} of the state is no number somewhere" if bad else None
 
-    @cached_property
-    def _volumes(self) -> np.ndarray:
-        return self.step.quadrature.each_cell(CF(1.0))
-
     def drift(self) -> str | None:
         """Message that variables of one distortion differ by more than ``most`` in the mean of a cell; None
-        if none do, and with sources, whose fields may differ.
-        """
+        if none do, and with sources, whose fields may differ."""
         self._outside()
-        if not self._ranks.any(not self._farthest <= self.most):  # nor does a mean of the points
-            return None
+        if self.step.sources is not None or not self._ranks.any(not self._farthest <= self.most):
+            return None  # no mean is farther than all points
+        each_cell = self.step.quadrature.each_cell
         for pair, drift in self._drifts.items():
-            means = self.step.quadrature.each_cell(drift.Compile()) / self._volumes
+            means = each_cell(drift.Compile()) / each_cell(CF(1.0))
             far = np.flatnonzero(abs(means) > self.most)
             if self._ranks.any(len(far) > 0):
                 worst = self._ranks.most(abs(means))
@@ -358,12 +350,11 @@ class Bounds:
         here = np.concatenate([state[ranges[name]] for name in ("rho", "z") if name in ranges])
         if not self._ranks.any(self._sound is None or not np.array_equal(self._sound, here)):
             return None
-        values, drift = np.split(self.sampler.rows(self._with_drifts), [len(self.names)], axis=1)
-        self._farthest, bad = abs(drift).max(initial=0.0), ~(values > 0)
-        if not self._ranks.any(bad.any()):  # all ranks continue together, even without cells
-            self._sound = here
+        values, off = np.split(self.sampler.rows(self._with_drifts), [len(self.names)], axis=1)
+        self._farthest, bad = abs(off).max(initial=0.0), ~(values > 0)
+        self._sound = None if self._ranks.any(bad.any()) else here
+        if self._sound is not None:  # all ranks continue together, even without cells
             return None
-        self._sound = None
         numbers = self.sampler.cells
         cells = np.unique(numbers[bad.any(axis=1)])
         points = np.flatnonzero(np.isin(numbers, cells))
