@@ -295,7 +295,8 @@ _SPREAD = 1e-6
 def least_eigenvalues(tensors: np.ndarray) -> np.ndarray:
     """Least eigenvalues of symmetric tensors, (n, 3, 3), at least of those tensors with the least of all.
 
-    A closed form finds the tensors that may have it: decompositions take twenty times as long.
+    A closed form finds the tensors that may have it: decompositions take twenty times as long.  The result
+    has NaN if a tensor has.
     """
     (a, b, c), (_, d, e), (_, _, f) = np.ascontiguousarray(tensors.transpose(1, 2, 0))
     mean = (a + d + f) / 3
@@ -305,4 +306,6 @@ def least_eigenvalues(tensors: np.ndarray) -> np.ndarray:
     cosine = 0.5 * determinant / np.maximum(size**3, np.finfo(float).tiny)
     least = mean + 2 * size * np.cos((np.arccos(np.clip(cosine, -1, 1)) + 2 * math.pi) / 3)
     bound = least.min(initial=math.inf) + _SPREAD * (abs(mean) + size).max(initial=0.0)
+    if math.isnan(bound):
+        return least
     return np.asarray(np.linalg.eigvalsh(tensors[~(least > bound)])[:, 0])

@@ -1,0 +1,74 @@
+"""What the split solver's operator takes branch by branch, against what it takes for all branches at once."""
+
+import numpy as np
+import pytest
+
+import ngvisco as nv
+from ngvisco.reduced.residual import CellPart
+from ngvisco.solver.split.point_tangent import PointTangent
+from tests.support import small_run
+
+pytestmark = pytest.mark.usefixtures("double_precision")
+
+
+def network(slow=None):
+    """Two branches that creep, and a spring, with one J."""
+    materials = {
+        "slow": (nv.ReferentialNeoHookean(K_e=10.0, G_e=5.0), slow or nv.Creep(G_m=2.0)),
+        "fast": (nv.OldroydB(K_e=0.0, G_e=2.0), nv.Creep(G_m=0.5)),
+        "spring": (nv.ReferentialNeoHookean(K_e=0.0, G_e=1.0), None),
+    }
+    branches = {name: nv.Branch(material=m, creep=creep) for name, (m, creep) in materials.items()}
+    return nv.Network(branches=branches)
+
+
+def evaluated(material):
+    """A run, the split solver's residual at a strained state, and its operator, updated there."""
+    run = small_run(material=material, solver="split", viscosity=nv.StokesViscosity(K_v=0.1, G_v=0.2))
+    split, random = run.solver.newton, np.random.default_rng(0)
+    run.rothe_step.context.tau.Set(0.1)
+    x, slices = split.unknowns.pack(), split.unknowns.slices
+    for name, size in (("v", 0.1), ("z", 0.02)):
+        x[slices[name]] += size * random.standard_normal(x[slices[name]].shape)
+    split.residual.start()
+    at, operator = split.residual(x), split.preconditioner.operator
+    operator.update(at)
+    return run, split, at, operator
+
+
+def test_a_cell_is_inverted_branch_by_branch():
+    run, _, _, operator = evaluated(network())
+    points, cells = operator.points, slice(0, run.mesh.ne)
+    assert [len(group) for group in points._groups(cells)] == [5, 5, 5]  # four components, and J
+    resolvent, tested = points._resolvent(cells), points.tested(cells, np.arange(points.components))
+    assert np.abs(tested).max() > 0.05
+    expected = np.linalg.inv(np.eye(tested.shape[1]) - tested)
+    assert np.abs(resolvent - expected).max() <= 3e-4  # the series leaves 1e-4
+    assert points._resolvent(slice(0, 0)).shape == (0, *expected.shape[1:])  # a rank may have no cells
+
+
+def test_branches_that_feel_each_other_are_inverted_together():
+    run, _, _, operator = evaluated(network())
+    points, cells = operator.points, slice(0, run.mesh.ne)
+    points.rate_slope[0, 0, -2] = 1e-3  # a rate of the first branch depends on the last one
+    assert [len(group) for group in points._groups(cells)] == [points.components]
+
+
+@pytest.mark.parametrize("slow", [None, nv.Giesekus(G_m=1.0, alpha=0.3)])
+def test_creep_is_differentiated_by_its_stress_as_by_all_components(slow, monkeypatch):
+    """Giesekus's rate depends on the conformation besides the stress: there all components are taken."""
+    material = network()
+    if slow is not None:
+        branch = nv.Branch(material=nv.OldroydB(K_e=10.0, G_e=5.0), creep=slow)
+        material = nv.Network(branches=material.parts | {"slow": branch})
+    _, split, at, operator = evaluated(material)
+    points, u = operator.points, operator.points.terms.fields(at.coefficients)
+    assert (points._creep_by_stress(u) is None) == (slow is not None)
+    by_stress = points.rate_slope.copy()
+    monkeypatch.setattr(PointTangent, "_creep_by_stress", lambda self, u: None)
+    operator.update(at)
+    assert np.abs(by_stress).max() > 1
+    assert np.abs(points.rate_slope - by_stress).max() <= 1e-13 * np.abs(by_stress).max()
+    empty = slice(0, 0)  # a rank may have no cells
+    monkeypatch.undo()
+    operator._form((empty, points.terms.part(empty)), CellPart(split.residual, empty), at)
