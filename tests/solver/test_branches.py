@@ -1,4 +1,4 @@
-"""What the split solver's operator takes branch by branch, against what it takes for all branches at once."""
+"""The operator of networks: parts taken branch by branch equal those of all branches at once."""
 
 import numpy as np
 import pytest
