@@ -109,6 +109,13 @@ class LocalMatrix:
         return part
 
     @property
+    def is_constant(self) -> bool:
+        """Whether all rows of a cell are equal, so that one node has their values."""
+        if self.shape is None or self.nodal.shape[2] != 1:
+            return False
+        return bool((self.shape == 1.0).all())
+
+    @property
     def blocks(self) -> np.ndarray:
         """Dense blocks, (cells, rows of a cell, unknowns of a cell), computed at each access."""
         return self.from_nodes(self.nodal).transpose(0, 2, 1)
@@ -156,6 +163,11 @@ class LocalMatrix:
         """Apply the matrix to each of ``rows``, (..., width) -> (..., height)."""
         if np.iscomplexobj(rows):
             return self(rows.real.copy()) + 1j * self(rows.imag.copy())  # real products use BLAS
+        nodes = self.of_nodes(rows)
+        return self.from_nodes(nodes).reshape(*rows.shape[:-1], self.height)
+
+    def of_nodes(self, rows: np.ndarray) -> np.ndarray:
+        """Apply the matrix at the nodes to each of real ``rows``, (..., width) -> (..., cells, nodes)."""
         parts = rows.reshape(prod(rows.shape[:-1]), self.width)
         nodes = np.empty((len(parts), self.cells, self.nodal.shape[2]))
         if self._in_order:
@@ -164,7 +176,7 @@ class LocalMatrix:
         else:
             local = parts[:, self.unknowns]
         np.matmul(local.transpose(1, 0, 2), self.nodal, out=nodes.transpose(1, 0, 2))
-        return self.from_nodes(nodes).reshape(*rows.shape[:-1], self.height)
+        return nodes.reshape(*rows.shape[:-1], *nodes.shape[1:])
 
     def test(self, values: np.ndarray) -> np.ndarray:
         """Apply the transpose to weighted ``values``, (..., height) -> (..., width)."""
@@ -261,6 +273,8 @@ def _nodes(blocks: np.ndarray, pieces: int) -> tuple[np.ndarray, np.ndarray | No
     shape[:, order[:rank]] = np.eye(rank)
     shape[:, order[rank:]] = la.solve_triangular(triangle[:rank, :rank], triangle[:rank, rank:])
     nodal = by_pieces[..., order[:rank]]
+    if rank == 1 and np.allclose(shape, 1.0, rtol=0, atol=NEGLIGIBLE):
+        shape[:] = 1.0  # constant rows
     error = abs(nodal @ shape - by_pieces).max(axis=(1, 2, 3))
     if (error > NEGLIGIBLE * abs(blocks).max(axis=(1, 2))).any():
         return blocks, None

@@ -66,6 +66,7 @@ from ngvisco.forms.term import (
     impulses_of,
     refused_by_name,
 )
+from ngvisco.forms.upwinding import jump_power
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.exchange import Interpolation
 from ngvisco.physics.tensors import inner, is_number, sqrt, square
@@ -259,7 +260,7 @@ class Impulses:
 
 def _thrust(u: Fields, phi: CoefficientFunction) -> CoefficientFunction:
     """Thrust (z_hat - z) : zeta + phi on crossed facets, Pa."""
-    return u.context.crossed * (inner(u.z_hat - u.z, u.zeta) + phi)
+    return u.context.crossed * (phi - jump_power(u))
 
 
 def _where_it_is(phi: CoefficientFunction) -> CoefficientFunction:

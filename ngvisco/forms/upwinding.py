@@ -29,8 +29,21 @@ def mean_share(inner: CoefficientFunction) -> CoefficientFunction:
 
 def speed(u: Fields) -> CoefficientFunction:
     """Speed |v . n| on facets that matter crosses, 0 on all others, m/s."""
-    v_n = u.context.crossed * (u.v * u.context.normal)
-    return if_positive(v_n, v_n, -v_n)
+    return u.once("speed", lambda: _positive(u.context.crossed * (u.v * u.context.normal)))
+
+
+def _positive(value: CoefficientFunction) -> CoefficientFunction:
+    return if_positive(value, value, -value)
+
+
+def beyond_trace(u: Fields) -> CoefficientFunction:
+    """z - z_hat on a cell's side: half of the jump between two cells, 0 on walls."""
+    return u.once("z - z_hat", lambda: u.z - u.z_hat)
+
+
+def jump_power(u: Fields) -> CoefficientFunction:
+    """(z - z_hat) : zeta on a cell's side, Pa."""
+    return u.once("(z - z_hat) : zeta", lambda: inner(beyond_trace(u), u.zeta))
 
 
 _ACROSS = (0.8125, 0.4875, 0.3195)

@@ -19,7 +19,7 @@ from ngvisco.forms.fields import Fields, Tests
 from ngvisco.forms.rates import TabulatedRates
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import PointRule, PointTerm
-from ngvisco.physics.arrays import Array, Linear, factors_of_tests
+from ngvisco.physics.arrays import Array, ConstantInCells, Linear, factors_of_tests
 from ngvisco.reduced.operators import Operators, PointOperators, SideOperators
 from ngvisco.reduced.point_fields import CELLS, FACETS, Lazy, derivative_of, incremented, lazy_fields
 from ngvisco.reduced.unknowns import derived_in_cells, in_cells
@@ -339,7 +339,11 @@ def _fields(
         return Array(op.of(name)(c[name]), None)
 
     def gradient(name: str) -> Array:
-        return Array(np.stack([D(c[name]) for D in op.slopes(name)], axis=-2), None)
+        slopes, of_name = op.slopes(name), c[name]
+        if of_name.ndim == 2 and not np.iscomplexobj(of_name) and all(D.is_constant for D in slopes):
+            by_cells = np.stack([D.of_nodes(of_name)[..., 0] for D in slopes], axis=1)
+            return ConstantInCells(by_cells, op.z.per_cell)
+        return Array(np.stack([D(of_name) for D in slopes], axis=-2), None)
 
     of_values, sloping = names
     return lazy_fields(Fields, op.layout, (value, of_values), (gradient, sloping), place, context)

@@ -27,11 +27,11 @@ from ngsolve import CoefficientFunction
 
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.term import ENTERING, PointTerm
-from ngvisco.forms.upwinding import OfFacet, side
+from ngvisco.forms.upwinding import OfFacet, jump_power, side
 from ngvisco.physics.material import Material
 from ngvisco.physics.pointwise import is_affine, rest_state
 from ngvisco.physics.response import Respond
-from ngvisco.physics.tensors import if_positive, inner, is_number
+from ngvisco.physics.tensors import if_positive, is_number
 
 _ROUNDING = 1e-14
 """Share of a facet that counts as none."""
@@ -44,7 +44,7 @@ class TangentGap(OfFacet):
 
     def value(self, u: Fields) -> CoefficientFunction:
         phi = u.context.rates.stored_on_sides(u)
-        return side(u) * (is_number(phi, phi, 0.0) - inner(u.z - u.z_hat, u.zeta))
+        return side(u) * (is_number(phi, phi, 0.0) - jump_power(u))
 
 
 class WithoutEnergy(OfFacet):

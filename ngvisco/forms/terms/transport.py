@@ -28,7 +28,7 @@ from ngvisco.forms.rates import Conjugate
 from ngvisco.forms.term import ELASTIC, Entry, Integrand, Integrands, PointTerm, tested
 from ngvisco.forms.terms.tangents import TangentForce
 from ngvisco.forms.unknown import Setting, Unknown
-from ngvisco.forms.upwinding import FacetMean, OfFacet, speed
+from ngvisco.forms.upwinding import FacetMean, OfFacet, beyond_trace, jump_power, speed
 from ngvisco.physics.flow_rules import FlowRule
 from ngvisco.physics.materials.wrapped import WithQuadratic
 from ngvisco.physics.model import CreepMechanism, Model
@@ -54,10 +54,11 @@ def transport_in_cells(along: Fields, u: Fields, G: Fields, name: Conjugate) -> 
 def transport_through_facets(along: Fields, u: Fields, G: Fields, name: Conjugate) -> CoefficientFunction:
     """Integrand of B_h(w; z, G) on the boundaries of cells, both sides of a facet."""
     c, by_flux = u.context, u.layout.states.by_flux
-    carried = c.crossed * (u.z_hat - u.z)
+    flow = c.crossed * (along.v * c.normal)
     if by_flux.any():
-        carried = masked(carried, ~by_flux) + c.crossed * masked(u.z_hat, by_flux)
-    return -((along.v * c.normal) * inner(carried, G.parts[name]))
+        carried = masked(u.z_hat, by_flux) - masked(beyond_trace(u), ~by_flux)
+        return -(flow * inner(carried, G.parts[name]))
+    return flow * (jump_power(u) if G is u and name == "zeta" else inner(beyond_trace(u), G.parts[name]))
 
 
 @dataclass(frozen=True)
@@ -143,7 +144,7 @@ class Upwinding(PointTerm):
     linearised, group = False, ""
 
     def facets(self, u: Fields, w: Fields) -> Sequence[CoefficientFunction]:
-        return [speed(u) * inner(u.z - u.z_hat, w.z)]
+        return [speed(u) * inner(beyond_trace(u), w.z)]
 
     def dissipated_on_facets(self, u: Fields) -> dict[str, CoefficientFunction]:
         mean = JumpHeat.name in u.layout.unknowns  # with the mean both sides have the same share
@@ -159,7 +160,7 @@ class Upwinding(PointTerm):
 
 def lost_by_jumps(u: Fields) -> CoefficientFunction:
     """Power of upwinding on a side, W/m^2; only the sum of both sides is >= 0."""
-    return speed(u) * inner(u.z - u.z_hat, u.zeta)
+    return speed(u) * jump_power(u)
 
 
 class JumpHeat(OfFacet):
