@@ -12,6 +12,7 @@ contribute to K at their points.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -21,6 +22,7 @@ import numpy as np
 from ngvisco.algebra import precision
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.term import PointTerm
+from ngvisco.physics.arrays import Array
 from ngvisco.reduced.evaluation import CellTerms
 from ngvisco.reduced.operators import Operators
 from ngvisco.reduced.point_fields import TOGETHER, derivative_of, incremented, repeated, repeated_along
@@ -205,17 +207,17 @@ class PointTangent(_AtPoints):
         if rates.mechanisms and not rates.creep_is_collocated:
             X[g:] = rates.creep_components(u)
         of_rates = rates.slopes(z, X, zeta, rates.openings(u))
-        K, force = (slope.transpose(2, 0, 1) for slope in of_rates)
-        force = force + np.matmul(columns.swapaxes(1, 2), curvature)
+        K, force = (np.ascontiguousarray(slope.transpose(2, 0, 1)) for slope in of_rates)
+        force += np.matmul(columns.swapaxes(1, 2), curvature)
         by_stress = self._creep_by_stress(u) if self._creeps else []
         if by_stress is not None:  # by the chain rule: force has the derivatives of the driving stresses
             for i, of_stress in enumerate(by_stress):
                 where = rates.components_of(i)
-                K = K + np.matmul(columns[:, :, where], np.matmul(of_stress, force[:, where]))
+                K += np.matmul(columns[:, :, where], np.matmul(of_stress, force[:, where]))
         force[:, rates.tensors.trace] += zeta.T[:, None]
         if by_stress is not None and not self._asked:
             return K, force, {}
-        K, of_creep, beside = K.copy(), columns[:, :, g:], dict[str, np.ndarray]()
+        of_creep, beside = columns[:, :, g:], dict[str, np.ndarray]()
         for some, slopes in self._slopes(terms, u, curvature, by_stress is None):
             if "creep" in slopes:
                 K[:, :, some] += np.matmul(of_creep, slopes["creep"].transpose(2, 0, 1))
@@ -242,26 +244,20 @@ class PointTangent(_AtPoints):
         rates, size = self.residual.rates, self.residual.rates.creep_space.size
         if any(mechanism.body is not None for mechanism in rates.mechanisms):
             return None  # the share of a body is a factor of its driving stress
-        stresses = [
-            rates.stress(u, u.zeta.value, where.start, where.stop)
-            for where in map(rates.components_of, range(len(rates.mechanisms)))
-        ]
         probe = np.random.default_rng(0).standard_normal((1, self.components, 1))
         _, changed = next(incremented(u, z=probe, zeta=probe))
-        slopes = []
-        for mechanism, stress in zip(rates.mechanisms, stresses, strict=True):
-            Pi = rates.creep_by(mechanism, rates.mandel_of(stress), changed)
-            if derivative_of(Pi.value, 1).any():
+        stresses, slopes = [rates.driving(mechanism, u) for mechanism in rates.mechanisms], []
+        for mechanism, M in zip(rates.mechanisms, stresses, strict=True):
+            if derivative_of(rates.creep_by(mechanism, M, changed).value, 1).any():
                 return None
-            slopes.append(np.empty((stress.shape[1], size, size)))
-        units, points = np.eye(size)[:, :, None], len(slopes[0])
+            slopes.append(np.empty((M.value.shape[2], size, size)))
+        units, points = rates.mandel_of(np.eye(size)).value.transpose(2, 0, 1)[..., None], len(slopes[0])
         for start in range(0, size, group := max(1, TOGETHER // max(points, 1))):
-            some = slice(start, min(start + group, size))
-            k = some.stop - some.start
-            many = repeated(u, k)
-            for mechanism, stress, slope in zip(rates.mechanisms, stresses, slopes, strict=True):
-                Pi = rates.creep_by(mechanism, rates.mandel_of(repeated_along(stress, units[some])), many)
-                of_stress = derivative_of(rates.creep_space.components(Pi).value, k)
+            along = units[start : start + group]
+            some, many = slice(start, start + len(along)), repeated(u, len(along))
+            for mechanism, M, slope in zip(rates.mechanisms, stresses, slopes, strict=True):
+                Pi = rates.creep_by(mechanism, Array(repeated_along(M.value, along), None), many)
+                of_stress = derivative_of(rates.creep_space.components(Pi).value, len(along))
                 slope[:, :, some] = of_stress.transpose(2, 0, 1)
         return slopes
 
@@ -289,9 +285,9 @@ class PointTangent(_AtPoints):
         if len(groups) > 1:
             whole = np.zeros((len(resolvent), q, n, q, n), np.result_type(*(part for part, _ in results)))
             for some, (part, _) in zip(groups, results, strict=True):
-                size = len(some)
-                blocks = part.reshape(len(part), q, size, q, size)
-                whole[:, :, some[:, None], :, some] = blocks.transpose(2, 4, 0, 1, 3)
+                blocks = part.reshape(len(part), q, len(some), q, len(some))
+                for (here, i), (there, j) in itertools.product(_runs(some), repeat=2):
+                    whole[:, :, here, :, there] = blocks[:, :, i, :, j]
             resolvent = whole.reshape(len(whole), q * n, q * n)
         is_kept = terms == 0 or self.collocated is not None
         self._kept[cells.start] = terms, resolvent.astype(self.rate_slope.dtype) if is_kept else None
@@ -339,6 +335,13 @@ class PointTangent(_AtPoints):
                 x = start + np.matmul(projection, increment.reshape(len(blocks), op.per_cell, n))
             result[rows] = x.reshape(-1, n)
         return result
+
+
+def _runs(numbers: np.ndarray) -> list[tuple[slice, slice]]:
+    """Runs of consecutive numbers, as ranges of numbers and of their places."""
+    ends = [0, *(np.flatnonzero(np.diff(numbers) != 1) + 1).tolist(), len(numbers)]
+    runs = list(itertools.pairwise(ends))
+    return [(slice(int(numbers[i]), int(numbers[j - 1]) + 1), slice(i, j)) for i, j in runs]
 
 
 def at_points(matrices: np.ndarray, values: np.ndarray) -> np.ndarray:
