@@ -224,6 +224,11 @@ class _Terms:
         self.layout, self._step, self._inside = step.layout, step, inside
         self._tests, self._names = tests_of(step, inside, self.context), names_of(step, inside)
 
+    @property
+    def names(self) -> list[str]:
+        """Names of the unknowns with values at the points."""
+        return list(self._names[0])
+
     def fields(self, c: Coefficients) -> Fields:
         """The unknowns with the coefficients ``c`` at the points."""
         return _fields(self.op, c, self._names, CELLS if self._inside else FACETS, self.context)

@@ -13,7 +13,7 @@ the flow, of the normal derivatives and of iterated traces at the end.  All othe
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
@@ -37,6 +37,7 @@ from ngvisco.reduced.diffusion import FieldDiffusionRows
 from ngvisco.reduced.evaluation import CellTerms, Coefficients, FacetTerms, Rows
 from ngvisco.reduced.hyperviscosity import HyperValues, MatrixHyperviscosity
 from ngvisco.reduced.operators import FacetMass, Operators, SideOperators
+from ngvisco.reduced.point_fields import NotAtPointsError
 from ngvisco.reduced.slope import PointwiseSlope
 from ngvisco.reduced.unknowns import Unknowns
 from ngvisco.threads import Workers
@@ -287,10 +288,36 @@ class ReducedResidual:
 
     def on_sides(self) -> tuple[Fields, SidePoints]:
         """z, its trace and its conjugates in the step's state, at the points of the cells' sides."""
+        return self.facet_terms.fields(self._of_state(("z", "z_hat", "zeta"))), self.side_op.points
+
+    def dissipated_on_sides(self) -> dict[str, float]:
+        """The terms' dissipation on the cells' sides in the step's state, W, by the ledger's names.
+
+        It leaves out terms that read values which arrays do not have."""
+        c = self._of_state(self.facet_terms.names)
+
+        def totals(part: CellPart) -> dict[str, float]:
+            u, sums = part.sides.fields(c), dict[str, float]()
+            for term in self.at_points:
+                try:
+                    of_term = term.dissipated_on_facets(u)
+                except NotAtPointsError:
+                    continue
+                for name, power in of_term.items():
+                    sums[name] = float((part.sides.op.weights * power.value).sum())
+            return sums
+
+        parts = self.share(totals, self.parts)
+        return {name: self.ranks.total(sum(sums[name] for sums in parts)) for name in parts[0]}
+
+    def _of_state(self, names: Iterable[str]) -> dict[str, np.ndarray]:
+        """Coefficients of unknowns in the step's state, see ``Coefficients``."""
         state, layout = self.unknowns.state, self.step.layout
-        names = ("z", "z_hat", "zeta")
-        c = {name: state[layout.ranges[name]].reshape(layout.states.size, -1) for name in names}
-        return self.facet_terms.fields(c), self.side_op.points
+        sizes = {name: layout.unknowns[name].size for name in names if name in layout.ranges}
+        return {
+            name: state[layout.ranges[name]].reshape(*(() if size is None else (size,)), -1)
+            for name, size in sizes.items()
+        }
 
     def share(self, work: Callable[[Any], Any], parts: Sequence[Any]) -> list[Any]:
         """Results of ``work`` on every part, in order; threads share the parts if the energy is an array

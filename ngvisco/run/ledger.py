@@ -134,7 +134,7 @@ class Ledger:
         of_state |= {e.name: e for e in self.entries if e.kind == "monitor"}
         self.state = EntryIntegrals(step.quadrature, of_state)
         """Energies, mass and monitors at the present state, by columns."""
-        self._rates = EntryIntegrals(step.quadrature, {e.name: e for e in self.entries if e.kind in _RATES})
+        self.exchange = EntryIntegrals(step.quadrature, {e.name: e for e in self.entries if e.kind in _RATES})
         theta = temperature(step.model.material, step.now.zeta_tensors)
         self._warned: set[type[NgviscoWarning]] = set()
         cause = partial(cause_of_negative_power, step, sampler)
@@ -247,7 +247,7 @@ class Ledger:
         """
         self.step.local_unknowns.update_energy()
         self.step.energy.require()
-        return self._numbers(self._rates) | self.momentum.forces()
+        return self._numbers(self.exchange) | self.momentum.forces()
 
     def _numbers(self, integrals: EntryIntegrals) -> dict[str, float]:
         """Integrals at the present state; raises StepError for the first one that is no number."""

@@ -68,6 +68,7 @@ class RunState:
         closed = closure_limit(options.tolerance)
         self.ledger = Ledger(step, self.sampler, closed, lambda: self.velocity_scale)
         self.ledger.momentum.impulses.on_sides = self.solver.on_sides
+        self.ledger.exchange.on_sides = self.solver.dissipated_on_sides
         self.tension = Tension(step, self.sampler)
         self.passive = PassiveFields(step, passive, F_0)
         self.integrator = Integrator(

@@ -154,6 +154,10 @@ class RotheSolver:
         """Arrays of the state at the points of the cells' sides with the split solver; else None."""
         return self.newton.residual.on_sides() if isinstance(self.newton, Split) else None
 
+    def dissipated_on_sides(self) -> dict[str, float]:
+        """The terms' dissipation on the cells' sides by arrays with the split solver, W; else nothing."""
+        return self.newton.residual.dissipated_on_sides() if isinstance(self.newton, Split) else {}
+
     def problem(self, interval: Interval) -> RotheProblem:
         """The problem of a step over the interval."""
         return RotheProblem(self, interval)
