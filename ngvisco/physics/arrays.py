@@ -246,15 +246,12 @@ class Array(_Node):
 
 
 class ConstantInCells(Array):
-    """Matrices that are constant in each cell, (n, m, cells), for points in the order of cells.
-
-    Products with vectors are one small product a cell; other operations take ``value`` at all points.
-    """
+    """Matrices that are constant in each cell: a product with vectors is one small product a cell."""
 
     __slots__ = ("_by_cells", "_points")
 
     def __init__(self, by_cells: np.ndarray, points: int) -> None:
-        """``points`` is the number of points in a cell."""
+        """``by_cells`` are real, (n, m, cells); ``points`` is the number of points in a cell."""
         self._by_cells, self._points = by_cells, points
         self.shape, self.is_constant, self.number, self.parents = by_cells.shape[:-1], True, 0, ()
 
@@ -264,29 +261,21 @@ class ConstantInCells(Array):
         return np.repeat(self._by_cells, self._points, axis=-1)
 
     def __mul__(self, other: Any) -> Array:
-        if isinstance(other, Array) and other.is_constant and self.takes(other.value):
-            return Array(_in_cells(self._by_cells.transpose(2, 0, 1), other.value), None)
+        if isinstance(other, Array) and other.is_constant and other.rank == 1:
+            return Array(self._times(self._by_cells.transpose(2, 0, 1), other.value), None)
         return super().__mul__(other)
 
-    def takes(self, vectors: np.ndarray) -> bool:
-        """Whether real vectors (m, points) can be multiplied cell by cell."""
-        count = self._by_cells.shape[-1] * self._points
-        is_real = not (np.iscomplexobj(vectors) or np.iscomplexobj(self._by_cells))
-        return is_real and vectors.ndim == 2 and vectors.shape[1] == count
-
     def transposed_times(self, vectors: np.ndarray) -> np.ndarray:
-        """The transposed matrices times vectors (n, points)."""
-        if self.takes(vectors):
-            return _in_cells(self._by_cells.transpose(2, 1, 0), vectors)
-        return _product("i", "ik", "k", vectors, self.value)
+        """The transposed matrices times vectors, (n, points)."""
+        return self._times(self._by_cells.transpose(2, 1, 0), vectors)
 
-
-def _in_cells(matrices: np.ndarray, vectors: np.ndarray) -> np.ndarray:
-    """Products of each cell's matrix, (cells, n, m), with the vectors at its points, (m, points)."""
-    cells, n, m = matrices.shape
-    result = np.empty((n, cells, vectors.shape[1] // max(cells, 1)))
-    np.matmul(matrices, vectors.reshape(m, *result.shape[1:]).swapaxes(0, 1), out=result.swapaxes(0, 1))
-    return result.reshape(n, vectors.shape[1])
+    def _times(self, matrices: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+        (cells, n, m), per = matrices.shape, self._points
+        if vectors.shape[1] != cells * per or np.iscomplexobj(vectors):
+            return np.einsum("pnm,mp->np", np.repeat(matrices, per, axis=0), vectors)
+        result = np.empty((n, cells, per))
+        np.matmul(matrices, vectors.reshape(m, cells, per).swapaxes(0, 1), out=result.swapaxes(0, 1))
+        return result.reshape(n, cells * per)
 
 
 class Linear(_Node):
@@ -331,7 +320,7 @@ class Linear(_Node):
         left, right, out = _subscripts(a.shape, self.shape)
         sizes = dict(zip(left + right, a.shape + self.shape, strict=True))
         shape = tuple(sizes[i] for i in out)
-        if isinstance(a, ConstantInCells) and len(self.shape) == 1:
+        if isinstance(a, ConstantInCells) and self.rank == 1:
             return Linear(shape, [(self, a.transposed_times)])
         return Linear(shape, [(self, lambda g: _product(out, left, right, g, a.value))])
 
