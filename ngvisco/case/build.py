@@ -14,7 +14,6 @@ from ngsolve import Mesh
 
 from ngvisco.case import toml
 from ngvisco.case.faults import Blame, CaseError, Fault, Locator, refused, tables_of
-from ngvisco.case.python import tables_of_python
 from ngvisco.case.reading import sections_of, text_of
 from ngvisco.case.schema import CaseSections
 from ngvisco.case.section import parameters, values_of
@@ -37,7 +36,7 @@ from ngvisco.run.refinement import Refinement
 from ngvisco.run.series import Series
 from ngvisco.run.simulation import Observer, Simulation
 from ngvisco.shapes.fractions import MISSED, volumes
-from ngvisco.shapes.shape import Shape, Union, Where
+from ngvisco.shapes.shape import Shape
 
 
 def load_case(path: str | os.PathLike[str], settings: Sequence[str] = ()) -> Case:
@@ -100,19 +99,17 @@ class Case:
 
         Paths of other files are the paths of their copies in the run directory (``files``).
         """
-        data, files = self._settled()
-        for table, file in files:
-            table["path"] = _copy_of(file)
-        if data["domain"]["geometry"] == "file":
-            data["domain"]["path"] = str(self._mesh_path)
+        data = self._settled()
+        for table in _tables_of_files(data):
+            table["path"] = _copy_of(Path(table["path"]))
         return toml.write(data)
 
     @property
     def hash(self) -> str:
         """SHA-256 of all parts that the solution depends on, without title, end time and output."""
-        data, files = self._settled()
-        for table, file in files:
-            table["path"] = _digest_of(file)
+        data = self._settled()
+        for table in _tables_of_files(data):
+            table["path"] = _digest_of(Path(table["path"]))
         for name in ("title", "units", "output", "domain"):  # versions.json has the mesh's hash
             del data[name]
         if self.refinement is not None:
@@ -125,29 +122,24 @@ class Case:
     @property
     def files(self) -> dict[str, Path]:
         """Files of bodies' shapes and Python materials, by the names of their copies in a run directory."""
-        return {_copy_of(file): file for _, file in self._settled()[1]}
+        tables = _tables_of_files(self.sections.model_dump())
+        return {_copy_of(file): file for table in tables if (file := Path(table["path"]))}
 
-    def _settled(self) -> tuple[dict[str, Any], list[tuple[dict[str, Any], Path]]]:
-        """The case's data, and pairs of a table and its file, for shapes and Python materials.
+    def _settled(self) -> dict[str, Any]:
+        """The case's data, with defaults that depend on the model.
 
-        The data include defaults that depend on the model: the material's elastic state, F or B, and the
-        initial density of a material without a referential density.
+        These are the material's elastic state, F or B, and the initial density of a material without a
+        referential density.
         """
         data = self.sections.model_dump()
-        files = []
-        for body in data["bodies"]:
-            shapes = body["where"] if isinstance(body["where"], list) else [body["where"]]
-            tables = [table for table in shapes if isinstance(table, dict) and "path" in table]
-            files += [(table, (self.directory / table["path"]).resolve()) for table in tables]
-        files += [(table, Path(table["path"])) for table in tables_of_python(data)]
         if self.sections.material is None:
-            return data, files
+            return data
         material = self.sections.material.built
         if data["initial"]["density"] is None and material.referential_density is None:
             data["initial"]["density"] = 1.0
         state, _ = self._open_state(material)
         _settle_state(data["material"], material.with_elastic_state(state))
-        return data, files
+        return data
 
     def _open_state(self, material: Material) -> tuple[ElasticState, str]:
         sections: Any = self.sections
@@ -165,18 +157,11 @@ class Case:
         names = ", ".join(v.name for v in (by_B if state == "B" else by_F))
         return names if by_F == by_B else f"{names}: elastic_state = {state!r}, the default, as {reason}"
 
-    @property
-    def _mesh_path(self) -> Path:
-        return (self.directory / self.sections.domain.path).resolve()  # type: ignore[attr-defined]
-
     def mesh(self) -> Mesh:
         """The mesh of the domain; raises CaseError."""
         domain: Any = self.sections.domain
-        values = parameters(domain)
-        if domain.geometry == "file":
-            values["path"] = str(self._mesh_path)
         with self.blame.located("domain"):
-            mesh: Mesh = type(domain).target(**values)
+            mesh: Mesh = type(domain).target(**parameters(domain))  # a new one, since runs refine it
             return mesh
 
     def model(self, dim: int) -> Model:
@@ -186,7 +171,7 @@ class Case:
         parts = _built(sections.rheology, type(sections.rheology).model_fields)
         parts["loads"] = tuple(load.built for load in sections.loads)
         if sections.bodies:
-            parts["bodies"] = tuple(self._body(i) for i in range(len(sections.bodies)))
+            parts["bodies"] = tuple(self._body(i, body) for i, body in enumerate(sections.bodies))
         else:
             with self.blame.located("material"):
                 parts["material"] = sections.material.built
@@ -207,13 +192,11 @@ class Case:
                         message = f"{text!r:.60}: there is no z in a mesh of two dimensions"
                         raise self.blame.error(key, message)
 
-    def _body(self, number: int) -> Body:
-        part, path = self.sections.bodies[number], ("bodies", str(number))
-        shapes = [shape for _, shape in self._shapes(number)]
-        with self.blame.located(*path, "where"):
-            place = None if part.where is None else Union(shapes)
-        with self.blame.located(*path):
-            return Body(**parameters(part) | {"where": place})
+    def _body(self, number: int, body: Any) -> Body:
+        self._shapes(number)  # a shape's fault is that of its own key
+        with self.blame.located("bodies", str(number)):
+            made: Body = body.built
+            return made
 
     def _shapes(self, number: int) -> list[tuple[tuple[str, ...], Shape]]:
         """Key paths and shapes whose union is a body's place; none for a body without a place."""
@@ -225,18 +208,8 @@ class Case:
         shapes = []
         for path, part in parts:
             with self.blame.located(*path):
-                shapes.append((path, self._shape(part)))
+                shapes.append((path, RegionText.made(part) if isinstance(part, str) else part.built))
         return shapes
-
-    def _shape(self, part: Any) -> Shape:
-        """The shape of a condition or of a table."""
-        if isinstance(part, str):
-            return Where(parse_region(part).coefficient())
-        values = parameters(part)
-        if "path" in values:
-            values["path"] = str((self.directory / values["path"]).resolve())
-        shape: Shape = type(part).target(**values)
-        return shape
 
     def simulation(self, mesh: Mesh, observers: Sequence[Observer] = ()) -> Simulation:
         """The simulation at its initial state; raises CaseError for data that the model refuses."""
@@ -332,6 +305,16 @@ def _settle_state(values: dict[str, Any], material: Any) -> None:
         _settle_state(values["material"], material)
     for name, branch in (values.get("branches") or {}).items():
         _settle_state(branch["material"], branches[name].material)
+
+
+def _tables_of_files(data: Any) -> list[dict[str, Any]]:
+    """The tables in a case's data whose files a run directory copies: of shapes and Python materials."""
+    if isinstance(data, list):
+        return [table for part in data for table in _tables_of_files(part)]
+    if not isinstance(data, dict) or "geometry" in data:  # a mesh has a file of its own
+        return []
+    own = [data] if "path" in data else []
+    return own + [table for part in data.values() for table in _tables_of_files(part)]
 
 
 def _digest_of(file: Path) -> str:

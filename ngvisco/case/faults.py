@@ -96,13 +96,14 @@ def faults_of(error: ValidationError, model: type[Section], locator: Locator) ->
     """One fault for each of pydantic's errors, in the order of the file."""
     faults = []
     for entry in error.errors():
-        path, here, keys = _resolve(model, entry["loc"])
+        path, here, keys, inner = _resolve(model, entry["loc"])
         raised = (entry.get("ctx") or {}).get("error")
         if entry["type"] == "union_tag_invalid":
             path = (*path, entry["ctx"]["discriminator"].strip("'"))
         if isinstance(raised, ParameterError):
-            parts = names_in(raised.field)  # NeoHookean.G_e is the key G_e in [material]
-            path = (*path, *parts[1:]) if path else tuple(parts)
+            # NeoHookean.G_e is the key G_e in [material]
+            names = names_in(raised.field)
+            path += tuple(names[next((i for i, name in enumerate(names) if name in inner), len(names)) :])
             message = refused(locator.written(path, raised.value), raised)
         else:
             message = _message(entry, raised, path, here, keys)
@@ -196,8 +197,10 @@ _OTHER = 100
 """Depth added to a table whose name is not its class's name; such a table is then found last."""
 
 
-def _resolve(model: type[Section], location: tuple[Any, ...]) -> tuple[tuple[str, ...], str, list[str]]:
-    """Key path without the unions' tags, the table that holds the key, and the table's keys."""
+def _resolve(
+    model: type[Section], location: tuple[Any, ...]
+) -> tuple[tuple[str, ...], str, list[str], list[str]]:
+    """Key path without the unions' tags, the table that holds the key, its keys, and keys within the key."""
     path: list[str] = []
     models, here, keys = [model], "the case", list(model.model_fields)
     for part in location:
@@ -210,7 +213,7 @@ def _resolve(model: type[Section], location: tuple[Any, ...]) -> tuple[tuple[str
             if part in fields:
                 models = models_in(fields[part].annotation)
             path.append(str(part))
-    return tuple(path), here, keys
+    return tuple(path), here, keys, [name for each_model in models for name in each_model.model_fields]
 
 
 def numbers_out_of_range(sections: Section, locator: Locator) -> list[Fault]:
@@ -296,7 +299,7 @@ class Blame:
         """The value of a key in the file; for a missing key or an array of tables ``value``, made from it."""
         there = given(self.sections, key)
         is_whole = there is None or (isinstance(there, list) and any(isinstance(p, Section) for p in there))
-        return value if is_whole else there
+        return value if is_whole else self.locator.written(key, there)
 
 
 def key_of(field: str, path: tuple[str, ...], sections: Any, value: object = None) -> tuple[str, ...]:

@@ -58,16 +58,6 @@ def python_material(
     return material
 
 
-def tables_of_python(data: Any) -> list[dict[str, Any]]:
-    """The tables of a case's data that describe materials from Python files."""
-    if isinstance(data, list):
-        return [table for part in data for table in tables_of_python(part)]
-    if not isinstance(data, dict):
-        return []
-    tables = [data] if data.get("kind") == KIND and isinstance(data.get("path"), str) else []
-    return tables + [table for part in data.values() for table in tables_of_python(part)]
-
-
 def content_of(path: str) -> bytes:
     """The content of a Python file; raises ParameterError if it cannot be read."""
     try:

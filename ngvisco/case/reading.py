@@ -10,7 +10,6 @@ from pydantic import ValidationError
 
 from ngvisco.case import toml
 from ngvisco.case.faults import CaseError, Fault, Locator, faults_of, numbers_out_of_range
-from ngvisco.case.python import tables_of_python
 from ngvisco.case.schema import CaseSections
 from ngvisco.case.units import SI, Converter, has_unit
 from ngvisco.errors import InputWarning
@@ -59,8 +58,6 @@ def sections_of(
         overridden.append(path)
     locator = Locator(toml.key_lines(text), overridden)
     try:
-        for table in tables_of_python([data.get("material"), data.get("bodies")]):
-            table["path"] = str((directory / table["path"]).resolve())
         converter = Converter(data.get("units"), directory)
         locator.data, locator.converted = data, converter.converted
         if converter.faults:

@@ -322,14 +322,11 @@ class CaseSections(Section):
                 raise ParameterError(f"output.{key}", table, "no such table in a case without [[bodies]]")
         require_names_of_loads(self.loads)
         require_names_and_one_rest(self.bodies)
-        interval = self.output.vtk.interval
-        if interval is not None and self.time.until / interval > _MAX_OUTPUT_TIMES:
-            raise ParameterError("output.vtk.interval", interval, f"at most {_MAX_OUTPUT_TIMES} output times")
-        if interval is not None and self.time.adaptive is None:
-            number = round(interval / self.time.dt)
-            if number < 1 or not math.isclose(number * self.time.dt, interval, rel_tol=1e-9):
-                expected = f"a multiple of time.dt = {self.time.dt:g}"
+        if (interval := self.output.vtk.interval) is not None:
+            if self.time.until / interval > _MAX_OUTPUT_TIMES:
+                expected = f"at most {_MAX_OUTPUT_TIMES} output times"
                 raise ParameterError("output.vtk.interval", interval, expected)
+            self.time.built.stepper().check("output.vtk.interval", interval)
         return self
 
     def _check_bodies(self) -> None:

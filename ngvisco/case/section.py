@@ -168,8 +168,7 @@ def section(
         fields[name] = (annotation, default)
     model = create_model(tag[1] if tag else target.__name__, __base__=base, **fields)
     model.target = staticmethod(target)
-    # of functions only those that make materials are called, as meshes take long; a relative path is not
-    # resolved yet
+    # of functions only those that make materials are called, as meshes take long; files are not read yet
     returned = hints.get("return")
     is_material = isinstance(returned, type) and issubclass(returned, MaterialObject)
     model.is_made_at_once = is_whole and "path" not in fields and (is_class or is_material)
@@ -234,11 +233,8 @@ def parameters(part: Section) -> dict[str, Any]:
     """
     kinds, arguments = values_of(type(part)), inspect.signature(type(part).target).parameters
     values = {name: getattr(part, name) for name in type(part).model_fields if name in arguments}
-    return {
-        name: kinds[name].made(value) if name in kinds else _built(value)
-        for name, value in values.items()
-        if value is not None
-    }
+    given = {name: value for name, value in values.items() if value is not None}
+    return {name: kinds.get(name, Value).made(_built(value)) for name, value in given.items()}
 
 
 def _built(value: Any) -> Any:

@@ -105,6 +105,8 @@ def _require_small_powers(unit: str) -> None:
 class Converter:
     """Converts the numbers of sections, also numbers from files, to SI units before validation.
 
+    Paths, which are relative to the case file, become absolute.
+
     Attributes
     ----------
     faults : list of (key path, message)
@@ -131,6 +133,9 @@ class Converter:
         result = dict(data)
         for name, value in data.items():
             if name not in model.model_fields:
+                continue
+            if name == "path" and isinstance(value, str):
+                result[name] = str((self._directory / value).resolve())
                 continue
             try:
                 kind = values_of(model).get(name, Value)

@@ -12,9 +12,10 @@ from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic_core import CoreSchema, core_schema
 
 from ngvisco.case.laws import parse_law
-from ngvisco.errors import as_number
+from ngvisco.errors import ParameterError, as_number
 from ngvisco.expressions import parse, parse_region
 from ngvisco.physics.signals import table
+from ngvisco.shapes.shape import Union, Where
 
 
 class Value(ABC):
@@ -189,6 +190,15 @@ class RegionText(Value):
         if "t" in parse_region(value).names:
             raise ValueError("expected a condition on x, y and z alone: it says where a body is at the start")
         return value
+
+    @classmethod
+    def made(cls, value: Any) -> Any:
+        """The shape of a condition, of a shape, or of several, their union."""
+        if value == []:
+            raise ParameterError("Body.where", value, "at least one shape")
+        if isinstance(value, list):
+            return Union(value)
+        return Where(parse_region(value).coefficient()) if isinstance(value, str) else value
 
 
 class Wrong(str):

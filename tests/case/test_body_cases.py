@@ -178,10 +178,14 @@ def test_a_scene_has_outlines_of_bodies_whatever_fields_are_written(tmp_path, ca
             "case.toml:18: bodies.1.where.1.names",
             "unknown subdomain 'a'",
         ),
-        ('{ kind = "ClosedSurface", path = "part.stl" }', "bodies.1.where.path", "closed surface"),
+        (
+            '{ kind = "ClosedSurface", path = "part.stl" }',
+            "bodies.1.where.path: 'part.stl'",
+            "closed surface",
+        ),
         (
             '{ kind = "Image", path = "none.png", low = [0, 0], high = [1, 1] }',
-            "bodies.1.where.path",
+            "bodies.1.where.path: 'none.png'",
             "readable",
         ),
     ],
