@@ -11,6 +11,7 @@ bodies i and j are separated, in cells that contain no other body, in two moves.
 
    scaled so that no cell gives more of a body than it has (Zalesak, J. Comput. Phys. 31, 1979).  What the
    limiter holds back is tried once more.  Each body takes its tensors with it, in the ratio X/n of its cell.
+   Transport may leave negative means; neighbours fill them up, in exchange for the ratio X/n of such a cell.
 2. *In a cell* n_i becomes the mean plus the slope of the projected indicator of body i's part, scaled until
    theta_i is in [0, 1]; n_j is the rest of n_i + n_j, and X becomes n (X/n) with the quotient of the means.
 
@@ -224,27 +225,50 @@ class Sharpening:
         return np.asarray(behind * (out[i] + out[j]) - out[i])
 
     def _between(self, u: np.ndarray, i: int, j: int, defects: np.ndarray, pair: np.ndarray) -> None:
-        """Exchange the fluxes' defects between cells of the mask ``pair``, in place."""
+        """Exchange the fluxes' defects between cells of the mask ``pair``, in place; then cells that still
+        have less than nothing of a body get it from neighbours, in proportion to what these have."""
         facets = self._facets[pair[self._facets[:, 0]] & pair[self._facets[:, 2]]]
         cell, corner, neighbour, opposite = facets.T
         left, count = defects[cell, corner] - defects[neighbour, opposite], len(self._mass)
         giving, taking = np.where(left > 0, (cell, neighbour), (neighbour, cell))
         left = np.abs(left)
         for _ in range(_PASSES):
-            means, amount = self._means(u), left
-            for body, source in ((i, giving), (j, taking)):
-                has = np.maximum(means[self._amounts[body]], 0.0) * self._mass
-                gives = np.bincount(source, left, count)
-                share = np.minimum(1.0, has / np.where(gives > 0, gives, 1.0))
-                amount = np.minimum(amount, left * share[source])
-            for body, source, target in ((i, giving, taking), (j, taking, giving)):
-                n = means[self._amounts[body], source]
-                share = np.where(n > 0, amount / np.where(n > 0, n, 1.0), 0.0)
-                for component in (self._amounts[body], *self._contents[body]):
-                    carried = share * means[component, source]
-                    change = np.bincount(target, carried, count) - np.bincount(source, carried, count)
-                    u[component] += (change / self._mass)[:, None]
-            left = left - amount
+            left = left - self._exchanged(u, (i, giving), (j, taking), left)
+        giving, taking = np.concatenate([cell, neighbour]), np.concatenate([neighbour, cell])
+        for body, other in ((i, j), (j, i)):
+            amount = self._means(u)[self._amounts[body]] * self._mass
+            has = np.maximum(amount, 0.0)[giving]
+            total = np.bincount(taking, has, count)[taking]
+            lacks = np.maximum(-amount, 0.0)[taking] * has / np.where(total > 0, total, 1.0)
+            self._exchanged(u, (body, giving), (other, taking), lacks)
+
+    def _exchanged(
+        self, u: np.ndarray, one: tuple[int, np.ndarray], two: tuple[int, np.ndarray], wanted: np.ndarray
+    ) -> np.ndarray:
+        """Exchange ``wanted`` amounts of a body, given by the cells of ``one``, for as much of another body
+        from the cells of ``two``, in place, as far as cells have it; return the exchanged amounts.
+
+        What fills up a cell that has less than nothing of a body takes away X/n of that cell.
+        """
+        means, amount, count = self._means(u), wanted, len(self._mass)
+        for body, source in (one, two):
+            has = np.maximum(means[self._amounts[body]], 0.0) * self._mass
+            gives = np.bincount(source, wanted, count)
+            share = np.minimum(1.0, has / np.where(gives > 0, gives, 1.0))
+            amount = np.minimum(amount, wanted * share[source])
+        for (body, source), (_, target) in ((one, two), (two, one)):
+            n = means[self._amounts[body]]
+            takes, lacks = np.bincount(target, amount, count), np.maximum(-n, 0.0) * self._mass
+            filling = np.minimum(1.0, lacks / np.where(takes > 0, takes, 1.0))[target]
+            parts = [(source, amount * (1 - filling)), (target, amount * filling)]
+            shares = [
+                (at, np.where(part > 0, part / np.where(part > 0, n[at], 1.0), 0.0)) for at, part in parts
+            ]
+            for component in (self._amounts[body], *self._contents[body]):
+                carried = sum(share * means[component, at] for at, share in shares)
+                change = np.bincount(target, carried, count) - np.bincount(source, carried, count)
+                u[component] += (change / self._mass)[:, None]
+        return amount
 
     def _within(self, u: np.ndarray, i: int, j: int, pair: np.ndarray) -> None:
         """Separate bodies i and j by planes in cells of the mask ``pair``, in place."""
