@@ -17,6 +17,7 @@ from ngvisco.case.faults import Blame, CaseError, Fault, Locator, refused, table
 from ngvisco.case.reading import sections_of, text_of
 from ngvisco.case.schema import CaseSections
 from ngvisco.case.section import parameters, values_of
+from ngvisco.case.units import Converter
 from ngvisco.case.values import LawValue, RegionText, VectorValue
 from ngvisco.errors import ParameterError, UnknownNameError, require_path
 from ngvisco.expressions import ExpressionError, parse, parse_region
@@ -74,6 +75,11 @@ class Case:
     def blame(self) -> Blame:
         """The object that turns errors into faults of the case's keys."""
         return Blame(self.sections, self.source, self.locator)
+
+    @cached_property
+    def units(self) -> Converter:
+        """The converter of numbers in the units of the case's ``[units]`` to SI units."""
+        return Converter(self.locator.data.get("units"), self.directory)
 
     @property
     def until(self) -> float:

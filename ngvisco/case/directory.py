@@ -91,6 +91,8 @@ class RunDirectory:
 
         The lock file exists only while the lock is held, and a created directory that stays empty is removed.
         """
+        if self.path.exists() and not self.path.is_dir():
+            raise RunDirectoryError(f"{self.path}: a file; give a directory, which is made if it is missing")
         is_new = not self.path.exists()
         self.path.mkdir(parents=True, exist_ok=True)
         with _held(self.lock_file) as file:
@@ -160,6 +162,16 @@ class RunDirectory:
         if not len(ledger.get("time", ())):
             raise CheckpointError(f"{self.run_file}: its ledger is empty")
         return ledger
+
+    def require_checkpoints(self) -> None:
+        """Raise RunDirectoryError if the directory has steps but no checkpoints to go on from."""
+        table = self.path / "ledger.csv"
+        rows = len(table.read_text(encoding="utf-8").splitlines()) if table.exists() else 0
+        if rows > 2 and not self.run_file.exists():  # the head, and the row of the start
+            raise RunDirectoryError(
+                f"{self.run_file}: missing, though ledger.csv has {rows - 2} steps; put the file back, or "
+                f"compute the case from its start into another directory: ngvisco run {self.case_file} -o DIR"
+            )
 
     @property
     def is_prepared(self) -> bool:

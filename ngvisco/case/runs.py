@@ -119,7 +119,9 @@ def resume(
     observers: Sequence[Observer] = (),
     settings: Sequence[str] = (),
 ) -> Simulation:
-    """Resume the run in a directory from its last checkpoint, or from its start if it has none.
+    """Resume the run in a directory from its last checkpoint, or from its start if it has taken no step.
+
+    Raises RunDirectoryError for a directory with steps but without ``run.h5``.
 
     ``until`` (s) replaces the case's end time; steps of one length end at the nearest multiple of dt if it is
     within a thousandth of dt.  ``settings`` change the case from now on, within the limits of ``changed``;
@@ -130,6 +132,7 @@ def resume(
     case = place.case()
 
     def prepare() -> None:
+        place.require_checkpoints()
         if not place.is_prepared:  # the run was killed while preparing
             place.prepare(case, mesh_image(case.mesh()))
 

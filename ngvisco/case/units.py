@@ -153,6 +153,19 @@ class Converter:
                 result[name] = in_si
         return result
 
+    def number(self, text: str, unit: str) -> float:
+        """The number in the SI unit ``unit`` of a text: a number in the case's units, or with its own.
+
+        Raises UnitError.
+        """
+        try:
+            return float(self._value(float(text), unit, False))
+        except ValueError:
+            in_si = self._value(text, unit, False)
+        if isinstance(in_si, str):
+            raise UnitError(f"{text!r:.60} is no number, nor a number with its unit")
+        return float(in_si)
+
     def _entry(self, value: Any, model: type[Section], name: str, data: dict[str, Any]) -> Any:
         annotation, unit = model.model_fields[name].annotation, quantity(model, name).unit
         if models_in(annotation):  # a body's place may be a text
@@ -228,6 +241,32 @@ class _Scaled(ast.NodeTransformer):
     def visit_Name(self, node: ast.Name) -> ast.AST:
         scale = self._scales.get(node.id, 1.0)
         return node if scale == 1.0 else ast.BinOp(node, ast.Div(), ast.Constant(scale))
+
+
+def key_of(name: str, sections: Section) -> tuple[str, str]:
+    """The key and the SI unit of the number that a parameter of a run has in a case.
+
+    ``name`` is that of ``sensitivity.parameters``: keys of ``[rheology]`` may stand at the front, and a body
+    may be called by its name.  The unit is empty for pure numbers and for names that are no key.
+    """
+    at_front = name.partition(".")[0] in type(sections.rheology).model_fields  # type: ignore[attr-defined]
+    keys = f"rheology.{name}".split(".") if at_front else name.split(".")
+    part: Any = sections
+    unit, path = "", []
+    for key in keys:
+        place: Any = key
+        if isinstance(part, list):
+            named = [i for i, member in enumerate(part) if getattr(member, "name", None) == key]
+            place = named[0] if named else int(key) if key.isdecimal() else len(part)
+        path.append(str(place))
+        if isinstance(part, Section) and key in type(part).model_fields:
+            unit = _with_exponents(quantity(type(part), key).unit, type(part), part.model_dump())
+            part = getattr(part, key)
+        elif (isinstance(part, dict) and key in part) or (isinstance(part, list) and place < len(part)):
+            part = part[place]
+        else:
+            return name, ""
+    return ".".join(path), "" if unit in ("1", "any") else unit
 
 
 def _with_exponents(unit: str, model: type[Section], data: dict[str, Any]) -> str:

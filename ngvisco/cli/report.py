@@ -41,7 +41,8 @@ def check(options: argparse.Namespace) -> int:
     layout = run.rothe_step.layout
     condensed = sum(layout.space.FreeDofs(True))
     steps = round(case.until / run.dt)
-    kind = "plane strain" if mesh.dim == 2 else "three dimensions"
+    of_plane = "plane strain" if run.arguments["symmetry"] == "none" else "a body of revolution about x = 0"
+    kind = of_plane if mesh.dim == 2 else "three dimensions"
     print(f"{options.case}: valid")
     walls = ", ".join(sorted(set(mesh.GetBoundaries())))
     print(f"mesh       {mesh.ne} cells, {mesh.nv} vertices, {kind}, walls {walls}")

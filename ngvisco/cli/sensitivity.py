@@ -3,6 +3,7 @@ data."""
 
 import argparse
 import csv
+import shlex
 import shutil
 import signal
 from collections.abc import Callable
@@ -13,7 +14,7 @@ from ngsolve import SetNumThreads
 
 from ngvisco import case as cases
 from ngvisco.case.build import Case, samples
-from ngvisco.case.units import factor
+from ngvisco.case.units import factor, key_of
 from ngvisco.cli import streams
 from ngvisco.cli.streams import DONE, Stopping
 from ngvisco.errors import ParameterError, StopRequested, as_number
@@ -43,7 +44,7 @@ def gradient(options: argparse.Namespace) -> int:
         return code
     _write_gradient(result, out / "gradient.csv")
     shutil.rmtree(out / RESTART)
-    streams.write(f"{result}\n{_of_limiter(result)}{out / 'gradient.csv'}\n")
+    streams.write(f"{result}\nAll numbers are in SI units.\n{_of_limiter(result)}{out / 'gradient.csv'}\n")
     return code
 
 
@@ -57,7 +58,7 @@ def fit(options: argparse.Namespace) -> int:
         options.data,
         by=options.by,
         sigma=_sigma(options.sigma),
-        bounds=dict(_bounds(text) for text in options.bounds),
+        bounds=dict(_bounds(text, case) for text in options.bounds),
         until=case.until,
         factor=factor,
         progress=None if options.quiet else lambda line: streams.write(line + "\n"),
@@ -65,8 +66,8 @@ def fit(options: argparse.Namespace) -> int:
     )
     if result is None:
         return code
-    settings = " ".join(f"--set {n}={v:.10g}" for n, v in zip(result.by, result.values, strict=True))
-    report = f"{result}\nngvisco run {options.case} {settings}\n"
+    report = f"{result}\nAll numbers are in SI units. The case with these values:\n"
+    report += f"{_best_run(options, case, result)}\n"
     (out / "fit.txt").write_text(report)
     _write_fit(result, out / "fit.csv")
     result.plot(out / f"fit.{options.format}")
@@ -130,12 +131,26 @@ def _sigma(text: str | None) -> float | dict[str, float] | None:
     return deviations
 
 
-def _bounds(text: str) -> tuple[str, tuple[float, float]]:
-    name, equals, value = text.partition("=")
-    parts = [_number(part) for part in value.split(",")]
-    if not equals or len(parts) != 2 or parts[0] is None or parts[1] is None:
-        raise ParameterError("--bounds", text, "KEY=LOW,HIGH")
-    return name.strip(), (parts[0], parts[1])
+def _best_run(options: argparse.Namespace, case: Case, result: Fit) -> str:
+    """The command that runs the case with the fitted values, each with its unit."""
+    settings = list(options.settings)
+    for name, value in zip(result.by, result.values, strict=True):
+        key, unit = key_of(name, case.sections)
+        settings.append(f"{key}={value:.10g} {unit}".rstrip())
+    words = ["ngvisco", "run", options.case, *(word for text in settings for word in ("--set", text))]
+    return shlex.join(map(str, words))
+
+
+def _bounds(text: str, case: Case) -> tuple[str, tuple[float, float]]:
+    """A parameter's name and its bounds in SI units, from numbers as ``--set`` takes them."""
+    name, _, value = text.partition("=")
+    _, unit = key_of(name.strip(), case.sections)
+    try:
+        low, high = (case.units.number(part.strip(), unit) for part in value.split(","))
+    except ValueError as error:  # also a UnitError, and another count of numbers
+        expected = "KEY=LOW,HIGH: two numbers in the case's units, or with units as in KEY=10 kPa,1 MPa"
+        raise ParameterError("--bounds", text, f"{expected} ({error})") from None
+    return name.strip(), (low, high)
 
 
 def _number(text: str) -> float | None:

@@ -114,7 +114,7 @@ class Scales:
                 numbers["Deborah, Maxwell time v/L"] = self.maxwell * self.velocity / self.length
             numbers["Maxwell time/dt"] = self.maxwell / self.dt
         if fast > 0 and slow > 0:
-            numbers["longitudinal over shear modulus, about K_e/G_e"] = (fast / slow) ** 2
+            numbers["longitudinal over shear modulus"] = (fast / slow) ** 2
         if self.weight > 0:
             numbers["weight over longitudinal modulus"] = self.weight
         if self.overstress > 0:
@@ -182,8 +182,8 @@ class Scales:
             )
         if is_denser and not self.one_bulk_energy:
             lines.append(
-                "bodies of such densities have different bulk energies: few steps are solved; where it does "
-                "not matter give all of them one, e.g. a medium beside ReferentialNeoHookean "
+                "bodies of such densities have different bulk energies: steps take many iterations, or "
+                "parts; where it does not matter give all one, e.g. a medium beside ReferentialNeoHookean "
                 'kind = "Custom" with energy = "K_e/2*(J - 1)*(J - 1)/J"'
             )
         if self.overstress > _ABOVE_YIELD:
@@ -215,7 +215,7 @@ class Scales:
         )
         if self.cell * _ACROSS > self.length:
             across, enough = self.length / self.cell, self.length / _ACROSS
-            lines.append(f"{across:.1f} cells across the domain: take maxh <= {enough:.2g} m")
+            lines.append(f"{across:.1f} cells across the domain: take cells of {enough:.2g} m or less")
         elif 0 < layer < self.cell:
             lines.append(
                 f"viscous layers are {layer:.2g} m thick, thinner than a cell: where they matter take maxh "

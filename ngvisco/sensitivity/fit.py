@@ -394,7 +394,7 @@ class _Search:
             reduced=reduced / scale,
             runs=self.runs,
             cost=self.spent / self.alone,
-            message=str(solved.message).strip("`"),
+            message=str(solved.message).replace("`", ""),
         )
 
 

@@ -105,6 +105,11 @@ def test_an_unwritable_directory_is_said(place, case_file):
     assert code == BAD_FILE and place.split("/run")[0] in err
 
 
+def test_a_file_is_no_directory(case_file):
+    code, _, err = command("run", case_file, "-o", case_file)
+    assert code == BAD_INPUT and "give a directory" in err and case_file.read_text()
+
+
 def test_existing_results_are_refused_unless_forced(half, case_file):
     before = {path: path.read_bytes() for path in half.rglob("*") if path.is_file() and path.name != "lock"}
     (half / "mine.txt").write_text("keep")
@@ -135,6 +140,14 @@ def test_a_run_whose_mesh_was_cut_short_is_not_resumed(half):
     (half / "mesh.vol").write_bytes(whole[: int(0.9 * len(whole))])
     code, _, err = command("resume", half, "--until", 0.08)
     assert code == BAD_FILE and "mesh.vol" in err
+
+
+def test_a_run_that_has_lost_its_checkpoints_is_not_begun_anew(half):
+    (half / "run.h5").unlink()
+    before = (half / "ledger.csv").read_bytes()
+    code, _, err = command("resume", half, "--until", 0.08)
+    assert code == BAD_INPUT and "run.h5: missing" in err and "ngvisco run" in err
+    assert (half / "ledger.csv").read_bytes() == before
 
 
 def test_a_mesh_file_of_ones_own_runs(half, case_file):

@@ -1,12 +1,15 @@
 """``ngvisco gradient`` and ``ngvisco fit``."""
 
 import csv
+import shlex
 import signal
 import subprocess
 import sys
 
 import pytest
 from command import CASE, command, environment
+
+from ngvisco.case.build import load_case
 
 PROBE = """
 [[output.probes]]
@@ -111,9 +114,39 @@ def test_a_fit_finds_the_case_s_numbers(case, tmp_path):
     assert float(row[2]) == pytest.approx(5.0, rel=1e-4) and (tmp_path / "fit/fit.png").exists()
 
 
+UNITS = """
+[units]
+pressure = "kPa"
+"""
+
+
+@pytest.mark.long
+@pytest.mark.ci
+def test_a_fit_speaks_the_case_s_units(case, tmp_path):
+    """Bounds are read as ``--set`` reads numbers, and the printed command makes the fitted case."""
+    text = case.read_text().replace("G_e = 5", "G_e = 0.005").replace("K_e = 10", "K_e = 0.01") + UNITS
+    case.write_text(text)
+    code, _, err = command("run", case, "-o", tmp_path / "run", "--quiet", "--set", "time.until=0.06")
+    assert code == 0, err
+    words = ("--by", "material.G_e", "--bounds", "material.G_e=0.001,20 Pa", "--sigma", "1e-4", "--quiet")
+    settings = ("--set", "material.G_e=0.006", "--set", "time.until=0.06")
+    data = tmp_path / "run/samples/p.csv"
+    code, out, err = command("fit", case, data, *settings, *words, "-o", tmp_path / "fit")
+    assert code == 0, err
+    (printed,) = [line for line in out.splitlines() if line.startswith("ngvisco run")]
+    again = [
+        text
+        for word, text in zip(*(shlex.split(printed)[i:] for i in (0, 1)), strict=False)
+        if word == "--set"
+    ]
+    assert "time.until=0.06" in again and again[-1].endswith(" Pa")
+    assert load_case(case, again).sections.material.G_e == pytest.approx(5.0, rel=1e-4)
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [
+        (["--bounds", "material.G_e=1 s,2 s"], "has not the dimension of Pa"),
         (["--sigma", "x"], "COLUMN=NUMBER"),
         (["--bounds", "material.G_e=1"], "KEY=LOW,HIGH"),
         (["--set", "time.until=0.04"], "after the end of the run"),

@@ -128,8 +128,7 @@ class Split:
             self._relax()  # a run resumed here has no strengthened solver either
             return Solution(status, tuple(history))
         tolerance = self.options.split.margin * self.options.tolerance
-        remedy = "a smaller step or the coupled solver"
-        return unconverged(status, history, "the split solver", tolerance, remedy)
+        return unconverged(status, history, "the split solver", tolerance, "a smaller step")
 
     def increment(
         self, problem: Problem, x: np.ndarray, at: Evaluation, last: float, expected: float = np.inf
