@@ -124,6 +124,8 @@ def assert_same_ledger(one, several, spare=0):
         for name, value in row.items():
             size = energy if name.startswith("closure") else max(abs(value), 1e-3)
             size = 1.0 if name.startswith("defect_") else size  # differences of determinants about one
+            if name.startswith("momentum_defect_"):  # a difference of momenta, as exact as these
+                size = max(size, row["momentum_size"])
             if name == "dissipation_upwinding":  # a square of jumps, which are as exact as the fields
                 size = max(size, math.sqrt(abs(value)))
             same = math.isnan(value) and math.isnan(other[name])
