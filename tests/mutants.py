@@ -18,6 +18,8 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 SIGNS = "tests/forms/test_signs_of_terms.py::"
 MOMENTUM = "tests/run/test_momentum_columns.py::"
+OUTLINES = "tests/sensitivity/test_outline_slopes.py::test_slopes_are_limits_of_differences"
+GOING_ON = "tests/sensitivity/test_restart.py::test_an_interrupted_gradient_goes_on_as_if_it_had_not_been"
 
 
 @dataclass(frozen=True)
@@ -505,6 +507,59 @@ MUTANTS = [
             "inner(flux.flux(u), c.normal) - weight * jump",
             "inner(flux.flux(u), c.normal) - 0.01 * weight * jump",
             "tests/forms/test_penalties.py::test_conduction_levels_a_step_of_the_temperature_as_fourier_has_it",
+        ),
+    ),
+    *_of(
+        "sensitivity/outline_slopes.py",
+        (
+            "motion of an outline's ends",
+            "rates = -(weights[each, end] * along).sum(axis=1) / rise",
+            "rates = (weights[each, end] * along).sum(axis=1) / rise",
+            OUTLINES,
+        ),
+        (
+            "sense of a body's angle",
+            "turned = np.array([-long[1], long[0]])",
+            "turned = np.array([long[1], -long[0]])",
+            OUTLINES,
+        ),
+        (
+            "means of moments",
+            'return (values + np.einsum("ij,pi,pj->p", by_mixed, v, x) - (by_mixed * mixed).sum()) / area',
+            'return (values + np.einsum("ij,pi,pj->p", by_mixed, v, x)) / area',
+            OUTLINES,
+        ),
+    ),
+    *_of(
+        "sensitivity/variations.py",
+        (
+            "slope of a projected energy",
+            "return lambda: own() + of_energy()",
+            "return own",
+            "tests/sensitivity/test_models.py::"
+            "test_integrals_of_stresses_follow_an_energy_without_an_expression",
+        ),
+    ),
+    *_of(
+        "sensitivity/adjoint.py",
+        (
+            "slopes of an interrupted adjoint",
+            'slopes, self.jacobian = arrays["slopes"], arrays["jacobian"]',
+            'self.jacobian = arrays["jacobian"]',
+            GOING_ON,
+        ),
+    ),
+    *_of(
+        "sensitivity/tangent.py",
+        ("state of an interrupted tangent", "run.along = along\n", "run.along = 0 * along\n", GOING_ON),
+    ),
+    *_of(
+        "sensitivity/trajectory.py",
+        (
+            "gradient of a stopped run",
+            "if self.simulation.stop_requested:",
+            "if False:",
+            "tests/sensitivity/test_restart.py::test_a_stop_without_a_folder_gives_no_truncated_gradient",
         ),
     ),
 ]
