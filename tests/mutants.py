@@ -198,8 +198,8 @@ MUTANTS = [
         "forms/upwinding.py",
         (
             "upwinding of both row and column",
-            "return if_positive(v_n, v_n, -v_n)",
-            "return -if_positive(v_n, v_n, -v_n)",
+            "return if_positive(value, value, -value)",
+            "return -if_positive(value, value, -value)",
             MOMENTUM + "test_what_a_jump_makes_of_nothing_is_in_the_columns",
         ),
     ),
