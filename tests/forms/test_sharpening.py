@@ -121,6 +121,7 @@ def test_no_cell_gives_more_of_a_body_than_it_has(rng):
         assert np.abs(after - before).max() > (0.09 if lack else 0.3)
         assert after[by._amounts].min() > -1e-14 and np.linalg.eigvalsh(tensors).min() > least
         assert after @ by._mass == pytest.approx(before @ by._mass, abs=1e-13)
+        assert not lack or np.abs(after[contents, lacking]).max() < 1e-13
 
 
 def test_an_even_mixture_has_no_interface_whatever_rounding_makes_of_it(rng):
