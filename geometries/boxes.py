@@ -18,6 +18,7 @@ from ngvisco.geometries.meshing import (
     as_length,
     box_lengths,
     split_corner_cells,
+    with_middles,
 )
 
 _WALLS = {
@@ -239,12 +240,13 @@ def structured_box(
     *,
     periodic: Annotated[str | Sequence[str], Quantity(example="x")] = (),
     grading: Annotated[Mapping[str, float] | None, Quantity("1", example={"y": 5.0})] = None,
+    crossed: bool = False,
     split_corners: bool = False,
 ) -> Mesh:
     """A box [0, size_1] x [0, size_2] (x [0, size_3]) of rows of cells, with the walls of ``box``.
 
-    Each rectangle of the grid is two triangles, each cuboid six tetrahedra.  For one-dimensional problems
-    take a column that is one or two periodic cells wide.
+    Each rectangle of the grid is two triangles, or four if it is crossed, each cuboid six tetrahedra.  For
+    one-dimensional problems take a column that is one or two periodic cells wide.
 
     Parameters
     ----------
@@ -253,6 +255,9 @@ def structured_box(
     grading : mapping of directions to numbers from 1e-6 to 1e6, optional
         Length of the last row over the first, by direction, from 1e-6 to 1e6, with a geometric sequence
         between; by default 1.
+    crossed : bool
+        Whether rectangles have both diagonals, in two dimensions.  With k = 1 and m = 0 the triangles of one
+        diagonal lock: they bear no flow at constant volume but that of the whole row.
     size, periodic, split_corners
         As for ``box``.
 
@@ -260,14 +265,17 @@ def structured_box(
     ------
     ParameterError
         For invalid lengths or numbers of cells, more than a million cells, a direction that the box does not
-        have, or a steeper grading.
+        have, a steeper grading, or crossed cuboids.
     """
     lengths = box_lengths("structured_box", size)
     dim = len(lengths)
     counts = [as_integer(n) for n in cells] if isinstance(cells, (tuple, list)) else []
     if len(counts) != dim or any(n is None or n < 1 for n in counts):
         raise ParameterError("structured_box.cells", cells, f"{dim} whole numbers >= 1")
-    number = (2 if dim == 2 else 6) * math.prod(n or 1 for n in counts)
+    require_type("structured_box.crossed", crossed, bool)
+    if crossed and dim == 3:
+        raise ParameterError("structured_box.crossed", crossed, "false in three dimensions")
+    number = (4 if crossed else 2 if dim == 2 else 6) * math.prod(n or 1 for n in counts)
     if number > MAX_CELLS:
         kind = "triangles" if dim == 2 else "tetrahedra"
         raise ParameterError("structured_box.cells", cells, f"at most {MAX_CELLS} {kind}, these are {number}")
@@ -285,7 +293,8 @@ def structured_box(
     options = {f"n{axis}": n for axis, n in zip(axes, counts, strict=True)}
     options |= {f"periodic_{axis}": axis in directions for axis in axes}
     if dim == 2:
-        mesh = MakeStructured2DMesh(quads=False, mapping=place, **options)
+        mesh = MakeStructured2DMesh(quads=crossed, mapping=place, **options)
+        mesh = with_middles(mesh, range(mesh.ne)) if crossed else mesh
     else:
         mesh = MakeStructured3DMesh(hexes=False, mapping=place, **options)
         for number, name in enumerate(mesh.GetBoundaries()):

@@ -301,7 +301,11 @@ def split_corner_cells(mesh: Mesh) -> Mesh:
     """
     if mesh.comm.size > 1:
         raise MeshError("split_corner_cells: the mesh is distributed; divide its cells before that")
-    cells = corner_cells(mesh)
+    return with_middles(mesh, corner_cells(mesh))
+
+
+def with_middles(mesh: Mesh, cells: Sequence[int]) -> Mesh:
+    """Divide some cells of a mesh at their midpoints, in place; use the returned mesh, curved as before."""
     if not cells:
         return mesh
     order, raw = mesh.GetCurveOrder(), mesh.ngmesh

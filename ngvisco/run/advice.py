@@ -21,6 +21,9 @@ _FOLLOWED, _RELAXED, _ACROSS = 20, 5, 4
 """Sufficient numbers of steps in a wave's passage and in a relaxation time, and of cells across a body."""
 _RINGING, _STIFF, _DENSER = 10.0, 1e4, 1e2
 """Cells that waves cross in a step, ratio of moduli, ratio of densities: above these a step is hard."""
+_LOCKS = 10.0
+"""Ratio of moduli above which cells of order one lock: with 20 a disc stands still in a fluid in which it
+sinks."""
 _SLOW = 100.0
 """Passages of the waves in a step, above which inertia has no part in the motion."""
 _SINKS, _SMALL = 0.05, 0.01
@@ -167,6 +170,12 @@ class Scales:
             lines.append(
                 f"the modulus of compression is {ratio:.2g} times that of shear: steps are hard to solve"
                 + "".join(f"; {remedy}" for remedy in remedies)
+            )
+        if self.k == 1 and slow > 0 and _LOCKS < (fast / slow) ** 2 <= _STIFF:
+            lines.append(
+                f"the modulus of compression is {(fast / slow) ** 2:.2g} times that of shear: cells of order "
+                "one lock, and hold motions at constant volume, except crossed rectangles (structured_box, "
+                "crossed = true); compare with k = 2"
             )
         if self.weight > _SINKS:
             lines.append(

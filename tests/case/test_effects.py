@@ -32,6 +32,7 @@ ELSEWHERE = {
     "domain.adapt.levels": "run/test_refinement.py",
     "domain.adapt.field": "case/test_adapt.py",
     "domain.adapt.every": "case/test_adapt.py",
+    "domain.crossed": "geometries/test_geometries.py",
     "domain.split_corners": "geometries/test_corner_cells.py",
     "domain.path": "geometries/test_geometries.py",
     "domain.symmetry": "run/test_axisymmetric_terms.py",

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 from netgen.occ import Axis, Box, Circle, Pnt, Rectangle, X
-from ngsolve import BND, CF, ET, Integrate, IntegrationRule, x, y, z
+from ngsolve import BND, CF, ET, VERTEX, Integrate, IntegrationRule, x, y, z
 
 from ngvisco import MeshError, ParameterError
 from ngvisco import geometries as g
@@ -237,3 +237,17 @@ def _on(mesh, name, place):
     shape = ET.SEGM if mesh.dim == 2 else ET.TRIG
     region = mesh.Boundaries(name)
     return np.asarray(place(mesh.MapToAllElements({shape: IntegrationRule(shape, 2)}, region)))
+
+
+@pytest.mark.parametrize("periodic", [(), ("x",), ("x", "y")])
+def test_crossed_rectangles_are_four_triangles_of_one_area(periodic):
+    mesh = g.structured_box((2, 1), (4, 3), periodic=periodic, crossed=True)
+    areas = np.array(Integrate(CF(1.0), mesh, element_wise=True))
+    assert mesh.ne == 48 and mesh.nv == 20 + 12 and np.allclose(areas, 2 / 48)
+    assert set(mesh.GetBoundaries()) == {"left", "right", "top", "bottom"}
+    assert len(mesh.GetPeriodicNodePairs(VERTEX)) == 4 * ("x" in periodic) + 5 * ("y" in periodic)
+
+
+def test_crossed_cuboids_are_refused():
+    with pytest.raises(ParameterError, match="crossed"):
+        g.structured_box((1, 1, 1), (2, 2, 2), crossed=True)

@@ -55,7 +55,7 @@ def test_advice_is_given_where_a_scale_is_missed():
     assert found().advice == []
     (slow,) = found(dt=0.1).advice  # along the longer edge
     assert "shear waves cross the domain in 1.3 s, 13 steps" in slow and "dt <= 0.063 s" in slow
-    assert any("cells across the domain" in line and "maxh" in line for line in found(maxh=0.5).advice)
+    assert any("cells across the domain" in line and "m or less" in line for line in found(maxh=0.5).advice)
     (relaxing,) = found(G_m=0.2).advice
     assert "stress relaxes in 0.01 s, 1 steps" in relaxing and "dt <= 0.002 s" in relaxing
     assert any("cells a step" in line for line in found(velocity_scale=50.0).advice)
@@ -89,6 +89,13 @@ def test_advice_foresees_steps_that_are_hard_to_solve():
     assert "a K_e of 0.2 of this one is still stiff enough" in stiff
     (set_already,) = Scales(**sound | {"speeds": (200.0, 1.0)}, k=3, weight=0.02).advice
     assert "k = 3" not in set_already and "K_e" not in set_already
+    (locked,) = Scales(**sound | {"speeds": (4.4, 1.0)}, k=1).advice
+    assert "19 times that of shear" in locked and "crossed" in locked
+    assert (
+        Scales(**sound | {"speeds": (4.4, 1.0)}).advice
+        == Scales(**sound | {"speeds": (3.0, 1.0)}, k=1).advice
+        == []
+    )
     (ringing,) = Scales(**sound | {"speeds": (80.0, 1.0)}, scheme=midpoint()).advice
     assert "cross 16 cells a step, which midpoint does not damp" in ringing and "dt <= 0.013 s" in ringing
     (begun,) = Scales(**sound | {"speeds": (80.0, 1.0)}, scheme=midpoint(), startup=2).advice

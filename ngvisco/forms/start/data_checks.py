@@ -331,8 +331,9 @@ def _moduli(step: Step) -> Iterator[str]:
             yield (
                 f"bodies {stiff!r} and {soft!r} have bulk moduli of {most:.4g} and {least:.4g} Pa: where "
                 f"polynomials of order m = {m} have less than nothing of {soft!r} there may be no common "
-                "pressure, and steps are divided. Take Discretisation(k=1, m=0), or one volumetric energy "
-                "for all where it does not matter"
+                "pressure, and steps are divided. Take Discretisation(k=1, m=0), in the plane on crossed "
+                "rectangles (structured_box, crossed = true), since other cells of order one lock; or one "
+                "volumetric energy for all where it does not matter"
             )
 
 

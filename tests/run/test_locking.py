@@ -1,0 +1,37 @@
+"""Cells of order one bear flow at constant volume, if they are crossed rectangles."""
+
+import pytest
+
+import ngvisco as nv
+from ngvisco import geometries as g
+from ngvisco.physics.variables import Jacobian
+
+
+@pytest.mark.long
+@pytest.mark.ci
+@pytest.mark.parametrize(("crossed", "least", "most"), [(True, 0.029, 0.041), (False, 0.0, 0.012)])
+def test_a_disc_sinks_with_cells_of_order_one_if_they_are_crossed(crossed, least, most):
+    """With k = 3 it sinks by 0.038 m; rectangles with one diagonal lock, and it stays."""
+    fluid = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: 10 * (J - 1) * (J - 1) / J)
+    viscosity = nv.StokesViscosity(K_v=0.01, G_v=0.01)
+    disc = nv.Body(
+        name="disc",
+        where=nv.Ball((0.5, 0.3), 0.2),
+        material=nv.IsochoricNeoHookean(K_e=20, G_e=1),
+        viscosity=viscosity,
+        density=2.0,
+    )
+    bodies = [nv.Body(name="fluid", material=fluid, viscosity=viscosity, density=1.0), disc]
+    run = nv.Simulation(
+        g.structured_box((1, 1), (10, 12), grading={"y": 3.0}, crossed=crossed),
+        nv.Model(bodies=bodies, loads=[nv.Gravity((0, -1))]),
+        dt=0.05,
+        scheme="sdirk2",
+        initial=nv.Initial(equilibrium="hydrostatic"),
+        walls=dict.fromkeys(("bottom", "left", "right"), nv.NoSlip()),
+        discretisation=nv.Discretisation(k=1, m=0),
+        observers=[table := nv.Bodies()],
+    )
+    run.run(0.75)
+    height = table.column("disc_y")
+    assert least <= height[0] - height[-1] <= most
