@@ -129,7 +129,7 @@ class Case:
     def files(self) -> dict[str, Path]:
         """Files of bodies' shapes and Python materials, by the names of their copies in a run directory."""
         tables = _tables_of_files(self.sections.model_dump())
-        return {_copy_of(file): file for table in tables if (file := Path(table["path"]))}
+        return {_copy_of(file): file for file in (Path(table["path"]) for table in tables)}
 
     def _settled(self) -> dict[str, Any]:
         """The case's data, with defaults that depend on the model.

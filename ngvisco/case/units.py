@@ -243,7 +243,7 @@ class _Scaled(ast.NodeTransformer):
         return node if scale == 1.0 else ast.BinOp(node, ast.Div(), ast.Constant(scale))
 
 
-def key_of(name: str, sections: Section) -> tuple[str, str]:
+def key_and_unit_of(name: str, sections: Section) -> tuple[str, str]:
     """The key and the SI unit of the number that a parameter of a run has in a case.
 
     ``name`` is that of ``sensitivity.parameters``: keys of ``[rheology]`` may stand at the front, and a body

@@ -14,7 +14,7 @@ from ngsolve import SetNumThreads
 
 from ngvisco import case as cases
 from ngvisco.case.build import Case, samples
-from ngvisco.case.units import factor, key_of
+from ngvisco.case.units import factor, key_and_unit_of
 from ngvisco.cli import streams
 from ngvisco.cli.streams import DONE, Stopping
 from ngvisco.errors import ParameterError, StopRequested, as_number
@@ -135,7 +135,7 @@ def _best_run(options: argparse.Namespace, case: Case, result: Fit) -> str:
     """The command that runs the case with the fitted values, each with its unit."""
     settings = list(options.settings)
     for name, value in zip(result.by, result.values, strict=True):
-        key, unit = key_of(name, case.sections)
+        key, unit = key_and_unit_of(name, case.sections)
         settings.append(f"{key}={value:.10g} {unit}".rstrip())
     words = ["ngvisco", "run", options.case, *(word for text in settings for word in ("--set", text))]
     return shlex.join(map(str, words))
@@ -144,7 +144,7 @@ def _best_run(options: argparse.Namespace, case: Case, result: Fit) -> str:
 def _bounds(text: str, case: Case) -> tuple[str, tuple[float, float]]:
     """A parameter's name and its bounds in SI units, from numbers as ``--set`` takes them."""
     name, _, value = text.partition("=")
-    _, unit = key_of(name.strip(), case.sections)
+    _, unit = key_and_unit_of(name.strip(), case.sections)
     try:
         low, high = (case.units.number(part.strip(), unit) for part in value.split(","))
     except ValueError as error:  # also a UnitError, and another count of numbers

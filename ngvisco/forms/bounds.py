@@ -136,9 +136,11 @@ class Bounds:
         self._variables = tuple(variable for variable, *_ in bounds)
         """Variable of each bound; None for rho, "" for several variables."""
         material, values = step.model.material, [value for *_, value in bounds]
-        self._drifts = drifts(material, step.now.z_tensors, step.model.traced)
+        parted = drifts(material, step.now.z_tensors, step.model.traced)
+        self._drifts = {pair: drift.Compile() for pair, drift in parted.items()}
+        self._volumes = step.quadrature.each_cell(CF(1.0))
         self._present = CF(tuple(values)).Compile()
-        self._with_drifts = CF((*values, *self._drifts.values())).Compile()
+        self._with_drifts = CF((*values, *parted.values())).Compile()
         self._sound: np.ndarray | None = None  # rho and z of the last state within its bounds at all points
         self._farthest = 0.0  # largest drift at this rank's points in the last call of ``_outside``
         self._where_means_do = np.array([name in material.where_means_do for name in self.names])
@@ -242,14 +244,12 @@ class Bounds:
         self._outside()
         if self.step.sources is not None or not self._ranks.any(not self._farthest <= self.most):
             return None  # no mean is farther than all points
-        each_cell = self.step.quadrature.each_cell
         for pair, drift in self._drifts.items():
-            means = each_cell(drift.Compile()) / each_cell(CF(1.0))
-            far = np.flatnonzero(abs(means) > self.most)
+            means = abs(self.step.quadrature.each_cell(drift)) / self._volumes
+            far = np.flatnonzero(means > self.most)
             if self._ranks.any(len(far) > 0):
-                worst = self._ranks.most(abs(means))
-                first = far[np.argsort(-abs(means[far]), kind="stable")]
-                where = self.sampler.place_of_cells(first)
+                worst = self._ranks.most(means)
+                where = self.sampler.place_of_cells(far[np.argsort(-means[far], kind="stable")])
                 self.parted = (
                     f"{pair} have parted: det F is off J by {worst:.0%} in the mean {where}, and more than "
                     f"{self.most:.0%} is refused, since the stress is wrong by as much"

@@ -115,7 +115,7 @@ class Sharpening:
         rule = IntegrationRule(VERTICES[kind], [0.0] * (self.dim + 1))
         self._corners = self.mesh.MapToAllElements({kind: rule}, VOL)
         self._x = np.asarray(CF((x, y, z)[: self.dim])(self._corners)).reshape(-1, self.dim + 1, self.dim)
-        self._basis, self._inverse, self._masses = self._of_cells()
+        self._basis, self._functions, self._inverse, self._masses = self._of_cells()
         self._mass = self._masses.sum(axis=1)
         self._vertices, self._facets, self._sides = self._of_vertices_and_facets()
         self._outflows = [self._outflow(step.now.z[n]) for n in self._amounts]
@@ -161,7 +161,7 @@ class Sharpening:
 
     def _values(self) -> np.ndarray:
         """Values of the present z at the cells' corners, (components, cells, corners)."""
-        return np.einsum("kcf,skf->skc", np.linalg.inv(self._inverse), self._state()[:, self._basis])
+        return np.einsum("kcf,skf->skc", self._functions, self._state()[:, self._basis])
 
     def _means(self, u: np.ndarray) -> np.ndarray:
         """Cell means of linear functions with values (components, cells, corners)."""
@@ -294,10 +294,10 @@ class Sharpening:
 
     # --- arrays of cells, vertices and facets -----------------------------------------------------------
 
-    def _of_cells(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Arrays of each cell: numbers of its functions, (cells, functions), the matrix from corner values to
-        coefficients, (cells, functions, corners), and the integrals, by the rule of the forms, of linear
-        functions that are 1 at one corner, (cells, corners)."""
+    def _of_cells(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Arrays of each cell: numbers of its functions, (cells, functions), the matrix from coefficients to
+        corner values, (cells, corners, functions), its inverse, and the integrals, by the rule of the forms,
+        of linear functions that are 1 at one corner, (cells, corners)."""
         space = self.step.layout.scalar_space("z")
         dofs = _numbers(space)
         function, values = GridFunction(space), np.empty((*self._x.shape[:2], dofs.shape[1]))
@@ -309,7 +309,7 @@ class Sharpening:
         form += self.step.quadrature.cells(space.TestFunction())
         integrals = form.Assemble().vec.FV().NumPy()[dofs]
         inverse = np.linalg.inv(values)
-        return dofs, inverse, np.einsum("kf,kfc->kc", integrals, inverse)
+        return dofs, values, inverse, np.einsum("kf,kfc->kc", integrals, inverse)
 
     def _outflow(self, amount: CoefficientFunction) -> LinearForm:
         """Form of what an amount's upwind flux carries out of the cells, one row a side of a facet."""

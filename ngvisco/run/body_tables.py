@@ -164,7 +164,8 @@ class Tractions:
         return sums.reshape(len(volumes), -1) / np.where(volumes > 0, volumes, np.nan)
 
     def average(self) -> None:
-        """Set every chi to the mean over the cells at a vertex of the fraction's projection to P1 in each."""
+        """Set chi at each vertex to the mean, over the vertex's cells, of the fraction's P1 projection in a
+        cell."""
         for name, chi in self.chi.items():
             chi.Set(self._theta[name])
 

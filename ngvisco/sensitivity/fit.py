@@ -272,10 +272,16 @@ class _Search:
             numbers, arrays = part
             result = None
             if numbers["is_solved"]:
-                names = tuple(self.of), tuple(parameter.name for parameter in self.parameters)
-                jacobian = arrays["jacobian"], arrays["at"]
                 self.alone = numbers["alone"]
-                result = Gradient(*names, arrays["values"], *jacobian, int(numbers["limited"]), self.alone)
+                result = Gradient(
+                    of=tuple(self.of),
+                    by=tuple(parameter.name for parameter in self.parameters),
+                    values=arrays["values"],
+                    jacobian=arrays["jacobian"],
+                    at=arrays["at"],
+                    limited=int(numbers["limited"]),
+                    seconds=self.alone,
+                )
             self.kept[arrays["unknowns"].tobytes()] = result
             self.runs, self.spent = self.runs + 1, numbers["spent"]
 

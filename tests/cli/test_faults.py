@@ -106,8 +106,9 @@ def test_an_unwritable_directory_is_said(place, case_file):
 
 
 def test_a_file_is_no_directory(case_file):
+    before = case_file.read_text()
     code, _, err = command("run", case_file, "-o", case_file)
-    assert code == BAD_INPUT and "give a directory" in err and case_file.read_text()
+    assert code == BAD_INPUT and "give a directory" in err and case_file.read_text() == before
 
 
 def test_existing_results_are_refused_unless_forced(half, case_file):

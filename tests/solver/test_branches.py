@@ -68,7 +68,7 @@ def test_creep_is_differentiated_by_its_stress_as_by_all_components(slow, monkey
     monkeypatch.setattr(PointTangent, "_creep_by_stress", lambda self, u: None)
     operator.update(at)
     assert np.abs(by_stress).max() > 1
-    assert np.abs(points.rate_slope - by_stress).max() <= 1e-13 * np.abs(by_stress).max()
+    assert np.abs(points.rate_slope - by_stress).max() <= 1e-12 * np.abs(by_stress).max()
     empty = slice(0, 0)  # a rank may have no cells
     monkeypatch.undo()
     operator._form((empty, points.terms.part(empty)), CellPart(split.residual, empty), at)

@@ -244,8 +244,7 @@ for name, what, (of_amounts, width, of_map, sharp, thick) in (
         - largest excess over [0, 1] <= 0.3: a P_1 function overshoots beside a jump; stated after the first
           run
         - change of the area, m = 1 <= 1e-4: conserved except for div v of the given velocity
-        - L1 error of sharp amounts in [{sharp[0]}, {sharp[1]}]: planes in cells of a fifth of the body, or
-          of a slot's width
+        - L1 error of sharp amounts in [{sharp[0]}, {sharp[1]}]: stated after a trial
         - width of sharp amounts, cells in [{thick[0]}, {thick[1]}]: that of planes in cells; stated after a
           trial
         - excess of sharp amounts over [0, 1] <= 0.01: means of cells from which the step took too much
