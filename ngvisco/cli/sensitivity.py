@@ -17,7 +17,7 @@ from ngvisco.case.build import Case, samples
 from ngvisco.case.units import factor, key_and_unit_of
 from ngvisco.cli import streams
 from ngvisco.cli.streams import DONE, Stopping
-from ngvisco.errors import ParameterError, StopRequested, as_number
+from ngvisco.errors import CheckpointError, ParameterError, StopRequested, as_number
 from ngvisco.run.simulation import Simulation
 from ngvisco.sensitivity.fit import Fit
 from ngvisco.sensitivity.fit import fit as fitted
@@ -85,6 +85,8 @@ def _stoppable(
     with Stopping(simulation.request_stop) as signals:
         try:
             return compute(simulation, *arguments, **options), DONE
+        except CheckpointError as error:
+            raise CheckpointError(f"{error}; with --force the command begins anew") from error
         except StopRequested:
             streams.write(f"{signal.Signals(signals.received).name}: stopped; the same command goes on\n")
             return None, 128 + signals.received
@@ -146,7 +148,7 @@ def _bounds(text: str, case: Case) -> tuple[str, tuple[float, float]]:
     name, _, value = text.partition("=")
     _, unit = key_and_unit_of(name.strip(), case.sections)
     try:
-        low, high = (case.units.number(part.strip(), unit) for part in value.split(","))
+        low, high = (case.units.number(part.strip(), unit or "1") for part in value.split(","))
     except ValueError as error:  # also a UnitError, and another count of numbers
         expected = "KEY=LOW,HIGH: two numbers in the case's units, or with units as in KEY=10 kPa,1 MPa"
         raise ParameterError("--bounds", text, f"{expected} ({error})") from None

@@ -91,6 +91,7 @@ def check_sharp(step: Step) -> None:
         (material.heat is not None, "False for bodies with heat"),
         (bool(material.plastic_contents), "False for bodies that harden"),
         (Communicator.of(mesh).is_distributed, "False over ranks"),
+        (step.layout.symmetry.is_axisymmetric, "False about an axis: planes are placed by areas"),
         ({cell.type for cell in mesh.Elements(VOL)} - {ET.TRIG, ET.TET}, "False on quadrilaterals"),
     ):
         if is_wrong:

@@ -173,9 +173,9 @@ class Scales:
             )
         if self.k == 1 and slow > 0 and _LOCKS < (fast / slow) ** 2 <= _STIFF:
             lines.append(
-                f"the modulus of compression is {(fast / slow) ** 2:.2g} times that of shear: cells of order "
-                "one lock, and hold motions at constant volume, except crossed rectangles (structured_box, "
-                "crossed = true); compare with k = 2"
+                f"the longitudinal modulus is {(fast / slow) ** 2:.2g} times that of shear: cells of order "
+                "one lock, and hold motions at constant volume, unless they are crossed rectangles "
+                "(structured_box in the plane, crossed = true); compare with k = 2"
             )
         if self.weight > _SINKS:
             lines.append(

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import copy
+import inspect
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -29,6 +31,12 @@ def tables_of(simulation: Simulation) -> list[Series]:
             table.path, table.rows = None, []
             tables.append(table)
     return tables
+
+
+def arguments_of(table: Series) -> dict[str, Any]:
+    """A table's class and the arguments that say what it measures, by name."""
+    names = sorted(set(inspect.signature(type(table)).parameters) - {"path", "every"})
+    return {"kind": type(table).__name__, **{name: getattr(table, name) for name in names}}
 
 
 class Columns:

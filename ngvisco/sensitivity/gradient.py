@@ -186,10 +186,12 @@ def gradient(
     if not is_start and any(parameter.is_of_start for parameter in parameters):
         expected = "no start values: the run has begun, and goes on from its present state"
         raise ParameterError("by", by, expected)
+    simulation.stop_requested = False
     slopes = Slopes(base) if method == "adjoint" else None
     request = {"of": of, "by": list(by), "until": until, "method": method, "order": order}
-    folder = None if restart is None else Restart.at(restart, simulation, request)
-    trajectory, columns = Trajectory(simulation, folder), base.columns
+    trajectory, columns = Trajectory(simulation), base.columns  # refuses a run without derivatives
+    if restart is not None:
+        trajectory.restart = Restart.at(restart, simulation, request)
     columns.has_ends = any(not n.is_integral for n in numbers.wanted)
     columns.has_means = bool(columns.is_of_stages.any()) or any(n.is_integral for n in numbers.wanted)
     near = [Neighbours(parameter, simulation, columns, order) for parameter in parameters]

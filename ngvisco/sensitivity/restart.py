@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import io
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,12 +20,17 @@ import numpy as np
 from ngsolve import CoefficientFunction, GridFunction
 
 from ngvisco.errors import CheckpointError, require_path
+from ngvisco.forms.context import time
+from ngvisco.forms.mesh.quadrature import Sampler
 from ngvisco.run.files import AnyPath, write_atomically
 from ngvisco.run.simulation import Simulation
-from ngvisco.run.snapshot import CHECKSUM, digest_of, opened
+from ngvisco.run.snapshot import CHECKSUM, digest_of, identity, opened
+from ngvisco.sensitivity.columns import arguments_of, tables_of
 
 _CASE = "case"
 """Part that says to which run and which derivatives the folder belongs."""
+_MOMENTS = (0.0, 0.37, 1.0)
+"""Times, s, at which functions of time are evaluated."""
 _SAME = 1e-9
 """Relative difference of start states below which they are equal: threads change the order of sums."""
 
@@ -42,12 +48,16 @@ class Restart:
     def at(cls, folder: AnyPath, simulation: Simulation, request: Mapping[str, Any]) -> Restart:
         """The folder of a run from its present state, and of a ``request``; it is made if there is none.
 
-        Raises CheckpointError if the folder belongs to another run or request; the message says which part
-        differs.
+        The run's mesh and energies are identified as those of a checkpoint, its tables by their arguments.
+        Raises CheckpointError if the folder belongs to another run or request; the
+        message says which part differs.
         """
         restart = cls(require_path("restart", folder))
         parts = {"model": simulation.model, **simulation.arguments, **request, "step": simulation.number}
-        found = {name: hashlib.sha256(signature(part).encode()).hexdigest() for name, part in parts.items()}
+        parts["tables"] = [arguments_of(table) for table in tables_of(simulation)]
+        parts |= {name: identity(simulation)[name] for name in ("ngvisco", "mesh", "energies")}
+        described = {name: signature(part, simulation.sampler) for name, part in parts.items()}
+        found = {name: hashlib.sha256(text.encode()).hexdigest() for name, text in described.items()}
         start = simulation.rothe_step.state.vec.FV().NumPy()
         place = restart.path(_CASE)
         if not place.exists():
@@ -60,11 +70,12 @@ class Restart:
         if not others and (
             there.shape != start.shape or abs(there - start).max() > _SAME * abs(there).max(initial=0)
         ):
-            others = ["start values or mesh"]
+            others = ["start"]
         if others:
             differ = f"another {', '.join(others)}"
             raise CheckpointError(
-                f"{restart.folder}: belongs to a gradient or fit with {differ}; take a new folder"
+                f"{restart.folder}: belongs to a gradient or fit with {differ}; repeat that one, or take a "
+                "new folder"
             )
         return restart
 
@@ -106,24 +117,43 @@ class Restart:
         return numbers, arrays
 
 
-def signature(value: object) -> str:
-    """A text that differs for other numbers, functions and options.
+def signature(value: object, sampler: Sampler) -> str:
+    """A text that differs for other numbers and options, and for other functions of place and time.
 
-    Coefficient functions are described by their expressions, to six digits, and other functions by name.
+    Functions of place and time are described by their values at a mesh's points at three times, those that
+    have no such values by their expressions; functions in Python are described by name.
     """
+
+    def described(part: object) -> str:
+        return signature(part, sampler)
+
     if isinstance(value, GridFunction):
         return f"{value.space.type}{digest_of({}, {'': value.vec.FV().NumPy()})}"
     if isinstance(value, CoefficientFunction):
-        return str(value)
+        return _described_by_values(value, sampler)
     if isinstance(value, np.ndarray):
         return digest_of({}, {"": value})
     if isinstance(value, Mapping):
-        return f"{{{', '.join(f'{key!r}: {signature(part)}' for key, part in value.items())}}}"
+        return f"{{{', '.join(f'{key!r}: {described(part)}' for key, part in value.items())}}}"
     if isinstance(value, Sequence) and not isinstance(value, (str, bytes)):
-        return f"[{', '.join(map(signature, value))}]"
+        return f"[{', '.join(map(described, value))}]"
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        parts = (f"{f.name}={signature(getattr(value, f.name))}" for f in dataclasses.fields(value))
+        parts = (f"{f.name}={described(getattr(value, f.name))}" for f in dataclasses.fields(value))
         return f"{type(value).__qualname__}({', '.join(parts)})"
-    if isinstance(value, (str, bytes, int, float, complex, type(None), np.generic)):
+    if isinstance(value, (str, bytes, int, float, complex, type(None), np.generic, os.PathLike)):
         return repr(value)
     return str(getattr(value, "__qualname__", type(value).__qualname__))
+
+
+def _described_by_values(function: CoefficientFunction, sampler: Sampler) -> str:
+    """A function's expression, and a digest of its values."""
+    before, values = time.Get(), {}
+    try:
+        for moment in _MOMENTS:
+            time.Set(moment)
+            values[f"{moment}"] = sampler.values(function)
+    except Exception:  # NGSolve raises many kinds where a function has no values in cells
+        return str(function)
+    finally:
+        time.Set(before)
+    return f"{function}{digest_of({}, values)}"

@@ -3,9 +3,11 @@
 import numpy as np
 import pytest
 from differentiated import AT, UNTIL, run
+from ngsolve import CF
 from support import by_ci
 
 import ngvisco as nv
+from ngvisco.geometries import structured_box
 from ngvisco.sensitivity.adjoint import Adjoint
 from ngvisco.sensitivity.trajectory import Trajectory
 
@@ -121,6 +123,9 @@ def test_a_stop_without_a_folder_gives_no_truncated_gradient():
         ({"initial": nv.Initial(density=1.0)}, "another initial"),
         ({"walls": {"top": nv.NavierFriction(0.2)}}, "another walls"),
         ({"solver": "split"}, "another newton"),
+        ({"mesh": structured_box((1, 1), (2, 3))}, "mesh; repeat"),
+        ({"observers": [nv.WallForces(["bottom"], about=(0.1, 0.2))]}, "another tables"),
+        ({"walls": {"top": nv.PrescribedTangential((CF(1e-7) * nv.time, 0.0))}}, "another walls"),
     ],
 )
 def test_the_folder_of_another_run_is_refused(tmp_path, change, said):
