@@ -75,6 +75,7 @@ class Increments:
 
     has_converged, reset_if_worn = Split.has_converged, lambda self, f, size: None
     is_steep, follow = False, lambda self, f: None
+    _left = 0.0  # increments are exact
 
     def __init__(self, sizes):
         self.sizes, self.is_factorised, self.is_fresh = sizes, True, False
@@ -92,7 +93,7 @@ class Increments:
     def evaluated(self, x, last):
         return None
 
-    def increment(self, problem, x, at, last):
+    def increment(self, problem, x, at, last, expected):
         self.at.append(float(x[0]))
         size = self.sizes(len(self.at) - 1)
         return np.array([float(len(self.at))]), size
