@@ -256,8 +256,8 @@ def structured_box(
         Length of the last row over the first, by direction, from 1e-6 to 1e6, with a geometric sequence
         between; by default 1.
     crossed : bool
-        Whether rectangles have both diagonals, in two dimensions.  With k = 1 and m = 0 the triangles of one
-        diagonal lock: they bear no flow at constant volume but that of the whole row.
+        Whether rectangles have both diagonals, in two dimensions.  With k = 1 and m = 0 triangles with one
+        diagonal lock: where K is much larger than G they hardly move at constant volume.
     size, periodic, split_corners
         As for ``box``.
 

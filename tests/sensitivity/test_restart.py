@@ -1,14 +1,18 @@
 """Gradients that go on after an interruption."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from differentiated import AT, UNTIL, run
-from ngsolve import CF
+from ngsolve import CF, Parameter, sin, x
 from support import by_ci
 
 import ngvisco as nv
 from ngvisco.geometries import structured_box
+from ngvisco.sensitivity import gradient as gradients
 from ngvisco.sensitivity.adjoint import Adjoint
+from ngvisco.sensitivity.restart import signature
 from ngvisco.sensitivity.trajectory import Trajectory
 
 OF = {"motion": "kinetic at 0.06", "loss": "dissipation_creep until 0.06", "push": "bottom.force_2 at 0.05"}
@@ -94,6 +98,21 @@ def test_a_stop_within_a_step_leaves_the_step_before_it(tmp_path, monkeypatch):
     assert same(found(run(), tmp_path), found(run(), None))
 
 
+@pytest.mark.parametrize("folder", ["restart", None])
+def test_a_stop_before_the_first_step_is_kept(tmp_path, monkeypatch, folder):
+    """It comes while the derivatives are prepared; the run does not begin."""
+    simulation, prepare = run(), gradients.Neighbours
+
+    def stop(*arguments):
+        simulation.request_stop()
+        return prepare(*arguments)
+
+    monkeypatch.setattr(gradients, "Neighbours", stop)
+    with pytest.raises(nv.StopRequested):
+        found(simulation, folder and tmp_path / folder)
+    assert simulation.number == 0
+
+
 def test_a_stop_is_honoured_between_two_stages_of_an_adjoint(tmp_path, monkeypatch):
     simulation, stages, one = run(scheme="sdirk2"), [], Adjoint._stage
 
@@ -125,7 +144,6 @@ def test_a_stop_without_a_folder_gives_no_truncated_gradient():
         ({"solver": "split"}, "another newton"),
         ({"mesh": structured_box((1, 1), (2, 3))}, "mesh; repeat"),
         ({"observers": [nv.WallForces(["bottom"], about=(0.1, 0.2))]}, "another tables"),
-        ({"walls": {"top": nv.PrescribedTangential((CF(1e-7) * nv.time, 0.0))}}, "another walls"),
     ],
 )
 def test_the_folder_of_another_run_is_refused(tmp_path, change, said):
@@ -135,6 +153,14 @@ def test_the_folder_of_another_run_is_refused(tmp_path, change, said):
         found(first, tmp_path)
     with pytest.raises(nv.CheckpointError, match=said):
         found(run(**change), tmp_path)
+
+
+def test_functions_are_told_apart_by_their_values():
+    """An expression has six digits, and an NGSolve parameter no value in it."""
+    sampler, (p, q) = run().sampler, (Parameter(3.0), Parameter(4.0))
+    for one, other in ((CF(1.0), CF(1.0000001)), (p * x, q * x), (sin(nv.time) * x, sin(1.1 * nv.time) * x)):
+        assert signature(one, sampler) == signature(one, sampler) != signature(other, sampler)
+    assert signature(Path("a.stl"), sampler) != signature(Path("b.stl"), sampler)
 
 
 def test_the_folder_of_other_derivatives_or_a_damaged_one_is_refused(tmp_path):
