@@ -17,12 +17,13 @@ from ngvisco.case.build import Case, samples
 from ngvisco.case.units import factor, key_and_unit_of
 from ngvisco.cli import streams
 from ngvisco.cli.streams import DONE, Stopping
-from ngvisco.errors import CheckpointError, ParameterError, StopRequested, as_number
+from ngvisco.errors import CheckpointError, ParameterError, StopRequested, UnknownNameError, as_number
 from ngvisco.run.simulation import Simulation
 from ngvisco.sensitivity.fit import Fit
 from ngvisco.sensitivity.fit import fit as fitted
 from ngvisco.sensitivity.gradient import Gradient
 from ngvisco.sensitivity.gradient import gradient as differentiated
+from ngvisco.sensitivity.parameters import PART, Named
 
 RESTART = "restart"
 """Folder in the output, from which the same command goes on after an interruption; it goes with the end."""
@@ -101,7 +102,21 @@ def _simulation(options: argparse.Namespace) -> tuple[Case, Simulation]:
     tables = list(samples(case.sections, Path()).values())
     for table in tables:
         table.path = None
-    return case, case.simulation(case.mesh(), tables)
+    simulation = case.simulation(case.mesh(), tables)
+    _require_keys(options.by, case, simulation)
+    return case, simulation
+
+
+def _require_keys(names: list[str], case: Case, simulation: Simulation) -> None:
+    """Raise UnknownNameError, with the case's keys, for a name that begins with no part of a run."""
+    for name in names:
+        try:
+            Named.of(name, simulation)
+        except UnknownNameError as error:
+            if error.kind != PART:
+                raise
+            keys = [key_and_unit_of(part, case.sections)[0] for part in error.known]
+            raise UnknownNameError("part of a case with derivatives by its numbers", name, keys) from None
 
 
 def _directory(options: argparse.Namespace, name: str, kind: str) -> Path:

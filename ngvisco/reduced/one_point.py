@@ -124,11 +124,34 @@ class OnePoint:
                 u, w = fields(side, names_of(step, False), FACETS), tests_of(step, False, side)
                 u.__dict__["jump"] = datum(d)
                 factors = factors_of(in_all + collocated), factors_of(list(term.facets(u, w)))
+                _require_dissipation(term, u)
                 return [factor for part in factors for factor in part.items()], bool(factors_of(collocated))
         except NotAtPointsError:
             raise
         except Exception as error:  # a user's term may raise anything
             raise NotAtPointsError(f"it does not take arrays ({why(error)})") from error
+
+
+def _require_dissipation(term: PointTerm, u: Fields) -> None:
+    """Raise NotAtPointsError if a term's dissipation on facets is no mapping of names to arrays at points.
+
+    Dissipation of values that only forms have passes: the ledger integrates it by its form.
+    """
+    try:
+        of_names = dict(term.dissipated_on_facets(u))
+    except NotAtPointsError:
+        return
+    except Exception as error:  # a user's term may raise anything
+        raise NotAtPointsError(f"{_DISSIPATED} ({why(error)})") from error
+    for name, power in of_names.items():
+        if not isinstance(power, Array):
+            raise NotAtPointsError(f"{_DISSIPATED} ({name!r} is of type {type(power).__name__})")
+
+
+_DISSIPATED = (
+    "dissipated_on_facets(u) has to return functions of the values u at a point by the ledger's names, with "
+    "operations that arrays have too; it does not take arrays"
+)
 
 
 def why(error: Exception) -> str:

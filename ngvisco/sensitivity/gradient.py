@@ -181,7 +181,8 @@ def gradient(
         raise ParameterError("method", method, " or ".join(map(repr, METHODS)))
     if order not in OFFSETS:
         raise ParameterError("order", order, "4 or 2")
-    numbers, parameters = Numbers.of(of, until), _parameters(by, simulation, method)
+    numbers = Numbers.of(of, until, simulation.t)
+    parameters = _parameters(by, simulation, method)
     base, is_start = _base(simulation, numbers.columns), simulation.number == 0
     if not is_start and any(parameter.is_of_start for parameter in parameters):
         expected = "no start values: the run has begun, and goes on from its present state"
@@ -224,7 +225,7 @@ def measure(
     simulation: Simulation, until: float, of: Sequence[str] | Mapping[str, str | Misfit]
 ) -> np.ndarray:
     """Run a simulation until a time, and return the numbers of ``gradient`` without derivatives."""
-    numbers, trajectory = Numbers.of(of, until), Trajectory(simulation)
+    numbers, trajectory = Numbers.of(of, until, simulation.t), Trajectory(simulation)
     base = _base(simulation, numbers.columns)
     trajectory.run(until)
     return numbers.values(numbers.parts(history(trajectory, base)))

@@ -116,9 +116,11 @@ class Numbers:
     of_names: dict[str, tuple[slice, Misfit | None]]
 
     @classmethod
-    def of(cls, of: Sequence[str] | Mapping[str, str | Misfit], until: float) -> Numbers:
-        """The numbers of the argument ``of`` of ``gradient``.  Raises ParameterError for an invalid text or
-        time."""
+    def of(cls, of: Sequence[str] | Mapping[str, str | Misfit], until: float, begin: float = 0.0) -> Numbers:
+        """The numbers of the argument ``of`` of ``gradient``, for a run from ``begin`` to ``until``, s.
+
+        Raises ParameterError for an invalid text, and for a time outside the run.
+        """
         given = (
             of
             if isinstance(of, Mapping)
@@ -135,9 +137,9 @@ class Numbers:
             raise ParameterError("of", of, "at least one number of the run")
         end = as_number(until)
         for part in numbers:
-            if end is None or not 0 <= part.time <= end * (1 + 1e-12):
-                expected = f"a time from 0 to the end of the run, {until} s"
-                raise ParameterError(f"of: {part.column}", part.time, expected)
+            if end is None or not begin * (1 - 1e-12) <= part.time <= end * (1 + 1e-12):
+                expected = f"a time of the run, which goes from t = {begin:g} s to its end t = {until} s"
+                raise ParameterError(f"of: the time of {part.column}", part.time, expected)
         return cls(tuple(numbers), list(dict.fromkeys(part.column for part in numbers)), named)
 
     @property

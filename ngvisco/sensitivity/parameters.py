@@ -32,6 +32,8 @@ _OF_MODEL = (
 )
 _OF_RUN = ("initial", "walls")
 _IN_FRONT = ("rheology", "model")
+PART = "part of a run"
+"""Words of messages for what the first key of a path names."""
 _START = "initial"
 
 STEP = 1e-3
@@ -80,7 +82,7 @@ class Named:
         keys = tuple(name.split("."))
         keys = keys[1:] if keys[0] in _IN_FRONT else keys
         if keys[0] not in (*_OF_MODEL, *_OF_RUN):
-            raise UnknownNameError("part of a run", keys[0], (*_OF_MODEL, *_OF_RUN))
+            raise UnknownNameError(PART, keys[0], (*_OF_MODEL, *_OF_RUN))
         part = _found(_root(simulation, keys[0]), keys[1:], name)
         value = as_number(part)
         if value is None:

@@ -150,6 +150,7 @@ def test_a_fit_speaks_the_case_s_units(case, tmp_path):
         (["--sigma", "x"], "COLUMN=NUMBER"),
         (["--bounds", "material.G_e=1"], "KEY=LOW,HIGH"),
         (["--set", "time.until=0.04"], "after the end of the run"),
+        (["--by", "time.dt"], "'time.dt' (known: bodies, initial, loads, material, rheology.creep, "),
     ],
 )
 def test_wrong_input_of_a_fit(case, tmp_path, words, said):

@@ -102,7 +102,7 @@ def test_parameters_have_paths():
     [
         (["kinetic"], ["creep.G_m"], "COLUMN at TIME"),
         (["kinetic at x"], ["creep.G_m"], "COLUMN at TIME"),
-        (["kinetic at 0.08"], ["creep.G_m"], "a time from 0 to the end of the run"),
+        (["kinetic at 0.08"], ["creep.G_m"], "kinetic = 0.08: .* from t = 0 s to its end t = 0.06 s"),
         (["cinetic at 0.06"], ["creep.G_m"], "did you mean 'kinetic'"),
         (["rho_min at 0.06"], ["creep.G_m"], "a column that has a derivative"),
         ([], ["creep.G_m"], "at least one number"),
@@ -125,6 +125,8 @@ def test_a_run_that_has_begun_keeps_its_state():
         nv.gradient(simulation, UNTIL, of=["kinetic at 0.06"], by=["initial.density"])
     found = nv.gradient(simulation, UNTIL, of=["kinetic at 0.02", "kinetic at 0.06"], by=["creep.G_m"])
     assert found.jacobian[0, 0] == 0 != found.jacobian[1, 0]
+    with pytest.raises(nv.ParameterError, match=r"from t = 0\.06 s to its end t = 0\.08 s"):
+        measure(simulation, 0.08, ["kinetic at 0.02"])
 
 
 def test_relaxed_steps_are_refused():

@@ -320,6 +320,22 @@ class UndeclaredDragByEnergy(DragByEnergy):
     couples = "local"
 
 
+class FacetDragByForms(Leak):
+    """A leak whose dissipation on facets has an operation that arrays do not have."""
+
+    def dissipated_on_facets(self, u):
+        return {"dissipation_leak": self.c * u.rho * Norm(u.v)}
+
+    entries = PointTerm.entries
+
+
+class FacetDragOfNumbers(FacetDragByForms):
+    """A leak whose dissipation on facets is no function of the values there."""
+
+    def dissipated_on_facets(self, u):
+        return {"dissipation_leak": CF(1.0)}
+
+
 class HeavierDrag(Drag):
     """A drag that only the coupled solver is for."""
 
@@ -330,6 +346,8 @@ class HeavierDrag(Drag):
     ("term", "reason"),
     [
         (UndeclaredDragByEnergy(), r"there is no energy by arrays.*say couples = 'flow'"),
+        (FacetDragByForms(1.0), r"FacetDragByForms: dissipated_on_facets\(u\) .* does not take arrays \("),
+        (FacetDragOfNumbers(1.0), r"FacetDragOfNumbers: .*'dissipation_leak' is of type CoefficientFunction"),
         (HeavierDrag(1.0), "HeavierDrag: its authors say so"),
     ],
     ids=lambda value: type(value).__name__,
