@@ -32,6 +32,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from functools import cached_property, reduce
 from operator import add
+from typing import TypeAlias
 
 import numpy as np
 from ngsolve import (
@@ -71,6 +72,9 @@ from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.exchange import Interpolation
 from ngvisco.physics.tensors import inner, is_number, sqrt, square
 
+OnSides: TypeAlias = tuple[SidePoints, Iterable[tuple[Fields, slice]]]
+"""The points of all cells' sides, and for ranges of these points arrays of z, its trace and conjugates."""
+
 DEFECTS = ("facets", "cells", "inertia")
 """Names of the momentum defects of the scheme, by their place."""
 
@@ -94,9 +98,9 @@ class Impulses:
         mesh = step.mesh
         self._space: FESpace = VectorH1(mesh, order=1 if mesh.GetCurveOrder() < 2 else step.discretisation.k)
         """Space of the motions, without constraints by walls."""
-        self.on_sides: Callable[[], tuple[Fields, SidePoints] | None] = lambda: None
-        """Function that returns arrays of z, its trace and conjugates at the points of cells' sides, or None;
-        with arrays the elastic force takes a fraction of the forms' time."""
+        self.on_sides: Callable[[], OnSides | None] = lambda: None
+        """Function that returns arrays on the cells' sides, or None; with arrays the elastic force takes a
+        fraction of the forms' time."""
         self._levers: np.ndarray | None = None
         """Products of e . n and the weights at the sides' points, (motions, points)."""
         self._groups = self._by_groups()
@@ -229,17 +233,28 @@ class Impulses:
         sides = self.on_sides() if self._has_arrays else None
         if sides is None:
             return {}
-        (u, points), n = sides, sides[0].context.normal
+        points, parts = sides
         if self._levers is None:
             along = [inner(e, self.step.context.normal) for e in self.motions.values()]
             self._levers = np.array([points.weights * points.sample(arm) for arm in along])
-        w, phi = Fields(u.layout, {"v": n}, u.context), _where_it_is(u.context.rates.stored(u))
+        totals: dict[str, np.ndarray] = {}
+        for u, where in parts:
+            for name, values in self._elastic(u).items():
+                levers = self._levers[:, where]
+                force = levers @ np.broadcast_to(values, levers.shape[1])
+                totals[name] = totals[name] + force if name in totals else force
+        return totals
+
+    def _elastic(self, u: Fields) -> dict[str, np.ndarray]:
+        """Elastic force on facets in the normal's direction, and its parts, Pa, (points,)."""
+        w = Fields(u.layout, {"v": u.context.normal}, u.context)
+        phi = _where_it_is(u.context.rates.stored(u))
         elastic = [
             part for term in self.step.point_terms if term.group == ELASTIC for part in term.facets(u, w)
         ]
         pressed = (1.0 - u.context.crossed) * beside_the_stress(u, phi)
-        values = {ELASTIC: reduce(add, elastic), _THRUST: _thrust(u, phi), _PRESSED: pressed}
-        return {name: self._levers @ np.broadcast_to(g.value, points.count) for name, g in values.items()}
+        forces = {ELASTIC: reduce(add, elastic), _THRUST: _thrust(u, phi), _PRESSED: pressed}
+        return {name: force.value for name, force in forces.items()}
 
     def of_rows(self, rows: np.ndarray) -> np.ndarray:
         """Forces, N, and torques from walls' reactions in the rows of v, (motions,).

@@ -13,7 +13,7 @@ the flow, of the normal derivatives and of iterated traces at the end.  All othe
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
@@ -26,7 +26,7 @@ from ngvisco.algebra.sparse import apply, inverse_of_blocks, mass_matrix
 from ngvisco.forms.driving_stress import LinearisedTabulatedRates
 from ngvisco.forms.fields import Fields, Tests
 from ngvisco.forms.mesh.mesh_arrays import mask_of
-from ngvisco.forms.mesh.points import SidePoints, csr
+from ngvisco.forms.mesh.points import csr
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import CellMean, GivenParts, Integrand, PointTerm, Term, WithheldError
 from ngvisco.forms.upwinding import mean_share
@@ -286,9 +286,13 @@ class ReducedResidual:
             self.step.local_unknowns.update_stored()
         return Evaluation(x, c, hyper, self._packed(x, rows), (self.cell_terms, self.facet_terms))
 
-    def on_sides(self) -> tuple[Fields, SidePoints]:
-        """z, its trace and its conjugates in the step's state, at the points of the cells' sides."""
-        return self.facet_terms.fields(self._of_state(("z", "z_hat", "zeta"))), self.side_op.points
+    def on_sides(self) -> Iterator[tuple[Fields, slice]]:
+        """z, its trace and its conjugates in the step's state, at the points of some cells' sides.
+
+        Each item has another range of points; values at all points at once would take more memory than the
+        iteration."""
+        c = self._of_state(("z", "z_hat", "zeta"))
+        return ((part.sides.fields(c), part.sides.op.places) for part in self.parts)
 
     def dissipated_on_sides(self) -> dict[str, float]:
         """The terms' dissipation on the cells' sides in the step's state, W, by the ledger's names.

@@ -12,8 +12,7 @@ from ngsolve import BaseVector
 
 from ngvisco.errors import InputWarning, StepError, StopRequested
 from ngvisco.forms.context import time
-from ngvisco.forms.fields import Fields
-from ngvisco.forms.mesh.points import SidePoints
+from ngvisco.forms.impulses import OnSides
 from ngvisco.forms.system import Step
 from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.exchange import Exchange
@@ -150,9 +149,11 @@ class RotheSolver:
             self.step.energy.lacked(self.step.now)
         return False
 
-    def on_sides(self) -> tuple[Fields, SidePoints] | None:
+    def on_sides(self) -> OnSides | None:
         """Arrays of the state at the points of the cells' sides with the split solver; else None."""
-        return self.newton.residual.on_sides() if isinstance(self.newton, Split) else None
+        if not isinstance(self.newton, Split):
+            return None
+        return self.newton.residual.side_op.points, self.newton.residual.on_sides()
 
     def dissipated_on_sides(self) -> dict[str, float]:
         """The terms' dissipation on the cells' sides by arrays with the split solver, W; else nothing."""

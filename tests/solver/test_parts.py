@@ -46,6 +46,24 @@ def test_parts_and_threads(parts, monkeypatch):
     assert np.abs(serial - whole).max() <= 1e-11 * np.abs(whole).max()
 
 
+def test_forces_on_sides_are_summed_part_by_part(monkeypatch):
+    """Values at all sides' points at once would be the most memory of a step."""
+    run, _ = solved(1, 40, monkeypatch)
+    impulses, solver = run.ledger.momentum.impulses, run.solver
+    points, parts = solver.on_sides()
+    ranges = [where for u, where in parts if u.parts["z"].value.shape[1] == where.stop - where.start]
+    assert len(ranges) == len(solver.newton.residual.parts) >= 6
+    assert ranges[0].start == 0 and ranges[-1].stop == points.count
+    assert all(one.stop == other.start for one, other in pairwise(ranges))
+    by_arrays = impulses()
+    impulses.on_sides = lambda: None  # NGSolve's forms, over the whole mesh
+    by_forms = impulses()
+    assert np.abs(by_forms["facets"]).max() > 1e-6
+    largest = max(np.abs(force).max() for force in by_forms.values())
+    for name, force in by_forms.items():
+        assert np.abs(by_arrays[name] - force).max() <= 1e-12 * largest, name
+
+
 def test_values_at_points_are_freed_with_their_fields():
     """A cycle of references would keep them until Python collects cycles, once in some steps."""
     mesh, what = box((1, 1), maxh=0.9), model()
