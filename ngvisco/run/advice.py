@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from ngsolve import CF, Integrate
 
+from ngvisco.forms.sharpening import FAR
 from ngvisco.forms.tension import unborne_weight
 from ngvisco.physics.defects import may_part
 from ngvisco.physics.mixture import Mixture
@@ -74,6 +75,8 @@ class Scales:
     """Names of the bodies that have a place."""
     smears: bool = False
     """Whether bodies are carried with m = 1, and no sharpening keeps them apart."""
+    is_sharp: bool = False
+    """Whether bodies are put apart at the end of each step."""
     parting: str | None = None
     """Warning, in words, about variables of one distortion that may part."""
     unborne: str | None = None
@@ -204,10 +207,13 @@ class Scales:
 
     def _of_motion(self) -> list[str]:
         lines = []
-        if self.velocity * self.dt > self.cell:
+        passed, most = self.velocity * self.dt / self.cell, FAR if self.is_sharp else 1.0
+        if passed > most:
+            astray = "with discretisation.sharp = true interfaces that move so fast go astray, "
             lines.append(
-                f"matter moves by {self.velocity * self.dt / self.cell:.2g} cells a step: steps are hard "
-                f"to solve and upwinding smears; take dt <= {self.cell / self.velocity:.2g} s"
+                f"matter moves by {passed:.2g} cells a step: {astray * self.is_sharp}"
+                f"{'steps are hard to solve and upwinding smears; ' * (passed > 1)}"
+                f"take dt <= {most * self.cell / self.velocity:.2g} s"
             )
         if self.maxwell < _RELAXED * self.dt * (1 - 1e-6):  # moduli by finite differences have rounding
             lines.append(
@@ -268,6 +274,7 @@ def scales(simulation: RunState) -> Scales:
         bodies=_thickness(simulation),
         placed=tuple(body.name for body in step.model.bodies if body.where is not None),
         smears=step.discretisation.m == 1 and not step.discretisation.sharp,
+        is_sharp=step.discretisation.sharp,
         k=step.discretisation.k,
         startup=simulation.integrator.startup,
         unborne=unborne_weight(step, simulation.sampler),

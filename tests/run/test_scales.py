@@ -108,6 +108,16 @@ def test_advice_foresees_steps_that_are_hard_to_solve():
     assert "different bulk energies" in unlike and "K_e/2*(J - 1)*(J - 1)/J" in unlike
 
 
+def test_sharp_interfaces_need_steps_within_a_cell():
+    values = {"length": 1.0, "cell": 0.1, "velocity": 1.0, "speeds": (0.0, 0.0), "kinematic_viscosity": 0.0}
+    values |= {"maxwell": math.inf}
+    assert Scales(**values, dt=0.08).advice == Scales(**values, dt=0.06, is_sharp=True).advice == []
+    (said,) = Scales(**values, dt=0.08, is_sharp=True).advice
+    assert "0.8 cells a step: with discretisation.sharp = true" in said and "take dt <= 0.07 s" in said
+    (far,) = Scales(**values, dt=0.2, is_sharp=True).advice
+    assert "discretisation.sharp" in far and "upwinding smears" in far
+
+
 def column(steps=0, K_e=1e5, height=1.0, **options):
     """A column of 1000 kg/m^3 under its weight, two cells wide and periodic across."""
     model = nv.Model(
