@@ -1,7 +1,8 @@
 """Conservative sharpening of interfaces between bodies at the end of a step, which keeps their width.
 
 Transport smears a jump of the amounts n_i over ever more cells.  After each step (``Discretisation.sharp``)
-bodies i and j are separated, in cells that contain no other body, in two moves.
+bodies i and j are separated, in cells that contain no other body, in two moves.  Cells of more bodies have
+no planes: their negative means are filled up too, and one factor of all slopes brings fractions into [0, 1].
 
 1. *Between cells.*  The step has carried the amounts F_i, F_j out of a cell through a facet.  Of the strip
    that was swept through the facet, the share s lay behind the plane that bounds body i in this cell at the
@@ -155,8 +156,8 @@ class Sharpening:
         if self.swept > FAR and not self._is_said:
             self._is_said = True
             Communicator.of(self.mesh).warn(
-                f"{_FIELD} = True: the step carried an interface over {self.swept:.2g} of a cell's height, and "
-                f"from {FAR:g} on interfaces go astray: take time.dt (or dt_max) <= "
+                f"{_FIELD} = True: the step carried an interface over {self.swept:.2g} of a cell's height, "
+                f"and from {FAR:g} on interfaces go astray: take time.dt (or dt_max) <= "
                 f"{0.9 * FAR / self.swept * self._tau:.2g} s, or larger cells there",
                 InputWarning,
                 stacklevel=5,
@@ -165,10 +166,18 @@ class Sharpening:
     def put_apart(self, tau: float) -> None:
         """Separate bodies of the present state at the end of a step of length ``tau``, s."""
         u, self._tau = self._values(), tau
-        for i, j in combinations(range(len(self._amounts)), 2):
-            pair = self._is_pair(self._start, i, j) & self._is_pair(u, i, j)
+        count, is_apart = len(self._amounts), np.zeros(len(self._mass), dtype=bool)
+        pairs = {
+            (i, j): self._is_pair(self._start, i, j) & self._is_pair(u, i, j)
+            for i, j in combinations(range(count), 2)
+        }
+        for (i, j), pair in pairs.items():
             self._between(u, i, j, self._defects(i, j, tau), pair)
-            self._within(u, i, j, pair)
+        self._fill(u)
+        for (i, j), pair in pairs.items():
+            is_apart[self._within(u, i, j, pair)] = True
+        if count > 2:
+            self._bound(u, np.flatnonzero(~is_apart))
         self._state()[:, self._basis] = np.einsum("kfc,skc->skf", self._inverse, u)
 
     def _state(self) -> np.ndarray:
@@ -243,22 +252,28 @@ class Sharpening:
         return np.asarray(behind * (out[i] + out[j]) - out[i])
 
     def _between(self, u: np.ndarray, i: int, j: int, defects: np.ndarray, pair: np.ndarray) -> None:
-        """Exchange the fluxes' defects between cells of the mask ``pair``, in place; then cells that still
-        have less than nothing of a body get it from neighbours, in proportion to what these have."""
+        """Exchange the fluxes' defects between cells of the mask ``pair``, in place."""
         facets = self._facets[pair[self._facets[:, 0]] & pair[self._facets[:, 2]]]
         cell, corner, neighbour, opposite = facets.T
-        left, count = defects[cell, corner] - defects[neighbour, opposite], len(self._mass)
+        left = defects[cell, corner] - defects[neighbour, opposite]
         giving, taking = np.where(left > 0, (cell, neighbour), (neighbour, cell))
         left = np.abs(left)
         for _ in range(_PASSES):
             left = left - self._exchanged(u, (i, giving), (j, taking), left)
+
+    def _fill(self, u: np.ndarray) -> None:
+        """Fill cells that have less than nothing of a body, in place, from neighbours in proportion to what
+        these have of it, in exchange for the other bodies in proportion to what the cells have of these."""
+        cell, _, neighbour, _ = self._facets.T
         giving, taking = np.concatenate([cell, neighbour]), np.concatenate([neighbour, cell])
-        for body, other in ((i, j), (j, i)):
-            amount = self._means(u)[self._amounts[body]] * self._mass
-            has = np.maximum(amount, 0.0)[giving]
-            total = np.bincount(taking, has, count)[taking]
-            lacks = np.maximum(-amount, 0.0)[taking] * has / np.where(total > 0, total, 1.0)
-            self._exchanged(u, (body, giving), (other, taking), lacks)
+        for i in range(len(self._amounts)):
+            amounts = self._means(u)[self._amounts] * self._mass
+            has, lacks = np.maximum(amounts, 0.0), np.maximum(-amounts[i], 0.0)
+            total, others = np.bincount(taking, has[i, giving], len(lacks)), has.sum(axis=0) - has[i]
+            filling = (lacks / np.where(total > 0, total, 1.0))[taking] * has[i, giving]
+            for j in set(range(len(self._amounts))) - {i}:
+                share = has[j] / np.where(others > 0, others, 1.0)
+                self._exchanged(u, (i, giving), (j, taking), filling * share[taking])
 
     def _exchanged(
         self, u: np.ndarray, one: tuple[int, np.ndarray], two: tuple[int, np.ndarray], wanted: np.ndarray
@@ -288,27 +303,43 @@ class Sharpening:
                     u[component] += (change / self._mass)[:, None]
         return amount
 
-    def _within(self, u: np.ndarray, i: int, j: int, pair: np.ndarray) -> None:
-        """Separate bodies i and j by planes in cells of the mask ``pair``, in place."""
-        height, theta, means = self._behind(u, i), self._fraction(u, i), self._means(u)
+    def _within(self, u: np.ndarray, i: int, j: int, pair: np.ndarray) -> np.ndarray:
+        """Separate bodies i and j by planes in cells of the mask ``pair``, in place; return the numbers of
+        those with an interface."""
+        height, means = self._behind(u, i), self._means(u)
         chosen = np.flatnonzero(pair & (np.ptp(height, axis=1) > 0))
-        height, theta = height[chosen], theta[chosen]
+        height = height[chosen]
         doubled = (np.column_stack([height, height[:, c]]) for c in range(self.dim + 1))
         slope = np.stack([_share(heights) for heights in doubled], axis=1)
         slope -= (slope * self._masses[chosen]).sum(axis=1, keepdims=True) / self._mass[chosen, None]
         slope *= self.dim + 2
-        tiny = np.finfo(float).tiny
-        low = theta / np.maximum(-slope.min(axis=1), tiny)
-        high = (1 - theta) / np.maximum(slope.max(axis=1), tiny)
-        slope *= np.minimum(1.0, np.minimum(low, high))[:, None]
-        pairs = ((self._amounts[i], self._contents[i], slope), (self._amounts[j], self._contents[j], -slope))
-        both = sum(means[n, chosen] for n, *_ in pairs)[:, None]
-        total = sum(u[n, chosen] for n, *_ in pairs)
-        for n, contents, part in pairs:
-            u[n, chosen] = means[n, chosen, None] * total / both + both * part
-            some = chosen[means[n, chosen] > NO_INTERFACE * both[:, 0]]  # no quotients of rounding
+        both = means[self._amounts][[i, j]][:, chosen].sum(axis=0)
+        deviation = np.zeros((len(self._amounts), *slope.shape))  # traces of other bodies have none
+        deviation[i], deviation[j] = both[:, None] * slope, -both[:, None] * slope
+        self._deviate(u, chosen, deviation)
+        return chosen
+
+    def _bound(self, u: np.ndarray, cells: np.ndarray) -> None:
+        """Bring fractions into [0, 1] in ``cells``, in place."""
+        amounts, means = u[self._amounts][:, cells], self._means(u)[self._amounts][:, cells]
+        self._deviate(u, cells, amounts - (means / means.sum(axis=0))[:, :, None] * amounts.sum(axis=0))
+
+    def _deviate(self, u: np.ndarray, cells: np.ndarray, deviation: np.ndarray) -> None:
+        """Set amounts in ``cells`` to an even mixture of their means and ``deviation``, (bodies, cells,
+        corners), with one factor that brings fractions into [0, 1], in place; tensors go with amounts.
+
+        Deviations have the mean 0 in each cell and the sum 0 at each corner, so that means and N stay.
+        """
+        means = self._means(u)[:, cells]
+        size = means[self._amounts].sum(axis=0)
+        even = (means[self._amounts] / size)[:, :, None] * u[self._amounts][:, cells].sum(axis=0)
+        most = np.maximum(even, 0.0) / np.maximum(-deviation, np.finfo(float).tiny)
+        deviation = np.minimum(1.0, most.min(axis=(0, 2)))[:, None] * deviation
+        for n, contents, amounts in zip(self._amounts, self._contents, even + deviation, strict=True):
+            u[n, cells] = amounts
+            some = means[n] > NO_INTERFACE * size  # no quotients of rounding
             for component in contents:
-                u[component, some] = u[n, some] * (means[component, some] / means[n, some])[:, None]
+                u[component, cells[some]] = amounts[some] * (means[component, some] / means[n, some])[:, None]
 
     # --- arrays of cells, vertices and facets -----------------------------------------------------------
 

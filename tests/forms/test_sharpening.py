@@ -117,12 +117,52 @@ def test_no_cell_gives_more_of_a_body_than_it_has(rng):
         before = by._means(now)
         defects = 0.0 if lack else rng.uniform(-1, 1, (u.shape[1], 3)) * by._mass[:, None]
         by._between(now, 1, 0, np.zeros(u.shape[1:]) + defects, np.ones(u.shape[1], dtype=bool))
+        by._fill(now)
         after = by._means(now)
         tensors = (after[contents].T @ states.spaces[X].columns.T).reshape(-1, 3, 3)
         assert np.abs(after - before).max() > (0.09 if lack else 0.3)
         assert after[by._amounts].min() > -1e-14 and np.linalg.eigvalsh(tensors).min() > least
         assert after @ by._mass == pytest.approx(before @ by._mass, abs=1e-13)
         assert not lack or np.abs(after[contents, lacking]).max() < 1e-13
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_fractions_of_three_bodies_in_a_cell_are_bounded(dim):
+    """Masses, N at every point, int X and energy stay; means below zero are filled, slopes get one factor."""
+    both = {"material": LINEAR, "density": 1.0}
+    left, right = nv.Ball((0.3,) * dim, 0.3), nv.Ball((0.6,) * dim, 0.3)
+    of = [
+        nv.Body(name="a", where=left, **both),
+        nv.Body(name="b", where=right, order=1, **both),
+        nv.Body(name="fluid", material=FLUID, density=1.0),
+    ]
+    mesh = box((1,) * dim, 0.2 if dim == 2 else 0.4)
+    step = Step(mesh, nv.Model(bodies=of), SHARP)
+    sampler = Sampler(mesh, step.quadrature)
+    set_initial(step, nv.Initial(F=CF((1.2, 0, 0, 0, 1 / 1.2, 0, 0, 0, 1), dims=(3, 3))), sampler)
+    by, z = Bounds(step, sampler).sharpening, step.state.vec.FV().NumPy()[step.layout.ranges["z"]]
+    z, names = z.reshape(step.layout.states.size, -1), [f"n_{body.name}" for body in of]
+    u = by._values()
+    u += 0.2 * (np.array([by._averaged(values, by._volumes) for values in u]) - by._means(u)[..., None])
+    lacking = int(np.argmax(by._means(u)[by._amounts].min(axis=0)))
+    taken = by._means(u)[by._amounts[0], lacking] + 0.02
+    u[by._amounts[0], lacking] -= taken  # the cell with most of all three
+    u[by._amounts[2], lacking] += taken
+    z[:, by._basis] = np.einsum("kfc,skc->skf", by._inverse, u)
+    amounts = CF(tuple(step.now.z_tensors[name] for name in names))
+    before, values, energy = totals(step), sampler.rows(amounts).copy(), stored(step)
+    by.begin()
+    by.stage(np.ones(1), 1.0)
+    by.put_apart(0.0)
+    after = sampler.rows(amounts)
+    assert (
+        values.min() < -0.02
+        and after.min() > -1e-12
+        and (after.max(axis=1) / after.sum(axis=1)).max() < 1 + 1e-12
+    )
+    assert after.sum(axis=1) == pytest.approx(values.sum(axis=1), rel=1e-12)
+    assert totals(step) == pytest.approx(before, rel=1e-12, abs=1e-14)
+    assert stored(step) == pytest.approx(energy, rel=1e-12)
 
 
 def test_an_even_mixture_has_no_interface_whatever_rounding_makes_of_it(rng):
