@@ -9,7 +9,8 @@ from ngvisco.reduced.operators import FacetMass, SideOperators
 
 
 class FacetCoupling:
-    """Builds the blocks from weights at the sides' points; it keeps the basis functions' values there."""
+    """Builds the blocks from weights at the sides' points, and keeps the basis functions' values at these
+    points."""
 
     def __init__(self, sides: SideOperators, mass: FacetMass) -> None:
         z, per = sides.z, sides.points.per_side

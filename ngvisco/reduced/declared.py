@@ -68,13 +68,13 @@ class Couplings:
 
     @property
     def continuity(self) -> list[PointTerm]:
-        """The continuity equation if it is linear in rho: evaluated by arrays, solved for the trace of
-        rho."""
+        """The continuity equation if it is linear in rho. Arrays evaluate it, and it is solved for the trace
+        of rho."""
         return [] if self._is_bent else self.of_kernel["density"]
 
     @property
     def density(self) -> list[Term]:
-        """The continuity equation if it is not linear in rho: evaluated by forms."""
+        """The continuity equation if it is not linear in rho. Forms evaluate it."""
         return self.of_kernel["density"] if self._is_bent else []
 
     def beside_the_points(self) -> list[Term]:

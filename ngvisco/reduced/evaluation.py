@@ -46,14 +46,16 @@ def on_sides(step: Step) -> list[str]:
 
 
 def names_of(step: Step, inside: bool) -> tuple[list[str], list[str]]:
-    """Names of the unknowns with values at points, in cells or on sides, and of those with gradients."""
+    """Names of the unknowns that have values at points, in cells or on sides, and of the unknowns that have
+    gradients."""
     cells, derived = in_cells(step.layout), derived_in_cells(step.layout)
     names = [*(cells if inside else (*on_sides(step), "zeta")), *derived]
     return names, cells if inside else [name for name in ("rho", "z", "zeta") if name in names]
 
 
 def tests_of(step: Step, inside: bool, context: Any) -> Fields:
-    """Tests that record their factors: in cells with gradients, on facets also for facet means."""
+    """Tests that record their factors. In cells tests have gradients, on facets there are tests of facet
+    means."""
     shapes, d = shapes_of(step), step.mesh.dim
     names = [name for name in in_cells(step.layout) if name in shapes] if inside else on_sides(step)
 

@@ -8,9 +8,8 @@ the side's rows is
 
     (own + H A) dz + H A(other side) dz(other cell),    summed over the means.
 
-Of the integrals over cells the blocks contain all terms with a gradient of the increment or of the test; the
-point tangent contains the terms without gradients.  zeta follows z by the projection of phi''(z), cell by
-cell.
+The blocks contain all integrals over cells with a gradient of the increment or of the test; the point tangent
+contains the integrals without gradients.  zeta follows z by the projection of phi''(z), cell by cell.
 """
 
 from __future__ import annotations
@@ -116,8 +115,8 @@ class FacetTangent:
         return derivatives[:, :, :, self.columns].reshape(cells, len(self._read) * q, len(self.columns) * q)
 
     def _in_cells(self, u: Fields, d: Fields, name: str) -> np.ndarray:
-        """Rows in cells from an increment, (cells, rows q), without products of its values and the tests'
-        values."""
+        """Rows in cells from an increment, (cells, rows q); products of the increment's and the tests' values
+        are left out."""
         r = self.residual
         by_all = r.cell_terms.factors(self.terms, moved(u, d, [name])).get("grad z")
         by_gradients = r.cell_terms.factors(self.terms, moved(u, d, [name], values=False)).get("z")

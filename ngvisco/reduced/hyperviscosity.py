@@ -53,7 +53,7 @@ class SideJumps:
             self.scalar = op.of("hess_square")
 
     def values(self, j: np.ndarray, s: np.ndarray | None, z: np.ndarray) -> Fields:
-        """Fields on the sides: the jumps ``j``; |Hs|^2 and z have the coefficients ``s`` and ``z``."""
+        """Fields on the sides: the jumps ``j``, and |Hs|^2 and z from their coefficients ``s`` and ``z``."""
         c = {"z": z} if s is None else {"z": z, "hess_square": s}
         context: Any = SimpleNamespace(h=Array(self.h, None), curvature=self._context.curvature.Get())
         parts = Lazy(lambda name: Array(self.op.of(name)(c[name]), None), c, FACETS)
@@ -131,7 +131,7 @@ class MatrixHyperviscosity:
         return by_cells.swapaxes(1, 2).reshape(self.dim * self.size, self.h_count)
 
     def tested(self, loads: np.ndarray) -> np.ndarray:
-        """Rows of (v, a), side by side, from a stress's integrals against the functions of Hs."""
+        """Rows of (v, a), side by side, from the integrals of a stress times the basis functions of Hs."""
         by_components = loads.reshape(self.dim, self.size, self.step.mesh.ne, self.h_values.local)
         return self.lift.test(by_components.swapaxes(1, 2).reshape(self.dim, -1))
 

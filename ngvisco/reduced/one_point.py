@@ -75,7 +75,8 @@ class OnePoint:
     def _evaluated(
         self, term: PointTerm, along: Callable[[str, np.ndarray], np.ndarray]
     ) -> tuple[list[tuple[str, np.ndarray]], bool]:
-        """Names of tests with their factors, in the cell and on the side; whether a collocated rule is used.
+        """Factors of the tests by name, in the cell and on the side, and whether the term has a collocated
+        rule.
 
         ``along`` maps an unknown's name and its values, or its gradient, to the values to be used.
         """

@@ -153,7 +153,7 @@ class CellPart:
         self.inside, self.sides = residual.cell_terms.part(cells), residual.facet_terms.part(cells)
 
     def fields(self, c: Coefficients) -> PartFields:
-        """The unknowns with the coefficients ``c`` at the points of the cells, and of their sides."""
+        """Fields at the points of the cells and at the points of their sides, from the coefficients ``c``."""
         return self.inside.fields(c), self.sides.fields(c)
 
     def mean(self, at: PartFields, term: CellMean) -> np.ndarray:
@@ -297,7 +297,7 @@ class ReducedResidual:
     def dissipated_on_sides(self) -> dict[str, float]:
         """The terms' dissipation on the cells' sides in the step's state, W, by the ledger's names.
 
-        It leaves out terms that read values which arrays do not have."""
+        Terms that read values which arrays do not have are left out."""
         c = self._of_state(self.facet_terms.names)
 
         def totals(part: CellPart) -> dict[str, float]:

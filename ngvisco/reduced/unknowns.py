@@ -89,7 +89,8 @@ class Unknowns:
         return result
 
     def scales(self, x: np.ndarray, exchange: Exchange) -> np.ndarray:
-        """The unknowns' scales for lengths of vectors: a block's norm, times 1000 if v determines the block.
+        """Scales by which norms of vectors weight the unknowns: the norm of a block, times 1000 if v
+        determines the block.
 
         ``exchange`` belongs to the packed unknowns.
         """

@@ -25,7 +25,8 @@ from ngvisco.sensitivity.tangent import Neighbours
 from ngvisco.sensitivity.trajectory import RecordedStep, Trajectory
 
 _KEPT = "adjoint"
-"""Part of the restart folder: the adjoint's state, and the number of the steps that it has still to take."""
+"""Part of the restart folder: the adjoint's state, and the number of steps that are still to be taken
+backwards."""
 
 
 class Adjoint:

@@ -83,7 +83,7 @@ class BodySlopes:
         return self.table.pairs if "gap" in self.table.measures else {}
 
     def _quotient(self, name: str, of_integral: Slope, density: CoefficientFunction) -> Slope:
-        """Slope of an integral over a body's volume, of which ``density`` is the density at present."""
+        """Slope of an integral over a body's volume; ``density`` is the integrand at the present state."""
         of_volume = self.variations.of(Integrand(self._theta[name]))
         volume = densities(self.step, name, self.step.now)["volume"]
 

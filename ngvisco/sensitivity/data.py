@@ -124,7 +124,8 @@ def _checked(where: str, columns: dict[str, np.ndarray], units: dict[str, str]) 
 
 
 def converted(data: Data, units: Mapping[str, str | None], factor: Any = None) -> Data:
-    """The data in the SI units ``units`` of the columns; None is an unknown unit, which is not converted.
+    """The data in the SI units ``units`` of the columns; a unit None is unknown, and its column is not
+    converted.
 
     ``factor(unit, wanted)`` returns the size of a unit in wanted units; without it units have to be the
     wanted ones.  Raises DataError for a wrong unit.

@@ -93,7 +93,7 @@ class Gradient:
         block = blocks.get(name, "z")
         variable = next((v for v in self.simulation.model.material.variables if v.name == name), None)
         if isinstance(variable, Parameter) and variable.mean != "arithmetic":
-            expected = "a parameter that is carried itself; nv.Parameter(..., mean='arithmetic') is"
+            expected = "a parameter that is transported itself, such as nv.Parameter(..., mean='arithmetic')"
             raise ParameterError("Gradient.density", name, expected)
         result = GridFunction(layout.scalar_space(block))
         begin = layout.ranges[block].start + (scalars[name].start * len(result.vec) if name in scalars else 0)
@@ -146,8 +146,8 @@ def gradient(
     Parameters
     ----------
     simulation : Simulation
-        Simulation to run, with its observers.  At its start the start values depend on the parameters; later,
-        as after ``restore``, the present state is fixed.
+        Simulation to run, with its observers.  If the simulation is at its start, the start values depend on
+        the parameters; after ``restore`` the present state is fixed.
     until : float
         End of the run, s.
     of : sequence of str, or mapping of names to texts or to Misfit

@@ -1,6 +1,6 @@
 """Slopes of measures of a region {theta >= 1/2} in the plane by theta and v at the corners of triangles.
 
-theta is linear in each triangle, so that with outline O and velocity |grad theta|^-1 of its points
+theta is linear in each triangle. With the outline O, whose points have the velocity |grad theta|^-1,
 
     delta int_{theta >= 1/2} f = int_O f delta theta / |grad theta| + int_{theta >= 1/2} delta f,
 

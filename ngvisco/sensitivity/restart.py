@@ -101,7 +101,7 @@ class Restart:
         write_atomically(self.path(name), image.getvalue())
 
     def read(self, name: str) -> Kept | None:
-        """A part; None if there is none.  Raises CheckpointError for a damaged file."""
+        """A part; None if the part does not exist.  Raises CheckpointError for a damaged file."""
         return self.require(name) if self.path(name).exists() else None
 
     def require(self, name: str) -> Kept:
@@ -118,10 +118,10 @@ class Restart:
 
 
 def signature(value: object, sampler: Sampler) -> str:
-    """A text that differs for other numbers and options, and for other functions of place and time.
+    """A text that identifies numbers, options, and functions of place and time.
 
-    Functions of place and time are described by their values at a mesh's points at three times, those that
-    have no such values by their expressions; functions in Python are described by name.
+    Functions of place and time are described by their values at a mesh's points at three times; functions
+    without such values by their expressions, and functions in Python by their names.
     """
 
     def described(part: object) -> str:

@@ -32,9 +32,9 @@ class Slopes:
     """The slopes of a follower's columns at its present state.
 
     Slopes of ledger columns and of integrals are variations of forms.  The value of a probe is differenced by
-    the coefficients of the probe's cell.  Columns with ``rows`` of the residual have slopes here besides
-    the slopes by their rows.  Raises ParameterError for a column without a slope, such as an integral of a
-    coefficient function.
+    the coefficients of the probe's cell.  A column with ``rows`` of the residual has two slopes: one by its
+    rows, and the one computed here.  Raises ParameterError for a column without a slope, such as an integral
+    of a coefficient function.
     """
 
     def __init__(self, follower: Follower) -> None:

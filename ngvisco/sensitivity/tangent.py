@@ -179,7 +179,8 @@ class _Tangent:
         self._mean = np.zeros(len(self.near.followers[0].columns.names))
 
     def stage(self, stage: Stage, linearised: Linearised, is_read: bool) -> None:
-        """Advance by a stage, R_u factorised; ``is_read`` tells whether a later stage or end reads it."""
+        """Advance by a stage, R_u factorised; ``is_read`` tells whether a later stage or end reads this
+        stage."""
         residuals = []
         for follower, states in zip(self.near.followers, self._states, strict=True):
             follower.pose(stage, states)

@@ -43,7 +43,7 @@ class RecordedStep:
     """A step of the scheme, from ``state`` at time ``begin`` to ``after`` at time ``end``, s.
 
     The end is the sum of the start y_0 and the stages' solutions y_1, ... with ``weights``.  ``is_combined``
-    tells whether it differs from the last stage's solution, as for the midpoint rule.
+    tells whether the end differs from the last stage's solution, as for the midpoint rule.
     """
 
     begin: float
@@ -61,7 +61,8 @@ class RecordedStep:
 
     @property
     def ends_at_stage(self) -> bool:
-        """Whether the end is the last stage's solution, with its velocities of walls, but for the limiter."""
+        """Whether the end is the last stage's solution, including the walls' velocities; the limiter's change
+        does not count."""
         return bool(np.count_nonzero(self.weights) == 1 and self.weights[-1] == 1.0)
 
 
@@ -89,16 +90,16 @@ class Trajectory:
         refused = {
             "damage": run.rothe_step.damage is not None and "a damage that grows is a minimum under bounds",
             "walls": any(name in run.rothe_step.walls.multiplied for name in run.rothe_step.walls.pistons)
-            and "the impulse of a piston on an oblique or curved wall at a step's end has none",
+            and "the impulse of a piston on an oblique or curved wall at a step's end has no derivative",
             "relaxation": run.arguments["time"].relaxation
             and "the length of a relaxed step is a function of its solution",
             "discretisation": run.bounds.sharpening is not None
-            and "what sharp puts apart at a step's end has none",
+            and "the sharpening of interfaces at a step's end has no derivative",
             "mesh": run.ranks.is_distributed and "the transposed systems of several ranks are not known",
             "interfaces": bool(run.rothe_step.context.recovered_slopes)
-            and "with constants in cells the direction of interfaces between viscosities has none",
+            and "with constants in cells the direction of interfaces between viscosities has no derivative",
             "material": self._lacks_derivatives()
-            and "with an energy without an expression diffusion and laws of the pressure have none",
+            and "diffusion and laws of the pressure have no derivative with an energy without an expression",
         }
         for part, reason in refused.items():
             if reason:

@@ -33,8 +33,8 @@ from ngvisco.solver.problem import BlockNorm, NewtonIteration, Problem, Solution
 
 NOISE_SAMPLES, NOISE_MARGIN, NOISE_CAP = 2, 10.0, 100.0
 """Number of perturbations of the state by rounding: the noise is the largest change of the increment.  A
-stalled increment is accepted up to the margin times the noise, as both are random, and up to the cap in
-tolerances."""
+stalled increment is accepted up to the margin times the noise, since increment and noise are random, and up
+to the cap, in tolerances."""
 NEAR = 10.0
 """Stalled increment, in tolerances, that is accepted without measuring the noise: rounding of a stiff
 pressure may move a slow velocity by so much."""
@@ -249,7 +249,7 @@ class Newton:
         return Status.TOO_MANY_ITERATIONS
 
     def _follow(self, increment: BaseVector, length: float) -> None:
-        """Subtract ``length`` times an increment from the state; update stresses and local unknowns."""
+        """Subtract ``length`` times an increment from the state, and update stresses and local unknowns."""
         if self.stresses:
             self.stresses.follow(increment, length)
         self.state.data -= length * increment

@@ -46,8 +46,8 @@ _TOO_FAR = 0.5
 several long steps."""
 
 _DAMPED = "from the last state, damped"
-"""Name of the last attempt for flow rules; in yield with little inertia, undamped increments would alternate
-with the size of the velocity."""
+"""Name of the last attempt for flow rules. Undamped increments would alternate, with the size of the
+velocity, in yield with little inertia."""
 
 
 class RotheSolver:

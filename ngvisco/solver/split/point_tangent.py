@@ -350,8 +350,8 @@ def at_points(matrices: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 
 def _resolvents(matrices: np.ndarray) -> tuple[np.ndarray, int]:
-    """(1 - N)^{-1} of stacked matrices N, and the number of terms of its series 1 + N + N^2 ... that leave
-    less than 1e-4; 0 for large N.
+    """(1 - N)^{-1} of stacked matrices N, and the number of terms with which the series 1 + N + N^2 ... has
+    an error below 1e-4; the number is 0 for large N.
 
     For small N the inverse is the product (1 + N)(1 + N^2)(1 + N^4) ..., up to this error, in a fifth
     of the time of factorisations.
