@@ -19,6 +19,8 @@ from typing import Any, Literal, NamedTuple, Union, get_args, get_origin, get_ty
 
 import numpy as np
 
+from ngvisco.words import Mention, Words
+
 
 class NgviscoError(Exception):
     """Root of all errors that ngvisco raises on purpose.
@@ -41,16 +43,16 @@ class ParameterError(NgviscoError, ValueError):
         Name of the offending parameter, e.g. ``"NeoHookean.G_e"``.
     value : object
         The given value.
-    expected : str
-        Description of admissible values.
+    expected : Words
+        Description of admissible values, given as the parts of ``Words``.
     """
 
-    def __init__(self, field: str, value: object, expected: str) -> None:
-        self.field, self.value, self.expected = field, value, expected
+    def __init__(self, field: str, value: object, *expected: object) -> None:
+        self.field, self.value, self.expected = field, value, Words(*expected)
         self.key = field
         # objects with Python's default text, such as NGSolve's functions, are shown by their class
         shown = re.sub(r"<(?:[\w.]+\.)?(\w+) object at 0x[0-9a-f]+>", r"<\1>", repr(value))
-        super().__init__(f"{field} = {shown}: expected {expected}")
+        super().__init__(Words(Mention(field), f" = {shown}: expected ", self.expected))
 
 
 class UnknownNameError(NgviscoError, KeyError):
@@ -59,7 +61,7 @@ class UnknownNameError(NgviscoError, KeyError):
     def __init__(self, kind: str, name: str, known: Iterable[str], key: str = "") -> None:
         self.kind, self.name, self.known, self.key = kind, name, sorted(set(known)), key
         hint = nearest(str(name), self.known)
-        self.message = f"unknown {kind} {name!r}{hint} (known: {listed(self.known)})"
+        self.message = Words("unknown ", Mention(kind), f" {name!r}{hint} (known: {listed(self.known)})")
         super().__init__(self.message)
 
     def __str__(self) -> str:  # KeyError would print the repr of the message
@@ -90,7 +92,7 @@ class InitialDataError(NgviscoError, ValueError):
 
     def __init__(self, field: str, value: object, expected: str, key: str = "Initial") -> None:
         self.field, self.value, self.expected, self.key = field, value, expected, key
-        super().__init__(f"initial {field}: {value}; expected {expected}")
+        super().__init__(Words(f"initial {field}: {value}; expected ", expected))
 
 
 class StopRequested(NgviscoError):
@@ -222,7 +224,7 @@ class Declared(NamedTuple):
                 return converted
         choices = [choice for kind in self.kinds if get_origin(kind) is Literal for choice in get_args(kind)]
         hint = nearest(value, map(str, choices)) if isinstance(value, str) else ""
-        raise ParameterError(field, value, self.expected + hint)
+        raise ParameterError(field, value, self.expected, hint)
 
 
 def _kinds(hint: Any) -> tuple[Any, ...]:

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from typing import Any
 
 from ngvisco.errors import NgviscoWarning
+from ngvisco.words import words_of
 
 
 class Notices:
@@ -35,7 +36,7 @@ class Notices:
             self.others(message, category, *where, **options)
         elif (category, str(message)) not in self._said:
             self._said.add((category, str(message)))
-            self.say(str(message), category)
+            self.say(words_of(message), category)
 
 
 def _print(message: str, category: type[Warning]) -> None:

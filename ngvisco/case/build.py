@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -13,10 +13,10 @@ from typing import Any
 from ngsolve import Mesh
 
 from ngvisco.case import toml
-from ngvisco.case.faults import Blame, CaseError, Fault, Locator, refused, tables_of
+from ngvisco.case.faults import Blame, CaseError, Fault, Locator, refused
 from ngvisco.case.reading import sections_of, text_of
 from ngvisco.case.schema import CaseSections
-from ngvisco.case.section import parameters, values_of
+from ngvisco.case.section import nodes, parameters, sections_in, values_of
 from ngvisco.case.units import Converter
 from ngvisco.case.values import LawValue, RegionText, VectorValue
 from ngvisco.errors import ParameterError, UnknownNameError, require_path
@@ -78,7 +78,7 @@ class Case:
 
     @cached_property
     def units(self) -> Converter:
-        """The converter of numbers in the units of the case's ``[units]`` to SI units."""
+        """The converter from the units of ``[units]`` to SI units."""
         return Converter(self.locator.data.get("units"), self.directory)
 
     @property
@@ -186,15 +186,17 @@ class Case:
 
     def _check_place(self, dim: int) -> None:
         """Raise CaseError for a vector of another length, and in two dimensions for a text that reads z."""
-        for path, part in tables_of(self.sections):
+        for path, part in sections_in(self.sections):
             for name, kind in values_of(type(part)).items():
                 place, value = (*path, name), getattr(part, name)
                 if kind is VectorValue and isinstance(value, list) and len(value) != dim:
                     message = f"{value!r:.60}: expected an array of {dim} components, not {len(value)}"
                     raise self.blame.error(place, message)
                 parsed = parse_region if kind is RegionText else parse
-                for key, text in _texts_in(value, place) if dim == 2 and kind is not LawValue else ():
-                    if "z" in parsed(text).names:
+                # shapes in place of a region's text are tables of their own
+                texts = [(place, value)] if kind is RegionText else list(nodes(value, place))
+                for key, text in texts if dim == 2 and kind is not LawValue else ():
+                    if isinstance(text, str) and "z" in parsed(text).names:
                         message = f"{text!r:.60}: there is no z in a mesh of two dimensions"
                         raise self.blame.error(key, message)
 
@@ -269,7 +271,7 @@ class Case:
         for name in self.sections.output.vtk.fields or ():
             if name not in run.fields:
                 error = UnknownNameError("field", name, run.fields)
-                raise refuse(("output", "vtk", "fields"), str(error))
+                raise refuse(("output", "vtk", "fields"), error)
         for path, series in samples(self.sections, Path()).items():
             try:
                 series.prepare(run)
@@ -280,9 +282,9 @@ class Case:
                 raise refuse((*path, key), refused(error.value, error)) from error
             except UnknownNameError as error:
                 key = {"wall": "walls", "body": "bodies"}.get(error.kind, "fields")
-                raise refuse((*path, key), str(error)) from error
+                raise refuse((*path, key), error) from error
             except ExpressionError as error:
-                raise refuse((*path, "of"), str(error)) from error
+                raise refuse((*path, "of"), error) from error
 
 
 def _built(table: Any, names: Iterable[str]) -> dict[str, Any]:
@@ -290,17 +292,8 @@ def _built(table: Any, names: Iterable[str]) -> dict[str, Any]:
     return {name: part.built for name in names if (part := getattr(table, name)) is not None}
 
 
-def _texts_in(value: Any, path: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], str]]:
-    """Yield key path and text of each text in a value, in its arrays and in its tables."""
-    if isinstance(value, str):
-        yield path, value
-    parts = value if isinstance(value, dict) else dict(enumerate(value)) if isinstance(value, list) else {}
-    for key, part in parts.items():
-        yield from _texts_in(part, (*path, str(key)))
-
-
 def _settle_state(values: dict[str, Any], material: Any) -> None:
-    """Write the material's ``elastic_state`` into its table, and into nested tables, where it is open."""
+    """Write the material's ``elastic_state`` into its table and nested tables that leave the state open."""
     network = part_of(material, Network)
     branches = {} if network is None else network.parts
     if values.get("elastic_state", "") is None:
@@ -315,12 +308,8 @@ def _settle_state(values: dict[str, Any], material: Any) -> None:
 
 def _tables_of_files(data: Any) -> list[dict[str, Any]]:
     """The tables in a case's data whose files a run directory copies: of shapes and Python materials."""
-    if isinstance(data, list):
-        return [table for part in data for table in _tables_of_files(part)]
-    if not isinstance(data, dict) or "geometry" in data:  # a mesh has a file of its own
-        return []
-    own = [data] if "path" in data else []
-    return own + [table for part in data.values() for table in _tables_of_files(part)]
+    tables = (node for _, node in nodes(data) if isinstance(node, dict) and "path" in node)
+    return [table for table in tables if "geometry" not in table]  # a mesh has a file of its own
 
 
 def _digest_of(file: Path) -> str:

@@ -53,8 +53,8 @@ WRAPPERS: Kinds = {
     "Prony": materials.prony_network,
     **_of(materials, "Damaged Yosida WithQuadratic"),
 }
-"""Materials that wrap another material, [material.material], or several, [material.branches.NAME.material];
-each may wrap the materials above and the wrappers before it."""
+"""Materials that wrap another material, [material.material], or several, [material.branches.NAME.material]. A
+wrapper may wrap the materials above and the wrappers before it."""
 MECHANISMS: Kinds = {
     "diffusion": diffusion.Diffusion,
     "hyperviscosity": rheology.HyperViscosity,
@@ -70,7 +70,7 @@ FLOW_RULE_WRAPPERS: Kinds = {
     **_of(activation, "Activated WLF"),
     "Composite": flow_rules.Composite,
 }
-"""Flow rules that wrap other rules; each may wrap the rules above and the wrappers before it."""
+"""Flow rules that wrap other rules: the rules above and the wrappers before."""
 VISCOSITIES: Kinds = {
     "StokesViscosity": rheology.StokesViscosity,
     **_of(rheology, "Carreau Cross"),

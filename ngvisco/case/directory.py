@@ -19,8 +19,8 @@
 | lock          | exists while a process runs; the system releases it even after a kill     |
 
 The whole case is built before the directory is touched, so that a refused case leaves nothing behind and
-removes nothing.  The first three files are complete before the first step.  A resumed run reads these files,
-never the user's case.
+removes nothing.  case.toml, versions.json and mesh.vol are complete before the first step. A resumed run
+reads these files, never the user's case.
 """
 
 import contextlib

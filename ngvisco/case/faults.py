@@ -14,12 +14,22 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 
 from ngvisco.case.schema import CaseSections
-from ngvisco.case.section import TAGS, Section, models_in, owner_of, place_in
+from ngvisco.case.section import (
+    TAGS,
+    Section,
+    given,
+    models_in,
+    owner_of,
+    places,
+    reached,
+    sections_in,
+)
 from ngvisco.case.toml import line_of, value_text
 from ngvisco.case.values import Wrong
 from ngvisco.errors import InitialDataError, MeshError, NgviscoError, ParameterError, nearest
 from ngvisco.parallel.petsc import PETScError
 from ngvisco.run.ranks import abort_alone
+from ngvisco.words import FUNCTION, Mention, Words, words_of
 
 
 @dataclass(frozen=True)
@@ -153,48 +163,36 @@ def refused(value: object, error: ParameterError) -> str:
     return f"{'is missing' if value is None else shown(value)}: expected {in_case(error.expected)}"
 
 
-def in_case(text: str) -> str:
-    """A message with names of Python, such as ``nv.Slip(straight=True)``, replaced by a case file's keys."""
-    words = {"None": "nothing", "True": "true", "False": "false", "coefficient function": "expression"}
+def in_case(message: object) -> str:
+    """The text of an error, a warning or a message, with a case file's keys in place of Python's names."""
+    text = words_of(message)
+    return "".join(map(_in_case, text.parts)) if isinstance(text, Words) else text
 
-    def key(named: re.Match[str]) -> str:
-        name, arguments, parameter = named.groups()
-        if name not in _places():
-            return named[0]
-        path, kind = _places()[name]
-        if parameter is not None:
-            return f"{path}.{parameter}"
-        settings = [part.split("=", 1) for part in arguments.split(", ") if "=" in part and "..." not in part]
-        kinds = [] if kind is None else [f'{path}.kind = "{kind}"']
-        return ", ".join([*kinds, *(f"{path}.{key} = {value}" for key, value in settings)]) or path
 
-    text = re.sub(r"(\w+) = None", r"no \1", text)
-    text = re.sub(r"(\w+)\['(\w+)'\]", r"\1.\2", text)
-    text = re.sub(r"\b(?:nv\.)?([A-Z]\w*)(?:\(([^()]*)\)|\.(\w+))", key, text)
-    return re.sub(rf"\b({'|'.join(words)})\b", lambda word: words[word[0]], text)
+def _in_case(part: object) -> str:
+    if not isinstance(part, Mention):
+        return part if isinstance(part, str) else "nothing" if part is None else value_text(part)
+    if part == FUNCTION:
+        return "expression"
+    if part.arguments is None:
+        first, *names = _aliased(names_in(part.name))
+        return ".".join([_places().get(first, (first, None))[0], *names])
+    path, kind = _places()[part.name]
+    settings: dict[str, object] = {} if kind is None else {"kind": kind}
+    settings |= {key: value for key, value in part.arguments.items() if value is not ...}
+    return ", ".join(f"{path}.{key} = {value_text(value)}" for key, value in settings.items()) or path
 
 
 @cache
 def _places() -> dict[str, tuple[str, str | None]]:
     """Table and kind of each class or function of the schema, by its name."""
-    places: list[tuple[int, str, str, str | None]] = [(0, "Model", "rheology", None)]
-
-    def look(model: type[Section], path: tuple[str, ...]) -> None:
-        kind = model.__name__ if set(TAGS) & set(model.model_fields) else None
-        for away, name in ((0, model.__name__), (_OTHER, owner_of(model).__name__)):
-            places.append((len(path) + away, name, ".".join(path), kind))
-        for name, field in model.model_fields.items():
-            for inner in models_in(field.annotation):
-                look(inner, (*path, name, *place_in(field.annotation)))
-
-    look(CaseSections, ())
-    # a later entry replaces an earlier one: the last has the class's own name and is nearest to the top
-    nearest = sorted(places, key=lambda place: place[0], reverse=True)
-    return {name: (path, kind) for _, name, path, kind in nearest}
-
-
-_OTHER = 100
-"""Depth added to a table whose name is not its class's name; such a table is then found last."""
+    by_name: dict[str, tuple[str, str | None]] = {}
+    by_target: dict[str, tuple[str, str | None]] = {}
+    for model, path in places(CaseSections).items():  # the shortest path comes first
+        place = ".".join(path), model.__name__ if set(TAGS) & set(model.model_fields) else None
+        by_name.setdefault(model.__name__, place)
+        by_target.setdefault(owner_of(model).__name__, place)
+    return by_target | by_name
 
 
 def _resolve(
@@ -219,7 +217,7 @@ def _resolve(
 def numbers_out_of_range(sections: Section, locator: Locator) -> list[Fault]:
     """Faults of given numbers that are not finite, or whose products would underflow or overflow."""
     faults = []
-    for path, part in tables_of(sections):
+    for path, part in sections_in(sections):
         for name in part.model_fields_set:
             value = getattr(part, name)
             if isinstance(value, float) and value and not LEAST <= abs(value) <= 1 / LEAST:
@@ -232,30 +230,6 @@ LEAST = 1e-60
 """The smallest magnitude of a number in a case file; products of five such numbers do not underflow."""
 
 
-def tables_of(part: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Section]]:
-    """Yield key path and section of every table of a case."""
-    if isinstance(part, Section):
-        yield path, part
-        inner: Iterable[tuple[Any, Any]] = [(name, getattr(part, name)) for name in type(part).model_fields]
-    elif isinstance(part, (list, dict)):
-        inner = part.items() if isinstance(part, dict) else enumerate(part)
-    else:
-        return
-    for name, value in inner:
-        yield from tables_of(value, (*path, str(name)))
-
-
-def given(sections: Any, key: tuple[str, ...]) -> Any:
-    """The value of a key in a case; None if the case does not have the key."""
-    value = sections
-    for part in key:
-        if isinstance(value, list):
-            value = value[int(part)] if part.isdigit() and int(part) < len(value) else None
-        else:
-            value = value.get(part) if isinstance(value, dict) else getattr(value, part, None)
-    return value
-
-
 @dataclass(frozen=True)
 class Blame:
     """Finds the keys of a case to which errors refer."""
@@ -264,7 +238,7 @@ class Blame:
     source: str
     locator: Locator
 
-    def error(self, path: tuple[str, ...], message: str) -> CaseError:
+    def error(self, path: tuple[str, ...], message: object) -> CaseError:
         """A ``CaseError`` with one fault, at the key ``path``."""
         return CaseError(self.source, [self.locator.fault(path, in_case(message))])
 
@@ -281,22 +255,22 @@ class Blame:
             abort_alone(error)
             raise self.error(path, f"{type(error).__name__}: {error}") from error
 
-    def _fault(self, error: NgviscoError, path: tuple[str, ...]) -> tuple[tuple[str, ...], str]:
+    def _fault(self, error: NgviscoError, path: tuple[str, ...]) -> tuple[tuple[str, ...], object]:
         """The key at fault and the message."""
         value = getattr(error, "value", None)
         key = key_of(error.key, path, self.sections, value) if error.key else path
         if isinstance(error, MeshError):
             of_file = self.sections.domain.geometry == "file"  # type: ignore[attr-defined]
-            return ("domain", "path") if of_file else ("domain",), str(error)
+            return ("domain", "path") if of_file else ("domain",), error
         if isinstance(error, ParameterError):
             return key, refused(self._written(key, value), error)
         if isinstance(error, InitialDataError) and key[:1] != ("initial",):
             there = shown(self._written(key, error.field))
             return key, f"{there}: at the start {error.value}; expected {error.expected}"
-        return key, str(error)
+        return key, error
 
     def _written(self, key: tuple[str, ...], value: object) -> object:
-        """The value of a key in the file; for a missing key or an array of tables ``value``, made from it."""
+        """The written value of a key; ``value`` if the key is missing or an array of tables."""
         there = given(self.sections, key)
         is_whole = there is None or (isinstance(there, list) and any(isinstance(p, Section) for p in there))
         return value if is_whole else self.locator.written(key, there)
@@ -309,11 +283,8 @@ def key_of(field: str, path: tuple[str, ...], sections: Any, value: object = Non
     ``path`` is the section of the object with the parameter.  Several matching keys are told apart by the
     parameter's ``value``.
     """
-    names = names_in(field)
-    for length in (2, 1):
-        if (alias := _ALIASES.get(".".join(names[:length]))) is not None:
-            names = [*alias, *names[length:]]
-    keys = _reached(sections, (), names) or _reached(given(sections, path), path, names[1:]) or [path]
+    names = _aliased(names_in(field))
+    keys = reached(sections, (), names) or reached(given(sections, path), path, names[1:]) or [path]
     deepest = max(map(len, keys))
     keys = [key for key in keys if len(key) == deepest]
     near = [key for key in keys if key[: len(path)] == path] or keys
@@ -335,23 +306,8 @@ _ALIASES = {
 """Keys of parameters whose class has no table."""
 
 
-def _reached(node: Any, path: tuple[str, ...], names: Sequence[str]) -> list[tuple[str, ...]]:
-    """The keys to which names lead from ``node``; a name is a key, a member or the class of a table.
-
-    The search ends at the first name that is not found; without the first of ``names`` there is no key.
-    """
-    if not names:
-        return []
-    name, inner_names = names[0], names[1:]
-    inner: list[tuple[tuple[str, ...], Any]] = []
-    if isinstance(node, Section) and name in type(node).model_fields:
-        inner = [((*path, name), getattr(node, name))]
-    elif isinstance(node, dict) and name in node:
-        inner = [((*path, name), node[name])]
-    elif isinstance(node, list):
-        members = [str(i) for i, member in enumerate(node) if name in (str(i), getattr(member, "name", None))]
-        inner = [((*path, i), node[int(i)]) for i in members[:1]]
-    if not inner:
-        tables = tables_of(node, path)
-        inner = [(p, t) for p, t in tables if name in (type(t).__name__, owner_of(type(t)).__name__)]
-    return [key for p, part in inner for key in _reached(part, p, inner_names) or [p]]
+def _aliased(names: list[str]) -> list[str]:
+    """The names in a parameter's name, with the key of ``_ALIASES`` in place of the first ones."""
+    lengths = (length for length in (2, 1) if ".".join(names[:length]) in _ALIASES)
+    length = next(lengths, 0)
+    return [*_ALIASES.get(".".join(names[:length]), ()), *names[length:]]

@@ -11,6 +11,7 @@ from pydantic import ValidationError
 from ngvisco.case import toml
 from ngvisco.case.faults import CaseError, Fault, Locator, faults_of, numbers_out_of_range
 from ngvisco.case.schema import CaseSections
+from ngvisco.case.section import nodes
 from ngvisco.case.units import SI, Converter, has_unit
 from ngvisco.errors import InputWarning
 
@@ -82,18 +83,12 @@ def sections_of(
     return sections, locator
 
 
-def plain_velocities(data: Any, path: tuple[str, ...] = ()) -> list[str]:
+def plain_velocities(data: Any) -> list[str]:
     """Keys of a case whose values are nonzero velocities without a unit."""
-    if isinstance(data, list):
-        return [key for i, part in enumerate(data) for key in plain_velocities(part, (*path, str(i)))]
-    if not isinstance(data, dict):
-        return []
     keys = []
-    for name, value in data.items():
-        if name in ("velocity", "velocity_scale") and path[:1] != ("units",):
+    for path, value in nodes(data):
+        if path[-1:] in (("velocity",), ("velocity_scale",)) and path[0] != "units":
             parts = value if isinstance(value, list) else [value]
             if any(part != 0 and not has_unit(part) for part in parts):
-                keys.append(".".join((*path, name)))
-        else:
-            keys += plain_velocities(value, (*path, name))
+                keys.append(".".join(path))
     return keys

@@ -21,7 +21,16 @@ from ngvisco.case import toml
 from ngvisco.case.catalogue import KINDS
 from ngvisco.case.laws import EnergyText
 from ngvisco.case.schema import CaseSections
-from ngvisco.case.section import TAGS, Section, models_in, owner_of, place_in, quantity
+from ngvisco.case.section import (
+    TAGS,
+    Section,
+    inner_tables,
+    models_in,
+    owner_of,
+    place_in,
+    places,
+    quantity,
+)
 from ngvisco.case.values import Value
 from ngvisco.errors import ParameterError
 from ngvisco.run import fields as output
@@ -79,19 +88,22 @@ def entries() -> tuple[KeyEntry, ...]:
     return tuple(grouped.values())
 
 
-_SAME_KEYS = {
-    ("material", "material"): ("material",),
-    ("material", "branches", "NAME", "material"): ("material",),
-    ("material", "branches", "NAME", "creep"): ("rheology", "creep"),
-    ("bodies", "N", "material"): ("material",),
-    ("bodies", "N", "viscosity"): ("rheology", "viscosity"),
-    ("bodies", "N", "creep"): ("rheology", "creep"),
-    ("bodies", "N", "heat"): ("rheology", "heat"),
-    ("rheology", "viscosity", "viscosity"): ("rheology", "viscosity"),
-    ("rheology", "creep", "rule"): ("rheology", "creep"),
-    ("rheology", "creep", "rules", "N"): ("rheology", "creep"),
-}
-"""Tables that have the keys of another table; the keys are listed under the other table alone."""
+@cache
+def _same_keys() -> dict[tuple[str, ...], tuple[str, ...]]:
+    """Tables that have the keys of another table, by path, with the other table's path."""
+    of_model = places(CaseSections)
+    tables = [
+        ((*path, *way), inner) for model, path in of_model.items() for way, inner in inner_tables(model)
+    ]
+    return {path: of_model[inner[0]] for path, inner in tables if of_model[inner[0]] != path}
+
+
+def _listed(user_path: tuple[str, ...]) -> tuple[str, ...]:
+    """The path under which a key is listed, for a key of a table with the keys of another one."""
+    for place, same in _same_keys().items():
+        if len(user_path) > len(place) and matches(place, user_path[: len(place)]):
+            return _listed((*same, *user_path[len(place) :]))
+    return user_path
 
 
 def _walk(model: type[Section], path: tuple[str, ...], kinds: tuple[str, ...]) -> Iterator[KeyEntry]:
@@ -111,7 +123,7 @@ def _walk(model: type[Section], path: tuple[str, ...], kinds: tuple[str, ...]) -
             None if inner else annotation.example if is_empty else default,
         )
         below = (*path, name, *place_in(field.annotation))
-        if inner and below not in _SAME_KEYS:
+        if inner and below not in _same_keys():  # their keys are listed under the other table alone
             yield from _walk_kinds(inner, below)
 
 
@@ -168,10 +180,7 @@ def explain(path: str) -> str:
         ``material``, or a kind, ``NeoHookean``, ``material.NeoHookean``; upper and lower case are equal.
     """
     every = entries()
-    user_path = tuple(part for part in path.strip().strip(".").split(".") if part)
-    for place, same in _SAME_KEYS.items():
-        if len(user_path) > len(place) and matches(place, user_path[: len(place)]):
-            user_path = (*same, *user_path[len(place) :])
+    user_path = _listed(tuple(part for part in path.strip().strip(".").split(".") if part))
     kinds = {kind: entry.path[:-1] for entry in every for kind in entry.kinds}
     last = user_path[-1] if user_path else ""
     fields = [f"output: the field {name} is {description}" for name, description in _fields(last)]

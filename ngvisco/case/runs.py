@@ -39,17 +39,6 @@ from ngvisco.run.transfer import resume_changed, transfer
 
 _CHANGEABLE = "title, time, loads, walls, numbers of material and rheology, solver, output but for passive"
 """Keys that ``--set`` may change in a resumed run."""
-_FIXED = (
-    "domain",
-    "initial",
-    "discretisation",
-    "bodies",
-    "material.kind",
-    "material.thermal",
-    "output.passive",
-)
-"""Keys that a resumed run cannot change.  Bodies can change only numbers of materials and mechanisms. Another
-mesh or other unknowns need a new run, which takes over the fields of this run."""
 
 
 def run(
@@ -253,8 +242,9 @@ def _reached(place: RunDirectory, simulation: Simulation) -> RunDirectoryError:
 def changed(place: RunDirectory, case: Case, settings: Sequence[str]) -> Case:
     """The directory's case with settings; raises CaseError for the key of a setting that may not change."""
     new = parse_case(case.resolved, case.source, case.directory, settings)
-    for key in _FIXED:
-        if _fixed_value(new, key) != _fixed_value(case, key):
+    before, after = _fixed(case), _fixed(new)
+    for key, value in before.items():
+        if after[key] != value:
             message = (
                 f"cannot change when a run goes on (what can: {_CHANGEABLE}); start a new run with its "
                 f"fields: ngvisco run CASE -o NEW --from {place.path}"
@@ -265,19 +255,28 @@ def changed(place: RunDirectory, case: Case, settings: Sequence[str]) -> Case:
     return new
 
 
-def _fixed_value(case: Case, key: str) -> Any:
-    node: Any = case.sections.model_dump()
-    if key == "bodies":
-        kept, mechanisms = ("name", "where", "density", "order"), ("viscosity", "creep")
-        return [
-            {name: body[name] for name in kept}
-            | {"kind": body["material"]["kind"], "has heat": body["material"]["thermal"] is not None}
-            | {name: body[name] is not None for name in mechanisms}
-            for body in node["bodies"]
-        ]
-    for part in key.split("."):
-        node = None if node is None else node[part]
-    return node is not None if key == "material.thermal" else node
+def _fixed(case: Case) -> dict[str, Any]:
+    """The values that a resumed run cannot change, by key. Bodies can change only numbers of materials and
+    mechanisms.
+
+    Another mesh or other unknowns need a new run, which takes over the fields of this run.
+    """
+    data = case.sections.model_dump()
+    kept, mechanisms = ("name", "where", "density", "order"), ("viscosity", "creep")
+    bodies = [
+        {name: body[name] for name in kept}
+        | {"kind": body["material"]["kind"], "has heat": body["material"]["thermal"] is not None}
+        | {name: body[name] is not None for name in mechanisms}
+        for body in data["bodies"]
+    ]
+    material = data["material"] or {"kind": None, "thermal": None}
+    return {
+        **{name: data[name] for name in ("domain", "initial", "discretisation")},
+        "bodies": bodies,
+        "material.kind": material["kind"],
+        "material.thermal": material["thermal"] is not None,
+        "output.passive": data["output"]["passive"],
+    }
 
 
 def _write_change(place: RunDirectory, case: Case, new: Case, settings: Sequence[str]) -> None:
@@ -380,7 +379,7 @@ def _noting_warnings(note: Callable[[str], None]) -> Iterator[None]:
     shown = warnings.showwarning
 
     def show(message: Warning | str, category: type[Warning], *where: Any, **options: Any) -> None:
-        note(f"{category.__name__}: {in_case(str(message))}")
+        note(f"{category.__name__}: {in_case(message)}")
         shown(message, category, *where, **options)
 
     with warnings.catch_warnings():

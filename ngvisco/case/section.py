@@ -9,7 +9,7 @@ import dataclasses
 import functools
 import inspect
 import operator
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from types import MappingProxyType, NoneType, UnionType
 from typing import Annotated, Any, ClassVar, Literal, Union, get_args, get_origin, get_type_hints
 
@@ -188,6 +188,76 @@ def place_in(annotation: Any) -> tuple[str, ...]:
     return ("NAME",) if origin is dict else ("N",) if origin is list else ()
 
 
+def inner_tables(model: type[Section]) -> Iterator[tuple[tuple[str, ...], list[type[Section]]]]:
+    """Yield path and sections of each table within a section's table."""
+    for name, field in model.model_fields.items():
+        if inner := models_in(field.annotation):
+            yield (name, *place_in(field.annotation)), inner
+
+
+def places(top: type[Section]) -> dict[type[Section], tuple[str, ...]]:
+    """The path of each section's table in a case whose keys are those of ``top``; of several paths the
+    shortest."""
+    found: dict[type[Section], tuple[str, ...]] = {}
+    waiting: list[tuple[type[Section], tuple[str, ...]]] = [(top, ())]
+    while waiting:
+        model, path = waiting.pop(min(range(len(waiting)), key=lambda i: len(waiting[i][1])))
+        if model not in found:
+            found[model] = path
+            waiting += [(part, (*path, *way)) for way, parts in inner_tables(model) for part in parts]
+    return found
+
+
+def nodes(node: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
+    """Yield key path and value of a node and of everything within: sections, tables, arrays and values."""
+    yield path, node
+    inner: Iterable[tuple[Any, Any]] = ()
+    if isinstance(node, Section):
+        inner = [(name, getattr(node, name)) for name in type(node).model_fields]
+    elif isinstance(node, (list, dict)):
+        inner = node.items() if isinstance(node, dict) else enumerate(node)
+    for name, value in inner:
+        yield from nodes(value, (*path, str(name)))
+
+
+def sections_in(node: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Section]]:
+    """Yield key path and section of every table within a node."""
+    return ((key, part) for key, part in nodes(node, path) if isinstance(part, Section))
+
+
+def given(sections: Any, key: tuple[str, ...]) -> Any:
+    """The value of a key in a case; None if the case does not have the key."""
+    value = sections
+    for part in key:
+        if isinstance(value, list):
+            value = value[int(part)] if part.isdigit() and int(part) < len(value) else None
+        else:
+            value = value.get(part) if isinstance(value, dict) else getattr(value, part, None)
+    return value
+
+
+def reached(node: Any, path: tuple[str, ...], names: Sequence[str]) -> list[tuple[str, ...]]:
+    """The keys to which names lead from ``node``; a name is a key, a member or the class of a table.
+
+    The search ends at the first name that is not found; without the first of ``names`` there is no key.
+    """
+    if not names:
+        return []
+    name, inner_names = names[0], names[1:]
+    inner: list[tuple[tuple[str, ...], Any]] = []
+    if isinstance(node, Section) and name in type(node).model_fields:
+        inner = [((*path, name), getattr(node, name))]
+    elif isinstance(node, dict) and name in node:
+        inner = [((*path, name), node[name])]
+    elif isinstance(node, list):
+        members = [str(i) for i, member in enumerate(node) if name in (str(i), getattr(member, "name", None))]
+        inner = [((*path, i), node[int(i)]) for i in members[:1]]
+    if not inner:
+        tables = sections_in(node, path)
+        inner = [(p, t) for p, t in tables if name in (type(t).__name__, owner_of(type(t)).__name__)]
+    return [key for p, part in inner for key in reached(part, p, inner_names) or [p]]
+
+
 def owner_of(model: type[Section]) -> Any:
     """The class or function whose parameters a section holds; else the section itself."""
     return model.target or model
@@ -264,10 +334,11 @@ def laws(
     of: Callable[[Any], Mapping[Any, Any]] = lambda choice: {},
     without: Mapping[str, Collection[str]] = MappingProxyType({}),
 ) -> Any:
-    """The choice by ``kind`` among the laws of a class and the wrappers, which wrap the laws before them.
+    """The choice by ``kind`` among the laws of a class and the wrappers. A wrapper may wrap all laws before
+    it.
 
-    All sections have the keys of ``base``, but no keys for the parameters ``without``.  ``of`` gives the
-    types of a wrapper's parameters that hold laws.  If ``has_default``, the first law needs no ``kind``.
+    All sections have the keys of ``base``; parameters in ``without`` are no keys.  ``of`` gives the types of
+    a wrapper's parameters that hold laws.  If ``has_default``, the first law needs no ``kind``.
     """
     first = next(iter(table)) if has_default else None
 

@@ -93,7 +93,7 @@ def _note(entry: KeyEntry) -> str:
 
 
 def _beside(line: str, note: str) -> str:
-    """A line with a note after its code; the line's own comment follows the note."""
+    """The line with a note between its code and its own comment."""
     code, mark, comment = line.partition(" # ")
     return f"{code.rstrip():{_COLUMN}s} # {note}" + (f"; here {comment}" if mark else "")
 

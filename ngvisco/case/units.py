@@ -18,7 +18,7 @@ from typing import Any
 
 from ngvisco.case.laws import EnergyText
 from ngvisco.case.schema import Units
-from ngvisco.case.section import Section, models_in, quantity, values_of
+from ngvisco.case.section import Section, given, models_in, quantity, reached, values_of
 from ngvisco.case.values import FieldValue, NumberValues, Value, Wrong, is_table
 from ngvisco.errors import ParameterError
 from ngvisco.expressions import ExpressionError, parse, parse_region
@@ -81,19 +81,6 @@ def has_unit(value: object) -> bool:
     return isinstance(value, str) and not _is(parse, value) and _QUANTITY.fullmatch(value) is not None
 
 
-def seconds(text: str) -> float:
-    """The time, s, of a text, which is a number of seconds or a number with its unit, "140 kyr".
-
-    Raises UnitError for any other text.
-    """
-    if (match := _QUANTITY.fullmatch(text)) is not None and match[2].lower() not in ("inf", "nan"):
-        return converted(float(match[1]), match[2].strip(), SI["time"])
-    try:
-        return float(text)
-    except ValueError:
-        raise UnitError(f"{text!r:.60} is no time: a number of seconds, or one with its unit") from None
-
-
 def _require_small_powers(unit: str) -> None:
     """Raise UnitError for powers of numbers, powers of powers, and exponents that are too large."""
     powers = [match[1] or match[2] for match in _POWER.finditer(unit)]
@@ -110,13 +97,14 @@ class Converter:
     Attributes
     ----------
     faults : list of (key path, message)
-        Faults of the table ``[units]``.
+        Faults in the table ``[units]``.
     converted : list of (key, value)
         Keys and written values of converted numbers.
     """
 
     def __init__(self, chosen: Any, directory: Path = Path()) -> None:
-        """``chosen`` is the value of ``[units]``, perhaps no table; files' paths start at ``directory``."""
+        """``chosen`` is the value of ``[units]``, which need not be a table; files' paths start at
+        ``directory``."""
         self._directory = directory
         self.faults: list[tuple[tuple[str, ...], str]] = []
         self.converted: list[tuple[str, Any]] = []
@@ -250,27 +238,20 @@ def key_and_unit_of(name: str, sections: Section) -> tuple[str, str]:
     may be called by its name.  The unit is empty for pure numbers and for names that are no key.
     """
     at_front = name.partition(".")[0] in type(sections.rheology).model_fields  # type: ignore[attr-defined]
-    keys = f"rheology.{name}".split(".") if at_front else name.split(".")
-    part: Any = sections
-    unit, path = "", []
-    for key in keys:
-        place: Any = key
-        if isinstance(part, list):
-            named = [i for i, member in enumerate(part) if getattr(member, "name", None) == key]
-            place = named[0] if named else int(key) if key.isdecimal() else len(part)
-        path.append(str(place))
-        if isinstance(part, Section) and key in type(part).model_fields:
-            unit = _with_exponents(quantity(type(part), key).unit, type(part), part.model_dump())
-            part = getattr(part, key)
-        elif (isinstance(part, dict) and key in part) or (isinstance(part, list) and place < len(part)):
-            part = part[place]
-        else:
-            return name, ""
-    return ".".join(path), "" if unit in ("1", "any") else unit
+    names = (f"rheology.{name}" if at_front else name).split(".")
+    key = next(iter(reached(sections, (), names)), ())
+    for length in (
+        range(len(key), 0, -1) if len(key) == len(names) else ()
+    ):  # a component has its vector's unit
+        table, last = given(sections, key[: length - 1]), key[length - 1]
+        if isinstance(table, Section):
+            unit = _with_exponents(quantity(type(table), last).unit, type(table), table.model_dump())
+            return ".".join(key), "" if unit in ("1", "any") else unit
+    return name, ""
 
 
 def _with_exponents(unit: str, model: type[Section], data: dict[str, Any]) -> str:
-    """The unit with numbers as exponents: an exponent that names a key of the section becomes its value."""
+    """The unit with the values of the section's keys in place of exponents that name these keys."""
 
     def exponent(match: re.Match[str]) -> str:
         name = match[2]

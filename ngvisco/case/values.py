@@ -44,7 +44,7 @@ class Value(ABC):
 
 
 def is_table(value: Any) -> bool:
-    """Whether a value is a table of time, which stands in place of the name of the table's file."""
+    """Whether a value is a table of time, with numbers in place of the name of a file."""
     return isinstance(value, dict) and set(value) == {"times", "values"}
 
 
@@ -193,7 +193,7 @@ class RegionText(Value):
 
     @classmethod
     def made(cls, value: Any) -> Any:
-        """The shape of a condition, of a shape, or of several, their union."""
+        """The shape of a condition, the shape itself, or the union of several shapes."""
         if value == []:
             raise ParameterError("Body.where", value, "at least one shape")
         if isinstance(value, list):
@@ -202,7 +202,8 @@ class RegionText(Value):
 
 
 class Wrong(str):
-    """A message that replaces a value with a wrong unit; every key refuses the message as its value."""
+    """The message about a value with a wrong unit. It replaces the value in the data, and every key refuses
+    it."""
 
 
 def as_function(value: Any) -> Any:

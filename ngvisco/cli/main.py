@@ -116,13 +116,14 @@ def parser() -> argparse.ArgumentParser:
     drawn.add_argument("--step", type=int, metavar="N", help="checkpoint's step (default: the last)")
     text = "energies, dissipations, closure, extrema, iterations and fields as pictures; animations"
     plot = commands.add_parser("plot", help=text, description=text, parents=[drawn])
-    text = "run directory; several, or the directory of a sweep: a comparison of the runs"
+    text = "run directory; several directories, or the directory of a sweep, are compared"
     plot.add_argument("directory", metavar="DIR", help=text, nargs="+")
     text = "format of the pictures (default png)"
     plot.add_argument("--format", choices=("png", "pdf", "svg"), default="png", help=text)
     text = "directory for the pictures of several runs (default: the sweep's, or .)"
     plot.add_argument("-o", "--output", metavar="DIR", help=text)
-    plot.add_argument("--section", metavar="PLANE", help="in 3D: z=0.5, or x for the middle of x (default z)")
+    text = "cutting plane in 3D: z=0.5, or x for the plane in the middle, normal to x (default z)"
+    plot.add_argument("--section", metavar="PLANE", help=text)
     text = "animate the VTK series instead, as .gif or .mp4 (needs ffmpeg; default DIR/movie.gif)"
     plot.add_argument("--movie", metavar="FILE", nargs="?", const="", help=text)
     text = "frames a second of the animation (default 10)"
@@ -135,7 +136,7 @@ def parser() -> argparse.ArgumentParser:
     forms = commands.add_parser("list", help=text).add_mutually_exclusive_group()
     for option, text in (
         ("keys", "every key with its type, unit, default and meaning"),
-        ("markdown", "the same as a page with examples"),
+        ("markdown", "every key as a Markdown page with examples"),
         ("schema", "the JSON Schema of case files, with which editors complete and check them"),
     ):
         forms.add_argument(f"--{option}", dest="form", action="store_const", const=option, help=text)
@@ -148,11 +149,11 @@ def parser() -> argparse.ArgumentParser:
 
 def _add_sensitivities(commands: Any, parents: list[argparse.ArgumentParser]) -> None:
     """Add the commands ``gradient`` and ``fit``."""
-    text = "exact derivatives of a case's results, as the time scheme gives them, by its numbers"
+    text = "derivatives of a case's results by numbers of the case, exact for the time scheme"
     gradient = commands.add_parser("gradient", help=text, description=text, parents=parents)
     text = 'a number, e.g. --of "kinetic at 0.5" or "PROBE.velocity_1 until 0.5", its integral (repeatable)'
     gradient.add_argument("--of", metavar="TEXT", action="append", required=True, help=text)
-    text = "tangent (default; its cost grows with the keys) or adjoint (with the numbers --of)"
+    text = "tangent (default), whose cost grows with the number of keys, or adjoint, with the number of --of"
     gradient.add_argument("--method", choices=("tangent", "adjoint"), default="tangent", help=text)
     text = "find numbers of a case from measured data, by bounded least squares"
     fit = commands.add_parser("fit", help=text, description=_FIT, parents=parents)
@@ -199,7 +200,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 _DISTRIBUTED = ("run", "resume")
-"""Commands that mpirun may start on several processes; ``info --parallel`` is one as well."""
+"""Commands that mpirun may start on several processes, beside ``info --parallel``."""
 
 
 def _on_ranks(options: argparse.Namespace) -> int:
@@ -274,7 +275,7 @@ def _notices() -> Callable[..., None]:
     def say(message: object, *where: object, **options: object) -> None:
         from ngvisco.case.faults import in_case  # a late import, as for the commands
 
-        streams.complain(f"warning: {in_case(str(message))}")
+        streams.complain(f"warning: {in_case(message)}")
 
     return Notices(say, say)
 

@@ -27,7 +27,7 @@ from ngvisco.run.simulation import Simulation
 from ngvisco.timestepping.scheme import SCHEMES
 
 _STEPS, _SECONDS = 12, 30.0
-"""Largest number of steps, and of seconds, for the estimate of time."""
+"""Numbers of steps and of seconds after which the estimate of the time ends."""
 
 
 def check(options: argparse.Namespace) -> int:
@@ -81,7 +81,7 @@ def check(options: argparse.Namespace) -> int:
         else:
             estimate += f", and {cost:.2g} s for each file of fields"
     if adaptive is not None:
-        estimate += f", if all steps were of dt_max; those taken are {run.stepper.dt:.3g} s long by now"
+        estimate += f", if all steps had the length dt_max; the present length is {run.stepper.dt:.3g} s"
     print(f"estimate   {estimate} (by its first {count})")
     return 0
 
@@ -136,7 +136,7 @@ def _writing(run: Simulation, series: VTKSeries) -> float:
 
 
 def _files(series: VTKSeries, until: float, dt: float) -> int:
-    """Number of files of the series in a run by steps of one length."""
+    """Number of files of the VTK series in a run with steps of one length."""
     steps, every, times = round(until / dt), series.every, series.times
     between = len(times) + (0 if every is None else steps // every)
     meets_end = until in times or (every is not None and steps % every == 0)
@@ -160,7 +160,7 @@ class Stopwatch:
             simulation.request_stop()
 
     def finish(self, _simulation: Simulation) -> None:
-        """Leave the seconds as they are."""
+        """Do nothing: the measured seconds stay."""
 
 
 def _peak() -> float:
@@ -259,7 +259,7 @@ def listing(options: argparse.Namespace) -> int:
     groups = (
         ("geometries: [domain] geometry =", _by_kind(schema.Domain)),
         ("materials: [material] kind =", materials),
-        ("materials of another one, [material.material]: [material] kind =", of_another),
+        ("materials that wrap another material, [material.material]: [material] kind =", of_another),
         ("mechanisms: [rheology.NAME]", {name: models_in(part)[0] for name, part in mechanisms.items()}),
         ("flow rules: [rheology.creep] kind =", _by_kind(schema.CreepSection)),
         ("viscosities: [rheology.viscosity] kind =", _by_kind(schema.ViscositySection)),

@@ -14,7 +14,7 @@ from ngsolve import SetNumThreads
 from ngvisco import case as cases
 from ngvisco.case.directory import RunDirectory
 from ngvisco.case.runs import changed
-from ngvisco.case.units import UnitError, seconds
+from ngvisco.case.units import SI, Converter, UnitError
 from ngvisco.cli import streams
 from ngvisco.cli.streams import DONE, FAILED, NOT_CLOSED, Stopping
 from ngvisco.errors import ParameterError
@@ -109,11 +109,10 @@ def resume(options: argparse.Namespace) -> int:
 def _end_time(text: str) -> float:
     """Convert the argument of ``--until`` to s; raises ParameterError."""
     try:
-        until = seconds(text)
+        until = Converter(None).number(text, SI["time"])
     except UnitError as error:
-        raise ParameterError(
-            "--until", text, f"a time > 0 in s, or with its unit, '140 kyr' ({error})"
-        ) from None
+        expected = f"a time > 0 in s, or with its unit, '140 kyr' ({error})"
+        raise ParameterError("--until", text, expected) from None
     if not 0 < until < math.inf:
         raise ParameterError("--until", text, "a finite time > 0, in s or with its unit, '140 kyr'")
     return until

@@ -6,10 +6,11 @@ import csv
 import shlex
 import shutil
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
+import numpy as np
 from ngsolve import SetNumThreads
 
 from ngvisco import case as cases
@@ -26,7 +27,7 @@ from ngvisco.sensitivity.gradient import gradient as differentiated
 from ngvisco.sensitivity.parameters import PART, Named
 
 RESTART = "restart"
-"""Folder in the output, from which the same command goes on after an interruption; it goes with the end."""
+"""Folder in the output from which an interrupted command goes on; a finished command removes it."""
 Computed = TypeVar("Computed")
 
 
@@ -43,7 +44,8 @@ def gradient(options: argparse.Namespace) -> int:
     result, code = _stoppable(differentiated, simulation, case.until, **given, restart=out / RESTART)
     if result is None:
         return code
-    _write_gradient(result, out / "gradient.csv")
+    rows = zip(result.of, np.column_stack([result.values, result.jacobian]), strict=True)
+    _write(out / "gradient.csv", ["number", "value", *result.by], rows)
     shutil.rmtree(out / RESTART)
     streams.write(f"{result}\nAll numbers are in SI units.\n{_of_limiter(result)}{out / 'gradient.csv'}\n")
     return code
@@ -70,7 +72,9 @@ def fit(options: argparse.Namespace) -> int:
     report = f"{result}\nAll numbers are in SI units. The case with these values:\n"
     report += f"{_best_run(options, case, result)}\n"
     (out / "fit.txt").write_text(report)
-    _write_fit(result, out / "fit.csv")
+    numbers = np.column_stack([result.start, result.values, result.deviations, result.covariance])
+    head = ["parameter", "start", "value", "deviation", *(f"covariance {name}" for name in result.by)]
+    _write(out / "fit.csv", head, zip(result.by, numbers, strict=True))
     result.plot(out / f"fit.{options.format}")
     shutil.rmtree(out / RESTART)
     streams.write(
@@ -159,7 +163,7 @@ def _best_run(options: argparse.Namespace, case: Case, result: Fit) -> str:
 
 
 def _bounds(text: str, case: Case) -> tuple[str, tuple[float, float]]:
-    """A parameter's name and its bounds in SI units, from numbers as ``--set`` takes them."""
+    """The name and the bounds, in SI units, of a parameter; ``text`` has numbers in the case's units."""
     name, _, value = text.partition("=")
     _, unit = key_and_unit_of(name.strip(), case.sections)
     try:
@@ -177,18 +181,9 @@ def _number(text: str) -> float | None:
         return None
 
 
-def _write_gradient(result: Gradient, path: Path) -> None:
+def _write(path: Path, head: Sequence[str], rows: Iterable[tuple[str, Iterable[float]]]) -> None:
+    """Write a CSV file; a row is a name and its numbers."""
     with path.open("w", newline="") as file:
         table = csv.writer(file)
-        table.writerow(["number", "value", *result.by])
-        for name, value, row in zip(result.of, result.values, result.jacobian, strict=True):
-            table.writerow([name, repr(float(value)), *(repr(float(number)) for number in row)])
-
-
-def _write_fit(result: Fit, path: Path) -> None:
-    with path.open("w", newline="") as file:
-        table = csv.writer(file)
-        table.writerow(["parameter", "start", "value", "deviation", *(f"covariance {n}" for n in result.by)])
-        for i, name in enumerate(result.by):
-            numbers = [result.start[i], result.values[i], result.deviations[i], *result.covariance[i]]
-            table.writerow([name, *(repr(float(number)) for number in numbers)])
+        table.writerow(head)
+        table.writerows([name, *(repr(float(number)) for number in numbers)] for name, numbers in rows)

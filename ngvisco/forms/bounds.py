@@ -147,9 +147,8 @@ class Bounds:
         self._share = GridFunction(L2(step.mesh, order=0))  # s of rho in the last limited state
         self.sharpening = Sharpening(step) if step.layout.discretisation.sharp else None
         if self.sharpening is not None and not limits:
-            raise ParameterError(
-                "Discretisation.sharp", True, "False where time.limiter is so, which it is a part of"
-            )
+            expected = (False, " where time.limiter is so, which it is a part of")
+            raise ParameterError("Discretisation.sharp", True, *expected)
         self.refused: tuple[Violation, np.ndarray] | None = None
         """Violation and coefficients of the last solution with a ``defect``."""
         self.parted: str | None = None
@@ -191,7 +190,7 @@ class Bounds:
     def violation(self, everywhere: bool = False) -> Violation | None:
         """The first violation of a bound by the present state, or None.
 
-        With ``everywhere`` violations at points only, which the limiter would correct, count too.
+        If ``everywhere``, violations at points count too, although the limiter would correct them.
         """
         outside = self._outside()
         if outside is None:
@@ -240,7 +239,7 @@ class Bounds:
 
     def drift(self) -> str | None:
         """Message that variables of one distortion differ by more than ``most`` in the mean of a cell; None
-        if none do, and with sources, whose fields may differ."""
+        if no variables do, and for a run with sources, whose fields may differ."""
         self._outside()
         if self.step.sources is not None or not self._ranks.any(not self._farthest <= self.most):
             return None  # no mean is farther than all points

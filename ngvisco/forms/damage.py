@@ -65,6 +65,7 @@ from ngvisco.physics.materials.damaged import DAMAGE, WHOLE_F, Damaged
 from ngvisco.physics.materials.thermal import Entropy, Thermal, entropy_in
 from ngvisco.physics.model import Model
 from ngvisco.physics.parameters import substituted
+from ngvisco.words import Mention, Words
 
 DISSIPATION, BREGMAN = "dissipation_damage", "bregman_damage"
 """Ledger columns of the dissipation by growing damage, W, and by its half of the step, J a step."""
@@ -154,9 +155,10 @@ class DamageGrowth:
             raise ParameterError("Regularisation.delta_fields", regularisation.delta_fields, expected)
         size = float(step.context.h.vec.FV().NumPy().min())
         if law.length < size:
-            message = (
-                f"Damaged.length = {law.length:g} m is below the size of the smallest cell, {size:.3g} m: "
-                "what breaks is a row of cells and costs more than G_c; take cells of half of it or less"
+            message = Words(
+                Mention("Damaged.length"),
+                f" = {law.length:g} m is below the size of the smallest cell, {size:.3g} m: "
+                "what breaks is a row of cells and costs more than G_c; take cells of half of it or less",
             )
             ranks.warn(message, InputWarning, stacklevel=6)
 

@@ -70,7 +70,7 @@ class BregmanDistance:
         entries = {name: Entry(name, "numerical", part) for name, part in parts_of.items()}
         self._distance = EntryIntegrals(step.quadrature, entries)
         moved = GivenParts(
-            {**parts[0]}, "its slope asks for the change of {name}, where the momentum is kept"
+            {**parts[0]}, "its slope reads the change of {name}, but slopes are taken at a fixed momentum"
         )
         del moved["v"]
         d, slopes = Fields(layout, moved), []

@@ -6,8 +6,8 @@ approximation) they are computed and stored at the quadrature points: with their
     phi(z_k),   slope(z) = phi'(z_k) + phi''(z_k) (z - z_k),
 
 which at z = z_k is the slope with its exact derivative, as a residual and its Jacobian need.  ``refresh``
-updates them to the present state and is called before every use.  They depend on z alone, so that
-checkpoints omit them.  Further states (``follow``) have separate values, and sides of cells have
+updates the stored values to the present state and is called before every use. The values depend on z alone,
+so that checkpoints omit them.  Further states (``follow``) have separate values, and sides of cells have
 projections of phi and phi'.
 """
 
@@ -79,7 +79,7 @@ class StoredEnergy:
         """Summands phi''(z) q_j : Y_j, one for each column of a slope q of z and of Y, (components, dim).
 
         Derivatives in two directions are scalars: a gradient of one direction's derivative has tensors of
-        fourth order; NGSolve takes half a minute to find their pattern for ``Ogden``.
+        fourth order, whose pattern NGSolve takes half a minute to find for ``Ogden``.
         """
         states = self.material.states(self.dim)
         variables = {name: value.MakeVariable() for name, value in u.z_tensors.items()}

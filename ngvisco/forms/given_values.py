@@ -19,7 +19,7 @@ from ngvisco.physics.material import (
     volume_ratio,
 )
 from ngvisco.physics.materials.damaged import DamageSlope
-from ngvisco.physics.materials.thermal import Thermal, entropy_in
+from ngvisco.physics.materials.thermal import NO_TEMPERATURE, Thermal, entropy_in
 from ngvisco.physics.mixture import Mixture
 from ngvisco.physics.model import Model
 from ngvisco.physics.parameters import Parameter, value_at
@@ -27,6 +27,7 @@ from ngvisco.physics.signals import time
 from ngvisco.physics.tensors import if_positive, log
 from ngvisco.physics.variables import Jacobian, LogJacobian, ReciprocalJacobian
 from ngvisco.physics.walls import Open, Passage
+from ngvisco.words import FUNCTION, Words, call
 
 Given: TypeAlias = Mapping[str, CoefficientFunction]
 StartValues: TypeAlias = dict[str, CoefficientFunction]
@@ -115,18 +116,16 @@ def temperature_for(
     field, entropy = f"{owner}.temperature", entropy_in(material)
     if entropy is None or entropy.name in given:
         if temperature is not None:
-            expected = "None beside an entropy among the values"
-            if entropy is None:
-                expected = "None for a material without a temperature; nv.Thermal(material=...) gives it one"
-            raise ParameterError(field, temperature, expected)
+            beside = Words(None, " beside an entropy among the values")
+            raise ParameterError(field, temperature, NO_TEMPERATURE if entropy is None else beside)
         return None
     if isinstance(material, Mixture):
         reference = None if material.heat is None else material.heat.reference_temperature
     elif (thermal := part_of(material, Thermal)) is not None:
         reference = thermal.theta_R
     else:
-        expected = f"a value of {entropy.name!r}: by a temperature only nv.Thermal knows it"
-        raise ParameterError(f"{owner}.values", "no entropy", expected)
+        known = (": by a temperature only ", call("Thermal", material=...), " knows it")
+        raise ParameterError(f"{owner}.values", "no entropy", f"a value of {entropy.name!r}", *known)
     if temperature is None and reference is None:
         expected = "a temperature: those of reference, theta_R, differ from body to body"
         raise ParameterError(field, None, expected)
@@ -274,9 +273,9 @@ def _entering_amounts(wall: Passage, owner: str, names: Sequence[str]) -> StartV
 def as_shape(field_name: str, value: object, shape: tuple[int, ...]) -> CoefficientFunction:
     """Return ``value`` as a coefficient function of a shape; raise ParameterError for another shape."""
     expected = {
-        0: "a number or a scalar coefficient function",
-        1: f"a coefficient function with {len(shape) and shape[0]} components",
-        2: "a 3x3 coefficient function, also in 2D",
+        0: Words("a number or a scalar ", FUNCTION),
+        1: Words("a ", FUNCTION, f" with {len(shape) and shape[0]} components"),
+        2: Words("a 3x3 ", FUNCTION, ", also in 2D"),
     }[len(shape)]
     number = as_number(value)
     if not shape and (number is not None or isinstance(value, float)):

@@ -290,7 +290,8 @@ _THRUST, _PRESSED = "thrust of jumps", "pressed walls"
 
 @dataclass
 class _Rows:
-    """Integrands in cells by motion, and on facets of all cells or of the cells at some walls."""
+    """Integrands in cells, by motion, and integrands on facets, of all cells or of the cells at some
+    walls."""
 
     cells: dict[str, list[Integrand]] = field(default_factory=dict)
     facets: list[tuple[CoefficientFunction, list[str] | None]] = field(default_factory=list)

@@ -10,9 +10,10 @@ no planes: their negative means are filled up too, and one factor of all slopes 
 
        s (F_i + F_j) - F_i    of body i, and as much of body j in the other direction,
 
-   scaled so that no cell gives more of a body than it has (Zalesak, J. Comput. Phys. 31, 1979).  What the
-   limiter holds back is tried once more.  Each body takes its tensors with it, in the ratio X/n of its cell.
-   Transport may leave negative means; neighbours fill them up, in exchange for the ratio X/n of such a cell.
+   scaled so that no cell gives more of a body than it has (Zalesak, J. Comput. Phys. 31, 1979).  Amounts that
+   the limiter holds back are exchanged in a second pass.  Each body takes its tensors with it, in the ratio
+   X/n of its cell. Transport may leave cells with negative means. Neighbours give such a cell the missing
+   amount, and take the cell's ratio X/n in exchange.
 2. *In a cell* n_i becomes the mean plus the slope of the projected indicator of body i's part, scaled until
    theta_i is in [0, 1]; n_j is the rest of n_i + n_j, and X becomes n (X/n) with the quotient of the means.
 
@@ -22,8 +23,8 @@ the cell's mean of theta_i.  The strip is a prism between the facet and its plac
 The moves keep N at every point, int n_i and int X_i: masses, sum theta = 1, rho and momentum too, since
 bodies have one density.  A common volumetric energy depends on N alone, and n f(X/n) = C : (X - n I), f
 linear in X, on the integrals alone: the stored energy is kept to rounding, and the step's identity holds.
-Other f would lose energy if they had degree one in (n, X); the bodies' f have it up to traces of matter only,
-and are refused.
+A nonlinear f of degree one in (n, X) would lose energy; the f of bodies have this degree up to traces of
+matter only, and are refused unless they are linear.
 """
 
 from __future__ import annotations
@@ -62,7 +63,7 @@ from ngvisco.physics.tensors import if_positive
 _LEAST = 1e-3
 """Fraction below which a cell does not contain a body."""
 _PASSES = 2
-"""Number of exchanges between cells: the second one meets what the first has moved."""
+"""Number of exchanges between cells; the second exchange starts from the amounts that the first has moved."""
 _PLANES = 2
 """Number of planes that are placed in a cell, each with a better normal."""
 _HALVINGS = 45
@@ -81,27 +82,27 @@ def check_sharp(step: Step) -> None:
     """Raise ParameterError, with the reason, for a model whose interfaces cannot be sharpened."""
     material, mesh = step.model.material, step.mesh
     if not isinstance(material, Mixture):
-        raise ParameterError(_FIELD, True, "False for a model without bodies")
+        raise ParameterError(_FIELD, True, False, " for a model without bodies")
     densities = {float(body.density or 0.0) for body in material.bodies}
-    for is_wrong, expected in (
-        (step.layout.discretisation.m != 1, "False unless m = 1"),
+    for is_wrong, reason in (
+        (step.layout.discretisation.m != 1, " unless m = 1"),
         (
             len(densities) > 1,
-            "False for bodies of different densities: momentum would go with what is put apart",
+            " for bodies of different densities: momentum would go with what is put apart",
         ),
-        (not material.has_one_volume, "False for bodies of different volumetric energies: energy would rise"),
+        (not material.has_one_volume, " for bodies of different volumetric energies: energy would rise"),
         (
             not all(psi.is_linear for psi in material.energies.values()),
-            "False unless energies are linear in B",
+            " unless energies are linear in B",
         ),
-        (material.heat is not None, "False for bodies with heat"),
-        (bool(material.plastic_contents), "False for bodies that harden"),
-        (Communicator.of(mesh).is_distributed, "False over ranks"),
-        (step.layout.symmetry.is_axisymmetric, "False about an axis: planes are placed by areas"),
-        ({cell.type for cell in mesh.Elements(VOL)} - {ET.TRIG, ET.TET}, "False on quadrilaterals"),
+        (material.heat is not None, " for bodies with heat"),
+        (bool(material.plastic_contents), " for bodies that harden"),
+        (Communicator.of(mesh).is_distributed, " over ranks"),
+        (step.layout.symmetry.is_axisymmetric, " about an axis: planes are placed by areas"),
+        ({cell.type for cell in mesh.Elements(VOL)} - {ET.TRIG, ET.TET}, " on quadrilaterals"),
     ):
         if is_wrong:
-            raise ParameterError(_FIELD, True, expected)
+            raise ParameterError(_FIELD, True, False, reason)
 
 
 class Sharpening:
@@ -145,7 +146,8 @@ class Sharpening:
         self._flux, self._velocity = np.zeros((len(self._amounts), *shape[:2])), np.zeros(shape)
 
     def stage(self, weights: np.ndarray, share: float) -> None:
-        """Add what a stage, the present state, carries through facets, with the scheme's weight ``share``."""
+        """Add the amounts that a stage, the present state, carries through facets, with the scheme's weight
+        ``share``."""
         self._velocity += share * np.asarray(self.step.now.v(self._corners)).reshape(self._x.shape)
         for flux, form in zip(self._flux, self._outflows, strict=True):
             out = form.Assemble().vec.FV().NumPy().reshape(self._sides.shape)
@@ -281,7 +283,7 @@ class Sharpening:
         """Exchange ``wanted`` amounts of a body, given by the cells of ``one``, for as much of another body
         from the cells of ``two``, in place, as far as cells have it; return the exchanged amounts.
 
-        What fills up a cell that has less than nothing of a body takes away X/n of that cell.
+        Matter that fills up a cell with a negative amount of a body takes X/n of that cell away.
         """
         start, amount, count = self._means(u) * self._mass, wanted, len(self._mass)
         least = _ROUNDING * start[self._amounts].sum(axis=0)
@@ -361,7 +363,8 @@ class Sharpening:
         return dofs, values, inverse, np.einsum("kf,kfc->kc", integrals, inverse)
 
     def _outflow(self, amount: CoefficientFunction) -> LinearForm:
-        """Form of what an amount's upwind flux carries out of the cells, one row a side of a facet."""
+        """Form of the amount that the upwind flux carries out of the cells; one row for each side of a
+        facet."""
         side = Discontinuous(FacetFESpace(self.mesh, order=0))
         context = self.step.context
         speed = context.crossed * (self.step.now.v * context.normal)

@@ -67,8 +67,9 @@ def unborne_weight(step: Step, sampler: Sampler) -> str | None:
     if ranks.most(p) - ranks.least(p) > _BORNE * heaviest * size:
         return None
     return (
-        f"{_subject(laws)} the pressure, and that of the start does not bear the weight, "
-        f"{heaviest * size:.3g} Pa over {size:.3g} m: matter sags until it does, and is in tension above; "
+        f"{_subject(laws)} the pressure, and the pressure at the start does not bear the weight, "
+        f"{heaviest * size:.3g} Pa over {size:.3g} m: matter sags until the pressure bears it, and the upper "
+        "part is in tension; "
         'take [initial] equilibrium = "hydrostatic"'
     )
 

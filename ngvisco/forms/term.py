@@ -163,8 +163,8 @@ class PointTerm:
         return ()
 
     def projections(self, u: Fields) -> list[tuple[str, Integrands]]:
-        """Names and loads of local unknowns that are cellwise projections of functions of other unknowns, in
-        the order in which they depend on each other."""
+        """Names and loads of local unknowns that are cellwise projections of functions of other unknowns;
+        each comes after the unknowns that it depends on."""
         return []
 
     def facet_projection(self, u: Fields) -> CoefficientFunction | None:

@@ -41,7 +41,8 @@ TOLERANCE = 1e-10
 
 _NODES, _WEIGHTS = (0.5 * values for values in np.polynomial.legendre.leggauss(5))
 _PANELS, _SCANS = 8, 32
-"""Numbers of a piece's first panels, and of times at which the sign of a condition is evaluated."""
+"""Number of panels into which a piece is first divided, and number of times at which the sign of a condition
+is evaluated."""
 _BISECTIONS, _BREAKS, _HALVINGS = 46, 64, 48
 """Bisections of a break, to rounding; largest numbers of breaks and of halved panels."""
 _ROUNDING = 4e-16

@@ -26,6 +26,7 @@ from ngvisco.physics.model import Model
 from ngvisco.physics.parameters import typical_value
 from ngvisco.physics.rheology import StokesViscosity
 from ngvisco.physics.tensors import square
+from ngvisco.words import call
 
 UNFELT = "unfelt"
 """Ledger column of the energy of unfelt motion, J, in runs with m < k - 1."""
@@ -45,10 +46,12 @@ def require_held(model: Model, orders: Discretisation) -> None:
     for whose, law in laws.items():
         if law is None or (isinstance(law, StokesViscosity) and typical_value(law.G_v) == 0):
             expected = (
-                f"{k - 1}, or Discretisation(k={m + 1}, m={m}), or a viscosity of shear{whose}: with k = {k} "
-                f"and m = {m} nothing else holds motion within its cells, which no variable feels"
+                f"{k - 1}, or ",
+                call("Discretisation", k=m + 1, m=m),
+                f", or a viscosity of shear{whose}: with k = {k} "
+                f"and m = {m} nothing else holds motion within its cells, which no variable feels",
             )
-            raise ParameterError("Discretisation.m", m, expected)
+            raise ParameterError("Discretisation.m", m, *expected)
 
 
 class Unfelt:

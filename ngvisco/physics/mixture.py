@@ -111,8 +111,8 @@ class Mixture(Material):
             psi.require()
             softest = min(self.stiffnesses.values())
             if body.parts and not (psi.tensors and 0 < softest < (1 - _SAME) * self.stiffnesses[body.name]):
-                expected = "False for a fluid, and for a body that meets nothing more compressible"
-                raise ParameterError(f"bodies[{body.name!r}].parts", True, expected)
+                expected = " for a fluid, and for a body that meets nothing more compressible"
+                raise ParameterError(f"bodies[{body.name!r}].parts", True, False, expected)
             if psi.reads_parameters_in_volume and not self.has_one_volume:
                 expected = "a bulk modulus that is a number, or bodies with one volumetric energy"
                 raise ParameterError(f"bodies[{body.name!r}].material", body.material, expected)
@@ -406,9 +406,7 @@ class _InEquilibrium:
         common = "pressure" if self.heat is None else "pressure and temperature"
         remedy = "a gas without p_infinity presses on what it meets, and matter in tension does not bear that"
         if (n < 0).any():
-            remedy = (
-                "Discretisation(k=1, m=0) makes few amounts negative if stiffnesses differ tenfold or more"
-            )
+            remedy = "orders k = 1, m = 0 make few amounts negative if stiffnesses differ tenfold or more"
         points = f"{len(n)} points, e.g. for the amounts {', '.join(f'{amount:.3g}' for amount in n[0])}"
         return f"bodies have no common {common} at {points}; {remedy}"
 

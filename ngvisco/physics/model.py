@@ -18,7 +18,7 @@ from ngvisco.physics.loads import Load, check_name
 from ngvisco.physics.material import ElasticState, Material, check_material, part_of
 from ngvisco.physics.materials.damaged import Damaged
 from ngvisco.physics.materials.network import Network
-from ngvisco.physics.materials.thermal import Thermal, entropy_in, warming
+from ngvisco.physics.materials.thermal import NO_TEMPERATURE, Thermal, entropy_in, warming
 from ngvisco.physics.materials.wrapped import carrying
 from ngvisco.physics.mixed_viscosity import MixedViscosity, mixed_viscosity
 from ngvisco.physics.mixture import Mixture
@@ -26,6 +26,7 @@ from ngvisco.physics.parameters import parameters_in, told_apart
 from ngvisco.physics.regularisation import Regularisation
 from ngvisco.physics.rheology import HyperViscosity, Viscosity
 from ngvisco.physics.variables import TEMPERATURE, Values
+from ngvisco.words import Mention, Words, call
 
 
 @dataclass(frozen=True)
@@ -133,7 +134,7 @@ class Model:
             object.__setattr__(self, name, law)
         carried = parameters_in(laws)
         if self.creep is not None and part_of(self.material, Network) is not None:
-            raise ParameterError("Model.creep", self.creep, "None with a Network, whose branches have theirs")
+            raise ParameterError("Model.creep", self.creep, _NO_CREEP)
         if self.creep is not None and self.creep.reads_conjugate and self.material.conformation is None:
             raise ParameterError("Model.creep", self.creep, "a material with a conformation tensor")
         material = self.material
@@ -232,22 +233,22 @@ class Model:
     def _check_heat_and_damage(self, material: Material) -> None:
         entropy = entropy_in(material)
         if self.heat is not None and entropy is None:
-            raise ParameterError("Model.heat", self.heat, _NO_TEMPERATURE)
+            raise ParameterError("Model.heat", self.heat, NO_TEMPERATURE)
         is_custom = part_of(material, Thermal) is None and not isinstance(material, Mixture)
         if entropy is not None and is_custom and not (slope := warming(material, entropy)) > 0:
             expected = f"an energy convex in the entropy: at rest d theta/d s is {slope:.4g} K, not > 0"
             raise ParameterError("Model.material", material, expected)
         if self.heat is not None and self.heat.numerical_heating and material.response(3) is not None:
             expected = (
-                "False for an energy without an expression, as that of a Yosida approximation, or of bodies "
+                " for an energy without an expression, as that of a Yosida approximation, or of bodies "
                 "whose pressures are different functions of volume and temperature"
             )
-            raise ParameterError("Heat.numerical_heating", True, expected)
+            raise ParameterError("Heat.numerical_heating", True, False, expected)
         if part_of(material, Damaged) is not None and not material.lagged:
-            expected = (
-                "nv.Damaged(...), or that in nv.Thermal(material=...): no other material knows of damage"
+            known = (call("Damaged", material=...), ", or that in ", call("Thermal", material=...))
+            raise ParameterError(
+                "Model.material", self.material, *known, ": no other material knows of damage"
             )
-            raise ParameterError("Model.material", self.material, expected)
 
     def _take_bodies(self) -> None:
         """Check the bodies, and take material and viscosity from their mixture, if there are bodies."""
@@ -258,7 +259,7 @@ class Model:
             value = getattr(self, name)
             # ``replace`` of a model with bodies passes the mixture's material and viscosity on
             if not (value is None or isinstance(value, (Mixture, MixedViscosity))):
-                raise ParameterError(f"Model.{name}", value, "None with bodies, which have theirs")
+                raise ParameterError(f"Model.{name}", value, None, " with bodies, which have theirs")
         require_names_and_one_rest(self.bodies)
         names = [body.name for body in self.bodies]
         for name in names:
@@ -275,7 +276,7 @@ class Model:
             ):
                 if number != none:
                     why = "the density is the sum of theirs, which nothing cuts off or mixes"
-                    raise ParameterError(f"Regularisation.{name}", number, f"{none} with bodies: {why}")
+                    raise ParameterError(f"Regularisation.{name}", number, none, f" with bodies: {why}")
         for body in self.bodies:
             for part, fault in _faults(body, self.bodies):
                 raise ParameterError(f"bodies[{body.name!r}].{part}", attrgetter(part)(body), fault)
@@ -288,7 +289,7 @@ MOST_DENSER = 1e10
 """Ratio of bodies' densities above which the lighter body's momentum is below the solver's tolerance, 1e-10,
 in a cell with both."""
 
-_NO_TEMPERATURE = "None for a material without a temperature; nv.Thermal(material=...) gives it one"
+_NO_CREEP = Words(None, " with a Network, whose branches have theirs")
 
 
 def _faults(body: Body, bodies: Sequence[Body]) -> Iterable[tuple[str, str]]:
@@ -297,26 +298,28 @@ def _faults(body: Body, bodies: Sequence[Body]) -> Iterable[tuple[str, str]]:
     if part_of(material, Damaged) is not None:
         yield "material", "a material without damage: that of one body would be the damage of all"
     if law is not None and part_of(material, Network) is not None:
-        yield "creep", "None with a Network, whose branches have theirs"
+        yield "creep", _NO_CREEP
     lightest = min(bodies, key=lambda member: member.density or 0.0)
     if (body.density or 0.0) > MOST_DENSER * (lightest.density or 0.0):
         most = f"at most {MOST_DENSER:g} times that of {lightest.name!r}, {lightest.density:g} kg/m^3"
         yield "density", most
+    thermal_law = call("Thermal", material=...)
     warm = [member for member in bodies if entropy_in(member.material) is not None]
     thermal = [member.material for member in warm if isinstance(member.material, Thermal)]
     units = {part.entropy_unit for part in thermal if part.entropy_unit is not None}
     if warm and body not in warm:
-        yield "material", f"nv.Thermal(material=...), as {warm[0].name!r} has: all have one temperature"
+        yield "material", Words(thermal_law, f", as {warm[0].name!r} has: all have one temperature")
     if body in warm and not isinstance(material, Thermal):
-        yield "material", "nv.Thermal(material=...) itself: other energies do not tell a body's entropy"
+        yield "material", Words(thermal_law, " itself: other energies do not tell a body's entropy")
     if len(units) > 1:
         yield "material", f"one entropy_unit for all bodies, not {sorted(units)}: they share one entropy"
     if heat is not None and not warm:
-        yield "heat", _NO_TEMPERATURE
+        yield "heat", NO_TEMPERATURE
     if heat is not None and heat.numerical_heating:
-        yield "heat.numerical_heating", "False: the scheme heats all bodies together, see Model(heat=...)"
+        together = Words(False, ": the scheme heats all bodies together, see ", Mention("Model.heat"))
+        yield "heat.numerical_heating", together
     if getattr(material, "J_min", None) is not None:
-        yield "material", "J_min = None: continued below it, the energy is not convex per reference volume"
+        yield "material", "no J_min: continued below it, the energy is not convex per reference volume"
     for branch, rule in body.rules.items():
         key = "creep" if branch is None else "material"
         if rule.nu:

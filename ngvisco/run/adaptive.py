@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from ngvisco.errors import NgviscoWarning, ParameterError, Quantity, require_fields
 from ngvisco.forms.damage import CRACKED, GROWTH
+from ngvisco.words import Words, call
 
 if TYPE_CHECKING:
     from ngvisco.forms.system import Step
@@ -31,11 +32,12 @@ def growth_message(step: Step, row: Mapping[str, float]) -> str:
         return ""
     length = step.damage.law.length
     unit, symbol, size = ("m", "l", length) if step.mesh.dim == 2 else ("m^2", "l^2", length**2)
-    return (
+    return Words(
         f"in the step of {row['dt']:.3g} s to t = {row['time']:.4g} s the damage grew by {row[GROWTH]:.2g} "
         f"at a point, and cracks by {row[CRACKED]:.3g} {unit}, {row[CRACKED] / size:.2g} {symbol}: the load "
-        "at which the body breaks depends on the step's length; take shorter steps there, as "
-        "AdaptiveSteps(damage_growth=0.05) does"
+        "at which the body breaks depends on the step's length; take shorter steps there, as ",
+        call("AdaptiveSteps", damage_growth=0.05),
+        " does",
     )
 
 
@@ -57,9 +59,9 @@ class AdaptiveSteps:
     patience : int
         Accepted steps in a row after which the length is doubled; counts only without a tolerance.
     damage_growth : float, optional
-        Largest growth of the damage at a point in a step, for a material that breaks. A step with more is
-        taken again and shorter, down to dt_min, where any growth is accepted. The load at which a body breaks
-        has a relative error of about this size.
+        Largest growth of the damage at a point in a step, for a material that breaks. A step with more growth
+        is repeated with a shorter length, down to dt_min, where any growth is accepted. The load at which a
+        body breaks has a relative error of about this size.
     """
 
     dt_min: Annotated[float, Quantity("s", "> 0", 1e-3)]
@@ -83,8 +85,8 @@ class GrowthControl:
     def require(self, step: Step) -> None:
         """Raise ParameterError if growth is bounded and the material does not break."""
         if self.most is not None and step.damage is None:
-            expected = "None for a material that does not break; nv.Damaged(material=...) does"
-            raise ParameterError("AdaptiveSteps.damage_growth", self.most, expected)
+            expected = (None, " for a material that does not break; ", call("Damaged", material=...), " does")
+            raise ParameterError("AdaptiveSteps.damage_growth", self.most, *expected)
 
     def allowed(self, tau: float, rates: Mapping[str, float], safety: float) -> float:
         """The step length, s, in which the damage would have grown by ``safety`` times the largest growth.

@@ -285,8 +285,8 @@ def scales(simulation: RunState) -> Scales:
 def largest_velocity(simulation: RunState) -> float:
     """The largest velocity of a run so far, m/s; 0 if none is known.
 
-    It is the largest one in the steps taken and of walls; before any step the given velocity scale, else the
-    largest one at the start and of walls.
+    The velocity is the largest one of the steps so far and of walls; before the first step it is the given
+    velocity scale, else the largest velocity of the start and of walls.
     """
     ranks, given = simulation.ranks, simulation.given_velocity_scale
     velocities = [row["v_max"] for row in simulation.ledger.rows]

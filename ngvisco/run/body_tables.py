@@ -17,6 +17,7 @@ from ngvisco.run.files import AnyPath
 from ngvisco.run.frames import Lattice, places
 from ngvisco.run.outlines import Cut, Moments, distance
 from ngvisco.run.series import Series
+from ngvisco.words import Mention
 
 if TYPE_CHECKING:
     from ngvisco.forms.fields import Fields
@@ -88,7 +89,8 @@ class FractionSamples:
         """A body's cut with columns x, y, v_1, v_2, the shares of a part's three corners, and the part's
         number.
 
-        With it come the corners' places, (parts, 3, 2), and the averaged fractions there, (parts, 3).
+        The other results are the corners' places, (parts, 3, 2), and the averaged fractions there, (parts,
+        3).
         """
         count = len(self._corners)
         shares = np.broadcast_to(np.eye(3), (count, 3, 3))
@@ -366,8 +368,8 @@ class Bodies(Series):
 def require_bodies(owner: str, material: Any) -> tuple[Any, ...]:
     """The bodies of a model's material; raises ParameterError for a material without bodies."""
     if not isinstance(material, Mixture):
-        expected = "bodies, Model(bodies=[...]), which it would measure"
-        raise ParameterError(f"{owner}.model", type(material).__name__, expected)
+        expected = (Mention("Model.bodies"), ", which it would measure")
+        raise ParameterError(f"{owner}.model", type(material).__name__, *expected)
     return material.bodies
 
 

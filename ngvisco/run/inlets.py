@@ -35,7 +35,7 @@ class Inlets:
 
     Two measures tell whether given values have another stress than the body.  One is the power that is lost
     where both meet; in slow straining this power is small beside others.  The other is the difference of the
-    stresses' deviators beside elastic and viscous stresses.  Pressures have the first measure alone: matter
+    stresses' deviators beside elastic and viscous stresses.  Only the first measure judges pressures: matter
     that is hardly compressed has its neighbours' density at any pressure.  Temperatures mix by their nature
     and bring no warning.  Bodies whose amounts are given come in unstrained.
     """

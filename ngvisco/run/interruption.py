@@ -19,14 +19,15 @@ class Interruption:
         simulation.solver.interrupted = lambda: self._is_armed and simulation.stop_requested
 
     def begin(self) -> None:
-        """Keep the data that the step which begins depends on; only a later request gives the step up."""
+        """Keep the data from which a step begins; only a stop that is requested later gives this step up."""
         if self._has_stopped:
             self._simulation.solver.load_state_dict(*self._kept["solver"])
         self._has_stopped = False
         self._kept, self._is_armed = self.parts(), not self._simulation.stop_requested
 
     def parts(self) -> dict[str, KeptPart]:
-        """Numbers and arrays of the solver and of the stepper that a restart from here needs, by part."""
+        """Numbers and arrays of the solver and of the stepper, by part, that a restart from the present state
+        needs."""
         if self._has_stopped:
             return self._kept
         simulation = self._simulation

@@ -98,7 +98,7 @@ class Momentum:
         return dict(zip([*self._names("momentum"), SIZE], parts, strict=True))
 
     def foreign(self, names: Iterable[str]) -> list[str]:
-        """Columns of an earlier part of the run with impulses that this part does not have."""
+        """Columns of the impulses that an earlier part of the run has and this part lacks."""
         names = set(names)
         return [name for quantity in self._others(names) for name in self._names(quantity) if name in names]
 

@@ -1,4 +1,4 @@
-"""Passive fields: the flow carries them, by the run's own time scheme, and they have no effect on it.
+"""Passive fields, which the flow carries by the run's own time scheme, and which have no effect on the flow.
 
 | name          | equation                                              | start |
 |---------------|-------------------------------------------------------|-------|
@@ -236,8 +236,8 @@ class _Carrier:
     def carry(self, old: np.ndarray, source: CoefficientFunction | None) -> tuple[np.ndarray, bool]:
         """Coefficients of the field after a step from ``old``, with the form's present matrix.
 
-        Returns the coefficients, and whether the linear system is solved.  If it is not, the coefficients are
-        the last iterate, or ``old`` if the iterate is no number.
+        Returns the coefficients, and whether the linear system is solved.  If the system is not solved, the
+        coefficients are the last iterate, or ``old`` if the iterate is no number.
         """
         is_solved = True
         form, solution = self.form, self._solution

@@ -12,14 +12,7 @@ from typing import Any, Protocol, cast
 
 from ngsolve import Mesh
 
-from ngvisco.errors import (
-    MeshError,
-    ParameterError,
-    StepError,
-    as_number,
-    as_numbers,
-    require_type,
-)
+from ngvisco.errors import MeshError, ParameterError, StepError, as_number, as_numbers, require_type
 from ngvisco.forms.boundary.walls import Conditions
 from ngvisco.forms.spaces import Discretisation
 from ngvisco.forms.start.data_checks import warn_of_corners
@@ -135,8 +128,8 @@ class Simulation(RunState):
         time = time_steps(time, steps)
         check_arguments(observers, walls, passive, sources, terms)
         if model.heat is not None and model.heat.numerical_heating and time.made.A != ((1.0,),):
-            expected = f"False for {time.made.name!r}: at a point only that of backward Euler is known"
-            raise ParameterError("Heat.numerical_heating", True, expected)
+            expected = f" for {time.made.name!r}: at a point only that of backward Euler is known"
+            raise ParameterError("Heat.numerical_heating", True, False, expected)
         ranks = Communicator.world() if mesh.comm.size == 1 else Communicator.of(mesh)
         require_petsc(ranks)
         mesh = distributed(mesh, ranks) if mesh.comm.size == 1 else mesh

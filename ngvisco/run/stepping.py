@@ -85,11 +85,12 @@ class TimeSteps:
     relaxation : bool
         Whether each step ends where the scheme dissipates nothing; needs midpoint and [time.adaptive].
     limiter : bool
-        Whether a cell in which rho, J, det F, ... are positive in the mean but not at each point is scaled
-        towards its means after a step, with the energy in the ledger's column limiter; false ends the run.
+        Whether a limiter scales a cell towards its means after a step if rho, J, det F, ... are positive in
+        the mean but not at each point. The ledger's column limiter has the energy that it takes. With false
+        such a cell ends the run.
     drift : float
         Largest |det F/J - 1| in the mean of a cell, for a tensor and a volume that are carried separately; a
-        step with more is refused.  Take a larger one to go on where a body is torn at a corner.
+        step with more is refused.  A larger bound lets a run go on where a body is torn at a corner.
     halvings : int
         Number of halvings of a step of fixed length that is not solved, before solver.method = "auto" turns
         to the other solver; with 0 at once.  The other solver takes the next 16 steps, and then the first one
@@ -126,13 +127,13 @@ class TimeSteps:
         constant = abs(scheme.error_constant) * math.factorial(scheme.order + 1)
         if tolerance is not None and constant < LEAST_CONSTANT:
             expected = (
-                f"None with this scheme, whose local error is not that of its order {scheme.order}: "
+                f" with this scheme, whose local error is not that of its order {scheme.order}: "
                 f"its error constant is {scheme.error_constant:.1e}"
             )
-            raise ParameterError("AdaptiveSteps.tolerance", tolerance, expected)
+            raise ParameterError("AdaptiveSteps.tolerance", tolerance, None, expected)
         if self.relaxation and (self.adaptive is None or scheme.A != midpoint().A):
-            expected = "False, or the scheme 'midpoint' with adaptive steps"
-            raise ParameterError("TimeSteps.relaxation", self.relaxation, expected)
+            expected = ", or the scheme 'midpoint' with adaptive steps"
+            raise ParameterError("TimeSteps.relaxation", self.relaxation, False, expected)
 
     def stepper(self) -> FixedStepper | AdaptiveStepper:
         """A new object that takes these steps."""
@@ -163,7 +164,9 @@ def time_steps(time: TimeSteps | None, keywords: Mapping[str, Any]) -> TimeSteps
         return TimeSteps(**{"dt": None, **keywords})
     require_type("Simulation.time", time, TimeSteps)
     if keywords:
-        raise ParameterError("Simulation.time", time, f"None beside {', '.join(keywords)}, parameters of it")
+        raise ParameterError(
+            "Simulation.time", time, None, f" beside {', '.join(keywords)}, parameters of it"
+        )
     return time
 
 

@@ -359,7 +359,7 @@ class Integrator:
             except ValueError as error:
                 message = (
                     "no end of the relaxed step is without numerical dissipation, as where a wall's velocity "
-                    "or a load has a kink: take smaller steps, or relaxation = False"
+                    "or a load has a kink: take smaller steps, or no relaxation"
                 )
                 raise StepError(message) from error
             if share is not None and abs(omega - share) <= noise / distance:

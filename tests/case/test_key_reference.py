@@ -200,6 +200,8 @@ def test_what_a_template_offers_is_admitted():
         ("creep_rate", ["the field creep_rate is Pi, 3x3"]),
         ("hyperstress_2", ["|hess v|^{p-2}) d_j d_k v_i"]),
         ("initial.F", ["three rows of three numbers"]),
+        ("bodies.1.material.material.K_e", ["material.K_e\n"]),
+        ("material.branches.slow.creep.rules.0.G_m", ["rheology.creep.G_m\n"]),
     ],
 )
 def test_explain_says_what_a_key_is(path, words):

@@ -11,6 +11,7 @@ from support import faults
 import ngvisco as nv
 from ngvisco.case.build import parse_case
 from ngvisco.case.faults import CaseError, in_case
+from ngvisco.words import FUNCTION, Mention, Words, call
 
 pytestmark = [
     pytest.mark.filterwarnings("ignore:bodies .* meet with different stresses"),
@@ -139,6 +140,8 @@ ONE | maxh = 0.5 -> maxh = 0.5; adapt = { field = "J", every = 0.03 } | domain.a
 ONE | maxh = 0.5 -> maxh = 0.5; adapt = { field = "J", every = 0.02, levels = 9 } | a whole number from 1 to 8
 ONE | until = 0.04 -> until = 0.04; relaxation = true | time.relaxation: true: expected false, or the scheme
 ONE | + [output.vtk]; fields = ["G"] | unknown field 'G' (known: F, J, cauchy_stress, density
+ONE | + [output.vtk]; fields = ["None"] | unknown field 'None'
+ONE | + [walls."Slip(True)"]; kind = "Slip" | unknown boundary 'Slip(True)'
 ONE | + [[output.integrals]]; name = "a"; of = "G"
   | density, F_11 ... F_33, J, cauchy_stress_11 ... cauchy_stress_33, pressure
 # what hung
@@ -157,22 +160,49 @@ def test_nonsense_is_refused_where_it_stands(text, message):
         case = parse_case(text, "case.toml", Path("."))
         case.simulation(case.mesh())
     assert message in str(caught.value)
-    assert not re.search(r" object at 0x|nv\.|\b[A-Z][a-z]\w*[(.]", str(caught.value))
+    said = str(caught.value).replace("Slip(True)", "")  # the name of a wall
+    assert not re.search(r" object at 0x|nv\.|\b[A-Z][a-z]\w*[(.]", said)
 
 
 @pytest.mark.parametrize(
-    ("said", "meant"),
+    ("parts", "in_python", "in_a_case"),
     [
-        ("Take Discretisation(k=1, m=0), or", "Take discretisation.k = 1, discretisation.m = 0, or"),
-        ("is nv.Inflow(velocity=...)", 'is walls.NAME.kind = "Inflow"'),
-        ("by Slip(straight=True)", 'by walls.NAME.kind = "Slip", walls.NAME.straight = true'),
-        ("a 3x3 coefficient function", "a 3x3 expression"),
-        ("walls['top'].f: Initial.F, Model(heat=...)", "walls.top.f: initial.F, rheology"),
-        ("Model(creep=None): U(J), Poisson(x)", "rheology.creep = nothing: U(J), Poisson(x)"),
+        (
+            ("Take ", call("Discretisation", k=1, m=0), ", or"),
+            "Take nv.Discretisation(k=1, m=0), or",
+            "Take discretisation.k = 1, discretisation.m = 0, or",
+        ),
+        (
+            ("is ", call("Inflow", velocity=...)),
+            "is nv.Inflow(velocity=...)",
+            'is walls.NAME.kind = "Inflow"',
+        ),
+        (
+            ("by ", call("Slip", straight=True)),
+            "by nv.Slip(straight=True)",
+            'by walls.NAME.kind = "Slip", walls.NAME.straight = true',
+        ),
+        ((call("Thermal", material=...), " has"), "nv.Thermal(material=...) has", "material.thermal has"),
+        (("a 3x3 ", FUNCTION), "a 3x3 coefficient function", "a 3x3 expression"),
+        (
+            (Mention("walls['top'].f"), ": ", Mention("Initial.F")),
+            "walls['top'].f: Initial.F",
+            "walls.top.f: initial.F",
+        ),
+        (
+            (Mention("Model.heat"), " or ", Mention("Model.bodies")),
+            "Model.heat or Model.bodies",
+            "rheology.heat or bodies",
+        ),
+        ((None, ", ", True, " or ", False), "None, True or False", "nothing, true or false"),
+        ((Words(None, " with "), Words("bodies")), "None with bodies", "nothing with bodies"),
+        (("None of U(J), Poisson(x)",), "None of U(J), Poisson(x)", "None of U(J), Poisson(x)"),
     ],
 )
-def test_what_is_said_of_python_is_meant_of_keys(said, meant):
-    assert in_case(said) == meant
+def test_names_of_python_in_a_message_are_keys_in_a_case(parts, in_python, in_a_case):
+    assert Words(*parts) == in_python
+    assert in_case(nv.InputWarning(Words(*parts))) == in_case(Words(*parts)) == in_a_case
+    assert in_case(nv.ParameterError("Initial.F", 1, *parts)) == f"initial.F = 1: expected {in_a_case}"
 
 
 def test_a_pipe_is_no_case_file(tmp_path):

@@ -9,7 +9,7 @@ import pytest
 import ngvisco as nv
 from ngvisco.case.build import parse_case
 from ngvisco.case.reference import entries
-from ngvisco.case.units import SI, UnitError, converted, factor, seconds
+from ngvisco.case.units import SI, Converter, UnitError, converted, factor
 
 CASE = """\
 [units]
@@ -206,11 +206,12 @@ def test_expressions_with_signs_like_units_stay_expressions():
 
 
 def test_a_time_of_the_command_line_is_in_seconds_or_has_its_unit():
-    assert seconds("12.5") == 12.5 and seconds("2 min") == 120
-    assert seconds("140 kyr") == pytest.approx(140e3 * 365.25 * 86400)
-    for text in ("soon", "2 m", "1 kyr 3"):
+    number = Converter(None).number
+    assert number("12.5", "s") == 12.5 and number("2 min", "s") == 120
+    assert number("140 kyr", "s") == pytest.approx(140e3 * 365.25 * 86400)
+    for text in ("soon", "2 m", "1 kyr 3", "1 inf"):
         with pytest.raises(UnitError):
-            seconds(text)
+            number(text, "s")
 
 
 def test_velocities_without_a_unit_beside_lengths_and_times_with_one_are_said():

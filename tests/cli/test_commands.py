@@ -125,7 +125,7 @@ def test_check_counts_steps_that_a_run_chooses_by_the_longest_one(case_file, cap
     for pattern in (
         r"adaptive steps to t = 1 s, the first 1e-06 s long; at least 20, if all have dt_max = 0.05 s",
         r"scales +domain 1 to 2 m",
-        r"in all, and .* for each file of fields, if all steps were of dt_max; those taken are .* s long",
+        r"in all, and .* for each file of fields, if all steps had the length dt_max; the present length is ",
     ):
         assert re.search(pattern, printed), pattern
     each, whole, unit = re.search(r"estimate +(\S+) s a step, (\S+) (s|min) in all", printed).groups()
@@ -217,7 +217,7 @@ def test_progress_bar_says_why_a_step_was_rejected_and_what_was_limited(capsys):
         (("resume", "EMPTY"), "not a run directory"),
         (
             ("resume", "RUN", "--until", "soon"),
-            "'soon' is no time: a number of seconds, or one with its unit",
+            "'soon' is no number, nor a number with its unit",
         ),
         (("resume", "RUN", "--until", "nan"), "--until = 'nan'"),
         (("resume", "RUN", "--until", "0.04"), "has already reached t = 0.08 s"),

@@ -216,7 +216,7 @@ class ByVelocity(Relaxation):
     [
         (Half(), "it lacks energy, slope"),
         (Misnamed(), "'kinetic' or 'stored'"),
-        (ByVelocity(), "ByVelocity: its slope asks for the change of v"),
+        (ByVelocity(), "ByVelocity: its slope reads the change of v"),
     ],
 )
 def test_a_share_of_the_energy_that_would_be_lost_is_refused(term, said):

@@ -69,7 +69,7 @@ def test_both_solvers_give_one_answer():
 def test_what_needs_second_derivatives_is_refused():
     law = nv.HyperViscosity(mu=0.1, p=4.0)
     model = nv.Model(material=nv.ReferentialNeoHookean(K_e=K, G_e=G), hyperviscosity=law)
-    with pytest.raises(ParameterError, match=r"hyperviscosity.*None with Discretisation\(k=1\)"):
+    with pytest.raises(ParameterError, match=r"hyperviscosity.*None with nv\.Discretisation\(k=1\)"):
         nv.Simulation(structured_box((1.0, 1.0), (2, 2)), model, dt=0.1, discretisation=LOWEST)
 
 

@@ -14,6 +14,7 @@ from ngvisco.parallel.communicator import Communicator
 from ngvisco.physics.loads import CentralGravity, Gravity
 from ngvisco.physics.model import Model
 from ngvisco.physics.walls import Slip
+from ngvisco.words import call
 
 
 def require_symmetry(symmetry: Symmetry, walls: Walls, model: Model, terms: Iterable[PointTerm]) -> None:
@@ -43,8 +44,8 @@ def require_symmetry(symmetry: Symmetry, walls: Walls, model: Model, terms: Iter
     for name in axis_of(walls, ON_AXIS * symmetry.largest_radius):
         wall = walls.conditions[name]
         if not isinstance(wall, Slip) or wall.heat is not None:
-            expected = "Slip() without heat: the wall is the axis of an axisymmetric body"
-            raise ParameterError(f"walls[{name!r}]", wall, expected)
+            expected = " without heat: the wall is the axis of an axisymmetric body"
+            raise ParameterError(f"walls[{name!r}]", wall, call("Slip"), expected)
 
 
 def axis_of(walls: Walls, near: float) -> list[str]:

@@ -42,6 +42,7 @@ from ngvisco.forms.mesh.mesh_arrays import (
     periodic_facets,
 )
 from ngvisco.parallel.communicator import Communicator
+from ngvisco.words import Words, call
 
 _PARALLEL = 1e-10
 _FLAT = 1e-4  # rad: angle of facets in one plane with rounded coordinates
@@ -164,13 +165,14 @@ def require_curved_cells(mesh: Mesh, walls: Mapping[str, Region]) -> None:
     """
     for name, region in walls.items():
         if angle := bend(mesh, region):
-            raise MeshError(
+            message = (
                 f"wall {name!r} is bent by {np.rad2deg(angle):.3g} degrees between straight facets, "
                 "like a polygon that stands for a curved wall: there v.n = 0 tends to no slip, however fine "
                 "the mesh; expected curved cells, mesh.Curve(order) on a mesh that knows its geometry (as "
                 "the functions of geometries do). If the wall really is a polyhedron, give its planes "
-                "names of their own, or say so by Slip(straight=True) for it"
+                "names of their own, or say so by "
             )
+            raise MeshError(Words(message, call("Slip", straight=True), " for it"))
 
 
 def bend(mesh: Mesh, wall: Region) -> float:

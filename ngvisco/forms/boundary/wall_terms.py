@@ -51,6 +51,7 @@ from ngvisco.physics.materials.thermal import entropy_in
 from ngvisco.physics.model import Model
 from ngvisco.physics.tensors import dev, if_positive, inner
 from ngvisco.physics.walls import NavierFriction, Open, Passage, PrescribedNormal, Traction
+from ngvisco.words import Mention, Words
 
 HELD_BY_WALLS = "walls"
 """Name, in the ledger, of the impulse of all walls that hold v or its normal part."""
@@ -397,8 +398,8 @@ def passages_of(walls: Walls, model: Model) -> tuple[Carried, ...]:
     """
     if walls.crossed and (reason := _not_known(model)) is not None:
         name = walls.crossed[0]
-        expected = f"a wall that nothing crosses: {reason}"
-        raise ParameterError(f"walls[{name!r}]", walls.conditions[name], expected)
+        expected = ("a wall that nothing crosses: ", reason)
+        raise ParameterError(f"walls[{name!r}]", walls.conditions[name], *expected)
     return tuple(Carried(walls, name, model) for name in walls.crossed)
 
 
@@ -417,11 +418,12 @@ def wall_terms(
     )
 
 
-def _not_known(model: Model) -> str | None:
+def _not_known(model: Model) -> Words | None:
     """Reason why nothing can cross a wall with this model, or None."""
     law = model.regularisation
     if law is not None and law.rho_max is not None:
-        return "a cut-off density has fluxes of its own (Regularisation.rho_max)"
+        return Words("a cut-off density has fluxes of its own (", Mention("Regularisation.rho_max"), ")")
     if law is not None and (law.delta_density or law.delta_fields):
-        return "what diffuses through it is not known (Regularisation.delta_fields, delta_density)"
+        law_name = Mention("Regularisation.delta_fields")
+        return Words("what diffuses through it is not known (", law_name, ", delta_density)")
     return None

@@ -56,6 +56,7 @@ from ngvisco.physics.loads import as_vector
 from ngvisco.physics.signals import may_read_time
 from ngvisco.physics.tensors import inner
 from ngvisco.physics.walls import NoSlip, Passage, PrescribedNormal, Slip, Traction, Wall
+from ngvisco.words import call
 
 OPEN = 1e-3  # |V.n|^2/|V|^2 that an approximate geometry may leave in a tangential velocity
 
@@ -106,8 +107,8 @@ class Walls:
         require_curved_cells(mesh, {name: self.region([name]) for name in curved})
         for name in declared:
             if not bend(mesh, self.region([name])):
-                expected = "False: the wall is not bent by small angles between straight facets"
-                raise ParameterError(f"walls[{name!r}].straight", True, expected)
+                expected = ": the wall is not bent by small angles between straight facets"
+                raise ParameterError(f"walls[{name!r}].straight", True, False, expected)
         for name, wall in self.conditions.items():
             if wall.moves:
                 velocity_of(wall, mesh.dim, f"walls[{name!r}]")
@@ -267,10 +268,9 @@ class MovingWalls:
             normal_part = Integrate(normal * normal, mesh, BND, definedon=region)
             if not normal_part <= OPEN * size:
                 sizes = f"normal part {normal_part**0.5:.3g} of {size**0.5:.3g} in L2"
-                expected = (
-                    "a tangential velocity: nothing crosses such a wall; an inlet is nv.Inflow(velocity=...)"
-                )
-                raise ParameterError(f"walls[{name!r}].velocity", sizes, expected)
+                expected = "a tangential velocity: nothing crosses such a wall; an inlet is "
+                inlet = call("Inflow", velocity=...)
+                raise ParameterError(f"walls[{name!r}].velocity", sizes, expected, inlet)
             velocity = velocity - normal * n
         self._values.vec[:] = 0.0
         if self.layout.periodic:

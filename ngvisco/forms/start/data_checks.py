@@ -57,14 +57,15 @@ from ngvisco.physics.signals import time
 from ngvisco.physics.tensors import square, tr
 from ngvisco.physics.variables import Distortion
 from ngvisco.physics.walls import PrescribedNormal, Traction
+from ngvisco.words import Mention, Words, call
 
 _FLAT = 1e-12  # |a.n|^2/|a|^2 on axis-parallel walls, whose normals are exact
 _ROUNDING = 1e-20  # share of the mean of |a|^2 in the domain: sin(pi x) at x = 1 is 1e-16
 _MATCH = 1e-8
 _DEGREE = 6  # of the rule whose points on walls are checked
 _STIFFER = 10.0
-"""Ratio of bulk moduli above which a run warns.  At a ratio of 20 steps have to be divided
-(``demos/collision``); from 5 on the compliance may be negative with overshoots of a quarter."""
+"""Ratio of bulk moduli above which a run warns.  Steps have to be divided at a ratio of 20
+(``demos/collision``). From a ratio of 5 on, overshoots of a quarter may make the compliance negative."""
 
 _SIGNS = {
     "velocity": "",
@@ -213,8 +214,8 @@ def _warn_of_branches(branches: Mapping[str, Material], dim: int) -> None:
     for name, material in branches.items():
         report = check_convexity(material, dim=dim, warn=False)
         if not report.passed:
-            text = f"Network.branches[{name!r}]: the stored energy of this branch alone is {report}"
-            warnings.warn(text, ConvexityWarning, stacklevel=2)
+            text = f": the stored energy of this branch alone is {report}"
+            warnings.warn(Words(Mention(f"Network.branches[{name!r}]"), text), ConvexityWarning, stacklevel=2)
 
 
 def warn_of_doubts(
@@ -242,9 +243,10 @@ def _normal_parts(step: Step, velocity: VectorLike | None) -> Iterator[str]:
         if isinstance(wall, Traction):
             share = _normal_share(step, name, as_vector(wall.f, dim, "Traction.f"))
         if share > 0:
-            yield (
-                f"walls[{name!r}].f: {share:.0%} of the traction (in L2) is normal to the wall; walls "
-                "are impenetrable: this part has no power and is left out, only the tangential part acts"
+            yield Words(
+                Mention(f"walls[{name!r}].f"),
+                f": {share:.0%} of the traction (in L2) is normal to the wall; walls are impenetrable: "
+                "this part has no power and is left out, only the tangential part acts",
             )
     if velocity is None:
         return
@@ -283,9 +285,11 @@ def _heat_at_walls(step: Step) -> Iterator[str]:
         heat = wall.heat
         comes_in = heat is not None and (heat.flux is not None or heat.temperature is not None)
         if comes_in and not step.model.heat_law.conducts:
-            yield (
-                f"walls[{name!r}].heat: nothing conducts what comes in: it heats the cells beside the wall, "
-                "the more the smaller they are; give a conductivity, Heat.conductivity"
+            yield Words(
+                Mention(f"walls[{name!r}].heat"),
+                ": nothing conducts what comes in: it heats the cells beside the wall, "
+                "the more the smaller they are; give a conductivity, ",
+                Mention("Heat.conductivity"),
             )
 
 
@@ -304,8 +308,8 @@ def _mismatches(step: Step, sampler: Sampler, values: Given) -> Iterator[str]:
         if worst > _MATCH**2 * scale:
             place = ", ".join(f"{c:.4g}" for c in sampler.place_of_largest(gap))
             yield (
-                f"initial values: {variable.name} is not that of {distortion.name} (they differ by up to "
-                f"{worst**0.5:.3g}, at ({place}) m); both are transported as they are given, as "
+                f"initial values: {variable.name} does not follow from {distortion.name} (they differ by up "
+                f"to {worst**0.5:.3g}, at ({place}) m); both are transported as they are given, as "
                 "variables of their own"
             )
 
@@ -328,12 +332,14 @@ def _moduli(step: Step) -> Iterator[str]:
     if isinstance(material, Mixture) and m and not material.has_one_volume:
         (soft, least), *_, (stiff, most) = sorted(material.stiffnesses.items(), key=lambda item: item[1])
         if most > _STIFFER * least:
-            yield (
+            yield Words(
                 f"bodies {stiff!r} and {soft!r} have bulk moduli of {most:.4g} and {least:.4g} Pa: where "
                 f"polynomials of order m = {m} have less than nothing of {soft!r} there may be no common "
-                "pressure, and steps are divided. Take Discretisation(k=1, m=0), in the plane on crossed "
+                "pressure, and steps are divided. Take ",
+                call("Discretisation", k=1, m=0),
+                ", in the plane on crossed "
                 "rectangles (structured_box, crossed = true), since other cells of order one lock; or one "
-                "volumetric energy for all where it does not matter"
+                "volumetric energy for all where it does not matter",
             )
 
 

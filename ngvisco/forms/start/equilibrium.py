@@ -262,7 +262,7 @@ def require_open(step: Step, F: object, given: Mapping[str, object]) -> None:
     if not step.model.loads:
         raise ParameterError("Initial.equilibrium", "hydrostatic", "loads to be borne, such as Gravity")
     if F is not None:
-        raise ParameterError("Initial.F", F, "None beside an equilibrium, from which it follows")
+        raise ParameterError("Initial.F", F, None, " beside an equilibrium, from which it follows")
     for v in step.model.material.variables:
         if v.is_strain and v.name in given:
             expected = "no value beside an equilibrium, from which it follows"

@@ -108,7 +108,7 @@ class Initial:
             raise ParameterError("Initial.datum", self.datum, "the name of a wall; a point is datum_point")
         require_fields(self)
         if self.datum is not None and self.datum_point is not None:
-            raise ParameterError("Initial.datum_point", self.datum_point, "None beside a wall as datum")
+            raise ParameterError("Initial.datum_point", self.datum_point, None, " beside a wall as datum")
         without = {"datum": None, "datum_point": None, "datum_pressure": 0.0}
         for name, value in without.items() if self.equilibrium is None else ():
             if getattr(self, name) != value:
@@ -264,8 +264,8 @@ def _at_rest(
     material = step.model.material
     require_open(step, initial.F, initial.values)
     if initial.density is not None and material.referential_density is not None:
-        expected = "None beside an equilibrium: it is rho_R/J"
-        raise ParameterError("Initial.density", initial.density, expected)
+        expected = (None, " beside an equilibrium: it is rho_R/J")
+        raise ParameterError("Initial.density", initial.density, *expected)
     density = None
     if initial.density is not None:
         density = as_shape("Initial.density", initial.density, ())
@@ -286,7 +286,7 @@ def _of_bodies(
     if not isinstance(material, Mixture):
         return {}
     if initial.density is not None:
-        raise ParameterError("Initial.density", initial.density, "None with bodies, which have theirs")
+        raise ParameterError("Initial.density", initial.density, None, " with bodies, which have theirs")
     for name in sorted(set(initial.values) & {AMOUNT + name for name in shares}):
         raise ParameterError("Initial.values", name, "places of the bodies, not amounts")
     return {name: v for name, v in material.filled(shares, distortions).items() if name not in initial.values}

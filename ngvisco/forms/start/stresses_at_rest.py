@@ -2,7 +2,7 @@
 
 An energy per actual volume has the stress phi(I) I at rest, in addition to its derivatives' stress: a
 ``NeoHookean`` body is under tension at rest, a ``BarotropicFluid`` under pressure.  A body alone in its box
-does not feel it; a drop in another body, and a body between open walls, move from the first step on.
+does not feel this stress; a drop in another body, and a body between open walls, move from the first step on.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from ngvisco.forms.system import Step
 from ngvisco.physics.material import Material, cauchy_stress, rest_stress_and_modulus
 from ngvisco.physics.mixture import Mixture
 from ngvisco.physics.walls import Open
+from ngvisco.words import Mention, Words
 
 _ROUNDING = 1e-9
 """Share of the stiffness below which a stress is rounding."""
@@ -34,10 +35,14 @@ def where_bodies_meet(step: Step) -> Iterator[str]:
     if stresses and max(stresses.values()) - min(stresses.values()) > rounding:
         names = ", ".join(repr(name) for name in stresses)
         values = ", ".join(f"{stress:.4g} Pa" for stress in stresses.values())
-        yield (
+        yield Words(
             f"bodies {names} meet with different stresses at rest, T(I) = {values} (mean normal stress): "
             f"they move from the first step on until they balance. {_REMEDY}"
-            "or start where the stresses agree (Initial.F, or Initial.values of J)"
+            "or start where the stresses agree (",
+            Mention("Initial.F"),
+            ", or ",
+            Mention("Initial.values"),
+            " of J)",
         )
 
 

@@ -33,9 +33,10 @@ from ngvisco.forms.term import (
 )
 from ngvisco.forms.terms.fluxes import Flux, component
 from ngvisco.physics.heat import HeatLaw, WallHeat
-from ngvisco.physics.materials.thermal import Entropy, entropy_in
+from ngvisco.physics.materials.thermal import NO_TEMPERATURE, Entropy, entropy_in
 from ngvisco.physics.model import Model
 from ngvisco.physics.tensors import inner, square
+from ngvisco.words import call
 
 
 class _OfEntropy(PointTerm):
@@ -91,8 +92,11 @@ class Heating(_OfEntropy):
         dissipated = dissipations(u, self, "facets") if self._to_walls else {}
         for name, share in self._to_walls.items():
             if (friction := dissipated.get(f"dissipation_friction_{name}")) is None:
-                expected = "1 on a wall without friction, as NavierFriction or Traction(friction=...) have"
-                raise ParameterError(f"walls[{name!r}].heat.friction_share", 1 - share, expected)
+                expected = (
+                    "1 on a wall without friction, as NavierFriction or ",
+                    call("Traction", friction=...),
+                )
+                raise ParameterError(f"walls[{name!r}].heat.friction_share", 1 - share, *expected, " have")
             powers[f"power_heat_friction_{name}"] = -share * friction
         return powers
 
@@ -215,8 +219,7 @@ def heat_terms(model: Model, walls: Walls) -> list[Term]:
     if entropy is None:
         for name, wall in walls.conditions.items():
             if wall.heat is not None:
-                expected = "None for a material without a temperature; nv.Thermal(material=...) gives it one"
-                raise ParameterError(f"walls[{name!r}].heat", wall.heat, expected)
+                raise ParameterError(f"walls[{name!r}].heat", wall.heat, NO_TEMPERATURE)
         return []
     law = model.heat_law
     heats = ((name, wall.heat) for name, wall in walls.conditions.items() if wall.heat is not None)

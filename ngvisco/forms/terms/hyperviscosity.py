@@ -40,6 +40,7 @@ from ngvisco.forms.unknown import Setting, Unknown
 from ngvisco.forms.unknown_values import hessian_basis
 from ngvisco.physics.rheology import HyperViscosity
 from ngvisco.physics.tensors import inner, square
+from ngvisco.words import call
 
 
 @dataclass(frozen=True)
@@ -53,8 +54,13 @@ class Hyperviscosity(PointTerm):
     def unknowns(self, setting: Setting) -> tuple[Unknown, ...]:
         k, dim = setting.k, setting.dim
         if k < 2:
-            expected = "None with Discretisation(k=1), whose velocity is linear in cells; or k = 2"
-            raise ParameterError("Model.hyperviscosity", self.law, expected)
+            expected = (
+                None,
+                " with ",
+                call("Discretisation", k=1),
+                ", whose velocity is linear in cells; or k = 2",
+            )
+            raise ParameterError("Model.hyperviscosity", self.law, *expected)
         tensors = dim * hessian_basis(dim).shape[1]
         unknowns = [Unknown("hess", "cells", k - 2, tensors), Unknown("hyperstress", "cells", k - 2, tensors)]
         if not self.law.is_linear:

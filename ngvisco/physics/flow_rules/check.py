@@ -18,6 +18,7 @@ from ngvisco.physics.pointwise import rest_state
 from ngvisco.physics.rheology import Viscosity
 from ngvisco.physics.tensors import trace_free_tensors
 from ngvisco.physics.variables import CONFORMATION, HARDENING, INTERFACE, PRESSURE, TEMPERATURE, Values
+from ngvisco.words import call
 
 _SIZES = 10.0 ** np.arange(-9, 13)
 """Sizes |M|, Pa, of the samples; the scale of a rule is not known."""
@@ -50,9 +51,9 @@ def _readable(name: str, law: FlowRule | Viscosity, material: Material) -> dict[
     if TEMPERATURE in law.reads and entropy_in(material) is None:
         expected = (
             "a number, a function of the initial place or an expression: the material has no temperature; "
-            "nv.Thermal(material=...) gives it one"
         )
-        raise ParameterError(f"{name}.temperature", None, expected)
+        remedy = (call("Thermal", material=...), " gives it one")
+        raise ParameterError(f"{name}.temperature", None, expected, *remedy)
     return z
 
 

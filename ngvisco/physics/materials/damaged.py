@@ -31,6 +31,7 @@ from ngvisco.physics.parameters import Parameter, expressions_in, parameters_in
 from ngvisco.physics.pointwise import energies_at, rest_state
 from ngvisco.physics.tensors import IDENTITY, Tensor, identity_like, if_positive, log, sph, square, tr
 from ngvisco.physics.variables import Jacobian, LogJacobian, ReciprocalJacobian, SmallStrain, Values, Variable
+from ngvisco.words import Words, call
 
 
 @dataclass(frozen=True)
@@ -169,7 +170,9 @@ class Damaged(Wrapper):
         if part_of(self.material, Damaged) is not None:
             expected = "a material without damage"
         elif entropy_in(self.material) is not None:
-            expected = "a material without heat; nv.Thermal(material=nv.Damaged(...)) has both"
+            expected = Words(
+                "a material without heat, which goes around this one: ", call("Thermal", material=...)
+            )
         elif self.material.response(3) is not None:
             expected = "a material whose energy is an expression, not that of a Yosida approximation"
         elif any(parameter.name == DAMAGE.name for parameter in parameters_in((self.material,))):
@@ -184,7 +187,7 @@ class Damaged(Wrapper):
         if self.breaking is None:
             return
         if not isinstance(self.material, Network):
-            raise ParameterError("Damaged.breaking", self.breaking, "None: the material has no branches")
+            raise ParameterError("Damaged.breaking", self.breaking, None, ": the material has no branches")
         object.__setattr__(self, "breaking", tuple(require_some_names("Damaged.breaking", self.breaking)))
         for name in self.breaking:
             if name not in self.material.parts:

@@ -23,6 +23,7 @@ from ngvisco.physics.material import ElasticState, Material, check_material, par
 from ngvisco.physics.parameters import Parameter, distinct
 from ngvisco.physics.tensors import Tensor
 from ngvisco.physics.variables import SmallStrain, Values, Variable
+from ngvisco.words import Words, call
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -252,7 +253,8 @@ def _faults(branch: Branch) -> Iterator[tuple[str, str]]:
     if part_of(material, Network) is not None:
         yield "material", "a material without branches: make its branches branches of this network"
     if any(v.is_conserved for v in material.variables) or material.lagged:
-        yield "material", "a material without heat and damage, which wrap the network: Thermal(material=...)"
+        expected = "a material without heat and damage, which wrap the network: "
+        yield "material", Words(expected, call("Thermal", material=...))
     if material.response(3) is not None:
         yield "material", "a material whose energy is an expression; Yosida goes around the network"
     if rule is None:

@@ -42,6 +42,7 @@ from ngvisco.physics.variables import (
     Values,
     Variable,
 )
+from ngvisco.words import Words, call
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -264,10 +265,11 @@ class ReferenceEnergy(Material):
         volume = self.states(3).slices["J"].start
         coupled = abs(hessian[:, volume] * tensors).max(initial=0.0)
         if not len(hessian) or not coupled <= _ROUNDING * abs(hessian).max():
-            expected = (
+            expected: str = Words(
                 "an energy f(B) + U(J) per reference volume: one per actual volume is not convex there; "
-                "IsochoricNeoHookean, ReferentialNeoHookean, ReferentialMooneyRivlin, "
-                'PerReferentialVolume(material=...) by elastic_state="B" have it'
+                "IsochoricNeoHookean, ReferentialNeoHookean, ReferentialMooneyRivlin, ",
+                call("PerReferentialVolume", material=...),
+                ' by elastic_state="B" have it',
             )
             raise ParameterError(self.owner, self.material, expected)
         if not (hessian[:, volume, volume] > 0).all() and not self.is_gas:

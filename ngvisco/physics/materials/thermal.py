@@ -35,6 +35,7 @@ from ngvisco.physics.parameters import Modulus, substituted
 from ngvisco.physics.signals import sampled
 from ngvisco.physics.tensors import Tensor, exp, log, tr
 from ngvisco.physics.variables import ReciprocalJacobian, Values, Variable
+from ngvisco.words import Words, call
 
 
 @dataclass(frozen=True)
@@ -62,6 +63,12 @@ class Entropy(Variable):
     def from_distortion(self, F: Tensor) -> Tensor:
         """Zero; ``Initial.temperature`` gives the initial entropy."""
         return CF(0.0)
+
+
+NO_TEMPERATURE = Words(
+    None, " for a material without a temperature; ", call("Thermal", material=...), " gives it one"
+)
+"""Values of a parameter of heat that a material without an entropy admits, for messages."""
 
 
 def entropy_in(material: Material) -> Entropy | None:
@@ -125,10 +132,10 @@ class Thermal(Material):
         super().__post_init__()
         material, Gamma = self.material, self.gruneisen or 0.0
         if material is None and self.expansion is not None:
-            expected = "None without a material: a gas has its pressure by gruneisen, > 0"
-            raise ParameterError("Thermal.expansion", self.expansion, expected)
+            expected = " without a material: a gas has its pressure by gruneisen, > 0"
+            raise ParameterError("Thermal.expansion", self.expansion, None, expected)
         if self.expansion is not None and self.gruneisen is not None:
-            raise ParameterError("Thermal.gruneisen", self.gruneisen, "None beside an expansion")
+            raise ParameterError("Thermal.gruneisen", self.gruneisen, None, " beside an expansion")
         if material is None and not self.gruneisen:
             expected = "a number > 0, by which a gas has its pressure; else a material that is no gas"
             raise ParameterError("Thermal.gruneisen", self.gruneisen, expected)
@@ -145,21 +152,21 @@ class Thermal(Material):
         if self.expansion and material is not None:
             Gamma = self.expansion * rest_stress_and_modulus(material)[1] / self.c
             if not Gamma > 0:
-                expected = "None, or a material whose bulk modulus at rest is > 0"
-                raise ParameterError("Thermal.expansion", self.expansion, expected)
+                expected = ", or a material whose bulk modulus at rest is > 0"
+                raise ParameterError("Thermal.expansion", self.expansion, None, expected)
         object.__setattr__(self, "_Gamma", Gamma)
 
     def _check_damage(self, material: Material) -> None:
         """Raise ParameterError for a thermal stress that a broken material would keep."""
         if self.gruneisen:
-            expected = "None for a material that breaks, whose thermal stress is by its expansion"
-            raise ParameterError("Thermal.gruneisen", self.gruneisen, expected)
+            expected = " for a material that breaks, whose thermal stress is by its expansion"
+            raise ParameterError("Thermal.gruneisen", self.gruneisen, None, expected)
         if getattr(material, "part", None) != "all":
             expected = (
-                "None for a material of which damage takes the tensile part: its thermal stress would stay; "
-                'nv.Damaged(part="all") takes it'
+                " for a material of which damage takes the tensile part: its thermal stress would stay; "
             )
-            raise ParameterError("Thermal.expansion", self.expansion, expected)
+            remedy = (call("Damaged", part="all"), " takes it")
+            raise ParameterError("Thermal.expansion", self.expansion, None, expected, *remedy)
 
     def with_elastic_state(self, state: ElasticState) -> Self:
         if self.material is None:
