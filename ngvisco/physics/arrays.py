@@ -10,11 +10,12 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
-from functools import lru_cache
 from itertools import count
 from typing import Any, Self, TypeAlias
 
 import numpy as np
+
+from ngvisco.physics.point_products import applied, contracted, cross, product, subscripts
 
 TINY = 1e-30
 """Size of the imaginary increment, as a multiple of the direction."""
@@ -92,7 +93,7 @@ class _Node(ABC):
         """The tensor of ``shape`` whose entries, in row-major order, are ``matrix`` @ these entries."""
         source_shape = self.shape
         return self._mapped(
-            shape, lambda a: _applied(matrix, a, shape), lambda g: _applied(matrix.T, g, source_shape)
+            shape, lambda a: applied(matrix, a, shape), lambda g: applied(matrix.T, g, source_shape)
         )
 
     def masked(self, mask: np.ndarray) -> Self:
@@ -135,6 +136,9 @@ class Array(_Node):
         """Scalars all equal to ``number``."""
         return Array(np.full(self.value.shape[-1], number), None)
 
+    def mapped(self, matrix: np.ndarray, shape: tuple[int, ...]) -> Array:
+        return MappedArray(self, matrix, shape)
+
     @staticmethod
     def constant(value: float | np.ndarray) -> Array:
         """A number or one 3x3 tensor, constant in derivatives."""
@@ -158,12 +162,12 @@ class Array(_Node):
         if isinstance(other, Linear):
             return NotImplemented
         a, b = self, _array(other)
-        left, right, out = _subscripts(a.shape, b.shape)
+        left, right, out = subscripts(a.shape, b.shape)
         return Array(
-            _product(left, right, out, a.value, b.value),
+            product(left, right, out, a.value, b.value),
             [
-                (a, lambda g: _product(out, right, left, g, b.value)),
-                (b, lambda g: _product(out, left, right, g, a.value)),
+                (a, lambda g: product(out, right, left, g, b.value)),
+                (b, lambda g: product(out, left, right, g, a.value)),
             ],
         )
 
@@ -227,12 +231,12 @@ class Array(_Node):
     def cofactor(self) -> Array:
         """The cofactors of 3x3 tensors, (det A) A^-T."""
         self._require_matrix()
-        return Array(0.5 * _cross(self.value, self.value), [(self, lambda g: _cross(self.value, g))])
+        return Array(0.5 * cross(self.value, self.value), [(self, lambda g: cross(self.value, g))])
 
     def determinant(self) -> Array:
         """The determinants of 3x3 tensors."""
         self._require_matrix()
-        cofactor = 0.5 * _cross(self.value, self.value)
+        cofactor = 0.5 * cross(self.value, self.value)
         value = (self.value[0] * cofactor[0]).sum(axis=0)
         return Array(value, [(self, lambda g: g * cofactor)])
 
@@ -243,6 +247,31 @@ class Array(_Node):
             np.where(positive, a.value, b.value),
             [(a, lambda g: np.where(positive, g, 0.0)), (b, lambda g: np.where(positive, 0.0, g))],
         )
+
+
+class MappedArray(Array):
+    """The image of an array under a constant matrix, computed at first access: a trace does without it."""
+
+    __slots__ = ("_made", "_matrix", "_source")
+
+    def __init__(self, source: Array, matrix: np.ndarray, shape: tuple[int, ...]) -> None:
+        self._source, self._matrix, self.shape = source, matrix, shape
+        self._made: np.ndarray | None = None
+        self.is_constant = source.is_constant
+        self.number = 0 if self.is_constant else next(_number)
+        size = source.shape
+        self.parents = () if self.is_constant else [(source, lambda g: applied(matrix.T, g, size))]
+
+    @property
+    def value(self) -> np.ndarray:  # type: ignore[override]
+        """Values at all points, (..., points)."""
+        if self._made is None:
+            self._made = applied(self._matrix, self._source.value, self.shape)
+        return self._made
+
+    def trace(self) -> MappedArray:
+        self._require_matrix()
+        return MappedArray(self._source, self._matrix[:: self.shape[0] + 1].sum(axis=0, keepdims=True), ())
 
 
 class ConstantInCells(Array):
@@ -310,19 +339,19 @@ class Linear(_Node):
 
     def __mul__(self, other: Any) -> Linear:
         b = _array(other)
-        left, right, out = _subscripts(self.shape, b.shape)
+        left, right, out = subscripts(self.shape, b.shape)
         sizes = dict(zip(left + right, self.shape + b.shape, strict=True))
         shape = tuple(sizes[i] for i in out)
-        return Linear(shape, [(self, lambda g: _product(out, right, left, g, b.value))])
+        return Linear(shape, [(self, lambda g: product(out, right, left, g, b.value))])
 
     def __rmul__(self, other: Any) -> Linear:
         a = _array(other)
-        left, right, out = _subscripts(a.shape, self.shape)
+        left, right, out = subscripts(a.shape, self.shape)
         sizes = dict(zip(left + right, a.shape + self.shape, strict=True))
         shape = tuple(sizes[i] for i in out)
         if isinstance(a, ConstantInCells) and self.rank == 1:
             return Linear(shape, [(self, a.transposed_times)])
-        return Linear(shape, [(self, lambda g: _product(out, left, right, g, a.value))])
+        return Linear(shape, [(self, lambda g: product(out, left, right, g, a.value))])
 
     def __truediv__(self, other: Any) -> Linear:
         return self * Array(1 / _divisor(other).value, None)
@@ -333,49 +362,6 @@ class Linear(_Node):
         if b.ndim - 1 != self.rank:
             raise TypeError("the inner product of a scalar and a tensor is not defined")
         return Linear((), [(self, lambda g: b if g is _ONE else g * b)])
-
-
-_PRODUCTS = {
-    (0, 0): ("", "", ""),
-    (0, 1): ("", "i", "i"),
-    (0, 2): ("", "ij", "ij"),
-    (1, 0): ("i", "", "i"),
-    (2, 0): ("ij", "", "ij"),
-    (1, 1): ("k", "k", ""),
-    (2, 1): ("ik", "k", "i"),
-    (2, 2): ("ik", "kj", "ij"),
-}
-"""Subscripts of the two factors and of their product, by the factors' ranks."""
-
-
-def _subscripts(a: tuple[int, ...], b: tuple[int, ...]) -> tuple[str, str, str]:
-    """The subscripts of two factors of the shapes ``a`` and ``b`` and of their product."""
-    if (len(a), len(b)) not in _PRODUCTS or (a and b and a[-1] != b[0]):
-        raise TypeError(f"shapes {a} and {b} have no product")
-    return _PRODUCTS[len(a), len(b)]
-
-
-def _product(left: str, right: str, out: str, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """The sum of a * b over the indices that ``out`` lacks, at every point."""
-    if out in (left, right) and ("" in (left, right) or left == right):
-        return a * b
-    return np.einsum(f"{left}p,{right}p->{out}p", a, b)
-
-
-def _applied(matrix: np.ndarray, value: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    # the matrices embed and select: they have few nonzero entries, and are real even if values are complex
-    entries = value.reshape(matrix.shape[1], -1)
-    result = np.zeros((matrix.shape[0], entries.shape[1]), value.dtype)
-    for i, j, factor in _entries(np.asarray(matrix, dtype=float).tobytes(), matrix.shape[1]):
-        result[i] += entries[j] if factor == 1.0 else factor * entries[j]
-    return result.reshape(*shape, -1)
-
-
-@lru_cache(maxsize=256)
-def _entries(numbers: bytes, width: int) -> list[tuple[int, int, float]]:
-    """Row, column and value of each entry that is not zero in a matrix of ``width`` columns."""
-    matrix = np.frombuffer(numbers).reshape(-1, width)
-    return [(int(i), int(j), float(matrix[i, j])) for i, j in np.argwhere(matrix)]
 
 
 def factors_of_tests(form: Linear) -> dict[str, np.ndarray]:
@@ -416,23 +402,6 @@ def _array(value: Any) -> Array:
     if isinstance(value, np.ndarray) and value.ndim in (1, 2) and value.dtype.kind == "f":
         return Array(value[..., None], None)
     raise TypeError(f"{type(value).__name__} does not combine with arrays")
-
-
-def _cross(A: np.ndarray, B: np.ndarray) -> np.ndarray:
-    """The symmetric bilinear map with _cross(A, A) = 2 Cof A; _cross(A, B) : C is symmetric in A, B, C."""
-    return _minors(A, B) + _minors(B, A)
-
-
-def _minors(A: np.ndarray, B: np.ndarray) -> np.ndarray:
-    """The tensor with the entries A_jJ B_kK - A_jK B_kJ at (i, I), for (i, j, k) and (I, J, K) cyclic."""
-    first, second = (np.roll(np.arange(3), -1), np.roll(np.arange(3), -2))
-    return A[first][:, first] * B[second][:, second] - A[first][:, second] * B[second][:, first]
-
-
-def contracted(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """The sum of a * b over all axes but the last one."""
-    axes = "ij"[: a.ndim - 1]
-    return _product(axes, axes, "", a, b)
 
 
 def _divisor(value: Any) -> Array:

@@ -239,7 +239,6 @@ def where_energy_is(energy: np.ndarray, slope: np.ndarray) -> np.ndarray:
 def energy_and_slope(material: Material, dim: int) -> Both | None:
     """phi(z), (points,), and phi'(z), both by arrays; None if arrays cannot evaluate the energy."""
     states = material.states(dim)
-    parts = [(name, where, states.spaces[name]) for name, where in states.slices.items()]
 
     def both(z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         energy, slope = np.empty(z.shape[1], z.dtype), np.empty_like(z)
@@ -250,14 +249,11 @@ def energy_and_slope(material: Material, dim: int) -> Both | None:
         return energy, slope
 
     def put(z: np.ndarray, result: np.ndarray) -> np.ndarray:
-        values = {}
-        for name, where, space in parts:
-            part = z[where.start] if space.is_scalar else (space.columns @ z[where]).reshape(3, 3, -1)
-            values[name] = Array(part)
-        energy = material.energy(values)
-        slopes = derivatives(energy, list(values.values()))
-        for (_, where, space), g in zip(parts, slopes, strict=True):
-            result[where] = g if space.is_scalar else space.columns.T @ g.reshape(9, -1)
+        spaces, places = states.spaces, states.slices
+        parts = {n: Array(z[where.start if spaces[n].is_scalar else where]) for n, where in places.items()}
+        energy = material.energy({name: spaces[name].tensor(part) for name, part in parts.items()})
+        for where, slope in zip(places.values(), derivatives(energy, list(parts.values())), strict=True):
+            result[where] = slope
         return energy.value
 
     try:

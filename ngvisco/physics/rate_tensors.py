@@ -124,9 +124,8 @@ class RateTensors:
 
     def columns(self, z: np.ndarray) -> np.ndarray:
         """d rate/dX, (points, n, X), at values z, (n, points)."""
-        columns = np.einsum("xnm,mp->pnx", self.linear, z, optimize=True)
-        columns += self.constant.T[None]
-        return columns
+        of_linear = np.ascontiguousarray((self._slopes[2] @ z).T)
+        return of_linear.reshape(z.shape[1], *self.constant.T.shape) + self.constant.T
 
     def rate(self, z: np.ndarray, X: np.ndarray, first: int = 0) -> np.ndarray:
         """rate(z; X), (n, points), for X (X, points), whose first entry has the index ``first``."""
@@ -183,11 +182,10 @@ class RateTensors:
         return {}
 
     @cached_property
-    def _slopes(self) -> tuple[sp.csr_matrix, sp.csr_matrix]:
-        """T as sparse matrices, from X to (n, m) and from n to (X, m)."""
-        T = self.linear
-        by_X, by_zeta = T.transpose(1, 2, 0), T.transpose(0, 2, 1)
-        return tuple(sp.csr_matrix(A.reshape(-1, A.shape[2])) for A in (by_X, by_zeta))
+    def _slopes(self) -> tuple[sp.csr_matrix, ...]:
+        """T as sparse matrices: from X to (n, m), from n to (X, m), and from m to (n, X)."""
+        by_X, by_zeta, by_z = (self.linear.transpose(axes) for axes in ((1, 2, 0), (0, 2, 1), (1, 0, 2)))
+        return tuple(sp.csr_matrix(A.reshape(-1, A.shape[2])) for A in (by_X, by_zeta, by_z))
 
 
 def _differ(a: np.ndarray, b: np.ndarray) -> bool:

@@ -124,7 +124,11 @@ def linear_map(matrix: np.ndarray, A: Tensor, shape: tuple[int, ...]) -> Tensor:
     """A constant matrix times the entries of A, row by row, as a vector or matrix of ``shape``."""
     if hasattr(A, "mapped"):
         return A.mapped(matrix, shape)
-    product = constant(matrix) * A.Reshape((matrix.shape[1],))
+    entries, read = A.Reshape((matrix.shape[1],)), np.flatnonzero(matrix.any(axis=0))
+    if 0 < len(read) < matrix.shape[1]:  # NGSolve multiplies by zeros too, at every point
+        some = slice(int(read[0]), int(read[-1]) + 1)
+        matrix, entries = matrix[:, some], entries[some]
+    product = constant(matrix) * entries
     return product if len(shape) == 1 else product.Reshape(shape)
 
 

@@ -28,7 +28,8 @@ from ngvisco.forms.mesh.points import csr
 from ngvisco.forms.system import Step
 from ngvisco.forms.terms.hyperviscosity import Hyperviscosity
 from ngvisco.forms.unknown_values import hessian_basis
-from ngvisco.physics.arrays import Array, contracted
+from ngvisco.physics.arrays import Array
+from ngvisco.physics.point_products import contracted
 from ngvisco.physics.variables import Values
 from ngvisco.reduced.operators import Operators, PointOperators, SideOperators
 from ngvisco.reduced.point_fields import FACETS, Lazy

@@ -363,12 +363,12 @@ def _resolvents(matrices: np.ndarray) -> tuple[np.ndarray, int]:
     identity = np.eye(matrices.shape[1])
     if not (largest := size(matrices)) < 0.5:
         return np.linalg.inv(identity - matrices), 0
-    power = precision.single(matrices)
+    power, exponent = precision.single(matrices), 1
     result = power + identity.astype(precision.SINGLE)
-    while size(power) ** 2 > _NEGLECTED:
-        power = np.matmul(power, power)
+    while (largest := size(power)) ** 2 > _NEGLECTED:
+        power, exponent = np.matmul(power, power), 2 * exponent
         result += np.matmul(result, power)
-    return result, 1 + math.ceil(math.log(_NEGLECTED) / math.log(largest)) if largest > 0 else 1
+    return result, 1 + math.ceil(exponent * math.log(_NEGLECTED) / math.log(largest)) if largest > 0 else 1
 
 
 def radius_of(u: Fields) -> np.ndarray | None:
