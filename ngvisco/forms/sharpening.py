@@ -59,6 +59,7 @@ from ngvisco.parallel.communicator import Communicator
 from ngvisco.physics.bodies import AMOUNT, NO_INTERFACE
 from ngvisco.physics.mixture import Mixture
 from ngvisco.physics.tensors import if_positive
+from ngvisco.words import Mention, Words
 
 _LEAST = 1e-3
 """Fraction below which a cell does not contain a body."""
@@ -157,13 +158,13 @@ class Sharpening:
         """Accept the step; warn, once, if it carried an interface too far for the planes at its start."""
         if self.swept > FAR and not self._is_said:
             self._is_said = True
-            Communicator.of(self.mesh).warn(
-                f"{_FIELD} = True: the step carried an interface over {self.swept:.2g} of a cell's height, "
-                f"and from {FAR:g} on interfaces go astray: take time.dt (or dt_max) <= "
-                f"{0.9 * FAR / self.swept * self._tau:.2g} s, or larger cells there",
-                InputWarning,
-                stacklevel=5,
+            longest = 0.9 * FAR / self.swept * self._tau
+            message = (
+                f": the step carried an interface over {self.swept:.2g} of a cell's height, and from {FAR:g} "
+                f"on interfaces go astray: take time.dt (or dt_max) <= {longest:.2g} s, or larger cells there"
             )
+            words = Words(Mention(_FIELD), " = ", True, message)
+            Communicator.of(self.mesh).warn(words, InputWarning, stacklevel=5)
 
     def put_apart(self, tau: float) -> None:
         """Separate bodies of the present state at the end of a step of length ``tau``, s."""
