@@ -548,6 +548,12 @@ MUTANTS = [
             'self.jacobian = arrays["jacobian"]',
             GOING_ON,
         ),
+        (
+            "slopes of columns by the start of a stage",
+            "loads[k] += self._seeds_of_start(of_means",
+            "loads[k] += 0 * self._seeds_of_start(of_means",
+            "tests/sensitivity/test_models.py::test_columns_that_read_the_start_of_a_step_have_its_slopes",
+        ),
     ),
     *_of(
         "sensitivity/tangent.py",

@@ -213,6 +213,17 @@ class Context:
         return mean
 
 
+class AskedContext:
+    """A context that records the names of the attributes read from it."""
+
+    def __init__(self, context: Context) -> None:
+        self._context, self.names = context, set[str]()
+
+    def __getattr__(self, name: str) -> Any:
+        self.names.add(name)
+        return getattr(self._context, name)
+
+
 class StepLayout(Layout):
     """The layout of a step's unknowns, with the data of the step."""
 

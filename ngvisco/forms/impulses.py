@@ -103,18 +103,18 @@ class Impulses:
         fraction of the forms' time."""
         self._levers: np.ndarray | None = None
         """Products of e . n and the weights at the sides' points, (motions, points)."""
-        self._groups = self._by_groups()
+        test = self._space.TestFunction()
+        self._groups = self._by_groups(step.now, self._tests(test, Grad(test)))
         internal = (ELASTIC, ENTERING, SKEW, CHANGE)
         self.names = [name for name in self._groups if name not in internal]
         """Names of the causes of forces; loads come first."""
         if self._is_held.any() and HELD_BY_WALLS not in self.names:
             self.names.append(HELD_BY_WALLS)
 
-    def _by_groups(self) -> dict[str, _Rows]:
-        """Rows of v by group."""
+    def _by_groups(self, u: Fields, on_facets: Tests) -> dict[str, _Rows]:
+        """Rows of v at ``u`` by group, on facets for the tests ``on_facets``."""
         rows_of: dict[str, _Rows] = {}
-        test, dim = self._space.TestFunction(), self.step.mesh.dim
-        on_facets, of_motions = self._tests(test, Grad(test)), {}
+        dim, of_motions = self.step.mesh.dim, {}
         for motion, e in self.motions.items():
             spin = CF(tuple(e[i].Diff(place) for i in range(dim) for place in (x, y, z)[:dim]))
             gradient = spin.Reshape((dim, dim)) if motion.startswith("torque") else None
@@ -123,11 +123,11 @@ class Impulses:
             wall = getattr(term, "wall", None)
             on = None if wall is None else [wall]
             with refused_by_name(term):
-                for name, parts in impulses_of(term, self.step.now, on_facets).items():
+                for name, parts in impulses_of(term, u, on_facets).items():
                     if facets := [part.facets for part in parts if not _is_zero(part.facets)]:
                         rows_of.setdefault(name, _Rows()).facets.append((reduce(add, facets), on))
                 for motion, tests in of_motions.items():
-                    for name, parts in impulses_of(term, self.step.now, tests).items():
+                    for name, parts in impulses_of(term, u, tests).items():
                         if rows := [p for p in parts if not (_is_zero(p.cells) and _is_zero(p.collocated))]:
                             rows_of.setdefault(name, _Rows()).cells.setdefault(motion, []).extend(rows)
         return rows_of
@@ -180,13 +180,9 @@ class Impulses:
     @cached_property
     def _on_facets(self) -> dict[str, LinearForm]:
         step, walls = self.step, self.step.walls
-        u, normal_test = step.now, self._space.TestFunction() * step.context.normal
+        normal_test = self._space.TestFunction() * step.context.normal
         facets = {name: rows.facets for name, rows in self._groups.items() if rows.facets}
-        phi = _where_it_is(step.energy.anywhere(u))
-        facets[_THRUST] = [(_thrust(u, phi) * normal_test, None)]
-        if closed := [name for name in walls.conditions if name not in walls.crossed]:
-            at_walls = facet_indicator(step.mesh, closed) * beside_the_stress(u, phi)
-            facets[_PRESSED] = [(at_walls * normal_test, closed)]
+        facets |= self._beside(step.now, normal_test)
         forms = {}
         for name, integrands in facets.items():
             forms[name] = LinearForm(self._space)
@@ -194,6 +190,51 @@ class Impulses:
                 cells = None if on is None else cells_at(step.mesh, walls.region(on))
                 step.quadrature.add(forms[name], [Integrand(facets=integrand)], cells)
         return forms
+
+    def _beside(
+        self, u: Fields, normal_test: CoefficientFunction
+    ) -> dict[str, list[tuple[CoefficientFunction, list[str] | None]]]:
+        """Integrands on facets of the thrust of jumps and the pressure on closed walls, with their walls."""
+        step, walls = self.step, self.step.walls
+        phi = _where_it_is(step.energy.anywhere(u))
+        facets: dict[str, list[tuple[CoefficientFunction, list[str] | None]]] = {}
+        facets[_THRUST] = [(_thrust(u, phi) * normal_test, None)]
+        if closed := [name for name in walls.conditions if name not in walls.crossed]:
+            at_walls = facet_indicator(step.mesh, closed) * beside_the_stress(u, phi)
+            facets[_PRESSED] = [(at_walls * normal_test, closed)]
+        return facets
+
+    def integrands(self, u: Fields) -> dict[str, list[list[Integrand]]]:
+        """Summands at ``u`` of the forces and defects that a call returns, by names and for each motion.
+
+        The force of walls that hold v lacks the rows of R at the motions, ``velocities`` times R.
+        """
+        by_names: dict[str, list[list[Integrand]]] = {name: [] for name in (*self.names, *DEFECTS)}
+        for motion, coefficients in zip(self.motions, self._coefficients, strict=True):
+            e = GridFunction(self._space)
+            e.vec.FV().NumPy()[:] = coefficients
+            groups = self._by_groups(u, self._tests(e, Grad(e)))
+            parts = {name: rows.of(motion) for name, rows in groups.items()}
+            for name, facets in self._beside(u, e * self.step.context.normal).items():
+                parts[name] = [Integrand(facets=part) for part, _ in facets]
+            for name in self.names:
+                by_names[name].append(_negative(parts.get(name, [])))
+            if HELD_BY_WALLS in self.names:
+                by_names[HELD_BY_WALLS][-1] += parts.get(_PRESSED, [])
+            thrust, pressed = parts[_THRUST], parts.get(_PRESSED, [])
+            defects = (
+                [*thrust, *_negative(parts.get(ENTERING, []))],
+                _negative([*parts.get(ELASTIC, []), *pressed, *thrust]),
+                _negative(parts.get(SKEW, [])),
+            )
+            for where, defect in zip(DEFECTS, defects, strict=True):
+                by_names[where].append(defect)
+        return by_names
+
+    @property
+    def velocities(self) -> np.ndarray:
+        """Coefficients of v of the motions that walls hold, (motions, unknowns of v); zero for others."""
+        return np.where(self._is_held[:, None], self._velocities, 0.0)
 
     @cached_property
     def _coefficients(self) -> np.ndarray:
@@ -295,6 +336,19 @@ class _Rows:
 
     cells: dict[str, list[Integrand]] = field(default_factory=dict)
     facets: list[tuple[CoefficientFunction, list[str] | None]] = field(default_factory=list)
+
+    def of(self, motion: str) -> list[Integrand]:
+        """All summands of a motion."""
+        inside = [Integrand(part.cells, collocated=part.collocated) for part in self.cells.get(motion, [])]
+        return [*inside, *(Integrand(facets=part) for part, _ in self.facets)]
+
+
+def _negative(integrands: Iterable[Integrand]) -> list[Integrand]:
+    """The summands with the other sign."""
+    return [
+        Integrand(*(None if part is None else -1 * part for part in (i.cells, i.facets, i.collocated)))
+        for i in integrands
+    ]
 
 
 def _is_zero(value: CoefficientFunction | None) -> bool:

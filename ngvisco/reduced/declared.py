@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from ngvisco.errors import ParameterError
-from ngvisco.forms.context import Context
+from ngvisco.forms.context import AskedContext
 from ngvisco.forms.fields import Fields, Tests
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import GivenParts, PointTerm, Term, refused_by_name
@@ -164,17 +164,6 @@ def _require_arrays(step: Step, term: Any) -> None:
         raise _refused(term, "its coefficients are not made of the variables' values alone")
 
 
-class _Asked:
-    """A context that records the names of the attributes read from it."""
-
-    def __init__(self, context: Context) -> None:
-        self._context, self.names = context, set[str]()
-
-    def __getattr__(self, name: str) -> Any:
-        self.names.add(name)
-        return getattr(self._context, name)
-
-
 def _require_flow_rows(step: Step, term: Term) -> set[str]:
     """Names of the attributes of the context that a term's form reads.
 
@@ -184,7 +173,7 @@ def _require_flow_rows(step: Step, term: Term) -> set[str]:
     trial, test = layout.space.TnT()
     tests = {name: part for name, part in zip(layout.names, test, strict=True) if name in names}
     reason = "it has a row of {name}, and the split solver takes forms with rows of the flow only"
-    context: Any = _Asked(layout.context)
+    context: Any = AskedContext(layout.context)
     u = Fields(layout, dict(zip(layout.names, trial, strict=True)), context)
     with refused_by_name(term):
         term.form(u, Tests(layout, GivenParts(tests, reason), context))

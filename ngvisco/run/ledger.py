@@ -19,7 +19,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from ngsolve import CF, Det, sqrt
+from ngsolve import CF, sqrt
 
 from ngvisco.errors import InitialDataError, NgviscoWarning, ParameterError, StepError, UnknownNameError
 from ngvisco.forms.distance import ENERGIES, NUMERICAL, energies
@@ -27,12 +27,12 @@ from ngvisco.forms.entry_integrals import EntryIntegrals
 from ngvisco.forms.mesh.quadrature import Sampler
 from ngvisco.forms.system import Step
 from ngvisco.forms.term import Entry, Integrand, Kind
-from ngvisco.physics.defects import parted, relative_defects
+from ngvisco.physics.defects import parted
 from ngvisco.physics.materials.thermal import entropy_in, temperature
 from ngvisco.physics.mixture import Mixture
 from ngvisco.physics.tensors import least_eigenvalues, square
-from ngvisco.physics.variables import Distortion, Jacobian, ReciprocalJacobian, Values
 from ngvisco.run.adaptive import CRACKED, GROWTH, DamageWarning, growth_message
+from ngvisco.run.extrema import defects_of, extrema, volume
 from ngvisco.run.inlets import InflowWarning, Inlets
 from ngvisco.run.momentum import Momentum
 from ngvisco.run.momentum import unit as unit_of_momentum
@@ -245,9 +245,14 @@ class Ledger:
 
         Raises StepError, with the place, for a value that is no number.
         """
+        return self.powers() | self.momentum.forces()
+
+    def powers(self) -> dict[str, float]:
+        """Dissipations, powers, productions and fluxes at the present state, by columns; raises as
+        ``rates``."""
         self.step.local_unknowns.update_energy()
         self.step.energy.require()
-        return self._numbers(self.exchange) | self.momentum.forces()
+        return self._numbers(self.exchange)
 
     def _numbers(self, integrals: EntryIntegrals) -> dict[str, float]:
         """Integrals at the present state; raises StepError for the first one that is no number."""
@@ -371,33 +376,30 @@ class Ledger:
         self.momentum.count(row)
         return self.rows[-1]
 
+    def defect_norms(self) -> tuple[float, np.ndarray]:
+        """The norm of J - det F in L2, NaN without it, and the root mean squares of the relative defects."""
+        volume, gap, *squares = self.step.quadrature.integrate_cells(self._squares)
+        return math.sqrt(gap) if self._has_both else math.nan, np.sqrt(np.array(squares) / volume)
+
     def _prepare_monitors(self) -> None:
         """Compile the quantities that are monitored besides entries: point values and squares of defects."""
         u, material = self.step.now, self.step.model.material
-        J, F = None, None
-        self._shares: Values = {}
-        for variable in material.variables:
-            value = u.z_tensors[variable.name]
-            if isinstance(variable, Jacobian):
-                J = value
-            elif isinstance(variable, ReciprocalJacobian) and J is None:
-                J = 1 / value
-            elif isinstance(variable, Distortion) and variable.exponent == 0:
-                F = value
-        if isinstance(material, Mixture):
-            J, self._shares = 1 / material.fractions.total(u.z_tensors), material.fractions.at(u.z_tensors)
-        self._has_both = F is not None and J is not None
-        self._optional = {"error_estimate"} | ({"J_defect"} if not self._has_both else set())
+        self._shares = (
+            material.fractions.at(u.z_tensors) if isinstance(material, Mixture) else dict[str, Any]()
+        )
+        J, _ = volume(material, u)
+        gap, self._defects = defects_of(self.step.model, u)
+        self.extrema = extrema(u, J, self._watched, self._definite, self._defects)
+        """Extrema over the sampler's points, by their columns."""
+        self._has_both = gap is not None
+        self._optional = {"error_estimate"} | ({"J_defect"} if gap is None else set())
         """Columns that may be NaN, since the run has no such quantity."""
-        if J is None and F is None:
-            self._optional.add("J_min")
-        gap = J - Det(F) if self._has_both else CF(0.0)
         if J is None:
-            J = CF(math.nan) if F is None else Det(F)
-        self._defects = relative_defects(material, u.z_tensors, self.step.model.traced)
+            self._optional.add("J_min")
+            J = CF(math.nan)
         if not self._defects:
             self._optional |= {"defect_rms", "defect_max"}
-        defects = self._defects.values()
+        gap, defects = CF(0.0) if gap is None else gap, self._defects.values()
         self._squares = CF((1.0, gap * gap, *(defect * defect for defect in defects))).Compile()
         speed = sqrt(square(u.v))
         at_points = (u.rho, J, speed, speed / self.step.context.h, *self._watched.values(), *defects)
@@ -414,26 +416,25 @@ class Ledger:
         watched, values = dict(zip(self._watched, values, strict=False)), values[len(self._watched) :]
         defects, powers = values[: len(self._defects)], values[len(self._defects) :]
         self._signs.check_points(dict(zip(self._signs.at_points, powers, strict=True)), self._shares, time)
-        volume, gap, *squares = self.step.quadrature.integrate_cells(self._squares)
-        rms, largest = self._relative_defects(defects, np.array(squares) / volume, time)
+        J_defect, norms = self.defect_norms()
+        rms, largest = self._relative_defects(defects, norms, time)
         return {
             **{"rho_min": least(rho), "rho_max": most(rho), "J_min": least(J)},
             **{name: (most if name.endswith("_max") else least)(v) for name, v in watched.items()},
             **{name: least(lowest) for name, lowest in eigenvalues.items()},
             **{"v_max": most(speed), "cfl": tau * most(rate)},
-            "J_defect": math.sqrt(gap) if self._has_both else math.nan,
+            "J_defect": J_defect,
             **{"defect_rms": rms, "defect_max": largest},
         }
 
-    def _relative_defects(self, values: np.ndarray, squares: np.ndarray, time: float) -> tuple[float, float]:
+    def _relative_defects(self, values: np.ndarray, rms: np.ndarray, time: float) -> tuple[float, float]:
         """Largest root mean square and largest value of the relative defects; warns once from 1 % on.
 
-        ``values`` are the defects at points, (defects, points), ``squares`` the means of their squares.
+        ``values`` are the defects at points, (defects, points), ``rms`` their root mean squares.
         """
         if not self._defects:
             return math.nan, math.nan
         largest = np.array([self.sampler.ranks.most(abs(row)) for row in values])
-        rms = np.sqrt(squares)
         worst = int(np.argmax(rms))
         if rms[worst] >= _DEFECT and DefectWarning not in self._warned:
             where = self.sampler.largest_in_words(abs(values[worst]), self._shares)

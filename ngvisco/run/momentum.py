@@ -9,8 +9,9 @@ are its parts; the remainder comes from the iteration and the limiter.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
@@ -33,6 +34,9 @@ _ROUNDING = 1e-9
 """Fraction of the largest exchange, added to every direction's moving momentum to allow for rounding."""
 LOST = 0.05
 """Value of ``momentum_defect_relative`` above which a run warns."""
+
+
+OfMotion = TypeVar("OfMotion")
 
 
 class MomentumWarning(NgviscoWarning):
@@ -113,11 +117,41 @@ class Momentum:
 
     def forces(self) -> dict[str, float]:
         """Forces, N, and torques, N m, at the present stage, by the names of their impulses' columns."""
-        forces: dict[str, float] = {}
-        for name, values in self.impulses().items():
+        forces = {name: values.tolist() for name, values in self.impulses().items()}
+        return self._named(forces)
+
+    def force_densities(self, u: Fields) -> dict[str, list[Integrand]]:
+        """Integrands of ``forces`` at ``u`` by columns, of walls' impulses without the residual's rows."""
+        return self._named(self.impulses.integrands(u))
+
+    def _named(self, of_causes: Mapping[str, Sequence[OfMotion]]) -> dict[str, OfMotion]:
+        """Values by columns, from values of the motions by names of impulses and ``DEFECTS``."""
+        by_columns: dict[str, OfMotion] = {}
+        for name, values in of_causes.items():
             quantity = f"defect_{name}" if name in DEFECTS else IMPULSE + name
-            forces |= dict(zip(self._names(quantity), map(float, values), strict=True))
-        return forces
+            by_columns |= dict(zip(self._names(quantity), values, strict=True))
+        return by_columns
+
+    @property
+    def of_steps(self) -> list[str]:
+        """Columns whose value in a step is its length times the mean of ``forces`` over its stages."""
+        return [name for quantity in (*self._given, *_PARTS) for name in self._names(quantity)]
+
+    @property
+    def held(self) -> dict[str, int]:
+        """Columns of the impulse of walls that hold v, with the number of their motion."""
+        name = IMPULSE + HELD_BY_WALLS
+        return {column: i for i, column in enumerate(self._names(name))} if name in self._given else {}
+
+    @property
+    def balances(self) -> dict[str, tuple[str, list[str]]]:
+        """Columns of the momentum and of impulses whose change and sum differ by a defect, by its column."""
+        impulses = [self._names(quantity) for quantity in self._given]
+        names = zip(self._names("momentum"), *impulses, strict=True)
+        return {
+            defect: (momentum, list(of_defect))
+            for defect, (momentum, *of_defect) in zip(self._names(DEFECT), names, strict=True)
+        }
 
     def transferred(self, before: Mapping[str, float], after: Mapping[str, float]) -> dict[str, float]:
         """The impulse of a transfer, by columns, from the rows before and after the transfer."""

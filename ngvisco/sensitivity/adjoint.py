@@ -17,10 +17,10 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from ngvisco.forms.distance import NUMERICAL
 from ngvisco.sensitivity.follower import Follower
 from ngvisco.sensitivity.linearised import Linearised
 from ngvisco.sensitivity.slopes import Slopes
-from ngvisco.sensitivity.starts import Starts
 from ngvisco.sensitivity.tangent import Neighbours
 from ngvisco.sensitivity.trajectory import RecordedStep, Trajectory
 
@@ -57,7 +57,7 @@ class Adjoint:
     ) -> None:
         self.trajectory, self.base, self.slopes, self.near = trajectory, base, slopes, neighbours
         self.ends, self.means = ends, means
-        self.linearised, self.starts = Linearised(base), Starts(base)
+        self.linearised, self.starts = Linearised(base), slopes.starts
         self.free = self.linearised.free
         self.jacobian = np.zeros((len(ends), len(neighbours)))
         """Derivatives by the parameters, (numbers, parameters)."""
@@ -75,8 +75,10 @@ class Adjoint:
             slopes = self._step(number, steps[number - 1], slopes)
             self.trajectory.keep(_KEPT, number - 1, {"slopes": slopes, "jacobian": self.jacobian})
             progress(len(steps) - number + 1)
-        self._read_at(steps[0].state, self.ends[:, 0])
-        slopes += self._seeds(self.ends[:, 0])
+        weights, state = self.ends[:, 0], steps[0].state
+        self._put_start(weights, lambda follower: follower.begin(state))
+        self._read_at(state, weights)
+        slopes += self._seeds(weights) + self._seeds_of_start(weights, np.ones(1), [state], 0)
         if from_start:
             for j, near in enumerate(self.near):
                 self.jacobian[:, j] += slopes @ near.of_start
@@ -90,10 +92,29 @@ class Adjoint:
                 result += np.outer(weights[:, column], self.slopes(name))
         return result
 
+    def _seeds_of_start(
+        self, weights: np.ndarray, of_starts: np.ndarray, states: list[np.ndarray], number: int
+    ) -> np.ndarray:
+        """Slopes of the numbers by a start state, (numbers, unknowns), of the present state's columns."""
+        result = np.zeros((len(weights), len(self.base.state)))
+        for name in self.slopes.reading_start:
+            if (of_column := weights[:, self.base.columns.names.index(name)]).any():
+                self.starts.put(of_starts, states, number)
+                result += np.outer(of_column, self.slopes.of_start(name))
+        return result
+
+    def _put_start(self, weights: np.ndarray, put: Callable[[Follower], None]) -> None:
+        """Set the steps' start for all followers, if columns with ``weights`` read it."""
+        names = self.base.columns.names
+        if any(weights[:, names.index(name)].any() for name in self.slopes.reading_start):
+            for follower in (self.base, *(f for near in self.near for f in near.followers)):
+                put(follower)
+
     def _read_at(self, state: np.ndarray, weights: np.ndarray) -> None:
         """Set the present state; add the numbers' derivatives by the parameters at this fixed state."""
         if weights.any():
             for j, near in enumerate(self.near):
+                near.freeze(self.base, state)
                 values = [follower.columns.state() for follower in near.at(state)]
                 self.jacobian[:, j] += weights @ near.derivative(values)
         self.base.at(state)
@@ -101,15 +122,53 @@ class Adjoint:
     def _step(self, number: int, recorded: RecordedStep, slopes: np.ndarray) -> np.ndarray:
         """Slopes by the start of a step, from the slopes by its end."""
         solutions = [recorded.state, *(stage.state for stage in recorded.stages)]
-        loads = np.zeros((len(solutions), *slopes.shape))
+        loads, weights = np.zeros((len(solutions), *slopes.shape)), self.ends[:, number]
+
+        def start(follower: Follower) -> None:
+            states = [follower.evolved(y) for y in solutions]
+            follower.pose(recorded.stages[-1], states[:-1])
+            follower.finish(recorded, states)
+
+        self._put_start(weights, start)
+        self._read_at(recorded.after, weights)
+        of_starts = recorded.weights if recorded.is_combined else recorded.stages[-1].starts
+        for k in np.flatnonzero(of_starts):
+            loads[k] += self._seeds_of_start(weights, of_starts, solutions, int(k))
+        whole = slopes + self._seeds(weights)
+        whole += self._dissipation(number, recorded, [*solutions, recorded.after], loads)
         if recorded.is_combined:
-            self._end(number, recorded, solutions, slopes, loads)
+            self._end(number, recorded, solutions, whole, loads)
         else:
-            self._read_at(recorded.after, self.ends[:, number])
-            loads[-1] = slopes + self._seeds(self.ends[:, number])
+            loads[-1] += whole
         for i in range(len(recorded.stages), 0, -1):
             self._stage(number, recorded, i, solutions, loads)
         return loads[0]
+
+    def _dissipation(
+        self, number: int, recorded: RecordedStep, states: list[np.ndarray], loads: np.ndarray
+    ) -> np.ndarray:
+        """Add slopes of the scheme's dissipation to ``loads``, and its derivatives by the parameters.
+
+        Returns the slopes by the end of the step, which is the last of ``states`` and the present state.
+        """
+        weights, base = self.means[:, number], self.base
+        result = np.zeros((len(states), *loads.shape[1:]))
+        names = [name for name in NUMERICAL if name in base.columns.names]
+        of_columns = {name: weights[:, base.columns.names.index(name)] / recorded.tau for name in names}
+        of_columns = {name: values for name, values in of_columns.items() if values.any()}
+        if not of_columns or self.slopes.distances is None:
+            return result[-1]
+        for weight, k, i in recorded.distances:
+            for name, values in of_columns.items():
+                by_a, by_b = self.slopes.distances(name, states[k], states[i])
+                result[k] += weight * np.outer(values, by_a)
+                result[i] += weight * np.outer(values, by_b)
+        for j, near in enumerate(self.near):
+            parts = [f.distances(recorded, [f.evolved(y) for y in states]) for f in near.followers]
+            self.jacobian[:, j] += weights @ near.derivative(parts)
+        base.at(recorded.after)
+        loads += result[:-1]
+        return result[-1]
 
     def _stage(
         self, number: int, recorded: RecordedStep, i: int, solutions: list[np.ndarray], loads: np.ndarray
@@ -126,6 +185,7 @@ class Adjoint:
             if near.parameter.is_of_start:
                 continue
             residuals, columns = [], []
+            near.freeze(base, stage.state, stage)
             for follower in near.followers:
                 follower.pose(stage, [follower.evolved(y) for y in solutions[:i]])
                 residuals.append(follower.residual(stage.state))
@@ -137,23 +197,24 @@ class Adjoint:
             if columns:
                 self.jacobian[:, j] += weights @ near.derivative(columns)
         for k in np.flatnonzero(stage.starts[:i]):
-            loads[k] -= self.starts.transposed(stage, solutions[:i], int(k), adjoints - c)
+            self.starts.put(stage.starts, solutions[:i], int(k))
+            loads[k] -= self.starts.transposed(adjoints - c)
+            of_means = stage.share * weights
+            loads[k] += self._seeds_of_start(of_means, stage.starts, solutions[:i], int(k))
 
     def _end(
         self,
         number: int,
         recorded: RecordedStep,
         solutions: list[np.ndarray],
-        slopes: np.ndarray,
+        whole: np.ndarray,
         loads: np.ndarray,
     ) -> None:
-        """Add the slopes by the stages, from the ``slopes`` by a combined end."""
+        """Add the slopes by the stages, from the slopes ``whole`` by a combined end, the present state."""
         base, starts = self.base, self.starts
         ranges = base.step.layout.ranges
         is_v = np.zeros(len(base.state), dtype=bool)
         is_v[ranges["v"]] = True
-        self._read_at(recorded.after, self.ends[:, number])
-        whole = slopes + self._seeds(self.ends[:, number])
         c = self._impulses(number, recorded, solutions, loads)
         of_rows = starts.momentum_transposed(recorded.after, c)
         slopes = np.array([starts.through_functions(slope) for slope in whole + of_rows])

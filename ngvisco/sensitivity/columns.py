@@ -4,22 +4,36 @@ from __future__ import annotations
 
 import copy
 import inspect
-from collections.abc import Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from ngvisco.errors import ParameterError, UnknownNameError
+from ngvisco.forms.distance import NUMERICAL
 from ngvisco.run.body_tables import Bodies
+from ngvisco.run.extrema import Extrema
 from ngvisco.run.fields import field_unit
 from ngvisco.run.ledger import unit
-from ngvisco.run.momentum import SIZE
+from ngvisco.run.momentum import RELATIVE, SIZE
 from ngvisco.run.probes import Integrals, Probes, WallForces
 from ngvisco.run.series import Series
 from ngvisco.run.simulation import Simulation
 
 _TABLES = (Probes, Integrals, WallForces, Bodies)
 _RATES = ("dissipation", "power", "production", "flux")
+_COUNT, _ROUNDING = "it counts", "it is zero for all parameters, and what is left of it is rounding"
+_FROZEN = "what the limiter changes is constant in the derivatives"
+_OF_LENGTH = "the lengths of steps are constant"
+_REFUSED = {
+    **dict.fromkeys(("newton_iterations", "rejections", "limited_cells", "passive_unsolved"), _COUNT),
+    **dict.fromkeys(("closure", "closure_relative", "mass_drift"), _ROUNDING),
+    SIZE: "it has kinks where matter comes to rest",
+    RELATIVE: "it compares with the largest values of all steps and directions",
+}
+"""Reasons why columns of the ledger have no derivative; all others judge the length of a step."""
+NORMS = ("J_defect", "defect_rms")
+"""Columns of norms of defects; they have no derivative where they are zero."""
 
 
 def tables_of(simulation: Simulation) -> list[Series]:
@@ -55,23 +69,34 @@ class Columns:
         of_tables = [table.prepare(simulation) for table in self._tables]
         rates = {entry.name for entry in ledger.entries if entry.kind in _RATES}
         state = {"kinetic", "stored", "mass"} | {e.name for e in ledger.entries if e.kind == "monitor"}
-        state |= set(ledger.momentum.densities()) - {SIZE}  # the size has a kink at rest
-        differentiable = rates | state | {name for columns in of_tables for name in columns}
-        jumping: dict[str, str] = {}
+        state |= set(ledger.momentum.densities()) - {SIZE}
+        forces = set(ledger.momentum.of_steps)
+        at_points, norms = ledger.extrema, set(NORMS)
+        self.extrema = Extrema(ledger.sampler, at_points, self.names)
+        of_ledger = rates | state | forces | {*at_points} | norms | {*NUMERICAL}
+        differentiable = of_ledger | {name for columns in of_tables for name in columns}
+        refused = {name: _REFUSED.get(name, _OF_LENGTH) for name in ledger.columns if name not in of_ledger}
+        refused |= dict.fromkeys((e.name for e in ledger.entries if e.name in refused), _FROZEN)
+        refused |= dict.fromkeys(
+            ledger.momentum.balances, "it is the change of the momentum less the impulses"
+        )
         for table in self._tables:
-            jumping |= table.jumping if isinstance(table, Bodies) else {}
+            refused |= table.jumping if isinstance(table, Bodies) else {}
         for name in self.names:
-            if name in jumping:
-                raise ParameterError("of", name, f"a column that has a derivative: {jumping[name]}")
-            if name in ledger.columns and name not in differentiable:
-                expected = (
-                    "a column that has a derivative: an energy, a rate, mass, momentum, or one of a table"
-                )
-                raise ParameterError("of", name, expected)
+            if name in refused:
+                raise ParameterError("of", name, f"a column that has a derivative: {refused[name]}")
             if name not in differentiable:
                 raise UnknownNameError("column", name, differentiable)
-        self._of_state = np.array([name in state for name in names])
-        self._of_rates = np.array([name in rates for name in names])
+
+        def mask(kind: Collection[str]) -> np.ndarray:
+            return np.array([name in kind for name in names], dtype=bool)
+
+        self._of_state, self._of_rates, self._of_forces = mask(state), mask(rates), mask(forces)
+        self._of_extrema, self._of_norms = mask(self.extrema.names), mask(norms)
+        self.is_of_steps = mask({*forces, *NUMERICAL})
+        """Whether each column is an exchange in a step, its length times a mean over stages, (columns,)."""
+        self.has_distances = bool(mask(NUMERICAL).any())
+        """Whether some columns are parts of the scheme's dissipation."""
         self._of_tables = [
             (table, columns, [columns.index(n) if n in columns else -1 for n in names])
             for table, columns in zip(self._tables, of_tables, strict=True)
@@ -98,8 +123,8 @@ class Columns:
 
     @property
     def is_of_stages(self) -> np.ndarray:
-        """Whether each column is a mean over a step's stages, as rates and forces are, (columns,)."""
-        mask = self._of_rates.copy()
+        """Whether each column is made of a step's stages, as rates and forces are, (columns,)."""
+        mask = self._of_rates | self.is_of_steps
         for table, _, places in self._of_tables:
             if isinstance(table, WallForces):
                 mask |= np.array(places) >= 0
@@ -116,7 +141,9 @@ class Columns:
 
         The contribution is ``share`` times the column's value.
         """
-        values = self._values(self._of_state, self._of_rates)
+        ledger, values = self.simulation.ledger, self._of_fields()
+        values += self._values(self._of_rates, ledger.powers)
+        values += self._values(self._of_forces, ledger.momentum.forces)
         for table, _, places in self._of_tables:
             if isinstance(table, WallForces):
                 table.begin()
@@ -129,7 +156,12 @@ class Columns:
 
         With ``v``, the velocity of the last stage, they include the impulse's power.
         """
-        values = np.zeros(len(self.names))
+        values, momentum = np.zeros(len(self.names)), self.simulation.ledger.momentum
+        if any(name in self.names for name in momentum.held):
+            of_motions = momentum.impulses.of_rows(rows)
+            for name, motion in momentum.held.items():
+                if name in self.names:
+                    values[self.names.index(name)] = of_motions[motion]
         for name, (_, mask) in self.simulation.rothe_step.moving_walls.moving.items():
             column = f"power_wall_{name}"
             if v is not None and column in self.names:
@@ -142,24 +174,42 @@ class Columns:
                 self._put(values, table, places)
         return values
 
+    def of_distances(self, distances: Mapping[str, float], tau: float) -> np.ndarray:
+        """Contributions to the columns' means by the scheme's dissipation in a step of length ``tau``, J."""
+        return np.array([distances.get(name, 0.0) / tau for name in self.names])
+
+    def at_end(self, means: np.ndarray, of_state: np.ndarray, tau: float) -> np.ndarray:
+        """The columns at the end of a step of length ``tau``, from means and the result of ``state``, or from
+        derivatives of both."""
+        of_stages = np.where(self.is_of_steps, tau * means, means)
+        return np.where(self.is_of_stages, of_stages, of_state)
+
     def state(self) -> np.ndarray:
         """Values of the columns at a step's end, the present state, (columns,); zero for means over
         stages."""
-        values = self._values(self._of_state, np.zeros_like(self._of_rates))
+        values = self._of_fields()
         for table, _, places in self._of_tables:
             if not isinstance(table, WallForces):
                 self._put(values, table, places)
         return values
 
-    def _values(self, of_state: np.ndarray, of_rates: np.ndarray) -> np.ndarray:
-        values, ledger = np.zeros(len(self.names)), self.simulation.ledger
-        for where, row in (
-            (of_state, ledger.state() if of_state.any() else {}),
-            (of_rates, ledger.rates() if of_rates.any() else {}),
-        ):
-            for i in np.flatnonzero(where):
-                values[i] = row[self.names[i]]
-        return values
+    def _of_fields(self) -> np.ndarray:
+        """Values of the ledger's columns of a state."""
+        values = self._values(self._of_state, self.simulation.ledger.state)
+        return (
+            values
+            + self._values(self._of_extrema, self.extrema.values)
+            + self._values(self._of_norms, self._norms)
+        )
+
+    def _norms(self) -> dict[str, float]:
+        gap, of_pairs = self.simulation.ledger.defect_norms()
+        return dict(zip(NORMS, (gap, of_pairs.max(initial=0.0)), strict=True))
+
+    def _values(self, mask: np.ndarray, read: Callable[[], Mapping[str, float]]) -> np.ndarray:
+        """Values of the columns in ``mask``; others are zero."""
+        row = read() if mask.any() else {}
+        return np.array([row[name] if own else 0.0 for name, own in zip(self.names, mask, strict=True)])
 
     def _put(self, values: np.ndarray, table: Series, places: Sequence[int]) -> None:
         row = np.ravel(table.sample(self.simulation))

@@ -9,6 +9,7 @@ import numpy as np
 from ngsolve import BilinearForm, LinearForm
 
 from ngvisco.forms.context import time
+from ngvisco.forms.distance import NUMERICAL, BregmanDistance
 from ngvisco.forms.fields import Fields
 from ngvisco.forms.system import Evolved
 from ngvisco.physics.tensors import inner
@@ -44,6 +45,19 @@ class Follower:
         step, at = self.step, stage.interval
         step.context.set_step(at.tau, at.end, at.loads_from, at.loads_over, at.loads_tilt)
         step.start_from(list(zip(stage.starts, states, strict=False)))
+
+    def begin(self, state: np.ndarray) -> None:
+        """Set the present state, the start of a run, and the same state as the step's start."""
+        self.step.start_from([(1.0, self.evolved(state))])
+        self.at(state)
+
+    def finish(self, recorded: RecordedStep, states: Sequence[Evolved]) -> None:
+        """Set what the run had as the step's start when it read columns at the end of a step.
+
+        ``states`` are y_0, y_1, ...; a combined end is its own start.
+        """
+        if recorded.is_combined:
+            self.step.start_from(list(zip(recorded.weights, states, strict=True)))
 
     def at(self, state: np.ndarray, stage: Stage | None = None) -> None:
         """Set the present state, and the stresses at which flow rules are linearised.
@@ -130,6 +144,21 @@ class Follower:
         if (multiplier := self.step.layout.ranges.get("wall_stress")) is not None:
             self.state[multiplier] = 0.0
         return self._momentum_rows()
+
+    def distances(self, recorded: RecordedStep, states: Sequence[Evolved]) -> np.ndarray:
+        """The columns' contributions from the scheme's dissipation in a step, (columns,).
+
+        ``states`` are y_0, y_1, ..., and the combined end if there is one.
+        """
+        total = dict.fromkeys(NUMERICAL, 0.0)
+        for weight, k, i in recorded.distances if self.columns.has_distances else []:
+            for name, distance in self._distance(states[k], states[i]).items():
+                total[name] += weight * distance
+        return self.columns.of_distances(total, recorded.tau)
+
+    @cached_property
+    def _distance(self) -> BregmanDistance:
+        return self.simulation.integrator.distance
 
     def _momentum_rows(self) -> np.ndarray:
         self.momentum.Apply(self.step.state.vec, self._residual)

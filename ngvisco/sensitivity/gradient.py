@@ -153,8 +153,10 @@ def gradient(
     of : sequence of str, or mapping of names to texts or to Misfit
         ``"COLUMN at TIME"``, or ``"COLUMN until TIME"`` for the integral over time, of a column of the ledger
         or of a table among the run's observers (``Probes``, ``Integrals``, ``WallForces``, ``Bodies``).
-        A body's extents and the width of its interface jump, and are refused; a perimeter, an angle or a gap
-        has kinks, e.g. where the length of a body is its breadth.
+        The integral of an exchange in a step, as ``bregman`` or ``impulse_gravity_1``, is the sum over the
+        steps.  An extremum, as ``rho_min``, is differentiated at its point.  Counts, residuals and lengths of
+        steps have no derivative, a body's extents and the width of its interface jump, and are refused; a
+        perimeter, an angle or a gap has kinks, e.g. where the length of a body is its breadth.
     by : sequence of str
         Paths of parameters, as ``"material.G_e"``, ``"creep.G_m"``, ``"loads.gravity.g.1"``,
         ``"initial.density"``; the adjoint also accepts none, for ``Gradient.density`` alone.
@@ -181,7 +183,7 @@ def gradient(
         raise ParameterError("method", method, " or ".join(map(repr, METHODS)))
     if order not in OFFSETS:
         raise ParameterError("order", order, "4 or 2")
-    numbers = Numbers.of(of, until, simulation.t)
+    numbers = _numbers(of, until, simulation)
     parameters = _parameters(by, simulation, method)
     base, is_start = _base(simulation, numbers.columns), simulation.number == 0
     if not is_start and any(parameter.is_of_start for parameter in parameters):
@@ -193,7 +195,7 @@ def gradient(
     trajectory, columns = Trajectory(simulation), base.columns  # refuses a run without derivatives
     if restart is not None:
         trajectory.restart = Restart.at(restart, simulation, request)
-    columns.has_ends = any(not n.is_integral for n in numbers.wanted)
+    columns.has_ends = any(not n.is_integral or n.column in numbers.balances for n in numbers.wanted)
     columns.has_means = bool(columns.is_of_stages.any()) or any(n.is_integral for n in numbers.wanted)
     near = [Neighbours(parameter, simulation, columns, order) for parameter in parameters]
     trajectory.run(until)
@@ -209,7 +211,7 @@ def gradient(
         derivatives = tangents(trajectory, base, near, is_start, tell)
         jacobian = numbers.coefficients(parts) @ numbers.parts(derivatives)
     else:
-        adjoint = Adjoint(trajectory, base, slopes, near, *numbers.weights(record, base.columns.is_of_stages))
+        adjoint = Adjoint(trajectory, base, slopes, near, *numbers.weights(record, columns))
         adjoint.run(is_start, tell)
         jacobian, of_start = adjoint.jacobian, adjoint.of_start
     at = np.array([parameter.value for parameter in parameters])
@@ -225,10 +227,14 @@ def measure(
     simulation: Simulation, until: float, of: Sequence[str] | Mapping[str, str | Misfit]
 ) -> np.ndarray:
     """Run a simulation until a time, and return the numbers of ``gradient`` without derivatives."""
-    numbers, trajectory = Numbers.of(of, until, simulation.t), Trajectory(simulation)
+    numbers, trajectory = _numbers(of, until, simulation), Trajectory(simulation)
     base = _base(simulation, numbers.columns)
     trajectory.run(until)
     return numbers.values(numbers.parts(history(trajectory, base)))
+
+
+def _numbers(of: Sequence[str] | Mapping[str, str | Misfit], until: float, simulation: Simulation) -> Numbers:
+    return Numbers.of(of, until, simulation.t, simulation.ledger.momentum.balances)
 
 
 def _base(simulation: Simulation, names: Sequence[str]) -> Follower:

@@ -4,12 +4,18 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ngvisco.errors import ParameterError, as_number, require_collection
 
+if TYPE_CHECKING:
+    from ngvisco.sensitivity.columns import Columns
+
+Balanced = tuple[str, list[str]]
+"""Column of a state, and columns of the impulses in a step whose sum its change would be without a defect."""
 _TEXT = re.compile(r"(?P<column>\S+)\s+(?P<kind>at|until)\s+(?P<time>\S+)")
 
 
@@ -17,7 +23,8 @@ _TEXT = re.compile(r"(?P<column>\S+)\s+(?P<kind>at|until)\s+(?P<time>\S+)")
 class History:
     """Columns at the ends of steps, and their integrals up to these times, (steps + 1, columns, ...).
 
-    Columns that are means over a step's stages, such as rates, are zero in the row of the start.
+    Columns that are means over a step's stages, such as rates, are zero in the row of the start.  The
+    integral of a column of exchanges in a step, such as an impulse, is their sum over the steps.
     """
 
     times: np.ndarray
@@ -112,14 +119,30 @@ class Numbers:
 
     wanted: tuple[Wanted, ...]
     """The columns at times, or integrals, of which the numbers are made."""
-    columns: list[str]
     of_names: dict[str, tuple[slice, Misfit | None]]
+    balances: Mapping[str, Balanced] = field(default_factory=dict)
+
+    @property
+    def columns(self) -> list[str]:
+        """The columns of which the numbers are linear functions."""
+        names: list[str] = []
+        for part in self.wanted:
+            state, impulses = self.balances.get(part.column, (part.column, []))
+            names += [state, *impulses]
+        return list(dict.fromkeys(names))
 
     @classmethod
-    def of(cls, of: Sequence[str] | Mapping[str, str | Misfit], until: float, begin: float = 0.0) -> Numbers:
+    def of(
+        cls,
+        of: Sequence[str] | Mapping[str, str | Misfit],
+        until: float,
+        begin: float = 0.0,
+        balances: Mapping[str, Balanced] | None = None,
+    ) -> Numbers:
         """The numbers of the argument ``of`` of ``gradient``, for a run from ``begin`` to ``until``, s.
 
-        Raises ParameterError for an invalid text, and for a time outside the run.
+        ``balances`` has the columns that are defects of balances, see ``Momentum.balances``.  Raises
+        ParameterError for an invalid text, and for a time outside the run.
         """
         given = (
             of
@@ -140,20 +163,37 @@ class Numbers:
             if end is None or not begin * (1 - 1e-12) <= part.time <= end * (1 + 1e-12):
                 expected = f"a time of the run, which goes from t = {begin:g} s to its end t = {until} s"
                 raise ParameterError(f"of: the time of {part.column}", part.time, expected)
-        return cls(tuple(numbers), list(dict.fromkeys(part.column for part in numbers)), named)
+        return cls(tuple(numbers), named, balances or {})
 
     @property
     def names(self) -> list[str]:
         return list(self.of_names)
 
+    def _weights(self, number: Wanted, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Weights of the columns at the ends of steps, and of their integrals, (steps + 1, columns) each."""
+        ends, integrals = (np.zeros((len(times), len(self.columns))) for _ in range(2))
+        at_ends, of_integrals = number.weights(times)
+        if number.column not in self.balances:
+            column = self.columns.index(number.column)
+            ends[:, column], integrals[:, column] = at_ends, of_integrals
+            return ends, integrals
+        state, impulses = self.balances[number.column]
+        of_state = ends[:, self.columns.index(state)]
+        of_state += at_ends + of_integrals
+        of_state[:-1] -= at_ends[1:]  # the change in a step
+        of_state[0] -= at_ends[0] + of_integrals.sum()
+        for name in impulses:
+            column = self.columns.index(name)
+            ends[:, column], integrals[:, column] = -at_ends, -of_integrals
+        return ends, integrals
+
     def parts(self, history: History) -> np.ndarray:
         """Values of the parts in a history, (parts, ...)."""
         values = []
         for number in self.wanted:
-            ends, integrals = number.weights(history.times)
-            column = self.columns.index(number.column)
-            of_ends, of_integrals = history.ends[:, column], history.integrals[:, column]
-            values.append(np.tensordot(ends, of_ends, 1) + np.tensordot(integrals, of_integrals, 1))
+            parts = zip(self._weights(number, history.times), (history.ends, history.integrals), strict=True)
+            read = [(weights, rows, weights.any(axis=0)) for weights, rows in parts]  # others may be NaN
+            values.append(sum(np.tensordot(w[:, at], rows[:, at], 2) for w, rows, at in read))
         return np.array(values)
 
     def values(self, parts: np.ndarray) -> np.ndarray:
@@ -172,18 +212,17 @@ class Numbers:
             row[at] = 1.0 if misfit is None else misfit.residuals(parts[at]) / np.asarray(misfit.sigma)
         return result
 
-    def weights(self, history: History, of_stages: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def weights(self, history: History, columns: Columns) -> tuple[np.ndarray, np.ndarray]:
         """Derivatives of the numbers by columns at the ends of steps, and by columns' means over stages.
 
-        Both are (numbers, steps + 1, columns); the mask ``of_stages`` marks columns that are such means.
+        Both are (numbers, steps + 1, columns).
         """
-        times = history.times
-        ends, integrals = (np.zeros((len(self.wanted), len(times), len(self.columns))) for _ in range(2))
-        for i, number in enumerate(self.wanted):
-            column = self.columns.index(number.column)
-            ends[i, :, column], integrals[i, :, column] = number.weights(times)
+        times, of_stages = history.times, columns.is_of_stages
+        lengths = np.diff(times, prepend=times[0])[:, None]
+        ends, integrals = np.moveaxis(np.array([self._weights(n, times) for n in self.wanted]), 1, 0)
         means = np.flip(np.cumsum(np.flip(integrals, 1), 1), 1)  # all later integrals contain a step
-        means *= np.diff(times, prepend=times[0])[:, None]
+        means *= lengths
+        means += np.where(of_stages, ends * np.where(columns.is_of_steps, lengths, 1.0), 0.0)
         coefficients = self.coefficients(self.parts(history))
-        of_ends, of_means = np.where(of_stages, 0.0, ends), means + np.where(of_stages, ends, 0.0)
-        return np.tensordot(coefficients, of_ends, 1), np.tensordot(coefficients, of_means, 1)
+        of_ends = np.where(of_stages, 0.0, ends)
+        return np.tensordot(coefficients, of_ends, 1), np.tensordot(coefficients, means, 1)

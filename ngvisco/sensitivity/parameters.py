@@ -36,7 +36,7 @@ PART = "part of a run"
 """Words of messages for what the first key of a path names."""
 _START = "initial"
 
-STEP = 1e-3
+STEP = 1e-4
 """Spacing h of the differences by a parameter p, relative to p."""
 OFFSETS = {4: (-2.0, -1.0, 1.0, 2.0), 2: (-0.1, 0.1)}
 """Offsets o of the evaluations at p + o h, by the order of the differences."""

@@ -2,26 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import cached_property, partial
+from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
-from ngsolve import VOL, CoefficientFunction, ElementId
+from ngsolve import CF, VOL, CoefficientFunction, ElementId
 
 from ngvisco.errors import ParameterError
 from ngvisco.expressions import parse
-from ngvisco.forms.distance import energies
+from ngvisco.forms.distance import NUMERICAL, energies
 from ngvisco.forms.mesh.locating import as_points, locate
 from ngvisco.forms.term import Integrand
 from ngvisco.physics.parameters import Parameter
 from ngvisco.physics.tensors import inner
 from ngvisco.run.body_tables import Bodies
-from ngvisco.run.fields import components
+from ngvisco.run.extrema import defects_of
+from ngvisco.run.fields import components, output_fields
 from ngvisco.run.probes import Integrals, Probes, WallForces
 from ngvisco.sensitivity.body_slopes import BodySlopes
+from ngvisco.sensitivity.distance_slopes import DistanceSlopes
 from ngvisco.sensitivity.follower import Follower
 from ngvisco.sensitivity.parameters import OFFSETS, differenced
-from ngvisco.sensitivity.variations import Variations
+from ngvisco.sensitivity.starts import Starts
+from ngvisco.sensitivity.variations import Slope, Variations
 from ngvisco.sensitivity.wall_rows import WallRows
 
 _SPACING = 1e-3
@@ -39,10 +42,26 @@ class Slopes:
 
     def __init__(self, follower: Follower) -> None:
         self.follower, self.step, self.rows = follower, follower.step, WallRows(follower)
-        names = follower.columns.names
-        self._of: dict[str, Callable[[], np.ndarray]] = {}
-        self._variations = variations = Variations(self.step)
-        trial = variations.trial
+        self.starts, names = Starts(follower), follower.columns.names
+        self._extrema = follower.columns.extrema
+        self._of = self._slopes(Variations(self.step), names)
+        self.distances = DistanceSlopes(follower) if follower.columns.has_distances else None
+        """Slopes of the scheme's dissipation, which no single state determines, or None."""
+        elsewhere = [*self.rows.powers, *NUMERICAL]
+        self._of |= {name: lambda: np.zeros(len(follower.state)) for name in elsewhere}
+        for name in names:
+            if name not in self._of:
+                raise ParameterError("of", name, "a column with a slope, for the adjoint; take the tangent")
+        reading = self._reading_start() - set(elsewhere)
+        self.reading_start = [name for name in names if name in reading]
+        """Columns that depend on the state from which a stage, or the end of a step, starts."""
+        self._of_start = self._slopes(self.starts.variations, self.reading_start)
+
+    def _slopes(self, variations: Variations, names: Sequence[str]) -> dict[str, Slope]:
+        """Slopes of columns by the trial functions of ``variations``."""
+        if not names:
+            return {}
+        follower, trial, slopes = self.follower, variations.trial, dict[str, Slope]()
         integrands = {**energies(self.step, trial), "mass": Integrand(trial.rho)}
         integrands |= follower.simulation.ledger.momentum.densities(trial)
         if self.step.energy.projected is not None:  # energy and slope are known at the state only
@@ -53,55 +72,66 @@ class Slopes:
         for table in follower.columns.tables:
             columns = table.prepare(follower.simulation)
             if isinstance(table, Integrals):
-                self._of |= {
+                slopes |= {
                     name: variations.of_fields(partial(_parsed, value))
                     for name, value in table.integrands.items()
                     if isinstance(value, str) and name in names
                 }
             elif isinstance(table, Probes):
-                columns_of_table = [name for name in names if name in columns]
-                self._of |= {name: self._probe(table, name) for name in columns_of_table}
+                slopes |= {name: self._probe(table, name, variations) for name in names if name in columns}
             elif isinstance(table, WallForces):
-                for name in set(self.rows.forces) & set(columns):
+                for name in set(self.rows.forces) & set(columns) & set(names):
                     wall, motion = name.rsplit(".", 1)
                     beside = table.reactions.beside_the_rows(wall, motion, trial)
-                    self._of[name] = variations.of(*beside)
+                    slopes[name] = variations.of(*beside)
             elif isinstance(table, Bodies):
                 bodies = BodySlopes(table, variations)
-                self._of |= {name: bodies.of(name) for name in names if name in columns}
-        self._of |= {name: lambda: np.zeros(len(follower.state)) for name in self.rows.powers}
-        for name in names:
-            if name in integrands:
-                self._of[name] = variations.of(integrands[name])
-        for name in names:
-            if name not in self._of:
-                raise ParameterError("of", name, "a column with a slope, for the adjoint; take the tangent")
+                slopes |= {name: bodies.of(name) for name in names if name in columns}
+        slopes |= {name: self._extremum(name, variations) for name in names if name in self._extrema.names}
+        slopes |= self._norms(variations)
+        momentum = follower.simulation.ledger.momentum
+        if forces := [name for name in names if name in momentum.of_steps]:
+            densities = momentum.force_densities
+            slopes |= variations.of_integrands(densities, forces)
+        return slopes | {name: variations.of(integrands[name]) for name in names if name in integrands}
+
+    def _reading_start(self) -> set[str]:
+        """Names of the columns whose integrands, or fields, read the start of a stage, as defects do."""
+        names = set(self.follower.simulation.ledger.momentum.of_steps)
+        for term in self.step.terms:
+            u, reads_start = self.starts.fields()
+            entries = term.entries(u)
+            names |= {entry.name for entry in entries} if reads_start() else set()
+        u, reads_start = self.starts.fields()
+        output_fields(self.step, u)
+        if reads_start():
+            for table in self.follower.columns.tables:
+                names |= set(table.prepare(self.follower.simulation)) - set(self.rows.forces)
+            names |= {*self._extrema.names}
+        return names
 
     def __call__(self, name: str) -> np.ndarray:
         """Slope of a column at the present state by all coefficients, (unknowns,)."""
         return self._of[name]()
 
-    def _probe(self, table: Probes, column: str) -> Callable[[], np.ndarray]:
-        step, mesh = self.step, self.step.mesh
+    def of_start(self, name: str) -> np.ndarray:
+        """Slope of a column by the coefficients of a start state, see ``Starts.put``, (unknowns,)."""
+        return np.where(self.starts.evolving, self._of_start[name](), 0.0)
+
+    def _probe(self, table: Probes, column: str, variations: Variations) -> Slope:
+        mesh = self.step.mesh
         name, field = column.rsplit(".", 1)
         at = locate(mesh, as_points(name, table.points[name], mesh.dim), [name])
-        value = self._fields[field]
-        dofs = np.array(step.layout.space.GetDofNrs(ElementId(VOL, int(at["nr"][0]))))
-        dofs = dofs[dofs >= 0]
+        value, cell = components(variations.fields)[field], int(at["nr"][0])
         is_linear = self._is_linear(field)
         kept: list[np.ndarray] = []
 
         def slope() -> np.ndarray:
             if not kept or not is_linear:
-                kept[:] = [self._differenced(value, at, dofs)]
+                kept[:] = [self._differenced(lambda: np.ravel(value(at))[0], cell, variations)]
             return kept[0]
 
         return slope
-
-    @cached_property
-    def _fields(self) -> dict[str, CoefficientFunction]:
-        """Components of the fields at the present state, by their names."""
-        return components(self._variations.fields)
 
     def _is_linear(self, field: str) -> bool:
         """Whether a field is linear in the state, so that its slope is constant."""
@@ -113,8 +143,47 @@ class Slopes:
         names = {"velocity", "density", *carried}
         return field in names or field.rpartition("_")[0] in names
 
-    def _differenced(self, value: CoefficientFunction, at: np.ndarray, dofs: np.ndarray) -> np.ndarray:
-        state, result = self.follower.state, np.zeros(len(self.follower.state))
+    def _extremum(self, name: str, variations: Variations) -> Slope:
+        def slope() -> np.ndarray:
+            place = self._extrema.found()[name]
+            read = partial(self._extrema.at, name, place)
+            return self._differenced(read, self._extrema.cell(place), variations)
+
+        return slope
+
+    def _norms(self, variations: Variations) -> dict[str, Slope]:
+        """Slopes of the norms of defects; NaN where a norm is zero."""
+        quadrature, model = self.step.quadrature, self.step.model
+        gap, pairs = defects_of(model, variations.trial)
+        present, of_pairs = defects_of(model, self.step.now)
+
+        def of(
+            value: CoefficientFunction, trial: CoefficientFunction
+        ) -> Callable[[], tuple[float, np.ndarray]]:
+            of_square = variations.of(Integrand(trial * trial))
+
+            def norm() -> tuple[float, np.ndarray]:
+                size = float(np.sqrt(quadrature.integrate_cells(value * value)))
+                with np.errstate(divide="ignore", invalid="ignore"):
+                    return size, of_square() / (2 * size)
+
+            return norm
+
+        norms = [of(of_pairs[pair], trial) for pair, trial in pairs.items()]
+        root = float(np.sqrt(quadrature.integrate_cells(CF(1.0))))
+        slopes: dict[str, Slope] = {}
+        if norms:  # the largest one
+            slopes["defect_rms"] = lambda: max((norm() for norm in norms), key=lambda n: n[0])[1] / root
+        if gap is not None and present is not None:
+            of_gap = of(present, gap)
+            slopes["J_defect"] = lambda: of_gap()[1]
+        return slopes
+
+    def _differenced(self, read: Callable[[], float], cell: int, variations: Variations) -> np.ndarray:
+        """Slope of a function of the coefficients of a cell, by differences."""
+        dofs = np.array(self.step.layout.space.GetDofNrs(ElementId(VOL, cell)))
+        dofs = dofs[dofs >= 0]
+        state, result = variations.coefficients, np.zeros(len(self.follower.state))
         for block in self.step.layout.ranges.values():
             dofs_of = dofs[(block.start <= dofs) & (dofs < block.stop)]
             h = _SPACING * (abs(state[dofs_of]).max(initial=0.0) or 1.0)
@@ -124,9 +193,9 @@ class Slopes:
                     state[dof] = kept + offset * h
                     if self.step.energy.projected is not None:
                         self.step.local_unknowns.update_stored()
-                    values.append(np.ravel(value(at))[0])
+                    values.append(np.array(read()))
                 state[dof] = kept
-                result[dof] = differenced(values, h)
+                result[dof] = variations.weight.Get() * differenced(values, h)
         return result
 
 

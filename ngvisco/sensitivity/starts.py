@@ -2,25 +2,31 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from functools import cached_property
+from typing import cast
 
 import numpy as np
 import scipy.sparse.linalg as spl
-from ngsolve import BilinearForm, GridFunction, Parameter
+from ngsolve import BilinearForm, Grad, GridFunction, Parameter
 
-from ngvisco.forms.fields import Fields
+from ngvisco.forms.context import AskedContext, Context
+from ngvisco.forms.fields import Fields, Tests
 from ngvisco.forms.mesh.points import csr
-from ngvisco.forms.term import GivenParts
+from ngvisco.forms.term import GivenParts, Integrand
 from ngvisco.physics.tensors import inner
 from ngvisco.sensitivity.follower import Follower
-from ngvisco.sensitivity.trajectory import Stage
+from ngvisco.sensitivity.variations import Slope, Variations
+
+_READ = {"old", "momentum_old"}
+"""Attributes of a context by which terms read the state from which a stage starts."""
 
 
 class Starts:
-    """Products with the transpose of R_y, the derivative of a stage's equations by one of its start states y.
+    """Derivatives by one start state y of a stage, and products with the transpose of R_y.
 
-    R depends on sum w_k y_k, and on sum w_k rho_k v_k at the points.  The linearisation of a form with y_k as
-    trial function and other states fixed is R_y.
+    R depends on sum w_k y_k, and on sum w_k rho_k v_k at the points.  With y_k as trial function and other
+    states fixed, R . lambda is an integral with a slope by y_k.
     """
 
     def __init__(self, follower: Follower) -> None:
@@ -31,42 +37,69 @@ class Starts:
         for name in layout.evolving:
             self.evolving[layout.ranges[name]] = True
         self._weight = Parameter(1.0)
-        self._others = GridFunction(layout.space)
-        self._other_momentum = quadrature.vectors(self.step.mesh.dim)
+        self._others, self._state, self._multiplier = (GridFunction(layout.space) for _ in range(3))
+        self._other_momentum, self._momentum = (quadrature.vectors(self.step.mesh.dim) for _ in range(2))
         self._at = self.step.state.vec.CreateVector()
         self._product = self.step.state.vec.CreateVector()
 
-    @cached_property
-    def _form(self) -> BilinearForm:
+    def fields(self) -> tuple[Fields, Callable[[], bool]]:
+        """Fields of the present state in a step from y_k as trial function, and whether the start was
+        read."""
         step, layout = self.step, self.step.layout
         trial = dict(zip(layout.names, layout.space.TrialFunction(), strict=True))
-        components = dict(zip(layout.names, self._others.components, strict=True))
-        parts = {name: components[name] + self._weight * trial[name] for name in layout.evolving}
+        components, weight = dict(zip(layout.names, self._others.components, strict=True)), self._weight
+        parts = {name: components[name] + weight * trial[name] for name in layout.evolving}
+        old = Fields(
+            layout,
+            GivenParts(parts, "it reads the old value of {name}, which does not evolve"),
+            gradient=lambda name: Grad(components[name]) + weight * Grad(trial[name]),
+        )
         y = Fields(layout, trial)
-        old = Fields(layout, GivenParts(parts, "it reads the old value of {name}, which does not evolve"))
-        u = step.fields_from(old, self._other_momentum + self._weight * (y.rho * y.v))
-        form, w = BilinearForm(layout.space), step.tests()
-        for term in step.terms:
-            step.quadrature.add(form, term.form(u, w))
-        return form
+        u = step.fields_from(old, self._other_momentum + weight * (y.rho * y.v))
+        context = AskedContext(u.context)
+        fields = Fields(layout, u.parts, cast(Context, context))
+        return fields, lambda: not _READ.isdisjoint(context.names)
 
-    def transposed(self, stage: Stage, states: list[np.ndarray], number: int, rows: np.ndarray) -> np.ndarray:
-        """Products R_y^T of each of ``rows``, (numbers, unknowns); y is the stage's start state of this
-        ``number``.
+    @cached_property
+    def variations(self) -> Variations:
+        """Variations by the start state."""
+        return Variations(self.step, self.fields()[0], self._state.vec, self._weight)
 
-        The stage has to be posed, with its solution as the present state.
+    @cached_property
+    def _slope(self) -> Slope:
+        layout, integrands = self.step.layout, list[Integrand]()
+        parts = dict(zip(layout.names, self._multiplier.components, strict=True))
+        for term in self.step.terms:
+            u, reads_start = self.fields()
+            of_term = term.form(u, Tests(layout, parts, u.context))
+            integrands += of_term if reads_start() else []
+        return self.variations.of_sum(integrands)
+
+    def put(self, weights: np.ndarray, states: Sequence[np.ndarray], number: int) -> None:
+        """Make y the state of this ``number`` among start states with ``weights``.
+
+        The step has to start from the weighted sum of the states.
         """
-        weights, step = stage.starts, self.step
+        step = self.step
         fixed = [(w, y) for k, (w, y) in enumerate(zip(weights, states, strict=False)) if k != number]
-        self._others.vec.FV().NumPy()[:] = sum((w * y for w, y in fixed), np.zeros(rows.shape[1]))
+        self._others.vec.FV().NumPy()[:] = sum((w * y for w, y in fixed), np.zeros(len(self.evolving)))
         self._weight.Set(float(weights[number]))
         self._state.vec.FV().NumPy()[:] = states[number]
         y = Fields.of(step.layout, self._state.components)
         self._momentum.Interpolate(y.rho * y.v)
         remaining = step.momentum_old.vec.FV().NumPy() - weights[number] * self._momentum.vec.FV().NumPy()
         self._other_momentum.vec.FV().NumPy()[:] = remaining
-        self._form.AssembleLinearization(self._state.vec)
-        return self._products(self._form, rows)
+
+    def transposed(self, rows: np.ndarray) -> np.ndarray:
+        """Products R_y^T of each of ``rows``, (numbers, unknowns), with y as ``put``.
+
+        The stage has to be posed, with its solution as the present state.
+        """
+        result = np.zeros_like(rows)
+        for product, weights in zip(result, rows, strict=True):
+            self._multiplier.vec.FV().NumPy()[:] = weights
+            product[:] = self._slope()
+        return np.where(self.evolving, result, 0.0)
 
     def _products(self, form: BilinearForm, rows: np.ndarray) -> np.ndarray:
         """Products of the transposed linearisation with ``rows``, by the unknowns that a step reads."""
@@ -76,14 +109,6 @@ class Starts:
             self._product.data = form.mat.T * self._at
             product[:] = self._product.FV().NumPy()
         return np.where(self.evolving, result, 0.0)
-
-    @cached_property
-    def _state(self) -> GridFunction:
-        return GridFunction(self.step.layout.space)
-
-    @cached_property
-    def _momentum(self) -> GridFunction:
-        return self.step.quadrature.vectors(self.step.mesh.dim)
 
     def momentum_transposed(self, state: np.ndarray, rows: np.ndarray) -> np.ndarray:
         """Products of ``rows``, (numbers, unknowns), with the transposed derivative of int rho v . w by a

@@ -43,6 +43,13 @@ class Neighbours:
         """Derivative by the parameter, from a difference of the followers' ``values``."""
         return differenced(values, self.parameter.spacing)
 
+    def freeze(self, base: Follower, state: np.ndarray, stage: Stage | None = None) -> None:
+        """Read extrema at the points at which the run's have theirs in a state."""
+        if base.columns.extrema.names:
+            base.at(state, stage)
+            for follower in self.followers:
+                follower.columns.extrema.places = base.columns.extrema.found()
+
     def at(self, state: np.ndarray) -> list[Follower]:
         """The followers, all set to one state."""
         for follower in self.followers:
@@ -65,7 +72,7 @@ def tangents(
 
     ``from_start`` tells whether the start values depend on the parameters, as at the start of a run.
     """
-    runs = [_Tangent(neighbour, base.state.copy(), from_start) for neighbour in neighbours]
+    runs = [_Tangent(neighbour, base, from_start) for neighbour in neighbours]
     linearised, times = Linearised(base), [trajectory.steps[0].begin]
     ends, integrals = [np.stack([run.begin(trajectory.steps[0]) for run in runs], axis=-1)], []
     integrals.append(np.zeros_like(ends[0]))
@@ -91,7 +98,7 @@ def tangents(
 def history(trajectory: Trajectory, base: Follower) -> History:
     """Values of the base's columns along a trajectory, (steps + 1, columns)."""
     steps, columns = trajectory.steps, base.columns
-    base.at(steps[0].state)
+    base.begin(steps[0].state)
     ends, integrals = [columns.state()], [np.zeros(len(columns.names))]
     v = base.step.layout.ranges["v"]
     for recorded in steps:
@@ -101,10 +108,13 @@ def history(trajectory: Trajectory, base: Follower) -> History:
             base.at(stage.state, stage)
             mean += columns.stage(stage.share)
             states.append(base.evolved(stage.state))
+        if columns.has_distances:
+            mean += base.distances(recorded, [*states, base.evolved(recorded.after)])
         if recorded.is_combined and columns.is_of_stages.any():
             mean += base.impulse(recorded, states, recorded.after, recorded.stages[-1].state[v])
+        base.finish(recorded, states)
         base.at(recorded.after)
-        ends.append(np.where(columns.is_of_stages, mean, columns.state()))
+        ends.append(columns.at_end(mean, columns.state(), recorded.tau))
         integrals.append(integrals[-1] + recorded.tau * mean)
     times = [steps[0].begin, *(recorded.end for recorded in steps)]
     return History(np.array(times), np.array(ends), np.array(integrals))
@@ -135,7 +145,8 @@ def _row(
         base.pose(stage, states)
         linearised.at_stage(stage)
         for run in runs:
-            run.stage(stage, linearised, recorded.is_combined or stage is not recorded.stages[-1])
+            is_read = recorded.is_combined or base.columns.has_distances
+            run.stage(stage, linearised, is_read or stage is not recorded.stages[-1])
         states.append(base.evolved(stage.state))
     if recorded.is_combined:
         linearised.at_end(recorded)
@@ -148,9 +159,9 @@ def _row(
 class _Tangent:
     """The tangent for one parameter."""
 
-    def __init__(self, neighbours: Neighbours, start: np.ndarray, from_start: bool) -> None:
-        self.near = neighbours
-        self.along = neighbours.of_start if from_start else np.zeros_like(start)
+    def __init__(self, neighbours: Neighbours, base: Follower, from_start: bool) -> None:
+        self.near, self._base = neighbours, base
+        self.along = neighbours.of_start if from_start else np.zeros_like(base.state)
         """Derivative of the present state by the parameter."""
         self._states: list[list[Evolved]] = []
 
@@ -159,12 +170,18 @@ class _Tangent:
 
     def begin(self, first: RecordedStep) -> np.ndarray:
         """Derivatives of the columns at the start of the first step."""
+        for follower, moved in zip(
+            self.near.followers, self.near.moved(first.state, self.along), strict=True
+        ):
+            follower.begin(moved)
         return self._columns_at(first.state)
 
     def _columns_at(self, state: np.ndarray) -> np.ndarray:
+        """Derivatives of the columns at a state, with the steps' starts in place."""
         if not self.near.followers[0].columns.has_ends:
             return np.zeros(len(self.near.followers[0].columns.names))
         moved = self.near.moved(state, self.along)
+        self.near.freeze(self._base, state)
 
         def columns(i: int, follower: Follower) -> np.ndarray:
             follower.at(moved[i])
@@ -188,6 +205,7 @@ class _Tangent:
         rows, prescribed = (self.near.derivative(values) for values in zip(*residuals, strict=True))
         self.along = prescribed - linearised.stage(rows)
         self._last = moved = self.near.moved(stage.state, self.along)
+        self.near.freeze(self._base, stage.state, stage)
 
         def columns(i: int, follower: Follower) -> np.ndarray:
             follower.at(moved[i])
@@ -204,9 +222,16 @@ class _Tangent:
         """Derivatives of the columns at the step's end, and of their means over its stages."""
         if recorded.is_combined:
             self._combine(recorded, linearised)
+        columns = self.near.followers[0].columns
+        if columns.has_distances:
+            moved = self.near.moved(recorded.after, self.along)
+            self._mean += self._differenced(
+                lambda i, follower: follower.distances(
+                    recorded, [*self._states[i], follower.evolved(moved[i])]
+                )
+            )
         values = self._columns_at(recorded.after)
-        of_stages = self.near.followers[0].columns.is_of_stages
-        return np.where(of_stages, self._mean, values), self._mean
+        return columns.at_end(self._mean, values, recorded.tau), self._mean
 
     def _combine(self, recorded: RecordedStep, linearised: Linearised) -> None:
         v = self.near.followers[0].step.layout.ranges["v"]

@@ -60,6 +60,20 @@ class RecordedStep:
         return self.end - self.begin
 
     @property
+    def distances(self) -> list[tuple[float, int, int]]:
+        """Weights c, k, i of the distances c B(y_k, y_i) in the scheme's dissipation.
+
+        The number i is that of a stage; the number k of the combined end is one more than the last stage's.
+        """
+        of_end = np.zeros(len(self.weights)) if self.ends_at_stage else self.weights
+        result, last = [], len(self.stages)
+        for i, stage in enumerate(self.stages, start=1):
+            weights = stage.share * self.tau / stage.interval.tau * np.array(stage.starts)
+            weights = np.pad(weights, (0, last + 1 - len(weights))) + (of_end if i == last else 0.0)
+            result += [(float(w), k, i) for k, w in enumerate(weights) if w != 0 and k != i]
+        return result if self.ends_at_stage else [*result, (-1.0, last + 1, last)]
+
+    @property
     def ends_at_stage(self) -> bool:
         """Whether the end is the last stage's solution, including the walls' velocities; the limiter's change
         does not count."""

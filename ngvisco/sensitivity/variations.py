@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cached_property
 
 import numpy as np
 from ngsolve import (
     VOL,
+    BaseVector,
     BilinearForm,
     CoefficientFunction,
     ElementId,
     FESpace,
     GridFunction,
     LinearForm,
+    Parameter,
     Variation,
 )
 from scipy import sparse as sp
 
+from ngvisco.forms.fields import Fields
 from ngvisco.forms.mesh.quadrature import compiled
 from ngvisco.forms.projections import inverse_mass
 from ngvisco.forms.system import Step
@@ -30,24 +33,50 @@ Slope = Callable[[], np.ndarray]
 
 
 class Variations:
-    """Slopes of integrals whose integrands are functions of ``trial``, at the present state of a step."""
+    """Slopes of integrals whose integrands are functions of ``trial``, at one state of a step.
 
-    def __init__(self, step: Step) -> None:
+    Parameters
+    ----------
+    step : Step
+    trial : Fields, optional
+        Fields with trial functions, by default those of the present state.
+    at : BaseVector, optional
+        Coefficients at which the trial functions are evaluated, by default the present state.
+    weight : Parameter, optional
+        Weight of the trial functions in the step's start, if they are those of a start state.
+    """
+
+    def __init__(
+        self,
+        step: Step,
+        trial: Fields | None = None,
+        at: BaseVector | None = None,
+        weight: Parameter | None = None,
+    ) -> None:
         self.step, self.space = step, step.layout.space
-        self.trial = step.linearised_fields(self.space.TrialFunction())
-        """Fields of trial functions of the state."""
+        self.trial = step.linearised_fields(self.space.TrialFunction()) if trial is None else trial
+        self._at = step.state.vec if at is None else at
         self._vector = step.state.vec.CreateVector()
+        self.weight = Parameter(1.0) if weight is None else weight
+        changed = step.state if weight is None else step.state_old
+        self.coefficients: np.ndarray = changed.vec.FV().NumPy()
+        """Coefficients that change with the trial functions times ``weight``, (unknowns,), as a view."""
 
     def of(self, integrand: Integrand, prepare: Callable[[], None] = lambda: None) -> Slope:
         """Slope of an integral by the step's rules; ``prepare`` updates functions in the integrand first."""
+        return self.of_sum([integrand], prepare)
+
+    def of_sum(self, integrands: Iterable[Integrand], prepare: Callable[[], None] = lambda: None) -> Slope:
+        """Slope of a sum of integrals; summands are differentiated one by one."""
         quadrature, form = self.step.quadrature, BilinearForm(self.space)
-        for part, integral in (
-            (integrand.cells, quadrature.cells),
-            (integrand.facets, quadrature.facets),
-            (integrand.collocated, quadrature.collocated),
-        ):
-            if part is not None:
-                form += Variation(integral(compiled(part)))
+        for integrand in integrands:
+            for part, integral in (
+                (integrand.cells, quadrature.cells),
+                (integrand.facets, quadrature.facets),
+                (integrand.collocated, quadrature.collocated),
+            ):
+                if part is not None:
+                    form += Variation(integral(compiled(part)))
         return self.applied(form, prepare)
 
     @cached_property
@@ -61,18 +90,35 @@ class Variations:
         return output_fields(self.step)
 
     def of_fields(self, density: Callable[[dict[str, CoefficientFunction]], CoefficientFunction]) -> Slope:
-        """Slope of the integral over cells of a function of the run's fields.
+        """Slope of the integral over cells of a function of the run's fields."""
+        own = [Integrand(density(self.trial_fields))]
+        present = [] if self.step.energy.projected is None else [Integrand(density(self.fields))]
+        return self._with_energy(own, present)
+
+    def of_integrands(
+        self, make: Callable[[Fields], Mapping[str, list[Integrand]]], names: Sequence[str]
+    ) -> dict[str, Slope]:
+        """Slopes, by name, of the sums of integrals that ``make`` returns for the fields of a state."""
+        present = {} if self.step.energy.projected is None else make(self.step.now)
+        of_trial = make(self.trial)
+        return {name: self._with_energy(of_trial[name], present.get(name, [])) for name in names}
+
+    def _with_energy(self, integrands: Sequence[Integrand], present: Sequence[Integrand]) -> Slope:
+        """Slope of a sum of integrals, with the share of the stored energy.
 
         The energy of a material without an expression is projected, P phi(z), and its weight w in the
-        integral becomes the weight P w of phi(z).
+        integrals at the ``present`` state becomes the weight P w of phi(z).
         """
-        own, projected = self.of(Integrand(cells=density(self.trial_fields))), self.step.energy.projected
+        own, projected = self.of_sum(integrands), self.step.energy.projected
         if projected is None:
             return own
         quadrature, weight = self.step.quadrature, GridFunction(projected.space)
-        load = LinearForm(projected.space)
-        by_energy = density(self.fields).Diff(projected, projected.space.TestFunction())
-        load += quadrature.cells(by_energy)
+        load, test = LinearForm(projected.space), projected.space.TestFunction()
+        for integrand in present:
+            if integrand.cells is not None:
+                load += quadrature.cells(integrand.cells.Diff(projected, test))
+            if integrand.facets is not None:
+                load += quadrature.facets(integrand.facets.Diff(projected, test))
         inverse = inverse_mass(projected.space, quadrature)
 
         def project() -> None:
@@ -86,7 +132,7 @@ class Variations:
 
         def slope() -> np.ndarray:
             prepare()
-            form.Apply(self.step.state.vec, self._vector)
+            form.Apply(self._at, self._vector)
             return self._vector.FV().NumPy().copy()
 
         return slope

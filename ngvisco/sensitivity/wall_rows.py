@@ -1,4 +1,4 @@
-"""Columns with rows of the residual at walls: forces on walls, and powers of moving walls."""
+"""Columns with rows of the residual: forces on walls, impulses of walls, and powers of moving walls."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class WallRows:
         self.follower, step, self.names = follower, follower.step, follower.columns.names
         rows_of_v = step.layout.ranges["v"]
         self.forces: dict[str, np.ndarray] = {}
-        """Constant weights of a force's rows, (unknowns,)."""
+        """Constant weights of the rows of a force or an impulse, (unknowns,)."""
         self.powers: dict[str, np.ndarray] = {}
         """Masks of a moving wall's rows, (unknowns,)."""
         for table in follower.columns.tables:
@@ -33,6 +33,11 @@ class WallRows:
                         if (name := f"{wall}.{motion}") in self.names:
                             self.forces[name] = np.zeros(step.layout.space.ndof)
                             self.forces[name][rows_of_v] = table.reactions.weights(wall, motion)
+        momentum = follower.simulation.ledger.momentum
+        for name, number in momentum.held.items():
+            if name in self.names:
+                self.forces[name] = np.zeros(step.layout.space.ndof)
+                self.forces[name][rows_of_v] = momentum.impulses.velocities[number]
         for wall, (_, mask) in step.moving_walls.moving.items():
             if (name := f"power_wall_{wall}") in self.names:
                 self.powers[name] = np.zeros(step.layout.space.ndof, dtype=bool)

@@ -11,8 +11,7 @@ from support import by_ci
 import ngvisco as nv
 from ngvisco.geometries import disc, structured_box
 from ngvisco.sensitivity.adjoint import Adjoint
-from ngvisco.sensitivity.gradient import _base, measure
-from ngvisco.sensitivity.numbers import Numbers
+from ngvisco.sensitivity.gradient import _base, _numbers, measure
 from ngvisco.sensitivity.slopes import Slopes
 from ngvisco.sensitivity.starts import Starts
 from ngvisco.sensitivity.tangent import Neighbours, history, tangents
@@ -30,15 +29,16 @@ def test_adjoint_and_tangent_agree(scheme):
     assert abs(adjoint.jacobian / tangent.jacobian - 1).max() < 1e-8
 
 
-def directional(make, scheme, of, size=1.0, block=None):
+def directional(make, scheme, of, size=1.0, block=None, seed=0):
     """The derivative along a random change of the start, or of one block of it, by tangent and adjoint."""
-    simulation, numbers = make(scheme=scheme), Numbers.of(of, UNTIL)
+    simulation = make(scheme=scheme)
+    numbers = _numbers(of, UNTIL, simulation)
     base, trajectory = _base(simulation, numbers.columns), Trajectory(simulation)
     slopes = Slopes(base)
     one = Neighbours(Still(), make(scheme=scheme), base.columns)
     trajectory.run(UNTIL)
     found, starts = history(trajectory, base), Starts(base)
-    random = size * np.random.default_rng(0).standard_normal(len(base.state))
+    random = size * np.random.default_rng(seed).standard_normal(len(base.state))
     moved = starts.evolving & np.array(list(base.step.layout.space.FreeDofs()))
     if block is not None:
         others = np.ones(len(moved), dtype=bool)
@@ -46,7 +46,7 @@ def directional(make, scheme, of, size=1.0, block=None):
         moved &= ~others
     one.of_start = np.where(moved, random, 0.0)
     by_tangent = numbers.parts(tangents(trajectory, base, [one], True))[:, 0]
-    adjoint = Adjoint(trajectory, base, slopes, [], *numbers.weights(found, base.columns.is_of_stages))
+    adjoint = Adjoint(trajectory, base, slopes, [], *numbers.weights(found, base.columns))
     adjoint.run(True)
     return by_tangent, adjoint.of_start @ one.of_start
 
@@ -77,7 +77,7 @@ def test_products_of_tangent_and_adjoint_are_equal(scheme, solver):
 @pytest.mark.ci
 def test_without_the_change_of_the_old_state_an_adjoint_is_wrong(monkeypatch):
     """A negative control: what a step starts from counts."""
-    monkeypatch.setattr(Starts, "transposed", lambda self, stage, states, number, rows: 0 * rows)
+    monkeypatch.setattr(Starts, "transposed", lambda self, rows: 0 * rows)
     by_tangent, by_adjoint = directional(run, "midpoint", {"motion": OF["motion"]})
     assert abs(by_adjoint / by_tangent - 1).max() > 0.1
 

@@ -19,7 +19,7 @@ COUNTED = {
     "matrices": (CondensedJacobian, "factorise"),
     "solves": (CondensedJacobian, "solve"),
     "transposed solves": (CondensedJacobian, "solve_transposed"),
-    "matrices by the start": (Starts, "transposed"),
+    "slopes by the start": (Starts, "transposed"),
     "residuals": (Follower, "residual"),
 }
 
@@ -42,7 +42,7 @@ def counts(monkeypatch):
 
 
 def test_the_work_of_an_adjoint_does_not_grow_with_the_number_of_parameters(counts):
-    """A stage of the adjoint takes two matrices and one solve; the run takes more iterations."""
+    """A stage takes a matrix, a slope by the start and a solve; the run takes more iterations."""
     demo = load("soft_spot")
 
     def ground():
@@ -57,7 +57,7 @@ def test_the_work_of_an_adjoint_does_not_grow_with_the_number_of_parameters(coun
     density = gradient.density("misfit", "stiffness")
     of_blocks = Integrate(density * CF(tuple(demo.blocks())), density.space.mesh, order=3)
     assert len(of_blocks) == 50 and np.any(of_blocks)
-    kinds = ("matrices", "matrices by the start", "transposed solves")
+    kinds = ("matrices", "slopes by the start", "transposed solves")
     assert counts - alone == Counter(dict.fromkeys(kinds, alone["steps"]))
     assert 3 * alone["steps"] <= 2 * alone["solves"]
 

@@ -1,0 +1,154 @@
+"""Derivatives of the ledger's columns beside energies and rates: exchanges in a step, defects, extrema."""
+
+from functools import partial
+
+import numpy as np
+import pytest
+from differentiated import AT, UNTIL, run
+from support import by_ci
+from test_adjoint import between, curved, directional, smooth
+
+import ngvisco as nv
+from ngvisco.sensitivity.distance_slopes import DistanceSlopes
+from ngvisco.sensitivity.gradient import measure
+
+EXTREMA = ("rho_min", "rho_max", "J_min", "v_max", "creep_power_min", "eigenvalue_min_B")
+DEFECTS = ("defect_max", "defect_rms")
+ENERGY, MOMENTUM = ("stored", "inertial", "bregman"), ("impulse_walls_2", "impulse_gravity_2")
+MOMENTA = (
+    *("impulse_walls_1", "angular_impulse_walls", "angular_impulse_gravity"),
+    *("angular_defect_facets", "defect_cells_1", "angular_defect_inertia", "momentum_defect_2"),
+    *("angular_momentum_defect", "angular_defect_cells"),
+)
+NAMES = (*ENERGY, *MOMENTUM, *MOMENTA, *EXTREMA, *DEFECTS)
+SCHEMES = [
+    ("backward-euler", "coupled"),
+    by_ci("backward-euler", "split"),
+    by_ci("midpoint", "coupled"),
+    by_ci("midpoint", "split"),
+    by_ci("sdirk2", "coupled"),
+    ("sdirk2", "split"),
+]
+
+
+def of(names=NAMES):
+    """Values at the end, and integrals or sums up to the middle of the last step."""
+    return {f"{name} {when}": f"{name} {when}" for name in names for when in ("at 0.06", "until 0.05")}
+
+
+def relative(found, exact, names):
+    """Differences over the largest derivative of an energy, of a momentum, or of the same column."""
+    sizes = []
+    for name, value in zip(names, exact, strict=True):
+        column, when = name.split(" ", 1)
+        kind = next((k for k in (ENERGY, (*MOMENTUM, *MOMENTA)) if column in k), (column,))
+        beside = [abs(v) for n, v in zip(names, exact, strict=True) if n in [f"{c} {when}" for c in kind]]
+        sizes.append(max(beside) if beside else abs(value))
+    return abs(found - exact) / np.array(sizes)
+
+
+@pytest.mark.parametrize(("scheme", "solver"), SCHEMES)
+def test_products_of_tangent_and_adjoint_are_equal(scheme, solver):
+    """Norms of small defects and eigenvalues near equal ones are too far from linear for differences along a
+    random change of all coefficients; central differences by a modulus have them."""
+    numbers = of([name for name in NAMES if name not in ("defect_rms", "eigenvalue_min_B")])
+    by_tangent, by_adjoint = directional(partial(run, solver=solver), scheme, numbers, 0.3)
+    assert relative(by_adjoint, by_tangent, numbers).max() < 1e-10
+
+
+WIDTHS = (1e-2, 1e-3, 1e-4)
+
+
+@pytest.mark.parametrize(("scheme", "solver"), SCHEMES)
+def test_derivatives_are_limits_of_central_differences(scheme, solver):
+    make, name = partial(run, scheme=scheme, solver=solver), "material.G_e"
+    found = nv.gradient(make(), UNTIL, of=of(), by=[name], method="adjoint").jacobian[:, 0]
+    errors = []
+    for width in WIDTHS:
+        up, down = (measure(make(AT | {name: 5.0 * (1 + s * width)}), UNTIL, of()) for s in (1, -1))
+        errors.append(relative((up - down) / (10 * width), found, of()))
+    errors = np.array(errors)
+    assert errors.min(axis=0).max() < 1e-6
+    assert errors[0].max() > 20 * errors[1].max()
+
+
+def test_values_are_those_of_the_run():
+    simulation = run()
+    found = nv.gradient(simulation, UNTIL, of=of(), by=["creep.G_m"])
+    ledger = simulation.ledger
+    for name in NAMES:
+        column = ledger.column(name)
+        value = found.values[found.of.index(f"{name} at 0.06")]
+        assert value == pytest.approx(column[-1], rel=1e-7, abs=1e-13)
+        if name in (*MOMENTUM, *MOMENTA, "inertial", "bregman"):
+            total = found.values[found.of.index(f"{name} until 0.05")]
+            assert total == pytest.approx(column[1:3].sum() + 0.5 * column[3], rel=1e-7, abs=1e-13)
+
+
+@pytest.mark.parametrize("scheme", ["midpoint", by_ci("backward-euler")])
+def test_energies_without_an_expression_have_them_too(scheme):
+    """Their dissipation and defects have the energy's values at points, and its projection."""
+    names = ("stored", "bregman", "impulse_walls_1", "angular_defect_facets", "angular_defect_cells")
+    numbers, given = of(names), {"of": of(names), "by": ["material.G_e"]}
+    tangent, adjoint = (
+        nv.gradient(smooth(5.0, scheme=scheme), UNTIL, method=method, **given).jacobian[:, 0]
+        for method in ("tangent", "adjoint")
+    )
+    assert relative(adjoint, tangent, numbers).max() < 1e-6  # the symmetric swirl's momenta are tiny
+
+
+WALLS = ("impulse_walls_1", "angular_impulse_walls", "momentum_defect_1", "angular_momentum_defect")
+OPEN = (
+    "impulse_springs_bottom_1",
+    "impulse_carried_bottom_2",
+    "impulse_friction_left_2",
+    "bregman",
+    "stored",
+)
+
+
+@pytest.mark.parametrize(
+    ("make", "columns", "options"),
+    [
+        by_ci(curved, (*WALLS, "angular_defect_cells"), {}),
+        by_ci(between, (*WALLS, *OPEN), {"solver": "split", "scheme": "sdirk2"}),
+        (between, (*WALLS, *OPEN), {}),
+    ],
+)
+def test_impulses_of_walls_have_adjoints(make, columns, options):
+    """The walls have multipliers, or move, or matter crosses them, with springs and friction."""
+    numbers = of(columns)
+    given = {"of": numbers, "by": ["material.G_e"]}
+    tangent, adjoint = (
+        nv.gradient(make(5.0, **options), UNTIL, method=method, **given).jacobian[:, 0]
+        for method in ("tangent", "adjoint")
+    )
+    sizes = np.maximum(abs(tangent), 1e-3 * abs(tangent).max())  # a defect is made of larger impulses
+    assert (abs(adjoint - tangent) / sizes).max() < 1e-7
+
+
+def test_without_one_of_the_states_the_slope_of_a_distance_is_wrong(monkeypatch):
+    """A negative control: both states of B(a, b) change."""
+    numbers = of(("inertial", "bregman"))
+    whole = DistanceSlopes.__call__
+    by_tangent, _ = directional(run, "midpoint", numbers, 0.1)
+    monkeypatch.setattr(DistanceSlopes, "__call__", lambda *given: (0 * given[2], whole(*given)[1]))
+    _, cut = directional(run, "midpoint", numbers, 0.1)
+    assert abs(cut / by_tangent - 1).min() > 1e-2
+
+
+@pytest.mark.parametrize("method", ["tangent", "adjoint"])
+@pytest.mark.parametrize(
+    ("column", "said"),
+    [
+        ("newton_iterations", "it counts"),
+        ("closure", "what is left of it is rounding"),
+        ("limiter", "what the limiter changes is constant"),
+        ("dt", "the lengths of steps are constant"),
+        ("momentum_size", "kinks where matter comes to rest"),
+        ("momentum_defect_relative", "the largest values of all steps"),
+    ],
+)
+def test_columns_without_a_derivative_are_refused_with_the_reason(method, column, said):
+    with pytest.raises(nv.ParameterError, match=said):
+        nv.gradient(run(), UNTIL, of=[f"{column} at 0.06"], by=["creep.G_m"], method=method)
