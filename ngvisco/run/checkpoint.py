@@ -11,10 +11,11 @@ Layout::
     /checkpoints/<step>/state       all coefficients of the step's space; attributes time (s), step,
                                     energy (J), mass (kg), initial_mass (kg), velocity_scale (m/s)
     /checkpoints/<step>/solver      the point where the Jacobian was factorised (attributes tau, end,
-                                    loads_from, loads_over, loads_tilt, last_tau, factorised_by_split; data
-                                    sets state, state_old), and the last two solutions, from which start
-                                    values are extrapolated; empty without a factorisation.  States have
-                                    zeros for unknowns that follow from the others
+                                    loads_from, loads_over, loads_tilt, last_tau, factorised_by_split,
+                                    directions_first, directions_beyond; data sets state, state_old), and
+                                    the last two solutions, from which start values are extrapolated; empty
+                                    without a factorisation.  States have zeros for unknowns that follow from
+                                    the others
     /checkpoints/<step>/stepping    data for the choice of the next step: for fixed steps the origin of their
                                     count (attributes start, level), for adaptive ones the next length (dt),
                                     streak, last_error, and the states known_* of the error estimate

@@ -46,9 +46,9 @@ class SplitOptions:
     is half as far from the best one."""
     halvings: Count = 5
     """Number of iterates that one attempt may give up."""
-    renewed_after: Count = 20
-    """Number of GMRES iterations for the flow above which operator and preconditioner are renewed; the
-    renewal takes as long as 30 to 65 iterations."""
+    renewed_after: Count = 30
+    """Number of GMRES iterations for the flow, beyond those that increments take with a new operator and
+    preconditioner, above which both are renewed: a renewal takes as long as 30 to 65 iterations."""
     renewed_above: Positive = 0.05
     """Increment above which operator and preconditioner are renewed; below it only hyperviscosity, which
     changes suddenly, is linearised again."""

@@ -273,6 +273,8 @@ class RotheSolver:
             return numbers, states
         numbers |= {name: getattr(self._factorised_at, name) for name in _PARAMETERS}
         numbers |= {"last_tau": self._last_tau, _BY_SPLIT: float(self.method == "split")}
+        if isinstance(self.newton, Split):
+            numbers |= self.newton.wear.state_dict()
         return numbers, states | self._factorised | self._stresses
 
     def load_state_dict(self, numbers: dict[str, float], arrays: dict[str, Any]) -> None:
@@ -288,6 +290,8 @@ class RotheSolver:
         self.step.stresses.give(arrays)
         parameters = {name: numbers[name] for name in _PARAMETERS}
         self.newton.factorise(self.problem(Interval(begin=now, **parameters)))
+        if isinstance(self.newton, Split):
+            self.newton.wear.load_state_dict(numbers)
         self._last_tau = numbers["last_tau"]
         self._set(kept)
         time.Set(now)

@@ -5,8 +5,9 @@ traces, conjugates, local creep, the hyperviscosity's local unknowns - are elimi
 of cells and sides (``ReducedResidual``). An increment takes sweeps of the transport, and one linear system of
 the flow with the fields' response to it (``FlowSchurComplement``), solved by GMRES (``Preconditioner``).
 Three things distinguish it from Newton's method: a coarser quadrature rule; a fixed number of sweeps; and an
-operator that is renewed only after a long increment or if increments shrink too little. Between renewals the
-operator follows hyperviscosity only, which changes suddenly.
+operator that is renewed only after a long increment, if increments shrink too little, or if their systems
+take more directions than a renewal costs (``Wear``). Between renewals the operator follows hyperviscosity
+only, which changes suddenly.
 
 ``iterate`` replaces x by x - f(x), f = P^{-1} R, until f is small. If f is not finite, or much longer than
 the smallest increment so far, the iterate is given up for one nearer to the best iterate. ``damped`` makes a
@@ -33,6 +34,7 @@ from ngvisco.reduced.residual import Evaluation, ReducedResidual
 from ngvisco.solver.options import NewtonOptions
 from ngvisco.solver.problem import BlockNorm, NewtonIteration, Problem, Solution, Status, unconverged
 from ngvisco.solver.split.preconditioner import Preconditioner
+from ngvisco.solver.split.wear import Wear
 from ngvisco.threads import Workers, on_arrays
 
 _FORCING = {2: 0.03, 3: 0.003}
@@ -75,6 +77,7 @@ class Split:
         """Whether the last increment was too long relative to the increment before."""
         self.is_fresh = True
         """Whether the tangent was renewed for the last increment."""
+        self.wear = Wear(options.split.renewed_after)
         self._left = 0.0
         """Tolerance of the last increment's linear system: the part of this increment that it may leave."""
         self.damps = False
@@ -151,6 +154,7 @@ class Split:
             if self.preconditioner.iterations >= options.flow_iterations and better():  # not solved
                 self.renew(problem, at)
                 f = self.solved(at, expected)
+        self.wear.count(self.preconditioner.iterations)
         size = self.size(f)
         self._stale = size > options.stale_above * last
         return f, size
@@ -208,9 +212,8 @@ class Split:
         """Reset the tangent if the increment f shows that it is outdated; the next increment then renews
         it."""
         options = self.options.split
-        slow = self.preconditioner.iterations > options.renewed_after
-        slow |= self._stale and not self.is_steep  # steep rules renew the operator alone
-        worn = slow and size > 1e3 * options.margin * self.options.tolerance
+        slow = self._stale and not self.is_steep  # steep rules renew the operator alone
+        worn = (slow or self.wear.is_dear) and size > 1e3 * options.margin * self.options.tolerance
         before, self._turned = self._turned, self.sizes(f)[1] if self.norm.shared else 0.0
         bends = self._turned > max(options.bends_above, 0.3 * before)  # a fixed tangent would not contract
         far = options.renewed_above * (10 if self.is_steep else 1)
@@ -231,6 +234,7 @@ class Split:
         """Compute the tangent at an evaluation; its unknowns have to be the step's state."""
         self.is_factorised = False
         self.preconditioner.update(at)  # no tangent remains if this fails
+        self.wear.renew()
         self.is_factorised = True
         problem.factorised()
 

@@ -1,0 +1,42 @@
+"""Counts the directions of GMRES that an ageing tangent costs, to find when a new one pays for itself.
+
+A new tangent spares the directions that later increments take beyond those of the first increment with the
+present one.  It is renewed when they are, in all, as many as a renewal costs: whatever the following
+increments need, at most twice the least cost is then spent.  A limit for the directions of one increment
+would renew in vain where a new tangent needs as many.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+_FIRST, _BEYOND = "directions_first", "directions_beyond"
+
+
+class Wear:
+    """Directions of the increments with one tangent; ``cost`` is that of a renewal, in directions."""
+
+    def __init__(self, cost: int) -> None:
+        self.cost, self._first, self._beyond = cost, 0, 0
+
+    def renew(self) -> None:
+        """Begin with a new tangent."""
+        self._first = self._beyond = 0
+
+    def count(self, directions: int) -> None:
+        """Count the directions of one increment."""
+        self._first = self._first or directions
+        self._beyond += max(directions - self._first, 0)
+
+    @property
+    def is_dear(self) -> bool:
+        """Whether a tangent renewed before would have spared more than its cost."""
+        return self._beyond > self.cost
+
+    def state_dict(self) -> dict[str, float]:
+        """The counts, which a checkpoint stores."""
+        return {_FIRST: float(self._first), _BEYOND: float(self._beyond)}
+
+    def load_state_dict(self, numbers: Mapping[str, float]) -> None:
+        """Restore the counts; they begin anew if the checkpoint has none."""
+        self._first, self._beyond = (int(numbers.get(name, 0.0)) for name in (_FIRST, _BEYOND))

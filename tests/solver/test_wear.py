@@ -1,0 +1,84 @@
+"""A tangent is renewed when the directions that a new one would have spared are worth its cost."""
+
+from support import assert_goes_on, swirling
+
+import ngvisco as nv
+from ngvisco.solver.options import SplitOptions
+from ngvisco.solver.split.wear import Wear
+
+COST = 30
+
+
+def renewals(directions, new):
+    """Numbers of the increments after which tangents are renewed.
+
+    Increment n takes ``directions[n]`` with an old tangent and ``new[n]`` with a new one."""
+    wear, found, is_new = Wear(COST), [], True
+    for number, (old, of_new) in enumerate(zip(directions, new, strict=True)):
+        wear.count(of_new if is_new else old)
+        is_new = wear.is_dear
+        if is_new:
+            found.append(number)
+            wear.renew()
+    return found
+
+
+def test_a_new_tangent_that_spares_no_direction_is_not_formed():
+    """The increments of 50,552 tetrahedra: of eight, six had a new tangent in vain."""
+    directions = [21, 24, 23, 23, 24, 14, 14]
+    assert renewals(directions, directions) == []
+
+
+def test_an_easy_first_increment_makes_one_renewal_in_vain():
+    directions = [8, *10 * [24]]
+    assert len(renewals(directions, directions)) == 1
+
+
+def test_directions_grow_until_they_are_worth_a_renewal():
+    assert renewals(10 * [20], 10 * [10]) == [4, 9]
+    assert renewals(10 * [13], 10 * [10]) == []
+
+
+def test_at_most_twice_the_least_cost():
+    """An old tangent takes one direction more with every increment since its renewal."""
+    increments = 200
+    wear, age, directions, count = Wear(COST), 0, 0, 0
+    for _ in range(increments):
+        wear.count(10 + age)
+        directions, age = directions + age, age + 1
+        if wear.is_dear:
+            wear.renew()
+            count, age = count + 1, 0
+    least = min((increments // n) * (n * (n - 1) // 2 + COST) for n in range(1, 40))
+    assert directions + COST * count <= 2 * least
+
+
+def test_counts_are_restored():
+    wear, again = Wear(COST), Wear(COST)
+    for directions in (10, 25, 20):
+        wear.count(directions)
+    again.load_state_dict(wear.state_dict())
+    assert not again.is_dear
+    for one in (wear, again):
+        one.count(16)
+        assert one.is_dear
+    again.load_state_dict({})  # a checkpoint of an older version
+    again.count(40)
+    assert not again.is_dear
+
+
+def test_a_resumed_run_renews_where_the_whole_one_does(tmp_path):
+    """Steps so short that a tangent serves several of them."""
+    newton = nv.NewtonOptions(split=SplitOptions(renewed_after=1))
+
+    def run(observers):
+        return swirling(
+            0.3,
+            0.001,
+            observers=observers,
+            hyperviscosity=nv.HyperViscosity(mu=1e-3, p=4),
+            solver="split",
+            newton=newton,
+        )
+
+    assert_goes_on(run, tmp_path / "run.h5", 0.006, 2, 3, 4, 5)
