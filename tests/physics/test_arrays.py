@@ -20,6 +20,7 @@ from ngvisco.physics.tensors import (
     sph,
     square,
     sym,
+    symmetric_tensors,
     tr,
 )
 from ngvisco.physics.variables import Distortion, Jacobian
@@ -43,6 +44,18 @@ def test_every_operation_against_differences():
                 moved[i][index] += sign * 1e-6
                 quotient.append(energy(*map(Array, moved)).value)
             assert derivative[index] == pytest.approx((quotient[0] - quotient[1]) / 2e-6, rel=1e-7, abs=1e-7)
+
+
+def test_a_trace_does_not_make_the_tensors_that_it_is_the_trace_of():
+    space, components = symmetric_tensors(3), Array(np.random.default_rng(1).standard_normal((6, 4)))
+    B = space.tensor(components)
+    trace = tr(B)
+    (slope,) = derivatives(trace * trace, [components])
+    assert np.abs(trace.value).min() > 0.1
+    assert B._made is None
+    assert np.allclose(trace.value, np.einsum("iip->p", B.value), rtol=1e-14)
+    of_trace = space.columns.T @ np.eye(3).ravel()
+    assert np.allclose(slope, 2 * trace.value * of_trace[:, None], rtol=1e-14)
 
 
 def test_an_energy_that_needs_ngsolve_is_left_to_it():
