@@ -90,13 +90,20 @@ def layered(stiffness, **options):
     return started(model, **given | options)
 
 
-def test_columns_that_read_the_start_of_a_step_have_its_slopes():
+@pytest.mark.parametrize(
+    ("columns", "options"),
+    [
+        (("disc_force_x", "p.viscous_stress_12"), {"scheme": "backward-euler"}),
+        by_ci(("disc_force_y", "disc_torque", "p.viscous_stress_11"), {"solver": "split"}),
+    ],
+)
+def test_columns_that_read_the_start_of_a_step_have_its_slopes(columns, options):
     """The tangent changes the start of each stage, too, by differences."""
-    columns = ("dissipation_stokes_shear", "disc_force_x", "p.viscous_stress_12")
+    columns = ("dissipation_stokes_shear", *columns)
     of = [f"{column} {when}" for column in columns for when in ("at 0.06", "until 0.05")]
     given = {"of": of, "by": ["bodies.disc.material.G_e"]}
     tangent, adjoint = (
-        nv.gradient(layered(5.0, scheme="backward-euler"), UNTIL, method=method, **given).jacobian[:, 0]
+        nv.gradient(layered(5.0, **options), UNTIL, method=method, **given).jacobian[:, 0]
         for method in ("tangent", "adjoint")
     )
     assert np.allclose(adjoint, tangent, rtol=1e-6, atol=0)
