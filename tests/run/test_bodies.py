@@ -221,7 +221,7 @@ class SharesOnly:
         (lambda: [disc(material=BY_F), rest()], r"bodies\['disc'\].material.*elastic_state"),
         (lambda: [disc(material=VARIED), rest()], "a bulk modulus that is a number"),
         (lambda: [disc(material=nv.Yosida(material=SOLID, eps=0.01)), rest()], "Yosida approximation"),
-        (lambda: [disc(material=BY_J_MIN), rest()], "J_min = None: continued below it"),
+        (lambda: [disc(material=BY_J_MIN), rest()], "no J_min: continued below it"),
         (lambda: [disc(material=BREAKS), rest()], r"bodies\['disc'\].material.*would be the damage of all"),
         (lambda: [disc(material=HOT_BREAKS), rest()], r"bodies\['disc'\].material.*the damage of all"),
         (lambda: [disc(material=QUADRATIC), rest()], r"bodies\['disc'\].material.*per reference volume"),
