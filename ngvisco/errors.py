@@ -9,6 +9,7 @@ import difflib
 import inspect
 import math
 import numbers
+import pickle
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from fractions import Fraction
@@ -32,6 +33,19 @@ class NgviscoError(Exception):
     """
 
     key = ""
+
+    def __reduce__(self) -> tuple[Any, ...]:  # Exception's own calls the constructor with the message alone
+        attributes = {name: value for name, value in vars(self).items() if can_be_copied(value)}
+        return BaseException.__new__, (type(self), *self.args), attributes
+
+
+def can_be_copied(value: object) -> bool:
+    """True if another process can get a copy of a value."""
+    try:
+        pickle.loads(pickle.dumps(value))
+    except Exception:  # a value's own methods may raise any exception
+        return False
+    return True
 
 
 class ParameterError(NgviscoError, ValueError):

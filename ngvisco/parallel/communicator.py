@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import pickle
 import sys
 import time
 import warnings
@@ -21,7 +20,7 @@ from typing import Any, TypeVar
 import numpy as np
 from ngsolve import Mesh
 
-from ngvisco.errors import NgviscoError
+from ngvisco.errors import NgviscoError, can_be_copied
 
 _SHORTEST, _LONGEST, _GROWTH = 2e-5, 1e-3, 1.5
 """Shortest and longest pause, s, between two polls of a sleeping rank, and the growth factor of pauses."""
@@ -246,8 +245,9 @@ class Communicator:
         """The error of the lowest rank that has one, returned on all ranks; None if no rank has an error."""
         if self.size == 1 or not self.any(error is not None):
             return error
-        errors = [entry for entry in self.gathered(_packed(error)) if entry is not None]
-        together = _unpacked(errors[0])
+        if error is not None and not can_be_copied(error):
+            error = RuntimeError(f"{type(error).__name__}: {error}")
+        together: BaseException = next(entry for entry in self.gathered(error) if entry is not None)
         vars(together)[OF_ALL_RANKS] = True
         return together
 
@@ -316,28 +316,3 @@ class Communicator:
         """End all ranks at once with an exit code, after an error on one rank alone."""
         if self.mpi is not None:
             self.mpi.Abort(code)
-
-
-def _packed(error: BaseException | None) -> Any:
-    """Pack an error for other ranks.  Errors of ngvisco travel without arguments that cannot be pickled."""
-
-    def travels(value: Any) -> bool:
-        try:
-            pickle.loads(pickle.dumps(value))
-        except Exception:  # pickling may raise any exception
-            return False
-        return True
-
-    if isinstance(error, NgviscoError):
-        return type(error), str(error), {name: value for name, value in vars(error).items() if travels(value)}
-    return error if travels(error) else RuntimeError(f"{type(error).__name__}: {error}")
-
-
-def _unpacked(packed: Any) -> BaseException:
-    error: BaseException = packed
-    if isinstance(packed, tuple):
-        kind, message, values = packed
-        error = BaseException.__new__(kind)
-        error.args = (message,)
-        error.__dict__.update(values)
-    return error
