@@ -56,8 +56,10 @@ def numbers(run, **of):
 
 
 def relative(found, exact, names):
-    """Differences of derivatives over the largest one of the same kind: of all stresses, of a force, ..."""
-    kinds = [name.replace(" ", "_").split("_")[1][:5] for name in names]
+    """Differences of derivatives over the largest of a kind: energies, all stresses, a force, ..."""
+    energies = dict.fromkeys(("kinetic", "stored"), "energy")
+    words = [name.replace(" ", "_").split("_")[1] for name in names]
+    kinds = [energies.get(word, word[:5]) for word in words]
     sizes = [max(abs(exact[[other == kind for other in kinds]])) for kind in kinds]
     return abs(found - exact) / sizes
 

@@ -125,7 +125,7 @@ def test_integrals_of_stresses_follow_an_energy_without_an_expression():
     ("discretisation", "said"),
     [
         (nv.Discretisation(k=1, m=0), "direction of interfaces between viscosities"),
-        (nv.Discretisation(sharp=True), "what sharp puts apart"),
+        (nv.Discretisation(sharp=True), "sharpening of interfaces"),
     ],
 )
 def test_interfaces_without_derivatives_are_refused(discretisation, said):
