@@ -101,8 +101,15 @@ class StateSpace:
         return linear_map(np.kron(self.densities, np.eye(size)), components, (size,))
 
     def components(self, values: Values) -> Tensor:
-        """The components of values by name, by orthogonal projection; coefficient functions."""
-        return CF(tuple(space.components(values[name]) for name, space in self.spaces.items()))
+        """The components of values by name, by orthogonal projection."""
+        total = None
+        for name, space in self.spaces.items():
+            matrix = np.zeros((self.size, len(space.columns)))
+            matrix[self.slices[name]] = space.columns.T
+            value = space.components(values[name]) if space.is_scalar else values[name]
+            part = linear_map(matrix, value, (self.size,))
+            total = part if total is None else total + part
+        return total
 
 
 class _Tensors(Mapping[str, Tensor]):

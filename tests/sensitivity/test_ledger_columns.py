@@ -110,7 +110,7 @@ OPEN = (
 @pytest.mark.parametrize(
     ("make", "columns", "options"),
     [
-        by_ci(curved, (*WALLS, "angular_defect_cells"), {}),
+        by_ci(curved, (*WALLS, "angular_defect_cells"), {"observers": []}),
         by_ci(between, (*WALLS, *OPEN), {"solver": "split", "scheme": "sdirk2"}),
         (between, (*WALLS, *OPEN), {}),
     ],
