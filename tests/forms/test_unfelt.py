@@ -76,7 +76,9 @@ def bodies(of_disc, of_rest):
     ],
 )
 def test_motion_that_nothing_holds_is_refused_with_the_remedy(k, m, laws, whose):
-    expected = rf"Discretisation.m = {m}: expected {k - 1}, or Discretisation\(k={m + 1}, m={m}\), or {whose}"
+    expected = (
+        rf"Discretisation.m = {m}: expected {k - 1}, or nv.Discretisation\(k={m + 1}, m={m}\), or {whose}"
+    )
     with pytest.raises(nv.ParameterError, match=expected):
         small_run(discretisation=nv.Discretisation(k=k, m=m), **laws)
 

@@ -171,7 +171,7 @@ class Damaged(Wrapper):
             expected = "a material without damage"
         elif entropy_in(self.material) is not None:
             expected = Words(
-                "a material without heat, which goes around this one: ", call("Thermal", material=...)
+                "a material without heat; ", call("Thermal", material=...), " around the damaged one has both"
             )
         elif self.material.response(3) is not None:
             expected = "a material whose energy is an expression, not that of a Yosida approximation"
