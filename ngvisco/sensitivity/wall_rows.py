@@ -7,6 +7,7 @@ from functools import cached_property
 import numpy as np
 from ngsolve import BilinearForm
 
+from ngvisco.errors import ParameterError
 from ngvisco.run.probes import WallForces
 from ngvisco.sensitivity.follower import Follower
 
@@ -15,7 +16,8 @@ class WallRows:
     """Weights c with which columns contain rows of the residual, c . R(u; .), and the products R_u^T c.
 
     Arrays are (numbers, unknowns), for weights of the columns in numbers, (numbers, columns).  A force has
-    constant c; the power of a moving wall has c = v on the wall.
+    constant c; the power of a moving wall has c = v on the wall.  Raises ParameterError for an impulse of
+    walls that have multipliers.
     """
 
     def __init__(self, follower: Follower) -> None:
@@ -36,6 +38,11 @@ class WallRows:
         momentum = follower.simulation.ledger.momentum
         for name, number in momentum.held.items():
             if name in self.names:
+                if "wall_stress" in step.layout.ranges:
+                    expected = (
+                        "a column with a slope, which the impulse of oblique and curved walls has not; "
+                    )
+                    raise ParameterError("of", name, expected, "take the tangent")
                 self.forces[name] = np.zeros(step.layout.space.ndof)
                 self.forces[name][rows_of_v] = momentum.impulses.velocities[number]
         for wall, (_, mask) in step.moving_walls.moving.items():
