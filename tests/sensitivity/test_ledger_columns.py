@@ -128,7 +128,7 @@ def test_impulses_of_walls_have_adjoints(make, columns, options):
 
 @pytest.mark.parametrize("column", ["impulse_walls_1", "angular_momentum_defect"])
 def test_impulses_of_curved_walls_are_refused_by_the_adjoint(column):
-    """By the adjoint the slope of the impulse was 0.4 to 5 % off, by the tangent it is right."""
+    """The adjoint's slope of the impulse was 0.4 to 5 % off; that of the tangent is right."""
     with pytest.raises(nv.ParameterError, match="impulse of oblique and curved walls"):
         nv.gradient(
             curved(5.0, observers=[]), 0.04, of=[f"{column} at 0.04"], by=["material.G_e"], method="adjoint"
