@@ -153,11 +153,11 @@ class Impulses:
         layout = self.step.layout
         every = mask_of(layout.velocity_space((None,) * self.step.mesh.dim).FreeDofs())
         held = every & ~mask_of(layout.blocks["v"].FreeDofs())
-        moved = abs(self._velocities[:, held]) > _ROUNDING
+        moved = abs(self.velocities[:, held]) > _ROUNDING
         return self._ranks.totals(moved.sum(axis=1).astype(float)) > 0
 
     @cached_property
-    def _velocities(self) -> np.ndarray:
+    def velocities(self) -> np.ndarray:
         """Coefficients of the motions in the velocity's space, (motions, unknowns of v)."""
         return _coefficients(self.step.layout.blocks["v"], self.motions.values())
 
@@ -207,7 +207,7 @@ class Impulses:
     def integrands(self, u: Fields) -> dict[str, list[list[Integrand]]]:
         """Summands at ``u`` of the forces and defects that a call returns, by names and for each motion.
 
-        The force of walls that hold v lacks the rows of R at the motions, ``velocities`` times R.
+        The force of walls that hold v lacks the rows of R at the motions, ``held_velocities`` times R.
         """
         by_names: dict[str, list[list[Integrand]]] = {name: [] for name in (*self.names, *DEFECTS)}
         for motion, coefficients in zip(self.motions, self._coefficients, strict=True):
@@ -232,9 +232,9 @@ class Impulses:
         return by_names
 
     @property
-    def velocities(self) -> np.ndarray:
-        """Coefficients of v of the motions that walls hold, (motions, unknowns of v); zero for others."""
-        return np.where(self._is_held[:, None], self._velocities, 0.0)
+    def held_velocities(self) -> np.ndarray:
+        """``velocities`` of the motions that walls without multipliers hold, zero for other motions."""
+        return np.where(self._is_held[:, None], self.velocities, 0.0)
 
     @cached_property
     def _coefficients(self) -> np.ndarray:
@@ -302,7 +302,7 @@ class Impulses:
 
         Over ranks the rows are sums of the ranks' parts.
         """
-        return self._ranks.totals(self._velocities @ rows)
+        return self._ranks.totals(self.velocities @ rows)
 
     def momentum(self, fields: Fields | None = None) -> list[CoefficientFunction]:
         """Densities of momentum, kg/(m^2 s), and angular momentum, kg/(m s), by motions, and |rho v|.

@@ -378,8 +378,8 @@ class Ledger:
 
     def defect_norms(self) -> tuple[float, np.ndarray]:
         """The norm of J - det F in L2, NaN without it, and the root mean squares of the relative defects."""
-        volume, gap, *squares = self.step.quadrature.integrate_cells(self._squares)
-        return math.sqrt(gap) if self._has_both else math.nan, np.sqrt(np.array(squares) / volume)
+        size, gap, *squares = self.step.quadrature.integrate_cells(self._squares)
+        return math.sqrt(gap) if self._has_both else math.nan, np.sqrt(np.array(squares) / size)
 
     def _prepare_monitors(self) -> None:
         """Compile the quantities that are monitored besides entries: point values and squares of defects."""

@@ -245,10 +245,10 @@ class Adjoint:
         """
         weights, rows = self.means[:, number] / recorded.tau, self.slopes.rows
         if recorded.ends_at_stage:
-            return rows.weights(weights, None)
+            return rows.weights(weights, None, at_end=True)
         if rows.powers:
             states = [self.base.evolved(y) for y in solutions]
             impulse = self.base.impulse_rows(recorded, states, recorded.after)
             loads[-1] += rows.of_velocity(weights, impulse)
             self.base.at(recorded.after)
-        return rows.weights(weights, solutions[-1])
+        return rows.weights(weights, solutions[-1], at_end=True)

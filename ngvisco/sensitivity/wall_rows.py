@@ -7,7 +7,6 @@ from functools import cached_property
 import numpy as np
 from ngsolve import BilinearForm
 
-from ngvisco.errors import ParameterError
 from ngvisco.run.probes import WallForces
 from ngvisco.sensitivity.follower import Follower
 
@@ -16,8 +15,8 @@ class WallRows:
     """Weights c with which columns contain rows of the residual, c . R(u; .), and the products R_u^T c.
 
     Arrays are (numbers, unknowns), for weights of the columns in numbers, (numbers, columns).  A force has
-    constant c; the power of a moving wall has c = v on the wall.  Raises ParameterError for an impulse of
-    walls that have multipliers.
+    constant c; the power of a moving wall has c = v on the wall.  Multipliers are in the
+    densities of a stage's impulses, and not in those of a combined end, whose rows lack them.
     """
 
     def __init__(self, follower: Follower) -> None:
@@ -25,6 +24,8 @@ class WallRows:
         rows_of_v = step.layout.ranges["v"]
         self.forces: dict[str, np.ndarray] = {}
         """Constant weights of the rows of a force or an impulse, (unknowns,)."""
+        self.ends: dict[str, np.ndarray] = {}
+        """Constant weights at a combined end where they differ from those at a stage, (unknowns,)."""
         self.powers: dict[str, np.ndarray] = {}
         """Masks of a moving wall's rows, (unknowns,)."""
         for table in follower.columns.tables:
@@ -38,13 +39,12 @@ class WallRows:
         momentum = follower.simulation.ledger.momentum
         for name, number in momentum.held.items():
             if name in self.names:
-                if "wall_stress" in step.layout.ranges:
-                    expected = (
-                        "a column with a slope, which the impulse of oblique and curved walls has not; "
-                    )
-                    raise ParameterError("of", name, expected, "take the tangent")
-                self.forces[name] = np.zeros(step.layout.space.ndof)
-                self.forces[name][rows_of_v] = momentum.impulses.velocities[number]
+                for of_names, velocities in (
+                    (self.forces, momentum.impulses.held_velocities),
+                    (self.ends, momentum.impulses.velocities),
+                ):
+                    of_names[name] = np.zeros(step.layout.space.ndof)
+                    of_names[name][rows_of_v] = velocities[number]
         for wall, (_, mask) in step.moving_walls.moving.items():
             if (name := f"power_wall_{wall}") in self.names:
                 self.powers[name] = np.zeros(step.layout.space.ndof, dtype=bool)
@@ -56,10 +56,13 @@ class WallRows:
         parts = [weights != 0 for weights in (*self.forces.values(), *self.powers.values())]
         return self.follower.step.residual_at(np.logical_or.reduce(parts)[rows], condense=False)
 
-    def weights(self, of_columns: np.ndarray, v: np.ndarray | None) -> np.ndarray:
-        """Weights c of the rows in the numbers; of powers they are velocities of a state ``v``, if given."""
+    def weights(self, of_columns: np.ndarray, v: np.ndarray | None, at_end: bool = False) -> np.ndarray:
+        """Weights c of the rows in the numbers, at a stage or ``at_end``, a combined end.
+
+        Those of powers are velocities of a state ``v``, if given.
+        """
         result = np.zeros((len(of_columns), self.follower.step.layout.space.ndof))
-        for name, c in self.forces.items():
+        for name, c in (self.forces | self.ends if at_end else self.forces).items():
             result += np.outer(of_columns[:, self.names.index(name)], c)
         if v is not None:
             result += self.of_velocity(of_columns, v)

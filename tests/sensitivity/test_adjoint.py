@@ -121,6 +121,7 @@ def curved(stiffness, **options):
         by_ci(between, {"solver": "split", "scheme": "sdirk2"}, ("top.force_1", "power_wall_top")),
         by_ci(smooth, {}, ("right.force_1", "top.torque")),
         by_ci(curved, {"scheme": "backward-euler"}, ("wall.force_1", "wall.torque")),
+        by_ci(curved, {"scheme": "midpoint"}, ("wall.force_1", "wall.torque")),
     ],
 )
 def test_forces_and_powers_of_walls_have_adjoints(make, options, columns):

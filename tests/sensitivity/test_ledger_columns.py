@@ -108,38 +108,24 @@ OPEN = (
 
 
 @pytest.mark.parametrize(
-    ("make", "columns", "options"),
+    ("make", "columns", "options", "least"),
     [
-        by_ci(between, (*WALLS, *OPEN), {"solver": "split", "scheme": "sdirk2"}),
-        (between, (*WALLS, *OPEN), {}),
+        # a swirl in a disc, whose momentum and its derivatives are tiny
+        (curved, (*WALLS, "angular_defect_cells"), {"observers": []}, 0.1),
+        by_ci(between, (*WALLS, *OPEN), {"solver": "split", "scheme": "sdirk2"}, 1e-3),
+        (between, (*WALLS, *OPEN), {}, 1e-3),
     ],
 )
-def test_impulses_of_walls_have_adjoints(make, columns, options):
-    """The walls move, or matter crosses them, with springs and friction."""
+def test_impulses_of_walls_have_adjoints(make, columns, options, least):
+    """The walls have multipliers, or move, or matter crosses them, with springs and friction."""
     numbers = of(columns)
     given = {"of": numbers, "by": ["material.G_e"]}
     tangent, adjoint = (
         nv.gradient(make(5.0, **options), UNTIL, method=method, **given).jacobian[:, 0]
         for method in ("tangent", "adjoint")
     )
-    sizes = np.maximum(abs(tangent), 1e-3 * abs(tangent).max())  # a defect is made of larger impulses
+    sizes = np.maximum(abs(tangent), least * abs(tangent).max())  # a defect is made of larger impulses
     assert (abs(adjoint - tangent) / sizes).max() < 1e-7
-
-
-@pytest.mark.parametrize("column", ["impulse_walls_1", "angular_momentum_defect"])
-def test_impulses_of_curved_walls_are_refused_by_the_adjoint(column):
-    """The adjoint's slope of the impulse was 0.4 to 5 % off; that of the tangent is right."""
-    with pytest.raises(nv.ParameterError, match="impulse of oblique and curved walls"):
-        nv.gradient(
-            curved(5.0, observers=[]), 0.04, of=[f"{column} at 0.04"], by=["material.G_e"], method="adjoint"
-        )
-    tangent = nv.gradient(
-        curved(5.0, observers=[]), 0.04, of=["impulse_walls_1 at 0.04"], by=["material.G_e"], method="tangent"
-    )
-    up, down = (
-        measure(curved(5.0 + h, observers=[]), 0.04, ["impulse_walls_1 at 0.04"]) for h in (0.01, -0.01)
-    )
-    assert tangent.jacobian[0, 0] == pytest.approx((up[0] - down[0]) / 0.02, rel=1e-5)
 
 
 def test_without_one_of_the_states_the_slope_of_a_distance_is_wrong(monkeypatch):

@@ -1,9 +1,9 @@
 """Counts the directions of GMRES that an ageing tangent costs, to find when a new one pays for itself.
 
-A new tangent spares the directions that later increments take beyond those of the first increment with the
-present one.  It is renewed when they are, in all, as many as a renewal costs: whatever the following
-increments need, at most twice the least cost is then spent.  A limit for the directions of one increment
-would renew in vain where a new tangent needs as many.
+Increments with an old tangent take more directions than the first increment with this tangent took.  The
+tangent is renewed when the sum of these further directions exceeds the cost of a renewal, so that a run
+spends at most twice the least cost.  A limit for the directions of one increment would renew in vain where a
+new tangent needs as many.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ _FIRST, _BEYOND = "directions_first", "directions_beyond"
 
 
 class Wear:
-    """Directions of the increments with one tangent; ``cost`` is that of a renewal, in directions."""
+    """Directions of the increments with one tangent; ``cost`` is the cost of a renewal in directions."""
 
     def __init__(self, cost: int) -> None:
         self.cost, self._first, self._beyond = cost, 0, 0
