@@ -240,14 +240,13 @@ def key_and_unit_of(name: str, sections: Section) -> tuple[str, str]:
     at_front = name.partition(".")[0] in type(sections.rheology).model_fields  # type: ignore[attr-defined]
     names = (f"rheology.{name}" if at_front else name).split(".")
     key = next(iter(reached(sections, (), names)), ())
-    for length in (
-        range(len(key), 0, -1) if len(key) == len(names) else ()
-    ):  # a component has its vector's unit
-        table, last = given(sections, key[: length - 1]), key[length - 1]
-        if isinstance(table, Section):
-            unit = _with_exponents(quantity(type(table), last).unit, type(table), table.model_dump())
-            return ".".join(key), "" if unit in ("1", "any") else unit
-    return name, ""
+    if len(key) != len(names):
+        return name, ""
+    # a component of a vector has the vector's unit; the whole case is a table too
+    places = ((given(sections, key[:length]), key[length]) for length in reversed(range(len(key))))
+    table, last = next((table, last) for table, last in places if isinstance(table, Section))
+    unit = _with_exponents(quantity(type(table), last).unit, type(table), table.model_dump())
+    return ".".join(key), "" if unit in ("1", "any") else unit
 
 
 def _with_exponents(unit: str, model: type[Section], data: dict[str, Any]) -> str:
