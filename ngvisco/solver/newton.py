@@ -1,19 +1,19 @@
 """The coupled solver: damped Newton iteration with a reused factorisation, statically condensed.
 
 A Jacobian is assembled and factorised at the start of a run, and if the contraction of the last increment,
-theta = |d_{i+1}|/|d_i|, is worse than ``refresh``.  Other increments come from the present factorisation.
-Damping is the natural monotonicity test of affine invariant Newton methods: a step of length lambda is taken
-if the next increment by the same factorisation is shorter by the factor 1 - lambda/4.  The test is invariant
-under scaling of the equations, so residuals in different units are never compared.  Both increments are
-measured with the same scale, the larger one of before and after the step: otherwise a step that is far too
-long would pass the test because it makes the scale grow.
+theta = |d_{i+1}|/|d_i|, is worse than ``refresh``.  All other increments are computed with the present
+factorisation. Damping is the natural monotonicity test of affine invariant Newton methods: a step of length
+lambda is taken if the next increment by the same factorisation is shorter by the factor 1 - lambda/4.  The
+test is invariant under scaling of the equations, so residuals in different units are never compared. Both
+increments are measured with one scale, the larger of the scales before and after the step: a step that is
+far too long makes the scale grow, and would otherwise pass the test.
 
 Rounding. The residual sums parts that cancel. Near F = I the parts of the elastic force have the size of the
 modulus G, and their rounding leaves a force of eps G/h. No stiffness resists this force if it moves the body
-as a whole, so that v is known to eps G tau/(rho h) only. This noise is measured: the state is perturbed by
-one unit in the last place of every number, and iterations cannot remove the change of the increment. When
-a fresh Jacobian no longer advances the iteration, an increment as large as the noise is accepted, and so is
-an increment below the tolerance in the norm with the coarse floor.
+as a whole, so that v is known to eps G tau/(rho h) only. To measure this noise, every number of the state is
+perturbed by one unit in its last place; the increment changes by the noise, which no iteration can remove.
+When a fresh Jacobian no longer advances the iteration, an increment as large as the noise is accepted, and
+so is an increment below the tolerance in the norm with the coarse floor.
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ from ngvisco.solver.options import NewtonOptions
 from ngvisco.solver.problem import BlockNorm, NewtonIteration, Problem, Solution, Status, unconverged
 
 NOISE_SAMPLES, NOISE_MARGIN, NOISE_CAP = 2, 10.0, 100.0
-"""Number of perturbations of the state by rounding: the noise is the largest change of the increment.  A
-stalled increment is accepted up to the margin times the noise, since increment and noise are random, and up
-to the cap, in tolerances."""
+"""Number of perturbations of the state; margin; and cap, in tolerances. The noise is the largest change of
+the increment under these perturbations. A stalled increment is accepted if it is below both the margin times
+the noise and the cap; there is a margin because increment and noise are random."""
 NEAR = 10.0
-"""Stalled increment, in tolerances, that is accepted without measuring the noise: rounding of a stiff
-pressure may move a slow velocity by so much."""
+"""Size, in tolerances, below which a stalled increment is accepted without measuring the noise: the rounding
+of a stiff pressure may change a slow velocity by this size."""
 HEAP_SIZES = (500_000_000, 2_000_000_000)
 """Heap sizes for a cell's matrix, bytes, tried if NGSolve's default is too small, as for k = 3, m = 2 in
 3D."""
@@ -120,11 +120,11 @@ class Newton:
     """Solves R(u; .) = 0 for ``state``; keeps its vectors and factorisation between solves.
 
     ``update`` recomputes the local unknowns of ``state`` from the others; ``update_stored`` is called before
-    the form is evaluated at a state for which ``update`` was not called last.  Flow rules are linearised
-    at ``stresses``, which are unknowns beside the state.  ``has_energy`` says whether the state has a stored
-    energy: an iterate without energy counts as one without a residual, as the derivative of a logarithm is
-    finite also where the logarithm is not defined.  ``growths`` counts changes of the equations that
-    evaluations cause (``ngvisco.forms.upwinding.Largest``).
+    the form is evaluated at a state for which ``update`` was not called last.  Flow rules are linearised at
+    ``stresses``, which are iterated together with the state.  ``has_energy`` says whether the state has a
+    stored energy: an iterate without energy is treated as one without a residual, because the derivative of
+    a logarithm is finite even where the logarithm is not defined.  ``growths`` counts changes of the
+    equations that evaluations cause (``ngvisco.forms.upwinding.Largest``).
     """
 
     def __init__(
@@ -290,9 +290,9 @@ class Newton:
         """The change of the present increment if every number of the state changes by one unit in the last
         place.
 
-        The noise includes the change of the state itself, which is by far smaller.  A wrong derivative, a
-        fold or a kink of the equations does not enlarge the noise: their increments do not change with the
-        rounding.
+        The noise includes the perturbation of the state itself, which is far smaller.  A wrong derivative, a
+        fold or a kink of the equations does not enlarge the noise, because the increments that they cause do
+        not change with the rounding.
         """
         u = self.state
         kept, rows, change = (u.CreateVector() for _ in range(3))

@@ -1,6 +1,7 @@
 """Options of the solvers.  Constants that no run changes are defined in the modules that use them.
 
-A pair has the values in 2D and in 3D.  ``ngvisco/solver/NOTES.md`` has the measurements behind the defaults.
+Options that are pairs have one value for 2D and one for 3D.  ``ngvisco/solver/NOTES.md`` has the
+measurements behind the defaults.
 """
 
 from __future__ import annotations
@@ -34,8 +35,8 @@ class SplitOptions:
     """Options of the split solver: its choice, its iteration and its linear systems."""
 
     chosen_from: Pair = (60, 10)
-    """Number of cells from which on the split solver is faster (tests/benchmarks), and ``method = "auto"``
-    takes it."""
+    """Number of cells above which ``method = "auto"`` takes the split solver, which is then faster
+    (tests/benchmarks)."""
     margin: Positive = 0.1
     """Largest error, in tolerances, after the last increment has been added, estimated from the contraction;
     the increment itself has to be below one tolerance."""
@@ -43,15 +44,16 @@ class SplitOptions:
     """Number of iterations after which Newton-Krylov takes over."""
     growth: Positive = 4.0
     """Ratio of an increment to the smallest increment, above which the iterate is given up; the next iterate
-    is half as far from the best one."""
+    is half as far from the best iterate."""
     halvings: Count = 5
     """Number of iterates that one attempt may give up."""
     renewed_after: Count = 30
-    """Number of GMRES iterations for the flow, beyond those that increments take with a new operator and
-    preconditioner, above which both are renewed: a renewal takes as long as 30 to 65 iterations."""
+    """Cost of a new operator and preconditioner, in GMRES iterations for the flow: they are renewed when the
+    increments have taken more than this number of iterations in addition to those that new ones take. A
+    renewal takes as long as 30 to 65 iterations."""
     renewed_above: Positive = 0.05
-    """Increment above which operator and preconditioner are renewed; below it only hyperviscosity, which
-    changes suddenly, is linearised again."""
+    """Increment above which operator and preconditioner are renewed; after a smaller increment only
+    hyperviscosity, which changes suddenly, is linearised again."""
     stale_above: Positive = 0.2
     """Ratio of an increment to the one before, above which operator and preconditioner are renewed.  With a
     steep flow rule such a ratio renews the operator only, and ``renewed_above`` counts tenfold."""
@@ -63,13 +65,13 @@ class SplitOptions:
     flow_iterations: Count = 30
     """Largest number of GMRES iterations for the flow's linear system."""
     direct_up_to: Pair = (3_000, 3_000)
-    """Number of unknowns of v up to which the whole velocity tangent is factorised; above it two levels are
-    faster."""
+    """Number of unknowns of v up to which the whole velocity tangent is factorised; with more unknowns two
+    levels are faster."""
     direct_at_most: Pair = (100_000, 15_000)
     """Number of unknowns of v up to which the whole tangent is factorised for the rest of a step if
     ``flow_iterations`` with two levels do not solve the flow's system."""
     krylov_below: Positive = 0.05
-    """Increment up to which Newton-Krylov takes over.  With larger increments an attempt goes on until it
+    """Increment up to which Newton-Krylov takes over.  An attempt with larger increments continues until it
     fails, and the time loop halves the step."""
     penalty_degree: Count = 4
     """Degree of the quadrature rule for the derivative of the hyperviscosity's penalty, for k = 2 on straight

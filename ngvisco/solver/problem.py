@@ -1,4 +1,5 @@
-"""The problem that a nonlinear solver is given, the norm of its increments, and the solution it returns.
+"""The problem that a nonlinear solver is given, the norm of the increments, and the solution that the solver
+returns.
 
 A solver is made for equations R(u) = 0 whose parameters a ``Problem`` sets. A failed attempt also returns a
 ``Solution``, with the reason; only a fault of the program raises an exception.
@@ -11,8 +12,8 @@ of vectors of coefficients, with scale_v = |v|_2 + f sqrt(n) h/tau and scale_u =
 is the number of coefficients of u and h the smallest cell size, so that a velocity counts by the strain that
 it makes in the step; s_u is the unknown's scale, 0 for rho and 1 for z. The other unknowns are functions of
 the evolving ones. The trace of a density that diffuses by an r-Laplacian is a nonlinear function, and counts
-like rho. A creep rate field Pi changes z by tau Pi only, so that a short step does not determine it: with nu
-> 0 it counts by s |dPi|_2/(|Pi|_2 + |dPi|_2 + f sqrt(n)/tau). A variable with an ``own_scale``, as the
+like rho. A creep rate field Pi changes z by tau Pi only, so that a short step does not determine Pi: with nu
+> 0 Pi counts by s |dPi|_2/(|Pi|_2 + |dPi|_2 + f sqrt(n)/tau). A variable with an ``own_scale``, as the
 entropy, also counts by itself. f is ``FLOOR`` and s is ``SHARE``; a stalled iteration is judged with the
 larger ``COARSE_FLOOR``, except for Pi.
 """
@@ -31,7 +32,8 @@ from ngvisco.parallel.communicator import Communicator
 from ngvisco.parallel.exchange import Exchange
 
 FLOOR = 1e-9
-"""The floor f: so small that the iteration resolves small strains and velocities too, as the ledger needs."""
+"""The floor f: it is so small that the iteration also resolves small strains and velocities, as the ledger
+requires."""
 COARSE_FLOOR = 1e-3
 """Floor by which a stalled iteration is judged: near a state of rest ``FLOOR`` is below rounding."""
 SHARE = 1e-4
@@ -153,7 +155,7 @@ class Problem(Protocol):
     """Parameters of the equations that a solver was made for."""
 
     def pose(self) -> None:
-        """Set the parameters in the equations, and prescribed values in the state."""
+        """Set the parameters of the equations, and the prescribed values of the state."""
 
     def poll(self) -> None:
         """Hook before each iteration, called by all ranks; raises StopRequested to give up the step."""
@@ -171,9 +173,9 @@ class Interval:
     The average of loads has the weight 1 + 12 ``loads_tilt`` (s - 1/2), where s runs from 0 to 1 over the
     interval of loads.
 
-    For the paper's scheme ``tau`` = end - begin, and loads are averaged from begin to end. A stage of another
-    scheme may start from a combination of states, which belongs to no time: then ``begin`` is the time of the
-    state that is its start value.
+    For the paper's scheme ``tau`` = end - begin, and loads are averaged from begin to end. A stage of
+    another scheme may start from a combination of states, which has no time of its own: ``begin`` is then
+    the time of the state with which the iteration starts.
     """
 
     tau: float

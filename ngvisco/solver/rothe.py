@@ -27,7 +27,7 @@ from ngvisco.threads import on_arrays
 _PARAMETERS = ("tau", "end", "loads_from", "loads_over", "loads_tilt")
 
 _FACTORISED_AT = "state", "state_old", "lagged"
-"""States that a factorisation depends on; a checkpoint stores whole states."""
+"""Names of the states on which a factorisation depends; a checkpoint stores all of their unknowns."""
 
 _BY_SPLIT = "factorised_by_split"
 """Number of a checkpoint: 1 if the state of the last factorisation has only the unknowns on which the split
@@ -38,16 +38,16 @@ _TOO_FAST = 0.8
 linearised rates of the variables lead away from the solution."""
 
 _SHORTEST, _FACTOR, _LENGTHS = 0.25 / 8**3, 4.0, 20
-"""Steps of growing length: the first fraction of the step, the factor between two fractions, and the largest
-number of attempts."""
+"""Attempts with steps of growing length: the first fraction of the step, the factor between two fractions,
+and the largest number of attempts."""
 
 _TOO_FAR = 0.5
 """Change of the velocity, |dv| tau/h, above which extrapolated values are not tried, as after the first of
 several long steps."""
 
 _DAMPED = "from the last state, damped"
-"""Name of the last attempt for flow rules. Undamped increments would alternate, with the size of the
-velocity, in yield with little inertia."""
+"""Name of the last attempt for flow rules. In a body that yields with little inertia, undamped increments
+would alternate in sign, each as large as the velocity."""
 
 
 class RotheSolver:
@@ -75,7 +75,7 @@ class RotheSolver:
         """Whether to give up the step; called before each iteration."""
         self._last_tau: float | None = None
         self._factorised: dict[str, KeptState] = {}
-        """States of the last factorisation, which nothing writes to."""
+        """States of the last factorisation; they are never changed."""
         self._factorised_at: Interval | None = None
         self._stresses: dict[str, np.ndarray] = {}
         """Linearisation stresses of flow rules at the last factorisation."""
@@ -150,13 +150,15 @@ class RotheSolver:
         return False
 
     def on_sides(self) -> OnSides | None:
-        """Arrays of the state at the points of the cells' sides with the split solver; else None."""
+        """The split solver's arrays of the state at the points of the cells' sides; None with the coupled
+        solver."""
         if not isinstance(self.newton, Split):
             return None
         return self.newton.residual.side_op.points, self.newton.residual.on_sides()
 
     def dissipated_on_sides(self) -> dict[str, float]:
-        """The terms' dissipation on the cells' sides by arrays with the split solver, W; else nothing."""
+        """The terms' dissipation on the cells' sides, W, from the split solver's arrays; empty with the
+        coupled solver."""
         return self.newton.residual.dissipated_on_sides() if isinstance(self.newton, Split) else {}
 
     def problem(self, interval: Interval) -> RotheProblem:
@@ -256,7 +258,8 @@ class RotheSolver:
         self.reset()
 
     def reset(self) -> None:
-        """Drop the data kept of earlier steps; needed after the state has been set by other means."""
+        """Drop the data kept of earlier steps; call this after the state has been set by anything but a
+        step."""
         self.extrapolation.drop()
         self.newton.reset()
 
@@ -278,7 +281,7 @@ class RotheSolver:
         return numbers, states | self._factorised | self._stresses
 
     def load_state_dict(self, numbers: dict[str, float], arrays: dict[str, Any]) -> None:
-        """Restore the data that ``state_dict`` gave; state, old state and time do not change."""
+        """Restore the data that ``state_dict`` returned; state, old state and time do not change."""
         self.turns.load_state_dict(numbers)
         self.newton.reset()
         self.extrapolation.load_state_dict(numbers, arrays)
@@ -297,7 +300,7 @@ class RotheSolver:
         time.Set(now)
 
     def _vectors(self) -> dict[str, np.ndarray]:
-        """Vectors that a factorisation depends on, for reading and writing."""
+        """Vectors on which a factorisation depends, for reading and writing."""
         functions = {name: getattr(self.step, name) for name in _FACTORISED_AT}
         return {
             name: function.vec.FV().NumPy() for name, function in functions.items() if function is not None
@@ -313,7 +316,7 @@ class RotheSolver:
         return self.step.layout.ranges["z"] if name == "lagged" else slice(None)
 
     def remember(self, interval: Interval) -> None:
-        """Store the present state as the state of the last factorisation, in a step over this interval."""
+        """Store the present state, in a step over ``interval``, as the state of the last factorisation."""
         self._factorised_at, self._stresses = interval, self.step.stresses.frozen()
         layout, newton, vectors = self.step.layout, self.newton, self._vectors()
         names = newton.unknowns.names if isinstance(newton, Split) else layout.names

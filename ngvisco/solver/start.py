@@ -17,7 +17,8 @@ FARTHEST = 3.0
 """Largest time from the last solution to the step's end, relative to the time between the two solutions."""
 
 LARGEST_CHANGE = 0.5
-"""Largest relative change of density and elastic variables: it keeps them in the energy's domain."""
+"""Largest relative change of density and elastic variables: the limit keeps them in the domain of the
+energy."""
 
 
 class KeptState:

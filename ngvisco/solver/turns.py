@@ -1,7 +1,7 @@
 """Chooses the solver that takes the steps: one at the start, and with "auto" the other one after a failure.
 
-If the present solver does not solve a step, however short, the other one takes the next ``WAIT`` steps. After
-each return to the first solver this number doubles.
+If the present solver does not solve a step, however short, the other one takes the next ``WAIT`` steps. The
+number of these steps doubles after each return to the first solver.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ class Turns:
         )
 
     def accept(self) -> None:
-        """Count an accepted step; return to the first solver if it has waited for long enough."""
+        """Count an accepted step; return to the first solver when it has waited for its number of steps."""
         if self.method == self.first:
             return
         self._left -= 1
@@ -79,7 +79,7 @@ class Turns:
         return {"turned": is_other, "turn_left": float(self._left), "turn_wait": float(self._wait)}
 
     def load_state_dict(self, numbers: dict[str, float]) -> None:
-        """Restore the data that ``state_dict`` gave."""
+        """Restore the data that ``state_dict`` returned."""
         self.method = self.first
         if numbers.get("turned") and self.obstacle is None:
             self.method = self.other

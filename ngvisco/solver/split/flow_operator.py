@@ -8,9 +8,9 @@ fields' response to an increment at a point.
 Element matrices are integrated by a coarse rule, except inertia: the mass matrix is singular for a rule that
 does not determine all of P_k.  Each cell has three element matrices: from v to v, from v to the fields'
 rows, and from the fields to v.  A product with the operator therefore costs three small dense products a
-cell, whatever the number of points.  In a cell, an increment of v is ordered by components and functions,
-(dim, local), rows of v by functions and components, (local, dim), fields by functions and components, (q, n):
-products give the matrices in these orders.
+cell, whatever the number of points.  In a cell, an increment of v is ordered by components and then
+functions, (dim, local), rows of v by functions and then components, (local, dim), and fields by functions
+and then components, (q, n): the products that form the matrices give these orders.
 """
 
 from __future__ import annotations
@@ -252,10 +252,10 @@ class FlowSchurComplement:
 
         ``at`` is the evaluation of the last ``update``.  The transport is replaced by its block in each cell,
         without the neighbours' contribution, so that the tangent is a sum over the cells.  The tangent's
-        unknowns are the flow's, and last the normal derivatives that ``hyper`` keeps.  The other normal
-        derivatives are a = E v: the mean of both sides' d_n v, weighted by the hyperviscosity's coefficient.
-        Each rank has the share of its cells.  If there are no rows beside those of v, entries have the
-        precision ``dtype``.
+        unknowns are those of the flow, followed by the normal derivatives that ``hyper`` keeps. All other
+        normal derivatives are a = E v: the mean of both sides' d_n v, weighted by the hyperviscosity's
+        coefficient. Each rank has the share of its cells.  If v is the only unknown with rows, entries have
+        the precision ``dtype``.
         """
         d, hyper_tangent = self.dim, None
         if hyper is not None and at.hyper is not None:

@@ -3,8 +3,8 @@
 In a cell the law reads x = (v, a) through B x: the coefficients of Hs, and the jumps at the sides' points.
 One small dense product gives B x for all components of v, (cells, dim, rows).  Arrays have the points last,
 so that sums run at the speed of memory. The rows are B^T times the law's derivative. In the velocity tangent
-a is eliminated, except on facets between ranks. There each rank has one side, and a stays an unknown, so that
-the matrix is a sum over the ranks' cells.
+a is eliminated, except on facets between ranks. On these facets each rank has one side, and a stays an
+unknown, so that the matrix is a sum over the ranks' cells.
 
 The derivative is written by hand since complex increments of the rows take 4 to 5 times as long
 (``tests/benchmarks/kernels.py``); ``tests/solver/test_split_solver.py`` compares the derivative with the
@@ -70,7 +70,7 @@ class HyperDerivative:
         self._unit = unit = largest(c)
 
         def rounded(values: np.ndarray, unit: float) -> np.ndarray:
-            """Scale by ``unit``: in SI units numbers may exceed single precision."""
+            """Scale by ``unit``, because numbers in SI units may exceed single precision."""
             return (values / unit).astype(self.dtype)
 
         self._c = rounded(c, unit)[:, None, None]
@@ -144,7 +144,7 @@ class HyperDerivative:
         """Coefficients of |Hs|^2, (cells,), and of the penalty, (sides' points,), for ``HyperTangent``.
 
         Both are c + (c - mu_1)(p - 2)/2.  The second derivative of |.|^p/p couples the components of v; the
-        coefficient is the middle between the derivative's smallest and largest eigenvalue.
+        coefficient is the mean of its smallest and its largest eigenvalue.
         """
         h, law, sides, values = self.hyper, self.hyper.law, self.sides, self._on_sides(at)
         in_cells, z_on_sides = h.tensors(at.z), values.z_tensors

@@ -30,7 +30,7 @@ from ngvisco.reduced.residual import Evaluation, ReducedResidual
 from ngvisco.reduced.slope import PointwiseSlope
 
 _NEGLECTED = 1e-4
-"""Size of the remainder of the resolvents' series."""
+"""Remainder at which the series of the resolvents is truncated."""
 
 
 class _AtPoints:
@@ -54,7 +54,8 @@ class _AtPoints:
     def _slopes(
         self, terms: CellTerms, u: Fields, curvature: np.ndarray, creep: bool = False
     ) -> Iterator[tuple[slice, dict[str, np.ndarray]]]:
-        """Yield derivatives of the asked terms' factors, and of ``creep``, by z; zeta follows z by phi''.
+        """Yield the derivatives by z of the factors of the terms ``asked``, and of ``creep``; zeta changes
+        with z by phi''.
 
         Each item has a range of z's components and the derivatives by them."""
         first, zeta = 0, curvature.transpose(2, 1, 0)
@@ -66,7 +67,7 @@ class _AtPoints:
         return terms.factors(self._asked, u)
 
     def _places(self, cells: slice) -> slice:
-        """The points of some cells."""
+        """Numbers of the points in some cells."""
         return slice(self.op.z.per_cell * cells.start, self.op.z.per_cell * cells.stop)
 
     def tested(self, cells: slice, some: np.ndarray) -> np.ndarray:
@@ -149,7 +150,7 @@ class PointTangent(_AtPoints):
         self._weighing = [term for term in self._asked if term.weighs]
         self._means = list(residual.couplings.of_kernel["cell means"]) if self._weighing else []
         self.weight: np.ndarray | None = None
-        """The derivative by z of inertia and weight in the rows of v, (points, d, n)."""
+        """Derivative by z of the inertia and the weight in the rows of v, (points, d, n)."""
         if self.collocated is not None or "Pi" in residual.unknowns.velocity_block:
             # steep rules and creep rate fields need both at the points
             self.force, self.columns = np.zeros((count, X, n)), np.zeros((count, n, X))
@@ -196,9 +197,9 @@ class PointTangent(_AtPoints):
         """K, (points, n, n), the force's derivatives, (points, X, n), and the derivatives ``beside`` of
         ``PointValues``; zeta changes with z by phi''.
 
-        Rates are constant tensors; creep, and terms that read z or zeta, are differentiated by complex
-        increments of z and zeta.  To leading order the increment of -(w . grad z) : zeta, with its part
-        on facets, is div w times phi'(z) : dz; the flux of densities is approximated alike.
+        Rates are products with constant tensors; creep, and terms that read z or zeta, are differentiated by
+        complex increments of z and zeta.  To leading order the increment of -(w . grad z) : zeta, with its
+        part on facets, is div w times phi'(z) : dz; the flux of densities is approximated alike.
         """
         rates, curvature, z, zeta = self.residual.rates, self._curvature(u), u.z.value, u.zeta.value
         g, plane = rates.tensors.gradients, rates.dim**2
@@ -240,7 +241,7 @@ class PointTangent(_AtPoints):
         """Derivatives of each mechanism's Pi by d(zeta : rate)/dPi, (points, p, p): through the driving
         stress.
 
-        None if a rate depends on z or zeta in other ways, which a random increment of both shows."""
+        None if a rate depends on z or zeta in another way; a random increment of both tests this."""
         rates, size = self.residual.rates, self.residual.rates.creep_space.size
         if any(mechanism.body is not None for mechanism in rates.mechanisms):
             return None  # the share of a body is a factor of its driving stress
@@ -262,7 +263,7 @@ class PointTangent(_AtPoints):
         return slopes
 
     def fields_rows(self, dz: np.ndarray) -> np.ndarray:
-        """Rows (K dz, .) including the part of the collocated terms."""
+        """Rows (K dz, .), including those of the collocated terms."""
         return self.rows(dz) if self.collocated is None else self.rows(dz) + self.collocated.rows(dz)
 
     def stiffness(self) -> np.ndarray:
@@ -294,10 +295,12 @@ class PointTangent(_AtPoints):
         return resolvent
 
     def _groups(self, cells: slice) -> list[np.ndarray]:
-        """Components by which the resolvent of some cells is inverted: of each branch with the shared ones.
+        """Groups of components by which the resolvent of some cells is inverted: each branch with the shared
+        components.
 
-        All components together where the rate of a branch depends on another branch, or that of a shared
-        component on a branch: else the rows and columns of a group are closed under products.
+        If the rate of a branch depends on another branch, or the rate of a shared component on a branch,
+        there is one group of all components. Otherwise products of matrices keep each group's rows and
+        columns to themselves.
         """
         owner, every = self.slope.owner, np.arange(self.components)
         if owner.max(initial=-1) < 1:

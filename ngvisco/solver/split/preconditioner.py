@@ -2,11 +2,11 @@
 
 It solves the flow's linear system, in which sweeps of the transport give the fields; then, with the increment
 of the velocity, the fields' linear equations. For dz these are T dz - (K dz, .) = rows, with the transport T
-(``TransportSweeps``) and the derivative K of rates and creep (``PointTangent``); for drho K is left out.
-Sweeps, followed by (1 - tau K)^{-1} in every cell, invert T - K up to tau^2 (products of T and K) and the
-sweeps' remainder. They are accurate if Courant number and strain of a step are below a half, and useless if
-either is above one, even in one cell, as at a wall that starts to move at once. Useless sweeps only
-precondition GMRES.
+(``TransportSweeps``) and the derivative K of rates and creep (``PointTangent``); the equation for drho has
+no K. Sweeps, followed by (1 - tau K)^{-1} in every cell, invert T - K up to tau^2 (products of T and K) and
+the sweeps' remainder. Sweeps are accurate if Courant number and strain of a step are below a half. If either
+is above one, even in a single cell, as at a wall that starts to move at once, they diverge, and serve only
+as a preconditioner of GMRES.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class FieldsSystem:
         """Approximate inverses that solved a system by one application since the operator's last update."""
 
     def renew(self) -> None:
-        """Let the next solution of each system test again whether sweeps are enough."""
+        """Let the next solution of each system test again whether sweeps suffice."""
         self._swept_is_enough.clear()
 
     def z(self, rows: np.ndarray, tolerance: float) -> np.ndarray:
@@ -125,8 +125,8 @@ class Preconditioner:
         # a coarse rule misses a steep viscosity, and moduli of bodies that vary within a cell: increments of
         # a slab then shrink by 0.99 only
         varies = len(step.model.bodies) > 1
-        # on triangles a rule of degree 2, k - 1, misses convection if there is no hyperviscosity: at a
-        # Courant number of 0.2 a step takes 16 iterations and seven operators instead of 9 and one
+        # on triangles and without hyperviscosity, a rule of degree 2 (k - 1) misses a part of convection: at
+        # a Courant number of 0.2 a step takes 16 iterations and seven operators instead of 9 and one
         least = k if self.dim == 2 and residual.hyper is None else k - 1
         self.op = residual.op if bends or varies else Operators(step, max(least, m), residual.op)
         self.sweep = TransportSweeps(residual)
@@ -240,14 +240,14 @@ class Preconditioner:
             self.fields.renew()
 
     def __call__(self, at: Evaluation, tolerance: float, of_fields: float = TOLERANCE) -> np.ndarray:
-        """The packed increment; ``tolerance`` holds for the flow's system, ``of_fields`` for the fields'
+        """The packed increment; ``tolerance`` is for the flow's system, ``of_fields`` for the fields'
         systems."""
         op, operator, dim, u = self.op, self.operator, self.dim, self.unknowns
         of_z = np.ascontiguousarray(at.residual[u.slices["z"]].reshape(u.components["z"], -1).T)
         flow, alone = at.residual[: self._size].copy(), None
         if self._relaxes:
-            # a stress that does not fulfil a steep flow rule leaves a residual as large as the rule's slope:
-            # each cell relaxes its residual before the transport carries it to other cells
+            # a stress that does not satisfy a steep flow rule leaves a residual as large as the slope of the
+            # rule: each cell relaxes its residual before the transport carries it to other cells
             alone = operator.points.tau * apply(operator.residual.inverse_mass, of_z.T)
             alone = operator.points.resolved(np.ascontiguousarray(alone.T))
             of_z = of_z - self.fields.rows(alone)

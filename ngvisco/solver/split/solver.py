@@ -2,18 +2,18 @@
 
 See FORMULATION.md, Section 7. In the coupled residual R(u) = 0 all explicit functions of (v, a, rho, z) -
 traces, conjugates, local creep, the hyperviscosity's local unknowns - are eliminated exactly, at the points
-of cells and sides (``ReducedResidual``). An increment takes sweeps of the transport, and one linear system of
-the flow with the fields' response to it (``FlowSchurComplement``), solved by GMRES (``Preconditioner``).
-Three things distinguish it from Newton's method: a coarser quadrature rule; a fixed number of sweeps; and an
-operator that is renewed only after a long increment, if increments shrink too little, or if their systems
-take more directions than a renewal costs (``Wear``). Between renewals the operator follows hyperviscosity
-only, which changes suddenly.
+of cells and sides (``ReducedResidual``). An increment is computed by sweeps of the transport and by one
+linear system for the flow, which contains the fields' response to the flow (``FlowSchurComplement``) and is
+solved by GMRES (``Preconditioner``). Three things distinguish this iteration from Newton's method: a coarser
+quadrature rule; a fixed number of sweeps; and an operator that is renewed only after a long increment, when
+increments shrink too little, or when their systems have taken as many further directions as a renewal costs
+(``Wear``). Between renewals only the hyperviscosity, which changes suddenly, is linearised again.
 
 ``iterate`` replaces x by x - f(x), f = P^{-1} R, until f is small. If f is not finite, or much longer than
-the smallest increment so far, the iterate is given up for one nearer to the best iterate. ``damped`` makes a
-tangent for each increment, and shortens the increment until the next one is shorter. ``newton_krylov`` solves
-P^{-1} dR d = f by GMRES with complex increments of R (``ReducedResidual.derivative``). Creep rate fields (nu
-> 0) need ``newton_krylov``: P leaves their coupling to v out. Measurements are in
+the smallest increment so far, the iterate is given up for one nearer to the best iterate. ``damped`` forms a
+tangent for each increment, and shortens the increment until the next increment is shorter. ``newton_krylov``
+solves P^{-1} dR d = f by GMRES with complex increments of R (``ReducedResidual.derivative``). Creep rate
+fields (nu > 0) need ``newton_krylov``: P leaves their coupling to v out. Measurements are in
 ``ngvisco/solver/NOTES.md``.
 """
 
@@ -38,10 +38,11 @@ from ngvisco.solver.split.wear import Wear
 from ngvisco.threads import Workers, on_arrays
 
 _FORCING = {2: 0.03, 3: 0.003}
-"""Tolerances of the flow's linear systems by dimension; in 3D residuals are dear, and fewer of them pay."""
+"""Tolerances of the flow's linear systems by dimension; in 3D residuals are expensive, and more exact
+increments need fewer residuals."""
 _LEFT, _LOOSEST = 0.3, 0.03
-"""Share of the error that the iteration may end with, which the flow's linear system may leave of the
-expected increment; and the largest tolerance for which this is a reason."""
+"""Error that the flow's linear system may leave of the expected increment, as a share of the error with
+which the iteration may end; and the largest tolerance that this rule may set."""
 _STEEP = 0.01
 """Increment above which the operator of steep flow rules is renewed at the next iterate in any case."""
 TOLERANCE, _DIRECTIONS = 0.01, 40
@@ -49,8 +50,8 @@ TOLERANCE, _DIRECTIONS = 0.01, 40
 INNER = 3e-4, 1e-6
 """Tolerance of the linear systems in P within Newton-Krylov: without steep flow rules, and with them.
 
-P has to be a linear map. With a steep flow rule P dR has single eigenvalues of 1e2 to 1e4, which multiply the
-nonlinear part of P."""
+P must be a linear map. With a steep flow rule the preconditioned derivative P dR has single eigenvalues of
+1e2 to 1e4, which amplify the nonlinear part of P."""
 _FAR = 0.01
 """Smallest denominator of the ratio ``SplitOptions.growth``: smaller increments may grow up to ``growth``
 times this value."""
@@ -79,7 +80,7 @@ class Split:
         """Whether the tangent was renewed for the last increment."""
         self.wear = Wear(options.split.renewed_after)
         self._left = 0.0
-        """Tolerance of the last increment's linear system: the part of this increment that it may leave."""
+        """Tolerance of the last increment's linear system, relative to this increment."""
         self.damps = False
         """Whether ``solve`` uses ``damped``."""
 
@@ -138,7 +139,8 @@ class Split:
     ) -> tuple[np.ndarray, float]:
         """The increment at the unknowns x, and its size, infinite if R is not finite.
 
-        ``at`` is R evaluated at x, ``last`` the size of the increment before, ``expected`` that of this one.
+        ``at`` is R evaluated at x, ``last`` the size of the previous increment, ``expected`` the expected
+        size of this increment.
         """
         problem.poll()
         options, fresh = self.options.split, not self.is_factorised
@@ -221,7 +223,7 @@ class Split:
             self.reset()
 
     def solved(self, at: Evaluation, expected: float = np.inf) -> np.ndarray:
-        """The increment by the present tangent, no more exact than the iteration's end needs it.
+        """The increment by the present tangent, no more exact than the end of the iteration requires.
 
         ``expected`` is the size that the increment probably has."""
         error, tolerance = _LEFT * self.options.split.margin * self.options.tolerance, _LOOSEST
@@ -253,10 +255,10 @@ class Split:
 
 
 def damped(split: Split, problem: Problem, history: list[NewtonIteration]) -> Status:
-    """Iterate with a new tangent for each increment, shortened until the next increment is shorter.
+    """Iterate with a new tangent for each increment, and shorten it until the next increment is shorter.
 
-    The next increment is compared by the same tangent and by the next tangent, and the shorter one counts: a
-    material that begins to yield resists a velocity less than the elastic tangent predicts.
+    The next increment is computed with the same tangent and with the next tangent, and the shorter result is
+    compared: a material that begins to yield resists a velocity less than the elastic tangent predicts.
     """
     state = split.step.state.vec
     base = state.CreateVector()

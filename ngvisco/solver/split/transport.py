@@ -4,10 +4,10 @@ Each component of z, and rho, has the scalar matrix T = M/tau + convection + fac
 Its dense blocks multiply a cell's own values and the values across its sides (``FacetCoupling``). The flux
 through a facet depends on the cell's values and on the facet's trace, a weighted mean of both sides' values.
 Sweeps over the cells (block Jacobi) solve each cell with its neighbours' last values; the larger the Courant
-number, the slower they converge. ``update`` fixes the number of sweeps for the present velocity, by the error
-of a random field, so that the approximate inverse is a linear map. T is factorised for components that
-diffuse, which sweeps do not resolve, and for components that cells exchange across facets (``Exchanged``). A
-nonlinear density equation has its own Jacobian.
+number, the slower they converge. ``update`` fixes the number of sweeps for the present velocity, from the
+error that sweeps leave of a random field, so that the approximate inverse is a linear map. T is factorised
+for components that diffuse, because sweeps do not resolve diffusion, and for components that cells exchange
+across facets (``Exchanged``). A nonlinear density equation has its own Jacobian.
 
 The blocks are written by hand since ``FacetTangent`` of the same terms takes 30 to 170 times as long
 (``tests/benchmarks/kernels.py``); ``tests/solver/test_flow_operator.py`` compares the blocks with the rows.
@@ -94,8 +94,8 @@ def _side_by_side(across: np.ndarray) -> np.ndarray:
 class Exchanged:
     """The exchange of some components of z between cells across facets, by other terms than transport.
 
-    Each of these components is factorised together with its transport.  The other components are solved
-    before them.
+    Each of these components is factorised together with its transport.  All other components are solved
+    before these.
     """
 
     def __init__(self, tangent: FacetTangent) -> None:
@@ -144,8 +144,8 @@ class TransportSweeps:
         self._tests = np.ascontiguousarray(op.tests())
         self._mass = np.matmul(self._tests, op.z.blocks)
         self._flat: np.ndarray | None = None
-        """Values of a cell's basis functions without their slopes, at its sides' points: values that flow in
-        through walls."""
+        """Values that flow in through walls: a cell's basis functions without their slopes, at the points of
+        its sides."""
         self._whole: Direct | None = None
         """A direct solver for the components of z that diffuse."""
         if residual.diffusion is not None:

@@ -1,9 +1,9 @@
 """Counts the directions of GMRES that an ageing tangent costs, to find when a new one pays for itself.
 
-Increments with an old tangent take more directions than the first increment with this tangent took.  The
-tangent is renewed when the sum of these further directions exceeds the cost of a renewal, so that a run
-spends at most twice the least cost.  A limit for the directions of one increment would renew in vain where a
-new tangent needs as many.
+An increment with an old tangent takes more directions than the first increment did. The tangent is renewed
+when the sum of these further directions exceeds the cost of a renewal, so that a run spends at most twice
+the least possible cost.  A limit for the directions of one increment would renew in vain where a new tangent
+needs as many.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class Wear:
 
     @property
     def is_dear(self) -> bool:
-        """Whether a tangent renewed before would have spared more than its cost."""
+        """Whether an earlier renewal would have saved more than its cost."""
         return self._beyond > self.cost
 
     def state_dict(self) -> dict[str, float]:
