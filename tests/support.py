@@ -253,7 +253,7 @@ def by_ci(*values: Any, id: str | None = None) -> Any:
 
 
 def others_by_ci(cases: Iterable[Any], *by_default: Any) -> list[Any]:
-    """All cases, each a name or a tuple: the default suite tries the given ones, CI the others."""
+    """All cases, each a name or a tuple; the default suite tries the given ones, and CI the others."""
     found = []
     for case in cases:
         made = pytest.param if case in by_default else by_ci
@@ -263,7 +263,7 @@ def others_by_ci(cases: Iterable[Any], *by_default: Any) -> list[Any]:
 
 
 def each_once(*factors: Iterable[Any]) -> list[Any]:
-    """All combinations of factors: the default suite tries each value of every factor, CI the others."""
+    """All combinations of factors; the default suite tries each value of every factor, and CI the others."""
     lists = [list(factor) for factor in factors]
     turns = range(max(map(len, lists)))
     by_default = {tuple(turn % len(values) for values in lists) for turn in turns}
@@ -275,7 +275,7 @@ def each_once(*factors: Iterable[Any]) -> list[Any]:
 
 
 def one_of(number: int, cases: Iterable[Any]) -> list[Any]:
-    """All cases, each a value: the default suite tries one of so many, CI the others."""
+    """All cases, each a value; the default suite tries one of every so many, and CI the others."""
     return [by_ci(case) if i % number else case for i, case in enumerate(cases)]
 
 

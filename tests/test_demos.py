@@ -91,7 +91,7 @@ def test_swirl_recoils_elastically():
 
 @pytest.mark.long
 def test_the_numbers_of_a_creep_test_are_found_within_two_deviations(tmp_path):
-    """Four runs with two derivatives each: what they cost in runs alone is in the demo's README."""
+    """The fit takes four runs with two derivatives each; the demo's README has their cost in runs."""
     demo = load("creep_test")
     found = demo.main(str(tmp_path))
     assert (abs(found.values - list(demo.TRUE.values())) < 2 * found.deviations).all()
@@ -126,7 +126,7 @@ def test_the_energy_of_a_swirl_has_densities_of_derivatives(tmp_path):
 @pytest.mark.ci
 @pytest.mark.filterwarnings("ignore::ngvisco.run.ledger.DefectWarning")
 def test_cavity_goes_on_where_the_body_is_torn(tmp_path):
-    """Under a lid of full speed cells are limited; under a smooth one none is."""
+    """Under a lid of full speed cells are limited; under a smooth lid none is."""
     demo = load("cavity")
     run = demo.main(str(tmp_path), until=0.36, maxh=0.25)
     assert balanced(run, drift=1e-11).column("limited_cells").max() > 0
@@ -158,7 +158,8 @@ DEAR = (
     [by_ci(p.name) if p.name in DEAR else p.name for p in sorted(DEMOS.iterdir()) if p.is_dir()],
 )
 def test_case_file_gives_the_numbers_of_its_script(name, tmp_path):
-    """Through the run directory, whose mesh file keeps coordinates to rounding and curvature to 1e-9."""
+    """The case goes through the run directory, whose mesh file keeps coordinates to rounding and curvature
+    to 1e-9."""
     size = {"cells": CELLS[name]} if name in CELLS else {"maxh": MAXH.get(name, 0.5)}
     script = SCRIPTS.get(name, lambda demo: demo.simulation(**size))(load(name))
     until = 2 * script.dt
@@ -204,7 +205,8 @@ def test_soft_disc_keeps_its_mass_and_is_carried_by_the_flow(tmp_path):
 
 
 def test_the_disc_in_a_vortex_is_a_quarter_of_the_problem():
-    """The case file beside the soft disc: energies of the whole are four times those of the quarter."""
+    """The case file is beside that of the soft disc; energies of the whole are four times those of the
+    quarter."""
     case = nv.load_case(DEMOS / "soft_disc" / "vortex.toml", ["domain.maxh=0.25"])
     run = case.simulation(case.mesh())
     ledger = run.run(2 * run.dt)
@@ -214,7 +216,7 @@ def test_the_disc_in_a_vortex_is_a_quarter_of_the_problem():
 
 
 def test_gel_rings_down_by_its_loss_factor():
-    """Over two periods by longer steps; without its Maxwell branch the layer would not be damped."""
+    """The run has longer steps and two periods; without its Maxwell branch the layer would not be damped."""
     demo = load("gel")
     run, top = demo.simulation(dt=0.4), [1.0]
     while run.t < 24.0 - 1e-9:
@@ -230,7 +232,8 @@ def test_gel_rings_down_by_its_loss_factor():
 @pytest.mark.long
 @pytest.mark.ci
 def test_glacier_flows_by_its_closed_form():
-    """On cells of 0.2 m; half of the linear law's profile, which has the same velocity above, is not it."""
+    """The cells are of 0.2 m; half of the linear law's profile, which has the same velocity at the top, does
+    not agree."""
     demo, at = load("glacier"), np.linspace(0, 1, 21)
     run = demo.simulation(maxh=0.2, dt=0.4)
     ledger = run.run(12.0)
@@ -258,7 +261,7 @@ def test_demos_are_short_and_explained():
 
 
 def test_shear_demo_has_the_curve_of_the_published_table():
-    """The table has six decimals, which is 0.1 % in its smallest entry."""
+    """The table has six decimals, which are 0.1 % of its smallest entry."""
     demo = load("shear")
     assert list(demo.TIMES) == list(TABLE)
     assert np.abs(demo.exact(np.array(demo.TIMES)) - list(TABLE.values())).max() < 1e-6
@@ -286,7 +289,8 @@ def test_shear_meets_the_whole_table_to_a_thousandth(tmp_path):
     ],
 )
 def test_wave_has_the_speed_and_decay_of_the_dispersion_relation(mu, scheme):
-    """Without the factor of the scheme, (1 + s dt/2)/(1 - s dt/2) or 1/(1 - s dt), instead of exp(s dt)."""
+    """Amplitudes are compared with exp(s dt), without the factor of the scheme, (1 + s dt/2)/(1 - s dt/2) or
+    1/(1 - s dt)."""
     demo = load("wave")
     run, amplitudes = demo.amplitudes(mu, 16, scheme)
     exact, z = demo.dispersion(mu), np.exp(demo.DT * demo.exponent(amplitudes))
@@ -324,7 +328,7 @@ def test_shell_demo_runs_as_its_readme_says(tmp_path):
 
 
 def test_acoustic_wave_has_the_speed_of_sound():
-    """1.0017 m/s against 1, by the time between two minima of the kinetic energy."""
+    """The time between two minima of the kinetic energy gives 1.0017 m/s, and the exact speed is 1 m/s."""
     demo = load("barotropic")
     run = demo.simulation()
     assert demo.sound_speed(run.run(2.0)) == pytest.approx(1.0, rel=2e-3)
@@ -349,7 +353,7 @@ def test_whole_demo_writes_what_its_readme_shows(name, tmp_path):
 
 
 def test_documented_material_of_ones_own_runs():
-    """The example in CustomMaterial's docstring: 15 lines at most."""
+    """The example in CustomMaterial's docstring has at most 15 lines."""
     text = inspect.getdoc(nv.CustomMaterial)
     code = textwrap.dedent(text.split("Example::\n", 1)[1].split("\nParameters\n", 1)[0])
     lines = [line for line in code.splitlines() if line.strip()]

@@ -35,7 +35,7 @@ def anchors(text):
 
 @pytest.mark.parametrize("path", MARKDOWN, ids=name)
 def test_tables_are_seen_as_such(path):
-    """A blank line before each, and as many cells in every line as in its head."""
+    """A table has a blank line before it, and as many cells in every line as in its head."""
     text = re.sub(r"```.*?```", "", path.read_text(), flags=re.DOTALL)
     before, cells = "", 0
     for line in text.splitlines():
@@ -49,7 +49,7 @@ def test_tables_are_seen_as_such(path):
 
 @pytest.mark.parametrize("path", MARKDOWN, ids=name)
 def test_files_that_a_page_names_exist(path):
-    """In backticks: from the top of a clone, from the package or from the page's folder."""
+    """Names in backticks are paths from the top of a clone, from the package or from the page's folder."""
     text = path.read_text()
     made = set(re.findall(r"<!-- \w+: new file (\S+) -->", text))  # by a recipe of the guide
     named = set(re.findall(r"`((?!results/)[\w.]+/[\w./]*\.(?:py|md|toml|html|run))`", text))

@@ -54,7 +54,7 @@ def copied(folder: Path) -> Path:
     ids="+".join,
 )
 def test_recipes_work_as_they_are_written(recipes, tmp_path):
-    """One after the other in one copy of the sources; each by itself is `long`."""
+    """The recipes are followed one after the other in one copy of the sources; each one alone is `long`."""
     clone = copied(tmp_path)
     programs = []
     for what, file, text in (block for recipe in recipes for block in blocks(recipe)):

@@ -34,13 +34,14 @@ def test_every_file_of_a_room_is_in_its_readme(room):
 
 @pytest.mark.parametrize("room", ROOMS)
 def test_readme_of_a_room_is_two_pages(room):
-    """Longer texts are pages beside it: measurements in NOTES.md, what users look up under its name."""
+    """Longer texts are pages beside the README: measurements are in NOTES.md, tables for users in pages
+    named after their subject."""
     assert len((ROOMS[room] / "README.md").read_text().splitlines()) <= 80
 
 
 @pytest.mark.parametrize("room", ROOMS)
 def test_files_are_listed_after_those_that_they_import(room):
-    """So that a room can be read from top to bottom; ``__init__.py`` is the door and may stand first."""
+    """A room can then be read from top to bottom; ``__init__.py``, its entrance, may stand first."""
     order = {name: place for place, name in enumerate(listed(room))}
     for module, targets in graph().items():
         if module == room or room_of(module) != room or module in ROOMS:
@@ -53,7 +54,7 @@ def test_files_are_listed_after_those_that_they_import(room):
 
 @pytest.mark.parametrize("room", ROOMS)
 def test_imports_are_those_that_the_readme_allows(room):
-    """A room may import itself, its parents' and inner rooms, and what its line 'May import' names."""
+    """A room may import itself, its parents' and inner rooms, and the rooms in its line 'May import'."""
     allowed = set(re.findall(r"`([\w.]+)`", stated(room, "May import"))) | {floor_of(room)}
     known = {floor_of(module) for module in MODULES}
     assert allowed <= known, f"no such room or module: {sorted(allowed - known)}"
@@ -81,7 +82,7 @@ def test_no_import_goes_round_in_a_circle_not_for_types_either():
 
 @pytest.mark.parametrize("room", [room for room in ROOMS if room.count(".") == 1])
 def test_levels_of_imports_are_no_more_than_stated(room):
-    """Counted within a room and its inner rooms, without their doors (``__init__``)."""
+    """Levels are counted within a room and its inner rooms, without their ``__init__``."""
     chain = chain_of(room)
     assert len(chain) <= levels_allowed(room), f"{len(chain)} levels: {' -> '.join(chain)}"
 

@@ -13,7 +13,8 @@ from ngvisco.errors import StepError
 
 @pytest.mark.parametrize("seed", range(5))
 def test_minimum_meets_its_conditions(seed):
-    """Slope zero where no bound holds, else of the bound's sign; a drag that differs by the sign of x."""
+    """The slope is zero where no bound is active, and has the bound's sign elsewhere; the drag depends on
+    the sign of x."""
     rng, n = np.random.default_rng(seed), 30
     A = rng.standard_normal((n, n))
     H, f = A @ A.T + 0.01 * np.eye(n), 5 * rng.standard_normal(n)
@@ -30,7 +31,7 @@ def test_minimum_meets_its_conditions(seed):
 
 
 def test_function_that_is_not_convex_is_refused():
-    """Newton's step goes up by 0.04 - 0.01, not by the rounding of equal parts, which is the kernel's."""
+    """Newton's step raises the function by 0.04 - 0.01, which no rounding of a BLAS kernel changes."""
     H, f, none = sp.diags([-1.0, 1.0]).tocsr(), np.array([-0.2, 0.1]), (np.zeros(2), np.zeros(2))
     with pytest.raises(StepError, match="not convex"):
         minimise_in_box(H, f, none, np.full(2, -9.0), np.full(2, 9.0))
@@ -54,7 +55,7 @@ def test_it_is_the_gmres_of_scipy(rtol, most):
 
 
 def test_inner_products_are_those_of_the_caller():
-    """Unknowns that stand twice, as those that ranks share, count once."""
+    """Unknowns that a vector contains twice, as those that ranks share, count once."""
     matrix, right = system()
     twice = np.concatenate([np.arange(len(right)), np.arange(10)])
     first = np.arange(len(twice)) < len(right)
@@ -79,7 +80,7 @@ def test_what_has_no_further_direction_is_solved():
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
 def test_what_is_no_number_gives_none(bad):
-    """In the right-hand side and in a product."""
+    """Numbers that are not finite are in the right-hand side, or in a product."""
     right = np.ones(3)
     assert np.isnan(gmres(lambda x: x, bad * right, rtol=1e-2, directions=3)[0]).all()
     assert np.isnan(gmres(lambda x: bad * x, right, rtol=1e-2, directions=3)[0]).all()

@@ -51,7 +51,7 @@ def test_products_are_those_of_the_sparse_matrix(bent, nodes):
 
 @pytest.mark.parametrize("bent", [None, 4])
 def test_the_points_of_two_rules_share_nodes_that_suffice(bent):
-    """Seven other points; in a cell that is not quadratic the second rule keeps its own values."""
+    """The second rule has seven other points; in a cell that is not quadratic it keeps its own values."""
     first = LocalMatrix(matrix(np.random.default_rng(3)), CELLS, pieces=PIECES)
     B = matrix(np.random.default_rng(3), bent, np.linspace(0.1, 0.8, POINTS) ** 2)
     local = LocalMatrix(B, CELLS, pieces=PIECES, other=first)
@@ -78,7 +78,7 @@ def test_a_rank_without_cells_has_blocks_of_no_size():
 
 @pytest.mark.parametrize("sides", [4, 0])
 def test_integrals_and_loads_are_sums_over_points_also_where_a_rank_has_no_sides(rng, sides):
-    """Nodes have no number without sides: the values then have the points' number."""
+    """Without sides there are no nodes: the values then have as many rows as points."""
     shape, weights = rng.standard_normal((2, POINTS)), rng.random((sides, POINTS))
     left = Functions(rng.standard_normal((sides, 3, 2 if sides else 0)), shape if sides else None)
     right = Functions(rng.standard_normal((sides, 5, POINTS if sides else 0)), None)

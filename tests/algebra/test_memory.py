@@ -29,7 +29,7 @@ print(libc.mallinfo2().hblks - before)
     sys.platform != "linux" or not hasattr(ctypes.CDLL(None), "mallinfo2"), reason="not the GNU C library"
 )
 def test_a_block_is_mapped_by_itself_after_a_larger_one_was_freed():
-    """In a process of its own: blocks that fit a heap's free memory are taken from it."""
+    """The test has its own process, because blocks that fit a heap's free memory are taken from the heap."""
     command = [sys.executable, "-c", PROGRAM, memory.__file__]
     result = subprocess.run(command, capture_output=True, text=True, check=True, env={})
     assert result.stdout.split() == ["1", "0"]

@@ -53,7 +53,7 @@ def test_exponents_are_fitted():
 
 
 def test_answers_say_what_to_choose_and_how_that_is_to_an_older_table(tmp_path, monkeypatch, capsys):
-    """Runs whose error and cost are known are tabled, then the same runs twice as fast."""
+    """The table has runs of known error and cost; then the same runs are twice as fast."""
     speed = 1.0
 
     def measured(name, order, cells, steps, scheme):

@@ -45,7 +45,7 @@ BY_ITS_OWN = {
 
 
 def run_of(**options):
-    """From a swirl, unless there is another start."""
+    """A run that starts from a swirl, unless another start is given."""
     starts = {} if "initial" in options or "sources" in options else {"velocity": SWIRL}
     return small_run(**starts | options)
 

@@ -126,7 +126,7 @@ def test_modulus_in_z_is_refused_in_two_dimensions():
 @pytest.mark.long
 @pytest.mark.ci
 def test_run_directory_goes_on_without_the_shape_s_file(tmp_path):
-    """It has a copy; mass, table and ledger go on from the checkpoint."""
+    """The directory has a copy of the file; mass, table and ledger continue from the checkpoint."""
     from matplotlib.image import imsave
 
     X, Y = np.meshgrid(np.linspace(0, 1, 100), np.linspace(1, 0, 100))
@@ -259,7 +259,8 @@ def test_bodies_of_a_case_have_heat_each_by_its_own_material_and_law():
 @pytest.mark.long
 @pytest.mark.ci
 def test_measures_and_contours_of_bodies_are_keys(tmp_path):
-    """Columns of bodies.csv and of a study, outlines that a resumed run continues, faults by their keys."""
+    """The test checks columns of bodies.csv and of a study, outlines that a resumed run continues, and
+    faults by their keys."""
     tables = '[output.bodies]\nmeasures = ["deformation"]\n[output.contours]\nbodies = ["disc"]\nevery = 1\n'
     text = HEAD + BODIES + tables
     runs.run(case(text), tmp_path / "whole")

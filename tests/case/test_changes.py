@@ -54,7 +54,8 @@ def test_the_directory_holds_both_cases_and_the_change(run):
 
 
 def test_an_end_time_is_the_nearest_end_of_a_step(run):
-    """Within a thousandth of dt: a time in other units is known to some digits."""
+    """The end may be off by a thousandth of dt, because a time in other units is known to some digits
+    only."""
     assert nv.case.resume(run, 0.06 + 1e-5).t == pytest.approx(0.06, rel=1e-15)
     log = (run / "log.txt").read_text()
     assert "until 0.06001 s: 0.06 s, the nearest end of a step" in log and "finished at t = 0.06 s" in log
@@ -63,7 +64,8 @@ def test_an_end_time_is_the_nearest_end_of_a_step(run):
 
 
 def test_a_change_that_was_interrupted_is_taken_up(run, monkeypatch):
-    """Killed between the new case.toml and the first checkpoint with it."""
+    """The run was killed after it wrote the new case.toml, and before the first checkpoint of the changed
+    run."""
     from ngvisco.case import runs
 
     with monkeypatch.context() as patch:

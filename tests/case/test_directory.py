@@ -18,7 +18,8 @@ DEMOS = Path(__file__).resolve().parents[2] / "demos"
     [by_ci("couette"), "wave", *(pytest.param(n, marks=pytest.mark.long) for n in ("creep_finite", "shell"))],
 )
 def test_resumed_run_is_bitwise_identical_on_every_kind_of_domain(name, tmp_path):
-    """Curved cells, moving walls, creep with its own equation, passive fields, a periodic cell."""
+    """The runs have curved cells, moving walls, creep with its own equation, passive fields, and a periodic
+    cell."""
     settings = [f"domain.maxh={0.4 if name == 'wave' else 0.7}", "output.checkpoint.every=1000"]
 
     def case(steps):
@@ -45,7 +46,7 @@ def test_what_is_no_run_directory_is_refused(tmp_path):
 
 
 def test_of_a_first_step_without_solution_its_report_stays_alone(tmp_path, monkeypatch):
-    """The corrected case then runs in the same directory."""
+    """The corrected case can then run in the same directory."""
     loaded = nv.load_case(DEMOS / "couette" / "couette.toml", ["domain.maxh=0.7"])
     case = nv.load_case(loaded.source, ["domain.maxh=0.7", f"time.until={loaded.sections.time.dt!r}"])
 

@@ -47,7 +47,7 @@ def owners(model=CaseSections):
 
 
 def test_no_description_is_left_over():
-    """A parameter that there is no more would be explained to nobody."""
+    """A description of a parameter that no longer exists would never be shown."""
     for owner in owners():
         assert set(meanings(owner)) <= set(inspect.signature(owner).parameters), owner
     with pytest.raises(KeyError):
@@ -169,7 +169,7 @@ def test_a_template_is_the_demo_with_notes(name):
 
 
 def test_what_a_template_offers_is_admitted():
-    """Every optional line of a template, taken into the case on its own, is a case (but for COMPANIONS)."""
+    """Each optional line of a template, added to the case alone, gives a valid case (except COMPANIONS)."""
     lines = template.template("swirl").splitlines()
     start = lines.index("[material]")
     for number in range(start, len(lines)):

@@ -115,7 +115,7 @@ def test_number_of_thousands_of_digits_is_a_fault_of_the_file():
 
 
 def test_adaptive_steps_are_counted_by_the_longest_one():
-    """From half a second to thirty years dt is only the first step's length."""
+    """In a run from half a second to thirty years dt is only the length of the first step."""
     steps = ["time.dt=0.5", "time.until='30 yr'", "time.adaptive.dt_min=0.1"]
     assert case(CASE, *steps, "time.adaptive.dt_max='1 yr'").until > 9e8
     with pytest.raises(
@@ -172,7 +172,7 @@ def test_settings_override_keys_and_are_named_in_faults():
 
 
 def test_elastic_state_is_resolved_by_orders_without_creep():
-    """A run directory keeps the choice; a law of one form has that one."""
+    """A run directory keeps the choice; a law with a single form has this form."""
     still = CASE.replace("[rheology.creep]\nG_m = 5\n", "")
     for m, state in ((0, "B"), (1, "F")):
         found = case(still, f"discretisation.m={m}", f"discretisation.k={m + 1}")
@@ -216,7 +216,7 @@ eps = 1e-3
 
 
 def test_materials_are_wrapped():
-    """The paper's energy: the Yosida approximation and the quadratic term."""
+    """The test builds the paper's energy: the Yosida approximation with the quadratic term."""
     text = CASE.replace("[material]\n", WRAPPED)
     run = simulation(text)
     assert run.model.material == nv.WithQuadratic(

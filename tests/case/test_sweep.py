@@ -154,7 +154,7 @@ def square():
 
 
 def outcome(data, is_built, on_square):
-    """None where the case is valid, and, if it is built, can be run; the error where it is refused."""
+    """None if the case is valid and, where it is built, can run; the error if it is refused."""
     try:
         case = parse_case(write(data), "case.toml", Path("."))
         if is_built:
@@ -218,7 +218,8 @@ NAMES = sorted({name_of(path, table) for path, table, _ in keys()})
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_wrong_value_is_refused_under_its_key_or_runs(name, monkeypatch, tmp_path):
-    """Every fourth value for a key, others for the next keys; CI has the rest of each."""
+    """Each key has every fourth value, and the next keys have other values; CI tries all values of each
+    key."""
     monkeypatch.chdir(tmp_path)
     swept(name, by_default=True)
     assert not list(tmp_path.iterdir())

@@ -40,7 +40,7 @@ def written(folder: Path, text: str = CASE) -> Path:
 
 
 def test_tables_are_read_in_the_case_s_units(tmp_path):
-    """Times in ms, accelerations in km/s^2; the means of the first step are those of the tables."""
+    """Times are in ms and accelerations in km/s^2; the means of the first step are those of the tables."""
     case = load_case(written(tmp_path))
     load = case.sections.loads[0].g
     assert load[0] == {"times": [0.0, pytest.approx(0.01), pytest.approx(0.03)], "values": [0.0, 3.0, 0.0]}

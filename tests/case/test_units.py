@@ -141,7 +141,7 @@ def test_every_unit_of_the_reference_is_known():
 
 
 def test_units_apply_to_exponents_of_the_section():
-    """mu |hess v|^p is W/m^3: its unit has p in it."""
+    """The unit of mu depends on p, because mu |hess v|^p is in W/m^3."""
     text = IN_SI.replace("mu = 1e15", 'mu = "2 Pa km^2 s"\np = 2')
     assert case(text).sections.rheology.hyperviscosity.mu == pytest.approx(2e6)
     wrong = IN_SI.replace("mu = 1e15", 'mu = "2 Pa km^2 s"')
@@ -215,7 +215,7 @@ def test_a_time_of_the_command_line_is_in_seconds_or_has_its_unit():
 
 
 def test_velocities_without_a_unit_beside_lengths_and_times_with_one_are_said():
-    """Nothing is derived: with km and kyr a plain velocity is in m/s."""
+    """No unit is derived from others: with km and kyr a plain velocity is in m/s."""
     text = CASE.replace('velocity = "cm/s"\n', "", 1)
     with pytest.warns(nv.InputWarning, match="length in km and time in min, and plain velocities are in m/s"):
         parse_case(text, "case.toml", Path("."))

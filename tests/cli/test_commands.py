@@ -117,7 +117,8 @@ def test_check_reports_and_writes_nothing(case_file, capsys, monkeypatch):
 
 
 def test_check_counts_steps_that_a_run_chooses_by_the_longest_one(case_file, capsys):
-    """Counted by the first one, of a microsecond, there were a million steps: days for a run of seconds."""
+    """The first step lasts a microsecond; counted by this length, there would be a million steps, or days
+    for a run of seconds."""
     settings = ["time.dt=1e-6", "time.until=1", "time.adaptive.dt_min=1e-7", "time.adaptive.dt_max=0.05"]
     words = [word for setting in (*settings, "domain.size=[2,1]") for word in ("--set", setting)]
     assert ended("check", case_file, *words) == 0

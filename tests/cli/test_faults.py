@@ -54,7 +54,7 @@ def assert_same_run(a, b):
 
 
 def assert_goes_on(place, case_file, number):
-    """Two steps beyond a run's step of this number: it is then the uninterrupted one."""
+    """Assert that two steps beyond a run's step of this number give the uninterrupted run."""
     whole, end = place.parent / "whole", round((number + 2) * 0.02, 10)
     assert command("resume", place, "--until", end, "--quiet")[0] == DONE
     assert command("run", case_file, "-o", whole, "--quiet", "--set", f"time.until={end}")[0] == DONE
@@ -233,7 +233,7 @@ def test_texts_are_utf_8_whatever_the_locale(tmp_path, case_file):
 
 
 def test_a_signal_ends_the_run_and_says_how_to_resume(tmp_path, case_file):
-    """Nothing else writes where a run is at work; the only checkpoint was written for the signal."""
+    """No other file is written while a run is at work; the only checkpoint was written for the signal."""
     place = tmp_path / "out"
     process = start("run", case_file, "-o", place, *LONG, "--set", "output.checkpoint.every=1000")
     try:
@@ -294,7 +294,8 @@ sys.exit(code)
 
 @pytest.mark.parametrize("solver", ["split", pytest.param("coupled", marks=REST)])
 def test_a_signal_within_an_iteration_ends_the_run_before_the_next_one(solver, tmp_path, case_file):
-    """SIGTERM in the second step's third evaluation: at most two more, the rest of one iteration, follow."""
+    """SIGTERM comes in the second step's third evaluation; at most two more evaluations follow, which
+    complete the iteration."""
     case_file.write_text(CASE.replace("every = 1\n", f'every = 1000\n[solver]\nmethod = "{solver}"\n'))
     place, note = tmp_path / "out", tmp_path / "note.txt"
     words = [sys.executable, "-c", WITHIN, solver, note, "run", case_file, "-o", place, *LONG]

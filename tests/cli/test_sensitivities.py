@@ -102,7 +102,7 @@ def test_a_gradient_stopped_by_a_signal_goes_on(case, tmp_path, where):
 @pytest.mark.long
 @pytest.mark.ci
 def test_a_fit_finds_the_case_s_numbers(case, tmp_path):
-    """Data of the case itself, as its run writes them: step, time and columns."""
+    """The data are those of the case itself, as its run writes them, with step, time and columns."""
     code, _, err = command("run", case, "-o", tmp_path / "run", "--quiet")
     assert code == 0, err
     data = tmp_path / "run/samples/p.csv"
@@ -123,7 +123,7 @@ pressure = "kPa"
 @pytest.mark.long
 @pytest.mark.ci
 def test_a_fit_speaks_the_case_s_units(case, tmp_path):
-    """Bounds are read as ``--set`` reads numbers, and the printed command makes the fitted case."""
+    """Bounds are read as ``--set`` reads numbers, and the printed command sets the fitted numbers."""
     text = case.read_text().replace("G_e = 5", "G_e = 0.005").replace("K_e = 10", "K_e = 0.01") + UNITS
     case.write_text(text)
     code, _, err = command("run", case, "-o", tmp_path / "run", "--quiet", "--set", "time.until=0.06")

@@ -114,7 +114,8 @@ def test_limiter_keeps_every_mean_and_restores_every_bound(name, m):
 @pytest.mark.parametrize("mesh", MESHES)
 @pytest.mark.parametrize(("quantity", "variable"), [("A", "A"), ("det H", "H"), ("det F", "F"), ("J", "J")])
 def test_each_variable_is_held_to_its_own_bound(quantity, variable, mesh):
-    """Only it leaves its bounds: they are found, restored as far as needed, and means and rho are kept."""
+    """A single variable leaves its bounds: the cells are found, the variable is restored as far as
+    necessary, and means and rho are kept."""
     step = step_of(MESHES[mesh](), material=BY_ALL)
     chosen = shaken(step, variable=variable)
     bounds, state = bounds_of(step), step.state.vec.FV().NumPy()
@@ -197,7 +198,7 @@ def test_nearest_wall_is_exact_in_2d_and_3d():
 
 
 def test_limiter_leaves_a_linear_field_of_the_place_alone():
-    """Positive fields of high contrast are no reason to limit."""
+    """Positive fields of high contrast need no limiter."""
     step = step_of(box((1, 1, 1), 0.8), material=nv.NeoHookean(K_e=3, G_e=1, epsilon=0.2, elastic_state="F"))
     initial = nv.Initial(density=1e-4 + x + y + z)
     set_initial(step, initial, Sampler(step.mesh, step.quadrature))
@@ -208,7 +209,7 @@ BELOW_CUT_OFF = nv.Regularisation(rho_max=2.2, width=0.3)
 
 
 def test_limiter_keeps_a_cut_off_s_bound_and_every_mean():
-    """rho <= rho_max + width, where the state at first keeps it."""
+    """The limiter keeps rho <= rho_max + width where the state satisfied this bound at first."""
     step = step_of(regularisation=BELOW_CUT_OFF)
     bounds = bounds_of(step)
     shaken(step, size=1.0)

@@ -51,7 +51,8 @@ def speed(run, steps=3):
 
 @pytest.mark.parametrize("solver", ["coupled", "split"])
 def test_a_body_starts_with_the_weight_above_and_stays_at_rest(solver):
-    """Exact in cells where the density is constant; without it the body falls by 0.03 m/s."""
+    """The start is exact in cells of constant density; without the equilibrium the body falls at 0.03
+    m/s."""
     run = at_rest(density=RHO, solver=solver)
     assert pressures(run, 0.0, 0.5, 1.0) == pytest.approx([RHO, RHO / 2, 0.0], abs=1e-3 * RHO)
     assert run.sampler.extrema(run.fields["J"]) == pytest.approx((1 - RHO / K, 1.0), abs=1e-6)
@@ -83,7 +84,8 @@ def test_constants_in_cells_bear_the_weight_under_linear_velocities(solver):
 
 @pytest.mark.parametrize("k", [2, 3])
 def test_constants_in_cells_bear_no_weight_under_velocities_of_higher_order(k):
-    """The start is refused by name; with m = 1, as it says, a hundredth of the fall is left at most."""
+    """The start is refused by name; with m = 1, which the message recommends, at most a hundredth of the
+    fall is left."""
     with pytest.raises(
         nv.ParameterError,
         match=rf"Discretisation\.m = 0: expected 1 or 2, or k = 1 .* on velocities of order {k}",
@@ -101,7 +103,7 @@ def test_in_space_too():
 
 
 def test_the_density_follows_from_a_referential_one():
-    """K (1 - J) = p and rho = rho_R/J: J = sqrt(1 - 2 rho_R g s/K)."""
+    """K (1 - J) = p and rho = rho_R/J have the solution J = sqrt(1 - 2 rho_R g s/K)."""
     soft = nv.PerReferentialVolume(
         material=nv.CustomMaterial(
             transported=(nv.physics.variables.Jacobian(),), stored_energy=lambda J: 3.0 * (J - 1) * (J - 1)

@@ -83,7 +83,7 @@ class Diffusion:
         return np.repeat(per_cell, self.side.z.per_cell, axis=3).reshape(*slopes.shape[:2], -1)
 
     def _mean(self, values):
-        """Means of both sides; on walls the value itself."""
+        """Means of both sides' values; on walls the value itself."""
         hat, weights = self.hat, self.side.points.weights
         inverse = inverse_of_blocks(mass_matrix(hat.matrix, weights))
         return hat(apply(inverse, hat.test(values)))
@@ -124,7 +124,8 @@ def test_power_is_that_of_the_ledger_and_positive_at_random_states(name, rng):
 
 
 def test_sign_holds_where_an_interior_penalty_of_z_creates_energy():
-    """Two cells of a stiff fluid, p = J^-30: one at rest, one compressed towards one of its vertices."""
+    """A stiff fluid, p = J^-30, is at rest in one cell, and compressed towards one of the vertices in the
+    other cell."""
     mesh = box((1, 1), maxh=1)
     diffusion = Diffusion(nv.BarotropicFluid(B=10.0, gamma=30.0), mesh)
     vertices = diffusion.op.points.values(H1(mesh, order=1)).toarray().reshape(mesh.ne, -1, mesh.nv)
@@ -144,7 +145,8 @@ def test_sign_holds_where_an_interior_penalty_of_z_creates_energy():
 
 @pytest.mark.parametrize("m", [1, 2])
 def test_slope_is_the_gradient_of_z_and_the_power_the_paper_s(m):
-    """phi''(z) grad z : grad z (Euler-small-calc-Delta), for a smooth z without flux through walls."""
+    """The power is phi''(z) grad z : grad z (Euler-small-calc-Delta), for a smooth z without flux through
+    walls."""
     T = 1 + 0.3 * cos(pi * x) * cos(pi * y)
     slopes, powers = [], []
     for maxh in (0.4, 0.2, 0.1):

@@ -63,8 +63,10 @@ YIELDING = nv.Perzyna(sigma_Y=0.1, G_m=1.0)
 @pytest.mark.filterwarnings("ignore:.*no longer belong to one distortion")  # four cells
 @pytest.mark.parametrize("kind", others_by_ci(CLOSED, "euler"))
 def test_a_closed_box_keeps_its_energy_and_gains_entropy_in_both_solvers(kind):
-    """All mechanisms on: creep beyond a yield stress, damage that grows, and friction at a wall.  What
-    is left is the tolerance of the iteration.  The damage's ``bregman_damage`` is no heat."""
+    """All mechanisms are on: creep beyond a yield stress, damage that grows, and friction at a wall.
+
+    The remaining error is the tolerance of the iteration. The damage's ``bregman_damage`` is not heat.
+    """
     conductivity, options, numerical = CLOSED[kind]
     all_on = {"material": replace(SOLID, material=BREAKING), "laws": ALL | {"creep": YIELDING}}
     heat, found = nv.Heat(conductivity=conductivity, numerical_heating=numerical), []
@@ -129,7 +131,7 @@ def test_heat_from_sources_and_through_walls_is_in_the_energy(solver):
 
 @pytest.mark.parametrize("conductivity", [0.3, np.diag([0.3, 0.1, 1.0])])
 def test_conduction_at_rest_is_that_of_the_heat_equation(conductivity):
-    """theta_R + 10 cos(pi x): it decays by kappa pi^2/c, and nothing moves, without expansion."""
+    """The temperature theta_R + 10 cos(pi x) decays by kappa pi^2/c; without expansion nothing moves."""
     material = nv.Thermal(material=nv.LinearElastic(K_e=1e3, G_e=1e3), c=2.0, theta_R=100.0)
     model = nv.Model(material=material, heat=nv.Heat(conductivity=conductivity))
     start = nv.Initial(density=1.0, temperature=100 + 10 * cos(pi * x))
@@ -141,7 +143,7 @@ def test_conduction_at_rest_is_that_of_the_heat_equation(conductivity):
 
 
 def test_heat_of_upwinding_is_shared_by_both_sides_of_a_facet():
-    """On the facet between two triangles, at a random state."""
+    """The test looks at the facet between two triangles, at a random state."""
     start = nv.Initial(density=1.0, velocity=SWIRL, temperature=1 + 0.2 * x)
     run = nv.Simulation(box((1, 1), maxh=2.0), nv.Model(material=SOLID), dt=0.05, initial=start)
     step, rng = run.rothe_step, np.random.default_rng(0)
@@ -180,7 +182,7 @@ class Drag(PointTerm):
 
 
 class Hidden(Drag):
-    """One that has it in its columns only."""
+    """A resistance that has its dissipation only in its columns."""
 
     def dissipated(self, u):
         return {}
@@ -257,7 +259,7 @@ THINNER = nv.ActivatedViscosity(viscosity=VISCOSITY, E=20.0, theta_R=1.0)
 
 
 def bodies_of(pair, **changes):
-    """Two halves, of which the left one creeps, thinner where they are warm."""
+    """Two halves of a body; the left half creeps, and both are less viscous where they are warm."""
     cold = nv.ReferentialNeoHookean(K_e=10.0, G_e=1.0)
     laws = {"left": {"where": 0.5 - x, "creep": nv.Creep(G_m=1.0)}, "rest": changes}
     return [
@@ -284,8 +286,8 @@ none."""
 
 @pytest.mark.parametrize(("kind", "other"), PAIRS_OF_BODIES)
 def test_bodies_keep_their_energy_and_gain_entropy_in_both_solvers(kind, other):
-    """Viscosity, creep, friction and conduction, the right half by its own law; what the limiter takes is no
-    heat."""
+    """Viscosity, creep, friction and conduction act, the right half has its own law, and what the limiter
+    takes is no heat."""
     _, options, numerical = CLOSED[kind]
     tolerance = 3e-14 if numerical else 1e-13  # what is lost is in proportion to it
     pair = ({"c": 3.0, "expansion": 0.1}, {"c": 1.0} | other)
@@ -321,7 +323,7 @@ def test_bodies_keep_their_energy_and_gain_entropy_in_both_solvers(kind, other):
 
 
 def test_a_body_that_is_heated_is_warmer_than_the_other():
-    """The right half, c = 1, by 2 W/m^3 in 0.05 s: 0.1 K; the left by nothing."""
+    """The right half, c = 1, is heated by 2 W/m^3 for 0.05 s, by 0.1 K; the left half is not heated."""
     pair = ({"c": 3.0}, {"c": 1.0})
     bodies = bodies_of(pair, heat=nv.Heat(source=2.0))
     model = nv.Model(bodies=bodies, heat=nv.Heat(numerical_heating=True))

@@ -114,7 +114,7 @@ def potential(step: Step) -> float:
 
 @by_case
 def test_residual_is_the_gradient_of_the_potential(case: Case) -> None:
-    """<R, (w, b)> = d/ds Psi(v + s w, a + s b) with everything else eliminated."""
+    """<R, (w, b)> = d/ds Psi(v + s w, a + s b), with all local unknowns eliminated."""
     step = step_of(case)
     randomise(step, 2)
     make_consistent(step)
@@ -134,7 +134,7 @@ def test_residual_is_the_gradient_of_the_potential(case: Case) -> None:
 
 @by_case
 def test_dissipation_is_the_power_of_the_hyperstress(case: Case) -> None:
-    """<Psi'(v, a), (v, a)> is the ledger's entry, and >= p Psi where mu_1 and chi do not matter."""
+    """<Psi'(v, a), (v, a)> is the ledger's entry, and is >= p Psi where mu_1 and chi do not act."""
     step = step_of(case)
     randomise(step, 3)
     make_consistent(step)

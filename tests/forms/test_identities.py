@@ -60,7 +60,7 @@ def unit_test(step: Step) -> np.ndarray:
 
 @by_case
 def test_continuity_conserves_mass_for_any_state(case: Case) -> None:
-    """With q = 1 only the storage is left, whatever v and rho are; rho_hat is the mean of both sides."""
+    """For q = 1 only the storage remains, for any v and rho; rho_hat is the mean of both sides."""
     step = step_of(case)
     randomise(step, 1)
     set_traces(step.layout, step.state, step.context, step.quadrature)
@@ -82,7 +82,7 @@ def test_convection_is_powerless(case: Case) -> None:
 
 @by_case
 def test_inertia_returns_kinetic_energy_and_its_remainder(case: Case) -> None:
-    """tau <R, v> = kinetic - kinetic_old + 1/2 int rho_old |v - v_old|^2, for m_old = rho_old v_old."""
+    """With m_old = rho_old v_old, tau <R, v> = kinetic - kinetic_old + 1/2 int rho_old |v - v_old|^2."""
     step = step_of(case)
     randomise(step, 3)
     power = block(step, rows(step, "Inertia"), "v") @ coefficients(step, "v")
@@ -93,7 +93,7 @@ def test_inertia_returns_kinetic_energy_and_its_remainder(case: Case) -> None:
 
 @by_case
 def test_elastic_force_is_the_adjoint_of_the_transport(case: Case) -> None:
-    """B_h(v; z, zeta) in the momentum equation cancels its copy in the kinematic one, facets included."""
+    """B_h(v; z, zeta) in the momentum equation cancels B_h in the kinematic equation, also on facets."""
     step = step_of(case)
     randomise(step, 4)
     power = block(step, rows(step, "ElasticForce"), "v") @ coefficients(step, "v")
@@ -108,7 +108,7 @@ def test_elastic_force_is_the_adjoint_of_the_transport(case: Case) -> None:
 
 @by_case
 def test_creep_power_is_a_square(case: Case) -> None:
-    """- int rate(z; 0, Pi) : zeta = int R |M|^2 with the projected conjugates."""
+    """With the projected conjugates, - int rate(z; 0, Pi) : zeta = int R |M|^2."""
     step = step_of(case)
     randomise(step, 5)
     trial, test = step.layout.space.TnT()
@@ -172,7 +172,7 @@ def check_against_stress(case: Case, values: dict) -> None:
 
 @pytest.mark.parametrize("dim", [2, 3])
 def test_elastic_force_of_a_linear_strain_is_the_stress_s(dim: int) -> None:
-    """E in P_1, continuous: T = S + phi I varies in space, and B_h is exact for it."""
+    """E is continuous and in P_1: T = S + phi I varies in space, and B_h is exact for E."""
     E = CF((0.2 * x, 0.1 * y, 0, 0.1 * y, -0.1 * x, 0, 0, 0, 0.3 * y), dims=(3, 3))
     check_against_stress(Case(dim=dim, material="linear", p=None), {"E": E + 0.1 * Id(3)})
 
@@ -186,7 +186,8 @@ def test_elastic_force_of_a_uniform_distortion_is_the_stress_s(dim: int, m: int)
 
 
 def test_stokes_force_is_that_of_the_viscosities() -> None:
-    """int (K_v tr eps I + 2 G_v dev eps) : eps(w), deviator of the 3x3 tensor also in 2D."""
+    """The force is int (K_v tr eps I + 2 G_v dev eps) : eps(w), also in 2D with the deviator of the 3x3
+    tensor."""
     for dim in (2, 3):
         step = step_of(Case(dim=dim, p=None))
         randomise(step, 7)

@@ -61,7 +61,7 @@ def test_straight_facets_of_a_curved_wall_are_refused(name):
 
 
 def test_a_fixed_wall_may_be_a_polygon():
-    """v = 0 has no wrong limit."""
+    """The condition v = 0 does not depend on normals, so that polygons have the right limit."""
     Walls(disc(1, 0.5, order=1), {"wall": nv.NoSlip()})
     Walls(annulus(1, 2, 1, order=1), {"inner": nv.NoSlip(), "outer": nv.PrescribedTangential((-y, x))})
 
@@ -81,7 +81,7 @@ def test_a_polygon_has_to_be_declared(wall):
 @pytest.mark.parametrize("wall", [nv.Slip(straight=True), nv.Traction(f=(-y, x), straight=True)])
 @pytest.mark.parametrize("mesh", [lambda: polygon(5, 0.5), lambda: disc(1, 0.5)], ids=["corners", "curved"])
 def test_a_wall_that_is_no_polygon_is_not_declared_one(mesh, wall):
-    """It would have no effect."""
+    """The declaration would have no effect."""
     with pytest.raises(
         nv.ParameterError, match=r"walls\['wall'\]\.straight = True: expected False: .* not bent"
     ):
@@ -96,7 +96,7 @@ def test_corners_of_60_degrees_and_more_pass(mesh):
 @pytest.mark.parametrize(("order", "refined"), [(2, 0), (3, 0), (3, 1)])
 @pytest.mark.parametrize("name", [n for n in UNCURVED if n != "fine disc"])
 def test_curved_cells_pass(name, order, refined):
-    """Also on a mesh that was refined, whose facets have other numbers as edges or faces."""
+    """Curved cells pass also on a refined mesh, whose facets have other numbers than edges or faces."""
     make, wall = UNCURVED[name]
     mesh = make()
     for _ in range(refined):
@@ -124,7 +124,7 @@ def warnings_of(run, until):
 
 
 def test_a_lid_that_is_fast_in_a_corner_cell_is_reported_with_the_rate_there():
-    """Cells of 0.25 m: the lid's velocity falls from 1 m/s to 0 along one of them."""
+    """In cells of 0.25 m, the lid's velocity falls from 1 m/s to 0 along one cell."""
     (said,) = warnings_of(cavity(structured_box((1, 1), (4, 4)), 1.0), 0.3)
     assert "div v = -4 1/s at (1, 1) m" in said or "div v = 4 1/s at (0, 1) m" in said
     assert "split_corners" in said
@@ -151,7 +151,7 @@ def test_corners_of_tetrahedra_are_reported():
 @pytest.mark.long
 @pytest.mark.ci
 def test_a_divided_corner_is_held_by_the_pressure():
-    """In the corner cell under the lid, of 0.33 m, the density rises e-fold in 0.33 s."""
+    """In the corner cell of 0.33 m under the lid, the density grows by the factor e in 0.33 s."""
     change = {}
     for split in (False, True):
         run = cavity(structured_box((1, 1), (3, 3), split_corners=split), 1.0)

@@ -59,7 +59,7 @@ def test_linearisation_of_the_whole_residual_is_its_difference(case: Case) -> No
 
 @pytest.mark.parametrize("case", CASES[:4], ids=str)
 def test_a_block_for_each_variable_changes_no_coefficient(case: Case) -> None:
-    """Rows and free unknowns of the step's form are those of z and zeta as vectors."""
+    """Rows and free unknowns of the step's form equal those of a form with z and zeta as vectors."""
     step = step_of(case)
     randomise(step, 1)
     assert list(step.residual.space.FreeDofs(True)) == list(step.layout.space.FreeDofs(True))
@@ -72,7 +72,7 @@ def test_a_block_for_each_variable_changes_no_coefficient(case: Case) -> None:
 
 @pytest.mark.parametrize("case", CASES, ids=str)
 def test_linearisation_at_rest_is_finite(case: Case) -> None:
-    """Zero velocity and Hessian: no power or root of zero may give NaN."""
+    """Velocity and Hessian are zero: no power or root of zero may give NaN."""
     step = step_of(case)
     randomise(step, size=0.0)
     step.local_unknowns.update()  # |Hs|^2 = 0 exactly

@@ -34,7 +34,8 @@ def test_polynomials_of_the_degree_are_exact(degree: int) -> None:
 
 @pytest.mark.parametrize(("k", "m"), [(2, 1), (2, 2), (3, 2)])
 def test_both_sides_of_a_face_see_the_same_points(k: int, m: int) -> None:
-    """NGSolve's rules of triangles from degree 8 on have no symmetry, and cells number faces differently."""
+    """From degree 8 on NGSolve's rules for triangles have no symmetry, and cells number their faces
+    differently."""
     mesh = box((1, 0.7, 0.8), 1.0)
     points = SidePoints(mesh, Quadrature.for_orders(mesh, k, m).facet_degree, NO_SYMMETRY)
     places = np.stack([points.sample(c) for c in (x, y, z)], axis=1).reshape(-1, points.per_side, 3)
@@ -107,7 +108,7 @@ def density_of_a_long_step():
 
 
 def test_an_implicit_step_of_order_zero_keeps_densities_positive_however_long_it_is():
-    """Control: without upwinding it does not."""
+    """As a control, the same step without upwinding does not keep them positive."""
     assert density_of_a_long_step() > 0
     with patch.object(momentum, "speed", lambda u: 0.0 * (u.v * u.context.normal)):
         assert density_of_a_long_step() < 0

@@ -88,7 +88,7 @@ def test_ledger_closes_with_each_regularisation(case, material):
 @pytest.mark.parametrize("creep", [None, nv.Creep(G_m=2.0, nu=0.01), nv.Creep(G_m=2.0, nu=0.01, q=3.5)])
 @pytest.mark.parametrize("case", ["all", "delta_density r = 3.5", "epsilon p = 3.5"])
 def test_linearisation_agrees_with_central_differences(case, creep):
-    """On a random state; in the rows of each unknown by themselves."""
+    """The state is random, and the rows of each unknown are compared by themselves."""
     step = simulation(CASES[case], creep=creep).rothe_step
     step.context.tau.Set(0.02)
     form, rng = uncondensed(step), np.random.default_rng(2)
@@ -110,10 +110,12 @@ CONVECTED = {
 
 @pytest.mark.parametrize("case", CONVECTED)
 def test_skew_convection_is_the_paper_s_minus_half_of_continuity(case):
-    """div(m x v) + delta |grad rho|^(r-2) (grad v) grad rho - v/2 div(m - delta |grad rho|^(r-2) grad rho).
+    """The force is div(m x v) + delta |grad rho|^(r-2) (grad v) grad rho - v/2 div(m - delta |grad
+    rho|^(r-2) grad rho).
 
-    m = K(rho) rho v, tested by velocities that vanish on the walls; exact for these polynomials (grad rho is
-    constant, K(rho) too).  The ledger cannot see a part that is missing: each is powerless.
+    m = K(rho) rho v, and tests are velocities that vanish on the walls; the form is exact for these
+    polynomials, since grad rho and K(rho) are constant. The ledger cannot see a missing part, because each
+    part is powerless.
     """
     law, rho = CONVECTED[case]
     step = simulation(law, maxh=0.3).rothe_step
@@ -172,7 +174,7 @@ def diffuse(quantity, maxh, dt, until, m=1):
 
 @pytest.mark.parametrize("quantity", ["density", by_ci("fields")])
 def test_diffusion_has_the_right_speed_and_order_m_plus_1(quantity):
-    """r = 2: the cosine mode decays by 1/(1 + 2 pi^2 delta tau) a step."""
+    """With r = 2 the cosine mode decays by the factor 1/(1 + 2 pi^2 delta tau) in a step."""
     coarse, fine = (diffuse(quantity, maxh, 0.1, 0.4) for maxh in (0.3, 0.15))
     assert fine < 4e-3
     assert np.log2(coarse / fine) > 1.7
@@ -216,7 +218,7 @@ def test_cut_off_s_flow_is_a_rising_and_a_falling_part(rho_max, width):
 
 @pytest.mark.parametrize("flow", [1.0, -1.0])
 def test_the_trace_of_a_cut_off_density_has_one_upstream_side_a_facet(flow):
-    """Between two triangles, with m = 0, where the flow through the facet changes its sign along it."""
+    """Two triangles with m = 0 have a facet along which the flow through it changes its sign."""
     law, at = Regularisation(rho_max=1.1, width=0.3), POINTS(0.5, 0.5)
     model = nv.Model(material=MATERIALS["linear"], regularisation=law)
     step = Step(box((1, 1), maxh=2.0), model, nv.Discretisation(m=0))
@@ -235,10 +237,10 @@ def test_the_trace_of_a_cut_off_density_has_one_upstream_side_a_facet(flow):
 
 
 def test_cut_off_stops_the_flow_of_dense_matter():
-    """A blob above rho_max + width does not move at all, while without the cut-off it does.
+    """A blob above rho_max + width does not move at all, whereas without the cut-off it does.
 
-    There K(rho) = 0 exactly, so that rho = rho_old solves the equation: it moves by what Newton leaves
-    (3e-11 with the default tolerance 1e-10, 5e-14 with 1e-13).
+    In the blob K(rho) = 0 exactly, so that rho = rho_old solves the equation: the blob moves only by the
+    error of Newton's iteration (3e-11 with the default tolerance 1e-10, 5e-14 with 1e-13).
     """
     newton = nv.NewtonOptions(tolerance=1e-13)
     blob = 1 + exp(-10 * ((x - 0.5) ** 2 + (y - 0.35) ** 2))

@@ -84,7 +84,8 @@ def test_masses_sum_of_amounts_and_energy_are_kept(material, mesh):
 
 @pytest.mark.parametrize("dim", [2, 3])
 def test_shares_of_simplices_above_a_value(rng, dim):
-    """Against points of the simplex, and with equal values; a vertex given twice weighs by its lambda."""
+    """Shares are compared with those of many points of the simplex, also for equal values; a vertex given
+    twice weighs by its lambda."""
     points = rng.dirichlet(np.ones(dim + 1), 200_000)
     cases = [rng.uniform(-1, 1, dim + 1) for _ in range(6)]
     cases += [np.array([1.0, *[0.0] * (dim - 1), -1.0]), np.array([*[0.5] * dim, -0.5])]
@@ -98,9 +99,9 @@ def test_shares_of_simplices_above_a_value(rng, dim):
 
 
 def test_no_cell_gives_more_of_a_body_than_it_has(rng):
-    """Whatever the defects are: means of fractions stay in [0, 1], and those of tensors positive definite.
+    """For any defects, means of fractions stay in [0, 1] and means of tensors positive definite.
 
-    A cell that lacks 0.1 of the disc gets it from its neighbours, in exchange for its X/n.
+    A cell that lacks 0.1 of the disc gets this amount from its neighbours, in exchange for its X/n.
     """
     step, bounds = smeared()
     by, states = bounds.sharpening, step.layout.states
@@ -128,7 +129,8 @@ def test_no_cell_gives_more_of_a_body_than_it_has(rng):
 
 @pytest.mark.parametrize("dim", [2, 3])
 def test_fractions_of_three_bodies_in_a_cell_are_bounded(dim):
-    """Masses, N at every point, int X and energy stay; means below zero are filled, slopes get one factor."""
+    """Masses, N at every point, int X and energy stay; means below zero are filled, and slopes are scaled by
+    one factor."""
     both = {"material": LINEAR, "density": 1.0}
     left, right = nv.Ball((0.3,) * dim, 0.3), nv.Ball((0.6,) * dim, 0.3)
     of = [
@@ -166,7 +168,8 @@ def test_fractions_of_three_bodies_in_a_cell_are_bounded(dim):
 
 
 def test_an_even_mixture_has_no_interface_whatever_rounding_makes_of_it(rng):
-    """Bodies that share every cell alike, to 1e-13, stay so: no slope has a direction."""
+    """Bodies with equal fractions in all cells, up to 1e-13, stay as they are, because no slope has a
+    direction."""
     step, bounds = smeared()
     by, z = bounds.sharpening, step.state.vec.FV().NumPy()[step.layout.ranges["z"]]
     z = z.reshape(step.layout.states.size, -1)
@@ -185,7 +188,8 @@ def test_an_even_mixture_has_no_interface_whatever_rounding_makes_of_it(rng):
 
 
 def test_an_interface_at_rest_is_left_where_it_is():
-    """No velocity: nothing goes between cells, and what is apart in cells already stays."""
+    """Without velocity cells exchange nothing, and bodies that are already separated in a cell stay as they
+    are."""
     step, bounds = smeared()
     step.state.vec.FV().NumPy()[step.layout.ranges["v"]] = 0.0
     bounds.sharpening.begin()
@@ -232,7 +236,7 @@ def test_a_run_closes_and_both_solvers_agree():
 
 
 def test_a_run_in_space_goes_on_bit_for_bit(tmp_path):
-    """The planes of a step are those of its start, which a checkpoint has."""
+    """The planes of a step follow from the state at its start, which a checkpoint contains."""
 
     def made():
         return nv.Simulation(
@@ -259,9 +263,11 @@ def test_a_run_in_space_goes_on_bit_for_bit(tmp_path):
 
 
 def test_a_disc_in_shear_keeps_its_symmetry():
-    """Cells that give all of a body have none, or a rounding error, of either sign: neither moves tensors.
+    """Cells that have given all of a body contain zero or a rounding error of either sign, which must not
+    move tensors.
 
-    Half a turn about the middle maps mesh and flow to themselves; a sign that decides made 3e-6 of 7e-16.
+    Half a turn about the middle maps mesh and flow to themselves; when the sign decided, differences grew
+    from 7e-16 to 3e-6.
     """
     edge, mesh = 0.25, structured_box((1, 1), (6, 6), crossed=True, periodic="x")
     run = nv.Simulation(
@@ -297,7 +303,8 @@ def strip_off(scheme, dt=0.0125):
 
 @pytest.mark.parametrize("scheme", ["backward-euler", "midpoint", "sdirk2"])
 def test_a_strip_goes_where_it_is_carried(scheme, monkeypatch):
-    """The fluxes of all stages count; without an exchange, or with one the wrong way, it does not."""
+    """The fluxes of all stages count; without an exchange, or with an exchange in the wrong direction, the
+    strip goes astray."""
     assert strip_off(scheme) < 0.03
     monkeypatch.setattr(sharpening, "_PASSES", 0)
     assert strip_off(scheme) > 0.1
@@ -309,7 +316,7 @@ def test_a_strip_goes_where_it_is_carried(scheme, monkeypatch):
 
 @pytest.mark.parametrize(("dt", "times"), [(0.0625, 0), (0.125, 1)])
 def test_steps_that_carry_an_interface_too_far_are_named_once(dt, times):
-    """Over 0.5 and 1 of a cell's height; 0.7 is the limit."""
+    """The steps carry an interface over 0.5 and 1 of a cell's height; the limit is 0.7."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         strip_off("midpoint", dt)
@@ -339,7 +346,8 @@ def passed_through(sharp):
 @pytest.mark.long
 @pytest.mark.ci
 def test_an_interface_that_moves_stays_as_wide_as_it_is():
-    """After one passage through ten cells: a width of 1.7 without; the price is a D of a hundredth."""
+    """The disc passes through ten cells once: without ``sharp`` the width becomes 1.7, with it D grows to a
+    hundredth."""
     plain, sharp = passed_through(False), passed_through(True)
     assert plain("disc_smeared")[-1] > 1.5 and 0.5 < sharp("disc_smeared")[-1] < 1.0
     assert sharp("disc_inside")[-1] == pytest.approx(np.pi / 16, rel=0.03)
@@ -375,7 +383,7 @@ def test_it_is_true_or_false():
 
 @pytest.mark.parametrize(("slope", "trace"), [(1e-13, 0.0), (0.2, 1.0)])
 def test_viscosities_are_in_series_across_an_interface_and_not_across_rounding(rng, slope, trace):
-    """The trace of n x n, which is 1 where fractions have a slope and 0 in an even mixture."""
+    """The trace of n x n is 1 where fractions have a slope, and 0 in an even mixture."""
     viscosities = nv.StokesViscosity(K_v=1.0, G_v=1.0), nv.StokesViscosity(K_v=1.0, G_v=0.1)
     of = [replace(body, viscosity=v) for body, v in zip(bodies(), viscosities, strict=True)]
     step = Step(box((1, 1), 0.4), nv.Model(bodies=of), nv.Discretisation(m=1))

@@ -56,7 +56,7 @@ def test_friction_brakes_and_a_traction_pulls():
 
 
 def test_what_flows_in_brings_its_momentum():
-    """A fluid at rest has an inlet at 0.2 m/s: rho v^2 comes in, per m^2."""
+    """A fluid at rest has an inlet at 0.2 m/s, which brings the momentum rho v^2 for each m^2 and second."""
     velocity, density = 0.2, 3.0
     inlet = nv.Inflow(velocity=(velocity, 0.0), density=density)
     _, run = pushed(inlet, nv.Open(), (velocity, 0.0), density)
@@ -80,7 +80,7 @@ def test_loads_pull_where_they_point(load):
 
 
 def test_the_density_is_carried_along_by_the_flow():
-    """A soft body moves as a whole: the ledger's mass knows no place."""
+    """A soft body moves as a whole; the ledger's mass would not see a wrong direction."""
     model = nv.Model(material=nv.LinearElastic(K_e=1e-3, G_e=1e-3))
     start = nv.Initial(density=1 + 0.3 * sin(2 * pi * x), velocity=(1.0, 0.0))
     mesh = box((1, 1), maxh=0.2, periodic="xy")
@@ -101,7 +101,7 @@ def test_damping_of_the_velocity_brakes():
 
 
 def test_the_pressure_that_laws_read_is_that_of_the_stress():
-    """-tr T/3, of a body that is compressed and stretched."""
+    """The pressure is -tr T/3, in a body that is compressed and stretched."""
     F = CF((0.9, 0.1, 0, 0, 1.2, 0, 0, 0, 1), dims=(3, 3))
     run = nv.Simulation(box((1, 1), 0.7), nv.Model(material=SOLID), dt=0.1, initial=nv.Initial(F=F))
     step = run.rothe_step
@@ -115,7 +115,8 @@ def test_the_pressure_that_laws_read_is_that_of_the_stress():
 
 
 def test_plastic_strain_grows_by_the_equivalent_rate():
-    """dk/dt = sqrt(2/3) |Pi|: in one step of a sheared body that yields, by the creep rate itself."""
+    """dk/dt = sqrt(2/3) |Pi|, compared in one step of a sheared body that yields, with the creep rate of the
+    run."""
     rule = nv.Perzyna(G_m=0.5, sigma_Y=0.1, H=2.0)
     E = CF((0, 0.3, 0, 0.3, 0, 0, 0, 0, 0), dims=(3, 3))
     model = nv.Model(material=nv.LinearElastic(K_e=10.0, G_e=5.0), creep=rule)
@@ -129,7 +130,7 @@ def test_plastic_strain_grows_by_the_equivalent_rate():
 
 
 def test_what_is_hot_presses_outward():
-    """Gamma c (theta - theta_R) = K alpha (theta - theta_R) where nothing has moved."""
+    """The pressure is Gamma c (theta - theta_R) = K alpha (theta - theta_R) as long as nothing has moved."""
     material = nv.Thermal(material=SOLID, c=2.0, theta_R=300.0, expansion=1e-3)
     start = nv.Initial(temperature=350.0)
     run = nv.Simulation(box((1, 1), 0.7), nv.Model(material=material), dt=0.1, initial=start)
@@ -151,7 +152,7 @@ STRENGTH = IfPos(x - 0.8, -0.1, 1.0)
 
 @pytest.mark.parametrize("solver", ["coupled", "split"])
 def test_a_dissipation_that_gives_energy_at_a_point_is_named(solver):
-    """Form and column have one law, and all together it brakes: the ledger closes."""
+    """Form and column have the same law, and the whole term brakes, so that the ledger closes."""
     start = nv.Initial(velocity=(0.0, 0.1))
     options = {"initial": start, "terms": [Feeding()], "solver": solver}
     run = nv.Simulation(box((1, 1), 0.4, periodic="y"), nv.Model(material=SOLID), dt=DT, **options)
@@ -171,7 +172,7 @@ def test_a_wall_that_gives_energy_is_named(monkeypatch):
 
 
 def test_what_anisotropic_viscosities_dissipate_is_judged_as_a_whole():
-    """Pressure's part of a viscosity may be negative by itself."""
+    """The part of the pressure in an anisotropic viscosity may be negative by itself."""
     D = np.diag([1.0, 0.1, 0.1, 0.1, 0.1, 0.1])
     law = nv.LinearViscosity(D=D, notation="mandel")
     start = nv.Initial(velocity=(0.1 * sin(pi * x) * cos(pi * y), -0.2 * cos(pi * x) * sin(pi * y)))

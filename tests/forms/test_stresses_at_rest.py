@@ -42,7 +42,8 @@ def differences(warned):
 
 @pytest.mark.parametrize("state", "FB")
 def test_a_stress_at_rest_that_open_walls_do_not_bear_is_said_before_the_first_step(state):
-    """With that difference a bar moves off at metres a second; with the pressure that is named it stays."""
+    """With the stated difference of stresses a bar moves off at metres a second; with the pressure that the
+    warning recommends it stays."""
     for pull in (0.0, 1.0):
         with pytest.warns(nv.InputWarning, match="pressure of -T") as warned:
             run = between(PAPER[state], pressure=-pull)
@@ -73,7 +74,8 @@ def test_what_is_borne_and_what_has_no_stress_at_rest_bring_no_warning(state, re
 
 @pytest.mark.parametrize("resists", ["impedance", "stiffness"])
 def test_what_dashpots_and_springs_bear_at_the_start_counts(resists, recwarn):
-    """Dashpots bear 2 Pa at 0.1 m/s, springs at 0.1 m; the pressures are off by as much, to either side."""
+    """Dashpots bear 2 Pa at 0.1 m/s, and springs at 0.1 m; the pressures are off by 2 Pa in either
+    direction."""
     walls = {
         name: nv.Open(pressure=-AT_REST - load, backflow=False, **{resists: (20.0, 0.0)})
         for name, load in (("left", -2.0), ("right", 2.0))
@@ -103,7 +105,8 @@ def test_a_gas_is_warned_of_where_nothing_presses_it(recwarn):
 
 @pytest.mark.parametrize("place", ["at the walls", "inside"])
 def test_of_bodies_the_one_beside_a_wall_has_the_stress(place, recwarn):
-    """The mean over the wall is of the body's half alone; a medium that bears a load brings no warning."""
+    """The mean over the wall contains the stress in the body's half only; a medium that bears a load causes
+    no warning."""
     where = nv.Block((0.0, 0.0), (1.0, 0.25)) if place == "at the walls" else nv.Ball((0.5, 0.25), 0.1)
     bodies = [
         nv.Body(name="body", material=fluid(15.0), where=where, density=1.0),

@@ -37,13 +37,14 @@ def mean(value, begin=0.0, length=0.1):
 
 @pytest.mark.parametrize("value", [CF(T), 2 * T, -T, T / 2, 3 * sin(T), x * (2 * T), CF((2 * T, 0.0))])
 def test_the_time_is_found_in_a_function(value):
-    """NGSolve shortens the name of a multiple of it: 2 t was taken for a constant, and not averaged."""
+    """NGSolve shortens the name of a multiple of the time: 2 t was taken for a constant, and not
+    averaged."""
     assert may_read_time(value) and not may_read_time(2 * x)
 
 
 @pytest.mark.parametrize("name", MEANS)
 def test_means_are_exact_to_the_tolerance(name):
-    """The error is also below ten roundings of the time over the pulse's length, where that is more."""
+    """The error may also be ten roundings of the time over the pulse's length, if this is larger."""
     value, exact = MEANS[name]
     found, error = mean(value)
     assert error <= TOLERANCE
@@ -52,7 +53,8 @@ def test_means_are_exact_to_the_tolerance(name):
 
 @pytest.mark.parametrize("tilt", [-0.2, 0.5])
 def test_a_tilted_mean_of_what_is_linear_in_time_is_its_value(tilt):
-    """The mean of a pulse is the weight within it: 1 + 12 tilt (0.35 - 0.5), the mean of a tenth at 0.35."""
+    """The mean of a pulse is the weight in the pulse: 1 + 12 tilt (0.35 - 0.5), in the mean a tenth at
+    0.35."""
     found = []
     for value in (3 * T - 0.1, nv.pulse(0.03, 0.01)):
         function, average = mean_in_cells(CF(value), MESH, 6)
@@ -63,7 +65,7 @@ def test_a_tilted_mean_of_what_is_linear_in_time_is_its_value(tilt):
 
 
 def test_a_front_that_moves_is_said_not_to_be_resolved():
-    """At each place it breaks at another time: the error is that of 50 panels, and known."""
+    """The function jumps at each place at another time: its error is that of 50 panels, which is known."""
     front = IfPos(x - 10 * T, 1.0, 0.0)
     found, error = mean(front)
     assert TOLERANCE < error < 0.02
@@ -123,7 +125,8 @@ def momentum_of(load, scheme="backward-euler", solver="coupled", steps=1):
 )
 @pytest.mark.parametrize("scheme", ["backward-euler", "midpoint", "sdirk2"])
 def test_the_momentum_is_the_loads_impulse(load, expected, scheme):
-    """With two Gauss points the pulse gave 0 and the step within 0.1; by its stages' times so did SDIRK2."""
+    """With two Gauss points the pulse gave 0 and the step was right to 0.1; with loads at the times of
+    stages SDIRK2 was equally wrong."""
     assert momentum_of(load, scheme) == pytest.approx(expected, rel=1e-8)
 
 
@@ -146,7 +149,7 @@ def test_a_traction_counts_by_its_mean():
 
 
 def test_a_load_that_is_not_resolved_is_said_once():
-    """A front that crosses the body breaks the load at other times at other places."""
+    """A front that crosses the body makes the load jump at each place at another time."""
     front = CF((IfPos(x - 10 * nv.time, 1.0, 0.0), 0))
     model = nv.Model(loads=[nv.Gravity(front)], **MODEL)
     run = nv.Simulation(box((1, 1), 1.0), model, time=nv.TimeSteps(dt=0.04, velocity_scale=1.0))

@@ -40,7 +40,7 @@ def test_of_smooth_motion_it_falls_with_the_fourth_power_of_the_cells():
 
 
 def test_motion_within_cells_is_measured_and_said_once():
-    """A velocity of edges alone, random."""
+    """The velocity is random, and made of functions of edges alone."""
     run = run_of(2, 0)
     v = run.rothe_step.state.components[run.rothe_step.layout.names.index("v")]
     values = v.vec.FV().NumPy()

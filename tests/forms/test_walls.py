@@ -60,7 +60,7 @@ def free_vertices(mesh: Mesh) -> list[bool]:
     ids=str,
 )
 def test_names_with_signs_of_regular_expressions_mean_themselves(names: tuple[str, str, str, str]) -> None:
-    """A pattern "a.b" would also match "axb", and constrain a wall in a wrong direction."""
+    """As a pattern, "a.b" would also match "axb", and constrain a wall in a wrong direction."""
     mesh, plain = named_square(names), named_square(("left", "right", "bottom", "top"))
     assert axis_parallel_walls(mesh)[0] == [sorted(set(names[:2])), sorted(set(names[2:]))]
     assert free_vertices(mesh) == free_vertices(plain)
@@ -97,7 +97,7 @@ def test_cells_without_spaces_are_refused(kind) -> None:
 
 
 def test_an_interface_between_cells_is_no_wall() -> None:
-    """Runs across one are those on the same cells without it, see ``run/test_periodic``."""
+    """Runs with an interface equal runs on the same cells without it, see ``run/test_periodic``."""
     left, right = occ.Rectangle(0.5, 1).Face(), occ.MoveTo(0.5, 0).Rectangle(0.5, 1).Face()
     left.edges.Max(occ.X).name = "interface"
     mesh = Mesh(occ.OCCGeometry(occ.Glue([left, right]), dim=2).GenerateMesh(maxh=0.4))
@@ -141,7 +141,7 @@ def test_a_flat_cell_is_refused() -> None:
 
 
 def test_a_mesh_without_walls_is_refused() -> None:
-    """Facets that belong to one cell and to no boundary: mass would leave through them."""
+    """Some facets belong to one cell and to no boundary: mass would leave through them."""
     with pytest.raises(MeshError, match="lacks a boundary element"):
         check_mesh(cells(SQUARE, [(0, 1, 2), (0, 2, 3)]))
 
@@ -161,7 +161,8 @@ def test_a_one_dimensional_mesh_is_refused() -> None:
 
 @pytest.mark.parametrize("dim", [2, 3])
 def test_identified_walls_of_a_refined_mesh_are_known(dim):
-    """Whose facets have other numbers as edges or faces, which count those that were divided too."""
+    """In a refined mesh facets have other numbers than edges or faces, among which divided ones are counted
+    too."""
     mesh = box((1,) * dim, 0.5, periodic="x")
     mesh.Refine()
     assert periodic_boundaries(mesh) == {"left", "right"}

@@ -122,7 +122,8 @@ STRESSED = {
 @pytest.mark.parametrize("solver", ["split", "coupled"])
 @pytest.mark.parametrize("state", STRESSED)
 def test_a_stressed_body_goes_on_through_windows_as_it_is(state, solver):
-    """Under its own stress all around, uniform and at 0.3 m/s, it stays so; values of rest pushed it."""
+    """The body is uniform, moves at 0.3 m/s, and its own stress acts on all windows: it stays as it is,
+    whereas entering values of rest pushed it."""
     model, mesh = nv.Model(material=STRESSED[state]), box((1, 0.7), 0.5)
     initial = nv.Initial(F=STRETCHED, density=1.3, velocity=(0.3, 0.1))
     T = np.array(nv.Simulation(mesh, model, dt=1.0, initial=initial).fields["cauchy_stress"](mesh(0.4, 0.3)))
@@ -145,8 +146,8 @@ def test_a_stressed_body_goes_on_through_windows_as_it_is(state, solver):
 
 
 def test_rest_that_flows_into_a_strained_body_has_no_thrust():
-    """Its momentum kept within a hundredth of what phi(0) - phi(z) gives; what both lose meeting is seen, and
-    warned of."""
+    """The momentum is kept within a hundredth of what phi(0) - phi(z) would give; the energy that both lose
+    when they meet is measured, and warned of."""
     model, mesh = nv.Model(material=STRESSED["linear"]), box((1, 0.7), 0.4)
     E = CF((0.05, 0, 0, 0, 0, 0, 0, 0, 0), dims=(3, 3))
     initial = nv.Initial(density=1.3, velocity=(0.3, 0), values={"E": E})
@@ -173,8 +174,11 @@ GIVEN = {
 
 @pytest.mark.parametrize("given", GIVEN)
 def test_stresses_that_differ_are_warned_of_in_slow_straining_too(given, recwarn):
-    """A strained bar moves through its windows.  Where matter at rest meets it, 0.2 % of all powers are lost,
-    the strain of 0.4 % over 2, but the stresses differ by the whole stress.  They may differ by 5 %."""
+    """A strained bar moves through its windows.
+
+    Where it meets entering matter at rest, 0.2 % of all powers are lost, half of the strain of 0.4 %, but
+    the difference of the stresses is the whole stress. A run may have a difference of 5 %.
+    """
     walls = {
         "left": nv.Inflow(velocity=(0.11, 0.0), **GIVEN[given]),
         "right": nv.Open(pressure=-4e-3 * (10.0 + 4 / 3 * 5.0), backflow=False),
@@ -222,7 +226,8 @@ def test_unstrained_amounts_that_flow_into_a_strained_body_are_warned_of(amounts
 
 @pytest.mark.parametrize("solver", [by_ci("split"), "coupled"])
 def test_amounts_that_are_given_bring_their_masses(solver):
-    """Three tenths of 2 kg/m^3 and seven of 0.5 come in at 0.2 m/s through 0.5 m: 0.06 and 0.035 kg/s."""
+    """Three tenths of 2 kg/m^3 and seven tenths of 0.5 kg/m^3 come in at 0.2 m/s through 0.5 m: 0.06 and
+    0.035 kg/s."""
     bodies = [
         nv.Body(name="heavy", material=FLUID, density=2.0, where=nv.Block((0.0, 0.0), (0.25, 0.5))),
         nv.Body(name="light", material=FLUID, density=0.5),
@@ -303,7 +308,8 @@ def test_bodies_of_different_bulk_moduli_fall_freely_between_windows(solver):
 @pytest.mark.long
 @pytest.mark.ci
 def test_bodies_of_different_densities_fall_freely_up_to_the_midpoint_rule_s_error():
-    """The mean density of a step weighs, and the difference in momentum is that of its ends: second order."""
+    """The weight is that of a step's mean density, and the change of momentum that of the densities at its
+    ends: the error is of second order."""
     coarse, fine = (falls(dt, "split", (2.0, 0.5)) for dt in (0.2, 0.1))
     assert 3.4 < coarse / fine < 4.6 and fine < 0.003
 
@@ -313,7 +319,7 @@ def test_bodies_of_different_densities_fall_freely_up_to_the_midpoint_rule_s_err
 @pytest.mark.filterwarnings("ignore::ngvisco.run.body_tables.SmearedWarning")
 @pytest.mark.parametrize("solver", ["split", "coupled"])
 def test_a_ball_flies_out_through_a_window_with_its_medium(solver):
-    """In space: uniform motion stays, and as much of the ball has left as in cells of its size there may."""
+    """In 3D the motion stays uniform, and as much of the ball has left as cells of this size allow."""
     walls = {("left", "right"): nv.Open(backflow=False)}
     initial, table = nv.Initial(velocity=(0.5, 0.0, 0.0)), nv.Bodies()
     options = {"dt": 0.2, "initial": initial, "solver": solver, "observers": [table]}
@@ -329,7 +335,8 @@ def test_a_ball_flies_out_through_a_window_with_its_medium(solver):
 @pytest.mark.ci
 @pytest.mark.parametrize("solver", ["split", "coupled"])
 def test_bodies_of_different_bulk_moduli_have_the_pressure_of_the_window(solver):
-    """0.05 Pa; the energy of the medium there, which would be missing, is 0.0025 Pa."""
+    """The pressure is 0.05 Pa; the energy of the medium at this pressure, which a wrong boundary term would
+    lack, is 0.0025 Pa."""
     walls = {("left", "right"): nv.Open(pressure=0.05)}
     run = light_and_stiff(walls, 0.1, dt=0.5, solver=solver)
     assert abs(run.run(8.0).column("closure_relative")).max() < 1e-10
@@ -341,8 +348,11 @@ def test_bodies_of_different_bulk_moduli_have_the_pressure_of_the_window(solver)
 
 @pytest.mark.parametrize(("solver", "as_body"), [by_ci("split", False), ("coupled", True)])
 def test_a_gas_vents_through_a_throttle_as_its_closed_form_says(solver, as_body):
-    """p = rho^2 in a chamber of L = 1 m, from 1 Pa to P outside through Z v = p - P, slow beside its sound:
-    p' = -2 p (p - P)/(Z L).  The mass to 1 %, the flow at the end, of a step as of its mean, to 2 %."""
+    """A gas with p = rho^2 fills a chamber of L = 1 m and vents from 1 Pa to P outside through Z v = p - P,
+    slowly beside its sound: p' = -2 p (p - P)/(Z L).
+
+    The mass is right to 1 %; the flow at the end, of the step and in the mean, to 2 %.
+    """
     Z, P, gas = 50.0, 0.5, nv.BarotropicFluid(B=1.0, gamma=2.0, rho_R=1.0)
     model = nv.Model(material=gas, viscosity=VISCOUS)
     if as_body:
@@ -365,13 +375,14 @@ def test_a_gas_vents_through_a_throttle_as_its_closed_form_says(solver, as_body)
 @pytest.mark.ci
 @pytest.mark.parametrize(("solver", "leaves"), [("split", "medium"), ("coupled", "gas")])
 def test_a_body_vents_and_the_one_behind_it_expands_as_their_closed_form_says(solver, leaves):
-    """A gas of p = J^-2 and a medium of p = J^-1.25 and a tenth of its density, each in half of a chamber
-    of 1 m, at 1 Pa; P outside and Z v = p - P, slow beside their sound. The one behind fills V =
-    p^(-1/g)/2 m, and p' = -p (p - P)/Z/(V/g + (1 - V)/g_leaves).
+    """A gas with p = J^-2 and a medium with p = J^-1.25 and a tenth of its density fill one half each of a
+    chamber of 1 m at 1 Pa; the pressure outside is P, and Z v = p - P, slowly beside their sound.
 
-    The mass of what leaves is right to 1 %, its flow at the end and that of all mass to 2 %, the mass of
-    what stays to 0.2 %, the pressure to 1 %.  On six cells a part of gas of 0.0034 has smeared as far as the
-    opening; ten times as dense as the medium, it adds 3 % to the flow, on eight cells less than 0.1 %.
+    The body behind fills V = p^(-1/g)/2 m, and p' = -p (p - P)/Z/(V/g + (1 - V)/g_leaves). The mass of the
+    body that leaves is right to 1 %, its flow at the end and that of the whole mass to 2 %, the mass of the
+    body that stays to 0.2 %, and the pressure to 1 %. On six cells a fraction of gas of 0.0034 has smeared
+    as far as the opening; as the gas is ten times as dense as the medium, this adds 3 % to the flow; on
+    eight cells it adds less than 0.1 %.
     """
     Z, P, exponents = 50.0, 0.5, {"gas": 2.0, "medium": 1.25}
     laws = {name: nv.BarotropicFluid(B=1 / (g - 1), gamma=g, rho_R=1.0) for name, g in exponents.items()}
@@ -457,7 +468,8 @@ def filled(solver, scheme="backward-euler", grown=1.0, as_body=False, **fluid):
 
 
 def test_a_density_that_nothing_determines_is_warned_of_once_a_hundredth_of_the_mass_is_in():
-    """At rest for 1 s, then let in: a step's inflow times the time since the start would be too early."""
+    """The fluid rests for 1 s and is then let in: a warning from a step's inflow times the time since the
+    start would come too early."""
     pressure = 1 + 0.1 * IfPos(nv.time - 1.0, 1.0, 0.0)
     walls = {"left": nv.Open(pressure=pressure, backflow=False), "right": nv.Open(pressure=1.0)}
     model = nv.Model(material=nv.BarotropicFluid(B=1.0, gamma=2.0), viscosity=VISCOUS)
@@ -485,20 +497,21 @@ def test_a_density_that_nothing_determines_is_warned_of_once_a_hundredth_of_the_
     ],
 )
 def test_a_fluid_of_known_density_comes_in_as_its_wall_s_pressure_says(solver, scheme, form):
-    """To 1e-3, also where the pressure grows with the time."""
+    """Density and volume are right to 1e-3, also when the pressure grows with time."""
     grown = 1 - exp(-nv.time) if form == "A" else 1.0
     assert filled(solver, scheme, grown, form=form, rho_R=1.0) == pytest.approx((1.25, 0.25), rel=1e-3)
 
 
 def test_the_amount_of_a_body_that_comes_in_at_a_pressure_is_the_one_of_that_pressure():
-    """Density and volume of a body are of its amount alone: no rho_R is needed."""
+    """Density and volume of a body are functions of its amount alone, so that no rho_R is needed."""
     assert filled("split", as_body=True) == pytest.approx((1.25, 0.25), rel=1e-3)
 
 
 @pytest.mark.long
 @pytest.mark.ci
 def test_where_nothing_tells_the_density_it_is_that_of_the_first_inflow():
-    """The control: rho J differs from its start by a few per cent where the shock was, which is warned of."""
+    """As a control, rho J differs from its start by a few per cent where the shock was, and a run warns of
+    this."""
     with pytest.warns(nv.InflowWarning, match="through 'left' at a pressure.*give rho_R"):
         rho, v = filled("split")
     assert 1.26 < rho < 1.35 and v == pytest.approx(0.25, rel=1e-3)
@@ -506,7 +519,8 @@ def test_where_nothing_tells_the_density_it_is_that_of_the_first_inflow():
 
 @pytest.mark.parametrize("pressure", [0.0, 1e-6, 0.25, 1e8])
 def test_a_gas_has_a_volume_at_every_pressure(pressure):
-    """A gas of p = J^-2 Pa has one; where the pressure is none, the volume stands for a vacuum."""
+    """A gas with p = J^-2 Pa has a volume at every positive pressure; at zero pressure a finite volume
+    stands for a vacuum."""
     model = nv.Model(material=nv.BarotropicFluid(B=1.0, gamma=2.0, rho_R=3.0))
     mesh = structured_box((1, 1), (1, 1))
     given = entering(nv.Open(pressure=pressure), "wall", model, mesh)
@@ -531,7 +545,8 @@ def test_values_that_belong_to_the_pressure_are_not_warned_of(recwarn):
 
 @pytest.mark.parametrize("solver", ["split", "coupled"])
 def test_a_piston_has_the_power_of_uniaxial_strain_and_sweeps_its_mass(solver):
-    """Slowly pulled, E_11 = V t: the force is (K + 4/3 G) V t on 0.7 m, and rho = 1/(1 + V t) to V^2."""
+    """A slow pull gives E_11 = V t: the force is (K + 4/3 G) V t on 0.7 m, and rho = 1/(1 + V t) up to
+    V^2."""
     V, model = 1e-3, nv.Model(material=nv.LinearElastic(K_e=10.0, G_e=5.0))
     walls, initial = {"right": nv.PrescribedNormal(velocity=V)}, nv.Initial(velocity=(V * x, 0.0))
     run = nv.Simulation(box((1, 0.7), 0.5), model, dt=0.25, walls=walls, initial=initial, solver=solver)
@@ -547,7 +562,8 @@ def test_a_piston_has_the_power_of_uniaxial_strain_and_sweeps_its_mass(solver):
 
 @pytest.mark.parametrize("solver", ["split", "coupled"])
 def test_a_piston_lets_matter_slide_along_it(solver):
-    """Between two pistons and two windows a body goes on as it is, 0.1 m/s with them and 0.3 m/s along."""
+    """Between two pistons and two windows a body keeps its motion, 0.1 m/s with the pistons and 0.3 m/s
+    along them."""
     walls = {
         "left": nv.PrescribedNormal(velocity=-0.1),
         "right": nv.PrescribedNormal(velocity=0.1),
@@ -572,7 +588,8 @@ PULLED = [
 
 @pytest.mark.parametrize(("dim", "scheme", "solver"), PULLED)
 def test_a_piston_all_around_a_disc_or_a_ball_widens_it(dim, scheme, solver):
-    """Walls move by V t: E = V t^2/2 I, and the pressure is -dim (K + G/3 (3 - dim)) V t^2/2 to V^2."""
+    """Walls that move by V t give E = V t^2/2 I and the pressure -dim (K + G/3 (3 - dim)) V t^2/2, up to
+    V^2."""
     V, dt, end = 1e-3, 0.25, 0.5
     mesh = disc(1, 1.0) if dim == 2 else sphere(1, 1.0)
     run = nv.Simulation(
@@ -603,7 +620,8 @@ def test_a_piston_all_around_a_disc_or_a_ball_widens_it(dim, scheme, solver):
 
 @pytest.mark.parametrize("velocities", [(2e-3, 0.0), (1e-3, 1e-3)])
 def test_pistons_on_oblique_walls_have_each_the_power_of_their_own(velocities):
-    """A bar at 30 degrees is pulled by both ends or by one, the force of uniaxial strain in the end."""
+    """A bar at 30 degrees is pulled by both ends or by one end; in the end the force is that of uniaxial
+    strain."""
     bar = WorkPlane().Rectangle(1, 0.7).Face()
     for edge in bar.edges:
         edge.name = {0.0: "left", 1.0: "right"}.get(round(edge.center.x, 6), "side")
@@ -633,7 +651,8 @@ def test_pistons_on_oblique_walls_have_each_the_power_of_their_own(velocities):
 
 @pytest.mark.parametrize(("m", "solver"), [by_ci(1, "split"), (1, "coupled"), by_ci(2, "split")])
 def test_a_slope_does_not_go_on_beyond_an_inlet(m, solver):
-    """Carried through twelve times over, a density of 1 to 1.3 stays in that range and comes to rest."""
+    """Matter of density 1 to 1.3 flows through the box twelve times; the density stays in this range, and
+    becomes steady."""
     walls = {("left", "right"): nv.Inflow(velocity=(1.0, 0.0))}
     initial = nv.Initial(density=1 + 0.3 * x, velocity=(1.0, 0.0))
     orders = nv.Discretisation(m=m)

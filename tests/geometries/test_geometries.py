@@ -35,7 +35,8 @@ CASES = {
 
 @pytest.mark.parametrize("name", CASES)
 def test_measure_and_walls_are_those_of_the_domain(name):
-    """Polygons and polyhedra miss the measure of the round ones by per cents: they must be curved."""
+    """Polygons and polyhedra miss the measure of round domains by per cents, so that the cells must be
+    curved."""
     make, measure, walls = CASES[name]
     mesh = make()
     assert Integrate(CF(1.0), mesh) == pytest.approx(measure, rel=2e-3)
@@ -57,7 +58,7 @@ SCALED = {
 
 @pytest.mark.parametrize("name", SCALED)
 def test_a_domain_is_the_same_in_every_unit_of_length(name):
-    """Squares of 6e5 m ended the process, small ones lost their walls."""
+    """Squares of 6e5 m ended the process, and small squares lost their walls."""
     unit = SCALED[name](1.0)
     straight = name in ("box", "channel3d", "bar")
     sizes = SIZES if straight else SIZES[1:]
@@ -106,7 +107,8 @@ def test_refinement_is_local():
     ids=["2D", "3D"],
 )
 def test_boundary_layer_is_bisected_towards_the_wall(make, wall):
-    """The height of the cells at the wall is halved each time, by fewer cells than halving all takes."""
+    """Each bisection halves the height of the cells at the wall, and makes fewer cells than halving all of
+    them."""
 
     def height(mesh):
         """Mean height over the wall of the cells that have a facet on it."""

@@ -25,7 +25,7 @@ from ngvisco.words import words_of
     ],
 )
 def test_errors_are_the_same_in_other_processes(error):
-    """Type, message and attributes; a value that cannot be copied is left out."""
+    """Type, message and attributes are equal; a value that cannot be copied is left out."""
     if isinstance(error, ParameterError):
         error.value = lambda: None
     copy = pickle.loads(pickle.dumps(error))
@@ -36,7 +36,7 @@ def test_errors_are_the_same_in_other_processes(error):
 
 
 def test_processes_that_cannot_meet_are_refused(monkeypatch):
-    """If mpirun and mpi4py are of different MPIs, each process would do the whole run."""
+    """If mpirun and mpi4py belong to different MPIs, each process would do the whole run."""
     monkeypatch.setenv("OMPI_COMM_WORLD_SIZE", "3")
     with pytest.raises(MPIError, match="mpirun started 3 processes"):
         Communicator.world()
@@ -46,7 +46,7 @@ def test_processes_that_cannot_meet_are_refused(monkeypatch):
 @pytest.mark.ci
 @needs_petsc
 def test_first_rank_has_all_sums_and_sleeps_while_it_waits():
-    """MPI's own waiting takes the whole processor."""
+    """MPI's own waiting would take the whole processor."""
     last = printed(Path(__file__).with_name("following.py"), ranks=3)
     assert last["found"] == 3 * [5 * [[0.0, 3.0, 6.0], [3.0, 2.0]]]
     assert last["share"] < 0.5

@@ -15,7 +15,7 @@ from ngvisco.cli.main import main
 @pytest.mark.ci
 @pytest.mark.parametrize("ranks", [1, 2])
 def test_a_step_is_taken_where_all_is_there(ranks):
-    """Alone it starts three ranks of its own, under mpirun it takes a step on those."""
+    """Without mpirun the command starts three ranks; under mpirun it takes a step on the given ranks."""
     found = run("-m", "ngvisco", "info", "--parallel", ranks=ranks)
     assert found.returncode == 0, found.stderr
     said = dict(line.split(maxsplit=1) for line in found.stdout.splitlines())
@@ -28,7 +28,7 @@ def test_a_step_is_taken_where_all_is_there(ranks):
 @pytest.mark.long
 @pytest.mark.ci
 def test_the_page_s_command_divides_a_run(tmp_path):
-    """The command runs as it is printed, on a machine with fewer slots than ranks too."""
+    """The printed command runs, also on a machine with fewer slots than ranks."""
     (printed,) = re.findall(r"`mpirun ([^`]*)`", (ROOT / "ngvisco/parallel/RANKS.md").read_text())
     (tmp_path / "case.toml").write_text(A_BODY + A_SWIRL + TWO_STEPS + NO_VTK)
     program, case = [PYTHON, "-m", "ngvisco"], [str(tmp_path / "case.toml")]

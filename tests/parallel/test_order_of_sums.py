@@ -12,7 +12,8 @@ pytestmark = needs_petsc
 @pytest.mark.long
 @pytest.mark.ci
 def test_a_step_in_space_and_interpolation_are_the_same_to_the_bit(monkeypatch):
-    """The ledger, and the states before and after it, where MUMPS is not over ranks; whoever is late."""
+    """Ledger and states before and after the step do not depend on the rank that is late, unless MUMPS runs
+    over ranks."""
     monkeypatch.setenv("PETSC_OPTIONS", "-ngvisco_on_one_rank_up_to 100000")
     found = printed("-m", "mpi4py", HERE / "order.py", "interpolated", "coupled", "split", ranks=4)
     for one, other in found.values():

@@ -157,7 +157,7 @@ def assert_same_tables(one, several, of=1e-10):
     ],
 )
 def test_ledgers_and_tables_are_those_of_one_process(group, ranks):
-    """With the split solver's linear systems: no more iterations of these in all than 1.1 times as many."""
+    """The split solver's linear systems take at most 1.1 times as many iterations in all."""
     names = GROUPS[group].split("; ")
     for name in names:
         one, several = found(1, *names)[name], found(ranks, *names)[name]
@@ -193,7 +193,7 @@ error that linear volumes on cells of 0.3 m, in space 0.6 m, may have."""
     ],
 )
 def test_a_start_at_rest_is_that_of_one_process(names, ranks):
-    """Pressure and density of the start agree to 1e-12, and are those of the weight above."""
+    """Pressure and density at the start agree to 1e-12, and bear the weight above."""
     for name in names:
         one, several = found(1, *names)[name], found(ranks, *names)[name]
         start, other = ({c: v[0] for c, v in each["tables"][0].items()} for each in (one, several))
@@ -208,7 +208,8 @@ def test_a_start_at_rest_is_that_of_one_process(names, ranks):
 @pytest.mark.long
 @pytest.mark.ci
 def test_small_systems_may_be_over_ranks_too(monkeypatch):
-    """Systems of the flow, of diffusing fields and of the density, of which else one rank has all rows."""
+    """These are the systems of the flow, of diffusing fields and of the density, for which otherwise one
+    rank has all rows."""
     name = "split, all regularisations"
     one = found(1, name)[name]
     monkeypatch.setenv("PETSC_OPTIONS", "-ngvisco_on_one_rank_up_to 0")
@@ -250,7 +251,7 @@ for words in json.loads(sys.argv[1]):
 
 
 def all_of(*commands, ranks=1):
-    """One process, or one on each rank, for several commands."""
+    """Runs several commands in one process, or in one process on each rank."""
     words = json.dumps([[str(word) for word in command] for command in commands])
     done = run("-c", COMMANDS, words, ranks=ranks)
     assert done.returncode == 0, done.stderr
@@ -310,7 +311,7 @@ def test_a_run_goes_on_with_any_number_of_ranks(case_file, tmp_path, case):
     ],
 )
 def test_a_run_goes_on_to_the_bit_with_as_many_ranks(case_file, tmp_path, case, ranks):
-    """Ledger, samples and states; no sum is in the order in which messages come."""
+    """Ledger, samples and states are equal; no sum is in the order in which messages arrive."""
     case_file.write_text(CASES[case].replace("dt = ", 'scheme = "midpoint"\ndt = '))
     whole, parted, until = tmp_path / "whole", tmp_path / "parted", "time.until=0.02"
     all_of(
@@ -331,7 +332,8 @@ def test_a_run_goes_on_to_the_bit_with_as_many_ranks(case_file, tmp_path, case, 
 @pytest.mark.long
 @pytest.mark.ci
 def test_a_run_on_ranks_goes_on_changed_and_from_another_mesh(case_file, tmp_path):
-    """Ledger, costs of the change and the transfer, and the written case are those of one process."""
+    """The ledger, the costs of the change and of the transfer, and the written case are those of one
+    process."""
     places = {}
     for ranks in (1, 3):
         first, other = tmp_path / f"first {ranks}", tmp_path / f"other {ranks}"
@@ -372,9 +374,9 @@ every = 1
 @pytest.mark.long
 @pytest.mark.ci
 def test_a_curved_run_goes_on_with_any_number_of_ranks(tmp_path):
-    """Its mesh comes from a file, which has eight decimals of curved cells: the geometry curves them.
+    """The mesh comes from a file, which has curved cells to eight decimals: the geometry curves them again.
 
-    The multipliers of its wall are a part of the checkpoint.
+    The multipliers of the wall are a part of the checkpoint.
     """
     case, alone, several = tmp_path / "disc.toml", tmp_path / "alone", tmp_path / "several"
     case.write_text(CURVED)
@@ -411,7 +413,7 @@ if ranks.is_first:
 @pytest.mark.long
 @pytest.mark.ci
 def test_a_rank_that_metis_leaves_without_cells_is_refused_on_every_rank(tmp_path):
-    """METIS leaves a rank without cells now and then where there are a cell or two for each."""
+    """METIS sometimes leaves a rank without cells if there are one or two cells for each rank."""
     (tmp_path / "empty.py").write_text(EMPTY)
     result = run("-m", "mpi4py", tmp_path / "empty.py", ranks=3)
     assert result.returncode == 0, result.stderr
@@ -447,7 +449,7 @@ for setting in settings:
 @pytest.mark.long
 @pytest.mark.ci
 def test_what_is_not_distributed_is_refused_by_name(case_file, tmp_path):
-    """On every rank with the same code; the first says why, once, and nothing is written."""
+    """Every rank ends with the same code; the first rank gives the reason once, and no file is written."""
     (tmp_path / "refusing.py").write_text(REFUSING)
     result = run(tmp_path / "refusing.py", case_file, tmp_path / "run", *REFUSED, ranks=4)
     assert result.returncode == 0, result.stderr
@@ -495,7 +497,8 @@ method = "split"
 @pytest.mark.long
 @pytest.mark.ci
 def test_a_run_that_fails_says_what_it_says_on_one_process(tmp_path):
-    """Where, in which cell and next to which wall; the warning of corners that walls deform; its fields."""
+    """The report names the place, the cell and the nearest wall, the warning of corners that walls deform,
+    and its fields."""
     case, said, reports = tmp_path / "lid.toml", {}, {}
     case.write_text(LID)
     for ranks in (1, 3):
@@ -602,7 +605,8 @@ FAULTS = {
 @pytest.mark.long
 @pytest.mark.ci
 def test_an_error_is_that_of_all_ranks(tmp_path):
-    """A full disk or a singular matrix on one of them, and a step that all refuse; a warning is said once."""
+    """The disk is full or a matrix singular on one rank, or all ranks refuse a step; a warning appears
+    once."""
     (tmp_path / "failing.py").write_text(FAILING)
     result = run(tmp_path / "failing.py", *FAULTS, ranks=3)
     assert result.returncode == 0, result.stderr
@@ -620,7 +624,7 @@ def test_an_error_is_that_of_all_ranks(tmp_path):
 @pytest.mark.ci
 @pytest.mark.parametrize("where", ["start", "step"])
 def test_a_fault_of_one_rank_ends_all(tmp_path, where):
-    """The others wait for it in a computation: no rank is left behind."""
+    """The other ranks wait for the failed rank in a computation; none of them stays behind."""
     (tmp_path / "failing.py").write_text(FAILING)
     result = run(tmp_path / "failing.py", where, ranks=3, timeout=60)
     assert result.returncode == 1 and "ZeroDivisionError: of this rank" in result.stderr

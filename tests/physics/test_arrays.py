@@ -86,7 +86,7 @@ def test_meaningless_operations_are_type_errors(wrong):
 
 @pytest.mark.parametrize("exponent", [0, 0.5, 1, 1.5, 2])
 def test_powers_of_zero_are_numbers(exponent):
-    """A law may have a value where it has no derivative: at rest."""
+    """At rest a law may have a value where it has no derivative."""
     with np.errstate(all="raise"):
         assert (Array(np.zeros(2)) ** exponent).value == pytest.approx(0.0**exponent, abs=0)
 

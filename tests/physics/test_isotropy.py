@@ -26,7 +26,7 @@ def test_every_material_is_the_same_for_every_observer(name, dim):
 
 @dataclass(frozen=True)
 class StrainEnergy(nv.Material):
-    """Any function of E: what the package's own materials refuse."""
+    """A material with any function of E, which the package's own materials refuse."""
 
     energy_parameter = "of"
 
@@ -66,7 +66,7 @@ def test_out_of_plane_anisotropy_is_none_in_plane_strain():
 
 
 def test_energy_of_F_is_asked_for_frame_indifference_only():
-    """phi(Q F) = phi(F) holds for |F e_1|^2, which is not isotropic, and not for tr F."""
+    """phi(Q F) = phi(F) holds for |F e_1|^2, which is not isotropic, and does not hold for tr F."""
     e = tensor(np.array([1.0, 0, 0]))
     fibre = nv.CustomMaterial(
         transported=(Distortion(), Jacobian()), stored_energy=lambda F, J: square(F * e) + J * J

@@ -17,7 +17,7 @@ def rotated(eigenvalues):
 @pytest.mark.parametrize("size", [1e-8, 1e-3, 1.0, 1e6])
 @pytest.mark.parametrize("spread", [0.0, 1e-15, 1e-9, 1e-3, 1.0])
 def test_the_least_of_all_is_that_of_decompositions(size, spread):
-    """Also near double and triple eigenvalues, where the closed form loses half of the digits."""
+    """The eigenvalues may be nearly double or triple, where the closed form loses half of the digits."""
     random = np.random.default_rng(1)
     for of_rest in (1.0, 1.0 + spread, 3.0):
         base = np.stack([np.ones(500), np.ones(500), np.full(500, of_rest)], axis=1)

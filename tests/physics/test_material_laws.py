@@ -82,7 +82,7 @@ def test_linear_elastic_stress_is_hooke_s_with_the_energy_s_pressure(rng):
 
 
 def test_neo_hookean_stress_is_the_paper_s(rng):
-    """T = phi'_F F^T + (J phi'_J + phi) I (paper: Cauchy-stress-polyconvex), derivatives by hand."""
+    """T = phi'_F F^T + (J phi'_J + phi) I (paper: Cauchy-stress-polyconvex), with derivatives by hand."""
     K, G, eps = 3.0, 1.3, 0.4
     material = nv.NeoHookean(K_e=K, G_e=G, epsilon=eps)
     F = expm(0.4 * rng.standard_normal((3, 3)))
@@ -110,7 +110,8 @@ def test_rotating_the_strain_rotates_the_stress_and_the_spin_is_powerless(name, 
 
 @pytest.mark.parametrize("name", FINITE)
 def test_cauchy_stress_is_symmetric_and_the_derivative_of_energy(name):
-    """T : A = d/dh [phi(F_h) J_h/J] at h = 0, F_h = (I + h A) F, the power of a volume that moves with A."""
+    """T : A = d/dh [phi(F_h) J_h/J] at h = 0 with F_h = (I + h A) F, the power of a volume that moves with
+    A."""
     material = FINITE[name]
     rng = np.random.default_rng(5)
     F = np.eye(3) + 0.2 * rng.uniform(-1, 1, (3, 3))
@@ -130,7 +131,8 @@ def test_cauchy_stress_is_symmetric_and_the_derivative_of_energy(name):
 
 @pytest.mark.parametrize("name", FINITE)
 def test_mandel_stress_is_trace_free_and_the_power_of_creep(name):
-    """M : P = -d/dh phi(F - h F P) at h = 0, of the actual frame's P phi(F - h P F); J is untouched."""
+    """M : P = -d/dh phi(F - h F P) at h = 0, or phi(F - h P F) for a rate P of the actual frame; J does not
+    change."""
     material = FINITE[name]
     rng = np.random.default_rng(6)
     F = np.eye(3) + 0.2 * rng.uniform(-1, 1, (3, 3))
@@ -200,9 +202,9 @@ def by_F(name):
 
 @pytest.mark.parametrize("name", EXAMPLES)
 def test_moduli_at_rest_are_as_documented(name):
-    """T = T_rest + h (K tr A I + 2 G dev sym A) + O(h^2) for F = I + h A: bulk, shear, and no spin.
+    """For F = I + h A the stress is T = T_rest + h (K tr A I + 2 G dev sym A) + O(h^2), which has no spin.
 
-    K is dT/d ln J = -dp/d ln J of a dilation and G is T_12 over the shear of a simple one.
+    K is dT/d ln J = -dp/d ln J in a dilation, and G is T_12 over the shear in a simple shear.
     """
     material, h = EXAMPLES[name], 1e-4
     bulk, shear = MODULI[by_F(name)]
@@ -222,7 +224,7 @@ def test_moduli_at_rest_are_as_documented(name):
 
 
 def test_energies_are_the_closed_forms_of_the_isochoric_invariants():
-    """At a random F; the two referential neo-Hookean forms have one stress, too."""
+    """F is random; the two referential neo-Hookean forms also have the same stress."""
     F = np.eye(3) + 0.3 * np.random.default_rng(9).uniform(-1, 1, (3, 3))
     J = np.linalg.det(F)
     iso = F / J ** (1 / 3)
@@ -263,7 +265,8 @@ def stress_of(kind, T):
 
 @pytest.mark.parametrize("kind", ["uniaxial", "equibiaxial", "shear"])
 def test_ogden_stress_is_the_closed_form(kind):
-    """sigma_1 - sigma_3 = sum mu (l_1^a - l_3^a) (Ogden 1972); in shear times sin 2theta/2 = 1/(l + 1/l)."""
+    """sigma_1 - sigma_3 = sum mu (l_1^a - l_3^a) (Ogden 1972); in shear it is multiplied by sin 2theta/2 =
+    1/(l + 1/l)."""
     material = nv.Ogden(K_e=1e3, mu=tuple(TRELOAR.values()), alpha=tuple(TRELOAR))
     for stretch in STRETCHES[: 5 if kind == "equibiaxial" else 6]:
         F, (along, across) = homogeneous(kind, stretch)
@@ -277,7 +280,8 @@ def test_ogden_stress_is_the_closed_form(kind):
 @pytest.mark.parametrize("elastic_state", ["F", "B"])
 @pytest.mark.parametrize("kind", ["uniaxial", "equibiaxial", "shear"])
 def test_gent_stress_is_the_closed_form(kind, elastic_state):
-    """sigma_1 - sigma_3 = 2 G_e J_m/(J_m - I_1 + 3) (l_1^2 - l_3^2) (Gent 1996), T_12 with gamma."""
+    """sigma_1 - sigma_3 = 2 G_e J_m/(J_m - I_1 + 3) (l_1^2 - l_3^2) (Gent 1996), and T_12 with the shear
+    gamma instead of l_1^2 - l_3^2."""
     material = nv.Gent(K_e=1e3, G_e=0.135, J_m=77.0, elastic_state=elastic_state)
     for stretch in STRETCHES:
         F, (along, across) = homogeneous(kind, stretch)
@@ -290,7 +294,8 @@ def test_gent_stress_is_the_closed_form(kind, elastic_state):
 
 
 def test_ogden_is_mooney_rivlin_where_its_exponents_are_two(rng):
-    """mu_1 = 2 C_10, mu_2 = -2 C_01 by |F_iso|^2 and |Cof F_iso|^2; a volume that changes is none of them."""
+    """With |F_iso|^2 and |Cof F_iso|^2, mu_1 = 2 C_10 and mu_2 = -2 C_01; a change of volume does not
+    matter."""
     F = np.eye(3) + 0.3 * rng.uniform(-1, 1, (3, 3))
     J = np.linalg.det(F)
     iso = F / J ** (1 / 3)
@@ -320,7 +325,7 @@ def test_ogden_refuses_what_is_not_convex(field, said, given):
 
 @pytest.mark.parametrize("form", ["J", "A"])
 def test_barotropic_state_equation(form):
-    """p = a rho^gamma with a = (gamma - 1) B/rho_R^gamma, from the Cauchy stress -p I."""
+    """The Cauchy stress -p I has p = a rho^gamma with a = (gamma - 1) B/rho_R^gamma."""
     a, gamma, rho_R = 3.0, 1.7, 2.5
     fluid = nv.BarotropicFluid.from_state_equation(a, gamma, rho_R, form)
     for rho in (0.4, 2.5, 6.0):
@@ -446,7 +451,8 @@ def test_convexity_is_asked_for_in_the_energy_s_domain(energy, passes):
 
 
 def test_volumetric_energy_is_no_difference_of_large_numbers():
-    """K_e/2 (J - 2 + 1/J) has K_e times the rounding of 1, four orders above the energy at J = 1 + 1e-10."""
+    """K_e/2 (J - 2 + 1/J) would have an error of K_e times the rounding of 1, four orders above the energy
+    at J = 1 + 1e-10."""
     for J in (1 + 2.0**-33, 1 - 2.0**-33):
         assert referential_volume(1e10, 0.0, 1.0, J, None) == pytest.approx(0.5e10 * 2.0**-66 / J, rel=1e-15)
     slight = nv.LogarithmicNeoHookean(K_e=1e10, G_e=1e-15, epsilon=1e-15)

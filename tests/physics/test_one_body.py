@@ -43,7 +43,7 @@ MATERIALS = {each.constructor: each.material for each in examples() if takes_bot
 
 
 def test_there_are_bodies_of_every_kind():
-    """Without this a refusal would make the others empty."""
+    """If a body were refused, the other tests would have no cases."""
     kinds = {type(material).__name__ for material in MATERIALS.values()}
     assert kinds >= {"ReferentialNeoHookean", "IsochoricNeoHookean", "ReferentialMooneyRivlin"}
     assert kinds >= {"LogarithmicNeoHookean", "BarotropicFluid"}
@@ -85,7 +85,7 @@ def test_the_stress_is_one(name, rule, heat):
 
 @pytest.mark.parametrize("name", ["LinearElastic", "ReferentialNeoHookean"])
 def test_hardening_has_no_pressure(name):
-    """The mean stress is the same with a plastic strain and without."""
+    """The mean stress is the same with and without a plastic strain."""
     material = getattr(nv, name)(K_e=10.0, G_e=5.0)
     found = []
     for rule in (None, nv.Perzyna(sigma_Y=0.5, G_m=0.5, H=3.0)):

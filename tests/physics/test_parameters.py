@@ -52,7 +52,7 @@ def custom(energy=None):
 
 
 def test_two_parameters_of_one_name_are_refused_wherever_they_stand():
-    """Also among a material's own variables; one that is the same may stand in many places."""
+    """A material's own variables count too; the same parameter may appear in many places."""
     one, five = nv.Parameter("chi", start=1 + x), nv.Parameter("chi", start=5 + x)
 
     def material(parameter):
@@ -84,7 +84,8 @@ def test_two_parameters_of_one_name_are_refused_wherever_they_stand():
 
 @pytest.mark.parametrize("name", ["disc", "G", "G_e"])
 def test_a_body_s_own_parameters_have_its_name_once(name):
-    """Also where a modulus' name begins as the body's does, and where a model is made of another's bodies."""
+    """The name of a modulus may begin like that of the body, and a model may be made of another model's
+    bodies."""
     material = nv.ReferentialNeoHookean(K_e=1.0, G_e=1 + x)
     body = nv.Body(name=name, where=0.5 - x, material=material, density=1.0)
     rest = nv.Body(name="rest", material=material, density=1.0)
@@ -95,7 +96,7 @@ def test_a_body_s_own_parameters_have_its_name_once(name):
 
 
 def test_convexity_is_asked_for_in_the_strains_at_fixed_parameters():
-    """(1 + theta) |F|^2 is not jointly convex in (F, theta), and convex in F for every theta > -1."""
+    """(1 + theta) |F|^2 is not jointly convex in (F, theta), but is convex in F for every theta > -1."""
     assert nv.check_convexity(custom(), warn=False).passed
     negative = np.array([[1.0] * 10 + [-3.0]])  # a run's state whose theta makes it concave
     assert not nv.check_convexity(custom(), warn=False, states=negative).passed

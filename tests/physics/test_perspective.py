@@ -88,7 +88,7 @@ def test_convex_energies_stay_convex(name, dim):
 
 
 def test_the_energy_itself_over_J_is_not_convex():
-    """The perspective mends this: phi = psi(F, J)/J of the neo-Hookean psi in F and J."""
+    """The perspective is convex: phi = psi(F, J)/J with the neo-Hookean psi of F and J."""
     inner = PSI["neo_hookean"]
     plain = nv.CustomMaterial(
         transported=(Distortion(), Jacobian()), stored_energy=lambda F, J: inner.energy({"F": F, "J": J}) / J

@@ -57,7 +57,7 @@ def test_energy_gives_the_temperature_pressure_and_heat_capacity_that_are_asked_
 
 
 def test_an_ideal_gas_has_its_laws():
-    """p V = (gamma - 1) U, adiabats p V^gamma = constant, and the isentropic bulk modulus gamma p."""
+    """p V = (gamma - 1) U, adiabats have constant p V^gamma, and the isentropic bulk modulus is gamma p."""
     gas = nv.Thermal(c=862.0, gruneisen=0.4, theta_R=293.0, rho_R=1.2)
     assert pressure(gas, 2.0, 400.0) == pytest.approx(0.4 * 862 * 400 / 2, rel=1e-12)
     F = 2 ** (1 / 3) * Id(3)
@@ -91,7 +91,7 @@ HAVE_AN_EXPRESSION = ("no expansion", "one thermal pressure")
 
 
 def some(*always):
-    """All pairs, of which these are tried always."""
+    """All pairs; the default suite always tries the given ones."""
     return [pytest.param(pair, marks=() if pair in always else LONG) for pair in PAIRS]
 
 
@@ -128,7 +128,8 @@ def internal(given, S, J):
 
 @pytest.mark.parametrize("pair", some("gas and solid"))
 def test_bodies_share_volume_and_entropy_so_that_the_energy_is_least(pair):
-    """Against a minimisation that knows of no pressure and no temperature, and these by its differences."""
+    """The comparison is a minimisation that contains no pressure and no temperature; both follow from its
+    differences."""
     material, (one, other) = mixture(pair), PAIRS[pair]
     slices, respond_to = material.states(2).slices, respond(material, 2)
 
@@ -219,7 +220,7 @@ def test_a_broken_body_has_no_thermal_stress_and_an_intact_one_the_whole():
 
 
 def test_thermal_stress_drives_damage_and_free_expansion_does_not():
-    """-d phi/dd at d = 0 is twice the elastic energy, K (beta dtheta)^2/2 of what is clamped."""
+    """-d phi/dd at d = 0 is twice the elastic energy, K (beta dtheta)^2/2 in a clamped body."""
     material, change = breaking(), -0.5
     energy = 0.5 * 20.0 * (BETA * change) ** 2
     stiffer = 1 + 20.0 * BETA**2 * WARM / C_V  # adiabatic over isothermal
@@ -230,7 +231,7 @@ def test_thermal_stress_drives_damage_and_free_expansion_does_not():
 
 
 def test_a_body_that_is_clamped_and_cooled_breaks_as_a_point_does():
-    """AT2: d = 2 e/(2 e + G_c/l) with the elastic energy e, in one step at rest."""
+    """In one step at rest AT2 has d = 2 e/(2 e + G_c/l) with the elastic energy e."""
     change, material = -8.0, breaking(floor=1e-3)
     start = nv.Initial(density=1.0, temperature=WARM + change)
     model = nv.Model(material=material)

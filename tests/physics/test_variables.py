@@ -98,7 +98,7 @@ def transported(
 @pytest.mark.parametrize("creep", [False, True], ids=["elastic", "creep"])
 @pytest.mark.parametrize("name", [*LISTS, *SPATIAL])
 def test_rate_follows_the_integrated_distortion(name: str, creep: bool) -> None:
-    """From starts F_0 that are not coaxial with L and Pi; the rate of another exponent is told from it."""
+    """Starts F_0 are not coaxial with L and Pi; the rate of another exponent is detected."""
     variables = LISTS.get(name) or [SPATIAL[name]]
     for seed in range(3):
         L, Pi, F_0 = motion(seed, creep)
@@ -117,7 +117,8 @@ def test_rate_follows_the_integrated_distortion(name: str, creep: bool) -> None:
     "eigenvalues", [(-1.0, 1, 1), (1, -1.0, 1), (1, 1, -1.0), (-1.0, -1.0, 1), (1, -1.0, -1.0), (-1, 1, -1.0)]
 )
 def test_minors_see_every_tensor_that_is_not_positive_definite(eigenvalues: tuple[float, ...]) -> None:
-    """Also those with two negative eigenvalues, whose determinant is positive; ln det is NaN there."""
+    """Tensors with two negative eigenvalues, whose determinant is positive, are detected too; ln det of each
+    of these tensors is NaN."""
     Q = random_rotation(np.random.default_rng(14))
     B = tensor(Q @ np.diag(eigenvalues) @ Q.T)
     assert min(float(value(m)) for m in LeftCauchyGreen().positive(B).values()) < 0
@@ -144,7 +145,8 @@ class PrintedMooneyRivlin(Cofactor):
 
 
 def test_mooney_rivlin_rate_of_the_paper_is_a_slip() -> None:
-    """The printed rate misses the derivative of J^{-7/6} Cof F by order one; ours meets it."""
+    """The printed rate misses the derivative of J^{-7/6} Cof F by order one; the package's rate is this
+    derivative."""
     L, Pi, F_0 = motion(6, True)
     h = 1e-4
 
@@ -221,7 +223,8 @@ def printed(F: np.ndarray, L: np.ndarray, Pi: np.ndarray) -> np.ndarray:
 
 
 def test_cofactor_row_as_printed_is_ours_where_H_is_the_cofactor_of_F() -> None:
-    """Euler-large-viscoelastodyn-H has F^k in the row of H: the same for H = Cof F, whatever L and Pi."""
+    """Euler-large-viscoelastodyn-H has F^k in the row of H: this is the package's row for H = Cof F, for any
+    L and Pi."""
     rng = np.random.default_rng(3)
     for _ in range(3):
         F, L = np.eye(3) + 0.3 * rng.normal(size=(3, 3)), rng.normal(size=(3, 3))
@@ -245,7 +248,7 @@ def after_one_second(steps: int, L: np.ndarray, with_F: bool) -> np.ndarray:
 
 
 def test_cofactor_row_as_printed_differs_from_ours_by_the_order_of_the_step() -> None:
-    """Neither H is Cof F^k: both are off by as much, of first order in tau."""
+    """Neither H is Cof F^k: both differ from it by similar errors of first order in tau."""
     L = np.array([[0.3, 1.0, 0.2], [-0.4, 0.1, 0.5], [0.2, -0.3, -0.1]])
     exact = cofactor(expm(L))
     size, between, errors = np.linalg.norm(exact), [], []

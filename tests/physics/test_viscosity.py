@@ -157,7 +157,7 @@ def test_slopes_by_complex_increments_are_those_of_differences(name, rate):
 
 @dataclass(frozen=True, kw_only=True)
 class Odd(nv.StokesViscosity):
-    """One that gives energy, or whose stress falls with the strain rate."""
+    """A viscosity that gives energy, or whose stress falls with the strain rate."""
 
     falls: bool = False
 

@@ -46,7 +46,8 @@ def test_the_approximation_satisfies_its_definition(name: str, dim: int) -> None
 
 @pytest.mark.parametrize("name", EXAMPLES)
 def test_derivatives_are_those_of_the_energy_and_bounded(name: str) -> None:
-    """Against differences; 0 <= phi_eps'' <= 1/eps; phi_eps <= phi; Bregman distances >= 0."""
+    """Derivatives agree with differences; 0 <= phi_eps'' <= 1/eps; phi_eps <= phi; Bregman distances are >=
+    0."""
     material, eps = EXAMPLES[name], 0.1
     z = states(material, 2)
     direction = np.random.default_rng(2).standard_normal(z.shape)
@@ -90,7 +91,7 @@ def test_the_approximation_is_of_first_order_in_eps(name: str) -> None:
 
 @pytest.mark.parametrize("eps", [1e-14, 1e-3, 1.0, 1e8])
 def test_quadratic_energies_have_a_closed_form(eps: float) -> None:
-    """phi = K z^2/2 becomes K/(1 + eps K) z^2/2, to rounding whatever eps: here 3K_e and 2G_e."""
+    """phi = K z^2/2 becomes K/(1 + eps K) z^2/2, to rounding for any eps; here K is 3 K_e and 2 G_e."""
     moduli = {"K_e": 10.0, "G_e": 5.0}
     z = states(nv.LinearElastic(**moduli), 3)
     found = approximation(nv.LinearElastic(**moduli), eps, z, 3)
@@ -106,7 +107,7 @@ def test_quadratic_energies_have_a_closed_form(eps: float) -> None:
     "name", ["NeoHookean", "ReferentialNeoHookean", "LogarithmicNeoHookean", "BarotropicFluid"]
 )
 def test_singular_energies_become_finite_everywhere(name: str, J: float) -> None:
-    """For any J or A, also negative, the minimiser has a positive one."""
+    """For any J or A, also a negative one, the minimiser has a positive J or A."""
     material, eps = EXAMPLES[name], 0.05
     z = states(material, 3)
     where = {"LogarithmicNeoHookean": 9}.get(name, z.shape[1] - 1)
@@ -117,7 +118,8 @@ def test_singular_energies_become_finite_everywhere(name: str, J: float) -> None
 
 
 def test_start_values_outside_the_domain_of_a_users_energy() -> None:
-    """log Det F alone, no J: det F < 0 is no number, and the iteration starts from rest there."""
+    """The energy has log Det F alone, without J: it is no number for det F < 0, and the iteration starts
+    from rest there."""
     material = nv.CustomMaterial(
         transported=(Distortion(),), stored_energy=lambda F: 10 * square(F) - 0.1 * log(Det(F))
     )

@@ -11,7 +11,7 @@ from ngvisco.physics.variables import CofactorLeftCauchyGreen, Distortion, Jacob
 
 
 def energy(F, J):
-    """Means something else with arrays, in a part without a slope at rest."""
+    """An energy that means something else with arrays, in a part without a slope at rest."""
     factor = 0.0 if isinstance(J, CoefficientFunction) else 0.5
     strain = square(F) - 3
     return 2 * square(F) + 6 * (J - 1) * (J - 1) - 4 * J + factor * strain * strain
@@ -32,7 +32,7 @@ def test_an_energy_that_means_something_else_with_arrays_is_found_out():
 
 
 def test_rounding_at_rest_is_no_difference():
-    """A run that starts at rest and one resumed there would otherwise differ in their last bits."""
+    """A run that starts at rest and a run resumed there would otherwise differ in their last bits."""
     fluid = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: 10 * (J + 1 / J - 2))
     both = {"material": fluid, "viscosity": nv.StokesViscosity(K_v=0.1, G_v=0.1)}
     disc = nv.Body(name="disc", where=nv.Ball((0.4, 0.5), 0.2), density=2.0, **both)

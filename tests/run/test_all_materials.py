@@ -36,7 +36,8 @@ ALL_IN_SPACE = [
 
 @pytest.mark.parametrize(("name", "m"), ALL_IN_SPACE)
 def test_ledger_closes_and_mass_and_positivity_hold(name, m):
-    """With cellwise constants and no hyperviscosity, or all terms; in the plane: ``test_split_agrees``."""
+    """The runs have constants in cells and no hyperviscosity, or all terms; ``test_split_agrees`` has the
+    plane ones."""
     run = simulation(EXAMPLES[name], 3, hyper=m > 0, discretisation=nv.Discretisation(m=m))
     ledger = run.run(0.02)
     assert_sound(ledger, EXAMPLES[name])
@@ -71,7 +72,8 @@ FORMS = {
 
 @pytest.mark.parametrize("name", others_by_ci(FORMS, "fluid by J and by A"))
 def test_forms_of_a_material_agree_at_the_order_of_the_scheme(name):
-    """F and B at first order in tau, since B keeps what F loses in a step; the others at order m + 1."""
+    """F and B agree at first order in tau, since B keeps what F loses in a step; other forms agree at order
+    m + 1."""
     *materials, most = FORMS[name]
     left = []
     for maxh, dt in ((0.35, 0.02), (0.175, 0.01)):

@@ -23,8 +23,8 @@ def about_the_axis(mesh=0.5, dt=0.02, **options):
 
 @pytest.mark.parametrize(("solver", "elastic_state"), each_once(SOLVERS, ["F", "B"]))
 def test_homogeneous_stretch_is_that_of_a_point(solver, elastic_state):
-    """v = (a r, b y) held on the walls, the body carried through them: backward Euler's F at a point, its
-    density, viscous power and stress, to rounding; and F_33 is F_rr."""
+    """The walls hold v = (a r, b y), which carries the body through them: F at a point is that of backward
+    Euler, and so are density, viscous power and stress, to rounding; F_33 is F_rr."""
     a, b, dt, steps, K_v, G_v = 0.5, -0.4, 0.1, 3, 0.3, 0.2
     flow = (a * x, b * y)
     run = about_the_axis(
@@ -60,7 +60,7 @@ def test_homogeneous_stretch_is_that_of_a_point(solver, elastic_state):
 
 
 def test_both_solvers_keep_energy_mass_and_axial_momentum():
-    """A vortex, with creep by a nonlinear rule, in a box whose top is given an axial traction-free wall."""
+    """A vortex with creep by a nonlinear rule is in a box whose top is free of axial traction."""
 
     def make(solver):
         return about_the_axis(
@@ -80,7 +80,7 @@ def test_both_solvers_keep_energy_mass_and_axial_momentum():
 
 
 def test_wall_forces_bear_a_weight():
-    """In a can of radius 1 at rest the bottom bears rho g height/2 over 2 pi, half of the mass."""
+    """In a can of radius 1 at rest the bottom bears rho g height/2, the weight over 2 pi."""
     forces = nv.WallForces()
     run = about_the_axis(
         1.0,
@@ -98,7 +98,7 @@ def test_wall_forces_bear_a_weight():
 
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_poiseuille_in_a_pipe(solver):
-    """v_y = rho g (R^2 - r^2)/(4 G_v), which P_2 has: 1/4 at the axis, twice the mean, to rounding."""
+    """P_2 contains v_y = rho g (R^2 - r^2)/(4 G_v): to rounding it is 1/4 at the axis, twice the mean."""
     run = about_the_axis(
         structured_box((1, 0.5), (3, 1), periodic="y"),
         1.0,
@@ -123,8 +123,11 @@ def ring(inner: float, cells: int) -> Mesh:
 
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_thick_cylinder_under_pressure_is_lames(solver):
-    """In plane strain, T_rr and T_33 = p a^2/(1 - a^2) (1 -+ 1/r^2): the error in L2, over the pressure,
-    falls with the second order of P_1 from 6 to 12 cells, and is between 1e-4 and 1e-2 with them."""
+    """In plane strain T_rr and T_33 = p a^2/(1 - a^2) (1 -+ 1/r^2).
+
+    The error in L2, over the pressure, falls with the second order of P_1 from 6 to 12 cells, and is between
+    1e-4 and 1e-2 with 12.
+    """
     a, p, errors = 0.5, 1e-6, []
     for cells in (6, 12):
         run = about_the_axis(
@@ -143,7 +146,8 @@ def test_thick_cylinder_under_pressure_is_lames(solver):
 
 
 def test_translation_along_the_axis_leaves_a_strained_body_as_it_is():
-    """A neo-Hookean body, stretched in a half of a periodic cylinder, thrown along the axis: momentum."""
+    """A neo-Hookean body, stretched in one half of a periodic cylinder, is thrown along the axis, and keeps
+    its momentum."""
     stretch = CF((1 + 0.2 * y * (1 - y) * x * x, 0, 0, 0, 1, 0, 0, 0, 1), dims=(3, 3))
     run = about_the_axis(
         structured_box((1, 1), (3, 3), periodic="y"),
@@ -185,7 +189,7 @@ def test_a_mesh_beyond_the_axis_is_refused():
 
 
 def test_a_checkpoint_of_plane_strain_does_not_fit(tmp_path):
-    """Runs agree of the same mesh, spaces and material."""
+    """The runs have the same mesh, spaces and material."""
     path = tmp_path / "run.h5"
     run = small_run(velocity=(0, 0), observers=[nv.Checkpoints(path, every=1)])
     run.run(0.02)
@@ -218,7 +222,8 @@ GOES_ON = {
     others_by_ci(product(SOLVERS, GOES_ON), ("coupled", "one body")),
 )
 def test_a_resumed_run_is_the_uninterrupted_one_bit_by_bit(solver, name, tmp_path):
-    """From the first step and from the last but one, with threads pinned to one: sums have one order."""
+    """The run is resumed from the first step and from the last but one, with threads pinned to one, so that
+    sums have one order."""
     SetNumThreads(1)
 
     def make(**options):

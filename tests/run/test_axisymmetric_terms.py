@@ -60,8 +60,8 @@ def test_both_solvers_agree_and_close(name):
 @pytest.mark.long
 @pytest.mark.ci
 def test_heat_of_a_rod_leaves_through_its_side():
-    """Produced evenly, its temperature is in the mean q R^2/(8 kappa) + q R/(2 h) above that outside: on
-    eight cells within two thousandths, and farther off than a millionth."""
+    """If heat is produced evenly, the mean temperature exceeds that outside by q R^2/(8 kappa) + q R/(2 h):
+    on eight cells to two thousandths, with an error above a millionth."""
     q, kappa, h = 0.08, 0.5, 2.0
     run = small_run(
         structured_box((1, 0.125), (8, 1)),
@@ -128,7 +128,8 @@ until = 0.04
 
 
 def test_a_case_file_says_it(tmp_path):
-    """domain.symmetry: the mass is that of a cylinder over 2 pi, the case another than in plane strain."""
+    """With domain.symmetry the mass is that of a cylinder over 2 pi, and the case differs from that in plane
+    strain."""
     case, plane = (
         parse_case(text, "case.toml", tmp_path) for text in (CASE, CASE.replace("axisymmetric", "none"))
     )

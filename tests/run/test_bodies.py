@@ -97,7 +97,7 @@ def fractions(run):
     others_by_ci(CASES, "solid in a fluid"),
 )
 def test_ledger_mass_and_energy_hold_and_both_solvers_agree(name):
-    """bregman and what the limiter takes are >= 0 each by itself, in every step, and rho is no unknown."""
+    """The columns bregman and limiter are each >= 0 in every step, and rho is no unknown."""
     found = []
     for solver in ("split", "coupled"):
         run = simulation(name, solver, maxh=0.4)
@@ -118,7 +118,7 @@ def test_ledger_mass_and_energy_hold_and_both_solvers_agree(name):
 
 
 def test_the_body_of_higher_order_fills_what_two_have_in_common():
-    """Halves that overlap by 0.2 m, of 1 and 3 kg/m^3."""
+    """The bodies are halves of 1 and 3 kg/m^3 that overlap by 0.2 m."""
     for order, mass in ((1, 0.6 + 3 * 0.4), (-1, 0.4 + 3 * 0.6)):
         bodies = [
             rest(name="left", where=nv.HalfSpace((0.6, 0.0), (1.0, 0.0)), order=order),
@@ -148,7 +148,8 @@ def test_other_orders_and_schemes(m, scheme):
 
 
 def test_two_halves_of_one_material_are_one_body():
-    """Energy is that of a body that is not divided, but for what neither half bears at the line between."""
+    """The energy is that of an undivided body, except for what neither half bears at the line between
+    them."""
     halves = [
         nv.Body(name="left", where=0.5 - x, material=SOLID, density=2.0, viscosity=STOKES),
         nv.Body(name="right", material=SOLID, density=2.0, viscosity=STOKES),
@@ -162,7 +163,10 @@ def test_two_halves_of_one_material_are_one_body():
 
 
 def test_traces_of_a_stiff_body_do_not_feed_on_a_thin_fluid():
-    """Which bears nothing beside them.  Energy falls, hardly: by the scheme alone."""
+    """A thin fluid bears no stress beside traces of a stiff body.
+
+    The energy falls by the scheme alone, and hardly.
+    """
     stiff = nv.ReferentialNeoHookean(K_e=100.0, G_e=50.0)
     fluid = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: 50 * (J - 2 + 1 / J))
     thin = nv.StokesViscosity(K_v=0.0, G_v=1e-5)
@@ -175,7 +179,8 @@ def test_traces_of_a_stiff_body_do_not_feed_on_a_thin_fluid():
 
 @pytest.mark.parametrize("bounded", [True, False])
 def test_no_point_is_much_lighter_than_the_lightest_body(bounded, monkeypatch):
-    """Half of its density, where means have that; rho > 0 alone (the control) lets it fall further."""
+    """The density at a point is at least half of that of the lightest body, if means are; the bound rho > 0
+    alone (the control) lets it fall further."""
     if not bounded:
         monkeypatch.setattr(Mixture, "positive", lambda self, z: {"": {"N": self.fractions.total(z)}})
     bodies = [disc(density=1.0), rest(density=0.2)]
@@ -190,7 +195,7 @@ DOUBLE_WELL = nv.CustomMaterial(
 
 
 class SharesOnly:
-    """Tells shares of cells, but not where its surface is: that does not lie over other shapes."""
+    """A shape that has shares of cells but no surface, and so cannot lie over other shapes."""
 
     def inside(self, mesh):
         return CF(1.0)
@@ -307,14 +312,15 @@ def test_bulk_moduli_that_differ_much_are_warned_of_by_name(K_e, m, warns):
     ],
 )
 def test_layers_with_a_face_inside_a_cell_are_in_series(solver, viscosities, k):
-    """Couette flow of two layers, the face in the middle of a cell; with the arithmetic mean
-    there the force is 7 per cent too large, with constants in cells 8 and 10.
+    """A Couette flow has two layers, whose face is in the middle of a cell.
 
-    In the face's cell the fluidity and so the shear rate are linear, from one layer's to the other's, where
-    the exact one jumps: by the rates' difference D the velocity is D h/8 off at the face, 2.3 and 2.8 per
-    cent.  So the force, the velocity beside this cell and its mean are within 2 per cent of the lid's, and
-    the velocity in it is not.  The best parabola between the cell's ends is 0.037 D h off, with rates at the
-    ends that are outside both layers'.  A velocity of order 1 misses D h/4 there, whatever its rate is.
+    With the arithmetic mean in this cell the force is 7 per cent too large, with constants in cells 8 and
+    10. In the face's cell the fluidity, and so the shear rate, changes linearly from one layer's to the
+    other's, whereas the exact one jumps: with the difference D of the rates the velocity is D h/8 off at the
+    face, 2.3 and 2.8 per cent. So the force, the velocity beside this cell and its mean are within 2 per
+    cent of the lid's, but the velocity in the cell is not. The best parabola between the cell's ends is
+    0.037 D h off, with rates at the ends outside the range of both layers. A velocity of order 1 is D h/4
+    off there, whatever its rate is.
     """
     face, (low, high) = 0.5625, viscosities
     stress = 1 / (face / low + (1 - face) / high)

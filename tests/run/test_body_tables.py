@@ -168,7 +168,8 @@ def test_surfaces_are_drawn_in_pictures_and_scenes(whole, tmp_path):
 
 
 def test_a_passive_field_is_no_body():
-    """It may be named as fractions of bodies are; those stand before the number of the body."""
+    """A passive field may have a name like a fraction of a body; fractions stand before the field
+    ``body``."""
     passive, of_bodies = ["density", "dye_fraction", "pressure"], ["fluid_fraction", "disc_fraction", "body"]
     assert outlined([*passive, *of_bodies, "salt_fraction"]) == ["fluid_fraction"]
     assert outlined(passive) == []

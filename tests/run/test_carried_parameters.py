@@ -43,7 +43,7 @@ def test_ledger_closes_to_rounding_and_both_solvers_agree(scheme, regularisation
 
 
 def test_parameters_do_not_diffuse():
-    """delta Laplace z is of the strains: at rest a parameter stays as it is."""
+    """delta Laplace z acts on strains only: at rest a parameter stays as it is."""
     viscosity = nv.StokesViscosity(K_v=1e3, G_v=1e3 * (1 + theta))
     material = nv.ReferentialNeoHookean(K_e=10.0, G_e=1.0, elastic_state="F")
     law = nv.Regularisation(delta_fields=0.05)
@@ -66,7 +66,7 @@ def test_parameters_do_not_diffuse():
 
 
 def test_a_parameter_stays_within_the_range_of_its_start():
-    """A step of theta from 0 to 1 is turned round; without a limiter it overshoots by more than 5 %."""
+    """A step of theta from 0 to 1 is rotated; without a limiter theta overshoots by more than 5 %."""
     extremes = {}
     for limiter in (True, False):
         theta = nv.Parameter("theta", start=IfPos(x - 0.45, 1.0, 0.0))
@@ -99,7 +99,7 @@ def test_density_follows_from_a_referential_density_that_differs_from_place_to_p
 
 @pytest.mark.filterwarnings("error::ngvisco.errors.InputWarning")
 def test_a_parameter_is_not_warned_of_where_it_is_not_told_by_the_distortion():
-    """F tells nothing of a parameter, which may have any value."""
+    """F does not determine a parameter, which may have any value."""
     material = nv.NeoHookean(K_e=5 + x, G_e=1.0, epsilon=0.1)
     initial = nv.Initial(F=CF((1.1, 0, 0, 0, 1, 0, 0, 0, 1), dims=(3, 3)))
     mesh = box((1, 1), maxh=0.5)
@@ -108,7 +108,7 @@ def test_a_parameter_is_not_warned_of_where_it_is_not_told_by_the_distortion():
 
 
 def test_a_heterogeneous_body_in_uniform_flow_keeps_its_stress():
-    """Galilean invariance: layers of 3 K_e = 2 G_e under T_11 alone flow across themselves."""
+    """Galilean invariance: layers with 3 K_e = 2 G_e under T_11 alone are carried by a flow across them."""
     theta, speed, until = nv.Parameter("theta", start=1 + 0.5 * sin(2 * pi * y)), 2.0, 0.05
     material, mesh = nv.LinearElastic(K_e=theta / 1.5, G_e=theta), box((1, 1), maxh=0.2, periodic="xy")
     stretch = {"E": CF((1e-3, 0, 0, 0, 0, 0, 0, 0, 0), dims=(3, 3))}
@@ -143,8 +143,8 @@ def sagging(stiff, force=1e-4):
 
 
 def test_next_to_nothing_of_what_hardly_flows_changes_nothing():
-    """1e4, 1e6 and 1e11 times the modulus are elastic on this time scale; what they are where nothing moves
-    into other cells tells what is right."""
+    """With 1e4, 1e6 and 1e11 times the modulus the upper half is elastic on this time scale; a run in which
+    nothing moves into other cells gives the right stresses."""
     right = sagging(1e4, force=1e-10)
     assert np.abs(right).max() > 0.05
     for stiff in (1e4, 1e6, 1e11):
@@ -154,7 +154,7 @@ def test_next_to_nothing_of_what_hardly_flows_changes_nothing():
 @pytest.mark.long
 @pytest.mark.ci
 def test_creep_that_gives_energy_by_a_modulus_that_overshoots_is_said_to_do_so():
-    """The arithmetic mean, without a limiter; the rule itself is one."""
+    """The modulus has the arithmetic mean and no limiter; the rule itself is admissible."""
     soft = nv.Parameter("soft", start=IfPos(x - 0.45, 1.0, 0.0))
     model = nv.Model(
         material=nv.LinearElastic(K_e=10.0, G_e=1.0),
@@ -169,7 +169,7 @@ def test_creep_that_gives_energy_by_a_modulus_that_overshoots_is_said_to_do_so()
 
 @pytest.mark.parametrize("density", [False, True])
 def test_a_start_that_jumps_at_sides_of_cells_is_constant_in_cells(density):
-    """Points of some rules lie on sides."""
+    """Some quadrature rules have points on the sides."""
     start = SOFT + 9 * UPPER
     model = nv.Model(material=nv.LinearElastic(K_e=1.0, G_e=1.0), creep=nv.Creep(G_m=start))
     initial = nv.Initial(density=start if density else 1.0)

@@ -37,7 +37,7 @@ SOLID = nv.ReferentialNeoHookean(K_e=10.0, G_e=5.0)
 
 @pytest.mark.parametrize("solver", ["split", "coupled"])
 def test_a_run_goes_on_with_another_flow_rule(tmp_path, solver):
-    """Linear creep has no stresses at which it was linearised, yield has them."""
+    """Linear creep has no linearisation stresses, and yield has them."""
     simulation([nv.Checkpoints(tmp_path / "run.h5", every=1)], SOLID, solver=solver).run(0.04)
     rest = simulation(material=SOLID, creep=nv.Perzyna(sigma_Y=0.05, G_m=0.1), solver=solver)
     rest.restore(tmp_path / "run.h5")
@@ -74,7 +74,7 @@ def test_a_checkpoint_of_something_else_is_refused_with_the_reason(tmp_path):
 
 
 def test_a_changed_bit_is_refused_or_changes_nothing(tmp_path):
-    """Bytes of the file are of data, of names, or unused: none of them may make another state."""
+    """The file's bytes are data, names, or unused: a changed byte must not give another state."""
     path = tmp_path / "run.h5"
     simulation([nv.Checkpoints(path)]).run(0.02)
     run = simulation()
@@ -115,7 +115,7 @@ def test_an_energy_is_known_by_its_values_not_by_its_name(tmp_path):
 @pytest.mark.ci
 @pytest.mark.parametrize("solver", ["coupled", "split"])
 def test_bodies_with_heat_go_on_bitwise_and_are_known_by_it(tmp_path, solver):
-    """Two thermal pressures have an equilibrium at a point that every evaluation finds anew."""
+    """With two thermal pressures every evaluation searches anew for the equilibrium at a point."""
     SetNumThreads(1)
 
     def bodies(conductivity=0.1, **options):
@@ -142,7 +142,7 @@ ROUND = disc(1.0, maxh=0.4)
 
 
 def test_a_curved_mesh_comes_back_with_the_shape_of_its_geometry():
-    """Netgen writes eight decimals of curved cells: 3e-10 of this area."""
+    """Netgen writes curved cells to eight decimals, which changes this area by 3e-10."""
     found = mesh_of(mesh_image(ROUND))
     assert found.GetCurveOrder() == ROUND.GetCurveOrder() > 1
     assert volume_and_surface(found) == pytest.approx(volume_and_surface(ROUND), rel=1e-14)

@@ -87,7 +87,7 @@ def test_what_is_no_run_is_refused(runs, tmp_path, capsys):
 
 
 def test_a_study_is_compared_by_the_values_that_vary(runs, capsys):
-    """The runs of a study that made a step are compared, by their names."""
+    """The picture has the runs of a study that made a step, by their names."""
     (runs / "sweep.csv").write_text(
         "run,material.G_e,state,message\na,5,finished,\nb,1,finished,\nc,2,failed,no\n"
     )

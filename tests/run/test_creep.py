@@ -51,7 +51,7 @@ def exact_relaxation(t, G_m):
 
 @pytest.mark.parametrize("nu", [0.0, 0.1])
 def test_relaxation_at_fixed_shape_follows_the_ode_at_first_order(nu):
-    """Errors against the ODE halve with tau; the gradient term does nothing to a homogeneous state."""
+    """Errors against the ODE halve with tau; the gradient term has no effect on a homogeneous state."""
     errors = []
     for dt in (0.02, 0.01):
         run = relaxing(nv.Creep(G_m=5.0, nu=nu), dt, F_0)
@@ -67,7 +67,7 @@ def test_relaxation_at_fixed_shape_follows_the_ode_at_first_order(nu):
 
 @pytest.mark.parametrize("creep", [nv.Creep(G_m=2.0), nv.Creep(G_m=2.0, nu=0.01)], ids=["nu = 0", "nu > 0"])
 def test_J_is_untouched_by_creep(creep):
-    """At a fixed shape J stays to rounding, while the elastic strain goes."""
+    """At a fixed shape J is constant to rounding, while the elastic strain vanishes."""
     run = relaxing(creep, 0.1, F_0)
     run.run(1.0)
     J = run.sampler.values(run.fields["J"])
@@ -105,7 +105,8 @@ def mean_square(values):
 
 
 def test_gradient_creep_tends_to_that_without_a_gradient_like_nu():
-    """O(nu) on one mesh, from the continuous Pi of nu = 1e-12, not from the cellwise one of nu = 0."""
+    """The difference is O(nu) on one mesh, from the continuous Pi of nu = 1e-12, not from the cellwise Pi of
+    nu = 0."""
     limit = distortion(swirl(nv.Creep(G_m=2.0, nu=1e-12, q=2.0)))
     errors = [
         mean_square(distortion(swirl(nv.Creep(G_m=2.0, nu=nu, q=2.0))) - limit) for nu in (1e-3, 1e-4, 1e-5)
@@ -146,12 +147,13 @@ STIFF = [
 
 @pytest.mark.parametrize(("start", "name", "G_m", "dt", "steps"), STIFF)
 def test_stiff_relaxation_goes_on_while_the_body_moves(start, name, G_m, dt, steps):
-    """2 to 1e5 Maxwell times G_m/(2 G_e) in a step: solved, energy falls, and the root is the physical one.
+    """With 2 to 1e5 Maxwell times G_m/(2 G_e) in a step the step is solved, the energy falls, and the root
+    is the physical one.
 
-    The equations have others: at a fixed shape and a = 2 G_e tau/G_m >> 1 there are roots H of size
-    a^(-1/3) with two negative stretches, whose determinant is positive as that of the physical one.  There
-    |z| is that of a relaxed state, F = J^(1/3) Q (within 7 % after a step of 1 s from 30 %).
-    A swirl with steps of 1 s turns by half a circle a step and shrinks z by that, stiff or not.
+    The equations have other roots: at a fixed shape and a = 2 G_e tau/G_m >> 1 there are roots H of size
+    a^(-1/3) with two negative stretches, whose determinant is positive like that of the physical root. At
+    the physical root |z| is that of a relaxed state, F = J^(1/3) Q (within 7 % after a step of 1 s from 30
+    %). A swirl with steps of 1 s turns by half a circle in a step, which reduces z, stiff or not.
     """
     run = start(nv.Creep(G_m=G_m), dt=dt, material=BY_NAME[name])
     ledger = run.run(steps * dt)
@@ -168,11 +170,12 @@ def test_stiff_relaxation_goes_on_while_the_body_moves(start, name, G_m, dt, ste
     [((3, 12), 0.02), pytest.param((12, 48), 1e-3, marks=[pytest.mark.long, pytest.mark.ci])],
 )
 def test_heavy_rock_sinks_with_stokes_speed_in_steps_far_longer_than_waves(cells, off):
-    """A column of rock, 3300 + 100 cos(kx) sin(ly) kg/m^3, in steps of one Maxwell time by SDIRK2.
+    """A column of rock has the density 3300 + 100 cos(kx) sin(ly) kg/m^3, and steps of one Maxwell time by
+    SDIRK2.
 
-    Waves cross the column in 13 s; a step lasts 106 years.  From the second step on the elastic deflection
-    stands, and v_y = -V cos(kx) sin(ly), V = (100 kg/m^3) g k^2/(eta (k^2 + l^2)^2), is the creeping flow
-    between walls with slip.  The solver that ``"auto"`` chooses solves every step at once.
+    Waves cross the column in 13 s; a step lasts 106 years. From the second step on the elastic deflection is
+    constant, and v_y = -V cos(kx) sin(ly), V = (100 kg/m^3) g k^2/(eta (k^2 + l^2)^2), is the creeping flow
+    between walls with slip. The solver that ``"auto"`` chooses solves every step without dividing it.
     """
     width, height, eta, shear, g = 1e4, 4e4, 1e20, 3e10, 9.81
     k, wave = pi / width, cos(pi * x / width) * sin(pi * y / height)

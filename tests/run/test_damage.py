@@ -87,7 +87,8 @@ def sheared(kind, part="tensile", G_c=0.1, **options):
 
 @pytest.mark.parametrize(("kind", "part"), [("AT1", "tensile"), ("AT2", "all")])
 def test_homogeneous_bar_follows_its_exact_curve(kind, part):
-    """To rounding, at every step, below the threshold of AT1 and above it; with no slope of the damage."""
+    """The bar follows the curve to rounding, at every step, below the threshold of AT1 and above it; the
+    damage has no gradient."""
     run = sheared(kind, part)
     for _ in range(4):
         row = run.advance()
@@ -137,10 +138,11 @@ def band(law, n):
     ("law", "of_row", "width", "rows"), [("AT1", 3 / 8, 4 / 3, (11, 21, 41)), ("AT2", 1 / 2, 2.0, (21, 41))]
 )
 def test_strip_localises_to_a_band_of_the_width_of_its_length(law, of_row, width, rows):
-    """Across a crack d = (1 - |x|/2l)^2 or exp(-|x|/l) beside the broken row of cells, whose height h adds
-    of_row h/l to its cost (Bourdin, Francfort and Marigo, J. Elasticity 91, 2008) and h to the integral of d.
+    """Across a crack d is (1 - |x|/2l)^2 or exp(-|x|/l) beside the broken row of cells.
 
-    The bounds go like h/l, as the linear profile between vertices does: 3 % where l = 2 h.
+    The height h of this row adds of_row h/l to the crack's cost (Bourdin, Francfort and Marigo, J.
+    Elasticity 91, 2008) and h to the integral of d. The bounds are in proportion to h/l, like the error of
+    the linear profile between vertices: 3 % where l = 2 h.
     """
     for n in rows:
         row = 1 / (n * LENGTH)
@@ -151,7 +153,8 @@ def test_strip_localises_to_a_band_of_the_width_of_its_length(law, of_row, width
 
 
 def test_damage_stays_or_heals_at_its_rate():
-    """At rest, undegraded: w'(d) pulls d down where it may heal, d' = -G_c d/(l eta) (AT2), else d stays."""
+    """At rest and undegraded, w'(d) pulls d down where d may heal, d' = -G_c d/(l eta) (AT2); elsewhere d
+    stays."""
     for healing in (None, 2.0):
         law = damaged(length=1.0, healing_viscosity=healing)
         model = nv.Model(material=law)
@@ -198,7 +201,7 @@ def test_energy_of_a_crack_in_a_body_that_starts_stretched(stretched, area):
 
 @pytest.mark.long
 def test_crack_that_is_stretched_keeps_its_energy_per_reference_area():
-    """Matter that flies apart at v = X: the stretch is 1 + t; the energy of a crack stays within 2 %."""
+    """Matter flies apart at v = X, so that the stretch is 1 + t; the energy of a crack stays within 2 %."""
     mesh = structured_box((2.4, 0.1), (48, 1), periodic="y")
     rubber = nv.ReferentialNeoHookean(K_e=1e-4, G_e=1e-4)
     initial = nv.Initial(density=1e3, velocity=(x - 1.2, 0), values={"damage": across(x - 1.2)})
@@ -216,7 +219,7 @@ def test_crack_that_is_stretched_keeps_its_energy_per_reference_area():
 
 
 def test_growth_in_a_step_is_a_column_and_much_of_it_is_warned_of():
-    """The surface that steps make is that which is stored, of a damage that is the same everywhere."""
+    """For a homogeneous damage, the area of cracks made in the steps is the stored area."""
     run = sheared("AT2")
     with pytest.warns(nv.DamageWarning, match=r"damage grew by 0\.\d+ at a point, and cracks by .* l: the"):
         ledger = run.run(0.3)

@@ -55,7 +55,7 @@ def test_wrapped_materials_take_the_form_of_their_model():
 
 
 def test_who_names_variables_of_one_form_asks_for_it():
-    """B without creep and F with creep, as the names of ``only`` say; names of both forms are refused."""
+    """The names in ``only`` choose B without creep and F with creep; names of both forms are refused."""
     inner = nv.Yosida(material=TWO_FORMED["MooneyRivlin"](), eps=1e-3)
     for names, creep, state in (
         (("B",), None, "B"),
@@ -136,10 +136,10 @@ def test_a_run_keeps_its_choice_over_checkpoints_and_other_orders(tmp_path):
 @pytest.mark.long
 @pytest.mark.ci
 def test_B_stores_what_F_dissipates_in_the_step():
-    """B^k = B + tau (L B + B L^T) misses tau^2 L B L^T of F F^T, which F loses as ``bregman``.
+    """B^k = B + tau (L B + B L^T) lacks tau^2 L B L^T of F F^T, which F loses as ``bregman``.
 
-    Measured: the difference of the stored energies is 0.985 and 0.98 of F's bregman at 0.02 and 0.01 s; by
-    the midpoint rule 0.9 % of it is left at 0.02 s, which is of the space.
+    The difference of the stored energies was measured as 0.985 and 0.98 of F's bregman at 0.02 and 0.01 s;
+    with the midpoint rule 0.9 % of it remains at 0.02 s, an error in space.
     """
     viscosity, stored = nv.StokesViscosity(K_v=0.1, G_v=0.1), []
     for dt, scheme in ((0.02, "backward-euler"), (0.01, "backward-euler"), (0.02, "midpoint")):
@@ -167,7 +167,7 @@ def under_a_lid(state):
 @pytest.mark.long
 @pytest.mark.ci
 def test_run_that_winds_up_warns_once_and_ends_by_name_with_the_remedy():
-    """From 1 % in the mean square on it warns; a cell whose mean is off by more than 10 % ends it."""
+    """A run warns from 1 % in the mean square on; it ends if the mean in a cell is off by more than 10 %."""
     run = under_a_lid("F")
     run.stepper.halvings = 0
     with pytest.warns(nv.DefectWarning) as caught, pytest.raises(nv.StepError) as ended:
@@ -207,9 +207,9 @@ def drift(run):
 
 
 def test_rest_energy_that_drift_frees_does_not_become_motion():
-    """F and J carried apart by no shear modulus but their own part, and phi(F, J) falls below rest.
+    """Without a shear modulus F and J drift apart, and phi(F, J) falls below its value at rest.
 
-    Of a wave of 0.01 J the run had gone on to 500 times that, with a ledger that closed.
+    A run with a wave of 0.01 J had reached 500 times this energy, with a ledger that closed.
     """
     run = in_a_closed_box("F", speed=0.5, halvings=0)
     with (
@@ -227,7 +227,7 @@ def test_rest_energy_that_drift_frees_does_not_become_motion():
 @pytest.mark.ci
 @pytest.mark.filterwarnings("ignore::ngvisco.run.ledger.DefectWarning")
 def test_who_asks_for_more_drift_gets_it():
-    """A body that is torn at a corner needs it; a run that asks for less gets less."""
+    """A body that is torn at a corner needs a larger drift; a run with a smaller limit ends earlier."""
     assert in_a_closed_box("F", speed=0.5, drift=0.3, halvings=0).run(0.8).rows[-1]["time"] == pytest.approx(
         0.8
     )
@@ -249,7 +249,7 @@ def test_by_B_the_wave_in_a_box_stays_below_its_start(state, m):
 
 
 def test_a_volume_that_may_pass_zero_has_no_drift():
-    """Where the energy goes on beyond J = 0 there is no J to compare with."""
+    """If the energy is continued beyond J = 0, there is no J to compare with."""
     z = {v.name: v.from_distortion(nv.physics.tensors.IDENTITY) for v in (Distortion(), Jacobian())}
     plain = nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1, elastic_state="F")
     assert list(drifts(plain, z)) == ["det F and J"] and drifts(nv.Yosida(material=plain, eps=1e-3), z) == {}
@@ -264,7 +264,8 @@ TWO = (
 
 
 def test_means_of_B_lose_no_determinant_and_those_of_rotations_do():
-    """Means of two rotations free rest energy by F and never by B, and only what F loses is a drift."""
+    """Means of two rotations free rest energy by F and never by B, and only the loss by F counts as
+    drift."""
     for sign, (one, other) in zip((-1, 1), TWO, strict=True):
         a, b = np.array(one), np.array(other)
         F, B = 0.5 * (a + b), 0.5 * (a @ a.T + b @ b.T)

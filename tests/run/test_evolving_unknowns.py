@@ -93,7 +93,8 @@ def theta_of(run: Simulation) -> np.ndarray:
 @pytest.mark.parametrize("name", ["backward-euler", "midpoint", "sdirk2"])
 @pytest.mark.parametrize("place", ["continuous", "cells"])
 def test_a_scalar_relaxes_by_the_schemes_stability_function(name, place):
-    """theta_1 = R(-RATE tau) theta_0, R of the tableau; the energy that the scheme dissipates is metered."""
+    """theta_1 = R(-RATE tau) theta_0 with the tableau's R; the energy dissipated by the scheme is
+    metered."""
     scheme = scheme_of(name)
     one, A, b = np.ones(scheme.stages), np.array(scheme.A), np.array(scheme.b)
     z = -RATE * 0.05
@@ -124,7 +125,8 @@ def test_solvers_agree_and_the_ledger_closes_where_it_drives_the_flow(term, sche
 
 
 def test_error_estimate_counts_it():
-    """Nothing else changes in a body at rest: a third of theta_2 - 2 theta_1 + theta_0, over theta_2."""
+    """In a body at rest nothing else changes: the estimate is a third of theta_2 - 2 theta_1 + theta_0, over
+    theta_2."""
     model = nv.Model(material=MODEL.material)
     steps = nv.AdaptiveSteps(dt_min=0.05, dt_max=0.05, tolerance=0.5)
     term = Relaxation()
@@ -147,7 +149,7 @@ def test_restart_is_bitwise(tmp_path):
 
 @pytest.mark.parametrize("place", ["continuous", "cells"])
 def test_transfer_carries_it_over(place):
-    """A linear field is carried over exactly, with its energy."""
+    """A linear field is transferred exactly, with its energy."""
     terms = [Relaxation(), Relaxation()]
     for term in terms:
         term.place = place
@@ -172,7 +174,7 @@ def test_old_value_of_what_does_not_evolve_is_refused_by_name():
 
 
 class Reading(Relaxation):
-    """Reads, in its entries, the old value of something of another term."""
+    """A term whose entries read the old value of another term's unknown."""
 
     def entries(self, u):
         return [Entry("power_old", "power", Integrand(square(u.context.old.zeta)))]
@@ -191,21 +193,21 @@ def test_split_solver_says_why_it_refuses_one_in_cells():
 
 
 class Half(PointTerm):
-    """Has a distance and no energy."""
+    """A term with a distance and without an energy."""
 
     def distance(self, a, b):
         return Entry("bregman", "numerical", Integrand(square(a.z - b.z)))
 
 
 class Misnamed(Relaxation):
-    """Puts its energy into a column of its own, where no balance would find it."""
+    """A term with its energy in a column of its own, which no balance contains."""
 
     def energy(self, u):
         return Entry("heat", "energy", Integrand(square(u.parts["theta"])))
 
 
 class ByVelocity(Relaxation):
-    """Its slope asks for a change of v, where the momentum is kept."""
+    """A term whose slope asks for a change of v, although momentum is kept."""
 
     def slope(self, b, d):
         return Integrand(inner(b.v, d.v))

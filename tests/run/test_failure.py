@@ -49,7 +49,7 @@ def test_a_refused_solution_is_reported_with_place_quantity_history_and_advice(f
 
 
 def test_attempts_from_one_start_are_one_line():
-    """A step that is tried in many parts fills no second screen."""
+    """The report of a step that was tried in many parts fits one screen."""
     stalled = Solution(Status.STALLED, (NewtonIteration(3.0, 1.0, 1.0, True),) * 9, "as it was said")
     solved = Solution(Status.CONVERGED, (NewtonIteration(1e-12, 0.1, 1.0, True),))
     attempts = [Attempt("from the last state", one) for one in [stalled, solved] * 15]

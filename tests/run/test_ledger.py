@@ -114,7 +114,7 @@ def test_dissipations_are_the_powers_of_their_forms(case: Case) -> None:
 @pytest.mark.filterwarnings("ignore::ngvisco.run.signs.DissipationWarning")  # of random states
 @by_case
 def test_closure_is_the_residual_tested_by_the_solution(case: Case) -> None:
-    """For any state, converged or not: closure = tau <R(u), (v, zeta)>; so it is zero for a solution."""
+    """For any state, converged or not, closure = tau <R(u), (v, zeta)>, which is zero for a solution."""
     run = nv.Simulation(
         small_box(case.dim), case.model, dt=0.3, discretisation=Discretisation(k=case.k, m=case.m)
     )
@@ -159,7 +159,7 @@ def run_of(material: str, tau: float = 0.05, is_loaded: bool = True) -> nv.Simul
 
 @pytest.mark.parametrize("material", ["linear", "neo_hookean", "hardening"])
 def test_ledger_closes_to_rounding(material: str) -> None:
-    """With gravity that changes in time; every entry at work."""
+    """Gravity changes in time, and every entry is at work."""
     ledger = run_of(material).run(until=0.2)
     assert_balanced(ledger, 1e-12, 1e-13)
     for row in ledger.rows[1:]:
@@ -172,7 +172,7 @@ def test_ledger_closes_to_rounding(material: str) -> None:
     [(0.5, "linear"), (5.0, "linear"), (0.5, "neo_hookean"), by_ci(5.0, "neo_hookean")],
 )
 def test_energy_never_rises_without_load(material: str, tau: float) -> None:
-    """Whatever the step (the paper's unconditional stability)."""
+    """The step may have any length (the paper's unconditional stability)."""
     ledger = run_of(material, tau, is_loaded=False).run(until=3 * tau)
     assert np.all(np.diff(ledger.column("kinetic") + ledger.column("stored")) < 0)
     assert_balanced(ledger, 1e-12, 1e-13)
@@ -206,7 +206,7 @@ BROKEN = {
 
 @pytest.mark.parametrize("name", BROKEN)
 def test_a_wrong_entry_opens_the_ledger(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Negative control: each entry is needed, with its factor, for the closure to be rounding."""
+    """As a negative control, the closure is rounding only with each entry and its factor."""
     term, factor = BROKEN[name]
     method = "distance" if name in NUMERICAL else "entries"
     monkeypatch.setattr(term, method, scaled(getattr(term, method), name, factor))
@@ -216,7 +216,7 @@ def test_a_wrong_entry_opens_the_ledger(name: str, monkeypatch: pytest.MonkeyPat
 
 
 def test_an_open_ledger_is_said_once_and_counted(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The limit is 1e-8, or 100 times the solver's tolerance where that is more."""
+    """The limit is 1e-8, or 100 times the solver's tolerance if this is larger."""
     assert closure_limit(1e-12) == 1e-8 and closure_limit(1e-6) == pytest.approx(1e-4)
     monkeypatch.setattr(Inertia, "distance", scaled(Inertia.distance, "inertial", 1.01))
     run = run_of("linear")
@@ -234,7 +234,8 @@ def test_an_open_ledger_is_said_once_and_counted(monkeypatch: pytest.MonkeyPatch
 def test_parts_of_a_run_are_judged_by_the_limits_of_their_own(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """An open step is said after a resume too, and not one that closes by its own, larger tolerance."""
+    """A warning names an open step also after a resume, but not a step that closes by its own, larger
+    tolerance."""
     monkeypatch.setattr(Inertia, "distance", scaled(Inertia.distance, "inertial", 1.01))
     path = tmp_path / "run.h5"
 

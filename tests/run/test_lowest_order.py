@@ -19,7 +19,7 @@ OMEGA = math.pi / LENGTH * math.sqrt(K + 4 / 3 * 2 * G)
 
 
 def wave(cells: tuple[int, int], amplitude: float, steps: int, **options) -> nv.Simulation:
-    """Half a period of it, by ``steps`` steps."""
+    """A run of half a period of the wave, in ``steps`` steps."""
     options = {"time": nv.TimeSteps(dt=math.pi / OMEGA / steps, scheme="midpoint")} | options
     return nv.Simulation(
         structured_box((LENGTH, 1.0), cells),
@@ -40,7 +40,7 @@ def phase(cells: tuple[int, int], steps: int) -> float:
 
 
 def test_a_wave_has_its_speed():
-    """To second order: a quarter of the error on half the cells."""
+    """The speed is right to second order: half the cell size leaves a quarter of the error."""
     coarse, fine = (abs(phase((n, n // 4), n)) for n in (8, 16))
     assert 1e-4 < fine < 0.02
     assert 3.0 < coarse / fine < 5.0

@@ -322,7 +322,7 @@ def test_what_is_no_series_is_said(content, tmp_path):
 
 
 def test_no_state_out_of_turn_stays_in_a_series(mesh, tmp_path):
-    """A run that goes on drops from its series the last state that the interrupted run wrote."""
+    """A resumed run drops from its series the last state that the interrupted run wrote."""
 
     def files():
         return {path.name for path in tmp_path.glob("vtk/*.vtu")}

@@ -91,7 +91,7 @@ def test_every_scheme_keeps_momentum(name, scheme):
 @pytest.mark.filterwarnings("ignore:.*a carried modulus that jumps is smeared")
 @pytest.mark.parametrize("name", ["quadratic", "neo-Hookean, B", "neo-Hookean, F", "stiffness 2 : 100"])
 def test_constants_in_cells_keep_momentum_to_rounding(name):
-    """zeta is phi'(z) there, and the weight is that of the Bregman distances."""
+    """With constants in cells zeta is phi'(z), and the weight is that of the Bregman distances."""
     run, change = thrown(name, m=0, solver="split")
     assert change <= 1e-12
     if "stiffness" not in name:  # an energy that is convex
@@ -105,7 +105,7 @@ def test_momentum_is_kept_in_space(name):
 
 @pytest.mark.parametrize("solver", ["split", "coupled"])
 def test_a_cracked_body_at_rest_stays_where_it_is(solver):
-    """It flew off at 0.2 m/s in half a second, with an exact ledger."""
+    """An earlier scheme let the body fly off at 0.2 m/s within half a second, with an exact ledger."""
     _, start, _ = STATES["cracked"]
     mesh = structured_box((1, 0.25), (4, 1), periodic="xy")
     model = nv.Model(material=BROKEN, viscosity=VISCOUS)
@@ -120,13 +120,13 @@ def nothing(self, u, w):
 
 
 def test_without_the_balance_of_inertia_momentum_is_lost(monkeypatch):
-    """Negative control."""
+    """A negative control."""
     monkeypatch.setattr(MomentumBalance, "cells", nothing)
     monkeypatch.setattr(MomentumBalance, "facets", nothing)
     assert thrown("quadratic", solver="coupled")[1] > 1e-9
 
 
 def test_by_the_mean_of_both_sides_another_energy_than_a_quadratic_one_loses_momentum(monkeypatch):
-    """Negative control, with a ledger that closes."""
+    """A negative control, in which the ledger closes."""
     monkeypatch.setattr(TangentForce, "excess", lambda self, u: 0.0 * u.parts[TangentGap.name])
     assert thrown("neo-Hookean, B", solver="coupled")[1] > 1e-7

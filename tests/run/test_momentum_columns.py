@@ -112,7 +112,8 @@ def test_momentum_changes_by_the_impulses_and_by_what_the_columns_say(between, s
 
 @pytest.mark.parametrize(("between", "scheme"), each_once(["slip", "a moving lid"], SCHEMES))
 def test_the_impulse_of_walls_is_that_of_their_reactions(between, scheme):
-    """Against ``WallForces``, which takes the rows of the residual that are not solved."""
+    """The impulse is compared with ``WallForces``, which takes the rows of the residual that are not
+    solved."""
     forces = nv.WallForces()
     run = run_between(WALLS[between], scheme, observers=[forces])
     ledger = run.run(until=0.1)
@@ -124,7 +125,7 @@ def test_the_impulse_of_walls_is_that_of_their_reactions(between, scheme):
 
 @pytest.mark.parametrize("as_bodies", [False, True])
 def test_a_floor_bears_the_weight(as_bodies):
-    """The flux of bodies counts: B_h takes phi - z : zeta of the stress."""
+    """The flux of bodies counts: B_h takes phi - z : zeta from the stress."""
     weight = 1.5
     loads = [nv.Gravity((0.0, -1.0))]
     model = nv.Model(material=SOLID, viscosity=nv.StokesViscosity(K_v=2, G_v=2), loads=loads)
@@ -179,7 +180,8 @@ def test_bodies_of_different_mass_balance_too():
 
 
 def test_what_a_jump_makes_of_nothing_is_in_the_columns():
-    """A strain that jumps, thrown in a periodic box without load: all change of momentum is a defect."""
+    """A body with a jump of the strain is thrown in a periodic box without load: all change of momentum is a
+    defect."""
 
     jump = IfPos(0.6 - x, IfPos(x - 0.3, 0.3, 0.0), 0.0)
     zero = CF(0.0)
@@ -238,7 +240,7 @@ def thrown(**options) -> nv.Simulation:
 
 
 def test_inertia_keeps_momentum_and_what_it_loses_of_rotations_is_seen():
-    """v . e is not in rho's space: the skew form alone loses up to 3e-4 here."""
+    """v . e is not in the space of rho, so that the skew form alone loses up to 3e-4 here."""
     ledger = thrown(scheme="midpoint").run(until=0.1)
     size = ledger.column("momentum_size").max()
     assert abs(of(ledger, "defect_inertia")).max() < 1e-12 * size
@@ -249,7 +251,8 @@ def test_inertia_keeps_momentum_and_what_it_loses_of_rotations_is_seen():
 
 
 def test_jumps_of_smooth_states_push_nothing():
-    """The trace at which both tangents meet has no thrust, nor has a quadrature that resolves the energy."""
+    """The trace at which both tangents meet has no thrust, and neither has a quadrature that resolves the
+    energy."""
     ledger = thrown().run(until=0.1)
     size = ledger.column("momentum_size").max()
     assert abs(of(ledger, "defect_cells")).max() < 1e-9 * size

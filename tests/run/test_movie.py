@@ -170,7 +170,7 @@ def test_pictures_have_the_format_of_their_name(tmp_path, kind, magic):
 
 
 def test_a_picture_says_its_time_and_its_plane(tmp_path):
-    """Also in the file: texts of an SVG stay texts."""
+    """The file contains them too, since texts of an SVG stay texts."""
     import matplotlib
 
     mesh = box((1, 2, 3), 1.0)
@@ -185,7 +185,7 @@ def test_a_picture_says_its_time_and_its_plane(tmp_path):
     [((1, 1), 5 + x, (5, 6)), ((1, 1, 1), 7 + x, (7, 8)), ((1, 1), 7 + 1e-12 * x, (6.65, 7.35))],
 )
 def test_colours_of_a_picture_are_of_its_fields_range(tmp_path, monkeypatch, size, field, limits):
-    """A tenth of it where it varies by rounding."""
+    """If a field varies by rounding only, the range is a tenth of its value."""
     figures = []
     monkeypatch.setattr("ngvisco.run.pictures.save", lambda figure, path: figures.append(figure))
     plot_fields(box(size, 0.7), [("f", field)], tmp_path / "a.png")

@@ -68,7 +68,7 @@ def test_an_energy_with_a_domain_is_kept_within_it(solver, scheme):
 
 @pytest.mark.parametrize("solver", [by_ci("coupled"), "split"])
 def test_a_step_beyond_the_domain_is_refused_by_its_name(solver):
-    """An elastic body that a lid draws on and on: the run ends in a step that it names."""
+    """A lid draws an elastic body on and on, until a step is refused, and the run names it."""
     run = sheared(GENT, 4.0, solver, creep=None, halvings=1)
     with pytest.raises(nv.StepError) as caught:
         run.run(1.0)
@@ -86,7 +86,7 @@ def test_a_step_beyond_the_domain_is_refused_by_its_name(solver):
 @pytest.mark.long
 @pytest.mark.ci
 def test_a_coupled_step_at_a_bound_is_refused_after_few_iterations():
-    """Steps of growing length end once the lengths left do not reach the whole step."""
+    """Steps of growing length end as soon as the remaining lengths cannot reach the whole step."""
     run = sheared(nv.FENEP(K_e=10, G_e=5, b=5), 4.0, "coupled", creep=None, halvings=0)
     run.advance()
     with pytest.raises(

@@ -57,7 +57,8 @@ def measured(run, *measures):
 
 
 def test_an_ellipse_has_its_area_axes_angle_and_perimeter():
-    """Outlines by chords of 1/40: all sizes are less by up to h^2/(8 r^2), and never more."""
+    """Outlines consist of chords of 1/40: all sizes are too small by up to h^2/(8 r^2), and never too
+    large."""
     found = cut(inside_ellipse)
     moments = Moments.of(found.inside)
     L, breadth, angle = moments.ellipse()
@@ -72,7 +73,7 @@ def test_an_ellipse_has_its_area_axes_angle_and_perimeter():
 
 
 def test_a_square_has_its_area_perimeter_and_no_deformation():
-    """Its sides are lines of the lattice's points."""
+    """The square's sides are lines of the lattice's points."""
     found = cut(lambda X, Y: 0.2 - np.maximum(abs(X - 0.5), abs(Y - 0.5)))
     L, breadth, _ = Moments.of(found.inside).ellipse()
     assert Moments.of(found.inside).area == pytest.approx(0.16, rel=1e-9)
@@ -95,7 +96,8 @@ def test_lines_are_closed_with_the_body_on_the_left_or_end_at_the_boundary():
 
 
 def test_matter_that_turns_as_a_whole_or_round_a_shape_at_rest_has_its_rate():
-    """A rigid rotation, an elliptic one that leaves an ellipse in place, a stretching that turns nothing."""
+    """The motions are a rigid rotation, an elliptic one that leaves an ellipse in place, and a stretching
+    that turns nothing."""
     turn, c, s = np.array([[0, -0.7], [0.7, 0]]), math.cos(ANGLE), math.sin(ANGLE)
     R = np.array([[c, -s], [s, c]])
     assert Moments.of(cut(inside_ellipse, turn).inside).turning() == pytest.approx(0.7, rel=1e-9)
@@ -115,7 +117,8 @@ def test_outlines_have_their_distance():
 
 @pytest.mark.parametrize("m", [0, 1, 2])
 def test_columns_of_a_body_are_those_of_its_shape(m):
-    """3.6 cells across the breadth: the area by chords through points that are half a cell apart."""
+    """The body has 3.6 cells across its breadth, and the area is that within chords through points half a
+    cell apart."""
     start = nv.Initial(velocity=(-0.7 * (y - 0.5), 0.7 * (x - 0.5)))
     found = measured(
         run_with(("e", inside_ellipse(x, y)), m=m, initial=start), "deformation", "outline", "turning"
@@ -131,7 +134,7 @@ def test_columns_of_a_body_are_those_of_its_shape(m):
 
 
 def test_stress_and_traction_are_those_of_a_known_pressure():
-    """T = K s q I has the force K s int grad q and the torque K s int (x d_y q - y d_x q) of a body."""
+    """For T = K s q I the force on a body is K s int grad q, and the torque K s int (x d_y q - y d_x q)."""
     longitudinal, shear = moduli(SOLID, 2)
     K, s, area = longitudinal - 4 / 3 * shear, 1e-4, math.pi * A * B
     for q, force, torque in (

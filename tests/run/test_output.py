@@ -57,7 +57,8 @@ def two_bodies(maxh=0.3, **options):
 
 
 def test_stresses_of_bodies_are_written_in_less_time_than_a_step_takes_and_with_outlines(tmp_path):
-    """Term by term a stress took sixty steps: each part of the pressure was evaluated where it stands."""
+    """When each part of the pressure was evaluated where it is read, writing a stress took as long as sixty
+    steps."""
     run = two_bodies()
     began = time.process_time()
     run.advance()
@@ -78,7 +79,7 @@ def test_stresses_of_bodies_are_written_in_less_time_than_a_step_takes_and_with_
 @pytest.mark.long
 @pytest.mark.ci
 def test_a_file_of_stresses_costs_less_than_a_tenth_of_a_step(tmp_path):
-    """Medians of processor time, with bodies that move on 420 cells."""
+    """The test compares medians of processor time, for bodies that move on 420 cells."""
     spent = {"step": [], "file": []}
     series = nv.VTKSeries(tmp_path, every=1, fields=["von_mises"], subdivision=2)
     run = two_bodies(0.075, initial=nv.Initial(velocity=SWIRL))
@@ -146,7 +147,7 @@ def test_progress_prints_every_nth_step_and_the_last(tmp_path, capsys):
 
 
 def test_what_is_no_energy_is_not_drawn_as_one(tmp_path, monkeypatch):
-    """Entropies, which have axes of their own, and a share of the stored energy, a state and no rate."""
+    """Entropies have their own axes, and a share of the stored energy is a state, not a rate."""
     drawn = {}
     monkeypatch.setattr("ngvisco.run.plots.save", lambda figure, path: drawn.update({path.stem: figure}))
     cold = nv.ReferentialNeoHookean(K_e=10.0, G_e=1.0)

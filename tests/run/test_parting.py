@@ -76,12 +76,12 @@ def test_both_solvers_agree_and_the_identity_holds(name):
 @pytest.mark.long
 @pytest.mark.ci
 def test_a_run_goes_on_to_the_bit(tmp_path):
-    """The normals are those of the step's start, which a resumed run finds again."""
+    """The normals are those of the step's start, from which a resumed run computes them again."""
     assert_goes_on(pulled, tmp_path / "run.h5", 0.4, 2)
 
 
 def test_an_opening_strains_no_body_and_a_stretch_along_the_interface_does():
-    """D = n x n and n x t + t x n are openings; t x t - n x n, which keeps the volume, is none."""
+    """D = n x n and n x t + t x n are openings; t x t - n x n, which keeps the volume, is not."""
     n, t = np.array([0.6, 0.8, 0.0]), np.array([-0.8, 0.6, 0.0])
     P, zero = constant(np.outer(n, n)), np.zeros((3, 3))
     mesh = box((1, 1), 1.0)

@@ -25,7 +25,8 @@ def test_passive_fields_do_not_act_on_the_run():
 
 
 def test_F_tot_is_the_inverse_gradient_of_the_reference_map():
-    """Both are transported alone: F_tot grad xi = I up to the discretisation, better on a finer mesh."""
+    """Both are transported independently: F_tot grad xi = I up to the discretisation error, which is smaller
+    on a finer mesh."""
     gaps = []
     for maxh, dt in ((0.4, 0.02), (0.2, 0.01)):
         run = simulation(maxh=maxh, dt=dt)
@@ -50,7 +51,7 @@ def through_a_periodic_cell(maxh=0.3, dt=0.02):
 
 
 def test_what_leaves_a_periodic_cell_comes_in_again():
-    """F_tot is F without creep; the mean displacement is the way of the mean velocity."""
+    """F_tot is F without creep, and the mean displacement is the integral of the mean velocity."""
     run = through_a_periodic_cell()
     run.run(0.4)
     gap = run.fields["F"] - run.fields["F_tot"]
@@ -61,7 +62,8 @@ def test_what_leaves_a_periodic_cell_comes_in_again():
 
 
 def test_nothing_grows_in_curved_cells_at_rest():
-    """The old value is tested by the rule of the matrix: by another one constants grew exponentially."""
+    """The old value is integrated by the rule of the matrix; with another rule constants grew
+    exponentially."""
     run = small_run(disc(1.0, maxh=0.7), passive=("F_tot", "reference_map"))
     for _ in range(200):
         run.rothe_step.context.tau.Set(0.02)
@@ -81,7 +83,8 @@ def test_checkpoint_without_the_passive_fields_is_refused(tmp_path):
 
 
 def test_a_passive_field_that_is_not_solved_leaves_the_step_alone(monkeypatch):
-    """States and steps are those without the field, and a column counts what was not solved."""
+    """States and steps are those without the field, and a column counts the components without a
+    solution."""
     monkeypatch.setattr("ngvisco.run.passive.ITERATIONS", 1)
     run, without = simulation(), simulation(passive=())
     with pytest.warns(nv.InputWarning, match="passive fields were not solved in 1 iterations: "):

@@ -25,7 +25,7 @@ def model(p=None, loads=()):
 
 @pytest.mark.parametrize("periodic", ["x", "xy", "xyz"])
 def test_a_box_periodic_in_some_directions(periodic):
-    """Material is carried through the identified walls, where the unknowns of both sides are one."""
+    """Material is carried through the identified walls, at which both sides share their unknowns."""
     mesh = box((1, 1, 1), 0.6, periodic=periodic)
     through = [1.0 if name in periodic else 0.0 for name in "xyz"]
     v = CF(tuple(c * (1 + 0.3 * sin(2 * pi * s)) for c, s in zip(through, (y, z, x), strict=True)))
@@ -184,7 +184,7 @@ def without_interfaces(mesh):
     ],
 )
 def test_run_with_an_interface_is_that_on_the_same_cells_without(dim, interface, solver):
-    """Also where the interface has the name of a wall, on which nothing slips and which is pulled along."""
+    """The interface may have the name of a wall that has no slip, or is pulled along."""
     mesh = with_inclusion(dim, interface, 0.4 if dim == 2 else 0.8)
     plain = without_interfaces(mesh)
     assert plain.ne == mesh.ne
@@ -202,7 +202,7 @@ def test_run_with_an_interface_is_that_on_the_same_cells_without(dim, interface,
 
 
 def test_glued_shapes_without_names_make_a_run():
-    """Netgen then calls the walls and the interface ``default`` alike."""
+    """Netgen then calls both the walls and the interface ``default``."""
     whole, disc = occ.Rectangle(1, 1).Face(), occ.Circle((0.6, 0.5), 0.2).Face()
     mesh = Mesh(occ.OCCGeometry(occ.Glue([whole - disc, disc]), dim=2).GenerateMesh(maxh=0.3)).Curve(3)
     model = nv.Model(material=nv.NeoHookean(K_e=1, G_e=1, epsilon=0.1), loads=[nv.Gravity((0, -1))])
@@ -214,7 +214,7 @@ def test_glued_shapes_without_names_make_a_run():
 
 
 def test_part_of_a_boundary_that_is_wall_and_interface_is_refused():
-    """One edge of the file's geometry that goes on from the wall into the body."""
+    """One edge of the file's geometry continues from the wall into the body."""
     plain = NetgenMesh(dim=2)
     points = [(0, 0), (1, 0), (1, 1), (0, 1)]
     a, b, c, d = (plain.Add(MeshPoint(Pnt(*point, 0))) for point in points)

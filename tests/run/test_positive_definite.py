@@ -43,7 +43,8 @@ def test_the_columns_are_the_least_eigenvalues_of_each_branch(solver):
 
 @pytest.mark.parametrize("branch", [CHAINS, SPRING], ids=["barrier", "linear"])
 def test_constants_in_cells_stay_positive_definite_in_steps_for_which_it_is_proved(branch):
-    """tau 2 lambda_max(sym L) is 0.2 of 1 at most, and what jumps has an eigenvalue of 1/9."""
+    """tau 2 lambda_max(sym L) is 0.2, below the limit 1, and the tensors that jump have an eigenvalue of
+    1/9."""
     ledger = stirred({"one": branch}, 0, speed=0.3, dt=0.1, solver="split").run(0.3)
     assert ledger.column("v_max")[1:].max() > 0.05
     assert ledger.column("eigenvalue_min_B_one").min() > 0.05
@@ -51,7 +52,7 @@ def test_constants_in_cells_stay_positive_definite_in_steps_for_which_it_is_prov
 
 
 def test_a_mean_is_refused_and_a_point_is_limited_by_the_branch_s_name():
-    """An eigenvalue that is negative while det B is positive: two of them are."""
+    """Two eigenvalues of B are negative, while det B is positive."""
     step = stirred({"chains": CHAINS, "spring": SPRING}, 1, dt=0.1).ledger.step
     bounds, states = Bounds(step, Sampler(step.mesh, step.quadrature)), step.layout.states
     z = step.state.vec.FV().NumPy()[step.layout.ranges["z"]].reshape(states.size, -1)

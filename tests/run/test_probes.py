@@ -68,8 +68,10 @@ MOVING = FRICTION | {"bottom": nv.PrescribedTangential((nv.time, 0))}
     ],
 )
 def test_forces_on_walls_balance_weight_and_momentum(walls, options, bound):
-    """The scheme keeps momentum up to the projection of v, which the convection alone feels; the mean over
-    the stages and the impulse at the end are what changes the momentum over a step."""
+    """The scheme keeps momentum up to the projection of v, which only the convection contains.
+
+    The forces' mean over the stages and the impulse at the end make the change of momentum in a step.
+    """
     forces = nv.WallForces()
     integrals = nv.Integrals({"1": "density*velocity_1", "2": "density*velocity_2", "m": "density"})
     small([forces, integrals], walls=walls, **options).run(0.03)
@@ -102,7 +104,7 @@ def test_torque_on_a_curved_wall_takes_the_angular_momentum():
 
 @pytest.mark.parametrize("size", [(1, 1), (1, 1, 1)])
 def test_each_wall_keeps_its_own_pressure_at_corners(size):
-    """A body at rest between walls without slip: T = phi I, which every wall feels along its normal."""
+    """A body is at rest between walls without slip: each wall bears T = phi I along its normal."""
     forces = nv.WallForces()
     mesh = box(size, 0.6)
     walls = dict.fromkeys(sorted(set(mesh.GetBoundaries())), nv.NoSlip())
@@ -137,7 +139,7 @@ def test_a_resumed_table_is_that_of_the_uninterrupted_run(tmp_path):
 
 @pytest.mark.parametrize("scheme", ["backward-euler", "midpoint"])
 def test_a_finished_run_that_is_resumed_keeps_the_last_steps_forces(tmp_path, scheme):
-    """Nothing is known of them any more, but they are in the table."""
+    """The resumed run cannot compute these forces again, but the table has them."""
 
     def run():
         observers = [nv.WallForces(path=tmp_path / "f.csv", every=3), nv.Checkpoints(tmp_path / "run.h5")]

@@ -78,7 +78,8 @@ def pulled(mesh, kind, scheme, solver):
     [_marked(run) for run in product(MATERIALS, SCHEMES, ("split", "coupled"), (2, 3))],
 )
 def test_a_bar_that_is_pulled_at_both_ends_has_no_momentum(kind, scheme, solver, dim):
-    """On a mesh that is its own mirror image none, on others what matter takes along through the ends."""
+    """On a mesh that is its own mirror image the momentum is zero; on others it is what matter carries
+    through the ends."""
     of_mirrored = structured_box((1, 0.55), (2, 1)) if dim == 2 else None
     if of_mirrored is not None:
         assert pulled(of_mirrored, kind, scheme, solver)[0] <= 1e-8
@@ -91,7 +92,8 @@ def test_a_bar_that_is_pulled_at_both_ends_has_no_momentum(kind, scheme, solver,
     "solver", ["coupled", pytest.param("split", marks=[pytest.mark.long, pytest.mark.ci])]
 )
 def test_a_ring_under_pressure_widens_and_stays_where_it_is(solver):
-    """The widening is Lame's to 3 % on 26 cells; its way in 20 s is less than a thousandth of that."""
+    """The widening is Lame's to 3 % on 26 cells; in 20 s the ring moves by less than a thousandth of the
+    widening."""
     ring = Circle((0, 0), 2.0).Face() - Circle((0, 0), 1.0).Face()
     for edge in ring.edges:
         edge.name = "outer" if np.hypot(edge.start.x, edge.start.y) > 1.5 else "inner"

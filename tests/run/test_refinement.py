@@ -99,7 +99,8 @@ def test_a_run_under_way_is_refused():
 
 @pytest.mark.parametrize("dim", [2, 3])
 def test_the_displacement_of_a_wall_on_springs_is_carried_over(dim):
-    """Onto finer cells as it is; from there onto coarser ones of another mesh by the wall's L2 projection."""
+    """On finer cells the displacement is the same; from there it is projected to coarser cells of another
+    mesh, in L2 on the wall."""
     model = nv.Model(material=nv.LinearElastic(K_e=4.0, G_e=1.0))
     walls = {"right": nv.Open(density=1.0, stiffness=(9.0, 4.0))}
     shape = CF((y * y, y - 0.5 * x, x * y)[:dim])
@@ -127,7 +128,7 @@ def test_the_displacement_of_a_wall_on_springs_is_carried_over(dim):
     ("size", "periodic"), [((1, 1), "x"), by_ci((1, 1), "xy"), by_ci((0.5, 0.5, 0.5), "x")]
 )
 def test_identified_walls_are_divided_alike(size, periodic):
-    """A disc, or a ball, is carried through them."""
+    """A disc, or a ball, is carried through identified walls."""
     dim, length = len(size), size[0]
     what = {"material": FLUID, "viscosity": nv.StokesViscosity(K_v=0.1, G_v=0.1)}
     ball = nv.Ball((0.85 * length, *(0.5 * length,) * (dim - 1)), 0.15 * length)
@@ -167,7 +168,7 @@ def test_cells_are_divided_where_the_norm_of_a_tensor_is_steep():
 
 
 def test_at_rest_nothing_is_steep():
-    """Rates and stresses at rest are rounding."""
+    """At rest rates and stresses are rounding errors."""
     material = nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1)
     run = nv.Simulation(box((1, 1), 0.3), nv.Model(material=material, creep=nv.Creep(G_m=5.0)), dt=0.02)
     run.run(0.04)

@@ -443,6 +443,6 @@ def test_a_load_with_the_name_of_an_earlier_one_is_named():
 
 
 def test_until_may_miss_a_multiple_by_rounding():
-    """0.1 * 3 is not 0.3 in floating point; it is three steps."""
+    """In floating point 0.1 * 3 is not 0.3, but it is three steps."""
     ledger = simulation(ELASTIC).run(until=0.1 * 3)
     assert len(ledger.rows) == 4 and ledger.rows[-1]["time"] == 3 * 0.1

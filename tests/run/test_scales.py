@@ -77,7 +77,8 @@ def test_advice_names_the_scheme_and_is_not_given_for_the_step_that_it_advises()
 
 
 def test_advice_foresees_steps_that_are_hard_to_solve():
-    """Advice reads the ratios of moduli and densities, and waves that the midpoint rule leaves ringing."""
+    """Advice reads the ratios of moduli and of densities, and names waves that the midpoint rule does not
+    damp."""
     from ngvisco.run.advice import Scales
     from ngvisco.timestepping.scheme import midpoint
 
@@ -134,7 +135,7 @@ def column(steps=0, K_e=1e5, height=1.0, **options):
 
 
 def test_the_velocity_is_that_of_the_steps_taken_and_not_known_before():
-    """Free fall from rest would be 4.4 m/s; under a static load the matter creeps into its place."""
+    """Free fall from rest would give 4.4 m/s, whereas under a static load the matter creeps to its place."""
     before, after = column(), column(steps=1)
     assert before.velocity == 0 and not any("v" in name.split(",")[0] for name in ["Courant"])
     assert {"Courant, v dt/h", "Mach of shear waves"}.isdisjoint(before.numbers)
@@ -183,7 +184,7 @@ def test_bodies_are_measured_each_by_itself():
 
 
 def test_at_rest_the_velocity_scale_is_that_of_walls_or_of_waves():
-    """In units of the problem: nothing else tells how wide the upwinding is smoothed."""
+    """The scale is in units of the problem, and determines alone how wide the upwinding is smoothed."""
     model = nv.Model(material=NEO_HOOKEAN)
     still = nv.Simulation(box((1, 1), 0.6), model, dt=0.01, initial=nv.Initial(density=4.0))
     speed = math.sqrt(moduli(NEO_HOOKEAN, 2)[0] / 4.0)
@@ -194,7 +195,7 @@ def test_at_rest_the_velocity_scale_is_that_of_walls_or_of_waves():
 
 
 def test_a_run_does_not_depend_on_what_ran_before_it():
-    """A wall's velocity at the start is that at t = 0, whatever time another run has left."""
+    """A wall's velocity at the start is that at t = 0, even if another run has ended at another time."""
     walls = {"top": nv.PrescribedTangential((0.5 + nv.time, 0.0))}
     found = []
     for left in (0.0, 7.0):
@@ -221,7 +222,8 @@ def of_bodies(*bodies):
 
 
 def test_scales_of_bodies_are_those_of_each_by_itself():
-    """The fastest waves are the stiff body's, however small it is; layers and relaxation the other's."""
+    """The fastest waves are those of the stiff body, however small it is; layers and relaxation are those of
+    the other body."""
     hard, soft = (scales(of_bodies(nv.Body(name="alone", **laws))) for laws in (STIFF, SOFT))
     for radius in (0.25, 0.05):  # the second one is smaller than a cell
         place = nv.Ball((0.45, 0.5), radius)
@@ -234,7 +236,7 @@ def test_scales_of_bodies_are_those_of_each_by_itself():
 
 
 def test_at_rest_rounding_of_the_energy_is_no_elastic_release():
-    """K/2 (J - 1)^2 rounds to 1e-15 K, as of a velocity of 1e-8 c."""
+    """K/2 (J - 1)^2 is rounded to 1e-15 K, the kinetic energy of a velocity of 1e-8 c."""
     for size in ((1, 1), (1, 1, 1)):
         run = small_run(box(size, 0.8), 0.01)
         assert run.velocity_scale == pytest.approx(0.1 * math.sqrt(moduli(NEO_HOOKEAN, 2)[0]), rel=1e-5)
@@ -327,7 +329,8 @@ def require_rest(run: nv.Simulation) -> None:
 
 @pytest.mark.parametrize("material", list(materials()))
 def test_a_body_at_rest_closes(material):
-    """Before: closure 5e-33 J over an energy of 0 J, called 2.0 and not to be trusted (OldroydB)."""
+    """Before, OldroydB had a closure of 5e-33 J over an energy of 0 J, and a warning called the relative
+    closure 2.0 not to be trusted."""
     require_rest(run_of(material, density=2.3 + x, solver="coupled"))
 
 
@@ -346,7 +349,7 @@ def test_a_turned_body_at_rest_closes():
 
 
 def test_a_small_motion_is_still_held_to_account(monkeypatch):
-    """Negative control: a wrong dissipation of strains of 1e-5 opens the ledger of the same body."""
+    """As a negative control, a wrong dissipation at strains of 1e-5 opens the ledger of the same body."""
     wrong = Stokes.entries
 
     def doubled(self, u):
@@ -361,7 +364,7 @@ def test_a_small_motion_is_still_held_to_account(monkeypatch):
 
 
 def test_the_energy_of_a_body_at_rest_is_below_what_rounding_makes_of_it():
-    """Therefore its closure is not measured by the energy."""
+    """The closure of such a body is therefore not measured by its energy."""
     run = run_of()
     run.run(0.2)
     assert abs(run.ledger.energy()) <= run.ledger.rounding()
@@ -369,7 +372,8 @@ def test_the_energy_of_a_body_at_rest_is_below_what_rounding_makes_of_it():
 
 
 def test_numbers_say_how_many_cells_a_body_has_and_how_long_it_bears_shear():
-    """The fourth power of the cells: 8 across bear 7.7 strains, 16 16 times as many."""
+    """The strains grow like the fourth power of the cells across: 8 cells bear 7.7 strains, 16 cells 16
+    times as many."""
     values = {"length": 1.0, "cell": 0.1, "velocity": 0.0, "speeds": (0.0, 0.0), "kinematic_viscosity": 0.0}
     values |= {"maxwell": math.inf, "dt": 0.02, "bodies": {"disc": 8.0, "rest": 10.0}, "placed": ("disc",)}
     assert Scales(**values).numbers == {"cells across the body 'disc'": 8.0}

@@ -168,7 +168,7 @@ def test_a_step_that_is_not_solved_is_taken_in_quarters_and_the_run_goes_on(monk
 @pytest.mark.long
 @pytest.mark.ci
 def test_what_is_written_every_so_many_steps_counts_whole_steps(monkeypatch, tmp_path):
-    """Only the second step is taken in quarters; a run that goes on keeps what was written before."""
+    """Only the second step is divided into quarters; a resumed run keeps what was written before."""
 
     def fails_in_the_second(split, problem, guess):
         begin, tau = problem.interval.begin, problem.interval.tau
@@ -211,7 +211,8 @@ def test_halvings_are_an_option(monkeypatch):
 
 @pytest.mark.parametrize("halvings", [0, 1])
 def test_auto_asks_the_other_solver_where_no_part_is_solved(halvings, monkeypatch):
-    """For two steps; the split solver, which fails again, is then asked again, and after four more."""
+    """The coupled solver takes two steps; then the split solver is asked again, fails again, and is asked
+    again after four more steps."""
     calls = []
     fails_above(monkeypatch, 0.0, calls)
     monkeypatch.setattr("ngvisco.solver.turns.WAIT", 2)
@@ -260,7 +261,8 @@ def test_a_restart_knows_which_solver_is_at_hand(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("solver", [by_ci("split"), "coupled"])
 def test_a_run_stops_within_a_step_and_goes_on_as_if_it_had_not(solver, tmp_path):
-    """In the third iteration of the second step: what is written then is the first one's end."""
+    """The stop comes in the third iteration of the second step; the written state is the end of the first
+    step."""
     whole = halving(solver=solver)
     whole.run(3 * DT)
     files = [nv.Checkpoints(tmp_path / "run.h5", every=100)]
@@ -283,7 +285,7 @@ def test_a_run_stops_within_a_step_and_goes_on_as_if_it_had_not(solver, tmp_path
 
 
 def test_a_run_that_is_asked_to_stop_while_it_writes_begins_no_further_step(tmp_path):
-    """The request comes in the middle of an observer's work: its file is whole, and others are written."""
+    """The request comes while an observer writes: its file is complete, and other observers write too."""
 
     class Asked(nv.VTKSeries):
         def step(self, simulation, row):

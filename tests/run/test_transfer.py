@@ -87,7 +87,7 @@ def amounts(run):
 @pytest.mark.long
 @pytest.mark.ci
 def test_another_mesh_keeps_the_mass_of_each_body():
-    """The density is that of the amounts."""
+    """The density is the sum of the amounts' densities."""
     source = with_bodies()
     source.run(0.06)
     before, _ = amounts(source)
@@ -116,7 +116,7 @@ def test_a_curved_domain_is_carried_over():
 
 
 def test_a_change_keeps_the_bodies_densities(tmp_path):
-    """The amounts in the state are volumes: with another density they would not add up to rho."""
+    """The amounts in the state are volumes, which with another density would not add up to rho."""
     path = tmp_path / "run.h5"
     with_bodies(observers=[nv.Checkpoints(path)]).run(0.02)
     with pytest.raises(nv.CheckpointError, match=r"bodies are 'disc of 2.0 kg.* run's are 'disc of 3.0"):

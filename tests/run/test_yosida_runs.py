@@ -65,7 +65,8 @@ def test_the_papers_energy_has_both_regularisations_in_the_ledger() -> None:
 
 
 def test_cauchy_stress_has_the_approximated_energy() -> None:
-    """T = F-part + (J zeta_J + phi_eps) I: its spherical part less that of the conjugates is phi_eps."""
+    """T is a part by F plus (J zeta_J + phi_eps) I: its spherical part minus that of the conjugates is
+    phi_eps."""
     run = simulation(nv.Yosida(material=NEO_HOOKEAN, eps=0.02))
     fields = run.fields  # asked for once: they follow the state
     run.run(0.1)
@@ -82,7 +83,8 @@ def test_cauchy_stress_has_the_approximated_energy() -> None:
 
 
 def test_a_users_energy_without_a_minimum_is_refused_with_the_reason() -> None:
-    """Its convexity is sampled as that of every user's energy; F = 1.3 I has no minimiser at all."""
+    """The energy's convexity is sampled like that of every user's energy; at F = 1.3 I it has no
+    minimiser."""
 
     def energy(F, J):
         return square(F) + 5 * (J - 1) * (J - 1) - 40 * (J - 1) * (J - 1) * (J - 1)

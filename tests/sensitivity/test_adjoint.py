@@ -67,7 +67,7 @@ class Still:
 @pytest.mark.parametrize("solver", ["coupled", by_ci("split")])
 @pytest.mark.parametrize("scheme", [by_ci("backward-euler"), by_ci("midpoint"), "sdirk2"])
 def test_products_of_tangent_and_adjoint_are_equal(scheme, solver):
-    """Products are of states that the parameters' differences do not enter."""
+    """The products use states that do not depend on the differences by the parameters."""
     numbers = {name: text for name, text in OF.items() if name != "stress"} | FORCES
     by_tangent, by_adjoint = directional(partial(run, solver=solver), scheme, numbers)
     assert abs(by_adjoint / by_tangent - 1).max() < 1e-10
@@ -76,7 +76,7 @@ def test_products_of_tangent_and_adjoint_are_equal(scheme, solver):
 @pytest.mark.long
 @pytest.mark.ci
 def test_without_the_change_of_the_old_state_an_adjoint_is_wrong(monkeypatch):
-    """A negative control: what a step starts from counts."""
+    """As a negative control, the adjoint ignores the state from which a step starts."""
     monkeypatch.setattr(Starts, "transposed", lambda self, rows: 0 * rows)
     by_tangent, by_adjoint = directional(run, "midpoint", {"motion": OF["motion"]})
     assert abs(by_adjoint / by_tangent - 1).max() > 0.1
@@ -145,7 +145,7 @@ def lid(velocity, **options):
 
 @pytest.mark.parametrize("scheme", ["midpoint", by_ci("backward-euler"), by_ci("sdirk2")])
 def test_the_power_of_a_moving_wall_has_a_derivative_by_its_velocity(scheme):
-    """The power is v . R: the velocity counts itself, besides the force that it causes."""
+    """The power v . R depends on the velocity directly, and by the force that the velocity causes."""
     of = [
         f"{name} {when}" for name in ("power_wall_top", "top.force_1") for when in ("at 0.06", "until 0.05")
     ]
@@ -181,7 +181,7 @@ def test_a_field_has_a_density_of_derivatives():
 
 
 def test_a_probe_of_a_field_that_is_carried_otherwise_has_the_slope_of_each_time():
-    """The stiffness is the exponential of the carried field."""
+    """The stiffness is the exponential of the carried field, so that its slope changes in time."""
     theta = nv.Parameter("theta", start=2 + x, mean="geometric")
     viscosity = nv.StokesViscosity(K_v=0.1, G_v=0.1)
     model = nv.Model(material=nv.NeoHookean(K_e=10, G_e=theta, epsilon=0.1), viscosity=viscosity)
@@ -199,7 +199,7 @@ def test_a_probe_of_a_field_that_is_carried_otherwise_has_the_slope_of_each_time
 
 
 def test_the_density_of_the_density():
-    """All of it by the same share is the number's own derivative."""
+    """If the whole density changes by one share, the integral is the number's own derivative."""
     simulation = run()
     found = nv.gradient(simulation, UNTIL, of=OF, by=["initial.density"], method="adjoint")
     whole = [Integrate(found.density(name, "density"), simulation.mesh) for name in OF]
@@ -209,7 +209,7 @@ def test_the_density_of_the_density():
 @pytest.mark.long
 @pytest.mark.ci
 def test_a_curved_wall_has_an_adjoint():
-    """Its multipliers are in the solve of the velocity from the momentum."""
+    """The multipliers of the wall are unknowns of the system that gives the velocity from the momentum."""
     velocity = (-y * (1 - x * x - y * y) + 0.2 * y, x * (1 - x * x - y * y))
     given = dict(
         mesh=disc(radius=1, maxh=1.5),

@@ -74,10 +74,10 @@ def relative(found, exact, names):
     ],
 )
 def test_products_of_tangent_and_adjoint_are_equal(scheme, solver):
-    """The start's velocities change: where a fraction is 0 viscosities of mixtures have a kink by it.
+    """The velocities of the start change, since viscosities of mixtures have a kink by fractions that are 0.
 
-    Along the change with the seed 0 SDIRK2's third step has a point whose fraction changes its sign within
-    the tangent's differences: its products are 1e-6 apart, and with differences three times closer equal.
+    With the seed 0 the third step of SDIRK2 has a point whose fraction changes its sign within the tangent's
+    differences: the products then differ by 1e-6, and with differences three times closer they are equal.
     """
     of, seed = numbers(bodies()), int(scheme == "sdirk2")
     by_tangent, by_adjoint = directional(partial(bodies, solver=solver), scheme, of, 0.5, "v", seed)
@@ -87,7 +87,8 @@ def test_products_of_tangent_and_adjoint_are_equal(scheme, solver):
 
 @pytest.mark.long
 def test_products_with_energies_at_points_are_equal_to_their_tolerance():
-    """Bodies of different bulk moduli have energies from a search at points, right to 1e-8."""
+    """The energies of bodies of different bulk moduli are found by a search at points, and are right to
+    1e-8."""
     of = numbers(bodies())
     make = partial(bodies, bulk=20.0, scheme="backward-euler")
     by_tangent, by_adjoint = directional(make, "backward-euler", of, 0.1, "v")
@@ -131,7 +132,8 @@ def test_forces_and_stresses_in_three_dimensions():
 
 
 def test_without_one_of_its_parts_an_adjoint_is_wrong(monkeypatch):
-    """Negative controls: motion of the outline, velocity within it, averaged fraction and volume count."""
+    """As negative controls, the adjoint lacks the motion of the outline, the velocity within it, the
+    averaged fraction, or the volume."""
     names = ("disc_L", "disc_perimeter", "disc_turning", "disc_force_x", "disc_x")
     of, make = {name: f"{name} at 0.02" for name in names}, partial(bodies, scheme="backward-euler")
     given = {"of": of, "by": ["bodies.rest.density"], "method": "adjoint"}

@@ -42,7 +42,8 @@ def counts(monkeypatch):
 
 
 def test_the_work_of_an_adjoint_does_not_grow_with_the_number_of_parameters(counts):
-    """A stage takes a matrix, a slope by the start and a solve; the run takes more iterations."""
+    """In each stage an adjoint takes a matrix, a slope by the start and a solve; the run takes more
+    solves."""
     demo = load("soft_spot")
 
     def ground():
@@ -65,7 +66,7 @@ def test_the_work_of_an_adjoint_does_not_grow_with_the_number_of_parameters(coun
 @pytest.mark.long
 @pytest.mark.ci
 def test_a_fit_takes_fewer_solves_than_ten_runs(counts):
-    """Each of its runs has two solves and four residuals a stage for its two derivatives."""
+    """Each run of the fit takes two solves and four residuals in each stage for its two derivatives."""
     demo = load("creep_test")
     data = demo.record(2.0, maxh=1.2)
     counts.clear()

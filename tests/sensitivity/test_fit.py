@@ -51,7 +51,7 @@ def test_parameters_are_found_again():
 @pytest.mark.long
 @pytest.mark.ci
 def test_noise_leaves_deviations(tmp_path):
-    """The covariance is that of the linearised problem, by differences of whole runs."""
+    """The covariance is that of the linearised problem, whose derivatives are differences of whole runs."""
     noise, by = 2e-5, ["material.G_e", "creep.G_m"]
     found = nv.fit(creep(), data_of(noise, G_e=1.3, G_m=1.7), by=by, sigma=noise)
     off = (found.values - (1.3, 1.7)) / found.deviations
@@ -80,7 +80,7 @@ def test_bounds_are_kept_and_said():
 
 
 def test_what_data_do_not_determine_has_no_deviation():
-    """The bulk modulus has no part in shear."""
+    """The bulk modulus has no effect in shear."""
     found = nv.fit(creep(), data_of(), by=["material.G_e", "material.K_e"], sigma=1e-5)
     assert np.isinf(found.deviations).all() or found.deviations[1] > 1e3 * found.deviations[0]
 
@@ -146,7 +146,7 @@ def test_what_cannot_be_fitted_is_refused(options, said):
 
 
 def test_a_stopped_fit_repeats_no_finished_run(tmp_path):
-    """The second call stops in its first run, the search's third, within a step."""
+    """The second call stops within a step of its first run, which is the third run of the search."""
     data, given = data_of(G_e=1.3), {"by": ["material.G_e"], "sigma": 1e-4, "restart": tmp_path}
     seen, simulation = [], creep()
 

@@ -56,7 +56,7 @@ def resting(push):
 
 
 def test_at_rest_a_gradient_is_between_the_derivatives_to_both_sides():
-    """Matter that crosses the face has the density upstream, 1 or 2."""
+    """Matter that crosses the face has the density of the upstream side, 1 or 2."""
     numbers, h = ["right at 0.04"], 1e-4
     gradient = nv.gradient(resting(0.0), 0.04, of=numbers, by=["loads.gravity.g.0"]).jacobian[0, 0]
     down, unmoved, up = (measure(resting(s * h), 0.04, numbers)[0] for s in (-1, 0, 1))

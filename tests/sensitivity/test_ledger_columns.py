@@ -92,7 +92,7 @@ def test_values_are_those_of_the_run():
 
 @pytest.mark.parametrize("scheme", ["midpoint", by_ci("backward-euler")])
 def test_energies_without_an_expression_have_them_too(scheme):
-    """Their dissipation and defects have the energy's values at points, and its projection."""
+    """The dissipation and defects of such an energy have values at points, and its projection."""
     names = ("stored", "bregman", "impulse_walls_1", "angular_defect_facets", "angular_defect_cells")
     numbers, given = of(names), {"of": of(names), "by": ["material.G_e"]}
     tangent, adjoint = (
@@ -134,7 +134,7 @@ def test_impulses_of_walls_have_adjoints(make, columns, options, least):
 
 
 def test_without_one_of_the_states_the_slope_of_a_distance_is_wrong(monkeypatch):
-    """A negative control: both states of B(a, b) change."""
+    """As a negative control, only one of the states of B(a, b) changes."""
     numbers = of(("inertial", "bregman"))
     whole = DistanceSlopes.__call__
     by_tangent, _ = directional(run, "midpoint", numbers, 0.1)

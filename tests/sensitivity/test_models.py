@@ -99,7 +99,7 @@ def layered(stiffness, **options):
     ],
 )
 def test_columns_that_read_the_start_of_a_step_have_its_slopes(columns, options):
-    """The tangent changes the start of each stage, too, by differences."""
+    """The tangent, too, changes the start of each stage, by differences."""
     columns = ("dissipation_stokes_shear", *columns)
     of = [f"{column} {when}" for column in columns for when in ("at 0.06", "until 0.05")]
     given = {"of": of, "by": ["bodies.disc.material.G_e"]}

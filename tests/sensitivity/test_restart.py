@@ -56,7 +56,7 @@ class StopsAt:
     ],
 )
 def test_an_interrupted_gradient_goes_on_as_if_it_had_not_been(tmp_path, method, scheme):
-    """It is stopped in the run, then in the derivatives, and is complete after two more calls."""
+    """The gradient is stopped in the run, then in the derivatives, and is complete after two more calls."""
     whole = found(run(scheme=scheme), None, method)
     stopped, second = run(scheme=scheme), run(scheme=scheme)
     stopped.observers.append(StopsAt(1))
@@ -100,7 +100,7 @@ def test_a_stop_within_a_step_leaves_the_step_before_it(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("folder", ["restart", None])
 def test_a_stop_before_the_first_step_is_kept(tmp_path, monkeypatch, folder):
-    """It comes while the derivatives are prepared; the run does not begin."""
+    """The request comes while the derivatives are prepared, and the run does not begin."""
     simulation, prepare = run(), gradients.Neighbours
 
     def stop(*arguments):
@@ -156,7 +156,7 @@ def test_the_folder_of_another_run_is_refused(tmp_path, change, said):
 
 
 def test_functions_are_told_apart_by_their_values():
-    """An expression has six digits, and an NGSolve parameter no value in it."""
+    """The text of an expression has six digits, and that of an NGSolve parameter no value."""
     sampler, (p, q) = run().sampler, (Parameter(3.0), Parameter(4.0))
     for one, other in ((CF(1.0), CF(1.0000001)), (p * x, q * x), (sin(nv.time) * x, sin(1.1 * nv.time) * x)):
         assert signature(one, sampler) == signature(one, sampler) != signature(other, sampler)

@@ -47,7 +47,7 @@ def test_values_are_those_of_the_run():
 
 
 def test_the_run_is_that_without_derivatives():
-    """Nothing of a gradient changes the simulation."""
+    """A gradient changes nothing in the simulation."""
     alone, observed = run(), run()
     alone.run(UNTIL)
     nv.gradient(observed, UNTIL, of=["kinetic at 0.06"], by=["creep.G_m"])
@@ -67,7 +67,7 @@ def test_differences_of_second_order_are_nearly_as_good():
 @pytest.mark.long
 @pytest.mark.ci
 def test_without_the_change_of_the_old_state_a_tangent_is_wrong(monkeypatch):
-    """A negative control: what a step starts from counts."""
+    """As a negative control, the tangent ignores the state from which a step starts."""
     found = nv.gradient(run(), UNTIL, of=["stored at 0.06"], by=["creep.G_m"]).jacobian
     monkeypatch.setattr(Neighbours, "moved", lambda self, state, along: [state for _ in self.steps])
     cut = nv.gradient(run(), UNTIL, of=["stored at 0.06"], by=["creep.G_m"]).jacobian

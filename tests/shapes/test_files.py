@@ -71,7 +71,8 @@ def enclosed(triangles):
 @pytest.mark.parametrize("turned", [False, True])
 @pytest.mark.parametrize("part", [cube(), sphere(4)], ids=["cube", "sphere"])
 def test_volume_of_a_surface_is_met_on_cells_as_large_as_itself(tmp_path, part, turned):
-    """On 28 cells of 0.5 m, along their faces and across; by corners' sides alone it is up to 13 % off."""
+    """The surface lies along the faces of 28 cells of 0.5 m, and across them; if the sides of corners alone
+    decided, the volume would be up to 13 % off."""
     axes = np.linalg.qr([[1.0, 2, 3], [0, 1, -2], [1, 0, 1]])[0] if turned else np.eye(3)
     turn = axes * np.sign(np.linalg.det(axes))
     path = tmp_path / "part.stl"
@@ -82,7 +83,7 @@ def test_volume_of_a_surface_is_met_on_cells_as_large_as_itself(tmp_path, part, 
 
 
 def test_surface_cut_by_a_shape_has_the_rest_of_its_volume(tmp_path):
-    """Levels of both are lengths, in domains of any size, so that the cut is where it is."""
+    """The levels of both are lengths, in domains of any size, so that the cut is at the right place."""
     for size in (1e-3, 1.0, 1e3):
         path = tmp_path / "cube.stl"
         path.write_bytes(binary_stl(size * cube()))
@@ -92,7 +93,7 @@ def test_surface_cut_by_a_shape_has_the_rest_of_its_volume(tmp_path):
 
 
 def test_parts_that_overlap_hold_the_volume_once(tmp_path):
-    """A level of two shells would move the surface outwards."""
+    """A level that sums two shells would move the surface outwards."""
     mesh, path = box((1, 1, 1), maxh=0.5), tmp_path / "two.stl"
     path.write_bytes(binary_stl(np.concatenate([cube(0.2, 0.7), cube(0.3, 0.8)])))
     volume = 2 * 0.5**3 - 0.4**3
@@ -101,7 +102,8 @@ def test_parts_that_overlap_hold_the_volume_once(tmp_path):
 
 @pytest.mark.parametrize("turned", [(), (0,), (1, 2), (0, 1, 2)])
 def test_parts_are_solid_and_shells_in_them_holes_in_whatever_sense_each_part_is_written(tmp_path, turned):
-    """A small cube, and a larger one with a cavity; the cavity's shell turns with the cube it is in."""
+    """The parts are a small cube and a larger one with a cavity, whose shell is turned together with the
+    cube around it."""
     parts = [cube(0.0, 0.2), cube(0.3, 0.9), cube(0.5, 0.7)[:, ::-1]]
     path = tmp_path / "parts.stl"
     path.write_bytes(

@@ -37,7 +37,7 @@ def test_volume_of_a_ball_is_met_and_improves_with_the_mesh(dim, maxh, bound):
     "mesh", [disc(1, maxh=0.4), Mesh(unit_square.GenerateMesh(maxh=0.4, quad_dominated=True))]
 )
 def test_fractions_of_layers_sum_to_one_within_their_bounds(mesh, order):
-    """Curved triangles and quadrilaterals; the second shape lies over the first."""
+    """The cells are curved triangles and quadrilaterals, and the second shape lies over the first."""
     shapes = [Ball((0.2, 0.3), 0.35), HalfSpace((0, 0.3), (0.2, 1))]
     parts = fractions(mesh, shapes, order)
     values = np.array([sampled(mesh, part) for part in parts])

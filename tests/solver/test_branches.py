@@ -56,7 +56,8 @@ def test_branches_that_feel_each_other_are_inverted_together():
 
 @pytest.mark.parametrize("slow", [None, nv.Giesekus(G_m=1.0, alpha=0.3)])
 def test_creep_is_differentiated_by_its_stress_as_by_all_components(slow, monkeypatch):
-    """Giesekus's rate depends on the conformation besides the stress: there all components are taken."""
+    """Giesekus's rate depends on the stress and on the conformation: for this rule all components are
+    taken."""
     material = network()
     if slow is not None:
         branch = nv.Branch(material=nv.OldroydB(K_e=10.0, G_e=5.0), creep=slow)

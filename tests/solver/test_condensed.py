@@ -48,7 +48,8 @@ def test_what_the_largest_heap_does_not_hold_is_a_failed_step(sizes):
 
 
 def test_a_cell_s_matrix_that_units_make_singular_is_said_with_the_remedy():
-    """In SI a slab in a weak medium, 1e11 Pa and steps of 1 kyr, has such matrices; in km and kyr none."""
+    """In SI units a slab in a weak medium, with 1e11 Pa and steps of 1 kyr, has such matrices; in km and kyr
+    it has none."""
     form = Form("CalcLU: matrix singularin AssembleLinearization\n")
     with pytest.raises(StepError, match=r"matrix singular.*take units in which they are near one"):
         jacobian(form).factorise(None)

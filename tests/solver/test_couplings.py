@@ -264,7 +264,7 @@ def test_terms_are_told_apart_by_what_they_are_not_by_equality():
 
 
 def test_a_form_reads_the_energy_of_the_present_state():
-    """Also where the energy has values at points only, which are kept."""
+    """The energy may also have values at points only, which are stored."""
     solved(DragByEnergy(), material=nv.Yosida(material=NEO_HOOKEAN, eps=0.05), until=0.04)
 
 
@@ -392,7 +392,8 @@ def with_bent(**of_variable):
 
 
 def test_a_rate_that_is_not_linear_in_the_variables_is_the_coupled_solver_s():
-    """The split solver, which tabulates rates, refuses it by the variable's name; it is not made linear."""
+    """The split solver, which tabulates rates, refuses this rate by the variable's name, and does not
+    linearise it."""
     with pytest.raises(ParameterError, match="'coupled': the rate of 's' is not linear in the variables"):
         simulation(material=with_bent(), solver="split")
     run = simulation(material=with_bent(), solver="coupled")

@@ -62,7 +62,7 @@ def test_what_comes_through_walls_is_what_there_is_more(solver):
 
 
 def test_the_potential_is_a_line_between_a_flux_and_a_reservoir():
-    """mu = p + q/h at the reservoir's wall, with the slope -q/M, where nothing moves or changes any more."""
+    """In the steady state mu = p + q/h at the reservoir's wall, with the slope -q/M."""
     flux, potential, coefficient = 0.02, 0.6, 2.0
     through = {
         "left": nv.WallExchange(flux=flux),

@@ -17,7 +17,7 @@ pytestmark = pytest.mark.usefixtures("double_precision")
 
 
 def bodies(viscosity, bulk=10.0):
-    """Two, whose densities go by their flux."""
+    """Two bodies whose densities are transported by their flux."""
     inner, outer = (nv.ReferentialNeoHookean(K_e=K, G_e=G) for K, G in ((10.0, 5.0), (bulk, 2.0)))
     return [
         nv.Body(
@@ -118,7 +118,8 @@ def test_a_part_without_cells_is_linearised(run):
 
 @pytest.mark.parametrize("strain", [0.02, 0.2])
 def test_the_resolvent_by_its_series_is_the_inverse(run, strain, monkeypatch):
-    """Strains of a step for which the series has few terms, and many; both leave 1e-4 at most."""
+    """The strains of a step are so small that the series has few terms, and larger; both leave at most
+    1e-4."""
     _, at, operator = prepared(run, strain * linear(run, lambda x, y: (x + 2 * y, -y)), 0.01)
     points = operator.points
     assert 0 < points._kept[0][0] <= 14 and points._kept[0][1] is None
@@ -142,7 +143,7 @@ def test_the_resolvent_by_its_series_is_the_inverse(run, strain, monkeypatch):
 
 @pytest.mark.parametrize("run", [None, "bodies"], indirect=True)
 def test_the_force_is_the_rows_derivative_by_fields_that_are_continuous(run, monkeypatch):
-    """The change is a linear one of a uniform state: no facet takes part; phi'' is by differences.
+    """A uniform state has a linear change, so that no facet contributes; phi'' is by differences.
 
     Weight, inertia, convection and the balance of momentum change with the density of bodies; increments
     leave out the mass flux through facets.
@@ -175,7 +176,7 @@ def test_the_force_is_the_rows_derivative_by_fields_that_are_continuous(run, mon
 
 @pytest.mark.parametrize("run", ["heat"], indirect=True)
 def test_conduction_is_the_rows_derivative_at_a_uniform_temperature(run):
-    """From cell to cell, by the lifting of the gradient and the penalty."""
+    """Heat is conducted between cells by the lifting of the gradient and by the penalty."""
     split, at, _ = prepared(run, np.zeros_like(linear(run, lambda x, y: (x, y))))
     z, entropy = split.unknowns.slices["z"], split.preconditioner.sweep.exchange.rows[0]
     direction = np.zeros(len(at.x))
@@ -190,7 +191,8 @@ def test_conduction_is_the_rows_derivative_at_a_uniform_temperature(run):
 
 @pytest.mark.parametrize("run", [None, nv.Creep(G_m=4.0)], indirect=True)
 def test_the_fields_systems_are_solved_beyond_what_sweeps_invert(run):
-    """dz and drho are found again from their rows where a step strains by six tenths, at Courant number 2."""
+    """dz and drho are recovered from their rows in a step with a strain of six tenths and a Courant number
+    of 2."""
     v = linear(run, lambda x, y: (1.2 * x - 0.5 * y, 0.5 * x - 1.2 * y))
     split, at, _ = prepared(run, v)
     slices, fields = split.unknowns.slices, split.preconditioner.fields

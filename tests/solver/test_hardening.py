@@ -46,7 +46,7 @@ def relaxed(law, A=1.0):
 
 @pytest.mark.parametrize(("name", "solver"), each_once(LAWS, ["split", "coupled"]))
 def test_the_yield_stress_grows_by_the_law_and_its_work_is_stored(name, solver):
-    """A step at a point is a scalar equation, and what the ledger has follows from its solution."""
+    """At a point a step is a scalar equation, and the ledger's entries follow from its solution."""
     law = LAWS[name]
     model = nv.Model(
         material=nv.LinearElastic(K_e=10.0, G_e=G_E),
@@ -90,7 +90,8 @@ def body(name="one", **parts):
 
 @pytest.mark.parametrize("solver", ["split", "coupled"])
 def test_a_body_hardens_by_the_law(solver):
-    """All strains and stresses a thousandth of those of ``relaxed``: there finite strains are small ones."""
+    """All strains and stresses are a thousandth of those of ``relaxed``, so that finite strains are
+    small."""
     small, law = 1e-3, {"H": 1.0, "Q": 2.0, "b": 20.0}
     rule = nv.Perzyna(sigma_Y=small * SIGMA_Y, G_m=G_M, H=1.0, Q=small * 2.0, b=20.0 / small)
     material = nv.ReferentialNeoHookean(K_e=10.0, G_e=G_E / 2, elastic_state="B")

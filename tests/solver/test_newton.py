@@ -33,7 +33,7 @@ class Posed(Problem):
 
 
 def solve(solver: Newton) -> Solution:
-    """From the present state."""
+    """Solve from the present state."""
     guess = solver.state.CreateVector()
     guess.data = solver.state
     return solver.solve(Posed(), guess)
@@ -57,7 +57,7 @@ def spread(state: GridFunction, value: float) -> float:
 
 @pytest.mark.parametrize("start", [1.5, 3.0, 10.0, 100.0, -40.0])
 def test_damping_converges_from_far_away(start: float) -> None:
-    """Plain Newton for atan diverges beyond |u - 1| = 1.39; steps that overshoot are halved."""
+    """Undamped Newton steps for atan diverge beyond |u - 1| = 1.39; steps that overshoot are halved."""
     solver, state = newton(start, arc)
     history = solved(solver).history
     assert spread(state, 1.0) < 1e-8
@@ -113,7 +113,8 @@ def test_too_many_iterations_says_so() -> None:
 
 @pytest.mark.parametrize(("least", "status"), [(1e-3, Status.CONVERGED), (0.9, Status.STALLED)])
 def test_min_damping_is_the_least_step_that_is_tried(least: float, status: Status) -> None:
-    """From 10 the first increment for atan overshoots until it is an eighth; 0.9 gives up at a half."""
+    """From 10 the first increment for atan overshoots until it is divided by eight; with 0.9 the iteration
+    ends at a half."""
     solution = solve(newton(10.0, arc, min_damping=least)[0])
     assert solution.status is status
     assert min(line.damping for line in solution.history) == (0.125 if least == 1e-3 else 0.5)
@@ -144,7 +145,7 @@ def test_rounding_of_more_than_a_hundred_tolerances_is_a_failure() -> None:
 
 
 def test_jump_of_the_equation_is_not_taken_for_rounding() -> None:
-    """u - 1 + s sign(u - 1) has no root: increments stall at s, and a perturbed state's are the same."""
+    """u - 1 + s sign(u - 1) has no root: increments stall at s, and are the same from a perturbed state."""
     s = 2e-11
     solver, _ = newton(1.3, lambda u: u - 1 + IfPos(u - 1, s, -s), tolerance=1e-12)
     solution = solve(solver)
@@ -170,7 +171,7 @@ BLOCKS = BlockNorm({"v": slice(0, 2), "z": slice(2, 4), "ignored": slice(0, 4)},
 
 @pytest.mark.parametrize("where", range(4))
 def test_norm_of_nan_is_nan(where: int) -> None:
-    """In whichever block it sits: Python's max would drop the second."""
+    """NaN may be in any block; Python's max would lose it in the second."""
     increment, state = vectors([0.1, 0.1, 0.1, 0.1], [1.0, 1.0, 1.0, 1.0])
     increment.FV().NumPy()[where] = math.nan
     assert math.isnan(BLOCKS(increment, state))

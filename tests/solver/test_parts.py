@@ -47,7 +47,7 @@ def test_parts_and_threads(parts, monkeypatch):
 
 
 def test_forces_on_sides_are_summed_part_by_part(monkeypatch):
-    """Values at all sides' points at once would be the most memory of a step."""
+    """Values at the points of all sides at once would need the most memory in a step."""
     run, _ = solved(1, 40, monkeypatch)
     impulses, solver = run.ledger.momentum.impulses, run.solver
     points, parts = solver.on_sides()
@@ -65,7 +65,7 @@ def test_forces_on_sides_are_summed_part_by_part(monkeypatch):
 
 
 def test_values_at_points_are_freed_with_their_fields():
-    """A cycle of references would keep them until Python collects cycles, once in some steps."""
+    """A cycle of references would keep the values until Python collects cycles, once in some steps."""
     mesh, what = box((1, 1), maxh=0.9), model()
     fields = Fields(nv.Simulation(mesh, what, dt=0.1, solver="split").rothe_step.layout, {})
     alive = ref(fields)

@@ -32,7 +32,7 @@ def simulation(material: str = "neo_hookean", speed: float = 1.0, F=None, dt: fl
 
 @pytest.mark.parametrize("material", ["linear", "neo_hookean"])
 def test_first_step_from_a_rough_start_converges(material: str) -> None:
-    """A distortion with jumps inside cells, and a velocity that crosses more than a cell in the step."""
+    """The distortion jumps inside cells, and the velocity crosses more than a cell in the step."""
     run = simulation(material, speed=10.0, F=JUMP)
     assert run.ledger.start(0.0)["v_max"] * run.dt > min(run.rothe_step.context.h.vec)
     row = run.advance()
@@ -112,7 +112,7 @@ def test_a_plateau_below_the_tolerance_is_rounding():
 
 
 def test_slow_convergence_is_not_taken_for_rounding():
-    """Increments that fall by 7 % each leave fourteen of them before the solution."""
+    """Increments that shrink by 7 % each are fourteen increments away from the solution."""
     tolerance = NewtonOptions().tolerance
     found = Increments(lambda n: 10.0 ** (-3 * n - 1) if n < 3 else 2 * tolerance * 0.93**n)
     iterate(found, Posed(), [])
@@ -139,7 +139,7 @@ def test_a_first_increment_tells_no_contraction():
 
 @pytest.mark.parametrize("lost", [np.inf, np.nan, 50.0])
 def test_an_iterate_too_far_is_given_up_for_one_nearer_to_the_best(lost):
-    """The second increment leads away: half of it is taken, with a tangent of its own."""
+    """The second increment leads away: half of it is taken, and has its own tangent."""
     sizes = (0.6, 0.3, lost, 0.1, 1e-3, 1e-6, 1e-12, 1e-14)
     split = Increments(lambda n: sizes[n])
     assert iterate(split, Posed(), []) is Status.CONVERGED
@@ -155,7 +155,7 @@ def test_what_no_part_of_an_increment_mends_has_failed():
 
 @pytest.mark.parametrize(("smallest", "gives_up"), [(0.02, False), (1e-5, True)])
 def test_increments_may_grow_far_from_the_solution(smallest, gives_up):
-    """Increments may grow threefold there, and by no more than a hundredth near the solution."""
+    """Far from the solution increments may grow threefold, and near it by a hundredth at most."""
     grown = 3 * smallest if not gives_up else 0.05
     sizes = (0.3, smallest, grown, 1e-3, 1e-6, 1e-12, 1e-14, 1e-15)
     split = Increments(lambda n: sizes[n])
@@ -164,7 +164,8 @@ def test_increments_may_grow_far_from_the_solution(smallest, gives_up):
 
 
 def test_a_nearly_incompressible_body_takes_a_step_of_many_passages_of_a_wave_at_once():
-    """Rounding of the energy on cells' sides had been a force without resistance: the step went in parts."""
+    """The rounding of the energy on cells' sides had been a force without resistance, and the step was
+    divided."""
     eddy = (1 + 0.5 * sin(2 * pi * x) * cos(2 * pi * y), 0.5 - 0.5 * cos(2 * pi * x) * sin(2 * pi * y))
     model = nv.Model(
         material=nv.ReferentialNeoHookean(K_e=1e10, G_e=5e5, elastic_state="F"),

@@ -61,7 +61,7 @@ GRADIENTS = {"Norton, n = 3": 1e-9, "Eyring": 1e-9, "Bingham": 1e-3, "Voce": 1e-
 @pytest.mark.ci
 @pytest.mark.parametrize("name", GRADIENTS)
 def test_rules_with_a_gradient_close_the_ledger_in_both_solvers_alike(name):
-    """A rule that yields does so in a part of the box; the rest creeps by less than ``rate_floor``."""
+    """A rule that yields does so in a part of the box; the rest creeps more slowly than ``rate_floor``."""
     powers = []
     for solver in ("split", "coupled"):
         run = sheared(replace(EXAMPLES[name], nu=1e-4, rate_floor=GRADIENTS[name]), MATERIALS["B"], solver)
@@ -98,7 +98,7 @@ QUICK = {("yield", "B", "split", 2), ("yield", "F", "coupled", 2), ("linear", "F
     ],
 )
 def test_stiff_creep_takes_no_more_iterations_than_any(name, material, solver, dim):
-    """In whole steps, from the first one on, in which all of the lid's stress is to relax."""
+    """The steps are whole, from the first one on, in which all of the lid's stress has to relax."""
     ledger = sheared(STIFF[name], MATERIALS[material], solver, dim).run(0.06)
     assert len(ledger.column("time")) == 4 and not ledger.column("rejections").any()
     assert abs(ledger.column("closure_relative")).max() <= 1e-10
@@ -120,7 +120,7 @@ def test_yield_has_a_rate_independent_limit(material, solver):
 
 
 def test_the_preconditioner_of_newton_krylov_is_linear():
-    """Its GMRES asks for more digits of that than a single increment needs."""
+    """GMRES in Newton-Krylov requires more digits of the preconditioner than a single increment does."""
     run = sheared(nv.Perzyna(sigma_Y=0.5, G_m=1e-6), MATERIALS["E"])
     run.advance()
     split = run.solver.newton
@@ -144,7 +144,7 @@ def test_the_preconditioner_of_newton_krylov_is_linear():
 @pytest.mark.ci
 @pytest.mark.parametrize("material", ["E", "B"])
 def test_yield_with_little_inertia_is_solved(material):
-    """A stiff, light body around a cylinder that turns: increments of the whole length go to and fro."""
+    """A stiff, light body surrounds a cylinder that turns: undamped increments alternate."""
     walls = {"inner": nv.PrescribedTangential((-y, x)), "outer": nv.NoSlip()}
     linear = (4 / (x * x + y * y) - 1) / 3
     initial = nv.Initial(density=0.01, velocity=(-linear * y, linear * x))

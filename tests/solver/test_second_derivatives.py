@@ -87,7 +87,8 @@ def test_modulus_at_rest(energy: Callable[..., Tensor], kind: type) -> None:
     "energy, kind", [(by_the_package, ArrayResponse), by_ci(by_ngsolve, ExpressionResponse)]
 )
 def test_both_solvers_run_it(energy: Callable[..., Tensor], kind: type) -> None:
-    """Newton's iterations are few, and the diffusion of the fields, whose equation has phi'', closes."""
+    """Newton's method takes few iterations, and the ledger closes with the diffusion of the fields, whose
+    equation contains phi''."""
     model = nv.Model(material=material(energy), regularisation=nv.Regularisation(delta_fields=0.01))
     start = nv.Initial(velocity=(sin(3 * y) * x * (1 - x), 0.0))
     stored = []

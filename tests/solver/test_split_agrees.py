@@ -113,7 +113,7 @@ IN_SPACE = [
     ("dim", "name"), [*others_by_ci(product([2], EXAMPLES), *product([2], OF_EACH_KIND)), *IN_SPACE]
 )
 def test_for_every_material_with_creep(name, dim):
-    """In which the ledger closes, mass and positivity are kept, and Bregman's remainder is a loss."""
+    """In both runs the ledger closes, mass and positivity are kept, and Bregman's remainder is a loss."""
     mesh = box((1,) * dim, maxh=0.5 if dim == 2 else 1)
     for ledger in assert_both_agree(mesh, model(EXAMPLES[name], dim), steps=1):
         assert_sound(ledger, EXAMPLES[name])
@@ -172,7 +172,7 @@ STRIP = (
 
 @pytest.mark.parametrize("name", STRIP)
 def test_on_a_periodic_strip_that_is_one_cell_wide(name):
-    """A cell has a vertex twice there, and meets one neighbour across two of its sides."""
+    """A cell of the strip has one vertex twice, and meets one neighbour across two of its sides."""
     regularisation = REGULARISED.get(name)
     assert_on_strip((6, 1), model(regularisation=regularisation, **PARTS.get(name, {})))
 
@@ -183,7 +183,7 @@ def test_on_a_periodic_bar_that_is_one_cell_wide(cells):
 
 
 def assert_on_strip(cells, physics):
-    """Both agree, where matter moves along and across a strip without gravity."""
+    """Assert that both solvers agree where matter moves along and across a strip without gravity."""
     dim = len(cells)
     mesh = structured_box((1, 0.2, 0.2)[:dim], cells, periodic="yz"[: dim - 1])
     wave = CF((sin(pi * x), 0.5 * sin(2 * pi * x), 0.3 * sin(pi * x))[:dim])
@@ -263,7 +263,8 @@ def test_with_two_levels_and_unknowns_beside_the_velocity(beside):
     ],
 )
 def test_with_sources(dim, m, kind):
-    """A manufactured problem with all terms; it meets its exact solution as the coupled solver's does."""
+    """A manufactured problem has all terms; the split solver meets its exact solution like the coupled
+    solver."""
     physics, tau = manufactured_model(kind, dim, 4.0, regularised=m > 0), 0.05
     mesh = box((1,) * dim, maxh=0.5 if dim == 2 else 1)
     runs = []

@@ -27,7 +27,8 @@ def simulation(mesh=None, discretisation=None, symmetry="none", **parts):
 
 
 def assert_is_the_derivative(run, bound=1e-8):
-    """Away from a solution, of Richardson's differences, block by block; rounding leaves 1e-9 of these."""
+    """Assert that the derivative, away from a solution, is that of Richardson's differences, block by block;
+    their rounding leaves 1e-9."""
     split = run.solver.newton
     run.advance()
     run.rothe_step.context.set_step(0.02, 0.04, 0.02, 0.02)

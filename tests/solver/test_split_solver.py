@@ -59,7 +59,7 @@ def first_step(run):
 @pytest.mark.usefixtures("double_precision")
 @pytest.mark.parametrize(("k", "p"), [(2, 4.0), (3, 4.0), (2, 2.0), (2, 3.5)])
 def test_hyperviscosity_s_derivative_is_that_of_its_rows(k, p):
-    """But for the rule that integrates the penalty's derivative, where that is no polynomial."""
+    """An exception is the rule that integrates the penalty's derivative, if this is no polynomial."""
     run = simulation(hyperviscosity=nv.HyperViscosity(mu=1e-3, p=p), discretisation=nv.Discretisation(k=k))
     run.advance()
     split = run.solver.newton
@@ -81,7 +81,7 @@ def test_hyperviscosity_s_derivative_is_that_of_its_rows(k, p):
 @pytest.mark.ci
 @pytest.mark.parametrize("speed", [1.0, 3e3])
 def test_single_precision_takes_as_many_iterations(speed, monkeypatch):
-    """Also of a body that moves fast as a whole: jumps and strains are small differences of its velocity."""
+    """One body moves fast as a whole, so that jumps and strains are small differences of its velocity."""
 
     def iterations():
         run = simulation(
@@ -129,7 +129,7 @@ LARGE, SMALL, SMALLER = (1e5, 9e20, 3e10), (1e-6, 1e3, 1e-9), (1e-8, 1e3, 1e-11)
     ],
 )
 def test_single_precision_does_not_depend_on_the_units(units, levels):
-    """With 1e10 Pa, 100 km and a thousand years mu is 1e57, which has no number in single precision."""
+    """With 1e10 Pa, 100 km and a thousand years mu is 1e57, which exceeds single precision."""
     newton = TWO_LEVELS if levels == 2 else None
     one, other = in_units_of(1.0, 1.0, 1.0, newton=newton), in_units_of(*units, newton=newton)
     for run in (one, other):
@@ -197,7 +197,8 @@ def test_two_levels_lead_to_the_same_solution(k):
 
 
 def test_an_increment_is_solved_no_more_exactly_than_the_end_of_the_iteration_needs(monkeypatch):
-    """The last increments take fewer directions, as many iterations, and the solution is as near as asked."""
+    """The last increments take fewer directions, the iterations are as many, and the solution is as exact as
+    required."""
     loosest, runs = split_solver._LOOSEST, []
     for bound, tolerance in ((loosest, 1e-10), (0.0, 1e-10), (0.0, 1e-13)):
         monkeypatch.setattr(split_solver, "_LOOSEST", bound)
@@ -230,7 +231,8 @@ def systems(run):
 
 
 def test_where_two_levels_do_not_solve_the_flow_the_tangent_is_factorised_as_a_whole():
-    """In what is left of the step, up to so many unknowns; the next step begins with two levels."""
+    """The tangent is factorised for the rest of the step, if it has few enough unknowns; the next step
+    begins with two levels."""
     few = SplitOptions(direct_up_to=(0, 0), flow_iterations=3)
     runs = [
         simulation(newton=nv.NewtonOptions(split=options))
@@ -290,7 +292,7 @@ def test_two_levels_take_as_many_iterations_on_finer_meshes():
 @pytest.mark.long
 @pytest.mark.ci
 def test_walls_stresses_beside_two_levels_take_few_more_iterations():
-    """Without the walls' velocities in the coarse problem they take twice as many."""
+    """If the coarse problem lacks the walls' velocities, steps take twice as many iterations."""
 
     def iterations(newton):
         run = simulation(mesh=disc(1.0, maxh=0.3), newton=newton)
@@ -312,7 +314,8 @@ def test_walls_stresses_beside_two_levels_take_few_more_iterations():
 @pytest.mark.long
 @pytest.mark.ci
 def test_sweeps_follow_the_courant_number_and_no_step_is_retried():
-    """Three sweeps of the transport no longer make Newton's increments; more do, and the fields' systems."""
+    """Three sweeps of the transport no longer suffice for Newton's increments; more sweeps and the fields'
+    systems do."""
     run = simulation(mesh=box((1, 1), maxh=0.2, periodic="x"), speed=300.0, dt=1e-3)
     rows = [run.advance() for _ in range(2)]
     assert rows[0]["cfl"] > 1.9 and min(row["cfl"] for row in rows) > 1.5

@@ -46,7 +46,7 @@ def test_a_step_is_solved_whose_facets_have_a_trace_without_an_energy(place, sol
 
 @pytest.mark.parametrize("solver", ["coupled", "split"])
 def test_a_facet_that_an_iterate_had_without_an_energy_stays_so_in_the_step(solver):
-    """Else the force of a facet at the edge of the energy's domain jumps to and fro in an iteration."""
+    """Otherwise the force of a facet at the edge of the energy's domain would alternate between iterates."""
     run, B_33, at_rest = start(0.5, solver)
     step, newton = run.ledger.step, run.solver.newton
 

@@ -18,7 +18,7 @@ from ngvisco.solver.options import SplitOptions
 
 @pytest.mark.parametrize("size", [MANY // 2, 5 * MANY])
 def test_one_cell_s_eigenvalue_is_found_among_many(size):
-    """Powers from a random vector would take it for that of the bulk, 2."""
+    """The power method from a random vector would return the eigenvalue of all other cells, 2."""
     rng = np.random.default_rng(2)
     scale = np.exp(rng.standard_normal(size))
     A = sp.diags([np.full(size - 1, -0.5), np.ones(size), np.full(size - 1, -0.5)], [-1, 0, 1]).tolil()
@@ -35,7 +35,7 @@ def test_one_cell_s_eigenvalue_is_found_among_many(size):
 @pytest.mark.parametrize(("shift", "sizes"), [(1e-2, [4]), (1e-7, [4, 8])], ids=["single", "double"])
 @pytest.mark.parametrize("unit", [1e-50, 1.0, 1e50])
 def test_factors_of_a_preconditioner_are_in_single_precision_where_that_does(shift, sizes, unit, monkeypatch):
-    """In units that leave it, too; next to a singular matrix they are in double precision."""
+    """Units may exceed single precision; next to a singular matrix factors are in double precision."""
     count, made, factorise = 50, [], factorised.splu
 
     def counted(matrix, **options):

@@ -24,7 +24,8 @@ def renewals(directions, new):
 
 
 def test_a_new_tangent_that_spares_no_direction_is_not_formed():
-    """The increments of 50,552 tetrahedra: of eight, six had a new tangent in vain."""
+    """The directions are those of the increments on 50,552 tetrahedra, six of eight of which had a new
+    tangent in vain."""
     directions = [21, 24, 23, 23, 24, 14, 14]
     assert renewals(directions, directions) == []
 
@@ -40,7 +41,7 @@ def test_directions_grow_until_they_are_worth_a_renewal():
 
 
 def test_at_most_twice_the_least_cost():
-    """An old tangent takes one direction more with every increment since its renewal."""
+    """With an old tangent each increment takes one direction more than the increment before."""
     increments = 200
     wear, age, directions, count = Wear(COST), 0, 0, 0
     for _ in range(increments):
@@ -68,7 +69,7 @@ def test_counts_are_restored():
 
 
 def test_a_resumed_run_renews_where_the_whole_one_does(tmp_path):
-    """Steps so short that a tangent serves several of them."""
+    """The steps are so short that one tangent serves several of them."""
     newton = nv.NewtonOptions(split=SplitOptions(renewed_after=1))
 
     def run(observers):

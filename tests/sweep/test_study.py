@@ -88,7 +88,7 @@ def test_failures_are_listed_and_finished_runs_are_not_run_again(case_file, tmp_
 
 
 def test_the_table_keeps_rows_of_runs_that_another_command_made(case_file, tmp_path):
-    """Rows stay for the same keys and for others, but not for runs whose case file was taken away."""
+    """Rows stay, whether the keys are the same or others, except for runs whose case file was removed."""
     directory = tmp_path / "study"
     for key, values in (("material.G_e", ("1", "2")), ("time.dt", ("0.01",))):
         study = Study(case_file, [Variation(key, values)], directory)
@@ -167,7 +167,7 @@ def test_a_study_that_is_killed_leaves_no_run_behind(case_file, tmp_path):
 
 
 def test_a_run_that_ended_early_is_listed_as_stopped(case_file, tmp_path):
-    """Whichever command left the run: ``ngvisco run``, or a study with an earlier end of the same run."""
+    """The run may be left by ``ngvisco run``, or by a study with an earlier end of the same run."""
     out, words = tmp_path / "study", ["--vary", "material.G_e=1"]
     place = out / "material.G_e=1"
     assert main(["run", str(case_file), "-o", str(place), "--set", "material.G_e=1"]) == 0
@@ -205,7 +205,7 @@ def test_without_the_extra_the_command_names_it(case_file, tmp_path, capsys, mon
 
 @pytest.mark.parametrize("address", ["nowhere", "tcp://nowhere", "tls://nowhere:", "nowhere:port"])
 def test_an_address_without_a_port_is_refused_before_a_client_is_made(monkeypatch, address):
-    """A client that does not connect raises once more when it is collected."""
+    """A client that does not connect raises another error when it is collected."""
     made = []
     monkeypatch.setattr("distributed.Client", lambda *words, **options: made.append(words))
     with pytest.raises(SweepError, match="tcp://host:8786"), connected(address, 1):

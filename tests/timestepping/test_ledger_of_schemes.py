@@ -90,7 +90,7 @@ ALL_TERMS = nv.Regularisation(delta_density=1e-3, delta_fields=1e-2, epsilon=0.1
     ],
 )
 def test_ledger_closes_with_all_terms(scheme, solver):
-    """delta, epsilon, cut-off, creep with a gradient; the cut-off acts."""
+    """The model has the terms of delta, epsilon, the cut-off and creep with a gradient; the cut-off acts."""
     options = {"theta": 0.6} if scheme == "theta" else {}
     creep = nv.Creep(G_m=5.0, nu=1e-3, q=4)
     run = simulation(scheme=scheme, solver=solver, creep=creep, regularisation=ALL_TERMS, **options)
@@ -122,7 +122,7 @@ IN_SPACE = {"mesh": box((1, 1, 1), maxh=2), "until": 0.02}
     ],
 )
 def test_ledger_closes(scheme, options):
-    """With a Yosida approximation, in three dimensions, and for tableaux of the user's own."""
+    """The runs have a Yosida approximation, three dimensions, and a user's tableaux."""
     options = {"until": 0.04} | options
     until = options.pop("until")
     closes(simulation(scheme=scheme, **options), until)

@@ -35,7 +35,7 @@ def cavity(material=None, scheme="backward-euler", lid=(1.0, 0.0), mesh=None, **
 
 @pytest.mark.parametrize(("scheme", "solver"), WITH_BOTH_SOLVERS)
 def test_a_limited_run_goes_on_with_closed_books_and_from_a_checkpoint(scheme, solver, tmp_path):
-    """Bit for bit after a checkpoint of a limited state."""
+    """From a checkpoint of a limited state the run continues bit for bit."""
     make, last = partial(cavity, scheme=scheme, solver=solver), LIMITED[scheme] - 1
     ledger = assert_goes_on(make, tmp_path / "run.h5", LIMITED[scheme] * DT, last).ledger
     limited = ledger.column("limited_cells")
@@ -76,7 +76,7 @@ def thin_out(run):
 
 @pytest.mark.parametrize("scheme", ["midpoint", *(pytest.param(s, marks=pytest.mark.long) for s in OTHERS)])
 def test_velocity_is_that_of_the_limited_density_and_momentum(scheme):
-    """In all rows of v that no wall prescribes."""
+    """The test compares all rows of v that no wall prescribes."""
     run = cavity(scheme=scheme, mesh=coarse())
     run.run(2 * DT)
     thin_out(run)
@@ -92,7 +92,7 @@ def test_velocity_is_that_of_the_limited_density_and_momentum(scheme):
 
 @pytest.mark.parametrize("scheme", [by_ci("backward-euler"), "midpoint"])
 def test_what_the_limiter_takes_through_walls_is_its_own(scheme):
-    """The lid's power is that of the same step without a limiter, in which nothing was thinned out."""
+    """The lid's power is that of the same step without a limiter, whose density is not limited."""
     runs = [cavity(scheme=scheme, mesh=coarse()) for _ in range(2)]
     for run in runs:
         run.run(2 * DT)
@@ -127,7 +127,7 @@ CONTINUED = {
 
 @pytest.mark.parametrize("name", ["J_min", pytest.param("Yosida approximation", marks=pytest.mark.long)])
 def test_a_continued_energy_lets_a_run_pass_J_of_zero(name):
-    """The paper's discrete scheme admits any (F, J) too."""
+    """The paper's discrete scheme, too, admits any (F, J)."""
     run = cavity(CONTINUED[name])
     run.run(DT)
     step = run.rothe_step
@@ -154,7 +154,8 @@ def squeezed(material, speed, dt):
 @pytest.mark.long
 @pytest.mark.filterwarnings("ignore::ngvisco.run.signs.DissipationWarning")  # cells of a sixth of the box
 def test_J_of_a_fluid_passes_zero_by_its_motion_and_comes_back():
-    """With J_min; without, the limiter holds the same fluid's J above zero, or the run ends."""
+    """J passes zero with J_min; without J_min the limiter keeps the J of the same fluid above zero, or the
+    run ends."""
     ledger = squeezed(nv.BarotropicFluid(B=0.1, gamma=1.4, J_min=0.3), 2.5, 0.05).run(6 * 0.05)
     J = ledger.column("J_min")
     assert J[0] == pytest.approx(1.0) and J[1] > 0.3 and J[2:5].min() < -0.1 and J[-1] > 0.1
@@ -166,7 +167,7 @@ def test_J_of_a_fluid_passes_zero_by_its_motion_and_comes_back():
 
 
 def test_a_variable_that_the_energy_does_not_read_never_ends_a_run():
-    """F of a fluid, turned inside out; a solid with such an F cannot start."""
+    """The F of a fluid is turned inside out; a solid with such an F cannot start."""
     fluid = nv.CustomMaterial(
         transported=(Distortion(), Jacobian()), stored_energy=lambda F, J: 10 * (J - 1) * (J - 1)
     )

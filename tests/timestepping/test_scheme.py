@@ -14,7 +14,7 @@ THIRD = TimeScheme("crouzeix", ((CROUZEIX, 0.0), (1 - 2 * CROUZEIX, CROUZEIX)), 
 
 
 def taken(scheme, f, u, tau, newton):
-    """One step of u' = f(u) by Rothe steps, in the form of the module's docstring; all stages too."""
+    """One step of u' = f(u) by Rothe steps, in the form of the module's docstring, with all stages."""
     states = [u]
     for i in range(scheme.stages):
         start = scheme.starts[i][: i + 1] @ np.array(states)
@@ -24,7 +24,8 @@ def taken(scheme, f, u, tau, newton):
 
 @pytest.mark.parametrize("scheme", [*ALL, THIRD], ids=str)
 def test_stages_take_the_whole_impulse_of_a_load(scheme):
-    """All times count the same in one stage; in order 2 what is linear in time has its value there."""
+    """With one stage all times count the same; a scheme of order 2 takes the value at the stage of a load
+    that is linear in time."""
     tilts = np.array(scheme.tilts)
     assert abs(tilts @ scheme.b) <= 1e-15
     assert scheme.stages > 1 or tilts == 0
@@ -44,7 +45,7 @@ def solve(f, start, s):
     ("scheme", "order"), [*zip(ALL, (1, 2, 1, 2), strict=True), (THIRD, 3)], ids=lambda v: str(v)
 )
 def test_order_is_that_of_the_tableau_and_of_runs(scheme, order):
-    """u' = -u^2, u(0) = 1, u(t) = 1/(1 + t)."""
+    """The equation u' = -u^2, u(0) = 1 has the solution u(t) = 1/(1 + t)."""
     assert scheme.order == order
     errors = []
     for steps in (8, 16, 32):

@@ -117,7 +117,7 @@ def test_times_go_on_after_a_restart_with_other_steps(before, after, tmp_path):
 
 @pytest.mark.parametrize("where", [by_ci("solution"), by_ci("row"), "estimate"])
 def test_an_interrupt_leaves_the_state_before_the_step(where, monkeypatch, tmp_path):
-    """Neither a state without its row of the ledger, nor a checkpoint that no run can go on from."""
+    """No state is left without its row of the ledger, and no checkpoint from which a run cannot continue."""
     options = {"adaptive": nv.AdaptiveSteps(dt_min=1e-4, dt_max=0.02, tolerance=0.1), "passive": ("F_tot",)}
     run = simulation(**options, observers=[nv.Checkpoints(tmp_path / "run.h5", every=1)])
     run.run(0.04)
@@ -144,7 +144,7 @@ def test_an_interrupt_leaves_the_state_before_the_step(where, monkeypatch, tmp_p
 
 
 def test_an_end_of_negative_density_is_refused_where_the_stage_is_not(monkeypatch):
-    """The midpoint's end is extrapolated: its positivity is asked for like a step's."""
+    """The end of a midpoint step is extrapolated, and has to be positive like a stage."""
     run = simulation(halvings=0)
     sound, stage_end = run.bounds.defect, 0.5 * run.dt
 
@@ -188,7 +188,7 @@ def test_sdirk2_damps_a_viscosity_that_midpoint_reflects():
 
 
 def test_sdirk2_damps_a_creep_that_midpoint_reflects():
-    """A stretch relaxes with a Maxwell time of dt/1000: the midpoint rule turns it round in each step."""
+    """A stretch relaxes with a Maxwell time of dt/1000: the midpoint rule changes its sign in each step."""
     stretch = nv.Initial(values={"E": CF((1e-3, 0, 0, 0, -1e-3, 0, 0, 0, 0), dims=(3, 3))})
     options = {"material": nv.LinearElastic(K_e=10.0, G_e=5.0), "creep": nv.Creep(G_m=2e-4), "loads": []}
     left = {"midpoint": [], "sdirk2": []}
@@ -206,7 +206,8 @@ def test_sdirk2_damps_a_creep_that_midpoint_reflects():
 
 
 def test_a_relaxed_run_dissipates_nothing_numerically():
-    """Neither kinetic nor stored energy in sum, at every step, also where an output time is met exactly."""
+    """The sum of kinetic and stored energy has no numerical dissipation at any step, also where an output
+    time is met exactly."""
     stepping = nv.AdaptiveSteps(dt_min=1e-4, dt_max=0.02)
     run = simulation(adaptive=stepping, relaxation=True, solver="coupled")
     ledger = run.run(0.1, stops=[0.07])
@@ -226,7 +227,8 @@ def test_a_relaxed_run_dissipates_nothing_numerically():
 
 @pytest.mark.parametrize(("dt", "speed"), [(1e-4, 1.0), by_ci(0.02, 1e-4), by_ci(0.02, 1e-6), (0.02, 0.0)])
 def test_a_relaxed_run_ends_where_little_moves(dt, speed):
-    """The remainder of a short step, or of a slow motion, is rounding of the energies: so is its zero."""
+    """In a short step, or a slow motion, the remainder is at the rounding of the energies, and so is its
+    zero."""
     slow = nv.Initial(velocity=(speed * SWIRL[0], speed * SWIRL[1]))
     stepping = nv.AdaptiveSteps(dt_min=dt / 8, dt_max=dt)
     ledger = simulation(dt, adaptive=stepping, relaxation=True, initial=slow, loads=[]).run(5 * dt)
@@ -265,7 +267,7 @@ def test_a_relaxed_run_is_of_second_order():
     ],
 )
 def test_the_controller_keeps_the_error_at_its_tolerance(scheme):
-    """Estimates are below it, and near it once lengths have settled; few steps are rejected."""
+    """Estimates are below the tolerance, and near it once lengths have settled; few steps are rejected."""
     tolerance = 2e-3
     stepping = nv.AdaptiveSteps(dt_min=1e-6, dt_max=1.0, tolerance=tolerance)
     viscosity = nv.StokesViscosity(K_v=0.1, G_v=0.1)
@@ -304,7 +306,8 @@ def test_what_a_transfer_took_is_not_said_to_be_the_schemes():
 
 
 def test_relaxed_steps_meet_their_ends_under_a_wall_that_speeds_up():
-    """omega is known no better than the Rothe step's solution: steps were halved until none was left."""
+    """omega is no more exact than the solution of the Rothe step; before, steps were halved until no length
+    remained."""
     stepping = nv.AdaptiveSteps(dt_min=1e-4, dt_max=0.04)
     lid = nv.PrescribedTangential((sin(20 * nv.time) * x * (1 - x), 0))
     run = small_run(
