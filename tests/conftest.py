@@ -31,7 +31,7 @@ QUICK = {
     *(f"solver/test_{name}.py" for name in ("newton", "split_derivative")),
     *(f"test_{name}.py" for name in ("documents", "expressions", "notices", "readme", "rooms", "threads")),
 }
-"""Rooms and modules of the edit loop, at least one for each room; 75 s of processor time in all."""
+"""Rooms and modules of the edit loop, at least one module for each room; 75 s of processor time in all."""
 NOT_QUICK = {
     *(
         f"forms/test_{name}.py"

@@ -582,7 +582,7 @@ def copy_with(mutant: Mutant, folder: Path) -> None:
 
 
 def seen(mutant: Mutant, folder: Path) -> bool:
-    """Whether its test fails in the copy; raises RuntimeError where it did not come to run."""
+    """Whether the mutant's test fails in the copy; raises RuntimeError if the test could not run."""
     environment = os.environ | {
         "PYTHONPATH": str(folder),
         "NGS_NUM_THREADS": "1",
@@ -596,7 +596,7 @@ def seen(mutant: Mutant, folder: Path) -> bool:
 
 
 def main(names: list[str]) -> int:
-    """Say of each change whether it is seen."""
+    """Print for each change whether its test fails."""
     silent = 0
     for mutant in MUTANTS:
         if names and mutant.name not in names:

@@ -76,7 +76,7 @@ def imports_of(
 
 @cache
 def graph(typed: bool = False) -> dict[str, tuple[str, ...]]:
-    """Imports of the package's modules by each module; ``typed`` is that of ``imports_of``."""
+    """Imports of the package's modules by each module; ``typed`` is the argument of ``imports_of``."""
     return {
         module: tuple(sorted({*imports_of(ast.parse(path.read_text()), module, MODULES, typed)} - {module}))
         for module, path in MODULES.items()

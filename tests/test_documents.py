@@ -1,4 +1,4 @@
-"""The project's Markdown: its links lead somewhere, what is cited is there, its versions are the code's."""
+"""The project's Markdown: its links, cited names and versions exist."""
 
 import re
 import tomllib

@@ -1,4 +1,4 @@
-"""Expressions: what they compute, what they refuse, and that no text does anything else."""
+"""Expressions: their values, refused texts, and the fact that no text can do anything else."""
 
 import ast
 import math

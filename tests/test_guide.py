@@ -24,7 +24,8 @@ def blocks(name: str) -> list[list[str]]:
 
 
 def apply(change: str, source: str) -> str:
-    """The source after the hunks of a difference: each fits one place, one of additions alone is its end."""
+    """The source after the hunks of a difference; each hunk fits one place, and a hunk of additions alone is
+    appended."""
     for hunk in change.split("@@\n"):
         lines = hunk.splitlines()
         before = "\n".join(line[1:] for line in lines if line[:1] in (" ", "-"))

@@ -1,4 +1,5 @@
-"""How warnings are printed: ngvisco's once each and without a place in its code, others as ever."""
+"""Printing of warnings: each warning of ngvisco appears once, without a place in the code; others appear as
+usual."""
 
 import subprocess
 import sys

@@ -89,7 +89,7 @@ PAGES = {
     "ngvisco.physics.variables": ("LeftCauchyGreen", "kinematic rates"),
     "ngvisco.geometries": ("annulus", '<h6 id="parameters">Parameters</h6>'),
 }
-"""Modules whose pages are soon made, and what these have."""
+"""Modules whose pages are made quickly, and words on these pages."""
 
 
 @pytest.mark.parametrize("pages", [PAGES, pytest.param(None, marks=pytest.mark.long)], ids=["two", "all"])

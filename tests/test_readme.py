@@ -1,4 +1,4 @@
-"""The front page is one, runs as it is printed, and the rooms' pages have the code's own tables."""
+"""The front page fits a page and runs as it is printed, and the rooms' pages have the tables of the code."""
 
 import re
 

@@ -1,4 +1,4 @@
-"""A step has the same bits with any number of threads, and NGSolve's workers are out of the way of arrays."""
+"""A step has the same bits with any number of threads, and NGSolve's workers do not compete with arrays."""
 
 from ngsolve import CF, SetNumThreads
 from support import small_run

@@ -1,4 +1,4 @@
-"""Small solvers and sparse matrices: a quadratic function in a box, GMRES, matrices beside each other."""
+"""Small solvers and sparse matrices: minimisation in a box, GMRES, and sums of element matrices."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Large blocks of memory are mapped by themselves, also after larger ones were freed."""
+"""Large blocks of memory are mapped one by one, also after larger blocks were freed."""
 
 import ctypes
 import subprocess

@@ -85,7 +85,7 @@ class Steps:
         return [float(number) for number in self._process.stdout.readline().split()]
 
     def end(self) -> None:
-        """End the process, whose input is closed."""
+        """Close the input of the process, which ends it."""
         self._process.communicate()
 
 

@@ -1,4 +1,4 @@
-"""[domain.adapt]: cases on meshes that follow a field."""
+"""Cases with [domain.adapt], on meshes that follow a field."""
 
 import re
 

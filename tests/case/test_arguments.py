@@ -1,8 +1,8 @@
-"""No argument that Python alone has is without effect: another value changes what is left, or is refused.
+"""Every argument that only Python has an effect: another value changes the results, or is refused.
 
 Keys of case files are swept by ``tests/case/test_effects.py``; here are the public classes and arguments
-that are no keys.  Each has two values; what is compared is the state and the ledger's row after a step on six
-triangles, of what writes the files and columns of two steps.
+that are no keys.  Each argument has two values. The test compares the state and the ledger's row after a
+step on six triangles; for classes that write it compares the files and columns of two steps.
 """
 
 import inspect
@@ -29,7 +29,7 @@ MADE = {
     *("Case", "ConvexityReport", "Fit", "Gradient", "IsotropyReport", "Rejection", "Transfer"),
     *("FlowRule", "Material", "Observer", "PointTerm", "Shape", "Viscosity"),
 }
-"""Results, which the package makes, and classes of which there are only subclasses."""
+"""Classes of results, which the package makes, and classes that have only subclasses."""
 
 BY_ITS_OWN = {
     "Body.order": "run/test_bodies.py",
@@ -41,7 +41,8 @@ BY_ITS_OWN = {
     "CustomMaterial.bounds": "run/test_no_numbers.py",
     "Simulation.sources": "verification/test_convergence.py",
 }
-"""Arguments that act where more than two steps on six triangles is needed: tests that name them."""
+"""Arguments that need more than two steps on six triangles to have an effect, with the tests that name
+them."""
 
 
 def run_of(**options):
@@ -106,7 +107,7 @@ class Drag(PointTerm):
 
 
 def dragged(material=None, **entry):
-    """The row of a step with a drag, and what was warned of."""
+    """The row of a step with a drag, and the warnings."""
     options = {} if material is None else {"material": material, "temperature": 300.0}
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
@@ -248,7 +249,7 @@ PAIRS = {
     "Simulation.symmetry": [partial(left_by, symmetry=of) for of in ("none", "axisymmetric")],
     "Simulation.steps": [partial(left_by, dt=dt) for dt in (0.02, 0.01)],
 }
-"""Two ways to leave something, by the argument that differs in them."""
+"""Two runs that differ in one argument, by this argument."""
 HOW = {
     "Bodies": (nv.Bodies, {}, {"every": (1, 2), "path": ("a.csv", "b.csv")}),
     "Checkpoints": (

@@ -1,4 +1,5 @@
-"""Bodies and moduli that vary, in case files: what is admitted, what is refused and where, what is kept."""
+"""Bodies and varying moduli in case files: admitted values, refused values with their keys, and files of the
+run."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""A run goes on with other parameters, or starts from another run, and the directory says how."""
+"""Runs that continue with other parameters, or start from another run; the directory records how."""
 
 import json
 import shutil

@@ -1,4 +1,4 @@
-"""Run directories in one process: resumed on every kind of domain, read back, refused."""
+"""Run directories in one process: they are resumed on every kind of domain, read back, or refused."""
 
 from pathlib import Path
 

@@ -1,7 +1,8 @@
-"""No option is without effect: a changed key changes something that a run leaves, or is refused.
+"""Every option has an effect: a changed key changes a result of a run, or is refused.
 
-Each key of the reference has its example and another value, in the same case otherwise.  What is compared is
-the mesh, the state and the ledger's row after a step, and of keys of output the files of a run.
+Each key of the reference has its example and another value, in cases that are otherwise equal.  The test
+compares the mesh, and the state and the ledger's row after a step; for keys of output it compares the files
+of a run.
 """
 
 import copy
@@ -72,7 +73,7 @@ ELSEWHERE = {
     "bodies.N.order": "run/test_bodies.py",
     "bodies.N.parts": "run/test_parting.py",
 }
-"""Keys that act where a run needs more than a step and a square: tests that name them."""
+"""Keys that need more than a step in a square to have an effect, with the tests that name them."""
 
 SWIRL = {"initial.velocity": ["sin(pi*x)*cos(pi*y)", "-cos(pi*x)*sin(pi*y)"]}
 STRAINED = {"initial.F": [[1.0, 0.5, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]}
@@ -171,7 +172,8 @@ WITH = {
     "loads.N.radius": ({"loads.0.exponent": 1.0}, 1.0, 2.0),
     "solver.method": ({}, "coupled", "split"),  # "auto" is the coupled solver where cells are few
 }
-"""Other values that a key needs to have an effect, and two values of it, by key, or key and kind."""
+"""For each key, or key and kind: other values that the key needs to have an effect, and two values of the
+key."""
 
 IN_SECTION = {
     ("domain", "annulus"): {"domain.inner": 0.4},
@@ -189,7 +191,7 @@ IN_SECTION = {
     ("rheology", "ActivatedViscosity"): {"rheology.viscosity.temperature": 310.0},
     ("material", "Gas"): {"material.c": 1e3},
 }
-"""Values that a kind needs to be admitted, and to be seen."""
+"""Values that a kind needs to be admitted, and to have an effect."""
 
 
 @cache
@@ -246,7 +248,7 @@ def is_elsewhere(entry, kind):
 
 
 QUICK = 7
-"""One of so many keys is tried by default, all of them by CI."""
+"""One of this number of keys is tried by default, and all by CI."""
 TRIED = [
     pytest.param(*case.values, id=case.id, marks=(pytest.mark.long, pytest.mark.ci) if i % QUICK else ())
     for i, case in enumerate(one for one in CASES if not is_elsewhere(*one.values))

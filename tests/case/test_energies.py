@@ -1,4 +1,5 @@
-"""Energies of case files: what they compute by both backends, what they refuse and where, and their units."""
+"""Energies of case files: their values by NGSolve and by arrays, refused texts with their positions, and
+units."""
 
 import math
 from dataclasses import replace

@@ -1,4 +1,5 @@
-"""The reference is whole and true: every key is described, every example is admitted, every template runs."""
+"""The reference is complete and right: every key is described, every example is admitted, every template
+runs."""
 
 import copy
 import inspect
@@ -23,7 +24,7 @@ COMPANIONS = {
     "relaxation": {"scheme": "midpoint", "adaptive": {"dt_min": 0.001, "dt_max": 0.1}},
     **{key: {"equilibrium": "hydrostatic"} for key in ("datum", "datum_point", "datum_pressure")},
 }
-"""Keys of [time] and [initial] that are refused without others, and those."""
+"""Keys of [time] and [initial] that require other keys, with these keys."""
 NUMBERS = ("number", "array of numbers", "table of numbers")
 BASE = A_BODY + TWO_STEPS
 OF_BODY = {"kind": "ReferentialNeoHookean", "K_e": 10, "G_e": 5}
@@ -63,11 +64,12 @@ WITHIN = {
     "Composite": {"rules": [{"G_m": 1.0}]},
     "ActivatedViscosity": {"viscosity": {"K_v": 1.0, "G_v": 1.0}},
 }
-"""Laws of laws: what they require within."""
+"""Laws that contain laws, with the tables that they require."""
 
 
 def placed(entry, kind):
-    """A case in which the key has its example, in a section of this kind with what else it requires."""
+    """A case in which the key has its example, in a section of this kind with all else that the section
+    requires."""
     data = tomllib.loads(BASE)
     if {"bodies", "contours"} & {*entry.path[:2]}:  # also what is measured of them
         data["bodies"] = [{"name": "block", "material": OF_BODY, "density": 1.0}]

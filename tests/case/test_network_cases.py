@@ -1,4 +1,4 @@
-"""Networks and Prony series in case files: as by scripts, resumed, from tables, and what is refused."""
+"""Networks and Prony series in case files: equal to scripts, resumed, from tables, and refused."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""Nonsense in case files: each is refused, at once, with the key to blame and what would be right."""
+"""Wrong case files are refused at once, with the key at fault and the right value."""
 
 import os
 import re

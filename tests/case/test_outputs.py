@@ -1,4 +1,5 @@
-"""Measurements asked for in a case file: written where a run writes, and refused under the right key."""
+"""Measurements in case files: a run writes them into its directory, and wrong ones are refused under their
+key."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Materials of case files from Python files: a solute that swells a gel, and what is refused."""
+"""Materials of case files from Python files: a solute that swells a gel, and refused files."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Case files: every fault is named with its place, value and remedy; what is valid runs."""
+"""Case files: every fault is named with its place, value and remedy, and valid cases run."""
 
 import tomllib
 from pathlib import Path

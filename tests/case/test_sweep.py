@@ -84,11 +84,11 @@ NEEDED = {
     "Open": {"density": 1.0},
     "PrescribedTangential": {"velocity": [1.0, 0.0]},
 }
-"""Sizes and other values that are needed beside the reference's examples, or in their place."""
+"""Sizes and other values that are needed in addition to the reference's examples, or instead of them."""
 
 
 def tables():
-    """(path in the case, what stands there) of every table that a case can have."""
+    """(path in the case, content) of every table that a case can have."""
     for name in GEOMETRIES:
         yield ("domain",), {"geometry": name, **NEEDED[name]}
     for kinds, path in (
@@ -167,7 +167,7 @@ def outcome(data, is_built, on_square):
 
 
 def is_blamed(fault, where):
-    """Whether a fault is that of the key, or names it as one of two that do not fit."""
+    """Whether a fault is located at the key, or names the key as one of two that contradict each other."""
     here = re.sub(r"\.\d+(?=\.|$)", "", fault.key) if where[-1] != 0 else fault.key
     path = [str(part) for part in where if not isinstance(part, int)]
     own = here.split(".")[: len(path)] == path
@@ -187,9 +187,11 @@ def faults_of(path, table, key, what, is_made):
 
 
 def tried(turn, number, by_default):
-    """Wrong values of a key, and whether a run is made of each: every fourth one by default, by CI the rest.
+    """Wrong values of a key, and whether a run is made of each; the default suite tries every fourth value,
+    and CI the others.
 
-    Numbers that the schema lets pass are alike except the extremes; the default suite runs one extreme.
+    Numbers that the schema admits have equal effects except the extremes, one of which the default suite
+    runs.
     """
     made = {what: what in ("huge", "tiny") or isinstance(WRONG[what], (str, list, dict)) for what in WRONG}
     other = ("tiny", "huge")[number % 2]

@@ -1,4 +1,4 @@
-"""Loads and walls by tables of time: files beside the case, numbers in the run's directory."""
+"""Loads and walls by tables of time: files beside the case, whose numbers the run's directory keeps."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Units are converted at the door: the same case in other units is the same case."""
+"""Units are converted when a case is read: the same case in other units gives the same run."""
 
 import math
 import warnings

@@ -1,4 +1,4 @@
-"""The command as a user runs it, in this process, or in a new process if a test needs one."""
+"""Runs the command as a user does, in this process, or in a new process if a test needs one."""
 
 import contextlib
 import io

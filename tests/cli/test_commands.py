@@ -1,4 +1,4 @@
-"""The commands, called in this process: what they print, write and refuse."""
+"""The commands, called in this process: their output, their files, and refused arguments."""
 
 import json
 import re

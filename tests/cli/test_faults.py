@@ -1,4 +1,4 @@
-"""Faults, for real and in processes: a clear message, the right exit code, nothing lost."""
+"""Real faults in processes: each gives a clear message and the right exit code, and no result is lost."""
 
 import os
 import random
@@ -20,7 +20,7 @@ from ngvisco.run.snapshot import FORMAT
 DONE, FAILED, BAD_INPUT, BAD_FILE = 0, 1, 2, 3
 LONG = ("--set", "time.until=200")
 REST = (pytest.mark.long, pytest.mark.ci)
-"""Further processes that differ in little."""
+"""Further processes that differ little from those of the default suite."""
 
 
 @pytest.fixture(scope="session")

@@ -18,7 +18,7 @@ def session():
 
 @pytest.fixture
 def clone(tmp_path, monkeypatch):
-    """The demos, and what the README's earlier command leaves behind: the results of swirl."""
+    """The demos, and the results of swirl, which an earlier command of the README leaves."""
     assert "demos/swirl/swirl.py" in README
     (tmp_path / "results/swirl").mkdir(parents=True)
     for name in ("ledger.csv", "run.h5"):
@@ -29,7 +29,7 @@ def clone(tmp_path, monkeypatch):
 
 
 def shell(text):
-    """The block's commands, each of which must succeed; what they print."""
+    """Run the block's commands, each of which must succeed, and return their output."""
     install, *commands = (shlex.split(line, comments=True) for line in text.splitlines())
     assert install == ["pip", "install", ".[plots]"]
     for name, *words in commands:

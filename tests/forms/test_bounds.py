@@ -1,4 +1,5 @@
-"""Bounds of a state and the limiter: what it changes, keeps, and takes."""
+"""Bounds of a state, and the limiter: its changes, the quantities that it keeps, and the energy that it
+takes."""
 
 import numpy as np
 import pytest
@@ -18,7 +19,8 @@ CONVEX = nv.CustomMaterial(
     transported=(Distortion(), Jacobian()),
     stored_energy=lambda F, J: 3 * (J - 1) * (J - 1) + 2 * square(F) + 0.5 * square(F) * square(F),
 )
-"""Convex and finite for all (F, J), so that energies of states out of bounds can be compared."""
+"""An energy that is convex and finite for all (F, J), so that energies of states out of bounds can be
+compared."""
 
 BY_ALL = nv.CustomMaterial(
     transported=(Distortion(), Cofactor(), Jacobian(), ReciprocalJacobian()),
@@ -45,7 +47,7 @@ def step_of(mesh=None, material=CONVEX, m=1, regularisation=None):
 def shaken(step, share=0.3, size=2.0, seed=0, variable=None):
     """Add random polynomials without a mean to rho and z in a share of the cells; gives these cells.
 
-    With ``variable`` to this one of z alone.
+    With ``variable`` polynomials are added only to this variable of z.
     """
     rng = np.random.default_rng(seed)
     chosen_rows = {"rho": slice(None), "z": slice(None)}

@@ -1,4 +1,5 @@
-"""Starts at rest under a weight: the pressure of what lies above, of materials, layers, bodies, with heat."""
+"""Starts at rest under a weight: the pressure bears the weight above, in materials, layers and bodies, with
+heat."""
 
 import warnings
 

@@ -1,4 +1,4 @@
-"""delta Laplace z has its sign for every convex energy, takes nothing from constants, and is consistent."""
+"""delta Laplace z dissipates for every convex energy, has no effect on constants, and is consistent."""
 
 import numpy as np
 import pytest
@@ -28,7 +28,7 @@ MATERIALS["WithQuadratic"] = nv.WithQuadratic(material=CONVEX, delta=0.01)
 
 
 class Diffusion:
-    """The term alone, of one material on one mesh."""
+    """Only the term of field diffusion, for one material on one mesh."""
 
     def __init__(self, material, mesh, m=1, penalty=4.0):
         law = Regularisation(delta_fields=DELTA, penalty=penalty)

@@ -1,4 +1,4 @@
-"""Heat: what is dissipated arrives, total energy is kept, entropy grows; in both solvers."""
+"""Heat in both solvers: dissipation becomes heat, the total energy is kept, and entropy grows."""
 
 import math
 from dataclasses import replace
@@ -280,7 +280,7 @@ PAIRS_OF_BODIES = [
     pytest.param("relaxed midpoint", {"expansion": 0.3}, marks=LONG, id="two thermal pressures"),
     pytest.param("relaxed midpoint", {"gruneisen": 0.3, "material": None}, marks=LONG, id="gas"),
 ]
-"""Schemes, and what the other body than a solid with the expansion 0.1/K is: the energy has an expression, or
+"""Schemes, and the body beside a solid with the expansion 0.1/K; the common energy has an expression, or
 none."""
 
 

@@ -1,4 +1,4 @@
-"""Identities of the discrete forms, by the paper's labels, and what the forms mean, on random states."""
+"""Identities of the discrete forms by the paper's labels, and the meaning of the forms, on random states."""
 
 import numpy as np
 import pytest

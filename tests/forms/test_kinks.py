@@ -1,4 +1,4 @@
-"""Corners and bends of walls: straight facets that slip, corners that determine div v, what is refused."""
+"""Corners and bends of walls: straight facets that slip, corners that determine div v, and refused walls."""
 
 import warnings
 

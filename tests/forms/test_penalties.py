@@ -1,4 +1,5 @@
-"""Interior penalties carry what jumps between cells: without them constants in cells would stay for ever."""
+"""Interior penalties let jumps between cells decay: without penalties constants in cells would stay for
+ever."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""The rule of forms and of the ledger's integrals, integrands as programs, upwinding."""
+"""The quadrature rule of the forms and of the ledger's integrals, compiled integrands, and upwinding."""
 
 import shutil
 import sys

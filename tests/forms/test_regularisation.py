@@ -1,4 +1,4 @@
-"""The scheme's regularisations: the ledger still closes, each has its sign, each does what it should."""
+"""The scheme's regularisations: the ledger closes with each, and each has its sign and its effect."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Bodies that are put apart at the end of a step: what is kept, what moves, and what is refused."""
+"""Bodies that are separated at the end of a step: kept integrals, moving interfaces, and refused models."""
 
 import warnings
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""Tensors of bodies that are not positive at points: what is done about them changes no energy."""
+"""Tensors of bodies that are not positive at points: their treatment changes no energy."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,5 @@
-"""Means over time: exact to their tolerance, whatever happens within the interval; loads by them in runs."""
+"""Means over time: they are exact to their tolerance for any function in the interval, and loads in runs
+take them."""
 
 import math
 

@@ -84,7 +84,8 @@ OF_CI = (
     "accelerated rotating wall",
     "traction with friction",
 )
-"""CI tries these; schemes have walls that change in time by default, in test_ledger_of_schemes."""
+"""CI tries these schemes; by default test_ledger_of_schemes tries all schemes with walls that change in
+time."""
 
 
 @pytest.mark.parametrize("name", [by_ci(name) if name in OF_CI else name for name in CASES])

@@ -1,4 +1,4 @@
-"""Bodies and heat that cross walls: their balances close, and what comes in is what was given."""
+"""Bodies and heat that cross walls: their balances close, and entering matter has the given values."""
 
 import re
 

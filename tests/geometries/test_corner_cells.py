@@ -1,4 +1,4 @@
-"""Cells in corners: found, divided, and nothing else changed."""
+"""Cells in corners are found and divided, and no other cell changes."""
 
 import pytest
 from netgen.occ import Circle, Glue, OCCGeometry, Rectangle

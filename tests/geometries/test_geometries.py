@@ -1,4 +1,4 @@
-"""Geometries: their measure, their walls, their cells, and files that are not what they should be."""
+"""Geometries: their measure, walls and cells, and faulty files."""
 
 import math
 

@@ -27,7 +27,7 @@ ADAPTIVE = nv.AdaptiveSteps(dt_min=1e-4, dt_max=0.1, tolerance=1e-2)
 
 @dataclass(frozen=True)
 class Drag(PointTerm):
-    """The term int c rho v . w, a resistance of the surroundings, which is not part of the package."""
+    """The term int c rho v . w of a user: a resistance by the surroundings."""
 
     c: float  # 1/s
 

@@ -1,4 +1,4 @@
-"""Ranks' reductions on one process and three, and errors that travel."""
+"""Reductions on one process and on three ranks, and errors that are sent between ranks."""
 
 import pickle
 from pathlib import Path

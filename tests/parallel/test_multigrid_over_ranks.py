@@ -1,4 +1,4 @@
-"""PETSc for us: what its multigrid needs to know, what is done without it, and memory that it gives back."""
+"""PETSc's multigrid: the data that it needs, runs without it, and memory that it returns."""
 
 from functools import cache
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Runs on several ranks are the run on one: ledgers, checkpoints, files, refusals and failures."""
+"""Runs on several ranks equal the run on one process: ledgers, checkpoints, files, refusals and failures."""
 
 import csv
 import json
@@ -70,7 +70,8 @@ CASES["yield"] = CASE.replace("[initial]", YIELD).replace('"F"', '"B"')
 CASES["adapted"] = (
     CASES["periodic"].replace(MATERIAL, ADAPT + MATERIAL).replace('"3 + cos(pi*y)"', '"1 - y*y"')
 )
-"""Other cells in every step, whose identified walls are divided alike, beside one on springs."""
+"""A run with other cells in every step; its identified walls are divided alike, and one wall is on
+springs."""
 
 
 @cache
@@ -116,7 +117,8 @@ ACTS = {
 
 
 def assert_same_ledger(one, several, spare=0):
-    """Energies, dissipations and minima to 1e-10 of their size, and the same iterations but for some."""
+    """Assert that energies, dissipations and minima agree to 1e-10 of their size, and iterations except for
+    some."""
     energy = one[0]["kinetic"] + one[0]["stored"]
     for row, other in zip(one, several, strict=True):
         assert abs(row["newton_iterations"] - other["newton_iterations"]) <= spare
@@ -133,7 +135,7 @@ def assert_same_ledger(one, several, spare=0):
 
 
 def assert_same_tables(one, several, of=1e-10):
-    """Columns to 1e-10 of the largest of any of their table."""
+    """Assert that columns agree to 1e-10 of the largest number in their table."""
     for table, other in zip(one, several, strict=True):
         assert list(table) == list(other)
         size = max(abs(v) for name, column in table.items() for v in column if name not in ("step", "time"))
@@ -162,8 +164,9 @@ def test_ledgers_and_tables_are_those_of_one_process(group, ranks):
     for name in names:
         one, several = found(1, *names)[name], found(ranks, *names)[name]
         assert (one["cells"], one["unknowns"]) == (several["cells"], several["unknowns"])
-        # whether the last are wanted is decided by a contraction that linear systems leave open: of bodies,
-        # at a tolerance of 1e-12, 8e-13 is enough on three ranks, while 1e-12 in one process takes two more
+        # the contraction that decides whether another iteration is needed depends on the errors of linear
+        # systems: with bodies and a tolerance of 1e-12, an increment of 8e-13 ends the iteration on three
+        # ranks, while 1e-12 in one process takes two more iterations
         spare = 2 if name == "split bodies" else 1 if "split" in name else 0
         assert_same_ledger(one["rows"], several["rows"], spare)
         assert_same_tables(one["tables"], several["tables"])

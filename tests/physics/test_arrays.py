@@ -1,4 +1,4 @@
-"""Arrays at points: derivatives of energies, forms that are linear in tests, what is not supported."""
+"""Arrays at points: derivatives of energies, forms that are linear in tests, and unsupported operations."""
 
 import ngsolve
 import numpy as np

@@ -1,4 +1,4 @@
-"""An energy is a function of the state alone, and does not depend on the observer: checks by samples."""
+"""Checks by samples that an energy is a function of the state alone, and does not depend on the observer."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -196,7 +196,7 @@ MODULI = {  # usual bulk and shear moduli at rest by the docstrings; K_e = 10, G
 
 
 def by_F(name):
-    """The row of the material by F that a row by B belongs to."""
+    """The row of the material by F to which a row by B belongs."""
     return name.replace(', elastic_state="B"', "").replace('(elastic_state="B")', "")
 
 
@@ -259,7 +259,7 @@ def homogeneous(kind, stretch):
 
 
 def stress_of(kind, T):
-    """T_11 less the stress of a free side, or the shear stress."""
+    """T_11 minus the stress of a free side, or the shear stress."""
     return T[0, 1] if kind == "shear" else T[0, 0] - T[2, 2]
 
 
@@ -419,7 +419,7 @@ def test_simulation_warns_of_a_users_energy_that_is_not_convex():
 
 
 WRAPPERS = {"Damaged", "Network", "PerMass", "PerReferentialVolume", "Thermal", "WithQuadratic", "Yosida"}
-"""Materials of another one."""
+"""Materials that wrap another material."""
 
 
 def test_table_lists_every_material_with_a_label_of_the_paper():

@@ -1,4 +1,4 @@
-"""One body said in two ways, ``Model(material=...)`` and ``Model(bodies=[...])``, is one body."""
+"""``Model(material=...)`` and ``Model(bodies=[...])`` with one body give the same run."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def test_there_are_bodies_of_every_kind():
 
 
 def state(model):
-    """Values of all that a model carries, of one distortion, plastic strain and temperature."""
+    """Values of all carried variables of a model, for one distortion, plastic strain and temperature."""
     material, volume = model.material, float(np.linalg.det(STRETCH))
     if isinstance(material, Mixture):
         z = material.filled({"one": 1.0}, tensor(STRETCH))

@@ -1,4 +1,4 @@
-"""Parameters that travel with the matter: expressions of them, and what knows that they are no strains."""
+"""Parameters that travel with the matter: their expressions, and operations that treat strains alone."""
 
 import operator
 from functools import partial

@@ -1,4 +1,4 @@
-"""Energies per referential volume and per mass: the paper's stresses, convexity, and what is refused."""
+"""Energies per referential volume and per mass: the paper's stresses, convexity, and refused energies."""
 
 import warnings
 

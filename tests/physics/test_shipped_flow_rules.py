@@ -1,4 +1,5 @@
-"""Flow rules at a point: the formulas of the literature, their resolvents, what a model refuses of them."""
+"""Flow rules at a point: the formulas of the literature, their resolvents, and rules that a model
+refuses."""
 
 import math
 from dataclasses import dataclass
@@ -146,7 +147,7 @@ def test_a_rate_that_gives_energy_has_its_stress_above():
 
 @dataclass(frozen=True, kw_only=True)
 class Odd(nv.FlowRule):
-    """A rule with something wrong, by its sign, its trace or a potential that is not its own."""
+    """A rule with a wrong sign, a trace, or the potential of another rule."""
 
     sign: float = 1.0
     trace: float = 0.0

@@ -1,4 +1,4 @@
-"""Materials with a temperature, alone and as bodies: laws against thermodynamics written elsewhere."""
+"""Materials with a temperature, alone and as bodies: laws against independent formulas of thermodynamics."""
 
 import math
 
@@ -33,7 +33,8 @@ def state(material, J, theta):
 
 
 def temperature(material, J, theta):
-    """theta by the energy's derivative at the entropy that the start makes of theta."""
+    """The temperature from the energy's derivative, at the entropy that the start computes from
+    ``theta``."""
     z = state(material, J, theta)
     return float(sampled(conjugates(material, z)["s"])[0]) / entropy_in(material).unit
 

@@ -1,4 +1,4 @@
-"""Kinematic rates against the time-integrated equation of the distortion they belong to."""
+"""Kinematic rates against the time-integrated equation of their distortion."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,5 @@
-"""Viscosities: one D in three notations; of the state at a point, by the literature; what is refused."""
+"""Viscosities: one D in three notations, viscosities of the state at a point by the literature, and refused
+ones."""
 
 from dataclasses import dataclass
 

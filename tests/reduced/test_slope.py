@@ -1,4 +1,4 @@
-"""The energy's slope by arrays is NGSolve's, or is not taken."""
+"""The energy's slope by arrays equals NGSolve's, or is not used."""
 
 import numpy as np
 from ngsolve import CoefficientFunction

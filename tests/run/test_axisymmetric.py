@@ -1,4 +1,4 @@
-"""Bodies of revolution: homogeneous stretch, statics, flow, the ledger, both solvers, and what is refused."""
+"""Bodies of revolution: homogeneous stretch, statics, flow, the ledger, both solvers, and refused models."""
 
 from itertools import product
 

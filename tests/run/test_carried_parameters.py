@@ -122,7 +122,8 @@ def test_a_heterogeneous_body_in_uniform_flow_keeps_its_stress():
 
 
 SOFT, UPPER = 1.0, IfPos(y - 0.5, 1.0, 0.0)
-"""Creep modulus of the lower half, Pa s; 1 in the upper half, whose lower side is one of cells."""
+"""Creep modulus of the lower half, Pa s, and 1 Pa s in the upper half; the face between them is a row of
+cells' sides."""
 
 
 def sagging(stiff, force=1e-4):

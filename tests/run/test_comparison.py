@@ -1,4 +1,4 @@
-"""Pictures of several runs: what all of them measure, each quantity in an axis of its own."""
+"""Pictures of several runs: quantities that all runs measure, each in its own axis."""
 
 import numpy as np
 import pytest

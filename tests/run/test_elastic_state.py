@@ -1,4 +1,5 @@
-"""The elastic state by F and by B = F F^T: the same material where nothing winds up; what each one loses."""
+"""The elastic state by F and by B = F F^T: both are the same material unless F winds up; the losses of
+each."""
 
 import math
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""Unknowns of further terms that evolve: schemes, ledger, error estimate, restart and transfer count them."""
+"""Evolving unknowns of further terms: schemes, ledger, error estimate, restart and transfer include them."""
 
 from functools import partial
 
@@ -27,7 +27,7 @@ MODEL = nv.Model(
 
 
 class Relaxation(PointTerm):
-    """dt theta + RATE theta = 0, with an energy theta^2/2; it leaves the flow alone."""
+    """The equation dt theta + RATE theta = 0 with the energy theta^2/2, which has no effect on the flow."""
 
     place, evolves, scale, size = "continuous", True, 1.0, None
 

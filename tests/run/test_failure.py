@@ -1,4 +1,4 @@
-"""A step that cannot be taken: the report says where, what and why, and what to change."""
+"""Reports of a step that cannot be taken: place, fault, cause and remedy."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""The energy ledger: every entry is its form's power, and all together close to rounding."""
+"""The energy ledger: every entry is the power of its form, and the sum of all entries closes to rounding."""
 
 from collections.abc import Callable
 from pathlib import Path

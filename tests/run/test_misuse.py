@@ -1,4 +1,5 @@
-"""Nonsense in scripts is named where it is met, in place of a bare error, a wrong picture or a wrong run."""
+"""Wrong scripts get an error that names the fault, instead of a bare error, a wrong picture or a wrong
+run."""
 
 import math
 import re

@@ -41,7 +41,7 @@ STATES = {
     "hardening band": (LINEAR, {"values": {"plastic_content": 0.5 * band(x)}}, 2e-13),
     "hot": (nv.Thermal(material=nv.ReferentialNeoHookean(K_e=K_E, G_e=5.0), c=1.0, theta_R=300.0), {}, 1e-13),
 }
-"""Material, start, and what of the momentum may change, over that of all and the sound impulse."""
+"""Material, start, and the admitted change of the momentum over the whole momentum and the sound impulse."""
 
 
 def thrown(name, m=1, v=(0.05, 0.02), dim=2, **options):

@@ -1,4 +1,4 @@
-"""Momentum has columns: what changes it has a name, and what is left is seen."""
+"""Columns of the momentum: every cause of a change has a column, and the rest is a defect."""
 
 import h5py
 import numpy as np
@@ -41,7 +41,7 @@ def impulses(ledger: Ledger) -> np.ndarray:
 
 
 def left(ledger: Ledger) -> np.ndarray:
-    """Part of the defect that is in none of its columns."""
+    """Part of the defect that no column contains."""
     return of(ledger, "momentum_defect") - sum(of(ledger, f"defect_{where}") for where in DEFECTS)
 
 

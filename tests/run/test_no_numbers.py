@@ -1,4 +1,4 @@
-"""Values that are no numbers are refused: in state, energy, ledger and observers; domains of energies."""
+"""Values that are not finite are refused in state, energy, ledger and observers; domains of energies."""
 
 import io
 import re

@@ -1,5 +1,4 @@
-"""Notebook views: pages that are well formed, tell the numbers, and a frame with the ledger's
-columns."""
+"""Notebook views: well-formed pages with the numbers, and a frame with the ledger's columns."""
 
 import sys
 from xml.etree import ElementTree

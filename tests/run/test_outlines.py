@@ -34,7 +34,7 @@ def lattice(count=40):
 
 
 def cut(level, velocity=None):
-    """The part of the unit square is where a function of x and y is >= 0."""
+    """The part of the unit square in which a function of x and y is >= 0."""
     points, triangles = lattice()
     X, Y = points.T
     v = np.zeros_like(points) if velocity is None else (points - 0.5) @ np.transpose(velocity)

@@ -1,4 +1,4 @@
-"""VTK series, CSV ledger and pictures: what is in the files is what was computed."""
+"""VTK series, CSV ledger and pictures: the files contain the computed values."""
 
 import csv
 import re

@@ -1,4 +1,4 @@
-"""B stays positive definite: where that is proved (FORMULATION 8), and what is said of it."""
+"""Positive definite B: cases for which it is proved (FORMULATION 8), and messages about it."""
 
 import numpy as np
 import pytest

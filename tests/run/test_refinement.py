@@ -1,4 +1,4 @@
-"""Meshes that follow a field: what is kept from one to the next, and one ledger over all of them."""
+"""Meshes that follow a field: quantities that a new mesh keeps, and one ledger over all meshes."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Scales and advice; stresses at rest of bodies that meet; bodies at rest stay so with closed books."""
+"""Scales and advice; stresses at rest of bodies that meet; bodies at rest, whose ledger closes."""
 
 import math
 import warnings
@@ -247,7 +247,7 @@ FLUID = nv.CustomMaterial(transported=(Jacobian(),), stored_energy=lambda J: 5 *
 
 
 def tense(stress):
-    """A fluid with this stress at rest, Pa, and no other energy then."""
+    """A fluid with this stress at rest, Pa, and no other energy at rest."""
     return nv.CustomMaterial(
         transported=(Jacobian(),), stored_energy=lambda J: 5 * (J - 1) * (J - 1) / J + stress
     )
@@ -303,7 +303,8 @@ MODULI = {"K_e": 7.3, "G_e": 0.37}
 """Moduli for which 1 + 1/3 and the like are not numbers of the machine: zero at rest only to rounding."""
 VISCOSITY = nv.StokesViscosity(K_v=0.1, G_v=0.1)
 NEAR_ZERO = ("LinearElastic", "HardeningElastic", "IsotropicStrainEnergy", "OldroydB", "FENEP", "NeoHookean")
-"""Materials whose energy at rest is zero, and one whose is not; the others close like it."""
+"""Materials with zero energy at rest, and one whose energy at rest is not zero; all have closures of the
+same size."""
 OLDROYD_B = nv.OldroydB(**MODULI)
 
 

@@ -1,4 +1,5 @@
-"""Going on with another mesh or other parameters: mass exact, what is lost of the energy in the ledger."""
+"""Runs that continue with another mesh or other parameters: mass is exact, and the ledger has the lost
+energy."""
 
 import numpy as np
 import pytest

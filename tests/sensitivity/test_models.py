@@ -1,4 +1,4 @@
-"""Tangents and adjoints of what the model has besides: bodies, heat, yield, energies without an expression.
+"""Tangents and adjoints of further models: bodies, heat, yield, energies without an expression.
 
 All of them by all schemes are the verification case ``sensitivities``.
 """

@@ -1,4 +1,5 @@
-"""Every term of the system is taken by exactly one part of the split solver, or refused by its name."""
+"""Exactly one part of the split solver takes each term of the system, or the solver refuses the term by
+name."""
 
 from dataclasses import dataclass
 
@@ -20,7 +21,7 @@ from tests.parallel.own import Drag
 
 @dataclass(frozen=True)
 class DragByForms:
-    """A drag like ``Drag`` in a form of its own, with an operation that arrays do not have."""
+    """A drag like ``Drag`` that states its form itself, with an operation that arrays do not have."""
 
     c: float
 
@@ -55,7 +56,7 @@ class Leak(PointTerm):
 
 @dataclass(frozen=True)
 class Healing(PointTerm):
-    """int s (J - 1)(2 + J) H: J returns to 1, a hundred times faster than a step goes."""
+    """The row int s (J - 1)(2 + J) H: J returns to 1 in a hundredth of a step."""
 
     s: float  # 1/s
 
@@ -120,7 +121,8 @@ class FormOnly(PointTerm):
 
 
 class OldViscosity(PointTerm):
-    """A viscosity by what the old state was, its slopes too, and by the cells' size: rows of grad w."""
+    """A viscosity that depends on the old state, on its gradients, and on the cells' size: rows of grad
+    w."""
 
     def _modulus(self, u):
         c = u.context
@@ -135,7 +137,7 @@ class OldViscosity(PointTerm):
 
 
 class Impulse(PointTerm):
-    """-J . w/tau: a momentum that each step brings, with a number in ``rate``."""
+    """The row -J . w/tau: each step adds a momentum, and ``rate`` has a number."""
 
     def cells(self, u, w):
         return [u.context.rate(-0.01) * w.v[0]]
@@ -156,7 +158,8 @@ class RowsOfBoth(PointTerm):
 
 
 class GrowthInTime(PointTerm):
-    """Growth at a rate by place and time, known as a mean over the step, of a function made on the spot."""
+    """Growth at a rate that depends on place and time; its mean over the step is that of a function made in
+    the term."""
 
     def _rate(self, u):
         return u.context.average(0.5 + x + 20 * nv.time)
@@ -172,7 +175,7 @@ class GrowthInTime(PointTerm):
 
 @dataclass(frozen=True)
 class ByArray(PointTerm):
-    """A drag with an array for a parameter, which two terms cannot be compared by."""
+    """A drag whose parameter is an array, so that two such terms cannot be compared."""
 
     c: np.ndarray
 
@@ -185,7 +188,7 @@ class ByArray(PointTerm):
 
 
 class DragByEnergy(PointTerm):
-    """A drag by the stored energy, which only forms have."""
+    """A drag that depends on the stored energy, which only forms have."""
 
     couples = "flow"
 
@@ -315,7 +318,7 @@ def test_every_term_of_a_step_is_taken_exactly_once():
 
 
 class UndeclaredDragByEnergy(DragByEnergy):
-    """A drag by the energy that declares itself a function of the values at a point."""
+    """A drag that depends on the energy, but declares that it is a function of the values at a point."""
 
     couples = "local"
 
@@ -337,7 +340,7 @@ class FacetDragOfNumbers(FacetDragByForms):
 
 
 class HeavierDrag(Drag):
-    """A drag that only the coupled solver is for."""
+    """A drag that only the coupled solver takes."""
 
     coupled_only = "its authors say so"
 

@@ -1,4 +1,4 @@
-"""A solute that spreads and swells what carries it, by both solvers, and what comes through walls."""
+"""A solute that spreads and swells a gel, by both solvers, and its exchange through walls."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Terms by which cells couple across facets: their blocks are the derivative of the rows that they make."""
+"""Terms that couple cells across facets: their blocks are the derivative of their rows."""
 
 import numpy as np
 import pytest
@@ -29,7 +29,8 @@ def of_solute(dim):
 
 
 def applied(run, changed=lambda tangent: None):
-    """Rows of an increment of z by the blocks, and by the derivative of the residual of their terms alone."""
+    """Rows for an increment of z, by the blocks, and by the derivative of the residual that has only these
+    terms."""
     split = run.solver.newton
     residual, tangent = split.residual, split.preconditioner.sweep.exchange.tangent
     changed(tangent)

@@ -29,7 +29,7 @@ def bodies(viscosity, bulk=10.0):
 
 @pytest.fixture
 def run(request):
-    """A box at rest in z, with v linear and density one; with the flow rule, or of the bodies, asked for."""
+    """A box with fields at rest, linear v and density one, with the given flow rule or bodies."""
     asked, viscosity = getattr(request, "param", None), nv.StokesViscosity(K_v=0.1, G_v=0.2)
     matter = {
         "material": nv.NeoHookean(K_e=10.0, G_e=5.0, epsilon=0.1),

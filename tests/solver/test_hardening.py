@@ -1,4 +1,4 @@
-"""Hardening in both solvers: a relaxation at a point, what is stored, and what is refused."""
+"""Hardening in both solvers: relaxation at a point, the stored energy, and refused models."""
 
 from __future__ import annotations
 

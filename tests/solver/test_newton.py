@@ -124,7 +124,7 @@ def test_min_damping_is_the_least_step_that_is_tried(least: float, status: Statu
 
 
 def cancelling(size: float):
-    """u - 1 with parts of ``size`` that cancel but for their rounding, size times 1e-16."""
+    """The equation u - 1 with parts of ``size`` that cancel up to their rounding, size times 1e-16."""
     return lambda u: (u - 1) + (size * (u + 1) - size * u - size)
 
 

@@ -1,4 +1,5 @@
-"""Parts of the mesh: their number changes nothing but rounding, that of the threads not a bit."""
+"""Parts of the mesh: their number changes results by rounding only, and the number of threads changes no
+bit."""
 
 from itertools import pairwise
 from weakref import ref

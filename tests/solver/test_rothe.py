@@ -1,4 +1,4 @@
-"""A Rothe step: from a rough start, restored where it fails; when an iteration ends."""
+"""A Rothe step: a rough start, the state after a failure, and the end of an iteration."""
 
 from types import SimpleNamespace
 

@@ -30,7 +30,8 @@ VISCOSITY = nv.StokesViscosity(K_v=0.1, G_v=0.1)
 
 
 def sheared(rule, material, solver="split", dim=2, scheme=EULER, dt=0.02):
-    """A box whose lid starts at once: stresses of the first step are many times what the rule lets stand."""
+    """A box whose lid starts at full speed: stresses of the first step are many times those that the rule
+    admits."""
     model = nv.Model(material=material, viscosity=VISCOSITY, creep=rule)
     lid = {"top": nv.PrescribedTangential(CF((16 * x**2 * (1 - x) ** 2, *(dim - 1) * [0])))}
     start = {"initial": nv.Initial(density=1.0), "walls": lid, "solver": solver, "scheme": scheme}
@@ -86,7 +87,8 @@ STIFF = {
     "yield that hardens": nv.Perzyna(sigma_Y=0.5, G_m=1e-7, H=2.0),
     "friction": nv.DruckerPrager(cohesion=0.3, friction_angle=30.0, G_m=1e-7),
 }
-"""Maxwell times of 1e-5 steps; yield with G_m of 1e-6 of the modulus of shear times a step, 0.1 Pa s."""
+"""Rules with Maxwell times of 1e-5 steps; yield with G_m = 1e-6 of 0.1 Pa s, the shear modulus times a
+step."""
 QUICK = {("yield", "B", "split", 2), ("yield", "F", "coupled", 2), ("linear", "F", "split", 2)}
 
 
@@ -158,7 +160,7 @@ def test_yield_with_little_inertia_is_solved(material):
 
 @dataclass(frozen=True, kw_only=True)
 class Wrong(nv.FlowRule):
-    """A rule that gives energy where the body is stretched, of which no sample at rest knows."""
+    """A rule that gives energy only where the body is stretched, so that no sample at rest shows it."""
 
     def rate(self, M, zeta, z):
         return if_positive(z["J"] - 1.0001, -0.1, 0.1) * M

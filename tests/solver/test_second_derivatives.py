@@ -30,7 +30,7 @@ def by_ngsolve(F: Tensor, J: Tensor) -> Tensor:
 
 
 def volumetric(J: Tensor) -> Tensor:
-    """A function of J that takes the stress at rest away."""
+    """A function of J that cancels the stress at rest."""
     return 4.0 * (J + 1 / J) - 12.6
 
 

@@ -1,4 +1,4 @@
-"""The split solver meets the coupled one: the same residual, the same solution, the same ledger."""
+"""The split solver agrees with the coupled one: the same residual, the same solution, the same ledger."""
 
 from dataclasses import replace
 from itertools import product
@@ -45,10 +45,10 @@ def residual(run):
 
 
 def by_tolerance(run, draws=1):
-    """Bounds of the rows that increments of the size of the solver's tolerance change, block by block.
+    """Bounds of the changes of rows by increments as large as the solver's tolerance, block by block.
 
-    An iteration that ends at that size leaves rows of this order, stiffness times increment.  Of random
-    increments d of one length |J d| is |J|_F |d|/sqrt(n) in the mean, and |J|_F |d| bounds it for all.
+    An iteration that ends with such an increment leaves rows of the size of stiffness times increment.  For
+    random increments d of one length, |J d| is |J|_F |d|/sqrt(n) in the mean, and at most |J|_F |d|.
     """
     state, rng = run.rothe_step.state.vec.FV().NumPy(), np.random.default_rng(0)
     solution, before, changes = state.copy(), residual(run), []
@@ -87,8 +87,9 @@ def assert_both_agree(mesh, physics, steps=2, dt=0.02, **options):
             assert np.linalg.norm(a - b) <= 1e-9 * np.linalg.norm(a), name
     allowed = by_tolerance(split)
     for name, rows in residual(split).items():
-        # of normal derivatives an increment leaves what the linear systems do, of v much less, which ends the
-        # iteration: ten times as much was seen next to rest, where |a| is 3e-3 1/s
+        # the last increment leaves the error of the linear systems in the normal derivatives, and a much
+        # smaller error in v, which ends the iteration: ten times this error was seen next to rest, where |a|
+        # is 3e-3 1/s
         spare = 1 / LINEAR_IN_2D if name.startswith("a_") else 1
         assert np.linalg.norm(rows) <= spare * allowed[name], name
     assert np.abs(split.ledger.column("closure_relative")).max() <= 1e-10

@@ -1,4 +1,4 @@
-"""The split solver's own duties: failures that are said, the choice of the solver, its parts."""
+"""The split solver by itself: messages of failures, the choice of the solver, and its parts."""
 
 from dataclasses import replace
 
@@ -43,7 +43,7 @@ TWO_LEVELS = nv.NewtonOptions(split=SplitOptions(direct_up_to=(0, 0)))
 
 
 def taken(run):
-    """Take a step of a run; what was tried for it."""
+    """Take a step of a run, and return the attempts."""
     advance, steps = run.integrator.advance, []
     run.integrator.advance = lambda *arguments: steps.append(advance(*arguments)) or steps[-1]
     run.advance()
@@ -256,7 +256,7 @@ def test_where_two_levels_do_not_solve_the_flow_the_tangent_is_factorised_as_a_w
 
 
 def updates(run):
-    """The kinds of solver of the velocity tangent, at each time that it is made anew."""
+    """The kinds of solver of the velocity tangent, one for each time that the tangent is formed."""
     preconditioner, kinds = run.solver.newton.preconditioner, []
     update = preconditioner.update
 

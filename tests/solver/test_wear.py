@@ -1,4 +1,4 @@
-"""A tangent is renewed when the directions that a new one would have spared are worth its cost."""
+"""A tangent is renewed when a new one would have saved as many directions as a renewal costs."""
 
 from support import assert_goes_on, swirling
 

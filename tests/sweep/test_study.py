@@ -1,4 +1,4 @@
-"""Studies run by the command: what they leave, what they do not do again, what they refuse."""
+"""Studies run by the command: their files, finished runs that are not repeated, and refused studies."""
 
 import csv
 import os
@@ -109,7 +109,7 @@ def test_the_table_keeps_rows_of_runs_that_another_command_made(case_file, tmp_p
 
 
 def begun(command, ledger, **options):
-    """A process that has made some steps of the run whose ledger it is."""
+    """A process of a run that has made some steps, as the ledger shows."""
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **options)
     for _ in range(1200):
         if ledger.exists() and len(ledger.read_text().splitlines()) > 4:

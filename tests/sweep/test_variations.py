@@ -1,4 +1,4 @@
-"""Variations: how they are written, which combinations they have, how their runs are called."""
+"""Variations: their syntax, their combinations, and the names of their runs."""
 
 import pytest
 

@@ -1,4 +1,5 @@
-"""Runs whose steps end out of bounds at points: limited, with closed books, or ended if so asked for."""
+"""Runs whose steps end out of bounds at points: they are limited, with a closed ledger, or end if so
+requested."""
 
 import contextlib
 from functools import partial
