@@ -108,7 +108,7 @@ def density_of_a_long_step():
 
 
 def test_an_implicit_step_of_order_zero_keeps_densities_positive_however_long_it_is():
-    """As a control, the same step without upwinding does not keep them positive."""
+    """A control: the same step without upwinding does not keep them positive."""
     assert density_of_a_long_step() > 0
     with patch.object(momentum, "speed", lambda u: 0.0 * (u.v * u.context.normal)):
         assert density_of_a_long_step() < 0

@@ -60,7 +60,7 @@ def free_vertices(mesh: Mesh) -> list[bool]:
     ids=str,
 )
 def test_names_with_signs_of_regular_expressions_mean_themselves(names: tuple[str, str, str, str]) -> None:
-    """As a pattern, "a.b" would also match "axb", and constrain a wall in a wrong direction."""
+    """A pattern "a.b" would also match "axb", and constrain a wall in a wrong direction."""
     mesh, plain = named_square(names), named_square(("left", "right", "bottom", "top"))
     assert axis_parallel_walls(mesh)[0] == [sorted(set(names[:2])), sorted(set(names[2:]))]
     assert free_vertices(mesh) == free_vertices(plain)

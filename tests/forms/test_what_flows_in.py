@@ -510,7 +510,7 @@ def test_the_amount_of_a_body_that_comes_in_at_a_pressure_is_the_one_of_that_pre
 @pytest.mark.long
 @pytest.mark.ci
 def test_where_nothing_tells_the_density_it_is_that_of_the_first_inflow():
-    """As a control, rho J differs from its start by a few per cent where the shock was, and a run warns of
+    """A control: rho J differs from its start by a few per cent where the shock was, and a run warns of
     this."""
     with pytest.warns(nv.InflowWarning, match="through 'left' at a pressure.*give rho_R"):
         rho, v = filled("split")

@@ -206,7 +206,7 @@ BROKEN = {
 
 @pytest.mark.parametrize("name", BROKEN)
 def test_a_wrong_entry_opens_the_ledger(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """As a negative control, the closure is rounding only with each entry and its factor."""
+    """A negative control: the closure is rounding only with each entry and its factor."""
     term, factor = BROKEN[name]
     method = "distance" if name in NUMERICAL else "entries"
     monkeypatch.setattr(term, method, scaled(getattr(term, method), name, factor))

@@ -350,7 +350,7 @@ def test_a_turned_body_at_rest_closes():
 
 
 def test_a_small_motion_is_still_held_to_account(monkeypatch):
-    """As a negative control, a wrong dissipation at strains of 1e-5 opens the ledger of the same body."""
+    """A negative control: a wrong dissipation at strains of 1e-5 opens the ledger of the same body."""
     wrong = Stokes.entries
 
     def doubled(self, u):

@@ -76,7 +76,7 @@ def test_products_of_tangent_and_adjoint_are_equal(scheme, solver):
 @pytest.mark.long
 @pytest.mark.ci
 def test_without_the_change_of_the_old_state_an_adjoint_is_wrong(monkeypatch):
-    """As a negative control, the adjoint ignores the state from which a step starts."""
+    """A negative control: the adjoint ignores the state from which a step starts."""
     monkeypatch.setattr(Starts, "transposed", lambda self, rows: 0 * rows)
     by_tangent, by_adjoint = directional(run, "midpoint", {"motion": OF["motion"]})
     assert abs(by_adjoint / by_tangent - 1).max() > 0.1

@@ -132,7 +132,7 @@ def test_forces_and_stresses_in_three_dimensions():
 
 
 def test_without_one_of_its_parts_an_adjoint_is_wrong(monkeypatch):
-    """As negative controls, the adjoint lacks the motion of the outline, the velocity within it, the
+    """Negative controls: the adjoint lacks the motion of the outline, the velocity within it, the
     averaged fraction, or the volume."""
     names = ("disc_L", "disc_perimeter", "disc_turning", "disc_force_x", "disc_x")
     of, make = {name: f"{name} at 0.02" for name in names}, partial(bodies, scheme="backward-euler")

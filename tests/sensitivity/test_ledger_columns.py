@@ -134,7 +134,7 @@ def test_impulses_of_walls_have_adjoints(make, columns, options, least):
 
 
 def test_without_one_of_the_states_the_slope_of_a_distance_is_wrong(monkeypatch):
-    """As a negative control, only one of the states of B(a, b) changes."""
+    """A negative control: only one of the states of B(a, b) changes."""
     numbers = of(("inertial", "bregman"))
     whole = DistanceSlopes.__call__
     by_tangent, _ = directional(run, "midpoint", numbers, 0.1)

@@ -67,7 +67,7 @@ def test_differences_of_second_order_are_nearly_as_good():
 @pytest.mark.long
 @pytest.mark.ci
 def test_without_the_change_of_the_old_state_a_tangent_is_wrong(monkeypatch):
-    """As a negative control, the tangent ignores the state from which a step starts."""
+    """A negative control: the tangent ignores the state from which a step starts."""
     found = nv.gradient(run(), UNTIL, of=["stored at 0.06"], by=["creep.G_m"]).jacobian
     monkeypatch.setattr(Neighbours, "moved", lambda self, state, along: [state for _ in self.steps])
     cut = nv.gradient(run(), UNTIL, of=["stored at 0.06"], by=["creep.G_m"]).jacobian
